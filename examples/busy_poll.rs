@@ -25,7 +25,7 @@ fn show(own: usize, others: CoreSet) -> Result<()> {
     set_affinity(others)?;
 
     let mut node = Node::create(Context::create()?, "busy_poll", "")?;
-    let subscription = node.subscribe_loaned::<UInt64>("/counter", Qos::keep_last(MESSAGES as usize))?;
+    let subscription = node.subscribe::<UInt64>("/counter", Qos::keep_last(MESSAGES as usize))?;
     let publisher = node.create_publisher::<UInt64>("/counter", Qos::default())?;
     let counters = subscription.counters();
 

@@ -16,8 +16,8 @@ fn main() -> ExitCode {
 fn show() -> Result<()> {
     let context = context()?;
     let mut node = Node::create(context.clone(), "group", "")?;
-    let odometry = node.subscribe_loaned::<UInt64>("/odometry", Qos::default())?;
-    let scan = node.subscribe_loaned::<UInt64>("/scan", Qos::default())?;
+    let odometry = node.subscribe::<UInt64>("/odometry", Qos::default())?;
+    let scan = node.subscribe::<UInt64>("/scan", Qos::default())?;
     let to_odometry = node.create_publisher::<UInt64>("/odometry", Qos::default())?;
     let to_scan = node.create_publisher::<UInt64>("/scan", Qos::default())?;
 

@@ -25,7 +25,7 @@ fn show() -> Result<()> {
 }
 
 fn doubler(mut node: Node) -> Result<()> {
-    let counts = node.subscribe_loaned::<UInt64>("count", Qos::default())?;
+    let counts = node.subscribe::<UInt64>("count", Qos::default())?;
     let publisher = node.create_publisher::<UInt64>("doubled", Qos::default())?;
     let double = counts.for_each(move |count| {
         let mut loan = publisher.loan().expect("a loan is free");
@@ -38,7 +38,7 @@ fn doubler(mut node: Node) -> Result<()> {
 }
 
 fn printer(mut node: Node, context: Context) -> Result<()> {
-    let doubled = node.subscribe_loaned::<UInt64>("doubled", Qos::default())?;
+    let doubled = node.subscribe::<UInt64>("doubled", Qos::default())?;
     let events = context.events().clone();
     let print = doubled.for_each(move |message| {
         println!("{}", message.data);

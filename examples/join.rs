@@ -30,10 +30,8 @@ fn show() -> tautline::Result<()> {
         node.set_topic_limits(topic, join.limits())?;
     }
     let qos = context.callback_qos("fuse")?;
-    let inputs = (
-        node.subscribe_loaned::<PointStamped>("/image", qos)?,
-        node.subscribe_loaned::<PointStamped>("/cloud", qos)?,
-    );
+    let inputs =
+        (node.subscribe::<PointStamped>("/image", qos)?, node.subscribe::<PointStamped>("/cloud", qos)?);
     let pairs = Synchronizer::new(join.approximate_time(), inputs).expect("the limits are set");
     let counters = pairs.counters();
     println!(

@@ -42,7 +42,7 @@ fn main() -> ExitCode {
 fn show() -> Result<()> {
     let context = context()?;
     let mut listener = Node::create(context.clone(), "listener", "")?;
-    let speeds = listener.subscribe_loaned::<UInt64>("/drive/speed", Qos::default())?;
+    let speeds = listener.subscribe::<UInt64>("/drive/speed", Qos::default())?;
 
     let speed = Speed::default();
     let drive = LifecycleNode::create(context, "drive", "", Drive { speed: speed.clone() })?;

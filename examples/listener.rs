@@ -16,7 +16,7 @@ fn main() -> ExitCode {
 fn listen(messages: usize) -> Result<()> {
     let context = context()?;
     let mut node = Node::create(context.clone(), "listener", "")?;
-    let subscription = node.subscribe_loaned::<UInt64>("/counter", Qos::default())?;
+    let subscription = node.subscribe::<UInt64>("/counter", Qos::default())?;
     let counters = subscription.counters();
     println!("listening on {}", subscription.topic());
 

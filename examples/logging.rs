@@ -23,7 +23,7 @@ fn show() -> Result<()> {
     let context = context_of(Context::builder().args(std::env::args()))?;
     let mut node = Node::create(context.clone(), "arm", "/robot")?;
     let qos = Qos::keep_last(100).transient_local();
-    let lines = node.subscribe::<Log>("/rosout", qos)?;
+    let lines = node.subscribe::<Log>("/rosout", qos)?.owned();
 
     let logger = node.logger().clone();
     log_debug!(logger, "is not wanted at the level info");

@@ -23,7 +23,7 @@ fn show() -> Result<()> {
     let mut node = Node::create(context.clone(), "priorities", "")?;
     let on_core = |name, priority| CallbackOptions::fifo(priority).core(core).name(name);
 
-    let mut messages = node.subscribe_loaned::<UInt64>("/alarm", Qos::default())?;
+    let mut messages = node.subscribe::<UInt64>("/alarm", Qos::default())?;
     let alarm = node.spawn_callback(on_core("alarm", 30), async move {
         if let Some(message) = messages.next().await {
             println!("    alarm {} begins", message.data);
@@ -31,7 +31,7 @@ fn show() -> Result<()> {
         }
     })?;
 
-    let mut messages = node.subscribe_loaned::<UInt64>("/log", Qos::default())?;
+    let mut messages = node.subscribe::<UInt64>("/log", Qos::default())?;
     let log = node.spawn_callback(on_core("log", 10), async move {
         if let Some(message) = messages.next().await {
             println!("log {} begins", message.data);

@@ -23,7 +23,7 @@ fn show() -> Result<()> {
     });
     let mut node = Node::create(context.clone(), "qos_events", "")?;
     let qos = Qos::keep_last(2).deadline(Duration::from_millis(50));
-    let subscription = node.subscribe_loaned::<UInt64>("/speed", qos)?;
+    let subscription = node.subscribe::<UInt64>("/speed", qos)?;
     let mut events = node.subscription_events(&subscription)?;
 
     // A publisher without a deadline promises less than is requested: it is not matched.

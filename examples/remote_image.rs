@@ -70,7 +70,7 @@ fn send(context: Context, images: usize) -> Result<()> {
 
 fn receive(context: Context, count: usize) -> Result<()> {
     let mut node = node(&context, "viewer")?;
-    let images = node.subscribe_loaned::<Image>("/camera/image_raw", Qos::keep_last(2))?;
+    let images = node.subscribe::<Image>("/camera/image_raw", Qos::keep_last(2))?;
     let mut images = images.take(count);
     let viewer = node.spawn_callback(CallbackOptions::fifo(10).name("viewer"), async move {
         while let Some(sample) = images.next().await {

@@ -26,7 +26,7 @@ fn show() -> Result<()> {
     }
     let available = Node::is_available(&client)?;
 
-    let mut service = node.create_service_loaned::<AddTwoInts::Service>("add_two_ints", qos)?;
+    let mut service = node.create_service::<AddTwoInts::Service>("add_two_ints", qos)?;
     let serve = node.spawn_callback(CallbackOptions::fifo(20).name("serve"), async move {
         while let Some(request) = service.next().await {
             if request.a < 0 {
@@ -39,7 +39,7 @@ fn show() -> Result<()> {
             }
         }
     })?;
-    let in_place = node.create_client_loaned::<AddTwoInts::Service>("add_two_ints", qos)?;
+    let in_place = node.create_client::<AddTwoInts::Service>("add_two_ints", qos)?;
     let ask = node.spawn_callback(CallbackOptions::fifo(10).name("ask"), async move {
         let asked = async move {
             available.await?;

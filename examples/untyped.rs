@@ -23,7 +23,7 @@ fn show() -> Result<()> {
     let qos = Qos::default();
     let mut bytes = node.subscribe_raw("/joints", TYPE, qos)?;
     let mut json = node.subscribe_untyped("/relayed", TYPE, qos)?;
-    let mut typed = node.subscribe_loaned::<JointState>("/relayed", qos)?;
+    let mut typed = node.subscribe::<JointState>("/relayed", qos)?;
     let publisher = node.create_publisher_untyped("/joints", TYPE, qos)?;
     let relay = node.create_publisher_untyped("/relayed", TYPE, qos)?;
 

@@ -25,7 +25,7 @@ fn show() -> Result<()> {
     let limits = Limits { message_bytes: 9 << 20, ..Limits::default() };
     node.set_topic_limits("/image_raw", limits)?;
     let qos = Qos::keep_last(1);
-    let mut images = node.subscribe_loaned::<Image>("/image_raw", qos)?;
+    let mut images = node.subscribe::<Image>("/image_raw", qos)?;
     let publisher = node.create_publisher::<Image>("/image_raw", qos)?;
     let counters = publisher.counters();
 

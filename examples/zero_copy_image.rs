@@ -27,7 +27,7 @@ fn show() -> Result<()> {
     // The memory of all images that can be in flight is claimed at the start: these are few.
     node.set_topic_limits("/image", Limits { held: 1, loans: 1, ..Limits::default() })?;
     let qos = Qos::keep_last(1);
-    let mut images = node.subscribe_loaned::<Image>("/image", qos)?;
+    let mut images = node.subscribe::<Image>("/image", qos)?;
     let publisher = node.create_publisher::<Image>("/image", qos)?;
 
     let (read_at, arrived) = mpsc::channel();

@@ -140,7 +140,7 @@ fn late_joiners_get_latched_transforms_on_both_sides() {
     for (child, x) in [("arm", 1.5), ("hand", -2.0)] {
         peer.tell(json!({ "do": "publish_transform", "end": from_ros, "child": child, "x": x }));
     }
-    let late = here.node.subscribe::<TransformStamped>("/ros/tf_static", latched).unwrap();
+    let late = here.node.subscribe::<TransformStamped>("/ros/tf_static", latched).unwrap().owned();
     let told = here.wait("latched transforms", late.take(2).collect::<Vec<_>>());
     assert_eq!(told, [transform("arm", 1.5), transform("hand", -2.0)]);
 }

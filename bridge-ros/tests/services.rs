@@ -25,7 +25,7 @@ fn qos() -> Qos {
 
 /// Answers on a thread of its own.
 fn serve_set_bool(node: &mut Node, name: &str) -> tautline::CallbackHandle {
-    let requests = node.create_service::<SetBool::Service>(name, qos()).unwrap();
+    let requests = node.create_service::<SetBool::Service>(name, qos()).unwrap().owned();
     let answer = requests.for_each(|request| async move {
         let success = request.message.data;
         let message = if success { "on" } else { "off" }.to_owned();
@@ -176,7 +176,7 @@ fn a_server_that_dies_ends_what_it_was_asked() {
     assert_eq!(here.wait("an answer", answer).unwrap().message, "on");
 
     // Here: the service goes from ROS, what it was asked stays unanswered there, and the next one answers.
-    let requests = here.node.create_service::<SetBool::Service>("/here", qos()).unwrap();
+    let requests = here.node.create_service::<SetBool::Service>("/here", qos()).unwrap().owned();
     let asking = server.tell(json!({ "do": "client", "name": "/here", "type": SET_BOOL }));
     server.tell(json!({ "do": "available", "end": asking }));
     server.tell(json!({ "do": "ask", "end": asking, "request": { "data": true } }));
@@ -198,7 +198,7 @@ fn a_silent_server_is_asked_no_more_than_there_is_room_for() {
     let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
 
     // Here: what waits is counted once it is refused, and when the server goes.
-    let silent = here.node.create_service::<SetBool::Service>("/silent", qos()).unwrap();
+    let silent = here.node.create_service::<SetBool::Service>("/silent", qos()).unwrap().owned();
     let _served = serve_set_bool(&mut here.node, "/set");
     let flooding = peer.tell(json!({ "do": "client", "name": "/silent", "type": SET_BOOL }));
     let other = peer.tell(json!({ "do": "client", "name": "/set", "type": SET_BOOL }));

@@ -213,7 +213,7 @@ fn child_main() {
     let here = Here::new(51);
     let mut node = here.node("doomed", "");
     let publisher = node.create_publisher::<Count>("/last", Qos::default()).unwrap();
-    let words = node.subscribe::<Count>("/last", Qos::default()).unwrap();
+    let words = node.subscribe::<Count>("/last", Qos::default()).unwrap().owned();
     let options = CallbackOptions::other().name("last_words");
     let _heard = node.spawn_callback(options, words.for_each(|_| std::future::ready(()))).unwrap();
     for n in 0.. {
@@ -276,7 +276,7 @@ fn a_missed_deadline_is_a_reason_and_trace_and_statistics_are_beside_it() {
     let mut recorder = Recorder::start(43, &["/work", "--black-box", "60s", "--on", "deadline"]);
     let mut node = here.node("worker", "");
     let publisher = node.create_publisher::<Count>("/work", Qos::default()).unwrap();
-    let work = node.subscribe::<Count>("/work", Qos::default()).unwrap();
+    let work = node.subscribe::<Count>("/work", Qos::default()).unwrap().owned();
     let late = work.for_each(|message| {
         let until_ns = monotonic_ns() + message.n * MS;
         sleep_until_monotonic(until_ns);

@@ -626,7 +626,7 @@ fn services_and_actions_are_recorded_as_events() {
     let mut here = Here::new(place.domain);
     let mut node = here.node("robot", "");
     let qos = Qos::services_default();
-    let requests = node.create_service::<AddTwoInts::Service>("/add", qos).unwrap();
+    let requests = node.create_service::<AddTwoInts::Service>("/add", qos).unwrap().owned();
     here.serve(
         &mut node,
         requests.for_each(|request| {

@@ -137,7 +137,7 @@ impl Running {
         depth: usize,
         messages: &[(Duration, u64)],
     ) {
-        let subscription = self.node.subscribe_loaned::<Work>(topic, Qos::keep_last(depth)).unwrap();
+        let subscription = self.node.subscribe::<Work>(topic, Qos::keep_last(depth)).unwrap();
         let publisher = self.publisher(topic);
         for (burn, release_ns) in messages {
             publish(&publisher, *burn, *release_ns);
@@ -418,7 +418,7 @@ fn a_job_that_does_not_end_is_late() {
     let scratch = Scratch::new("stuck");
     let system = scratch.write("system.toml", SYSTEM);
     let mut running = Running::start(198, Realtime::Off, &system);
-    let numbers = running.node.subscribe_loaned::<Work>("fine", Qos::default()).unwrap();
+    let numbers = running.node.subscribe::<Work>("fine", Qos::default()).unwrap();
     // Released when the machine was started, and never done while this test looks.
     let publisher = running.publisher("fine");
     publish(&publisher, LITTLE, 1);
@@ -692,7 +692,7 @@ fn a_node_that_is_played_from_a_bag_is_told_of() {
     writer.finish(BTreeMap::new()).unwrap();
 
     let mut running = Running::start(48, Realtime::Off, &system);
-    let subscription = running.node.subscribe_loaned::<Work>("fine", Qos::keep_last(1)).unwrap();
+    let subscription = running.node.subscribe::<Work>("fine", Qos::keep_last(1)).unwrap();
     let done = running.done.0.clone();
     let work = subscription.for_each(move |work: Sample<Work>| {
         drop(work);

@@ -14,7 +14,7 @@ fn services_are_found_and_asked() {
     let mut here = Here::new(83);
     let mut node = here.node("lights", "/robot");
     let qos = Qos::services_default();
-    let requests = node.create_service::<SetBool::Service>("/robot/lights", qos).unwrap();
+    let requests = node.create_service::<SetBool::Service>("/robot/lights", qos).unwrap().owned();
     let answer = requests.for_each(|request| {
         let is_on = request.message.data;
         let message = if is_on { "on: all" } else { "off" }.to_owned();
@@ -23,7 +23,7 @@ fn services_are_found_and_asked() {
     });
     here.serve(&mut node, answer);
     let _silent = node.create_service::<Trigger::Service>("/silent", qos).unwrap();
-    let requests = node.create_service::<Trigger::Service>("/dying", qos).unwrap();
+    let requests = node.create_service::<Trigger::Service>("/dying", qos).unwrap().owned();
     // With its first request in hand.
     here.serve(&mut node, requests.into_future().map(drop));
     let _client = node.create_client::<Trigger::Service>("/unserved", qos).unwrap();

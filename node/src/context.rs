@@ -438,7 +438,7 @@ impl Context {
     /// for topic in ["/image", "/cloud"] {
     ///     node.set_topic_limits(topic, join.limits())?;
     /// }
-    /// let inputs = (node.subscribe_loaned::<Image>("/image", qos)?, node.subscribe_loaned::<PointCloud2>("/cloud", qos)?);
+    /// let inputs = (node.subscribe::<Image>("/image", qos)?, node.subscribe::<PointCloud2>("/cloud", qos)?);
     /// let pairs = Synchronizer::new(join.approximate_time(), inputs)?;
     /// node.spawn_callback(context.callback("fuse")?, pairs.for_each(|(image, cloud)| async move {
     ///     let _ = (image.view().width(), cloud.view().width());

@@ -16,7 +16,7 @@
 //!
 //! let ctx = Context::create()?;
 //! let mut node = Node::create(ctx, "example", "")?;
-//! let odometry = node.subscribe_loaned::<Odometry>("/odom", Qos::default())?;
+//! let odometry = node.subscribe::<Odometry>("/odom", Qos::default())?;
 //! node.spawn_callback(CallbackOptions::fifo(20).core(1), odometry.for_each(|msg| async move {
 //!     let _speed = msg.x; // msg derefs into shared memory
 //! }))?;
@@ -86,7 +86,7 @@ pub use qos_events::{
 };
 pub use reload::apply_system;
 pub use remap::RemapRules;
-pub use service::{Client, IsAvailablePollable, ResponseFuture, ServiceLoaned, ServiceRequest};
+pub use service::{Client, IsAvailablePollable, ResponseFuture, Server, ServiceRequest};
 #[cfg(feature = "untyped")]
 pub use service::{ClientUntyped, ServiceRequestUntyped};
 pub use statistics::shared_statistics;
@@ -124,8 +124,8 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Claim, Client as ClientLoaned, Counters, Durability, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot,
-    History, IncompatibleQos, IncompatibleType, Limits, Liveliness, LivelinessChanged, Loan, LoanError,
+    Claim, Counters, Durability, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, History,
+    IncompatibleQos, IncompatibleType, Limits, Liveliness, LivelinessChanged, Loan, LoanError,
     MAX_PENDING_REQUESTS, Matched, MessageInfo, MessageLost, NodeHandle, NodeInfo, NodeName, PendingResponse,
     PublishCdrError, PublishError, Publisher, PublisherCounters, Qos, QosPolicyKind, Reliability, Request,
     RequestId, Response, Sample, SendError, ServiceEndpoint, ServiceError, ServiceKind, TakeError,

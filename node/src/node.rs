@@ -12,7 +12,6 @@ use crate::subscription::Subscription;
 #[cfg(feature = "rosgraph_msgs")]
 use crate::time::TimeSource;
 use crate::timer::Timer;
-use futures::{Stream, StreamExt};
 use std::collections::HashMap;
 use std::future::Future;
 use std::sync::Arc;
@@ -39,7 +38,7 @@ use tautline_transport::{Limits, NodeHandle, Participant, Publisher, Qos, TopicT
 ///
 /// let ctx = Context::builder().domain(229).realtime(Realtime::Off).build()?;
 /// let mut node = Node::create(ctx.clone(), "example", "/robot")?;
-/// let mut speeds = node.subscribe::<Speed>("~/speed", Qos::default())?; // /robot/example/speed
+/// let mut speeds = node.subscribe::<Speed>("~/speed", Qos::default())?.owned(); // /robot/example/speed
 /// let publisher = node.create_publisher::<Speed>("~/speed", Qos::default())?;
 /// publisher.publish(&Speed { metres_per_second: 1.5 }).unwrap();
 ///
@@ -275,24 +274,12 @@ impl Node {
         Ok(self.participant.create_publisher_of(&topic, &topic_type, qos, limits)?)
     }
 
-    /// Subscribes to a topic: a stream of owned messages, copied out of shared memory. Strings and sequences are allocated.
-    ///
-    /// # Errors
-    /// As [`create_publisher`](Self::create_publisher).
-    pub fn subscribe<T: Message>(
-        &mut self,
-        topic: &str,
-        qos: Qos,
-    ) -> Result<impl Stream<Item = T> + Unpin + Send + use<T>> {
-        Ok(self.subscribe_loaned::<T>(topic, qos)?.map(|sample| sample.to_owned()))
-    }
-
     /// Subscribes to a topic: a stream of samples, read in shared memory: through [`Sample::view`](crate::Sample::view), or
-    /// by dereferencing if the type is plain.
+    /// by dereferencing if the type is plain. [`Subscription::owned`] makes a stream of owned messages of it.
     ///
     /// # Errors
     /// As [`create_publisher`](Self::create_publisher).
-    pub fn subscribe_loaned<T: Message>(&mut self, topic: &str, qos: Qos) -> Result<Subscription<T>> {
+    pub fn subscribe<T: Message>(&mut self, topic: &str, qos: Qos) -> Result<Subscription<T>> {
         let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
         let subscription =

@@ -86,7 +86,7 @@ impl Node {
     /// # #[derive(Message, Clone, Copy)] #[repr(C)] #[message(name = "demo_msgs/msg/Speed")] struct Speed { v: f64 }
     /// # let ctx = Context::builder().domain(200).realtime(Realtime::Off).build()?;
     /// # let mut node = Node::create(ctx, "example", "")?;
-    /// let speeds = node.subscribe_loaned::<Speed>("/speed", Qos::default())?;
+    /// let speeds = node.subscribe::<Speed>("/speed", Qos::default())?;
     /// let mut events = node.subscription_events(&speeds)?;
     /// let _publisher = node.create_publisher::<Speed>("/speed", Qos::default())?;
     /// let Some(SubscriptionEvent::Matched(matched)) = block_on(events.next()) else { panic!() };

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A subscription as a stream that measures its callback and knows how its thread waits.
 
-use futures::Stream;
+use futures::{Stream, StreamExt};
 use std::any::Any;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -37,6 +37,11 @@ impl<T: Message> Subscription<T> {
     /// [`TakeError`].
     pub fn try_take(&self) -> Result<Option<Sample<T>>, TakeError> {
         self.samples.source().try_take()
+    }
+
+    /// The stream of owned messages, copied out of shared memory: strings and sequences are allocated.
+    pub fn owned(self) -> impl Stream<Item = T> + Unpin + Send + use<T> {
+        self.map(|sample| sample.to_owned())
     }
 
     /// With stamps that `stamp` tells in nanoseconds, to be joined with others: for messages without a header.

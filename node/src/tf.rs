@@ -69,9 +69,9 @@ impl TransformListener {
     /// [`Node::create_publisher`](crate::Node::create_publisher) and [`Node::spawn_callback`](crate::Node::spawn_callback).
     pub fn new(node: &mut Node, options: CallbackOptions, limits: Limits) -> Result<TransformListener> {
         let (mut writer, buffer) = Buffer::new(limits)?;
-        let moving = node.subscribe_loaned::<TFMessage>("/tf", Qos::keep_last(DEPTH))?;
+        let moving = node.subscribe::<TFMessage>("/tf", Qos::keep_last(DEPTH))?;
         let fixed = Qos::keep_last(DEPTH).transient_local();
-        let fixed = node.subscribe_loaned::<TFMessage>("/tf_static", fixed)?;
+        let fixed = node.subscribe::<TFMessage>("/tf_static", fixed)?;
         let leap = Arc::new(Leap::default());
         #[cfg(feature = "rosgraph_msgs")]
         let jump = {

@@ -117,7 +117,7 @@ fn allocate_nothing(options: CallbackOptions) {
         Context::builder().domain(227).realtime(Realtime::Off).trace(TraceMode::On).build().unwrap();
     let mut node = Node::create(context.clone(), "frugal", "").unwrap();
     let publisher = node.create_publisher::<Number>("/frugal", Qos::default()).unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/frugal", Qos::default()).unwrap();
+    let numbers = node.subscribe::<Number>("/frugal", Qos::default()).unwrap();
     let callback = node.spawn_callback(options, numbers.for_each(answer)).unwrap();
     // Two threads that are always ready need no sampler, and keep it from starting: only it serves a timer.
     let hour = Duration::from_secs(3_600);

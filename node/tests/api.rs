@@ -40,7 +40,7 @@ fn program(
 ) -> tautline::Result<()> {
     let ctx = Context::create()?;
     let mut node = Node::create(ctx, "example", "")?;
-    let odometry = node.subscribe_loaned::<Odometry>("/odom", Qos::default())?;
+    let odometry = node.subscribe::<Odometry>("/odom", Qos::default())?;
     node.spawn_callback(
         CallbackOptions::fifo(20).core(core),
         odometry.for_each(|msg| async move {
@@ -80,7 +80,7 @@ fn two_contexts_of_a_process_share_a_domain_and_no_more() {
     let (here, there, elsewhere) = (context(201), context(201), context(202));
     let nodes = [("there", &there), ("elsewhere", &elsewhere)].map(|(name, context)| {
         let mut node = Node::create(context.clone(), name, "").unwrap();
-        let numbers = node.subscribe_loaned::<Number>("/two", Qos::default()).unwrap();
+        let numbers = node.subscribe::<Number>("/two", Qos::default()).unwrap();
         let log = move |sample: Sample<Number>| async move { HEARD.add((name, sample.value)) };
         node.spawn_callback(CallbackOptions::other(), numbers.for_each(log)).unwrap();
         node
@@ -109,7 +109,7 @@ fn two_contexts_of_a_process_share_a_domain_and_no_more() {
 fn publishers_and_samples_may_end_on_other_threads() {
     let mut node = Node::create(context(203), "mover", "").unwrap();
     let publisher = node.create_publisher::<Number>("/moved", Qos::default()).unwrap();
-    let subscription = node.subscribe_loaned::<Number>("/moved", Qos::default()).unwrap();
+    let subscription = node.subscribe::<Number>("/moved", Qos::default()).unwrap();
     let publisher = std::thread::spawn(move || {
         publisher.publish(&Number { value: 7 }).unwrap();
         publisher
@@ -133,8 +133,8 @@ fn what_is_made_through_a_node_ends_with_it() {
     let mut node = Node::create(context.clone(), "brief", "").unwrap();
     let qos = Qos::default();
     let publisher = node.create_publisher::<Number>("/brief", qos).unwrap();
-    let numbers = node.subscribe::<Number>("/brief", qos).unwrap();
-    let mut silent = node.subscribe_loaned::<Number>("/silent", qos).unwrap();
+    let numbers = node.subscribe::<Number>("/brief", qos).unwrap().owned();
+    let mut silent = node.subscribe::<Number>("/silent", qos).unwrap();
     let mut events = node.subscription_events(&silent).unwrap();
     let mut timer = node.create_wall_timer(std::time::Duration::from_secs(3600)).unwrap();
     (1..=3).for_each(|value| publisher.publish(&Number { value }).unwrap());

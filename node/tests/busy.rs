@@ -31,7 +31,7 @@ fn messages_come_without_a_sampler(
     gate: &'static Gate,
 ) {
     let mut node = Node::create(context.clone(), "busy", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/busy", Qos::keep_last(4)).unwrap();
+    let numbers = node.subscribe::<Number>("/busy", Qos::keep_last(4)).unwrap();
     let publisher = node.create_publisher::<Number>("/busy", Qos::default()).unwrap();
     let counters = numbers.counters();
     let callback = numbers.for_each(move |sample: Sample<Number>| async move {
@@ -90,7 +90,7 @@ fn publishers_do_not_ring_it() {
     static LOG: Log<u64> = Log::new();
     let mut node = Node::create(context(222), "quiet", "").unwrap();
     let publisher = node.create_publisher::<Number>("/quiet", Qos::default()).unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/quiet", Qos::default()).unwrap();
+    let numbers = node.subscribe::<Number>("/quiet", Qos::default()).unwrap();
     let is_rung = rings(&mut node, Duration::from_secs(60), || publish(&publisher, [0]));
     assert!(is_rung, "an ordinary subscription is rung");
     let callback = numbers.for_each(|sample| async move { LOG.add(sample.value) });

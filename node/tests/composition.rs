@@ -22,7 +22,7 @@ fn a_message_goes_through_twenty_nodes_on_one_sampler() {
         .collect();
     let qos = Qos::default();
     for (index, node) in nodes.iter_mut().enumerate() {
-        let numbers = node.subscribe_loaned::<Number>(&format!("hop_{index}"), qos).unwrap();
+        let numbers = node.subscribe::<Number>(&format!("hop_{index}"), qos).unwrap();
         let next = node.create_publisher::<Number>(&format!("hop_{}", index + 1), qos).unwrap();
         let arrived = arrived.clone();
         let pass = numbers.for_each(move |number| {
@@ -48,7 +48,7 @@ fn what_one_node_writes_another_of_the_process_reads_in_place() {
     let [mut writer, mut reader] =
         ["writer", "reader"].map(|name| Node::create(context.clone(), name, "/placed").unwrap());
     let publisher = writer.create_publisher::<Number>("place", Qos::default()).unwrap();
-    let subscription = reader.subscribe_loaned::<Number>("place", Qos::default()).unwrap();
+    let subscription = reader.subscribe::<Number>("place", Qos::default()).unwrap();
     let mut loan = publisher.loan().unwrap();
     loan.value = 7;
     let Place { inode, offset, .. } = place_of(&raw const *loan);

@@ -24,7 +24,7 @@ fn direct() -> CallbackOptions {
 /// Each message is published when the one before has been received, so that the thread sleeps before most.
 fn one_by_one(context: &Context, options: CallbackOptions, log: &'static Log<u64>) {
     let mut node = Node::create(context.clone(), "direct", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/direct", Qos::default()).unwrap();
+    let numbers = node.subscribe::<Number>("/direct", Qos::default()).unwrap();
     let publisher = node.create_publisher::<Number>("/direct", Qos::default()).unwrap();
     let callback = numbers.for_each(move |sample| async move { log.add(sample.value) });
     let callback = node.spawn_callback(options, callback).unwrap();
@@ -65,7 +65,7 @@ fn several_streams_share_a_thread_however_they_are_polled() {
     let topics = ["/a", "/b", "/c", "/d"];
     let publishers = topics.map(|topic| node.create_publisher::<Number>(topic, Qos::default()).unwrap());
     let mut streams =
-        topics.map(|topic| node.subscribe_loaned::<Number>(topic, Qos::default()).unwrap()).into_iter();
+        topics.map(|topic| node.subscribe::<Number>(topic, Qos::default()).unwrap()).into_iter();
     let mut next = move || streams.next().unwrap();
     let add = |sample: Sample<Number>| async move { LOG.add(sample.value) };
     // The first two are polled whenever the thread is woken, the others only if they themselves were.
@@ -87,7 +87,7 @@ fn groups_and_timers_wake_it_too() {
     static LOG: Log<&str> = Log::new();
     let context = context(94);
     let mut node = Node::create(context.clone(), "group", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/group", Qos::default()).unwrap();
+    let numbers = node.subscribe::<Number>("/group", Qos::default()).unwrap();
     let publisher = node.create_publisher::<Number>("/group", Qos::default()).unwrap();
     let timer = node.create_wall_timer(Duration::from_millis(1)).unwrap();
     let mut group = CallbackGroup::new();
@@ -124,7 +124,7 @@ fn what_is_beyond_the_limits_goes_through_the_sampler_or_is_refused() {
         .iter()
         .map(|topic| {
             publishers.push(node.create_publisher::<Number>(topic, Qos::default()).unwrap());
-            let numbers = node.subscribe_loaned::<Number>(topic, Qos::default()).unwrap();
+            let numbers = node.subscribe::<Number>(topic, Qos::default()).unwrap();
             numbers.for_each(|sample| async move { LOG.add(sample.value) })
         })
         .collect();

@@ -43,12 +43,12 @@ fn a_node_sees_what_others_have() {
     let mut listener = Node::create(ctx, "listener", "").unwrap();
     let qos = Qos::keep_last(7).best_effort().transient_local();
     let publisher = talker.create_publisher::<Number>("count", qos).unwrap();
-    let _subscription = listener.subscribe_loaned::<Number>("/robot/count", Qos::default()).unwrap();
+    let _subscription = listener.subscribe::<Number>("/robot/count", Qos::default()).unwrap();
     let service = "/robot/turn/_action/send_goal";
-    let _turn = talker.create_service_loaned::<Turn>(service, qos).unwrap();
-    let _add = talker.create_service_loaned::<Add>("add", qos).unwrap();
-    let _client = listener.create_client_loaned::<Add>("/robot/add", qos).unwrap();
-    let _other = listener.create_client_loaned::<Add>("/nobody", qos).unwrap();
+    let _turn = talker.create_service::<Turn>(service, qos).unwrap();
+    let _add = talker.create_service::<Add>("add", qos).unwrap();
+    let _client = listener.create_client::<Add>("/robot/add", qos).unwrap();
+    let _other = listener.create_client::<Add>("/nobody", qos).unwrap();
 
     assert_eq!(listener.get_node_names().unwrap(), ["/listener", "/robot/talker"]);
     let pair = |name: &str, namespace: &str| (name.to_owned(), namespace.to_owned());
@@ -106,8 +106,8 @@ fn a_node_waits_for_others() {
     let comes = std::thread::spawn(|| {
         let mut node = Node::create(context(110), "comes", "/robot").unwrap();
         let publishers = [(); 2].map(|()| node.create_publisher::<Number>("count", Qos::default()).unwrap());
-        let subscription = node.subscribe_loaned::<Number>("count", Qos::default()).unwrap();
-        let service = node.create_service_loaned::<Add>("/robot/add", Qos::default()).unwrap();
+        let subscription = node.subscribe::<Number>("count", Qos::default()).unwrap();
+        let service = node.create_service::<Add>("/robot/add", Qos::default()).unwrap();
         (node, publishers, subscription, service)
     });
     block_on(all);

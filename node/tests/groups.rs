@@ -23,7 +23,7 @@ fn jobs_run_in_order_of_release_across_topics_and_a_timer() {
     let context = context(219);
     let mut node = Node::create(context.clone(), "grouped", "").unwrap();
     let [a, b] = ["/a", "/b"].map(|topic| {
-        let subscription = node.subscribe_loaned::<Number>(topic, Qos::default()).unwrap();
+        let subscription = node.subscribe::<Number>(topic, Qos::default()).unwrap();
         (subscription, node.create_publisher::<Number>(topic, Qos::default()).unwrap())
     });
     // Everything is released before the group starts, and not in the order in which it was published.

@@ -68,8 +68,8 @@ fn messages_of_two_topics_meet_by_their_headers() {
     let points = node.create_publisher("/points", Qos::default()).unwrap();
     let poses = node.create_publisher("/poses", Qos::default()).unwrap();
     let inputs = (
-        node.subscribe_loaned::<PointStamped>("/points", Qos::default()).unwrap(),
-        node.subscribe_loaned::<PoseStamped>("/poses", Qos::default()).unwrap(),
+        node.subscribe::<PointStamped>("/points", Qos::default()).unwrap(),
+        node.subscribe::<PoseStamped>("/poses", Qos::default()).unwrap(),
     );
     let policy = ApproximateTime::new(QUEUE).max_interval(Duration::from_millis(20));
     let pairs = Synchronizer::new(policy, inputs).unwrap();
@@ -110,10 +110,10 @@ fn ten_thousand_sets_allocate_nothing() {
     let poses = node.create_publisher("/poses", Qos::default()).unwrap();
     let numbers = node.create_publisher::<Number>("/numbers", Qos::default()).unwrap();
     let inputs = (
-        node.subscribe_loaned::<PointStamped>("/points", Qos::default()).unwrap(),
-        node.subscribe_loaned::<PoseStamped>("/poses", Qos::default()).unwrap(),
+        node.subscribe::<PointStamped>("/points", Qos::default()).unwrap(),
+        node.subscribe::<PoseStamped>("/poses", Qos::default()).unwrap(),
     );
-    let others = node.subscribe_loaned::<Number>("/numbers", Qos::default()).unwrap();
+    let others = node.subscribe::<Number>("/numbers", Qos::default()).unwrap();
     let mut pairs = Synchronizer::new(ExactTime::new(QUEUE), inputs).unwrap();
     let callback = async move {
         let mut before = 0;
@@ -152,7 +152,7 @@ fn something_new_of_each_and_the_latest_of_another() {
     let context = context(55);
     let mut node = Node::create(context.clone(), "joiner", "").unwrap();
     let [a, b] = ["/a", "/b"].map(|topic| node.create_publisher::<Number>(topic, Qos::default()).unwrap());
-    let mut subscribe = |topic: &str| node.subscribe_loaned::<Number>(topic, Qos::default()).unwrap();
+    let mut subscribe = |topic: &str| node.subscribe::<Number>(topic, Qos::default()).unwrap();
     let all = all_of((subscribe("/a"), subscribe("/b"))).unwrap();
     let joined = latest(subscribe("/a"), (subscribe("/b"),)).unwrap();
     node.spawn_callback(
@@ -185,7 +185,7 @@ fn something_new_of_each_and_the_latest_of_another() {
 fn a_subscription_that_may_hold_too_little_is_named_with_the_fix() {
     let context = context(60);
     let mut node = Node::create(context, "joiner", "").unwrap();
-    let mut points = |topic: &str| node.subscribe_loaned::<PointStamped>(topic, Qos::default()).unwrap();
+    let mut points = |topic: &str| node.subscribe::<PointStamped>(topic, Qos::default()).unwrap();
     let error = Synchronizer::new(ExactTime::new(10), (points("/left"), points("/right"))).err().unwrap();
     assert_eq!(error, JoinError::Room { input: "/left".into(), room: 4, needed: 12 });
     // By another time than the header's.

@@ -32,7 +32,7 @@ fn possessions() -> [usize; 4] {
 fn live_once(log: &'static Log<u64>, value: u64) {
     let context = context(DOMAIN);
     let mut node = Node::create(context.clone(), "mayfly", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/life", Qos::default()).unwrap();
+    let numbers = node.subscribe::<Number>("/life", Qos::default()).unwrap();
     let publisher = node.create_publisher::<Number>("/life", Qos::default()).unwrap();
     let _timer = node.create_wall_timer(std::time::Duration::from_millis(1)).unwrap();
     let note = move |sample: tautline::Sample<Number>| async move { log.add(sample.value) };

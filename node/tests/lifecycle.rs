@@ -91,7 +91,7 @@ fn done(result: CallbackReturn, state: State) -> Result<Transitioned, LifecycleE
 fn publishers_are_silent_unless_the_node_is_active() {
     let (node, script) = managed("quiet");
     let mut other = Node::create(context(DOMAIN), "other", "").unwrap();
-    let numbers = other.subscribe_loaned::<Number>("/quiet/number", Qos::default()).unwrap();
+    let numbers = other.subscribe::<Number>("/quiet/number", Qos::default()).unwrap();
     // In another context: they may take a moment.
     let take = |count: usize| {
         let mut taken: Vec<u64> = Vec::new();
@@ -134,7 +134,7 @@ fn the_way_through_all_states_is_told() {
     let (node, script) = managed("teller");
     let mut other = Node::create(context(DOMAIN), "listener", "").unwrap();
     let qos = Qos::keep_last(20);
-    let events = other.subscribe_loaned::<TransitionEvent>("/teller/transition_event", qos).unwrap();
+    let events = other.subscribe::<TransitionEvent>("/teller/transition_event", qos).unwrap();
     // In another context: they may take a moment.
     let told = |count: usize| {
         let next = || {

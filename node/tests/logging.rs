@@ -16,7 +16,7 @@ use tautline::{
 
 fn rosout(node: &mut Node) -> Subscription<Log> {
     let qos = Qos::keep_last(1000).transient_local();
-    node.subscribe_loaned("/rosout", qos).unwrap()
+    node.subscribe("/rosout", qos).unwrap()
 }
 
 type Heard = (String, u8, String);
@@ -86,7 +86,7 @@ fn one_that_comes_late_hears_what_was_logged() {
 #[test]
 fn a_topic_that_was_opened_for_few_lines_carries_them() {
     let mut node = Node::create(context(200), "few", "").unwrap();
-    let subscription = node.subscribe_loaned::<Log>("/rosout", Qos::keep_last(5)).unwrap();
+    let subscription = node.subscribe::<Log>("/rosout", Qos::keep_last(5)).unwrap();
     log_info!(node.logger(), "heard");
     assert_eq!(wait_for(1, &mut node, &subscription)[0].2, "heard");
 }

@@ -19,7 +19,7 @@ fn published_is_received_and_lost_and_queued() {
     let context = context(224);
     let mut node = Node::create(context.clone(), "slow", "").unwrap();
     let qos = Qos::keep_last(DEPTH as usize);
-    let numbers = node.subscribe_loaned::<Number>("/fast", qos).unwrap();
+    let numbers = node.subscribe::<Number>("/fast", qos).unwrap();
     let publisher = node.create_publisher::<Number>("/fast", qos).unwrap();
     let counters = numbers.counters();
     // Waits with the first message and with the third.
@@ -56,7 +56,7 @@ fn a_stream_that_is_never_empty_lets_its_callback_end() {
     static LAST: AtomicU64 = AtomicU64::new(0);
     let (fast, slow) = (context(225), context(225));
     let mut node = Node::create(slow.clone(), "slow", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/flood", Qos::keep_last(3)).unwrap();
+    let numbers = node.subscribe::<Number>("/flood", Qos::keep_last(3)).unwrap();
     let counters = numbers.counters();
     let work = |sample: Sample<Number>| async move {
         clock::burn_cpu(Duration::from_millis(1));

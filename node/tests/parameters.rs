@@ -214,7 +214,7 @@ fn a_parameter_may_change_its_type_if_that_was_said() {
 fn changes_of_all_nodes_are_published() {
     let ctx = context(154);
     let mut listener = Node::create(ctx.clone(), "listener", "").unwrap();
-    let events = listener.subscribe_loaned::<ParameterEvent>("/parameter_events", Qos::parameter_events());
+    let events = listener.subscribe::<ParameterEvent>("/parameter_events", Qos::parameter_events());
     let events = events.unwrap();
     let options = NodeOptions::default().parameter_overrides([("rate", 25)]);
     let mut node = Node::create_with_options(ctx, "camera", "/front", options).unwrap();

@@ -37,11 +37,11 @@ fn both_ends_hear_of_a_match_of_what_does_not_fit_and_of_the_end() {
     let sensor = Qos::default().best_effort();
     let publisher = node.create_publisher::<Number>("/m", sensor).unwrap();
     let mut offered = node.publisher_events(&publisher).unwrap();
-    let fitting = node.subscribe_loaned::<Number>("/m", sensor).unwrap();
+    let fitting = node.subscribe::<Number>("/m", sensor).unwrap();
     let PublisherEvent::Matched(matched) = next(&mut offered) else { panic!() };
     assert_eq!((matched.current_count, matched.current_count_change), (1, 1));
 
-    let strict = node.subscribe_loaned::<Number>("/m", Qos::default()).unwrap();
+    let strict = node.subscribe::<Number>("/m", Qos::default()).unwrap();
     let mut requested = node.subscription_events(&strict).unwrap();
     let PublisherEvent::OfferedIncompatibleQos(found) = next(&mut offered) else { panic!() };
     assert_eq!((found.total_count, found.last_policy_kind), (1, QosPolicyKind::Reliability));
@@ -66,7 +66,7 @@ fn a_deadline_is_missed_once_for_each_period_at_both_ends() {
     let period_ns = 20 * MS;
     let qos = Qos::default().deadline(Duration::from_nanos(period_ns));
     let publisher = node.create_publisher::<Number>("/d", qos).unwrap();
-    let subscription = node.subscribe_loaned::<Number>("/d", qos).unwrap();
+    let subscription = node.subscribe::<Number>("/d", qos).unwrap();
     let (mut offered, mut requested) =
         (node.publisher_events(&publisher).unwrap(), node.subscription_events(&subscription).unwrap());
     let before = monotonic_ns();
@@ -105,7 +105,7 @@ fn lost_messages_and_leases_are_told() {
     let lease = Duration::from_millis(20);
     let manual = Qos::keep_last(1).liveliness(Liveliness::ManualByTopic).liveliness_lease_duration(lease);
     let publisher = node.create_publisher::<Number>("/l", manual).unwrap();
-    let subscription = node.subscribe_loaned::<Number>("/l", manual).unwrap();
+    let subscription = node.subscribe::<Number>("/l", manual).unwrap();
     let (mut offered, mut requested) =
         (node.publisher_events(&publisher).unwrap(), node.subscription_events(&subscription).unwrap());
     let lost = |event| match event {
@@ -143,7 +143,7 @@ fn a_deadline_of_no_time_does_not_keep_the_sampler_busy() {
     let mut node = Node::create(context.clone(), "hasty", "").unwrap();
     let qos = Qos::default().deadline(Duration::from_nanos(1));
     let publisher = node.create_publisher::<Number>("/h", qos).unwrap();
-    let subscription = node.subscribe_loaned::<Number>("/h", qos).unwrap();
+    let subscription = node.subscribe::<Number>("/h", qos).unwrap();
     let mut requested = node.subscription_events(&subscription).unwrap();
     publisher.publish(&Number { value: 1 }).unwrap();
     let mut due = Vec::new();
@@ -175,7 +175,7 @@ fn times_of_any_length_can_be_asked_for() {
         .liveliness_lease_duration(Duration::from_nanos(1))
         .liveliness(Liveliness::ManualByTopic);
     let _brief = node.create_publisher::<Number>("/brief", brief).unwrap();
-    let subscription = node.subscribe_loaned::<Number>("/brief", Qos::default()).unwrap();
+    let subscription = node.subscribe::<Number>("/brief", Qos::default()).unwrap();
     let mut told = node.subscription_events(&subscription).unwrap();
     while told.poll_next_unpin(&mut std::task::Context::from_waker(std::task::Waker::noop())).is_ready() {}
     // More than a context has places at the start: there is no limit of them.
@@ -200,7 +200,7 @@ fn two_hundred_topics_at_100_hz_on_one_sampler() {
     for index in 0..TOPICS {
         let topic = format!("/many_{index}");
         let publisher = node.create_publisher::<Number>(&topic, qos).unwrap();
-        let subscription = node.subscribe_loaned::<Number>(&topic, qos).unwrap();
+        let subscription = node.subscribe::<Number>(&topic, qos).unwrap();
         let events = node.subscription_events(&subscription).unwrap();
         streams.push(events.map(move |event| (index, event)));
         publishers.push((publisher, subscription));
@@ -272,7 +272,7 @@ fn liveliness_is_lost_after_kill_9_of_the_publisher() {
     if std::env::var_os("TAUT_TEST_CHILD").is_some() {
         let mut node = Node::create(common::context(118), "victim", "").unwrap();
         let _publisher = node.create_publisher::<Number>("/victim", Qos::default()).unwrap();
-        let subscription = node.subscribe_loaned::<Number>("/go", Qos::default()).unwrap();
+        let subscription = node.subscribe::<Number>("/go", Qos::default()).unwrap();
         while subscription.try_take().unwrap().is_none() {
             std::thread::yield_now();
         }
@@ -281,7 +281,7 @@ fn liveliness_is_lost_after_kill_9_of_the_publisher() {
     let context = tautline::Context::builder().domain(118).realtime(Realtime::Off).build().unwrap();
     let _sampler = spin(&context);
     let mut node = Node::create(context.clone(), "watcher", "").unwrap();
-    let subscription = node.subscribe_loaned::<Number>("/victim", Qos::default()).unwrap();
+    let subscription = node.subscribe::<Number>("/victim", Qos::default()).unwrap();
     let mut events = node.subscription_events(&subscription).unwrap();
     let go = node.create_publisher::<Number>("/go", Qos::default().transient_local()).unwrap();
     let mut go_events = node.publisher_events(&go).unwrap();

@@ -58,8 +58,8 @@ fn ten_thousand_round_trips_allocate_nothing() {
     let ctx = context(159);
     let mut node = Node::create(ctx.clone(), "frugal", "").unwrap();
     let qos = Qos::default();
-    let mut service = node.create_service_loaned::<AddTwoInts::Service>("frugal", qos).unwrap();
-    let client = node.create_client_loaned::<AddTwoInts::Service>("frugal", qos).unwrap();
+    let mut service = node.create_service::<AddTwoInts::Service>("frugal", qos).unwrap();
+    let client = node.create_client::<AddTwoInts::Service>("frugal", qos).unwrap();
     node.spawn_callback(CallbackOptions::other(), async move {
         while let Some(request) = service.next().await {
             let mut response = service.loan(&request).unwrap();

@@ -38,7 +38,8 @@ fn child_main() {
             block_on(futures::future::pending())
         }
         _ => {
-            let mut requests = node.create_service::<AddTwoInts::Service>(&service(&part), qos).unwrap();
+            let mut requests =
+                node.create_service::<AddTwoInts::Service>(&service(&part), qos).unwrap().owned();
             println!("serving");
             while let Some(request) = block_on(requests.next()) {
                 let AddTwoInts::Request { a, b } = request.message;
@@ -116,7 +117,7 @@ fn a_killed_client_is_forgotten() {
     let ctx = context(DOMAIN);
     let mut node = Node::create(ctx.clone(), "parent", "").unwrap();
     let name = service("killed_client");
-    let mut requests = node.create_service::<AddTwoInts::Service>(&name, Qos::default()).unwrap();
+    let mut requests = node.create_service::<AddTwoInts::Service>(&name, Qos::default()).unwrap().owned();
     let own = node.create_client::<AddTwoInts::Service>(&name, Qos::default()).unwrap();
     let _spinning = spin(&ctx);
     for _ in 0..3 {

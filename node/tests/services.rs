@@ -23,7 +23,7 @@ fn node(ctx: &Context, name: &str) -> Node {
 
 /// Answers with the sum until it is dropped.
 fn serve(node: &mut Node, name: &str) -> tautline::CallbackHandle {
-    let requests = node.create_service::<AddTwoInts::Service>(name, QOS()).unwrap();
+    let requests = node.create_service::<AddTwoInts::Service>(name, QOS()).unwrap().owned();
     let answer = |request: ServiceRequest<AddTwoInts::Service>| async move {
         let sum = request.message.a + request.message.b;
         request.respond(AddTwoInts::Response { sum }).unwrap();
@@ -58,7 +58,7 @@ fn a_request_goes_to_every_server_and_the_first_answer_counts() {
     let ctx = context(34);
     let mut node = node(&ctx, "servers");
     for name in ["one", "other"] {
-        let requests = node.create_service::<SetBool::Service>("both", QOS()).unwrap();
+        let requests = node.create_service::<SetBool::Service>("both", QOS()).unwrap().owned();
         let answer = move |request: ServiceRequest<SetBool::Service>| async move {
             ASKED.add(name);
             request.respond(SetBool::Response { success: true, message: name.into() }).unwrap();
@@ -82,8 +82,8 @@ fn in_place_both_ways_and_of_any_length() {
     use tautline::std_srvs::srv::SetBool::ResponseSizes;
     let ctx = context(35);
     let mut node = node(&ctx, "in_place");
-    let mut service = node.create_service_loaned::<SetBool::Service>("place", QOS()).unwrap();
-    let client = node.create_client_loaned::<SetBool::Service>("place", QOS()).unwrap();
+    let mut service = node.create_service::<SetBool::Service>("place", QOS()).unwrap();
+    let client = node.create_client::<SetBool::Service>("place", QOS()).unwrap();
     let _spinning = spin(&ctx);
     let long = "long ".repeat(10_000);
     let answer = long.clone();
@@ -135,7 +135,7 @@ fn a_server_that_ends_ends_its_requests() {
     let mut node = node(&ctx, "ending");
     let client = node.create_client::<AddTwoInts::Service>("ending", QOS()).unwrap();
     let _spinning = spin(&ctx);
-    let mut requests = node.create_service::<AddTwoInts::Service>("ending", QOS()).unwrap();
+    let mut requests = node.create_service::<AddTwoInts::Service>("ending", QOS()).unwrap().owned();
     // Connected: what was answered comes before the end, although nobody takes it meanwhile.
     let first = client.request(&question(0, 0)).unwrap();
     block_on(requests.next()).unwrap().respond(AddTwoInts::Response { sum: 0 }).unwrap();
@@ -162,8 +162,8 @@ fn another_server_that_got_the_request_may_still_answer() {
     let mut node = node(&ctx, "surviving");
     let client = node.create_client::<AddTwoInts::Service>("surviving", QOS()).unwrap();
     let _spinning = spin(&ctx);
-    let first = node.create_service::<AddTwoInts::Service>("surviving", QOS()).unwrap();
-    let second = node.create_service::<AddTwoInts::Service>("surviving", QOS()).unwrap();
+    let first = node.create_service::<AddTwoInts::Service>("surviving", QOS()).unwrap().owned();
+    let second = node.create_service::<AddTwoInts::Service>("surviving", QOS()).unwrap().owned();
     let answer = client.request(&question(1, 2)).unwrap();
     drop(first);
     let (request, _second) = block_on(second.into_future());
@@ -181,7 +181,8 @@ fn time_outs_and_requests_that_are_dropped() {
     let ctx = context(39);
     let mut node = node(&ctx, "slow");
     let client = node.create_client::<AddTwoInts::Service>("slow", QOS()).unwrap();
-    let mut requests = node.create_service::<AddTwoInts::Service>("slow", Qos::keep_last(100)).unwrap();
+    let mut requests =
+        node.create_service::<AddTwoInts::Service>("slow", Qos::keep_last(100)).unwrap().owned();
     // No time at all needs no sampler to pass.
     let error =
         client.request_timeout(&question(1, 1), Duration::ZERO).unwrap().now_or_never().unwrap().unwrap_err();
@@ -207,8 +208,8 @@ fn time_outs_and_requests_that_are_dropped() {
 fn full_queues_are_errors_and_lose_nothing() {
     let ctx = context(41);
     let mut node = node(&ctx, "full");
-    let client = node.create_client_loaned::<AddTwoInts::Service>("full", QOS()).unwrap();
-    let mut requests = node.create_service::<AddTwoInts::Service>("full", Qos::keep_last(3)).unwrap();
+    let client = node.create_client::<AddTwoInts::Service>("full", QOS()).unwrap();
+    let mut requests = node.create_service::<AddTwoInts::Service>("full", Qos::keep_last(3)).unwrap().owned();
     let _spinning = spin(&ctx);
     let ask = |a| {
         let mut request = client.loan().unwrap();
@@ -238,7 +239,8 @@ fn full_queues_are_errors_and_lose_nothing() {
 fn more_pending_requests_than_a_client_can_have() {
     let ctx = context(43);
     let mut node = node(&ctx, "many");
-    let mut requests = node.create_service::<AddTwoInts::Service>("many", Qos::keep_last(100)).unwrap();
+    let mut requests =
+        node.create_service::<AddTwoInts::Service>("many", Qos::keep_last(100)).unwrap().owned();
     let client = node.create_client::<AddTwoInts::Service>("many", QOS()).unwrap();
     let _spinning = spin(&ctx);
     let mut answers: Vec<_> =
@@ -277,8 +279,9 @@ fn another_type_is_another_service() {
 fn answers_come_from_any_thread_and_in_any_order() {
     let ctx = context(46);
     let mut node = node(&ctx, "threads");
-    let requests = node.create_service::<AddTwoInts::Service>("threads", Qos::keep_last(100)).unwrap();
-    let client = node.create_client::<AddTwoInts::Service>("threads", QOS()).unwrap();
+    let requests =
+        node.create_service::<AddTwoInts::Service>("threads", Qos::keep_last(100)).unwrap().owned();
+    let client = std::sync::Mutex::new(node.create_client::<AddTwoInts::Service>("threads", QOS()).unwrap());
     let _spinning = spin(&ctx);
     std::thread::scope(|scope| {
         scope.spawn(|| {
@@ -301,8 +304,8 @@ fn answers_come_from_any_thread_and_in_any_order() {
             scope.spawn(move || {
                 for n in 0..20 {
                     let (one, other) = (
-                        client.request(&question(asker, n)).unwrap(),
-                        client.request(&question(asker, -n)).unwrap(),
+                        client.lock().unwrap().request(&question(asker, n)).unwrap(),
+                        client.lock().unwrap().request(&question(asker, -n)).unwrap(),
                     );
                     // Polled in two threads: neither misses what the other one took.
                     std::thread::scope(|scope| {
@@ -319,7 +322,7 @@ fn answers_come_from_any_thread_and_in_any_order() {
 fn a_client_that_goes_is_forgotten() {
     let ctx = context(47);
     let mut node = node(&ctx, "leaving");
-    let mut service = node.create_service::<AddTwoInts::Service>("leaving", QOS()).unwrap();
+    let mut service = node.create_service::<AddTwoInts::Service>("leaving", QOS()).unwrap().owned();
     let _spinning = spin(&ctx);
     // More than the service can have at once.
     for n in 0..40 {

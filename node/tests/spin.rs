@@ -27,7 +27,7 @@ fn callbacks(
     log: &'static Log<(u32, String)>,
 ) -> [tautline::Publisher<Number>; 2] {
     [("/high", 30), ("/low", 29)].map(|(topic, priority)| {
-        let numbers = node.subscribe_loaned::<Number>(topic, Qos::default()).unwrap();
+        let numbers = node.subscribe::<Number>(topic, Qos::default()).unwrap();
         let note = |_: Sample<Number>| async {
             log.add((current_tid(), std::thread::current().name().unwrap_or_default().to_owned()));
         };

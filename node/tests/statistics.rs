@@ -63,8 +63,8 @@ fn what_callbacks_do_is_seen_from_outside() {
     static DONE: Log<u64> = Log::new();
     let (context, path) = context(DOMAIN, "outside");
     let mut node = Node::create(context.clone(), "driver", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/n", Qos::keep_last(2)).unwrap();
-    let also = node.subscribe_loaned::<Number>("/n", Qos::keep_last(3)).unwrap();
+    let numbers = node.subscribe::<Number>("/n", Qos::keep_last(2)).unwrap();
+    let also = node.subscribe::<Number>("/n", Qos::keep_last(3)).unwrap();
     let publisher = node.create_publisher::<Number>("/n", Qos::default()).unwrap();
     let first_ns = clock::monotonic_ns();
     for value in 0..5 {
@@ -137,7 +137,7 @@ fn late_jobs_are_kept_with_their_instants() {
     let context = builder.account_core_time(Some(std::time::Duration::from_millis(1))).build().unwrap();
     std::fs::remove_file(&path).unwrap();
     let mut node = Node::create(context.clone(), "driver", "").unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/n", Qos::keep_last(2)).unwrap();
+    let numbers = node.subscribe::<Number>("/n", Qos::keep_last(2)).unwrap();
     let publisher = node.create_publisher::<Number>("/n", Qos::default()).unwrap();
     // An hour ago, and not yet.
     let (hour_ns, now_ns) = (3_600_000_000_000, clock::monotonic_ns());

@@ -22,7 +22,7 @@ fn each_message_is_a_job() {
     let _spinning = spin(&context);
     // (deadline, jobs that miss it)
     for (deadline, misses) in [(WORK / 2, 10), (DAY, 0)] {
-        let numbers = node.subscribe_loaned::<Number>("/m", Qos::default()).unwrap();
+        let numbers = node.subscribe::<Number>("/m", Qos::default()).unwrap();
         let options = CallbackOptions::other().name("/m").deadline(deadline);
         let work = |sample: tautline::Sample<Number>| async move {
             clock::burn_cpu(WORK);
@@ -58,7 +58,7 @@ fn responses_count_from_the_release() {
     let context = context(211);
     let mut node = Node::create(context.clone(), "late", "").unwrap();
     let publisher = node.create_publisher::<Number>("/late", Qos::default()).unwrap();
-    let numbers = node.subscribe_loaned::<Number>("/late", Qos::default()).unwrap();
+    let numbers = node.subscribe::<Number>("/late", Qos::default()).unwrap();
     // A period is the deadline unless another one is set; no execution times.
     let options = CallbackOptions::other().period(LATE).execution_time(false);
     let note = |sample: tautline::Sample<Number>| async move { DONE.add(sample.info().released_ns) };

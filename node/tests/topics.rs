@@ -27,8 +27,8 @@ fn names_are_those_of_ros_2_from_end_to_end() {
         ("/image", "/image", "/image"),
         ("{node}/raw", "/robot/cam/raw", "/robot/cam/raw"),
     ] {
-        let subscription = other.subscribe_loaned::<Number>(full, Qos::default()).unwrap();
-        let relative = other.subscribe_loaned::<Number>(seen, Qos::default()).unwrap();
+        let subscription = other.subscribe::<Number>(full, Qos::default()).unwrap();
+        let relative = other.subscribe::<Number>(seen, Qos::default()).unwrap();
         let publisher = cam.create_publisher::<Number>(topic, Qos::default()).unwrap();
         publisher.publish(&Number { value: 3 }).unwrap();
         assert_eq!((publisher.topic(), subscription.topic(), relative.topic()), (full, full, full));
@@ -57,7 +57,7 @@ fn bad_names_are_refused_with_the_reason() {
         let errors = [
             node.create_publisher::<Number>(topic, Qos::default()).err().unwrap(),
             node.subscribe::<Number>(topic, Qos::default()).err().unwrap(),
-            node.subscribe_loaned::<Number>(topic, Qos::default()).err().unwrap(),
+            node.subscribe::<Number>(topic, Qos::default()).err().unwrap(),
             node.set_topic_limits(topic, Limits::default()).err().unwrap(),
         ];
         for error in errors {
@@ -73,7 +73,7 @@ fn keep_all_refuses_to_overwrite_and_keep_last_overwrites() {
     let mut node = node(214, "keeper", "");
     let all = Qos::keep_all(3);
     let publisher = node.create_publisher::<Number>("/all", all).unwrap();
-    let subscription = node.subscribe_loaned::<Number>("/all", all).unwrap();
+    let subscription = node.subscribe::<Number>("/all", all).unwrap();
     let publish = |value| publisher.publish(&Number { value });
     let results = (1..=5).map(publish).collect::<Vec<_>>();
     assert_eq!(results, [Ok(()), Ok(()), Ok(()), Err(PublishError::Full), Err(PublishError::Full)]);
@@ -84,7 +84,7 @@ fn keep_all_refuses_to_overwrite_and_keep_last_overwrites() {
 
     let last = Qos::keep_last(3);
     let publisher = node.create_publisher::<Number>("/last", last).unwrap();
-    let subscription = node.subscribe_loaned::<Number>("/last", last).unwrap();
+    let subscription = node.subscribe::<Number>("/last", last).unwrap();
     (1..=5).for_each(|value| publisher.publish(&Number { value }).unwrap());
     assert_eq!(take_all(&subscription), [3, 4, 5]);
     let counters = subscription.counters();
@@ -98,8 +98,8 @@ fn a_transient_local_late_joiner_gets_the_last_and_a_volatile_one_does_not() {
     let latched = Qos::keep_last(2).transient_local();
     let publisher = node.create_publisher::<Number>("/map", latched).unwrap();
     (1..=5).for_each(|value| publisher.publish(&Number { value }).unwrap());
-    let volatile = node.subscribe_loaned::<Number>("/map", Qos::default()).unwrap();
-    let late = node.subscribe::<Number>("/map", latched).unwrap();
+    let volatile = node.subscribe::<Number>("/map", Qos::default()).unwrap();
+    let late = node.subscribe::<Number>("/map", latched).unwrap().owned();
     let _spinning = spin(&context);
     let history = late.take(2).map(|number| number.value).collect::<Vec<_>>();
     assert_eq!(futures::executor::block_on(history), [4, 5]);
@@ -115,8 +115,8 @@ fn limits_are_each_ends_own_and_exceeding_one_names_it() {
     node.set_topic_limits("t", limits).unwrap();
     let publisher = node.create_publisher::<Number>("/ns/t", qos).unwrap();
     assert_eq!(publisher.limits(), Limits { message_bytes: 8, may_grow: false, ..limits }, "of a fixed size");
-    let deep = node.subscribe_loaned::<Number>("t", qos.depth(5)).unwrap();
-    let subscription = node.subscribe_loaned::<Number>("t", qos).unwrap();
+    let deep = node.subscribe::<Number>("t", qos.depth(5)).unwrap();
+    let subscription = node.subscribe::<Number>("t", qos).unwrap();
     let _another = node.create_publisher::<Number>("t", qos.depth(7)).unwrap();
 
     let loans = [publisher.loan().unwrap(), publisher.loan().unwrap()];

@@ -43,7 +43,7 @@ fn string_cdr(data: &str, endian: u8) -> Vec<u8> {
 fn ends_of_every_kind_understand_each_other() {
     const TYPE: &str = "std_msgs/msg/String";
     let mut node = node();
-    let mut typed = node.subscribe::<Text>("/words", qos()).unwrap();
+    let mut typed = node.subscribe::<Text>("/words", qos()).unwrap().owned();
     let mut json = node.subscribe_untyped("/words", TYPE, qos()).unwrap();
     let mut raw = node.subscribe_raw("/words", TYPE, qos()).unwrap();
     let typed_publisher = node.create_publisher::<Text>("/words", qos()).unwrap();
@@ -78,7 +78,7 @@ fn ends_of_every_kind_understand_each_other() {
 fn an_image_is_the_same_from_every_end() {
     const TYPE: &str = "sensor_msgs/msg/Image";
     let mut node = node();
-    let mut typed = node.subscribe::<Image>("/image", qos()).unwrap();
+    let mut typed = node.subscribe::<Image>("/image", qos()).unwrap().owned();
     let mut json = node.subscribe_untyped("/image", TYPE, qos()).unwrap();
     let mut raw = node.subscribe_raw("/image", TYPE, qos()).unwrap();
     let typed_publisher = node.create_publisher::<Image>("/image", qos()).unwrap();
@@ -108,7 +108,7 @@ fn an_image_is_the_same_from_every_end() {
 #[test]
 fn types_of_fixed_size_keep_it() {
     let mut node = node();
-    let mut typed = node.subscribe::<tautline::geometry_msgs::msg::Twist>("/twist", qos()).unwrap();
+    let mut typed = node.subscribe::<tautline::geometry_msgs::msg::Twist>("/twist", qos()).unwrap().owned();
     let untyped = node.create_publisher_untyped("/twist", "geometry_msgs/msg/Twist", qos()).unwrap();
     untyped.publish(json!({ "linear": { "x": 0.5 }, "angular": { "z": -1 } })).unwrap();
     let cdr = DynamicMessage::from_json(untyped.schema(), r#"{"linear": {"y": 2}}"#).unwrap().to_cdr();
@@ -117,7 +117,7 @@ fn types_of_fixed_size_keep_it() {
     let twists = drain(&mut typed);
     assert_eq!((twists[0].linear.x, twists[0].angular.z, twists[1].linear.y), (0.5, -1.0, 2.0));
 
-    let mut typed = node.subscribe::<Empty>("/empty", qos()).unwrap();
+    let mut typed = node.subscribe::<Empty>("/empty", qos()).unwrap().owned();
     let mut json = node.subscribe_untyped("/empty", "std_msgs/msg/Empty", qos()).unwrap();
     let untyped = node.create_publisher_untyped("/empty", "std_msgs/msg/Empty", qos()).unwrap();
     let publisher = node.create_publisher::<Empty>("/empty", qos()).unwrap();
@@ -130,7 +130,7 @@ fn types_of_fixed_size_keep_it() {
 #[test]
 fn what_is_no_message_is_an_error_with_the_field() {
     let mut node = node();
-    let mut heard = node.subscribe::<Image>("/bad", qos()).unwrap();
+    let mut heard = node.subscribe::<Image>("/bad", qos()).unwrap().owned();
     let untyped = node.create_publisher_untyped("/bad", "sensor_msgs/msg/Image", qos()).unwrap();
     let typed = node.create_publisher::<Image>("/bad", qos()).unwrap();
     for (json, expected) in [
@@ -260,7 +260,7 @@ fn without_a_definition_there_are_still_the_bytes() {
     assert!(matches!(error, Error::UnknownType { .. }), "{error}");
     assert!(error.to_string().contains("has no hash"), "{error}");
     let mut raw = node.subscribe_raw("/number", "test_msgs/msg/Number", qos()).unwrap();
-    let mut typed = node.subscribe::<Number>("/number", qos()).unwrap();
+    let mut typed = node.subscribe::<Number>("/number", qos()).unwrap().owned();
     publisher.publish(&Number { Value: 3 }).unwrap();
     let bytes = drain(&mut raw);
     assert_eq!(bytes, [[0, 1, 0, 0, 3, 0, 0, 0, 0, 0, 0, 0]]);

@@ -17,7 +17,7 @@ pub enum Build {
 }
 
 /// Every package with every bundled message: what has other features is built anew, with all that needs it.
-pub const WHOLE: &str = "--workspace --features tautline/ros_all,tautline/type_description_interfaces";
+pub const WHOLE: &str = "--workspace --features tautline-r2r/ros_all,tautline/type_description_interfaces";
 
 /// What `cargo xtask test` leaves to `cargo xtask ci`: Zenoh and iceoryx2 take minutes to build, and benches are for a quiet machine.
 pub const LATER: [&str; 6] = [

@@ -323,7 +323,7 @@ pub fn echo() -> Result<()> {
     let context = ros_node::context()?;
     let mut node = Node::create(context.clone(), "echo", "")?;
     let publisher = node.create_publisher::<UInt64>(FROM, Qos::default())?;
-    let mut messages = node.subscribe_loaned::<UInt64>(TO, Qos::default())?;
+    let mut messages = node.subscribe::<UInt64>(TO, Qos::default())?;
     let options = CallbackOptions::fifo(tautline_exchange::APPLICATION_PRIORITY).name("echo");
     let _callback = node.spawn_callback(options, async move {
         while let Some(message) = messages.next().await {

@@ -10,7 +10,7 @@ use std::time::Duration;
 use tautline::rcl_interfaces::msg::{Log, ParameterEvent};
 use tautline::type_description_interfaces::srv::GetTypeDescription;
 use tautline::{
-    CallbackHandle, CallbackOptions, Claim, Context, Limits, Node, Publisher, Qos, Realtime, ServiceLoaned,
+    CallbackHandle, CallbackOptions, Claim, Context, Limits, Node, Publisher, Qos, Realtime, Server,
     Subscription,
 };
 use tautline_rt::clock::monotonic_ns;
@@ -26,7 +26,7 @@ pub struct RosNode {
     rosout: Publisher<Log>,
     changes: Publisher<ParameterEvent>,
     changes_of_all: Subscription<ParameterEvent>,
-    _description: ServiceLoaned<GetTypeDescription::Service>,
+    _description: Server<GetTypeDescription::Service>,
     node: Node,
 }
 
@@ -49,10 +49,10 @@ impl RosNode {
         let rosout = Qos::keep_last(1000).transient_local().lifespan(Duration::from_secs(10));
         let rosout = node.create_publisher("/rosout", rosout)?;
         let changes = node.create_publisher("/parameter_events", Qos::parameter_events())?;
-        let changes_of_all = node.subscribe_loaned("/parameter_events", Qos::parameter_events())?;
+        let changes_of_all = node.subscribe("/parameter_events", Qos::parameter_events())?;
         node.set_service_limits("~/get_type_description", seldom())?;
         let description = Qos::services_default();
-        let description = node.create_service_loaned("~/get_type_description", description)?;
+        let description = node.create_service("~/get_type_description", description)?;
         let (answers, changed) = node.make_parameter_handler()?;
         let answers = futures::future::join(answers, changed.for_each(|_| async {})).map(drop).boxed();
         Ok((RosNode { rosout, changes, changes_of_all, _description: description, node }, answers))

@@ -139,7 +139,7 @@ impl Drop for Spinning {
 
 /// Answers what newcomers say.
 fn answer_pings(node: &mut Node) -> Result<()> {
-    let pings = node.subscribe_loaned::<UInt64>(PING, Qos::default())?;
+    let pings = node.subscribe::<UInt64>(PING, Qos::default())?;
     let pongs = node.create_publisher::<UInt64>(PONG, Qos::default())?;
     let answer = pings.for_each(move |ping| {
         let _ = pongs.publish(&UInt64 { data: ping.data });
@@ -279,7 +279,7 @@ fn subscription(context: &Context) -> Result<()> {
     let mut node = Node::create(context.clone(), "survivor_subscription", "")?;
     let mut tallies = Vec::new();
     for (topic, qos) in [(NUMBERS, numbers_qos()), (SHARED, numbers_qos()), (ALL, all_qos())] {
-        let subscription = node.subscribe_loaned::<UInt64>(topic, qos)?;
+        let subscription = node.subscribe::<UInt64>(topic, qos)?;
         let (counters, tally) = (subscription.counters(), Arc::new(Mutex::new(Tally::default())));
         tallies.push((counters, tally.clone()));
         let count = subscription.for_each(move |sample| {
@@ -306,7 +306,7 @@ fn subscription(context: &Context) -> Result<()> {
 
 fn server(context: &Context) -> Result<()> {
     let mut node = Node::create(context.clone(), "survivor_server", "")?;
-    let requests = node.create_service::<AddTwoInts::Service>(ADD, Qos::services_default())?;
+    let requests = node.create_service::<AddTwoInts::Service>(ADD, Qos::services_default())?.owned();
     let serve = requests.for_each(|request| {
         let AddTwoInts::Request { a, b } = request.message;
         if let Err(error) = request.respond(AddTwoInts::Response { sum: a + b }) {

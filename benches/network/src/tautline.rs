@@ -45,7 +45,7 @@ pub fn run(job: &Job) -> Result<()> {
     }
     let qos = Qos::keep_last(depth);
     let publisher = node.create_publisher::<ByteMultiArray>(&to, qos)?;
-    let messages = node.subscribe_loaned::<ByteMultiArray>(&from, qos)?;
+    let messages = node.subscribe::<ByteMultiArray>(&from, qos)?;
     let period = match job.exchange {
         Exchange::Paced { rate } if job.role == Role::Near => Duration::from_secs_f64(1.0 / rate),
         _ => LOOK,

@@ -138,7 +138,7 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     for index in 0..TOPICS {
         let topic = format!("/deadlines_bench/topic_{index}");
         publishers.push(node.create_publisher::<UInt64>(&topic, qos)?);
-        let subscription = node.subscribe_loaned::<UInt64>(&topic, qos)?;
+        let subscription = node.subscribe::<UInt64>(&topic, qos)?;
         events.push(node.subscription_events(&subscription)?);
         subscriptions.push(subscription);
     }

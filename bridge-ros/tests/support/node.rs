@@ -45,7 +45,7 @@ impl Spinning {
 
 /// Answers each request with what it says, on a thread of its own.
 pub fn serve_echo(node: &mut Node, name: &str) -> CallbackHandle {
-    let requests = node.create_service::<BasicTypes::Service>(name, Qos::default()).unwrap();
+    let requests = node.create_service::<BasicTypes::Service>(name, Qos::default()).unwrap().owned();
     let answer = requests.for_each(|request| async move {
         let json = serde_json::to_value(&request.message).unwrap();
         request.respond(serde_json::from_value(json).unwrap()).unwrap();

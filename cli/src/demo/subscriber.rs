@@ -20,7 +20,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     let mut node = Node::create(context.clone(), "subscriber", &args.namespace)?;
     let mut callbacks = Vec::new();
     for topic in application::topics()? {
-        let subscription = node.subscribe_loaned::<Stamped>(&topic.name, application::qos())?;
+        let subscription = node.subscribe::<Stamped>(&topic.name, application::qos())?;
         let log = Arc::new(Log::for_run(&topic, args.seconds));
         let (counters, wcet) = (subscription.counters(), topic.wcet);
         let options = CallbackOptions::fifo(topic.priority)

@@ -113,7 +113,7 @@ fn listen_as_a_group() {
     let mut publishers = Vec::new();
     for topic in ["~/first", "~/second"] {
         publishers.push(node.create_publisher::<Number>(topic, Qos::default()).unwrap());
-        let numbers = node.subscribe_loaned::<Number>(topic, Qos::default()).unwrap();
+        let numbers = node.subscribe::<Number>(topic, Qos::default()).unwrap();
         let release = |number: &Sample<Number>| number.info().released_ns;
         group.add(topic, numbers, release, async |_| {});
     }
@@ -132,7 +132,7 @@ fn talk_and_listen() {
     let mut node = Node::create(context.clone(), "traced", "").unwrap();
     let qos = Qos::default();
     let publisher = node.create_publisher::<Number>("~/numbers", qos).unwrap();
-    let numbers = node.subscribe_loaned::<Number>("~/numbers", qos).unwrap();
+    let numbers = node.subscribe::<Number>("~/numbers", qos).unwrap();
     let counters = numbers.counters();
     let listen = async |number: Sample<Number>| {
         // In a burst the first message lasts until all others have been published, which overwrites most of them.

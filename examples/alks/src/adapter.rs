@@ -139,7 +139,7 @@ fn commands(
     records: &Arc<Records>,
 ) -> Result<()> {
     let qos = context.callback_qos("take_command")?;
-    let commands = node.subscribe_loaned::<Float64MultiArray>(TOPICS[12], qos)?;
+    let commands = node.subscribe::<Float64MultiArray>(TOPICS[12], qos)?;
     let (world, records) = (world.clone(), records.clone());
     group.add(
         context.callback("take_command")?,

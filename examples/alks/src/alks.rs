@@ -77,7 +77,7 @@ fn keep<T: Message>(
     name: &str,
     keep: fn(&mut Inputs, &T),
 ) -> Result<()> {
-    let messages = node.subscribe_loaned::<T>(TOPICS[topic], context.callback_qos(name)?)?;
+    let messages = node.subscribe::<T>(TOPICS[topic], context.callback_qos(name)?)?;
     let to = to.clone();
     let released = |message: &Sample<T>| message.info().released_ns;
     group.add(context.callback(name)?, messages, released, move |message: Sample<T>| {
@@ -91,7 +91,7 @@ fn keep<T: Message>(
 /// The odometry's, which also publishes where the car is on the map, for the visualizer.
 fn odometry((node, context, group, to): &mut Adding) -> Result<()> {
     type Odometry = nav_msgs::msg::Odometry;
-    let messages = node.subscribe_loaned::<Odometry>(TOPICS[3], context.callback_qos("on_odometry")?)?;
+    let messages = node.subscribe::<Odometry>(TOPICS[3], context.callback_qos("on_odometry")?)?;
     let absolute: Publisher<Odometry> = publisher(node, 11)?;
     let to = to.clone();
     let released = |message: &Sample<Odometry>| message.info().released_ns;

@@ -77,7 +77,7 @@ fn hear<T: Message>(
     name: &str,
     keep: fn(&mut Known, &T),
 ) -> Result<()> {
-    let messages = node.subscribe_loaned::<T>(TOPICS[topic], context.callback_qos(name)?)?;
+    let messages = node.subscribe::<T>(TOPICS[topic], context.callback_qos(name)?)?;
     let (known, records) = (known.clone(), records.clone());
     let released = |message: &Sample<T>| message.info().released_ns;
     group.add(context.callback(name)?, messages, released, move |message: Sample<T>| {
@@ -91,7 +91,7 @@ fn hear<T: Message>(
 /// The end of the odometry chain.
 fn odometry(Adding { node, context, group, known, records }: &mut Adding) -> Result<()> {
     type Odometry = nav_msgs::msg::Odometry;
-    let messages = node.subscribe_loaned::<Odometry>(TOPICS[11], context.callback_qos("show_odometry")?)?;
+    let messages = node.subscribe::<Odometry>(TOPICS[11], context.callback_qos("show_odometry")?)?;
     let (known, records) = (known.clone(), records.clone());
     let released = |message: &Sample<Odometry>| message.info().released_ns;
     group.add(context.callback("show_odometry")?, messages, released, move |message: Sample<Odometry>| {

@@ -67,7 +67,7 @@ impl Ends {
         let qos = Qos::keep_last(DEPTH);
         let mut inputs = Vec::new();
         for topic in callback.inputs {
-            inputs.push(Receiver(node.subscribe_loaned(&format!("/{topic}"), qos)?));
+            inputs.push(Receiver(node.subscribe(&format!("/{topic}"), qos)?));
         }
         let output = match callback.output {
             Some(topic) => Some(Sender(node.create_publisher(&format!("/{topic}"), qos)?)),

@@ -26,9 +26,9 @@ pub fn serve(
     node: &mut Node,
 ) -> tautline::Result<impl Future<Output = ()> + Send + use<>> {
     let qos = Qos::services_default();
-    let loads = node.create_service::<LoadNode::Service>("~/_container/load_node", qos)?;
-    let unloads = node.create_service::<UnloadNode::Service>("~/_container/unload_node", qos)?;
-    let lists = node.create_service::<ListNodes::Service>("~/_container/list_nodes", qos)?;
+    let loads = node.create_service::<LoadNode::Service>("~/_container/load_node", qos)?.owned();
+    let unloads = node.create_service::<UnloadNode::Service>("~/_container/unload_node", qos)?.owned();
+    let lists = node.create_service::<ListNodes::Service>("~/_container/list_nodes", qos)?.owned();
     let container = container.clone();
     Ok(async move {
         // Who asked is told; if it has gone, nobody is.

@@ -3,7 +3,7 @@
 
 use super::goals::cancel_code;
 use super::state::{GoalStatus, SharedStatus};
-use super::{FEEDBACK_DEPTH, Names, feedback_qos, qos, status_qos};
+use super::{FEEDBACK_DEPTH, Names, feedback_qos, lock, qos, status_qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{Client, IsAvailablePollable};
@@ -12,7 +12,7 @@ use futures::future::{AbortHandle, Abortable, BoxFuture};
 use futures::stream::{BoxStream, FuturesUnordered};
 use futures::{FutureExt, Stream, StreamExt};
 use std::future::{Future, poll_fn};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, Weak};
 use std::task::{Context, Poll, ready};
 use tautline_executor::CallbackOptions;
 use tautline_msgs::{Action, GoalId};
@@ -47,7 +47,8 @@ pub(super) struct Feedback<P: Protocol> {
 pub(super) struct Shared<P: Protocol> {
     name: String,
     protocol: P,
-    cancel_goal: Client<CancelGoal::Service>,
+    /// Of all threads that have a clone of the action client or of a goal.
+    cancel_goal: Mutex<Client<CancelGoal::Service>>,
     goals: Mutex<Vec<Goal<P>>>,
     /// Results to wait for; when it is closed, the thread that listens ends.
     results: mpsc::UnboundedSender<ResultToCome>,
@@ -80,8 +81,8 @@ impl<P: Protocol> Shared<P> {
         feedback: Feedback<P>,
     ) -> Result<Arc<Self>> {
         let names = Names::of(action);
-        let cancel_goal = node.create_client::<CancelGoal::Service>(&names.cancel_goal, qos())?;
-        let status = node.subscribe::<GoalStatusArray>(&names.status, status_qos())?;
+        let cancel_goal = Mutex::new(node.create_client::<CancelGoal::Service>(&names.cancel_goal, qos())?);
+        let status = node.subscribe::<GoalStatusArray>(&names.status, status_qos())?.owned();
         let (results, requests) = mpsc::unbounded();
         let goals = Mutex::new(Vec::new());
         let shared = Arc::new(Shared { name: action.to_owned(), protocol, cancel_goal, goals, results });
@@ -128,7 +129,7 @@ impl<P: Protocol> Shared<P> {
     }
 
     fn goals(&self) -> MutexGuard<'_, Vec<Goal<P>>> {
-        self.goals.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.goals)
     }
 
     fn pass_on(&self, id: GoalId, feedback: P::Feedback) {
@@ -167,7 +168,7 @@ impl<P: Protocol> Shared<P> {
 
     pub(super) fn availability(&self) -> Result<Vec<Availability>> {
         let mut all = self.protocol.availability()?;
-        all.extend(self.cancel_goal.availability()?);
+        all.extend(lock(&self.cancel_goal).availability()?);
         Ok(all)
     }
 
@@ -210,7 +211,7 @@ impl<P: Protocol> Shared<P> {
     ) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<P>> {
         let mut request = CancelGoal::Request::default();
         request.goal_info.goal_id.uuid = id;
-        let response = self.cancel_goal.request(&request)?;
+        let response = lock(&self.cancel_goal).request(&request)?;
         Ok(response.map(|response| match response?.return_code {
             cancel_code::NONE => Ok(()),
             cancel_code::UNKNOWN_GOAL_ID => Err(Error::GoalCancelUnknownGoalID),
@@ -285,7 +286,7 @@ impl<P: Protocol> Held<P> {
         let awaited = response.clone();
         let deliver = async move {
             let result = poll_fn(|context| {
-                let mut awaited = awaited.lock().unwrap_or_else(PoisonError::into_inner);
+                let mut awaited = lock(&awaited);
                 // Without one it is about to be aborted.
                 let Some(response) = &mut *awaited else { return Poll::Pending };
                 let result = ready!(response.poll_unpin(context));
@@ -360,7 +361,7 @@ struct Wanted<P: Protocol> {
 impl<P: Protocol> Drop for Wanted<P> {
     fn drop(&mut self) {
         // First, so that whoever finds a place by the count finds one for the request.
-        let response = self.response.lock().unwrap_or_else(PoisonError::into_inner).take();
+        let response = lock(&self.response).take();
         drop(response);
         self.abort.abort();
         if let Some(goal) = self.held.shared.goals().iter_mut().find(|goal| goal.id == self.held.id) {
@@ -404,8 +405,8 @@ impl<P: Protocol> Stream for GoalFeedback<P> {
 
 /// An action of a Rust type.
 pub(super) struct Typed<T: Action> {
-    send_goal: Client<T::SendGoal>,
-    get_result: Client<T::GetResult>,
+    send_goal: Mutex<Client<T::SendGoal>>,
+    get_result: Mutex<Client<T::GetResult>>,
 }
 
 impl<T: Action> Protocol for Typed<T> {
@@ -414,12 +415,12 @@ impl<T: Action> Protocol for Typed<T> {
     type Feedback = T::Feedback;
 
     fn send_goal(&self, id: GoalId, goal: T::Goal) -> Result<BoxFuture<'static, Result<bool>>> {
-        let response = self.send_goal.request(&T::make_goal_request_msg(id, goal))?;
+        let response = lock(&self.send_goal).request(&T::make_goal_request_msg(id, goal))?;
         Ok(response.map(|response| Ok(T::destructure_goal_response_msg(response?).0)).boxed())
     }
 
     fn get_result(&self, id: GoalId) -> Result<ResultFuture<Self>> {
-        let response = self.get_result.request(&T::make_result_request_msg(id))?;
+        let response = lock(&self.get_result).request(&T::make_result_request_msg(id))?;
         let take_apart = |response| {
             let (status, result) = T::destructure_result_response_msg(response);
             (GoalStatus::from_rcl(status), result)
@@ -428,8 +429,8 @@ impl<T: Action> Protocol for Typed<T> {
     }
 
     fn availability(&self) -> Result<Vec<Availability>> {
-        let mut both = self.send_goal.availability()?;
-        both.extend(self.get_result.availability()?);
+        let mut both = lock(&self.send_goal).availability()?;
+        both.extend(lock(&self.get_result).availability()?);
         Ok(both)
     }
 }
@@ -442,9 +443,9 @@ pub struct ActionClient<T: Action> {
 impl<T: Action> ActionClient<T> {
     pub(super) fn create(node: &mut Node, action: &str) -> Result<Self> {
         let names = Names::of(action);
-        let send_goal = node.create_client::<T::SendGoal>(&names.send_goal, qos())?;
-        let get_result = node.create_client::<T::GetResult>(&names.get_result, qos())?;
-        let messages = node.subscribe_loaned::<T::FeedbackMessage>(&names.feedback, feedback_qos())?;
+        let send_goal = Mutex::new(node.create_client::<T::SendGoal>(&names.send_goal, qos())?);
+        let get_result = Mutex::new(node.create_client::<T::GetResult>(&names.get_result, qos())?);
+        let messages = node.subscribe::<T::FeedbackMessage>(&names.feedback, feedback_qos())?;
         let counters = messages.counters();
         let messages = messages.map(|sample| T::destructure_feedback_msg(sample.to_owned())).boxed();
         let feedback = Feedback { messages, counters };

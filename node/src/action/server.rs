@@ -3,7 +3,7 @@
 
 use super::goals::{Goals, MAX_WAITING, ResultOf, Stamp, cancel_code};
 use super::state::{GoalEvent, GoalStatus, SharedStatus};
-use super::{Names, qos, status_qos};
+use super::{Names, lock, qos, status_qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{Reply, ServiceRequest};
@@ -11,7 +11,7 @@ use futures::channel::{mpsc, oneshot};
 use futures::future::{Either, Shared, select};
 use futures::stream::FuturesUnordered;
 use futures::{FutureExt, Stream, StreamExt};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, Weak};
 use std::time::Duration;
 use tautline_executor::CallbackOptions;
 use tautline_msgs::cdr::Endian;
@@ -87,10 +87,6 @@ struct Cancels {
     /// Ends with this: who has not decided by then has rejected.
     _end: oneshot::Sender<()>,
     ended: Shared<oneshot::Receiver<()>>,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl<T: Action> Server<T> {
@@ -215,9 +211,10 @@ pub(super) fn create<T: Action>(
     let names = Names::of(action);
     let feedback = node.create_publisher(&names.feedback, qos())?;
     let status = node.create_publisher(&names.status, status_qos())?;
-    let mut send_goal = node.create_service::<T::SendGoal>(&names.send_goal, qos())?.fuse();
-    let mut cancel_goal = node.create_service::<CancelGoal::Service>(&names.cancel_goal, qos())?.fuse();
-    let mut get_result = node.create_service::<T::GetResult>(&names.get_result, qos())?.fuse();
+    let mut send_goal = node.create_service::<T::SendGoal>(&names.send_goal, qos())?.owned().fuse();
+    let mut cancel_goal =
+        node.create_service::<CancelGoal::Service>(&names.cancel_goal, qos())?.owned().fuse();
+    let mut get_result = node.create_service::<T::GetResult>(&names.get_result, qos())?.owned().fuse();
     let period = options.result_timeout.clamp(Duration::from_millis(1), Duration::from_secs(1));
     let mut expiry = node.create_wall_timer(period)?.fuse();
     let end = node.context.events().guard_condition()?;

@@ -35,7 +35,7 @@ impl LifecycleNode {
         let changes =
             self.with_node(|node| node.create_service::<srv::ChangeState::Service>("~/change_state", qos))??;
         let node = self.clone();
-        Ok(changes.for_each(move |request| {
+        Ok(changes.owned().for_each(move |request| {
             let done = change_state(&node, &request.message);
             if let Err(error) = &done {
                 tracing::warn!("{error}");
@@ -53,13 +53,16 @@ impl LifecycleNode {
         let qos = Qos::services_default();
         let services = self.with_node(|node| -> error::Result<_> {
             Ok((
-                node.create_service::<srv::GetState::Service>("~/get_state", qos)?,
-                node.create_service::<srv::GetAvailableStates::Service>("~/get_available_states", qos)?,
+                node.create_service::<srv::GetState::Service>("~/get_state", qos)?.owned(),
+                node.create_service::<srv::GetAvailableStates::Service>("~/get_available_states", qos)?
+                    .owned(),
                 node.create_service::<srv::GetAvailableTransitions::Service>(
                     "~/get_available_transitions",
                     qos,
-                )?,
-                node.create_service::<srv::GetAvailableTransitions::Service>("~/get_transition_graph", qos)?,
+                )?
+                .owned(),
+                node.create_service::<srv::GetAvailableTransitions::Service>("~/get_transition_graph", qos)?
+                    .owned(),
             ))
         })??;
         let node = self.clone();

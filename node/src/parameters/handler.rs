@@ -99,7 +99,7 @@ impl Node {
         // Asked by no real-time thread: until then it takes no memory for answers, unless somebody wants it to.
         let limits = Limits { claim: Claim::OnUse, ..Limits::default() };
         self.service_limits.entry(self.resolve_service_name(&name)?).or_insert(limits);
-        let requests = self.create_service::<S>(&name, Qos::parameters())?;
+        let requests = self.create_service::<S>(&name, Qos::parameters())?.owned();
         let answers = requests.for_each(move |request| {
             let response = answer(request.message.clone());
             if let Err(error) = request.respond(response) {

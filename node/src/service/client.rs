@@ -1,51 +1,50 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Clients with owned messages, and waiting for servers.
+//! Clients, and waiting for servers.
 
 use crate::error::{Error, Result};
 use std::future::Future;
 use std::pin::Pin;
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::Duration;
-use tautline_msgs::Service;
+use tautline_msgs::cdr::Fill;
+use tautline_msgs::{Plain, Service};
 use tautline_rt::clock::monotonic_ns;
 use tautline_sampler::{Alarm, Events};
-use tautline_transport::{Availability, PendingResponse, RawClient};
+use tautline_transport::{
+    Availability, Loan, PendingResponse, RawClient, SendError, ServiceError, Unwritten,
+};
 
-/// Asks a service with owned messages. May be used in several threads.
+/// Asks a service: with owned messages, or with requests that are written, and responses that are read, in shared memory.
+///
+/// May be moved to another thread, and is used by one at a time; what waits for its responses may be in any thread.
 pub struct Client<T: Service> {
-    /// Held while a request is written and sent.
-    client: Mutex<tautline_transport::Client<T>>,
+    inner: tautline_transport::Client<T>,
     events: Events,
 }
 
 impl<T: Service> Client<T> {
-    pub(super) fn new(client: tautline_transport::Client<T>, events: &Events) -> Self {
-        Client { client: Mutex::new(client), events: events.clone() }
-    }
-
-    fn client(&self) -> MutexGuard<'_, tautline_transport::Client<T>> {
-        self.client.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(super) fn new(inner: tautline_transport::Client<T>, events: &Events) -> Self {
+        Client { inner, events: events.clone() }
     }
 
     /// Sends a request. The future ends with the response, or with an error when all servers that got the request have gone.
     /// Dropping it cancels the wait. It may outlive the client.
     ///
     /// # Real-time
-    /// Takes a lock that only other threads which use this client hold; the response allocates its strings and sequences:
-    /// [`create_client_loaned`](crate::Node::create_client_loaned) does neither.
+    /// As [`loan`](Self::loan) and [`send`](Self::send), and one copy of the request; the response allocates its strings and sequences, where that
+    /// of [`send`](Self::send) does not.
     ///
     /// # Errors
     /// [`Error::Service`]: there is no server, its queue is full, or too many requests wait. Nothing was sent.
     pub fn request(&self, msg: &T::Request) -> Result<ResponseFuture<T>> {
-        Ok(ResponseFuture { response: self.client().request(msg)?, limit: None })
+        Ok(ResponseFuture { response: self.inner.request(msg)?, limit: None })
     }
 
     /// [`request`](Self::request), whose future ends with an error if the response does not come in time; with a limit of zero, unless
     /// it is there when the future is first polled.
     ///
     /// # Real-time
-    /// As [`request`](Self::request), and claims an alarm, which takes no further lock: wait-free, O(the context's slots), copies
+    /// As [`request`](Self::request), and claims an alarm: wait-free, O(the context's slots), copies
     /// the service's name, and at most one futex wake to set it. Dropping the future is at most one more. After each the sampler looks
     /// through its timers once.
     ///
@@ -53,19 +52,84 @@ impl<T: Service> Client<T> {
     /// As [`request`](Self::request); [`Error::Transport`] if the context has no slot left for the alarm. The future's:
     /// [`Error::ServiceTimeout`].
     pub fn request_timeout(&self, msg: &T::Request, timeout: Duration) -> Result<ResponseFuture<T>> {
-        let client = self.client();
-        let limit = Limit::new(&self.events, timeout, client.service())?;
-        Ok(ResponseFuture { response: client.request(msg)?, limit: Some(limit) })
+        let limit = Limit::new(&self.events, timeout, self.service_name())?;
+        Ok(ResponseFuture { response: self.inner.request(msg)?, limit: Some(limit) })
+    }
+
+    /// Loans memory for a request to write in place, as `&mut T::Request`. A loan stays in its thread: see
+    /// [`Publisher::loan`](crate::Publisher::loan).
+    ///
+    /// # Real-time
+    /// As [`Publisher::loan`](crate::Publisher::loan).
+    ///
+    /// # Errors
+    /// [`ServiceError::Loan`].
+    pub fn loan(&self) -> std::result::Result<Loan<'_, T::Request>, ServiceError>
+    where
+        T::Request: Plain,
+    {
+        self.inner.loan()
+    }
+
+    /// Loans memory for a request of these lengths, to be [written](Unwritten::write) in place.
+    ///
+    /// # Real-time
+    /// As [`Publisher::loan_with`](crate::Publisher::loan_with).
+    ///
+    /// # Errors
+    /// [`ServiceError::Loan`].
+    pub fn loan_with<'s>(
+        &self,
+        sizes: <T::Request as Fill>::Sizes<'s>,
+    ) -> std::result::Result<Unwritten<'_, 's, T::Request>, ServiceError>
+    where
+        T::Request: Fill,
+    {
+        self.inner.loan_with(sizes)
+    }
+
+    /// Sends a request that was written in place, to every server. The first response counts; it is read where the server wrote it.
+    ///
+    /// # Real-time
+    /// Wait-free, O(responses x pending requests + servers); no allocation; at most one futex wake per sampler that sleeps, and per
+    /// callback thread of a server that sleeps and is woken directly; and one for each task whose response is taken on the way and
+    /// whose thread sleeps. A thread that takes responses right now is waited for, and has this one's priority meanwhile.
+    ///
+    /// # Errors
+    /// [`SendError`], with the loan: [`ServiceError::NoServer`], [`ServiceError::RequestsFull`], [`ServiceError::TooManyPending`],
+    /// [`ServiceError::Loan`].
+    pub fn send<'c>(
+        &'c self,
+        request: Loan<'c, T::Request>,
+    ) -> std::result::Result<PendingResponse<T>, SendError<Loan<'c, T::Request>, ServiceError>> {
+        self.inner.send(request)
+    }
+
+    /// Loans memory for a request, lets `write` write it in place, and sends it.
+    ///
+    /// # Real-time
+    /// As [`loan`](Self::loan) and [`send`](Self::send).
+    ///
+    /// # Errors
+    /// [`ServiceError`]; nothing was sent.
+    pub fn request_with(
+        &self,
+        write: impl FnOnce(&mut T::Request),
+    ) -> std::result::Result<PendingResponse<T>, ServiceError>
+    where
+        T::Request: Plain,
+    {
+        self.inner.request_with(write)
     }
 
     /// The service's fully qualified name.
-    pub fn service_name(&self) -> String {
-        self.client().service().to_owned()
+    pub fn service_name(&self) -> &str {
+        self.inner.service()
     }
 
     /// Number of servers.
     pub fn server_count(&self) -> usize {
-        self.client().server_count()
+        self.inner.server_count()
     }
 }
 
@@ -126,13 +190,13 @@ pub trait IsAvailablePollable {
 
 impl<T: Service> IsAvailablePollable for Client<T> {
     fn availability(&self) -> Result<Vec<Availability>> {
-        Ok(vec![self.client().availability()?])
+        Ok(vec![self.inner.availability()?])
     }
 }
 
-impl<T: Service> IsAvailablePollable for tautline_transport::Client<T> {
-    fn availability(&self) -> Result<Vec<Availability>> {
-        IsAvailablePollable::availability(self.raw())
+impl<T: Service> AsRef<RawClient> for Client<T> {
+    fn as_ref(&self) -> &RawClient {
+        self.inner.raw()
     }
 }
 

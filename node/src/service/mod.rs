@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Services: with owned messages as in r2r, in place, and with types that are known at run time only.
+//! Services: of types that the program was built with, and of types that are known at run time only.
 
 mod client;
 mod server;
@@ -9,7 +9,7 @@ mod untyped;
 pub use client::{Client, IsAvailablePollable, ResponseFuture};
 #[cfg(feature = "action_msgs")]
 pub(crate) use server::Reply;
-pub use server::{ServiceLoaned, ServiceRequest};
+pub use server::{Server, ServiceRequest};
 #[cfg(feature = "untyped")]
 pub use untyped::{ClientUntyped, ServiceRequestUntyped};
 
@@ -17,21 +17,19 @@ pub use untyped::{ClientUntyped, ServiceRequestUntyped};
 use crate::error::Error;
 use crate::error::Result;
 use crate::node::Node;
-use futures::{FutureExt, Stream};
+use futures::FutureExt;
 use std::future::Future;
 use tautline_msgs::Service;
-use tautline_transport::Limits;
-use tautline_transport::Qos;
+use tautline_transport::{Limits, Qos};
 
 /// A service's queues keep all: of the quality of service the depth counts, which is how many requests of one client can
 /// wait at a server.
 ///
-/// A request goes to every server, as in ROS 2, and the first response counts. Without a server it is an error, where r2r
-/// would wait for ever: wait with [`is_available`](Node::is_available) first. If all servers that got it end or are
+/// A request goes to every server, as in ROS 2, and the first response counts. Without a server it is an error: wait with [`is_available`](Node::is_available) first. If all servers that got it end or are
 /// killed, it ends with an error as well.
 impl Node {
-    /// Creates a service: a stream of requests, copied out of shared memory, each to be answered with
-    /// [`respond`](ServiceRequest::respond), in any thread. The service ends with the stream and the last request.
+    /// Creates a service: a stream of requests, read in shared memory, and the means to answer them there. [`Server::owned`] makes a
+    /// stream of owned requests of it, each to be answered with [`respond`](ServiceRequest::respond), in any thread.
     ///
     /// ```
     /// # #[cfg(feature = "example_interfaces")] {
@@ -41,7 +39,7 @@ impl Node {
     /// # use std::time::Duration;
     /// # let ctx = Context::builder().domain(129).realtime(Realtime::Off).build()?;
     /// # let mut node = Node::create(ctx.clone(), "example", "")?;
-    /// let requests = node.create_service::<AddTwoInts::Service>("/add", Qos::default())?;
+    /// let requests = node.create_service::<AddTwoInts::Service>("/add", Qos::default())?.owned();
     /// let client = node.create_client::<AddTwoInts::Service>("/add", Qos::default())?;
     /// let mut pool = LocalPool::new();
     /// pool.spawner().spawn_local(requests.for_each(|request| async move {
@@ -63,27 +61,10 @@ impl Node {
     ///
     /// # Errors
     /// [`Error::Name`]; [`Error::Transport`]: no memory left in /dev/shm.
-    pub fn create_service<T: Service>(
-        &mut self,
-        service_name: &str,
-        qos: Qos,
-    ) -> Result<impl Stream<Item = ServiceRequest<T>> + Unpin + Send + use<T>> {
-        Ok(server::Requests::new(self.create_service_loaned(service_name, qos)?))
-    }
-
-    /// Creates a service whose requests are read, and whose responses are written, in shared memory.
-    ///
-    /// # Errors
-    /// As [`create_service`](Self::create_service).
-    pub fn create_service_loaned<T: Service>(
-        &mut self,
-        service_name: &str,
-        qos: Qos,
-    ) -> Result<ServiceLoaned<T>> {
+    pub fn create_service<T: Service>(&mut self, service_name: &str, qos: Qos) -> Result<Server<T>> {
         let (name, limits) = self.resolve_service(service_name)?;
-        let depth = qos.depth;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(ServiceLoaned::new(self.participant.create_server(&name, depth, limits)?))
+        Ok(Server::new(self.participant.create_server(&name, qos.depth, limits)?))
     }
 
     /// Creates a client of a service. Requests are reliable whatever `qos` says, and [`Limits`] say for how many there is room.
@@ -91,23 +72,10 @@ impl Node {
     /// # Errors
     /// As [`create_service`](Self::create_service).
     pub fn create_client<T: Service>(&mut self, service_name: &str, qos: Qos) -> Result<Client<T>> {
-        let client = self.create_client_loaned(service_name, qos)?;
-        Ok(Client::new(client, self.context.events()))
-    }
-
-    /// Creates a client whose requests are written, and whose responses are read, in shared memory.
-    ///
-    /// # Errors
-    /// As [`create_service`](Self::create_service).
-    pub fn create_client_loaned<T: Service>(
-        &mut self,
-        service_name: &str,
-        qos: Qos,
-    ) -> Result<tautline_transport::Client<T>> {
         let _ = qos;
         let (name, limits) = self.resolve_service(service_name)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(self.participant.create_client(&name, limits)?)
+        Ok(Client::new(self.participant.create_client(&name, limits)?, self.context.events()))
     }
 
     /// Sets the limits of the servers and clients of a service that this node makes from now on: `message_bytes` of what each

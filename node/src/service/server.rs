@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Servers: in place, and on top of that with owned messages.
+//! Servers: requests in place, and as an adapter of that owned ones.
 
 use crate::error::Result;
 use crate::subscription::{Samples, Source};
@@ -10,8 +10,7 @@ use std::task::{Context, Poll};
 use tautline_msgs::Service;
 use tautline_msgs::cdr::Fill;
 use tautline_transport::{
-    Counters, RawSubscription, Request, RequestId, Response, Server, ServiceError, TakeError,
-    UnwrittenResponse,
+    Counters, RawSubscription, Request, RequestId, Response, ServiceError, TakeError, UnwrittenResponse,
 };
 
 /// Serves in place: a stream of [`Request`]s, each read where the client wrote it, and the means to answer them, written where
@@ -28,7 +27,7 @@ use tautline_transport::{
 ///
 /// let ctx = Context::builder().domain(129).realtime(Realtime::Off).build()?;
 /// let mut node = Node::create(ctx.clone(), "example", "")?;
-/// let mut service = node.create_service_loaned::<AddTwoInts::Service>("/sum", Qos::default())?;
+/// let mut service = node.create_service::<AddTwoInts::Service>("/sum", Qos::default())?;
 /// node.spawn_callback(CallbackOptions::fifo(20), async move {
 ///     while let Some(request) = service.next().await {
 ///         let mut response = service.loan(&request).expect("the client waits");
@@ -36,7 +35,7 @@ use tautline_transport::{
 ///         response.send().expect("the client takes what it asked for");
 ///     }
 /// })?;
-/// let client = node.create_client_loaned::<AddTwoInts::Service>("/sum", Qos::default())?;
+/// let client = node.create_client::<AddTwoInts::Service>("/sum", Qos::default())?;
 /// let stop = ctx.events().clone();
 /// node.spawn_callback(CallbackOptions::fifo(10), async move {
 ///     let response = client.request_with(|request| (request.a, request.b) = (1, 2)).expect("there is a server");
@@ -48,16 +47,16 @@ use tautline_transport::{
 /// # Ok::<(), tautline::Error>(())
 /// ```
 #[must_use = "nothing is served unless it is polled; dropping it ends the service"]
-pub struct ServiceLoaned<T: Service> {
-    requests: Samples<Server<T>>,
+pub struct Server<T: Service> {
+    requests: Samples<tautline_transport::Server<T>>,
 }
 
-impl<T: Service> ServiceLoaned<T> {
-    pub(super) fn new(server: Server<T>) -> Self {
-        ServiceLoaned { requests: Samples::new(server) }
+impl<T: Service> Server<T> {
+    pub(super) fn new(server: tautline_transport::Server<T>) -> Self {
+        Server { requests: Samples::new(server) }
     }
 
-    fn server(&self) -> &Server<T> {
+    fn server(&self) -> &tautline_transport::Server<T> {
         self.requests.source()
     }
 
@@ -110,6 +109,12 @@ impl<T: Service> ServiceLoaned<T> {
         self.server().respond(request.id(), response)
     }
 
+    /// The stream of owned requests, copied out of shared memory, each to be answered with [`ServiceRequest::respond`], in any thread. The
+    /// service ends with the stream and the last request.
+    pub fn owned(self) -> impl Stream<Item = ServiceRequest<T>> + Unpin + Send + use<T> {
+        Requests { service: Arc::new(Mutex::new(self)) }
+    }
+
     /// Requests received, invalid, highest queue fill: to be read from any thread.
     pub fn counters(&self) -> Arc<Counters> {
         self.requests.counters()
@@ -121,7 +126,7 @@ impl<T: Service> ServiceLoaned<T> {
     }
 }
 
-impl<T: Service> Stream for ServiceLoaned<T> {
+impl<T: Service> Stream for Server<T> {
     type Item = Request<T>;
 
     /// # Real-time
@@ -131,7 +136,7 @@ impl<T: Service> Stream for ServiceLoaned<T> {
     }
 }
 
-impl<T: Service> Source for Server<T> {
+impl<T: Service> Source for tautline_transport::Server<T> {
     type Sample = Request<T>;
 
     fn raw(&self) -> &RawSubscription {
@@ -143,7 +148,7 @@ impl<T: Service> Source for Server<T> {
     }
 
     fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Request<T>> {
-        Server::poll_take(self, context)
+        tautline_transport::Server::poll_take(self, context)
     }
 
     fn released_ns(request: &Request<T>) -> u64 {
@@ -152,14 +157,8 @@ impl<T: Service> Source for Server<T> {
 }
 
 /// A service's stream of requests with owned messages.
-pub(super) struct Requests<T: Service> {
-    service: Arc<Mutex<ServiceLoaned<T>>>,
-}
-
-impl<T: Service> Requests<T> {
-    pub(super) fn new(service: ServiceLoaned<T>) -> Self {
-        Requests { service: Arc::new(Mutex::new(service)) }
-    }
+struct Requests<T: Service> {
+    service: Arc<Mutex<Server<T>>>,
 }
 
 impl<T: Service> Stream for Requests<T> {
@@ -187,8 +186,7 @@ impl<T: Service> ServiceRequest<T> {
     /// Answers the request. If its client has gone meanwhile, nothing happens, as in ROS 2.
     ///
     /// # Real-time
-    /// Takes a lock that other threads which answer requests of this service, or take them, hold.
-    /// [`create_service_loaned`](crate::Node::create_service_loaned) takes none.
+    /// Takes a lock that other threads which answer requests of this service, or take them, hold. [`Server::respond`] takes none.
     ///
     /// # Errors
     /// [`Error::Service`](crate::Error::Service): the client's queue is full or cannot be reached, the response cannot be written.
@@ -222,7 +220,7 @@ where
 pub(crate) struct Reply<T: Service> {
     id: RequestId,
     /// Held while a response is written and sent, and while requests are taken.
-    service: Arc<Mutex<ServiceLoaned<T>>>,
+    service: Arc<Mutex<Server<T>>>,
 }
 
 impl<T: Service> Reply<T> {
@@ -248,8 +246,8 @@ impl<T: Service> std::fmt::Debug for ServiceRequest<T> {
     }
 }
 
-impl<T: Service> std::fmt::Debug for ServiceLoaned<T> {
+impl<T: Service> std::fmt::Debug for Server<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ServiceLoaned").field("service", &self.service_name()).finish_non_exhaustive()
+        f.debug_struct("Server").field("service", &self.service_name()).finish_non_exhaustive()
     }
 }

@@ -33,6 +33,7 @@
 #![forbid(unsafe_code)]
 
 mod action;
+mod client;
 mod message;
 mod node;
 mod publisher;
@@ -40,10 +41,13 @@ mod qos;
 mod time;
 mod untyped;
 
+#[doc(no_inline)]
+pub use ::tautline;
 pub use action::{
     ActionClient, ActionClientGoal, ActionClientGoalUntyped, ActionClientUntyped, ActionServerGoal,
     ActionServerGoalRequest,
 };
+pub use client::Client;
 pub use message::{NativeMsg, ROS_DISTRO, WrappedTypesupport};
 pub use node::{Node, TopicEndpointInfo};
 pub use publisher::{Publisher, PublisherUntyped};

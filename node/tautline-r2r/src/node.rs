@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use crate::action::{ActionClient, ActionClientUntyped, ActionServerGoalRequest};
+use crate::client::Client;
 use crate::publisher::{Publisher, PublisherUntyped};
 use crate::qos::QosProfile;
 use crate::time::{Clock, TimeSource, Timer};
@@ -10,8 +11,8 @@ use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tautline::{
-    Action, Client, ClientUntyped, Context, Message, Parameter, Result, Service, ServiceRequest,
-    SubscriptionRaw, SubscriptionUntyped,
+    Action, ClientUntyped, Context, Message, Parameter, Result, Service, ServiceRequest, SubscriptionRaw,
+    SubscriptionUntyped,
 };
 
 /// A node as r2r has it; beneath it is a [`tautline::Node`].
@@ -66,7 +67,7 @@ impl Node {
         topic: &str,
         qos_profile: QosProfile,
     ) -> Result<impl Stream<Item = T> + Unpin + Send + use<T>> {
-        self.inner.subscribe(topic, qos_profile.into())
+        Ok(self.inner.subscribe(topic, qos_profile.into())?.owned())
     }
 
     /// As [`tautline::Node::subscribe_untyped`].
@@ -139,7 +140,7 @@ impl Node {
         service_name: &str,
         qos_profile: QosProfile,
     ) -> Result<impl Stream<Item = ServiceRequest<T>> + Unpin + Send + use<T>> {
-        self.inner.create_service(service_name, qos_profile.into())
+        Ok(self.inner.create_service(service_name, qos_profile.into())?.owned())
     }
 
     /// As [`tautline::Node::create_client`].
@@ -151,7 +152,7 @@ impl Node {
         service_name: &str,
         qos_profile: QosProfile,
     ) -> Result<Client<T>> {
-        self.inner.create_client(service_name, qos_profile.into())
+        Ok(self.inner.create_client(service_name, qos_profile.into())?.into())
     }
 
     /// As [`tautline::Node::create_client_untyped`].

@@ -149,7 +149,7 @@ pub fn leave_a_thread(domain: u32, options: CallbackOptions) {
     let context = context(domain);
     let mut node = Node::create(context.clone(), "mover", "").unwrap();
     let publisher = node.create_publisher::<Number>("/moved", Qos::default()).unwrap();
-    let mut numbers = node.subscribe_loaned::<Number>("/moved", Qos::default()).unwrap();
+    let mut numbers = node.subscribe::<Number>("/moved", Qos::default()).unwrap();
     let (leave, left) = std::sync::mpsc::channel();
     let once = async move {
         log.add(numbers.next().await.unwrap().value);

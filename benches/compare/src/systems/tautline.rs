@@ -276,7 +276,7 @@ impl<T: Payload> End<T> {
 
     fn subscription(&mut self, topic: &str) -> Result<Subscription<T>> {
         self.limit(topic)?;
-        Ok(self.node.subscribe_loaned(topic, self.qos())?)
+        Ok(self.node.subscribe(topic, self.qos())?)
     }
 
     fn limit(&mut self, topic: &str) -> Result<()> {

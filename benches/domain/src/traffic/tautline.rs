@@ -120,7 +120,7 @@ fn receive<T: Frame>(job: &Job, context: &Context, mut node: Node, options: Call
     for (topic, inlet) in sink.inlets(job) {
         let topic = format!("{}/t{topic}", job.topic);
         node.set_topic_limits(&topic, limits())?;
-        ends.push((node.subscribe_loaned(&topic, Qos::keep_last(job.depth()))?, inlet));
+        ends.push((node.subscribe(&topic, Qos::keep_last(job.depth()))?, inlet));
     }
     let (sender, outcome) = mpsc::channel();
     // A callback that had the context would keep it alive.

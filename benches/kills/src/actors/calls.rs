@@ -36,7 +36,7 @@ fn end(callback: Option<CallbackHandle>) -> Result<()> {
 
 /// Answers requests: some late, some never.
 fn serve(node: &mut Node, service: &str) -> Result<CallbackHandle> {
-    let requests = node.create_service::<AddTwoInts::Service>(service, Qos::services_default())?;
+    let requests = node.create_service::<AddTwoInts::Service>(service, Qos::services_default())?.owned();
     let mut count = 0;
     let serve = requests.for_each(move |request: ServiceRequest<AddTwoInts::Service>| {
         count += 1;

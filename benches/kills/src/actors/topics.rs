@@ -61,7 +61,7 @@ pub fn play(actor: &mut Actor) -> Result<()> {
             }
             3 | 4 if text_takers.len() < 4 => {
                 let (topic, qos) = (actor.one_of(&TEXTS), actor.one_of(&QOS));
-                text_takers.push(Taker::new(node.subscribe_loaned(topic, qos)?));
+                text_takers.push(Taker::new(node.subscribe(topic, qos)?));
             }
             5 | 6 if number_takers.len() < 4 => {
                 let kinds = [
@@ -71,7 +71,7 @@ pub fn play(actor: &mut Actor) -> Result<()> {
                     (KEPT, kept_qos()),
                 ];
                 let (topic, qos) = actor.one_of(&kinds);
-                number_takers.push(Taker::new(node.subscribe_loaned(topic, qos)?));
+                number_takers.push(Taker::new(node.subscribe(topic, qos)?));
             }
             7 => actor.forget_one(&mut text_publishers),
             8 => actor.forget_one(&mut text_takers),

@@ -59,7 +59,7 @@ fn subscribe(job: &Job) -> Result<()> {
     let mut node = Node::create(context.clone(), "subscriber", &job.namespace)?;
     let (mut callbacks, mut counters) = (Vec::new(), Vec::new());
     for (topic, log) in job.topics.iter().zip(subscriber.logs()) {
-        let messages = node.subscribe_loaned::<Release>(&topic.name, qos(topic.depth))?;
+        let messages = node.subscribe::<Release>(&topic.name, qos(topic.depth))?;
         counters.push(messages.counters());
         callbacks.push(callback(topic, Arc::clone(log), messages, |message| message.data));
     }

@@ -7,8 +7,8 @@ use std::sync::mpsc;
 use futures::StreamExt;
 use rustix::process::{Signal, set_parent_process_death_signal};
 use tautline::{
-    CallbackOptions, ClientLoaned, Context, Limits, Message, Node, PendingResponse, Plain, Publisher, Qos,
-    Realtime, Request, Service, ServiceLoaned, ServiceRequest, Subscription,
+    CallbackOptions, Client, Context, Limits, Message, Node, PendingResponse, Plain, Publisher, Qos,
+    Realtime, Request, Server, Service, ServiceRequest, Subscription,
 };
 use tautline_benches::Distribution;
 use tautline_rt::clock::monotonic_ns;
@@ -148,11 +148,11 @@ where
         let (to, from) = if job.asks { ("ping", "pong") } else { ("pong", "ping") };
         if job.asks {
             let publisher = node.create_publisher::<S::Request>(to, qos)?;
-            let answers = node.subscribe_loaned::<Frame64B>(from, qos)?;
+            let answers = node.subscribe::<Frame64B>(from, qos)?;
             return until_done(&node, options, ask_topic(Clock::new(job), publisher, answers));
         }
         let publisher = node.create_publisher::<Frame64B>(to, qos)?;
-        let questions = node.subscribe_loaned::<S::Request>(from, qos)?;
+        let questions = node.subscribe::<S::Request>(from, qos)?;
         let answer = questions.for_each(move |question| {
             publish(&publisher, question.number());
             futures::future::ready(())
@@ -162,7 +162,7 @@ where
     node.set_service_limits("ask", Limits { loans: 2, ..Limits::default() })?;
     if !job.asks {
         if job.system == System::ServiceOwned {
-            let requests = node.create_service::<S>("ask", qos)?;
+            let requests = node.create_service::<S>("ask", qos)?.owned();
             let answer = |mut request: ServiceRequest<S>| {
                 let mut words = [0; 8];
                 words[0] = *request.message.word();
@@ -171,7 +171,7 @@ where
             };
             return serve(&node, options, requests.for_each(answer));
         }
-        let mut service = node.create_service_loaned::<S>("ask", qos)?;
+        let mut service = node.create_service::<S>("ask", qos)?;
         return serve(&node, options, async move {
             while let Some(request) = service.next().await {
                 respond(&service, &request);
@@ -191,7 +191,7 @@ where
             clock
         });
     }
-    let client = node.create_client_loaned::<S>("ask", qos)?;
+    let client = node.create_client::<S>("ask", qos)?;
     until_done(&node, options, async move {
         while let Some(number) = clock.start() {
             let response = ask(&client, number).await;
@@ -222,13 +222,13 @@ fn publish<T: Frame>(publisher: &Publisher<T>, number: u64) {
     message.publish().expect("keep-last");
 }
 
-fn ask<S: Service<Request: Frame>>(client: &ClientLoaned<S>, number: u64) -> PendingResponse<S> {
+fn ask<S: Service<Request: Frame>>(client: &Client<S>, number: u64) -> PendingResponse<S> {
     let mut request = client.loan().expect("a loan is free");
     *request.word() = number;
     client.send(request).expect("it is sent")
 }
 
-fn respond<S: Service<Request: Frame, Response: Frame>>(service: &ServiceLoaned<S>, request: &Request<S>) {
+fn respond<S: Service<Request: Frame, Response: Frame>>(service: &Server<S>, request: &Request<S>) {
     let mut response = service.loan(request).expect("a loan is free");
     *response.word() = request.number();
     response.send().expect("the client waits");

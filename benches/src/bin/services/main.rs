@@ -66,7 +66,7 @@ pub enum System {
     /// A topic each way.
     Topics,
     /// A service in place.
-    ServiceLoaned,
+    Server,
     /// A service with owned messages.
     ServiceOwned,
     /// iceoryx2's request-response, with an event service each way.
@@ -76,12 +76,12 @@ pub enum System {
 }
 
 impl System {
-    const ALL: [Self; 5] = [Self::Topics, Self::ServiceLoaned, Self::Iceoryx2, Self::ServiceOwned, Self::R2r];
+    const ALL: [Self; 5] = [Self::Topics, Self::Server, Self::Iceoryx2, Self::ServiceOwned, Self::R2r];
 
     fn name(self) -> &'static str {
         match self {
             Self::Topics => "tautline topics",
-            Self::ServiceLoaned => "tautline service, in place",
+            Self::Server => "tautline service, in place",
             Self::ServiceOwned => "tautline service, owned",
             Self::Iceoryx2 => "iceoryx2 request-response",
             Self::R2r => "r2r over Fast DDS",

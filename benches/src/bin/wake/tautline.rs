@@ -83,7 +83,7 @@ fn play<T: Frame>(job: &Job, pinger: &mut Pinger) -> Result<()> {
     };
     let qos = Qos::keep_last(2);
     let publisher = node.create_publisher::<T>(to, qos)?;
-    let messages = node.subscribe_loaned::<T>(from, qos)?;
+    let messages = node.subscribe::<T>(from, qos)?;
     if job.role == Role::Ping {
         wait_for_answering(&messages)?;
     }

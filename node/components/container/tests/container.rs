@@ -61,7 +61,7 @@ impl Drop for Running {
 fn components_of_one_process_work_together_until_it_ends() {
     let context = Context::builder().domain(59).realtime(Realtime::Off).build().unwrap();
     let mut node = Node::create(context.clone(), "test", "").unwrap();
-    let doubled = node.subscribe_loaned::<UInt64>("/robot/doubled", Qos::default()).unwrap();
+    let doubled = node.subscribe::<UInt64>("/robot/doubled", Qos::default()).unwrap();
     let spinning = std::thread::spawn(move || context.spin().map(|()| context));
     let library = demo();
     let loads =
@@ -158,9 +158,9 @@ fn components_come_and_go_by_service() {
     let load = node.create_client::<LoadNode::Service>(&load, qos).unwrap();
     let unload = node.create_client::<UnloadNode::Service>(&unload, qos).unwrap();
     let list = node.create_client::<ListNodes::Service>(&list, qos).unwrap();
-    let counts = node.subscribe_loaned::<UInt64>("/moved/count", Qos::default()).unwrap();
-    let global = node.subscribe_loaned::<UInt64>("/global/count", Qos::default()).unwrap();
-    let lines = node.subscribe::<Log>("/rosout", Qos::default().transient_local()).unwrap();
+    let counts = node.subscribe::<UInt64>("/moved/count", Qos::default()).unwrap();
+    let global = node.subscribe::<UInt64>("/global/count", Qos::default()).unwrap();
+    let lines = node.subscribe::<Log>("/rosout", Qos::default().transient_local()).unwrap().owned();
     let spinning = std::thread::spawn(move || context.spin().map(|()| context));
 
     let mut command = container(59, &[]);

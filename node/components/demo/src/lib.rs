@@ -29,7 +29,7 @@ fn counter(mut node: Node) -> Result<Vec<CallbackHandle>> {
 }
 
 fn doubler(mut node: Node) -> Result<Vec<CallbackHandle>> {
-    let counts = node.subscribe_loaned::<UInt64>("count", Qos::default())?;
+    let counts = node.subscribe::<UInt64>("count", Qos::default())?;
     let publisher = node.create_publisher::<UInt64>("doubled", Qos::default())?;
     let double = counts.for_each(move |count| {
         let _ = publisher.publish(&UInt64 { data: count.data * 2 });

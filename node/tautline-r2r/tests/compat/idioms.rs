@@ -64,10 +64,10 @@ fn messages_of_any_length_by_their_ros_paths() {
     let mut node = r2r::Node::create(super::context(199, ""), "testnode", "").unwrap();
     let qos = QosProfile::default();
     let words = node.subscribe::<r2r::std_msgs::msg::String>("/words", qos).unwrap();
-    let joints = node.subscribe::<JointState>("/joints", qos.into()).unwrap();
-    let in_place = node.subscribe_loaned::<JointState>("/joints", qos.into()).unwrap();
+    let joints = node.subscribe::<JointState>("/joints", qos).unwrap();
+    let in_place = r2r::tautline::Node::subscribe::<JointState>(&mut node, "/joints", qos.into()).unwrap();
     let word_publisher = node.create_publisher::<r2r::std_msgs::msg::String>("/words", qos).unwrap();
-    let joint_publisher = node.create_publisher::<JointState>("/joints", qos.into()).unwrap();
+    let joint_publisher = node.create_publisher::<JointState>("/joints", qos).unwrap();
 
     let said = ["", "taut", "a longer word"].map(|data| r2r::std_msgs::msg::String { data: data.into() });
     said.iter().for_each(|word| word_publisher.publish(word).unwrap());

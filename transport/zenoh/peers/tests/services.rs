@@ -125,7 +125,7 @@ fn a_service_each_way() {
     }
 
     let requests =
-        pair.ours.create_service::<SetBool::Service>("/ours/switch", Qos::default()).unwrap();
+        pair.ours.create_service::<SetBool::Service>("/ours/switch", Qos::default()).unwrap().owned();
     let answer = |request: ServiceRequest<SetBool::Service>| async move {
         let success = request.message.data;
         request.respond(SetBool::Response { success, message: "Grüße".into() }).unwrap();
