@@ -27,6 +27,17 @@
 //! Real-time set-up that the system refuses is an error which names the fix. To run without is a choice that is made
 //! explicitly: [`Realtime::Off`], or `TAUT_REALTIME=off` in the environment.
 //!
+//! # Features
+//!
+//! Four groups; the first three are on by default.
+//!
+//! | feature | what it brings |
+//! |---|---|
+//! | `node` | what every ROS 2 node has: actions, lifecycle, parameters with their services and `/rosout`, simulated time |
+//! | `messages` | the message packages that most robots use; any other by its name, all by `ros_all`; `tf2_msgs` brings transforms as well (`tautline::tf`) |
+//! | `untyped` | topics, services and actions of types that are known at run time only |
+//! | `tracing-layer`, `lttng` | `tracing`'s events in the log; LTTng-UST tracepoints |
+//!
 //! Programs that were written for `r2r` compile unchanged on the crate `tautline-r2r`, which has its names.
 #![forbid(unsafe_code)]
 

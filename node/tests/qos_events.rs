@@ -278,7 +278,7 @@ fn liveliness_is_lost_after_kill_9_of_the_publisher() {
         }
         rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL).unwrap();
     }
-    let context = tautline::Context::builder().domain(118).realtime(Realtime::Off).build().unwrap();
+    let context = common::context(118);
     let _sampler = spin(&context);
     let mut node = Node::create(context.clone(), "watcher", "").unwrap();
     let subscription = node.subscribe::<Number>("/victim", Qos::default()).unwrap();

@@ -303,10 +303,8 @@ fn answers_come_from_any_thread_and_in_any_order() {
             let client = &client;
             scope.spawn(move || {
                 for n in 0..20 {
-                    let (one, other) = (
-                        client.lock().unwrap().request(&question(asker, n)).unwrap(),
-                        client.lock().unwrap().request(&question(asker, -n)).unwrap(),
-                    );
+                    let ask = |n| client.lock().unwrap().request(&question(asker, n)).unwrap();
+                    let (one, other) = (ask(n), ask(-n));
                     // Polled in two threads: neither misses what the other one took.
                     std::thread::scope(|scope| {
                         scope.spawn(|| assert_eq!(block_on(one).unwrap().sum, asker + n));
