@@ -52,7 +52,7 @@ pub type Environment = Vec<(&'static str, String)>;
 /// Some minutes from cold. Returns what its programs need to run as well.
 fn build() -> Result<Environment, String> {
     let environment = r2r::environment()?;
-    match execute(&mut with_libraries(&environment, &format!("build --release {WHOLE} --bins"))) {
+    match execute(&mut with_libraries(&environment, &format!("build --release {BENCH} --bins"))) {
         Outcome::Ok => Ok(environment),
         Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("the build failed: {reason}")),
     }
@@ -114,8 +114,11 @@ pub fn programs() -> String {
     format!("build --locked {WORKSPACE} --bin taut --bin taut-gateway --test component")
 }
 
-/// All of it, the bench included.
-const WHOLE: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features bench";
+/// With the bench.
+const BENCH: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features bench";
+
+/// With the bench, and what it needs as the workspace's tests have it.
+pub const WHOLE: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features bench,xtask";
 
 fn bridge_cargo(environment: &Environment, arguments: &str) -> Command {
     let mut command = cargo(arguments);

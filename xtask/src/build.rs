@@ -35,8 +35,8 @@ pub const WITH_GATEWAY: &str = "package(tautline-gateway)|(package(taut)&binary(
 /// What is compared with a ROS 2.
 pub const WITH_ROS: &str = "binary(ros_hashes)|binary(ros_values)|test(ros::)|test(others_read)";
 
-/// [`WHOLE`] without [`LATER`]. What both build is the same, for xtask's manifest asks for the same features of other packages as what is
-/// left out; [`crate::shared`] checks it.
+/// [`WHOLE`] without [`LATER`]. What both build is the same, for `xtask-features` asks for the same features of other packages as what is left
+/// out; [`crate::shared`] checks it.
 pub fn most() -> String {
     LATER.iter().fold(WHOLE.to_owned(), |most, package| most + " --exclude " + package)
 }
