@@ -4,7 +4,7 @@
 use crate::build::WHOLE as WORKSPACE;
 use crate::reports::check_bridge;
 use crate::steps::{self, Outcome, Steps, cargo, execute};
-use crate::{machine, r2r};
+use crate::{machine, programs, r2r};
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 
@@ -120,12 +120,11 @@ const BENCH: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features b
 /// With the bench, and what it needs as the workspace's tests have it.
 pub const WHOLE: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features bench,xtask";
 
-fn bridge_cargo(environment: &Environment, arguments: &str) -> Command {
+/// With the ROS 2 of this environment, for what shares the workspace's target directory.
+pub fn bridge_cargo(environment: &Environment, arguments: &str) -> Command {
     let mut command = cargo(arguments);
-    // The workspace's target directory, with which it shares all but the bindings; and of the bench's messages, those that it
-    // uses: all of them take minutes.
     command.envs(environment.clone()).env("CARGO_TARGET_DIR", machine::target_dir());
-    command.env("IDL_PACKAGE_FILTER", "std_msgs");
+    command.env("IDL_PACKAGE_FILTER", programs::PACKAGES);
     command
 }
 

@@ -5,7 +5,7 @@
 
 use crate::build::{WHOLE, most};
 use crate::steps::{Outcome, cargo};
-use crate::{bridge, machine, rmw};
+use crate::{bridge, machine, programs, rmw};
 use serde_json::Value;
 use std::collections::HashSet;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -13,7 +13,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 /// Whether all that is built without Zenoh is of use to a build with it, and what is not ours to the workspaces that are apart; otherwise the
 /// packages by which they differ.
 pub fn check() -> Outcome {
-    let apart = [("bridge-ros", bridge::WHOLE), ("rmw", rmw::WHOLE)];
+    let apart = [("bridge-ros", bridge::WHOLE), ("rmw", rmw::WHOLE), ("r2r-programs", programs::WHOLE)];
     let apart = apart.map(|(name, arguments)| (name, arguments.to_owned()));
     let parts = [("test", most())].into_iter().chain(apart);
     let whole = match graph(WHOLE) {
