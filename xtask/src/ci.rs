@@ -141,8 +141,8 @@ fn release(steps: &mut Steps) {
         steps.skip("lane keeping", "not built");
     }
     // With no more messages than each names.
-    let examples = "check -p tautline-examples -p own-messages --examples --bins";
-    steps.command("examples by themselves", &mut cargo(examples));
+    let packages = "-p tautline-examples -p own-messages -p xtask-host-features";
+    steps.command("examples by themselves", &mut cargo(&format!("check {packages} --examples --bins")));
 }
 
 /// Three seconds of the Autoware reference system: all of its nodes run, and its report keeps its promises. A second of it beside
