@@ -8,8 +8,8 @@ use crate::steps::{Outcome, cargo, execute};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::fs;
-use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
+use std::process::Command;
 
 /// The crate whose surface this is.
 const CRATE: &str = "tautline";
@@ -66,13 +66,19 @@ fn lines_of(text: &str) -> BTreeSet<&str> {
 
 /// Writes the JSON of every crate. It is an option that stable versions keep for nightly ones.
 fn document() -> Result<(), String> {
-    let rustdoc = machine::target_dir().join("rustdoc-json");
-    let written = fs::write(&rustdoc, "#!/bin/sh\nRUSTC_BOOTSTRAP=1 exec rustdoc \"$@\"\n")
-        .and_then(|()| fs::set_permissions(&rustdoc, fs::Permissions::from_mode(0o755)));
-    written.map_err(|error| format!("{}: {error}", rustdoc.display()))?;
-    let mut command = cargo(&format!("doc {WHOLE} --no-deps"));
     // Not for cargo itself: what looks at that variable would be built anew.
+    let rustdoc = machine::script("rustdoc-json", "RUSTC_BOOTSTRAP=1 exec rustdoc \"$@\"")?;
+    // With an example, by which cargo takes the features that the tests have of everything.
+    let mut command = cargo(&format!("doc {WHOLE} --no-deps --lib --bins --example talker"));
     command.env("RUSTDOC", rustdoc).env("RUSTDOCFLAGS", "-Dwarnings -Zunstable-options --output-format json");
+    // As `cargo clippy -- -D warnings` has it: what that has checked need not be checked again.
+    let rustc = Command::new("rustc").args(["--print", "sysroot"]).output();
+    let sysroot = rustc.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
+    let driver = Path::new(&sysroot.unwrap_or_default()).join("bin/clippy-driver");
+    if driver.is_file() {
+        command.env("RUSTC_WORKSPACE_WRAPPER", driver);
+        command.env("CLIPPY_ARGS", ["-D", "warnings", ""].join("__CLIPPY_HACKERY__"));
+    }
     match execute(&mut command) {
         Outcome::Ok => Ok(()),
         Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),

@@ -4,7 +4,7 @@
 use crate::build::WHOLE as WORKSPACE;
 use crate::reports::check_bridge;
 use crate::steps::{self, Outcome, Steps, cargo, execute};
-use crate::{machine, r2r};
+use crate::{machine, programs, r2r};
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 
@@ -52,7 +52,7 @@ pub type Environment = Vec<(&'static str, String)>;
 /// Some minutes from cold. Returns what its programs need to run as well.
 fn build() -> Result<Environment, String> {
     let environment = r2r::environment()?;
-    match execute(&mut with_libraries(&environment, &format!("build --release {WHOLE} --bins"))) {
+    match execute(&mut with_libraries(&environment, &format!("build --release {BENCH} --bins"))) {
         Outcome::Ok => Ok(environment),
         Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("the build failed: {reason}")),
     }
@@ -114,15 +114,17 @@ pub fn programs() -> String {
     format!("build --locked {WORKSPACE} --bin taut --bin taut-gateway --test component")
 }
 
-/// All of it, the bench included.
-const WHOLE: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features bench";
+/// With the bench.
+const BENCH: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features bench";
 
-fn bridge_cargo(environment: &Environment, arguments: &str) -> Command {
+/// With the bench, and what it needs as the workspace's tests have it.
+pub const WHOLE: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features bench,xtask";
+
+/// With the ROS 2 of this environment, for what shares the workspace's target directory.
+pub fn bridge_cargo(environment: &Environment, arguments: &str) -> Command {
     let mut command = cargo(arguments);
-    // The workspace's target directory, with which it shares all but the bindings; and of the bench's messages, those that it
-    // uses: all of them take minutes.
     command.envs(environment.clone()).env("CARGO_TARGET_DIR", machine::target_dir());
-    command.env("IDL_PACKAGE_FILTER", "std_msgs");
+    command.env("IDL_PACKAGE_FILTER", programs::PACKAGES);
     command
 }
 

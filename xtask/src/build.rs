@@ -35,8 +35,12 @@ pub const WITH_GATEWAY: &str = "package(tautline-gateway)|(package(taut)&binary(
 /// What is compared with a ROS 2.
 pub const WITH_ROS: &str = "binary(ros_hashes)|binary(ros_values)|test(ros::)|test(others_read)";
 
-/// [`WHOLE`] without [`LATER`]. What both build is the same, for xtask's manifest asks for the same features of other packages as what is
-/// left out; [`crate::shared`] checks it.
+/// Packages that ask for the features that all of [`WHOLE`] has of other packages: what is built with them and some package of ours shares
+/// these with [`WHOLE`].
+pub const SAME: &str = "-p xtask-features -p xtask-host-features";
+
+/// [`WHOLE`] without [`LATER`]. What both build is the same, for `xtask-features` asks for the same features of other packages as what is left
+/// out; [`crate::shared`] checks it.
 pub fn most() -> String {
     LATER.iter().fold(WHOLE.to_owned(), |most, package| most + " --exclude " + package)
 }

@@ -85,7 +85,7 @@ fn check(workspace: &Path, command: impl Fn(&str) -> Command) -> Result<(), Stri
     run(colcon("build").args([
         "--cmake-args",
         "-DCMAKE_BUILD_TYPE=Debug",
-        "-DRMW_TAUTLINE_CARGO_ARGS=--features bench",
+        "-DRMW_TAUTLINE_CARGO_ARGS=--features bench,xtask",
     ]))?;
     run(colcon("test").arg("--return-code-on-test-failure"))?;
     run(command("sh").args(["-c", &format!(". install/setup.sh && exec python3 -c \"{INSTALLED}\"")]))

@@ -2,7 +2,7 @@
 //! Runs the targets of `fuzz/`: inputs made up by libFuzzer, under the address sanitizer.
 
 use crate::machine;
-use crate::steps::{Outcome, Steps, announce, cargo, execute};
+use crate::steps::{self, Outcome, Steps, announce, cargo, execute};
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
@@ -32,7 +32,10 @@ pub fn run(runs: u64, targets: &[String]) -> ExitCode {
 /// As [`run`], among other steps.
 pub fn all(steps: &mut Steps, runs: u64, targets: &[&str]) {
     let built = steps.step("fuzz: build", || match cargo_fuzz() {
-        Ok(program) => execute(&mut command(&program, "build")),
+        Ok(program) => match command(&program, "build") {
+            Ok(mut command) => execute(&mut command),
+            Err(reason) => Outcome::Failed(reason),
+        },
         Err(outcome) => outcome.unless_ci(),
     });
     for target in targets {
@@ -52,11 +55,14 @@ fn fuzz(target: &str, runs: u64) -> Outcome {
         Ok(program) => program,
         Err(outcome) => return outcome,
     };
-    let found = target_dir().join("corpus").join(target);
+    let found = machine::target_dir().join("fuzz/corpus").join(target);
     if let Err(error) = fs::create_dir_all(&found) {
         return Outcome::Failed(format!("cannot create {}: {error}", found.display()));
     }
-    let mut command = command(&program, "run");
+    let mut command = match command(&program, "run") {
+        Ok(command) => command,
+        Err(reason) => return Outcome::Failed(reason),
+    };
     command.arg(target).arg(found).arg(machine::root().join("fuzz/corpus").join(target));
     command.args(["--", "-timeout=20", "-print_final_stats=1"]).arg(format!("-runs={runs}"));
     announce(&command);
@@ -98,17 +104,16 @@ fn fuzz(target: &str, runs: u64) -> Outcome {
     }
 }
 
-/// cargo-fuzz with one of its verbs. It asks for options that stable compilers have, too, but keep for nightly ones.
-fn command(program: &PathBuf, verb: &str) -> Command {
+/// cargo-fuzz with one of its verbs. It asks for options that stable compilers have, too, but keep for nightly ones: the compiler is told to take
+/// them, and not cargo, which would build anew what looks at that variable. Macros and build scripts are then those of the workspace.
+fn command(program: &PathBuf, verb: &str) -> Result<Command, String> {
+    let rustc = machine::script("rustc-fuzz", "RUSTC_BOOTSTRAP=1 exec \"$@\"")?;
     let mut command = Command::new(program);
-    command.env("RUSTC_BOOTSTRAP", "1").current_dir(machine::root());
-    // One codegen unit, its default, keeps only one core busy.
-    command.args([verb, "--fuzz-dir", "fuzz", "--codegen-units", "4", "--target-dir"]).arg(target_dir());
-    command
-}
-
-fn target_dir() -> PathBuf {
-    machine::target_dir().join("fuzz")
+    command.env("RUSTC_WRAPPER", rustc).envs(steps::variables()).current_dir(machine::root());
+    // One codegen unit, the default of its release builds, keeps only one core busy.
+    command.args([verb, "--dev", "--fuzz-dir", "fuzz", "--codegen-units", "4", "--target-dir"]);
+    command.arg(machine::target_dir());
+    Ok(command)
 }
 
 /// The program, installed under the target directory if it is not there.

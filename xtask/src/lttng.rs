@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! LTTng for the test that records one run twice: its packages, installed where CI is set.
 
+use crate::build::{SAME, WHOLE};
 use crate::packages;
 use crate::steps::{Outcome, Steps, cargo};
 
@@ -8,7 +9,7 @@ const PACKAGES: [&str; 3] = ["lttng-tools", "liblttng-ust-dev", "babeltrace2"];
 
 /// The feature `lttng` has no warnings, and LTTng records what the rings record.
 pub fn test(steps: &mut Steps) {
-    const NAMES: [&str; 2] = ["lttng: clippy", "lttng: test"];
+    const NAMES: [&str; 3] = ["lttng: clippy", "lttng: clippy of programs", "lttng: test"];
     let mut ready = false;
     steps.step("lttng: packages", || {
         let outcome = packages::prepare(&PACKAGES, present);
@@ -18,9 +19,14 @@ pub fn test(steps: &mut Steps) {
     if !ready {
         return NAMES.iter().for_each(|name| steps.skip(name, "without its packages"));
     }
-    let clippy = "clippy -p tautline-trace -p taut -p tautline-benches --features taut/lttng --all-targets -- -D warnings";
-    steps.command(NAMES[0], &mut cargo(clippy));
-    steps.command(NAMES[1], &mut cargo("test -p taut --features lttng --test lttng -- --nocapture"));
+    let clippy = format!("clippy -p tautline-trace {SAME} --features tautline-trace/lttng --all-targets");
+    steps.command(NAMES[0], &mut cargo(&format!("{clippy} -- -D warnings")));
+    // Of all packages, for what does not depend on the feature has been built so.
+    let programs = "--bin taut --bin trace --test lttng -- -D warnings";
+    let clippy = format!("clippy {WHOLE},taut/lttng,tautline-benches/lttng {programs}");
+    steps.command(NAMES[1], &mut cargo(&clippy));
+    let test = format!("test {WHOLE},taut/lttng --test lttng -- --nocapture");
+    steps.command(NAMES[2], &mut cargo(&test));
 }
 
 /// Whether everything is there; otherwise what is not.

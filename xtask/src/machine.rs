@@ -2,6 +2,7 @@
 //! Where things are built, and what this user may do here.
 
 use std::fs;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -17,6 +18,14 @@ pub fn target_dir() -> PathBuf {
     // <target>/debug/xtask
     let executable = std::env::current_exe().unwrap_or_default();
     executable.ancestors().nth(2).map_or_else(|| root().join("target"), Path::to_owned)
+}
+
+/// Writes a shell script to the target directory.
+pub fn script(name: &str, line: &str) -> Result<PathBuf, String> {
+    let path = target_dir().join(name);
+    let written = fs::write(&path, format!("#!/bin/sh\n{line}\n"))
+        .and_then(|()| fs::set_permissions(&path, fs::Permissions::from_mode(0o755)));
+    written.map(|()| path.clone()).map_err(|error| format!("{}: {error}", path.display()))
 }
 
 /// Whether nothing may be skipped that needs a privilege.

@@ -1,12 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The programs of the test `programs` of `tautline-r2r` on r2r itself: what they expect of Tautline is what they get there.
 
+use crate::bridge::{bridge_cargo, with_libraries};
 use crate::steps::{Outcome, Steps, execute};
 use crate::{machine, r2r};
 use std::process::ExitCode;
 
-/// Those that the programs use; all of them take minutes.
-const PACKAGES: &str = "action_msgs;builtin_interfaces;geometry_msgs;rcl_interfaces;rosgraph_msgs;service_msgs;std_msgs;\
+/// With what they need as the workspace's tests have it.
+pub const WHOLE: &str = "--manifest-path node/r2r/Cargo.toml --locked";
+
+/// Those that the programs use, and the bridge's bench, with which they share a build of r2r; all of them take minutes.
+pub const PACKAGES: &str = "action_msgs;builtin_interfaces;geometry_msgs;rcl_interfaces;rosgraph_msgs;service_msgs;std_msgs;\
     std_srvs;test_msgs;type_description_interfaces;unique_identifier_msgs";
 
 /// `cargo xtask r2r`.
@@ -16,16 +20,17 @@ pub fn run() -> ExitCode {
     steps.finish()
 }
 
-/// Three minutes from cold. Without a network and without a ROS 2 it is left out, but not in CI.
+/// A minute from cold. Without a network and without a ROS 2 it is left out, but not in CI.
 pub fn test(steps: &mut Steps) {
     steps.step("r2r: programs", || {
-        let mut tests = match r2r::cargo("test --locked --no-fail-fast") {
-            Ok(tests) => tests,
+        let environment = match r2r::environment() {
+            Ok(environment) => environment,
             Err(reason) if machine::is_ci() => return Outcome::Failed(reason),
             Err(reason) => return Outcome::Skipped(reason),
         };
-        tests.arg("--manifest-path").arg(machine::root().join("node/r2r/Cargo.toml"));
-        tests.arg("--target-dir").arg(machine::target_dir().join("ros/r2r-programs"));
-        execute(tests.env("IDL_PACKAGE_FILTER", PACKAGES))
+        match execute(&mut with_libraries(&environment, &format!("test {WHOLE} --no-run"))) {
+            Outcome::Ok => execute(&mut bridge_cargo(&environment, &format!("test {WHOLE} --no-fail-fast"))),
+            other => other,
+        }
     });
 }

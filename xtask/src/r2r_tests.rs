@@ -2,7 +2,7 @@
 //! r2r's own tests and examples on Tautline, unchanged: as cargo has them for the bridge, with `r2r` as another name of `tautline-r2r`.
 
 use crate::machine::{self, Scope};
-use crate::steps::{Outcome, Steps, announce};
+use crate::steps::{Outcome, Steps, announce, cargo};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -235,17 +235,12 @@ impl Source {
     fn build(self) -> Result<(BTreeSet<Target>, BTreeMap<Target, PathBuf>), String> {
         let package = machine::target_dir().join("r2r-tests");
         self.write(&package).map_err(|error| format!("{}: {error}", package.display()))?;
-        let mut command = Command::new("cargo");
-        command.args([
-            "build",
-            "--tests",
-            "--examples",
-            "--keep-going",
-            "--message-format=json-render-diagnostics",
-        ]);
+        let mut command =
+            cargo("build --tests --examples --keep-going --message-format=json-render-diagnostics");
         command.arg("--manifest-path").arg(package.join("Cargo.toml"));
-        // Of their own: examples of this workspace have the same names.
+        // Of their own: examples of this workspace have the same names. What they need is the bridge's.
         command.arg("--target-dir").arg(package.join("target"));
+        command.env("CARGO_BUILD_BUILD_DIR", machine::target_dir());
         announce(&command);
         let output = command.stderr(Stdio::inherit()).output().map_err(|error| error.to_string())?;
         let messages = String::from_utf8_lossy(&output.stdout);
@@ -269,12 +264,21 @@ impl Source {
             }
         }
         let root = machine::root();
+        let features = ["xtask-features", "xtask-host-features"].map(|name| {
+            let folder = root.join("xtask").join(name.trim_start_matches("xtask-"));
+            format!("{name} = {{ path = \"{}\" }}\n", folder.display())
+        });
+        // With the bridge's profile: what both need is built once.
+        let bridge = fs::read_to_string(root.join("bridge-ros/Cargo.toml"))?;
+        let profile = bridge.split_once("[profile.dev]").map_or("", |(_, profile)| profile);
         let manifest = format!(
             "[package]\nname = \"r2r-tests\"\nedition = \"{}\"\n\n[workspace]\n\n\
-             [dependencies]\nr2r = {{ package = \"tautline-r2r\", path = \"{}\", features = [\"ros_all\"] }}\n{}",
+             [dependencies]\nr2r = {{ package = \"tautline-r2r\", path = \"{}\", features = [\"ros_all\"] }}\n{}\n\
+             [dev-dependencies]\n{}\n[profile.dev]{profile}",
             self.edition,
             root.join("node/tautline-r2r").display(),
-            self.dependencies
+            self.dependencies,
+            features.concat(),
         );
         fs::write(package.join("Cargo.toml"), manifest)?;
         let script = format!(

@@ -10,7 +10,9 @@ use std::process::{Command, ExitCode};
 
 const LIBRARY: &str = "--manifest-path rmw/Cargo.toml --locked";
 /// With the bench.
-const WHOLE: &str = "--manifest-path rmw/Cargo.toml --locked --features bench";
+const BENCH: &str = "--manifest-path rmw/Cargo.toml --locked --features bench";
+/// With the bench, and what it needs as the workspace's tests have it.
+pub const WHOLE: &str = "--manifest-path rmw/Cargo.toml --locked --features bench,xtask";
 
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
@@ -31,7 +33,7 @@ pub struct Options {
 /// Builds it and its bench, and measures.
 pub fn bench(options: &Options) -> ExitCode {
     let built = r2r::environment().and_then(|environment| {
-        match execute(&mut with_libraries(&environment, &format!("build --release {WHOLE}"))) {
+        match execute(&mut with_libraries(&environment, &format!("build --release {BENCH}"))) {
             Outcome::Ok => Ok(()),
             Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
         }

@@ -1,47 +1,67 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `cargo xtask test` builds a part of what `cargo xtask ci` builds. Cargo takes the one for the other only if each crate in both has the
-//! same features and settings, and so has all that it needs; one feature of a small package that differs builds everything twice.
+//! `cargo xtask test` builds a part of what `cargo xtask ci` builds, and workspaces that are apart need much of the same. Cargo takes the one for
+//! the other only if each crate in both has the same version, features and settings, and so has all that it needs; one feature of a small package
+//! that differs builds everything twice.
 
 use crate::build::{WHOLE, most};
-use crate::machine;
 use crate::steps::{Outcome, cargo};
+use crate::{bridge, machine, programs, rmw};
 use serde_json::Value;
 use std::collections::HashSet;
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-/// Whether all that is built without Zenoh is of use to a build with it; otherwise the packages by which they differ.
+/// Whether all that is built without Zenoh is of use to a build with it, and what is not ours to the workspaces that are apart; otherwise the
+/// packages by which they differ.
 pub fn check() -> Outcome {
-    let graphs = (graph(&most()), graph(WHOLE));
-    let (most, whole) = match graphs {
-        (Ok(most), Ok(whole)) => (most, whole),
-        (Err(reason), _) | (_, Err(reason)) => return Outcome::Failed(reason),
+    let apart = [("bridge-ros", bridge::WHOLE), ("rmw", rmw::WHOLE), ("r2r-programs", programs::WHOLE)];
+    let apart = apart.map(|(name, arguments)| (name, arguments.to_owned()));
+    let parts = [("test", most())].into_iter().chain(apart);
+    let whole = match graph(WHOLE) {
+        Ok(whole) => whole,
+        Err(reason) => return Outcome::Failed(reason),
     };
+    let faults = parts.filter_map(|(name, arguments)| match graph(&arguments) {
+        Ok(part) => compare(name, &part, &whole),
+        Err(reason) => Some(format!("{name}: {reason}")),
+    });
+    match faults.collect::<Vec<_>>().join("; ") {
+        faults if faults.is_empty() => Outcome::Ok,
+        faults => Outcome::Failed(format!(
+            "{faults}. Give xtask/features or xtask/host-features the features that are missing, and Cargo.lock the workspace's versions."
+        )),
+    }
+}
+
+/// What of a part is built anew for the whole, if anything is.
+fn compare(part: &str, units: &[Unit], whole: &[Unit]) -> Option<String> {
     let built: HashSet<u64> = whole.iter().map(|unit| unit.hash).collect();
-    let is_missing = |unit: &&Unit| !built.contains(&unit.hash);
+    let known: HashSet<&str> = whole.iter().map(|unit| &*unit.name).collect();
+    // To another workspace our crates are other ones.
+    let is_apart = part != "test";
+    let is_missing = |unit: &&Unit| {
+        !built.contains(&unit.hash) && !(is_apart && (unit.is_ours || !known.contains(&*unit.name)))
+    };
     // Of what is built twice, that which is so for a reason of its own.
-    let reasons: Vec<String> = most
+    let reasons: Vec<String> = units
         .iter()
         .filter(is_missing)
         .filter(|unit| unit.needs.iter().all(|hash| built.contains(hash)))
         .map(|unit| {
             let others = whole.iter().filter(|other| other.name == unit.name).map(|other| &other.settings);
             let others = others.cloned().collect::<Vec<_>>().join(" or ");
-            format!("{} with {} in `test`, with {others} in `ci`", unit.name, unit.settings)
+            format!("{} with {}, in `ci` with {others}", unit.name, unit.settings)
         })
         .collect();
-    match most.iter().filter(is_missing).count() {
-        0 => Outcome::Ok,
-        count => Outcome::Failed(format!(
-            "{count} of {} crates are built twice: {}. Give xtask/Cargo.toml the features that are missing.",
-            most.len(),
-            reasons.join("; ")
-        )),
-    }
+    let count = units.iter().filter(is_missing).count();
+    (count != 0)
+        .then(|| format!("{part}: {count} of {} crates are built twice: {}", units.len(), reasons.join("; ")))
 }
 
 /// A crate as it is built.
 struct Unit {
+    /// Of its package, without what a compatible version may differ in, and of its target.
     name: String,
+    is_ours: bool,
     settings: String,
     hash: u64,
     /// Hashes of those that it needs.
@@ -64,9 +84,13 @@ fn graph(packages: &str) -> Result<Vec<Unit>, String> {
             let unit = &units[index];
             Ok(Unit {
                 name: name(unit),
+                is_ours: id(unit).starts_with("path+"),
                 settings: format!(
-                    "{} {} {}",
-                    unit["features"], unit["profile"]["debuginfo"], unit["profile"]["opt_level"]
+                    "{} {} {} {}",
+                    version(unit),
+                    unit["features"],
+                    unit["profile"]["debuginfo"],
+                    unit["profile"]["opt_level"]
                 ),
                 hash: hash(units, index, &mut hashes),
                 needs: needs(unit).map(|index| hash(units, index, &mut hashes)).collect(),
@@ -75,10 +99,23 @@ fn graph(packages: &str) -> Result<Vec<Unit>, String> {
         .collect()
 }
 
+fn id(unit: &Value) -> &str {
+    unit["pkg_id"].as_str().unwrap_or_default()
+}
+
+fn version(unit: &Value) -> &str {
+    id(unit).rsplit_once(['#', '@']).map_or("", |(_, version)| version)
+}
+
 fn name(unit: &Value) -> String {
-    let package = unit["pkg_id"].as_str().unwrap_or_default();
+    let package = id(unit).rsplit_once(['#', '@']).map_or(id(unit), |(package, _)| package);
     let package = package.rsplit_once(['#', '/']).map_or(package, |(_, name)| name);
-    format!("{package} ({} {})", unit["target"]["name"], unit["mode"])
+    let mut numbers = version(unit).split('.');
+    let series = match (numbers.next().unwrap_or_default(), numbers.next()) {
+        ("0", Some(minor)) => format!("0.{minor}"),
+        (major, _) => major.to_owned(),
+    };
+    format!("{package} {series} ({} {})", unit["target"]["name"], unit["mode"])
 }
 
 fn needs(unit: &Value) -> impl Iterator<Item = usize> {

@@ -90,6 +90,11 @@ pub fn build_with(variables: Vec<(&'static str, String)>) {
     let _ = VARIABLES.set(variables);
 }
 
+/// Those that [`build_with`] was given, for what is no command of cargo's.
+pub fn variables() -> impl Iterator<Item = (&'static str, String)> {
+    VARIABLES.get().into_iter().flatten().cloned()
+}
+
 /// Whether cargo writes down where the time of a build goes.
 static TIMINGS: OnceLock<()> = OnceLock::new();
 
@@ -112,7 +117,7 @@ pub fn cargo(arguments: &str) -> Command {
     if arguments.split(' ').any(|word| word == "--") {
         command.arg("--").args(words);
     }
-    command.envs(VARIABLES.get().into_iter().flatten().cloned());
+    command.envs(variables());
     command
 }
 

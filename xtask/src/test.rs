@@ -2,7 +2,7 @@
 //! `cargo xtask test`: what is run before each commit. Everything is of one build, that of the tests; what needs another one, a ROS 2,
 //! Zenoh or several hosts is in [`ci`](crate::ci).
 
-use crate::build::{Build, WITH_GATEWAY, WITH_ROS, most};
+use crate::build::{Build, SAME, WITH_GATEWAY, WITH_ROS, most};
 use crate::reports::{check_ablation, check_demo};
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{examples, machine, machine::Scope, r2r};
@@ -70,15 +70,17 @@ fn demo(steps: &mut Steps, built: bool) {
     }
 }
 
-/// Models of what has no lock, in every order within their bounds. In a target directory of its own: the flag would rebuild everything in
-/// the other one.
+/// Models of what has no lock, in every order within their bounds. Our crates alone are built with the flag, which in `RUSTFLAGS` would build all
+/// others anew, too.
 fn loom(steps: &mut Steps) {
     const PACKAGES: [&str; 5] =
         ["tautline-doorbell", "tautline-rt", "tautline-tf", "tautline-trace", "tautline-transport"];
     let packages = PACKAGES.map(|package| format!(" -p {package}")).concat();
-    let mut command = cargo(&format!("test{packages} --lib loom"));
-    command.env("RUSTFLAGS", "--cfg taut_loom").env("CARGO_TARGET_DIR", machine::target_dir().join("loom"));
-    steps.command("loom", &mut command);
+    let mut command = cargo(&format!("test{packages} {SAME} --lib loom"));
+    steps.step("loom", || match machine::script("rustc-loom", "exec \"$@\" --cfg taut_loom") {
+        Ok(rustc) => execute(command.env("RUSTC_WORKSPACE_WRAPPER", rustc)),
+        Err(reason) => Outcome::Failed(reason),
+    });
 }
 
 /// All processes have ended: nothing is left of them.

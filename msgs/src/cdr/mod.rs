@@ -30,6 +30,7 @@ pub use fill::{
     sized_len,
 };
 #[cfg(feature = "sizes_of_values")]
+#[doc(hidden)]
 pub use fill::{Leaked, SizeSource, size_list};
 #[doc(hidden)]
 pub use form::read_one_by_one;

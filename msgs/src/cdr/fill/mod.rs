@@ -17,6 +17,7 @@ pub use carver::Carver;
 pub use elements::Elements;
 pub use numbers::{Field, Slice};
 #[cfg(feature = "sizes_of_values")]
+#[doc(hidden)]
 pub use sizes::{Leaked, SizeSource, size_list};
 pub use text::{Text, WText};
 
@@ -39,23 +40,27 @@ pub trait Fill: Form {
 
     crate::sizes_of_values! {
         /// The sizes of a value, for tests: what they refer to is never freed.
+        #[doc(hidden)]
         fn sizes_of(value: &Self::Value) -> Self::Sizes<'static> {
             Self::sizes_from(Some(value), &mut crate::cdr::Leaked)
         }
 
         /// The sizes that `source` says, for tests.
+        #[doc(hidden)]
         fn sizes_from<'s>(
             value: Option<&Self::Value>,
             source: &mut impl crate::cdr::SizeSource<'s>,
         ) -> Self::Sizes<'s>;
 
         /// As [`sizes_from`](Self::sizes_from), for a sequence.
+        #[doc(hidden)]
         fn list_sizes_from<'s>(
             values: Option<&[Self::Value]>,
             source: &mut impl crate::cdr::SizeSource<'s>,
         ) -> Self::ListSizes<'s>;
 
         /// As [`sizes_from`](Self::sizes_from), for an array.
+        #[doc(hidden)]
         fn array_sizes_from<'s>(
             values: Option<&[Self::Value]>,
             source: &mut impl crate::cdr::SizeSource<'s>,
