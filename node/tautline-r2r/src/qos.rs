@@ -286,3 +286,39 @@ impl Default for QosProfile {
         QosProfile::default()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn profiles_are_the_qos_that_they_say() {
+        let ms = Duration::from_millis;
+        for (profile, expected) in [
+            (QosProfile::default(), Qos::default()),
+            (QosProfile::system_default(), Qos::keep_last(10)),
+            (QosProfile::sensor_data(), Qos::sensor_data()),
+            (QosProfile::parameters(), Qos::parameters()),
+            (QosProfile::parameter_events(), Qos::parameter_events()),
+            (QosProfile::services_default(), Qos::services_default()),
+            (QosProfile::default().keep_last(0), Qos::keep_last(10)),
+            (QosProfile::default().keep_all(), Qos::keep_all(100)),
+            (QosProfile::default().keep_all().depth(3), Qos::keep_all(3)),
+            (
+                QosProfile::default().transient_local().best_effort(),
+                Qos::default().transient_local().best_effort(),
+            ),
+            (
+                QosProfile::default().deadline(ms(1)).lifespan(ms(2)).liveliness_lease_duration(ms(3)),
+                Qos::default().deadline(ms(1)).lifespan(ms(2)).liveliness_lease_duration(ms(3)),
+            ),
+            (
+                QosProfile::default().liveliness(LivelinessPolicy::ManualByTopic),
+                Qos::default().liveliness(Liveliness::ManualByTopic),
+            ),
+        ] {
+            assert_eq!(Qos::from(profile), expected, "{profile:?}");
+            assert_eq!(Qos::from(QosProfile::from(expected)), expected);
+        }
+    }
+}
