@@ -221,6 +221,26 @@ fn circle_of_triggers() {
 }
 
 #[test]
+fn the_greatest_input_is_kept_and_changes_no_bound() {
+    let with_input = |value: &str| with("wcet = \"2ms\"", &format!("wcet = \"2ms\"\ninput_max = {value}"));
+    let [plain, stated] = [GOOD, &with_input("65_536")].map(|text| SystemFile::parse(text).unwrap().check());
+    let sizes: Vec<_> = stated.callbacks.iter().map(|callback| callback.entry.input_max).collect();
+    assert_eq!(sizes, [Some(65_536), None, None]);
+    let bounds = |checked: &CheckedSystem| -> Vec<_> {
+        checked.callbacks.iter().map(|c| c.response_overhead_ns).collect()
+    };
+    assert_eq!(bounds(&plain), bounds(&stated));
+    for (value, problem) in [
+        ("0", "`input_max` of callback `scan` is 0, out of range: set it to 1 or more"),
+        ("-5", "`input_max` of callback `scan` is -5, out of range"),
+        ("1.5", "`input_max` must be a whole number, not a number with a fraction"),
+        ("\"64 KiB\"", "`input_max` must be a whole number, not a string"),
+    ] {
+        expect(&with_input(value), &[(14, problem)]);
+    }
+}
+
+#[test]
 fn period_of_zero() {
     expect(
         &with("period = \"10ms\"", "period = \"0ms\""),

@@ -144,6 +144,7 @@ impl Running {
         }
         let done = self.done.0.clone();
         let work = move |work: Sample<Work>| {
+            tautline::set_input_size(work.burn_ns);
             clock::burn_cpu(Duration::from_nanos(work.burn_ns));
             done.send(()).unwrap();
             async {}
@@ -353,6 +354,106 @@ fn execution_times_are_fitted_and_written_with_their_source() {
         assert_eq!(refused.status.code(), Some(2));
         assert!(text(&refused.stderr).contains(words), "{refused:?}");
     }
+}
+
+#[test]
+fn execution_times_are_fitted_by_the_size_of_the_input() {
+    let scratch = Scratch::new("sizes");
+    let system = scratch.write("system.toml", SYSTEM);
+    let mut running = Running::start(58, Realtime::Off, &system);
+    running.handle("fine", 1, &releases(1, PERIOD, LITTLE));
+    running.handle("other", 1, &releases(1, PERIOD, LITTLE));
+    let path = scratch.0.join("run.json");
+    let path = path.to_str().unwrap();
+    assert_eq!(taut(&["--domain", "58", "--save", path]).status.code(), Some(0));
+    drop(running);
+
+    // The callback says how long it is told to work: that went through the statistics' file.
+    let mut run: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let fine = run["processes"][0]["callbacks"].as_array_mut().unwrap();
+    let fine = fine.iter_mut().find(|of| of["name"] == "fine").unwrap();
+    let [class] = fine["inputs"].as_array().unwrap().as_slice() else { panic!("{fine}") };
+    let (jobs, least) = (&class["jobs"], &class["least"]);
+    assert_eq!((jobs, least, &class["max_ns"]), (&1.into(), &1_000_000.into(), &fine["execution"]["max_ns"]));
+    assert!(
+        text(&taut(&[path, "--wcet"]).stdout)
+            .contains("fine: no line, for all inputs were of about one size")
+    );
+
+    // 0.2 ms and 2 us for each unit, at most: 1.2 ms for 500, 2.2 ms for 1000.
+    let class = |least: u64, greatest: u64, max_ns: u64| {
+        serde_json::json!({
+            "jobs": 700, "least": least, "greatest": greatest, "max_ns": max_ns, "size_of_max": least, "longest_ns": vec![max_ns; 64],
+        })
+    };
+    fine["inputs"] = serde_json::json!([
+        class(500, 500, 1_200_000),
+        class(750, 760, 1_300_000),
+        class(1000, 1000, 2_200_000)
+    ]);
+    fine["execution"] = serde_json::json!({"sum_ns": 0, "max_ns": 2_200_000, "buckets": [[2_200_000, 2100]]});
+    fine["completions"] = 2100.into();
+    let others = run["processes"][0]["callbacks"].as_array_mut().unwrap().iter_mut();
+    others
+        .filter(|of| of["name"] != "fine")
+        .for_each(|of| drop(of.as_object_mut().unwrap().remove("inputs")));
+    std::fs::write(path, run.to_string()).unwrap();
+    let fits = json(&taut(&[path, "--wcet", "--json"]));
+    let fine = &fits["callbacks"][0];
+    assert_eq!(fine["line"], serde_json::json!({"fixed_ms": 0.2, "per_unit_ms": 0.002}));
+    assert_eq!((&fine["sizes"][1]["greatest"], &fine["sizes"][1]["max_ms"]), (&760.into(), &1.3.into()));
+    assert_eq!(fine["sizes"][1]["no_estimate"], "for it takes 10000 jobs");
+    assert_eq!((&fine["needed_wcet_ms"], &fine["input_max"]), (&2.2.into(), &Value::Null));
+    let shown = text(&taut(&[path, "--wcet"]).stdout).replace('\n', " ");
+    assert!(
+        shown.contains("no job used more than 200us + 2us * size") && shown.contains("750 to 760"),
+        "{shown}"
+    );
+    assert!(shown.contains("with `input_max = 1000` or more in the file"), "{shown}");
+
+    // What the file states is computed for the largest input that it allows.
+    let stated = |input_max: u64| {
+        let text = SYSTEM.replacen("wcet = \"20s\"", &format!("wcet = \"1ms\"\ninput_max = {input_max}"), 1);
+        let file = scratch.write("stated.toml", &text).to_str().unwrap().to_owned();
+        (taut(&[path, "--system", &file, "--wcet", "--write"]), std::fs::read_to_string(&file).unwrap(), file)
+    };
+    let (output, written, file) = stated(4000);
+    assert_eq!(output.status.code(), Some(0), "{output:?}");
+    assert!(text(&output.stdout).replace('\n', " ").contains("no input above 1000 was seen"), "{output:?}");
+    let line = written.lines().find(|line| line.contains("measured")).unwrap();
+    assert!(line.starts_with("wcet = \"8.2ms\" # measured 20"), "{line}");
+    assert!(
+        line.contains(
+            "200us + 2us * size for sizes to 1000 (1 in 1000000 above at 0 of 3 sizes, 95 %), of which 4000"
+        ),
+        "{line}"
+    );
+    let checked = Command::new(env!("CARGO_BIN_EXE_taut")).args(["check", &file]).output().unwrap();
+    assert!(text(&checked.stdout).contains("wcet holds of fine for inputs up to 4000."), "{checked:?}");
+
+    // Larger ones were seen than it allows: less than what was seen is not written, and it stays violated.
+    let (output, written, file) = stated(600);
+    assert_eq!(output.status.code(), Some(1), "{output:?}");
+    assert!(written.contains("wcet = \"2.2ms\" # measured"), "{written}");
+    let report = json(&taut(&[path, "--system", &file, "--json"]));
+    // How long its one real job took is the machine's affair.
+    let found = violations(&report, "fine");
+    assert!(found[0] == "input too large" && !found.contains(&"wcet exceeded".to_owned()), "{found:?}");
+    let output = taut(&[path, "--system", &file, "--wcet"]);
+    assert_eq!(output.status.code(), Some(1));
+    let shown = text(&output.stdout).replace('\n', " ");
+    assert!(shown.contains("the input of a job had the size 1000, the file allows `input_max = 600` (exceeded 1400 times in 2100 jobs"), "{shown}");
+    assert!(shown.contains("set `input_max = 1000` or more"), "{shown}");
+
+    // `other` states no sizes.
+    let silent = scratch.write("silent.toml", &format!("{SYSTEM}input_max = 5\n"));
+    let output = taut(&[path, "--system", silent.to_str().unwrap(), "--wcet"]);
+    assert!(
+        text(&output.stdout)
+            .replace('\n', " ")
+            .contains("other: the file states `input_max`, but its jobs state no sizes"),
+        "{output:?}"
+    );
 }
 
 /// The member of a JSON object.

@@ -256,10 +256,16 @@ impl Executor {
             let (measured, future) =
                 make(Measured { stats: thread_stats, watch, stopwatch, holder, account });
             let (control, queue) = (Arc::clone(&thread_control), Cell::default());
-            let announced = Cell::default();
-            let thread =
-                CallbackThread { measured, control, busy, parker: parker.clone(), queue, trace, announced };
-            hot::enter(thread);
+            hot::enter(CallbackThread {
+                measured,
+                control,
+                busy,
+                parker: parker.clone(),
+                queue,
+                input_size: Cell::default(),
+                trace,
+                announced: Cell::default(),
+            });
             let mut pool = LocalPool::new();
             let waiting = match parker {
                 _ if busy => Waiting::Busy,

@@ -84,7 +84,7 @@ impl ForeignCallback {
     pub fn end(&self, release_ns: u64) {
         let response_ns = monotonic_ns().saturating_sub(release_ns);
         let execution_ns = self.measures_execution.then(|| STOPWATCH.with(Stopwatch::lap));
-        self.stats.lock().complete(&Job { release_ns, response_ns, execution_ns });
+        self.stats.lock().complete(&Job { release_ns, response_ns, execution_ns, input_size: None });
     }
 
     /// What its queue was found to be.

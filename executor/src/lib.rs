@@ -56,6 +56,6 @@ pub use registry::ThreadRegistration;
 pub use settings::CallbackSettings;
 pub use stats::{
     Admitted, Bucket, CallbackSnapshot, CallbackStats, ForeignStatistics, Histogram, HistogramSnapshot,
-    Moment, MomentKind, Order, Orders, ProcessInfo, ProcessSnapshot, StatisticsFile,
+    Moment, MomentKind, Order, Orders, ProcessInfo, ProcessSnapshot, SizeClass, StatisticsFile,
 };
 pub use tautline_rt::{CoreSet, Policy, Realtime};

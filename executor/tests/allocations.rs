@@ -171,6 +171,7 @@ fn waking_and_polling_a_callback() {
                 heard = std::task::ready!(callback_bell.poll(heard, cx));
                 job = Some(job::begin(0));
                 job::note_queue(job::QueueState { lost: 1, max_queue: heard, depth: 10 });
+                job::set_input_size(1 << (heard % 64));
                 callback_bell.answer();
             }
         });
@@ -180,6 +181,9 @@ fn waking_and_polling_a_callback() {
         assert!(callback.stats().completions() >= CYCLES);
         let seen = callback.stats().snapshot().unwrap();
         assert_eq!((seen.accounts_core_time, seen.older_moments >= CYCLES - 128), (accounts, accounts));
+        let jobs: u64 = seen.inputs.iter().map(|class| class.jobs).sum();
+        let measured = seen.measures_execution;
+        assert_eq!((jobs >= CYCLES, seen.inputs.len()), (measured, if measured { 32 } else { 0 }));
         assert!(told.load(Ordering::Relaxed) >= limits * CYCLES);
         executor.shutdown().unwrap();
     }

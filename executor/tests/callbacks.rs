@@ -15,7 +15,8 @@ use common::{Log, cores, realtime};
 use futures::task::AtomicWaker;
 use futures::{Stream, StreamExt, channel::oneshot};
 use tautline_executor::{
-    CallbackOptions, CoreSet, Executor, ExecutorError, Policy, Realtime, job, stop_requested,
+    CallbackGroup, CallbackOptions, CallbackStats, CoreSet, Executor, ExecutorError, Policy, Realtime, job,
+    stop_requested,
 };
 use tautline_rt::{clock, current_policy, threads};
 
@@ -252,7 +253,37 @@ fn a_plain_for_each_is_measured() {
 }
 
 #[test]
+fn an_input_size_is_that_of_the_job_that_stated_it() {
+    let executor = Executor::new(Realtime::Off);
+    let mut sizes = [Some(3), None, Some(700), Some(3)].into_iter();
+    let jobs = Measured { left: 4, job: None }.for_each(move |()| {
+        sizes.next().flatten().into_iter().for_each(job::set_input_size);
+        async {}
+    });
+    let callback = executor.spawn_callback(CallbackOptions::other(), jobs).unwrap();
+    let alone = callback.stats().clone();
+    // Each member of a group has its own.
+    let mut group = CallbackGroup::new();
+    let member = group.add(
+        CallbackOptions::other(),
+        futures::stream::iter([5, 5, 900]),
+        |_| 0,
+        |size| async move { job::set_input_size(size) },
+    );
+    let silent = group.add(CallbackOptions::other(), futures::stream::iter([1]), |_| 0, |_| async {});
+    let group = executor.spawn_group(CallbackOptions::other(), group).unwrap();
+    callback.join().unwrap();
+    group.join().unwrap();
+    let seen = |stats: &CallbackStats| -> Vec<_> {
+        stats.snapshot().unwrap().inputs.iter().map(|class| (class.least, class.jobs)).collect()
+    };
+    assert_eq!((seen(&alone), alone.completions()), (vec![(3, 2), (700, 1)], 4));
+    assert_eq!((seen(&member), seen(&silent)), (vec![(5, 2), (900, 1)], vec![]));
+}
+
+#[test]
 fn outside_a_callback_thread_jobs_are_nothing() {
     job::begin(0).finish();
+    job::set_input_size(1);
     assert!(!tautline_executor::busy_polling());
 }

@@ -121,7 +121,7 @@ pub use tautline_executor::{
     Admitted, Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats,
     CoreSet, DeadlineMiss, ExecutorError, ForeignStatistics, Handler, Histogram, HistogramSnapshot,
     MemberOptions, Moment, MomentKind, Order, Orders, Overrun, OverrunPolicy, Panic, Policy, ProcessInfo,
-    ProcessSnapshot, Realtime, StatisticsFile, Watch, assign,
+    ProcessSnapshot, Realtime, SizeClass, StatisticsFile, Watch, assign, job::set_input_size,
 };
 /// Callbacks that wait for several topics.
 pub use tautline_join as join;

@@ -322,6 +322,7 @@ impl Union {
                 publishes: Vec::new(),
                 depth: None,
                 deadline_ns,
+                input_max: None,
                 tasks: index..index + 1,
             });
             self.callbacks.push((origin, 0));

@@ -311,6 +311,7 @@ impl Builder<'_> {
             publishes: declared.publishes.iter().map(|topic| topic.value.clone()).collect(),
             depth: depths.map(|depth| depth.value).min(),
             deadline_ns: callbacks[tasks.start].task.deadline_ns,
+            input_max: declared.input_max,
             window_ns: declared.all.and_then(|_| Some(declared.window.as_ref()?.value)),
             joins: declared.all.is_some(),
             overrun: declared.overrun.as_ref().map_or(OverrunPolicy::Tell, |overrun| overrun.value),

@@ -75,6 +75,7 @@ pub(super) struct Callback {
     /// Whether the file says anything of a trigger, be it wrong.
     pub triggered: bool,
     pub wcet: Option<At<u64>>,
+    pub input_max: Option<u64>,
     pub bcet: Option<At<u64>>,
     pub deadline: Option<At<u64>>,
     pub jitter: Option<At<u64>>,

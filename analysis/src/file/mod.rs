@@ -94,6 +94,8 @@ pub struct CallbackEntry {
     pub depth: Option<u64>,
     /// Latest end wanted, in nanoseconds after the arrival of the message, or after the nominal release of a period.
     pub deadline_ns: u64,
+    /// The greatest size of an input that its wcet holds for, as its jobs state it; `None`: any.
+    pub input_max: Option<u64>,
     /// Its tasks in [`SystemFile::system`]: one for each way that messages reach it; if it joins, before them the one that runs when
     /// all are there.
     pub tasks: Range<usize>,

@@ -254,6 +254,7 @@ fn callback(name: String, mut section: Section<'_>, problems: &mut Collector) ->
         period: section.positive_time("period", problems),
         triggered: section.has("topic") || section.has("all") || section.has("period"),
         wcet: section.positive_time("wcet", problems),
+        input_max: input_max(&mut section, problems),
         bcet: section.time("bcet", problems),
         deadline: section.positive_time("deadline", problems),
         jitter: section.time("jitter", problems),
@@ -272,6 +273,19 @@ fn callback(name: String, mut section: Section<'_>, problems: &mut Collector) ->
     };
     section.finish(problems);
     callback
+}
+
+fn input_max(section: &mut Section<'_>, problems: &mut Collector) -> Option<u64> {
+    let size = section.integer("input_max", problems)?;
+    let value = u64::try_from(size.value).ok().filter(|size| *size > 0);
+    if value.is_none() {
+        let message = format!(
+            "`input_max` of {} is {}, out of range: set it to 1 or more, the greatest size that the callback states of its input",
+            section.title, size.value
+        );
+        problems.add(size.at, message);
+    }
+    value
 }
 
 fn chain(mut section: Section<'_>, problems: &mut Collector) -> Chain {

@@ -32,6 +32,8 @@ struct Callback<'a> {
     reservation: Option<Reservation>,
     period_ms: f64,
     wcet_ms: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    input_max: Option<u64>,
     response_ms: Option<f64>,
     response_overhead_ms: Option<f64>,
     deadline_ms: f64,
@@ -98,6 +100,7 @@ pub fn write(
         }),
         period_ms: ms(callback.period_ns),
         wcet_ms: ms(callback.wcet_ns),
+        input_max: callback.entry.input_max,
         response_ms: callback.response_ns.map(ms),
         response_overhead_ms: callback.response_overhead_ns.map(ms),
         deadline_ms: ms(callback.entry.deadline_ns),

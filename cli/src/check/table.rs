@@ -46,6 +46,18 @@ fn write_stalls(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()>
     writeln!(out, "Queues outlast {stalls}: {deeper} of {all} capacities are larger for it.")
 }
 
+/// Which execution times hold for inputs of some size only.
+fn write_inputs(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
+    let of_one = |callback: &CheckedCallback| {
+        Some(format!("{} for inputs up to {}", callback.entry.name, callback.entry.input_max?))
+    };
+    let stated: Vec<_> = checked.callbacks.iter().filter_map(of_one).collect();
+    if stated.is_empty() {
+        return Ok(());
+    }
+    writeln!(out, "wcet holds of {}.", stated.join(", "))
+}
+
 /// Writes all there is to know; lines that fail are red.
 pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let several = checked.cores.iter().any(|core| core.host != checked.cores[0].host);
@@ -84,6 +96,7 @@ pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let rows = checked.callbacks.iter().map(|callback| (callback.met, row(callback)));
     write_table(&head, 3, rows.collect(), out)?;
     write_stalls(checked, out)?;
+    write_inputs(checked, out)?;
     if !checked.chains.is_empty() {
         writeln!(out)?;
         let rows = checked.chains.iter().map(|chain| {

@@ -9,6 +9,10 @@ use super::host::Share;
 use super::run::{Callback, Process, Run};
 use super::verdict::Mark;
 
+/// Marks that `--wcet` tells of, too.
+pub const INPUT_TOO_LARGE: &str = "input too large";
+pub const WCET_EXCEEDED: &str = "wcet exceeded";
+
 /// A time as the system file writes it, to the microsecond or closer.
 struct Time(u64);
 
@@ -127,6 +131,23 @@ pub fn wrong_core(predicted: &CheckedCallback, seen: &Callback) -> Mark {
     mark("wrong core", text)
 }
 
+pub fn input_too_large(seen: &Callback, greatest: u64, most: u64) -> Mark {
+    // Of a class that holds the limit it is not known which jobs were above it.
+    let above = seen
+        .inputs
+        .iter()
+        .filter(|class| class.least > most)
+        .fold(0u64, |sum, class| sum.saturating_add(class.jobs));
+    let text = format!(
+        "the input of a job had the size {greatest}, the file allows `input_max = {most}` (exceeded {} in {} jobs, at least): set \
+         `input_max = {greatest}` or more, then `taut report --wcet --write` computes the `wcet` for it, and run `taut check`; or give \
+         the callback less at once",
+        times(above.max(1)),
+        seen.completions
+    );
+    mark(INPUT_TOO_LARGE, text)
+}
+
 pub fn wcet_exceeded(predicted: &CheckedCallback, seen: &Callback, used_ns: u64, how_often: u64) -> Mark {
     let CheckedCallback { wcet_ns, charged_ns, .. } = *predicted;
     let overheads_ns = charged_ns - wcet_ns;
@@ -155,7 +176,7 @@ pub fn wcet_exceeded(predicted: &CheckedCallback, seen: &Callback, used_ns: u64,
         seen.completions,
         quoted(used_ns.saturating_sub(overheads_ns)),
     );
-    mark("wcet exceeded", text)
+    mark(WCET_EXCEEDED, text)
 }
 
 pub fn period_not_kept(predicted: &CheckedCallback, distance_ns: u64, least_ns: u64) -> Mark {

@@ -91,6 +91,20 @@ pub struct Callback {
     /// How many older ones there were.
     #[serde(default)]
     pub older_moments: u64,
+    /// Execution times by the size of the input, if its jobs state it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub inputs: Vec<SizeClass>,
+}
+
+/// As `tautline::SizeClass`.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct SizeClass {
+    pub jobs: u64,
+    pub least: u64,
+    pub greatest: u64,
+    pub max_ns: u64,
+    pub size_of_max: u64,
+    pub longest_ns: Vec<u64>,
 }
 
 /// A histogram: the least value and the count of each bucket that is not empty.
@@ -216,6 +230,7 @@ impl Callback {
             accounts_core_time: of.accounts_core_time,
             moments: of.moments.iter().map(Moment::from).collect(),
             older_moments: of.older_moments,
+            inputs: of.inputs.iter().map(SizeClass::from).collect(),
         }
     }
 
@@ -224,10 +239,22 @@ impl Callback {
         self.response.max_ns().max(self.unfinished_ns)
     }
 
+    /// The greatest size of an input; `None` if its jobs state none.
+    pub fn greatest_input(&self) -> Option<u64> {
+        self.inputs.iter().map(|class| class.greatest).max()
+    }
+
     /// The mean time between two releases.
     pub fn mean_distance_ns(&self) -> Option<u64> {
         let steps = self.releases.checked_sub(1).filter(|steps| *steps > 0)?;
         Some(self.last_release_ns.saturating_sub(self.first_release_ns) / steps)
+    }
+}
+
+impl From<&tautline::SizeClass> for SizeClass {
+    fn from(of: &tautline::SizeClass) -> SizeClass {
+        let tautline::SizeClass { jobs, least, greatest, max_ns, size_of_max, ref longest_ns } = *of;
+        SizeClass { jobs, least, greatest, max_ns, size_of_max, longest_ns: longest_ns.clone() }
     }
 }
 

@@ -229,6 +229,11 @@ fn violations(
             marks.push(explain::wrong_core(predicted, seen));
         }
     }
+    if let (Some(most), Some(greatest)) = (predicted.entry.input_max, seen.greatest_input())
+        && greatest > most
+    {
+        marks.push(explain::input_too_large(seen, greatest, most));
+    }
     if let Some(used_ns) = seen.execution.max_ns().filter(|used| *used > predicted.charged_ns) {
         let times = match seen.budget_ns {
             Some(budget_ns) if budget_ns == predicted.charged_ns => seen.overruns,

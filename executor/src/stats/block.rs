@@ -8,12 +8,14 @@ use tautline_rt::{ThreadInfo, Words};
 
 use super::file::Place;
 use super::histogram::{HISTOGRAM_WORDS, Histogram, HistogramSnapshot};
+use super::inputs::{INPUT_WORDS, Inputs, SizeClass};
 use super::moments::{MOMENT_WORDS, Moment, Moments};
 
-/// Counters and settings, then the name; then two histograms and the moments.
+/// Counters and settings, then the name; then two histograms, the moments, and the classes of input sizes.
 pub(crate) const HEAD_WORDS: usize = 64;
 const MOMENTS_AT: usize = HEAD_WORDS + 2 * HISTOGRAM_WORDS;
-pub(crate) const BLOCK_WORDS: usize = MOMENTS_AT + MOMENT_WORDS;
+const INPUTS_AT: usize = MOMENTS_AT + MOMENT_WORDS;
+pub(crate) const BLOCK_WORDS: usize = INPUTS_AT + INPUT_WORDS;
 const NAME_WORDS: usize = 32;
 
 /// What each word of the head is. Zeros are a callback that has done nothing.
@@ -65,6 +67,7 @@ pub(crate) struct Block {
     pub response: Histogram,
     pub execution: Histogram,
     pub moments: Moments,
+    pub inputs: Inputs,
     /// Its place in a file, if it has one: dropped after the words have been left.
     _place: Option<Place>,
 }
@@ -85,7 +88,8 @@ impl Block {
         let response = Histogram::within(Arc::clone(&words), HEAD_WORDS);
         let execution = Histogram::within(Arc::clone(&words), HEAD_WORDS + HISTOGRAM_WORDS);
         let moments = Moments::within(Arc::clone(&words), MOMENTS_AT);
-        Block { words, response, execution, moments, _place: place }
+        let inputs = Inputs::within(Arc::clone(&words), INPUTS_AT);
+        Block { words, response, execution, moments, inputs, _place: place }
     }
 
     pub fn head(&self) -> Option<&[AtomicU64; HEAD_WORDS]> {
@@ -186,6 +190,8 @@ pub struct CallbackSnapshot {
     pub moments: Vec<Moment>,
     /// How many older ones there were.
     pub older_moments: u64,
+    /// Execution times by the size of the input, in ascending order of sizes: at most 32 classes; none if the callback states no sizes.
+    pub inputs: Vec<SizeClass>,
 }
 
 impl CallbackSnapshot {
@@ -225,6 +231,7 @@ impl CallbackSnapshot {
             execution: histogram(HEAD_WORDS + HISTOGRAM_WORDS),
             moments,
             older_moments,
+            inputs: Inputs::of_words(words.get(INPUTS_AT..INPUTS_AT + INPUT_WORDS).unwrap_or(&[])),
         }
     }
 }

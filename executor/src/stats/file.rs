@@ -12,7 +12,7 @@ use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, put_text, sta
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautstat");
 /// Of the layout here and in `block.rs`.
-const VERSION: u64 = 5;
+const VERSION: u64 = 6;
 const HEADER_WORDS: usize = 864;
 
 /// What each word of the header is.
@@ -498,5 +498,12 @@ mod tests {
         words[header::VERSION].store(VERSION, Ordering::Relaxed);
         words[header::PLACES].store(u64::MAX, Ordering::Relaxed);
         assert!(read().unwrap().unwrap().callbacks.is_empty(), "more places than the file holds");
+        let place = file.map(place(0, page_words()), BLOCK_WORDS).unwrap();
+        place.iter().for_each(|word| word.store(u64::MAX, Ordering::Relaxed));
+        place[word::STATE].store(state::RUNNING, Ordering::Relaxed);
+        let callbacks = read().unwrap().unwrap().callbacks;
+        assert_eq!((callbacks.len(), callbacks[0].inputs.len()), (1, 32), "any words are a callback");
+        words[header::VERSION].store(VERSION - 1, Ordering::Relaxed);
+        assert!(read().unwrap_err().to_string().contains("not statistics of this version"));
     }
 }

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering, fence};
 
 use super::block::{self, word};
 use super::histogram::{Histogram, bucket_of};
+use super::inputs::{Inputs, class_of};
 use super::moments::{self, Moment, MomentKind, Moments};
 use super::{CallbackStats, DeadlineMiss, Job, Overrun, QueueState, Watch};
 
@@ -48,6 +49,49 @@ impl Moments {
         }
         // Release: the entry is whole when the count is seen.
         written.store(number + 1, Ordering::Release);
+    }
+}
+
+impl Inputs {
+    /// Counts a job with an input of this size. Only one thread may record.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn record(&self, size: u64, ns: u64) {
+        let load = |word: &AtomicU64| word.load(Ordering::Relaxed);
+        let (low, high) = class_of(size);
+        let mut nearest = None;
+        for row in self.rows() {
+            let [jobs, least, greatest, ..] = row;
+            // Of a row with sizes of this class, and of one that is free, nothing.
+            let distance = match load(jobs) {
+                0 => 0,
+                _ => load(least).saturating_sub(high).max(low.saturating_sub(load(greatest))),
+            };
+            if nearest.is_none_or(|(least, _)| distance < least) {
+                nearest = Some((distance, row));
+            }
+            if distance == 0 {
+                break;
+            }
+        }
+        let Some((_, [jobs, least, greatest, max, size_of_max, longest @ ..])) = nearest else { return };
+        let before = load(jobs);
+        if before == 0 || size < load(least) {
+            least.store(size, Ordering::Relaxed);
+        }
+        if size > load(greatest) {
+            greatest.store(size, Ordering::Relaxed);
+        }
+        if before == 0 || ns > load(max) {
+            max.store(ns, Ordering::Relaxed);
+            size_of_max.store(size, Ordering::Relaxed);
+        }
+        if let Some(shortest) = longest.iter().min_by_key(|word| load(word)).filter(|word| ns > load(word)) {
+            shortest.store(ns, Ordering::Relaxed);
+        }
+        // Release: whoever sees the count sees sizes and a maximum that cover the job.
+        jobs.store(before.wrapping_add(1), Ordering::Release);
     }
 }
 
@@ -105,6 +149,9 @@ impl CallbackStats {
         }
         if let Some(ns) = job.execution_ns {
             block.execution.record(ns);
+            if let Some(size) = job.input_size {
+                block.inputs.record(size, ns);
+            }
             if ns > budget_ns {
                 verdict.over_ns = Some(budget_ns);
                 add(&head[word::OVERRUNS], 1);
@@ -150,7 +197,7 @@ pub(crate) struct Verdict {
 impl Watch {
     /// Calls the handlers of what was violated; says whether one was called.
     pub(crate) fn tell(&self, verdict: Verdict, done: &Job) -> bool {
-        let Job { release_ns, response_ns, execution_ns } = *done;
+        let Job { release_ns, response_ns, execution_ns, .. } = *done;
         let job = verdict.job;
         let mut told = false;
         if let (Some(handler), Some(budget_ns), Some(execution_ns)) =

@@ -5,6 +5,7 @@ mod block;
 mod file;
 mod histogram;
 mod hot;
+mod inputs;
 mod moments;
 
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -16,6 +17,7 @@ use tautline_rt::{Policy, ThreadInfo};
 pub use block::CallbackSnapshot;
 pub use file::{Admitted, ForeignStatistics, Order, Orders, ProcessInfo, ProcessSnapshot, StatisticsFile};
 pub use histogram::{Bucket, Histogram, HistogramSnapshot};
+pub use inputs::SizeClass;
 pub use moments::{Moment, MomentKind};
 
 use crate::options::{DeadlineMiss, Overrun, Watch};
@@ -28,6 +30,8 @@ pub(crate) struct Job {
     pub response_ns: u64,
     /// `None` where execution times are off.
     pub execution_ns: Option<u64>,
+    /// `None` where the callback does not state it.
+    pub input_size: Option<u64>,
 }
 
 /// What a stream found in its queue when it took from it: see [`job::note_queue`](crate::job::note_queue).
@@ -239,7 +243,7 @@ mod tests {
     use super::*;
 
     fn job(response_ns: u64, execution_ns: Option<u64>) -> Job {
-        Job { release_ns: 0, response_ns, execution_ns }
+        Job { release_ns: 0, response_ns, execution_ns, input_size: None }
     }
 
     #[test]
@@ -284,7 +288,7 @@ mod tests {
         stats.set_bound(Some(Duration::from_nanos(100)));
         stats.place(None, false).unwrap();
         for response_ns in [100, 101, 7, 300] {
-            stats.complete(&Job { release_ns: 5, response_ns, execution_ns: None });
+            stats.complete(&Job { release_ns: 5, ..job(response_ns, None) });
         }
         let now = stats.snapshot().unwrap();
         let late = |length_ns| Moment { kind: MomentKind::Late, from_ns: 5, to_ns: 5 + length_ns, length_ns };

@@ -2,14 +2,16 @@
 //! `taut report --wcet`: execution times that were measured, what their tail says of longer ones, and both into the system file.
 
 mod edit;
+mod sizes;
 mod tail;
 
-use super::explain::quoted;
+use super::explain::{INPUT_TOO_LARGE, WCET_EXCEEDED, quoted};
 use super::verdict::{Comparison, Mark, Measured, Row};
 use super::{ReportError, System};
 use crate::record::date;
 use crate::table::{BAD, GOOD, ms, wrap, write_table};
 use serde_json::{Value, json};
+use sizes::{Class, Line};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::path::Path;
@@ -23,6 +25,9 @@ struct Fit<'r> {
     jobs: u64,
     max_ns: u64,
     tail: Result<Tail, NoTail>,
+    /// By the size of the input, if its jobs state it.
+    classes: Vec<Class<'r>>,
+    line: Option<Line>,
     /// What the file would have to state for all of that.
     wcet_ns: u64,
 }
@@ -50,9 +55,14 @@ impl<'r> Fits<'r> {
         Fits { fits, exceedance, taken_at_s }
     }
 
-    /// Whether no job took longer than the file states.
+    /// Whether no job took longer, or got more, than the file states.
     pub fn are_kept(&self) -> bool {
         self.fits.iter().all(Fit::is_kept)
+    }
+
+    /// Whether no job got more than the file states: that is not mended by another wcet.
+    pub fn inputs_are_kept(&self) -> bool {
+        self.fits.iter().all(|fit| !fit.is_marked(INPUT_TOO_LARGE))
     }
 
     pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
@@ -84,15 +94,29 @@ impl<'r> Fits<'r> {
         let rows = self.fits.iter().map(|fit| (fit.is_kept(), cells(fit))).collect();
         write_table(&head, 1, rows, out)?;
         writeln!(out)?;
-        let mut unknown = BTreeMap::<String, Vec<&str>>::new();
+        for fit in self.fits.iter().filter(|fit| !fit.classes.is_empty()) {
+            sizes::write(fit.name(), &estimate, &fit.classes, out)?;
+        }
+        let mut unknown = BTreeMap::<String, Vec<String>>::new();
         for fit in &self.fits {
-            if let Some(mark) = fit.exceeded() {
+            if let Some(text) = fit.of_line() {
+                writeln!(out, "{}", wrap(&format!("{}: {text}", fit.name())))?;
+            }
+            for mark in fit.marks() {
                 let text = wrap(&format!("{}: {}: {}", fit.name(), mark.name, mark.explanation));
                 let (first, rest) = text.split_at(fit.name().len() + 2 + mark.name.len());
                 writeln!(out, "{BAD}{first}{BAD:#}{rest}")?;
             }
-            if let Err(none) = fit.tail {
-                unknown.entry(words(none)).or_default().push(fit.name());
+            if let (Err(none), None) = (fit.tail, fit.line) {
+                unknown.entry(words(none)).or_default().push(fit.name().to_owned());
+            }
+            let mut without = BTreeMap::<String, usize>::new();
+            for none in fit.classes.iter().filter_map(|class| class.tail.err()) {
+                *without.entry(words(none)).or_default() += 1;
+            }
+            for (why, count) in without {
+                let name = format!("{} ({count} of {} sizes)", fit.name(), fit.classes.len());
+                unknown.entry(why).or_default().push(name);
             }
         }
         for (why, names) in unknown {
@@ -115,7 +139,10 @@ impl<'r> Fits<'r> {
                 "shape": fit.tail.ok().map(|tail| tail.shape),
                 "no_estimate": fit.tail.err().map(words),
                 "allowed_ms": ms(fit.row.predicted.charged_ns as f64), "wcet_ms": ms(fit.row.predicted.wcet_ns as f64),
-                "needed_wcet_ms": ms(fit.wcet_ns as f64), "exceeded": !fit.is_kept(),
+                "needed_wcet_ms": ms(fit.wcet_ns as f64), "exceeded": fit.is_marked(WCET_EXCEEDED),
+                "input_max": fit.row.predicted.entry.input_max, "input_exceeded": fit.is_marked(INPUT_TOO_LARGE),
+                "sizes": fit.classes.iter().map(Class::to_json).collect::<Vec<_>>(),
+                "line": fit.line.map(Line::to_json),
             })
         };
         json!({
@@ -157,13 +184,17 @@ impl<'r> Fits<'r> {
         let date = date((self.taken_at_s as i64).saturating_mul(1_000_000_000));
         let day = date.split(' ').next().unwrap_or_default();
         let most = quoted(fit.max_ns).replace('"', "");
-        let estimate = match fit.tail {
-            Ok(tail) => format!(
-                "1 in {:.0} above {} (95 %)",
-                1.0 / self.exceedance,
-                quoted(tail.upper_ns as u64).replace('"', "")
-            ),
-            Err(_) => "no estimate".to_owned(),
+        let rare = format!("1 in {:.0} above", 1.0 / self.exceedance);
+        let estimate = match (fit.by_line(), fit.tail) {
+            (Some((line, most)), _) => {
+                let estimated = fit.classes.iter().filter(|class| class.tail.is_ok()).count();
+                let (all, greatest) = (fit.classes.len(), fit.greatest_input());
+                format!(
+                    "{line} for sizes to {greatest} ({rare} at {estimated} of {all} sizes, 95 %), of which {most}"
+                )
+            }
+            (None, Ok(tail)) => format!("{rare} {} (95 %)", quoted(tail.upper_ns as u64).replace('"', "")),
+            (None, Err(_)) => "no estimate".to_owned(),
         };
         format!("{} {day}: at most {most} in {} jobs, {estimate}, with overheads", edit::SOURCE, fit.jobs)
     }
@@ -179,11 +210,18 @@ impl<'r> Fit<'r> {
         }
         let buckets: Vec<Bucket> = execution.buckets().collect();
         let tail = tail(&buckets, max_ns, exceedance);
-        let used_ns = tail.map_or(max_ns, |tail| max_ns.max(tail.upper_ns.min(u64::MAX as f64) as u64));
+        let inputs = &row.measured.as_ref()?.callback.inputs;
+        let classes: Vec<Class<'_>> = inputs.iter().map(|class| Class::new(class, exceedance)).collect();
+        let line = Line::above(&classes);
+        let expected_ns = match (line, row.predicted.entry.input_max) {
+            (Some(line), Some(most)) => line.at(most),
+            _ => tail.map_or(0, |tail| tail.upper_ns as u64),
+        };
+        let used_ns = max_ns.max(expected_ns);
         // What executor and transport use in the thread is in the measurement, and charged by the file on top of the wcet.
         let overheads_ns = row.predicted.charged_ns - row.predicted.wcet_ns;
         let wcet_ns = used_ns.saturating_sub(overheads_ns).max(1).div_ceil(1000).saturating_mul(1000);
-        Some(Fit { row, jobs, max_ns, tail, wcet_ns })
+        Some(Fit { row, jobs, max_ns, tail, classes, line, wcet_ns })
     }
 
     fn name(&self) -> &'r str {
@@ -191,18 +229,60 @@ impl<'r> Fit<'r> {
     }
 
     fn is_kept(&self) -> bool {
-        self.max_ns <= self.row.predicted.charged_ns
+        self.marks().next().is_none()
     }
 
-    /// As the report says it, if it was.
-    fn exceeded(&self) -> Option<&'r Mark> {
-        self.row.marks.iter().find(|mark| mark.name == "wcet exceeded")
+    /// What was exceeded, as the report says it.
+    fn marks(&self) -> impl Iterator<Item = &'r Mark> {
+        self.row.marks.iter().filter(|mark| [INPUT_TOO_LARGE, WCET_EXCEEDED].contains(&mark.name))
+    }
+
+    fn is_marked(&self, name: &str) -> bool {
+        self.marks().any(|mark| mark.name == name)
+    }
+
+    /// The line that its wcet is from, and for which size.
+    fn by_line(&self) -> Option<(Line, u64)> {
+        self.line.zip(self.row.predicted.entry.input_max)
+    }
+
+    fn greatest_input(&self) -> u64 {
+        self.row.measured.as_ref().and_then(|seen| seen.callback.greatest_input()).unwrap_or(0)
+    }
+
+    /// What follows from the sizes of its inputs, or is missing for it.
+    fn of_line(&self) -> Option<String> {
+        let greatest = self.greatest_input();
+        Some(match (self.line, self.row.predicted.entry.input_max) {
+            (_, None) if self.classes.is_empty() => return None,
+            (_, Some(_)) if self.classes.is_empty() => {
+                "the file states `input_max`, but its jobs state no sizes: call `tautline::set_input_size` in it".to_owned()
+            }
+            (None, most) => {
+                let unknown = most.filter(|most| *most > greatest);
+                let unknown = unknown.map_or(String::new(), |most| format!(", nothing is known of `input_max = {most}`"));
+                format!("no line, for all inputs were of about one size{unknown}: run it with small and large ones")
+            }
+            (Some(line), None) => format!(
+                "no job used more than {line}; with `input_max = {greatest}` or more in the file, `wcet` is computed from that"
+            ),
+            (Some(line), Some(most)) if most > greatest => format!(
+                "no job used more than {line}, which is continued to `input_max = {most}`: no input above {greatest} was seen"
+            ),
+            (Some(line), Some(most)) => format!("no job used more than {line}; `input_max = {most}`"),
+        })
     }
 
     fn is_changed(&self, change: Change) -> bool {
         let stated_ns = self.row.predicted.wcet_ns;
+        let is_estimated = match (self.by_line(), self.row.predicted.entry.input_max) {
+            (Some(_), _) => self.classes.iter().all(|class| class.tail.is_ok()),
+            // Larger inputs, of which nothing is known, may be why the file states more.
+            (None, Some(most)) => most <= self.greatest_input() && self.tail.is_ok(),
+            (None, None) => self.tail.is_ok(),
+        };
         self.wcet_ns > stated_ns
-            || change == Change::RaiseAndLower && self.wcet_ns < stated_ns && self.tail.is_ok()
+            || change == Change::RaiseAndLower && self.wcet_ns < stated_ns && is_estimated
     }
 }
 
