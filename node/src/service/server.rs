@@ -10,7 +10,7 @@ use std::task::{Context, Poll};
 use tautline_msgs::Service;
 use tautline_msgs::cdr::Fill;
 use tautline_transport::{
-    Counters, RawSubscription, Request, RequestId, Response, Server, ServiceError, TakeError,
+    RawSubscription, Request, RequestId, Response, Server, ServiceError, SubscriptionCounters, TakeError,
     UnwrittenResponse,
 };
 
@@ -111,7 +111,7 @@ impl<T: Service> ServiceLoaned<T> {
     }
 
     /// Requests received, invalid, highest queue fill: to be read from any thread.
-    pub fn counters(&self) -> Arc<Counters> {
+    pub fn counters(&self) -> Arc<SubscriptionCounters> {
         self.requests.counters()
     }
 
