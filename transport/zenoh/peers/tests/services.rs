@@ -112,8 +112,7 @@ fn numbers(order: i32) -> Vec<i32> {
 fn a_service_each_way() {
     let mut pair = Pair::new(68);
     let mut server = pair.theirs.create_service::<TheirSetBool>("/theirs/switch").build().unwrap();
-    let client =
-        pair.ours.create_client::<SetBool::Service>("/theirs/switch", Qos::default()).unwrap();
+    let client = pair.ours.create_client::<SetBool::Service>("/theirs/switch", Qos::default()).unwrap();
     block_on(Node::is_available(&client).unwrap()).unwrap();
     for data in [true, false] {
         let response = client.request(&SetBool::Request { data }).unwrap();
@@ -124,8 +123,7 @@ fn a_service_each_way() {
         assert_eq!((response.success, response.message.as_str()), (data, "théirs"));
     }
 
-    let requests =
-        pair.ours.create_service::<SetBool::Service>("/ours/switch", Qos::default()).unwrap();
+    let requests = pair.ours.create_service::<SetBool::Service>("/ours/switch", Qos::default()).unwrap();
     let answer = |request: ServiceRequest<SetBool::Service>| async move {
         let success = request.message.data;
         request.respond(SetBool::Response { success, message: "Grüße".into() }).unwrap();
