@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::Duration;
 use tautline_relay::{
-    Budget, Control, Event, Guard, Office, Parts, RelayError, Rules, Seat, SeatError, Services,
+    Budget, Control, Event, Guard, Instance, InstanceError, InstanceLock, Parts, RelayError, Rules, Services,
 };
 use tautline_rt::{JoinHandle, Realtime, RtError, ThreadInfo};
 use tautline_transport::{Participant, RemoteGraph, TransportError};
@@ -73,7 +73,7 @@ impl Default for Options {
 pub enum BridgeError {
     /// There is one, which carries what this one would, or its lock cannot be had.
     #[error(transparent)]
-    Seat(#[from] SeatError),
+    Instance(#[from] InstanceError),
     /// What bridges of one ROS domain tell each other cannot be made.
     #[error("bridges cannot tell each other what they carry: {0}")]
     Table(String),
@@ -109,23 +109,23 @@ impl From<IncomingError> for BridgeError {
 /// A running bridge. Dropping it takes everything back: endpoints, nodes, threads.
 pub struct Bridge {
     events: mpsc::SyncSender<Event<()>>,
-    shared: Arc<Shared>,
+    state: Arc<BridgeState>,
     wake: Arc<GuardCondition>,
     threads: Vec<JoinHandle<()>>,
     info: Vec<ThreadInfo>,
     guard: Option<Guard>,
-    // Before the participant, whose end removes the folder that the seat's file is in.
-    _seat: Seat,
+    // Before the participant, whose end removes the folder that the lock's file is in.
+    _lock: InstanceLock,
     _participant: Participant,
 }
 
 /// What is read from outside.
-pub(crate) struct Shared {
+pub(crate) struct BridgeState {
     pub(crate) stop: AtomicBool,
     stats: Mutex<Stats>,
 }
 
-impl Shared {
+impl BridgeState {
     pub(crate) fn stats(&self) -> MutexGuard<'_, Stats> {
         self.stats.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -147,19 +147,19 @@ impl Bridge {
         Self::spawn_in(options, None)
     }
 
-    /// As [`spawn`](Self::spawn), in a seat that was waited for, if it was.
+    /// As [`spawn`](Self::spawn), with a lock that was waited for, if it was.
     ///
     /// # Errors
     /// [`BridgeError`].
-    pub fn spawn_in(options: Options, seat: Option<Seat>) -> Result<Self, BridgeError> {
+    pub fn spawn_in(options: Options, lock: Option<InstanceLock>) -> Result<Self, BridgeError> {
         let rmw = rmw_implementation();
         let participant = Participant::new(options.domain)?;
         // From the first port on it is known that they stand for others.
         participant.set_remote(&RemoteGraph::default())?;
         let before = tautline_rt::threads()?;
         let context = Context::new(options.ros_domain)?;
-        let office = Office::bridge(options.domain, context.domain());
-        let seat = seat.map_or_else(|| office.take(), Ok)?;
+        let instance = Instance::bridge(options.domain, context.domain());
+        let lock = lock.map_or_else(|| instance.lock(), Ok)?;
         let node = Node::new(&context, &node_name(options.domain), "/")?;
         let priorities = threads::Priorities::new(options.priority, options.realtime)?;
         let rmw_threads = threads::started_since(&before)?;
@@ -172,7 +172,7 @@ impl Bridge {
         let infos = [outgoing.info(), incoming.info(), services.info()];
         let info: Vec<ThreadInfo> = infos.into_iter().flatten().cloned().collect();
         let stats = Stats { domain: options.domain, ros_domain: context.domain(), rmw, ..Stats::default() };
-        let shared = Arc::new(Shared { stop: AtomicBool::new(false), stats: Mutex::new(stats) });
+        let state = Arc::new(BridgeState { stop: AtomicBool::new(false), stats: Mutex::new(stats) });
         let (events, received) = mpsc::sync_channel(EVENTS);
         let wake = GuardCondition::new(&context)?;
         let support = table::support()?;
@@ -187,40 +187,40 @@ impl Bridge {
         };
         let mut bridge = Bridge {
             events,
-            shared,
+            state,
             wake,
             threads,
             info,
             guard,
-            _seat: seat,
+            _lock: lock,
             _participant: participant.clone(),
         };
         let control = {
-            let shared = bridge.shared.clone();
+            let state = bridge.state.clone();
             let tables = (tables.clone(), own_table);
             let (far, transit) =
-                RosSide::new(&options, &participant, node.clone(), incoming, tables, shared.clone());
+                RosSide::new(&options, &participant, node.clone(), incoming, tables, state.clone());
             let (participant, relay) = (participant.clone(), outgoing);
             let (rules, service_rules) = (options.rules, options.services);
             let parts = Parts { participant, far, relay, services, transit, rules, service_rules };
             let control = Control::new(parts);
-            priorities.other("ros-control").spawn(move || move || control.run(&received, &shared.stop))?
+            priorities.other("ros-control").spawn(move || move || control.run(&received, &state.stop))?
         };
         bridge.hold(control);
         let here = {
-            let (events, shared) = (bridge.events.clone(), bridge.shared.clone());
+            let (events, state) = (bridge.events.clone(), bridge.state.clone());
             priorities
                 .other("ros-here")
-                .spawn(move || move || watch_tautline(&participant, &events, &shared))?
+                .spawn(move || move || watch_tautline(&participant, &events, &state))?
         };
         bridge.hold(here);
         let there = {
             let (graph, wait_set) = (GraphGuard::of(&node), WaitSet::new(&context)?);
-            let (wake, events, shared) = (bridge.wake.clone(), bridge.events.clone(), bridge.shared.clone());
+            let (wake, events, state) = (bridge.wake.clone(), bridge.events.clone(), bridge.state.clone());
             priorities.other("ros-there").spawn(move || {
                 move || {
-                    let there = There { graph, heard, tables, buffer };
-                    watch_ros(there, wait_set, &wake, &events, &shared);
+                    let ros_events = RosEvents { graph, heard, tables, buffer };
+                    watch_ros(ros_events, wait_set, &wake, &events, &state);
                 }
             })?
         };
@@ -236,7 +236,7 @@ impl Bridge {
     /// What went through and what did not. Rates are those of the second before.
     pub fn stats(&self) -> Stats {
         let throttled = self.guard.as_ref().map_or(0, Guard::demotions);
-        Stats { throttled, ..self.shared.stats().clone() }
+        Stats { throttled, ..self.state.stats().clone() }
     }
 
     /// The bridge's own threads, as they were read back when they started.
@@ -248,7 +248,7 @@ impl Bridge {
 impl Drop for Bridge {
     fn drop(&mut self) {
         self.guard = None;
-        self.shared.stop.store(true, Ordering::Release);
+        self.state.stop.store(true, Ordering::Release);
         // If it does not fit, the control thread has something to look at and will see the flag.
         let _ = self.events.try_send(Event::Stop);
         self.wake.trigger();
@@ -264,21 +264,21 @@ fn node_name(domain: u32) -> String {
 }
 
 /// Says when the topics of Tautline's domain changed.
-fn watch_tautline(participant: &Participant, events: &mpsc::SyncSender<Event<()>>, shared: &Shared) {
+fn watch_tautline(participant: &Participant, events: &mpsc::SyncSender<Event<()>>, state: &BridgeState) {
     const PATIENCE: Duration = Duration::from_millis(250);
     let mut seen = participant.graph_epoch().wrapping_sub(1);
-    while !shared.stop.load(Ordering::Acquire) {
+    while !state.stop.load(Ordering::Acquire) {
         let epoch = participant.wait_for_graph_change(seen, PATIENCE);
         if epoch != seen {
             seen = epoch;
             // If it is full, there is a look to come.
-            let _ = events.try_send(Event::Here);
+            let _ = events.try_send(Event::LocalChange);
         }
     }
 }
 
 /// What tells that something changed in ROS.
-struct There {
+struct RosEvents {
     graph: GraphGuard,
     /// Other bridges' tables.
     heard: RosSubscription,
@@ -288,18 +288,21 @@ struct There {
 
 /// Says when ROS's graph changed, or what other bridges tell.
 fn watch_ros(
-    mut there: There,
+    mut ros_events: RosEvents,
     mut wait_set: WaitSet,
     wake: &GuardCondition,
     events: &mpsc::SyncSender<Event<()>>,
-    shared: &Shared,
+    state: &BridgeState,
 ) {
-    while !shared.stop.load(Ordering::Acquire) {
-        let all =
-            [Waitable::Subscription(&there.heard), Waitable::Graph(&there.graph), Waitable::Guard(wake)];
+    while !state.stop.load(Ordering::Acquire) {
+        let all = [
+            Waitable::Subscription(&ros_events.heard),
+            Waitable::Graph(&ros_events.graph),
+            Waitable::Guard(wake),
+        ];
         let woken = wait_set.wait(&all, None).map(drop);
-        match woken.and_then(|()| there.tables.take(&mut there.heard, &mut there.buffer)) {
-            Ok(()) => drop(events.try_send(Event::There(()))),
+        match woken.and_then(|()| ros_events.tables.take(&mut ros_events.heard, &mut ros_events.buffer)) {
+            Ok(()) => drop(events.try_send(Event::FarChange(()))),
             Err(error) => {
                 tracing::error!("changes in ROS are not seen: {error}");
                 std::thread::sleep(Duration::from_secs(1));

@@ -13,7 +13,7 @@ use std::collections::HashMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
-use tautline_relay::{Change, EarlyLimits, InKey, Inlet, Manner, Source};
+use tautline_relay::{Delivery, EarlyLimits, InKey, Ingress, IngressUpdate, Source};
 use tautline_rt::{JoinHandle, RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::Gid;
 
@@ -21,7 +21,7 @@ use tautline_transport::Gid;
 const TURN: usize = 64;
 /// How messages come. Those of publishers that are not known yet are waited for longer than it takes to give up the name of a
 /// publisher's node, and the next look at the graph.
-pub(crate) const MANNER: Manner = Manner {
+pub(crate) const DELIVERY: Delivery = Delivery {
     early: Some(EarlyLimits {
         samples: 1000,
         bytes: 64 << 20,
@@ -39,8 +39,8 @@ const RENEWAL_TIME: Duration = Duration::from_secs(3);
 const MOST_PUBLISHERS: usize = 4096;
 
 enum Command {
-    Start(InKey, Box<(RosSubscription, Inlet)>),
-    Change(InKey, Change),
+    Start(InKey, Box<(RosSubscription, Ingress)>),
+    Update(InKey, IngressUpdate),
     Stop(InKey),
 }
 
@@ -83,12 +83,12 @@ impl Incoming {
     }
 
     /// Takes from now on; in place of what the key had.
-    pub(crate) fn open(&self, key: InKey, subscription: RosSubscription, inlet: Inlet) {
-        self.tell(Command::Start(key, Box::new((subscription, inlet))));
+    pub(crate) fn open(&self, key: InKey, subscription: RosSubscription, ingress: Ingress) {
+        self.tell(Command::Start(key, Box::new((subscription, ingress))));
     }
 
-    pub(crate) fn change(&self, key: InKey, change: Change) {
-        self.tell(Command::Change(key, change));
+    pub(crate) fn change(&self, key: InKey, change: IngressUpdate) {
+        self.tell(Command::Update(key, change));
     }
 
     pub(crate) fn close(&self, key: InKey) {
@@ -125,7 +125,7 @@ struct Loop {
 
 struct Route {
     subscription: RosSubscription,
-    inlet: Inlet,
+    ingress: Ingress,
     /// Subscriptions before this one, the oldest first, and until when they are taken from: who keeps nothing for late joiners
     /// does not send to the new one before they have found each other.
     previous: Vec<(RosSubscription, Instant)>,
@@ -143,7 +143,7 @@ impl Loop {
             }
             let is_busy = self.routes.iter().any(|(_, route)| route.has_more);
             let is_waiting =
-                self.routes.iter().any(|(_, route)| route.inlet.is_waiting() || !route.previous.is_empty());
+                self.routes.iter().any(|(_, route)| route.ingress.is_waiting() || !route.previous.is_empty());
             let timeout = match (is_busy, is_waiting) {
                 (true, _) => Some(Duration::ZERO),
                 (_, true) => Some(LOOK),
@@ -175,17 +175,22 @@ impl Loop {
     fn obey(&mut self, command: Command) {
         match command {
             Command::Start(key, start) => {
-                let (subscription, inlet) = *start;
-                let mut route =
-                    Route { subscription, inlet, previous: Vec::new(), last: HashMap::new(), has_more: true };
+                let (subscription, ingress) = *start;
+                let mut route = Route {
+                    subscription,
+                    ingress,
+                    previous: Vec::new(),
+                    last: HashMap::new(),
+                    has_more: true,
+                };
                 if let Some(old) = self.end(&key) {
                     route.take_over(old, key.is_kept());
                 }
                 self.routes.push((key, route));
             }
-            Command::Change(key, change) => {
+            Command::Update(key, change) => {
                 if let Some((_, route)) = self.routes.iter_mut().find(|(other, _)| *other == key) {
-                    route.inlet.change(change);
+                    route.ingress.change(change);
                 }
             }
             Command::Stop(key) => drop(self.end(&key)),
@@ -220,7 +225,7 @@ impl Route {
             self.previous.push((old.subscription, Instant::now() + RENEWAL_TIME));
             self.last = old.last;
         }
-        self.inlet.take_over(old.inlet, is_kept);
+        self.ingress.take_over(old.ingress, is_kept);
     }
 
     /// Takes and passes on what is there, at most a turn of it.
@@ -230,7 +235,7 @@ impl Route {
                 Ok(Some(info)) => self.receive(buffer.bytes(), info),
                 Ok(None) => return self.has_more = false,
                 Err(error) => {
-                    self.inlet.counters().dropped(error.reason);
+                    self.ingress.counters().dropped(error.reason);
                     return self.has_more = false;
                 }
             }
@@ -250,7 +255,7 @@ impl Route {
     }
 
     fn receive(&mut self, bytes: &[u8], info: RosMessageInfo) {
-        if info.is_own || self.inlet.leaves(&info.gid) {
+        if info.is_own || self.ingress.leaves(&info.gid) {
             return;
         }
         if info.sequence_number.is_none() {
@@ -271,8 +276,8 @@ impl Route {
             timestamp_ns: info.source_timestamp_ns,
         };
         match body(bytes) {
-            Ok(body) => self.inlet.receive(body, source),
-            Err(reason) => self.inlet.counters().dropped(reason),
+            Ok(body) => self.ingress.receive(body, source),
+            Err(reason) => self.ingress.counters().dropped(reason),
         }
     }
 
@@ -282,7 +287,7 @@ impl Route {
         if !self.has_more {
             self.previous.retain(|(_, until)| Instant::now() < *until);
         }
-        self.inlet.look();
+        self.ingress.look();
     }
 }
 

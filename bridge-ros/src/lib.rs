@@ -31,6 +31,6 @@ pub use rcl::RclError;
 pub use ros_graph::BRIDGE_PREFIX;
 pub use stats::{Direction, IncompatibleQos, ServiceNames, ServiceStats, Stats, TopicNames, TopicStats};
 pub use tautline_relay::{
-    Budget, Filter, Latency, Office, Pattern, PatternError, QosOverride, Reading, Rule, Rules, Seat,
-    SeatError,
+    Budget, Filter, Instance, InstanceError, InstanceLock, Latency, Pattern, PatternError, QosOverride,
+    Reading, Rule, Rules,
 };

@@ -12,7 +12,7 @@ use std::io::IsTerminal;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tautline_bridge_ros::{Bridge, BridgeError, Office, Options};
+use tautline_bridge_ros::{Bridge, BridgeError, Instance, Options};
 use tautline_relay::{show_until, stop_on_signals};
 use tautline_rt::Realtime;
 
@@ -65,9 +65,9 @@ fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Brid
         return Ok(Some(Bridge::spawn(options)?));
     }
     // What the environment says is in the options.
-    let office = Office::bridge(options.domain, options.ros_domain.unwrap_or(0));
-    let seat = office.wait(|| stop.load(Ordering::Relaxed)).map_err(BridgeError::from)?;
-    Ok(seat.map(|seat| Bridge::spawn_in(options, Some(seat))).transpose()?)
+    let instance = Instance::bridge(options.domain, options.ros_domain.unwrap_or(0));
+    let lock = instance.wait(|| stop.load(Ordering::Relaxed)).map_err(BridgeError::from)?;
+    Ok(lock.map(|lock| Bridge::spawn_in(options, Some(lock))).transpose()?)
 }
 
 /// What it does: once, to standard error.

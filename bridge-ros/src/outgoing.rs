@@ -6,7 +6,7 @@
 use crate::rcl::{RclError, RosPublisher, SerializedMessage};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use tautline_relay::{EarlyLimits, Last, Outbound, Outlet, Relay, Taken, TopicKey};
+use tautline_relay::{EarlyLimits, Egress, Last, Outbound, Relay, Taken, TopicKey};
 use tautline_rt::clock::monotonic_ns;
 
 /// XCDR1, little endian.
@@ -34,7 +34,7 @@ impl Ros {
     }
 }
 
-impl Outlet for Ros {
+impl Egress for Ros {
     type Key = TopicKey;
     type Topic = Outbound;
     type Sender = Writer;

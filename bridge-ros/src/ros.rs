@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The ROS 2 graph as the other side of a mirror.
 
-use crate::bridge::{Options, Shared};
+use crate::bridge::{BridgeState, Options};
 use crate::incoming::{self, Incoming};
 use crate::outgoing::{Ros, Writer};
 use crate::rcl::{Node, RosPublisher, RosSubscription};
@@ -15,8 +15,8 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tautline_relay::{
-    Change, Direction, FarSide, FarWriter, FoundType, Here, InKey, Inlet, Inward, Manner, Publisher, Report,
-    Rules, Side, There, TopicKey, Transit, Writers, process_node,
+    Delivery, Direction, FarGraph, FarSide, FarWriter, FoundType, InKey, Ingress, IngressUpdate, Inward,
+    LocalGraph, Publisher, Report, Rules, Side, TopicKey, Transit, Writers, process_node,
 };
 use tautline_transport::{
     Claim, EndpointKind, Gid, Limits, NodeName, Participant, Qos, RawPublisher, RemoteGraph, RemoteNode,
@@ -34,7 +34,7 @@ pub(crate) struct RosSide {
     incoming: Incoming,
     rules: Rules,
     service_rules: Rules,
-    shared: Arc<Shared>,
+    state: Arc<BridgeState>,
     graph: RosGraph,
     endpoint_count: usize,
     tables: Tables,
@@ -45,12 +45,12 @@ pub(crate) struct RosSide {
 }
 
 /// A publisher in ROS that stands for one here.
-pub(crate) struct StandIn {
+pub(crate) struct ProxyPublisher {
     writer: Writer,
     incompatible: Option<Incompatible>,
 }
 
-impl FarWriter for StandIn {
+impl FarWriter for ProxyPublisher {
     fn is_matched(&self) -> bool {
         self.writer.publisher.subscription_count() > 0
     }
@@ -72,7 +72,7 @@ impl RosSide {
         node: Arc<Node>,
         incoming: Incoming,
         (tables, own_table): (Tables, OwnTable),
-        shared: Arc<Shared>,
+        state: Arc<BridgeState>,
     ) -> (Self, Transit) {
         let (domain, own) = (participant.domain_id(), participant.id());
         let host = tautline_rt::host::name();
@@ -85,7 +85,7 @@ impl RosSide {
             incoming,
             rules: options.rules.clone(),
             service_rules: options.services.clone(),
-            shared,
+            state,
             graph: RosGraph::default(),
             endpoint_count: 0,
             tables,
@@ -97,7 +97,7 @@ impl RosSide {
     }
 
     /// Those of ROS, but for this bridge's, with who tells of them.
-    fn read_services(&mut self, here: &Here) -> Vec<(ServiceEndpoint, u128)> {
+    fn read_services(&mut self, here: &LocalGraph) -> Vec<(ServiceEndpoint, u128)> {
         let others = self.graph.nodes.iter().filter(|node| !self.shown.has(node));
         let mut ends = ros_graph::services(&self.node, others, &self.place);
         let tables = &self.graph.tables;
@@ -132,7 +132,7 @@ impl RosSide {
     }
 
     /// Other bridges of the ROS domain are told what this one's ends stand for.
-    fn tell_bridges(&mut self, here: &Here, transit: &Transit, writers: &Writers<StandIn>) {
+    fn tell_bridges(&mut self, here: &LocalGraph, transit: &Transit, writers: &Writers<ProxyPublisher>) {
         let announced = |origin| transit.announced(origin);
         let mut processes = HashMap::new();
         let mut of_node = |node: &Option<NodeName>, pid: Option<u32>| {
@@ -140,7 +140,7 @@ impl RosSide {
             Some(node.clone().unwrap_or_else(process))
         };
         let stand_ins: BTreeMap<Gid, Gid> =
-            writers.iter().map(|(_, gid, stand_in)| (gid, stand_in.writer.publisher.gid())).collect();
+            writers.iter().map(|(_, gid, proxy)| (gid, proxy.writer.publisher.gid())).collect();
         let mut graph = RemoteGraph::default();
         graph.nodes.extend(here.nodes.iter().filter_map(|node| {
             Some(RemoteNode { name: node.name.clone(), origin: announced(&node.origin)? })
@@ -175,10 +175,10 @@ impl RosSide {
 
 impl FarSide for RosSide {
     const SIDE: Side = Side::Ros;
-    const MANNER: Manner = incoming::MANNER;
+    const DELIVERY: Delivery = incoming::DELIVERY;
     type Event = ();
-    type Outlet = Ros;
-    type Writer = StandIn;
+    type Egress = Ros;
+    type Writer = ProxyPublisher;
     type Services = RosServices;
     const PATIENCE: Option<Duration> = None;
 
@@ -186,10 +186,10 @@ impl FarSide for RosSide {
         true
     }
 
-    fn look(&mut self, here: &Here) -> Result<There, String> {
+    fn look(&mut self, here: &LocalGraph) -> Result<FarGraph, String> {
         self.graph.read(&self.node, &self.place, &self.tables).map_err(|error| error.to_string())?;
         self.endpoint_count = self.graph.endpoints.len();
-        Ok(There {
+        Ok(FarGraph {
             nodes: self.graph.others(&self.shown.in_ros(), self.domain, &self.place),
             services: self.read_services(here),
             endpoints: std::mem::take(&mut self.graph.endpoints),
@@ -198,9 +198,9 @@ impl FarSide for RosSide {
         })
     }
 
-    fn prepare(&mut self, _: &mut Here, _: &Transit) {}
+    fn prepare(&mut self, _: &mut LocalGraph, _: &Transit) {}
 
-    fn show(&mut self, here: &Here, transit: &Transit) -> Nodes {
+    fn show(&mut self, here: &LocalGraph, transit: &Transit) -> Nodes {
         let announced = here.nodes.iter().filter(|node| transit.announced(&node.origin).is_some());
         let (own, others): (Vec<_>, Vec<_>) = announced.partition(|node| node.origin.is_here());
         let shown = own.into_iter().chain(others.into_iter().take(MOST_SHOWN));
@@ -212,11 +212,11 @@ impl FarSide for RosSide {
         self.shown.by_name()
     }
 
-    fn tell(&mut self, here: &Here, transit: &Transit, writers: &Writers<StandIn>) {
+    fn tell(&mut self, here: &LocalGraph, transit: &Transit, writers: &Writers<ProxyPublisher>) {
         self.tell_bridges(here, transit, writers);
     }
 
-    fn tick(&mut self, writers: &mut Writers<StandIn>) -> bool {
+    fn tick(&mut self, writers: &mut Writers<ProxyPublisher>) -> bool {
         look_for_incompatible(writers);
         self.graph.has_unknown()
     }
@@ -226,16 +226,16 @@ impl FarSide for RosSide {
         Ok(FoundType { topic_type: found.topic_type(), schema: Some(found.schema) })
     }
 
-    fn open_writer(&mut self, key: &TopicKey, publisher: &Publisher) -> Result<StandIn, String> {
+    fn open_writer(&mut self, key: &TopicKey, publisher: &Publisher) -> Result<ProxyPublisher, String> {
         let found = self.types.find(&key.type_name, publisher.type_hash.as_deref());
         let found = found.map_err(|error| error.to_string())?;
         let made = RosPublisher::new(&self.node, &key.far_topic, &found.support, &publisher.qos);
         let publisher = Arc::new(made.map_err(|error| error.to_string())?);
-        Ok(StandIn { writer: Writer { publisher, last: Arc::default() }, incompatible: None })
+        Ok(ProxyPublisher { writer: Writer { publisher, last: Arc::default() }, incompatible: None })
     }
 
-    fn sender(&mut self, _: &TopicKey, stand_in: &StandIn) -> Result<Writer, String> {
-        Ok(stand_in.writer.clone())
+    fn sender(&mut self, _: &TopicKey, proxy: &ProxyPublisher) -> Result<Writer, String> {
+        Ok(proxy.writer.clone())
     }
 
     fn port(
@@ -249,15 +249,15 @@ impl FarSide for RosSide {
         participant.create_raw_publisher(topic, topic_type, offered, Limits { claim, ..Limits::default() })
     }
 
-    fn start_in(&mut self, key: &InKey, inward: &Inward, inlet: Inlet) -> Result<(), String> {
+    fn start_in(&mut self, key: &InKey, inward: &Inward, ingress: Ingress) -> Result<(), String> {
         let found = self.types.find(&key.topic.type_name, inward.type_hash.as_deref());
         let support = found.map_err(|error| error.to_string())?.support;
         let subscription = RosSubscription::new(&self.node, &key.topic.far_topic, &support, &inward.qos);
-        self.incoming.open(key.clone(), subscription.map_err(|error| error.to_string())?, inlet);
+        self.incoming.open(key.clone(), subscription.map_err(|error| error.to_string())?, ingress);
         Ok(())
     }
 
-    fn change_in(&mut self, key: &InKey, change: Change) {
+    fn change_in(&mut self, key: &InKey, change: IngressUpdate) {
         self.incoming.change(key.clone(), change);
     }
 
@@ -269,8 +269,8 @@ impl FarSide for RosSide {
         ros_graph::told_gid(end.origin.tag)
     }
 
-    fn report(&mut self, report: Report, writers: &Writers<StandIn>) {
-        let mut stats = self.shared.stats();
+    fn report(&mut self, report: Report, writers: &Writers<ProxyPublisher>) {
+        let mut stats = self.state.stats();
         stats.uptime_s = report.uptime_s;
         stats.ros_nodes = self.graph.nodes.len();
         stats.ros_endpoints = self.endpoint_count;
@@ -286,16 +286,16 @@ impl FarSide for RosSide {
 }
 
 /// As ROS does: an event for each end that does not fit, which is counted and said.
-fn look_for_incompatible(writers: &mut Writers<StandIn>) {
-    for (key, stand_in) in writers.iter_mut() {
-        let Some((count, policy)) = stand_in.writer.publisher.incompatible() else { continue };
+fn look_for_incompatible(writers: &mut Writers<ProxyPublisher>) {
+    for (key, proxy) in writers.iter_mut() {
+        let Some((count, policy)) = proxy.writer.publisher.incompatible() else { continue };
         tracing::warn!(
             "topic '{}': an end in ROS does not fit the QoS of one here (last policy: {policy}): no messages go between them; \
              change one of them, or set qos.{policy} of the topic in the configuration",
             key.far_topic
         );
         let since = Instant::now();
-        stand_in.incompatible = Some(Incompatible { count, last_policy: policy, since });
+        proxy.incompatible = Some(Incompatible { count, last_policy: policy, since });
     }
 }
 

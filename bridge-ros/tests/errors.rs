@@ -199,8 +199,8 @@ fn a_second_signal_does_not_wait_for_the_end() {
     drop(output);
     // The next one in the domain removes what it left there.
     drop(Participant::new(38).unwrap());
-    let seat = format!("/dev/shm/{}/bridge_ros_38", tautline_rt::domain::shared_folder(38));
-    assert!(!Path::new(&seat).exists());
+    let lock = format!("/dev/shm/{}/bridge_ros_38", tautline_rt::domain::shared_folder(38));
+    assert!(!Path::new(&lock).exists());
 }
 
 #[test]

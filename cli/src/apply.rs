@@ -2,8 +2,8 @@
 //! `taut apply`: the text that a system file has now, for the processes that run with it.
 
 use crate::check::print_file_error;
-use crate::manners::{Failure, Manners, Outcome};
 use crate::table::{GOOD, wrap};
+use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::Args;
 use std::io::Write;
 use std::path::PathBuf;
@@ -28,17 +28,17 @@ pub struct ApplyArgs {
     #[arg(default_value = "system.toml", value_name = "FILE")]
     file: PathBuf,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 /// Runs the verb.
 pub fn run(args: &ApplyArgs) -> Outcome<ExitCode> {
-    args.manners.bound();
+    args.common.bound();
     if let Err(error) = SystemFile::read(&args.file) {
         print_file_error(&error);
         return Ok(ExitCode::from(2));
     }
-    let domain = args.manners.domain()?;
+    let domain = args.common.domain()?;
     let processes = match apply_system(domain, &args.file) {
         Err(error @ (Error::NotAdmitted { .. } | Error::NobodyHas { .. } | Error::NotTakenUp { .. })) => {
             return Err(Failure::no(error.to_string()));
@@ -48,7 +48,7 @@ pub fn run(args: &ApplyArgs) -> Outcome<ExitCode> {
     let labels: Vec<_> =
         processes.iter().map(|process| format!("{} (process {})", process.program, process.pid)).collect();
     let mut out = anstream::stdout().lock();
-    if args.manners.json {
+    if args.common.json {
         writeln!(out, "{}", serde_json::json!({ "domain": domain, "processes": labels }))?;
         return Ok(ExitCode::SUCCESS);
     }

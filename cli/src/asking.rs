@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Asking services and actions: by names as people write them, with a node that comes for it, and with an end.
 
-use crate::manners::{End, Failure, Outcome, Waited};
+use crate::verb::{End, Failure, Outcome, Waited};
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
 use std::collections::BTreeSet;

@@ -5,9 +5,9 @@ mod convert;
 mod plot;
 
 use crate::asking::full_name;
-use crate::manners::{Failure, Manners, Outcome, time};
 use crate::record::{Compressed, date, failed, size};
 use crate::table::write_table;
+use crate::verb::{CommonArgs, Failure, Outcome, time};
 use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
 use regex::Regex;
@@ -34,7 +34,7 @@ pub struct BagArgs {
     #[command(subcommand)]
     verb: Verb,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 #[derive(Subcommand, Clone, Debug)]
@@ -132,13 +132,13 @@ impl NewArgs {
 }
 
 pub fn run(args: &BagArgs) -> Outcome {
-    if args.manners.is_domain_named() {
+    if args.common.is_domain_named() {
         return Err(Failure::unusable("a bag is of no domain: leave --domain out"));
     }
-    let is_json = args.manners.json;
+    let is_json = args.common.json;
     // Who has something to remove ends by himself.
     if !matches!(args.verb, Verb::Convert(_)) {
-        args.manners.bound();
+        args.common.bound();
     }
     match &args.verb {
         Verb::Info(args) => info(&args.bag, is_json),
@@ -146,7 +146,7 @@ pub fn run(args: &BagArgs) -> Outcome {
         Verb::Recover(args) => mend(&args.bag, is_json),
         Verb::Cut(args) => cut(args, is_json),
         Verb::Merge(args) => write_anew(&args.bags, &args.new, is_json, |_| true),
-        Verb::Convert(verb) => convert::run(verb, &args.manners),
+        Verb::Convert(verb) => convert::run(verb, &args.common),
         Verb::Plot(args) => plot::run(args, is_json),
     }
 }

@@ -3,8 +3,8 @@
 
 use crate::asking::{Asking, full_name};
 use crate::completions;
-use crate::manners::{End, Failure, Manners, Outcome};
 use crate::sibling::Sibling;
+use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, Subcommand, ValueHint};
 use serde_json::json;
 use std::ffi::OsString;
@@ -47,7 +47,7 @@ struct Target {
     #[arg(long, global = true, value_name = "NODE", add = completions::containers())]
     container: Option<String>,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 #[derive(Subcommand, Debug)]
@@ -98,13 +98,13 @@ pub fn run(args: ComponentArgs) -> Outcome {
     let ComponentArgs { verb, target } = args;
     match verb {
         Verb::Run { mut arguments } => {
-            let Target { container, manners } = &target;
-            if container.is_some() || manners.json || manners.timeout().is_some() {
+            let Target { container, common } = &target;
+            if container.is_some() || common.json || common.timeout().is_some() {
                 let no = "`taut component run` starts a container: see `taut component run --help`";
                 return Err(Failure::unusable(no));
             }
-            if manners.is_domain_named() {
-                arguments.splice(..0, ["--domain".into(), manners.domain()?.to_string().into()]);
+            if common.is_domain_named() {
+                arguments.splice(..0, ["--domain".into(), common.domain()?.to_string().into()]);
             }
             return Err(CONTAINER.become_it(&arguments).into());
         }
@@ -161,7 +161,7 @@ fn log_level(level: &str) -> Result<LogSeverity, &'static str> {
 
 fn ask<T: Service>(target: &Target, service: &str, request: T::Request) -> Outcome<T::Response> {
     let container = target.container.as_deref().unwrap_or(MANAGER);
-    let (end, domain) = (End::within(PATIENCE, &target.manners)?, target.manners.domain()?);
+    let (end, domain) = (End::within(PATIENCE, &target.common)?, target.common.domain()?);
     let request = (format!("{}/_container/{service}", full_name(container)), request);
     let answer = Asking::new(domain, end)?.ask_all::<T>(vec![request])?.remove(0);
     answer.map_err(|source| {
@@ -180,7 +180,7 @@ fn ask<T: Service>(target: &Target, service: &str, request: T::Request) -> Outco
 
 fn print(target: &Target, rows: &[(u64, String)]) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    if target.manners.json {
+    if target.common.json {
         let rows = rows.iter().map(|(id, node)| json!({ "id": id, "node": node }));
         return writeln!(out, "{}", serde_json::Value::from_iter(rows));
     }

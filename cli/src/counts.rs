@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! How much publishers send, by what they count anyway: nobody is disturbed.
 
-use crate::manners::Outcome;
+use crate::verb::Outcome;
 use std::collections::BTreeMap;
 use std::time::Instant;
 use tautline::{EndpointKind, GraphSnapshot};

@@ -2,9 +2,9 @@
 //! `taut interface`: which types there are, and their definitions as ROS 2's tools print them.
 
 use crate::completions;
-use crate::manners::{Failure, Manners, Outcome};
 use crate::msg::{Finder, parts};
 use crate::table::write_names;
+use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::json;
 use std::collections::BTreeSet;
@@ -34,7 +34,7 @@ pub struct InterfaceArgs {
     #[arg(long, value_name = "DIR", global = true)]
     path: Vec<PathBuf>,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 #[derive(Subcommand, Clone, Debug)]
@@ -96,13 +96,13 @@ impl Only {
 
 /// Runs the verb.
 pub fn run(args: &InterfaceArgs) -> Outcome {
-    let manners = &args.manners;
+    let common = &args.common;
     let mut out = io::stdout().lock();
     match &args.verb {
         Verb::List { only } => {
             let mut types = finder(args)?.list()?;
             types.retain(|name| only.is_none_or(|only| name.kind() == only.kind()));
-            if manners.json {
+            if common.json {
                 let names: Vec<&str> = types.iter().map(TypeName::as_str).collect();
                 return Ok(write_names(true, &names, &mut out)?);
             }
@@ -125,13 +125,13 @@ pub fn run(args: &InterfaceArgs) -> Outcome {
                 let packages: BTreeSet<&str> = types.iter().map(TypeName::package).collect();
                 return Err(Failure::unknown("package", package, packages.into_iter(), "interface packages"));
             }
-            Ok(write_names(manners.json, &names, &mut out)?)
+            Ok(write_names(common.json, &names, &mut out)?)
         }
         Verb::Packages { only } => {
             let types = finder(args)?.list()?;
             let wanted = types.iter().filter(|name| only.is_none_or(|only| name.kind() == only.kind()));
             let names: BTreeSet<&str> = wanted.map(TypeName::package).collect();
-            Ok(write_names(manners.json, &names.into_iter().collect::<Vec<_>>(), &mut out)?)
+            Ok(write_names(common.json, &names.into_iter().collect::<Vec<_>>(), &mut out)?)
         }
         Verb::Show { name, no_comments, all_comments } => {
             let schema = find(args, name)?;
@@ -141,7 +141,7 @@ pub fn run(args: &InterfaceArgs) -> Outcome {
                 _ => 1,
             };
             let text = shown(&schema, depth);
-            if manners.json {
+            if common.json {
                 let (name, hash) = (schema.name().to_string(), schema.hash().to_string());
                 return Ok(writeln!(out, "{}", json!({ "type": name, "hash": hash, "definition": text }))?);
             }
@@ -154,7 +154,7 @@ pub fn run(args: &InterfaceArgs) -> Outcome {
                 None => schema,
             };
             let message = DynamicMessage::new(&Arc::new(message));
-            match manners.json {
+            match common.json {
                 true => Ok(writeln!(out, "{}", message.to_json())?),
                 false => Ok(out.write_all(message.echo(EchoForm::default()).as_bytes())?),
             }
@@ -163,7 +163,7 @@ pub fn run(args: &InterfaceArgs) -> Outcome {
 }
 
 fn finder(args: &InterfaceArgs) -> Outcome<Finder> {
-    Ok(Finder::new(&args.path).in_domain(args.manners.domain()?))
+    Ok(Finder::new(&args.path).in_domain(args.common.domain()?))
 }
 
 fn find(args: &InterfaceArgs, name: &str) -> Outcome<Schema> {

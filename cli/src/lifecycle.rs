@@ -3,7 +3,7 @@
 
 use crate::asking::{Asking, no_answer, node_with, nodes_with};
 use crate::completions;
-use crate::manners::{End, Failure, Manners, Outcome};
+use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 use std::io::{self, Write};
@@ -32,7 +32,7 @@ pub struct LifecycleArgs {
     #[command(subcommand)]
     verb: Verb,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 #[derive(Subcommand, Clone, Debug)]
@@ -67,21 +67,21 @@ enum Verb {
 
 /// Runs the verb.
 pub fn run(args: &LifecycleArgs) -> Outcome {
-    let manners = &args.manners;
+    let common = &args.common;
     match &args.verb {
         Verb::Nodes => {
-            let nodes = nodes_with(manners.domain()?, STATE)?;
+            let nodes = nodes_with(common.domain()?, STATE)?;
             let names: Vec<&str> = nodes.iter().map(String::as_str).collect();
-            Ok(crate::table::write_names(manners.json, &names, &mut io::stdout())?)
+            Ok(crate::table::write_names(common.json, &names, &mut io::stdout())?)
         }
-        Verb::Get { node } => get(manners, node.as_deref()),
-        Verb::List { node, all } => list(manners, node, *all),
-        Verb::Set { node, transition } => set(manners, node, transition),
+        Verb::Get { node } => get(common, node.as_deref()),
+        Verb::List { node, all } => list(common, node, *all),
+        Verb::Set { node, transition } => set(common, node, transition),
     }
 }
 
-fn get(manners: &Manners, node: Option<&str>) -> Outcome {
-    let (end, domain) = (End::within(PATIENCE, manners)?, manners.domain()?);
+fn get(common: &CommonArgs, node: Option<&str>) -> Outcome {
+    let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
     let nodes = match node {
         Some(node) => vec![node_with(domain, node, STATE, UNMANAGED)?],
         None => nodes_with(domain, STATE)?,
@@ -97,13 +97,13 @@ fn get(manners: &Manners, node: Option<&str>) -> Outcome {
                 silent += 1;
                 eprintln!("taut: {name}: {}", no_answer(error));
             }
-            Ok(_) if manners.json => {}
+            Ok(_) if common.json => {}
             Ok(State { id, label }) if node.is_some() => writeln!(out, "{label} [{id}]")?,
             Ok(State { id, label }) => writeln!(out, "{name}: {label} [{id}]")?,
         }
         told.push(json!({ "node": name, "state": state.ok() }));
     }
-    if manners.json {
+    if common.json {
         let told = if node.is_some() { told.remove(0) } else { Value::from(told) };
         writeln!(out, "{told}")?;
     }
@@ -113,13 +113,13 @@ fn get(manners: &Manners, node: Option<&str>) -> Outcome {
     }
 }
 
-fn list(manners: &Manners, node: &str, all: bool) -> Outcome {
-    let (end, domain) = (End::within(PATIENCE, manners)?, manners.domain()?);
+fn list(common: &CommonArgs, node: &str, all: bool) -> Outcome {
+    let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
     let service = if all { "get_transition_graph" } else { "get_available_transitions" };
     let node = node_with(domain, node, service, UNMANAGED)?;
     let transitions = transitions(&mut Asking::new(domain, end)?, &node, service)?;
     let mut out = io::stdout().lock();
-    if manners.json {
+    if common.json {
         return Ok(writeln!(out, "{}", json!(transitions))?);
     }
     for TransitionDescription { transition, start_state, goal_state } in transitions {
@@ -135,8 +135,8 @@ fn transitions(asking: &mut Asking, node: &str, service: &str) -> Outcome<Vec<Tr
     Ok(asking.ask::<GetAvailableTransitions::Service>(&service, request)?.available_transitions)
 }
 
-fn set(manners: &Manners, node: &str, wanted: &str) -> Outcome {
-    let (end, domain) = (End::within(PATIENCE, manners)?, manners.domain()?);
+fn set(common: &CommonArgs, node: &str, wanted: &str) -> Outcome {
+    let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
     let node = node_with(domain, node, "change_state", UNMANAGED)?;
     let mut asking = Asking::new(domain, end)?;
     let available = transitions(&mut asking, &node, "get_available_transitions")?;
@@ -148,11 +148,11 @@ fn set(manners: &Manners, node: &str, wanted: &str) -> Outcome {
         return Err(Failure::unknown(&what, wanted, labels, &list));
     };
     // The node may have much to do.
-    asking.end = End::of(manners)?;
+    asking.end = End::of(common)?;
     let request = ChangeState::Request { transition: transition.clone() };
     let changed = asking.ask::<ChangeState::Service>(&format!("{node}/change_state"), request)?;
     let mut out = io::stdout().lock();
-    if manners.json {
+    if common.json {
         writeln!(
             out,
             "{}",

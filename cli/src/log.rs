@@ -4,8 +4,8 @@
 use crate::asking::{Asking, full_name, node_with};
 use crate::completions;
 use crate::fits::label;
-use crate::manners::{End, Failure, Manners, Outcome};
 use crate::table::{BAD, WARNING};
+use crate::verb::{CommonArgs, End, Failure, Outcome};
 use anstyle::Style;
 use clap::{Args, Subcommand, ValueEnum};
 use serde_json::json;
@@ -46,7 +46,7 @@ pub struct LogArgs {
     #[command(flatten)]
     lines: LinesArgs,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 #[derive(Args, Clone, Debug)]
@@ -113,7 +113,7 @@ impl Level {
 /// Runs the verb.
 pub fn run(args: &LogArgs) -> Outcome {
     match &args.verb {
-        None => Lines::open(&args.lines, &args.manners)?.run(),
+        None => Lines::open(&args.lines, &args.common)?.run(),
         Some(Verb::Level { node, level, logger }) => {
             let lines = &args.lines;
             if !lines.nodes.is_empty() || lines.new || lines.count.is_some() || lines.source {
@@ -121,7 +121,7 @@ pub fn run(args: &LogArgs) -> Outcome {
                     "`taut log level` prints no lines: see `taut log level --help`",
                 ));
             }
-            self::level(&args.manners, node, *level, logger.as_deref())
+            self::level(&args.common, node, *level, logger.as_deref())
         }
     }
 }
@@ -129,7 +129,7 @@ pub fn run(args: &LogArgs) -> Outcome {
 /// Which lines of /rosout are printed, and how.
 struct Lines<'a> {
     args: &'a LinesArgs,
-    manners: &'a Manners,
+    common: &'a CommonArgs,
     /// Loggers whose lines are wanted, and those below them; of all, if there are none.
     loggers: Vec<String>,
     end: End,
@@ -140,8 +140,8 @@ struct Lines<'a> {
 }
 
 impl<'a> Lines<'a> {
-    fn open(args: &'a LinesArgs, manners: &'a Manners) -> Outcome<Self> {
-        let (end, domain) = (End::of(manners)?, manners.domain()?);
+    fn open(args: &'a LinesArgs, common: &'a CommonArgs) -> Outcome<Self> {
+        let (end, domain) = (End::of(common)?, common.domain()?);
         for node in args.nodes.iter().map(|node| full_name(node)) {
             let is_there = || {
                 Ok(graph_of(domain)?.nodes.iter().any(|there| there.name.full_name() == node).then_some(()))
@@ -155,7 +155,7 @@ impl<'a> Lines<'a> {
         let limits = Limits { held: 1, ..Limits::default() };
         let subscription = participant.for_node(&node).create_subscription(TOPIC, qos, limits)?;
         let loggers = args.nodes.iter().map(|node| logger_of(&full_name(node))).collect();
-        Ok(Lines { args, manners, loggers, end, participant, subscription, unheard: BTreeSet::new() })
+        Ok(Lines { args, common, loggers, end, participant, subscription, unheard: BTreeSet::new() })
     }
 
     fn run(mut self) -> Outcome {
@@ -217,7 +217,7 @@ impl<'a> Lines<'a> {
 
     fn print(&self, log: &Log) -> Outcome {
         let mut out = anstream::stdout().lock();
-        if self.manners.json {
+        if self.common.json {
             let time_ns = i64::from(log.stamp.sec) * 1_000_000_000 + i64::from(log.stamp.nanosec);
             let line = json!({
                 "time_ns": time_ns,
@@ -288,8 +288,8 @@ fn logger_of(node: &str) -> String {
     node.trim_start_matches('/').replace('/', ".")
 }
 
-fn level(manners: &Manners, node: &str, level: Option<Level>, logger: Option<&str>) -> Outcome {
-    let (end, domain) = (End::within(PATIENCE, manners)?, manners.domain()?);
+fn level(common: &CommonArgs, node: &str, level: Option<Level>, logger: Option<&str>) -> Outcome {
+    let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
     let service = if level.is_some() { "set_logger_levels" } else { "get_logger_levels" };
     let what = "does not serve the levels of its loggers (rclcpp, rclpy: enable_logger_service; Tautline: make_logger_handler)";
     let node = node_with(domain, node, service, what)?;
@@ -301,7 +301,7 @@ fn level(manners: &Manners, node: &str, level: Option<Level>, logger: Option<&st
         let request = GetLoggerLevels::Request { names: vec![name.clone()] };
         let answer = asking.ask::<GetLoggerLevels::Service>(&service, request)?;
         let own = answer.levels.first().map_or(0, |level| u8::try_from(level.level).unwrap_or(u8::MAX));
-        return Ok(match manners.json {
+        return Ok(match common.json {
             true => writeln!(out, "{}", json!({ "node": node, "logger": name, "level": word(own) })),
             false => writeln!(out, "{name}: {}", word(own)),
         }?);
@@ -311,7 +311,7 @@ fn level(manners: &Manners, node: &str, level: Option<Level>, logger: Option<&st
     let answer = asking.ask::<SetLoggerLevels::Service>(&service, request)?;
     let result = answer.results.into_iter().next().unwrap_or_default();
     let now = level.severity().name();
-    if manners.json {
+    if common.json {
         let (successful, reason) = (result.successful, &result.reason);
         writeln!(
             out,

@@ -23,7 +23,6 @@ mod keys;
 mod lifecycle;
 mod log;
 mod man;
-mod manners;
 mod moment;
 mod msg;
 mod node;
@@ -40,10 +39,11 @@ mod times;
 mod top;
 mod topic;
 mod trace;
+mod verb;
 
 use clap::{CommandFactory, Parser, Subcommand};
-use manners::Failure;
 use std::process::ExitCode;
+use verb::Failure;
 
 /// Zero-copy, real-time middleware for robots.
 #[derive(Parser)]

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut man`: a manual page for each verb, from what the verbs say of themselves.
 
-use crate::manners::{Failure, Outcome};
+use crate::verb::{Failure, Outcome};
 use clap::{Args, Command};
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};

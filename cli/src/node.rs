@@ -3,7 +3,7 @@
 
 use crate::asking::{action_of, full_name};
 use crate::completions;
-use crate::manners::{Failure, Manners, Outcome};
+use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -24,7 +24,7 @@ pub struct NodeArgs {
     #[command(subcommand)]
     verb: Verb,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 #[derive(Subcommand, Clone, Debug)]
@@ -41,13 +41,13 @@ enum Verb {
 
 /// Runs the verb.
 pub fn run(args: &NodeArgs) -> Outcome {
-    let graph = graph_of(args.manners.domain()?)?;
+    let graph = graph_of(args.common.domain()?)?;
     for pair in graph.nodes.chunk_by(|one, other| one.name == other.name).filter(|same| same.len() > 1) {
         eprintln!("taut: {} nodes are called {}", pair.len(), pair[0].name);
     }
     let mut out = io::stdout().lock();
     match &args.verb {
-        Verb::List if args.manners.json => {
+        Verb::List if args.common.json => {
             writeln!(out, "{}", Value::from_iter(graph.nodes.iter().map(|node| facts(node))))?;
         }
         Verb::List => list(&graph.nodes, &mut out)?,
@@ -58,7 +58,7 @@ pub fn run(args: &NodeArgs) -> Outcome {
                 return Err(Failure::unknown("node", &name, names.iter().map(String::as_str), "node list"));
             };
             let parts = Parts::of(&graph, &graph.nodes[place]);
-            match args.manners.json {
+            match args.common.json {
                 true => writeln!(out, "{}", parts.to_json(&graph.nodes[place]))?,
                 false => parts.print(&graph.nodes[place], &mut out)?,
             }

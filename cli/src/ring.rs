@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What lies between who takes messages and who writes them: a ring of bytes, whose memory is there from the start.
 
-use crate::manners::{Failure, Outcome};
+use crate::verb::{Failure, Outcome};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::atomic::{Ordering, fence};
 
 /// What is in front of each message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Head {
-    /// Of the seat that it was taken from.
+    /// Of the observer that it was taken from.
     pub topic: u32,
     /// With the encapsulation.
     pub cdr_bytes: u32,

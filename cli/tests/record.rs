@@ -681,7 +681,7 @@ fn services_and_actions_are_recorded_as_events() {
         let topic = format!("{service}/_service_event");
         assert_eq!([counted(&topic, "requests"), counted(&topic, "responses")], [calls; 2], "{service}");
     }
-    // In the order of their reception: a request and its response in one look are told apart by the order of the seats.
+    // In the order of their reception: a request and its response in one look are told apart by the order of the observers.
     for n in 0..20 {
         let event = |kind: u8, request: String, response: String| {
             format!(

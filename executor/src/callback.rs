@@ -68,7 +68,7 @@ pub(crate) struct Callback {
     pub members: Vec<Arc<CallbackStats>>,
     pub priority: Arc<OwnPriority>,
     pub control: Arc<Control>,
-    pub end: Arc<End>,
+    pub end: Arc<Completion>,
     pub info: ThreadInfo,
     pub thread: Mutex<Thread>,
 }
@@ -105,24 +105,24 @@ impl fmt::Debug for Callback {
 
 /// Whether a callback's future has ended.
 #[derive(Debug, Default)]
-pub(crate) struct End(AtomicBool);
+pub(crate) struct Completion(AtomicBool);
 
-impl End {
+impl Completion {
     pub fn has_come(&self) -> bool {
-        // Acquire: pairs with the Release in `Presence`.
+        // Acquire: pairs with the Release in `CompletionGuard`.
         self.0.load(Ordering::Acquire)
     }
 }
 
 /// Held by the thread while its future lives; its drop reports the end, whatever the reason.
-pub(crate) struct Presence {
-    pub end: Arc<End>,
+pub(crate) struct CompletionGuard {
+    pub end: Arc<Completion>,
     /// Of all callbacks of the thread.
     pub stats: Vec<Arc<CallbackStats>>,
     pub _registration: ThreadRegistration,
 }
 
-impl Drop for Presence {
+impl Drop for CompletionGuard {
     fn drop(&mut self) {
         self.stats.iter().for_each(|stats| stats.end());
         self.end.0.store(true, Ordering::Release);

@@ -16,13 +16,13 @@ use tautline_rt::{
     current_affinity, current_policy, host::online_cores,
 };
 
-use crate::callback::{Callback, End, Presence, Thread};
+use crate::callback::{Callback, Completion, CompletionGuard, Thread};
 use crate::group::{CallbackGroup, MemberInfo};
 use crate::hot::{
-    self, Account, CallbackThread, Control, Controlled, GroupFuture, Holder, Measured, Parker, Stopwatch,
-    Waiting,
+    self, BudgetEnforcer, CallbackThread, Control, Controlled, CoreTimeAccount, GroupFuture, Measured,
+    Parker, Stopwatch, Waiting,
 };
-use crate::registry::{Registry, Seat};
+use crate::registry::{RegisteredThread, Registry};
 use crate::settings::{CallbackSettings, Callbacks};
 use crate::{
     CallbackHandle, CallbackOptions, CallbackStats, ExecutorError, OverrunPolicy, StatisticsFile,
@@ -59,7 +59,7 @@ impl Executor {
 
     /// What callback threads sleep on that publishers wake themselves: `make` is called for each callback with
     /// [`CallbackOptions::direct_wake`].
-    #[must_use]
+    #[must_use = "it returns the changed executor"]
     pub fn with_parkers(
         mut self,
         make: impl Fn() -> Result<Arc<dyn Parker>, Refusal> + Send + Sync + 'static,
@@ -69,7 +69,7 @@ impl Executor {
     }
 
     /// Keeps the statistics of all callbacks where other processes can read them.
-    #[must_use]
+    #[must_use = "it returns the changed executor"]
     pub fn with_statistics(mut self, file: StatisticsFile) -> Executor {
         self.statistics = Some(file);
         self
@@ -79,7 +79,7 @@ impl Executor {
     /// [moments](crate::CallbackSnapshot::moments): what was taken from one job if it is as long as `least`, and timers that were served
     /// 100 µs late. It costs three system calls before each job and three after it. For callbacks that are spawned from now on; not for
     /// those that poll busily.
-    #[must_use]
+    #[must_use = "it returns the changed executor"]
     pub fn account_core_time(mut self, least: Option<Duration>) -> Executor {
         self.accounts = least;
         self
@@ -154,8 +154,13 @@ impl Executor {
         policy: Policy,
         cores: CoreSet,
     ) -> Result<ThreadRegistration, ExecutorError> {
-        let seat = Seat { name: name.to_owned(), priority: policy.realtime_priority(), cores, busy: false };
-        self.registry.claim(seat, CoreSet::MAX)
+        let thread = RegisteredThread {
+            name: name.to_owned(),
+            priority: policy.realtime_priority(),
+            cores,
+            busy: false,
+        };
+        self.registry.claim(thread, CoreSet::MAX)
     }
 
     /// Tells every callback to end and waits until all their threads are gone. A callback that computes without ever
@@ -205,8 +210,8 @@ impl Executor {
         let holds = overrun_policy != OverrunPolicy::Tell && self.realtime == Realtime::Required;
         let parker = self.parker(&options)?;
         let refused = |source| ExecutorError::Thread { name: options.name.clone(), source };
-        let (seat, online) = self.seat(&options).map_err(refused)?;
-        let registration = self.registry.claim(seat, online)?;
+        let (thread, online) = self.thread(&options).map_err(refused)?;
+        let registration = self.registry.claim(thread, online)?;
 
         let stats = Arc::new(CallbackStats::new(options.name.as_str()));
         stats.set_deadline(options.effective_deadline());
@@ -217,9 +222,9 @@ impl Executor {
         for member in &members {
             member.stats.place(self.statistics.as_ref(), false).map_err(no_statistics)?;
         }
-        let (control, end) = (Arc::<Control>::default(), Arc::<End>::default());
+        let (control, end) = (Arc::<Control>::default(), Arc::<Completion>::default());
         let all_stats = members.iter().map(|member| &member.stats).chain([&stats]).cloned().collect();
-        let presence = Presence { end: Arc::clone(&end), stats: all_stats, _registration: registration };
+        let guard = CompletionGuard { end: Arc::clone(&end), stats: all_stats, _registration: registration };
         // A thread that waits for the next period of its reservation looks like one that something took the core from.
         let reserved = matches!(options.policy, Policy::Deadline { .. });
         let accounts = self.accounts.filter(|_| !options.busy_poll && !reserved).map(clock::nanoseconds);
@@ -246,15 +251,16 @@ impl Executor {
                 *thread_trouble.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
             };
             let timer = holds.then(|| BudgetTimer::new(thread_priority).map_err(failed).ok()).flatten();
-            let account = accounts
-                .and_then(|least_ns| Some(Account::new(CoreTime::new().map_err(failed).ok()?, least_ns)));
+            let account = accounts.and_then(|least_ns| {
+                Some(CoreTimeAccount::new(CoreTime::new().map_err(failed).ok()?, least_ns))
+            });
             let ends = (overrun_policy == OverrunPolicy::End).then(|| Arc::clone(&thread_control));
-            let holder = timer.map(|timer| match (overrun_policy, period) {
-                (OverrunPolicy::Suspend, Some(period)) => Holder::suspending(timer, period),
-                _ => Holder::demoting(timer, ends),
+            let enforcer = timer.map(|timer| match (overrun_policy, period) {
+                (OverrunPolicy::Suspend, Some(period)) => BudgetEnforcer::suspending(timer, period),
+                _ => BudgetEnforcer::demoting(timer, ends),
             });
             let (measured, future) =
-                make(Measured { stats: thread_stats, watch, stopwatch, holder, account });
+                make(Measured { stats: thread_stats, watch, stopwatch, enforcer, account });
             let (control, queue) = (Arc::clone(&thread_control), Cell::default());
             hot::enter(CallbackThread {
                 measured,
@@ -278,7 +284,7 @@ impl Executor {
             // A first poll, which does not reach the callback: it makes the pool claim its memory.
             pool.run_until_stalled();
             move || {
-                let _presence = presence;
+                let _guard = guard;
                 let mut pool = pool;
                 thread_control.start();
                 pool.run();
@@ -319,7 +325,7 @@ impl Executor {
     }
 
     /// The place the thread will have, as far as it is known before it runs.
-    fn seat(&self, options: &CallbackOptions) -> Result<(Seat, usize), RtError> {
+    fn thread(&self, options: &CallbackOptions) -> Result<(RegisteredThread, usize), RtError> {
         let policy = match self.realtime {
             Realtime::Required => options.policy,
             Realtime::Off => current_policy()?,
@@ -333,7 +339,7 @@ impl Executor {
             None => current_affinity()?,
         };
         let (priority, busy) = (policy.realtime_priority(), options.busy_poll);
-        Ok((Seat { name: options.name.clone(), priority, cores, busy }, online_cores()?.len()))
+        Ok((RegisteredThread { name: options.name.clone(), priority, cores, busy }, online_cores()?.len()))
     }
 
     /// Remembers a callback and forgets those that have ended well, so that the list does not grow for ever.

@@ -15,7 +15,7 @@ use std::time::Duration;
 use futures::Stream;
 use futures::task::AtomicWaker;
 use tautline_rt::clock::{monotonic_ns, nanoseconds, thread_cpu_ns};
-use tautline_rt::{BudgetTimer, CoreMark, CoreTime, Left, Refill};
+use tautline_rt::{BudgetTimer, CoreMark, CoreTime, Refill, RemainingBudget};
 use tautline_trace::{Object, ObjectId};
 
 use crate::group::Kept;
@@ -48,20 +48,20 @@ pub(crate) struct Measured {
     /// `None` where execution times are off.
     pub stopwatch: Option<Stopwatch>,
     /// What holds jobs to their budgets, if something does.
-    pub holder: Option<Holder>,
+    pub enforcer: Option<BudgetEnforcer>,
     /// What notes what was taken from the core, if it is accounted for.
-    pub account: Option<Account>,
+    pub account: Option<CoreTimeAccount>,
 }
 
 /// Holds jobs to their budgets: see [`OverrunPolicy`](crate::OverrunPolicy).
-pub(crate) struct Holder {
+pub(crate) struct BudgetEnforcer {
     timer: BudgetTimer,
-    how: Hold,
+    how: Enforcement,
     /// Jobs that have begun and not ended: streams of one callback may overlap.
     running: Cell<u32>,
 }
 
-enum Hold {
+enum Enforcement {
     Demote {
         /// What ends the callback with a demoted job, if that is wanted.
         ends: Option<Arc<Control>>,
@@ -71,19 +71,19 @@ enum Hold {
     Suspend {
         period: Duration,
         /// After an overrun, until a job is released that has not waited for it: what is left of the last refill.
-        behind: Cell<Option<Left>>,
+        behind: Cell<Option<RemainingBudget>>,
     },
 }
 
-impl Holder {
-    pub const fn demoting(timer: BudgetTimer, ends: Option<Arc<Control>>) -> Holder {
-        let how = Hold::Demote { ends, overran_until_ns: Cell::new(0) };
-        Holder { timer, how, running: Cell::new(0) }
+impl BudgetEnforcer {
+    pub const fn demoting(timer: BudgetTimer, ends: Option<Arc<Control>>) -> BudgetEnforcer {
+        let how = Enforcement::Demote { ends, overran_until_ns: Cell::new(0) };
+        BudgetEnforcer { timer, how, running: Cell::new(0) }
     }
 
-    pub const fn suspending(timer: BudgetTimer, period: Duration) -> Holder {
-        let how = Hold::Suspend { period, behind: Cell::new(None) };
-        Holder { timer, how, running: Cell::new(0) }
+    pub const fn suspending(timer: BudgetTimer, period: Duration) -> BudgetEnforcer {
+        let how = Enforcement::Suspend { period, behind: Cell::new(None) };
+        BudgetEnforcer { timer, how, running: Cell::new(0) }
     }
 
     /// A job begins that has a budget, in a thread that had used `since_ns`. One that has waited for an overrun is done below all
@@ -91,15 +91,17 @@ impl Holder {
     fn begin(&self, release_ns: u64, since_ns: u64, budget: Option<Duration>) {
         let is_first = self.running.replace(self.running.get().saturating_add(1)) == 0;
         match &self.how {
-            Hold::Demote { overran_until_ns, .. } if is_first && release_ns < overran_until_ns.get() => {
+            Enforcement::Demote { overran_until_ns, .. }
+                if is_first && release_ns < overran_until_ns.get() =>
+            {
                 self.timer.demote();
             }
-            Hold::Demote { .. } => {
+            Enforcement::Demote { .. } => {
                 if let Some(budget) = budget {
                     self.timer.arm(since_ns, budget);
                 }
             }
-            Hold::Suspend { period, behind } => {
+            Enforcement::Suspend { period, behind } => {
                 if let Some(budget) = budget.filter(|_| is_first) {
                     behind.set(behind.get().filter(|left| release_ns < left.refill_at_ns));
                     self.refill(release_ns, since_ns, budget, *period, behind.get());
@@ -109,11 +111,21 @@ impl Holder {
     }
 
     /// One that is late by more than a period, by what it says, is taken to be late by one: it would get all refills since at once.
-    fn refill(&self, release_ns: u64, since_ns: u64, budget: Duration, period: Duration, left: Option<Left>) {
+    fn refill(
+        &self,
+        release_ns: u64,
+        since_ns: u64,
+        budget: Duration,
+        period: Duration,
+        left: Option<RemainingBudget>,
+    ) {
         let (period_ns, now_ns) = (nanoseconds(period), monotonic_ns());
         let release_ns = release_ns.clamp(now_ns.saturating_sub(period_ns), now_ns);
-        let own = Left { budget_ns: nanoseconds(budget), refill_at_ns: release_ns.saturating_add(period_ns) };
-        let Left { budget_ns, refill_at_ns } = left.unwrap_or(own);
+        let own = RemainingBudget {
+            budget_ns: nanoseconds(budget),
+            refill_at_ns: release_ns.saturating_add(period_ns),
+        };
+        let RemainingBudget { budget_ns, refill_at_ns } = left.unwrap_or(own);
         self.timer.arm_refilled(since_ns, budget_ns, Refill { at_ns: refill_at_ns, period, budget });
     }
 
@@ -124,7 +136,7 @@ impl Holder {
             return false;
         }
         match &self.how {
-            Hold::Demote { ends, overran_until_ns } => {
+            Enforcement::Demote { ends, overran_until_ns } => {
                 // One that ends has nothing more to do at its priority.
                 let demoted = match ends {
                     Some(_) => self.timer.disarm_for_good(),
@@ -138,7 +150,7 @@ impl Holder {
                 }
                 demoted
             }
-            Hold::Suspend { behind, .. } => {
+            Enforcement::Suspend { behind, .. } => {
                 let suspended = self.timer.was_suspended();
                 let left = self.timer.disarm_refilled();
                 behind.set((suspended || behind.get().is_some()).then_some(left));
@@ -154,7 +166,7 @@ impl Holder {
 }
 
 /// Accounts for the time of a callback's core: see [`Executor::account_core_time`](crate::Executor::account_core_time).
-pub(crate) struct Account {
+pub(crate) struct CoreTimeAccount {
     clock: CoreTime,
     /// Shorter pieces are not noted.
     least_ns: u64,
@@ -166,12 +178,18 @@ pub(crate) struct Account {
     running: Cell<u32>,
 }
 
-impl Account {
+impl CoreTimeAccount {
     /// To wake a thread takes some time: less is not late.
     const WAKE_NS: u64 = 100_000;
 
-    pub const fn new(clock: CoreTime, least_ns: u64) -> Account {
-        Account { clock, least_ns, begun: Cell::new(None), ended: Cell::new(None), running: Cell::new(0) }
+    pub const fn new(clock: CoreTime, least_ns: u64) -> CoreTimeAccount {
+        CoreTimeAccount {
+            clock,
+            least_ns,
+            begun: Cell::new(None),
+            ended: Cell::new(None),
+            running: Cell::new(0),
+        }
     }
 
     /// A job begins that a clock released at `due_ns`, if one did.
@@ -242,28 +260,28 @@ impl Stopwatch {
 impl Measured {
     /// A job begins of the callback with these statistics: the thread's own, or a member's. `due_ns`: when a clock was to release
     /// it.
-    fn begin(&self, release_ns: u64, due_ns: Option<u64>, of: &CallbackStats) -> Begun {
+    fn begin(&self, release_ns: u64, due_ns: Option<u64>, of: &CallbackStats) -> StartedJob {
         self.stats.release(release_ns);
         if let Some(account) = &self.account {
             account.begin(due_ns, of);
         }
         if let Some(stopwatch) = &self.stopwatch {
             stopwatch.begin();
-            if let (Some(holder), Some(since_ns)) = (&self.holder, stopwatch.since_ns.get()) {
-                holder.begin(release_ns, since_ns, of.budget());
+            if let (Some(enforcer), Some(since_ns)) = (&self.enforcer, stopwatch.since_ns.get()) {
+                enforcer.begin(release_ns, since_ns, of.budget());
             }
         }
-        Begun { release_ns }
+        StartedJob { release_ns }
     }
 
     /// A job that ends now, of the callback with these statistics.
-    fn end(&self, begun: Begun, of: &CallbackStats) -> stats::Job {
-        let Begun { release_ns } = begun;
+    fn end(&self, begun: StartedJob, of: &CallbackStats) -> stats::Job {
+        let StartedJob { release_ns } = begun;
         let response_ns = monotonic_ns().saturating_sub(release_ns);
         if let Some(account) = &self.account {
-            account.end(of, self.holder.as_ref().is_some_and(Holder::has_slept));
+            account.end(of, self.enforcer.as_ref().is_some_and(BudgetEnforcer::has_slept));
         }
-        if self.holder.as_ref().is_some_and(Holder::end) {
+        if self.enforcer.as_ref().is_some_and(BudgetEnforcer::end) {
             self.stats.demoted();
         }
         let input_size = current(|thread| thread.input_size.take()).flatten();
@@ -281,7 +299,7 @@ impl Measured {
 
 /// A job that has begun.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Begun {
+pub(crate) struct StartedJob {
     release_ns: u64,
 }
 
@@ -461,7 +479,7 @@ impl Future for Controlled {
 #[derive(Debug)]
 #[must_use = "call finish() when the item has been dealt with"]
 pub struct Job {
-    begun: Option<Begun>,
+    begun: Option<StartedJob>,
     callback: ObjectId,
 }
 
@@ -623,7 +641,7 @@ pub(crate) struct StreamMember<S: Stream, F, Fut> {
     pub next: Option<S::Item>,
     /// The place of the callback's future, claimed once and used for every job.
     pub future: Pin<Box<Option<Fut>>>,
-    pub begun: Option<Begun>,
+    pub begun: Option<StartedJob>,
     pub stats: Arc<CallbackStats>,
     pub watch: Watch,
     /// What trace events call the callback if the stream does not say.

@@ -10,12 +10,12 @@ use crate::ExecutorError;
 /// The threads an executor knows of.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Registry {
-    seats: Arc<Mutex<Vec<Arc<Seat>>>>,
+    threads: Arc<Mutex<Vec<Arc<RegisteredThread>>>>,
 }
 
 /// A thread's place among the others.
 #[derive(Debug)]
-pub(crate) struct Seat {
+pub(crate) struct RegisteredThread {
     pub name: String,
     /// `None` for time sharing, which is below every real-time priority.
     pub priority: Option<u8>,
@@ -28,43 +28,50 @@ pub(crate) struct Seat {
 #[must_use = "the thread is forgotten as soon as this is dropped"]
 pub struct ThreadRegistration {
     registry: Registry,
-    seat: Arc<Seat>,
+    thread: Arc<RegisteredThread>,
 }
 
 impl Registry {
     /// Registers a thread of a machine with `online` cores, unless it or another would then starve.
-    pub fn claim(&self, seat: Seat, online: usize) -> Result<ThreadRegistration, ExecutorError> {
-        if seat.busy {
-            if seat.cores.len() != 1 {
-                return Err(ExecutorError::BusyPollCores { name: seat.name, cores: seat.cores.to_string() });
+    pub fn claim(
+        &self,
+        thread: RegisteredThread,
+        online: usize,
+    ) -> Result<ThreadRegistration, ExecutorError> {
+        if thread.busy {
+            if thread.cores.len() != 1 {
+                return Err(ExecutorError::BusyPollCores {
+                    name: thread.name,
+                    cores: thread.cores.to_string(),
+                });
             }
-            if let (Some(priority), 0..=1) = (seat.priority, online) {
-                return Err(ExecutorError::BusyPollOnlyCore { name: seat.name, priority });
+            if let (Some(priority), 0..=1) = (thread.priority, online) {
+                return Err(ExecutorError::BusyPollOnlyCore { name: thread.name, priority });
             }
         }
-        let seat = Arc::new(seat);
-        let mut seats = self.seats.lock().unwrap_or_else(PoisonError::into_inner);
-        seats.push(Arc::clone(&seat));
-        if let Some(starvation) = starvation(&seats) {
-            seats.pop();
+        let thread = Arc::new(thread);
+        let mut threads = self.threads.lock().unwrap_or_else(PoisonError::into_inner);
+        threads.push(Arc::clone(&thread));
+        if let Some(starvation) = starvation(&threads) {
+            threads.pop();
             return Err(starvation);
         }
-        Ok(ThreadRegistration { registry: self.clone(), seat })
+        Ok(ThreadRegistration { registry: self.clone(), thread })
     }
 }
 
 impl Drop for ThreadRegistration {
     fn drop(&mut self) {
-        let mut seats = self.registry.seats.lock().unwrap_or_else(PoisonError::into_inner);
-        seats.retain(|seat| !Arc::ptr_eq(seat, &self.seat));
+        let mut threads = self.registry.threads.lock().unwrap_or_else(PoisonError::into_inner);
+        threads.retain(|thread| !Arc::ptr_eq(thread, &self.thread));
     }
 }
 
 /// The first thread of which every core is held by a real-time busy poller of its priority or above.
-fn starvation(seats: &[Arc<Seat>]) -> Option<ExecutorError> {
-    seats.iter().find_map(|starved| {
+fn starvation(threads: &[Arc<RegisteredThread>]) -> Option<ExecutorError> {
+    threads.iter().find_map(|starved| {
         let holder = |core| {
-            let mut others = seats.iter().filter(|other| !Arc::ptr_eq(other, starved));
+            let mut others = threads.iter().filter(|other| !Arc::ptr_eq(other, starved));
             others.find(|other| {
                 other.busy
                     && other.priority.is_some()
@@ -87,17 +94,22 @@ fn starvation(seats: &[Arc<Seat>]) -> Option<ExecutorError> {
 mod tests {
     use super::*;
 
-    fn seat(name: &str, priority: Option<u8>, cores: &[usize]) -> Seat {
-        Seat { name: name.to_owned(), priority, cores: cores.iter().copied().collect(), busy: false }
+    fn thread(name: &str, priority: Option<u8>, cores: &[usize]) -> RegisteredThread {
+        RegisteredThread {
+            name: name.to_owned(),
+            priority,
+            cores: cores.iter().copied().collect(),
+            busy: false,
+        }
     }
 
-    fn busy(name: &str, priority: Option<u8>, cores: &[usize]) -> Seat {
-        Seat { busy: true, ..seat(name, priority, cores) }
+    fn busy(name: &str, priority: Option<u8>, cores: &[usize]) -> RegisteredThread {
+        RegisteredThread { busy: true, ..thread(name, priority, cores) }
     }
 
     /// `Err` names the busy poller and the starved thread.
-    fn claim(registry: &Registry, seat: Seat) -> Result<ThreadRegistration, (String, String)> {
-        registry.claim(seat, 4).map_err(|error| match error {
+    fn claim(registry: &Registry, thread: RegisteredThread) -> Result<ThreadRegistration, (String, String)> {
+        registry.claim(thread, 4).map_err(|error| match error {
             ExecutorError::Starved { busy, starved, .. } => (busy, starved),
             other => panic!("{other}"),
         })
@@ -110,9 +122,9 @@ mod tests {
     #[test]
     fn a_busy_poller_may_not_starve_those_that_are_there() {
         let registry = Registry::default();
-        let _low = claim(&registry, seat("low", Some(10), &[1])).unwrap();
-        let _free = claim(&registry, seat("free", Some(5), &[1, 2])).unwrap();
-        let _sampler = claim(&registry, seat("sampler", Some(90), &[0])).unwrap();
+        let _low = claim(&registry, thread("low", Some(10), &[1])).unwrap();
+        let _free = claim(&registry, thread("free", Some(5), &[1, 2])).unwrap();
+        let _sampler = claim(&registry, thread("sampler", Some(90), &[0])).unwrap();
         assert_eq!(claim(&registry, busy("b", Some(10), &[1])).unwrap_err(), refused("b", "low"));
         let _below = claim(&registry, busy("below", Some(9), &[1])).unwrap();
         let _under_the_sampler = claim(&registry, busy("c", Some(20), &[0])).unwrap();
@@ -128,13 +140,13 @@ mod tests {
         let registry = Registry::default();
         let poller = claim(&registry, busy("b", Some(20), &[1])).unwrap();
         for priority in [None, Some(1), Some(20)] {
-            assert_eq!(claim(&registry, seat("late", priority, &[1])).unwrap_err(), refused("b", "late"));
+            assert_eq!(claim(&registry, thread("late", priority, &[1])).unwrap_err(), refused("b", "late"));
         }
-        let _above = claim(&registry, seat("above", Some(21), &[1])).unwrap();
-        let _elsewhere = claim(&registry, seat("elsewhere", Some(1), &[1, 3])).unwrap();
+        let _above = claim(&registry, thread("above", Some(21), &[1])).unwrap();
+        let _elsewhere = claim(&registry, thread("elsewhere", Some(1), &[1, 3])).unwrap();
         assert_eq!(claim(&registry, busy("b2", Some(30), &[1])).unwrap_err(), refused("b2", "b"));
         drop(poller);
-        let _late = claim(&registry, seat("late", Some(20), &[1])).unwrap();
+        let _late = claim(&registry, thread("late", Some(20), &[1])).unwrap();
     }
 
     #[test]

@@ -51,7 +51,7 @@ const WARM_UP: u64 = 100;
 const CYCLES: u64 = 10_000;
 
 /// Rung by the test, answered by callbacks.
-struct Bell {
+struct Trigger {
     waker: AtomicWaker,
     rung: AtomicU64,
     answers: AtomicU64,
@@ -60,10 +60,10 @@ struct Bell {
     ringer: Thread,
 }
 
-impl Bell {
-    fn new() -> Arc<Bell> {
+impl Trigger {
+    fn new() -> Arc<Trigger> {
         let (waker, rung, answers, heap_calls) = Default::default();
-        Arc::new(Bell { waker, rung, answers, heap_calls, ringer: current() })
+        Arc::new(Trigger { waker, rung, answers, heap_calls, ringer: current() })
     }
 
     /// Ready with the number of the ring after `heard`.
@@ -85,20 +85,20 @@ impl Bell {
     }
 }
 
-/// Rings all bells again and again; returns the heap calls after the warm-up: the ringer's and each bell's.
-fn cycle(bells: &[&Bell]) -> Vec<u64> {
+/// Rings all triggers again and again; returns the heap calls after the warm-up: the ringer's and each trigger's.
+fn cycle(triggers: &[&Trigger]) -> Vec<u64> {
     let calls = || -> Vec<u64> {
         let ringer = HEAP_CALLS.get();
-        let answering = bells.iter().map(|bell| bell.heap_calls.load(Ordering::Relaxed));
+        let answering = triggers.iter().map(|trigger| trigger.heap_calls.load(Ordering::Relaxed));
         [ringer].into_iter().chain(answering).collect()
     };
     let mut warm = calls();
     for ring in 1..=WARM_UP + CYCLES {
-        for bell in bells {
-            bell.rung.store(ring, Ordering::Release);
-            bell.waker.wake();
+        for trigger in triggers {
+            trigger.rung.store(ring, Ordering::Release);
+            trigger.waker.wake();
         }
-        bells.iter().for_each(|bell| bell.wait_for(ring));
+        triggers.iter().for_each(|trigger| trigger.wait_for(ring));
         if ring == WARM_UP {
             warm = calls();
             // Not counting the list itself.
@@ -160,24 +160,24 @@ fn waking_and_polling_a_callback() {
     let (plain, late) = (CallbackOptions::other(), CallbackOptions::other().bound(Duration::from_nanos(1)));
     for (options, accounts) in [(plain, false), (unmeasured, false), (watched, false), (late, true)] {
         let limits = u64::from(options.budget.is_some()) + u64::from(options.deadline.is_some());
-        let bell = Bell::new();
-        let (callback_bell, mut heard, mut job) = (bell.clone(), 0, None);
+        let trigger = Trigger::new();
+        let (callback_trigger, mut heard, mut job) = (trigger.clone(), 0, None);
         // As a stream does it: a job ends when the next one is asked for.
         let future = poll_fn(move |cx| {
             loop {
                 if let Some(job) = job.take() {
                     job::Job::finish(job);
                 }
-                heard = std::task::ready!(callback_bell.poll(heard, cx));
+                heard = std::task::ready!(callback_trigger.poll(heard, cx));
                 job = Some(job::begin(0));
                 job::note_queue(job::QueueState { lost: 1, max_queue: heard, depth: 10 });
                 job::set_input_size(1 << (heard % 64));
-                callback_bell.answer();
+                callback_trigger.answer();
             }
         });
         let executor = Executor::new(Realtime::Off).account_core_time(accounts.then_some(Duration::ZERO));
         let callback = executor.spawn_callback(options, future).unwrap();
-        assert_eq!(cycle(&[&bell]), [0, 0]);
+        assert_eq!(cycle(&[&trigger]), [0, 0]);
         assert!(callback.stats().completions() >= CYCLES);
         let seen = callback.stats().snapshot().unwrap();
         assert_eq!((seen.accounts_core_time, seen.older_moments >= CYCLES - 128), (accounts, accounts));
@@ -192,30 +192,30 @@ fn waking_and_polling_a_callback() {
 #[test]
 fn turns_of_a_group() {
     let _traced = traced(1230);
-    let bells = [Bell::new(), Bell::new(), Bell::new()];
+    let triggers = [Trigger::new(), Trigger::new(), Trigger::new()];
     let mut group = CallbackGroup::new();
     let mut stats = Vec::new();
     let told = Arc::new(AtomicU64::new(0));
-    for bell in &bells {
-        let (stream_bell, callback_bell, mut heard) = (bell.clone(), bell.clone(), 0);
+    for trigger in &triggers {
+        let (stream_trigger, callback_trigger, mut heard) = (trigger.clone(), trigger.clone(), 0);
         let rings = stream::poll_fn(move |cx| {
-            let ring = std::task::ready!(stream_bell.poll(heard, cx));
+            let ring = std::task::ready!(stream_trigger.poll(heard, cx));
             heard = ring;
             Poll::Ready(Some(ring))
         });
         stats.push(group.add(
-            watched(&told).name("bell"),
+            watched(&told).name("trigger"),
             rings,
             |ring| *ring,
             move |_| {
-                let bell = callback_bell.clone();
-                async move { bell.answer() }
+                let trigger = callback_trigger.clone();
+                async move { trigger.answer() }
             },
         ));
     }
     let executor = Executor::new(Realtime::Off);
     executor.spawn_group(CallbackOptions::other(), group).unwrap();
-    assert_eq!(cycle(&[&bells[0], &bells[1], &bells[2]]), [0, 0, 0, 0]);
+    assert_eq!(cycle(&[&triggers[0], &triggers[1], &triggers[2]]), [0, 0, 0, 0]);
     executor.shutdown().unwrap();
     assert!(stats.iter().all(|member| member.completions() >= CYCLES));
     assert!(told.load(Ordering::Relaxed) >= 2 * 3 * CYCLES);

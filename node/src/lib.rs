@@ -135,12 +135,12 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Claim, Counters, Durability, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, History,
-    IncompatibleQos, IncompatibleType, Limits, Liveliness, LivelinessChanged, Loan, LoanError,
-    MAX_PENDING_REQUESTS, Matched, MessageInfo, MessageLost, NodeHandle, NodeInfo, NodeName, PendingResponse,
-    PublishCdrError, PublishError, Publisher, PublisherCounters, Qos, QosPolicyKind, Reliability, Request,
-    RequestId, Response, Sample, SendError, ServiceEndpoint, ServiceError, ServiceKind, TakeError,
-    TopicEndpoint, TopicMemory, TransportError, Unwritten, UnwrittenResponse, topic_memory,
+    Claim, Durability, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, History, IncompatibleQos,
+    IncompatibleType, Limits, Liveliness, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS, Matched,
+    MessageInfo, MessageLost, NodeHandle, NodeInfo, NodeName, PendingResponse, PublishCdrError, PublishError,
+    Publisher, PublisherCounters, Qos, QosPolicyKind, Reliability, Request, RequestId, Response, Sample,
+    SendError, ServiceEndpoint, ServiceError, ServiceKind, SubscriptionCounters, TakeError, TopicEndpoint,
+    TopicMemory, TransportError, Unwritten, UnwrittenResponse, topic_memory,
 };
 
 /// Below messages: ends of topics and services that carry bytes, what the sampler serves, what the domain knows of its members. For tools,
@@ -149,10 +149,10 @@ pub mod raw {
     pub use tautline_sampler::{Alarm, Expiry, Timer, Watchdog};
     pub use tautline_trace::ObjectId;
     pub use tautline_transport::{
-        Arena, ArenaId, Availability, Doorbell, DoorbellError, Flags, GrowArena, Joined, MatchedCount,
-        Origin, PublisherChanges, PublisherMonitor, Pulse, PulseOf, Rank, RawClient, RawLoan, RawPending,
-        RawPublisher, RawResponse, RawSample, RawSubscription, SamplerSeat, Signal, Sleeper, Slot,
-        SubscriptionChanges, SubscriptionMonitor, ThreadBell, TopicType, TracedPort, Wakeable,
+        Activity, ActivityKind, Arena, ArenaId, Availability, BellRoute, Doorbell, DoorbellError, Flags,
+        GrowArena, MatchedCount, Origin, PublisherChanges, PublisherMonitor, Rank, RawClient, RawLoan,
+        RawPending, RawPublisher, RawResponse, RawSample, RawSubscription, SamplerSeat, Signal, Sleeper,
+        Slot, SubscriptionChanges, SubscriptionMonitor, ThreadBell, TopicType, TracedPort, Wakeable,
     };
 }
 

@@ -12,7 +12,7 @@ use tautline_executor::job::QueueState;
 use tautline_executor::{Parker, busy_polling, job, parker, parks_on, stop_requested};
 use tautline_join::{self as join, Room, StampedStream};
 use tautline_msgs::{HasStamp, Message};
-use tautline_transport::{Counters, Participant, RawSubscription, Sample, TakeError, ThreadBell};
+use tautline_transport::{Participant, RawSubscription, Sample, SubscriptionCounters, TakeError, ThreadBell};
 
 /// Receives messages of type `T` from one topic: a stream of [`Sample`]s, each read where it was written.
 ///
@@ -58,7 +58,7 @@ impl<T: Message> Subscription<T> {
     }
 
     /// Received, lost, invalid, highest queue fill: to be read from any thread.
-    pub fn counters(&self) -> Arc<Counters> {
+    pub fn counters(&self) -> Arc<SubscriptionCounters> {
         self.samples.counters()
     }
 
@@ -202,7 +202,7 @@ pub(crate) struct Samples<S> {
     quiet: bool,
     /// What the thread sleeps on that polled last, if publishers can wake it.
     parker: Option<Arc<dyn Parker>>,
-    counters: Arc<Counters>,
+    counters: Arc<SubscriptionCounters>,
     /// How many lost messages the callback's statistics know of.
     noted_lost: u64,
 }
@@ -219,7 +219,7 @@ impl<S: Source> Samples<S> {
         &self.source
     }
 
-    pub(crate) fn counters(&self) -> Arc<Counters> {
+    pub(crate) fn counters(&self) -> Arc<SubscriptionCounters> {
         self.counters.clone()
     }
 

@@ -9,13 +9,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use tautline_executor::job::QueueState;
 use tautline_executor::{ForeignCallback, foreign};
 use tautline_trace::{Object, SamplerObject};
-use tautline_transport::{Counters, RawSubscription};
+use tautline_transport::{RawSubscription, SubscriptionCounters};
 
 /// Those of one end.
 pub(crate) struct Jobs {
     traced: Object,
     measured: Option<Arc<ForeignCallback>>,
-    counters: Arc<Counters>,
+    counters: Arc<SubscriptionCounters>,
     depth: u64,
     /// Of the messages lost.
     noted: AtomicU64,

@@ -68,7 +68,7 @@ pub struct Refill {
 
 /// What was left of a budget when it was disarmed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Left {
+pub struct RemainingBudget {
     /// Processor time, in nanoseconds.
     pub budget_ns: u64,
     /// When the next refill would have been, in ns of `CLOCK_MONOTONIC`.
@@ -288,14 +288,14 @@ impl BudgetTimer {
     ///
     /// # Real-time
     /// No allocation; no wait; two syscalls.
-    pub fn disarm_refilled(&self) -> Left {
+    pub fn disarm_refilled(&self) -> RemainingBudget {
         STATE.with(|state| {
             let end_ns = state.end_ns.swap(0, Ordering::Relaxed);
             compiler_fence(Ordering::SeqCst);
             set(state, 0);
             state.suspended.store(false, Ordering::Relaxed);
             let budget_ns = end_ns.saturating_sub(thread_cpu_ns());
-            Left { budget_ns, refill_at_ns: state.refill_at_ns.load(Ordering::Relaxed) }
+            RemainingBudget { budget_ns, refill_at_ns: state.refill_at_ns.load(Ordering::Relaxed) }
         })
     }
 
@@ -566,7 +566,7 @@ mod tests {
             let taken_ns = monotonic_ns() - begin_ns;
             assert!(taken_ns >= 60_000_000, "{taken_ns}");
             assert!(timer.was_suspended());
-            let Left { budget_ns, refill_at_ns } = timer.disarm_refilled();
+            let RemainingBudget { budget_ns, refill_at_ns } = timer.disarm_refilled();
             // A thread that got the processor late may have missed the time of one.
             assert!(
                 (refill_at_ns - begin_ns).is_multiple_of(20_000_000) && refill_at_ns >= begin_ns + 80_000_000

@@ -32,7 +32,7 @@ impl CoreSet {
     }
 
     /// This set and `core`.
-    #[must_use]
+    #[must_use = "it returns the changed set"]
     pub const fn with(mut self, core: usize) -> CoreSet {
         if core < Self::MAX {
             self.bits[core / 64] |= 1 << (core % 64);

@@ -24,7 +24,7 @@ fn list() -> MutexGuard<'static, List> {
 /// Something that is to be done at the process's end, unless this is dropped before. A process that ends meanwhile waits until what
 /// this holds is dropped; that may hold no other one of these.
 #[derive(Debug)]
-#[must_use = "what is dropped is not done"]
+#[must_use = "dropping it cancels the call at exit"]
 pub struct AtExit(u64);
 
 /// Has `last` called when the process ends by itself, in the thread that ends it; what was named last is called first. A process that

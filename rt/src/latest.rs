@@ -17,7 +17,7 @@ use crate::sync::{Arc, AtomicU8, Ordering, UnsafeCell};
 const FRESH: u8 = 4;
 const SLOT: u8 = 3;
 
-struct Shared<T> {
+struct TripleBuffer<T> {
     slots: [UnsafeCell<T>; 3],
     between: AtomicU8,
 }
@@ -25,17 +25,17 @@ struct Shared<T> {
 // SAFETY: a slot is touched only by the side that has its number, and numbers are exchanged by one AcqRel swap, so each
 // of the three is at any time with the writer, with the reader or between them. A value may be read by one thread (as
 // `&T`, from which the reader can clone) while another one, which wrote it, holds no reference to it: T: Send will do.
-unsafe impl<T: Send> Sync for Shared<T> {}
+unsafe impl<T: Send> Sync for TripleBuffer<T> {}
 
 /// Puts values where the [`LatestReader`] finds the newest one.
 pub struct LatestWriter<T> {
-    shared: Arc<Shared<T>>,
+    buffer: Arc<TripleBuffer<T>>,
     slot: u8,
 }
 
 /// Reads the newest value that its [`LatestWriter`] has put there.
 pub struct LatestReader<T> {
-    shared: Arc<Shared<T>>,
+    buffer: Arc<TripleBuffer<T>>,
     slot: u8,
 }
 
@@ -50,11 +50,11 @@ pub struct LatestReader<T> {
 /// ```
 pub fn latest<T: Clone>(first: T) -> (LatestWriter<T>, LatestReader<T>) {
     let slots = [first.clone(), first.clone(), first].map(UnsafeCell::new);
-    let shared = Arc::new(Shared { slots, between: AtomicU8::new(1) });
-    (LatestWriter { shared: shared.clone(), slot: 0 }, LatestReader { shared, slot: 2 })
+    let buffer = Arc::new(TripleBuffer { slots, between: AtomicU8::new(1) });
+    (LatestWriter { buffer: buffer.clone(), slot: 0 }, LatestReader { buffer, slot: 2 })
 }
 
-impl<T> Shared<T> {
+impl<T> TripleBuffer<T> {
     fn slot(&self, number: u8) -> &UnsafeCell<T> {
         &self.slots[usize::from(number & SLOT) % 3]
     }
@@ -66,12 +66,12 @@ impl<T> LatestWriter<T> {
     /// # Real-time
     /// Wait-free, but for the drop of a value of `T`.
     pub fn write(&mut self, value: T) {
-        self.shared.slot(self.slot).with_mut(|slot| {
+        self.buffer.slot(self.slot).with_mut(|slot| {
             // SAFETY: this slot is the writer's, and `&mut self` is its only user.
             unsafe { *slot = value };
         });
         // AcqRel: the reader that gets this slot sees the value; what it did with the slot that comes back is over.
-        self.slot = self.shared.between.swap(self.slot | FRESH, Ordering::AcqRel) & SLOT;
+        self.slot = self.buffer.between.swap(self.slot | FRESH, Ordering::AcqRel) & SLOT;
     }
 
     /// As [`write`](Self::write); then `wake` wakes a reader that waits: see [`LatestReader::is_fresh_after`].
@@ -82,7 +82,7 @@ impl<T> LatestWriter<T> {
 
     /// Whether the reader is gone.
     pub fn is_abandoned(&self) -> bool {
-        Arc::strong_count(&self.shared) == 1
+        Arc::strong_count(&self.buffer) == 1
     }
 }
 
@@ -94,9 +94,9 @@ impl<T> LatestReader<T> {
     pub fn read(&mut self) -> &T {
         if self.is_fresh() {
             // AcqRel: as in `write`.
-            self.slot = self.shared.between.swap(self.slot, Ordering::AcqRel) & SLOT;
+            self.slot = self.buffer.between.swap(self.slot, Ordering::AcqRel) & SLOT;
         }
-        self.shared.slot(self.slot).with(|slot| {
+        self.buffer.slot(self.slot).with(|slot| {
             // SAFETY: this slot is the reader's as long as the reference lives: only `&mut self` exchanges it.
             unsafe { &*slot }
         })
@@ -107,7 +107,7 @@ impl<T> LatestReader<T> {
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
     pub fn current(&self) -> &T {
-        self.shared.slot(self.slot).with(|slot| {
+        self.buffer.slot(self.slot).with(|slot| {
             // SAFETY: this slot is the reader's, and `read`, which exchanges it, needs `&mut self`.
             unsafe { &*slot }
         })
@@ -118,7 +118,7 @@ impl<T> LatestReader<T> {
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
     pub fn is_fresh(&self) -> bool {
-        self.shared.between.load(Ordering::Relaxed) & FRESH != 0
+        self.buffer.between.load(Ordering::Relaxed) & FRESH != 0
     }
 
     /// As [`is_fresh`](Self::is_fresh), looked at after `register` has made known whom [`LatestWriter::write_and_wake`] is to wake:
@@ -221,19 +221,19 @@ mod loom_tests {
 
     /// As `futures`' `AtomicWaker`: who registered is woken by the next call, and sees what came before it.
     #[derive(Default)]
-    struct Bell {
+    struct TaskWaker {
         registered: loom::sync::Mutex<bool>,
-        rung: loom::sync::Notify,
+        woken: loom::sync::Notify,
     }
 
-    impl Bell {
+    impl TaskWaker {
         fn register(&self) {
             *self.registered.lock().unwrap() = true;
         }
 
-        fn ring(&self) {
+        fn wake(&self) {
             if std::mem::take(&mut *self.registered.lock().unwrap()) {
-                self.rung.notify();
+                self.woken.notify();
             }
         }
     }
@@ -243,16 +243,16 @@ mod loom_tests {
     fn loom_a_reader_that_waits_is_woken() {
         loom::model(|| {
             let (mut writer, mut reader) = latest(0);
-            let bell = Arc::new(Bell::default());
+            let bell = Arc::new(TaskWaker::default());
             let of_writer = bell.clone();
             let writing = loom::thread::spawn(move || {
-                (1..=2).for_each(|value| writer.write_and_wake(value, || of_writer.ring()));
+                (1..=2).for_each(|value| writer.write_and_wake(value, || of_writer.wake()));
                 writer
             });
             let mut last = 0;
             while last < 2 {
                 while !reader.is_fresh_after(|| bell.register()) {
-                    bell.rung.wait();
+                    bell.woken.wait();
                 }
                 let value = *reader.read();
                 assert!(value > last, "{value} after {last}");

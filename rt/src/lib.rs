@@ -40,11 +40,11 @@ mod exit;
 mod futex;
 mod idle;
 mod latest;
+mod lock_file;
 mod memory;
 mod mutex;
 mod noise;
 mod policy;
-mod seat;
 mod sync;
 mod thread;
 mod words;
@@ -55,7 +55,7 @@ pub mod host;
 pub mod permission;
 pub mod shm;
 
-pub use budget::{BudgetTimer, Left, OwnPriority, Refill};
+pub use budget::{BudgetTimer, OwnPriority, Refill, RemainingBudget};
 pub use core_time::{CoreMark, CoreTime};
 pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
 pub use error::RtError;
@@ -63,13 +63,13 @@ pub use exit::{AtExit, at_exit};
 pub use futex::FutexWord;
 pub use idle::IdleHold;
 pub use latest::{LatestReader, LatestWriter, latest};
+pub use lock_file::{LockFile, LockFileError};
 pub use memory::{
     MemoryLock, PageFaults, keep_freed_memory, lock_memory, page_faults, prefault_stack, tune_malloc,
 };
 pub use mutex::{PiGuard, PiMutex};
 pub use noise::Interruptions;
 pub use policy::{Policy, current_policy, policy_of, set_policy, set_policy_of};
-pub use seat::{Seat, SeatError};
 pub use thread::{
     JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads, threads_of,
 };

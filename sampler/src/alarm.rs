@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A task woken once, at a time that it sets itself.
 
-use crate::events::Shared;
+use crate::events::SamplerState;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use tautline_rt::clock::monotonic_ns;
@@ -10,14 +10,14 @@ use tautline_transport::Slot;
 /// Wakes one task at a time that can be set anew. Its slot may be rung besides, which wakes the task too: what waits for several
 /// things needs one alarm.
 pub struct Alarm {
-    shared: Arc<Shared>,
+    state: Arc<SamplerState>,
     slot: Slot,
     at_ns: Option<u64>,
 }
 
 impl Alarm {
-    pub(crate) fn new(shared: Arc<Shared>, slot: Slot) -> Self {
-        Alarm { shared, slot, at_ns: None }
+    pub(crate) fn new(state: Arc<SamplerState>, slot: Slot) -> Self {
+        Alarm { state, slot, at_ns: None }
     }
 
     /// The slot behind it.
@@ -34,7 +34,7 @@ impl Alarm {
             return;
         }
         self.at_ns = at_ns;
-        let words = &self.shared.timers.at(self.slot.index());
+        let words = &self.state.timers.at(self.slot.index());
         match at_ns {
             Some(at_ns) => drop(words.arm(at_ns, u64::MAX, None)),
             None => words.disarm(),
@@ -56,7 +56,7 @@ impl Drop for Alarm {
     /// # Real-time
     /// As [`set`](Self::set).
     fn drop(&mut self) {
-        self.shared.timers.at(self.slot.index()).disarm();
+        self.state.timers.at(self.slot.index()).disarm();
         self.slot.ring();
     }
 }

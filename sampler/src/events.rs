@@ -3,7 +3,7 @@
 
 use crate::alarm::Alarm;
 use crate::timer::Timer;
-use crate::timers::{Room, Timers};
+use crate::timers::{SpareQueues, Timers};
 use crate::watchdog::Watchdog;
 use std::future::poll_fn;
 use std::sync::Arc;
@@ -11,15 +11,15 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
-use tautline_transport::{Doorbell, Participant, Pulse, Slot, TransportError};
+use tautline_transport::{Activity, Doorbell, Participant, Slot, TransportError};
 
 /// The part of a sampler that other threads hold: they make timers and guard conditions here, and stop the sampler.
 #[derive(Clone)]
 pub struct Events {
-    pub(crate) shared: Arc<Shared>,
+    pub(crate) state: Arc<SamplerState>,
 }
 
-pub(crate) struct Shared {
+pub(crate) struct SamplerState {
     pub(crate) doorbell: Arc<Doorbell>,
     pub(crate) timers: Timers,
     stop: AtomicBool,
@@ -28,15 +28,15 @@ pub(crate) struct Shared {
 
 impl Events {
     /// The second is for the sampler.
-    pub(crate) fn new(participant: &Participant) -> Result<(Self, Room), TransportError> {
-        let (timers, room) = Timers::new();
-        let shared = Shared {
+    pub(crate) fn new(participant: &Participant) -> Result<(Self, SpareQueues), TransportError> {
+        let (timers, spares) = Timers::new();
+        let state = SamplerState {
             doorbell: participant.doorbell().clone(),
             timers,
             stop: AtomicBool::new(false),
             stop_slot: participant.claim_slot()?,
         };
-        Ok((Events { shared: Arc::new(shared) }, room))
+        Ok((Events { state: Arc::new(state) }, spares))
     }
 
     /// A timer whose first release is one period from now.
@@ -60,20 +60,19 @@ impl Events {
     /// [`TransportError::Doorbell`] if there is no memory for its slot.
     pub fn timer_at(&self, first_release_ns: u64, period: Duration) -> Result<Timer, TransportError> {
         let slot = self.timer_slot()?;
-        Ok(Timer::arm(self.shared.clone(), slot, first_release_ns, nanoseconds(period).max(1)))
+        Ok(Timer::arm(self.state.clone(), slot, first_release_ns, nanoseconds(period).max(1)))
     }
 
-    /// Watches that what `pulse` tells of happens at least once in each `period`. Nothing is expected before it has happened for
-    /// the first time.
+    /// Watches that `activity` is seen at least once in each `period`. Nothing is expected before it was seen for the first time.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
     /// [`TransportError::Doorbell`] if there is no memory for its slot.
-    pub fn watchdog(&self, pulse: Pulse, period: Duration) -> Result<Watchdog, TransportError> {
+    pub fn watchdog(&self, activity: Activity, period: Duration) -> Result<Watchdog, TransportError> {
         let slot = self.timer_slot()?;
-        Ok(Watchdog::arm(self.shared.clone(), slot, pulse, nanoseconds(period).max(1)))
+        Ok(Watchdog::arm(self.state.clone(), slot, activity, nanoseconds(period).max(1)))
     }
 
     /// An alarm that is not set.
@@ -85,13 +84,13 @@ impl Events {
     /// # Errors
     /// [`TransportError::Doorbell`] if there is no memory for its slot.
     pub fn alarm(&self) -> Result<Alarm, TransportError> {
-        Ok(Alarm::new(self.shared.clone(), self.timer_slot()?))
+        Ok(Alarm::new(self.state.clone(), self.timer_slot()?))
     }
 
     /// A slot at which the sampler may release something.
     fn timer_slot(&self) -> Result<Slot, TransportError> {
-        let slot = self.shared.doorbell.claim()?;
-        self.shared.timers.cover(slot.index());
+        let slot = self.state.doorbell.claim()?;
+        self.state.timers.cover(slot.index());
         Ok(slot)
     }
 
@@ -103,7 +102,7 @@ impl Events {
     /// # Errors
     /// [`TransportError::Doorbell`] if there is no memory for its slot.
     pub fn guard_condition(&self) -> Result<GuardCondition, TransportError> {
-        let slot = Arc::new(self.shared.doorbell.claim()?);
+        let slot = Arc::new(self.state.doorbell.claim()?);
         let condition = Condition { slot, triggered: AtomicU64::new(0) };
         Ok(GuardCondition { condition: Arc::new(condition), seen: 0 })
     }
@@ -113,13 +112,13 @@ impl Events {
     /// # Real-time
     /// Wait-free; at most one futex wake.
     pub fn stop(&self) {
-        self.shared.stop.store(true, Ordering::Release);
-        self.shared.stop_slot.ring();
+        self.state.stop.store(true, Ordering::Release);
+        self.state.stop_slot.ring();
     }
 
     /// Whether the sampler was stopped.
     pub fn is_stopped(&self) -> bool {
-        self.shared.stop.load(Ordering::Acquire)
+        self.state.stop.load(Ordering::Acquire)
     }
 }
 

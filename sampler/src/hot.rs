@@ -3,36 +3,36 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use crate::events::Shared;
+use crate::events::SamplerState;
 use crate::sampler::{Sampler, Wait};
 use crate::timer::TimerWords;
-use crate::timers::{Due, Room};
+use crate::timers::{Due, SpareQueues};
 use core::cmp::Reverse;
 use core::sync::atomic::{Ordering, fence};
 use core::time::Duration;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
-use tautline_transport::Pulse;
+use tautline_transport::Activity;
 
 /// The timers by their next release. It has room for as many as there are slots where one may be armed, so pushing never allocates.
-pub(crate) struct Agenda {
+pub(crate) struct TimerQueue {
     due: Due,
-    room: Room,
+    spares: SpareQueues,
 }
 
-impl Agenda {
-    pub(crate) fn new(mut room: Room) -> Self {
+impl TimerQueue {
+    pub(crate) fn new(mut spares: SpareQueues) -> Self {
         let mut due = Due::new();
-        room.move_to_larger(&mut due);
-        Agenda { due, room }
+        spares.move_to_larger(&mut due);
+        TimerQueue { due, spares }
     }
 
     /// A timer was armed or dropped at `slot`: O(timers), to find its entry.
-    fn update(&mut self, shared: &Shared, slot: usize) {
-        let Some(words) = shared.timers.get(slot) else { return };
+    fn update(&mut self, state: &SamplerState, slot: usize) {
+        let Some(words) = state.timers.get(slot) else { return };
         if !words.changed.load(Ordering::Relaxed) || !words.changed.swap(false, Ordering::Acquire) {
             return;
         }
-        self.room.move_to_larger(&mut self.due);
+        self.spares.move_to_larger(&mut self.due);
         // Acquire: pairs with the Release in `arm`; what is armed, and when it is first due, belongs to this or is newer.
         let period_ns = words.period_ns.load(Ordering::Acquire);
         self.due.retain(|Reverse((_, other))| *other != slot);
@@ -46,7 +46,7 @@ impl Agenda {
 
     /// Releases every timer that is due. A timer that is late by several periods is released once; the releases between
     /// are counted as missed by its task.
-    fn release(&mut self, shared: &Shared) -> usize {
+    fn release(&mut self, state: &SamplerState) -> usize {
         let Some(Reverse((first, _))) = self.due.peek() else { return 0 };
         let now = monotonic_ns();
         if *first > now {
@@ -59,14 +59,14 @@ impl Agenda {
             if release_ns > now {
                 break;
             }
-            let Some(words) = shared.timers.get(slot) else { break };
+            let Some(words) = state.timers.get(slot) else { break };
             let period_ns = words.period_ns.load(Ordering::Relaxed);
             if period_ns == 0 {
                 // Dropped; its ring is on the way.
                 std::collections::binary_heap::PeekMut::pop(next);
                 continue;
             }
-            let release_ns = due_ns(words, release_ns, period_ns, now, shared);
+            let release_ns = due_ns(words, release_ns, period_ns, now, state);
             if release_ns > now {
                 *next = Reverse((release_ns, slot));
                 continue;
@@ -80,7 +80,7 @@ impl Agenda {
             fence(Ordering::Release);
             words.last_due_ns.store(last_due_ns, Ordering::Relaxed);
             words.released.fetch_add(elapsed, Ordering::Release);
-            shared.doorbell.wake(slot);
+            state.doorbell.wake(slot);
             count += 1;
         }
         count
@@ -91,13 +91,15 @@ impl Agenda {
     }
 }
 
-/// When a release that was planned for `release_ns` is due: for a watchdog one period after its pulse, if there was one since.
-fn due_ns(words: &TimerWords, release_ns: u64, period_ns: u64, now: u64, shared: &Shared) -> u64 {
-    let Some(pulse) = Pulse::from_word(words.pulse.load(Ordering::Relaxed)) else { return release_ns };
-    match shared.doorbell.pulse_ns(pulse) {
+/// When a release that was planned for `release_ns` is due: for a watchdog one period after the last activity, if there was one since.
+fn due_ns(words: &TimerWords, release_ns: u64, period_ns: u64, now: u64, state: &SamplerState) -> u64 {
+    let Some(activity) = Activity::from_word(words.activity.load(Ordering::Relaxed)) else {
+        return release_ns;
+    };
+    match state.doorbell.activity_ns(activity) {
         // Nothing to wait for the next of.
         0 => now.saturating_add(period_ns),
-        pulse_ns => release_ns.max(pulse_ns.saturating_add(period_ns)),
+        activity_ns => release_ns.max(activity_ns.saturating_add(period_ns)),
     }
 }
 
@@ -135,9 +137,9 @@ impl Sampler {
 
     /// Takes the rings first, so that a timer armed by one of them is looked at at once.
     fn serve(&mut self) -> usize {
-        let (shared, agenda) = (&*self.events.shared, &mut self.agenda);
-        let rung = self.seat.drain(|slot| agenda.update(shared, slot));
-        let served = rung + agenda.release(shared);
+        let (state, timers) = (&*self.events.state, &mut self.timers);
+        let rung = self.seat.drain(|slot| timers.update(state, slot));
+        let served = rung + timers.release(state);
         if std::mem::take(&mut self.awake) {
             tautline_trace::spin_end(&self.trace);
         }
@@ -145,15 +147,15 @@ impl Sampler {
     }
 
     fn wait_until(&mut self, deadline_ns: Option<u64>) {
-        let until = match (deadline_ns, self.agenda.next_release()) {
+        let until = match (deadline_ns, self.timers.next_release()) {
             (Some(deadline), Some(release)) => Some(deadline.min(release)),
             (deadline, release) => deadline.or(release),
         };
         tautline_trace::spin_start(&self.trace, until);
         self.sleep_until(until);
         if tautline_trace::is_on() {
-            let due = || self.agenda.next_release().is_some_and(|release_ns| monotonic_ns() >= release_ns);
-            self.awake = self.events.shared.doorbell.is_pending() || due();
+            let due = || self.timers.next_release().is_some_and(|release_ns| monotonic_ns() >= release_ns);
+            self.awake = self.events.state.doorbell.is_pending() || due();
             if self.awake {
                 tautline_trace::spin_wake(&self.trace);
             } else {
@@ -163,7 +165,7 @@ impl Sampler {
     }
 
     fn sleep_until(&self, until: Option<u64>) {
-        let doorbell = &self.events.shared.doorbell;
+        let doorbell = &self.events.state.doorbell;
         if let Wait::Adaptive(spin) = self.wait {
             let give_up_ns = monotonic_ns().saturating_add(nanoseconds(spin));
             loop {

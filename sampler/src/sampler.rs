@@ -2,7 +2,7 @@
 //! The sampler: made once per participant, run by one thread.
 
 use crate::events::Events;
-use crate::hot::Agenda;
+use crate::hot::TimerQueue;
 use std::time::Duration;
 use tautline_rt::{RtError, ThreadBuilder};
 use tautline_transport::{Participant, SamplerSeat, TransportError};
@@ -23,7 +23,7 @@ pub enum Wait {
 /// ([`start`](Sampler::start)). Give that thread the highest priority of the process.
 pub struct Sampler {
     pub(crate) events: Events,
-    pub(crate) agenda: Agenda,
+    pub(crate) timers: TimerQueue,
     pub(crate) wait: Wait,
     pub(crate) seat: SamplerSeat,
     pub(crate) trace: tautline_trace::SamplerObject,
@@ -43,12 +43,12 @@ impl Sampler {
     pub fn new(participant: &Participant) -> Result<Self, TransportError> {
         let seat = participant.doorbell().claim_sampler()?;
         let trace = tautline_trace::sampler_init(participant.trace_id(), "sampler");
-        let (events, room) = Events::new(participant)?;
-        Ok(Sampler { events, agenda: Agenda::new(room), wait: Wait::Block, seat, trace, awake: false })
+        let (events, spares) = Events::new(participant)?;
+        Ok(Sampler { events, timers: TimerQueue::new(spares), wait: Wait::Block, seat, trace, awake: false })
     }
 
     /// The same, waiting another way.
-    #[must_use]
+    #[must_use = "it returns the changed sampler"]
     pub fn with_wait(mut self, wait: Wait) -> Self {
         self.wait = wait;
         self

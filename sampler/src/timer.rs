@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Absolute periodic timers, released by the sampler.
 
-use crate::events::Shared;
+use crate::events::SamplerState;
 use futures::Stream;
 use std::future::poll_fn;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll};
-use tautline_transport::{Pulse, Slot};
+use tautline_transport::{Activity, Slot};
 
 /// What a timer and the sampler tell each other, one per slot.
 #[derive(Default)]
@@ -26,18 +26,18 @@ pub(crate) struct TimerWords {
     pub(crate) begun: AtomicU64,
     /// Releases so far; written by the sampler.
     pub(crate) released: AtomicU64,
-    /// The pulse of a watchdog, as a word: each release is one period after it. 0 of a timer.
-    pub(crate) pulse: AtomicU64,
+    /// What a watchdog watches for, as a word: each release is one period after it was last seen. 0 of a timer.
+    pub(crate) activity: AtomicU64,
     /// When the last release of a watchdog was due; written by the sampler.
     pub(crate) last_due_ns: AtomicU64,
 }
 
 impl TimerWords {
     /// Describes what releases from now on. The caller rings the slot.
-    pub(crate) fn arm(&self, first_release_ns: u64, period_ns: u64, pulse: Option<Pulse>) -> u64 {
+    pub(crate) fn arm(&self, first_release_ns: u64, period_ns: u64, activity: Option<Activity>) -> u64 {
         self.first_release_ns.store(first_release_ns, Ordering::Relaxed);
         let number = self.armed.fetch_add(1, Ordering::Relaxed) + 1;
-        self.pulse.store(pulse.map_or(0, Pulse::to_word), Ordering::Relaxed);
+        self.activity.store(activity.map_or(0, Activity::to_word), Ordering::Relaxed);
         // Release, both: each pairs with an Acquire in the sampler, which then reads the words above, also if it is the ring of the
         // slot's former timer that brings it there.
         self.period_ns.store(period_ns, Ordering::Release);
@@ -81,7 +81,7 @@ pub struct Tick {
 ///
 /// A task that is late gets the newest release and the number of those it missed, not all of them in a bunch.
 pub struct Timer {
-    shared: Arc<Shared>,
+    state: Arc<SamplerState>,
     slot: Arc<Slot>,
     first_release_ns: u64,
     period_ns: u64,
@@ -91,10 +91,10 @@ pub struct Timer {
 }
 
 impl Timer {
-    pub(crate) fn arm(shared: Arc<Shared>, slot: Slot, first_release_ns: u64, period_ns: u64) -> Self {
-        let number = shared.timers.at(slot.index()).arm(first_release_ns, period_ns, None);
+    pub(crate) fn arm(state: Arc<SamplerState>, slot: Slot, first_release_ns: u64, period_ns: u64) -> Self {
+        let number = state.timers.at(slot.index()).arm(first_release_ns, period_ns, None);
         slot.ring();
-        Timer { shared, slot: Arc::new(slot), first_release_ns, period_ns, number, seen: 0, missed: 0 }
+        Timer { state, slot: Arc::new(slot), first_release_ns, period_ns, number, seen: 0, missed: 0 }
     }
 
     /// Period in nanoseconds.
@@ -126,7 +126,7 @@ impl Timer {
     /// Wait-free; no allocation; no syscall.
     pub fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<Tick> {
         self.slot.waker().register(context.waker());
-        let words = &self.shared.timers.at(self.slot.index());
+        let words = &self.state.timers.at(self.slot.index());
         let Some(released) = words.released_since(self.number, self.seen) else { return Poll::Pending };
         let missed = released - self.seen - 1;
         self.seen = released;
@@ -148,7 +148,7 @@ impl Stream for Timer {
 
 impl Drop for Timer {
     fn drop(&mut self) {
-        self.shared.timers.at(self.slot.index()).disarm();
+        self.state.timers.at(self.slot.index()).disarm();
         self.slot.ring();
     }
 }
@@ -170,8 +170,8 @@ mod tests {
         let hour = Duration::from_secs(3600);
         let start = monotonic_ns();
         let mut timer = sampler.events().timer_at(start, hour).unwrap();
-        let shared = timer.shared.clone();
-        let words = &shared.timers.at(timer.slot.index());
+        let state = timer.state.clone();
+        let words = &state.timers.at(timer.slot.index());
         let mut poll = || timer.poll_tick(&mut Context::from_waker(Waker::noop()));
         sampler.spin_once(Some(Duration::ZERO));
         assert_eq!(poll(), Poll::Ready(Tick { release_ns: start, index: 1, missed: 0 }));

@@ -14,30 +14,30 @@ pub(crate) type Due = BinaryHeap<Reverse<(u64, usize)>>;
 /// The words of the timers, by slot: a window of them exists once a timer was made at one of its slots.
 pub(crate) struct Timers {
     windows: [OnceLock<Box<[TimerWords]>>; WINDOWS],
-    growth: Mutex<Growth>,
+    spare_sender: Mutex<SpareQueuesSender>,
 }
 
-/// What makers of timers hold of the sampler's room.
-struct Growth {
+/// Gives the sampler larger queues, allocated by the thread that makes a timer, and frees those that it left.
+struct SpareQueuesSender {
     larger: Producer<Due>,
     emptied: Consumer<Due>,
 }
 
-/// What the sampler holds of it.
-pub(crate) struct Room {
+/// Where the sampler finds larger queues and leaves the smaller ones.
+pub(crate) struct SpareQueues {
     pub(crate) larger: Consumer<Due>,
     pub(crate) emptied: Producer<Due>,
 }
 
 impl Timers {
-    pub(crate) fn new() -> (Self, Room) {
+    pub(crate) fn new() -> (Self, SpareQueues) {
         // A queue for each window at most.
         let (to_sampler, larger) = RingBuffer::new(WINDOWS);
         let (emptied, from_sampler) = RingBuffer::new(WINDOWS);
-        let growth = Mutex::new(Growth { larger: to_sampler, emptied: from_sampler });
-        let timers = Timers { windows: Default::default(), growth };
+        let spare_sender = Mutex::new(SpareQueuesSender { larger: to_sampler, emptied: from_sampler });
+        let timers = Timers { windows: Default::default(), spare_sender };
         timers.cover(0);
-        (timers, Room { larger, emptied })
+        (timers, SpareQueues { larger, emptied })
     }
 
     /// A timer may be armed at `slot` from now on. Allocates if none could before in its window.
@@ -50,12 +50,12 @@ impl Timers {
 
     #[cold]
     fn add_window(&self, window: usize) {
-        let mut growth = self.growth.lock().unwrap_or_else(PoisonError::into_inner);
-        while growth.emptied.pop().is_ok() {}
+        let mut spare_sender = self.spare_sender.lock().unwrap_or_else(PoisonError::into_inner);
+        while spare_sender.emptied.pop().is_ok() {}
         let Some(words) = self.windows.get(window).filter(|words| words.get().is_none()) else { return };
-        // Before the words: a timer that is armed finds the room there.
+        // Before the words: a timer that is armed finds room in the queue.
         let slots = first_slot(window) + window_slots(window);
-        let _ = growth.larger.push(BinaryHeap::with_capacity(slots));
+        let _ = spare_sender.larger.push(BinaryHeap::with_capacity(slots));
         let _ = words.set((0..window_slots(window)).map(|_| TimerWords::default()).collect());
     }
 
@@ -73,8 +73,8 @@ impl Timers {
     }
 }
 
-impl Room {
-    /// Moves what is due into more room if there is any: O(timers), once for each time that slots have doubled.
+impl SpareQueues {
+    /// Moves what is due into a larger queue if there is one: O(timers), once for each time that slots have doubled.
     ///
     /// # Real-time
     /// Wait-free; no allocation.
@@ -100,15 +100,15 @@ mod tests {
 
     #[test]
     fn what_is_due_moves_into_more_room() {
-        let (timers, mut room) = Timers::new();
+        let (timers, mut spares) = Timers::new();
         let mut due = Due::new();
-        room.move_to_larger(&mut due);
+        spares.move_to_larger(&mut due);
         assert!(due.capacity() >= NEAR_SLOTS);
         let all: Vec<_> = (0..100).map(|n| Reverse((1000 - n, n as usize))).collect();
         due.extend(all.iter().copied());
         let far = first_slot(2);
         timers.cover(far);
-        room.move_to_larger(&mut due);
+        spares.move_to_larger(&mut due);
         assert!(due.capacity() >= far + window_slots(2));
         assert_eq!(due.into_sorted_vec(), all);
     }

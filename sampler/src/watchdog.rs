@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What should happen in time, watched by the sampler.
 
-use crate::events::Shared;
+use crate::events::SamplerState;
 use std::future::poll_fn;
 use std::sync::Arc;
 use std::sync::atomic::{Ordering, fence};
 use std::task::{Context, Poll};
 use tautline_rt::clock::monotonic_ns;
-use tautline_transport::{Pulse, Slot};
+use tautline_transport::{Activity, Slot};
 
 /// Something did not happen in time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,25 +20,25 @@ pub struct Expiry {
     pub change: u64,
 }
 
-/// Expires when what a [`Pulse`] tells of did not happen for one period, and again for each further period. Whoever does it
+/// Expires when an [`Activity`] was not seen for one period, and again for each further period. Whoever does it
 /// stores the time, and nothing else; the sampler looks there when the next one would be due.
 pub struct Watchdog {
-    shared: Arc<Shared>,
+    state: Arc<SamplerState>,
     slot: Slot,
     number: u64,
     seen: u64,
 }
 
 impl Watchdog {
-    pub(crate) fn arm(shared: Arc<Shared>, slot: Slot, pulse: Pulse, period_ns: u64) -> Self {
+    pub(crate) fn arm(state: Arc<SamplerState>, slot: Slot, activity: Activity, period_ns: u64) -> Self {
         let now_ns = monotonic_ns();
-        let first_ns = match shared.doorbell.pulse_ns(pulse) {
+        let first_ns = match state.doorbell.activity_ns(activity) {
             0 => now_ns.saturating_add(period_ns),
-            pulse_ns => now_ns.max(pulse_ns.saturating_add(period_ns)),
+            activity_ns => now_ns.max(activity_ns.saturating_add(period_ns)),
         };
-        let number = shared.timers.at(slot.index()).arm(first_ns, period_ns, Some(pulse));
+        let number = state.timers.at(slot.index()).arm(first_ns, period_ns, Some(activity));
         slot.ring();
-        Watchdog { shared, slot, number, seen: 0 }
+        Watchdog { state, slot, number, seen: 0 }
     }
 
     /// Waits for the next expiry.
@@ -55,7 +55,7 @@ impl Watchdog {
     /// Wait-free; no allocation; no syscall.
     pub fn poll_expired(&mut self, context: &mut Context<'_>) -> Poll<Expiry> {
         self.slot.waker().register(context.waker());
-        let words = &self.shared.timers.at(self.slot.index());
+        let words = &self.state.timers.at(self.slot.index());
         let Some(count) = words.released_since(self.number, self.seen) else { return Poll::Pending };
         let due_ns = words.last_due_ns.load(Ordering::Relaxed);
         // Pairs with the Release fence of the sampler, which may be at the next expiry already.
@@ -72,7 +72,7 @@ impl Watchdog {
 
 impl Drop for Watchdog {
     fn drop(&mut self) {
-        self.shared.timers.at(self.slot.index()).disarm();
+        self.state.timers.at(self.slot.index()).disarm();
         self.slot.ring();
     }
 }
@@ -83,7 +83,7 @@ mod tests {
     use crate::Sampler;
     use std::task::Waker;
     use std::time::Duration;
-    use tautline_transport::{Participant, PulseOf};
+    use tautline_transport::{ActivityKind, Participant};
 
     /// The sampler has been interrupted between what it writes of an expiry.
     #[test]
@@ -92,10 +92,10 @@ mod tests {
         let mut sampler = Sampler::new(&participant).unwrap();
         let slot = participant.claim_slot().unwrap();
         let hour = Duration::from_secs(3600);
-        let mut watchdog = sampler.events().watchdog(slot.pulse(PulseOf::Sample), hour).unwrap();
+        let mut watchdog = sampler.events().watchdog(slot.activity(ActivityKind::Sample), hour).unwrap();
         sampler.spin_once(Some(Duration::ZERO));
-        let shared = watchdog.shared.clone();
-        let words = &shared.timers.at(watchdog.slot.index());
+        let state = watchdog.state.clone();
+        let words = &state.timers.at(watchdog.slot.index());
         let mut poll = || watchdog.poll_expired(&mut Context::from_waker(Waker::noop()));
         let write = |begun, due_ns, released| {
             words.begun.store(begun, Ordering::Relaxed);

@@ -10,7 +10,7 @@ use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 use tautline_rt::clock::monotonic_ns;
 use tautline_sampler::{Expiry, Sampler, Watchdog};
-use tautline_transport::{Participant, PulseOf, Slot};
+use tautline_transport::{ActivityKind, Participant, Slot};
 
 const MS: u64 = 1_000_000;
 const HOUR: Duration = Duration::from_secs(3600);
@@ -34,13 +34,13 @@ fn two_hundred_topics_of_which_every_second_is_fed() {
         .iter()
         .enumerate()
         .map(|(index, slot)| {
-            slot.note(PulseOf::Sample, due(index) - 60_000 * MS);
-            sampler.events().watchdog(slot.pulse(PulseOf::Sample), minute).unwrap()
+            slot.note(ActivityKind::Sample, due(index) - 60_000 * MS);
+            sampler.events().watchdog(slot.activity(ActivityKind::Sample), minute).unwrap()
         })
         .collect();
     // Happens again in time.
     for (index, slot) in slots.iter().enumerate().filter(|(index, _)| index % 2 == 0) {
-        slot.note(PulseOf::Sample, due(index));
+        slot.note(ActivityKind::Sample, due(index));
     }
     let mut expired = Vec::new();
     while expired.len() < 100 {
@@ -62,16 +62,16 @@ fn silence_expires_once_in_each_period_and_nothing_before_the_first_sign() {
     let participant = Participant::new(support::domain(115)).unwrap();
     let mut sampler = Sampler::new(&participant).unwrap();
     let slot = participant.claim_slot().unwrap();
-    let (pulse, period_ns) = (slot.pulse(PulseOf::Liveliness), 2 * MS);
-    let mut watchdog = sampler.events().watchdog(pulse, Duration::from_nanos(period_ns)).unwrap();
+    let (activity, period_ns) = (slot.activity(ActivityKind::Liveliness), 2 * MS);
+    let mut watchdog = sampler.events().watchdog(activity, Duration::from_nanos(period_ns)).unwrap();
     let end = monotonic_ns() + 5 * period_ns;
     while monotonic_ns() < end {
         sampler.spin_once(Some(Duration::from_nanos(period_ns)));
         assert!(poll(&mut watchdog).is_pending(), "nothing has begun");
     }
     let begun = monotonic_ns();
-    slot.note(PulseOf::Liveliness, begun);
-    slot.note(PulseOf::Sample, begun + HOUR_NS);
+    slot.note(ActivityKind::Liveliness, begun);
+    slot.note(ActivityKind::Sample, begun + HOUR_NS);
     let mut count = 0;
     while count < 5 {
         sampler.spin_once(Some(HOUR));

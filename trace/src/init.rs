@@ -12,7 +12,7 @@ thread_local!(static NODE: Cell<ObjectId> = const { Cell::new(ObjectId::NONE) })
 
 /// What the current thread makes as long as this lives belongs to a node.
 #[derive(Debug)]
-#[must_use = "it says to which node belongs what is made while it lives"]
+#[must_use = "only what is made while it lives belongs to the node"]
 pub struct NodeScope {
     before: ObjectId,
 }
@@ -48,7 +48,7 @@ pub fn node_init(context: ObjectId, name: &str, namespace: &str) -> Object {
 
 /// A sampler, as its events speak of it.
 #[derive(Debug)]
-#[must_use = "it is described as long as this lives"]
+#[must_use = "dropping it removes the description from the trace"]
 pub struct SamplerObject {
     object: Object,
     #[cfg(feature = "lttng")]

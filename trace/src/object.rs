@@ -87,7 +87,7 @@ pub struct Description {
 
 /// Something that events speak of, described as long as this lives.
 #[derive(Debug)]
-#[must_use = "it is described as long as this lives"]
+#[must_use = "dropping it removes the description from the trace"]
 pub struct Object {
     id: ObjectId,
     entry: Option<process::Entry>,

@@ -32,14 +32,14 @@ const SPARE_RINGS: usize = 2;
 struct Process {
     settings: Option<TraceSettings>,
     memberships: usize,
-    file: Option<Own>,
+    file: Option<OwnTraceFile>,
     /// Where files of this process are mapped.
     region: Option<Map>,
     free: FreeEntries,
 }
 
 /// The file while there is a membership. Its lock says that its owner lives.
-struct Own {
+struct OwnTraceFile {
     domain: u32,
     file: OwnFile,
     map: Map,
@@ -112,13 +112,13 @@ const PERIOD: Duration = Duration::from_millis(250);
 /// Looks whether a recorder is there. If one is, or rings run short, gives those of ended threads back. For a low-priority thread, when
 /// a recorder has come. Returns after how long it is to look again; `None`: not before the next one comes.
 pub fn attend() -> Option<Duration> {
-    let is_recorded = process().file.as_ref().is_some_and(Own::attend);
+    let is_recorded = process().file.as_ref().is_some_and(OwnTraceFile::attend);
     is_recorded.then_some(PERIOD)
 }
 
 impl Process {
     fn open(&mut self, domain: u32, settings: TraceSettings) -> Result<(), TraceError> {
-        let own = Own::create(domain, settings, self.region)?;
+        let own = OwnTraceFile::create(domain, settings, self.region)?;
         self.region = Some(own.map);
         self.free = FreeEntries::all();
         own.prepare_rings(SPARE_RINGS);
@@ -134,8 +134,8 @@ impl Process {
     }
 }
 
-impl Own {
-    fn create(domain: u32, settings: TraceSettings, region: Option<Map>) -> Result<Own, TraceError> {
+impl OwnTraceFile {
+    fn create(domain: u32, settings: TraceSettings, region: Option<Map>) -> Result<OwnTraceFile, TraceError> {
         let file = control::in_folder(domain, || OwnFile::create(&control::process_prefix(domain)))?;
         let made = (|| -> Result<Map, ShmError> {
             file.set_len(Map::bytes(settings.ring_events) as u64)?;
@@ -154,7 +154,7 @@ impl Own {
         };
         let name = std::fs::read("/proc/self/comm").unwrap_or_default();
         map.claim(std::process::id(), name_to_words(name.strip_suffix(b"\n").unwrap_or(&name)));
-        Ok(Own { domain, file, map, mode: settings.mode })
+        Ok(OwnTraceFile { domain, file, map, mode: settings.mode })
     }
 
     /// Whether a recorder is there.

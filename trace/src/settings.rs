@@ -49,7 +49,7 @@ impl TraceSettings {
     pub const RING_EVENTS: usize = 2048;
 
     /// Sets the events per ring, rounded up to a power of two from 16 to 1048576.
-    #[must_use]
+    #[must_use = "it returns the changed settings"]
     pub const fn ring_events(mut self, events: usize) -> Self {
         let events = if events < MIN_EVENTS { MIN_EVENTS } else { events };
         self.ring_events = if events > MAX_EVENTS { MAX_EVENTS } else { events.next_power_of_two() };

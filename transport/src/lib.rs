@@ -63,8 +63,8 @@ pub use service::{
     UnwrittenResponse,
 };
 pub use tautline_doorbell::{
-    Arena, ArenaId, Doorbell, DoorbellError, Flags, GrowArena, Joined, Pulse, PulseOf, SamplerSeat, Signal,
-    Sleeper, Slot, ThreadBell, Wakeable,
+    Activity, ActivityKind, Arena, ArenaId, BellRoute, Doorbell, DoorbellError, Flags, GrowArena,
+    SamplerSeat, Signal, Sleeper, Slot, ThreadBell, Wakeable,
 };
 pub use topic::compatibility::QosPolicyKind;
 pub use topic::control::Sent;
@@ -75,7 +75,7 @@ pub use topic::monitor::{
     PublisherMonitor, SubscriptionChanges, SubscriptionMonitor,
 };
 pub use topic::publisher::{Gate, MatchedCount, PublisherCounters, RawLoan, RawPublisher};
-pub use topic::subscription::{Counters, RawSample, RawSubscription};
+pub use topic::subscription::{RawSample, RawSubscription, SubscriptionCounters};
 pub use topic::topic_type::TopicType;
-pub use topic::traced::{Passage, TracedPort, TracedSender};
+pub use topic::traced::{TracedPort, TracedSample, TracedSender};
 pub use topic::typed::{Loan, Publisher, Sample, Subscription, Unwritten};

@@ -126,7 +126,7 @@ fn passing_on() {
         port.traced().received(&source);
         port.loan(8).unwrap().publish_as(source).unwrap();
         let sample = subscription.try_take().unwrap().unwrap();
-        sender.passage((sample.port_gid(), sample.port_sequence_number()), number).record();
+        sender.sample((sample.port_gid(), sample.port_sequence_number()), number).record();
         port.loan(8).unwrap().publish_again(source).unwrap();
         assert!(subscription.try_take().unwrap().is_some());
     };

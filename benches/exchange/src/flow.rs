@@ -165,12 +165,12 @@ impl Source {
 pub struct Sink {
     numbers: Numbers,
     topics: usize,
-    shared: Arc<Shared>,
+    state: Arc<SinkState>,
     inlets: Vec<Arc<Mutex<Counts>>>,
 }
 
 #[derive(Debug, Default)]
-struct Shared {
+struct SinkState {
     inlets: usize,
     connected: AtomicUsize,
     first_ns: AtomicU64,
@@ -186,7 +186,7 @@ struct Shared {
 pub struct Inlet {
     numbers: Numbers,
     warm_up_ns: u64,
-    shared: Arc<Shared>,
+    state: Arc<SinkState>,
     counts: Arc<Mutex<Counts>>,
 }
 
@@ -214,7 +214,7 @@ impl Sink {
         Sink {
             numbers: Numbers::of(job),
             topics: topics(job),
-            shared: Arc::new(Shared { inlets, ..Shared::default() }),
+            state: Arc::new(SinkState { inlets, ..SinkState::default() }),
             inlets: (0..inlets).map(|_| Arc::new(Mutex::new(counts()))).collect(),
         }
     }
@@ -225,7 +225,7 @@ impl Sink {
             let inlet = Inlet {
                 numbers: self.numbers,
                 warm_up_ns: nanoseconds(job.budget) / u64::from(WARM_UP_SHARE),
-                shared: self.shared.clone(),
+                state: self.state.clone(),
                 counts: counts.clone(),
             };
             (index % self.topics, inlet)
@@ -236,11 +236,11 @@ impl Sink {
     /// What has arrived. Of several subscriptions to one topic: when it had arrived at all of them.
     #[must_use]
     pub fn measured(&self) -> Measured {
-        let end_cpu_ns = match self.shared.complete_cpu_ns.load(Ordering::Relaxed) {
+        let end_cpu_ns = match self.state.complete_cpu_ns.load(Ordering::Relaxed) {
             0 => process_cpu_ns(),
             complete => complete,
         };
-        let cpu_ns = end_cpu_ns - self.shared.warm_cpu_ns.load(Ordering::Relaxed);
+        let cpu_ns = end_cpu_ns - self.state.warm_cpu_ns.load(Ordering::Relaxed);
         let mut measured = Measured { cpu_ns, ..Measured::default() };
         let mut arrivals: Vec<(u64, u64)> = Vec::new();
         for counts in &self.inlets {
@@ -298,18 +298,18 @@ impl Inlet {
     }
 
     fn connect(&self, now: u64) {
-        let first = &self.shared.first_ns;
+        let first = &self.state.first_ns;
         let first_ns = match first.compare_exchange(0, now, Ordering::Relaxed, Ordering::Relaxed) {
             Ok(_) => now,
             Err(earlier) => earlier,
         };
-        if self.shared.connected.fetch_add(1, Ordering::Relaxed) + 1 == self.shared.inlets {
+        if self.state.connected.fetch_add(1, Ordering::Relaxed) + 1 == self.state.inlets {
             say(&Line::Connected { first_ns, all_ns: now });
         }
     }
 
     fn begin(&self) {
-        let warm = &self.shared.warm_cpu_ns;
+        let warm = &self.state.warm_cpu_ns;
         let is_first = warm.load(Ordering::Relaxed) == 0
             && warm.compare_exchange(0, process_cpu_ns(), Ordering::Relaxed, Ordering::Relaxed).is_ok();
         if is_first {
@@ -334,8 +334,8 @@ impl Inlet {
     }
 
     fn complete(&self, now: u64) {
-        if self.shared.complete.fetch_add(1, Ordering::Relaxed) + 1 == self.shared.inlets {
-            self.shared.complete_cpu_ns.store(process_cpu_ns(), Ordering::Relaxed);
+        if self.state.complete.fetch_add(1, Ordering::Relaxed) + 1 == self.state.inlets {
+            self.state.complete_cpu_ns.store(process_cpu_ns(), Ordering::Relaxed);
             say(&Line::Complete { last_ns: now });
         }
     }

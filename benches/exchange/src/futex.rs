@@ -23,13 +23,13 @@ const TOPIC_BYTES: usize = 8;
 
 /// Memory that two processes share: a page with two words, then areas of the same size.
 #[derive(Debug)]
-struct Shared {
+struct SharedMemory {
     memory: NonNull<u8>,
     area_bytes: usize,
     areas: usize,
 }
 
-impl Shared {
+impl SharedMemory {
     fn bytes(area_bytes: usize, areas: usize) -> usize {
         PAGE + areas * area_bytes.next_multiple_of(PAGE)
     }
@@ -82,7 +82,7 @@ impl Shared {
     }
 }
 
-impl Drop for Shared {
+impl Drop for SharedMemory {
     fn drop(&mut self) {
         let bytes = Self::bytes(self.area_bytes, self.areas);
         // SAFETY: mapped in `open` with this length; nothing borrows it any more.
@@ -94,7 +94,7 @@ impl Drop for Shared {
 /// One end of memory with a word and an area for either direction. A message is sent only when the one before was answered.
 #[derive(Debug)]
 pub struct FutexPair {
-    shared: Shared,
+    shared: SharedMemory,
     /// Indices of the directions' words and areas.
     outgoing: usize,
     incoming: usize,
@@ -106,7 +106,7 @@ impl FutexPair {
     /// How long the file must be.
     #[must_use]
     pub fn memory_bytes(payload_bytes: usize) -> usize {
-        Shared::bytes(payload_bytes, 2)
+        SharedMemory::bytes(payload_bytes, 2)
     }
 
     /// Maps a file of [`memory_bytes`](Self::memory_bytes).
@@ -115,7 +115,7 @@ impl FutexPair {
     /// It cannot be mapped.
     pub fn open(file: impl AsFd, role: Role, payload_bytes: usize) -> rustix::io::Result<Self> {
         let (outgoing, incoming) = if role == Role::Near { (0, 1) } else { (1, 0) };
-        Ok(Self { shared: Shared::open(file, payload_bytes, 2)?, outgoing, incoming, received: 0 })
+        Ok(Self { shared: SharedMemory::open(file, payload_bytes, 2)?, outgoing, incoming, received: 0 })
     }
 
     /// Has `fill` write a message, and wakes the other end.
@@ -151,7 +151,7 @@ impl FutexPair {
 /// One end of memory through which messages go one way, of any topic: a word counts those sent, the other those received.
 #[derive(Debug)]
 pub struct FutexRing {
-    shared: Shared,
+    shared: SharedMemory,
     /// Messages sent or received by this end, modulo 2^32.
     count: u32,
 }
@@ -163,7 +163,7 @@ impl FutexRing {
     /// How long the file must be.
     #[must_use]
     pub fn memory_bytes(payload_bytes: usize) -> usize {
-        Shared::bytes(TOPIC_BYTES + payload_bytes, RING as usize)
+        SharedMemory::bytes(TOPIC_BYTES + payload_bytes, RING as usize)
     }
 
     /// Maps a file of [`memory_bytes`](Self::memory_bytes), all of it zero.
@@ -171,7 +171,7 @@ impl FutexRing {
     /// # Errors
     /// It cannot be mapped.
     pub fn open(file: impl AsFd, payload_bytes: usize) -> rustix::io::Result<Self> {
-        Ok(Self { shared: Shared::open(file, TOPIC_BYTES + payload_bytes, RING as usize)?, count: 0 })
+        Ok(Self { shared: SharedMemory::open(file, TOPIC_BYTES + payload_bytes, RING as usize)?, count: 0 })
     }
 
     /// Has `fill` write a message of a topic once there is room for it, and wakes the other end. For the near end alone.

@@ -30,12 +30,12 @@ pub struct Job {
     /// Who runs where, for a middleware that has such files.
     pub system_file: Option<PathBuf>,
     /// The same for another, in the order of [`callbacks`](crate::graph::callbacks): a thread for each. Empty: one thread.
-    pub seats: Vec<Seat>,
+    pub placements: Vec<Placement>,
 }
 
 /// A thread's place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Seat {
+pub struct Placement {
     /// Its core.
     pub core: usize,
     /// Its `SCHED_FIFO` priority.

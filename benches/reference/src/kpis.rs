@@ -215,8 +215,13 @@ mod tests {
         records.note_run(index("NDTLocalizer"), 3);
         latencies_ns.iter().for_each(|&latency| records.hot_path_ns.note(latency));
         let load = Load { cruncher_limit: 10, crunch: Duration::from_micros(5), cores_needed: 0.1, cores: 2 };
-        let job =
-            Job { seconds: 1.0, cruncher_limit: 10, realtime: true, system_file: None, seats: Vec::new() };
+        let job = Job {
+            seconds: 1.0,
+            cruncher_limit: 10,
+            realtime: true,
+            system_file: None,
+            placements: Vec::new(),
+        };
         let usage = Usage { cpu_ns: 250_000_000, rss_bytes: 3 << 20, steal_ticks: 1 };
         Kpis::new("tautline", "test", &job, &load, &records, &usage)
     }

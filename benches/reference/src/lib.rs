@@ -18,7 +18,7 @@ mod records;
 
 pub mod graph;
 
-pub use conduct::{Job, Seat, Usage, conduct, window};
+pub use conduct::{Job, Placement, Usage, conduct, window};
 pub use cruncher::{CRUNCHER_LIMIT, Load, number_cruncher};
 pub use kpis::{CallbackKpis, Kpis};
 pub use message::{Message4kb, STATS_CAPACITY, TransmissionStats};

@@ -72,7 +72,7 @@ impl RosPublisher {
     /// [`RclError`].
     pub fn publish_from(&self, from: (Gid, u64), message: &SerializedMessage) -> Result<(), RclError> {
         let number = self.sent.load(Ordering::Relaxed) + 1;
-        self.traced.passage(from, number).record();
+        self.traced.sample(from, number).record();
         self.publish(message)?;
         // RMWs count from 1 what they have taken on.
         self.sent.store(number, Ordering::Relaxed);

@@ -39,11 +39,11 @@ pub(crate) struct RosServices {
 }
 
 /// Wakes the thread for what happens in Tautline.
-struct Bell(Arc<GuardCondition>);
+struct GuardWaker(Arc<GuardCondition>);
 
-impl ArcWake for Bell {
-    fn wake_by_ref(bell: &Arc<Self>) {
-        bell.0.trigger();
+impl ArcWake for GuardWaker {
+    fn wake_by_ref(waker: &Arc<Self>) {
+        waker.0.trigger();
     }
 }
 
@@ -83,7 +83,7 @@ impl FarServices for RosServices {
     }
 
     fn waker(&self) -> Waker {
-        waker(Arc::new(Bell(self.guard.clone())))
+        waker(Arc::new(GuardWaker(self.guard.clone())))
     }
 
     fn wait(

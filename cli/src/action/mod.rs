@@ -5,8 +5,8 @@ mod send_goal;
 
 use crate::asking::{action_of, full_name};
 use crate::completions;
-use crate::manners::{Failure, Manners, Outcome};
 use crate::service::{Named, named};
+use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::Value;
 use std::io::{self, Write};
@@ -27,7 +27,7 @@ pub struct ActionArgs {
     #[command(subcommand)]
     verb: Verb,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 #[derive(Subcommand, Clone, Debug)]
@@ -46,11 +46,11 @@ enum Verb {
 
 /// Runs the verb.
 pub fn run(args: &ActionArgs) -> Outcome {
-    let manners = &args.manners;
+    let common = &args.common;
     if let Verb::SendGoal(args) = &args.verb {
-        return send_goal::run(args, manners);
+        return send_goal::run(args, common);
     }
-    let graph = graph_of(manners.domain()?)?;
+    let graph = graph_of(common.domain()?)?;
     let mut actions = actions(&graph);
     let mut out = io::stdout().lock();
     if let Verb::Info { action } = &args.verb {
@@ -61,11 +61,11 @@ pub fn run(args: &ActionArgs) -> Outcome {
         }
         // More than one if nodes disagree on its type.
         actions.retain(|action| action.name == name);
-        if !manners.json {
+        if !common.json {
             return Ok(actions.iter().try_for_each(|action| print(action, &mut out))?);
         }
     }
-    if manners.json {
+    if common.json {
         let actions = actions.iter().map(|action| action.to_json("action"));
         return Ok(writeln!(out, "{}", Value::from_iter(actions))?);
     }

@@ -3,8 +3,8 @@
 
 use crate::asking::{Asking, full_name, polled, type_and_values};
 use crate::completions;
-use crate::manners::{End, Failure, Manners, Outcome, Waited};
 use crate::service::type_to_ask;
+use crate::verb::{CommonArgs, End, Failure, Outcome, Waited};
 use clap::Args;
 use futures::channel::oneshot;
 use futures::future::{Either, select};
@@ -44,8 +44,8 @@ pub struct SendGoalArgs {
     feedback: bool,
 }
 
-pub fn run(args: &SendGoalArgs, manners: &Manners) -> Outcome {
-    let (end, domain, action) = (End::of(manners)?, manners.domain()?, full_name(&args.action));
+pub fn run(args: &SendGoalArgs, common: &CommonArgs) -> Outcome {
+    let (end, domain, action) = (End::of(common)?, common.domain()?, full_name(&args.action));
     let (type_name, values) = type_and_values(&args.goal, "action");
     let graph = graph_of(domain)?;
     let type_name = type_to_ask("action", &action, &super::actions(&graph), type_name)?;
@@ -53,7 +53,7 @@ pub fn run(args: &SendGoalArgs, manners: &Manners) -> Outcome {
     let goal = DynamicMessage::from_yaml(&parts.goal()?, values)?;
     let mut asking = Asking::new(domain, end)?;
     let client = asking.node.create_action_client_untyped(&action, &type_name)?;
-    let shown = Shown { feedback: parts.feedback()?, result: parts.result()?, is_json: manners.json };
+    let shown = Shown { feedback: parts.feedback()?, result: parts.result()?, is_json: common.json };
     let (cancel, cancelled) = oneshot::channel();
     let pursuit = pursue(&client, goal.to_json_value(), args.feedback, cancelled, &shown);
     let status = wait(&mut asking.end, &action, pursuit, cancel)?;

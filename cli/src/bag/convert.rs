@@ -2,8 +2,8 @@
 //! `taut bag convert`: bags of rosbag2 in its other storage and compressions, read and written.
 
 use super::{NewArgs, Progress, Sum, whole};
-use crate::manners::{End, Failure, Manners, Outcome};
 use crate::record::{failed, say};
+use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use std::io::Write;
@@ -45,9 +45,9 @@ enum Stored {
     Sqlite3,
 }
 
-pub fn run(args: &ConvertArgs, manners: &Manners) -> Outcome {
-    let end = End::of(manners)?;
-    let progress = Progress::new(manners.json);
+pub fn run(args: &ConvertArgs, common: &CommonArgs) -> Outcome {
+    let end = End::of(common)?;
+    let progress = Progress::new(common.json);
     let storage = match args.storage {
         Stored::Mcap => Storage::Mcap,
         Stored::Sqlite3 => Storage::Sqlite3,
@@ -63,7 +63,7 @@ pub fn run(args: &ConvertArgs, manners: &Manners) -> Outcome {
     let written = convert(&args.bags, &args.new.output, storage, args.new.options(), hooks);
     progress.end();
     let converted =
-        written.map_err(|error| match (error, manners.timeout().filter(|_| end.is_reached())) {
+        written.map_err(|error| match (error, common.timeout().filter(|_| end.is_reached())) {
             (BagError::Interrupted, Some(timeout)) => {
                 Failure::no(format!("not done after {timeout:?}; nothing is left of it"))
             }
@@ -73,7 +73,7 @@ pub fn run(args: &ConvertArgs, manners: &Manners) -> Outcome {
     converted.notes.iter().for_each(|note| say(&format!("taut: warning: {note}")));
     let out = &mut anstream::stdout().lock();
     let sum = Sum::of(&converted.files);
-    if manners.json {
+    if common.json {
         let mut report = sum.json(&converted.files);
         report["notes"] = json!(converted.notes);
         writeln!(out, "{report}")?;

@@ -6,8 +6,8 @@ mod field;
 mod picture;
 
 use super::{Progress, whole};
-use crate::manners::{Failure, Outcome, time};
 use crate::record::{failed, say};
+use crate::verb::{Failure, Outcome, time};
 use clap::Args;
 use columns::Columns;
 use field::Wanted;

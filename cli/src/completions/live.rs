@@ -7,8 +7,8 @@
 use super::{ASKED, Asked, paths};
 use crate::asking::{Asking, action_of, full_name, node_with, nodes_with};
 use crate::component::MANAGER;
-use crate::manners::{End, Outcome};
 use crate::msg::Finder;
+use crate::verb::{End, Outcome};
 use clap_complete::engine::{
     ArgValueCandidates, ArgValueCompleter, CompletionCandidate, PathCompleter, ValueCompleter,
 };

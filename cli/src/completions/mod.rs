@@ -15,7 +15,7 @@ pub use live::{
     service_types, services, topic_types, topics, transitions, types_of_service,
 };
 
-use crate::manners::{Failure, Outcome};
+use crate::verb::{Failure, Outcome};
 use clap::{Args, Command};
 use clap_complete::engine::{CompletionCandidate, complete};
 use clap_complete::env::{EnvCompleter, Shells};

@@ -80,17 +80,17 @@ pub fn realtime(args: &DemoArgs) -> Realtime {
     if args.no_rt { Realtime::Off } else { Realtime::Required }
 }
 
-/// What the thread of a callback sees being taken from its core.
-pub struct Watched {
+/// Collects what was taken from a callback's core, as its thread sees it.
+pub struct MomentCollector {
     stats: Arc<CallbackStats>,
     /// How many moments have been collected, or were overwritten before.
     known: u64,
     pub moments: Vec<Moment>,
 }
 
-impl Watched {
+impl MomentCollector {
     pub fn new(callback: &CallbackHandle) -> Self {
-        Watched { stats: callback.stats().clone(), known: 0, moments: Vec::new() }
+        MomentCollector { stats: callback.stats().clone(), known: 0, moments: Vec::new() }
     }
 
     /// Collects what was seen since the last time: often enough, for only the latest are kept.

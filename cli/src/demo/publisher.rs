@@ -52,9 +52,9 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     let cpu_ns = clock::process_cpu_ns() - cpu_before_ns;
     worker.stop();
     let (messages, missed) = (counts.messages.load(Ordering::Relaxed), counts.missed.load(Ordering::Relaxed));
-    let mut watched = application::Watched::new(&worker);
-    watched.collect();
-    protocol::say(&Line::Published(Published { messages, cpu_ns, missed, moments: watched.moments }));
+    let mut collector = application::MomentCollector::new(&worker);
+    collector.collect();
+    protocol::say(&Line::Published(Published { messages, cpu_ns, missed, moments: collector.moments }));
     Ok(())
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The subscriber process: the sampler on the main thread, one callback thread per topic.
 
-use super::application::{self, Stamped, Topic, Watched};
+use super::application::{self, MomentCollector, Stamped, Topic};
 use super::protocol::{self, Line, Measured, TopicMeasured};
 use super::{DemoArgs, DemoError};
 use futures::StreamExt;
@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
 use tautline::rt::clock;
-use tautline::{CallbackOptions, Counters, Node};
+use tautline::{CallbackOptions, Node, SubscriptionCounters};
 
 pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     super::conductor::ignore_interrupts();
@@ -48,26 +48,30 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
             context.shutdown();
         });
     }
-    let watched = callbacks.iter().map(|callback| Watched::new(&callback.handle)).collect();
+    let collectors = callbacks.iter().map(|callback| MomentCollector::new(&callback.handle)).collect();
     let logs = callbacks.iter().map(|callback| callback.log.clone()).collect();
-    let reporter = report_progress(logs, watched, over);
+    let reporter = report_progress(logs, collectors, over);
     let cpu_before_ns = clock::process_cpu_ns();
     protocol::say(&Line::Ready);
     node.spin()?;
     let cpu_ns = clock::process_cpu_ns() - cpu_before_ns;
-    let watched = reporter.join().unwrap_or_default();
-    protocol::say(&Line::Measured(measured(callbacks, watched, cpu_ns)?));
+    let collectors = reporter.join().unwrap_or_default();
+    protocol::say(&Line::Measured(measured(callbacks, collectors, cpu_ns)?));
     Ok(())
 }
 
 struct Callback {
     topic: Topic,
     log: Arc<Log>,
-    counters: Arc<Counters>,
+    counters: Arc<SubscriptionCounters>,
     handle: tautline::CallbackHandle,
 }
 
-fn measured(callbacks: Vec<Callback>, mut watched: Vec<Watched>, cpu_ns: u64) -> Result<Measured, DemoError> {
+fn measured(
+    callbacks: Vec<Callback>,
+    mut collectors: Vec<MomentCollector>,
+    cpu_ns: u64,
+) -> Result<Measured, DemoError> {
     let (mut topics, mut busy_ns) = (Vec::new(), 0);
     for callback in callbacks {
         callback.handle.stop();
@@ -77,8 +81,8 @@ fn measured(callbacks: Vec<Callback>, mut watched: Vec<Watched>, cpu_ns: u64) ->
         let (lost, max_queue) = (callback.counters.lost(), callback.counters.max_queue());
         topics.push(TopicMeasured { releases_ns, latencies_ns, lost, max_queue });
     }
-    watched.iter_mut().for_each(Watched::collect);
-    let moments = watched.into_iter().flat_map(|watched| watched.moments).collect();
+    collectors.iter_mut().for_each(MomentCollector::collect);
+    let moments = collectors.into_iter().flat_map(|collector| collector.moments).collect();
     Ok(Measured { overhead_cpu_ns: cpu_ns.saturating_sub(busy_ns), topics, moments })
 }
 
@@ -115,16 +119,16 @@ impl Log {
 
 fn report_progress(
     logs: Vec<Arc<Log>>,
-    mut watched: Vec<Watched>,
+    mut collectors: Vec<MomentCollector>,
     over: Arc<AtomicBool>,
-) -> std::thread::JoinHandle<Vec<Watched>> {
+) -> std::thread::JoinHandle<Vec<MomentCollector>> {
     std::thread::spawn(move || {
         while !over.load(Ordering::Acquire) {
             std::thread::sleep(Duration::from_millis(200));
             let handled: usize = logs.iter().map(|log| log.count.load(Ordering::Relaxed)).sum();
             protocol::say(&Line::Progress(handled as u64));
-            watched.iter_mut().for_each(Watched::collect);
+            collectors.iter_mut().for_each(MomentCollector::collect);
         }
-        watched
+        collectors
     })
 }

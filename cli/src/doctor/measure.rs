@@ -2,8 +2,8 @@
 //! `--measure`: what interrupts a real-time thread that does nothing else, core by core.
 
 use super::finding::{Checked, Cost, Finding, Verdict};
-use crate::manners::{End, Outcome};
 use crate::table::write_table;
+use crate::verb::{End, Outcome};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 use std::io::{self, Write};

@@ -12,7 +12,7 @@ mod rights;
 mod script;
 mod system;
 
-use crate::manners::{End, Failure, Manners, Outcome, time};
+use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use clap::Args;
 use finding::{Checked, Finding, Verdict, is_fit};
 use host::{Host, Tree};
@@ -55,7 +55,7 @@ pub struct DoctorArgs {
     #[arg(long, value_name = "DIR", default_value = "/", hide = true)]
     root: PathBuf,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 fn cores(list: &str) -> Result<CoreSet, String> {
@@ -90,8 +90,8 @@ const CHECKS: [Check; 17] = [
 
 /// Runs the verb; the exit code is the verdict.
 pub fn run(args: &DoctorArgs) -> Outcome<ExitCode> {
-    let end = End::of(&args.manners)?;
-    let domain = args.manners.domain()?;
+    let end = End::of(&args.common)?;
+    let domain = args.common.domain()?;
     let system = args.system.as_deref().map(System::read).transpose()?;
     let named = args.cores.or(system.as_ref().map(System::cores));
     let priority = system.as_ref().map_or(PRIORITY, System::priority);
@@ -119,7 +119,7 @@ pub fn run(args: &DoctorArgs) -> Outcome<ExitCode> {
         out.flush()?;
         return Ok(ExitCode::SUCCESS);
     }
-    if args.manners.json {
+    if args.common.json {
         let all = json!({
             "fit": is_fit, "domain": domain, "cores": host.cores().ok().map(|cores| cores.to_string()),
             "findings": Value::from_iter(findings.iter().map(Finding::to_json)),

@@ -5,7 +5,7 @@ use super::domain::free_bytes;
 use super::finding::{Checked, Cost, Finding, Verdict, size};
 use super::host::Host;
 use super::kernel::allowance;
-use crate::manners::{Failure, Outcome};
+use crate::verb::{Failure, Outcome};
 use std::path::Path;
 use tautline::rt::ThreadBuilder;
 use tautline::{CoreSet, Limits, Policy, find_schema, topic_memory};

@@ -5,10 +5,10 @@ use super::picture::{Edge, EdgeKind, Mismatch, Node, Picture, Rate, Topic, Topic
 use crate::asking::{action_of, full_name};
 use crate::counts::Rates;
 use crate::fits;
-use crate::manners::{Failure, Outcome};
 use crate::table::place;
 use crate::topic::info::qos_line;
 use crate::topic::tap;
+use crate::verb::{Failure, Outcome};
 use std::collections::{BTreeMap, BTreeSet};
 use tautline::{EndpointKind, GraphSnapshot, NodeName, ServiceKind};
 use tautline_transport::{Gid, Origin};

@@ -13,7 +13,7 @@ mod text;
 
 use crate::completions;
 use crate::counts::Counts;
-use crate::manners::{Failure, Manners, Outcome, time};
+use crate::verb::{CommonArgs, Failure, Outcome, time};
 use bounds::Running;
 use clap::{Args, ValueEnum};
 use gather::Wanted;
@@ -44,7 +44,7 @@ use tautline_transport::Visitor;
 Exit codes: 0 done, 1 there is no such node or topic, 2 what was given cannot be used.")]
 pub struct GraphArgs {
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
     /// What is written [default: by the name of the output, else text]
     #[arg(long, value_enum, value_name = "FORMAT")]
     format: Option<Format>,
@@ -133,7 +133,7 @@ pub fn run(args: &GraphArgs) -> Outcome {
 }
 
 fn format_of(args: &GraphArgs) -> Outcome<Format> {
-    match (args.format, args.manners.json, &args.output) {
+    match (args.format, args.common.json, &args.output) {
         (Some(format), true, _) if format != Format::Json => {
             Err(Failure::unusable("--json and another --format: say one of them"))
         }
@@ -161,7 +161,7 @@ fn read(path: &Path) -> Outcome<CheckedSystem> {
 }
 
 fn look(args: &GraphArgs, checked: Option<&CheckedSystem>) -> Outcome<Picture> {
-    let domain = args.manners.domain()?;
+    let domain = args.common.domain()?;
     let wanted = Wanted {
         node: args.node.as_deref(),
         topic: args.topic.as_deref(),
@@ -176,7 +176,7 @@ fn look(args: &GraphArgs, checked: Option<&CheckedSystem>) -> Outcome<Picture> {
         gather::gather(domain, &graph, None, &wanted)?;
         counts.look(&mut visitor, &graph)?;
         let start = Instant::now();
-        let time = args.manners.timeout().map_or(args.rates, |timeout| timeout.min(args.rates));
+        let time = args.common.timeout().map_or(args.rates, |timeout| timeout.min(args.rates));
         if time > Duration::from_secs(1) {
             eprintln!("taut: counting messages for {time:?} ...");
         }

@@ -6,7 +6,7 @@ mod value;
 
 use crate::asking::{Asking, full_name, no_answer, node_with, nodes_with};
 use crate::completions;
-use crate::manners::{End, Failure, Manners, Outcome};
+use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 use std::io::{self, Write};
@@ -39,7 +39,7 @@ pub struct ParamArgs {
     #[command(subcommand)]
     verb: Verb,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 #[derive(Args, Clone, Debug)]
@@ -120,13 +120,13 @@ fn value(text: &str) -> Result<ParameterValue, String> {
 
 /// Runs the verb.
 pub fn run(args: &ParamArgs) -> Outcome {
-    let manners = &args.manners;
-    let node = |node: &NodeArg| Node::find(manners, &node.node);
+    let common = &args.common;
+    let node = |node: &NodeArg| Node::find(common, &node.node);
     match &args.verb {
-        Verb::List { node: None } => list_all(manners),
+        Verb::List { node: None } => list_all(common),
         Verb::List { node: Some(name) } => {
-            let names = Node::find(manners, name)?.names()?;
-            if manners.json {
+            let names = Node::find(common, name)?.names()?;
+            if common.json {
                 return print_json(&json!({ "node": full_name(name), "parameters": names }));
             }
             Ok(names.iter().try_for_each(|name| writeln!(io::stdout(), "{name}"))?)
@@ -138,7 +138,7 @@ pub fn run(args: &ParamArgs) -> Outcome {
                 node.must_have(name)?;
             }
             let label = if *hide_type { String::new() } else { value::label(&value) };
-            match manners.json {
+            match common.json {
                 true => print_json(&json!({
                     "node": node.name, "name": name, "type": value.type_name(), "value": value::to_json(&value),
                 })),
@@ -147,24 +147,24 @@ pub fn run(args: &ParamArgs) -> Outcome {
         }
         Verb::Set { node: of, name, value } => {
             let set = node(of)?.set_one(name, value)?;
-            set.print(manners, "Set parameter successful", "Setting parameter failed")
+            set.print(common, "Set parameter successful", "Setting parameter failed")
         }
         Verb::Delete { node: of, name } => {
             let set = node(of)?.set_one(name, &ParameterValue::NotSet)?;
-            set.print(manners, "Deleted parameter successfully", "Deleting parameter failed")
+            set.print(common, "Deleted parameter successfully", "Deleting parameter failed")
         }
-        Verb::Describe { node: of, names } => describe(manners, &mut node(of)?, names.clone()),
+        Verb::Describe { node: of, names } => describe(common, &mut node(of)?, names.clone()),
         Verb::Dump { node: of } => {
             let mut node = node(of)?;
             let names = node.names()?;
             let values = node.get(names.clone())?;
             let parameters: Vec<_> = names.into_iter().zip(values).collect();
-            match manners.json {
+            match common.json {
                 true => print_json(&file::json(&node.name, &parameters)),
                 false => Ok(write!(io::stdout(), "{}", file::yaml(&node.name, &parameters))?),
             }
         }
-        Verb::Load { node: of, file } => load(manners, &mut node(of)?, file),
+        Verb::Load { node: of, file } => load(common, &mut node(of)?, file),
     }
 }
 
@@ -172,8 +172,8 @@ fn print_json(json: &Value) -> Outcome {
     Ok(writeln!(io::stdout(), "{json}")?)
 }
 
-fn list_all(manners: &Manners) -> Outcome {
-    let (end, domain) = (End::within(PATIENCE_OF_ALL, manners)?, manners.domain()?);
+fn list_all(common: &CommonArgs) -> Outcome {
+    let (end, domain) = (End::within(PATIENCE_OF_ALL, common)?, common.domain()?);
     let nodes = nodes_with(domain, LIST)?;
     let mut asking = Asking::new(domain, end)?;
     let all = ListParameters::Request::default;
@@ -187,14 +187,14 @@ fn list_all(manners: &Manners) -> Outcome {
             eprintln!("taut: {node}: {}", no_answer(error));
         }
         let names = names.ok();
-        if manners.json {
+        if common.json {
             listed.push(json!({ "node": node, "parameters": names }));
         } else if let Some(names) = names {
             writeln!(out, "{node}:")?;
             names.iter().try_for_each(|name| writeln!(out, "  {name}"))?;
         }
     }
-    if manners.json {
+    if common.json {
         writeln!(out, "{}", Value::from(listed))?;
     }
     match silent {
@@ -208,7 +208,7 @@ fn sorted(mut names: Vec<String>) -> Vec<String> {
     names
 }
 
-fn describe(manners: &Manners, node: &mut Node, names: Vec<String>) -> Outcome {
+fn describe(common: &CommonArgs, node: &mut Node, names: Vec<String>) -> Outcome {
     let names = if names.is_empty() { node.names()? } else { names };
     let request = DescribeParameters::Request { names: names.clone() };
     let mut told = node.ask::<DescribeParameters::Service>("describe_parameters", request)?.descriptors;
@@ -219,13 +219,13 @@ fn describe(manners: &Manners, node: &mut Node, names: Vec<String>) -> Outcome {
             node.must_have(name)?;
         }
     }
-    if manners.json {
+    if common.json {
         return print_json(&told.iter().map(value::described_json).collect());
     }
     Ok(told.iter().try_for_each(|told| write!(io::stdout(), "{}", value::described(told)))?)
 }
 
-fn load(manners: &Manners, node: &mut Node, file: &Path) -> Outcome {
+fn load(common: &CommonArgs, node: &mut Node, file: &Path) -> Outcome {
     let parameters = parameters_of_file(file, &node.name)?;
     if parameters.is_empty() {
         let file = file.display();
@@ -245,7 +245,7 @@ fn load(manners: &Manners, node: &mut Node, file: &Path) -> Outcome {
             done[i].refused = None;
         }
     }
-    if manners.json {
+    if common.json {
         print_json(&done.iter().map(Set::to_json).collect())?;
     } else {
         for Set { name, refused, .. } in &done {
@@ -274,8 +274,8 @@ impl Set {
         json!({ "node": self.node, "name": self.name, "successful": successful, "reason": self.refused })
     }
 
-    fn print(&self, manners: &Manners, done: &str, failed: &str) -> Outcome {
-        if manners.json {
+    fn print(&self, common: &CommonArgs, done: &str, failed: &str) -> Outcome {
+        if common.json {
             print_json(&self.to_json())?;
         } else if self.refused.is_none() {
             writeln!(io::stdout(), "{done}")?;
@@ -294,8 +294,8 @@ struct Node {
 }
 
 impl Node {
-    fn find(manners: &Manners, node: &str) -> Outcome<Self> {
-        let (end, domain) = (End::within(PATIENCE, manners)?, manners.domain()?);
+    fn find(common: &CommonArgs, node: &str) -> Outcome<Self> {
+        let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
         let name = node_with(domain, node, LIST, "tells nobody its parameters")?;
         Ok(Node { name, asking: Asking::new(domain, end)? })
     }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What people say to it while it plays, and what they see.
 
-use super::stage::Control;
-use crate::manners::{End, Failure, Outcome, time};
+use super::player::Control;
 use crate::record::{progress, say};
+use crate::verb::{End, Failure, Outcome, time};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Who reads the bag: messages go into the ring in their order, checked, as far ahead as there is room.
 
-use super::stage::{BEGIN, Control, END};
+use super::player::{BEGIN, Control, END};
 use crate::ring::{HEAD_BYTES, Head};
 use rtrb::Producer;
 use std::collections::VecDeque;

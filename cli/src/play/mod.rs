@@ -1,23 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut play`: what a bag has is published again, when it was.
 //!
-//! `feeder` reads the bag, in its order, into a ring of locked memory; `stage` publishes from there, at absolute times.
+//! `feeder` reads the bag, in its order, into a ring of locked memory; `player` publishes from there, at absolute times.
 
 mod console;
 mod feeder;
-mod stage;
+mod player;
 mod stand_in;
 mod statement;
 
 use crate::asking::full_name;
 use crate::definitions;
-use crate::manners::{End, Failure, Manners, Outcome, time};
 use crate::offers;
 use crate::record::{failed, say, size};
+use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use clap::Args;
 use feeder::{Feeder, Part};
+use player::{Clock, Control, Player};
 use regex::Regex;
-use stage::{Clock, Control, Stage};
 use stand_in::StandIn;
 use statement::Statement;
 use std::cell::Cell;
@@ -58,7 +58,7 @@ Exit codes: 0 everything was played, or Ctrl-C; 1 some of it was not, or was lat
 SIGUSR1 pauses and goes on; SIGUSR2 plays one message while it is paused.")]
 pub struct PlayArgs {
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
     /// A folder, or one of its files
     #[arg(value_name = "BAG")]
     bag: PathBuf,
@@ -143,7 +143,7 @@ struct Role {
 }
 
 pub fn run(args: &PlayArgs) -> Outcome {
-    let domain = args.manners.domain()?;
+    let domain = args.common.domain()?;
     let control = Arc::new(Control::default());
     control.is_paused.store(args.paused, Ordering::Relaxed);
     console::listen(&control)?;
@@ -157,7 +157,7 @@ pub fn run(args: &PlayArgs) -> Outcome {
         };
         Ordered::open(&args.bag, tell).map_err(failed)?
     };
-    let mut end = End::of(&args.manners)?;
+    let mut end = End::of(&args.common)?;
     let (from_ns, to_ns) = args.range(&bag)?;
     if let Some(core) = args.core {
         CoreSet::one(core).check().map_err(|error| Failure::unusable(format!("--core: {error}")))?;
@@ -209,18 +209,18 @@ pub fn run(args: &PlayArgs) -> Outcome {
             return Err(failure);
         }
     };
-    let stage = Stage::new(consumer, publishers, clock, args.rate, control.clone());
+    let player = Player::new(consumer, publishers, clock, args.rate, control.clone());
     let policy = args.policy(stand_in.as_ref());
-    let mut thread = ThreadBuilder::new("stage").policy(policy);
+    let mut thread = ThreadBuilder::new("player").policy(policy);
     if let Some(cores) = args.core.map(CoreSet::one).or(stand_in.as_ref().map(StandIn::cores)) {
         thread = thread.cores(cores);
     }
     let _shown = stand_in.as_ref().map(|stand_in| stand_in.show(domain, policy)).transpose()?;
-    let thread = thread.spawn(move || move || stage.run())?;
+    let thread = thread.spawn(move || move || player.run())?;
     end.restart();
     let until = if args.again == Some(None) { ", until Ctrl-C" } else { "" };
     say(&format!("playing {} topics of {} in domain {domain}{until}", roles.len(), args.bag.display()));
-    console::watch(&control, &end, start_ns, args.manners.json, || thread.is_finished());
+    console::watch(&control, &end, start_ns, args.common.json, || thread.is_finished());
     let is_interrupted = !thread.is_finished();
     control.stop.store(true, Ordering::Relaxed);
     let played = thread.join()?;

@@ -3,8 +3,8 @@
 
 use super::PlayArgs;
 use crate::asking::full_name;
-use crate::manners::{Failure, Outcome};
-use crate::report::watch::Watched;
+use crate::report::watch::ObservedProcesses;
+use crate::verb::{Failure, Outcome};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 use tautline::rt::{CoreSet, Policy};
@@ -28,8 +28,8 @@ impl PlayArgs {
         let path = match self.system.clone().or_else(of_environment) {
             Some(path) => path,
             None => {
-                let mut watched = Watched::new(domain);
-                let found = watched.look().and_then(|()| watched.system_path());
+                let mut processes = ObservedProcesses::new(domain);
+                let found = processes.look().and_then(|()| processes.system_path());
                 found.map_err(|error| {
                     Failure::unusable(format!("--as needs a system file: {error}; or name it with --system"))
                 })?

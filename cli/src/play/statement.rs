@@ -2,12 +2,12 @@
 //! What became of every message, in the end.
 
 use super::feeder::Fed;
-use super::stage::Played;
+use super::player::Played;
 use super::{PlayArgs, Role};
-use crate::manners::{Failure, Outcome};
 use crate::record::failed;
 use crate::table::write_table;
 use crate::times::Times;
+use crate::verb::{Failure, Outcome};
 use serde_json::json;
 use std::io::{self, Write};
 use std::time::Duration;
@@ -23,7 +23,7 @@ pub struct Statement<'a> {
 impl Statement<'_> {
     pub fn print(self) -> Outcome {
         let out = &mut anstream::stdout().lock();
-        if self.args.manners.json {
+        if self.args.common.json {
             self.json(out)?;
         } else {
             self.table(out)?;

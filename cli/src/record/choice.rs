@@ -4,7 +4,7 @@
 use super::RecordArgs;
 use super::event::EVENTS;
 use crate::asking::{full_name, full_type};
-use crate::manners::{Failure, Outcome};
+use crate::verb::{Failure, Outcome};
 use regex::Regex;
 
 pub struct Choice {

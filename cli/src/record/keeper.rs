@@ -2,9 +2,9 @@
 //! Who writes messages to the disk, from the ring.
 
 use super::event::Events;
-use super::seats::Kept;
-use crate::manners::Outcome;
+use super::observers::Kept;
 use crate::ring::{HEAD_BYTES, Head};
+use crate::verb::Outcome;
 use rtrb::Consumer;
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -9,19 +9,19 @@ mod black_box;
 mod choice;
 mod event;
 mod keeper;
-mod seats;
+mod observers;
 mod statement;
 mod taker;
 
 use crate::completions;
-use crate::manners::{End, Failure, Manners, Outcome, time};
+use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use aside::Aside;
 use black_box::{Alarms, Kind, Vault};
 use choice::Choice;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use keeper::Keeper;
-use seats::Seats;
+use observers::Observers;
 use statement::Statement;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -59,7 +59,7 @@ Exit codes: 0 nothing was lost; 1 something was, or a named topic did not come; 
 On a terminal the enter key pauses and goes on; so does SIGUSR1. A black box is written then.")]
 pub struct RecordArgs {
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
     /// Topics; those that do not exist are waited for
     #[arg(value_name = "TOPIC", add = completions::topics())]
     topics: Vec<String>,
@@ -196,8 +196,8 @@ fn throttle(text: &str) -> Result<(String, f64), String> {
 
 pub fn run(args: &RecordArgs) -> Outcome {
     let choice = Choice::new(args)?;
-    let domain = args.manners.domain()?;
-    let mut end = End::of(&args.manners)?;
+    let domain = args.common.domain()?;
+    let mut end = End::of(&args.common)?;
     if let Some(cores) = args.cores {
         // Threads that it starts are there, too.
         rt::set_affinity(cores).map_err(|error| Failure::unusable(format!("--cores: {error}")))?;
@@ -212,20 +212,20 @@ pub fn run(args: &RecordArgs) -> Outcome {
     let folder = args.output.clone().unwrap_or_else(|| args.default_folder().into());
     let participant = Participant::new(domain)?;
     let (stop, is_over) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
-    let (seats, coming) = Seats::new(participant, choice, args)?;
+    let (observers, new_observers) = Observers::new(participant, choice, args)?;
     let pace =
         Pace { period_ns: rt::clock::nanoseconds(args.period).max(100_000), is_paused: is_paused.clone() };
-    let taker = Taker::new(producer, coming.seats, pace, stop.clone());
+    let taker = Taker::new(producer, new_observers.observers, pace, stop.clone());
     let mut behind = match args.black_box {
         None => {
             let writer = Writer::create(&folder, args.options(), session(domain)).map_err(failed)?;
-            Behind::Keeper(Keeper::start(writer, consumer, coming.topics, is_over.clone())?)
+            Behind::Keeper(Keeper::start(writer, consumer, new_observers.topics, is_over.clone())?)
         }
         Some(span) => {
             let plan = args.plan(&folder, domain, span, taker.offset_ns())?;
             let tracing = args.tracing(domain, span)?;
             let alarms = Alarms::new(domain, &args.on, &args.silent, span, asked)?;
-            let vault = Vault::start(plan, consumer, coming.topics, tracing, is_over.clone())?;
+            let vault = Vault::start(plan, consumer, new_observers.topics, tracing, is_over.clone())?;
             Behind::Vault(vault, Box::new(alarms))
         }
     };
@@ -241,12 +241,12 @@ pub fn run(args: &RecordArgs) -> Outcome {
         Some(span) => format!("the last {} s of ", span.as_secs_f64()),
     };
     say(&format!("recording {what}domain {domain} into {}{until}", folder.display()));
-    let watched = watch(args, &end, seats, &mut behind, (&is_over, &is_paused));
+    let watched = watch(args, &end, observers, &mut behind, (&is_over, &is_paused));
     // What was sent until now is taken, then written; whatever happened.
     stop.store(true, Ordering::Release);
     let taken = thread.join()?;
-    let seats = match watched {
-        Ok(seats) => seats,
+    let observers = match watched {
+        Ok(observers) => observers,
         Err(failure) => {
             // The bag is whole all the same.
             match behind {
@@ -256,15 +256,15 @@ pub fn run(args: &RecordArgs) -> Outcome {
             return Err(failure);
         }
     };
-    let statement = Statement::new(seats, taken, args.period);
+    let statement = Statement::new(observers, taken, args.period);
     match behind {
         Behind::Keeper(keeper) => {
             let written = keeper.finish(statement.for_the_file());
-            statement.print(&folder, written, args.manners.json)
+            statement.print(&folder, written, args.common.json)
         }
         Behind::Vault(vault, _) => {
             let vaulted = vault.finish();
-            if !args.manners.json {
+            if !args.common.json {
                 statement.table(&mut anstream::stdout().lock())?;
             }
             black_box::print(args, &folder, vaulted, statement.lost())
@@ -282,20 +282,20 @@ enum Behind {
 fn watch(
     args: &RecordArgs,
     end: &End,
-    mut seats: Seats,
+    mut observers: Observers,
     behind: &mut Behind,
     (is_over, is_paused): (&AtomicBool, &AtomicBool),
-) -> Outcome<Seats> {
-    let progress = progress(args.manners.json);
+) -> Outcome<Observers> {
+    let progress = progress(args.common.json);
     let mut said = Instant::now();
     let mut aside = if args.cores.is_none() { Some(Aside::new()?) } else { None };
     while !end.is_reached() && !is_over.load(Ordering::Acquire) {
-        seats.look(|words| progress.suspend(|| say(&format!("taut: {words}"))))?;
-        if let Some(words) = aside.as_mut().and_then(|aside| aside.look(seats.processes())) {
+        observers.look(|words| progress.suspend(|| say(&format!("taut: {words}"))))?;
+        if let Some(words) = aside.as_mut().and_then(|aside| aside.look(observers.processes())) {
             progress.suspend(|| say(&format!("taut: {words}")));
         }
         if let Behind::Vault(vault, alarms) = behind {
-            for alarm in alarms.look(&seats)? {
+            for alarm in alarms.look(&observers)? {
                 progress.suspend(|| say(&format!("taut: {}: {}", alarm.kind.name(), alarm.words)));
                 vault.alarm(alarm);
             }
@@ -303,15 +303,15 @@ fn watch(
         if said.elapsed() >= SAY {
             said = Instant::now();
             let state = if is_paused.load(Ordering::Relaxed) { "paused, " } else { "" };
-            progress.set_message(format!("{state}{}", seats.progress()));
+            progress.set_message(format!("{state}{}", observers.progress()));
         }
-        if seats.is_empty() {
+        if observers.is_empty() {
             end.say_once(|| "a topic to record".to_owned());
         }
         end.pause(LOOK);
     }
     progress.finish_and_clear();
-    Ok(seats)
+    Ok(observers)
 }
 
 /// Whoever started it may listen no more: that ends no recording.

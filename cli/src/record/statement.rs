@@ -4,10 +4,10 @@
 use super::event::Part;
 use super::failed;
 use super::keeper::Written;
-use super::seats::{Seated, Seats};
+use super::observers::{Observers, RecordedTopic};
 use super::taker::{Harvest, Taken};
-use crate::manners::{Failure, Outcome};
 use crate::table::write_table;
+use crate::verb::{Failure, Outcome};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashSet};
 use std::io::{self, Write};
@@ -25,7 +25,7 @@ pub struct Statement {
 }
 
 struct Row {
-    seated: Seated,
+    topic: RecordedTopic,
     taken: Taken,
     /// Sent by publishers that came later, before they were connected.
     missed: u64,
@@ -34,13 +34,13 @@ struct Row {
 }
 
 impl Row {
-    fn new(seated: Seated, taken: Taken, before: &HashSet<Gid>) -> Self {
+    fn new(topic: RecordedTopic, taken: Taken, before: &HashSet<Gid>) -> Self {
         // Responses have the numbers of the clients that they go to.
-        let is_counted = seated.part != Part::Response;
+        let is_counted = topic.part != Part::Response;
         let new = taken.ports.iter().filter(|port| is_counted && !before.contains(&port.gid));
         let missed = new.map(|port| port.first.saturating_sub(1)).sum();
         let peak = taken.ports.iter().map(|port| port.peak).max().unwrap_or(0);
-        Row { seated, taken, missed, peak }
+        Row { topic, taken, missed, peak }
     }
 
     /// Everything that is not in the bag, and should be.
@@ -50,29 +50,29 @@ impl Row {
 
     /// A longer time between two looks loses messages.
     fn survives(&self) -> Option<Duration> {
-        (self.peak > 0).then(|| Duration::from_secs_f64(self.seated.depth as f64 / self.peak as f64))
+        (self.peak > 0).then(|| Duration::from_secs_f64(self.topic.depth as f64 / self.peak as f64))
     }
 
     fn json(&self) -> Value {
-        let Row { seated, taken, .. } = self;
+        let Row { topic, taken, .. } = self;
         json!({
-            "topic": seated.topic.name, "type": seated.topic.type_name, "part": seated.part.name(),
+            "topic": topic.topic.name, "type": topic.topic.type_name, "part": topic.part.name(),
             "messages": taken.messages, "bytes": taken.bytes,
             "lost": self.lost(), "overwritten": taken.lost, "before_connected": self.missed, "oversized": taken.oversized,
             "throttled": taken.throttled, "paused": taken.paused, "publishers": taken.ports.len(), "peak_hz": self.peak,
-            "depth": seated.depth, "longest_stall_ns": taken.stall_ns,
+            "depth": topic.depth, "longest_stall_ns": taken.stall_ns,
             "survives_stall_ns": self.survives().map(|time| time.as_nanos() as u64),
         })
     }
 }
 
 impl Statement {
-    pub fn new(seats: Seats, harvest: Harvest, period: Duration) -> Self {
-        let (seated, before, absent) = seats.end();
+    pub fn new(observers: Observers, harvest: Harvest, period: Duration) -> Self {
+        let (topics, before, absent) = observers.end();
         let time = Duration::from_nanos(harvest.ended_ns - harvest.began_ns);
-        // A seat that the taker did not come to any more took nothing.
+        // An observer that the taker did not come to any more took nothing.
         let taken = harvest.topics.into_iter().chain(std::iter::repeat_with(Taken::default));
-        let rows = seated.into_iter().zip(taken).map(|(seated, taken)| Row::new(seated, taken, &before));
+        let rows = topics.into_iter().zip(taken).map(|(topic, taken)| Row::new(topic, taken, &before));
         Statement { rows: rows.collect(), absent, waited: harvest.waited, time, period }
     }
 
@@ -83,7 +83,7 @@ impl Statement {
     /// A record of the last file.
     pub fn for_the_file(&self) -> BTreeMap<String, String> {
         let mut record: BTreeMap<_, _> =
-            self.rows.iter().map(|row| (row.seated.name(), row.json().to_string())).collect();
+            self.rows.iter().map(|row| (row.topic.name(), row.json().to_string())).collect();
         record.insert("lost".to_owned(), self.lost().to_string());
         record.insert("period_ns".to_owned(), self.period.as_nanos().to_string());
         record
@@ -156,12 +156,12 @@ impl Statement {
         let row = |row: &Row| {
             let stall = Duration::from_nanos(row.taken.stall_ns);
             let cells = vec![
-                row.seated.name(),
-                row.seated.topic.type_name.clone(),
+                row.topic.name(),
+                row.topic.topic.type_name.clone(),
                 row.taken.messages.to_string(),
                 row.lost().to_string(),
                 row.peak.to_string(),
-                row.seated.depth.to_string(),
+                row.topic.depth.to_string(),
                 row.survives().map_or("-".to_owned(), ms),
                 ms(stall),
             ];

@@ -6,7 +6,7 @@
 //! for nobody. A message for which the ring has no room stays where it is, in the observer's queue.
 
 use super::event::Part;
-use super::seats::{Counts, Seat};
+use super::observers::{Counts, Observer};
 use crate::ring::{HEAD_BYTES, Head};
 use rtrb::Producer;
 use std::sync::Arc;
@@ -31,7 +31,7 @@ pub struct Pace {
 
 pub struct Taker {
     producer: Producer<u8>,
-    coming: Receiver<Seat>,
+    new_observers: Receiver<Observer>,
     pace: Pace,
     stop: Arc<AtomicBool>,
     places: Vec<Place>,
@@ -100,12 +100,17 @@ struct Place {
 }
 
 impl Taker {
-    pub fn new(producer: Producer<u8>, coming: Receiver<Seat>, pace: Pace, stop: Arc<AtomicBool>) -> Self {
+    pub fn new(
+        producer: Producer<u8>,
+        new_observers: Receiver<Observer>,
+        pace: Pace,
+        stop: Arc<AtomicBool>,
+    ) -> Self {
         let began_ns = monotonic_ns();
         let offset_ns = wall_ns() - began_ns.cast_signed();
         Taker {
             producer,
-            coming,
+            new_observers,
             pace,
             stop,
             places: Vec::new(),
@@ -166,8 +171,8 @@ impl Taker {
     }
 
     fn admit(&mut self) {
-        while let Ok(seat) = self.coming.try_recv() {
-            let Seat { number, part, subscription, throttle_ns, counts } = seat;
+        while let Ok(observer) = self.new_observers.try_recv() {
+            let Observer { number, part, subscription, throttle_ns, counts } = observer;
             match self.places.get_mut(number) {
                 Some(place) => {
                     // What it still has is taken first.

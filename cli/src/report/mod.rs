@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use crate::manners::{End, Manners};
+use crate::verb::{CommonArgs, End};
 use clap::Args;
 use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
 
@@ -20,7 +20,7 @@ mod wcet;
 
 use run::Run;
 use verdict::Comparison;
-use watch::Watched;
+use watch::ObservedProcesses;
 use wcet::{Change, Fits};
 
 const REFRESH: Duration = Duration::from_secs(1);
@@ -70,7 +70,7 @@ pub struct ReportArgs {
     #[arg(long, requires = "write")]
     lower: bool,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 fn exceedance(text: &str) -> Result<f64, String> {
@@ -158,7 +158,7 @@ fn report(args: &ReportArgs) -> Result<bool, ReportError> {
 }
 
 fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Result<bool, ReportError> {
-    if args.watch || args.manners.is_domain_named() {
+    if args.watch || args.common.is_domain_named() {
         return Err(ReportError::SavedLive { path: path.into() });
     }
     let mut run = Run::parse(path, text)?;
@@ -173,26 +173,26 @@ fn report_saved(args: &ReportArgs, path: &Path, text: &str) -> Result<bool, Repo
 }
 
 fn report_running(args: &ReportArgs) -> Result<bool, ReportError> {
-    let domain = args.manners.domain().map_err(ReportError::Domain)?;
-    let end = End::after(args.manners.timeout()).map_err(ReportError::Signal)?;
-    let mut watched = Watched::new(domain);
+    let domain = args.common.domain().map_err(ReportError::Domain)?;
+    let end = End::after(args.common.timeout()).map_err(ReportError::Signal)?;
+    let mut processes = ObservedProcesses::new(domain);
     if args.watch {
-        watched.wait_for_one(&end)?;
+        processes.wait_for_one(&end)?;
     }
-    watched.look()?;
+    processes.look()?;
     let path = match &args.file {
         Some(path) => path.clone(),
-        None => watched.system_path()?,
+        None => processes.system_path()?,
     };
     let system = System::parse(&path, &read(&path)?)?;
     loop {
-        let last = !args.watch || end.is_reached() || watched.all_ended();
-        let run = watched.gather(&path, &system.text)?;
+        let last = !args.watch || end.is_reached() || processes.all_ended();
+        let run = processes.gather(&path, &system.text)?;
         // To no terminal, a table that is soon out of date is noise.
-        let shown = last || args.manners.json || io::stdout().is_terminal();
+        let shown = last || args.common.json || io::stdout().is_terminal();
         let kept = if shown { print(args, &system, &run, args.watch)? } else { true };
         if last {
-            watched.tell_killed();
+            processes.tell_killed();
             if let Some(path) = &args.save {
                 run.save(path)?;
                 eprintln!("Saved: {0}; `taut report {0}` shows it again.", path.display());
@@ -200,7 +200,7 @@ fn report_running(args: &ReportArgs) -> Result<bool, ReportError> {
             return Ok(kept);
         }
         end.pause(REFRESH);
-        watched.look()?;
+        processes.look()?;
     }
 }
 
@@ -229,7 +229,7 @@ fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Resul
         return print_wcets(args, system, run, &comparison);
     }
     let mut out = anstream::stdout().lock();
-    if args.manners.json {
+    if args.common.json {
         json::write(&comparison, &mut out)?;
     } else {
         if in_place && io::stdout().is_terminal() {
@@ -252,7 +252,7 @@ fn print_wcets(
     let change = if args.lower { Change::RaiseAndLower } else { Change::Raise };
     let written = args.write.then(|| fits.put(system, &run.system_path, change)).transpose()?;
     let mut out = anstream::stdout().lock();
-    if args.manners.json {
+    if args.common.json {
         let mut report = fits.to_json();
         if let Some((changes, schedulable)) = &written {
             report["changes"] = serde_json::json!(changes);

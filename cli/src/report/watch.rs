@@ -8,10 +8,10 @@ use tautline::ForeignStatistics;
 
 use super::run::Run;
 use super::{ReportError, killed_text};
-use crate::manners::End;
+use crate::verb::End;
 
 /// Files stay open, so what a process did can be read after its end.
-pub struct Watched {
+pub struct ObservedProcesses {
     domain: u32,
     /// Those with a system file.
     processes: Vec<ForeignStatistics>,
@@ -20,9 +20,9 @@ pub struct Watched {
     killed: usize,
 }
 
-impl Watched {
-    pub fn new(domain: u32) -> Watched {
-        Watched { domain, processes: Vec::new(), others: BTreeSet::new(), killed: 0 }
+impl ObservedProcesses {
+    pub fn new(domain: u32) -> ObservedProcesses {
+        ObservedProcesses { domain, processes: Vec::new(), others: BTreeSet::new(), killed: 0 }
     }
 
     /// Looks for processes that are new.

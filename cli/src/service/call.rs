@@ -4,7 +4,7 @@
 use super::named::type_to_ask;
 use crate::asking::{Asking, full_name, type_and_values};
 use crate::completions;
-use crate::manners::{End, Failure, Manners, Outcome};
+use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::Args;
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -31,8 +31,8 @@ pub struct CallArgs {
     request: Vec<String>,
 }
 
-pub fn run(args: &CallArgs, manners: &Manners) -> Outcome {
-    let (end, domain, service) = (End::of(manners)?, manners.domain()?, full_name(&args.service));
+pub fn run(args: &CallArgs, common: &CommonArgs) -> Outcome {
+    let (end, domain, service) = (End::of(common)?, common.domain()?, full_name(&args.service));
     let (type_name, values) = type_and_values(&args.request, "srv");
     let graph = graph_of(domain)?;
     let type_name = type_to_ask("service", &service, &super::services(&graph), type_name)?;
@@ -46,7 +46,7 @@ pub fn run(args: &CallArgs, manners: &Manners) -> Outcome {
     // The answer, once it is there, is a message or it is not: that is no "no".
     let answer = answer.map_err(|error: Error| Failure::no(error.to_string()))??;
     let mut out = io::stdout().lock();
-    if manners.json {
+    if common.json {
         return Ok(writeln!(out, "{answer}")?);
     }
     let response = DynamicMessage::from_json_value(&part(&client, &type_name, "Response")?, answer)?;

@@ -6,7 +6,7 @@ mod named;
 
 use crate::asking::{full_name, full_type};
 use crate::completions;
-use crate::manners::{Failure, Manners, Outcome};
+use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::{Args, Subcommand};
 pub use named::{Named, named, type_to_ask};
 use serde_json::Value;
@@ -31,7 +31,7 @@ pub struct ServiceArgs {
     #[command(subcommand)]
     verb: Verb,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 #[derive(Subcommand, Clone, Debug)]
@@ -55,15 +55,15 @@ enum Verb {
 
 /// Runs the verb.
 pub fn run(args: &ServiceArgs) -> Outcome {
-    let manners = &args.manners;
+    let common = &args.common;
     if let Verb::Call(args) = &args.verb {
-        return call::run(args, manners);
+        return call::run(args, common);
     }
-    let graph = graph_of(manners.domain()?)?;
+    let graph = graph_of(common.domain()?)?;
     let services = services(&graph);
     let mut out = io::stdout().lock();
     match &args.verb {
-        Verb::List if manners.json => {
+        Verb::List if common.json => {
             let services = services.iter().map(|service| service.to_json("service"));
             writeln!(out, "{}", Value::from_iter(services))?;
         }
@@ -81,7 +81,7 @@ pub fn run(args: &ServiceArgs) -> Outcome {
             if found.is_empty() {
                 return Err(unknown(&services, &name));
             }
-            crate::table::write_names(manners.json, &found, &mut out)?;
+            crate::table::write_names(common.json, &found, &mut out)?;
         }
         Verb::Find { type_name } => {
             let wanted = full_type(type_name, "srv");
@@ -94,7 +94,7 @@ pub fn run(args: &ServiceArgs) -> Outcome {
                 let types = services.iter().map(|service| service.type_name);
                 return Err(Failure::unknown("service of type", &wanted, types, "service list"));
             }
-            crate::table::write_names(manners.json, &found, &mut out)?;
+            crate::table::write_names(common.json, &found, &mut out)?;
         }
         Verb::Call(_) => {}
     }

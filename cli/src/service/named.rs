@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Services, and the actions that consist of them, by name and type.
 
-use crate::manners::{Failure, Outcome};
+use crate::verb::{Failure, Outcome};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use tautline::{GraphSnapshot, NodeName, ServiceEndpoint, ServiceKind};

@@ -4,7 +4,7 @@
 mod picture;
 mod screen;
 
-use crate::manners::{End, Failure, Manners, Outcome, time};
+use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use clap::Args;
 use picture::{Gatherer, Order, Picture};
 use ratatui::DefaultTerminal;
@@ -30,7 +30,7 @@ use std::time::{Duration, Instant};
 Keys: q quit, s next order, / filter (enter keeps, esc forgets it), space freeze, tab other table, arrows and page keys scroll.")]
 pub struct TopArgs {
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
     /// How often the picture is new
     #[arg(long, value_name = "TIME", default_value = "1s", value_parser = time)]
     every: Duration,
@@ -49,10 +49,10 @@ pub struct TopArgs {
 const KEYS: Duration = Duration::from_millis(50);
 
 pub fn run(args: &TopArgs) -> Outcome {
-    let end = End::of(&args.manners)?;
-    let mut gatherer = Gatherer::new(args.manners.domain()?)?;
+    let end = End::of(&args.common)?;
+    let mut gatherer = Gatherer::new(args.common.domain()?)?;
     let first = gatherer.look()?;
-    if args.once || args.manners.json {
+    if args.once || args.common.json {
         return print(args, &mut gatherer, &end);
     }
     if !io::stdout().is_terminal() || !io::stdin().is_terminal() {
@@ -71,7 +71,7 @@ fn print(args: &TopArgs, gatherer: &mut Gatherer, end: &End) -> Outcome {
         let mut picture = gatherer.look()?;
         picture.arrange(&args.filter, args.sort);
         let mut out = io::stdout().lock();
-        match args.manners.json {
+        match args.common.json {
             true => writeln!(out, "{}", serde_json::to_string(&picture)?)?,
             false => screen::print(&picture, &mut out)?,
         }

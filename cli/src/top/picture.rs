@@ -2,7 +2,7 @@
 //! What a domain does right now: callbacks, topics and cores, from what is written down anyway.
 
 use crate::counts::{Counts, per_second};
-use crate::manners::Outcome;
+use crate::verb::Outcome;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

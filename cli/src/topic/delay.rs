@@ -4,9 +4,9 @@
 use super::tap::{ends, wait_for_type};
 use crate::asking::full_name;
 use crate::completions;
-use crate::manners::{End, Failure, Manners, Outcome, time};
 use crate::table::write_table;
 use crate::times::Times;
+use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use clap::Args;
 use serde_json::{Value as Json, json};
 use std::collections::BTreeMap;
@@ -83,9 +83,9 @@ fn stamp_of(schema: &Arc<Schema>, body: &[u8]) -> Option<i64> {
     at("header.stamp").or_else(|| at("stamp"))
 }
 
-pub fn run(args: &DelayArgs, manners: &Manners) -> Outcome {
-    let end = End::of(manners)?;
-    let (domain, topic) = (manners.domain()?, full_name(&args.topic));
+pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
+    let end = End::of(common)?;
+    let (domain, topic) = (common.domain()?, full_name(&args.topic));
     let topic_type = wait_for_type(domain, &topic, &end)?;
     let participant = Participant::new(domain)?;
     let graph = participant.graph()?;
@@ -140,7 +140,7 @@ pub fn run(args: &DelayArgs, manners: &Manners) -> Outcome {
         if is_last || Instant::now() >= next {
             next += args.every;
             let mut out = io::stdout().lock();
-            if manners.json {
+            if common.json {
                 let ages: Json = all.values().map(Ages::to_json).collect();
                 writeln!(
                     out,

@@ -5,7 +5,7 @@ use super::filter::Filter;
 use super::tap::{POLL, Tap, wait_for_type};
 use crate::asking::full_name;
 use crate::completions;
-use crate::manners::{End, Failure, Manners, Outcome};
+use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::Args;
 use std::io::{self, Write};
 use tautline_schema::{DynamicMessage, EchoForm, Endian, Value};
@@ -52,10 +52,10 @@ pub struct EchoArgs {
     raw: bool,
 }
 
-pub fn run(args: &EchoArgs, manners: &Manners) -> Outcome {
+pub fn run(args: &EchoArgs, common: &CommonArgs) -> Outcome {
     let filter = args.filter.as_deref().map(Filter::new).transpose()?;
-    let end = End::of(manners)?;
-    let (domain, topic) = (manners.domain()?, full_name(&args.topic));
+    let end = End::of(common)?;
+    let (domain, topic) = (common.domain()?, full_name(&args.topic));
     let topic_type = wait_for_type(domain, &topic, &end)?;
     let mut tap = Tap::open(domain, &topic, topic_type)?;
     let schema = if args.raw { None } else { Some(tap.schema(&end)?) };
@@ -86,7 +86,7 @@ pub fn run(args: &EchoArgs, manners: &Manners) -> Outcome {
                 {
                     args.check_field(path, &message)?;
                 }
-                if let Some(text) = args.text(&message, filter.as_ref(), manners.json)? {
+                if let Some(text) = args.text(&message, filter.as_ref(), common.json)? {
                     out.write_all(text.as_bytes())?;
                     out.flush()?;
                     printed += 1;

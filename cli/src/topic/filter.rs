@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which messages somebody wants, said in jq's language.
 
-use crate::manners::{Failure, Outcome};
+use crate::verb::{Failure, Outcome};
 use jaq_core::load::{Arena, File, Loader};
 use jaq_core::{Compiler, Ctx, Vars, data, unwrap_valr};
 use jaq_json::{Val, read};

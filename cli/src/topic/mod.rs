@@ -11,8 +11,8 @@ pub mod tap;
 
 use crate::asking::{full_name, full_type};
 use crate::completions;
-use crate::manners::{Manners, Outcome};
 use crate::table::write_names;
+use crate::verb::{CommonArgs, Outcome};
 use clap::{Args, Subcommand};
 use rates::Unit;
 use serde_json::Value;
@@ -38,7 +38,7 @@ pub struct TopicArgs {
     #[command(subcommand)]
     verb: Verb,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 #[derive(Subcommand, Clone, Debug)]
@@ -89,33 +89,33 @@ enum Verb {
 
 /// Runs the verb.
 pub fn run(args: &TopicArgs) -> Outcome {
-    let manners = &args.manners;
+    let common = &args.common;
     match &args.verb {
         Verb::List => {
-            let graph = graph_of(manners.domain()?)?;
-            Ok(info::list(&info::topics(&graph), manners.json, &mut io::stdout().lock())?)
+            let graph = graph_of(common.domain()?)?;
+            Ok(info::list(&info::topics(&graph), common.json, &mut io::stdout().lock())?)
         }
-        Verb::Info { topic, verbose } => print_info(manners, topic, *verbose),
-        Verb::Type { topic } => print_type(manners, topic),
-        Verb::Find { type_name } => find(manners, type_name),
-        Verb::Echo(args) => echo::run(args, manners),
-        Verb::Hz(args) => rates::run(args, Unit::Messages, manners),
-        Verb::Bw(args) => rates::run(args, Unit::Bytes, manners),
-        Verb::Delay(args) => delay::run(args, manners),
-        Verb::Pub(args) => publish::run(args, manners),
+        Verb::Info { topic, verbose } => print_info(common, topic, *verbose),
+        Verb::Type { topic } => print_type(common, topic),
+        Verb::Find { type_name } => find(common, type_name),
+        Verb::Echo(args) => echo::run(args, common),
+        Verb::Hz(args) => rates::run(args, Unit::Messages, common),
+        Verb::Bw(args) => rates::run(args, Unit::Bytes, common),
+        Verb::Delay(args) => delay::run(args, common),
+        Verb::Pub(args) => publish::run(args, common),
     }
 }
 
-fn print_info(manners: &Manners, topic: &str, verbose: bool) -> Outcome {
+fn print_info(common: &CommonArgs, topic: &str, verbose: bool) -> Outcome {
     let name = full_name(topic);
-    let graph = graph_of(manners.domain()?)?;
+    let graph = graph_of(common.domain()?)?;
     let mut topics = info::topics(&graph);
     topics.retain(|topic| topic.name() == name);
     if topics.is_empty() {
         return Err(tap::unknown(&graph, &name));
     }
     let mut out = io::stdout().lock();
-    if manners.json {
+    if common.json {
         let topics = topics.iter().map(info::Topic::info_json);
         return Ok(writeln!(out, "{}", Value::from_iter(topics))?);
     }
@@ -123,27 +123,27 @@ fn print_info(manners: &Manners, topic: &str, verbose: bool) -> Outcome {
     Ok(topics.iter().try_for_each(|topic| topic.print(verbose, &mut out))?)
 }
 
-fn print_type(manners: &Manners, topic: &str) -> Outcome {
+fn print_type(common: &CommonArgs, topic: &str) -> Outcome {
     let name = full_name(topic);
-    let graph = graph_of(manners.domain()?)?;
+    let graph = graph_of(common.domain()?)?;
     let topics = info::topics(&graph);
     let types: Vec<&str> =
         topics.iter().filter(|topic| topic.name() == name).map(|topic| topic.type_name()).collect();
     if types.is_empty() {
         return Err(tap::unknown(&graph, &name));
     }
-    Ok(write_names(manners.json, &types, &mut io::stdout().lock())?)
+    Ok(write_names(common.json, &types, &mut io::stdout().lock())?)
 }
 
-fn find(manners: &Manners, type_name: &str) -> Outcome {
+fn find(common: &CommonArgs, type_name: &str) -> Outcome {
     let whole = full_type(type_name, "msg");
-    let graph = graph_of(manners.domain()?)?;
+    let graph = graph_of(common.domain()?)?;
     let topics = info::topics(&graph);
     let names: Vec<&str> =
         topics.iter().filter(|topic| topic.type_name() == whole).map(|topic| topic.name()).collect();
     if names.is_empty() {
         let types = topics.iter().map(|topic| topic.type_name());
-        return Err(crate::manners::Failure::unknown("topic of type", &whole, types, "topic list"));
+        return Err(crate::verb::Failure::unknown("topic of type", &whole, types, "topic list"));
     }
-    Ok(write_names(manners.json, &names, &mut io::stdout().lock())?)
+    Ok(write_names(common.json, &names, &mut io::stdout().lock())?)
 }

@@ -3,8 +3,8 @@
 
 use crate::asking::{full_name, type_and_values};
 use crate::completions;
-use crate::manners::{End, Failure, Manners, Outcome};
 use crate::times::Times;
+use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use std::sync::Arc;
@@ -136,9 +136,9 @@ fn set_stamp(message: &mut DynamicMessage, path: &str) -> Outcome {
     Ok(message.set(&format!("{path}.nanosec"), (now_ns % 1_000_000_000) as u32)?)
 }
 
-pub fn run(args: &PubArgs, manners: &Manners) -> Outcome {
-    let end = End::of(manners)?;
-    let (domain, topic) = (manners.domain()?, full_name(&args.topic));
+pub fn run(args: &PubArgs, common: &CommonArgs) -> Outcome {
+    let end = End::of(common)?;
+    let (domain, topic) = (common.domain()?, full_name(&args.topic));
     let (type_name, values) = args.message(domain, &topic)?;
     let context = Context::builder().domain(domain).realtime(Realtime::Off).build()?;
     let mut node = Node::create(context, &format!("taut_pub_{}", std::process::id()), "")?;
@@ -154,7 +154,7 @@ pub fn run(args: &PubArgs, manners: &Manners) -> Outcome {
     }
     let count = if args.once { Some(1) } else { args.count };
     let late = send(args, &publisher, &mut message, stamp, count, &end)?;
-    if manners.json {
+    if common.json {
         println!(
             "{}",
             json!({ "topic": topic, "type": type_name, "published": late.count(), "late_ms": late.to_json() })

@@ -7,9 +7,9 @@
 use super::tap::{POLL, Tap, ends, wait_for_type};
 use crate::asking::full_name;
 use crate::completions;
-use crate::manners::{End, Failure, Manners, Outcome, time};
 use crate::table::write_table;
 use crate::times::Times;
+use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use clap::Args;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -361,12 +361,12 @@ fn size(bytes: f64) -> String {
     }
 }
 
-pub fn run(args: &RateArgs, unit: Unit, manners: &Manners) -> Outcome {
-    let end = End::of(manners)?;
-    let (domain, topic) = (manners.domain()?, full_name(&args.topic));
+pub fn run(args: &RateArgs, unit: Unit, common: &CommonArgs) -> Outcome {
+    let end = End::of(common)?;
+    let (domain, topic) = (common.domain()?, full_name(&args.topic));
     let mut meter = Meter::start(domain, &topic, args.take, &end)?;
     let (start, mut since) = (Instant::now(), Instant::now());
-    let time = args.expect.as_ref().map(|_| manners.timeout().unwrap_or(EXPECT_TIME));
+    let time = args.expect.as_ref().map(|_| common.timeout().unwrap_or(EXPECT_TIME));
     let is_over = || end.is_reached() || time.is_some_and(|time| start.elapsed() >= time);
     let mut next = start + args.every;
     loop {
@@ -375,7 +375,7 @@ pub fn run(args: &RateArgs, unit: Unit, manners: &Manners) -> Outcome {
         if is_last || Instant::now() >= next {
             next += args.every;
             let mut out = io::stdout().lock();
-            if manners.json {
+            if common.json {
                 writeln!(out, "{}", meter.to_json(since))?;
             } else if meter.flows.is_empty() {
                 end.say_once(|| format!("a publisher of '{topic}'"));

@@ -2,7 +2,7 @@
 //! A topic as tools take from it: unseen, from publishers on this host; from others by a subscription, for a gateway fetches what
 //! somebody wants.
 
-use crate::manners::{End, Failure, Outcome};
+use crate::verb::{End, Failure, Outcome};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint, find_schema};

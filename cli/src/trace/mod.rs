@@ -11,7 +11,7 @@ pub mod record;
 mod recording;
 mod ways;
 
-use crate::manners::Manners;
+use crate::verb::CommonArgs;
 use clap::{Args, Subcommand};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -33,7 +33,7 @@ pub struct TraceArgs {
     #[command(subcommand)]
     verb: Verb,
     #[command(flatten)]
-    manners: Manners,
+    common: CommonArgs,
 }
 
 #[derive(Subcommand, Clone, Debug)]
@@ -97,20 +97,20 @@ pub enum TraceError {
 
 /// Runs the verb.
 pub fn run(args: TraceArgs) -> Result<ExitCode, TraceError> {
-    let manners = &args.manners;
+    let common = &args.common;
     if !matches!(args.verb, Verb::Record(_)) {
-        manners.bound();
+        common.bound();
     }
     match &args.verb {
-        Verb::Record(args) => record::run(args, manners),
-        _ if manners.is_domain_named() => Err(TraceError::DomainOfRecording),
-        Verb::Export(args) => export(args, manners),
-        Verb::Latency(args) => latency::run(args, manners.json),
-        Verb::Hops(args) => hops::run(args, manners.json),
+        Verb::Record(args) => record::run(args, common),
+        _ if common.is_domain_named() => Err(TraceError::DomainOfRecording),
+        Verb::Export(args) => export(args, common),
+        Verb::Latency(args) => latency::run(args, common.json),
+        Verb::Hops(args) => hops::run(args, common.json),
     }
 }
 
-fn export(args: &ExportArgs, manners: &Manners) -> Result<ExitCode, TraceError> {
+fn export(args: &ExportArgs, common: &CommonArgs) -> Result<ExitCode, TraceError> {
     let recording = file::read(&args.file)?;
     recording.warnings.iter().for_each(|warning| eprintln!("taut: warning: {warning}"));
     let out = args.out.clone().unwrap_or_else(|| {
@@ -122,7 +122,7 @@ fn export(args: &ExportArgs, manners: &Manners) -> Result<ExitCode, TraceError> 
         Format::Perfetto | Format::Chrome => chrome::write(&recording, to),
         Format::Csv => csv::write(&recording, to),
     })?;
-    if manners.json && out != Path::new("-") {
+    if common.json && out != Path::new("-") {
         // Whoever reads may have seen enough.
         let _ = writeln!(
             io::stdout(),

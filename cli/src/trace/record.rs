@@ -3,7 +3,7 @@
 
 use super::TraceError;
 use super::file::{Entry, Writer};
-use crate::manners::{End, Manners, time};
+use crate::verb::{CommonArgs, End, time};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
@@ -47,9 +47,9 @@ struct Sum {
 }
 
 /// Runs the verb.
-pub fn run(args: &RecordArgs, manners: &Manners) -> Result<ExitCode, TraceError> {
-    let domain = manners.domain().map_err(TraceError::Domain)?;
-    let mut end = End::after(args.seconds.or(manners.timeout())).map_err(TraceError::Signal)?;
+pub fn run(args: &RecordArgs, common: &CommonArgs) -> Result<ExitCode, TraceError> {
+    let domain = common.domain().map_err(TraceError::Domain)?;
+    let mut end = End::after(args.seconds.or(common.timeout())).map_err(TraceError::Signal)?;
     lower_priority()?;
     let mut recorder = tautline_transport::start_recorder(domain)?;
     let refuse = |source| TraceError::Write { path: args.out.clone(), source };
@@ -59,7 +59,7 @@ pub fn run(args: &RecordArgs, manners: &Manners) -> Result<ExitCode, TraceError>
 
     let (mut sum, start) = (Sum::default(), Instant::now());
     end.restart();
-    let progress = progress(manners.json);
+    let progress = progress(common.json);
     eprintln!(
         "recording domain {domain} into {}{}",
         args.out.display(),
@@ -93,7 +93,7 @@ pub fn run(args: &RecordArgs, manners: &Manners) -> Result<ExitCode, TraceError>
         return Err(refuse(error));
     }
     progress.finish_and_clear();
-    print(args, manners, domain, &sum, start.elapsed());
+    print(args, common, domain, &sum, start.elapsed());
     Ok(ExitCode::SUCCESS)
 }
 
@@ -111,8 +111,8 @@ fn note(writer: &mut Writer<BufWriter<File>>, sum: &mut Sum, record: &Record<'_>
     }
 }
 
-fn print(args: &RecordArgs, manners: &Manners, domain: u32, sum: &Sum, time: Duration) {
-    if manners.json {
+fn print(args: &RecordArgs, common: &CommonArgs, domain: u32, sum: &Sum, time: Duration) {
+    if common.json {
         let report = json!({
             "file": args.out, "domain": domain, "seconds": time.as_secs_f64(),
             "processes": sum.processes, "events": sum.events, "events_lost": sum.lost,

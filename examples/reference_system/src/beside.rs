@@ -115,9 +115,9 @@ fn contestants(job: &Job, r2r: Option<&PathBuf>) -> Result<Vec<Contestant>> {
         all.push(Contestant { name, program: std::env::current_exe()?, job, bounds, rounds: Vec::new() });
     }
     if let Some(program) = r2r {
-        let seats = bounds::seats(&own_file("system.toml"))?;
-        for (name, seats) in [("r2r, one LocalPool", Vec::new()), ("r2r, a thread each", seats)] {
-            let (program, job) = (program.clone(), Job { system_file: None, seats, ..job.clone() });
+        let placements = bounds::placements(&own_file("system.toml"))?;
+        for (name, placements) in [("r2r, one LocalPool", Vec::new()), ("r2r, a thread each", placements)] {
+            let (program, job) = (program.clone(), Job { system_file: None, placements, ..job.clone() });
             all.push(Contestant { name, program, job, bounds: None, rounds: Vec::new() });
         }
     }

@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::time::Duration;
 use tautline_analysis::file::SystemFile;
-use tautline_reference::Seat;
+use tautline_reference::Placement;
 use tautline_reference::graph::{self, PLANNER};
 
 use crate::Result;
@@ -40,14 +40,15 @@ impl Bounds {
 }
 
 /// Where the file puts the callbacks of the graph, in their order.
-pub fn seats(system_file: &Path) -> Result<Vec<Seat>> {
+pub fn placements(system_file: &Path) -> Result<Vec<Placement>> {
     let checked = SystemFile::read(system_file)?.check();
-    let seat = |name: &str| {
+    let placement = |name: &str| {
         let found = checked.callbacks.iter().find(|callback| callback.entry.name == name);
-        found.map(|it| Seat { core: it.core, priority: it.entry.priority })
+        found.map(|it| Placement { core: it.core, priority: it.entry.priority })
     };
     let of = |callback: graph::Callback| {
-        seat(callback.name).ok_or_else(|| format!("{} lacks {}", system_file.display(), callback.name).into())
+        placement(callback.name)
+            .ok_or_else(|| format!("{} lacks {}", system_file.display(), callback.name).into())
     };
     graph::callbacks().into_iter().map(of).collect()
 }
@@ -100,11 +101,12 @@ mod tests {
 
     #[test]
     fn seats_are_in_the_order_of_the_callbacks() {
-        let seats = seats(&own_file("system.toml")).unwrap();
-        let of = |name| seats[graph::callbacks().iter().position(|callback| callback.name == name).unwrap()];
-        assert_eq!(seats.len(), 25);
-        assert_eq!(of(PLANNER), Seat { core: 1, priority: 60 });
-        assert_eq!(of("RearLidarDriver"), Seat { core: 0, priority: 70 });
+        let placements = placements(&own_file("system.toml")).unwrap();
+        let of =
+            |name| placements[graph::callbacks().iter().position(|callback| callback.name == name).unwrap()];
+        assert_eq!(placements.len(), 25);
+        assert_eq!(of(PLANNER), Placement { core: 1, priority: 60 });
+        assert_eq!(of("RearLidarDriver"), Placement { core: 0, priority: 70 });
     }
 
     #[test]

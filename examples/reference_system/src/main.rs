@@ -115,7 +115,7 @@ fn start(options: &Options) -> Result<ExitCode> {
         cruncher_limit: options.cruncher_limit,
         realtime,
         system_file: Some(system_file),
-        seats: Vec::new(),
+        placements: Vec::new(),
     };
     if options.r2r.is_some() || options.without_r2r.is_some() {
         let r2r = options.r2r.clone().ok_or_else(|| options.without_r2r.clone().unwrap_or_default());

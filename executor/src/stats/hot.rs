@@ -127,18 +127,18 @@ impl CallbackStats {
     }
 
     /// A job has ended. Says what it violated.
-    pub(crate) fn complete(&self, job: &Job) -> Verdict {
-        let Some(block) = self.block.get() else { return Verdict::default() };
-        let Some(head) = block.head() else { return Verdict::default() };
+    pub(crate) fn complete(&self, job: &Job) -> Violations {
+        let Some(block) = self.block.get() else { return Violations::default() };
+        let Some(head) = block.head() else { return Violations::default() };
         let limit = |index: usize| match self.limits.get(index).map(|limit| limit.load(Ordering::Relaxed)) {
             Some(0) | None => u64::MAX,
             Some(ns) => ns,
         };
         let (deadline_ns, budget_ns) = (limit(CallbackStats::DEADLINE), limit(CallbackStats::BUDGET));
-        let mut verdict =
-            Verdict { job: head[word::COMPLETIONS].load(Ordering::Relaxed) + 1, ..Verdict::default() };
+        let mut violations =
+            Violations { job: head[word::COMPLETIONS].load(Ordering::Relaxed) + 1, ..Violations::default() };
         if job.response_ns > deadline_ns {
-            verdict.late_for_ns = Some(deadline_ns);
+            violations.late_for_ns = Some(deadline_ns);
             add(&head[word::DEADLINE_MISSES], 1);
         }
         block.response.record(job.response_ns);
@@ -153,12 +153,12 @@ impl CallbackStats {
                 block.inputs.record(size, ns);
             }
             if ns > budget_ns {
-                verdict.over_ns = Some(budget_ns);
+                violations.over_ns = Some(budget_ns);
                 add(&head[word::OVERRUNS], 1);
             }
         }
         add(&head[word::COMPLETIONS], 1);
-        verdict
+        violations
     }
 
     /// A job was demoted.
@@ -186,7 +186,7 @@ impl CallbackStats {
 
 /// What a job violated.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(crate) struct Verdict {
+pub(crate) struct Violations {
     job: u64,
     /// The budget, if it used more.
     over_ns: Option<u64>,
@@ -196,17 +196,17 @@ pub(crate) struct Verdict {
 
 impl Watch {
     /// Calls the handlers of what was violated; says whether one was called.
-    pub(crate) fn tell(&self, verdict: Verdict, done: &Job) -> bool {
+    pub(crate) fn tell(&self, violations: Violations, done: &Job) -> bool {
         let Job { release_ns, response_ns, execution_ns, .. } = *done;
-        let job = verdict.job;
+        let job = violations.job;
         let mut told = false;
         if let (Some(handler), Some(budget_ns), Some(execution_ns)) =
-            (&self.on_overrun, verdict.over_ns, execution_ns)
+            (&self.on_overrun, violations.over_ns, execution_ns)
         {
             handler.call(&Overrun { job, release_ns, execution_ns, budget_ns });
             told = true;
         }
-        if let (Some(handler), Some(deadline_ns)) = (&self.on_deadline_miss, verdict.late_for_ns) {
+        if let (Some(handler), Some(deadline_ns)) = (&self.on_deadline_miss, violations.late_for_ns) {
             handler.call(&DeadlineMiss { job, release_ns, response_ns, deadline_ns });
             told = true;
         }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Something new from everyone.
 
-use crate::counters::{Counters, InputCounters};
+use crate::counters::{InputCounters, JoinCounters};
 use crate::source::Source;
 use crate::{JoinError, check_room, for_each_tuple};
 use futures::{Stream, StreamExt};
@@ -23,7 +23,7 @@ const ROUNDS: usize = 4;
 #[must_use = "nothing is received unless it is polled"]
 pub struct AllOf<S: AllOfInputs> {
     slots: S::Slots,
-    counters: Arc<Counters>,
+    counters: Arc<JoinCounters>,
     /// The input whose message came last: the job that the callback's work belongs to.
     last: usize,
 }
@@ -44,12 +44,12 @@ pub struct AllOf<S: AllOfInputs> {
 pub fn all_of<S: AllOfInputs>(inputs: S) -> Result<AllOf<S>, JoinError> {
     let mut slots = inputs.into_slots();
     check_room((0..S::COUNT).map(|i| S::slot(&mut slots, i).room()), 1)?;
-    Ok(AllOf { slots, counters: Arc::new(Counters::new(S::COUNT)), last: 0 })
+    Ok(AllOf { slots, counters: Arc::new(JoinCounters::new(S::COUNT)), last: 0 })
 }
 
 impl<S: AllOfInputs> AllOf<S> {
     /// What became of the messages, to be read from any thread.
-    pub fn counters(&self) -> Arc<Counters> {
+    pub fn counters(&self) -> Arc<JoinCounters> {
         self.counters.clone()
     }
 }

@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
 /// What became of the items of a join, to be read from any thread.
 #[derive(Debug)]
-pub struct Counters {
+pub struct JoinCounters {
     sets: AtomicU64,
     resets: AtomicU64,
     inputs: Box<[InputCounters]>,
@@ -19,10 +19,10 @@ pub struct InputCounters {
     too_close: AtomicU64,
 }
 
-impl Counters {
+impl JoinCounters {
     pub(crate) fn new(inputs: usize) -> Self {
         let inputs = (0..inputs).map(|_| InputCounters::default()).collect();
-        Counters { sets: AtomicU64::new(0), resets: AtomicU64::new(0), inputs }
+        JoinCounters { sets: AtomicU64::new(0), resets: AtomicU64::new(0), inputs }
     }
 
     /// Sets that were passed on.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Each message of one stream, with the newest of others.
 
-use crate::counters::{Counters, InputCounters};
+use crate::counters::{InputCounters, JoinCounters};
 use crate::source::Source;
 use crate::{JoinError, check_room, for_each_tuple};
 use futures::{Stream, StreamExt};
@@ -24,7 +24,7 @@ const KEPT: usize = 2;
 pub struct Latest<T, S: LatestInputs> {
     trigger: T,
     readers: S::Readers,
-    counters: Arc<Counters>,
+    counters: Arc<JoinCounters>,
 }
 
 /// Joins each message of `trigger` with the newest of 1 to 9 `others`, given as a tuple.
@@ -45,13 +45,13 @@ pub struct Latest<T, S: LatestInputs> {
 pub fn latest<T: Source, S: LatestInputs>(trigger: T, others: S) -> Result<Latest<T, S>, JoinError> {
     let mut readers = others.into_readers();
     check_room((0..S::COUNT).map(|i| S::reader(&mut readers, i).room()), KEPT)?;
-    Ok(Latest { trigger, readers, counters: Arc::new(Counters::new(S::COUNT)) })
+    Ok(Latest { trigger, readers, counters: Arc::new(JoinCounters::new(S::COUNT)) })
 }
 
 impl<T, S: LatestInputs> Latest<T, S> {
     /// What became of the messages of the others, to be read from any thread: dropped are those that were never given out, because a
     /// newer one was there, or because the callback held as many as are kept (two).
-    pub fn counters(&self) -> Arc<Counters> {
+    pub fn counters(&self) -> Arc<JoinCounters> {
         self.counters.clone()
     }
 }
@@ -117,7 +117,7 @@ mod sealed {
 /// One of the others, whatever it is a stream of.
 #[doc(hidden)]
 pub trait Reader {
-    fn catch_up(&mut self, input: usize, counters: &Counters);
+    fn catch_up(&mut self, input: usize, counters: &JoinCounters);
     fn room(&self) -> (String, usize);
 }
 
@@ -146,7 +146,7 @@ impl<S: Source> Input<S> {
 }
 
 impl<S: Source> Reader for Input<S> {
-    fn catch_up(&mut self, input: usize, counters: &Counters) {
+    fn catch_up(&mut self, input: usize, counters: &JoinCounters) {
         for _ in 0..=self.source.room().depth {
             let Some(item) = self.source.try_next() else { return };
             counters.of(input, InputCounters::received_counter);

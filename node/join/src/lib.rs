@@ -10,7 +10,7 @@
 //!
 //! All are streams over items that stay where they are: samples in shared memory are neither copied nor counted. What they need is
 //! allocated when they are made, and each says how much it does for one arrival. What is not passed on is counted
-//! ([`Counters`]): of each input, received = matched + dropped + refused + waiting.
+//! ([`JoinCounters`]): of each input, received = matched + dropped + refused + waiting.
 //!
 //! This crate knows streams and stamps, no topics. Whatever is to be joined is a [`Source`]; [`stamped`] makes one of any stream:
 //!
@@ -37,7 +37,7 @@ mod source;
 mod synchronizer;
 
 pub use all_of::{AllOf, AllOfInputs, all_of};
-pub use counters::{Counters, InputCounters};
+pub use counters::{InputCounters, JoinCounters};
 pub use latest::{Kept, Latest, LatestInputs, latest};
 pub use policy::{ApproximateTime, Arrival, ExactTime, Policy};
 pub use source::{Plain, Room, Source, Stamped, StampedStream, stamped};

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Messages of several streams whose stamps belong together.
 
-use crate::counters::{Counters, InputCounters};
+use crate::counters::{InputCounters, JoinCounters};
 use crate::policy::{Arrival, Policy};
 use crate::source::Stamped;
 use crate::{JoinError, check_room, for_each_tuple};
@@ -29,7 +29,7 @@ use std::time::Duration;
 pub struct Synchronizer<P, S: SynchronizerInputs> {
     policy: P,
     queues: S::Queues,
-    counters: Arc<Counters>,
+    counters: Arc<JoinCounters>,
     newest_ns: [i64; crate::MAX_INPUTS],
     time_jump_ns: i64,
     turn: usize,
@@ -52,7 +52,7 @@ impl<P: Policy, S: SynchronizerInputs> Synchronizer<P, S> {
         Ok(Synchronizer {
             policy,
             queues,
-            counters: Arc::new(Counters::new(S::COUNT)),
+            counters: Arc::new(JoinCounters::new(S::COUNT)),
             newest_ns: [i64::MIN; crate::MAX_INPUTS],
             time_jump_ns: 1_000_000_000,
             turn: 0,
@@ -67,7 +67,7 @@ impl<P: Policy, S: SynchronizerInputs> Synchronizer<P, S> {
     }
 
     /// What became of the messages, to be read from any thread.
-    pub fn counters(&self) -> Arc<Counters> {
+    pub fn counters(&self) -> Arc<JoinCounters> {
         self.counters.clone()
     }
 

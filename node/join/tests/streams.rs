@@ -12,7 +12,7 @@ use std::rc::Rc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tautline_join::{
-    ApproximateTime, Counters, ExactTime, JoinError, Room, Source, Stamped, Synchronizer, all_of, latest,
+    ApproximateTime, ExactTime, JoinCounters, JoinError, Room, Source, Stamped, Synchronizer, all_of, latest,
     stamped,
 };
 
@@ -125,7 +125,7 @@ fn poll<S: Stream + Unpin>(stream: &mut S) -> Poll<Option<S::Item>> {
 }
 
 /// What became of the messages of each input: received, dropped, refused.
-fn counts(counters: &Counters) -> Vec<[u64; 3]> {
+fn counts(counters: &JoinCounters) -> Vec<[u64; 3]> {
     counters.inputs().iter().map(|input| [input.received(), input.dropped(), input.refused()]).collect()
 }
 

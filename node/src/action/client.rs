@@ -18,7 +18,7 @@ use tautline_executor::CallbackOptions;
 use tautline_msgs::{Action, GoalId};
 use tautline_ros_msgs::action_msgs::msg::GoalStatusArray;
 use tautline_ros_msgs::action_msgs::srv::CancelGoal;
-use tautline_transport::{Availability, Counters, MAX_PENDING_REQUESTS, ServiceError};
+use tautline_transport::{Availability, MAX_PENDING_REQUESTS, ServiceError, SubscriptionCounters};
 use uuid::Uuid;
 
 /// How goals, results and feedback of an action travel: as Rust types, or as JSON.
@@ -40,7 +40,7 @@ pub(super) type ResultFuture<P> = BoxFuture<'static, Result<Outcome<P>>>;
 pub(super) struct Feedback<P: Protocol> {
     /// Whose it is, and what.
     pub(super) messages: BoxStream<'static, (GoalId, P::Feedback)>,
-    pub(super) counters: Arc<Counters>,
+    pub(super) counters: Arc<SubscriptionCounters>,
 }
 
 /// What an action client's handles share.
@@ -223,7 +223,7 @@ impl<P: Protocol> Shared<P> {
 
 /// Tells when feedback was lost before it came to the client.
 struct Lost {
-    counters: Arc<Counters>,
+    counters: Arc<SubscriptionCounters>,
     /// As many were lost when that was last said.
     said: u64,
 }

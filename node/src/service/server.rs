@@ -10,7 +10,8 @@ use std::task::{Context, Poll};
 use tautline_msgs::Service;
 use tautline_msgs::cdr::Fill;
 use tautline_transport::{
-    Counters, RawSubscription, Request, RequestId, Response, ServiceError, TakeError, UnwrittenResponse,
+    RawSubscription, Request, RequestId, Response, ServiceError, SubscriptionCounters, TakeError,
+    UnwrittenResponse,
 };
 
 /// Serves in place: a stream of [`Request`]s, each read where the client wrote it, and the means to answer them, written where
@@ -116,7 +117,7 @@ impl<T: Service> Server<T> {
     }
 
     /// Requests received, invalid, highest queue fill: to be read from any thread.
-    pub fn counters(&self) -> Arc<Counters> {
+    pub fn counters(&self) -> Arc<SubscriptionCounters> {
         self.requests.counters()
     }
 

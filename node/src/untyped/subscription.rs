@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use tautline_msgs::HEADER;
 use tautline_schema::{DynamicMessage, Endian, Schema};
-use tautline_transport::{Counters, RawSubscription};
+use tautline_transport::{RawSubscription, SubscriptionCounters};
 
 /// Receives messages of a type that is known by its definition: a stream of JSON. Each message is a job on a callback thread,
 /// as with [`Subscription`](crate::Subscription).
@@ -31,7 +31,7 @@ impl SubscriptionUntyped {
     }
 
     /// Received, lost, highest queue fill: to be read from any thread.
-    pub fn counters(&self) -> Arc<Counters> {
+    pub fn counters(&self) -> Arc<SubscriptionCounters> {
         self.samples.counters()
     }
 
@@ -68,7 +68,7 @@ impl SubscriptionRaw {
     }
 
     /// Received, lost, highest queue fill: to be read from any thread.
-    pub fn counters(&self) -> Arc<Counters> {
+    pub fn counters(&self) -> Arc<SubscriptionCounters> {
         self.samples.counters()
     }
 

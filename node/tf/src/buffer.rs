@@ -4,20 +4,20 @@
 use std::fmt::Write;
 use std::sync::Arc;
 
-use crate::counters::Counters;
+use crate::counters::BufferCounters;
 use crate::error::{LookupError, NamedFrame, Seconds};
 use crate::limits::{Limits, LimitsError};
 use crate::names::{FrameId, FrameName};
 use crate::ring::Kind;
-use crate::shared::{Path, Shared, Trouble};
 use crate::transform::Transform;
+use crate::tree::{Path, PathError, TransformTree};
 use crate::wait::WaitFor;
 use crate::writer::Writer;
 
 /// Looks up transforms between frames. Clones look into the same buffer; any number of threads may.
 #[derive(Clone)]
 pub struct Buffer {
-    pub(crate) shared: Arc<Shared>,
+    pub(crate) tree: Arc<TransformTree>,
 }
 
 /// For which time a transform is looked up.
@@ -80,7 +80,7 @@ impl Frame for &str {
 
 impl Frame for FrameName {
     fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError> {
-        buffer.shared.names.find(self).ok_or(LookupError::Lookup { frame: *self })
+        buffer.tree.names.find(self).ok_or(LookupError::Lookup { frame: *self })
     }
 
     fn name(&self, _: &Buffer) -> Result<FrameName, LookupError> {
@@ -94,7 +94,7 @@ impl Frame for FrameId {
     }
 
     fn name(&self, buffer: &Buffer) -> Result<FrameName, LookupError> {
-        let name = buffer.shared.names.get(*self).filter(|_| (self.0 as usize) < buffer.shared.names.len());
+        let name = buffer.tree.names.get(*self).filter(|_| (self.0 as usize) < buffer.tree.names.len());
         name.ok_or(LookupError::Lookup { frame: FrameName::FOREIGN })
     }
 }
@@ -109,8 +109,8 @@ impl Buffer {
     /// If a limit is out of its range.
     pub fn new(limits: Limits) -> Result<(Writer, Buffer), LimitsError> {
         limits.check()?;
-        let shared = Arc::new(Shared::new(limits));
-        Ok((Writer::new(shared.clone()), Buffer { shared }))
+        let tree = Arc::new(TransformTree::new(limits));
+        Ok((Writer::new(tree.clone()), Buffer { tree }))
     }
 
     /// The number of a frame that some transform has named.
@@ -142,7 +142,7 @@ impl Buffer {
     /// See [`LookupError`].
     pub fn lookup(&self, target: impl Frame, source: impl Frame, time: Time) -> Result<Stamped, LookupError> {
         let (target, source) = (target.find(self)?, source.find(self)?);
-        self.find(target, source, time).map_err(|trouble| self.explain(target, source, trouble))
+        self.find(target, source, time).map_err(|error| self.explain(target, source, error))
     }
 
     /// The transform that takes coordinates in `source` at `source_time` to coordinates in `target` at `target_time`, if
@@ -163,10 +163,10 @@ impl Buffer {
     ) -> Result<Stamped, LookupError> {
         let (target, source, fixed) = (target.find(self)?, source.find(self)?, fixed.find(self)?);
         let way = |target, source, time| {
-            self.shared.path(target, source, stamp(time)).map_err(|trouble| (target, source, trouble))
+            self.tree.path(target, source, stamp(time)).map_err(|error| (target, source, error))
         };
         // The inner error is that of one of the two ways, the outer one that of the epoch.
-        let paths = self.shared.in_one_epoch(|| {
+        let paths = self.tree.in_one_epoch(|| {
             let both = || Ok((way(fixed, source, source_time)?, way(target, fixed, target_time)?));
             Ok(both())
         });
@@ -174,8 +174,8 @@ impl Buffer {
             Ok(Ok((first, second))) => {
                 Ok(Stamped { stamp_ns: second.stamp_ns, transform: second.transform * first.transform })
             }
-            Ok(Err((target, source, trouble))) => Err(self.explain(target, source, trouble)),
-            Err(trouble) => Err(self.explain(target, source, trouble)),
+            Ok(Err((target, source, error))) => Err(self.explain(target, source, error)),
+            Err(error) => Err(self.explain(target, source, error)),
         }
     }
 
@@ -213,13 +213,13 @@ impl Buffer {
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
-    pub fn counters(&self) -> Counters {
-        self.shared.counts.read()
+    pub fn counters(&self) -> BufferCounters {
+        self.tree.counts.read()
     }
 
     /// What the buffer was made with.
     pub fn limits(&self) -> Limits {
-        self.shared.limits
+        self.tree.limits
     }
 
     /// All frames, in the order in which they were first named.
@@ -227,7 +227,7 @@ impl Buffer {
     /// # Real-time
     /// Allocates, and reads all samples.
     pub fn frames(&self) -> Vec<FrameInfo> {
-        let frames = (0..self.shared.names.len() as u32).map(FrameId);
+        let frames = (0..self.tree.names.len() as u32).map(FrameId);
         frames.filter_map(|frame| self.info(frame)).collect()
     }
 
@@ -255,14 +255,14 @@ impl Buffer {
     }
 
     fn info(&self, frame: FrameId) -> Option<FrameInfo> {
-        let (shared, name) = (&self.shared, self.name(frame)?);
-        let ring = shared.ring(frame)?;
+        let (tree, name) = (&self.tree, self.name(frame)?);
+        let ring = tree.ring(frame)?;
         let mut info = FrameInfo { name, parent: None, stamps_ns: None, samples: 0, rate_hz: 0.0 };
         let Some(newest) = ring.newest().ok().flatten() else { return Some(info) };
         info.parent = self.name(FrameId(newest.parent)).map(|parent| (parent, newest.kind));
         let (oldest_ns, newest_ns, samples) = match newest.kind {
             Kind::Static => (newest.stamp_ns, newest.stamp_ns, 1),
-            Kind::Dynamic => ring.span(shared.cache_ns).unwrap_or((newest.stamp_ns, newest.stamp_ns, 1)),
+            Kind::Dynamic => ring.span(tree.cache_ns).unwrap_or((newest.stamp_ns, newest.stamp_ns, 1)),
         };
         (info.stamps_ns, info.samples) = (Some((oldest_ns, newest_ns)), samples);
         if newest_ns > oldest_ns {
@@ -271,24 +271,24 @@ impl Buffer {
         Some(info)
     }
 
-    pub(crate) fn find(&self, target: FrameId, source: FrameId, time: Time) -> Result<Stamped, Trouble> {
-        let path = self.shared.in_one_epoch(|| self.shared.path(target, source, stamp(time)))?;
+    pub(crate) fn find(&self, target: FrameId, source: FrameId, time: Time) -> Result<Stamped, PathError> {
+        let path = self.tree.in_one_epoch(|| self.tree.path(target, source, stamp(time)))?;
         let Path { transform, stamp_ns } = path;
         Ok(Stamped { stamp_ns, transform })
     }
 
-    pub(crate) fn explain(&self, target: FrameId, source: FrameId, trouble: Trouble) -> LookupError {
+    pub(crate) fn explain(&self, target: FrameId, source: FrameId, error: PathError) -> LookupError {
         let name = |frame| NamedFrame::new(self, frame);
         let (target, source_frame) = (name(target), name(source));
-        match trouble {
-            Trouble::Connectivity => LookupError::Connectivity { target, source_frame },
-            Trouble::Extrapolation { frame, asked_ns, oldest_ns, newest_ns } => {
+        match error {
+            PathError::Connectivity => LookupError::Connectivity { target, source_frame },
+            PathError::Extrapolation { frame, asked_ns, oldest_ns, newest_ns } => {
                 let frame = name(frame);
                 LookupError::Extrapolation { target, source_frame, frame, asked_ns, oldest_ns, newest_ns }
             }
-            Trouble::Cycle { frame } => LookupError::Cycle { target, source_frame, frame: name(frame) },
-            Trouble::TooDeep => LookupError::TooDeep { target, source_frame },
-            Trouble::Overtaken => LookupError::Overtaken { target, source_frame },
+            PathError::Cycle { frame } => LookupError::Cycle { target, source_frame, frame: name(frame) },
+            PathError::TooDeep => LookupError::TooDeep { target, source_frame },
+            PathError::Overtaken => LookupError::Overtaken { target, source_frame },
         }
     }
 }

@@ -7,18 +7,18 @@ macro_rules! counters {
     ($($(#[$doc:meta])* $name:ident,)*) => {
         /// What has been set since the buffer was made. Each is exact; they are not of one moment.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-        pub struct Counters {
+        pub struct BufferCounters {
             $($(#[$doc])* pub $name: u64,)*
         }
 
         #[derive(Default)]
-        pub(crate) struct Counts {
+        pub(crate) struct AtomicBufferCounters {
             $(pub(crate) $name: AtomicU64,)*
         }
 
-        impl Counts {
-            pub(crate) fn read(&self) -> Counters {
-                Counters { $($name: self.$name.load(Ordering::Relaxed),)* }
+        impl AtomicBufferCounters {
+            pub(crate) fn read(&self) -> BufferCounters {
+                BufferCounters { $($name: self.$name.load(Ordering::Relaxed),)* }
             }
         }
     };

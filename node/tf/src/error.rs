@@ -5,7 +5,7 @@ use std::fmt;
 
 use crate::buffer::Buffer;
 use crate::names::{FrameId, FrameName};
-use crate::shared::MAX_DEPTH;
+use crate::tree::MAX_DEPTH;
 
 /// A frame of a buffer, which knows its name: for errors, which are small that way and allocate nothing. The buffer stays as long.
 #[derive(Clone)]
@@ -20,7 +20,7 @@ impl NamedFrame {
     }
 
     /// Its name.
-    #[must_use]
+    #[must_use = "it only returns the name"]
     pub fn name(&self) -> FrameName {
         self.buffer.name(self.frame).unwrap_or(FrameName::FOREIGN)
     }

@@ -64,10 +64,10 @@ mod error;
 mod limits;
 mod names;
 mod ring;
-mod shared;
 mod slot;
 mod sync;
 mod transform;
+mod tree;
 mod wait;
 mod writer;
 
@@ -75,12 +75,12 @@ mod writer;
 mod loom_tests;
 
 pub use buffer::{Buffer, Frame, FrameInfo, Stamped, Time};
-pub use counters::Counters;
+pub use counters::BufferCounters;
 pub use error::{LookupError, NamedFrame, SetError, WaitError};
 pub use limits::{Limits, LimitsError};
 pub use names::{FrameId, FrameName};
 pub use ring::Kind;
-pub use shared::MAX_DEPTH;
 pub use transform::Transform;
+pub use tree::MAX_DEPTH;
 pub use wait::WaitFor;
 pub use writer::{TransformStamped, Writer};

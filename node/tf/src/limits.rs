@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use crate::shared::Shared;
+use crate::tree::TransformTree;
 
 /// What a [`Buffer`](crate::Buffer) holds. Its memory is allocated when it is made, and never after.
 ///
@@ -50,7 +50,7 @@ impl Default for Limits {
 impl Limits {
     /// The memory of a buffer with these limits, exactly: 27 MB by default, nearly all of it samples of 104 bytes.
     pub fn bytes(&self) -> usize {
-        Shared::bytes(self)
+        TransformTree::bytes(self)
     }
 
     pub(crate) fn ring(&self) -> usize {

@@ -13,10 +13,10 @@ use crate::buffer::{Buffer, Time};
 use crate::limits::Limits;
 use crate::names::FrameId;
 use crate::ring::{Edge, Head, Kind, Miss, New, Refused, Ring};
-use crate::shared::{Shared, Trouble};
 use crate::slot::Slot;
 use crate::sync::AtomicU64;
 use crate::transform::Transform;
+use crate::tree::{PathError, TransformTree};
 use crate::writer::TransformStamped;
 
 const CACHE_NS: i64 = 1_000;
@@ -155,32 +155,32 @@ fn loom_no_path_is_half_from_before_a_clear() {
     builder.preemption_bound = Some(2);
     builder.check(|| {
         let limits = Limits { frames: 3, samples: 2, waiters: 0, ..Limits::default() };
-        let shared = Arc::new(Shared::new(limits));
+        let tree = Arc::new(TransformTree::new(limits));
         let mut heads = [Head::default(); 3];
-        let set = |shared: &Shared, heads: &mut [Head; 3], child: u32, x: f64| {
+        let set = |tree: &TransformTree, heads: &mut [Head; 3], child: u32, x: f64| {
             let transform = Transform::new([x, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]);
             let new = New { stamp_ns: 10, parent: 0, kind: Kind::Dynamic, transform };
-            let ring = shared.ring(FrameId(child)).unwrap();
+            let ring = tree.ring(FrameId(child)).unwrap();
             ring.set(&mut heads[child as usize], &new, CACHE_NS).unwrap();
         };
-        [1, 2].iter().for_each(|child| set(&shared, &mut heads, *child, 1.0));
-        let writer = shared.clone();
+        [1, 2].iter().for_each(|child| set(&tree, &mut heads, *child, 1.0));
+        let writer = tree.clone();
         let writing = thread::spawn(move || {
             writer.clear(&mut heads);
             [1, 2].iter().for_each(|child| set(&writer, &mut heads, *child, 2.0));
         });
-        match shared.in_one_epoch(|| shared.path(FrameId(1), FrameId(2), Some(10))) {
+        match tree.in_one_epoch(|| tree.path(FrameId(1), FrameId(2), Some(10))) {
             Ok(path) => assert_eq!(path.transform.translation[0], 0.0, "of two runs"),
-            Err(trouble) => assert_eq!(trouble, Trouble::Connectivity),
+            Err(error) => assert_eq!(error, PathError::Connectivity),
         }
         writing.join().unwrap();
     });
 }
 
-struct Bell(Notify);
+struct NotifyWaker(Notify);
 
-impl Wake for Bell {
-    fn wake(self: std::sync::Arc<Bell>) {
+impl Wake for NotifyWaker {
+    fn wake(self: std::sync::Arc<NotifyWaker>) {
         self.0.notify();
     }
 }
@@ -207,10 +207,10 @@ fn wait_beside_two_sets(sets: [(&'static str, &'static str); 2]) {
             }
         });
         let mut wait = pin!(buffer.wait_for("a", "c", Time::At(20)).unwrap());
-        let bell = std::sync::Arc::new(Bell(Notify::new()));
-        let waker = Waker::from(bell.clone());
+        let notify = std::sync::Arc::new(NotifyWaker(Notify::new()));
+        let waker = Waker::from(notify.clone());
         while let Poll::Pending = wait.as_mut().poll(&mut Context::from_waker(&waker)) {
-            bell.0.wait();
+            notify.0.wait();
         }
         writing.join().unwrap();
     });

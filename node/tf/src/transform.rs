@@ -27,26 +27,26 @@ impl Transform {
     }
 
     /// The transform back: `t * t.inverse()` is the identity.
-    #[must_use]
+    #[must_use = "it returns another transform, and leaves this one as it is"]
     pub fn inverse(&self) -> Transform {
         let rotation = self.quat().conjugate();
         Transform::of(-(rotation * self.vec()), rotation)
     }
 
     /// Transforms a point: rotated, then moved.
-    #[must_use]
+    #[must_use = "it returns the result, and changes nothing in place"]
     pub fn point(&self, point: [f64; 3]) -> [f64; 3] {
         (self.quat() * DVec3::from(point) + self.vec()).to_array()
     }
 
     /// Transforms a vector without a place, such as a velocity: rotated only.
-    #[must_use]
+    #[must_use = "it returns the result, and changes nothing in place"]
     pub fn vector(&self, vector: [f64; 3]) -> [f64; 3] {
         (self.quat() * DVec3::from(vector)).to_array()
     }
 
     /// Transforms a pose, which is a position and an orientation (x, y, z, w).
-    #[must_use]
+    #[must_use = "it returns the result, and changes nothing in place"]
     pub fn pose(&self, position: [f64; 3], orientation: [f64; 4]) -> ([f64; 3], [f64; 4]) {
         let pose = *self * Transform::new(position, orientation);
         (pose.translation, pose.rotation)
@@ -73,7 +73,7 @@ impl Transform {
 
     /// From this transform (0.0) to `other` (1.0): translations on a straight line, rotations at constant angular
     /// velocity along the shorter way (slerp), as tf2.
-    #[must_use]
+    #[must_use = "it returns another transform, and leaves both as they are"]
     pub fn interpolate(&self, other: &Transform, ratio: f64) -> Transform {
         Transform::of(self.vec().lerp(other.vec(), ratio), self.quat().slerp(other.quat(), ratio))
     }

@@ -16,8 +16,8 @@ use std::task::{Context, Poll};
 use crate::buffer::{Buffer, Frame, Stamped, Time};
 use crate::error::{LookupError, WaitError};
 use crate::names::{FrameId, FrameName};
-use crate::shared::Trouble;
 use crate::sync::{AtomicI64, AtomicU64, AtomicUsize, AtomicWaker, Ordering, fence};
+use crate::tree::PathError;
 
 const FREE: u64 = 0;
 /// Every set may be the one.
@@ -104,17 +104,17 @@ impl WaitFor {
         else {
             return Err(ANY);
         };
-        let trouble = match self.buffer.find(target, source, self.time) {
+        let error = match self.buffer.find(target, source, self.time) {
             Ok(found) => return Ok(Ok(found)),
-            Err(trouble) => trouble,
+            Err(error) => error,
         };
-        match (trouble, self.time) {
-            (Trouble::Extrapolation { asked_ns, newest_ns, .. }, Time::At(_))
-                if asked_ns < newest_ns.saturating_sub(self.buffer.shared.cache_ns) =>
+        match (error, self.time) {
+            (PathError::Extrapolation { asked_ns, newest_ns, .. }, Time::At(_))
+                if asked_ns < newest_ns.saturating_sub(self.buffer.tree.cache_ns) =>
             {
-                Ok(Err(self.buffer.explain(target, source, trouble)))
+                Ok(Err(self.buffer.explain(target, source, error)))
             }
-            (Trouble::Extrapolation { frame, .. }, Time::At(_)) => Err(FRAME + u64::from(frame.0)),
+            (PathError::Extrapolation { frame, .. }, Time::At(_)) => Err(FRAME + u64::from(frame.0)),
             _ => Err(ANY),
         }
     }
@@ -122,7 +122,7 @@ impl WaitFor {
     /// Says what is waited for, and looks again: whatever is set after that wakes.
     fn say(&self, place: usize, interest: u64) -> Result<Result<Stamped, LookupError>, u64> {
         // Release: pairs with the Acquire in `notify`.
-        self.buffer.shared.waiters.places[place].interest.store(interest, Ordering::Release);
+        self.buffer.tree.waiters.places[place].interest.store(interest, Ordering::Release);
         // Pairs with the fence in `notify`.
         fence(Ordering::SeqCst);
         self.look()
@@ -133,7 +133,7 @@ impl WaitFor {
             Ok(ready) => return Ok(ready),
             Err(missing) => missing,
         };
-        let waiters = &self.buffer.shared.waiters;
+        let waiters = &self.buffer.tree.waiters;
         let Some(place) = self.place.or_else(|| waiters.claim(self.time)) else { return Err(WaitOn::Full) };
         self.place = Some(place);
         waiters.places[place].waker.register(cx.waker());
@@ -146,7 +146,7 @@ impl WaitFor {
     }
 
     fn leave(&mut self) {
-        let waiters = &self.buffer.shared.waiters;
+        let waiters = &self.buffer.tree.waiters;
         if let Some(place) = self.place.take() {
             // Before the place is another's.
             drop(waiters.places[place].waker.take());
@@ -168,7 +168,7 @@ impl Future for WaitFor {
         let ready = match self.wait(cx) {
             Ok(ready) => ready.map_err(WaitError::from),
             Err(WaitOn::Set) => return Poll::Pending,
-            Err(WaitOn::Full) => Err(WaitError::WaitersFull { waiters: self.buffer.shared.limits.waiters }),
+            Err(WaitOn::Full) => Err(WaitError::WaitersFull { waiters: self.buffer.tree.limits.waiters }),
         };
         self.leave();
         Poll::Ready(ready)

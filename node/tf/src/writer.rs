@@ -7,8 +7,8 @@ use crate::counters::count;
 use crate::error::SetError;
 use crate::names::{FrameId, FrameName};
 use crate::ring::{Head, Kind, New, Refused};
-use crate::shared::Shared;
 use crate::transform::Transform;
+use crate::tree::TransformTree;
 
 /// tf2's: how far the squared length of a rotation may be off 1.
 const ROTATION_TOLERANCE: f64 = 10e-3;
@@ -28,14 +28,14 @@ pub struct TransformStamped<'n> {
 
 /// Sets the transforms of its [`Buffer`](crate::Buffer). There is one.
 pub struct Writer {
-    shared: Arc<Shared>,
+    tree: Arc<TransformTree>,
     heads: Box<[Head]>,
 }
 
 impl Writer {
-    pub(crate) fn new(shared: Arc<Shared>) -> Writer {
-        let heads = vec![Head::default(); shared.limits.frames].into_boxed_slice();
-        Writer { shared, heads }
+    pub(crate) fn new(tree: Arc<TransformTree>) -> Writer {
+        let heads = vec![Head::default(); tree.limits.frames].into_boxed_slice();
+        Writer { tree, heads }
     }
 
     /// Takes a transform, and wakes who waits for it. A frame whose transform is of the other kind than before forgets
@@ -55,7 +55,7 @@ impl Writer {
     pub fn set(&mut self, transform: &TransformStamped<'_>, kind: Kind) -> Result<(), SetError> {
         let set =
             self.check(transform).and_then(|(parent, child)| self.place(transform, kind, parent, child));
-        let counts = &self.shared.counts;
+        let counts = &self.tree.counts;
         count(match set {
             Ok(()) => &counts.set,
             Err(SetError::Old { .. }) => &counts.old,
@@ -89,29 +89,29 @@ impl Writer {
         parent: FrameName,
         child: FrameName,
     ) -> Result<(), SetError> {
-        let (shared, stamp_ns) = (&*self.shared, stamped.stamp_ns);
-        let full = |frame| SetError::FramesFull { frame, frames: shared.limits.frames };
-        let ids = (shared.names.find(&parent), shared.names.find(&child));
-        if shared.names.spare() < usize::from(ids.0.is_none()) + usize::from(ids.1.is_none()) {
+        let (tree, stamp_ns) = (&*self.tree, stamped.stamp_ns);
+        let full = |frame| SetError::FramesFull { frame, frames: tree.limits.frames };
+        let ids = (tree.names.find(&parent), tree.names.find(&child));
+        if tree.names.spare() < usize::from(ids.0.is_none()) + usize::from(ids.1.is_none()) {
             return Err(full(if ids.1.is_none() { child } else { parent }));
         }
-        let id = |id: Option<FrameId>, name| id.or_else(|| shared.names.insert(&name)).ok_or(full(name));
+        let id = |id: Option<FrameId>, name| id.or_else(|| tree.names.insert(&name)).ok_or(full(name));
         let (parent, frame) = (id(ids.0, parent)?, id(ids.1, child)?);
-        let (Some(ring), Some(head)) = (shared.ring(frame), self.heads.get_mut(frame.0 as usize)) else {
+        let (Some(ring), Some(head)) = (tree.ring(frame), self.heads.get_mut(frame.0 as usize)) else {
             return Err(full(child));
         };
         let transform = stamped.transform.normalized();
         let taken = ring
-            .set(head, &New { stamp_ns, parent: parent.0, kind, transform }, shared.cache_ns)
+            .set(head, &New { stamp_ns, parent: parent.0, kind, transform }, tree.cache_ns)
             .map_err(|refused| match refused {
                 Refused::Old { above_ns } => SetError::Old { child, stamp_ns, above_ns },
                 Refused::Repeated => SetError::Repeated { child, stamp_ns },
             })?;
         if taken.late {
-            count(&shared.counts.out_of_order);
+            count(&tree.counts.out_of_order);
         }
         // What comes late, or from elsewhere in the tree, may complete a path that was missing something else.
-        shared.waiters.notify(frame, stamp_ns, taken.late || taken.moved);
+        tree.waiters.notify(frame, stamp_ns, taken.late || taken.moved);
         Ok(())
     }
 
@@ -121,8 +121,8 @@ impl Writer {
     /// # Real-time
     /// Wait-free; no allocation; no syscall. One store for each frame.
     pub fn clear(&mut self) {
-        let known = self.shared.names.len();
-        self.shared.clear(&mut self.heads[..known]);
-        count(&self.shared.counts.cleared);
+        let known = self.tree.names.len();
+        self.tree.clear(&mut self.heads[..known]);
+        count(&self.tree.counts.cleared);
     }
 }

@@ -10,7 +10,7 @@ use tautline_transport::{PublisherMonitor, RawPublisher, TransportError};
 
 /// What happens to a publisher: subscriptions that come, go or do not fit, its deadline missed, its liveliness lost. A stream for
 /// any task, that ends with the publisher. The sampler wakes it; the publisher does nothing more for it than to store a time.
-#[must_use = "nothing is told unless it is polled"]
+#[must_use = "no events are reported unless it is polled"]
 pub struct PublisherEvents {
     // Before what is rung for it.
     monitor: PublisherMonitor,
@@ -56,13 +56,13 @@ impl PublisherEvents {
     pub fn new(events: &Events, publisher: &RawPublisher) -> Result<Self, TransportError> {
         let alarm = events.alarm()?;
         let monitor = publisher.monitor(alarm.slot());
-        let watchdog = |(pulse, period)| events.watchdog(pulse, watched(period));
+        let watchdog = |(activity, period)| events.watchdog(activity, watched(period));
         let deadline = monitor.deadline().map(watchdog).transpose()?;
         let lease = match monitor.lease() {
-            Some((pulse, period)) => {
+            Some((activity, period)) => {
                 let period = watched(period);
                 let period_ns = tautline_rt::clock::nanoseconds(period);
-                let watchdog = events.watchdog(pulse, period)?;
+                let watchdog = events.watchdog(activity, period)?;
                 Some(Lease { watchdog, told: None, period_ns, lost: 0 })
             }
             None => None,

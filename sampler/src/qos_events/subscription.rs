@@ -11,7 +11,7 @@ use tautline_transport::{RawSubscription, SubscriptionMonitor, TransportError};
 
 /// What happens to a subscription: publishers that come, go or do not fit, that come to life or die; its deadline missed; messages
 /// lost. As [`PublisherEvents`](crate::PublisherEvents).
-#[must_use = "nothing is told unless it is polled"]
+#[must_use = "no events are reported unless it is polled"]
 pub struct SubscriptionEvents {
     // Before what is rung for it.
     monitor: SubscriptionMonitor,
@@ -32,7 +32,7 @@ impl SubscriptionEvents {
     pub fn new(events: &Events, subscription: &RawSubscription) -> Result<Self, TransportError> {
         let alarm = events.alarm()?;
         let monitor = subscription.monitor(alarm.slot());
-        let watchdog = |(pulse, period)| events.watchdog(pulse, watched(period));
+        let watchdog = |(activity, period)| events.watchdog(activity, watched(period));
         let deadline = monitor.deadline().map(watchdog).transpose()?;
         Ok(SubscriptionEvents { monitor, alarm, deadline, ready: Ready::new() })
     }

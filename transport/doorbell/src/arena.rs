@@ -4,7 +4,7 @@
 //! Memory is given: the participant's own, or a peer's that was mapped. The first [`MAIN_BYTES`] have the bells and the first
 //! slots; each further window of slots, twice as many as all before it, is memory of its own that comes when it is needed.
 
-use crate::hot::{Bell, Flags, Route, Spot, drain_bits, has_bits, mark_in};
+use crate::hot::{Bell, BellBit, Flags, Route, drain_bits, has_bits, mark_in};
 use crate::sync::{AtomicU32, AtomicU64, Ordering, fence};
 use crate::{ArenaId, DoorbellError, NEAR_SLOTS};
 use std::slice;
@@ -53,42 +53,43 @@ struct SlotWords {
     events: AtomicU32,
     /// Which bell publishers ring for what is here.
     route: Route,
-    /// See [`Pulse`].
-    pulses: [AtomicU64; PULSES],
+    /// When each kind of [`Activity`] was last seen.
+    activities: [AtomicU64; ACTIVITIES],
 }
 
-const PULSES: usize = 2;
+/// Kinds of an [`Activity`].
+const ACTIVITIES: usize = 2;
 
-/// Where the time of what happened last is kept: which slot's, and of what. What it says is in `CLOCK_MONOTONIC` nanoseconds;
-/// 0 is never.
+/// Something that a publisher or a subscription shows by storing the time: of which slot, and what. The time is in
+/// `CLOCK_MONOTONIC` nanoseconds; 0 is never.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Pulse {
+pub struct Activity {
     /// The slot's index.
     pub slot: usize,
     /// What happened.
-    pub of: PulseOf,
+    pub kind: ActivityKind,
 }
 
-/// What a [`Pulse`] tells of.
+/// Kinds of an [`Activity`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum PulseOf {
+pub enum ActivityKind {
     /// A sample was published by this publisher, or for this subscription.
     Sample,
     /// This publisher showed that it is alive.
     Liveliness,
 }
 
-impl Pulse {
-    /// The pulse as one number that is not 0.
+impl Activity {
+    /// As one number that is not 0.
     pub fn to_word(self) -> u64 {
-        (self.slot * PULSES + self.of as usize) as u64 + 1
+        (self.slot * ACTIVITIES + self.kind as usize) as u64 + 1
     }
 
-    /// The pulse of a number that [`to_word`](Self::to_word) gave.
+    /// What [`to_word`](Self::to_word) gave the number for.
     pub fn from_word(word: u64) -> Option<Self> {
         let index = usize::try_from(word.checked_sub(1)?).ok()?;
-        let of = if index % PULSES == 0 { PulseOf::Sample } else { PulseOf::Liveliness };
-        Some(Pulse { slot: index / PULSES, of })
+        let kind = if index % ACTIVITIES == 0 { ActivityKind::Sample } else { ActivityKind::Liveliness };
+        Some(Activity { slot: index / ACTIVITIES, kind })
     }
 }
 
@@ -290,7 +291,7 @@ impl Arena {
                 self.mark(slot);
                 Sleeper::Sampler
             }
-            Some(Spot { thread, bit }) => {
+            Some(BellBit { thread, bit }) => {
                 self.thread_bell(thread)?.mark(bit);
                 Sleeper::Thread(thread)
             }
@@ -313,9 +314,9 @@ impl Arena {
     }
 
     /// Leads the rings for `slot` to a callback thread's bell, or to the sampler's.
-    pub(crate) fn set_route(&self, slot: usize, spot: Option<Spot>) {
+    pub(crate) fn set_route(&self, slot: usize, bell_bit: Option<BellBit>) {
         if let Some(words) = self.words(slot) {
-            words.route.set(spot);
+            words.route.set(bell_bit);
         }
     }
 
@@ -353,22 +354,23 @@ impl Arena {
         }
     }
 
-    /// Notes when something happened last.
+    /// Stores when an activity was last seen.
     ///
     /// # Real-time
     /// Wait-free: one store; no syscall.
-    pub fn set_pulse(&self, pulse: Pulse, now_ns: u64) {
-        if let Some(words) = self.words(pulse.slot) {
-            words.pulses[pulse.of as usize].store(now_ns, Ordering::Relaxed);
+    pub fn set_activity(&self, activity: Activity, now_ns: u64) {
+        if let Some(words) = self.words(activity.slot) {
+            words.activities[activity.kind as usize].store(now_ns, Ordering::Relaxed);
         }
     }
 
-    /// When it happened last.
+    /// When it was last seen.
     ///
     /// # Real-time
     /// Wait-free: one load; no syscall.
-    pub fn pulse_ns(&self, pulse: Pulse) -> u64 {
-        self.words(pulse.slot).map_or(0, |words| words.pulses[pulse.of as usize].load(Ordering::Relaxed))
+    pub fn activity_ns(&self, activity: Activity) -> u64 {
+        self.words(activity.slot)
+            .map_or(0, |words| words.activities[activity.kind as usize].load(Ordering::Relaxed))
     }
 
     /// Makes a slot look never used.
@@ -380,7 +382,7 @@ impl Arena {
         words.flags.clear();
         words.route.set(None);
         words.events.store(0, Ordering::Relaxed);
-        words.pulses.iter().for_each(|pulse| pulse.store(0, Ordering::Relaxed));
+        words.activities.iter().for_each(|activity| activity.store(0, Ordering::Relaxed));
     }
 
     /// How often whoever sleeps on a bell is woken by what happens `meanwhile`. For tests.
@@ -427,7 +429,7 @@ mod tests {
         for slot in [NEAR_SLOTS, MAX_SLOTS, usize::MAX] {
             arena.ring(slot);
             arena.ring_events(slot);
-            arena.set_pulse(Pulse { slot, of: PulseOf::Sample }, 1);
+            arena.set_activity(Activity { slot, kind: ActivityKind::Sample }, 1);
             assert!(arena.mark_sample(slot).is_none() && arena.flags(slot).is_none() && !arena.has(slot));
         }
         assert!(!arena.bell().is_pending());

@@ -228,7 +228,7 @@ impl Flags {
         self.put(Self::DEADLINE, has_deadline);
     }
 
-    /// Whether publishers note when they send: see [`Pulse`](crate::Pulse).
+    /// Whether publishers note when they send: see [`Activity`](crate::Activity).
     ///
     /// # Real-time
     /// Wait-free: one load.
@@ -282,7 +282,7 @@ pub(crate) struct Route(AtomicU32);
 
 /// A place at a callback thread's bell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Spot {
+pub(crate) struct BellBit {
     pub(crate) thread: usize,
     /// Below 64.
     pub(crate) bit: usize,
@@ -291,17 +291,17 @@ pub(crate) struct Spot {
 impl Route {
     /// # Real-time
     /// Wait-free: one load.
-    pub(crate) fn get(&self) -> Option<Spot> {
+    pub(crate) fn get(&self) -> Option<BellBit> {
         let place = self.0.load(Ordering::Relaxed).checked_sub(1)? as usize;
-        Some(Spot { thread: place / 64, bit: place % 64 })
+        Some(BellBit { thread: place / 64, bit: place % 64 })
     }
 
     /// For the slot's owner, who looks into its queue after this.
     ///
     /// # Real-time
     /// Wait-free: a store and a fence.
-    pub(crate) fn set(&self, spot: Option<Spot>) {
-        let place = spot.map_or(0, |spot| (spot.thread * 64 + spot.bit) as u32 + 1);
+    pub(crate) fn set(&self, bell_bit: Option<BellBit>) {
+        let place = bell_bit.map_or(0, |bell_bit| (bell_bit.thread * 64 + bell_bit.bit) as u32 + 1);
         self.0.store(place, Ordering::Relaxed);
         fence(Ordering::SeqCst);
     }

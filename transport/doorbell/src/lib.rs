@@ -25,12 +25,12 @@ mod sync;
 mod thread_bell;
 
 pub use arena::{
-    Arena, MAIN_BYTES, MAX_SLOTS, Pulse, PulseOf, Sleeper, WINDOWS, first_slot, place, window_bytes,
+    Activity, ActivityKind, Arena, MAIN_BYTES, MAX_SLOTS, Sleeper, WINDOWS, first_slot, place, window_bytes,
     window_of, window_slots,
 };
 pub use hot::Flags;
 pub use signal::{Signal, Wakeable};
-pub use thread_bell::{Joined, ThreadBell};
+pub use thread_bell::{BellRoute, ThreadBell};
 
 use arena::THREADS;
 use futures::task::AtomicWaker;
@@ -204,12 +204,12 @@ impl Doorbell {
         self.arena.bell().is_pending()
     }
 
-    /// When what `pulse` tells of happened last.
+    /// When `activity` was last seen.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
-    pub fn pulse_ns(&self, pulse: Pulse) -> u64 {
-        self.arena.pulse_ns(pulse)
+    pub fn activity_ns(&self, activity: Activity) -> u64 {
+        self.arena.activity_ns(activity)
     }
 
     fn waker(&self, slot: usize) -> Option<&AtomicWaker> {
@@ -290,17 +290,17 @@ impl Slot {
         self.doorbell.arena.ring(self.index);
     }
 
-    /// Where the time of what happened last here is kept.
-    pub fn pulse(&self, of: PulseOf) -> Pulse {
-        Pulse { slot: self.index, of }
+    /// An activity of this slot, to be watched.
+    pub fn activity(&self, kind: ActivityKind) -> Activity {
+        Activity { slot: self.index, kind }
     }
 
-    /// Notes that it happened at `now_ns`.
+    /// Stores that it was seen at `now_ns`.
     ///
     /// # Real-time
     /// Wait-free: one store; no syscall.
-    pub fn note(&self, of: PulseOf, now_ns: u64) {
-        self.doorbell.arena.set_pulse(self.pulse(of), now_ns);
+    pub fn note(&self, kind: ActivityKind, now_ns: u64) {
+        self.doorbell.arena.set_activity(self.activity(kind), now_ns);
     }
 
     /// What the slot belongs to has ended, though others still hold it: they are told, and so is the task that waits there.

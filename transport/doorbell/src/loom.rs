@@ -2,7 +2,7 @@
 //! Every interleaving of ringers and a sampler: no ring is lost, whatever else the memory model allows.
 //! Run by `cargo xtask test` (`RUSTFLAGS="--cfg taut_loom" cargo test -p tautline-doorbell --lib loom`).
 
-use crate::hot::{Bell, Flags, Route, Spot, drain_bits, mark_in};
+use crate::hot::{Bell, BellBit, Flags, Route, drain_bits, mark_in};
 use crate::places::FreePlaces;
 use crate::sync::AtomicU64;
 use crate::{Signal, Wakeable};
@@ -199,11 +199,11 @@ fn loom_a_sample_is_seen_by_a_reader_that_changes_its_bell() {
                 fence(Ordering::SeqCst);
                 match route.get() {
                     None => sampler.ring(0),
-                    Some(Spot { bit, .. }) => own.ring(bit),
+                    Some(BellBit { bit, .. }) => own.ring(bit),
                 }
             })
         };
-        route.set(Some(Spot { thread: 0, bit: 5 }));
+        route.set(Some(BellBit { thread: 0, bit: 5 }));
         while queued.load(Ordering::Acquire) != 1 {
             if own.drain(|_| {}) == 0 {
                 own.sleep(None);

@@ -29,15 +29,15 @@ fn stress_no_ring_is_lost() {
         std::env::var("TAUT_STRESS_SEED").map_or_else(|_| rand::random(), |seed| seed.parse().unwrap());
     let file = OwnFile::create("taut_stress_").unwrap();
     file.claim(0, FILE_BYTES as u64).unwrap();
-    let shared = Shared::of(Mapping::new(&file, 0, FILE_BYTES, true).unwrap());
-    let arena = Arena::create(ArenaId(1), shared.arena.clone());
+    let memory = StressMemory::of(Mapping::new(&file, 0, FILE_BYTES, true).unwrap());
+    let arena = Arena::create(ArenaId(1), memory.arena.clone());
     let mut ringers: Vec<_> = (0..RINGERS).map(|number| spawn(file.path(), number, each, seed)).collect();
 
     let (mut sleeps, mut lost, mut last) = (0u64, 0u64, [0u64; RINGERS]);
     let start_ns = monotonic_ns();
     while last.iter().any(|last| *last < each) {
         let drained = arena.drain(|slot| {
-            let [sent, taken] = shared.words(slot);
+            let [sent, taken] = memory.words(slot);
             // The drain's Acquire shows at least the message whose ring it took.
             last[slot] = sent.load(Ordering::Relaxed);
             taken.store(last[slot], Ordering::Release);
@@ -76,9 +76,9 @@ fn ringer() {
     let numbers: Vec<u64> = numbers.split(',').map(|number| number.parse().unwrap()).collect();
     let [number, rings, seed] = numbers[..] else { panic!("{arguments}") };
     let file = PeerFile::open(path.into(), true).unwrap();
-    let shared = Shared::of(Mapping::new(&file, 0, FILE_BYTES, true).unwrap());
-    let arena = Arena::open(ArenaId(1), shared.arena.clone()).unwrap();
-    let [sent, taken] = shared.words(number as usize);
+    let memory = StressMemory::of(Mapping::new(&file, 0, FILE_BYTES, true).unwrap());
+    let arena = Arena::open(ArenaId(1), memory.arena.clone()).unwrap();
+    let [sent, taken] = memory.words(number as usize);
     let mut random = StdRng::seed_from_u64(seed ^ number);
     let parent = rustix::process::getppid();
     for message in 1..=rings {
@@ -112,7 +112,7 @@ fn spawn(file: &Path, number: usize, rings: u64, seed: u64) -> Child {
 }
 
 /// An arena, and behind it a page of what each ringer and the sampler tell each other: the number sent last, and taken last.
-struct Shared {
+struct StressMemory {
     arena: Region,
     words: Region,
 }
@@ -120,11 +120,11 @@ struct Shared {
 const WORDS_AT: usize = MAIN_BYTES.next_multiple_of(4096);
 const FILE_BYTES: usize = WORDS_AT + 4096;
 
-impl Shared {
+impl StressMemory {
     fn of(map: Mapping) -> Self {
         let map = Arc::new(map);
         let part = |at, len| Region::new(&map, at, len).unwrap();
-        Shared { arena: part(0, MAIN_BYTES), words: part(WORDS_AT, 4096) }
+        StressMemory { arena: part(0, MAIN_BYTES), words: part(WORDS_AT, 4096) }
     }
 
     fn words(&self, ringer: usize) -> &[AtomicU64; 2] {

@@ -7,7 +7,7 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use crate::arena::THREADS;
-use crate::hot::{Bell, Spot};
+use crate::hot::{Bell, BellBit};
 use crate::{Doorbell, DoorbellError, Slot};
 use core::time::Duration;
 use std::sync::Arc;
@@ -105,9 +105,9 @@ impl ThreadBell {
         true
     }
 
-    /// Leads the rings for `slot` here. `None`: all bits are taken, or the slot is of another arena, whose publishers know nothing
+    /// Routes the rings for `slot` to this bell. `None`: all bits are taken, or the slot is of another arena, whose publishers know nothing
     /// of this bell.
-    pub fn join(self: &Arc<Self>, slot: &Slot) -> Option<Joined> {
+    pub fn route(self: &Arc<Self>, slot: &Slot) -> Option<BellRoute> {
         if !Arc::ptr_eq(&self.doorbell, slot.doorbell()) {
             return None;
         }
@@ -116,8 +116,8 @@ impl ThreadBell {
             place.compare_exchange(FREE, slot, Ordering::Relaxed, Ordering::Relaxed).is_ok()
         };
         let bit = self.slots.iter().position(is_claimed)?;
-        self.doorbell.arena().set_route(slot, Some(Spot { thread: self.thread, bit }));
-        Some(Joined { bell: self.clone(), bit, slot })
+        self.doorbell.arena().set_route(slot, Some(BellBit { thread: self.thread, bit }));
+        Some(BellRoute { bell: self.clone(), bit, slot })
     }
 }
 
@@ -143,15 +143,15 @@ impl Drop for ThreadBell {
     }
 }
 
-/// A slot whose rings go to a thread's bell; to the sampler's again when dropped.
-#[must_use = "the rings go elsewhere again when this is dropped"]
-pub struct Joined {
+/// Routes the rings of a slot to a thread's bell; dropping it routes them to the sampler again.
+#[must_use = "dropping it routes the rings to the sampler again"]
+pub struct BellRoute {
     bell: Arc<ThreadBell>,
     bit: usize,
     slot: usize,
 }
 
-impl Drop for Joined {
+impl Drop for BellRoute {
     fn drop(&mut self) {
         self.bell.doorbell.arena().set_route(self.slot, None);
         if let Some(place) = self.bell.slots.get(self.bit) {

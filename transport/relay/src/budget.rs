@@ -53,7 +53,7 @@ struct Spent {
 }
 
 impl Spent {
-    /// Sums may go below zero meanwhile: see [`Watched::renew`].
+    /// Sums may go below zero meanwhile: see [`BudgetedThreads::renew`].
     fn plus(self, other: Spent) -> Spent {
         Spent {
             used_ns: self.used_ns.wrapping_add(other.used_ns),
@@ -150,7 +150,7 @@ impl Guard {
     ///
     /// # Errors
     /// [`RtError`]: a missing privilege.
-    pub fn start(name: &str, budget: Budget, highest: Policy, list: WatchedThreads) -> Result<Self, RtError> {
+    pub fn start(name: &str, budget: Budget, highest: Policy, list: ThreadLister) -> Result<Self, RtError> {
         let (stop, demotions) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
         // Above what it watches, or it would not come to look.
         let above = match highest {
@@ -180,40 +180,40 @@ impl Drop for Guard {
     }
 }
 
-/// Finds the threads that are watched: which they are, and the policy of each within the budget.
-pub type WatchedThreads = Box<dyn Fn() -> Result<Vec<(u32, Policy)>, RtError> + Send>;
+/// Finds the threads whose budget is watched: which they are, and the policy of each within the budget.
+pub type ThreadLister = Box<dyn Fn() -> Result<Vec<(u32, Policy)>, RtError> + Send>;
 
-fn watch(budget: Budget, list: WatchedThreads, stop: &AtomicBool, demotions: &AtomicU64) {
-    let mut watched = Watched { list, threads: Vec::new(), ended: Spent::default() };
-    watched.renew();
-    let mut meter = Meter::new(budget, watched.spent());
+fn watch(budget: Budget, list: ThreadLister, stop: &AtomicBool, demotions: &AtomicU64) {
+    let mut threads = BudgetedThreads { list, threads: Vec::new(), ended: Spent::default() };
+    threads.renew();
+    let mut meter = Meter::new(budget, threads.spent());
     let mut looks = 0u32;
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(WINDOW / LOOKS_PER_WINDOW);
         looks = looks.wrapping_add(1);
         if looks.is_multiple_of(LOOKS_PER_WINDOW * 10) {
-            watched.renew();
+            threads.renew();
         }
-        match meter.look(watched.spent()) {
+        match meter.look(threads.spent()) {
             Verdict::Keep => {}
             Verdict::Demote => {
                 demotions.fetch_add(1, Ordering::Relaxed);
-                watched.set(|_| Policy::Other { nice: 0 });
+                threads.set(|_| Policy::Other { nice: 0 });
             }
-            Verdict::Promote => watched.set(|policy| policy),
+            Verdict::Promote => threads.set(|policy| policy),
         }
     }
-    watched.set(|policy| policy);
+    threads.set(|policy| policy);
 }
 
 /// Threads and the time that those which ended had spent.
-struct Watched {
-    list: WatchedThreads,
+struct BudgetedThreads {
+    list: ThreadLister,
     threads: Vec<(u32, Policy, Spent)>,
     ended: Spent,
 }
 
-impl Watched {
+impl BudgetedThreads {
     fn renew(&mut self) {
         let Ok(now) = (self.list)() else { return };
         for (tid, _, spent) in &self.threads {

@@ -3,14 +3,14 @@
 
 mod failed;
 
-use crate::inlet::{Change, Inlet, Manner, Port, Senders};
+use crate::ingress::{Delivery, Ingress, IngressUpdate, Port, Senders};
 use crate::limiter::Limiter;
 use crate::mirror::{Action, Far, InKey, Inward, Mirror, Outward, Side, TopicKey};
 use crate::relay::Relay;
-use crate::route::{Outbound, Outlet};
+use crate::route::{Egress, Outbound};
 use crate::rules::{Direction, Rules};
 use crate::services::{FarServices, Routes, ServiceStats, Services};
-use crate::stats::{Book, TopicStats};
+use crate::stats::{TopicStats, TopicStatsTable};
 use crate::transit::Transit;
 use crate::writers::{FarWriter, MATCH_TIME, Writers};
 use failed::Failed;
@@ -28,12 +28,12 @@ use tautline_transport::{
 pub trait FarSide: Sized {
     /// What it is.
     const SIDE: Side;
-    /// How its messages come.
-    const MANNER: Manner;
+    /// What is known of the order of its messages, and of their publishers.
+    const DELIVERY: Delivery;
     /// What it is told of by others than this thread.
     type Event: Send;
     /// What takes samples from here.
-    type Outlet: Outlet<Key = TopicKey, Topic = Outbound>;
+    type Egress: Egress<Key = TopicKey, Topic = Outbound>;
     /// What stands there for a publisher here.
     type Writer: FarWriter;
     /// Its part in services.
@@ -48,19 +48,19 @@ pub trait FarSide: Sized {
     ///
     /// # Errors
     /// Why that is not known.
-    fn look(&mut self, here: &Here) -> Result<There, String>;
+    fn look(&mut self, here: &LocalGraph) -> Result<FarGraph, String>;
 
     /// Before anything is done: `here` is in terms of the domain, and some of it can perhaps not be told there.
-    fn prepare(&mut self, here: &mut Here, transit: &Transit);
+    fn prepare(&mut self, here: &mut LocalGraph, transit: &Transit);
 
     /// After topics are in line with what exists: what services are made with there.
-    fn show(&mut self, here: &Here, transit: &Transit) -> <Self::Services as FarServices>::With;
+    fn show(&mut self, here: &LocalGraph, transit: &Transit) -> <Self::Services as FarServices>::With;
 
     /// The same again, as it was last.
     fn shown(&self) -> <Self::Services as FarServices>::With;
 
     /// After services, too: others there are told of what is here.
-    fn tell(&mut self, here: &Here, transit: &Transit, writers: &Writers<Self::Writer>);
+    fn tell(&mut self, here: &LocalGraph, transit: &Transit, writers: &Writers<Self::Writer>);
 
     /// A second has gone by. Whether it is to be looked anew what exists.
     fn tick(&mut self, writers: &mut Writers<Self::Writer>) -> bool;
@@ -91,7 +91,7 @@ pub trait FarSide: Sized {
         &mut self,
         key: &TopicKey,
         writer: &Self::Writer,
-    ) -> Result<<Self::Outlet as Outlet>::Sender, String>;
+    ) -> Result<<Self::Egress as Egress>::Sender, String>;
 
     /// A port of the domain for messages from there.
     ///
@@ -108,7 +108,7 @@ pub trait FarSide: Sized {
     ///
     /// # Errors
     /// Why that is not possible.
-    fn start_in(&mut self, key: &InKey, inward: &Inward, inlet: Inlet) -> Result<(), String>;
+    fn start_in(&mut self, key: &InKey, inward: &Inward, ingress: Ingress) -> Result<(), String>;
 
     /// Whether messages of a class are being taken: one that could not be begun anew may have ended.
     fn takes(&self, key: &InKey) -> bool {
@@ -117,7 +117,7 @@ pub trait FarSide: Sized {
     }
 
     /// What is otherwise with one that is being taken.
-    fn change_in(&mut self, key: &InKey, change: Change);
+    fn change_in(&mut self, key: &InKey, change: IngressUpdate);
 
     /// No longer.
     fn stop_in(&mut self, key: &InKey);
@@ -151,7 +151,7 @@ pub struct FoundType {
 
 /// What the domain has, but for what this mirror tells it of.
 #[derive(Default)]
-pub struct Here {
+pub struct LocalGraph {
     /// The mirror's participant.
     pub own: u64,
     /// Nodes.
@@ -166,9 +166,9 @@ pub struct Here {
     pub problems: BTreeMap<String, String>,
 }
 
-impl Here {
+impl LocalGraph {
     fn of(own: u64, snapshot: &GraphSnapshot) -> Self {
-        Here {
+        LocalGraph {
             own,
             nodes: snapshot.nodes.iter().filter(|node| node.teller != Some(own)).cloned().collect(),
             endpoints: snapshot.endpoints.iter().filter(|end| end.teller != Some(own)).cloned().collect(),
@@ -181,7 +181,7 @@ impl Here {
 
 /// What exists on the far side, each with who tells of it there; see [`Transit`].
 #[derive(Default)]
-pub struct There {
+pub struct FarGraph {
     /// Nodes.
     pub nodes: Vec<(RemoteNode, u128)>,
     /// Publishers and subscriptions.
@@ -211,9 +211,9 @@ pub struct Report {
 /// What the control thread is told.
 pub enum Event<E> {
     /// What exists in the domain changed.
-    Here,
+    LocalChange,
     /// Something happened on the far side.
-    There(E),
+    FarChange(E),
     /// The end.
     Stop,
 }
@@ -236,7 +236,7 @@ pub struct Parts<F: FarSide> {
     /// The other side.
     pub far: F,
     /// The thread that takes samples.
-    pub relay: Relay<F::Outlet>,
+    pub relay: Relay<F::Egress>,
     /// The thread that carries requests and responses.
     pub services: Services<F::Services>,
     /// What is told and carried.
@@ -250,7 +250,7 @@ pub struct Parts<F: FarSide> {
 /// Keeps both sides of a mirror in line.
 pub struct Control<F: FarSide> {
     services: Services<F::Services>,
-    relay: Relay<F::Outlet>,
+    relay: Relay<F::Egress>,
     writers: Writers<F::Writer>,
     far: F,
     participant: Participant,
@@ -259,7 +259,7 @@ pub struct Control<F: FarSide> {
     service_rules: Rules,
     /// Whether the last look at what exists failed.
     is_stale: bool,
-    book: Book<TopicKey, Direction>,
+    stats: TopicStatsTable<TopicKey, Direction>,
     out: BTreeMap<TopicKey, Outward>,
     /// Topics whose samples are not taken before their writers have found somebody.
     waiting: BTreeMap<TopicKey, (Outward, Instant)>,
@@ -284,7 +284,7 @@ impl<F: FarSide> Control<F> {
     /// Of these parts; nothing is done yet.
     pub fn new(parts: Parts<F>) -> Self {
         let Parts { participant, far, relay, services, transit, rules, service_rules } = parts;
-        let (book, out, waiting, inward) = Default::default();
+        let (stats, out, waiting, inward) = Default::default();
         let (failed, publishers, problems) = Default::default();
         Control {
             services,
@@ -296,7 +296,7 @@ impl<F: FarSide> Control<F> {
             mirror: Mirror::new(F::SIDE, rules),
             service_rules,
             is_stale: false,
-            book,
+            stats,
             out,
             waiting,
             inward,
@@ -326,8 +326,8 @@ impl<F: FarSide> Control<F> {
             // One look for all that changed at once.
             for event in first.into_iter().chain(events.try_iter()).take(EVENTS_AT_ONCE) {
                 is_changed |= match event {
-                    Event::Here => true,
-                    Event::There(event) => self.far.hear(event),
+                    Event::LocalChange => true,
+                    Event::FarChange(event) => self.far.hear(event),
                     Event::Stop => false,
                 };
             }
@@ -358,7 +358,7 @@ impl<F: FarSide> Control<F> {
     /// Brings everything in line with what exists.
     fn update(&mut self) {
         let seen = self.participant.graph().map_err(|error| error.to_string()).and_then(|snapshot| {
-            let here = Here::of(self.participant.id(), &snapshot);
+            let here = LocalGraph::of(self.participant.id(), &snapshot);
             Ok((self.far.look(&here)?, here, snapshot))
         });
         // Looked at again with the next tick.
@@ -388,7 +388,7 @@ impl<F: FarSide> Control<F> {
         self.problems = here.problems;
     }
 
-    fn mirror_topics(&mut self, here: &Here, there: &There) {
+    fn mirror_topics(&mut self, here: &LocalGraph, there: &FarGraph) {
         let transit = &self.transit;
         let is_publisher = |end: &TopicEndpoint| end.kind == EndpointKind::Publisher;
         let is_left = |end: &TopicEndpoint| is_publisher(end) && transit.announced(&end.origin).is_none();
@@ -415,7 +415,7 @@ impl<F: FarSide> Control<F> {
         self.renew_senders();
     }
 
-    fn route_services(&mut self, here: &Here, there: &There) {
+    fn route_services(&mut self, here: &LocalGraph, there: &FarGraph) {
         let with = self.far.show(here, &self.transit);
         let transit = &self.transit;
         let there = there.services.iter().filter(|(end, teller)| transit.carries(&end.origin, *teller));
@@ -423,15 +423,15 @@ impl<F: FarSide> Control<F> {
         let announced = |end: &ServiceEndpoint| transit.announced(&end.origin).is_some();
         let (ends, before) = (here.services.iter().map(AsRef::as_ref), self.services.routes());
         let routes = Routes::of(F::SIDE, &self.service_rules, ends, &there, before, announced);
-        let obeyed = self.services.set_routes(routes, with);
+        let applied = self.services.set_routes(routes, with);
         // Who hears of a service may ask at once.
-        if F::PATIENCE.is_some_and(|patience| !obeyed.wait(patience)) {
+        if F::PATIENCE.is_some_and(|patience| !applied.wait(patience)) {
             tracing::warn!("services change slowly: some are announced before they can be asked");
         }
     }
 
     /// What the domain is told of, by its own names. The same graph is the same list.
-    fn remote(&self, there: There) -> RemoteGraph {
+    fn remote(&self, there: FarGraph) -> RemoteGraph {
         let rules = self.mirror.rules();
         let mut remote = RemoteGraph { ended: there.ended, ..RemoteGraph::default() };
         for (RemoteNode { name, origin }, teller) in there.nodes {
@@ -472,7 +472,7 @@ impl<F: FarSide> Control<F> {
             if senders != taken.senders {
                 taken.senders = senders.clone();
                 let limiter = Limiter::new(taken.inward.min_period);
-                self.far.change_in(key, Change { senders, limiter, port: None });
+                self.far.change_in(key, IngressUpdate { senders, limiter, port: None });
             }
         }
     }
@@ -541,7 +541,7 @@ impl<F: FarSide> Control<F> {
         let port = if had_port { None } else { self.port(key, inward)?.0 };
         let has_port = had_port || port.is_some();
         let senders = senders(&self.publishers, key, &inward.publishers, has_port);
-        let change = Change {
+        let change = IngressUpdate {
             senders: senders.clone(),
             limiter: Limiter::new(inward.min_period),
             port: port.map(Box::new),
@@ -586,10 +586,10 @@ impl<F: FarSide> Control<F> {
         &mut self,
         key: &TopicKey,
         outward: &Outward,
-        made: Vec<(Gid, <F::Outlet as Outlet>::Sender)>,
+        made: Vec<(Gid, <F::Egress as Egress>::Sender)>,
     ) -> Result<(), String> {
         let subscription = self.subscribe(key, outward).map_err(|error| error.to_string())?;
-        let counters = self.book.counters(key.clone(), Direction::Out);
+        let counters = self.stats.counters(key.clone(), Direction::Out);
         let limiter = Limiter::new(outward.min_period);
         self.relay.start_topic(key.clone(), subscription, Outbound { counters, limiter }, made);
         self.out.insert(key.clone(), outward.clone());
@@ -622,10 +622,10 @@ impl<F: FarSide> Control<F> {
         };
         let has_port = !matches!(port, Port::None);
         let senders = senders(&self.publishers, key, &inward.publishers, has_port);
-        let counters = self.book.counters(key.topic.clone(), Direction::In);
+        let counters = self.stats.counters(key.topic.clone(), Direction::In);
         let limiter = Limiter::new(inward.min_period);
-        let inlet = Inlet::new(port, schema, counters, limiter, senders.clone(), F::MANNER);
-        if let Err(reason) = self.far.start_in(key, inward, inlet) {
+        let ingress = Ingress::new(port, schema, counters, limiter, senders.clone(), F::DELIVERY);
+        if let Err(reason) = self.far.start_in(key, inward, ingress) {
             if !self.far.takes(key) {
                 // Begun without what it had, the next time.
                 self.inward.remove(key);
@@ -657,7 +657,7 @@ impl<F: FarSide> Control<F> {
         let report = Report {
             uptime_s: self.started.elapsed().as_secs_f64(),
             problems,
-            topics: self.book.read(elapsed),
+            topics: self.stats.read(elapsed),
             service_problems: self.services.problems(),
             services: self.services.read(),
         };
@@ -665,7 +665,7 @@ impl<F: FarSide> Control<F> {
     }
 }
 
-type Made<F> = (TopicKey, Gid, <<F as FarSide>::Outlet as Outlet>::Sender);
+type Made<F> = (TopicKey, Gid, <<F as FarSide>::Egress as Egress>::Sender);
 
 /// Makes what passes on the samples of a writer's publisher. Whether it is possible.
 fn made_sender<F: FarSide>(

@@ -3,13 +3,14 @@
 //!
 //! The mirror decides what is mirrored from what exists on both sides, [`Transit`] what is told and carried, so that nothing comes twice
 //! or goes in circles: both are pure. [`Control`] is the thread that does it. A [`Relay`] is the thread that takes the samples of all
-//! topics, waiting on the doorbell as a sampler does, and gives each to an [`Outlet`]; what a publisher sent before its counterpart
-//! elsewhere was known waits for it. What comes from elsewhere goes through an [`Inlet`]. A local publisher notices nothing of it.
+//! topics, waiting on the doorbell as a sampler does, and gives each to an [`Egress`]; what a publisher sent before its counterpart
+//! elsewhere was known waits for it. What comes from elsewhere goes through an [`Ingress`]. A local publisher notices nothing of it.
 //! [`show_until`] is what such a program does meanwhile.
 
 mod budget;
 mod control;
-mod inlet;
+mod ingress;
+mod instance;
 mod limiter;
 mod mirror;
 mod pattern;
@@ -18,7 +19,6 @@ mod program;
 mod relay;
 mod route;
 mod rules;
-mod seat;
 mod services;
 mod stats;
 #[cfg(test)]
@@ -27,22 +27,22 @@ mod transit;
 mod waker;
 mod writers;
 
-pub use budget::{Budget, Guard, WatchedThreads};
-pub use control::{Control, Event, FarSide, FoundType, Here, Parts, Publisher, Report, There};
-pub use inlet::{Body, Change, Inlet, Manner, Source};
+pub use budget::{Budget, Guard, ThreadLister};
+pub use control::{Control, Event, FarGraph, FarSide, FoundType, LocalGraph, Parts, Publisher, Report};
+pub use ingress::{Body, Delivery, Ingress, IngressUpdate, Source};
+pub use instance::{Instance, InstanceError, InstanceLock};
 pub use limiter::Limiter;
 pub use mirror::{InKey, Inward, Side, TopicKey};
 pub use pattern::{Filter, Pattern, PatternError};
 pub use process::process_node;
 pub use program::{counted, parse_interval, show_until, stop_on_signals};
 pub use relay::{Relay, RelayError};
-pub use route::{EarlyLimits, Last, Outbound, Outlet, Taken};
+pub use route::{EarlyLimits, Egress, Last, Outbound, Taken};
 pub use rules::{Direction, QosOverride, Rule, Rules};
-pub use seat::{Office, Seat, SeatError};
 pub use services::{
     Arrived, FarClient, FarServer, FarServices, OfferedService, Response, ServerId, ServiceStats, Services,
     SoughtService, TakenRequest,
 };
-pub use stats::{Counters, Latency, Reading, TopicStats, passing};
+pub use stats::{Latency, Reading, TopicCounters, TopicStats, passing};
 pub use transit::Transit;
 pub use writers::{FarWriter, Writers};

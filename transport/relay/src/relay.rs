@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The thread that takes the samples of all topics.
 
-use crate::route::{Outlet, Route, Sources};
-use crate::waker::Bell;
+use crate::route::{Egress, Route, Sources};
+use crate::waker::RelayWaker;
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex, mpsc};
@@ -14,16 +14,16 @@ use tautline_transport::{Gid, Participant, RawSubscription, SamplerSeat, Transpo
 /// Publishers whose samples are not passed on, for somebody else does so.
 pub type PassedOver = Arc<Mutex<HashSet<Gid>>>;
 
-/// The thread that takes samples and gives them to an [`Outlet`]; dropping it ends it, and with it the outlet.
-pub struct Relay<O: Outlet> {
+/// The thread that takes samples and gives them to an [`Egress`]; dropping it ends it, and with it the egress.
+pub struct Relay<O: Egress> {
     commands: Option<mpsc::Sender<Command<O>>>,
-    bell: Arc<Bell>,
+    waker: Arc<RelayWaker>,
     passed_over: PassedOver,
     thread: Option<JoinHandle<()>>,
 }
 
 /// What the thread is told.
-enum Command<O: Outlet> {
+enum Command<O: Egress> {
     Start(O::Key, Box<RawSubscription>, O::Topic, Vec<(Gid, O::Sender)>),
     Open(O::Key, Gid, O::Sender),
     Close(O::Key, Gid),
@@ -41,24 +41,24 @@ pub enum RelayError {
     Rt(#[from] RtError),
 }
 
-impl<O: Outlet> Relay<O> {
+impl<O: Egress> Relay<O> {
     /// Starts the thread, in the place of the participant's sampler.
     ///
     /// # Errors
     /// [`RelayError`].
-    pub fn start(participant: &Participant, thread: ThreadBuilder, outlet: O) -> Result<Self, RelayError> {
+    pub fn start(participant: &Participant, thread: ThreadBuilder, egress: O) -> Result<Self, RelayError> {
         let seat = participant.doorbell().claim_sampler().map_err(TransportError::from)?;
-        let bell = Bell::new(participant.claim_slot()?);
+        let waker = RelayWaker::new(participant.claim_slot()?);
         let (commands, received) = mpsc::channel();
         let sources = Sources { own: participant.id(), passed_over: PassedOver::default() };
         let passed_over = sources.passed_over.clone();
         let thread = {
-            let (bell, routes) = (bell.clone(), HashMap::new());
+            let (waker, routes) = (waker.clone(), HashMap::new());
             thread.spawn(move || {
-                move || Loop { seat, commands: received, bell, sources, routes, outlet }.run()
+                move || Loop { seat, commands: received, waker, sources, routes, egress }.run()
             })?
         };
-        Ok(Relay { commands: Some(commands), bell, passed_over, thread: Some(thread) })
+        Ok(Relay { commands: Some(commands), waker, passed_over, thread: Some(thread) })
     }
 
     /// The thread, as it was read back.
@@ -103,36 +103,36 @@ impl<O: Outlet> Relay<O> {
     fn tell(&self, command: Command<O>) {
         if let Some(commands) = &self.commands {
             let _ = commands.send(command);
-            self.bell.ring();
+            self.waker.wake();
         }
     }
 }
 
-impl<O: Outlet> Drop for Relay<O> {
+impl<O: Egress> Drop for Relay<O> {
     fn drop(&mut self) {
         self.commands = None;
-        self.bell.ring();
+        self.waker.wake();
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
     }
 }
 
-struct Loop<O: Outlet> {
+struct Loop<O: Egress> {
     seat: SamplerSeat,
     commands: mpsc::Receiver<Command<O>>,
-    bell: Arc<Bell>,
+    waker: Arc<RelayWaker>,
     sources: Sources,
     routes: HashMap<O::Key, Route<O>>,
-    outlet: O,
+    egress: O,
 }
 
-impl<O: Outlet> Loop<O> {
+impl<O: Egress> Loop<O> {
     fn run(mut self) {
         const LOOK: Duration = Duration::from_millis(500);
         let mut next_look = Instant::now() + LOOK;
         loop {
-            self.bell.drain(&self.seat);
+            self.waker.drain(&self.seat);
             loop {
                 match self.commands.try_recv() {
                     Ok(command) => self.obey(command),
@@ -142,7 +142,7 @@ impl<O: Outlet> Loop<O> {
             }
             let mut is_busy = false;
             for route in self.routes.values_mut() {
-                is_busy |= route.serve_if_rung(&self.sources, &mut self.outlet);
+                is_busy |= route.serve_if_rung(&self.sources, &mut self.egress);
             }
             if Instant::now() >= next_look {
                 next_look = Instant::now() + LOOK;
@@ -155,32 +155,32 @@ impl<O: Outlet> Loop<O> {
     }
 
     fn obey(&mut self, command: Command<O>) {
-        let (sources, outlet) = (&self.sources, &mut self.outlet);
+        let (sources, egress) = (&self.sources, &mut self.egress);
         match command {
             Command::Start(key, subscription, topic, senders) => {
                 let route = match self.routes.entry(key) {
                     Entry::Occupied(route) => {
                         let route = route.into_mut();
-                        route.change(subscription, topic, sources, outlet);
+                        route.change(subscription, topic, sources, egress);
                         route
                     }
-                    Entry::Vacant(place) => place.insert(Route::new(subscription, topic, self.bell.clone())),
+                    Entry::Vacant(place) => place.insert(Route::new(subscription, topic, self.waker.clone())),
                 };
-                senders.into_iter().for_each(|(gid, sender)| route.open(gid, sender, outlet));
+                senders.into_iter().for_each(|(gid, sender)| route.open(gid, sender, egress));
             }
             Command::Open(key, gid, sender) => {
                 if let Some(route) = self.routes.get_mut(&key) {
-                    route.open(gid, sender, outlet);
+                    route.open(gid, sender, egress);
                 }
             }
             Command::Close(key, gid) => {
                 if let Some(route) = self.routes.get_mut(&key) {
-                    route.close(gid, sources, outlet);
+                    route.close(gid, sources, egress);
                 }
             }
             Command::Stop(key) => {
                 if let Some(route) = self.routes.remove(&key) {
-                    route.end(sources, outlet);
+                    route.end(sources, egress);
                 }
             }
         }

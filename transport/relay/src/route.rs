@@ -3,8 +3,8 @@
 
 use crate::limiter::Limiter;
 use crate::relay::PassedOver;
-use crate::stats::Counters;
-use crate::waker::{Bell, Flag};
+use crate::stats::TopicCounters;
+use crate::waker::{Flag, RelayWaker};
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::hash::Hash;
 use std::sync::{Arc, MutexGuard, PoisonError};
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use tautline_transport::{Gid, MessageInfo, RawSample, RawSubscription};
 
 /// Where samples go. It is the relay's thread that calls it.
-pub trait Outlet: Send + 'static {
+pub trait Egress: Send + 'static {
     /// Names a topic.
     type Key: Eq + Hash + Send;
     /// What is kept for a topic: its counters.
@@ -37,7 +37,7 @@ pub trait Outlet: Send + 'static {
 /// What is kept for a topic of a mirror.
 pub struct Outbound {
     /// What goes through, and what does not.
-    pub counters: Arc<Counters>,
+    pub counters: Arc<TopicCounters>,
     /// How often.
     pub limiter: Limiter,
 }
@@ -137,7 +137,7 @@ pub(crate) struct Sources {
 /// Samples taken of one topic before the next topic has its turn.
 const TURN: usize = 16;
 
-pub(crate) struct Route<O: Outlet> {
+pub(crate) struct Route<O: Egress> {
     subscription: Box<RawSubscription>,
     topic: O::Topic,
     senders: HashMap<Gid, O::Sender>,
@@ -154,10 +154,10 @@ impl Sources {
     }
 }
 
-impl<O: Outlet> Route<O> {
-    pub(crate) fn new(subscription: Box<RawSubscription>, topic: O::Topic, bell: Arc<Bell>) -> Self {
+impl<O: Egress> Route<O> {
+    pub(crate) fn new(subscription: Box<RawSubscription>, topic: O::Topic, waker: Arc<RelayWaker>) -> Self {
         let (senders, early) = (HashMap::new(), VecDeque::new());
-        Route { subscription, topic, senders, early, early_bytes: 0, lost: 0, flag: Flag::new(bell) }
+        Route { subscription, topic, senders, early, early_bytes: 0, lost: 0, flag: Flag::new(waker) }
     }
 
     /// Takes by another subscription from now on.
@@ -166,26 +166,26 @@ impl<O: Outlet> Route<O> {
         subscription: Box<RawSubscription>,
         topic: O::Topic,
         sources: &Sources,
-        outlet: &mut O,
+        egress: &mut O,
     ) {
         // The new one has been there for a while: first what came before, then what came to both once.
-        self.serve_all(sources, outlet);
+        self.serve_all(sources, egress);
         self.look(sources);
         (self.subscription, self.topic, self.lost) = (subscription, topic, 0);
         self.flag.set();
     }
 
     /// Passes on what is there if there may be something, at most a turn of it. Says whether there may be more.
-    pub(crate) fn serve_if_rung(&mut self, sources: &Sources, outlet: &mut O) -> bool {
-        self.flag.take() && self.serve(sources, outlet)
+    pub(crate) fn serve_if_rung(&mut self, sources: &Sources, egress: &mut O) -> bool {
+        self.flag.take() && self.serve(sources, egress)
     }
 
-    fn serve(&mut self, sources: &Sources, outlet: &mut O) -> bool {
+    fn serve(&mut self, sources: &Sources, egress: &mut O) -> bool {
         let waker = self.flag.waker();
         let mut context = Context::from_waker(&waker);
         for _ in 0..TURN {
             match self.subscription.poll_take(&mut context) {
-                Poll::Ready(sample) => self.pass(sample, sources, outlet),
+                Poll::Ready(sample) => self.pass(sample, sources, egress),
                 Poll::Pending => return false,
             }
         }
@@ -194,24 +194,24 @@ impl<O: Outlet> Route<O> {
     }
 
     /// All that was there: bounded by what fits in, for a publisher could be faster than this.
-    fn serve_all(&mut self, sources: &Sources, outlet: &mut O) {
+    fn serve_all(&mut self, sources: &Sources, egress: &mut O) {
         // Those that are there, those that have gone and are not closed yet, and one that nobody heard of.
         let publishers = self.subscription.publisher_count() + self.senders.len() + 1;
         for _ in 0..turns(self.subscription.qos().depth, publishers) {
             // After a turn of samples that were passed over it is woken at once for what is behind them.
-            if !self.serve(sources, outlet) && !self.flag.take() {
+            if !self.serve(sources, egress) && !self.flag.take() {
                 break;
             }
         }
     }
 
-    fn pass(&mut self, sample: RawSample, sources: &Sources, outlet: &mut O) {
+    fn pass(&mut self, sample: RawSample, sources: &Sources, egress: &mut O) {
         if sample.port_gid().participant() == sources.own {
             return;
         }
         let publisher = sample.info().publisher_gid;
         match self.senders.get_mut(&publisher) {
-            Some(sender) => outlet.pass(&mut self.topic, sender, Taken::Now(sample)),
+            Some(sender) => egress.pass(&mut self.topic, sender, Taken::Now(sample)),
             None if sources.are_passed_over().contains(&publisher) => {}
             None => self.keep_early(&sample),
         }
@@ -231,11 +231,11 @@ impl<O: Outlet> Route<O> {
     }
 
     /// A publisher has its counterpart: what it sent before goes first.
-    pub(crate) fn open(&mut self, gid: Gid, mut sender: O::Sender, outlet: &mut O) {
+    pub(crate) fn open(&mut self, gid: Gid, mut sender: O::Sender, egress: &mut O) {
         for early in std::mem::take(&mut self.early) {
             if early.info.publisher_gid == gid {
                 self.early_bytes -= early.body.len();
-                outlet.pass(&mut self.topic, &mut sender, Taken::Early(early));
+                egress.pass(&mut self.topic, &mut sender, Taken::Early(early));
             } else {
                 self.early.push_back(early);
             }
@@ -244,14 +244,14 @@ impl<O: Outlet> Route<O> {
     }
 
     /// A publisher has gone: what it published before goes first.
-    pub(crate) fn close(&mut self, gid: Gid, sources: &Sources, outlet: &mut O) {
-        self.serve_all(sources, outlet);
+    pub(crate) fn close(&mut self, gid: Gid, sources: &Sources, egress: &mut O) {
+        self.serve_all(sources, egress);
         self.senders.remove(&gid);
     }
 
     /// The last that is done.
-    pub(crate) fn end(mut self, sources: &Sources, outlet: &mut O) {
-        self.serve_all(sources, outlet);
+    pub(crate) fn end(mut self, sources: &Sources, egress: &mut O) {
+        self.serve_all(sources, egress);
         self.look(sources);
         self.early.iter().for_each(|_| O::dropped(&self.topic));
     }

@@ -60,7 +60,7 @@ pub struct QosOverride {
 
 impl QosOverride {
     /// `qos` with what is set here.
-    #[must_use]
+    #[must_use = "it returns the changed QoS"]
     pub fn applied_to(&self, qos: Qos) -> Qos {
         Qos {
             reliability: self.reliability.unwrap_or(qos.reliability),

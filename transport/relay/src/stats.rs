@@ -19,7 +19,7 @@ const CLOCKS_AGREE_NS: i64 = 10_000_000_000;
 
 /// Counters of one topic in one direction.
 #[derive(Debug)]
-pub struct Counters {
+pub struct TopicCounters {
     messages: AtomicU64,
     bytes: AtomicU64,
     lost: AtomicU64,
@@ -35,18 +35,18 @@ struct Slow {
     latency_us: Histogram<u64>,
 }
 
-impl Default for Counters {
+impl Default for TopicCounters {
     fn default() -> Self {
         // The bounds are constants that hdrhistogram accepts; `new` alone would grow without a bound.
         let histogram = Histogram::new_with_bounds(1, (CLOCKS_AGREE_NS / 1000) as u64, 2);
         let latency_us = histogram.unwrap_or_else(|_| unreachable!("1 to 10^7 in 2 digits"));
         let slow = PiMutex::new(Slow { dropped: BTreeMap::new(), latency_us });
         let zero = AtomicU64::default;
-        Counters { messages: zero(), bytes: zero(), lost: zero(), skewed: zero(), slow }
+        TopicCounters { messages: zero(), bytes: zero(), lost: zero(), skewed: zero(), slow }
     }
 }
 
-impl Counters {
+impl TopicCounters {
     /// A message with a body of `bytes` went through, which was published at `source_ns` since 1970.
     pub fn passed(&self, bytes: usize, source_ns: i64) {
         self.messages.fetch_add(1, Ordering::Relaxed);
@@ -180,27 +180,27 @@ impl<N, D> TopicStats<N, D> {
 
 /// The counters of all topics, by what they are called and which way they go.
 #[derive(Debug)]
-pub struct Book<N, D>(BTreeMap<(N, D), Counted>);
+pub struct TopicStatsTable<N, D>(BTreeMap<(N, D), Counted>);
 
 #[derive(Debug, Default)]
 struct Counted {
-    counters: Arc<Counters>,
+    counters: Arc<TopicCounters>,
     /// Messages and bytes when they were read last.
     before: (u64, u64),
 }
 
-impl<N, D> Default for Book<N, D> {
+impl<N, D> Default for TopicStatsTable<N, D> {
     fn default() -> Self {
-        Book(BTreeMap::new())
+        TopicStatsTable(BTreeMap::new())
     }
 }
 
-impl<N: Clone + Ord, D: Copy + Ord> Book<N, D> {
+impl<N: Clone + Ord, D: Copy + Ord> TopicStatsTable<N, D> {
     /// Topics that are counted; of more, those that are not passed on any more are forgotten.
     const MOST: usize = 4096;
 
     /// Those of a topic, from now on or as they were: it is passed on as long as somebody has them.
-    pub fn counters(&mut self, name: N, direction: D) -> Arc<Counters> {
+    pub fn counters(&mut self, name: N, direction: D) -> Arc<TopicCounters> {
         if self.0.len() >= Self::MOST {
             self.0.retain(|_, counted| counted.is_active());
         }
@@ -276,7 +276,7 @@ mod tests {
 
     #[test]
     fn latency_where_clocks_allow() {
-        let counters = Counters::default();
+        let counters = TopicCounters::default();
         let now = wall_ns();
         for source in [now + 3_600_000_000_000, 0, i64::MIN, i64::MAX] {
             counters.passed(10, source);
@@ -291,15 +291,15 @@ mod tests {
 
     #[test]
     fn rates_the_line_and_json() {
-        let mut book = Book::default();
-        let counters = book.counters("/x", "in");
+        let mut stats = TopicStatsTable::default();
+        let counters = stats.counters("/x", "in");
         counters.passed(100, 0);
-        book.read(Duration::ZERO);
+        stats.read(Duration::ZERO);
         counters.passed(100, 0);
         counters.passed(100, 0);
         counters.lost(2);
         counters.dropped("rate limit");
-        let after = book.read(Duration::from_millis(500));
+        let after = stats.read(Duration::from_millis(500));
         let reading = &after[0].reading;
         assert_eq!((reading.messages, reading.messages_per_s, reading.bytes_per_s), (3, 4.0, 400.0));
         let line = passing(&after, [("out", "to ROS"), ("in", "from ROS")]).to_string();
@@ -319,12 +319,12 @@ mod tests {
 
     #[test]
     fn of_too_many_topics_those_that_go_on_are_counted() {
-        let mut book = Book::default();
-        let goes_on = book.counters(7, ());
-        (0..=Book::<usize, ()>::MOST).for_each(|topic| drop(book.counters(topic, ())));
+        let mut stats = TopicStatsTable::default();
+        let goes_on = stats.counters(7, ());
+        (0..=TopicStatsTable::<usize, ()>::MOST).for_each(|topic| drop(stats.counters(topic, ())));
         let left: Vec<_> =
-            book.read(Duration::ZERO).into_iter().map(|topic| (topic.name, topic.active)).collect();
-        assert_eq!(left, [(7, true), (Book::<usize, ()>::MOST, false)]);
+            stats.read(Duration::ZERO).into_iter().map(|topic| (topic.name, topic.active)).collect();
+        assert_eq!(left, [(7, true), (TopicStatsTable::<usize, ()>::MOST, false)]);
         drop(goes_on);
     }
 }

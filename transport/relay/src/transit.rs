@@ -41,7 +41,7 @@ impl Transit {
     }
 
     /// Whether what others tell of in the domain is announced too: it is, unless this says otherwise.
-    #[must_use]
+    #[must_use = "it returns the changed Transit"]
     pub fn going_on(self, goes_on: bool) -> Self {
         Transit { goes_on, ..self }
     }

@@ -7,19 +7,19 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::Waker;
 use tautline_transport::{SamplerSeat, Slot};
 
-/// The relay's bell, for whoever has something for it.
-pub(crate) struct Bell {
+/// Wakes the relay's thread.
+pub(crate) struct RelayWaker {
     slot: Slot,
     /// Whether the relay takes rings just now, and will look at the flags after that: it need not be rung.
     is_draining: AtomicBool,
 }
 
-impl Bell {
+impl RelayWaker {
     pub(crate) fn new(slot: Slot) -> Arc<Self> {
-        Arc::new(Bell { slot, is_draining: AtomicBool::new(false) })
+        Arc::new(RelayWaker { slot, is_draining: AtomicBool::new(false) })
     }
 
-    pub(crate) fn ring(&self) {
+    pub(crate) fn wake(&self) {
         self.slot.ring();
     }
 
@@ -34,13 +34,13 @@ impl Bell {
 /// Set when a topic's subscription was rung, or may take again since a sample was given back.
 pub(crate) struct Flag {
     is_set: AtomicBool,
-    bell: Arc<Bell>,
+    relay: Arc<RelayWaker>,
 }
 
 impl Flag {
     /// One that is set.
-    pub(crate) fn new(bell: Arc<Bell>) -> Arc<Self> {
-        Arc::new(Flag { is_set: AtomicBool::new(true), bell })
+    pub(crate) fn new(relay: Arc<RelayWaker>) -> Arc<Self> {
+        Arc::new(Flag { is_set: AtomicBool::new(true), relay })
     }
 
     /// For the relay's own thread, which looks at it again before it sleeps.
@@ -60,11 +60,11 @@ impl Flag {
 
 impl ArcWake for Flag {
     fn wake_by_ref(flag: &Arc<Self>) {
-        // In one total order with the relay's own two steps, the end of `Bell::drain` and `Flag::take`: either it sees the
+        // In one total order with the relay's own two steps, the end of `RelayWaker::drain` and `Flag::take`: either it sees the
         // flag, or it is rung.
         flag.set();
-        if !flag.bell.is_draining.load(Ordering::SeqCst) {
-            flag.bell.ring();
+        if !flag.relay.is_draining.load(Ordering::SeqCst) {
+            flag.relay.wake();
         }
     }
 }

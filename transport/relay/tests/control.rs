@@ -9,10 +9,10 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use tautline_relay::OfferedService;
 use tautline_relay::{
-    Arrived, Change, Control, EarlyLimits, Event, FarClient, FarServer, FarServices, FarSide, FarWriter,
-    FoundType, Here, InKey, Inlet, Inward, Manner, Outbound, Outlet, Parts, Publisher, Relay, Report,
-    Response, Rules, ServerId, Services, Side, SoughtService, Source, Taken, TakenRequest, There, TopicKey,
-    Transit, Writers,
+    Arrived, Control, Delivery, EarlyLimits, Egress, Event, FarClient, FarGraph, FarServer, FarServices,
+    FarSide, FarWriter, FoundType, InKey, Ingress, IngressUpdate, Inward, LocalGraph, Outbound, Parts,
+    Publisher, Relay, Report, Response, Rules, ServerId, Services, Side, SoughtService, Source, Taken,
+    TakenRequest, TopicKey, Transit, Writers,
 };
 use tautline_rt::ThreadBuilder;
 use tautline_transport::{
@@ -28,13 +28,13 @@ const FAR: u128 = 9;
 #[derive(Default)]
 struct World {
     there: Vec<TopicEndpoint>,
-    inlets: HashMap<InKey, Inlet>,
+    ingresses: HashMap<InKey, Ingress>,
     /// Of how many publishers none passes the samples on yet.
     failing_senders: usize,
     /// Whether nothing more can begin to come in.
     is_full: bool,
     report: Option<Report>,
-    bell: Arc<Bell>,
+    notifier: Arc<Notifier>,
     requests: VecDeque<u32>,
     answers: Vec<Result<Vec<u8>, String>>,
     /// Whether the thread that carries requests has ended: what takes samples is about to.
@@ -53,7 +53,7 @@ struct Log {
     gate: Arc<Mutex<()>>,
 }
 
-impl Outlet for Log {
+impl Egress for Log {
     type Key = TopicKey;
     type Topic = Outbound;
     type Sender = ();
@@ -75,9 +75,9 @@ impl Outlet for Log {
     }
 }
 
-struct StandIn;
+struct ProxyPublisher;
 
-impl FarWriter for StandIn {
+impl FarWriter for ProxyPublisher {
     fn is_matched(&self) -> bool {
         true
     }
@@ -87,10 +87,10 @@ struct Play(Shared);
 
 impl FarSide for Play {
     const SIDE: Side = Side::Network;
-    const MANNER: Manner = Manner { early: None, is_ordered: false };
+    const DELIVERY: Delivery = Delivery { early: None, is_ordered: false };
     type Event = ();
-    type Outlet = Log;
-    type Writer = StandIn;
+    type Egress = Log;
+    type Writer = ProxyPublisher;
     type Services = PlayServices;
     const PATIENCE: Option<Duration> = Some(Duration::from_secs(30));
 
@@ -98,25 +98,25 @@ impl FarSide for Play {
         false
     }
 
-    fn look(&mut self, _: &Here) -> Result<There, String> {
+    fn look(&mut self, _: &LocalGraph) -> Result<FarGraph, String> {
         let endpoints = of(&self.0).there.clone();
         let mut publishers = HashMap::<String, BTreeSet<Gid>>::new();
         for end in endpoints.iter().filter(|end| end.kind == EndpointKind::Publisher) {
             publishers.entry(end.topic.clone()).or_default().insert(end.gid);
         }
         let endpoints = endpoints.into_iter().map(|end| (end, FAR)).collect();
-        Ok(There { endpoints, publishers, ..There::default() })
+        Ok(FarGraph { endpoints, publishers, ..FarGraph::default() })
     }
 
-    fn prepare(&mut self, _: &mut Here, _: &Transit) {}
+    fn prepare(&mut self, _: &mut LocalGraph, _: &Transit) {}
 
-    fn show(&mut self, _: &Here, _: &Transit) {}
+    fn show(&mut self, _: &LocalGraph, _: &Transit) {}
 
     fn shown(&self) {}
 
-    fn tell(&mut self, _: &Here, _: &Transit, _: &Writers<StandIn>) {}
+    fn tell(&mut self, _: &LocalGraph, _: &Transit, _: &Writers<ProxyPublisher>) {}
 
-    fn tick(&mut self, _: &mut Writers<StandIn>) -> bool {
+    fn tick(&mut self, _: &mut Writers<ProxyPublisher>) -> bool {
         true
     }
 
@@ -124,11 +124,11 @@ impl FarSide for Play {
         Ok(FoundType { topic_type: topic_type(), schema: None })
     }
 
-    fn open_writer(&mut self, _: &TopicKey, _: &Publisher) -> Result<StandIn, String> {
-        Ok(StandIn)
+    fn open_writer(&mut self, _: &TopicKey, _: &Publisher) -> Result<ProxyPublisher, String> {
+        Ok(ProxyPublisher)
     }
 
-    fn sender(&mut self, _: &TopicKey, _: &StandIn) -> Result<(), String> {
+    fn sender(&mut self, _: &TopicKey, _: &ProxyPublisher) -> Result<(), String> {
         let failing = &mut of(&self.0).failing_senders;
         let left = failing.checked_sub(1);
         *failing = left.unwrap_or(0);
@@ -144,38 +144,38 @@ impl FarSide for Play {
         participant.create_relay_publisher(topic, topic_type, offered, Limits::default())
     }
 
-    fn start_in(&mut self, key: &InKey, _: &Inward, mut inlet: Inlet) -> Result<(), String> {
+    fn start_in(&mut self, key: &InKey, _: &Inward, mut ingress: Ingress) -> Result<(), String> {
         let mut world = of(&self.0);
         if world.is_full {
             return Err("no room".to_owned());
         }
-        if let Some(old) = world.inlets.remove(key) {
-            inlet.take_over(old, key.is_kept());
+        if let Some(old) = world.ingresses.remove(key) {
+            ingress.take_over(old, key.is_kept());
         }
-        world.inlets.insert(key.clone(), inlet);
+        world.ingresses.insert(key.clone(), ingress);
         Ok(())
     }
 
-    fn change_in(&mut self, key: &InKey, change: Change) {
-        if let Some(inlet) = of(&self.0).inlets.get_mut(key) {
-            inlet.change(change);
+    fn change_in(&mut self, key: &InKey, change: IngressUpdate) {
+        if let Some(ingress) = of(&self.0).ingresses.get_mut(key) {
+            ingress.change(change);
         }
     }
 
     fn stop_in(&mut self, key: &InKey) {
-        of(&self.0).inlets.remove(key);
+        of(&self.0).ingresses.remove(key);
     }
 
-    fn report(&mut self, report: Report, _: &Writers<StandIn>) {
+    fn report(&mut self, report: Report, _: &Writers<ProxyPublisher>) {
         of(&self.0).report = Some(report);
     }
 }
 
 /// Ends the wait of the thread that carries requests.
 #[derive(Default)]
-struct Bell(Mutex<bool>, Condvar);
+struct Notifier(Mutex<bool>, Condvar);
 
-impl std::task::Wake for Bell {
+impl std::task::Wake for Notifier {
     fn wake(self: Arc<Self>) {
         *self.0.lock().unwrap() = true;
         self.1.notify_all();
@@ -211,7 +211,7 @@ impl FarServices for PlayServices {
     }
 
     fn waker(&self) -> Waker {
-        of(&self.0).bell.clone().into()
+        of(&self.0).notifier.clone().into()
     }
 
     fn wait(
@@ -220,12 +220,12 @@ impl FarServices for PlayServices {
         _: &[&Client],
         timeout: Option<Duration>,
     ) -> Result<Arrived, String> {
-        let bell = of(&self.0).bell.clone();
+        let notifier = of(&self.0).notifier.clone();
         let has_requests = !of(&self.0).requests.is_empty();
-        let rung = bell.0.lock().unwrap();
+        let rung = notifier.0.lock().unwrap();
         let timeout =
             if has_requests { Duration::ZERO } else { timeout.unwrap_or(Duration::from_secs(3600)) };
-        let (mut rung, _) = bell.1.wait_timeout_while(rung, timeout, |rung| !*rung).unwrap();
+        let (mut rung, _) = notifier.1.wait_timeout_while(rung, timeout, |rung| !*rung).unwrap();
         *rung = false;
         Ok(Arrived { requests: vec![true; servers.len()], responses: Vec::new() })
     }
@@ -337,8 +337,8 @@ impl Mirroring {
         let mut world = World { there, ..World::default() };
         change(&mut world);
         let world = Arc::new(Mutex::new(world));
-        let outlet = Log { passed: log, gate: gate.clone() };
-        let relay = Relay::start(&participant, ThreadBuilder::new("relay"), outlet).unwrap();
+        let egress = Log { passed: log, gate: gate.clone() };
+        let relay = Relay::start(&participant, ThreadBuilder::new("relay"), egress).unwrap();
         let thread = ThreadBuilder::new("services");
         let services = Services::start(&participant, PlayServices(world.clone()), thread).unwrap();
         let transit = Transit::to_network(participant.domain_id(), participant.id(), 1, "host");
@@ -361,7 +361,7 @@ impl Mirroring {
     /// There are these ends there now.
     fn there(&self, there: Vec<TopicEndpoint>) {
         self.world().there = there;
-        self.events.send(Event::Here).unwrap();
+        self.events.send(Event::LocalChange).unwrap();
     }
 
     fn passed(&self) -> Vec<u8> {
@@ -376,7 +376,7 @@ impl Mirroring {
             are_numbers_whole: true,
             timestamp_ns: 1,
         };
-        self.world().inlets.values_mut().next().unwrap().receive(body, source);
+        self.world().ingresses.values_mut().next().unwrap().receive(body, source);
     }
 
     fn end(self) {
@@ -459,7 +459,7 @@ fn what_cannot_begin_anew_goes_on_with_new_publishers() {
     let publisher = |id| end(EndpointKind::Publisher, "/x", id, kept(5));
     let heard = subscribe(5);
     let mirroring = Mirroring::start(DOMAIN_HERE, vec![publisher(7)], |_| {});
-    until("a topic that comes in", || !mirroring.world().inlets.is_empty());
+    until("a topic that comes in", || !mirroring.world().ingresses.is_empty());
     mirroring.comes_in(7, 1, &[1]);
     until("the first", || heard.try_take().unwrap().is_some_and(|sample| sample.body() == [1]));
     mirroring.world().is_full = true;
@@ -489,7 +489,7 @@ fn a_flood_of_events_keeps_nobody_from_ending() {
         .map(|_| {
             let (events, is_over) = (mirroring.events.clone(), is_over.clone());
             std::thread::spawn(move || {
-                while !is_over.load(Ordering::Relaxed) && events.send(Event::There(())).is_ok() {}
+                while !is_over.load(Ordering::Relaxed) && events.send(Event::FarChange(())).is_ok() {}
             })
         })
         .collect();

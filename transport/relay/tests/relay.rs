@@ -3,14 +3,14 @@
 
 use std::sync::mpsc;
 use std::time::Duration;
-use tautline_relay::{EarlyLimits, Outlet, Relay, Taken};
+use tautline_relay::{EarlyLimits, Egress, Relay, Taken};
 use tautline_rt::ThreadBuilder;
 use tautline_transport::{Limits, Participant, Qos, RawPublisher, TopicType};
 
 /// Tells what it is given.
 struct Log;
 
-impl Outlet for Log {
+impl Egress for Log {
     type Key = &'static str;
     type Topic = mpsc::Sender<String>;
     type Sender = &'static str;

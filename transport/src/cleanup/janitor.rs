@@ -25,7 +25,7 @@ const AGAIN: [Duration; 5] = [
     Duration::from_secs(10),
 ];
 
-struct Shared {
+struct JanitorState {
     domain: Arc<Domain>,
     place: usize,
     doorbell: Arc<Doorbell>,
@@ -40,7 +40,7 @@ type Attendant = Box<dyn Fn() + Send + Sync>;
 
 /// Handle of the janitor thread; dropping it ends the thread and waits for it.
 pub(crate) struct Janitor {
-    shared: Arc<Shared>,
+    state: Arc<JanitorState>,
     thread: Option<tautline_rt::JoinHandle<()>>,
 }
 
@@ -52,7 +52,7 @@ impl Janitor {
         matcher: &Arc<Matcher>,
         memory: &Arc<OwnMemory>,
     ) -> Result<Self, TransportError> {
-        let shared = Arc::new(Shared {
+        let state = Arc::new(JanitorState {
             domain: domain.clone(),
             place,
             doorbell: doorbell.clone(),
@@ -62,54 +62,54 @@ impl Janitor {
             stop: AtomicBool::new(false),
         });
         let thread = {
-            let shared = shared.clone();
+            let state = state.clone();
             let builder = super::low_priority_thread("janitor").map_err(TransportError::Thread)?;
-            builder.spawn(move || move || run(&shared)).map_err(TransportError::Thread)?
+            builder.spawn(move || move || run(&state)).map_err(TransportError::Thread)?
         };
-        Ok(Janitor { shared, thread: Some(thread) })
+        Ok(Janitor { state, thread: Some(thread) })
     }
 
     /// Has it do this, too, each time that it looks: the first one that is given.
     pub(crate) fn attend(&self, attendant: Attendant) {
-        let _ = self.shared.attendant.set(attendant);
+        let _ = self.state.attendant.set(attendant);
     }
 }
 
 impl Drop for Janitor {
     fn drop(&mut self) {
-        self.shared.stop.store(true, Ordering::Release);
-        self.shared.domain.call(self.shared.place);
+        self.state.stop.store(true, Ordering::Release);
+        self.state.domain.call(self.state.place);
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
     }
 }
 
-fn run(shared: &Shared) {
-    let calls = shared.domain.calls(shared.place);
+fn run(state: &JanitorState) {
+    let calls = state.domain.calls(state.place);
     let (mut again, mut is_said, mut has_stand_in) = (0, false, false);
     loop {
         // Acquire: pairs with the Release of `Domain::call`; a call after this load ends the wait below at once.
         let seen = calls.0.load(Ordering::Acquire);
-        if shared.stop.load(Ordering::Acquire) {
+        if state.stop.load(Ordering::Acquire) {
             return;
         }
-        let looked = shared.matcher.look();
+        let looked = state.matcher.look();
         if looked.has_gone {
             // Whoever was killed may have been about to ring.
-            shared.doorbell.arena().rescue();
+            state.doorbell.arena().rescue();
         }
         let is_traced = tautline_trace::attend();
-        if let Some(attend) = shared.attendant.get() {
+        if let Some(attend) = state.attendant.get() {
             attend();
         }
         // Not by the end of this process.
-        let is_removed = !has_stand_in && shared.memory.is_removed() && !shared.domain.has_left();
+        let is_removed = !has_stand_in && state.memory.is_removed() && !state.domain.has_left();
         if is_removed {
             // So that the others notice when it dies.
-            has_stand_in = shared.memory.make_stand_in().is_ok();
+            has_stand_in = state.memory.make_stand_in().is_ok();
             if !std::mem::replace(&mut is_said, true) {
-                say_that_it_was_removed(shared.memory.path());
+                say_that_it_was_removed(state.memory.path());
             }
         }
         let is_pending = looked.is_pending || is_removed && !has_stand_in;

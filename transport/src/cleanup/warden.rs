@@ -50,13 +50,13 @@ impl Warden {
     /// If there is no warden this participant becomes it, and has buried all dead ones when this returns.
     pub(crate) fn start(domain: &Arc<Domain>) -> Result<Self, TransportError> {
         let candidate = Candidate::new(domain)?;
-        let office = match candidate.take_office()? {
-            Taken::Own(office) => Some(office),
-            Taken::Others | Taken::Removed => None,
+        let warden = match candidate.elect()? {
+            Election::Won(warden) => Some(warden),
+            Election::Lost | Election::Removed => None,
         };
         let stop = candidate.stop.clone();
         let builder = super::low_priority_thread("warden").map_err(TransportError::Thread)?;
-        let thread = builder.spawn(move || move || candidate.run(office)).map_err(TransportError::Thread)?;
+        let thread = builder.spawn(move || move || candidate.run(warden)).map_err(TransportError::Thread)?;
         Ok(Warden { stop, thread: Some(thread) })
     }
 }
@@ -70,11 +70,12 @@ impl Drop for Warden {
     }
 }
 
-/// Who has the office that a participant wants.
-enum Taken {
-    Own(Office),
-    Others,
-    /// Somebody removed the domain's files while they were used: those who came then have an office, and a warden, of their own.
+/// What came of the attempt to become the warden.
+enum Election {
+    Won(ActiveWarden),
+    /// Another participant is the warden.
+    Lost,
+    /// Somebody removed the domain's files while they were used: those who came then have a domain, and a warden, of their own.
     Removed,
 }
 
@@ -110,22 +111,22 @@ impl Candidate {
     }
 
     /// Makes this participant the warden, if there is none.
-    fn take_office(&self) -> Result<Taken, TransportError> {
+    fn elect(&self) -> Result<Election, TransportError> {
         let refuse = |errno| file_error(refused(&self.path, errno));
         let pipe = match rustix::fs::open(&self.path, flags(OFlags::RDWR), Mode::empty()) {
-            Err(Errno::NOENT) => return Ok(Taken::Removed),
+            Err(Errno::NOENT) => return Ok(Election::Removed),
             pipe => pipe.map_err(refuse)?,
         };
         let file = |pipe| rustix::fs::fstat(pipe).map(|stat| (stat.st_dev, stat.st_ino));
         if file(&pipe).map_err(refuse)? != file(&self.pipe).map_err(refuse)? {
-            return Ok(Taken::Removed);
+            return Ok(Election::Removed);
         }
         match rustix::fs::flock(&pipe, FlockOperation::NonBlockingLockExclusive) {
             Ok(()) => {}
-            Err(Errno::WOULDBLOCK) => return Ok(Taken::Others),
+            Err(Errno::WOULDBLOCK) => return Ok(Election::Lost),
             Err(errno) => return Err(refuse(errno)),
         }
-        let mut office = Office {
+        let mut warden = ActiveWarden {
             // After this process's file, which is to be unlocked when who comes next looks; before what takes time to close.
             _pipe: shm::closed_early(pipe, 128),
             watch: watch(self.path.parent()),
@@ -135,31 +136,31 @@ impl Candidate {
             look_all_ns: 0,
         };
         // After it began to listen: what happens meanwhile is heard.
-        office.bury_all(&self.domain);
-        Ok(Taken::Own(office))
+        warden.bury_all(&self.domain);
+        Ok(Election::Won(warden))
     }
 
     /// Until it is stopped.
-    fn run(self, office: Option<Office>) {
-        let (mut office, mut is_said) = (office, false);
+    fn run(self, warden: Option<ActiveWarden>) {
+        let (mut warden, mut is_said) = (warden, false);
         loop {
-            match &mut office {
-                Some(office) => {
-                    if self.is_stopped(office.watch.as_ref(), office.pause()) {
+            match &mut warden {
+                Some(warden) => {
+                    if self.is_stopped(warden.watch.as_ref(), warden.pause()) {
                         // Nobody may come after this one.
-                        return office.bury_all(&self.domain);
+                        return warden.bury_all(&self.domain);
                     }
-                    office.listen(&self.domain);
-                    office.look(&self.domain);
+                    warden.listen(&self.domain);
+                    warden.look(&self.domain);
                 }
                 None => {
-                    let (pipe, retry) = match self.take_office() {
-                        Ok(Taken::Own(own)) => {
-                            office = Some(own);
+                    let (pipe, retry) = match self.elect() {
+                        Ok(Election::Won(own)) => {
+                            warden = Some(own);
                             continue;
                         }
-                        Ok(Taken::Others) => (Some(&self.pipe), None),
-                        Ok(Taken::Removed) => (None, None),
+                        Ok(Election::Lost) => (Some(&self.pipe), None),
+                        Ok(Election::Removed) => (None, None),
                         Err(error) => {
                             if !std::mem::replace(&mut is_said, true) {
                                 tracing::warn!(
@@ -220,8 +221,8 @@ fn watch(folder: Option<&Path>) -> Option<OwnedFd> {
         .ok()
 }
 
-/// What the warden has.
-struct Office {
+/// The state of the participant that is the warden.
+struct ActiveWarden {
     _pipe: OwnedFd,
     watch: Option<OwnedFd>,
     /// Files to look at, and when; how often they were looked at.
@@ -234,7 +235,7 @@ struct Office {
     look_all_ns: u64,
 }
 
-impl Office {
+impl ActiveWarden {
     fn suspect(&mut self, name: &str) {
         if has_owner(name) && !self.kept.contains(name) {
             self.suspects.insert(name.to_owned(), (0, 0));

@@ -24,68 +24,68 @@ pub struct GraphEvents {
 
 struct Listener {
     waker: AtomicWaker,
-    watched: Arc<Watched>,
+    all: Arc<Listeners>,
 }
 
 #[derive(Default)]
-struct Watched {
-    listeners: Mutex<Vec<Weak<Listener>>>,
+struct Listeners {
+    list: Mutex<Vec<Weak<Listener>>>,
     stop: AtomicBool,
 }
 
 /// The listeners of a participant, and their thread once there is one.
-pub(crate) struct Watchers {
+pub(crate) struct GraphWatcher {
     domain: Arc<Domain>,
-    watched: Arc<Watched>,
+    listeners: Arc<Listeners>,
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
-impl Watchers {
+impl GraphWatcher {
     pub(crate) fn new(domain: Arc<Domain>) -> Self {
-        Watchers { domain, watched: Arc::default(), thread: Mutex::default() }
+        GraphWatcher { domain, listeners: Arc::default(), thread: Mutex::default() }
     }
 
     pub(super) fn subscribe(&self) -> Result<GraphEvents, TransportError> {
         let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
         if thread.is_none() {
-            let (domain, watched) = (self.domain.clone(), self.watched.clone());
+            let (domain, listeners) = (self.domain.clone(), self.listeners.clone());
             let builder = low_priority_thread("graph").map_err(TransportError::Thread)?;
-            let run = move || move || watch(&domain, &watched);
+            let run = move || move || watch(&domain, &listeners);
             *thread = Some(builder.spawn(run).map_err(TransportError::Thread)?);
         }
-        let listener = Arc::new(Listener { waker: AtomicWaker::new(), watched: self.watched.clone() });
-        let mut listeners = self.watched.listeners.lock().unwrap_or_else(PoisonError::into_inner);
-        listeners.retain(|listener| listener.strong_count() > 0);
-        listeners.push(Arc::downgrade(&listener));
+        let listener = Arc::new(Listener { waker: AtomicWaker::new(), all: self.listeners.clone() });
+        let mut list = self.listeners.list.lock().unwrap_or_else(PoisonError::into_inner);
+        list.retain(|listener| listener.strong_count() > 0);
+        list.push(Arc::downgrade(&listener));
         Ok(GraphEvents { domain: self.domain.clone(), listener, seen: self.domain.epoch() })
     }
 }
 
-impl Drop for Watchers {
+impl Drop for GraphWatcher {
     fn drop(&mut self) {
         // Release: pairs with the Acquire of the thread and of the listeners.
-        self.watched.stop.store(true, Ordering::Release);
+        self.listeners.stop.store(true, Ordering::Release);
         if let Some(thread) = self.thread.get_mut().unwrap_or_else(PoisonError::into_inner).take() {
             // A change that is none: the thread cannot be between its look at `stop` and its sleep for ever.
             self.domain.advance();
             let _ = thread.join();
         }
-        self.watched.wake_all();
+        self.listeners.wake_all();
     }
 }
 
-fn watch(domain: &Domain, watched: &Watched) {
+fn watch(domain: &Domain, listeners: &Listeners) {
     let mut seen = domain.epoch().wrapping_sub(1);
-    while !watched.stop.load(Ordering::Acquire) {
+    while !listeners.stop.load(Ordering::Acquire) {
         seen = domain.wait(seen, None);
-        watched.wake_all();
+        listeners.wake_all();
     }
 }
 
-impl Watched {
+impl Listeners {
     fn wake_all(&self) {
-        let mut listeners = self.listeners.lock().unwrap_or_else(PoisonError::into_inner);
-        listeners.retain(|listener| {
+        let mut list = self.list.lock().unwrap_or_else(PoisonError::into_inner);
+        list.retain(|listener| {
             listener.upgrade().is_some_and(|listener| {
                 listener.waker.wake();
                 true
@@ -105,7 +105,7 @@ impl Stream for GraphEvents {
             self.seen = epoch;
             return Poll::Ready(Some(()));
         }
-        match self.listener.watched.stop.load(Ordering::Acquire) {
+        match self.listener.all.stop.load(Ordering::Acquire) {
             true => Poll::Ready(None),
             false => Poll::Pending,
         }

@@ -262,7 +262,7 @@ pub(crate) struct Reader {
 
 /// What a reader has not read before.
 #[derive(Debug, Default)]
-pub(crate) struct News {
+pub(crate) struct LogUpdate {
     /// The record was written anew: what was known of it before counts no more.
     pub(crate) anew: bool,
     /// Each with its position in the record, by which [`Reader::entry`] finds it as long as it is not written anew.
@@ -276,8 +276,8 @@ impl Reader {
     ///
     /// # Errors
     /// Those of [`Peer::map`], or its owner writes it anew without a pause: nothing has been read then.
-    pub(crate) fn read(&mut self, peer: &Peer) -> Result<News, TransportError> {
-        let mut news = News::default();
+    pub(crate) fn read(&mut self, peer: &Peer) -> Result<LogUpdate, TransportError> {
+        let mut update = LogUpdate::default();
         // It is written anew when it has doubled: seldom, and not for ever.
         for attempt in 0..1000 {
             if attempt > 8 {
@@ -288,12 +288,12 @@ impl Reader {
             let turn = |part: &Arc<Mapping>| split(part).1.load(Ordering::Relaxed);
             if place != self.place || self.part.as_ref().map(turn) != Some(self.turn) {
                 let Some(range) = Place::from_word(place).filter(|range| range.len <= MAX_BYTES) else {
-                    news.is_damaged = place != 0;
-                    return Ok(news);
+                    update.is_damaged = place != 0;
+                    return Ok(update);
                 };
-                let Some(part) = peer.map(range, false)? else { return Ok(news) };
+                let Some(part) = peer.map(range, false)? else { return Ok(update) };
                 *self = Reader { place, turn: turn(&part), part: Some(part), position: 0 };
-                news = News { anew: true, ..News::default() };
+                update = LogUpdate { anew: true, ..LogUpdate::default() };
             }
             let position = self.position;
             let bytes = self.bytes(None);
@@ -305,20 +305,20 @@ impl Reader {
                 continue;
             }
             let Some(bytes) = bytes else {
-                news.is_damaged = true;
-                return Ok(news);
+                update.is_damaged = true;
+                return Ok(update);
             };
             let mut at = 0;
             while at < bytes.len() {
                 let Some((entry, len)) = Entry::decode(&bytes[at..]) else {
-                    news.is_damaged = true;
-                    return Ok(news);
+                    update.is_damaged = true;
+                    return Ok(update);
                 };
-                news.entries.extend(entry.map(|entry| (entry, position + at)));
+                update.entries.extend(entry.map(|entry| (entry, position + at)));
                 at += len;
             }
             self.position = position + at;
-            return Ok(news);
+            return Ok(update);
         }
         // Its owner was faster each time. The next look begins anew.
         *self = Reader::default();
@@ -391,7 +391,7 @@ mod tests {
         }
     }
 
-    fn read(reader: &mut Reader, peer: &Peer) -> News {
+    fn read(reader: &mut Reader, peer: &Peer) -> LogUpdate {
         reader.read(peer).unwrap()
     }
 
@@ -412,17 +412,17 @@ mod tests {
         let entries = ["/a", "/bc", "/camera/left/image"].map(|body| entry(&mut both.log, body));
         both.log.add(&entries[0]).unwrap();
         both.log.add(&entries[1]).unwrap();
-        let news = read(&mut reader, &both.peer);
-        assert!(news.anew && !news.is_damaged);
-        assert_eq!(news.entries.iter().map(|(entry, _)| text(entry)).collect::<Vec<_>>(), ["/a", "/bc"]);
+        let update = read(&mut reader, &both.peer);
+        assert!(update.anew && !update.is_damaged);
+        assert_eq!(update.entries.iter().map(|(entry, _)| text(entry)).collect::<Vec<_>>(), ["/a", "/bc"]);
         assert!(read(&mut reader, &both.peer).entries.is_empty());
         both.log.add(&entries[2]).unwrap();
         both.log.remove(1).unwrap();
-        let news = read(&mut reader, &both.peer);
-        assert!(!news.anew);
-        let found: Vec<_> = news.entries.iter().map(|(entry, _)| (entry.kind, entry.number)).collect();
+        let update = read(&mut reader, &both.peer);
+        assert!(!update.anew);
+        let found: Vec<_> = update.entries.iter().map(|(entry, _)| (entry.kind, entry.number)).collect();
         assert_eq!(found, [(Kind::Port, 3), (Kind::Gone, 1)]);
-        assert_eq!(text(&reader.entry(both.peer.head(), news.entries[0].1).unwrap()), "/camera/left/image");
+        assert_eq!(text(&reader.entry(both.peer.head(), update.entries[0].1).unwrap()), "/camera/left/image");
     }
 
     #[test]
@@ -438,12 +438,12 @@ mod tests {
                 both.log.remove(new.number - 50).unwrap();
             }
             if n % 7 == 0 {
-                let news = read(&mut reader, &both.peer);
-                assert!(!news.is_damaged);
-                if news.anew {
+                let update = read(&mut reader, &both.peer);
+                assert!(!update.is_damaged);
+                if update.anew {
                     (anew, known, positions) = (anew + 1, BTreeMap::new(), BTreeMap::new());
                 }
-                for (entry, position) in &news.entries {
+                for (entry, position) in &update.entries {
                     match entry.kind {
                         Kind::Gone => drop(known.remove(&entry.number)),
                         _ => drop(known.insert(entry.number, text(entry).to_owned())),
@@ -476,10 +476,10 @@ mod tests {
                 let (mut reader, mut count, mut anew) = (Reader::default(), 0, 0);
                 loop {
                     let is_last = ended.load(Ordering::Acquire);
-                    let news = read(&mut reader, peer);
-                    assert!(!news.is_damaged);
-                    anew += u32::from(news.anew);
-                    for (entry, _) in news.entries.iter().filter(|(entry, _)| entry.kind == Kind::Port) {
+                    let update = read(&mut reader, peer);
+                    assert!(!update.is_damaged);
+                    anew += u32::from(update.anew);
+                    for (entry, _) in update.entries.iter().filter(|(entry, _)| entry.kind == Kind::Port) {
                         assert_eq!(
                             text(entry),
                             entry.number.to_string().repeat(1 + entry.number as usize % 40)
@@ -523,8 +523,8 @@ mod tests {
         let truth = record.load(Ordering::Relaxed);
         for lie in [u64::MAX, 1, truth + 1, truth | 1 << 60] {
             record.store(lie, Ordering::Relaxed);
-            let news = read(&mut Reader::default(), &both.peer);
-            assert!(news.entries.is_empty(), "{lie}");
+            let update = read(&mut Reader::default(), &both.peer);
+            assert!(update.entries.is_empty(), "{lie}");
         }
         record.store(truth, Ordering::Relaxed);
         for lie in [u64::MAX, 4, 1 << 40] {
@@ -540,7 +540,7 @@ mod tests {
         // A kind of a later version.
         split(&part).2[0]
             .store(split(&part).2[0].load(Ordering::Relaxed) & 0xffff_ffff | 99 << 32, Ordering::Relaxed);
-        let news = read(&mut Reader::default(), &both.peer);
-        assert!(!news.is_damaged && news.entries.len() == 1, "it is passed over");
+        let update = read(&mut Reader::default(), &both.peer);
+        assert!(!update.is_damaged && update.entries.len() == 1, "it is passed over");
     }
 }

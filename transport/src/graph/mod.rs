@@ -19,7 +19,7 @@ mod remote;
 mod visitor;
 
 pub use events::GraphEvents;
-pub(crate) use events::Watchers;
+pub(crate) use events::GraphWatcher;
 pub(crate) use model::Model;
 pub use origin::{Origin, Rank};
 pub(crate) use own::{Entry, OwnRecord};
@@ -239,13 +239,13 @@ impl Participant {
     /// [`TransportError`]: names that break ROS 2's rules, no shared memory.
     pub fn create_node(&self, name: &str, namespace: &str) -> Result<NodeHandle, TransportError> {
         let node = NodeName { namespace: namespace.into(), name: name.into() };
-        Ok(NodeHandle { entry: self.shared.record.add_node(node)? })
+        Ok(NodeHandle { entry: self.state.record.add_node(node)? })
     }
 
     /// The same membership; publishers and subscriptions that are created through this one are the node's.
-    #[must_use]
+    #[must_use = "only what is created through the returned participant is the node's"]
     pub fn for_node(&self, node: &NodeHandle) -> Participant {
-        Participant { shared: self.shared.clone(), node: Some(node.entry.clone()) }
+        Participant { state: self.state.clone(), node: Some(node.entry.clone()) }
     }
 
     /// Everything that exists in the domain. The same as before, without a look at anything else, if nothing has changed.
@@ -257,7 +257,7 @@ impl Participant {
     /// [`TransportError`]: the system refuses to map another participant's record, at the limit of open files for one. A record that
     /// is damaged or of another version is passed over, and said once in the log.
     pub fn graph(&self) -> Result<Arc<GraphSnapshot>, TransportError> {
-        self.shared.model().look(&self.shared.domain)
+        self.state.model().look(&self.state.domain)
     }
 
     /// How many nodes of the domain have this name. For who wants nothing else of the [`graph`](Self::graph), which takes time and
@@ -266,7 +266,7 @@ impl Participant {
     /// # Real-time
     /// As [`graph`](Self::graph).
     pub fn node_count(&self, name: &NodeName) -> usize {
-        self.shared.matcher.nodes(log::hash_of(&name.full_name()))
+        self.state.matcher.nodes(log::hash_of(&name.full_name()))
     }
 
     /// The topics of the domain, sorted by name, without those that make services.
@@ -329,7 +329,7 @@ impl Participant {
     /// # Real-time
     /// Wait-free; no syscall.
     pub fn graph_epoch(&self) -> u32 {
-        self.shared.domain.epoch()
+        self.state.domain.epoch()
     }
 
     /// Sleeps until [`graph_epoch`](Self::graph_epoch) is not `since`, at most for `timeout`. Returns the epoch.
@@ -337,7 +337,7 @@ impl Participant {
     /// # Real-time
     /// Waits.
     pub fn wait_for_graph_change(&self, since: u32, timeout: Duration) -> u32 {
-        self.shared.domain.wait(since, Some(timeout))
+        self.state.domain.wait(since, Some(timeout))
     }
 
     /// Tells this domain from those of other hosts, users and scopes, and from itself at another time: a random number, made with
@@ -346,7 +346,7 @@ impl Participant {
     /// # Real-time
     /// Wait-free; no syscall.
     pub fn domain_id(&self) -> u64 {
-        self.shared.domain.id()
+        self.state.domain.id()
     }
 
     /// This participant's own number, by which it is the [`teller`](TopicEndpoint::teller) of what it tells.
@@ -354,7 +354,7 @@ impl Participant {
     /// # Real-time
     /// Wait-free; no syscall.
     pub fn id(&self) -> u64 {
-        self.shared.memory.id()
+        self.state.memory.id()
     }
 
     /// Says what other hosts have, in place of what it said before, and that this participant's own ports stand for
@@ -366,7 +366,7 @@ impl Participant {
     /// # Errors
     /// [`TransportError::File`] if there is no shared memory for it; some of it may have been said then.
     pub fn set_remote(&self, remote: &RemoteGraph) -> Result<(), TransportError> {
-        self.shared.matcher.set_remote(remote)
+        self.state.matcher.set_remote(remote)
     }
 
     /// Wakes a task when something of the domain appears or goes. What happens between two polls is one event.
@@ -377,7 +377,7 @@ impl Participant {
     /// # Errors
     /// [`TransportError::Thread`] if the thread cannot be started.
     pub fn graph_events(&self) -> Result<GraphEvents, TransportError> {
-        self.shared.watchers.subscribe()
+        self.state.graph_watcher.subscribe()
     }
 }
 

@@ -288,15 +288,15 @@ impl Model {
     fn hear_last(&mut self, id: u64, member: &mut Member) {
         let Some(peer) = member.peer.as_ref().filter(|_| self.is_teller) else { return };
         // What is damaged says of nobody that it has ended.
-        let Some(news) = member.reader.read(peer).ok().filter(|news| !news.is_damaged) else { return };
+        let Some(update) = member.reader.read(peer).ok().filter(|update| !update.is_damaged) else { return };
         let of_kind = |is_it: fn(Kind) -> bool| {
-            let entries = news.entries.iter().filter(move |(entry, _)| is_it(entry.kind));
+            let entries = update.entries.iter().filter(move |(entry, _)| is_it(entry.kind));
             entries.map(|(entry, _)| entry.number).collect::<BTreeSet<u64>>()
         };
         let ended = of_kind(|kind| matches!(kind, Kind::Gone | Kind::Ended));
         let still = of_kind(|kind| kind == Kind::Port);
         for (number, port) in &member.ports {
-            if ended.contains(number) || news.anew && !still.contains(number) {
+            if ended.contains(number) || update.anew && !still.contains(number) {
                 self.note_gone(id, member.is_relay, *number, port);
             }
         }
@@ -365,15 +365,15 @@ impl Model {
 
     fn read(&mut self, id: u64, member: &mut Member) -> Result<(), TransportError> {
         let Some(peer) = &member.peer else { return Ok(()) };
-        let news = member.reader.read(peer)?;
+        let update = member.reader.read(peer)?;
         let mut former = BTreeMap::new();
-        if news.anew {
+        if update.anew {
             self.unlist(id, member);
             former = std::mem::take(&mut member.ports);
             *member =
                 Member { reader: std::mem::take(&mut member.reader), ..Member::new(member.peer.take()) };
         }
-        for (entry, _) in &news.entries {
+        for (entry, _) in &update.entries {
             match entry.kind {
                 Kind::Gone | Kind::Ended => {
                     if let Some(port) = member.ports.get(&entry.number) {
@@ -400,11 +400,11 @@ impl Model {
         }
         // What was there before the record was written anew, and is no longer.
         for (number, port) in former {
-            if !news.is_damaged && !member.ports.contains_key(&number) {
+            if !update.is_damaged && !member.ports.contains_key(&number) {
                 self.note_gone(id, member.is_relay, number, &port);
             }
         }
-        if news.is_damaged
+        if update.is_damaged
             && let Some(peer) = member.peer.take()
         {
             complain(&TransportError::Damaged { path: peer.path().to_owned() });

@@ -66,7 +66,7 @@ impl Origin {
     }
 
     /// As `domain` tells others of it.
-    #[must_use]
+    #[must_use = "it returns the changed origin"]
     pub fn told_by(mut self, domain: u64) -> Self {
         self.path.push(domain);
         self

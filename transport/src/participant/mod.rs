@@ -7,7 +7,7 @@ pub(crate) mod ranges;
 use crate::cleanup::{Janitor, Warden};
 use crate::error::TransportError;
 use crate::graph::domain::Domain;
-use crate::graph::{Entry, Model, OwnRecord, Watchers};
+use crate::graph::{Entry, GraphWatcher, Model, OwnRecord};
 use crate::qos::{Limits, Qos};
 use crate::topic::matching::Matcher;
 use crate::topic::publisher::{PublisherRole, RawPublisher};
@@ -28,16 +28,16 @@ pub const MAX_DOMAIN: u32 = 232;
 /// same user, in the same scope (`TAUT_SCOPE`). A clone is the same membership.
 #[derive(Clone)]
 pub struct Participant {
-    pub(crate) shared: Arc<Shared>,
+    pub(crate) state: Arc<ParticipantState>,
     /// Whose the publishers and subscriptions are that this one creates.
     pub(crate) node: Option<Arc<Entry>>,
 }
 
-pub(crate) struct Shared {
+pub(crate) struct ParticipantState {
     // Dropped in this order: the threads first, the membership last.
     janitor: Janitor,
     _warden: Warden,
-    pub(crate) watchers: Watchers,
+    pub(crate) graph_watcher: GraphWatcher,
     pub(crate) matcher: Arc<Matcher>,
     pub(crate) record: Arc<OwnRecord>,
     pub(crate) doorbell: Arc<Doorbell>,
@@ -76,26 +76,26 @@ impl Drop for Membership {
     }
 }
 
-/// The arena of a participant: this process's own or another's.
+/// The participant that an arena belongs to: this process's own or another.
 #[derive(Clone)]
-pub(crate) enum Reached {
+pub(crate) enum ArenaOwner {
     Own(Arc<Doorbell>),
     Peer(Arc<Peer>),
 }
 
-impl Reached {
+impl ArenaOwner {
     pub(crate) fn arena(&self) -> &Arena {
         match self {
-            Reached::Own(doorbell) => doorbell.arena(),
-            Reached::Peer(peer) => peer.arena(),
+            ArenaOwner::Own(doorbell) => doorbell.arena(),
+            ArenaOwner::Peer(peer) => peer.arena(),
         }
     }
 
     /// Makes sure that `slot` can be rung. False if there is no such slot.
     pub(crate) fn reach(&self, slot: usize) -> Result<bool, TransportError> {
         match self {
-            Reached::Own(doorbell) => Ok(doorbell.arena().has(slot)),
-            Reached::Peer(peer) => peer.reach(slot),
+            ArenaOwner::Own(doorbell) => Ok(doorbell.arena().has(slot)),
+            ArenaOwner::Peer(peer) => peer.reach(slot),
         }
     }
 }
@@ -153,10 +153,10 @@ impl Participant {
         record.publish(place);
         let janitor = Janitor::start(&domain, place, &doorbell, &matcher, &memory)?;
         let warden = Warden::start(&domain)?;
-        let shared = Shared {
+        let state = ParticipantState {
             janitor,
             _warden: warden,
-            watchers: Watchers::new(domain.clone()),
+            graph_watcher: GraphWatcher::new(domain.clone()),
             matcher,
             record,
             doorbell,
@@ -168,28 +168,28 @@ impl Participant {
             domain,
             _at_exit: at_exit,
         };
-        Ok(Participant { shared: Arc::new(shared), node: None })
+        Ok(Participant { state: Arc::new(state), node: None })
     }
 
     /// Has the participant's janitor call this each time that it looks around, because somebody asked for it: an ordinary thread of low
     /// priority, which must not be kept waiting. Only the first one that is given counts. It must not keep the participant.
     pub fn attend(&self, attendant: impl Fn() + Send + Sync + 'static) {
-        self.shared.janitor.attend(Box::new(attendant));
+        self.state.janitor.attend(Box::new(attendant));
     }
 
     /// The domain.
     pub fn domain(&self) -> u32 {
-        self.shared.domain.number()
+        self.state.domain.number()
     }
 
     /// What trace events call this participant.
     pub fn trace_id(&self) -> tautline_trace::ObjectId {
-        self.shared.trace.id()
+        self.state.trace.id()
     }
 
     /// The doorbell that announces samples to this participant's sampler.
     pub fn doorbell(&self) -> &Arc<Doorbell> {
-        &self.shared.doorbell
+        &self.state.doorbell
     }
 
     /// Claims a slot for a timer or a guard condition.
@@ -197,7 +197,7 @@ impl Participant {
     /// # Errors
     /// [`TransportError::Doorbell`] if all are taken.
     pub fn claim_slot(&self) -> Result<Slot, TransportError> {
-        Ok(self.shared.doorbell.claim()?)
+        Ok(self.state.doorbell.claim()?)
     }
 
     /// Creates a publisher of `topic`, a fully qualified name.
@@ -372,7 +372,7 @@ impl Participant {
     }
 }
 
-impl Shared {
+impl ParticipantState {
     pub(crate) fn model(&self) -> MutexGuard<'_, Model> {
         self.model.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -6,7 +6,7 @@ use super::{RESPONSES_DEPTH, ServiceError, ServiceType, response_limits, topics}
 use crate::error::{SendError, TransportError};
 use crate::participant::Participant;
 use crate::qos::{Limits, Qos};
-use crate::topic::ends::EndList;
+use crate::topic::endpoints::EndpointList;
 use crate::topic::header::Gid;
 use crate::topic::publisher::{PublisherRole, RawPublisher};
 use crate::topic::subscription::{RawSubscription, SubscriptionRole};
@@ -21,7 +21,7 @@ use tautline_rt::{LatestReader, PiMutex};
 ///
 /// May be moved to another thread, and is used by one at a time; what waits for its answers may be in any thread.
 pub struct RawClient {
-    pub(super) shared: Arc<Shared>,
+    pub(super) state: Arc<ClientState>,
     /// Of the last request.
     pub(super) sequence_number: Cell<u64>,
 }
@@ -29,7 +29,7 @@ pub struct RawClient {
 /// The response to one request, once it is there. Dropping it cancels the wait; the server is not told.
 #[must_use = "the response is lost unless it is awaited"]
 pub struct RawPending {
-    pub(super) shared: Arc<Shared>,
+    pub(super) state: Arc<ClientState>,
     /// The place in the table, until that is given back.
     pub(super) place: Option<usize>,
     pub(super) sequence_number: u64,
@@ -38,7 +38,7 @@ pub struct RawPending {
 /// Waits until there is a server.
 #[must_use = "nothing is waited for unless it is awaited"]
 pub struct Availability {
-    pub(super) shared: Arc<Shared>,
+    pub(super) state: Arc<ClientState>,
     pub(super) place: Option<usize>,
 }
 
@@ -49,7 +49,7 @@ impl<L> From<SendError<L, ServiceError>> for ServiceError {
 }
 
 /// What a client and its pending requests share; it lives as long as one of them.
-pub(super) struct Shared {
+pub(super) struct ClientState {
     pub(super) service: Arc<str>,
     pub(super) publisher: OfClient<RawPublisher>,
     /// Threads of several priorities may wait for answers: whoever looks into it has the highest of them meanwhile.
@@ -88,9 +88,9 @@ impl OfClient<RawPublisher> {
 /// The servers, each with a bit, the least recently used one first.
 pub(super) struct Servers {
     /// Those that this client's requests go to.
-    asked: LatestReader<Arc<EndList>>,
+    asked: LatestReader<Arc<EndpointList>>,
     /// Those whose responses come here.
-    answering: LatestReader<Arc<EndList>>,
+    answering: LatestReader<Arc<EndpointList>>,
     is_first: bool,
     known: Vec<Known>,
     next: u32,
@@ -98,7 +98,7 @@ pub(super) struct Servers {
     change: Option<(u64, u64)>,
 }
 
-/// A server by both of its ends.
+/// A server by both of its endpoints.
 #[derive(Clone, Copy)]
 struct Known {
     asked: Gid,
@@ -107,7 +107,10 @@ struct Known {
 }
 
 impl Servers {
-    pub(super) fn new(asked: LatestReader<Arc<EndList>>, answering: LatestReader<Arc<EndList>>) -> Self {
+    pub(super) fn new(
+        asked: LatestReader<Arc<EndpointList>>,
+        answering: LatestReader<Arc<EndpointList>>,
+    ) -> Self {
         // As many as there are bits.
         let known = Vec::with_capacity(u64::BITS as usize);
         Servers { asked, answering, is_first: true, known, next: 0, change: None }
@@ -122,9 +125,11 @@ impl Servers {
             return;
         }
         let (asked, answering) = (self.asked.read(), self.answering.read());
-        let is_there = |list: &EndList, gid: &Gid| {
-            let found = list.ends.binary_search_by_key(gid, |end| end.gid).ok();
-            found.and_then(|place| list.ends.get(place)).is_some_and(|end| end.mismatch.is_none())
+        let is_there = |list: &EndpointList, gid: &Gid| {
+            let found = list.endpoints.binary_search_by_key(gid, |endpoint| endpoint.gid).ok();
+            found
+                .and_then(|place| list.endpoints.get(place))
+                .is_some_and(|endpoint| endpoint.mismatch.is_none())
         };
         let mut gone = self.change.map_or(0, |(gone, _)| gone);
         self.known.retain(|known| {
@@ -133,13 +138,13 @@ impl Servers {
             stays
         });
         let mut alive = self.known.iter().fold(0, |bits, known| bits | known.bit);
-        for end in answering.ends.iter().filter(|end| end.mismatch.is_none()) {
-            let Some(partner) = end.partner else { continue };
-            let server = Gid::of(end.gid.participant(), partner);
+        for endpoint in answering.endpoints.iter().filter(|endpoint| endpoint.mismatch.is_none()) {
+            let Some(partner) = endpoint.partner else { continue };
+            let server = Gid::of(endpoint.gid.participant(), partner);
             // One that went a moment ago keeps its bit until requests have lost it. More servers than bits answer, too, but nobody
             // waits for them alone.
             let used = alive | gone;
-            let is_known = self.known.iter().any(|known| known.answering == end.gid);
+            let is_known = self.known.iter().any(|known| known.answering == endpoint.gid);
             if !is_known && used != u64::MAX && is_there(asked, &server) {
                 while used & (1 << (self.next % u64::BITS)) != 0 {
                     self.next = self.next.wrapping_add(1);
@@ -147,7 +152,7 @@ impl Servers {
                 let bit = 1 << (self.next % u64::BITS);
                 self.next = self.next.wrapping_add(1);
                 alive |= bit;
-                self.known.push(Known { asked: server, answering: end.gid, bit });
+                self.known.push(Known { asked: server, answering: endpoint.gid, bit });
             }
         }
         self.change = Some((gone, alive));
@@ -164,14 +169,14 @@ impl Servers {
     }
 }
 
-/// The ends of a client's two topics, and who has the others of both.
-pub(super) struct Ends {
+/// The endpoints of a client's two topics, and the servers at their other side.
+pub(super) struct ClientEndpoints {
     pub(super) publisher: RawPublisher,
     pub(super) responses: RawSubscription,
     pub(super) servers: Servers,
 }
 
-impl Ends {
+impl ClientEndpoints {
     /// `depth` responses of each server can wait.
     pub(super) fn create(
         participant: &Participant,
@@ -182,7 +187,7 @@ impl Ends {
         of_requests: Limits,
     ) -> Result<Self, TransportError> {
         let [requests, responses] = topics(service)?;
-        let number = Some(participant.shared.record.number());
+        let number = Some(participant.state.record.number());
         let qos = Qos::keep_all(depth);
         let role = SubscriptionRole { partner: number, ..SubscriptionRole::default() };
         // First: whoever gets a request can answer it.
@@ -198,7 +203,7 @@ impl Ends {
         let publisher =
             RawPublisher::create(participant, &requests, &service_type.request, qos, of_requests, role)?;
         let servers = Servers::new(publisher.core().monitor(), responses.core().monitor());
-        Ok(Ends { publisher, responses, servers })
+        Ok(ClientEndpoints { publisher, responses, servers })
     }
 }
 
@@ -217,19 +222,25 @@ impl Participant {
         service_type: &ServiceType,
         limits: Limits,
     ) -> Result<RawClient, TransportError> {
-        let Ends { publisher, responses, servers } =
-            Ends::create(self, service, service_type, RESPONSES_DEPTH, response_limits(limits), limits)?;
+        let ClientEndpoints { publisher, responses, servers } = ClientEndpoints::create(
+            self,
+            service,
+            service_type,
+            RESPONSES_DEPTH,
+            response_limits(limits),
+            limits,
+        )?;
         let table = Table::new();
         let waker = Waker::from(table.waiters().clone());
-        let shared = Shared {
+        let state = ClientState {
             service: service.into(),
             publisher: OfClient(publisher),
             inbox: PiMutex::new(Inbox { responses, servers }),
             table,
             waker,
         };
-        let client = RawClient { shared: Arc::new(shared), sequence_number: Cell::new(0) };
-        client.shared.collect();
+        let client = RawClient { state: Arc::new(state), sequence_number: Cell::new(0) };
+        client.state.collect();
         Ok(client)
     }
 }
@@ -237,18 +248,18 @@ impl Participant {
 impl RawClient {
     /// The service's fully qualified name.
     pub fn service(&self) -> &str {
-        &self.shared.service
+        &self.state.service
     }
 
     /// This client's identifier: that of its requests' publisher.
     pub fn gid(&self) -> Gid {
-        self.shared.publisher.get().gid()
+        self.state.publisher.get().gid()
     }
 
     /// Number of servers, 64 at most.
     pub fn server_count(&self) -> usize {
-        self.shared.collect();
-        self.shared.table.alive().count_ones() as usize
+        self.state.collect();
+        self.state.table.alive().count_ones() as usize
     }
 
     /// Waits until there is a server. Counts as a pending request.
@@ -256,11 +267,11 @@ impl RawClient {
     /// # Errors
     /// [`ServiceError::TooManyPending`].
     pub fn availability(&self) -> Result<Availability, ServiceError> {
-        let place = self.shared.table.claim();
+        let place = self.state.table.claim();
         let place =
-            place.ok_or_else(|| ServiceError::TooManyPending { service: self.shared.service.clone() })?;
-        self.shared.table.arm(place, 0);
-        Ok(Availability { shared: self.shared.clone(), place: Some(place) })
+            place.ok_or_else(|| ServiceError::TooManyPending { service: self.state.service.clone() })?;
+        self.state.table.arm(place, 0);
+        Ok(Availability { state: self.state.clone(), place: Some(place) })
     }
 }
 
@@ -276,7 +287,7 @@ impl fmt::Debug for RawClient {
 impl fmt::Debug for RawPending {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("RawPending")
-            .field("service", &self.shared.service)
+            .field("service", &self.state.service)
             .field("sequence_number", &self.sequence_number)
             .finish_non_exhaustive()
     }
@@ -284,6 +295,6 @@ impl fmt::Debug for RawPending {
 
 impl fmt::Debug for Availability {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Availability").field("service", &self.shared.service).finish_non_exhaustive()
+        f.debug_struct("Availability").field("service", &self.state.service).finish_non_exhaustive()
     }
 }

@@ -3,14 +3,14 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::client::{Availability, Inbox, RawClient, RawPending, Shared};
+use super::client::{Availability, ClientState, Inbox, RawClient, RawPending};
 use super::pending::Outcome;
 use super::server::{RawResponse, RawServer, RequestId};
 use super::{RESPONSES_DEPTH, ServiceError};
 use crate::error::{LoanError, PublishError, SendError, TakeError};
 use crate::topic::header::{Gid, MessageInfo, SampleKind};
 use crate::topic::publisher::{RawLoan, RawPublisher, Sending, Stamp, WhenFull};
-use crate::topic::subscription::{Patience, RawSample};
+use crate::topic::subscription::{PollBudget, RawSample};
 use core::future::Future;
 use core::ops::{Deref, DerefMut};
 use core::pin::Pin;
@@ -29,11 +29,11 @@ impl RawClient {
     /// # Errors
     /// [`ServiceError::Loan`].
     pub fn loan(&self, len_bytes: usize) -> Result<RawLoan<'_>, ServiceError> {
-        self.publisher().loan(len_bytes).map_err(|source| self.shared.loan_error(source))
+        self.publisher().loan(len_bytes).map_err(|source| self.state.loan_error(source))
     }
 
     pub(super) fn publisher(&self) -> &RawPublisher {
-        self.shared.publisher.get()
+        self.state.publisher.get()
     }
 
     /// Sends a request to every server. The first response counts.
@@ -50,33 +50,33 @@ impl RawClient {
         &'c self,
         request: RawLoan<'c>,
     ) -> Result<RawPending, SendError<RawLoan<'c>, ServiceError>> {
-        let shared = &self.shared;
+        let state = &self.state;
         // What came in makes room for what comes next.
-        shared.collect();
-        let service = || shared.service.clone();
+        state.collect();
+        let service = || state.service.clone();
         let unsent = |error, loan| Err(SendError { error, loan });
-        if shared.table.alive() == 0 {
+        if state.table.alive() == 0 {
             return unsent(ServiceError::NoServer { service: service() }, request);
         }
-        let Some(place) = shared.table.claim() else {
+        let Some(place) = state.table.claim() else {
             return unsent(ServiceError::TooManyPending { service: service() }, request);
         };
         let sequence_number = self.sequence_number.get() + 1;
         self.sequence_number.set(sequence_number);
-        shared.table.arm(place, sequence_number);
+        state.table.arm(place, sequence_number);
         // Whoever waits with more requests is woken when there is room: `collect` has registered.
         let stamp = Stamp::OfRequest(stamped(sequence_number, self.gid()));
         let sending = Sending { stamp, when_full: WhenFull::Ask, kind: SampleKind::Message, to: None };
         if let Err(unpublished) = request.publish_with(sending) {
-            shared.table.release(place);
+            state.table.release(place);
             let error = match unpublished.error {
                 PublishError::Full => ServiceError::RequestsFull { service: service() },
-                _ => shared.loan_error(LoanError::OutOfMemory),
+                _ => state.loan_error(LoanError::OutOfMemory),
             };
             return unsent(error, unpublished.loan);
         }
-        shared.table.sent(place);
-        Ok(RawPending { shared: shared.clone(), place: Some(place), sequence_number })
+        state.table.sent(place);
+        Ok(RawPending { state: state.clone(), place: Some(place), sequence_number })
     }
 }
 
@@ -85,7 +85,7 @@ pub(super) fn stamped(sequence_number: u64, client: Gid) -> MessageInfo {
     MessageInfo { sequence_number, source_timestamp_ns: wall_ns(), released_ns: 0, publisher_gid: client }
 }
 
-impl Shared {
+impl ClientState {
     pub(super) fn loan_error(&self, source: LoanError) -> ServiceError {
         ServiceError::Loan { service: self.service.clone(), source }
     }
@@ -103,10 +103,10 @@ impl Shared {
         servers.update();
         let mut context = Context::from_waker(&self.waker);
         for _ in 0..COLLECTED_AT_ONCE {
-            let mut patience = Patience::new();
-            let Poll::Ready(response) = responses.poll_within(&mut context, &mut patience) else {
+            let mut budget = PollBudget::new();
+            let Poll::Ready(response) = responses.poll_within(&mut context, &mut budget) else {
                 // Else there may be more, also of servers that went, and the waker is called for it.
-                if !patience.is_over()
+                if !budget.is_spent()
                     && let Some((gone, alive)) = servers.take_change()
                 {
                     self.table.servers_changed(gone, alive);
@@ -158,11 +158,11 @@ impl Future for RawPending {
     /// first takes the responses for all of them; another thread that polls meanwhile waits for that and lends it its priority. Once it
     /// was ready it is pending for ever.
     fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
-        let RawPending { shared, place, .. } = &mut *self;
-        shared.poll_outcome(place, context).map(|outcome| match outcome {
+        let RawPending { state, place, .. } = &mut *self;
+        state.poll_outcome(place, context).map(|outcome| match outcome {
             Outcome::Response(response) => Ok(response),
             Outcome::ServerGone | Outcome::Available => {
-                Err(ServiceError::ServerGone { service: shared.service.clone() })
+                Err(ServiceError::ServerGone { service: state.service.clone() })
             }
         })
     }
@@ -173,7 +173,7 @@ impl Drop for RawPending {
     /// Wait-free; no allocation; no syscall, unless the client is gone as well: the last one frees what they share.
     fn drop(&mut self) {
         if let Some(place) = self.place {
-            self.shared.table.release(place);
+            self.state.table.release(place);
         }
     }
 }
@@ -184,16 +184,16 @@ impl Future for Availability {
     /// # Errors
     /// [`ServiceError::Loan`]: the client's node has ended.
     fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
-        let Availability { shared, place } = &mut *self;
+        let Availability { state, place } = &mut *self;
         if place.is_some() {
-            shared.collect();
-            if shared.table.alive() != 0 {
+            state.collect();
+            if state.table.alive() != 0 {
                 return Poll::Ready(Ok(()));
             }
         }
-        shared.poll_outcome(place, context).map(|outcome| match outcome {
+        state.poll_outcome(place, context).map(|outcome| match outcome {
             Outcome::Available | Outcome::Response(_) => Ok(()),
-            Outcome::ServerGone => Err(shared.loan_error(LoanError::Ended)),
+            Outcome::ServerGone => Err(state.loan_error(LoanError::Ended)),
         })
     }
 }
@@ -201,7 +201,7 @@ impl Future for Availability {
 impl Drop for Availability {
     fn drop(&mut self) {
         if let Some(place) = self.place {
-            self.shared.table.release(place);
+            self.state.table.release(place);
         }
     }
 }

@@ -355,17 +355,17 @@ mod loom_tests {
     use loom::thread;
 
     /// A response that loom watches: to touch it in two threads at once is an error, and so is to lose it undropped.
-    struct Watched(u64, loom::sync::Arc<Cell<u32>>);
+    struct DropProbe(u64, loom::sync::Arc<Cell<u32>>);
     // SAFETY: for the model; loom checks the accesses.
-    unsafe impl Send for Watched {}
+    unsafe impl Send for DropProbe {}
 
-    impl Drop for Watched {
+    impl Drop for DropProbe {
         fn drop(&mut self) {
             self.1.set(self.1.get() + 1);
         }
     }
 
-    type Model = loom::sync::Arc<Table<Watched>>;
+    type Model = loom::sync::Arc<Table<DropProbe>>;
 
     fn table() -> Model {
         let table = Table::new();
@@ -373,9 +373,9 @@ mod loom_tests {
         loom::sync::Arc::new(table)
     }
 
-    fn response(number: u64) -> (Outcome<Watched>, Dropped) {
+    fn response(number: u64) -> (Outcome<DropProbe>, Dropped) {
         let cell = loom::sync::Arc::new(Cell::new(0));
-        (Outcome::Response(Watched(number, cell.clone())), Dropped(cell))
+        (Outcome::Response(DropProbe(number, cell.clone())), Dropped(cell))
     }
 
     struct Dropped(loom::sync::Arc<Cell<u32>>);
@@ -428,7 +428,7 @@ mod loom_tests {
             };
             let second = send(&table, 2);
             collector.join().unwrap();
-            assert!(matches!(table.take(first), Some(Outcome::Response(Watched(1, _)))));
+            assert!(matches!(table.take(first), Some(Outcome::Response(DropProbe(1, _)))));
             assert!(matches!(table.take(second), Some(Outcome::ServerGone)), "whenever it was sent");
             assert_eq!(dropped.0.get(), 1);
         });

@@ -3,7 +3,7 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::client::{Ends, Servers};
+use super::client::{ClientEndpoints, Servers};
 use super::hot::stamped;
 use super::{ServiceError, ServiceType};
 use crate::error::{LoanError, PublishError, SendError, TakeError, TransportError};
@@ -11,7 +11,7 @@ use crate::participant::Participant;
 use crate::qos::Limits;
 use crate::topic::header::{Gid, SampleKind};
 use crate::topic::publisher::{RawLoan, RawPublisher, Sending, Stamp, WhenFull};
-use crate::topic::subscription::{Patience, RawSample, RawSubscription};
+use crate::topic::subscription::{PollBudget, RawSample, RawSubscription};
 use core::cell::{Cell, RefCell};
 use core::fmt;
 use core::task::Waker;
@@ -49,11 +49,11 @@ impl Participant {
         depth: usize,
         limits: Limits,
     ) -> Result<QueuedClient, TransportError> {
-        let Ends { publisher, responses, servers } =
-            Ends::create(self, service, service_type, depth, limits, limits)?;
+        let ClientEndpoints { publisher, responses, servers } =
+            ClientEndpoints::create(self, service, service_type, depth, limits, limits)?;
         let changes = self.claim_slot()?;
-        for end in [publisher.slot(), &responses.core().slot] {
-            changes.doorbell().arena().set_events(end.index(), changes.index());
+        for slot in [publisher.slot(), &responses.core().slot] {
+            changes.doorbell().arena().set_events(slot.index(), changes.index());
         }
         Ok(QueuedClient {
             service: service.into(),
@@ -157,13 +157,13 @@ impl QueuedClient {
     /// # Errors
     /// [`TakeError`].
     pub fn try_take(&self) -> Result<Option<RawSample>, TakeError> {
-        let mut patience = Patience::new();
+        let mut budget = PollBudget::new();
         loop {
-            match self.responses.take_valid(&mut patience)? {
+            match self.responses.take_valid(&mut budget)? {
                 Some(response) if response.kind() != SampleKind::Message => {}
                 taken => {
                     if taken.is_none() {
-                        self.responses.go_on_later(&patience);
+                        self.responses.go_on_later(&budget);
                     }
                     return Ok(taken);
                 }

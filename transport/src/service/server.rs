@@ -38,7 +38,7 @@ pub struct RawServer {
 }
 
 /// Memory for a response. Dropping it gives it back unsent.
-#[must_use = "nothing is sent before it is sent"]
+#[must_use = "the client gets no response until send() is called"]
 pub struct RawResponse<'s> {
     pub(super) server: &'s RawServer,
     pub(super) loan: RawLoan<'s>,

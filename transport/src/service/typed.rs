@@ -50,7 +50,7 @@ pub struct Request<S: Service> {
 }
 
 /// A response that is written in place. Dropping it gives it back unsent.
-#[must_use = "nothing is sent before it is sent"]
+#[must_use = "the client gets no response until send() is called"]
 pub struct Response<'s, S: Service> {
     server: &'s RawServer,
     id: RequestId,
@@ -58,7 +58,7 @@ pub struct Response<'s, S: Service> {
 }
 
 /// Memory for a response of stated lengths, not written yet. Dropping it gives it back.
-#[must_use = "nothing is sent before it is written and sent"]
+#[must_use = "the client gets no response until it is written and sent"]
 pub struct UnwrittenResponse<'s, 'z, S: Service>
 where
     S::Response: Fill,
@@ -140,7 +140,7 @@ impl<S: Service> Client<S> {
     where
         S::Request: Plain,
     {
-        Loan::of_plain(self.raw.publisher()).map_err(|source| self.raw.shared.loan_error(source))
+        Loan::of_plain(self.raw.publisher()).map_err(|source| self.raw.state.loan_error(source))
     }
 
     /// Loans memory for a request of these lengths, to be [written](Unwritten::write) in place.
@@ -157,7 +157,7 @@ impl<S: Service> Client<S> {
     where
         S::Request: Fill,
     {
-        Unwritten::of_sizes(self.raw.publisher(), sizes).map_err(|source| self.raw.shared.loan_error(source))
+        Unwritten::of_sizes(self.raw.publisher(), sizes).map_err(|source| self.raw.state.loan_error(source))
     }
 
     /// Sends a request that was written in place, to every server. The first response counts.
@@ -203,7 +203,7 @@ impl<S: Service> Client<S> {
     /// [`ServiceError`]; nothing was sent.
     pub fn request(&self, message: &S::Request) -> Result<PendingResponse<S>, ServiceError> {
         let mut loan = self.raw.loan(message.cdr_len())?;
-        let service = || self.raw.shared.service.clone();
+        let service = || self.raw.state.service.clone();
         message
             .encode(&mut loan)
             .map_err(|source| ServiceError::Encode { service: service(), source: source.into() })?;
@@ -224,7 +224,7 @@ impl<S: Service> Future for PendingResponse<S> {
     /// As [`RawPending`]; the response is checked: see [`Message::view`].
     fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
         Pin::new(&mut self.raw).poll(context).map(|response| {
-            let invalid = |source| ServiceError::Invalid { service: self.raw.shared.service.clone(), source };
+            let invalid = |source| ServiceError::Invalid { service: self.raw.state.service.clone(), source };
             Sample::new(response?).map_err(|error| invalid(error.into()))
         })
     }

@@ -19,14 +19,14 @@ use std::task::Waker;
 
 /// Holds the samples that are out, for one subscription.
 pub(crate) struct Shelf<S> {
-    shared: Arc<Shared<S>>,
+    state: Arc<ShelfState<S>>,
     free: RefCell<Vec<usize>>,
 }
 
-// SAFETY: see Shared; the rest is plain data.
+// SAFETY: see ShelfState; the rest is plain data.
 unsafe impl<S> Send for Shelf<S> {}
 
-struct Shared<S> {
+struct ShelfState<S> {
     /// A place is touched by the Shelf while it is free or back, and by nobody while it is out.
     places: Box<[UnsafeCell<Option<S>>]>,
     back: Box<[AtomicU64]>,
@@ -40,21 +40,21 @@ struct Shared<S> {
 // SAFETY: through a shared reference a Lent only sets bits and wakes. Places are touched by the Shelf, which is not Sync,
 // or by the last owner's drop. What samples have in common with each other belongs to one subscription, as the Shelf does, so one
 // thread at a time uses it; if only Lents are left, nobody but the last of them does.
-unsafe impl<S> Send for Shared<S> {}
+unsafe impl<S> Send for ShelfState<S> {}
 // SAFETY: as above.
-unsafe impl<S> Sync for Shared<S> {}
+unsafe impl<S> Sync for ShelfState<S> {}
 
 impl<S> Shelf<S> {
     /// `end` is dropped when the shelf and everything that was ever on it is gone.
     pub(crate) fn new(places: usize, end: impl Any + Send + Sync) -> Self {
-        let shared = Shared {
+        let state = ShelfState {
             places: (0..places).map(|_| UnsafeCell::new(None)).collect(),
             back: (0..places.div_ceil(64)).map(|_| AtomicU64::new(0)).collect(),
             starved: AtomicU32::new(0),
             waker: AtomicWaker::new(),
             _end: Box::new(end),
         };
-        Shelf { shared: Arc::new(shared), free: RefCell::new((0..places).rev().collect()) }
+        Shelf { state: Arc::new(state), free: RefCell::new((0..places).rev().collect()) }
     }
 
     /// Drops the samples that came back. Returns false if every place is out even so.
@@ -63,7 +63,7 @@ impl<S> Shelf<S> {
     /// Wait-free, O(places / 64 + samples back); no allocation; no syscall.
     pub(crate) fn reclaim(&self) -> bool {
         let mut free = self.free.borrow_mut();
-        for (index, word) in self.shared.back.iter().enumerate() {
+        for (index, word) in self.state.back.iter().enumerate() {
             if word.load(Ordering::Relaxed) == 0 {
                 continue;
             }
@@ -72,7 +72,7 @@ impl<S> Shelf<S> {
             while bits != 0 {
                 let place = index * 64 + bits.trailing_zeros() as usize;
                 bits &= bits - 1;
-                if let Some(cell) = self.shared.places.get(place) {
+                if let Some(cell) = self.state.places.get(place) {
                     // SAFETY: the place is back, so it is the Shelf's alone.
                     drop(unsafe { (*cell.get()).take() });
                     free.push(place); // never more than there are places: does not allocate
@@ -89,23 +89,23 @@ impl<S> Shelf<S> {
     pub(crate) fn lend(&self, sample: S) -> Option<Lent<S>> {
         let place = self.free.borrow_mut().pop()?;
         // SAFETY: the place is free, so it is the Shelf's alone.
-        unsafe { *self.shared.places.get(place)?.get() = Some(sample) };
-        Some(Lent { shared: self.shared.clone(), place })
+        unsafe { *self.state.places.get(place)?.get() = Some(sample) };
+        Some(Lent { state: self.state.clone(), place })
     }
 
     /// Wakes `waker` when a sample next comes back. True if one came back meanwhile: look again.
     pub(crate) fn wake_when_back(&self, waker: &Waker) -> bool {
-        self.shared.waker.register(waker);
-        self.shared.starved.store(1, Ordering::Relaxed);
+        self.state.waker.register(waker);
+        self.state.starved.store(1, Ordering::Relaxed);
         // Either the one who drops sees `starved`, or its bit is seen here.
         fence(Ordering::SeqCst);
-        self.shared.back.iter().any(|word| word.load(Ordering::Relaxed) != 0)
+        self.state.back.iter().any(|word| word.load(Ordering::Relaxed) != 0)
     }
 }
 
 /// One sample that is out. May be dropped in any thread, also after its subscription.
 pub(crate) struct Lent<S> {
-    shared: Arc<Shared<S>>,
+    state: Arc<ShelfState<S>>,
     place: usize,
 }
 
@@ -114,13 +114,13 @@ impl<S> Drop for Lent<S> {
     /// Wait-free; no allocation; no syscall, unless the subscription's task waits for a sample to come back. The last one
     /// after its subscription was dropped frees the shelf and what it refers to.
     fn drop(&mut self) {
-        let Some(word) = self.shared.back.get(self.place / 64) else { return };
+        let Some(word) = self.state.back.get(self.place / 64) else { return };
         word.fetch_or(1 << (self.place % 64), Ordering::Release);
         fence(Ordering::SeqCst);
-        if self.shared.starved.load(Ordering::Relaxed) != 0
-            && self.shared.starved.swap(0, Ordering::Relaxed) != 0
+        if self.state.starved.load(Ordering::Relaxed) != 0
+            && self.state.starved.swap(0, Ordering::Relaxed) != 0
         {
-            self.shared.waker.wake();
+            self.state.waker.wake();
         }
     }
 }
@@ -201,11 +201,11 @@ mod loom_tests {
     use loom::cell::Cell as LoomCell;
 
     /// A sample that loom watches: reading it after it was taken off the shelf is an error.
-    struct Watched(loom::sync::Arc<LoomCell<u32>>);
+    struct DropProbe(loom::sync::Arc<LoomCell<u32>>);
     // SAFETY: for the model; loom checks the accesses.
-    unsafe impl Send for Watched {}
+    unsafe impl Send for DropProbe {}
 
-    impl Drop for Watched {
+    impl Drop for DropProbe {
         fn drop(&mut self) {
             self.0.set(1);
         }
@@ -214,12 +214,12 @@ mod loom_tests {
     #[test]
     fn loom_a_sample_is_reclaimed_after_its_last_read() {
         loom::model(|| {
-            struct Holder(Lent<Watched>, loom::sync::Arc<LoomCell<u32>>);
+            struct Holder(Lent<DropProbe>, loom::sync::Arc<LoomCell<u32>>);
             // SAFETY: as above.
             unsafe impl Send for Holder {}
             let cell = loom::sync::Arc::new(LoomCell::new(0));
             let shelf = Shelf::new(1, ());
-            let holder = Holder(shelf.lend(Watched(cell.clone())).unwrap(), cell);
+            let holder = Holder(shelf.lend(DropProbe(cell.clone())).unwrap(), cell);
             let reader = loom::thread::spawn(move || {
                 let holder = holder;
                 assert_eq!(holder.1.get(), 0);

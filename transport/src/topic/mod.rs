@@ -8,7 +8,7 @@ pub(crate) mod chunks;
 pub(crate) mod compatibility;
 pub(crate) mod connection;
 pub(crate) mod control;
-pub(crate) mod ends;
+pub(crate) mod endpoints;
 pub(crate) mod hand_over;
 pub(crate) mod header;
 pub(crate) mod lending;
@@ -26,7 +26,7 @@ use crate::error::TransportError;
 use crate::graph::record::{MAX_NAME_BYTES, PortRecord, is_topic};
 use crate::qos::{Limits, Qos};
 use crate::schema_store;
-use ends::Mismatch;
+use endpoints::Mismatch;
 use topic_type::TopicType;
 
 /// A topic as one end sees it.

@@ -38,19 +38,19 @@ impl TopicType {
     }
 
     /// The same with its hash.
-    #[must_use]
+    #[must_use = "it returns the changed type"]
     pub fn with_hash(self, hash: impl Into<Cow<'static, str>>) -> Self {
         TopicType { hash: Some(hash.into()), ..self }
     }
 
     /// The same with a fixed size.
-    #[must_use]
+    #[must_use = "it returns the changed type"]
     pub fn with_body_bytes(self, body_bytes: usize) -> Self {
         TopicType { body_bytes: Some(body_bytes), ..self }
     }
 
     /// The same with its definition.
-    #[must_use]
+    #[must_use = "it returns the changed type"]
     pub fn with_definition(self, definition: impl Into<Cow<'static, str>>) -> Self {
         TopicType { definition: Some(definition.into()), ..self }
     }

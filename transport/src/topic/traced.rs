@@ -23,20 +23,20 @@ impl TracedSender {
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
-    pub fn passage(&self, from: (Gid, u64), sequence_number: u64) -> Passage {
-        Passage { sender: self.0.id(), from, sequence_number }
+    pub fn sample(&self, from: (Gid, u64), sequence_number: u64) -> TracedSample {
+        TracedSample { sender: self.0.id(), from, sequence_number }
     }
 }
 
 /// One sample on its way out of the domain.
 #[derive(Clone, Copy, Debug)]
-pub struct Passage {
+pub struct TracedSample {
     sender: ObjectId,
     from: (Gid, u64),
     sequence_number: u64,
 }
 
-impl Passage {
+impl TracedSample {
     /// The sample is about to be handed to the network: by the thread that does so.
     ///
     /// # Real-time
@@ -55,7 +55,7 @@ impl TracedPort {
     /// A message has come from a network; `source` is what identifies it there.
     ///
     /// # Real-time
-    /// As [`Passage::record`].
+    /// As [`TracedSample::record`].
     pub fn received(self, source: &MessageInfo) {
         let MessageInfo { sequence_number, source_timestamp_ns, publisher_gid, .. } = *source;
         let message =

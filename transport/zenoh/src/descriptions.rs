@@ -5,7 +5,7 @@
 //! What comes is a claim. It is bounded before it is kept, and kept only if the hash computed from it is the one asked for.
 
 use crate::graph::Graph;
-use crate::side::{Events, Heard};
+use crate::side::{Events, NetworkEvent};
 use crate::tokens::LocalEndpoint;
 use crate::types::Types;
 use crate::wire::{
@@ -177,7 +177,7 @@ impl Descriptions {
             let payload = sample.payload();
             // What is too long is refused for that, without being copied.
             let bytes = (payload.len() <= MAX_SCHEMA_BYTES).then(|| payload.to_bytes().into_owned());
-            let _ = events.try_send(Event::There(Heard::Described(asked.clone(), bytes)));
+            let _ = events.try_send(Event::FarChange(NetworkEvent::Described(asked.clone(), bytes)));
         };
         let key = TopicKey { domain, topic: service, type_id: self.id.clone() };
         (session.get(key.to_string()).payload(request).attachment(attachment.encode().as_slice()))
@@ -271,7 +271,7 @@ impl Descriptions {
             let declared = (session.declare_queryable(key.to_string()).complete(true))
                 .allowed_origin(Locality::Remote)
                 // Who finds no room has its question dropped, and asks again.
-                .callback(move |query| drop(events.try_send(Event::There(Heard::Asked(query)))))
+                .callback(move |query| drop(events.try_send(Event::FarChange(NetworkEvent::Asked(query)))))
                 .wait();
             match declared {
                 Ok(queryable) => drop(self.answering.insert(name, queryable)),

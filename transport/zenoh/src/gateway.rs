@@ -16,7 +16,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::Duration;
 use tautline_relay::{
-    Budget, Control, Event, Filter, Guard, Office, Parts, RelayError, Rules, Seat, SeatError, Services,
+    Budget, Control, Event, Filter, Guard, Instance, InstanceError, InstanceLock, Parts, RelayError, Rules,
+    Services,
 };
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 use tautline_schema::SchemaError;
@@ -86,7 +87,7 @@ impl Default for Options {
 pub enum GatewayError {
     /// There is one, or its lock cannot be had.
     #[error(transparent)]
-    Seat(#[from] SeatError),
+    Instance(#[from] InstanceError),
     /// Zenoh's configuration.
     #[error(transparent)]
     Config(#[from] ConfigError),
@@ -121,20 +122,20 @@ impl From<RelayError> for GatewayError {
     }
 }
 
-/// A running gateway. Dropping it takes everything back: tokens, links, threads, the seat.
+/// A running gateway. Dropping it takes everything back: tokens, links, threads, the lock.
 pub struct Gateway {
     events: Events,
-    shared: Arc<Shared>,
+    state: Arc<GatewayState>,
     control: Option<JoinHandle<()>>,
     watch: Option<JoinHandle<()>>,
     guard: Option<Guard>,
     config: SessionConfig,
     session: Session,
-    _seat: Seat,
+    _lock: InstanceLock,
 }
 
 /// What is read from outside.
-pub(crate) struct Shared {
+pub(crate) struct GatewayState {
     pub(crate) stop: AtomicBool,
     pub(crate) stats: Mutex<Stats>,
     /// Nodes and endpoints of other hosts.
@@ -153,15 +154,15 @@ impl Gateway {
     /// # Errors
     /// [`GatewayError`]: another gateway of the domain, a configuration, a missing privilege.
     pub fn spawn(options: Options) -> Result<Self, GatewayError> {
-        let seat = Office::gateway(options.domain).take()?;
-        Self::spawn_in(options, seat)
+        let lock = Instance::gateway(options.domain).lock()?;
+        Self::spawn_in(options, lock)
     }
 
-    /// As [`spawn`](Self::spawn), in a seat that was waited for.
+    /// As [`spawn`](Self::spawn), with a lock that was waited for.
     ///
     /// # Errors
     /// [`GatewayError`].
-    pub fn spawn_in(options: Options, seat: Seat) -> Result<Self, GatewayError> {
+    pub fn spawn_in(options: Options, lock: InstanceLock) -> Result<Self, GatewayError> {
         let config =
             options.network.session_config(|name| std::env::var(name).ok(), options.max_message_bytes)?;
         let participant = Participant::new(options.domain)?;
@@ -196,7 +197,7 @@ impl Gateway {
                 what: "listening to what ends on other hosts",
                 reason: error.to_string(),
             })?;
-        let shared = Arc::new(Shared {
+        let state = Arc::new(GatewayState {
             stop: AtomicBool::new(false),
             stats: Mutex::new(Stats::new(options.domain, network_domain, format!("{zid:x}"))),
             remote: Mutex::default(),
@@ -212,24 +213,24 @@ impl Gateway {
             .map_err(|error| GatewayError::Definitions(error.into()))?;
         // From here on whatever fails ends what was started.
         let (control, watch, guard) = (None, None, None);
-        let mut gateway = Gateway { events, shared, control, watch, guard, config, session, _seat: seat };
+        let mut gateway = Gateway { events, state, control, watch, guard, config, session, _lock: lock };
         gateway.watch = {
             let (participant, events) = (participant.clone(), gateway.events.clone());
-            let shared = gateway.shared.clone();
-            Some(thread("gw-watch").spawn(move || move || watch_domain(&participant, &events, &shared))?)
+            let state = gateway.state.clone();
+            Some(thread("gw-watch").spawn(move || move || watch_domain(&participant, &events, &state))?)
         };
         gateway.control = {
-            let (session, shared) = (gateway.session.clone(), gateway.shared.clone());
+            let (session, state) = (gateway.session.clone(), gateway.state.clone());
             let rules = Rules { auto: true, filter: options.filter.clone(), ..Rules::default() };
             let (far, transit) =
-                NetworkSide::new(options.clone(), participant.clone(), session, descriptions, shared.clone());
+                NetworkSide::new(options.clone(), participant.clone(), session, descriptions, state.clone());
             let (participant, service_rules) = (participant.clone(), rules.clone());
             let parts = Parts { participant, far, relay: outgoing, services, transit, rules, service_rules };
             let control = Control::new(parts);
             Some(thread("gw-control").spawn(move || {
                 move || {
                     let _heard = (tokens, ends);
-                    control.run(&received, &shared.stop);
+                    control.run(&received, &state.stop);
                 }
             })?)
         };
@@ -274,7 +275,7 @@ impl Gateway {
 
     /// What went through and what did not. Rates are those of the second before.
     pub fn stats(&self) -> Stats {
-        let mut stats = self.shared.stats.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let mut stats = self.state.stats.lock().unwrap_or_else(PoisonError::into_inner).clone();
         stats.links = self.session.info().transports().wait().count();
         stats.throttled = self.guard.as_ref().map_or(0, Guard::demotions);
         stats
@@ -282,14 +283,14 @@ impl Gateway {
 
     /// Nodes, publishers, subscriptions, services and clients of other hosts.
     pub fn remote(&self) -> Arc<Vec<Token>> {
-        self.shared.remote.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.state.remote.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 
 impl Drop for Gateway {
     fn drop(&mut self) {
         self.guard = None;
-        self.shared.stop.store(true, Ordering::Release);
+        self.state.stop.store(true, Ordering::Release);
         // If it does not fit, the control thread has much to read and will see the flag.
         let _ = self.events.try_send(Event::Stop);
         for thread in [self.control.take(), self.watch.take()].into_iter().flatten() {
@@ -306,15 +307,15 @@ fn watched_threads() -> Result<Vec<u32>, RtError> {
 }
 
 /// Says when the topics of the domain changed.
-fn watch_domain(participant: &Participant, events: &Events, shared: &Shared) {
+fn watch_domain(participant: &Participant, events: &Events, state: &GatewayState) {
     const PATIENCE: Duration = Duration::from_millis(250);
     let mut seen = participant.graph_epoch().wrapping_sub(1);
-    while !shared.stop.load(Ordering::Acquire) {
+    while !state.stop.load(Ordering::Acquire) {
         let epoch = participant.wait_for_graph_change(seen, PATIENCE);
         if epoch == seen {
             continue;
         }
-        match events.try_send(Event::Here) {
+        match events.try_send(Event::LocalChange) {
             Ok(()) => seen = epoch,
             // The control thread has much to do, at this thread's priority: let it.
             Err(_) => std::thread::sleep(Duration::from_millis(20)),

@@ -3,11 +3,11 @@
 //! a hostile peer declares.
 
 use crate::origin::origin;
-use crate::remote::{Thing, thing};
+use crate::remote::{RemoteEntity, entity};
 use crate::wire::{EndpointKind, Malformed, NodeName, Token, TopicKey};
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::time::{Duration, Instant};
-use tautline_relay::There;
+use tautline_relay::FarGraph;
 use tautline_schema::{TypeHash, TypeName};
 use tautline_transport::{EndpointKind::Publisher, RemoteNode};
 
@@ -45,7 +45,7 @@ pub(crate) struct Graph {
     own_zid: u128,
     limits: GraphLimits,
     /// By the token's text as it came, which is how its end is announced; and what it stands for.
-    tokens: HashMap<String, (Token, Thing)>,
+    tokens: HashMap<String, (Token, RemoteEntity)>,
     per_session: HashMap<u128, usize>,
     /// Tags of publishers that have ended by themselves, and since when that is known.
     ended: VecDeque<(Instant, u64)>,
@@ -80,8 +80,8 @@ impl Graph {
             return false;
         }
         *self.per_session.entry(token.zid).or_default() += 1;
-        let thing = thing(&token);
-        self.tokens.insert(key.into(), (token, thing));
+        let entity = entity(&token);
+        self.tokens.insert(key.into(), (token, entity));
         true
     }
 
@@ -98,21 +98,21 @@ impl Graph {
     }
 
     /// What there is, for a mirror.
-    pub(crate) fn there(&self) -> There {
-        let mut there = There { ended: self.ended(), ..There::default() };
-        for (token, thing) in self.tokens.values() {
-            match thing {
-                Thing::Node(name) => {
+    pub(crate) fn there(&self) -> FarGraph {
+        let mut there = FarGraph { ended: self.ended(), ..FarGraph::default() };
+        for (token, entity) in self.tokens.values() {
+            match entity {
+                RemoteEntity::Node(name) => {
                     let node = RemoteNode { name: name.clone(), origin: origin(token) };
                     there.nodes.push((node, token.zid));
                 }
-                Thing::Topic(end) => {
+                RemoteEntity::Topic(end) => {
                     if end.kind == Publisher {
                         there.publishers.entry(end.topic.clone()).or_default().insert(end.gid);
                     }
                     there.endpoints.push((end.clone(), token.zid));
                 }
-                Thing::Service(end) => there.services.push((end.clone(), token.zid)),
+                RemoteEntity::Service(end) => there.services.push((end.clone(), token.zid)),
             }
         }
         there

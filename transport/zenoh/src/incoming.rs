@@ -8,7 +8,7 @@
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
 use std::sync::Arc;
 use std::time::Duration;
-use tautline_relay::{Body, Change, Counters, Inlet, Inward, Manner, Source};
+use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, Source, TopicCounters};
 use tautline_rt::PiMutex;
 use tautline_rt::clock::wall_ns;
 use tautline_transport::{Durability, Reliability};
@@ -19,7 +19,7 @@ use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig,
 
 /// How messages come: from several links, and again those that are kept. Other implementations of the wire write gids that their tokens
 /// do not tell (hiroz, zenoh-ros2-sdk).
-pub(crate) const MANNER: Manner = Manner { early: None, is_ordered: false };
+pub(crate) const DELIVERY: Delivery = Delivery { early: None, is_ordered: false };
 /// A time stamp further ahead of this host's clock is no time.
 const FUTURE_NS: i64 = 3_600_000_000_000;
 /// How long a publisher is waited for that was asked for what it keeps.
@@ -40,7 +40,7 @@ pub(crate) enum Dropped {
 
 /// A topic that comes in. Dropping it ends the subscription on the network.
 pub(crate) struct Incoming {
-    inlet: Arc<Gate>,
+    ingress: Arc<Gate>,
     _subscriber: Subscriber,
     /// Where newer publishers of images and the like put them.
     _cpu_group: zenoh::pubsub::Subscriber<()>,
@@ -56,16 +56,16 @@ impl Incoming {
         session: &Session,
         key: &TopicKey,
         inward: &Inward,
-        inlet: Inlet,
+        ingress: Ingress,
         max_bytes: usize,
     ) -> zenoh::Result<Self> {
-        let counters = inlet.counters().clone();
-        let inlet = Arc::new(Gate { inlet: PiMutex::new(Some(inlet)), counters, max_bytes });
-        let (of_group, receiving) = (inlet.clone(), inlet.clone());
+        let counters = ingress.counters().clone();
+        let ingress = Arc::new(Gate { ingress: PiMutex::new(Some(ingress)), counters, max_bytes });
+        let (of_group, receiving) = (ingress.clone(), ingress.clone());
         let cpu_group = session.declare_subscriber(key.cpu_group()).allowed_origin(Locality::Remote);
         // Their numbers count what goes to others, too: gaps in them are no losses.
         let cpu_group = cpu_group.callback(move |sample| of_group.take(&sample, false)).wait()?;
-        let incoming = |subscriber| Incoming { inlet, _subscriber: subscriber, _cpu_group: cpu_group };
+        let incoming = |subscriber| Incoming { ingress, _subscriber: subscriber, _cpu_group: cpu_group };
         let subscriber = session.declare_subscriber(key.to_string()).allowed_origin(Locality::Remote);
         let subscriber = subscriber.callback(move |sample| receiving.take(&sample, true));
         if inward.qos.durability == Durability::Volatile {
@@ -81,28 +81,28 @@ impl Incoming {
         Ok(incoming(Subscriber::Late { _subscriber: late.wait()? }))
     }
 
-    /// See [`Inlet::change`].
-    pub(crate) fn change(&self, change: Change) {
-        self.inlet.with(|inlet| inlet.change(change));
+    /// See [`Ingress::change`].
+    pub(crate) fn change(&self, change: IngressUpdate) {
+        self.ingress.with(|ingress| ingress.change(change));
     }
 
     /// What another one goes on with; nothing comes in here any more.
-    pub(crate) fn end(self) -> Option<Inlet> {
-        self.inlet.inlet.lock().take()
+    pub(crate) fn end(self) -> Option<Ingress> {
+        self.ingress.ingress.lock().take()
     }
 }
 
 /// Where samples of one topic go, which come from several links' threads; `None` when another one takes them.
 struct Gate {
-    inlet: PiMutex<Option<Inlet>>,
-    counters: Arc<Counters>,
+    ingress: PiMutex<Option<Ingress>>,
+    counters: Arc<TopicCounters>,
     max_bytes: usize,
 }
 
 impl Gate {
-    fn with(&self, act: impl FnOnce(&mut Inlet)) {
-        if let Some(inlet) = &mut *self.inlet.lock() {
-            act(inlet);
+    fn with(&self, act: impl FnOnce(&mut Ingress)) {
+        if let Some(ingress) = &mut *self.ingress.lock() {
+            act(ingress);
         }
     }
 
@@ -110,7 +110,7 @@ impl Gate {
         match self.check(sample) {
             Ok(source) => {
                 let source = Source { are_numbers_whole, ..source };
-                self.with(|inlet| inlet.receive(&Payload(sample.payload()), source));
+                self.with(|ingress| ingress.receive(&Payload(sample.payload()), source));
             }
             Err(reason) => self.counters.dropped(reason),
         }

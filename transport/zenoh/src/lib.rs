@@ -37,5 +37,7 @@ pub use graph::GraphLimits;
 pub use rules::{Rule, RuleError, Urgency};
 pub use session::{SessionError, network_threads};
 pub use stats::{Direction, ServiceNames, ServiceStats, Stats, TopicNames, TopicStats};
-pub use tautline_relay::{Budget, Filter, Latency, Office, PatternError, Reading, Seat, SeatError};
+pub use tautline_relay::{
+    Budget, Filter, Instance, InstanceError, InstanceLock, Latency, PatternError, Reading,
+};
 pub use tautline_wire as wire;

@@ -5,7 +5,7 @@ use crate::tokens::LocalEndpoint;
 use crate::wire::{EndpointKind, NodeName, TypeId, WireDuration, WireQos};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
-use tautline_relay::{Here, process_node};
+use tautline_relay::{LocalGraph, process_node};
 use tautline_schema::{TypeHash, TypeName};
 use tautline_transport::{Gid, Liveliness, Origin, Qos, ServiceEndpoint, ServiceKind, TopicEndpoint};
 use zenoh::key_expr::keyexpr;
@@ -63,7 +63,7 @@ impl<'a> End<'a> {
 /// What is here in the network's terms, and of what cannot be mirrored the reason. What is left `here` states the hash of its type.
 /// `hash_of` finds that of a type that no end of its topic here states, from its topic's and type's name.
 pub(crate) fn list(
-    here: &mut Here,
+    here: &mut LocalGraph,
     mut hash_of: impl FnMut(&str, &TypeName) -> Option<TypeHash>,
 ) -> Vec<LocalEndpoint> {
     let topics = here.endpoints.iter().map(|end| End::of_topic(end));
@@ -199,7 +199,7 @@ mod tests {
             participant.create_raw_publisher(topic, &topic_type, Qos::default(), Limits::default()).unwrap()
         });
         let endpoints = participant.graph().unwrap().endpoints.clone();
-        let mut here = Here { endpoints, ..Here::default() };
+        let mut here = LocalGraph { endpoints, ..LocalGraph::default() };
         let locals = list(&mut here, |_, _| None);
         let mut listed: Vec<_> =
             locals.iter().map(|end| (&*end.topic, end.type_id.hash.to_string())).collect();

@@ -12,7 +12,7 @@ use std::io::IsTerminal;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tautline_gateway::{Gateway, Office, Options};
+use tautline_gateway::{Gateway, Instance, Options};
 use tautline_relay::{show_until, stop_on_signals};
 use tautline_rt::Realtime;
 use tracing_subscriber::Layer;
@@ -69,9 +69,9 @@ fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Gate
         return Ok(Some(Gateway::spawn(options)?));
     }
     let stopped = || stop.load(Ordering::Relaxed);
-    let seat = Office::gateway(options.domain).wait(stopped);
-    let seat = seat.map_err(tautline_gateway::GatewayError::from)?;
-    Ok(seat.map(|seat| Gateway::spawn_in(options, seat)).transpose()?)
+    let lock = Instance::gateway(options.domain).wait(stopped);
+    let lock = lock.map_err(tautline_gateway::GatewayError::from)?;
+    Ok(lock.map(|lock| Gateway::spawn_in(options, lock)).transpose()?)
 }
 
 /// What it does and where it listens: once, to standard error.

@@ -11,11 +11,13 @@ use crate::wire::{Attachment, ENCAPSULATION, TopicKey, WireQos};
 use std::any::Any;
 use std::sync::{Arc, OnceLock, mpsc};
 use std::time::{Duration, Instant};
-use tautline_relay::{Counters, EarlyLimits, FarWriter, Last, Outbound, Outlet, Relay, RelayError, Taken};
+use tautline_relay::{
+    EarlyLimits, Egress, FarWriter, Last, Outbound, Relay, RelayError, Taken, TopicCounters,
+};
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder};
 use tautline_transport::{
-    Durability, Gid, History, MessageInfo, Participant, Passage, RawSample, Reliability, TracedSender,
+    Durability, Gid, History, MessageInfo, Participant, RawSample, Reliability, TracedSample, TracedSender,
 };
 use zenoh::bytes::ZBytes;
 use zenoh::internal::buffers::{ZBuf, ZSlice, ZSliceBuffer};
@@ -108,7 +110,7 @@ pub(crate) struct Network {
     bulk: Queue,
 }
 
-impl Outlet for Network {
+impl Egress for Network {
     type Key = tautline_relay::TopicKey;
     type Topic = Outbound;
     type Sender = Sender;
@@ -125,13 +127,13 @@ impl Outlet for Network {
             return topic.counters.dropped("rate limit");
         }
         sender.settle(len_bytes);
-        let passage = sender.traced.passage(sample.port(), info.sequence_number);
+        let traced = sender.traced.sample(sample.port(), info.sequence_number);
         let payload = match sample {
             // What may outlive the put is copied: a subscription can lend few samples.
             Taken::Now(sample) if !sender.may_wait() && len_bytes >= IN_PLACE_BYTES => in_place(sample),
             sample => copied(sample.body()),
         };
-        self.put(sender, payload, &info, len_bytes, passage, &topic.counters);
+        self.put(sender, payload, &info, len_bytes, traced, &topic.counters);
     }
 
     fn dropped(topic: &Outbound) {
@@ -150,8 +152,8 @@ impl Network {
         payload: ZBytes,
         info: &MessageInfo,
         len_bytes: usize,
-        passage: Passage,
-        counters: &Arc<Counters>,
+        traced: TracedSample,
+        counters: &Arc<TopicCounters>,
     ) {
         let attachment = sender.attachment(info);
         let publisher = &sender.publisher;
@@ -159,11 +161,11 @@ impl Network {
             (true, _) => &self.patient,
             (false, true) => &self.bulk,
             (false, false) => {
-                return sent(counters, publisher.put(payload, &attachment, passage), len_bytes, &attachment);
+                return sent(counters, publisher.put(payload, &attachment, traced), len_bytes, &attachment);
             }
         };
         let (publisher, counters) = (publisher.clone(), counters.clone());
-        queue.push(Waiting { publisher, payload, attachment, len_bytes, passage, counters });
+        queue.push(Waiting { publisher, payload, attachment, len_bytes, traced, counters });
     }
 }
 
@@ -277,8 +279,8 @@ fn declare(
 }
 
 impl AnyPublisher {
-    fn put(&self, payload: ZBytes, attachment: &Attachment, passage: Passage) -> zenoh::Result<()> {
-        passage.record();
+    fn put(&self, payload: ZBytes, attachment: &Attachment, traced: TracedSample) -> zenoh::Result<()> {
+        traced.record();
         let attachment = attachment.encode();
         match self {
             AnyPublisher::Plain(publisher) => publisher.put(payload).attachment(attachment).wait(),
@@ -326,17 +328,17 @@ struct Waiting {
     payload: ZBytes,
     attachment: Attachment,
     len_bytes: usize,
-    passage: Passage,
-    counters: Arc<Counters>,
+    traced: TracedSample,
+    counters: Arc<TopicCounters>,
 }
 
 fn send_waiting(samples: &mpsc::Receiver<Waiting>) {
-    while let Ok(Waiting { publisher, payload, attachment, len_bytes, passage, counters }) = samples.recv() {
-        sent(&counters, publisher.put(payload, &attachment, passage), len_bytes, &attachment);
+    while let Ok(Waiting { publisher, payload, attachment, len_bytes, traced, counters }) = samples.recv() {
+        sent(&counters, publisher.put(payload, &attachment, traced), len_bytes, &attachment);
     }
 }
 
-fn sent(counters: &Counters, outcome: zenoh::Result<()>, len_bytes: usize, attachment: &Attachment) {
+fn sent(counters: &TopicCounters, outcome: zenoh::Result<()>, len_bytes: usize, attachment: &Attachment) {
     match outcome {
         Ok(()) => counters.passed(len_bytes, attachment.source_timestamp_ns),
         Err(_) => counters.dropped("refused by Zenoh"),

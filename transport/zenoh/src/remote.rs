@@ -10,20 +10,20 @@ use tautline_transport::{
 
 /// What a token stands for.
 #[derive(Clone, Debug)]
-pub(crate) enum Thing {
+pub(crate) enum RemoteEntity {
     Node(tautline_transport::NodeName),
     Topic(TopicEndpoint),
     Service(ServiceEndpoint),
 }
 
 /// As the domain has it.
-pub(crate) fn thing(token: &Token) -> Thing {
-    let Some(end) = &token.endpoint else { return Thing::Node(node(&token.node)) };
+pub(crate) fn entity(token: &Token) -> RemoteEntity {
+    let Some(end) = &token.endpoint else { return RemoteEntity::Node(node(&token.node)) };
     match end.kind {
-        EndpointKind::Publisher => Thing::Topic(topic(Publisher, token, end)),
-        EndpointKind::Subscription => Thing::Topic(topic(Subscription, token, end)),
-        EndpointKind::Service => Thing::Service(service(ServiceKind::Server, token, end)),
-        EndpointKind::Client => Thing::Service(service(ServiceKind::Client, token, end)),
+        EndpointKind::Publisher => RemoteEntity::Topic(topic(Publisher, token, end)),
+        EndpointKind::Subscription => RemoteEntity::Topic(topic(Subscription, token, end)),
+        EndpointKind::Service => RemoteEntity::Service(service(ServiceKind::Server, token, end)),
+        EndpointKind::Client => RemoteEntity::Service(service(ServiceKind::Client, token, end)),
     }
 }
 
@@ -87,12 +87,12 @@ mod tests {
         let string = format!("std_msgs::msg::dds_::String_/{HASH}");
         let read = |rest: &str| {
             let token = Token::parse(&format!("@ros2_lv/5/1/0/{rest}")).unwrap();
-            (endpoint_gid(&token), thing(&token))
+            (endpoint_gid(&token), entity(&token))
         };
-        let (_, Thing::Node(name)) = read("0/NN/%/%theirs/talker") else { panic!() };
+        let (_, RemoteEntity::Node(name)) = read("0/NN/%/%theirs/talker") else { panic!() };
         assert_eq!(name.to_string(), "/theirs/talker");
         let publisher = format!("1/MP/%/%theirs/talker/%chatter/{string}/2:1:,7:1,5:,:3,2,0");
-        let (gid, Thing::Topic(publisher)) = read(&publisher) else { panic!() };
+        let (gid, RemoteEntity::Topic(publisher)) = read(&publisher) else { panic!() };
         assert_eq!((publisher.kind, publisher.gid), (Publisher, gid));
         assert_eq!((&*publisher.topic, &*publisher.topic_type.name), ("/chatter", "std_msgs/msg/String"));
         let deadline = Some(std::time::Duration::new(1, 5));
@@ -104,11 +104,11 @@ mod tests {
         };
         assert_eq!(publisher.qos, qos);
         let subscription = format!("2/MS/%/%theirs/talker/%chatter/{string}/::,10:,:,:,,");
-        let (_, Thing::Topic(subscription)) = read(&subscription) else { panic!() };
+        let (_, RemoteEntity::Topic(subscription)) = read(&subscription) else { panic!() };
         assert_eq!(subscription.kind, Subscription);
         for (kind, expected) in [("SS", ServiceKind::Server), ("SC", ServiceKind::Client)] {
             let text = format!("3/{kind}/%/%theirs/talker/%add/a::srv::dds_::Add_/{HASH}/::,10:,:,:,,");
-            let (_, Thing::Service(end)) = read(&text) else { panic!() };
+            let (_, RemoteEntity::Service(end)) = read(&text) else { panic!() };
             assert_eq!((end.kind, &*end.name, &*end.type_name), (expected, "/add", "a/srv/Add"));
         }
     }

@@ -29,24 +29,24 @@ pub(crate) struct NetworkServices {
     session: Session,
     domain: u32,
     max_bytes: usize,
-    bell: Arc<Bell>,
+    waker: Arc<ThreadWaker>,
 }
 
 /// Wakes the thread.
 #[derive(Default)]
-struct Bell {
+struct ThreadWaker {
     thread: OnceLock<Thread>,
-    is_rung: AtomicBool,
+    is_woken: AtomicBool,
     /// Queries and answers of all services that wait for the thread.
     waiting: AtomicUsize,
 }
 
-impl Bell {
-    /// Until it was rung, at most so long.
+impl ThreadWaker {
+    /// Until it was woken, at most so long.
     fn sleep(&self, timeout: Option<Duration>) {
         let end = timeout.map(|timeout| Instant::now() + timeout);
         // Whatever else the thread calls may have taken what unparks it.
-        while !self.is_rung.swap(false, Ordering::SeqCst) {
+        while !self.is_woken.swap(false, Ordering::SeqCst) {
             match end.map(|end| end.saturating_duration_since(Instant::now())) {
                 Some(Duration::ZERO) => return,
                 Some(left) => std::thread::park_timeout(left),
@@ -56,11 +56,11 @@ impl Bell {
     }
 }
 
-impl ArcWake for Bell {
-    fn wake_by_ref(bell: &Arc<Self>) {
-        bell.is_rung.store(true, Ordering::SeqCst);
+impl ArcWake for ThreadWaker {
+    fn wake_by_ref(waker: &Arc<Self>) {
+        waker.is_woken.store(true, Ordering::SeqCst);
         // Before it has begun it waits for nothing.
-        if let Some(thread) = bell.thread.get() {
+        if let Some(thread) = waker.thread.get() {
             thread.unpark();
         }
     }
@@ -69,28 +69,28 @@ impl ArcWake for Bell {
 /// What Zenoh's threads leave to the thread.
 struct Inbox<T> {
     waiting: PiMutex<VecDeque<T>>,
-    bell: Arc<Bell>,
+    waker: Arc<ThreadWaker>,
 }
 
 impl<T> Inbox<T> {
-    fn new(bell: &Arc<Bell>) -> Arc<Self> {
-        Arc::new(Inbox { waiting: PiMutex::new(VecDeque::new()), bell: bell.clone() })
+    fn new(waker: &Arc<ThreadWaker>) -> Arc<Self> {
+        Arc::new(Inbox { waiting: PiMutex::new(VecDeque::new()), waker: waker.clone() })
     }
 
     /// Whether there is room for it.
     fn push(&self, item: T, most: usize) -> bool {
         let room = |waiting: usize| (waiting < most).then_some(waiting + 1);
-        let has_room = self.bell.waiting.fetch_update(Ordering::Relaxed, Ordering::Relaxed, room).is_ok();
+        let has_room = self.waker.waiting.fetch_update(Ordering::Relaxed, Ordering::Relaxed, room).is_ok();
         if has_room {
             self.waiting.lock().push_back(item);
-            Bell::wake_by_ref(&self.bell);
+            ThreadWaker::wake_by_ref(&self.waker);
         }
         has_room
     }
 
     fn pop(&self) -> Option<T> {
         let item = self.waiting.lock().pop_front()?;
-        self.bell.waiting.fetch_sub(1, Ordering::Relaxed);
+        self.waker.waiting.fetch_sub(1, Ordering::Relaxed);
         Some(item)
     }
 
@@ -107,7 +107,7 @@ impl<T> Drop for Inbox<T> {
 
 impl NetworkServices {
     pub(crate) fn new(session: &Session, domain: u32, max_bytes: usize) -> Self {
-        NetworkServices { session: session.clone(), domain, max_bytes, bell: Arc::default() }
+        NetworkServices { session: session.clone(), domain, max_bytes, waker: Arc::default() }
     }
 
     fn key(&self, key: &tautline_relay::TopicKey) -> Result<(TopicKey, ServiceType), String> {
@@ -129,7 +129,7 @@ impl FarServices for NetworkServices {
     ) -> Result<(ServiceType, Box<dyn FnOnce() -> Result<Server, String> + 'a>), String> {
         let (wire_key, service_type) = self.key(key)?;
         let open = move || {
-            let queries = Inbox::new(&self.bell);
+            let queries = Inbox::new(&self.waker);
             let inbox = queries.clone();
             let queryable = self.session.declare_queryable(wire_key.to_string()).complete(true);
             let queryable = queryable
@@ -150,16 +150,16 @@ impl FarServices for NetworkServices {
     ) -> Result<(ServiceType, Client), String> {
         let (wire_key, service_type) = self.key(key)?;
         let (session, key) = (self.session.clone(), wire_key.to_string());
-        let client = Client { session, key, max_bytes: self.max_bytes, outcomes: Inbox::new(&self.bell) };
+        let client = Client { session, key, max_bytes: self.max_bytes, outcomes: Inbox::new(&self.waker) };
         Ok((service_type, client))
     }
 
     fn waker(&self) -> Waker {
-        waker(self.bell.clone())
+        waker(self.waker.clone())
     }
 
     fn begin(&mut self) {
-        self.bell.thread.get_or_init(std::thread::current);
+        self.waker.thread.get_or_init(std::thread::current);
     }
 
     fn wait(
@@ -176,7 +176,7 @@ impl FarServices for NetworkServices {
         if now.requests.iter().chain(&now.responses).any(|has| *has) {
             return Ok(now);
         }
-        self.bell.sleep(timeout);
+        self.waker.sleep(timeout);
         Ok(arrived())
     }
 }

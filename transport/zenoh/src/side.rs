@@ -2,7 +2,7 @@
 //! The network as the other side of a mirror.
 
 use crate::descriptions::Descriptions;
-use crate::gateway::{Options, Shared};
+use crate::gateway::{GatewayState, Options};
 use crate::graph::Graph;
 use crate::incoming::{self, Incoming};
 use crate::locals::{self, wire_node, wire_qos};
@@ -10,7 +10,7 @@ use crate::origin::{ended, ended_tag};
 use crate::outgoing::{Identity, Network, Sender, Writer};
 use crate::services::NetworkServices;
 use crate::stats::{ServiceNames, TopicNames, refused_by_reason};
-use crate::tokens::{Tokens, Word};
+use crate::tokens::{TokenChange, Tokens};
 use crate::types::Types;
 use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, TypeId, token_wildcard};
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
@@ -18,8 +18,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 use tautline_relay::{
-    Change, Event, FarSide, FoundType, Here, InKey, Inlet, Inward, Manner, Publisher, Report, Side, There,
-    Transit, Writers,
+    Delivery, Event, FarGraph, FarSide, FoundType, InKey, Ingress, IngressUpdate, Inward, LocalGraph,
+    Publisher, Report, Side, Transit, Writers,
 };
 use tautline_schema::Packages;
 use tautline_transport::{
@@ -31,7 +31,7 @@ use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
 
 /// What comes from the network.
-pub(crate) enum Heard {
+pub(crate) enum NetworkEvent {
     TokenUp(String),
     TokenDown(String),
     /// A publisher of another host has ended by itself.
@@ -43,18 +43,18 @@ pub(crate) enum Heard {
 }
 
 /// Where that goes.
-pub(crate) type Events = mpsc::SyncSender<Event<Heard>>;
+pub(crate) type Events = mpsc::SyncSender<Event<NetworkEvent>>;
 
 /// Takes tokens in Zenoh's thread and leaves them to the control thread. What does not fit makes room for nothing: all
 /// tokens are asked for again later.
 pub(crate) fn tokens_to(events: Events) -> impl Fn(Sample) + Send + Sync + 'static {
     move |sample| {
         let key = cut(sample.key_expr().as_str());
-        let heard = match sample.kind() {
-            SampleKind::Put => Heard::TokenUp(key),
-            SampleKind::Delete => Heard::TokenDown(key),
+        let event = match sample.kind() {
+            SampleKind::Put => NetworkEvent::TokenUp(key),
+            SampleKind::Delete => NetworkEvent::TokenDown(key),
         };
-        if events.try_send(Event::There(heard)).is_err() {
+        if events.try_send(Event::FarChange(event)).is_err() {
             MISSED.store(true, Ordering::Relaxed);
         }
     }
@@ -66,7 +66,7 @@ pub(crate) fn ends_to(events: Events, own_zid: u128) -> impl Fn(Sample) + Send +
         let said = ended_tag(sample.key_expr().as_str()).filter(|_| sample.kind() == SampleKind::Put);
         if let Some((_, tag)) = said.filter(|(zid, _)| *zid != own_zid) {
             // What does not fit is taken for a death.
-            let _ = events.try_send(Event::There(Heard::Ended(tag)));
+            let _ = events.try_send(Event::FarChange(NetworkEvent::Ended(tag)));
         }
     }
 }
@@ -98,13 +98,13 @@ pub(crate) struct NetworkSide {
     options: Options,
     participant: Participant,
     session: Session,
-    shared: Arc<Shared>,
+    state: Arc<GatewayState>,
     graph: Graph,
     /// Whether the graph is otherwise than it was shown.
     is_unseen: bool,
     tokens: Tokens,
     /// What is said next.
-    words: Vec<Word>,
+    changes: Vec<TokenChange>,
     types: Types,
     descriptions: Descriptions,
     /// Topics that come in and whose type is not known here.
@@ -118,14 +118,14 @@ impl NetworkSide {
         participant: Participant,
         session: Session,
         descriptions: Descriptions,
-        shared: Arc<Shared>,
+        state: Arc<GatewayState>,
     ) -> (Self, Transit) {
         let domain = options.domain_there();
         let zid = u128::from_le_bytes(session.zid().to_le_bytes());
         let host = tautline_rt::host::name();
         let transit = Transit::to_network(participant.domain_id(), participant.id(), zid, &host);
         let transit = transit.going_on(options.transit);
-        let (incoming, declared, ended, words, undescribed) = Default::default();
+        let (incoming, declared, ended, changes, undescribed) = Default::default();
         let side = NetworkSide {
             incoming,
             declared,
@@ -136,8 +136,8 @@ impl NetworkSide {
             options,
             participant,
             session,
-            shared,
-            words,
+            state,
+            changes,
             types: Types::new(SchemaStore::of_user(), Packages::from_env()),
             descriptions,
             undescribed,
@@ -149,25 +149,25 @@ impl NetworkSide {
         wire_key(self.options.domain_there(), key)
     }
 
-    fn say(&mut self, word: Word) {
-        match word {
-            Word::Declare(token) => {
+    fn say(&mut self, change: TokenChange) {
+        match change {
+            TokenChange::Declare(token) => {
                 let text = token.to_string();
                 match self.session.liveliness().declare_token(text.clone()).wait() {
                     Ok(declared) => drop(self.declared.insert(text, declared)),
                     Err(error) => tracing::warn!("{text} is not announced: {error}"),
                 }
             }
-            Word::Withdraw(token) => drop(self.declared.remove(&token.to_string())),
-            Word::Ended(tag) => {
+            TokenChange::Withdraw(token) => drop(self.declared.remove(&token.to_string())),
+            TokenChange::Ended(tag) => {
                 if self.ended.len() >= MOST_ENDED {
                     self.ended.pop_front();
                 }
                 let zid = u128::from_le_bytes(self.session.zid().to_le_bytes());
                 let key = ended(self.options.domain_there(), zid, tag);
-                let word = self.session.liveliness().declare_token(key).wait();
+                let token = self.session.liveliness().declare_token(key).wait();
                 // Without it the end is taken for a death.
-                self.ended.extend(word.ok().map(|word| (Instant::now(), word)));
+                self.ended.extend(token.ok().map(|token| (Instant::now(), token)));
             }
         }
     }
@@ -229,17 +229,17 @@ pub(crate) fn wire_key(domain: u32, key: &tautline_relay::TopicKey) -> Result<To
 
 impl FarSide for NetworkSide {
     const SIDE: Side = Side::Network;
-    const MANNER: Manner = incoming::MANNER;
-    type Event = Heard;
-    type Outlet = Network;
+    const DELIVERY: Delivery = incoming::DELIVERY;
+    type Event = NetworkEvent;
+    type Egress = Network;
     type Writer = Writer;
     type Services = NetworkServices;
     const PATIENCE: Option<Duration> = Some(Duration::from_secs(1));
 
-    fn hear(&mut self, heard: Heard) -> bool {
-        let is_changed = match heard {
-            Heard::TokenUp(key) => self.graph.insert(&key),
-            Heard::TokenDown(key) => {
+    fn hear(&mut self, event: NetworkEvent) -> bool {
+        let is_changed = match event {
+            NetworkEvent::TokenUp(key) => self.graph.insert(&key),
+            NetworkEvent::TokenDown(key) => {
                 let was_there = self.graph.remove(&key);
                 if self.graph.wants_resync() {
                     // With the next tick: it takes a while.
@@ -247,15 +247,15 @@ impl FarSide for NetworkSide {
                 }
                 was_there
             }
-            Heard::Ended(tag) => {
+            NetworkEvent::Ended(tag) => {
                 self.graph.note_ended(tag);
                 false
             }
-            Heard::Described(id, payload) => {
+            NetworkEvent::Described(id, payload) => {
                 self.descriptions.learn(&id, payload.as_deref());
                 false
             }
-            Heard::Asked(query) => {
+            NetworkEvent::Asked(query) => {
                 self.descriptions.answer(&query, &mut self.types);
                 false
             }
@@ -264,10 +264,10 @@ impl FarSide for NetworkSide {
         is_changed
     }
 
-    fn look(&mut self, _: &Here) -> Result<There, String> {
+    fn look(&mut self, _: &LocalGraph) -> Result<FarGraph, String> {
         if std::mem::take(&mut self.is_unseen) {
             let remote: Vec<Token> = self.graph.tokens().cloned().collect();
-            *self.shared.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);
+            *self.state.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);
         }
         let mut there = self.graph.there();
         // What comes back some way is left where it is.
@@ -279,7 +279,7 @@ impl FarSide for NetworkSide {
         Ok(there)
     }
 
-    fn prepare(&mut self, here: &mut Here, transit: &Transit) {
+    fn prepare(&mut self, here: &mut LocalGraph, transit: &Transit) {
         let (graph, types) = (&self.graph, &mut self.types);
         let hash_of = |topic: &str, name: &_| types.hash_of(name).or_else(|| graph.hash_of(topic, name));
         let mut ends = locals::list(here, hash_of);
@@ -308,16 +308,16 @@ impl FarSide for NetworkSide {
             .filter_map(|(name, origin)| Some((name, transit.announced(&origin)?)))
             .collect();
         let ended = here.ended.iter().copied().collect();
-        self.words.append(&mut self.tokens.tell(&nodes, ends, &ended));
+        self.changes.append(&mut self.tokens.tell(&nodes, ends, &ended));
     }
 
-    fn show(&mut self, _: &Here, _: &Transit) {}
+    fn show(&mut self, _: &LocalGraph, _: &Transit) {}
 
     fn shown(&self) {}
 
-    fn tell(&mut self, _: &Here, _: &Transit, _: &Writers<Writer>) {
-        for word in std::mem::take(&mut self.words) {
-            self.say(word);
+    fn tell(&mut self, _: &LocalGraph, _: &Transit, _: &Writers<Writer>) {
+        for change in std::mem::take(&mut self.changes) {
+            self.say(change);
         }
     }
 
@@ -373,18 +373,18 @@ impl FarSide for NetworkSide {
         participant.create_relay_publisher(topic, topic_type, offered, Limits { claim, ..Limits::default() })
     }
 
-    fn start_in(&mut self, key: &InKey, inward: &Inward, mut inlet: Inlet) -> Result<(), String> {
+    fn start_in(&mut self, key: &InKey, inward: &Inward, mut ingress: Ingress) -> Result<(), String> {
         let wire_key = self.wire_key(&key.topic)?;
         // Of one that runs: what is kept is asked for again, so that the new port has it for late joiners on this host.
         if let Some(old) = self.incoming.remove(key).and_then(Incoming::end) {
-            inlet.take_over(old, key.is_kept());
+            ingress.take_over(old, key.is_kept());
         }
         if self.types.schema(&wire_key.type_id).is_none() {
             self.undescribed.insert(wire_key.clone());
             self.descriptions.ask(&self.session, &wire_key, &self.graph);
         }
         let max_bytes = self.options.max_message_bytes;
-        let started = Incoming::start(&self.session, &wire_key, inward, inlet, max_bytes);
+        let started = Incoming::start(&self.session, &wire_key, inward, ingress, max_bytes);
         self.incoming.insert(key.clone(), started.map_err(|error| error.to_string())?);
         Ok(())
     }
@@ -393,7 +393,7 @@ impl FarSide for NetworkSide {
         self.incoming.contains_key(key)
     }
 
-    fn change_in(&mut self, key: &InKey, change: Change) {
+    fn change_in(&mut self, key: &InKey, change: IngressUpdate) {
         if let Some(incoming) = self.incoming.get(key) {
             incoming.change(change);
         }
@@ -409,7 +409,7 @@ impl FarSide for NetworkSide {
     }
 
     fn report(&mut self, report: Report, _: &Writers<Writer>) {
-        let mut stats = self.shared.stats.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut stats = self.state.stats.lock().unwrap_or_else(PoisonError::into_inner);
         stats.uptime_s = report.uptime_s;
         stats.remote_nodes = self.graph.tokens().filter(|token| token.endpoint.is_none()).count();
         stats.remote_endpoints = self.graph.tokens().count() - stats.remote_nodes;

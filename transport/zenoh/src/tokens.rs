@@ -25,9 +25,9 @@ pub(crate) struct LocalEndpoint {
     pub(crate) origin: Origin,
 }
 
-/// What is to be said, in this order.
+/// What the network is to be told, in this order.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Word {
+pub(crate) enum TokenChange {
     /// Declare a liveliness token.
     Declare(Token),
     /// Withdraw it.
@@ -36,16 +36,16 @@ pub(crate) enum Word {
     Ended(u64),
 }
 
-/// What is said.
+/// The tokens that are declared.
 pub(crate) struct Tokens {
     zid: u128,
     domain: u32,
     next_id: u64,
     nodes: BTreeMap<NodeName, Token>,
-    ends: BTreeMap<Gid, Said>,
+    ends: BTreeMap<Gid, DeclaredEndpoint>,
 }
 
-struct Said {
+struct DeclaredEndpoint {
     end: LocalEndpoint,
     token: Token,
     wire_gid: Gid,
@@ -66,13 +66,13 @@ impl Tokens {
 
     /// How the network knows this publisher, if it does.
     pub(crate) fn wire_gid(&self, gid: &Gid) -> Option<Gid> {
-        self.ends.get(gid).map(|said| said.wire_gid)
+        self.ends.get(gid).map(|declared| declared.wire_gid)
     }
 
     /// The publishers that the network knows: their topics and gids there.
     pub(crate) fn publishers(&self) -> impl Iterator<Item = (&str, Gid)> {
-        let publishers = self.ends.values().filter(|said| said.end.kind == EndpointKind::Publisher);
-        publishers.map(|said| (&*said.end.topic, said.wire_gid))
+        let publishers = self.ends.values().filter(|declared| declared.end.kind == EndpointKind::Publisher);
+        publishers.map(|declared| (&*declared.end.topic, declared.wire_gid))
     }
 
     /// The network is to be told of these nodes and ends, and no others; of the publishers with the tags in `ended` that they have ended
@@ -82,8 +82,8 @@ impl Tokens {
         nodes: &[(NodeName, Origin)],
         ends: Vec<LocalEndpoint>,
         ended: &HashSet<u64>,
-    ) -> Vec<Word> {
-        let mut words = Vec::new();
+    ) -> Vec<TokenChange> {
+        let mut changes = Vec::new();
         // By name, and by how word of them came: ends say of their nodes no more.
         let mut named_nodes = BTreeMap::<NodeKey, BTreeSet<NodeName>>::new();
         for (name, origin) in nodes {
@@ -100,7 +100,7 @@ impl Tokens {
             if !self.nodes.contains_key(node) {
                 let (domain, zid, node_id) = (self.domain, self.zid, self.id());
                 let token = Token { domain, zid, node_id, node: node.clone(), endpoint: None };
-                words.push(Word::Declare(token.clone()));
+                changes.push(TokenChange::Declare(token.clone()));
                 self.nodes.insert(node.clone(), token);
             }
         }
@@ -114,31 +114,33 @@ impl Tokens {
         let now: BTreeMap<Gid, LocalEndpoint> = ends.into_iter().map(|end| (end.gid, end)).collect();
         // An end that changed is one that ended and one that began. But its former token goes last, so that others have it all the time.
         let mut replaced = Vec::new();
-        self.ends.retain(|gid, said| match now.get(gid) {
-            Some(end) if *end == said.end && node_of(end) == Some(said.token.node_id) => true,
+        self.ends.retain(|gid, declared| match now.get(gid) {
+            Some(end) if *end == declared.end && node_of(end) == Some(declared.token.node_id) => true,
             Some(_) => {
-                replaced.push(Word::Withdraw(said.token.clone()));
+                replaced.push(TokenChange::Withdraw(declared.token.clone()));
                 false
             }
             None => {
-                let tag = said.end.origin.tag;
-                let has_ended = said.end.kind == EndpointKind::Publisher && ended.contains(&tag);
-                words.extend(has_ended.then_some(Word::Ended(tag)));
-                words.push(Word::Withdraw(said.token.clone()));
+                let tag = declared.end.origin.tag;
+                let has_ended = declared.end.kind == EndpointKind::Publisher && ended.contains(&tag);
+                changes.extend(has_ended.then_some(TokenChange::Ended(tag)));
+                changes.push(TokenChange::Withdraw(declared.token.clone()));
                 false
             }
         });
         for (gid, end) in now {
             if !self.ends.contains_key(&gid) {
                 let token = self.token(&end, node_of(&end).unwrap_or_default());
-                words.push(Word::Declare(token.clone()));
-                self.ends.insert(gid, Said { end, wire_gid: endpoint_gid(&token), token });
+                changes.push(TokenChange::Declare(token.clone()));
+                self.ends.insert(gid, DeclaredEndpoint { end, wire_gid: endpoint_gid(&token), token });
             }
         }
-        words.append(&mut replaced);
+        changes.append(&mut replaced);
         let unused: Vec<NodeName> = self.nodes.keys().filter(|node| !used.contains(node)).cloned().collect();
-        words.extend(unused.into_iter().filter_map(|node| self.nodes.remove(&node).map(Word::Withdraw)));
-        words
+        changes.extend(
+            unused.into_iter().filter_map(|node| self.nodes.remove(&node).map(TokenChange::Withdraw)),
+        );
+        changes
     }
 
     /// One that was not used before.
@@ -183,23 +185,23 @@ mod tests {
     }
 
     /// What is said, in short: `+ Publisher /x`.
-    fn said(words: &[Word]) -> Vec<String> {
+    fn declared(changes: &[TokenChange]) -> Vec<String> {
         let token = |token: &Token| match &token.endpoint {
             None => format!("node {}", token.node.full_name()),
             Some(end) => format!("{:?} {}", end.kind, end.name),
         };
-        let one = |word: &Word| match word {
-            Word::Declare(declared) => format!("+ {}", token(declared)),
-            Word::Withdraw(withdrawn) => format!("- {}", token(withdrawn)),
-            Word::Ended(tag) => format!("ended {tag}"),
+        let one = |change: &TokenChange| match change {
+            TokenChange::Declare(declared) => format!("+ {}", token(declared)),
+            TokenChange::Withdraw(withdrawn) => format!("- {}", token(withdrawn)),
+            TokenChange::Ended(tag) => format!("ended {tag}"),
         };
-        words.iter().map(one).collect()
+        changes.iter().map(one).collect()
     }
 
     const NONE: [&str; 0] = [];
 
     fn tell(tokens: &mut Tokens, ends: &[LocalEndpoint]) -> Vec<String> {
-        said(&tokens.tell(&[], ends.to_vec(), &HashSet::new()))
+        declared(&tokens.tell(&[], ends.to_vec(), &HashSet::new()))
     }
 
     #[test]
@@ -213,10 +215,10 @@ mod tests {
         assert_eq!(tell(&mut tokens, &[]), ["- Client /add", "- node /n"]);
         // A node without ends.
         let node = [(NodeName::new("/a", "m"), Origin { tag: 99, ..Origin::default() })];
-        let mut words = |ends| said(&tokens.tell(&node, ends, &HashSet::new()));
-        assert_eq!(words(vec![]), ["+ node /a/m"]);
-        assert_eq!(words(vec![publisher(1)]), ["+ node /n", "+ Publisher /x"]);
-        assert_eq!(words(vec![]), ["- Publisher /x", "- node /n"]);
+        let mut changes = |ends| declared(&tokens.tell(&node, ends, &HashSet::new()));
+        assert_eq!(changes(vec![]), ["+ node /a/m"]);
+        assert_eq!(changes(vec![publisher(1)]), ["+ node /n", "+ Publisher /x"]);
+        assert_eq!(changes(vec![]), ["- Publisher /x", "- node /n"]);
     }
 
     #[test]
@@ -224,9 +226,9 @@ mod tests {
         let mut tokens = Tokens::new(5, 1);
         tell(&mut tokens, &[publisher(1), publisher(2), end(3, EndpointKind::Subscription, "x")]);
         // Its tag is its gid's here, and of what is no publisher nobody says it.
-        let words = tokens.tell(&[], vec![], &HashSet::from([1, 3, 9]));
+        let changes = tokens.tell(&[], vec![], &HashSet::from([1, 3, 9]));
         let expected = ["ended 1", "- Publisher /x", "- Publisher /x", "- Subscription /x", "- node /n"];
-        assert_eq!(said(&words), expected);
+        assert_eq!(declared(&changes), expected);
     }
 
     #[test]
@@ -247,8 +249,8 @@ mod tests {
         let mut tokens = Tokens::new(5, 1);
         let mut ids = BTreeSet::new();
         for n in 0..100 {
-            for word in tokens.tell(&[], vec![publisher(n)], &HashSet::new()) {
-                if let Word::Declare(token) = word {
+            for change in tokens.tell(&[], vec![publisher(n)], &HashSet::new()) {
+                if let TokenChange::Declare(token) = change {
                     assert!(ids.insert(token.endpoint.map_or(token.node_id, |endpoint| endpoint.id)));
                 }
             }

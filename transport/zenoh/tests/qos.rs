@@ -32,12 +32,12 @@ fn publishers_of_another_host_are_watched_one_by_one() {
     assert_eq!(count, 2);
 
     // The deadline is the subscription's: a message of either of them keeps it.
-    let (pulse, _) = subscription.monitor(&events).deadline().unwrap();
+    let (activity, _) = subscription.monitor(&events).deadline().unwrap();
     for publisher in [&first, &second] {
         connect(publisher, &[&subscription], b"probe");
         let (before, doorbell) = (monotonic_ns(), b.participant.doorbell());
         publisher.publish(b"in time").unwrap();
-        until("a sign of life", || doorbell.pulse_ns(pulse) > before);
+        until("a sign of life", || doorbell.activity_ns(activity) > before);
     }
 
     drop(second);

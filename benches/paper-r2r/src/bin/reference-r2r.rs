@@ -2,7 +2,7 @@
 //! The Autoware reference system on r2r, over whatever ROS 2 it was built with.
 //!
 //! Started by Tautline's `reference_system` with `--child` and a job as JSON. The nodes' work is the same source as there. As
-//! r2r's examples have it one thread spins and runs all callbacks, on one `LocalPool`; or, if the job has seats, each callback
+//! r2r's examples have it one thread spins and runs all callbacks, on one `LocalPool`; or, if the job has placements, each callback
 //! is a thread with a `LocalPool`, a priority and a core of its own. A `Node` of r2r's has a wait set of its own, so that the
 //! callbacks of all 24 nodes are those of one. The middleware's threads inherit the priority of the thread that spins.
 //! The message's 4096 bytes are the data of a `std_msgs/msg/UInt8MultiArray`, read in place where r2r has put them.
@@ -30,7 +30,8 @@ use rustix::process::{Signal, set_parent_process_death_signal};
 use tautline_msgs::{from_bytes, write_cdr};
 use tautline_reference::graph::{Callback, Trigger};
 use tautline_reference::{
-    DEPTH, Input, Job, Kpis, Load, Message4kb, Output, Records, Seat, conduct, run as run_callback, window,
+    DEPTH, Input, Job, Kpis, Load, Message4kb, Output, Placement, Records, conduct, run as run_callback,
+    window,
 };
 use tautline_rt::{
     CoreSet, MemoryLock, Policy, Realtime, ThreadBuilder, lock_memory, set_policy, tune_malloc,
@@ -91,9 +92,9 @@ fn run(job: &Job) -> Result<Kpis> {
         let (ends, limit, records) =
             (Ends::open(&mut node, &records.callbacks()[index])?, job.cruncher_limit, Arc::clone(&records));
         let callback = run_callback(index, limit, records, ends.timer, ends.inputs, ends.output);
-        match job.seats.get(index) {
+        match job.placements.get(index) {
             None => pool.spawner().spawn_local(callback)?,
-            Some(seat) => spawn(callback, *seat, job.realtime)?,
+            Some(placement) => spawn(callback, *placement, job.realtime)?,
         }
     }
     while !over.load(Ordering::Acquire) {
@@ -101,14 +102,19 @@ fn run(job: &Job) -> Result<Kpis> {
         pool.run_until_stalled();
     }
     let usage = conductor.join().map_err(|_| "the thread that ends the run has panicked")?;
-    let mode = if job.seats.is_empty() { "one LocalPool" } else { "a thread each" };
+    let mode = if job.placements.is_empty() { "one LocalPool" } else { "a thread each" };
     Ok(Kpis::new("r2r", mode, job, &load, &records, &usage))
 }
 
 /// Gives a callback a thread, which ends with the process.
-fn spawn(callback: impl Future<Output = ()> + Send + 'static, seat: Seat, realtime: bool) -> Result<()> {
-    let thread =
-        ThreadBuilder::new("callback").policy(Policy::Fifo(seat.priority)).cores(CoreSet::one(seat.core));
+fn spawn(
+    callback: impl Future<Output = ()> + Send + 'static,
+    placement: Placement,
+    realtime: bool,
+) -> Result<()> {
+    let thread = ThreadBuilder::new("callback")
+        .policy(Policy::Fifo(placement.priority))
+        .cores(CoreSet::one(placement.core));
     let realtime = if realtime { Realtime::Required } else { Realtime::Off };
     thread.realtime(realtime).spawn(move || move || LocalPool::new().run_until(callback))?;
     Ok(())

@@ -2,7 +2,7 @@
 //! Which field is meant, and whether it can be drawn.
 
 use crate::asking::full_name;
-use crate::manners::{Failure, Outcome};
+use crate::verb::{Failure, Outcome};
 use std::fmt;
 use tautline_schema::{Base, Definition, FieldType, Primitive, Schema, Shape};
 

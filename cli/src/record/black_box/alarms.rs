@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! When the black box is written: a deadline is missed, a process dies, a topic falls silent, somebody asks.
 
-use super::super::seats::Seats;
-use crate::manners::Outcome;
+use super::super::observers::Observers;
 use crate::report::run::Run;
+use crate::verb::Outcome;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -114,7 +114,7 @@ impl Alarms {
     }
 
     /// What happened since the last look. What something is said of rests for a while.
-    pub fn look(&mut self, seats: &Seats) -> Outcome<Vec<Alarm>> {
+    pub fn look(&mut self, observers: &Observers) -> Outcome<Vec<Alarm>> {
         let now_ns = monotonic_ns();
         let mut found = Vec::new();
         if self.asked.swap(false, Ordering::Relaxed) && self.watches(Kind::Request) {
@@ -137,7 +137,7 @@ impl Alarms {
             };
             graph.endpoints.iter().any(|end| of_topic(&end))
         };
-        for (number, topic, messages) in seats.heard() {
+        for (number, topic, messages) in observers.heard() {
             let least_ns = self.silent.get(topic).copied();
             let heard = self.heard.entry(number).or_insert(Heard {
                 messages,

@@ -13,7 +13,7 @@ pub use tracing::Tracing;
 pub use vault::{Dump, Plan, Vault, Vaulted};
 
 use super::{RecordArgs, failed, say};
-use crate::manners::{Failure, Outcome};
+use crate::verb::{Failure, Outcome};
 use serde_json::json;
 use std::io::Write;
 use std::path::Path;
@@ -22,7 +22,7 @@ use std::path::Path;
 pub fn print(args: &RecordArgs, folder: &Path, vaulted: Outcome<Vaulted>, lost: u64) -> Outcome {
     let vaulted = vaulted?;
     let out = &mut anstream::stdout().lock();
-    if args.manners.json {
+    if args.common.json {
         let bags: Vec<_> = vaulted.dumps.iter().map(Dump::json).collect();
         let shortest = vaulted.shortest_ns;
         let report = json!({

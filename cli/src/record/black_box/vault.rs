@@ -6,10 +6,10 @@
 
 use super::alarms::{Alarm, Kind};
 use super::tracing::Tracing;
-use crate::manners::Outcome;
 use crate::record::event::Events;
-use crate::record::seats::Kept;
+use crate::record::observers::Kept;
 use crate::ring::{HEAD_BYTES, Head};
+use crate::verb::Outcome;
 use rtrb::Consumer;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, VecDeque};
@@ -102,11 +102,11 @@ impl Vault {
         tracing: Option<Tracing>,
         is_over: Arc<AtomicBool>,
     ) -> Outcome<Self> {
-        let (alarms, coming) = channel();
+        let (alarms, new_observers) = channel();
         let work = Work {
             plan,
             consumer,
-            coming: topics,
+            new_observers: topics,
             topics: Vec::new(),
             tracing,
             number: 0,
@@ -114,7 +114,7 @@ impl Vault {
             done: Vaulted { dumps: Vec::new(), removed: 0, unusable: 0, shortest_ns: None, failed: None },
         };
         let thread = ThreadBuilder::new("vault").policy(Policy::Other { nice: 0 });
-        let thread = thread.spawn(move || move || work.run(&coming, &is_over))?;
+        let thread = thread.spawn(move || move || work.run(&new_observers, &is_over))?;
         Ok(Vault { alarms, thread })
     }
 
@@ -130,7 +130,7 @@ impl Vault {
     }
 }
 
-/// What is known of a seat.
+/// What is known of an observer.
 struct Known {
     topic: Topic,
     events: Option<Events>,
@@ -144,7 +144,7 @@ struct Known {
 struct Work {
     plan: Plan,
     consumer: Consumer<u8>,
-    coming: Receiver<Kept>,
+    new_observers: Receiver<Kept>,
     topics: Vec<Known>,
     tracing: Option<Tracing>,
     number: u32,
@@ -229,7 +229,7 @@ impl Work {
                 let latch = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
                 Known { topic, events, channel, latch, latched: VecDeque::new() }
             };
-            let known = match self.coming.recv().ok()? {
+            let known = match self.new_observers.recv().ok()? {
                 Kept::Topic(topic) => known(topic, None, channel),
                 Kept::Requests(topic, events) => known(topic, Some(events), channel),
                 Kept::Responses(requests) => known(self.topics.get(requests)?.topic.clone(), None, requests),

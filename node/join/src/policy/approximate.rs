@@ -46,7 +46,7 @@ struct Candidate {
 
 impl ApproximateTime {
     /// At most `queue_size` messages of each input wait; the oldest is dropped for one more.
-    #[must_use]
+    #[must_use = "give it to a Synchronizer"]
     pub fn new(queue_size: usize) -> Self {
         ApproximateTime {
             queue_size,
@@ -59,7 +59,7 @@ impl ApproximateTime {
     }
 
     /// The stamps of a set lie at most so far apart (message_filters: `setMaxIntervalDuration`, in Python `slop`). No limit by default.
-    #[must_use]
+    #[must_use = "it returns the changed policy"]
     pub fn max_interval(mut self, interval: Duration) -> Self {
         self.max_interval_ns = nanos(interval);
         self
@@ -67,7 +67,7 @@ impl ApproximateTime {
 
     /// How much closer together a later set must be to be preferred, as a part of how much later it is (`setAgePenalty`). 0.1 by
     /// default; a negative one or one that is no number is taken as 0.
-    #[must_use]
+    #[must_use = "it returns the changed policy"]
     pub fn age_penalty(mut self, penalty: f64) -> Self {
         self.age_penalty = penalty.max(0.0);
         self
@@ -75,7 +75,7 @@ impl ApproximateTime {
 
     /// A promise: the stamps of input `input` (from 0) are at least so far apart (`setInterMessageLowerBound`). Sets are then passed on
     /// earlier. Messages that break the promise are counted. An input that is not there is ignored.
-    #[must_use]
+    #[must_use = "it returns the changed policy"]
     pub fn inter_message_lower_bound(mut self, input: usize, bound: Duration) -> Self {
         if let Some(slot) = self.lower_bounds_ns.get_mut(input) {
             *slot = nanos(bound);

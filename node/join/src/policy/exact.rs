@@ -24,7 +24,7 @@ pub struct ExactTime {
 
 impl ExactTime {
     /// At most so many different stamps wait.
-    #[must_use]
+    #[must_use = "give it to a Synchronizer"]
     pub fn new(queue_size: usize) -> Self {
         ExactTime { queue_size, channels: Vec::new(), fresh: None, last_set: None }
     }

@@ -5,7 +5,7 @@ use super::flag::Flag;
 use super::offered::{FarServer, Offered};
 use super::routes::{OfferedService, Routes, SoughtService};
 use super::sought::{FarClient, Sought};
-use super::stats::{Book, ServiceStats};
+use super::stats::{ServiceStats, ServiceStatsTable};
 use crate::mirror::TopicKey;
 use crate::rules::Direction;
 use std::collections::BTreeMap;
@@ -82,7 +82,7 @@ pub struct Arrived {
 pub struct Services<F: FarServices> {
     commands: Option<mpsc::Sender<Command<F>>>,
     routes: Routes,
-    shared: Arc<Shared>,
+    state: Arc<ExchangeState>,
     waker: Waker,
     thread: Option<JoinHandle<()>>,
 }
@@ -90,14 +90,14 @@ pub struct Services<F: FarServices> {
 struct Command<F: FarServices> {
     routes: Routes,
     with: F::With,
-    /// Dropped when it was obeyed.
+    /// Dropped when it was applied.
     _done: mpsc::Sender<()>,
 }
 
 /// Tells when services are offered as was said.
-pub struct Obeyed(Option<mpsc::Receiver<()>>);
+pub struct RoutesApplied(Option<mpsc::Receiver<()>>);
 
-impl Obeyed {
+impl RoutesApplied {
     /// Waits until then, at most so long. Whether it is so.
     pub fn wait(self, timeout: Duration) -> bool {
         let timed_out = Err(mpsc::RecvTimeoutError::Timeout);
@@ -107,14 +107,14 @@ impl Obeyed {
 
 /// What the thread and its owner both have.
 #[derive(Default)]
-struct Shared {
+struct ExchangeState {
     stop: AtomicBool,
-    book: Book,
+    stats: ServiceStatsTable,
     /// Services that could not be opened, and why.
     problems: Mutex<BTreeMap<String, String>>,
 }
 
-impl Shared {
+impl ExchangeState {
     fn problems(&self) -> MutexGuard<'_, BTreeMap<String, String>> {
         self.problems.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -127,7 +127,7 @@ impl<F: FarServices> Services<F> {
     /// [`RtError`]: a missing privilege.
     pub fn start(participant: &Participant, far: F, thread: ThreadBuilder) -> Result<Self, RtError> {
         let (commands, received) = mpsc::channel();
-        let (shared, waker) = (Arc::<Shared>::default(), far.waker());
+        let (state, waker) = (Arc::<ExchangeState>::default(), far.waker());
         let (offered, sought, refused) = Default::default();
         let exchange = Exchange {
             commands: received,
@@ -136,13 +136,13 @@ impl<F: FarServices> Services<F> {
             participant: participant.clone(),
             far,
             waker: waker.clone(),
-            shared: shared.clone(),
+            state: state.clone(),
             refused,
             looked: Instant::now(),
         };
         let thread = thread.spawn(move || move || exchange.run())?;
         let (commands, thread) = (Some(commands), Some(thread));
-        Ok(Services { commands, routes: Routes::default(), shared, waker, thread })
+        Ok(Services { commands, routes: Routes::default(), state, waker, thread })
     }
 
     /// The thread, as it was read back.
@@ -151,18 +151,18 @@ impl<F: FarServices> Services<F> {
     }
 
     /// Which services go which way from now on, and what ends there are made with.
-    pub fn set_routes(&mut self, routes: Routes, with: F::With) -> Obeyed {
+    pub fn set_routes(&mut self, routes: Routes, with: F::With) -> RoutesApplied {
         if routes == self.routes {
-            return Obeyed(None);
+            return RoutesApplied(None);
         }
         self.routes = routes.clone();
-        let (_done, obeyed) = mpsc::channel();
+        let (_done, applied) = mpsc::channel();
         if let Some(commands) = &self.commands {
             // Ignored: the thread ends when this does.
             let _ = commands.send(Command { routes, with, _done });
             self.waker.wake_by_ref();
         }
-        Obeyed(Some(obeyed))
+        RoutesApplied(Some(applied))
     }
 
     /// As they were set last.
@@ -173,13 +173,13 @@ impl<F: FarServices> Services<F> {
     /// Services that are not mirrored, and why.
     pub fn problems(&self) -> BTreeMap<String, String> {
         let mut problems = self.routes.problems.clone();
-        problems.extend(self.shared.problems().clone());
+        problems.extend(self.state.problems().clone());
         problems
     }
 
     /// What could not be opened may be possible now: there is memory, a package was installed.
     pub fn try_again(&mut self, with: impl FnOnce() -> F::With) {
-        if !self.shared.problems().is_empty() {
+        if !self.state.problems().is_empty() {
             let routes = std::mem::take(&mut self.routes);
             self.set_routes(routes, with());
         }
@@ -187,14 +187,14 @@ impl<F: FarServices> Services<F> {
 
     /// What was answered and what was not.
     pub fn read(&self) -> Vec<ServiceStats<TopicKey, Direction>> {
-        self.shared.book.read()
+        self.state.stats.read()
     }
 }
 
 impl<F: FarServices> Drop for Services<F> {
     fn drop(&mut self) {
         self.commands = None;
-        self.shared.stop.store(true, Ordering::Release);
+        self.state.stop.store(true, Ordering::Release);
         self.waker.wake_by_ref();
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
@@ -209,7 +209,7 @@ struct Exchange<F: FarServices> {
     participant: Participant,
     far: F,
     waker: Waker,
-    shared: Arc<Shared>,
+    state: Arc<ExchangeState>,
     /// Why those that are wanted could not be opened last.
     refused: BTreeMap<TopicKey, String>,
     /// When all were looked at last, whether or not something happened to them.
@@ -219,7 +219,7 @@ struct Exchange<F: FarServices> {
 impl<F: FarServices> Exchange<F> {
     fn run(mut self) {
         self.far.begin();
-        while !self.shared.stop.load(Ordering::Acquire) {
+        while !self.state.stop.load(Ordering::Acquire) {
             if let Some(command) = self.commands.try_iter().last() {
                 self.set_routes(&command.routes, &command.with);
             }
@@ -288,10 +288,10 @@ impl<F: FarServices> Exchange<F> {
         self.offered.retain(|key, _| routes.offered.contains_key(key));
         self.sought.retain(|key, _| routes.sought.contains_key(key));
         self.refused.retain(|key, _| routes.offered.contains_key(key) || routes.sought.contains_key(key));
-        self.shared.problems().clear();
+        self.state.problems().clear();
         for (key, service) in &routes.offered {
             if !self.offered.contains_key(key) {
-                let counters = self.shared.book.counters(key, Direction::Out);
+                let counters = self.state.stats.counters(key, Direction::Out);
                 let (participant, flag) = (&self.participant, Flag::new(&self.waker));
                 let offered = self.far.offer(key, service, with).and_then(|(service_type, open)| {
                     Offered::open(key, service_type, participant, counters, flag, open)
@@ -306,7 +306,7 @@ impl<F: FarServices> Exchange<F> {
             if !self.sought.contains_key(key) {
                 match self.far.seek(key, service) {
                     Ok((service_type, client)) => {
-                        let counters = self.shared.book.counters(key, Direction::In);
+                        let counters = self.state.stats.counters(key, Direction::In);
                         let flag = Flag::new(&self.waker);
                         let sought =
                             Sought::new(key, service_type, client, &self.participant, counters, flag);
@@ -327,6 +327,6 @@ impl<F: FarServices> Exchange<F> {
             tracing::warn!("service '{}' is not mirrored: {reason}", key.topic);
             self.refused.insert(key.clone(), reason.clone());
         }
-        self.shared.problems().insert(key.topic.clone(), reason);
+        self.state.problems().insert(key.topic.clone(), reason);
     }
 }

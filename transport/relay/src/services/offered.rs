@@ -3,7 +3,7 @@
 
 use super::flag::Flag;
 use super::limits;
-use super::stats::Counters;
+use super::stats::ServiceCounters;
 use crate::mirror::TopicKey;
 use futures::future::{AbortHandle, Aborted, BoxFuture, abortable};
 use futures::stream::FuturesUnordered;
@@ -65,7 +65,7 @@ pub(super) struct Offered<S: FarServer> {
     pending: FuturesUnordered<BoxFuture<'static, Answer<S::Request>>>,
     /// Requests, the oldest first, with what lives as long as they are pending.
     asked: VecDeque<(AbortHandle, Weak<()>)>,
-    counters: Arc<Counters>,
+    counters: Arc<ServiceCounters>,
 }
 
 type Answer<R> = (R, Result<Result<RawSample, ServiceError>, Aborted>);
@@ -76,7 +76,7 @@ impl<S: FarServer> Offered<S> {
         key: &TopicKey,
         service_type: ServiceType,
         participant: &Participant,
-        counters: Arc<Counters>,
+        counters: Arc<ServiceCounters>,
         flag: Arc<Flag>,
         open: impl FnOnce() -> Result<S, String>,
     ) -> Result<Self, String> {

@@ -5,7 +5,7 @@ use super::flag::Flag;
 use super::limits;
 use super::offered::TURN;
 use super::routes::ServerId;
-use super::stats::Counters;
+use super::stats::ServiceCounters;
 use crate::mirror::TopicKey;
 use futures::task::waker;
 use std::collections::{BTreeSet, VecDeque};
@@ -72,7 +72,7 @@ pub(super) struct Sought<C: FarClient> {
     service: String,
     service_type: ServiceType,
     participant: Participant,
-    counters: Arc<Counters>,
+    counters: Arc<ServiceCounters>,
 }
 
 impl<C: FarClient> Sought<C> {
@@ -81,7 +81,7 @@ impl<C: FarClient> Sought<C> {
         service_type: ServiceType,
         far: C,
         participant: &Participant,
-        counters: Arc<Counters>,
+        counters: Arc<ServiceCounters>,
         flag: Arc<Flag>,
     ) -> Self {
         let (service, participant) = (key.topic.clone(), participant.clone());

@@ -39,13 +39,13 @@ impl<N, D> ServiceStats<N, D> {
 
 /// Counters of one service.
 #[derive(Debug, Default)]
-pub(super) struct Counters {
+pub(super) struct ServiceCounters {
     active: AtomicBool,
     answered: AtomicU64,
     failed: Mutex<BTreeMap<String, u64>>,
 }
 
-impl Counters {
+impl ServiceCounters {
     pub(super) fn answered(&self) {
         self.answered.fetch_add(1, Ordering::Relaxed);
     }
@@ -72,10 +72,10 @@ impl Counters {
 
 /// The counters of all services.
 #[derive(Debug, Default)]
-pub(super) struct Book(Mutex<BTreeMap<(TopicKey, Direction), Arc<Counters>>>);
+pub(super) struct ServiceStatsTable(Mutex<BTreeMap<(TopicKey, Direction), Arc<ServiceCounters>>>);
 
-impl Book {
-    pub(super) fn counters(&self, key: &TopicKey, direction: Direction) -> Arc<Counters> {
+impl ServiceStatsTable {
+    pub(super) fn counters(&self, key: &TopicKey, direction: Direction) -> Arc<ServiceCounters> {
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if all.len() >= MOST_SERVICES {
             all.retain(|_, counters| counters.active.load(Ordering::Relaxed));
@@ -85,13 +85,14 @@ impl Book {
 
     pub(super) fn read(&self) -> Vec<ServiceStats<TopicKey, Direction>> {
         let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let stats = |((key, direction), counters): (&(TopicKey, Direction), &Arc<Counters>)| ServiceStats {
-            name: key.clone(),
-            direction: *direction,
-            active: counters.active.load(Ordering::Relaxed),
-            answered: counters.answered.load(Ordering::Relaxed),
-            failed: counters.failed.lock().unwrap_or_else(PoisonError::into_inner).clone(),
-        };
+        let stats =
+            |((key, direction), counters): (&(TopicKey, Direction), &Arc<ServiceCounters>)| ServiceStats {
+                name: key.clone(),
+                direction: *direction,
+                active: counters.active.load(Ordering::Relaxed),
+                answered: counters.answered.load(Ordering::Relaxed),
+                failed: counters.failed.lock().unwrap_or_else(PoisonError::into_inner).clone(),
+            };
         all.iter().map(stats).collect()
     }
 }
@@ -102,15 +103,15 @@ mod tests {
 
     #[test]
     fn reasons_do_not_grow_without_end() {
-        let book = Book::default();
+        let stats = ServiceStatsTable::default();
         let (topic, far_topic, type_name) = ("/a".into(), "/b".into(), "c/srv/D".into());
         let key = TopicKey { topic, far_topic, type_name, type_hash: None };
-        let counters = book.counters(&key, Direction::Out);
+        let counters = stats.counters(&key, Direction::Out);
         for index in 0..100 {
             counters.failed(index % 50);
         }
         counters.answered();
-        let all = book.read();
+        let all = stats.read();
         let ServiceStats { answered, failed, active, .. } = &all[0];
         assert_eq!((all.len(), *answered, *active, failed.len()), (1, 1, false, MOST_REASONS + 1));
         assert_eq!((failed["0"], failed.values().sum::<u64>()), (2, 100));

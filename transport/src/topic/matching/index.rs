@@ -14,7 +14,7 @@ use std::collections::hash_map::Entry;
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
-/// Most ends on other hosts that a port tells its monitors of: what others declare costs it no more than this.
+/// Most endpoints on other hosts that a port tells its monitors of: what others declare costs it no more than this.
 const MOST_REMOTE: usize = 256;
 
 pub(super) struct Index {
@@ -23,7 +23,7 @@ pub(super) struct Index {
     members: HashMap<u64, Member>,
     /// Those of them whose records were read to the end, by their places, as they were then.
     last: Vec<Seen>,
-    by_topic: HashMap<u64, Ends>,
+    by_topic: HashMap<u64, TopicPorts>,
     /// Topics of which other hosts have others than before.
     remote_changes: BTreeSet<u64>,
     retries: Vec<Found>,
@@ -33,12 +33,12 @@ pub(super) struct Index {
 
 /// Entries of records by who has them: the participant and the number of the entry.
 #[derive(Default)]
-struct Ends {
+struct TopicPorts {
     ports: Positions,
     remote: Positions,
 }
 
-/// Where ends are described, in the order of their gids. Most topics have few of them, and there are many topics: a map would take ten
+/// Where endpoints are described, in the order of their gids. Most topics have few of them, and there are many topics: a map would take ten
 /// times the memory.
 #[derive(Default)]
 struct Positions(Vec<(Gid, usize)>);
@@ -89,7 +89,7 @@ pub(super) type Found = (Gid, u64);
 
 /// What has changed since the last look.
 #[derive(Debug, Default)]
-pub(super) struct News {
+pub(super) struct IndexUpdate {
     pub(super) added: Vec<Found>,
     /// Publishers that have ended before they were seen, and what they sent is still there; with what their ports said.
     pub(super) ended: Vec<(Found, Vec<u8>)>,
@@ -122,8 +122,8 @@ impl Index {
     }
 
     /// Reads on in the records that have changed.
-    pub(super) fn look(&mut self, domain: &Domain, peers: &mut Peers) -> News {
-        let mut news = News { added: std::mem::take(&mut self.retries), ..News::default() };
+    pub(super) fn look(&mut self, domain: &Domain, peers: &mut Peers) -> IndexUpdate {
+        let mut update = IndexUpdate { added: std::mem::take(&mut self.retries), ..IndexUpdate::default() };
         let epoch = domain.epoch();
         let is_same = self.epoch == Some(epoch);
         let own = self.own;
@@ -145,7 +145,7 @@ impl Index {
             if let Some(known) = self.members.get_mut(&member.id) {
                 if known.grown != member.grown {
                     known.grown = member.grown;
-                    news.grown.insert(member.id);
+                    update.grown.insert(member.id);
                 }
                 if known.generation == member.generation {
                     self.last.push(member);
@@ -154,7 +154,7 @@ impl Index {
             } else if is_same && self.refused.contains(&member.id) {
                 continue;
             }
-            match self.read(domain.number(), member.id, peers, &mut news) {
+            match self.read(domain.number(), member.id, peers, &mut update) {
                 Ok(()) => {
                     self.refused.remove(&member.id);
                     if let Some(known) = self.members.get_mut(&member.id) {
@@ -163,7 +163,7 @@ impl Index {
                     }
                 }
                 Err(error) => {
-                    news.is_refused |= error.is_passing();
+                    update.is_refused |= error.is_passing();
                     if self.refused.insert(member.id) {
                         super::complain(&error);
                     }
@@ -174,11 +174,11 @@ impl Index {
         let is_there = |id: u64| members.iter().any(|member| member.id == id);
         gone.extend(self.refused.extract_if(|id| !is_there(*id)));
         for id in gone {
-            news.gone |= self.members.contains_key(&id);
-            self.forget(id, &mut news);
+            update.gone |= self.members.contains_key(&id);
+            self.forget(id, &mut update);
         }
-        self.epoch = Some(epoch).filter(|_| !news.is_refused);
-        news
+        self.epoch = Some(epoch).filter(|_| !update.is_refused);
+        update
     }
 
     /// How many nodes of other participants have the name that has this hash.
@@ -191,7 +191,7 @@ impl Index {
         domain: u32,
         id: u64,
         peers: &mut Peers,
-        news: &mut News,
+        update: &mut IndexUpdate,
     ) -> Result<(), TransportError> {
         let member = match self.members.entry(id) {
             Entry::Occupied(known) => known.into_mut(),
@@ -217,7 +217,7 @@ impl Index {
                     member.ports.insert(number, hash);
                     self.by_topic.entry(hash).or_default().ports.insert(gid, position);
                     if former.0.remove(&number).is_none() {
-                        news.added.push((gid, hash));
+                        update.added.push((gid, hash));
                     }
                 }
                 Kind::RemotePort => {
@@ -228,29 +228,30 @@ impl Index {
                     }
                 }
                 Kind::Gone => {
-                    // One that came and went between two looks is no news.
-                    news.added.retain(|(added, ..)| *added != gid);
+                    // One that came and went between two looks is not reported.
+                    update.added.retain(|(added, ..)| *added != gid);
                     if let Some(hash) = member.ports.remove(&number) {
-                        remove(&mut self.by_topic, hash, |ends| ends.ports.remove(gid));
-                        news.removed.push((gid, hash, false));
+                        remove(&mut self.by_topic, hash, |topic| topic.ports.remove(gid));
+                        update.removed.push((gid, hash, false));
                     }
                     member.nodes.remove(&number);
                     member.ended.remove(&number);
                     if let Some(hash) = member.remote.remove(&number) {
-                        remove(&mut self.by_topic, hash, |ends| ends.remote.remove(gid));
+                        remove(&mut self.by_topic, hash, |topic| topic.remote.remove(gid));
                         self.remote_changes.insert(hash);
                     }
                 }
                 Kind::Ended => {
                     let known = member.ports.remove(&number).or_else(|| former.0.remove(&number));
                     if known.is_some() {
-                        remove(&mut self.by_topic, hash, |ends| ends.ports.remove(gid));
+                        remove(&mut self.by_topic, hash, |topic| topic.ports.remove(gid));
                     }
                     let is_new = |(added, _): &Found| *added == gid;
-                    if known.is_none() || news.added.extract_if(.., |added| is_new(added)).next().is_some() {
-                        news.ended.push(((gid, hash), entry.body));
+                    if known.is_none() || update.added.extract_if(.., |added| is_new(added)).next().is_some()
+                    {
+                        update.ended.push(((gid, hash), entry.body));
                     } else {
-                        news.removed.push((gid, hash, false));
+                        update.removed.push((gid, hash, false));
                     }
                 }
                 Kind::Node => drop(member.nodes.insert(number, hash)),
@@ -261,11 +262,11 @@ impl Index {
         // What was there before the record was written anew, and is no longer.
         for (number, hash) in former.0 {
             let gid = Gid::of(id, number);
-            remove(&mut self.by_topic, hash, |ends| ends.ports.remove(gid));
-            news.removed.push((gid, hash, false));
+            remove(&mut self.by_topic, hash, |topic| topic.ports.remove(gid));
+            update.removed.push((gid, hash, false));
         }
         for (number, hash) in former.1 {
-            remove(&mut self.by_topic, hash, |ends| ends.remote.remove(Gid::of(id, number)));
+            remove(&mut self.by_topic, hash, |topic| topic.remote.remove(Gid::of(id, number)));
             self.remote_changes.insert(hash);
         }
         if read.is_damaged {
@@ -275,15 +276,15 @@ impl Index {
     }
 
     /// A participant has gone, and all its ports.
-    fn forget(&mut self, id: u64, news: &mut News) {
+    fn forget(&mut self, id: u64, update: &mut IndexUpdate) {
         let Some(member) = self.members.remove(&id) else { return };
         for (number, hash) in member.ports {
             let gid = Gid::of(id, number);
-            remove(&mut self.by_topic, hash, |ends| ends.ports.remove(gid));
-            news.removed.push((gid, hash, true));
+            remove(&mut self.by_topic, hash, |topic| topic.ports.remove(gid));
+            update.removed.push((gid, hash, true));
         }
         for (number, hash) in member.remote {
-            remove(&mut self.by_topic, hash, |ends| ends.remote.remove(Gid::of(id, number)));
+            remove(&mut self.by_topic, hash, |topic| topic.remote.remove(Gid::of(id, number)));
             self.remote_changes.insert(hash);
         }
     }
@@ -318,27 +319,27 @@ impl Index {
 
     /// The ports of a kind that other participants have on a topic; others may be found by the next look.
     pub(super) fn ports(&mut self, hash: u64, kind: PortKind) -> Vec<(Gid, PortRecord)> {
-        let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| ends.ports.gids());
-        let gids: Vec<Gid> = ends.collect();
+        let ports = self.by_topic.get(&hash).into_iter().flat_map(|topic| topic.ports.gids());
+        let gids: Vec<Gid> = ports.collect();
         let ports = gids.into_iter().filter_map(|gid| Some((gid, self.port((gid, hash))?)));
         ports.filter(|(_, port)| port.kind == kind).collect()
     }
 
     /// Whether a port is there, as far as is known.
     pub(super) fn has(&self, gid: Gid, hash: u64) -> bool {
-        self.by_topic.get(&hash).is_some_and(|ends| ends.ports.get(gid).is_some())
+        self.by_topic.get(&hash).is_some_and(|topic| topic.ports.get(gid).is_some())
     }
 
     /// The participants that have ports on a topic.
     pub(super) fn participants(&self, hash: u64) -> BTreeSet<u64> {
-        let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| ends.ports.gids());
-        ends.map(|gid| gid.participant()).collect()
+        let ports = self.by_topic.get(&hash).into_iter().flat_map(|topic| topic.ports.gids());
+        ports.map(|gid| gid.participant()).collect()
     }
 
-    /// The ends of a kind that other hosts have of a topic and that can match: sorted by gid, each once, with its tag. `None`: they
+    /// The endpoints of a kind that other hosts have of a topic and that can match: sorted by gid, each once, with its tag. `None`: they
     /// cannot be read before the next look.
     pub(super) fn remote(&mut self, hash: u64, kind: PortKind, topic: &Topic) -> Option<Vec<(Gid, u64)>> {
-        let ends = self.by_topic.get(&hash).into_iter().flat_map(|ends| &ends.remote.0);
+        let ports = self.by_topic.get(&hash).into_iter().flat_map(|topic| &topic.remote.0);
         let nobody = NodeName { namespace: "/".into(), name: "_".into() };
         let mut is_moved = false;
         let end = |(gid, position): &(Gid, usize)| {
@@ -356,7 +357,7 @@ impl Index {
             let rank = end.origin.rank(gid.participant().into());
             fits.then_some((end.origin.tag, rank, end.gid))
         };
-        let mut told: Vec<(u64, Rank, Gid)> = ends.filter_map(end).collect();
+        let mut told: Vec<(u64, Rank, Gid)> = ports.filter_map(end).collect();
         if is_moved {
             self.remote_changes.insert(hash);
             return None;
@@ -380,10 +381,10 @@ impl Index {
     }
 }
 
-fn remove(by_topic: &mut HashMap<u64, Ends>, hash: u64, remove: impl FnOnce(&mut Ends)) {
-    if let Some(ends) = by_topic.get_mut(&hash) {
-        remove(ends);
-        if ends.ports.0.is_empty() && ends.remote.0.is_empty() {
+fn remove(by_topic: &mut HashMap<u64, TopicPorts>, hash: u64, remove: impl FnOnce(&mut TopicPorts)) {
+    if let Some(topic) = by_topic.get_mut(&hash) {
+        remove(topic);
+        if topic.ports.0.is_empty() && topic.remote.0.is_empty() {
             by_topic.remove(&hash);
         }
     }
@@ -438,8 +439,8 @@ mod tests {
         assert_eq!((index.port(found), index.has_retries()), (Some(port("/a")), false));
         assert_eq!(index.ports(hash_of("/a"), PortKind::Subscription), [(found.0, port("/a"))]);
         record.remove(found.0.number());
-        let news = index.look(&domain, &mut peers);
-        assert_eq!((news.added, news.removed), (vec![], vec![(found.0, found.1, false)]));
+        let update = index.look(&domain, &mut peers);
+        assert_eq!((update.added, update.removed), (vec![], vec![(found.0, found.1, false)]));
         assert_eq!((index.port(found), index.has_retries()), (None, false), "it has gone");
         memory.retire();
     }

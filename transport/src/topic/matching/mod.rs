@@ -24,12 +24,12 @@ use crate::graph::log::hash_of;
 use crate::graph::own::OwnRecord;
 use crate::graph::record::{PortKind, PortRecord};
 use crate::graph::{Entry, RemoteGraph};
-use crate::participant::Reached;
+use crate::participant::ArenaOwner;
 use crate::participant::file::Peers;
 use crate::topic::header::Gid;
-use crate::topic::publisher::core::{PublisherCore, Target};
-use crate::topic::subscription::core::{Expected, SubscriptionCore};
-use index::{Index, News};
+use crate::topic::publisher::core::{DiscoveredSubscription, PublisherCore};
+use crate::topic::subscription::core::{DiscoveredPublisher, SubscriptionCore};
+use index::{Index, IndexUpdate};
 use source::PeerPublishers;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::atomic::Ordering;
@@ -54,7 +54,7 @@ struct State {
     publishers: BTreeMap<u64, Arc<PublisherCore>>,
     subscriptions: BTreeMap<u64, Arc<SubscriptionCore>>,
     /// The same by the hash of their topics' names.
-    by_topic: HashMap<u64, Own>,
+    by_topic: HashMap<u64, OwnPorts>,
     /// Publishers with subscriptions that have gone and still hold samples.
     held_up: BTreeSet<u64>,
     /// Publishers of others that have ended before anybody here had seen them, until what they sent was found.
@@ -67,7 +67,7 @@ struct State {
 
 /// The ports of this participant on a topic, by their numbers.
 #[derive(Default)]
-struct Own {
+struct OwnPorts {
     publishers: BTreeSet<u64>,
     subscriptions: BTreeSet<u64>,
 }
@@ -84,12 +84,12 @@ struct Work {
     closed: BTreeSet<Gid>,
     /// Own publishers that nothing is left of.
     released: Vec<u64>,
-    outcome: Looked,
+    outcome: LookOutcome,
 }
 
 /// What came of a look.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Looked {
+pub(crate) struct LookOutcome {
     /// Something is left that only time can finish.
     pub(crate) is_pending: bool,
     /// A participant has gone.
@@ -129,7 +129,7 @@ impl Matcher {
     }
 
     /// Does `what` with the lock held, and what it makes necessary; then calls whom that concerns.
-    fn work<T>(&self, what: impl FnOnce(&mut State, &mut Work) -> T) -> (T, Looked) {
+    fn work<T>(&self, what: impl FnOnce(&mut State, &mut Work) -> T) -> (T, LookOutcome) {
         let mut work = Work::default();
         let result = {
             let mut state = self.state();
@@ -294,7 +294,7 @@ impl Matcher {
 
     /// For the janitor: looks at what has changed in the domain since the last time, and does what is to be done for this participant's
     /// ports.
-    pub(crate) fn look(&self) -> Looked {
+    pub(crate) fn look(&self) -> LookOutcome {
         let look = |state: &mut State, work: &mut Work| {
             state.look(work);
             // Who is done with an ended publisher elsewhere has called.
@@ -398,10 +398,10 @@ impl State {
         }
         work.publisher(publisher);
         work.subscription(subscription);
-        let reached = Reached::Own(subscription.slot.doorbell().clone());
-        publisher.connect(&Target { gid: subscription.gid, port: requested, reached })?;
+        let owner = ArenaOwner::Own(subscription.slot.doorbell().clone());
+        publisher.connect(&DiscoveredSubscription { gid: subscription.gid, port: requested, owner })?;
         let source = Source::Own(publisher.clone());
-        subscription.expect(Expected::new(publisher.gid, offered.clone(), source));
+        subscription.expect(DiscoveredPublisher::new(publisher.gid, offered.clone(), source));
         subscription.attach().map(drop)
     }
 
@@ -418,7 +418,7 @@ impl State {
         }
         let Some(peer) = self.peers.get(self.domain.number(), gid.participant())? else { return Ok(()) };
         work.publisher(core);
-        let target = Target { gid, port, reached: Reached::Peer(peer) };
+        let target = DiscoveredSubscription { gid, port, owner: ArenaOwner::Peer(peer) };
         if core.connect(&target)? {
             work.calls.insert(gid.participant());
         }
@@ -439,7 +439,7 @@ impl State {
         let Some(peer) = self.peers.get(self.domain.number(), gid.participant())? else { return Ok(()) };
         let Some(source) = self.peer_publishers.get(&peer, gid, port.at)? else { return Ok(()) };
         work.subscription(core);
-        if core.expect(Expected::new(gid, port, source)) {
+        if core.expect(DiscoveredPublisher::new(gid, port, source)) {
             work.calls.insert(gid.participant());
         }
         Ok(())
@@ -455,7 +455,7 @@ impl State {
     /// Reads what other participants' records say that is new, and connects or disconnects what is concerned. What is refused now is
     /// tried again.
     fn look(&mut self, work: &mut Work) {
-        let News { added, ended, removed, gone, is_refused, grown } =
+        let IndexUpdate { added, ended, removed, gone, is_refused, grown } =
             self.index.look(&self.domain, &mut self.peers);
         work.outcome.has_gone |= gone;
         work.outcome.is_pending |= is_refused;

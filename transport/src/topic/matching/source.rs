@@ -2,7 +2,7 @@
 //! Where a subscription gets what a publisher sends: the publisher's memory, of this participant or mapped from another's file.
 
 use crate::error::TransportError;
-use crate::participant::Reached;
+use crate::participant::ArenaOwner;
 use crate::participant::file::{Peer, Place};
 use crate::participant::ranges::Range;
 use crate::topic::connection::Connection;
@@ -58,10 +58,10 @@ impl Source {
     }
 
     /// Where the publisher is rung.
-    pub(crate) fn reached(&self) -> Reached {
+    pub(crate) fn owner(&self) -> ArenaOwner {
         match self {
-            Source::Own(core) => Reached::Own(core.slot.doorbell().clone()),
-            Source::Peer(peer) => Reached::Peer(peer.peer.clone()),
+            Source::Own(core) => ArenaOwner::Own(core.slot.doorbell().clone()),
+            Source::Peer(peer) => ArenaOwner::Peer(peer.peer.clone()),
         }
     }
 

@@ -3,10 +3,10 @@
 //! is there with what it saw before.
 //!
 //! A monitor belongs to whoever wants to know, in any thread; the publisher or subscription goes on without noticing it. It is
-//! told when to look by a ring of the slot it was made with: when the other ends of the topic change, when messages are lost, and
-//! when the publisher or subscription ends. What is due at a time is told by the sampler, from a [`Pulse`](crate::Pulse).
+//! told when to look by a ring of the slot it was made with: when the other endpoints of the topic change, when messages are lost, and
+//! when the publisher or subscription ends. What is due at a time is told by the sampler, from an [`Activity`](crate::Activity).
 //!
-//! A gateway's ports are no ends of the topic: the ends on other hosts are, for which they stand.
+//! A gateway's ports are no endpoints of the topic: the endpoints on other hosts are, for which they stand.
 
 mod publisher;
 mod subscription;
@@ -15,13 +15,13 @@ pub use publisher::{PublisherChanges, PublisherMonitor};
 pub use subscription::{SubscriptionChanges, SubscriptionMonitor};
 
 use super::compatibility::QosPolicyKind;
-use super::ends::{End, EndList, Mismatch};
+use super::endpoints::{Endpoint, EndpointList, Mismatch};
 use super::header::Gid;
 use std::sync::Arc;
 use tautline_doorbell::Slot;
 use tautline_rt::LatestReader;
 
-/// How many ends of the topic fit this one: `total_count` have come so far, `current_count` are there.
+/// How many endpoints of the topic fit this one: `total_count` have come so far, `current_count` are there.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Matched {
     /// All that ever matched.
@@ -34,7 +34,7 @@ pub struct Matched {
     pub current_count_change: i64,
 }
 
-/// Ends of the topic were found that do not fit this one.
+/// Endpoints of the topic were found that do not fit this one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct IncompatibleQos {
     /// All that were found.
@@ -45,7 +45,7 @@ pub struct IncompatibleQos {
     pub last_policy_kind: QosPolicyKind,
 }
 
-/// Ends of the topic were found whose type is another one.
+/// Endpoints of the topic were found whose type is another one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IncompatibleType {
     /// All that were found.
@@ -67,7 +67,7 @@ pub struct LivelinessChanged {
     pub not_alive_count_change: i64,
 }
 
-/// Messages were overwritten before they were taken: see [`Counters::lost`](crate::Counters::lost).
+/// Messages were overwritten before they were taken: see [`SubscriptionCounters::lost`](crate::SubscriptionCounters::lost).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MessageLost {
     /// All so far.
@@ -95,9 +95,9 @@ impl Drop for Events {
     }
 }
 
-/// The ends of the topic that are there.
-struct Ends {
-    list: LatestReader<Arc<EndList>>,
+/// Compares the endpoints of the topic with those of the last look.
+struct EndpointTracker {
+    list: LatestReader<Arc<EndpointList>>,
     is_first: bool,
     /// As at the last look, in the order of their gids.
     known: Vec<Known>,
@@ -125,11 +125,11 @@ struct Changes {
     killed: u64,
 }
 
-impl Ends {
-    fn new(list: LatestReader<Arc<EndList>>) -> Self {
+impl EndpointTracker {
+    fn new(list: LatestReader<Arc<EndpointList>>) -> Self {
         let (known, former) = Default::default();
         let (matched, total, incompatible_qos, incompatible_type, killed) = Default::default();
-        Ends {
+        EndpointTracker {
             list,
             is_first: true,
             known,
@@ -143,14 +143,14 @@ impl Ends {
     }
 
     /// Those that are there, as at the last update.
-    fn iter(&self) -> impl Iterator<Item = &End> {
-        self.list.current().ends.iter().filter(|end| end.is_itself())
+    fn iter(&self) -> impl Iterator<Item = &Endpoint> {
+        self.list.current().endpoints.iter().filter(|endpoint| endpoint.is_itself())
     }
 
     /// Looks for changes since the last time.
     ///
     /// # Real-time
-    /// One load if nothing changed; else O(ends), and allocates if there are more than ever before.
+    /// One load if nothing changed; else O(endpoints), and allocates if there are more than ever before.
     fn update(&mut self) -> Changes {
         if !std::mem::take(&mut self.is_first) && !self.list.is_fresh() {
             return Changes::default();
@@ -163,11 +163,12 @@ impl Ends {
         let (list, mut last_policy) = (self.list.read(), None);
         // Both are in the order of their gids.
         let mut former = self.former.iter().peekable();
-        for end in list.ends.iter().filter(|end| end.is_itself()) {
-            while former.next_if(|known| known.gid < end.gid).is_some() {}
-            let is_new =
-                former.peek().is_none_or(|known| known.gid != end.gid || known.mismatch != end.mismatch);
-            match end.mismatch {
+        for endpoint in list.endpoints.iter().filter(|endpoint| endpoint.is_itself()) {
+            while former.next_if(|known| known.gid < endpoint.gid).is_some() {}
+            let is_new = former
+                .peek()
+                .is_none_or(|known| known.gid != endpoint.gid || known.mismatch != endpoint.mismatch);
+            match endpoint.mismatch {
                 None => {
                     self.matched += 1;
                     self.total += u64::from(is_new);
@@ -179,7 +180,7 @@ impl Ends {
                 Some(Mismatch::Type) if is_new => self.incompatible_type += 1,
                 Some(_) => {}
             }
-            self.known.push(Known { gid: end.gid, mismatch: end.mismatch });
+            self.known.push(Known { gid: endpoint.gid, mismatch: endpoint.mismatch });
         }
         let killed = list.killed - self.killed;
         self.killed = list.killed;
@@ -213,19 +214,19 @@ mod tests {
     use crate::qos::Qos;
     use tautline_rt::latest;
 
-    fn end(n: u8, mismatch: Option<Mismatch>) -> End {
-        End { mismatch, is_relay: n > 100, ..End::new(Gid([n; 16]), Qos::default()) }
+    fn endpoint(n: u8, mismatch: Option<Mismatch>) -> Endpoint {
+        Endpoint { mismatch, is_relay: n > 100, ..Endpoint::new(Gid([n; 16]), Qos::default()) }
     }
 
     #[test]
     fn ends_come_and_go() {
-        let (mut writer, reader) = latest(Arc::<EndList>::default());
-        let mut ends = Ends::new(reader);
+        let (mut writer, reader) = latest(Arc::<EndpointList>::default());
+        let mut endpoints = EndpointTracker::new(reader);
         let deadline = Some(Mismatch::Qos(QosPolicyKind::Deadline));
         let mut update = |list: &[(u8, Option<Mismatch>)], killed: u64| {
-            let listed = list.iter().map(|(n, mismatch)| end(*n, *mismatch)).collect();
-            writer.write(Arc::new(EndList { ends: listed, killed }));
-            let changes = ends.update();
+            let listed = list.iter().map(|(n, mismatch)| endpoint(*n, *mismatch)).collect();
+            writer.write(Arc::new(EndpointList { endpoints: listed, killed }));
+            let changes = endpoints.update();
             (
                 changes
                     .matched
@@ -249,7 +250,7 @@ mod tests {
             update(&[(2, None), (5, Some(Mismatch::Type))], 1),
             (Some((3, 1, 1, 1)), None, Some((1, 1)), 0)
         );
-        assert!(ends.update().matched.is_none(), "nobody wrote");
-        assert_eq!(ends.iter().count(), 2);
+        assert!(endpoints.update().matched.is_none(), "nobody wrote");
+        assert_eq!(endpoints.iter().count(), 2);
     }
 }

@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-use super::{Changes, Ends, Events, IncompatibleQos, IncompatibleType, Matched};
+use super::{Changes, EndpointTracker, Events, IncompatibleQos, IncompatibleType, Matched};
 use crate::qos::{Liveliness, Qos};
 use crate::topic::publisher::RawPublisher;
 use crate::topic::publisher::core::PublisherCore;
 use std::sync::Arc;
 use std::time::Duration;
-use tautline_doorbell::{Pulse, PulseOf, Slot};
+use tautline_doorbell::{Activity, ActivityKind, Slot};
 
 /// Tells what becomes of a publisher's matches. See [`RawPublisher::monitor`].
 pub struct PublisherMonitor {
     core: Arc<PublisherCore>,
-    ends: Ends,
+    endpoints: EndpointTracker,
     _events: Events,
 }
 
@@ -36,7 +36,7 @@ impl RawPublisher {
         let core = self.core().clone();
         // Before the list: what changes meanwhile rings.
         let _events = Events::new(&core.slot, events);
-        PublisherMonitor { ends: Ends::new(core.monitor()), core, _events }
+        PublisherMonitor { endpoints: EndpointTracker::new(core.monitor()), core, _events }
     }
 }
 
@@ -46,7 +46,7 @@ impl PublisherMonitor {
     /// # Real-time
     /// One load if nothing changed; else O(subscriptions), and allocates if there are more than ever before. No syscall.
     pub fn look(&mut self) -> PublisherChanges {
-        let Changes { matched, incompatible_qos, incompatible_type, .. } = self.ends.update();
+        let Changes { matched, incompatible_qos, incompatible_type, .. } = self.endpoints.update();
         PublisherChanges { matched, incompatible_qos, incompatible_type }
     }
 
@@ -66,17 +66,17 @@ impl PublisherMonitor {
     }
 
     /// When the publisher last published; kept only if it has a deadline, which it has to keep.
-    pub fn deadline(&self) -> Option<(Pulse, Duration)> {
-        Some((self.core.slot.pulse(PulseOf::Sample), self.qos().deadline?))
+    pub fn deadline(&self) -> Option<(Activity, Duration)> {
+        Some((self.core.slot.activity(ActivityKind::Sample), self.qos().deadline?))
     }
 
     /// When it last showed that it is alive, and its lease, if it has to.
-    pub fn lease(&self) -> Option<(Pulse, Duration)> {
+    pub fn lease(&self) -> Option<(Activity, Duration)> {
         let lease = self
             .qos()
             .liveliness_lease_duration
             .filter(|_| self.qos().liveliness == Liveliness::ManualByTopic);
-        Some((self.core.slot.pulse(PulseOf::Liveliness), lease?))
+        Some((self.core.slot.activity(ActivityKind::Liveliness), lease?))
     }
 }
 

@@ -1,21 +1,22 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use super::{
-    Changes, Ends, Events, IncompatibleQos, IncompatibleType, LivelinessChanged, Matched, MessageLost,
+    Changes, EndpointTracker, Events, IncompatibleQos, IncompatibleType, LivelinessChanged, Matched,
+    MessageLost,
 };
 use crate::qos::Qos;
 use crate::topic::subscription::core::SubscriptionCore;
-use crate::topic::subscription::{Counters, RawSubscription};
+use crate::topic::subscription::{RawSubscription, SubscriptionCounters};
 use std::sync::Arc;
 use std::time::Duration;
-use tautline_doorbell::{Pulse, PulseOf, Slot};
+use tautline_doorbell::{Activity, ActivityKind, Slot};
 use tautline_rt::clock::nanoseconds;
 
 /// Tells what becomes of a subscription's publishers and of what they send. See [`RawSubscription::monitor`].
 pub struct SubscriptionMonitor {
     core: Arc<SubscriptionCore>,
-    counters: Arc<Counters>,
-    ends: Ends,
+    counters: Arc<SubscriptionCounters>,
+    endpoints: EndpointTracker,
     /// As at the last event.
     lost: u64,
     alive: u64,
@@ -55,8 +56,8 @@ impl RawSubscription {
         let core = self.core().clone();
         // Before the list: what changes meanwhile rings.
         let _events = Events::new(&core.slot, events);
-        let (counters, ends) = (self.counters(), Ends::new(core.monitor()));
-        SubscriptionMonitor { core, counters, ends, lost: 0, alive: 0, not_alive: 0, killed: 0, _events }
+        let (counters, endpoints) = (self.counters(), EndpointTracker::new(core.monitor()));
+        SubscriptionMonitor { core, counters, endpoints, lost: 0, alive: 0, not_alive: 0, killed: 0, _events }
     }
 }
 
@@ -66,7 +67,7 @@ impl SubscriptionMonitor {
     /// # Real-time
     /// O(publishers); no syscall; allocates if there are more publishers than ever before.
     pub fn look(&mut self, now_ns: u64) -> SubscriptionChanges {
-        let Changes { matched, incompatible_qos, incompatible_type, killed } = self.ends.update();
+        let Changes { matched, incompatible_qos, incompatible_type, killed } = self.endpoints.update();
         let mut changes = SubscriptionChanges {
             matched,
             incompatible_qos,
@@ -74,13 +75,13 @@ impl SubscriptionMonitor {
             ..SubscriptionChanges::default()
         };
         let (mut alive, mut not_alive) = (0, 0);
-        for end in self.ends.iter().filter(|end| end.mismatch.is_none()) {
-            let lease = end.qos.liveliness_lease_duration.map(nanoseconds);
-            let (Some(life), Some(lease_ns)) = (&end.life, lease) else {
+        for endpoint in self.endpoints.iter().filter(|endpoint| endpoint.mismatch.is_none()) {
+            let lease = endpoint.qos.liveliness_lease_duration.map(nanoseconds);
+            let (Some(liveliness), Some(lease_ns)) = (&endpoint.liveliness, lease) else {
                 alive += 1;
                 continue;
             };
-            let due_ns = life.alive_ns().saturating_add(lease_ns);
+            let due_ns = liveliness.alive_ns().saturating_add(lease_ns);
             let is_alive = due_ns > now_ns;
             *if is_alive { &mut alive } else { &mut not_alive } += 1;
             // One that comes to life again rings nobody: it is looked for once in each lease. Leases are what others ask for: a
@@ -131,8 +132,8 @@ impl SubscriptionMonitor {
     }
 
     /// When a sample last came, taken or not, and how long the next one may take, if the subscription has a deadline.
-    pub fn deadline(&self) -> Option<(Pulse, Duration)> {
-        Some((self.core.slot.pulse(PulseOf::Sample), self.qos().deadline?))
+    pub fn deadline(&self) -> Option<(Activity, Duration)> {
+        Some((self.core.slot.activity(ActivityKind::Sample), self.qos().deadline?))
     }
 }
 

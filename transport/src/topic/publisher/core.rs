@@ -4,19 +4,19 @@
 
 use super::PublisherRole;
 use super::history::History;
-use super::sender::{Live, Sender, Spare, Table, words_for};
+use super::sender::{PublishState, Sender, SpareList, Table, words_for};
 use crate::error::TransportError;
 use crate::graph::log::hash_of;
 use crate::graph::own::OwnRecord;
 use crate::graph::record::{PortKind, PortRecord, QosRecord};
-use crate::participant::Reached;
+use crate::participant::ArenaOwner;
 use crate::participant::file::OwnMemory;
 use crate::qos::{Claim, Durability, Limits, Qos};
 use crate::topic::Topic;
 use crate::topic::chunks::{Chunks, Keyed};
 use crate::topic::connection::{ReaderState, Shape};
 use crate::topic::control::{ConnectionPlace, Control, Traffic, View};
-use crate::topic::ends::{End, Ends, Mismatch};
+use crate::topic::endpoints::{Endpoint, Endpoints, Mismatch};
 use crate::topic::header::Gid;
 use crate::topic::memory::{Demand, grown_sample_bytes, sample_bytes};
 use crate::topic::pool::{MAX_SAMPLES, Pool, Segment};
@@ -67,7 +67,7 @@ struct Setup {
     has_grown: bool,
     /// Of those that there were after so many changes.
     views: Option<(SegmentViews, u32)>,
-    senders: Chunks<Connected>,
+    proxies: Chunks<ReaderProxy>,
     /// Those that are in no table yet that was handed over.
     unserved: Vec<Arc<Sender>>,
     /// How many of those are retired.
@@ -76,32 +76,32 @@ struct Setup {
     words: usize,
     /// What they ask for.
     demand: Demand,
-    ends: Ends,
+    endpoints: Endpoints,
     table: LatestWriter<Arc<Table>>,
     is_stale: bool,
 }
 
 /// A subscription that is connected.
 #[derive(Clone)]
-pub(super) struct Connected {
+pub(super) struct ReaderProxy {
     subscription: Gid,
     pub(super) sender: Arc<Sender>,
     place: ConnectionPlace,
     /// A longer list for the publishing thread to take, if it has not done so.
-    pub(super) spare: Option<Arc<Spare>>,
+    pub(super) spare: Option<Arc<SpareList>>,
 }
 
-impl Keyed for Connected {
+impl Keyed for ReaderProxy {
     fn key(&self) -> Gid {
         self.subscription
     }
 }
 
 /// A subscription as its record describes it.
-pub(crate) struct Target {
+pub(crate) struct DiscoveredSubscription {
     pub(crate) gid: Gid,
     pub(crate) port: PortRecord,
-    pub(crate) reached: Reached,
+    pub(crate) owner: ArenaOwner,
 }
 
 impl PublisherCore {
@@ -114,7 +114,7 @@ impl PublisherCore {
         limits: Limits,
         role: PublisherRole,
         slot: Arc<Slot>,
-    ) -> Result<(Arc<Self>, Live), TransportError> {
+    ) -> Result<(Arc<Self>, PublishState), TransportError> {
         let history = (qos.durability == Durability::TransientLocal).then(|| History::new(qos.depth));
         let sample_bytes = sample_bytes(topic.topic_type.body_bytes.unwrap_or(limits.message_bytes));
         let control = Control::create(memory, gid).map_err(|source| TransportError::Memory {
@@ -136,11 +136,11 @@ impl PublisherCore {
             control: Some(control),
             pool: Pool::default(),
             sample_bytes,
-            senders: Chunks::default(),
+            proxies: Chunks::default(),
             unserved: Vec::new(),
             retired: 0,
             words: 0,
-            ends: Ends::default(),
+            endpoints: Endpoints::default(),
             table,
             is_stale: true,
         };
@@ -165,7 +165,7 @@ impl PublisherCore {
             return Err(error);
         }
         core.hand_over(&mut core.setup());
-        Ok((Arc::new(core), Live::new(reader)))
+        Ok((Arc::new(core), PublishState::new(reader)))
     }
 
     fn setup(&self) -> MutexGuard<'_, Setup> {
@@ -199,24 +199,25 @@ impl PublisherCore {
     ///
     /// # Errors
     /// There is no shared memory for it: nothing has changed.
-    pub(crate) fn connect(&self, target: &Target) -> Result<bool, TransportError> {
+    pub(crate) fn connect(&self, target: &DiscoveredSubscription) -> Result<bool, TransportError> {
         let mut setup = self.setup();
-        if setup.control.is_none() || setup.ends.contains(target.gid) {
+        if setup.control.is_none() || setup.endpoints.contains(target.gid) {
             return Ok(false);
         }
         let qos = target.port.qos.qos();
         let mismatch = self.mismatch(&target.port, &qos);
         let PortRecord { relay: is_relay, observer: is_observer, partner, .. } = target.port;
-        let end = End { mismatch, is_relay, is_observer, partner, ..End::new(target.gid, qos) };
+        let endpoint =
+            Endpoint { mismatch, is_relay, is_observer, partner, ..Endpoint::new(target.gid, qos) };
         if let Some(mismatch) = mismatch {
             if !is_observer {
                 self.topic.warn_of_mismatch(mismatch, "publisher", "subscription", &target.port);
             }
-            setup.ends.set(end);
+            setup.endpoints.set(endpoint);
             return Ok(false);
         }
         let slot = target.port.slot as usize;
-        if !target.reached.reach(slot)? {
+        if !target.owner.reach(slot)? {
             // Its memory has gone: so will it.
             return Ok(false);
         }
@@ -229,9 +230,9 @@ impl PublisherCore {
         let refuse = |source| self.no_memory(shape.queues_bytes() as u64, *sample_bytes, source);
         let connected = control.connect(target.gid, shape, if is_on_use { 0 } else { usize::MAX });
         let (connection, place) = connected.map_err(refuse)?;
-        let reached = (target.reached.clone(), slot);
+        let owner = (target.owner.clone(), slot);
         let samples = pool.end().max(*words * 64);
-        let sender = Sender::new(target.gid, shape, &target.port, reached, connection, samples);
+        let sender = Sender::new(target.gid, shape, &target.port, owner, connection, samples);
         let history = self.history.as_ref().filter(|_| qos.durability == Durability::TransientLocal);
         if let Some(history) = history {
             if is_on_use {
@@ -245,9 +246,9 @@ impl PublisherCore {
         }
         let (subscription, sender) = (target.gid, Arc::new(sender));
         setup.unserved.push(sender.clone());
-        setup.senders.insert(Connected { subscription, sender, place, spare: None });
+        setup.proxies.insert(ReaderProxy { subscription, sender, place, spare: None });
         self.join(&mut setup.demand, shape);
-        setup.ends.set(end);
+        setup.endpoints.set(endpoint);
         setup.is_stale = true;
         if history.is_some() {
             // Before the next one is served: there is memory for one.
@@ -403,9 +404,9 @@ impl PublisherCore {
     /// Memory of a subscription's queue for `samples`, if that is claimed as it is used.
     pub(crate) fn claim_queues(&self, subscription: Gid, samples: usize) -> io::Result<()> {
         let mut setup = self.setup();
-        let Setup { control: Some(control), senders, .. } = &mut *setup else { return Ok(()) };
-        match senders.get(subscription) {
-            Some(connected) => control.claim_queues(&connected.place, samples),
+        let Setup { control: Some(control), proxies, .. } = &mut *setup else { return Ok(()) };
+        match proxies.get(subscription) {
+            Some(proxy) => control.claim_queues(&proxy.place, samples),
             None => Ok(()),
         }
     }
@@ -414,9 +415,9 @@ impl PublisherCore {
     /// [`disconnect_closed`](Self::disconnect_closed). Call [`settle`](Self::settle) afterwards.
     pub(crate) fn disconnect(&self, subscription: Gid, is_dead: bool) -> bool {
         let mut setup = self.setup();
-        setup.ends.remove(subscription, is_dead);
-        let Setup { senders, pool, is_stale, retired, demand, .. } = &mut *setup;
-        let Some(Connected { sender, place, .. }) = senders.get(subscription) else { return false };
+        setup.endpoints.remove(subscription, is_dead);
+        let Setup { proxies, pool, is_stale, retired, demand, .. } = &mut *setup;
+        let Some(ReaderProxy { sender, place, .. }) = proxies.get(subscription) else { return false };
         if !is_dead && sender.block().back.state() == ReaderState::Attached {
             if !sender.is_leaving() {
                 sender.leave();
@@ -439,9 +440,9 @@ impl PublisherCore {
     /// there are others.
     pub(crate) fn disconnect_closed(&self, is_there: impl Fn(u64) -> bool) -> bool {
         let mut setup = self.setup();
-        let Setup { senders, pool, is_stale, retired, .. } = &mut *setup;
+        let Setup { proxies, pool, is_stale, retired, .. } = &mut *setup;
         let mut is_held_up = false;
-        for sender in senders.iter().map(|connected| &connected.sender).filter(|sender| sender.is_leaving()) {
+        for sender in proxies.iter().map(|proxy| &proxy.sender).filter(|sender| sender.is_leaving()) {
             let is_closed = sender.block().back.state() == ReaderState::Closed;
             if is_closed || !is_there(sender.subscription.participant()) {
                 *retired += usize::from(sender.retire(pool));
@@ -460,12 +461,12 @@ impl PublisherCore {
 
     /// Those who have its subscriptions.
     pub(crate) fn participants(&self) -> BTreeSet<u64> {
-        self.setup().senders.iter().map(|connected| connected.sender.subscription.participant()).collect()
+        self.setup().proxies.iter().map(|proxy| proxy.sender.subscription.participant()).collect()
     }
 
-    /// The ends on other hosts, with their tags, and the tags of those that have ended by themselves.
+    /// The endpoints on other hosts, with their tags, and the tags of those that have ended by themselves.
     pub(crate) fn set_remote(&self, told: &[(Gid, u64)], ended: &HashSet<u64>) {
-        self.setup().ends.set_remote(told, ended);
+        self.setup().endpoints.set_remote(told, ended);
     }
 
     /// Hands over what has changed, and tells monitors.
@@ -477,7 +478,7 @@ impl PublisherCore {
             self.hand_over(&mut setup);
             self.top_up(&mut setup);
         }
-        if setup.ends.tell(&self.matched) {
+        if setup.endpoints.tell(&self.matched) {
             self.slot.doorbell().arena().ring_events(self.slot.index());
             // It may wait for room in a queue that has gone.
             self.slot.ring();
@@ -494,7 +495,7 @@ impl PublisherCore {
         for _ in 0..64 {
             let published = self.published.load(Ordering::Acquire);
             let mut has_more = false;
-            for Connected { sender, .. } in setup.senders.iter().filter(|one| one.sender.lacks(published)) {
+            for ReaderProxy { sender, .. } in setup.proxies.iter().filter(|one| one.sender.lacks(published)) {
                 let Some(is_new) = sender.preload(history, published, &setup.pool) else { continue };
                 // Held for a moment: the publishing thread may have passed it over, also if nothing was left to give it.
                 has_more = true;
@@ -515,21 +516,21 @@ impl PublisherCore {
         if setup.retired == 0 {
             return;
         }
-        let Setup { senders, retired, control, is_stale, demand, .. } = setup;
-        let drained = senders.iter().filter(|connected| connected.sender.is_drained());
+        let Setup { proxies, retired, control, is_stale, demand, .. } = setup;
+        let drained = proxies.iter().filter(|proxy| proxy.sender.is_drained());
         let drained: Vec<Gid> = drained.map(Keyed::key).collect();
         if drained.is_empty() {
             return;
         }
-        for connected in drained.iter().filter_map(|gid| senders.remove(*gid)) {
+        for proxy in drained.iter().filter_map(|gid| proxies.remove(*gid)) {
             if let Some(control) = control {
-                control.disconnect(connected.sender.connection(), connected.place);
+                control.disconnect(proxy.sender.connection(), proxy.place);
             }
         }
         *retired -= drained.len();
         *is_stale = true;
         *demand = Demand::of_publisher(&self.qos);
-        for Connected { sender, place, .. } in senders.iter() {
+        for ReaderProxy { sender, place, .. } in proxies.iter() {
             self.join(demand, place.shape);
             if sender.is_leaving() {
                 demand.join(0, place.shape.depth);
@@ -542,16 +543,16 @@ impl PublisherCore {
         let words = words_for(setup.pool.end());
         if setup.words < words {
             setup.words = words;
-            let short = setup.senders.iter().filter(|connected| connected.sender.room() < words * 64);
+            let short = setup.proxies.iter().filter(|proxy| proxy.sender.room() < words * 64);
             for gid in short.map(Keyed::key).collect::<Vec<_>>() {
                 // One that nobody has published to yet gets its longer list at once.
-                if let Some(connected) = setup.senders.get_mut(gid).filter(|one| !one.sender.enlarge(words)) {
-                    connected.spare = Some(Arc::new(Spare::new(words)));
+                if let Some(proxy) = setup.proxies.get_mut(gid).filter(|one| !one.sender.enlarge(words)) {
+                    proxy.spare = Some(Arc::new(SpareList::new(words)));
                 }
             }
         }
         let table = Table {
-            senders: setup.senders.clone(),
+            proxies: setup.proxies.clone(),
             pool: setup.pool.clone(),
             sample_bytes: setup.sample_bytes,
             claims_on_use: self.limits.claim == Claim::OnUse,
@@ -581,8 +582,8 @@ impl PublisherCore {
         setup.views.insert((views.into(), grown)).clone()
     }
 
-    pub(crate) fn monitor(&self) -> tautline_rt::LatestReader<Arc<crate::topic::ends::EndList>> {
-        self.setup().ends.monitor()
+    pub(crate) fn monitor(&self) -> tautline_rt::LatestReader<Arc<crate::topic::endpoints::EndpointList>> {
+        self.setup().endpoints.monitor()
     }
 
     /// The publisher has ended: nobody publishes any more. What was sent stays until it was taken.
@@ -601,17 +602,17 @@ impl PublisherCore {
     /// `is_listed` which subscriptions. False if that is still to be.
     pub(crate) fn release(&self, is_there: impl Fn(u64) -> bool, is_listed: impl Fn(Gid) -> bool) -> bool {
         let mut setup = self.setup();
-        let Setup { senders, pool, retired, .. } = &mut *setup;
+        let Setup { proxies, pool, retired, .. } = &mut *setup;
         let is_done = |sender: &Sender| match sender.block().back.state() {
             ReaderState::Unknown => !is_listed(sender.subscription),
             ReaderState::Attached => !is_there(sender.subscription.participant()),
             ReaderState::Closed => true,
         };
-        for sender in senders.iter().map(|connected| &connected.sender).filter(|sender| is_done(sender)) {
+        for sender in proxies.iter().map(|proxy| &proxy.sender).filter(|sender| is_done(sender)) {
             *retired += usize::from(sender.retire_finally(pool));
         }
         self.forget_drained(&mut setup);
-        if setup.senders.len() > 0 {
+        if setup.proxies.len() > 0 {
             return false;
         }
         let segments: Vec<_> = setup.pool.segments().map(|segment| segment.range).collect();
@@ -630,8 +631,8 @@ impl PublisherCore {
         let grown = control.head().grown.load(Ordering::Acquire);
         let is_behind = |sender: &Sender| sender.block().back.is_behind(grown);
         setup
-            .senders
+            .proxies
             .iter()
-            .any(|Connected { sender, .. }| is_behind(sender) && is_listed(sender.subscription))
+            .any(|ReaderProxy { sender, .. }| is_behind(sender) && is_listed(sender.subscription))
     }
 }

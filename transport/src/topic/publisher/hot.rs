@@ -8,7 +8,7 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use super::RawPublisher;
-use super::sender::{Live, Sender};
+use super::sender::{PublishState, Sender};
 use crate::error::{LoanError, PublishError, SendError};
 use crate::qos::Claim;
 use crate::topic::header::{Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
@@ -20,7 +20,7 @@ use core::ops::{Deref, DerefMut};
 use core::ptr::NonNull;
 use core::sync::atomic::{Ordering, fence};
 use core::task::Poll;
-use tautline_doorbell::PulseOf;
+use tautline_doorbell::ActivityKind;
 use tautline_rt::clock::{monotonic_ns, wall_ns};
 
 /// A body to write in place: `&mut [u8]` in shared memory, at an address that is a multiple of 8. Dropping it gives it
@@ -102,15 +102,15 @@ impl RawPublisher {
         if needed_bytes > self.sample_bytes.get() {
             self.lengthen(len_bytes)?;
         }
-        let mut live = self.live.borrow_mut();
-        live.refresh(self.core.history.as_ref());
-        live.reclaim();
-        let (segment, index) = match take(&live) {
+        let mut publish_state = self.publish_state.borrow_mut();
+        publish_state.refresh(self.core.history.as_ref());
+        publish_state.reclaim();
+        let (segment, index) = match take(&publish_state) {
             Some(taken) => taken,
             None => {
                 self.claim_more()?;
-                live.refresh(self.core.history.as_ref());
-                take(&live).ok_or(LoanError::OutOfMemory)?
+                publish_state.refresh(self.core.history.as_ref());
+                take(&publish_state).ok_or(LoanError::OutOfMemory)?
             }
         };
         // SAFETY: the segment is in the table, and stays while one of its samples has a reference, which this one has now.
@@ -129,7 +129,7 @@ impl RawPublisher {
     #[cold]
     fn lengthen(&self, len_bytes: usize) -> Result<(), LoanError> {
         let after = self.core.lengthen(len_bytes).map_err(|_| LoanError::OutOfMemory)?;
-        self.shared.matcher.announce_segments(&self.core);
+        self.participant.matcher.announce_segments(&self.core);
         let before = self.sample_bytes.replace(after);
         // Who claims on use has asked for it, and claims the sample next: that is counted.
         if self.core.limits.claim == Claim::Ahead {
@@ -142,7 +142,7 @@ impl RawPublisher {
     #[cold]
     fn claim_more(&self) -> Result<(), LoanError> {
         self.core.claim_more().map_err(|_| LoanError::OutOfMemory)?;
-        self.shared.matcher.announce_segments(&self.core);
+        self.participant.matcher.announce_segments(&self.core);
         self.counters.growths.fetch_add(1, Ordering::Relaxed);
         Ok(())
     }
@@ -171,15 +171,15 @@ impl RawPublisher {
             return Ok(());
         }
         let core = &*self.core;
-        let mut live = self.live.borrow_mut();
-        live.refresh(core.history.as_ref());
-        if self.keep_all && !has_room(&live, sending) {
+        let mut publish_state = self.publish_state.borrow_mut();
+        publish_state.refresh(core.history.as_ref());
+        if self.keep_all && !has_room(&publish_state, sending) {
             return Err(SendError { error: PublishError::Full, loan });
         }
-        if live.table().claims_on_use && !self.claim_queues(&live, sending.to) {
+        if publish_state.table().claims_on_use && !self.claim_queues(&publish_state, sending.to) {
             return Err(SendError { error: LoanError::OutOfMemory.into(), loan });
         }
-        let number = live.next_number(sending.to);
+        let number = publish_state.next_number(sending.to);
         let (source, lifespan_ns) = match sending.stamp {
             Stamp::As(source, left_ns) => (source, left_ns.min(self.lifespan_ns)),
             Stamp::OfRequest(source) => (source, self.lifespan_ns),
@@ -219,12 +219,12 @@ impl RawPublisher {
         unsafe { segment.header(index).write(header) };
         let chunk = segment.offset(index).to_word();
         if core.qos.deadline.is_some() {
-            core.slot.note(PulseOf::Sample, now_ns);
+            core.slot.note(ActivityKind::Sample, now_ns);
         }
         if self.is_manual {
-            self.show_life(&live, now_ns);
+            self.assert_liveliness_at(&publish_state, now_ns);
         }
-        let pool = &live.table().pool;
+        let pool = &publish_state.table().pool;
         if let Some(history) = &core.history {
             segment.add(index);
             if let Some((former, former_index)) = history.keep(number, chunk).and_then(|word| pool.find(word))
@@ -232,7 +232,7 @@ impl RawPublisher {
                 former.release(former_index);
             }
         }
-        for sender in live.table().receiving(sending.to) {
+        for sender in publish_state.table().receiving(sending.to) {
             segment.add(index);
             sender.note_sample(now_ns);
             // SAFETY: it is live, so its sending half is this thread's.
@@ -244,22 +244,22 @@ impl RawPublisher {
         }
         segment.release(index);
         // Release: pairs with the Acquire of who sets up a late joiner; what is kept is kept.
-        core.published.store(live.sequence_number, Ordering::Release);
+        core.published.store(publish_state.sequence_number, Ordering::Release);
         core.traffic.note(len_bytes, now_ns);
         // The sample is queued before the flags are read and the bells are rung: a subscription either is rung, or looks into its queue
         // after this. And a late joiner that has been set up meanwhile either was given this sample, or gets it here.
         fence(Ordering::SeqCst);
         if core.history.is_some() {
-            live.refresh(core.history.as_ref());
+            publish_state.refresh(core.history.as_ref());
         }
-        live.ring(sending.to);
+        publish_state.ring(sending.to);
         Ok(())
     }
 
     /// Claims the memory of queues that one more sample needs. False if there is none.
     #[cold]
-    fn claim_queues(&self, live: &Live, to: Option<Gid>) -> bool {
-        live.table().receiving(to).all(|sender| {
+    fn claim_queues(&self, publish_state: &PublishState, to: Option<Gid>) -> bool {
+        publish_state.table().receiving(to).all(|sender| {
             // SAFETY: it is live, so its sending half is this thread's.
             unsafe { sender.claim(|samples| self.core.claim_queues(sender.subscription, samples).is_ok()) }
         })
@@ -270,14 +270,14 @@ impl RawPublisher {
     /// # Real-time
     /// Wait-free, O(subscriptions); no allocation; no syscall.
     pub fn assert_liveliness(&self) {
-        let mut live = self.live.borrow_mut();
-        live.refresh(self.core.history.as_ref());
-        self.show_life(&live, monotonic_ns());
+        let mut publish_state = self.publish_state.borrow_mut();
+        publish_state.refresh(self.core.history.as_ref());
+        self.assert_liveliness_at(&publish_state, monotonic_ns());
     }
 
-    fn show_life(&self, live: &Live, now_ns: u64) {
-        self.core.slot.note(PulseOf::Liveliness, now_ns);
-        for sender in live.table().receiving(None) {
+    fn assert_liveliness_at(&self, publish_state: &PublishState, now_ns: u64) {
+        self.core.slot.note(ActivityKind::Liveliness, now_ns);
+        for sender in publish_state.table().receiving(None) {
             sender.block().out.alive_ns.store(now_ns, Ordering::Relaxed);
         }
     }
@@ -298,38 +298,38 @@ impl RawPublisher {
     /// # Real-time
     /// Wait-free, O(subscriptions); no allocation; no syscall.
     pub fn is_taken(&self) -> bool {
-        let mut live = self.live.borrow_mut();
-        live.refresh(self.core.history.as_ref());
+        let mut publish_state = self.publish_state.borrow_mut();
+        publish_state.refresh(self.core.history.as_ref());
         // Acquire: pairs with the Release of the subscription's take.
         let is_taken = |sender: &Sender| {
             sender.block().back.taken.load(Ordering::Acquire)
                 >= sender.block().out.sent.load(Ordering::Relaxed)
         };
-        live.table().receiving(None).filter(|sender| !sender.is_observer).all(is_taken)
+        publish_state.table().receiving(None).filter(|sender| !sender.is_observer).all(is_taken)
     }
 
     /// The subscription whose client sends requests through the port `partner`, if responses to it arrive.
     pub(crate) fn subscription_of(&self, partner: Gid) -> Option<Gid> {
-        let mut live = self.live.borrow_mut();
-        live.refresh(self.core.history.as_ref());
+        let mut publish_state = self.publish_state.borrow_mut();
+        publish_state.refresh(self.core.history.as_ref());
         let [participant, number] = partner.words();
         let is_it = |sender: &&Sender| {
             sender.partner == Some(number) && sender.subscription.participant() == participant
         };
-        live.table().receiving(None).find(is_it).map(|sender| sender.subscription)
+        publish_state.table().receiving(None).find(is_it).map(|sender| sender.subscription)
     }
 }
 
 /// A free sample of the size that is loaned.
-fn take(live: &Live) -> Option<(NonNull<Segment>, usize)> {
-    let table = live.table();
+fn take(publish_state: &PublishState) -> Option<(NonNull<Segment>, usize)> {
+    let table = publish_state.table();
     let of_size = table.pool.segments().filter(|segment| segment.sample_bytes() == table.sample_bytes);
     of_size.into_iter().find_map(|segment| Some((NonNull::from(&**segment), segment.take()?)))
 }
 
 /// Whether each keep-all subscription can queue one more. Only this publisher fills its queues, so room stays room.
-fn has_room(live: &Live, sending: Sending) -> bool {
-    for sender in live.table().receiving(sending.to).filter(|sender| sender.keeps_all) {
+fn has_room(publish_state: &PublishState, sending: Sending) -> bool {
+    for sender in publish_state.table().receiving(sending.to).filter(|sender| sender.keeps_all) {
         let block = sender.block();
         let full = || {
             let sent = block.out.sent.load(Ordering::Relaxed);

@@ -13,7 +13,7 @@ pub(crate) use hot::{Sending, Stamp, WhenFull};
 
 use crate::error::TransportError;
 use crate::graph::{EndpointKind, Entry, TopicEndpoint};
-use crate::participant::{Participant, Shared};
+use crate::participant::{Participant, ParticipantState};
 use crate::qos::{History, Limits, Liveliness, Qos};
 use crate::topic::Topic;
 use crate::topic::header::{Gid, NEVER};
@@ -22,11 +22,11 @@ use crate::topic::topic_type::TopicType;
 use crate::topic::traced::TracedPort;
 use core::PublisherCore;
 use futures::StreamExt;
-use sender::Live;
+use sender::PublishState;
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use tautline_doorbell::{PulseOf, Slot};
+use tautline_doorbell::{ActivityKind, Slot};
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 
 /// Publishes bodies of CDR on one topic, of whatever type. What is written is not looked at.
@@ -34,7 +34,7 @@ use tautline_rt::clock::{monotonic_ns, nanoseconds};
 /// May be moved to another thread, and is used by one at a time.
 pub struct RawPublisher {
     core: Arc<PublisherCore>,
-    live: RefCell<Live>,
+    publish_state: RefCell<PublishState>,
     /// How many loans are out.
     loaned: Cell<usize>,
     keep_all: bool,
@@ -49,7 +49,7 @@ pub struct RawPublisher {
     /// Bytes of a sample that fits without a larger segment.
     sample_bytes: Cell<usize>,
     counters: Arc<PublisherCounters>,
-    shared: Arc<Shared>,
+    participant: Arc<ParticipantState>,
     /// Whose it is: that is there at least as long.
     _node: Option<Arc<Entry>>,
 }
@@ -97,22 +97,22 @@ impl RawPublisher {
         limits: Limits,
         role: PublisherRole,
     ) -> Result<Self, TransportError> {
-        let shared = participant.shared.clone();
+        let state = participant.state.clone();
         let topic = Topic::check(topic, topic_type, qos, limits)?;
-        let slot = Arc::new(shared.doorbell.claim()?);
-        slot.note(PulseOf::Liveliness, monotonic_ns());
-        let gid = Gid::of(shared.memory.id(), role.number.unwrap_or_else(|| shared.record.number()));
+        let slot = Arc::new(state.doorbell.claim()?);
+        slot.note(ActivityKind::Liveliness, monotonic_ns());
+        let gid = Gid::of(state.memory.id(), role.number.unwrap_or_else(|| state.record.number()));
         let trace = tautline_trace::publisher_init(&topic.name, qos.depth, gid.words());
-        let home = (&shared.memory, &shared.record);
-        let (core, live) = PublisherCore::create(home, gid, topic, qos, limits, role, slot)?;
-        shared.matcher.add_publisher(&core, participant.node.as_deref())?;
+        let home = (&state.memory, &state.record);
+        let (core, publish_state) = PublisherCore::create(home, gid, topic, qos, limits, role, slot)?;
+        state.matcher.add_publisher(&core, participant.node.as_deref())?;
         participant.adopt(&core.slot);
         let fixed_bytes = core.topic.topic_type.body_bytes;
         let stated_bytes = fixed_bytes.unwrap_or(limits.message_bytes);
         let may_grow = limits.may_grow && fixed_bytes.is_none();
         let most_bytes = if may_grow { Limits::MAX_MESSAGE_BYTES } else { padded(stated_bytes) };
         Ok(RawPublisher {
-            live: RefCell::new(live),
+            publish_state: RefCell::new(publish_state),
             loaned: Cell::new(0),
             keep_all: qos.history == History::KeepAll,
             gate: None,
@@ -123,13 +123,13 @@ impl RawPublisher {
             sample_bytes: Cell::new(sample_bytes(stated_bytes)),
             counters: Arc::default(),
             core,
-            shared,
+            participant: state,
             _node: participant.node.clone(),
         })
     }
 
     /// The same, silent while `gate` is shut: publishing then succeeds, and is counted, but nothing is sent.
-    #[must_use]
+    #[must_use = "it returns the changed publisher"]
     pub fn with_gate(mut self, gate: Gate) -> Self {
         self.gate = Some(gate);
         self
@@ -225,7 +225,7 @@ impl RawPublisher {
     pub fn wait_for_subscriptions(
         &self,
     ) -> Result<impl Future<Output = Result<(), TransportError>> + Send + use<>, TransportError> {
-        let participant = Participant { shared: self.shared.clone(), node: None };
+        let participant = Participant { state: self.participant.clone(), node: None };
         let topic = self.topic().to_owned();
         // Before the first look: nothing that happens after it is missed.
         let mut events = participant.graph_events()?;
@@ -279,6 +279,6 @@ impl std::fmt::Debug for RawPublisher {
 impl Drop for RawPublisher {
     fn drop(&mut self) {
         self.core.slot.retire();
-        self.shared.matcher.remove_publisher(&self.core);
+        self.participant.matcher.remove_publisher(&self.core);
     }
 }

@@ -8,10 +8,10 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::core::Connected;
+use super::core::ReaderProxy;
 use super::history::History;
 use crate::graph::record::PortRecord;
-use crate::participant::Reached;
+use crate::participant::ArenaOwner;
 use crate::qos::History as KeepWhat;
 use crate::topic::chunks::Chunks;
 use crate::topic::connection::{Block, Connection, Shape};
@@ -21,7 +21,7 @@ use crate::topic::pool::Pool;
 use core::cell::UnsafeCell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering, fence};
-use tautline_doorbell::{Flags, Pulse, PulseOf, Sleeper};
+use tautline_doorbell::{Activity, ActivityKind, Flags, Sleeper};
 use tautline_rt::{LatestReader, clock::monotonic_ns};
 
 /// What a publisher knows of a subscription.
@@ -36,7 +36,7 @@ pub(crate) struct Sender {
     pub(crate) is_observer: bool,
     /// Of a client's responses: the port of its requests.
     pub(crate) partner: Option<u64>,
-    reached: Reached,
+    owner: ArenaOwner,
     slot: usize,
     connection: Connection,
     turn: HandOver,
@@ -74,7 +74,7 @@ unsafe impl Send for Sender {}
 /// What the thread that publishes works with: made anew when subscriptions or segments have come or gone.
 pub(crate) struct Table {
     /// Those of a participant next to each other.
-    pub(super) senders: Chunks<Connected>,
+    pub(super) proxies: Chunks<ReaderProxy>,
     pub(crate) pool: Pool,
     /// What samples are loaned from: the segments of this size.
     pub(crate) sample_bytes: usize,
@@ -83,17 +83,17 @@ pub(crate) struct Table {
 }
 
 /// A longer list of the samples that are out, for the thread that publishes, which leaves the one that it had there.
-pub(crate) struct Spare {
+pub(crate) struct SpareList {
     list: UnsafeCell<Box<[u64]>>,
 }
 
 // SAFETY: `list` is touched by the thread that publishes alone.
-unsafe impl Sync for Spare {}
+unsafe impl Sync for SpareList {}
 
-impl Spare {
+impl SpareList {
     #[allow(clippy::disallowed_macros, reason = "set-up")]
     pub(crate) fn new(words: usize) -> Self {
-        Spare { list: UnsafeCell::new(vec![0; words].into_boxed_slice()) }
+        SpareList { list: UnsafeCell::new(vec![0; words].into_boxed_slice()) }
     }
 }
 
@@ -111,7 +111,7 @@ impl Sender {
         subscription: Gid,
         shape: Shape,
         port: &PortRecord,
-        (reached, slot): (Reached, usize),
+        (owner, slot): (ArenaOwner, usize),
         connection: Connection,
         samples: usize,
     ) -> Self {
@@ -125,7 +125,7 @@ impl Sender {
             keeps_all: port.qos.qos().history == KeepWhat::KeepAll,
             is_observer: port.observer,
             partner: port.partner,
-            reached,
+            owner,
             slot,
             connection,
             turn: HandOver::new(),
@@ -149,7 +149,7 @@ impl Sender {
     }
 
     fn flags(&self) -> Option<&Flags> {
-        self.reached.arena().flags(self.slot)
+        self.owner.arena().flags(self.slot)
     }
 
     /// Whether the thread that publishes uses it, and samples go to it.
@@ -279,7 +279,7 @@ impl Sender {
     /// Wait-free; no syscall.
     pub(crate) fn note_sample(&self, now_ns: u64) {
         if self.flags().is_some_and(Flags::has_deadline) {
-            self.reached.arena().set_pulse(Pulse { slot: self.slot, of: PulseOf::Sample }, now_ns);
+            self.owner.arena().set_activity(Activity { slot: self.slot, kind: ActivityKind::Sample }, now_ns);
         }
     }
 
@@ -347,7 +347,7 @@ impl Sender {
 
     /// Rings it, after it was [preloaded](Self::preload).
     pub(crate) fn ring(&self) {
-        self.reached.arena().ring(self.slot);
+        self.owner.arena().ring(self.slot);
     }
 }
 
@@ -378,13 +378,13 @@ fn release(out: &mut [u64], chunk: u64, pool: &Pool) {
 
 /// Which sleepers of an arena were woken for a sample.
 #[derive(Default)]
-struct Woken {
+struct WokenSleepers {
     sampler: bool,
     /// A bit for each.
     threads: [u64; 4],
 }
 
-impl Woken {
+impl WokenSleepers {
     /// True if it was not among them.
     fn add(&mut self, sleeper: Sleeper) -> bool {
         match sleeper {
@@ -409,24 +409,24 @@ impl Table {
 
     /// Those whose sending half is the publishing thread's.
     fn live(&self) -> impl Iterator<Item = &Sender> {
-        self.senders.iter().map(|connected| &*connected.sender).filter(|sender| sender.is_live())
+        self.proxies.iter().map(|proxy| &*proxy.sender).filter(|sender| sender.is_live())
     }
 
     pub(crate) fn empty(sample_bytes: usize, claims_on_use: bool) -> Self {
-        Table { senders: Default::default(), pool: Pool::default(), sample_bytes, claims_on_use }
+        Table { proxies: Default::default(), pool: Pool::default(), sample_bytes, claims_on_use }
     }
 }
 
 /// What the thread that publishes knows of subscriptions and samples.
-pub(crate) struct Live {
+pub(crate) struct PublishState {
     table: LatestReader<Arc<Table>>,
     /// The number of the last sample that was published.
     pub(crate) sequence_number: u64,
 }
 
-impl Live {
+impl PublishState {
     pub(crate) fn new(table: LatestReader<Arc<Table>>) -> Self {
-        Live { table, sequence_number: 0 }
+        PublishState { table, sequence_number: 0 }
     }
 
     /// Looks whether subscriptions or segments have come or gone, and takes over what has.
@@ -445,7 +445,7 @@ impl Live {
     fn adopt(&mut self, history: Option<&History>) {
         let sequence_number = self.sequence_number;
         let table = self.table.read();
-        for Connected { sender, spare, .. } in table.senders.iter() {
+        for ReaderProxy { sender, spare, .. } in table.proxies.iter() {
             if sender.turn.adopt()
                 && let Some(history) = history
             {
@@ -502,17 +502,17 @@ impl Live {
         for sender in table.receiving(to) {
             // SAFETY: it is live, so its sending half is this thread's.
             let half = unsafe { &mut *sender.half.get() };
-            half.sleeper = sender.reached.arena().mark_sample(sender.slot);
+            half.sleeper = sender.owner.arena().mark_sample(sender.slot);
         }
         fence(Ordering::SeqCst);
-        let (mut last, mut woken) = (None, Woken::default());
+        let (mut last, mut woken) = (None, WokenSleepers::default());
         for sender in table.receiving(to) {
             // SAFETY: as above.
             let Some(sleeper) = (unsafe { (*sender.half.get()).sleeper }) else { continue };
-            let arena = sender.reached.arena();
+            let arena = sender.owner.arena();
             // Those of an arena are next to each other; which bells they lead to, their threads say at any time.
             if last.replace(arena.id()) != Some(arena.id()) {
-                woken = Woken::default();
+                woken = WokenSleepers::default();
             }
             if woken.add(sleeper) {
                 arena.wake(sleeper);

@@ -2,8 +2,8 @@
 //! The part of a subscription that is set up: which publishers it is connected to. Shared by the subscription and by whoever finds
 //! publishers for it; the thread that takes works with what is handed over to it: see [`receiver`](super::receiver).
 
-use super::receiver::{Entry, Live, Receiver, Table};
-use super::{Life, SubscriptionRole};
+use super::receiver::{Entry, Receiver, Table, TakeState};
+use super::{LivelinessSource, SubscriptionRole};
 use crate::error::TransportError;
 use crate::graph::log::hash_of;
 use crate::graph::record::{PortKind, PortRecord, QosRecord};
@@ -11,7 +11,7 @@ use crate::qos::{Limits, Liveliness, Qos};
 use crate::topic::Topic;
 use crate::topic::chunks::{Chunks, Keyed};
 use crate::topic::connection::ReaderState;
-use crate::topic::ends::{End, EndList, Ends, Mismatch};
+use crate::topic::endpoints::{Endpoint, EndpointList, Endpoints, Mismatch};
 use crate::topic::header::Gid;
 use crate::topic::matching::Source;
 use std::collections::HashSet;
@@ -48,33 +48,34 @@ pub(crate) struct SubscriptionCore {
 }
 
 struct Setup {
-    attached: Chunks<Attached>,
+    proxies: Chunks<WriterProxy>,
     /// Those of them that have ended, in that order.
     ended: Vec<Gid>,
     /// Publishers that have ended and that a sample, or the table of the taking thread, still refers to.
-    closing: Vec<Attached>,
+    closing: Vec<WriterProxy>,
     /// Publishers whose participant has not made a connection yet.
-    expected: Vec<Expected>,
-    ends: Ends,
+    expected: Vec<DiscoveredPublisher>,
+    endpoints: Endpoints,
     table: LatestWriter<Arc<Table>>,
     is_stale: bool,
 }
 
+/// A publisher that is connected.
 #[derive(Clone)]
-pub(super) struct Attached {
+pub(super) struct WriterProxy {
     publisher: Gid,
     source: Source,
     pub(super) entry: Entry,
 }
 
-impl Keyed for Attached {
+impl Keyed for WriterProxy {
     fn key(&self) -> Gid {
         self.publisher
     }
 }
 
 /// A publisher as its record describes it.
-pub(crate) struct Expected {
+pub(crate) struct DiscoveredPublisher {
     gid: Gid,
     port: PortRecord,
     source: Source,
@@ -82,9 +83,9 @@ pub(crate) struct Expected {
     gone: Option<bool>,
 }
 
-impl Expected {
+impl DiscoveredPublisher {
     pub(crate) fn new(gid: Gid, port: PortRecord, source: Source) -> Self {
-        Expected { gid, port, source, gone: None }
+        DiscoveredPublisher { gid, port, source, gone: None }
     }
 }
 
@@ -96,14 +97,14 @@ impl SubscriptionCore {
         limits: Limits,
         role: SubscriptionRole,
         slot: Arc<Slot>,
-    ) -> (Arc<Self>, Live) {
+    ) -> (Arc<Self>, TakeState) {
         let (table, reader) = latest(Arc::<Table>::default());
         let setup = Setup {
-            attached: Chunks::default(),
+            proxies: Chunks::default(),
             ended: Vec::new(),
             closing: Vec::new(),
             expected: Vec::new(),
-            ends: Ends::default(),
+            endpoints: Endpoints::default(),
             table,
             is_stale: false,
         };
@@ -123,7 +124,7 @@ impl SubscriptionCore {
             unfinished: AtomicUsize::new(0),
             setup: Mutex::new(setup),
         };
-        (Arc::new(core), Live::new(reader))
+        (Arc::new(core), TakeState::new(reader))
     }
 
     fn setup(&self) -> MutexGuard<'_, Setup> {
@@ -153,10 +154,10 @@ impl SubscriptionCore {
     }
 
     /// A publisher is there. True if its participant is to make a connection, which [`attach`](Self::attach) then finds.
-    pub(crate) fn expect(&self, expected: Expected) -> bool {
+    pub(crate) fn expect(&self, expected: DiscoveredPublisher) -> bool {
         let mut setup = self.setup();
         let gid = expected.gid;
-        if setup.ends.contains(gid) || setup.expected.iter().any(|other| other.gid == gid) {
+        if setup.endpoints.contains(gid) || setup.expected.iter().any(|other| other.gid == gid) {
             return false;
         }
         let qos = expected.port.qos.qos();
@@ -164,7 +165,11 @@ impl SubscriptionCore {
             Some(mismatch) => {
                 self.topic.warn_of_mismatch(mismatch, "subscription", "publisher", &expected.port);
                 let is_relay = expected.port.relay;
-                setup.ends.set(End { mismatch: Some(mismatch), is_relay, ..End::new(gid, qos) });
+                setup.endpoints.set(Endpoint {
+                    mismatch: Some(mismatch),
+                    is_relay,
+                    ..Endpoint::new(gid, qos)
+                });
                 false
             }
             None => {
@@ -208,31 +213,31 @@ impl SubscriptionCore {
         error.map_or(Ok(setup.expected.len()), Err)
     }
 
-    fn try_attach(&self, setup: &mut Setup, expected: &Expected) -> Result<bool, TransportError> {
-        let Expected { gid, port, source, gone } = expected;
+    fn try_attach(&self, setup: &mut Setup, expected: &DiscoveredPublisher) -> Result<bool, TransportError> {
+        let DiscoveredPublisher { gid, port, source, gone } = expected;
         let Some(connection) = source.connection(self.gid, gone.is_some())? else { return Ok(false) };
         if connection.block().back.state() != ReaderState::Unknown {
             // It was attached before, and that is over.
             return Ok(false);
         }
         let slot = port.slot as usize;
-        let reached = source.reached();
-        reached.reach(slot)?;
+        let owner = source.owner();
+        owner.reach(slot)?;
         let (segments, grown) = source.segments()?;
         connection.bring_in();
         connection.block().back.mapped.store(grown, Ordering::Relaxed);
         connection.block().back.set_state(ReaderState::Attached);
         // A server's answers go to clients, each of which is told its own numbers.
         let is_others = self.is_observer && port.partner.is_some();
-        let receiver = Arc::new(Receiver::new(*gid, is_others, connection, source.head(), reached, slot));
+        let receiver = Arc::new(Receiver::new(*gid, is_others, connection, source.head(), owner, slot));
         let qos = port.qos.qos();
         let has_lease =
             qos.liveliness == Liveliness::ManualByTopic && qos.liveliness_lease_duration.is_some();
-        let life = has_lease.then(|| Life::of(&receiver));
+        let liveliness = has_lease.then(|| LivelinessSource::of(&receiver));
         let PortRecord { relay: is_relay, partner, .. } = *port;
-        setup.ends.set(End { is_relay, partner, life, ..End::new(*gid, qos) });
+        setup.endpoints.set(Endpoint { is_relay, partner, liveliness, ..Endpoint::new(*gid, qos) });
         let entry = Entry { receiver, segments, grown, has_ended: false };
-        setup.attached.insert(Attached { publisher: *gid, source: source.clone(), entry });
+        setup.proxies.insert(WriterProxy { publisher: *gid, source: source.clone(), entry });
         setup.is_stale = true;
         if let Some(is_dead) = gone {
             end(setup, *gid, *is_dead);
@@ -257,7 +262,7 @@ impl SubscriptionCore {
     /// A publisher has gone. `is_dead`: with its participant, so that it was killed unless its memory says that it ended. Call [`settle`](Self::settle) afterwards.
     pub(crate) fn disconnect(&self, publisher: Gid, is_dead: bool) {
         let mut setup = self.setup();
-        let is_expected = |expected: &Expected| expected.gid == publisher;
+        let is_expected = |expected: &DiscoveredPublisher| expected.gid == publisher;
         let Some(place) = setup.expected.iter().position(is_expected) else {
             return end(&mut setup, publisher, is_dead);
         };
@@ -276,15 +281,15 @@ impl SubscriptionCore {
     /// The system refuses.
     pub(crate) fn map_segments(&self, publisher: Option<Gid>) -> Result<(), TransportError> {
         let mut setup = self.setup();
-        let Setup { attached, is_stale, .. } = &mut *setup;
-        let all = || attached.iter().map(Keyed::key).collect();
+        let Setup { proxies, is_stale, .. } = &mut *setup;
+        let all = || proxies.iter().map(Keyed::key).collect();
         for gid in publisher.map_or_else(all, |gid| vec![gid]) {
-            let Some(known) = attached.get(gid).filter(|known| !known.entry.has_ended) else { continue };
+            let Some(known) = proxies.get(gid).filter(|known| !known.entry.has_ended) else { continue };
             let (segments, grown) = known.source.segments()?;
             // Release: they are mapped.
             known.entry.receiver.block().back.mapped.store(grown, Ordering::Release);
             if !Arc::ptr_eq(&segments, &known.entry.segments)
-                && let Some(known) = attached.get_mut(gid)
+                && let Some(known) = proxies.get_mut(gid)
             {
                 (known.entry.segments, known.entry.grown) = (segments, grown);
                 *is_stale = true;
@@ -293,9 +298,9 @@ impl SubscriptionCore {
         Ok(())
     }
 
-    /// The ends on other hosts, with their tags, and the tags of those that have ended by themselves.
+    /// The endpoints on other hosts, with their tags, and the tags of those that have ended by themselves.
     pub(crate) fn set_remote(&self, told: &[(Gid, u64)], ended: &HashSet<u64>) {
-        self.setup().ends.set_remote(told, ended);
+        self.setup().endpoints.set_remote(told, ended);
     }
 
     /// Hands over what has changed, rings for it, and tells monitors. Returns the publishers whose connections were closed,
@@ -311,7 +316,7 @@ impl SubscriptionCore {
         if is_stale {
             hand_over(&mut setup);
         }
-        if setup.ends.tell(&self.matched) {
+        if setup.endpoints.tell(&self.matched) {
             self.slot.doorbell().arena().ring_events(self.slot.index());
         }
         if was_stale || is_stale {
@@ -324,13 +329,13 @@ impl SubscriptionCore {
 
     /// Of publishers that have ended and that no take has seen, only the newest stay, and those that sent nothing not at all.
     fn forget_unseen(&self, setup: &mut Setup) {
-        let ended = setup.ended.iter().filter_map(|gid| setup.attached.get(*gid));
-        let unseen: Vec<_> = ended.filter(|attached| attached.entry.receiver.is_new()).collect();
+        let ended = setup.ended.iter().filter_map(|gid| setup.proxies.get(*gid));
+        let unseen: Vec<_> = ended.filter(|proxy| proxy.entry.receiver.is_new()).collect();
         let too_many = unseen.len().saturating_sub(UNSEEN);
         let mut has_forgotten = false;
-        for (place, attached) in unseen.into_iter().enumerate() {
-            if (place < too_many || !attached.entry.receiver.has_samples())
-                && let Some(lost) = attached.entry.receiver.forget()
+        for (place, proxy) in unseen.into_iter().enumerate() {
+            if (place < too_many || !proxy.entry.receiver.has_samples())
+                && let Some(lost) = proxy.entry.receiver.forget()
             {
                 self.forgotten.fetch_add(lost, Ordering::Relaxed);
                 has_forgotten = true;
@@ -343,53 +348,53 @@ impl SubscriptionCore {
     pub(crate) fn close(&self) -> Vec<Gid> {
         let mut setup = self.setup();
         setup.expected.clear();
-        let close = |attached: &Attached| {
-            attached.entry.receiver.block().back.set_state(ReaderState::Closed);
-            attached.publisher
+        let close = |proxy: &WriterProxy| {
+            proxy.entry.receiver.block().back.set_state(ReaderState::Closed);
+            proxy.publisher
         };
-        let attached = std::mem::take(&mut setup.attached);
+        let proxies = std::mem::take(&mut setup.proxies);
         let closing = std::mem::take(&mut setup.closing);
-        let attached = attached.iter().chain(&closing);
-        let closed = attached.map(close).collect();
+        let proxies = proxies.iter().chain(&closing);
+        let closed = proxies.map(close).collect();
         // Nobody takes any more: with this go the tables, which keep what was there mapped.
         setup.table = latest(Arc::default()).0;
         closed
     }
 
-    pub(crate) fn monitor(&self) -> LatestReader<Arc<EndList>> {
-        self.setup().ends.monitor()
+    pub(crate) fn monitor(&self) -> LatestReader<Arc<EndpointList>> {
+        self.setup().endpoints.monitor()
     }
 }
 
 /// A publisher has gone: what it sent is taken, and nothing comes after it.
 fn end(setup: &mut Setup, publisher: Gid, is_dead: bool) {
     let mut was_killed = false;
-    if let Some(attached) = setup.attached.get_mut(publisher).filter(|attached| !attached.entry.has_ended) {
-        was_killed = is_dead && !attached.source.has_ended();
+    if let Some(proxy) = setup.proxies.get_mut(publisher).filter(|proxy| !proxy.entry.has_ended) {
+        was_killed = is_dead && !proxy.source.has_ended();
         // If that is refused what lies there is lost, and counted.
-        if let Ok((segments, _)) = attached.source.segments() {
-            attached.entry.segments = segments;
+        if let Ok((segments, _)) = proxy.source.segments() {
+            proxy.entry.segments = segments;
         }
-        attached.entry.has_ended = true;
+        proxy.entry.has_ended = true;
         setup.ended.push(publisher);
         setup.is_stale = true;
     }
-    setup.ends.remove(publisher, was_killed);
+    setup.endpoints.remove(publisher, was_killed);
 }
 
 fn hand_over(setup: &mut Setup) {
     setup.is_stale = false;
-    setup.table.write(Arc::new(Table { attached: setup.attached.clone() }));
+    setup.table.write(Arc::new(Table { proxies: setup.proxies.clone() }));
 }
 
 /// Publishers that are done, once neither the taking thread's table nor a sample refers to them any more, may have their memory again.
 /// Returns those, and whether there are others that are referred to.
 fn close_done(setup: &mut Setup) -> (Vec<Gid>, bool) {
-    let Setup { attached, ended, closing, .. } = setup;
+    let Setup { proxies, ended, closing, .. } = setup;
     ended.retain(|gid| {
-        let is_done = attached.get(*gid).is_none_or(|attached| attached.entry.receiver.is_done());
+        let is_done = proxies.get(*gid).is_none_or(|proxy| proxy.entry.receiver.is_done());
         if is_done {
-            closing.extend(attached.remove(*gid));
+            closing.extend(proxies.remove(*gid));
         }
         !is_done
     });
@@ -400,13 +405,13 @@ fn close_done(setup: &mut Setup) -> (Vec<Gid>, bool) {
     // has taken a new one.
     (0..2).for_each(|_| hand_over(setup));
     let mut closed = Vec::new();
-    setup.closing.retain(|attached| {
-        let stays = Arc::strong_count(&attached.entry.receiver) > 1;
+    setup.closing.retain(|proxy| {
+        let stays = Arc::strong_count(&proxy.entry.receiver) > 1;
         if !stays {
             // What others did with it is over.
             std::sync::atomic::fence(Ordering::Acquire);
-            attached.entry.receiver.block().back.set_state(ReaderState::Closed);
-            closed.push(attached.publisher);
+            proxy.entry.receiver.block().back.set_state(ReaderState::Closed);
+            closed.push(proxy.publisher);
         }
         stays
     });

@@ -3,8 +3,8 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::receiver::{Held, Look, Taken};
-use super::{Counters, RawSubscription, Run};
+use super::receiver::{Held, TakeOutcome, Taken};
+use super::{PollState, RawSubscription, SubscriptionCounters};
 use crate::error::TakeError;
 use crate::qos::History;
 use crate::topic::header::{Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
@@ -102,10 +102,10 @@ impl RawSubscription {
     /// # Errors
     /// [`TakeError`]. A sample whose header is invalid is consumed.
     pub fn try_take(&self) -> Result<Option<RawSample>, TakeError> {
-        let mut patience = Patience::new();
-        let taken = self.take(&mut patience);
+        let mut budget = PollBudget::new();
+        let taken = self.take(&mut budget);
         if matches!(taken, Ok(None)) {
-            self.go_on_later(&patience);
+            self.go_on_later(&budget);
         }
         taken
     }
@@ -116,9 +116,9 @@ impl RawSubscription {
     /// Lock-free, O(publishers): a publisher that overwrites what is looked at makes it look again; no allocation; no syscall, except
     /// one futex wake if something comes from memory that is not mapped here yet.
     pub fn has_samples(&self) -> bool {
-        let mut live = self.live.borrow_mut();
-        live.refresh();
-        live.has_samples(|look| self.note_look(look))
+        let mut take_state = self.take_state.borrow_mut();
+        take_state.refresh();
+        take_state.has_samples(|outcome| self.note_outcome(outcome))
     }
 
     /// How many messages came that were neither taken nor counted as lost: at most the depth of them can still be taken.
@@ -126,49 +126,49 @@ impl RawSubscription {
     /// # Real-time
     /// O(publishers); no allocation; no syscall.
     pub fn waiting(&self) -> u64 {
-        let mut live = self.live.borrow_mut();
-        live.refresh();
-        live.waiting()
+        let mut take_state = self.take_state.borrow_mut();
+        take_state.refresh();
+        take_state.waiting()
     }
 
     /// Whether this publisher is connected, and has not ended.
     pub(crate) fn has_publisher(&self, publisher: Gid) -> bool {
-        let mut live = self.live.borrow_mut();
-        live.refresh();
-        live.has(publisher)
+        let mut take_state = self.take_state.borrow_mut();
+        take_state.refresh();
+        take_state.has(publisher)
     }
 
     /// Whether the participant that has this port is in the domain: who was buried may still be in one of its topics' tables.
     pub(crate) fn has_participant_of(&self, port: Gid) -> bool {
-        self.departure.shared.domain.members().any(|member| member.id == port.participant())
+        self.registration.participant.domain.members().any(|member| member.id == port.participant())
     }
 
     /// If there may be more behind what was passed over: whoever waits for the doorbell comes again.
-    pub(crate) fn go_on_later(&self, patience: &Patience) {
-        if patience.is_over() {
+    pub(crate) fn go_on_later(&self, budget: &PollBudget) {
+        if budget.is_spent() {
             self.slot().ring();
         }
     }
 
-    /// Takes the oldest sample, passing over what is not for the user. `None`: there is none, or the patience is over.
-    fn take(&self, patience: &mut Patience) -> Result<Option<RawSample>, TakeError> {
+    /// Takes the oldest sample, passing over what is not for the user. `None`: there is none, or the budget is spent.
+    fn take(&self, budget: &mut PollBudget) -> Result<Option<RawSample>, TakeError> {
         if self.core().forgotten.load(Ordering::Relaxed) != 0 {
             self.note_lost(self.core().forgotten.swap(0, Ordering::Relaxed));
         }
-        let mut live = self.live.borrow_mut();
-        live.refresh();
-        while !patience.is_over() {
+        let mut take_state = self.take_state.borrow_mut();
+        take_state.refresh();
+        while !budget.is_spent() {
             if !self.shelf.reclaim() {
                 return Err(TakeError::TooManyHeld);
             }
-            let Some(taken) = live.take(|look| self.note_look(look)) else {
+            let Some(taken) = take_state.take(|outcome| self.note_outcome(outcome)) else {
                 if self.stop_draining() {
                     // What was queued before its publisher could see that it must ring again.
                     continue;
                 }
                 return Ok(None);
             };
-            patience.spend();
+            budget.spend();
             if self.core().qos.history == History::KeepAll {
                 taken.receiver().ring_if_waiting();
             }
@@ -188,15 +188,15 @@ impl RawSubscription {
 
     /// Something else than a sample was found. Whoever sets up has to do something.
     #[cold]
-    fn note_look(&self, look: &Look) {
-        match look {
-            Look::Settled(lost) if *lost != 0 => self.note_lost(*lost),
+    fn note_outcome(&self, outcome: &TakeOutcome) {
+        match outcome {
+            TakeOutcome::Settled(lost) if *lost != 0 => self.note_lost(*lost),
             // For what comes after it.
-            Look::Passed => self.slot().ring(),
+            TakeOutcome::Passed => self.slot().ring(),
             _ => {}
         }
         if !self.core().has_called.swap(true, Ordering::AcqRel) {
-            self.departure.shared.call_janitor();
+            self.registration.participant.call_janitor();
         }
     }
 
@@ -246,18 +246,18 @@ impl RawSubscription {
     /// # Errors
     /// [`TakeError`], but not [`TakeError::Invalid`].
     pub fn try_take_valid(&self) -> Result<Option<RawSample>, TakeError> {
-        let mut patience = Patience::new();
-        let taken = self.take_valid(&mut patience);
+        let mut budget = PollBudget::new();
+        let taken = self.take_valid(&mut budget);
         if matches!(taken, Ok(None)) {
-            self.go_on_later(&patience);
+            self.go_on_later(&budget);
         }
         taken
     }
 
-    /// As [`try_take_valid`](Self::try_take_valid), without a ring when the patience is over.
-    pub(crate) fn take_valid(&self, patience: &mut Patience) -> Result<Option<RawSample>, TakeError> {
+    /// As [`try_take_valid`](Self::try_take_valid), without a ring when the budget is spent.
+    pub(crate) fn take_valid(&self, budget: &mut PollBudget) -> Result<Option<RawSample>, TakeError> {
         loop {
-            match self.take(patience) {
+            match self.take(budget) {
                 Err(TakeError::Invalid(_)) => {}
                 Err(refused) => {
                     add(&self.counters.refused, 1);
@@ -274,27 +274,27 @@ impl RawSubscription {
     /// As [`try_take_valid`](Self::try_take_valid), but the task is woken itself: after 16 samples that are passed over other tasks
     /// of the thread have a turn.
     pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<RawSample> {
-        self.poll_within(context, &mut Patience::new())
+        self.poll_within(context, &mut PollBudget::new())
     }
 
-    /// As [`poll_take`](Self::poll_take). Pending with the patience over: there may be more, and the task is woken for it.
-    pub(crate) fn poll_within(&self, context: &mut Context<'_>, patience: &mut Patience) -> Poll<RawSample> {
+    /// As [`poll_take`](Self::poll_take). Pending with the budget spent: there may be more, and the task is woken for it.
+    pub(crate) fn poll_within(&self, context: &mut Context<'_>, budget: &mut PollBudget) -> Poll<RawSample> {
         self.slot().waker().register(context.waker());
-        while !patience.is_over() {
-            match self.take(patience) {
+        while !budget.is_spent() {
+            match self.take(budget) {
                 Ok(Some(sample)) => {
                     self.note_taken();
                     return Poll::Ready(sample);
                 }
-                Ok(None) if patience.is_over() => break,
+                Ok(None) if budget.is_spent() => break,
                 Ok(None) => return Poll::Pending,
                 Err(TakeError::Invalid(_)) => {}
                 // Not rung for, so that it may drain on: the shelf wakes.
                 Err(TakeError::TooManyHeld) => {
                     add(&self.counters.refused, 1);
-                    patience.spend();
+                    budget.spend();
                     if !self.shelf.wake_when_back(context.waker()) {
-                        patience.end();
+                        budget.spend_all();
                         return Poll::Pending;
                     }
                 }
@@ -306,19 +306,19 @@ impl RawSubscription {
 
     /// The first of a row may be the last, too. From the second on it is a backlog, and while that lasts rings are for nothing.
     fn note_taken(&self) {
-        match self.run.get() {
-            Run::Waiting => self.run.set(Run::Took),
-            Run::Took => {
+        match self.poll_state.get() {
+            PollState::Waiting => self.poll_state.set(PollState::Took),
+            PollState::Took => {
                 self.slot().flags().start_draining();
-                self.run.set(Run::Draining);
+                self.poll_state.set(PollState::Draining);
             }
-            Run::Draining => {}
+            PollState::Draining => {}
         }
     }
 
     /// Publishers ring again. Whether they did not: look into the queue once more.
     fn stop_draining(&self) -> bool {
-        let was_draining = self.run.replace(Run::Waiting) == Run::Draining;
+        let was_draining = self.poll_state.replace(PollState::Waiting) == PollState::Draining;
         if was_draining {
             self.slot().flags().stop_draining();
         }
@@ -332,27 +332,27 @@ fn first(payload: NonNull<[u8]>, body_bytes: usize) -> Option<NonNull<[u8]>> {
     is_there.then(|| NonNull::slice_from_raw_parts(payload.cast(), padded(body_bytes).min(payload.len())))
 }
 
-/// A publisher that sends nothing but what is passed over must not keep a thread busy: so many are looked at in one call.
-const LOOKS: usize = 16;
+/// A publisher that sends nothing but what is passed over must not keep a thread busy: so many samples are looked at in one call.
+const POLL_BUDGET: usize = 16;
 
 /// How many samples a call still looks at.
-pub(crate) struct Patience(usize);
+pub(crate) struct PollBudget(usize);
 
-impl Patience {
+impl PollBudget {
     pub(crate) fn new() -> Self {
-        Patience(LOOKS)
+        PollBudget(POLL_BUDGET)
     }
 
     fn spend(&mut self) {
         self.0 = self.0.saturating_sub(1);
     }
 
-    fn end(&mut self) {
+    fn spend_all(&mut self) {
         self.0 = 0;
     }
 
     /// There may be more, but another time.
-    pub(crate) fn is_over(&self) -> bool {
+    pub(crate) fn is_spent(&self) -> bool {
         self.0 == 0
     }
 }
@@ -371,7 +371,7 @@ impl Stream for RawSubscription {
     }
 }
 
-impl Counters {
+impl SubscriptionCounters {
     fn note_queue(&self, waiting: u64) {
         if waiting > self.max_queue.load(Ordering::Relaxed) {
             self.max_queue.store(waiting, Ordering::Relaxed);

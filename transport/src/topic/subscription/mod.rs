@@ -5,12 +5,12 @@ pub(crate) mod core;
 mod hot;
 pub(crate) mod receiver;
 
-pub(crate) use hot::Patience;
+pub(crate) use hot::PollBudget;
 pub use hot::RawSample;
 
 use crate::error::TransportError;
 use crate::graph::Entry;
-use crate::participant::{Participant, Shared};
+use crate::participant::{Participant, ParticipantState};
 use crate::qos::{Limits, Qos};
 use crate::topic::Topic;
 use crate::topic::connection::Connection;
@@ -19,12 +19,12 @@ use crate::topic::lending::Shelf;
 use crate::topic::publisher::MatchedCount;
 use crate::topic::topic_type::TopicType;
 use core::SubscriptionCore;
-use receiver::{Held, Live, Receiver};
+use receiver::{Held, Receiver, TakeState};
 use std::cell::{Cell, RefCell};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 use std::task::Waker;
-use tautline_doorbell::{Joined, Slot, ThreadBell};
+use tautline_doorbell::{BellRoute, Slot, ThreadBell};
 
 /// Receives bodies of CDR from one topic, of whatever type. A stream of [`RawSample`]s, or
 /// [`try_take`](RawSubscription::try_take).
@@ -33,22 +33,22 @@ use tautline_doorbell::{Joined, Slot, ThreadBell};
 /// back to the publisher when this subscription next takes.
 pub struct RawSubscription {
     // Dropped in this order.
-    live: RefCell<Live>,
+    take_state: RefCell<TakeState>,
     shelf: Shelf<Held>,
     /// What the polls before found.
-    run: Cell<Run>,
+    poll_state: Cell<PollState>,
     /// The callback thread that publishers wake.
-    thread: RefCell<Option<Joined>>,
+    thread: RefCell<Option<BellRoute>>,
     trace: tautline_trace::Object,
-    counters: Arc<Counters>,
-    departure: Departure,
+    counters: Arc<SubscriptionCounters>,
+    registration: Registration,
     /// Whose it is: that is there at least as long.
     _node: Option<Arc<Entry>>,
 }
 
 /// How polls go.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Run {
+enum PollState {
     /// The last one found nothing: publishers ring.
     Waiting,
     /// It found a sample.
@@ -59,7 +59,7 @@ enum Run {
 
 /// What happened to the messages of one subscription, readable from any thread.
 #[derive(Debug, Default)]
-pub struct Counters {
+pub struct SubscriptionCounters {
     received: AtomicU64,
     lost: AtomicU64,
     invalid: AtomicU64,
@@ -68,7 +68,7 @@ pub struct Counters {
     max_queue: AtomicU64,
 }
 
-impl Counters {
+impl SubscriptionCounters {
     /// Messages taken.
     pub fn received(&self) -> u64 {
         self.received.load(Ordering::Relaxed)
@@ -122,36 +122,36 @@ impl RawSubscription {
         limits: Limits,
         role: SubscriptionRole,
     ) -> Result<Self, TransportError> {
-        let shared = participant.shared.clone();
+        let state = participant.state.clone();
         let topic = Topic::check(topic, topic_type, qos, limits)?;
-        let slot = Arc::new(shared.doorbell.claim()?);
+        let slot = Arc::new(state.doorbell.claim()?);
         slot.flags().set_deadline(qos.deadline.is_some());
         slot.flags().set_quiet(role.is_observer);
-        let gid = Gid::of(shared.memory.id(), role.number.unwrap_or_else(|| shared.record.number()));
+        let gid = Gid::of(state.memory.id(), role.number.unwrap_or_else(|| state.record.number()));
         let trace = tautline_trace::subscription_init(&topic.name, qos.depth);
-        let (core, live) = SubscriptionCore::create(gid, topic, qos, limits, role, slot);
-        let returned = Returned { core: Arc::downgrade(&core), shared: shared.clone() };
+        let (core, take_state) = SubscriptionCore::create(gid, topic, qos, limits, role, slot);
+        let returned = LastSampleGuard { core: Arc::downgrade(&core), participant: state.clone() };
         let subscription = RawSubscription {
-            live: RefCell::new(live),
+            take_state: RefCell::new(take_state),
             shelf: Shelf::new(limits.held, returned),
-            run: Cell::new(Run::Waiting),
+            poll_state: Cell::new(PollState::Waiting),
             thread: RefCell::new(None),
             trace,
             counters: Arc::default(),
-            departure: Departure { core: core.clone(), shared: shared.clone() },
+            registration: Registration { core: core.clone(), participant: state.clone() },
             _node: participant.node.clone(),
         };
-        shared.matcher.add_subscription(&core, participant.node.as_deref())?;
+        state.matcher.add_subscription(&core, participant.node.as_deref())?;
         participant.adopt(&core.slot);
         Ok(subscription)
     }
 
     pub(crate) fn core(&self) -> &Arc<SubscriptionCore> {
-        &self.departure.core
+        &self.registration.core
     }
 
     fn slot(&self) -> &Slot {
-        &self.departure.core.slot
+        &self.registration.core.slot
     }
 
     /// The topic's fully qualified name.
@@ -180,7 +180,7 @@ impl RawSubscription {
     }
 
     /// The counters, to be read from any thread.
-    pub fn counters(&self) -> Arc<Counters> {
+    pub fn counters(&self) -> Arc<SubscriptionCounters> {
         self.counters.clone()
     }
 
@@ -218,9 +218,9 @@ impl RawSubscription {
     /// participant's, the sampler is rung as before. Says whether publishers wake that thread.
     pub fn wake_thread(&self, bell: Option<&Arc<ThreadBell>>) -> bool {
         let mut thread = self.thread.borrow_mut();
-        // Left before it is joined anew: both set the route.
+        // The former route ends before the new one begins: both set it.
         *thread = None;
-        *thread = bell.and_then(|bell| bell.join(self.slot()));
+        *thread = bell.and_then(|bell| bell.route(self.slot()));
         thread.is_some()
     }
 
@@ -253,42 +253,42 @@ impl AsRef<RawSubscription> for RawSubscription {
 }
 
 /// Tells whoever sets things up that the subscription has gone.
-struct Departure {
+struct Registration {
     core: Arc<SubscriptionCore>,
-    shared: Arc<Shared>,
+    participant: Arc<ParticipantState>,
 }
 
-impl Drop for Departure {
+impl Drop for Registration {
     fn drop(&mut self) {
         self.core.slot.retire();
-        self.shared.matcher.remove_subscription(&self.core);
+        self.participant.matcher.remove_subscription(&self.core);
     }
 }
 
 /// Dropped when the subscription and its last sample have gone, by whichever thread that is.
-struct Returned {
+struct LastSampleGuard {
     core: Weak<SubscriptionCore>,
-    shared: Arc<Shared>,
+    participant: Arc<ParticipantState>,
 }
 
-impl Drop for Returned {
+impl Drop for LastSampleGuard {
     /// # Real-time
     /// Wait-free; one futex wake. If the participant was dropped before, it ends here: that waits for its threads.
     fn drop(&mut self) {
         if let Some(core) = self.core.upgrade() {
             core.is_returned.store(true, Ordering::Release);
-            self.shared.call_janitor();
+            self.participant.call_janitor();
         }
     }
 }
 
 /// Where a publisher shows that it is alive.
 #[derive(Clone)]
-pub(crate) struct Life(Arc<Connection>);
+pub(crate) struct LivelinessSource(Arc<Connection>);
 
-impl Life {
+impl LivelinessSource {
     pub(crate) fn of(receiver: &Receiver) -> Self {
-        Life(receiver.connection().clone())
+        LivelinessSource(receiver.connection().clone())
     }
 
     /// When it last did.

@@ -7,8 +7,8 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::core::Attached;
-use crate::participant::Reached;
+use super::core::WriterProxy;
+use crate::participant::ArenaOwner;
 use crate::topic::chunks::Chunks;
 use crate::topic::connection::{Block, Connection};
 use crate::topic::control::Head;
@@ -32,7 +32,7 @@ pub(crate) struct Receiver {
     /// Says whether there are other segments than those that were mapped.
     head: Option<Head>,
     /// Where the publisher is rung when it waits for room.
-    reached: Reached,
+    owner: ArenaOwner,
     slot: usize,
     turn: HandOver,
     half: UnsafeCell<Half>,
@@ -69,12 +69,12 @@ pub(crate) type SegmentViews = Arc<[Option<SegmentView>]>;
 /// What the thread that takes works with: made anew when publishers, or segments of theirs, have come or gone.
 #[derive(Default)]
 pub(crate) struct Table {
-    pub(super) attached: Chunks<Attached>,
+    pub(super) proxies: Chunks<WriterProxy>,
 }
 
 impl Table {
     fn entries(&self) -> impl Iterator<Item = &Entry> {
-        self.attached.iter().map(|attached| &attached.entry)
+        self.proxies.iter().map(|proxy| &proxy.entry)
     }
 }
 
@@ -125,7 +125,7 @@ pub(crate) struct Taken {
 }
 
 /// What came of a look at a publisher's queue.
-pub(crate) enum Look {
+pub(crate) enum TakeOutcome {
     Taken(Taken),
     /// A sample is there and cannot be reached yet: whoever sets up maps its segment and rings. There may be more behind it.
     Parked,
@@ -143,7 +143,7 @@ impl Receiver {
         is_others: bool,
         connection: Connection,
         head: Option<Head>,
-        reached: Reached,
+        owner: ArenaOwner,
         slot: usize,
     ) -> Self {
         Receiver {
@@ -151,7 +151,7 @@ impl Receiver {
             is_others,
             connection: Arc::new(connection),
             head,
-            reached,
+            owner,
             slot,
             turn: HandOver::new(),
             half: UnsafeCell::new(Half { next: 0, parked: None, overwritten: 0 }),
@@ -202,22 +202,22 @@ impl Receiver {
     ///
     /// # Safety
     /// For the thread that takes, of a live receiver.
-    unsafe fn look(self: &Arc<Self>, segments: &SegmentViews, has_ended: bool) -> Look {
+    unsafe fn look(self: &Arc<Self>, segments: &SegmentViews, has_ended: bool) -> TakeOutcome {
         // SAFETY: as the caller promises.
         let half = unsafe { &mut *self.half.get() };
         // SAFETY: as the caller promises.
         let Some(chunk) = half.parked.take().or_else(|| unsafe { self.connection.take() }) else {
-            return if has_ended { self.settle(half) } else { Look::Empty };
+            return if has_ended { self.settle(half) } else { TakeOutcome::Empty };
         };
         let Some((view, payload)) = locate(chunk, segments) else {
             if has_ended {
                 // It will never be reached: the samples after it, or its end, show that it is lost.
                 // SAFETY: as the caller promises.
                 unsafe { self.connection.give_back(chunk) };
-                return Look::Passed;
+                return TakeOutcome::Passed;
             }
             half.parked = Some(chunk);
-            return Look::Parked;
+            return TakeOutcome::Parked;
         };
         // SAFETY: a sample that was submitted is not written before it was returned, and lies within the mapping.
         let header = unsafe { payload.cast::<u8>().byte_sub(HEADER_BYTES).cast::<SampleHeader>().read() };
@@ -239,7 +239,7 @@ impl Receiver {
         // Release: pairs with the Acquire in the publisher's check for room.
         self.block().back.taken.store(number, Ordering::Release);
         let held = Held { receiver: self.clone(), chunk, _map: view.map.clone() };
-        Look::Taken(Taken { held, header, payload, lost, waiting })
+        TakeOutcome::Taken(Taken { held, header, payload, lost, waiting })
     }
 
     /// Whether there is something to take. `None`: there is, but it cannot be reached yet.
@@ -289,12 +289,12 @@ impl Receiver {
     }
 
     /// The queue of an ended publisher is empty: what it sent and never came is lost.
-    fn settle(&self, half: &Half) -> Look {
+    fn settle(&self, half: &Half) -> TakeOutcome {
         let sent = self.block().out.sent.load(Ordering::Relaxed);
         let lost =
             if half.next == 0 { self.unseen() } else { sent.saturating_add(1).saturating_sub(half.next) };
         self.turn.finish();
-        Look::Settled(lost)
+        TakeOutcome::Settled(lost)
     }
 
     /// Rings the publisher if it waits for room, after a take.
@@ -306,7 +306,7 @@ impl Receiver {
         fence(Ordering::SeqCst);
         let waiting = &self.block().out.waiting;
         if waiting.load(Ordering::Relaxed) != 0 && waiting.swap(0, Ordering::Relaxed) != 0 {
-            self.reached.arena().ring(self.slot);
+            self.owner.arena().ring(self.slot);
         }
     }
 }
@@ -335,7 +335,7 @@ fn locate(chunk: u64, segments: &SegmentViews) -> Option<(&SegmentView, NonNull<
 }
 
 /// What the thread that takes knows of publishers.
-pub(crate) struct Live {
+pub(crate) struct TakeState {
     table: LatestReader<Arc<Table>>,
     /// The receiver that the next look begins with.
     next: usize,
@@ -346,9 +346,9 @@ pub(crate) struct Live {
 /// After so many samples of one publisher others have a turn.
 const IN_A_ROW: usize = 16;
 
-impl Live {
+impl TakeState {
     pub(crate) fn new(table: LatestReader<Arc<Table>>) -> Self {
-        Live { table, next: 0, in_a_row: 0 }
+        TakeState { table, next: 0, in_a_row: 0 }
     }
 
     /// Looks whether publishers have come or gone, and takes over what has.
@@ -367,16 +367,16 @@ impl Live {
     ///
     /// # Real-time
     /// O(publishers); no allocation; no syscall.
-    pub(crate) fn take(&mut self, mut each: impl FnMut(&Look)) -> Option<Taken> {
+    pub(crate) fn take(&mut self, mut each: impl FnMut(&TakeOutcome)) -> Option<Taken> {
         let table = self.table.current();
-        let count = table.attached.len();
-        for (place, Attached { entry, .. }) in table.attached.iter_from(self.next) {
+        let count = table.proxies.len();
+        for (place, WriterProxy { entry, .. }) in table.proxies.iter_from(self.next) {
             if !entry.receiver.turn.is_live() {
                 continue;
             }
             // SAFETY: it is live, and this is the thread that takes.
             match unsafe { entry.receiver.look(&entry.segments, entry.has_ended) } {
-                Look::Taken(taken) => {
+                TakeOutcome::Taken(taken) => {
                     self.in_a_row = if place == self.next { self.in_a_row + 1 } else { 1 };
                     self.next = place;
                     if self.in_a_row >= IN_A_ROW {
@@ -384,7 +384,7 @@ impl Live {
                     }
                     return Some(taken);
                 }
-                Look::Empty => {}
+                TakeOutcome::Empty => {}
                 other => each(&other),
             }
         }
@@ -413,14 +413,14 @@ impl Live {
     ///
     /// # Real-time
     /// Lock-free, O(publishers); no allocation; no syscall.
-    pub(crate) fn has_samples(&self, mut each: impl FnMut(&Look)) -> bool {
+    pub(crate) fn has_samples(&self, mut each: impl FnMut(&TakeOutcome)) -> bool {
         self.table.current().entries().any(|entry| {
             if !entry.receiver.turn.is_live() {
                 return false;
             }
             // SAFETY: it is live, and this is the thread that takes.
             unsafe { entry.receiver.is_ready(entry) }.unwrap_or_else(|| {
-                each(&Look::Parked);
+                each(&TakeOutcome::Parked);
                 false
             })
         })

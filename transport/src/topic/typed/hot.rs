@@ -7,7 +7,7 @@ use super::{Publisher, Subscription};
 use crate::error::{LoanError, PublishError, SendError, TakeError};
 use crate::topic::header::MessageInfo;
 use crate::topic::publisher::{RawLoan, RawPublisher};
-use crate::topic::subscription::{Patience, RawSample, RawSubscription};
+use crate::topic::subscription::{PollBudget, RawSample, RawSubscription};
 use core::fmt;
 use core::marker::PhantomData;
 use core::mem::MaybeUninit;
@@ -404,15 +404,15 @@ pub(crate) fn take_valid<T: Message>(
     raw: &RawSubscription,
     invalid: impl Fn(MessageInfo),
 ) -> Result<Option<Sample<T>>, TakeError> {
-    let mut patience = Patience::new();
-    while let Some(taken) = raw.take_valid(&mut patience)? {
+    let mut budget = PollBudget::new();
+    while let Some(taken) = raw.take_valid(&mut budget)? {
         let info = taken.info();
         match check(raw, taken) {
             Ok(sample) => return Ok(Some(sample)),
             Err(_) => invalid(info),
         }
     }
-    raw.go_on_later(&patience);
+    raw.go_on_later(&budget);
     Ok(None)
 }
 
@@ -422,8 +422,8 @@ pub(crate) fn poll_take<T: Message>(
     context: &mut Context<'_>,
     invalid: impl Fn(MessageInfo),
 ) -> Poll<Sample<T>> {
-    let mut patience = Patience::new();
-    while let Poll::Ready(taken) = raw.poll_within(context, &mut patience) {
+    let mut budget = PollBudget::new();
+    while let Poll::Ready(taken) = raw.poll_within(context, &mut budget) {
         let info = taken.info();
         match check(raw, taken) {
             Ok(sample) => return Poll::Ready(sample),

@@ -11,7 +11,7 @@ use crate::error::TransportError;
 use crate::qos::{Limits, Qos};
 use crate::topic::header::Gid;
 use crate::topic::publisher::{Gate, PublisherCounters, RawPublisher};
-use crate::topic::subscription::{Counters, RawSubscription};
+use crate::topic::subscription::{RawSubscription, SubscriptionCounters};
 use std::marker::PhantomData;
 use std::sync::Arc;
 use tautline_msgs::Message;
@@ -32,7 +32,7 @@ impl<T: Message> Publisher<T> {
     }
 
     /// The same, silent while `gate` is shut: see [`RawPublisher::with_gate`].
-    #[must_use]
+    #[must_use = "it returns the changed publisher"]
     pub fn with_gate(self, gate: Gate) -> Self {
         Publisher { raw: self.raw.with_gate(gate), ..self }
     }
@@ -145,7 +145,7 @@ impl<T: Message> Subscription<T> {
     }
 
     /// The counters, to be read from any thread.
-    pub fn counters(&self) -> Arc<Counters> {
+    pub fn counters(&self) -> Arc<SubscriptionCounters> {
         self.raw.counters()
     }
 

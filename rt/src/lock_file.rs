@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Being the only one: who holds the lock on a file is it. The kernel drops the lock of a process that dies, however it dies,
-//! so that the next can take over at once.
+//! Lock files: one process at a time holds one. The kernel releases the lock of a process that dies, however it dies, so that the next can
+//! take over at once.
 
 use crate::shm::DIRECTORY;
 use rustix::fs::{FlockOperation, Mode, OFlags};
@@ -9,23 +9,23 @@ use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Who removes the file of a process that was killed locks it for a moment: that is no other that has the seat.
+/// Who removes the file of a process that was killed locks it for a moment: that is not another holder.
 const PATIENCE: Duration = Duration::from_millis(50);
 
-/// A seat that one process has; dropping it makes room for another.
+/// A locked file in /dev/shm. Dropping it releases the lock and removes the file.
 #[derive(Debug)]
-pub struct Seat {
+pub struct LockFile {
     path: PathBuf,
     _lock: std::fs::File,
 }
 
-/// Why it is not had.
+/// Why a file was not locked.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum SeatError {
-    /// Another process has it.
+pub enum LockFileError {
+    /// Another process holds the lock.
     #[error("{} is locked by another process", path.display())]
-    Taken {
+    Locked {
         /// The file.
         path: PathBuf,
         /// Process id of the other, if it wrote it.
@@ -41,17 +41,17 @@ pub enum SeatError {
     },
 }
 
-impl Seat {
-    /// Takes the seat that the file `name` in /dev/shm stands for.
+impl LockFile {
+    /// Locks the file `name` in /dev/shm, which is made if it is not there.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
-    /// [`SeatError::Taken`] while another has it.
-    pub fn take(name: &str) -> Result<Self, SeatError> {
+    /// [`LockFileError::Locked`] while another process holds it.
+    pub fn lock(name: &str) -> Result<Self, LockFileError> {
         let path = Path::new(DIRECTORY).join(name);
-        let refuse = |source: io::Error| SeatError::File { path: path.clone(), source };
+        let refuse = |source: io::Error| LockFileError::File { path: path.clone(), source };
         let start = Instant::now();
         loop {
             let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
@@ -66,7 +66,7 @@ impl Seat {
                 }
                 Err(Errno::WOULDBLOCK) => {
                     let pid = read_pid(&mut file);
-                    return Err(SeatError::Taken { path, pid });
+                    return Err(LockFileError::Locked { path, pid });
                 }
                 Err(errno) => return Err(refuse(errno.into())),
             }
@@ -75,12 +75,12 @@ impl Seat {
                 continue;
             }
             file.set_len(0).and_then(|()| write!(file, "{}", std::process::id())).map_err(refuse)?;
-            return Ok(Seat { path, _lock: file });
+            return Ok(LockFile { path, _lock: file });
         }
     }
 }
 
-impl Drop for Seat {
+impl Drop for LockFile {
     fn drop(&mut self) {
         // Still locked: who opened it meanwhile sees that it is gone, and makes another.
         let _ = rustix::fs::unlink(&self.path);
@@ -100,13 +100,13 @@ mod tests {
 
     #[test]
     fn one_at_a_time_and_taken_over_when_it_died() {
-        let name = format!("taut_seat_{}", std::process::id());
+        let name = format!("taut_lock_{}", std::process::id());
         let path = Path::new(DIRECTORY).join(&name);
-        let seat = Seat::take(&name).unwrap();
-        let refusal = Seat::take(&name).unwrap_err();
-        assert!(matches!(refusal, SeatError::Taken { pid: Some(pid), .. } if pid == std::process::id()));
-        drop(Seat::take(&format!("{name}_other")).unwrap());
-        drop(seat);
+        let lock = LockFile::lock(&name).unwrap();
+        let refusal = LockFile::lock(&name).unwrap_err();
+        assert!(matches!(refusal, LockFileError::Locked { pid: Some(pid), .. } if pid == std::process::id()));
+        drop(LockFile::lock(&format!("{name}_other")).unwrap());
+        drop(lock);
         assert!(!path.exists());
 
         // Another process that holds the lock and is killed: nothing of it stays locked.
@@ -114,22 +114,22 @@ mod tests {
         let mut holder = Command::new("sh").args(["-c", &script]).stdout(Stdio::piped()).spawn().unwrap();
         let mut line = [0; 7];
         holder.stdout.as_mut().unwrap().read_exact(&mut line).unwrap();
-        assert!(matches!(Seat::take(&name), Err(SeatError::Taken { pid: None, .. })));
+        assert!(matches!(LockFile::lock(&name), Err(LockFileError::Locked { pid: None, .. })));
         holder.kill().unwrap();
         holder.wait().unwrap();
-        drop(Seat::take(&name).unwrap());
+        drop(LockFile::lock(&name).unwrap());
         assert!(!path.exists());
     }
 
     #[test]
-    fn a_file_that_is_just_being_removed_is_nobodys_seat() {
-        let name = format!("taut_seat_removed_{}", std::process::id());
+    fn a_file_that_is_just_being_removed_is_nobodys_lock() {
+        let name = format!("taut_lock_removed_{}", std::process::id());
         let path = Path::new(DIRECTORY).join(&name);
         for _ in 0..100 {
             let left = std::fs::File::create(&path).unwrap();
             rustix::fs::flock(&left, FlockOperation::NonBlockingLockExclusive).unwrap();
             let taken = std::thread::scope(|scope| {
-                let taker = scope.spawn(|| Seat::take(&name));
+                let taker = scope.spawn(|| LockFile::lock(&name));
                 std::fs::remove_file(&path).unwrap();
                 drop(left);
                 taker.join().unwrap()

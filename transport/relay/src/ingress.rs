@@ -3,7 +3,7 @@
 
 use crate::limiter::Limiter;
 use crate::route::EarlyLimits;
-use crate::stats::{Counters, Numbers};
+use crate::stats::{Numbers, TopicCounters};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -24,7 +24,7 @@ pub enum Port {
     New(Box<RawPublisher>),
 }
 
-/// Whose messages an inlet passes on: it may get others, which come another way.
+/// Whose messages an ingress passes on: it may get others, which come another way.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Senders {
     /// Each with its lifespan.
@@ -32,7 +32,7 @@ pub struct Senders {
     others: BTreeSet<Gid>,
 }
 
-/// What a message's publisher is to an inlet.
+/// What a message's publisher is to an ingress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sender {
     Wanted(Option<Duration>),
@@ -133,45 +133,45 @@ struct Early {
 }
 
 /// Where the messages of a topic, or of a class of it, come into the domain.
-pub struct Inlet {
+pub struct Ingress {
     port: Port,
     /// Of a type whose definition is known.
     schema: Option<Arc<Schema>>,
-    counters: Arc<Counters>,
+    counters: Arc<TopicCounters>,
     limiter: Limiter,
     senders: Senders,
     numbers: Numbers,
     early: Vec<Early>,
     early_bytes: usize,
-    manner: Manner,
+    delivery: Delivery,
 }
 
-/// How messages of an inlet come.
+/// How messages come to an ingress.
 #[derive(Clone, Copy, Debug)]
-pub struct Manner {
+pub struct Delivery {
     /// How much waits until it is known whose it is; `None`: what nobody tells of passes.
     pub early: Option<EarlyLimits>,
     /// Whether a publisher's messages come in its order, so that one whose number has been came twice.
     pub is_ordered: bool,
 }
 
-impl Inlet {
+impl Ingress {
     /// One that nothing came through yet.
     pub fn new(
         port: Port,
         schema: Option<Arc<Schema>>,
-        counters: Arc<Counters>,
+        counters: Arc<TopicCounters>,
         limiter: Limiter,
         senders: Senders,
-        manner: Manner,
+        delivery: Delivery,
     ) -> Self {
         let (numbers, early, early_bytes) = Default::default();
-        Inlet { port, schema, counters, limiter, senders, numbers, early, early_bytes, manner }
+        Ingress { port, schema, counters, limiter, senders, numbers, early, early_bytes, delivery }
     }
 
     /// Goes on where the other ended: both may get the same, which its numbers tell. But what a new port is to keep for late joiners
     /// must come through it, so who listens already gets it once more.
-    pub fn take_over(&mut self, old: Inlet, is_kept: bool) {
+    pub fn take_over(&mut self, old: Ingress, is_kept: bool) {
         let is_same_port = matches!(self.port, Port::Same);
         if is_same_port {
             self.port = old.port;
@@ -184,7 +184,7 @@ impl Inlet {
     }
 
     /// These are its senders from now on, and this the rate; through `port` if there was none.
-    pub fn change(&mut self, Change { senders, limiter, port }: Change) {
+    pub fn change(&mut self, IngressUpdate { senders, limiter, port }: IngressUpdate) {
         if limiter.period_ns() != self.limiter.period_ns() {
             self.limiter = limiter;
         }
@@ -196,7 +196,7 @@ impl Inlet {
     }
 
     /// What comes of it is counted here.
-    pub fn counters(&self) -> &Arc<Counters> {
+    pub fn counters(&self) -> &Arc<TopicCounters> {
         &self.counters
     }
 
@@ -219,7 +219,7 @@ impl Inlet {
         match self.senders.find(&source.publisher) {
             Sender::Wanted(lifespan) => self.pass(body, source, lifespan),
             Sender::Other => {}
-            Sender::Unknown => match self.manner.early {
+            Sender::Unknown => match self.delivery.early {
                 Some(limits) => self.keep_early(body, source, limits),
                 None => self.pass(body, source, None),
             },
@@ -230,7 +230,7 @@ impl Inlet {
         if let Some(number) = source.number.filter(|_| source.are_numbers_whole) {
             match self.numbers.missing(source.publisher, number) {
                 Some(missing) => self.counters.lost(missing),
-                None if self.manner.is_ordered => return,
+                None if self.delivery.is_ordered => return,
                 None => {}
             }
         }
@@ -315,7 +315,7 @@ impl Inlet {
 
     /// What has waited long enough goes. To be called now and then.
     pub fn look(&mut self) {
-        let Some(EarlyLimits { time, .. }) = self.manner.early else { return };
+        let Some(EarlyLimits { time, .. }) = self.delivery.early else { return };
         let is_late = |early: &Early| early.since.elapsed() >= time;
         if self.early.first().is_some_and(is_late) {
             let (counters, bytes) = (&self.counters, &mut self.early_bytes);
@@ -331,8 +331,8 @@ impl Inlet {
     }
 }
 
-/// What is otherwise with an inlet that runs.
-pub struct Change {
+/// What changes at an ingress that runs.
+pub struct IngressUpdate {
     /// Whose messages pass.
     pub senders: Senders,
     /// How often.
@@ -356,7 +356,7 @@ mod tests {
     use tautline_transport::{Limits, Participant, Qos, TopicType};
 
     const NAMES: [Gid; 3] = [Gid([1; 16]), Gid([2; 16]), Gid([3; 16])];
-    const MANNER: Manner = Manner {
+    const DELIVERY: Delivery = Delivery {
         early: Some(EarlyLimits { samples: 2, bytes: 100, time: Duration::from_secs(3600) }),
         is_ordered: true,
     };
@@ -407,67 +407,70 @@ mod tests {
         let heard = participant.create_raw_subscription("/x", &topic_type, qos, limits).unwrap();
         let port = participant.create_raw_publisher("/x", &topic_type, qos, limits).unwrap();
         let take = || heard.try_take().unwrap().map(|sample| sample.body().to_vec());
-        let counters = Arc::<Counters>::default();
+        let counters = Arc::<TopicCounters>::default();
         let [one, other, new] = NAMES;
         let senders = |wanted: &[(Gid, Option<Duration>)]| {
             Senders::of(&[one, other].into(), &wanted.iter().copied().collect(), true)
         };
-        let mut inlet = Inlet::new(
+        let mut ingress = Ingress::new(
             Port::New(Box::new(port)),
             Some(Arc::new(schema)),
             counters.clone(),
             Limiter::new(None),
             senders(&[(one, None)]),
-            MANNER,
+            DELIVERY,
         );
         let dropped =
             |reason: Refused| counters.read().dropped.get(&reason.to_string()).copied().unwrap_or(0);
         let claimed = [0xFF, 0xFF, 0xFF, 0x7F, b'a', 0];
         let nonsense = [&claimed[..], &[], &[3, 0, 0, 0, b'a', b'b'], &[2, 0, 0, 0, 0xFF, 0], &[0; 40]];
         for (number, body) in (1..).zip(nonsense) {
-            inlet.receive(body, source(one, number));
-            inlet.receive(&Pieces(body), source(one, number + 1));
-            inlet.numbers.forget(|_| true);
+            ingress.receive(body, source(one, number));
+            ingress.receive(&Pieces(body), source(one, number + 1));
+            ingress.numbers.forget(|_| true);
         }
         assert_eq!((take(), dropped(Refused::Invalid)), (None, 10));
 
         let text = [3, 0, 0, 0, b'a', b'b', 0];
-        inlet.receive(&text[..], source(one, 1));
-        inlet.receive(&text[..], source(one, 1));
-        inlet.receive(&text[..], source(other, 1));
-        inlet.receive(&Pieces(&text), source(one, 4));
+        ingress.receive(&text[..], source(one, 1));
+        ingress.receive(&text[..], source(one, 1));
+        ingress.receive(&text[..], source(other, 1));
+        ingress.receive(&Pieces(&text), source(one, 4));
         assert_eq!([take(), take(), take()], [Some(text.to_vec()), Some(text.to_vec()), None]);
         assert_eq!(counters.read().lost, 2);
 
         // Not known yet: they wait, as many as there is room for.
         for number in 1..=3 {
-            inlet.receive(&text[..], source(new, number));
+            ingress.receive(&text[..], source(new, number));
         }
-        assert_eq!((take(), inlet.is_waiting(), dropped(Refused::Unknown)), (None, true, 1));
-        let change =
-            |wanted: &[_]| Change { senders: senders(wanted), limiter: Limiter::new(None), port: None };
-        inlet.change(change(&[(new, None)]));
+        assert_eq!((take(), ingress.is_waiting(), dropped(Refused::Unknown)), (None, true, 1));
+        let change = |wanted: &[_]| IngressUpdate {
+            senders: senders(wanted),
+            limiter: Limiter::new(None),
+            port: None,
+        };
+        ingress.change(change(&[(new, None)]));
         assert_eq!([take().is_some(), take().is_some(), take().is_some()], [true, true, false]);
 
         // Where that is not told of everybody, they pass.
-        inlet.manner.early = None;
-        inlet.receive(&text[..], source(Gid([9; 16]), 1));
+        ingress.delivery.early = None;
+        ingress.receive(&text[..], source(Gid([9; 16]), 1));
         assert_eq!([take().is_some(), take().is_some()], [true, false]);
 
         // An hour is over, or not, by the stamp of the other host.
         const HOUR: Duration = Duration::from_secs(3600);
         let hour_ns = HOUR.as_nanos() as i64;
-        inlet.change(change(&[(one, Some(HOUR))]));
+        ingress.change(change(&[(one, Some(HOUR))]));
         for (number, age_ns) in [(1, hour_ns + 1), (2, hour_ns / 2), (3, -hour_ns / 2)] {
             let source = Source { timestamp_ns: wall_ns() - age_ns, ..source(one, number) };
-            inlet.receive(&text[..], source);
+            ingress.receive(&text[..], source);
         }
         assert_eq!((std::iter::from_fn(take).count(), dropped(Refused::Expired)), (2, 1));
         // One that is queued longer than it has left is passed over when it is to be taken.
         const SHORT: Duration = Duration::from_millis(3);
-        inlet.change(change(&[(one, Some(SHORT))]));
+        ingress.change(change(&[(one, Some(SHORT))]));
         for number in 10.. {
-            inlet.receive(&text[..], source(one, number));
+            ingress.receive(&text[..], source(one, number));
             let over_ns = monotonic_ns() + nanoseconds(SHORT);
             while monotonic_ns() < over_ns {}
             assert_eq!(take(), None);

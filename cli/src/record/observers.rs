@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Who is there: the topics that are recorded, and an observer for each.
+//! The topics that are recorded, and an observer for each.
 
 use super::RecordArgs;
 use super::choice::Choice;
 use super::event::{EVENTS, Events, Part};
 use crate::definitions;
-use crate::manners::Outcome;
 use crate::offers;
 use crate::topic::tap;
+use crate::verb::Outcome;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -24,8 +24,8 @@ const QUEUE_BYTES: usize = 1 << 20;
 /// Requests of a client, responses of a server, and what an action tells, that wait for the recorder: a goal's states come at once.
 const SERVICE_DEPTH: usize = 16;
 
-/// What the taker is given for a topic. One of the number of another replaces its subscription.
-pub struct Seat {
+/// The subscription of a topic, for the taker. One of the number of another replaces its subscription.
+pub struct Observer {
     pub number: usize,
     pub part: Part,
     pub subscription: RawSubscription,
@@ -42,18 +42,18 @@ pub struct Counts {
     pub lost: AtomicU64,
 }
 
-/// What the keeper makes of the messages of a seat.
+/// What the keeper makes of the messages of an observer.
 pub enum Kept {
     /// Themselves.
     Topic(Topic),
     /// Events of requests.
     Requests(Topic, Events),
-    /// The taker has made them events, of the topic of this seat.
+    /// The taker has made them events, of the topic of this observer.
     Responses(usize),
 }
 
 /// A topic that is recorded, or one half of a service's events.
-pub struct Seated {
+pub struct RecordedTopic {
     pub topic: Topic,
     pub part: Part,
     pub depth: usize,
@@ -62,8 +62,8 @@ pub struct Seated {
     counts: Arc<Counts>,
 }
 
-impl Seated {
-    /// Unlike that of any other seat, but for those of a topic of two types.
+impl RecordedTopic {
+    /// Unlike that of any other observer, but for those of a topic of two types.
     pub fn name(&self) -> String {
         match self.part {
             Part::Message => self.topic.name.clone(),
@@ -72,7 +72,7 @@ impl Seated {
     }
 }
 
-pub struct Seats {
+pub struct Observers {
     participant: Participant,
     choice: Choice,
     depth: Option<usize>,
@@ -81,7 +81,7 @@ pub struct Seats {
     epoch: Option<u32>,
     /// Who has ends in the domain.
     processes: BTreeSet<u32>,
-    seated: Vec<Seated>,
+    topics: Vec<RecordedTopic>,
     /// Of a topic; more than one if its publishers have different types.
     numbers: HashMap<String, Vec<usize>>,
     /// Topics that cannot be recorded.
@@ -92,26 +92,26 @@ pub struct Seats {
     unknown: HashSet<String>,
     /// Topics whose publishers are elsewhere, which was said.
     elsewhere: HashSet<String>,
-    to_taker: Sender<Seat>,
+    to_taker: Sender<Observer>,
     to_keeper: Sender<Kept>,
 }
 
-/// What the other threads are told of it: each topic, then the seat of the same number.
-pub struct Coming {
-    pub seats: Receiver<Seat>,
+/// What the other threads are told of it: each topic, then the observer of the same number.
+pub struct NewObservers {
+    pub observers: Receiver<Observer>,
     pub topics: Receiver<Kept>,
 }
 
-impl Seats {
+impl Observers {
     /// From here on what publishers send that come is recorded, or counted.
-    pub fn new(participant: Participant, choice: Choice, args: &RecordArgs) -> Outcome<(Self, Coming)> {
+    pub fn new(participant: Participant, choice: Choice, args: &RecordArgs) -> Outcome<(Self, NewObservers)> {
         let graph = participant.graph()?;
         let publishers = graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Publisher);
         // Clients publish requests.
         let clients = graph.services.iter().map(|end| end.gid);
         let before = publishers.map(|end| end.gid).chain(clients).collect();
-        let ((to_taker, seats), (to_keeper, topics)) = (channel(), channel());
-        let here = Seats {
+        let ((to_taker, observers), (to_keeper, topics)) = (channel(), channel());
+        let here = Observers {
             participant,
             choice,
             depth: args.depth.map(|depth| depth as usize),
@@ -119,7 +119,7 @@ impl Seats {
             throttle: args.throttle.clone(),
             epoch: None,
             processes: BTreeSet::new(),
-            seated: Vec::new(),
+            topics: Vec::new(),
             numbers: HashMap::new(),
             refused: BTreeSet::new(),
             before,
@@ -128,7 +128,7 @@ impl Seats {
             to_taker,
             to_keeper,
         };
-        Ok((here, Coming { seats, topics }))
+        Ok((here, NewObservers { observers, topics }))
     }
 
     /// Who has ends in the domain, but for this process.
@@ -153,7 +153,7 @@ impl Seats {
                 if !self.choice.takes(topic, &end.topic_type.name) {
                     continue;
                 }
-                if let Err(failure) = self.seat(&graph, &ends, end, &tell) {
+                if let Err(failure) = self.observe(&graph, &ends, end, &tell) {
                     tell(&format!("warning: {topic} cannot be recorded: {failure}"));
                     self.refused.insert(topic.to_owned());
                 }
@@ -176,7 +176,7 @@ impl Seats {
         }
         let service_type = ServiceType::new(&service.type_name, service.type_hash.as_deref());
         let of_name = self.numbers.get(&name).map_or(&[][..], Vec::as_slice);
-        if of_name.iter().any(|number| self.seated[*number].topic_type.agrees_with(&service_type.request)) {
+        if of_name.iter().any(|number| self.topics[*number].topic_type.agrees_with(&service_type.request)) {
             return Ok(());
         }
         let Some(events) = Events::of(service) else {
@@ -191,8 +191,8 @@ impl Seats {
         let depth = self.depth.unwrap_or(SERVICE_DEPTH);
         let [requests, responses] =
             self.participant.create_service_observer(&service.name, &service_type, depth, limits)?;
-        let (topic, number) = (events.topic(&service.name), self.seated.len());
-        let seated = |part| Seated {
+        let (topic, number) = (events.topic(&service.name), self.topics.len());
+        let recorded = |part| RecordedTopic {
             topic: topic.clone(),
             part,
             depth,
@@ -200,31 +200,31 @@ impl Seats {
             is_fetched: false,
             counts: Arc::default(),
         };
-        self.add(seated(Part::Request), Kept::Requests(topic.clone(), events));
-        self.add(seated(Part::Response), Kept::Responses(number));
+        self.add(recorded(Part::Request), Kept::Requests(topic.clone(), events));
+        self.add(recorded(Part::Response), Kept::Responses(number));
         self.take_place(number, requests);
         self.take_place(number + 1, responses);
         Ok(())
     }
 
-    fn add(&mut self, seated: Seated, kept: Kept) {
+    fn add(&mut self, topic: RecordedTopic, kept: Kept) {
         // The keeper ends before this only with an error of its own, which is told.
         let _ = self.to_keeper.send(kept);
-        self.numbers.entry(seated.topic.name.clone()).or_default().push(self.seated.len());
-        self.seated.push(seated);
+        self.numbers.entry(topic.topic.name.clone()).or_default().push(self.topics.len());
+        self.topics.push(topic);
     }
 
-    /// The taker takes the messages of this seat from there now.
+    /// The taker takes the messages of this observer from there now.
     fn take_place(&mut self, number: usize, subscription: RawSubscription) {
-        let Seated { topic, part, counts, .. } = &self.seated[number];
+        let RecordedTopic { topic, part, counts, .. } = &self.topics[number];
         let hz = self.throttle.iter().find(|(name, _)| *name == topic.name).map(|(_, hz)| *hz);
         let throttle_ns = hz.map(|hz| (1e9 / hz) as u64);
         let (part, counts) = (*part, counts.clone());
-        let _ = self.to_taker.send(Seat { number, part, subscription, throttle_ns, counts });
+        let _ = self.to_taker.send(Observer { number, part, subscription, throttle_ns, counts });
     }
 
     /// `ends` are those of the topic, `end` is one of its publishers.
-    fn seat(
+    fn observe(
         &mut self,
         graph: &GraphSnapshot,
         ends: &[&TopicEndpoint],
@@ -232,7 +232,7 @@ impl Seats {
         tell: &impl Fn(&str),
     ) -> Outcome {
         let of_topic = self.numbers.get(&end.topic).map_or(&[][..], Vec::as_slice);
-        let agrees = |number: &&usize| self.seated[**number].topic_type.agrees_with(&end.topic_type);
+        let agrees = |number: &&usize| self.topics[**number].topic_type.agrees_with(&end.topic_type);
         let known = of_topic.iter().find(agrees).copied();
         let is_fetched = end.is_remote && self.is_fetching;
         if end.is_remote && !is_fetched && self.elsewhere.insert(end.topic.clone()) {
@@ -242,8 +242,8 @@ impl Seats {
                 end.topic
             ));
         }
-        let is_seated = known.is_some_and(|known| self.seated[known].is_fetched || !is_fetched);
-        if is_seated || self.refused.contains(&end.topic) {
+        let is_observed = known.is_some_and(|known| self.topics[known].is_fetched || !is_fetched);
+        if is_observed || self.refused.contains(&end.topic) {
             return Ok(());
         }
         let topic_type = TopicType { definition: None, body_bytes: None, ..end.topic_type.clone() };
@@ -255,45 +255,45 @@ impl Seats {
                 self.participant.create_observer(&end.topic, &topic_type, depth, limits)?
             }
         };
-        let number = known.unwrap_or(self.seated.len());
+        let number = known.unwrap_or(self.topics.len());
         if known.is_none() {
             let (topic, part, counts) =
                 (described(ends, end, &mut self.unknown, tell), Part::Message, Arc::default());
             let kept = Kept::Topic(topic.clone());
-            self.add(Seated { topic, part, depth, topic_type, is_fetched, counts }, kept);
+            self.add(RecordedTopic { topic, part, depth, topic_type, is_fetched, counts }, kept);
         }
-        self.seated[number].is_fetched = is_fetched;
+        self.topics[number].is_fetched = is_fetched;
         self.take_place(number, subscription);
         Ok(())
     }
 
     /// Topics by their numbers, with the messages that came.
     pub fn heard(&self) -> impl Iterator<Item = (usize, &str, u64)> {
-        let topics = self.seated.iter().enumerate().filter(|(_, seated)| seated.part == Part::Message);
-        topics.map(|(number, seated)| {
-            (number, &*seated.topic.name, seated.counts.messages.load(Ordering::Relaxed))
+        let topics = self.topics.iter().enumerate().filter(|(_, topic)| topic.part == Part::Message);
+        topics.map(|(number, topic)| {
+            (number, &*topic.topic.name, topic.counts.messages.load(Ordering::Relaxed))
         })
     }
 
     pub fn is_empty(&self) -> bool {
-        self.seated.is_empty()
+        self.topics.is_empty()
     }
 
     /// In a line.
     pub fn progress(&self) -> String {
         let sum = |of: fn(&Counts) -> &AtomicU64| -> u64 {
-            self.seated.iter().map(|seated| of(&seated.counts).load(Ordering::Relaxed)).sum()
+            self.topics.iter().map(|topic| of(&topic.counts).load(Ordering::Relaxed)).sum()
         };
-        let (topics, messages) = (self.seated.len(), sum(|counts| &counts.messages));
+        let (topics, messages) = (self.topics.len(), sum(|counts| &counts.messages));
         let (megabytes, lost) = (sum(|counts| &counts.bytes) as f64 / 1e6, sum(|counts| &counts.lost));
         format!("{topics} topics, {messages} messages, {megabytes:.1} MB, {lost} lost")
     }
 
     /// Topics in the order of their numbers; publishers that were there before; topics that should be there, and why they are not.
-    pub fn end(self) -> (Vec<Seated>, HashSet<Gid>, Vec<String>) {
+    pub fn end(self) -> (Vec<RecordedTopic>, HashSet<Gid>, Vec<String>) {
         let named = self.choice.named().iter().filter(|name| !self.numbers.contains_key(*name));
         let absent = named.chain(&self.refused).cloned().collect::<BTreeSet<_>>();
-        (self.seated, self.before, absent.into_iter().collect())
+        (self.topics, self.before, absent.into_iter().collect())
     }
 }
 

@@ -14,7 +14,7 @@ use tautline::Context;
 
 /// What every verb takes that looks at a domain, in any place behind the first word.
 #[derive(Args, Clone, Debug)]
-pub struct Manners {
+pub struct CommonArgs {
     /// The domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=232))]
     domain: Option<u32>,
@@ -26,7 +26,7 @@ pub struct Manners {
     timeout: Option<Duration>,
 }
 
-impl Manners {
+impl CommonArgs {
     /// The domain's number.
     pub fn domain(&self) -> Result<u32, tautline::Error> {
         self.domain.map_or_else(Context::domain_of_environment, Ok)
@@ -167,13 +167,13 @@ const PATIENCE: Duration = Duration::from_secs(1);
 
 impl End {
     /// From now on signals end no more than this says.
-    pub fn of(manners: &Manners) -> Outcome<Self> {
-        Self::after(manners.timeout).map_err(no_signals)
+    pub fn of(common: &CommonArgs) -> Outcome<Self> {
+        Self::after(common.timeout).map_err(no_signals)
     }
 
     /// Not later than this, unless `--timeout` says otherwise.
-    pub fn within(patience: Duration, manners: &Manners) -> Outcome<Self> {
-        Self::after(manners.timeout.or(Some(patience))).map_err(no_signals)
+    pub fn within(patience: Duration, common: &CommonArgs) -> Outcome<Self> {
+        Self::after(common.timeout.or(Some(patience))).map_err(no_signals)
     }
 
     /// After this time, or never by itself.

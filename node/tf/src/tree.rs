@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The memory of a buffer, and paths through its tree.
 
-use crate::counters::Counts;
+use crate::counters::AtomicBufferCounters;
 use crate::limits::Limits;
 use crate::names::{FrameId, Names};
 use crate::ring::{Edge, Head, Miss, Ring, TRIES};
@@ -13,7 +13,7 @@ use crate::wait::Waiters;
 /// The most transforms from a frame to the root of its tree.
 pub const MAX_DEPTH: usize = 64;
 
-pub(crate) struct Shared {
+pub(crate) struct TransformTree {
     pub(crate) limits: Limits,
     pub(crate) cache_ns: i64,
     pub(crate) names: Names,
@@ -21,7 +21,7 @@ pub(crate) struct Shared {
     slots: Box<[Slot]>,
     /// Calls of `clear` that have cleared all rings.
     epoch: AtomicU64,
-    pub(crate) counts: Counts,
+    pub(crate) counts: AtomicBufferCounters,
     pub(crate) waiters: Waiters,
 }
 
@@ -42,7 +42,7 @@ pub(crate) struct Path {
 
 /// Why there is no path.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Trouble {
+pub(crate) enum PathError {
     Connectivity,
     Extrapolation { frame: FrameId, asked_ns: i64, oldest_ns: i64, newest_ns: i64 },
     Cycle { frame: FrameId },
@@ -58,17 +58,17 @@ struct Stop {
     path: Path,
 }
 
-impl Shared {
-    pub(crate) fn new(limits: Limits) -> Shared {
+impl TransformTree {
+    pub(crate) fn new(limits: Limits) -> TransformTree {
         let (frames, slots) = (limits.frames, limits.frames * limits.ring());
-        Shared {
+        TransformTree {
             limits,
             cache_ns: limits.cache_ns(),
             names: Names::new(frames),
             newest: (0..frames).map(|_| AtomicU64::new(0)).collect(),
             slots: (0..slots).map(|_| Slot::new()).collect(),
             epoch: AtomicU64::new(0),
-            counts: Counts::default(),
+            counts: AtomicBufferCounters::default(),
             waiters: Waiters::new(limits.waiters),
         }
     }
@@ -79,7 +79,7 @@ impl Shared {
         limits.frames * of_frame
             + Names::bytes(limits.frames)
             + Waiters::bytes(limits.waiters)
-            + size_of::<Shared>()
+            + size_of::<TransformTree>()
             + 2 * size_of::<usize>()
     }
 
@@ -103,7 +103,7 @@ impl Shared {
     }
 
     /// Reads what no `clear` came between.
-    pub(crate) fn in_one_epoch<R>(&self, read: impl Fn() -> Result<R, Trouble>) -> Result<R, Trouble> {
+    pub(crate) fn in_one_epoch<R>(&self, read: impl Fn() -> Result<R, PathError>) -> Result<R, PathError> {
         for _ in 0..TRIES {
             // Acquire: pairs with the Release in `clear`.
             let epoch = self.epoch.load(Ordering::Acquire);
@@ -113,7 +113,7 @@ impl Shared {
                 return read;
             }
         }
-        Err(Trouble::Overtaken)
+        Err(PathError::Overtaken)
     }
 
     /// From `source` to `target` at a stamp, or at the latest common time of the frames on the way.
@@ -127,7 +127,7 @@ impl Shared {
         target: FrameId,
         source: FrameId,
         stamp_ns: Option<i64>,
-    ) -> Result<Path, Trouble> {
+    ) -> Result<Path, PathError> {
         let Some(stamp_ns) = stamp_ns else {
             if target == source {
                 let stamp_ns = self.edge(source, When::Newest)?.and_then(|edge| edge.stamp_ns);
@@ -139,9 +139,9 @@ impl Shared {
         Ok(Path { stamp_ns: Some(stamp_ns), ..path })
     }
 
-    fn latest(&self, target: FrameId, source: FrameId) -> Result<Path, Trouble> {
+    fn latest(&self, target: FrameId, source: FrameId) -> Result<Path, PathError> {
         let mut tried = None;
-        let mut path = Err(Trouble::Overtaken);
+        let mut path = Err(PathError::Overtaken);
         for _ in 0..TRIES {
             let newest = self.walk(target, source, When::Newest)?;
             let Some(common_ns) = newest.stamp_ns else { return Ok(newest) };
@@ -150,7 +150,7 @@ impl Shared {
                 break;
             }
             path = self.path(target, source, Some(common_ns));
-            if !matches!(path, Err(Trouble::Extrapolation { .. })) {
+            if !matches!(path, Err(PathError::Extrapolation { .. })) {
                 break;
             }
             tried = Some(common_ns);
@@ -159,7 +159,7 @@ impl Shared {
     }
 
     /// The stamp of the path is the oldest one of what is on it.
-    fn walk(&self, target: FrameId, source: FrameId, when: When) -> Result<Path, Trouble> {
+    fn walk(&self, target: FrameId, source: FrameId, when: When) -> Result<Path, PathError> {
         let start = Path { transform: Transform::IDENTITY, stamp_ns: None };
         if target == source {
             return Ok(start);
@@ -167,7 +167,7 @@ impl Shared {
         let mut stops = [Stop { frame: source.0, path: start }; MAX_DEPTH + 1];
         let mut len = 1;
         // What is above the first common frame is not needed: whether it is there matters if there is none.
-        let mut trouble = Trouble::Connectivity;
+        let mut error = PathError::Connectivity;
         loop {
             let Stop { frame, path } = stops[len - 1];
             if frame == target.0 {
@@ -177,16 +177,16 @@ impl Shared {
                 Ok(Some(edge)) => edge,
                 Ok(None) => break,
                 Err(miss) => {
-                    trouble = miss;
+                    error = miss;
                     break;
                 }
             };
             if stops[..len].iter().any(|stop| stop.frame == edge.parent) {
-                trouble = Trouble::Cycle { frame: FrameId(edge.parent) };
+                error = PathError::Cycle { frame: FrameId(edge.parent) };
                 break;
             }
             let Some(stop) = stops.get_mut(len) else {
-                trouble = Trouble::TooDeep;
+                error = PathError::TooDeep;
                 break;
             };
             *stop = Stop { frame: edge.parent, path: path.up(&edge) };
@@ -202,19 +202,19 @@ impl Shared {
                     stamp_ns: oldest(from_target.stamp_ns, common.path.stamp_ns),
                 });
             }
-            let Some(edge) = self.edge(frame, when)? else { return Err(trouble) };
+            let Some(edge) = self.edge(frame, when)? else { return Err(error) };
             let Some(place) = passed.get_mut(depth) else { break };
             *place = frame.0;
             if passed[..=depth].contains(&edge.parent) {
-                return Err(Trouble::Cycle { frame: FrameId(edge.parent) });
+                return Err(PathError::Cycle { frame: FrameId(edge.parent) });
             }
             from_target = from_target.up(&edge);
             frame = FrameId(edge.parent);
         }
-        Err(Trouble::TooDeep)
+        Err(PathError::TooDeep)
     }
 
-    fn edge(&self, frame: FrameId, when: When) -> Result<Option<Edge>, Trouble> {
+    fn edge(&self, frame: FrameId, when: When) -> Result<Option<Edge>, PathError> {
         let Some(ring) = self.ring(frame) else { return Ok(None) };
         let edge = match when {
             When::Newest => ring.newest().map(|newest| newest.map(|newest| newest.edge())),
@@ -222,9 +222,9 @@ impl Shared {
         };
         edge.map_err(|miss| match (miss, when) {
             (Miss::Extrapolation { oldest_ns, newest_ns }, When::At(asked_ns)) => {
-                Trouble::Extrapolation { frame, asked_ns, oldest_ns, newest_ns }
+                PathError::Extrapolation { frame, asked_ns, oldest_ns, newest_ns }
             }
-            _ => Trouble::Overtaken,
+            _ => PathError::Overtaken,
         })
     }
 }

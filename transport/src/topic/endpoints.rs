@@ -1,55 +1,55 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The ends of a topic that a publisher or a subscription has to do with: those that it matches, and those that it cannot match.
+//! The endpoints of a topic that a publisher or a subscription has to do with: those that it matches, and those that it cannot match.
 //!
 //! Kept by whoever matches; a monitor gets a copy when something changed, without a lock.
 
 use super::compatibility::QosPolicyKind;
 use super::header::Gid;
-use super::subscription::Life;
+use super::subscription::LivelinessSource;
 use crate::qos::Qos;
 use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tautline_rt::{LatestReader, LatestWriter, latest};
 
-/// What keeps two ends of a topic apart.
+/// What keeps two endpoints of a topic apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Mismatch {
     Qos(QosPolicyKind),
     Type,
 }
 
-/// An end as the other kind of end sees it.
+/// An endpoint as the other kind of endpoint sees it.
 #[derive(Clone)]
-pub(crate) struct End {
+pub(crate) struct Endpoint {
     pub(crate) gid: Gid,
     /// `None`: they match.
     pub(crate) mismatch: Option<Mismatch>,
     pub(crate) qos: Qos,
-    /// It is a gateway's or a bridge's, and stands for ends on other hosts, which are listed themselves.
+    /// It is a gateway's or a bridge's, and stands for endpoints on other hosts, which are listed themselves.
     pub(crate) is_relay: bool,
     /// It only looks on.
     pub(crate) is_observer: bool,
     /// On another host: its tag.
     pub(crate) remote: Option<u64>,
-    /// Of the end of a service that carries responses: the end of the same client or server that carries requests.
+    /// Of the endpoint of a service that carries responses: the endpoint of the same client or server that carries requests.
     pub(crate) partner: Option<u64>,
     /// Of a matched publisher that has to show that it is alive: where it does.
-    pub(crate) life: Option<Life>,
+    pub(crate) liveliness: Option<LivelinessSource>,
 }
 
-impl End {
+impl Endpoint {
     /// One of this host that matches.
     pub(crate) fn new(gid: Gid, qos: Qos) -> Self {
-        let (mismatch, remote, partner, life) = Default::default();
-        End { gid, mismatch, qos, is_relay: false, is_observer: false, remote, partner, life }
+        let (mismatch, remote, partner, liveliness) = Default::default();
+        Endpoint { gid, mismatch, qos, is_relay: false, is_observer: false, remote, partner, liveliness }
     }
 
     fn is_matched_here(&self) -> bool {
         self.mismatch.is_none() && self.remote.is_none() && !self.is_observer
     }
 
-    /// Whether it is an end of the topic itself: not one that stands for others, which are listed, nor one that only looks on.
+    /// Whether it is an endpoint of the topic itself: not one that stands for others, which are listed, nor one that only looks on.
     pub(crate) fn is_itself(&self) -> bool {
         !self.is_relay && !self.is_observer
     }
@@ -57,50 +57,50 @@ impl End {
 
 /// All of them in the order of their gids, as a monitor gets them.
 #[derive(Clone, Default)]
-pub(crate) struct EndList {
-    pub(crate) ends: Vec<End>,
+pub(crate) struct EndpointList {
+    pub(crate) endpoints: Vec<Endpoint>,
     /// How many went without a word, so far.
     pub(crate) killed: u64,
 }
 
 /// The list that is kept.
 #[derive(Default)]
-pub(crate) struct Ends {
-    list: BTreeMap<Gid, End>,
+pub(crate) struct Endpoints {
+    list: BTreeMap<Gid, Endpoint>,
     /// Of this host.
     matched: usize,
     killed: u64,
-    monitors: Vec<LatestWriter<Arc<EndList>>>,
+    monitors: Vec<LatestWriter<Arc<EndpointList>>>,
     has_changed: bool,
 }
 
-impl Ends {
+impl Endpoints {
     pub(crate) fn contains(&self, gid: Gid) -> bool {
         self.list.contains_key(&gid)
     }
 
-    /// Adds an end, or what has become of it.
-    pub(crate) fn set(&mut self, end: End) {
-        self.matched += usize::from(end.is_matched_here());
-        let former = self.list.insert(end.gid, end);
+    /// Adds an endpoint, or what has become of it.
+    pub(crate) fn set(&mut self, endpoint: Endpoint) {
+        self.matched += usize::from(endpoint.is_matched_here());
+        let former = self.list.insert(endpoint.gid, endpoint);
         self.matched -= usize::from(former.is_some_and(|former| former.is_matched_here()));
         self.has_changed = true;
     }
 
-    /// Takes an end from the list. True if it matched.
+    /// Takes an endpoint from the list. True if it matched.
     pub(crate) fn remove(&mut self, gid: Gid, was_killed: bool) -> bool {
-        let Some(end) = self.list.remove(&gid) else { return false };
+        let Some(endpoint) = self.list.remove(&gid) else { return false };
         self.has_changed = true;
-        self.matched -= usize::from(end.is_matched_here());
-        let matched = end.mismatch.is_none();
-        self.killed += u64::from(matched && was_killed && end.is_itself());
+        self.matched -= usize::from(endpoint.is_matched_here());
+        let matched = endpoint.mismatch.is_none();
+        self.killed += u64::from(matched && was_killed && endpoint.is_itself());
         matched
     }
 
-    /// Ends on other hosts, sorted, with their tags, in place of those before. Of those that are gone these have `ended` by themselves.
+    /// Endpoints on other hosts, sorted, with their tags, in place of those before. Of those that are gone these have `ended` by themselves.
     pub(crate) fn set_remote(&mut self, told: &[(Gid, u64)], ended: &HashSet<u64>) {
         let is_told = |gid: Gid| told.binary_search_by(|(other, _)| other.cmp(&gid)).is_ok();
-        let remote = self.list.values().filter_map(|end| Some((end.gid, end.remote?)));
+        let remote = self.list.values().filter_map(|endpoint| Some((endpoint.gid, endpoint.remote?)));
         let gone: Vec<_> = remote.filter(|(gid, _)| !is_told(*gid)).collect();
         for (gid, tag) in gone {
             // Or somebody else tells of it now.
@@ -109,7 +109,7 @@ impl Ends {
         }
         for &(gid, tag) in told {
             if !self.list.contains_key(&gid) {
-                self.set(End { remote: Some(tag), ..End::new(gid, Qos::default()) });
+                self.set(Endpoint { remote: Some(tag), ..Endpoint::new(gid, Qos::default()) });
             }
         }
     }
@@ -128,12 +128,12 @@ impl Ends {
         true
     }
 
-    fn to_list(&self) -> EndList {
-        EndList { ends: self.list.values().cloned().collect(), killed: self.killed }
+    fn to_list(&self) -> EndpointList {
+        EndpointList { endpoints: self.list.values().cloned().collect(), killed: self.killed }
     }
 
     /// What a new monitor reads.
-    pub(crate) fn monitor(&mut self) -> LatestReader<Arc<EndList>> {
+    pub(crate) fn monitor(&mut self) -> LatestReader<Arc<EndpointList>> {
         let (writer, reader) = latest(Arc::new(self.to_list()));
         self.monitors.push(writer);
         reader

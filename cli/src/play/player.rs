@@ -93,7 +93,7 @@ pub struct Played {
     pub refusal: Option<PublishError>,
 }
 
-pub struct Stage {
+pub struct Player {
     consumer: Consumer<u8>,
     publishers: Vec<RawPublisher>,
     pacing: Pacing,
@@ -101,7 +101,7 @@ pub struct Stage {
     control: Arc<Control>,
 }
 
-impl Stage {
+impl Player {
     pub fn new(
         consumer: Consumer<u8>,
         publishers: Vec<RawPublisher>,
@@ -122,11 +122,11 @@ impl Stage {
             clock,
             clock_due_ns: 0,
         };
-        Stage { consumer, publishers, pacing, played, control }
+        Player { consumer, publishers, pacing, played, control }
     }
 
     pub fn run(self) -> Played {
-        let Stage { mut consumer, publishers, mut pacing, mut played, control } = self;
+        let Player { mut consumer, publishers, mut pacing, mut played, control } = self;
         let mut ahead = Ahead { publishers: &publishers, scanned: 0, found: None };
         let mut was_empty = false;
         while !control.is_stopped() {

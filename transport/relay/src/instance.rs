@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One gateway, and one bridge to each ROS domain, per host, domain, user and scope: who holds the lock on a file is it. The kernel
-//! drops the lock of one that dies, however it dies, so that the next can take over at once.
+//! One gateway, and one bridge to each ROS domain, per host, domain, user and scope: a lock file sees to it. The kernel
+//! releases the lock of one that dies, however it dies, so that the next can take over at once.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -8,16 +8,16 @@ use std::time::Duration;
 use tautline_rt::domain::shared_folder;
 use tautline_rt::shm::{self, PeerFile};
 
-/// Being the one; dropping it makes room for another.
+/// Held by the one instance; dropping it makes room for another.
 #[derive(Debug)]
-pub struct Seat {
-    seat: Option<tautline_rt::Seat>,
+pub struct InstanceLock {
+    lock: Option<tautline_rt::LockFile>,
     folder: PathBuf,
 }
 
-/// What there is one of.
+/// A program of which a domain has one.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Office {
+pub struct Instance {
     /// Of which domain.
     pub domain: u32,
     /// Its file, in the folder of the domain's shared memory, whose warden removes it when who had it has died.
@@ -26,38 +26,38 @@ pub struct Office {
     pub name: String,
 }
 
-/// Why this is not it.
+/// Why the lock of an instance was not taken.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
-pub enum SeatError {
-    /// There is one.
+pub enum InstanceError {
+    /// Another one runs.
     #[error(
         "domain {} of this host has a {} already{}: stop that one, or wait for its end with --standby",
-        office.domain,
-        office.name,
+        instance.domain,
+        instance.name,
         holder(*.pid)
     )]
     Taken {
-        /// What there is one of.
-        office: Office,
+        /// Of what.
+        instance: Instance,
         /// Process id of the other, if it wrote it.
         pid: Option<u32>,
     },
     /// The folder cannot be made.
-    #[error("the {}'s lock: {source}", office.name)]
+    #[error("the {}'s lock: {source}", instance.name)]
     Folder {
         /// Whose.
-        office: Office,
+        instance: Instance,
         /// Why.
         source: shm::ShmError,
     },
     /// The file cannot be made or locked.
-    #[error("the {}'s lock: {source}", office.name)]
+    #[error("the {}'s lock: {source}", instance.name)]
     File {
         /// Whose.
-        office: Office,
+        instance: Instance,
         /// Why.
-        source: tautline_rt::SeatError,
+        source: tautline_rt::LockFileError,
     },
 }
 
@@ -65,16 +65,16 @@ fn holder(pid: Option<u32>) -> String {
     pid.map_or_else(String::new, |pid| format!(" (process {pid})"))
 }
 
-impl Office {
+impl Instance {
     /// The gateway of a domain.
     pub fn gateway(domain: u32) -> Self {
-        Office { domain, file: "gateway".to_owned(), name: "gateway".to_owned() }
+        Instance { domain, file: "gateway".to_owned(), name: "gateway".to_owned() }
     }
 
     /// The bridge between a domain and one of ROS.
     pub fn bridge(domain: u32, ros_domain: u32) -> Self {
         let file = format!("bridge_ros_{ros_domain}");
-        Office { domain, file, name: format!("bridge to ROS domain {ros_domain}") }
+        Instance { domain, file, name: format!("bridge to ROS domain {ros_domain}") }
     }
 
     fn file(&self) -> String {
@@ -84,21 +84,26 @@ impl Office {
     /// Becomes it.
     ///
     /// # Errors
-    /// [`SeatError::Taken`] while another lives.
-    pub fn take(&self) -> Result<Seat, SeatError> {
+    /// [`InstanceError::Taken`] while another lives.
+    pub fn lock(&self) -> Result<InstanceLock, InstanceError> {
         let folder = shared_folder(self.domain);
         loop {
-            shm::make_folder(&folder).map_err(|source| SeatError::Folder { office: self.clone(), source })?;
-            match tautline_rt::Seat::take(&self.file()) {
-                Ok(seat) => {
-                    return Ok(Seat { seat: Some(seat), folder: Path::new(shm::DIRECTORY).join(folder) });
+            shm::make_folder(&folder)
+                .map_err(|source| InstanceError::Folder { instance: self.clone(), source })?;
+            match tautline_rt::LockFile::lock(&self.file()) {
+                Ok(lock) => {
+                    return Ok(InstanceLock {
+                        lock: Some(lock),
+                        folder: Path::new(shm::DIRECTORY).join(folder),
+                    });
                 }
-                Err(tautline_rt::SeatError::Taken { pid, .. }) => {
-                    return Err(SeatError::Taken { office: self.clone(), pid });
+                Err(tautline_rt::LockFileError::Locked { pid, .. }) => {
+                    return Err(InstanceError::Taken { instance: self.clone(), pid });
                 }
                 // The last process of the domain removed the folder just now.
-                Err(tautline_rt::SeatError::File { source, .. }) if source.kind() == ErrorKind::NotFound => {}
-                Err(source) => return Err(SeatError::File { office: self.clone(), source }),
+                Err(tautline_rt::LockFileError::File { source, .. })
+                    if source.kind() == ErrorKind::NotFound => {}
+                Err(source) => return Err(InstanceError::File { instance: self.clone(), source }),
             }
         }
     }
@@ -106,16 +111,16 @@ impl Office {
     /// Becomes it as soon as there is no other; `None` if `stop` says so first.
     ///
     /// # Errors
-    /// As [`take`](Self::take), but for [`SeatError::Taken`].
-    pub fn wait(&self, stop: impl Fn() -> bool) -> Result<Option<Seat>, SeatError> {
+    /// As [`lock`](Self::lock), but for [`InstanceError::Taken`].
+    pub fn wait(&self, stop: impl Fn() -> bool) -> Result<Option<InstanceLock>, InstanceError> {
         const PERIOD: Duration = Duration::from_millis(50);
         let path = Path::new(shm::DIRECTORY).join(self.file());
         while !stop() {
-            match self.take() {
-                Err(SeatError::Taken { .. }) => {}
+            match self.lock() {
+                Err(InstanceError::Taken { .. }) => {}
                 outcome => return outcome.map(Some),
             }
-            // By the same open file: each attempt to take the seat wakes the domain's warden.
+            // By the same open file: each attempt to take the lock wakes the domain's warden.
             let holder = PeerFile::open(path.clone(), false);
             std::thread::sleep(PERIOD);
             while holder.as_ref().is_ok_and(PeerFile::is_owned) && !stop() {
@@ -126,9 +131,9 @@ impl Office {
     }
 }
 
-impl Drop for Seat {
+impl Drop for InstanceLock {
     fn drop(&mut self) {
-        self.seat = None;
+        self.lock = None;
         // If it was the last file of the domain.
         let _ = std::fs::remove_dir(&self.folder);
     }
@@ -147,38 +152,38 @@ mod tests {
     #[test]
     fn one_at_a_time() {
         isolated();
-        let of_ros = [3, 4].map(|ros_domain| Office::bridge(176, ros_domain));
-        let seats = of_ros.clone().map(|office| office.take().unwrap());
-        let refusal = of_ros[1].take().unwrap_err().to_string();
+        let of_ros = [3, 4].map(|ros_domain| Instance::bridge(176, ros_domain));
+        let locks = of_ros.clone().map(|instance| instance.lock().unwrap());
+        let refusal = of_ros[1].lock().unwrap_err().to_string();
         assert!(
             refusal.starts_with("domain 176 of this host has a bridge to ROS domain 4 already"),
             "{refusal}"
         );
-        drop(seats);
-        let seat = Office::gateway(178).take().unwrap();
-        let refusal = Office::gateway(178).take().unwrap_err().to_string();
+        drop(locks);
+        let lock = Instance::gateway(178).lock().unwrap();
+        let refusal = Instance::gateway(178).lock().unwrap_err().to_string();
         let me = format!("process {}", std::process::id());
         assert!(refusal.contains("domain 178") && refusal.contains(&me), "{refusal}");
-        assert!(Office::gateway(178).wait(|| true).unwrap().is_none());
-        drop(Office::gateway(177).take().unwrap());
-        drop(seat);
-        drop(Office::gateway(178).wait(|| false).unwrap().unwrap());
+        assert!(Instance::gateway(178).wait(|| true).unwrap().is_none());
+        drop(Instance::gateway(177).lock().unwrap());
+        drop(lock);
+        drop(Instance::gateway(178).wait(|| false).unwrap().unwrap());
         for domain in [176, 177, 178] {
             assert!(!shared_path(domain).exists(), "nothing is left");
         }
     }
 
-    /// Who has the seat has it whatever comes and goes in the domain. The file of who died goes with its warden.
+    /// Who has the lock has it whatever comes and goes in the domain. The file of who died goes with its warden.
     #[test]
     fn the_domains_warden_leaves_it_alone_until_it_is_free() {
         isolated();
-        let seat = Office::gateway(179).take().unwrap();
+        let lock = Instance::gateway(179).lock().unwrap();
         drop(Participant::new(179).unwrap());
         let participant = Participant::new(179).unwrap();
-        assert!(matches!(Office::gateway(179).take(), Err(SeatError::Taken { .. })));
-        let path = Path::new(shm::DIRECTORY).join(Office::gateway(179).file());
+        assert!(matches!(Instance::gateway(179).lock(), Err(InstanceError::Taken { .. })));
+        let path = Path::new(shm::DIRECTORY).join(Instance::gateway(179).file());
         assert!(path.exists());
-        drop(seat);
+        drop(lock);
         // As one that was killed leaves it.
         std::fs::write(&path, "1").unwrap();
         let since = std::time::Instant::now();
