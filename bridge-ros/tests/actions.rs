@@ -50,7 +50,7 @@ async fn pursue(goal: &ActionServerGoal<Fibonacci::Action>, timer: &mut Timer) -
     let order = usize::try_from(goal.goal.order).unwrap();
     for len in 2..=order {
         goal.publish_feedback(Fibonacci::Feedback { sequence: fibonacci(len - 1) }).unwrap();
-        timer.tick().await;
+        timer.tick().await.unwrap();
     }
     fibonacci(order)
 }

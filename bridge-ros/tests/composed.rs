@@ -17,7 +17,7 @@ use tautline::test_msgs::action::Fibonacci;
 use tautline::test_msgs::srv::BasicTypes;
 use tautline::{GoalStatus, Qos};
 use tautline_transport::{
-    EndpointKind, Limits, Participant, Qos, RawPublisher, RawSubscription, TopicEndpoint, TopicType,
+    EndpointKind, Limits, Participant, RawPublisher, RawSubscription, TopicEndpoint, TopicType,
 };
 
 /// As ROS 2 has it: what has no hash crosses no network.

@@ -44,10 +44,10 @@ use tautline_transport::Qos;
 /// ```
 #[derive(Clone)]
 pub struct Context {
-    pub(crate) shared: Arc<Shared>,
+    pub(crate) shared: Arc<ContextState>,
 }
 
-pub(crate) struct Shared {
+pub(crate) struct ContextState {
     // Dropped in this order: callbacks end before what they wait for.
     pub(crate) executor: Executor,
     _flush: FlushOnDrop,
@@ -280,7 +280,7 @@ impl ContextBuilder {
             let reload = Reload::new(statistics.orders(), executor.settings(), Arc::clone(system));
             participant.attend(move || reload.look());
         }
-        let shared = Shared {
+        let shared = ContextState {
             executor,
             _flush: FlushOnDrop,
             events: sampler.events().clone(),

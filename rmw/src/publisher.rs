@@ -18,7 +18,7 @@ use std::time::Duration;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{PiGuard, PiMutex};
 use tautline_sampler::PublisherEvents;
-use tautline_transport::{Gid, MatchedCount, RawLoan, PublishError, RawPublisher};
+use tautline_transport::{Gid, MatchedCount, PublishError, RawLoan, RawPublisher};
 
 pub(crate) struct Publisher {
     pub(crate) events: Sources,

@@ -44,7 +44,7 @@ pub(super) struct Feedback<P: Protocol> {
 }
 
 /// What an action client's handles share.
-pub(super) struct Shared<P: Protocol> {
+pub(super) struct ActionClientState<P: Protocol> {
     name: String,
     protocol: P,
     /// Of all threads that have a clone of the action client or of a goal.
@@ -72,7 +72,7 @@ struct Goal<P: Protocol> {
     held: usize,
 }
 
-impl<P: Protocol> Shared<P> {
+impl<P: Protocol> ActionClientState<P> {
     /// Makes a client, and the callback that listens for it.
     pub(super) fn create(
         node: &mut Node,
@@ -85,7 +85,8 @@ impl<P: Protocol> Shared<P> {
         let status = node.subscribe::<GoalStatusArray>(&names.status, status_qos())?.owned();
         let (results, requests) = mpsc::unbounded();
         let goals = Mutex::new(Vec::new());
-        let shared = Arc::new(Shared { name: action.to_owned(), protocol, cancel_goal, goals, results });
+        let shared =
+            Arc::new(ActionClientState { name: action.to_owned(), protocol, cancel_goal, goals, results });
         let weak = Arc::downgrade(&shared);
         let listening = Listening(weak.clone());
         let listen = async move {
@@ -243,7 +244,7 @@ impl Lost {
 }
 
 /// As long as feedback and results are listened for: until the client, or its context, ends.
-struct Listening<P: Protocol>(Weak<Shared<P>>);
+struct Listening<P: Protocol>(Weak<ActionClientState<P>>);
 
 impl<P: Protocol> Drop for Listening<P> {
     fn drop(&mut self) {
@@ -271,7 +272,7 @@ pub(super) type Sent<P> = (Held<P>, GoalResult<P>, GoalFeedback<P>);
 pub(super) struct Held<P: Protocol> {
     pub(super) id: GoalId,
     pub(super) status: SharedStatus,
-    pub(super) shared: Arc<Shared<P>>,
+    pub(super) shared: Arc<ActionClientState<P>>,
 }
 
 impl<P: Protocol> Held<P> {
@@ -437,7 +438,7 @@ impl<T: Action> Protocol for Typed<T> {
 
 /// Sends goals to an action's server. A clone is the same client.
 pub struct ActionClient<T: Action> {
-    shared: Arc<Shared<Typed<T>>>,
+    shared: Arc<ActionClientState<Typed<T>>>,
 }
 
 impl<T: Action> ActionClient<T> {
@@ -449,7 +450,7 @@ impl<T: Action> ActionClient<T> {
         let counters = messages.counters();
         let messages = messages.map(|sample| T::destructure_feedback_msg(sample.to_owned())).boxed();
         let feedback = Feedback { messages, counters };
-        let shared = Shared::create(node, action, Typed { send_goal, get_result }, feedback)?;
+        let shared = ActionClientState::create(node, action, Typed { send_goal, get_result }, feedback)?;
         Ok(ActionClient { shared })
     }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Clients of actions whose type is known by name: goals, results and feedback as JSON.
 
-use super::client::{Feedback, Held, Protocol, ResultFuture, Shared};
+use super::client::{ActionClientState, Feedback, Held, Protocol, ResultFuture};
 use super::state::GoalStatus;
 use super::{Names, feedback_qos, qos};
 use crate::error::{Error, Result};
@@ -37,7 +37,7 @@ impl Node {
         let counters = messages.counters();
         let messages = messages.filter_map(|message| future::ready(message.ok().and_then(take_apart)));
         let feedback = Feedback { messages: messages.boxed(), counters };
-        let shared = Shared::create(self, &action, Json { send_goal, get_result }, feedback)?;
+        let shared = ActionClientState::create(self, &action, Json { send_goal, get_result }, feedback)?;
         Ok(ActionClientUntyped { shared })
     }
 }
@@ -88,7 +88,7 @@ impl Protocol for Json {
 /// Sends goals as JSON to an action's server. A clone is the same client.
 #[derive(Clone)]
 pub struct ActionClientUntyped {
-    shared: Arc<Shared<Json>>,
+    shared: Arc<ActionClientState<Json>>,
 }
 
 impl ActionClientUntyped {

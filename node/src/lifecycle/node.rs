@@ -153,10 +153,10 @@ pub struct Transitioned {
 /// ```
 #[derive(Clone)]
 pub struct LifecycleNode {
-    shared: Arc<Shared>,
+    shared: Arc<LifecycleState>,
 }
 
-struct Shared {
+struct LifecycleState {
     inner: Mutex<Inner>,
     /// As in the machine, to be read while a callback runs.
     state: AtomicU8,
@@ -193,7 +193,7 @@ impl LifecycleNode {
         let state = AtomicU8::new(machine.state().id());
         let (node, callbacks) = (ManagedNode { node, gate }, Box::new(callbacks));
         let inner = Mutex::new(Inner { node, machine, callbacks, events });
-        Ok(LifecycleNode { shared: Arc::new(Shared { inner, state }) })
+        Ok(LifecycleNode { shared: Arc::new(LifecycleState { inner, state }) })
     }
 
     /// Where the node is. May be asked in a callback.

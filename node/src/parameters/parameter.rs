@@ -3,7 +3,7 @@
 
 use super::{ParameterDescriptor, ParameterError, ParameterValue};
 
-/// A parameter in [`Node::params`](crate::Node::params).
+/// A parameter of a node.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Parameter {
     /// Its value.

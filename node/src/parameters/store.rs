@@ -25,10 +25,10 @@ pub(crate) type ParameterMap = IndexMap<String, Parameter>;
 /// A node that declares parameters refuses to set others; one that declares none lets any be set.
 #[derive(Clone)]
 pub struct Parameters {
-    shared: Arc<Shared>,
+    shared: Arc<ParameterStore>,
 }
 
-struct Shared {
+struct ParameterStore {
     /// Held only to look or to put, so that those that check a change can look.
     map: Arc<Mutex<ParameterMap>>,
     /// Held during all of a change: one after the other.
@@ -63,7 +63,7 @@ struct OfStruct {
 /// A callback that checks changes; dropping this ends it.
 #[must_use = "dropping it ends the callback"]
 pub struct OnSetParameters {
-    shared: Weak<Shared>,
+    shared: Weak<ParameterStore>,
     number: u64,
 }
 
@@ -75,8 +75,12 @@ impl Parameters {
     pub(crate) fn new(map: ParameterMap, events: ParameterEvents) -> Parameters {
         let map = Arc::new(Mutex::new(map));
         let hooks = Hooks { feeds: Vec::new(), structs: Vec::new(), events };
-        let shared =
-            Shared { map, hooks: Mutex::new(hooks), checks: Mutex::default(), changing: Mutex::new(None) };
+        let shared = ParameterStore {
+            map,
+            hooks: Mutex::new(hooks),
+            checks: Mutex::default(),
+            changing: Mutex::new(None),
+        };
         Parameters { shared: Arc::new(shared) }
     }
 

@@ -20,10 +20,10 @@ use tautline_transport::{Limits, Participant, Qos, Subscription};
 /// [`enable_sim_time`](Self::enable_sim_time). Until the first message the time is 0. A clone is of the same node.
 #[derive(Clone)]
 pub struct TimeSource {
-    shared: Arc<Shared>,
+    shared: Arc<TimeSourceState>,
 }
 
-struct Shared {
+struct TimeSourceState {
     participant: Participant,
     topic: String,
     enabled: AtomicBool,
@@ -103,7 +103,7 @@ impl JumpThreshold {
 /// A callback for jumps; dropping this ends it.
 #[must_use = "dropping it ends the callback"]
 pub struct JumpCallback {
-    shared: Weak<Shared>,
+    shared: Weak<TimeSourceState>,
     number: u64,
 }
 
@@ -136,7 +136,7 @@ impl ArcWake for Waiting {
 }
 
 /// A place among those that wait.
-pub(crate) struct Seat {
+pub(crate) struct ClockWaiter {
     source: TimeSource,
     index: usize,
 }
@@ -146,7 +146,7 @@ impl TimeSource {
         let waiting =
             Arc::new(Waiting { claimed: AtomicU64::new(0), wakers: [const { AtomicWaker::new() }; WAITING] });
         let reading = Reading { subscription: None, waker: waker(waiting.clone()) };
-        let shared = Shared {
+        let shared = TimeSourceState {
             participant,
             topic,
             enabled: AtomicBool::new(false),
@@ -184,7 +184,7 @@ impl TimeSource {
     }
 
     pub(crate) fn set_enabled(&self, enabled: bool) -> Result<()> {
-        let Shared { participant, topic, .. } = &*self.shared;
+        let TimeSourceState { participant, topic, .. } = &*self.shared;
         let switching = lock(&self.shared.switching);
         if enabled == self.is_enabled() {
             return Ok(());
@@ -269,17 +269,17 @@ impl TimeSource {
     }
 
     /// A place to be woken.
-    pub(super) fn seat(&self) -> Result<Seat> {
+    pub(super) fn seat(&self) -> Result<ClockWaiter> {
         let claimed = &self.shared.waiting.claimed;
         let claim = |claimed: u64| (claimed != u64::MAX).then(|| claimed | (claimed + 1));
         match claimed.fetch_update(Ordering::AcqRel, Ordering::Acquire, claim) {
-            Ok(before) => Ok(Seat { source: self.clone(), index: before.trailing_ones() as usize }),
+            Ok(before) => Ok(ClockWaiter { source: self.clone(), index: before.trailing_ones() as usize }),
             Err(_) => Err(Error::ClockUsers { max: WAITING }),
         }
     }
 }
 
-impl Seat {
+impl ClockWaiter {
     pub(super) fn source(&self) -> &TimeSource {
         &self.source
     }
@@ -290,7 +290,7 @@ impl Seat {
     }
 }
 
-impl Drop for Seat {
+impl Drop for ClockWaiter {
     fn drop(&mut self) {
         let waiting = &self.source.shared.waiting;
         // Before the place is another one's.

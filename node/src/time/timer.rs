@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Timers on a node's ROS clock: on the sampler's, or on simulated time.
 
-use super::source::Seat;
+use super::source::ClockWaiter;
 use crate::error::Result;
 use std::task::{Context, Poll};
 use tautline_rt::clock::monotonic_ns;
@@ -10,7 +10,7 @@ use tautline_transport::NodeHandle;
 
 /// Follows the ROS clock: while it shows the system's time, a timer of the sampler; while it shows simulated time, that.
 pub(crate) struct RosTimer {
-    seat: Seat,
+    seat: ClockWaiter,
     events: Events,
     /// Wakes the task when the node ends.
     end: GuardCondition,
@@ -57,7 +57,12 @@ impl Schedule {
 }
 
 impl RosTimer {
-    pub(crate) fn new(node: &NodeHandle, seat: Seat, events: Events, period_ns: u64) -> Result<RosTimer> {
+    pub(crate) fn new(
+        node: &NodeHandle,
+        seat: ClockWaiter,
+        events: Events,
+        period_ns: u64,
+    ) -> Result<RosTimer> {
         let on = On::of(&seat, &events, period_ns)?;
         let end = events.guard_condition()?;
         node.adopt(end.slot());
@@ -103,7 +108,7 @@ impl RosTimer {
 }
 
 impl On {
-    fn of(seat: &Seat, events: &Events, period_ns: u64) -> Result<On> {
+    fn of(seat: &ClockWaiter, events: &Events, period_ns: u64) -> Result<On> {
         let period = std::time::Duration::from_nanos(period_ns);
         Ok(match seat.source().simulated_ns() {
             Some(now_ns) => {
