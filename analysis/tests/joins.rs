@@ -105,6 +105,87 @@ fn equal_stamps_wait_for_the_longer_way() {
     assert_eq!(latencies, [8, 8], "1 + 4 + 3 on either way");
 }
 
+/// Two sensors that publish one topic, and one that publishes another, each on a core of its own, and what waits for both topics.
+fn shared_topic(periods: [u64; 3], matching: Matching) -> System {
+    let taker = |name: &str, source| {
+        let task = Task::new(name, ms(1), Duration::from_nanos(1), 2).group(0, Order::Any);
+        Callback::new(task, 3).triggered_by(source, Transfer::LOCAL)
+    };
+    let fuse = task("fuse", 1, 3, 2).group(0, Order::Any);
+    let mut callbacks: Vec<Callback> =
+        (0..3).map(|i| Callback::new(task("sensor", periods[i], 1, 1), i)).collect();
+    callbacks.extend((0..3).map(|i| taker("takes", i)));
+    callbacks.push(Callback::new(fuse, 3).joining_ports(vec![3, 4, 5], vec![0, 0, 1], matching));
+    System { cores: vec![Core::default(); 4], callbacks, chains: vec![] }
+}
+
+#[test]
+fn publishers_of_one_topic_count_together() {
+    let report = shared_topic([60, 30, 40], Matching::Newest).analyse().unwrap();
+    let join = report.joins[6].clone().unwrap();
+    // For the other topic 40 and its response; that one waits for the faster of two.
+    assert_eq!(in_ms(&join.wait_ns), [41, 41, 31]);
+    let fuse = report.callbacks[6].as_ref().unwrap();
+    assert_eq!((fuse.period_ns, fuse.jitter_ns), (40_000_000, 41_000_000), "the other one is the slowest");
+    let report = shared_topic([60, 30, 10], Matching::Newest).analyse().unwrap();
+    let fuse = report.callbacks[6].as_ref().unwrap();
+    // One in 20 ms, with 20 * ((60 + 1) / 60 + (30 + 1) / 30) of jitter.
+    assert_eq!((fuse.period_ns, fuse.jitter_ns / 1_000), (20_000_000, 41_000));
+
+    let report =
+        shared_topic([60, 30, 40], Matching::Approximate { window_ns: 70_000_000 }).analyse().unwrap();
+    let join = report.joins[6].clone().unwrap();
+    // The window, then the next stamp of the other one: at most 40 + 1 later, and it comes within 1. The two have one within 32.
+    assert_eq!(in_ms(&join.wait_ns), [70 + 42 + 1; 3]);
+    // Stamps of the two that are kept are at most 31 and what the thread takes apart, of the other 41.
+    assert_eq!(in_ms(&join.reflected_ns.unwrap()), [41 + 70 + 42 + 1; 3]);
+    // Of the two, within 70 + 41 + 1 + R (9 at most): 3 of 60, 5 of 30.
+    assert_eq!(join.queue_size, 3 + 5);
+
+    let error = shared_topic([60, 60, 60], Matching::Exact).analyse().unwrap_err();
+    assert!(
+        matches!(error, AnalysisError::BadJoin { problem, .. } if problem.contains("several publishers"))
+    );
+    let error = shared_topic([60, 30, 40], Matching::LatestTime).analyse().unwrap_err();
+    assert!(matches!(error, AnalysisError::BadJoin { problem, .. } if problem.contains("no rate")));
+    let mut odd = shared_topic([60, 30, 40], Matching::Newest);
+    odd.callbacks[6].join.as_mut().unwrap().ports = vec![0, 0, 2];
+    assert!(matches!(odd.analyse().unwrap_err(), AnalysisError::BadJoin { .. }));
+}
+
+#[test]
+fn a_tolerance_waits_for_the_set_alone() {
+    let matching = Matching::ApproximateEpsilon { window_ns: 11_000_000 };
+    let report = two_sensors([10, 40], matching).analyse().unwrap();
+    let join = report.joins[4].clone().unwrap();
+    // The tolerance and 2 on its way, not the next stamp.
+    assert_eq!(in_ms(&join.wait_ns), [11 + 2 + 1, 11 + 2 + 2]);
+    assert_eq!(in_ms(&join.reflected_ns.unwrap()), [42 + 42 + 2 + 1, 42 + 42 + 2 + 2]);
+    // Of three topics a set may always be missed.
+    let mut system = shared_topic([10, 10, 40], Matching::ApproximateEpsilon { window_ns: 20_000_000 });
+    system.callbacks[6].join.as_mut().unwrap().ports = vec![0, 1, 2];
+    system.chains =
+        vec![Chain { name: "way".into(), stages: vec![0, 3, 6], transfers: vec![], deadline_ns: u64::MAX }];
+    let report = system.analyse().unwrap();
+    let (join, chain) = (report.joins[6].as_ref().unwrap(), report.chains[0].as_ref().unwrap());
+    assert_eq!((&join.reflected_ns, &join.starved_by, chain.reaction_ns), (&None, &vec![], None));
+    assert!(chain.latency_ns > 0);
+}
+
+#[test]
+fn the_fastest_sets_the_pace() {
+    let report = two_sensors([10, 40], Matching::LatestTime).analyse().unwrap();
+    let join = report.joins[4].clone().unwrap();
+    // Used until the next one is taken: the period, 1 or 2 of jitter, and the thread's 3 or 6; reflected with the next of the fastest.
+    let response = report.callbacks[4].as_ref().unwrap().from_arrival_ns / 1_000_000;
+    assert_eq!(in_ms(&join.wait_ns), [10 + 1 + response, 40 + 2 + response]);
+    assert_eq!(in_ms(&join.reflected_ns.unwrap()), [0, 10 + 1 + response]);
+    assert_eq!(report.callbacks[4].as_ref().unwrap().period_ns, 8_000_000, "whatever comes may be the pace");
+    let report = two_sensors([10, 12], Matching::LatestTime).analyse().unwrap();
+    let (join, chain) = (report.joins[4].as_ref().unwrap(), report.chains[0].as_ref().unwrap());
+    assert_eq!((&join.reflected_ns, &join.starved_by, chain.reaction_ns), (&None, &vec![1], None));
+}
+
 /// A camera and a lidar, each on its core, and what waits for both.
 const FILE: &str = r#"
 [hosts.robot]
@@ -170,6 +251,21 @@ fn a_file_says_what_is_waited_for() {
         narrow.warnings.iter().any(|warning| warning.contains("messages of `/image` may lie further apart"))
     );
     assert_eq!(narrow.chains[0].reaction_ns, None);
+    // Two publishers of a topic: its queues hold what both send.
+    let shared = FILE.replace("publishes = \"/image\"", "publishes = [\"/image\", \"/cloud\"]");
+    let shared = SystemFile::parse(&shared).unwrap().check();
+    let (fuse, join) = (&shared.callbacks[2], shared.callbacks[2].join.as_ref().unwrap());
+    assert_eq!((fuse.capacity, fuse.releases.len(), join.inputs.len()), (Some(3), 3, 2), "{fuse:?}");
+    assert!(join.queue_size >= 4 && shared.chains[0].reaction_ns.is_some(), "{join:?}");
+    let fastest = FILE.replace("window = \"32ms\"", "policy = \"latest_time\"");
+    let checked = SystemFile::parse(&fastest).unwrap().check();
+    assert_eq!(checked.callbacks[2].join.as_ref().unwrap().queue_size, 1);
+    assert!(checked.chains[0].reaction_ns.is_some(), "{checked:?}");
+    let close = SystemFile::parse(&fastest.replace("\"100ms\"", "\"31ms\"")).unwrap().check();
+    assert!(close.warnings.iter().any(|warning| warning.contains("`/cloud` may come as close")), "{close:?}");
+    let first = FILE.replace("window =", "policy = \"approximate_epsilon_time\"\nwindow =");
+    let first = SystemFile::parse(&first).unwrap().check();
+    assert!(first.chains[0].reaction_ns < chain.reaction_ns && first.chains[0].reaction_ns.is_some());
     let newest = SystemFile::parse(&FILE.replace("window = \"32ms\"", "")).unwrap().check();
     assert_eq!(newest.callbacks[2].join.as_ref().unwrap().window_ns, None);
     assert!(newest.chains[0].latency_ns < chain.latency_ns);
@@ -193,7 +289,35 @@ fn what_is_wrong_with_a_join_is_said_with_its_line() {
     wrong("window = \"32ms\"", "window = \"0ms\"", 23, "do not come from one source");
     wrong("window = \"32ms\"", "window = \"soon\"", 23, "soon");
     wrong("take = \"50us\"", "take = \"9ms\"", 25, "`take` of callback `fuse` exceeds its wcet");
-    wrong("publishes = \"/image\"", "publishes = [\"/image\", \"/cloud\"]", 20, "which reach it in 3 ways");
+    let exact = FILE.replace("window = \"32ms\"", "window = \"0ms\"");
+    let shared = exact.replace("publishes = \"/image\"", "publishes = [\"/image\", \"/cloud\"]");
+    let shared = SystemFile::parse(&shared).unwrap_err().to_string();
+    assert!(shared.starts_with("23:") && shared.contains("`/cloud` reaches it in 2 ways"), "{shared}");
+    assert!(shared.contains("give each publisher a topic of its own"), "{shared}");
+    wrong("window = \"32ms\"", "policy = \"latest\"", 23, "unknown `policy` \"latest\" in callback `fuse`");
+    wrong("window = \"32ms\"", "policy = \"approximate_epsilon_time\"", 23, "set its `window`");
+    wrong(
+        "window = \"32ms\"",
+        "window = \"0ms\"\npolicy = \"approximate_epsilon_time\"",
+        24,
+        "for equal stamps leave out the policy",
+    );
+    wrong("window = \"32ms\"", "window = \"1ms\"\npolicy = \"latest_time\"", 24, "leave out one of them");
+    wrong(
+        all,
+        "topic = \"/image\"\npolicy = \"latest_time\"",
+        23,
+        "`policy` of callback `fuse` is without `all`",
+    );
+    let latest = FILE.replace("window = \"32ms\"", "policy = \"latest_time\"");
+    for (piece, replacement, message) in [
+        ("period = \"100ms\"", "period = \"30ms\"", "`/image` and `/cloud` have the same period"),
+        ("publishes = \"/image\"", "publishes = [\"/image\", \"/cloud\"]", "`/cloud` has several publishers"),
+    ] {
+        let problems = SystemFile::parse(&latest.replace(piece, replacement)).unwrap_err().to_string();
+        assert!(problems.starts_with("23:") && problems.contains(message), "{problems}");
+        assert!(problems.contains("put the others into `reads`"), "{problems}");
+    }
     wrong(
         "publishes = \"/cloud\"",
         "publishes = \"/cloud\"\n[callbacks.more]\nnode = \"lidar\"\nall = [\"/objects\", \"/image\"]\nwcet = \"1ms\"\nwindow = \"1ms\"",
