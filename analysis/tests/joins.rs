@@ -505,7 +505,7 @@ impl Waiting {
 
 enum Decider {
     Newest,
-    Rates(LatestTime),
+    Rates(Box<LatestTime>),
     Stamps(Box<dyn Policy>),
 }
 
@@ -560,7 +560,7 @@ fn simulate(system: &System, rng: &mut StdRng, join: usize, stops: &[Range<i64>]
             policy.start(inputs);
             Decider::Stamps(Box::new(policy))
         }
-        Matching::LatestTime => Decider::Rates(LatestTime::new()),
+        Matching::LatestTime => Decider::Rates(Box::default()),
     };
     let queues = vec![Vec::new(); inputs];
     let mut waiting = Waiting { policy, queues, last_arrival: 0, may_refuse: streams > inputs };
