@@ -157,6 +157,39 @@ fn publishers_of_one_topic_count_together() {
 }
 
 #[test]
+fn a_publisher_that_is_always_overtaken_fills_no_gap() {
+    // One of a topic every 10 ms, 300 ms late; one every 100 ms; and every 200 ms, in between these, one of the other topic.
+    let mut policy = ApproximateTime::new(100).max_interval(Duration::from_nanos(30));
+    policy.start(2);
+    let stream = |input, period: i64, offset: i64, late: i64| {
+        (0..200_i64).map(move |i| (i * period + offset + late, input, i * period + offset))
+    };
+    let mut messages: Vec<(i64, usize, i64)> =
+        stream(0, 10, 5, 300).chain(stream(0, 100, 0, 0)).chain(stream(1, 200, 50, 0)).collect();
+    messages.sort_unstable();
+    let (mut kept, mut sets) = (Vec::new(), 0);
+    for (_, input, stamp) in messages.into_iter().filter(|(at, ..)| (300..2_000).contains(at)) {
+        if policy.arrived(input, stamp) != Arrival::Refuse && input == 0 {
+            kept.push(stamp);
+        }
+        while policy.decide(&mut |_| ()) {
+            sets += 1;
+        }
+    }
+    assert!(kept[1..].windows(2).all(|pair| pair[1] - pair[0] == 100) && sets == 0, "{kept:?}");
+
+    let with_window = |window: u64| {
+        let mut system =
+            shared_topic([10, 100, 200], Matching::Approximate { window_ns: window * 1_000_000 });
+        let late = Transfer { least_ns: 300_000_000, most_ns: 300_000_000 };
+        system.callbacks[3].trigger = Some((0, late));
+        system.analyse().unwrap().joins[6].clone().unwrap()
+    };
+    assert_eq!((with_window(30).starved_by, with_window(30).reflected_ns), (vec![0], None));
+    assert!(with_window(102).reflected_ns.is_some());
+}
+
+#[test]
 fn a_tolerance_waits_for_the_set_alone() {
     let matching = Matching::ApproximateEpsilon { window_ns: 11_000_000 };
     let report = two_sensors([10, 40], matching).analyse().unwrap();
@@ -417,7 +450,9 @@ fn random_system(rng: &mut StdRng) -> System {
         let from = *way.last().unwrap();
         let taker =
             group(Task::new(format!("{}", callbacks.len()), ns(1), ns(rng.random_range(1..=2)), priority));
-        let least_ns = rng.random_range(0..=9);
+        // Messages of one publisher may be overtaken by later ones of another.
+        let longest = if rng.random_bool(0.2) { 400 } else { 9 };
+        let least_ns = rng.random_range(0..=longest);
         let transfer = Transfer { least_ns, most_ns: least_ns + rng.random_range(0..=9) };
         way.push(callbacks.len());
         callbacks.push(Callback::new(taker, core).triggered_by(from, transfer));
