@@ -222,6 +222,17 @@ pub enum AnalysisError {
         gap_ns: u64,
     },
 
+    /// A chain through a join that may not pass on what it got for ever, whatever its window.
+    #[error("chain `{chain}` has no bounded reaction time at `{task}`: {problem}")]
+    NotReflected {
+        /// The chain.
+        chain: String,
+        /// The join.
+        task: String,
+        /// Why it may not.
+        problem: &'static str,
+    },
+
     /// A system or chain that refers to a task, core or stage which is not there.
     #[error("`{name}` refers to {what} {index}, which does not exist: there are {count}")]
     BadReference {

@@ -5,7 +5,9 @@ use std::time::Instant;
 
 use rand::{RngExt, SeedableRng};
 use tautline_analysis::Reservation;
-use tautline_analysis::file::{CheckedCallback, CheckedSystem, LinkPriority, OverrunPolicy, SystemFile};
+use tautline_analysis::file::{
+    CheckedCallback, CheckedSystem, JoinPolicy, LinkPriority, OverrunPolicy, SystemFile,
+};
 
 /// A system without problems, to which the tests add some.
 const GOOD: &str = r#"
@@ -155,6 +157,8 @@ fn the_schema_knows_what_the_reader_knows() {
     }
     let overruns = schema.pointer("/definitions/callback/properties/overrun/enum").unwrap();
     assert_eq!(*overruns, serde_json::json!(OverrunPolicy::ALL.map(OverrunPolicy::as_str)));
+    let policies = schema.pointer("/definitions/callback/properties/policy/enum").unwrap();
+    assert_eq!(*policies, serde_json::json!(JoinPolicy::NAMED.map(JoinPolicy::as_str)));
 }
 
 #[test]

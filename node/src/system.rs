@@ -7,7 +7,7 @@ use std::time::Duration;
 use tautline_analysis::Reservation;
 use tautline_analysis::file::{self, CheckedCallback, CheckedSystem, SystemFile};
 use tautline_executor::{CallbackOptions, OverrunPolicy, Policy, ProcessInfo};
-use tautline_join::{ApproximateTime, ExactTime};
+use tautline_join::{ApproximateEpsilonTime, ApproximateTime, ExactTime};
 use tautline_transport::Limits;
 use tautline_transport::Qos;
 
@@ -172,6 +172,7 @@ impl LoadedSystem {
                 () if (&was.topics, was.joins, was.window_ns) != (&is.topics, is.joins, is.window_ns) => {
                     "topics"
                 }
+                () if was.policy != is.policy => "`policy`",
                 () if old.period_ns != new.period_ns => "period",
                 // Its queue is as deep as it was computed.
                 () if was.depth != is.depth || is.depth.is_none() && queue(old) < queue(new) => {
@@ -225,7 +226,8 @@ impl LoadedSystem {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct CallbackJoin {
-    /// How far apart the stamps of a set may lie: zero for equal ones. `None`: it takes the newest of each, whatever its stamp.
+    /// How far apart the stamps of a set may lie: zero for equal ones. `None`: it takes the newest of each, whatever its stamp, once all
+    /// have come or at the pace of the fastest.
     pub window: Option<Duration>,
     /// How many messages of a topic have to wait, at most: enough, as computed, that none is dropped which may be needed.
     pub queue_size: usize,
@@ -238,6 +240,13 @@ impl CallbackJoin {
     #[must_use]
     pub fn approximate_time(&self) -> ApproximateTime {
         ApproximateTime::new(self.queue_size).max_interval(self.window.unwrap_or(Duration::MAX))
+    }
+
+    /// For [`Synchronizer::new`](crate::join::Synchronizer::new), with `policy = "approximate_epsilon_time"`: the first stamps within the
+    /// window.
+    #[must_use]
+    pub fn approximate_epsilon_time(&self) -> ApproximateEpsilonTime {
+        ApproximateEpsilonTime::new(self.queue_size, self.window.unwrap_or(Duration::MAX))
     }
 
     /// For [`Synchronizer::new`](crate::join::Synchronizer::new): equal stamps.

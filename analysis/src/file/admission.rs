@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
 
-use super::{CallbackEntry, ChainEntry, CheckedSystem, Client, CoreEntry, OverrunPolicy, SystemFile};
+use super::{
+    CallbackEntry, ChainEntry, CheckedSystem, Client, CoreEntry, JoinPolicy, OverrunPolicy, SystemFile,
+};
 use crate::system::{Callback, Core};
 use crate::{Overheads, Reservation, Task};
 
@@ -317,6 +319,7 @@ impl Union {
                 floats: thread.reservation.is_some() && thread.core.is_none(),
                 topics: Vec::new(),
                 joins: false,
+                policy: JoinPolicy::ByWindow,
                 overrun: OverrunPolicy::Tell,
                 window_ns: None,
                 publishes: Vec::new(),

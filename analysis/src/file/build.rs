@@ -13,7 +13,9 @@ use super::reader::Section;
 use super::reservations;
 use super::sections;
 use super::streams::{First, Source, Streams};
-use super::{CallbackEntry, ChainEntry, Client, CoreEntry, OverrunPolicy, SystemFile, TopicEntry};
+use super::{
+    CallbackEntry, ChainEntry, Client, CoreEntry, JoinPolicy, OverrunPolicy, SystemFile, TopicEntry,
+};
 use crate::system::{Callback, Chain, Core, Matching, System, Transfer};
 use crate::{Overheads, Release, Task, Throttling};
 
@@ -71,17 +73,26 @@ impl Builder<'_> {
         for i in 0..self.file.callbacks.len() {
             let tasks = self.streams.tasks(i);
             if self.streams.is_join(i) {
-                let matching = match &self.file.callbacks[i].window {
-                    None => Matching::Newest,
-                    Some(window) if window.value == 0 => Matching::Exact,
-                    Some(window) => Matching::Approximate { window_ns: window.value },
+                let declared = &self.file.callbacks[i];
+                let window_ns = declared.window.as_ref().map(|window| window.value);
+                let matching = match (declared.policy(), window_ns) {
+                    (JoinPolicy::LatestTime, _) => Matching::LatestTime,
+                    (_, None) => Matching::Newest,
+                    (_, Some(0)) => Matching::Exact,
+                    (JoinPolicy::ByWindow, Some(window_ns)) => Matching::Approximate { window_ns },
+                    (JoinPolicy::ApproximateEpsilonTime, Some(window_ns)) => {
+                        Matching::ApproximateEpsilon { window_ns }
+                    }
                 };
                 let inputs = (tasks.start + 1..tasks.end).collect();
-                callbacks.push(self.callback(i, Source::All).joining(inputs, matching));
+                let ports = self.streams.topics(i).to_vec();
+                callbacks.push(self.callback(i, Source::All).joining_ports(inputs, ports, matching));
             }
-            for (&source, topic) in self.streams.sources(i).iter().zip(topics_of(&self.file.callbacks[i])) {
+            for (&source, topic) in self.streams.sources(i).iter().zip(self.streams.topics(i)) {
                 let mut callback = self.callback(i, source);
-                callback.task.name.extend(topic.map(|topic| format!(" ({topic})")));
+                if self.streams.is_join(i) {
+                    callback.task.name += &self.taken(i, source, *topic);
+                }
                 callbacks.push(callback);
             }
         }
@@ -192,6 +203,18 @@ impl Builder<'_> {
             task = task.group(u32::try_from(thread).unwrap_or(u32::MAX), order);
         }
         Callback { task, core: place.core, trigger, join: None }
+    }
+
+    /// What a task that takes messages for a join is called besides: its topic, and of several publishers whose it takes.
+    fn taken(&self, index: usize, source: Source, topic: usize) -> String {
+        let name = &self.file.callbacks[index].topics[topic].value;
+        let several = self.streams.topics(index).iter().filter(|of| **of == topic).count() > 1;
+        match source {
+            Source::Stream(publisher, _) if several => {
+                format!(" ({name} of {})", self.file.callbacks[publisher].name)
+            }
+            _ => format!(" ({name})"),
+        }
     }
 
     /// How many gateways take what it publishes.
@@ -314,6 +337,7 @@ impl Builder<'_> {
             input_max: declared.input_max,
             window_ns: declared.all.and_then(|_| Some(declared.window.as_ref()?.value)),
             joins: declared.all.is_some(),
+            policy: declared.policy(),
             overrun: declared.overrun.as_ref().map_or(OverrunPolicy::Tell, |overrun| overrun.value),
             reservation: declared.reservation.as_ref().map(|reservation| reservation.value),
             floats: declared.floats.is_some(),
@@ -356,15 +380,47 @@ fn hold(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: 
 
 /// Checks that messages which are to meet by their stamps can.
 fn meet(file: &Declared, streams: &Streams, problems: &mut Collector) {
+    let period = |first: &First| match first {
+        First::Callback(i) | First::Join(i) => file.callbacks[*i].period.as_ref().map(|period| period.value),
+        First::Topic(i) => file.topics[*i].period.as_ref().map(|period| period.value),
+    };
     for (i, callback) in file.callbacks.iter().enumerate() {
-        let Some(window) = callback.window.as_ref().filter(|_| callback.all.is_some()) else { continue };
+        if callback.all.is_none() {
+            continue;
+        }
+        let name = &callback.name;
+        let shared = callback.topics.iter().enumerate().find_map(|(at, topic)| {
+            let ways = streams.topics(i).iter().filter(|of| **of == at).count();
+            (ways > 1).then_some((topic, ways))
+        });
+        if callback.policy() == JoinPolicy::LatestTime {
+            let periods = streams.sources(i).iter().map(|source| period(&streams.first(i, *source)));
+            paced(
+                callback,
+                shared.map(|(topic, _)| topic.value.as_str()),
+                &periods.collect::<Vec<_>>(),
+                problems,
+            );
+        }
+        let Some(window) = &callback.window else { continue };
+        if let (0, Some((topic, ways))) = (window.value, shared) {
+            problems.add(
+                window.at,
+                format!(
+                    "callback `{name}` waits for equal stamps, but `{}` reaches it in {ways} ways, whose stamps have no equal in the other \
+                     topics: give each publisher a topic of its own, or make the `window` as long as stamps may lie apart",
+                    topic.value
+                ),
+            );
+            continue;
+        }
         let firsts: Vec<First> = streams
             .sources(i)
             .iter()
             .map(|source| stamped_by(file, streams, streams.first(i, *source)))
             .collect();
-        let name = &callback.name;
-        let joins = firsts.iter().zip(&callback.topics).find(|(first, _)| matches!(first, First::Join(_)));
+        let topics = streams.topics(i).iter().map(|topic| &callback.topics[*topic]);
+        let joins = firsts.iter().zip(topics).find(|(first, _)| matches!(first, First::Join(_)));
         if let Some((First::Join(join), topic)) = joins {
             problems.add(
                 topic.at,
@@ -380,12 +436,6 @@ fn meet(file: &Declared, streams: &Streams, problems: &mut Collector) {
         let apart = firsts.iter().position(|first| {
             *first != firsts[0] && !matches!((first, firsts[0]), (First::Topic(_), First::Topic(_)))
         });
-        let period = |first: &First| match first {
-            First::Callback(i) | First::Join(i) => {
-                file.callbacks[*i].period.as_ref().map(|period| period.value)
-            }
-            First::Topic(i) => file.topics[*i].period.as_ref().map(|period| period.value),
-        };
         let uneven = firsts.iter().position(|first| period(first) != period(&firsts[0]));
         if let (0, Some(other)) = (window.value, apart.or(uneven)) {
             let (one, other) = (&callback.topics[0].value, &callback.topics[other].value);
@@ -411,8 +461,28 @@ fn stamped_by(file: &Declared, streams: &Streams, mut first: First) -> First {
     first
 }
 
-/// What the tasks that take a callback's messages are called besides: of a join, their topics.
-fn topics_of(callback: &super::declared::Callback) -> impl Iterator<Item = Option<&str>> {
-    let topics = callback.topics.iter().map(|topic| Some(topic.value.as_str()));
-    topics.filter(|_| callback.all.is_some()).chain(std::iter::repeat(None))
+/// Checks that the fastest of some topics is known.
+fn paced(
+    callback: &super::declared::Callback,
+    shared: Option<&str>,
+    periods: &[Option<u64>],
+    problems: &mut Collector,
+) {
+    let Some(policy) = &callback.policy else { return };
+    let name = &callback.name;
+    let what = if let Some(topic) = shared {
+        format!("`{topic}` has several publishers, so that it has no rate of its own")
+    } else {
+        let fastest = periods.iter().flatten().min();
+        let mut fast = periods.iter().zip(&callback.topics).filter(|(period, _)| period.as_ref() == fastest);
+        let (Some((_, one)), Some((_, other))) = (fast.next(), fast.next()) else { return };
+        format!("`{}` and `{}` have the same period", one.value, other.value)
+    };
+    problems.add(
+        policy.at,
+        format!(
+            "callback `{name}` runs at the pace of the fastest of its topics, but {what}: let the one that sets the pace be its `topic`, \
+             and put the others into `reads`"
+        ),
+    );
 }

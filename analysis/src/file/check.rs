@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use super::{CallbackEntry, Client, OverrunPolicy, SystemFile};
+use super::{CallbackEntry, Client, JoinPolicy, OverrunPolicy, SystemFile};
 use crate::system::{Core, SystemReport};
 use crate::{AnalysisError, Overheads, Release, Reservation, Task, Throttling, utilisation};
 
@@ -181,14 +181,16 @@ fn takers(entry: &CallbackEntry) -> Range<usize> {
     entry.tasks.start + usize::from(entry.joins)..entry.tasks.end
 }
 
-fn capacity(entry: &CallbackEntry, report: &SystemReport) -> Option<usize> {
-    let capacity = |i: usize| report.callbacks[i].as_ref().ok()?.queue_capacity().ok();
-    let mut capacities = takers(entry).map(capacity);
-    match entry.joins {
-        // One queue for each topic.
-        true => capacities.try_fold(0, |most: usize, next| Some(most.max(next?))),
-        false => capacities.try_fold(0, |sum: usize, next| sum.checked_add(next?)),
+fn capacity(file: &SystemFile, entry: &CallbackEntry, report: &SystemReport) -> Option<usize> {
+    // One queue, or one for each topic of a join.
+    let join = file.system.callbacks[entry.tasks.start].join.as_ref();
+    let mut sums = vec![Some(0_usize); join.map_or(1, |_| entry.topics.len())];
+    for (at, i) in takers(entry).enumerate() {
+        let capacity = report.callbacks[i].as_ref().ok()?.queue_capacity().ok();
+        let sum = &mut sums[join.map_or(0, |join| join.ports[at])];
+        *sum = sum.and_then(|sum| sum.checked_add(capacity?));
     }
+    sums.into_iter().try_fold(0, |most: usize, next| Some(most.max(next?)))
 }
 
 /// `queues` is the report that sizes them: with stalls, if there are any.
@@ -226,15 +228,25 @@ fn checked_callback(
         response_overhead_ns,
         jitter_ns: tasks.iter().filter(|c| !c.is_triggered()).map(|c| c.task.jitter_ns).max().unwrap_or(0),
         met: response_overhead_ns.is_some_and(|response| response <= entry.deadline_ns),
-        capacity: capacity(entry, queues),
-        capacity_without_stall: capacity(entry, report),
+        capacity: capacity(file, entry, queues),
+        capacity_without_stall: capacity(file, entry, report),
         join: join(report).zip(join(queues)).map(|(join, queues)| CheckedJoin {
             window_ns: entry.window_ns,
             queue_size: usize::try_from(queues.queue_size).unwrap_or(usize::MAX),
-            inputs: entry.topics.iter().cloned().zip(join.wait_ns.iter().copied()).collect(),
+            inputs: inputs(file, entry, &join.wait_ns),
         }),
         entry: entry.clone(),
     }
+}
+
+/// The topics of a join, each with the longest wait of any of its publishers' messages.
+fn inputs(file: &SystemFile, entry: &CallbackEntry, wait_ns: &[u64]) -> Vec<(String, u64)> {
+    let ports = file.system.callbacks[entry.tasks.start].join.iter().flat_map(|join| &join.ports);
+    let mut inputs: Vec<_> = entry.topics.iter().map(|topic| (topic.clone(), 0)).collect();
+    for (port, wait_ns) in ports.zip(wait_ns) {
+        inputs[*port].1 = inputs[*port].1.max(*wait_ns);
+    }
+    inputs
 }
 
 fn checked_chain(file: &SystemFile, index: usize, report: &SystemReport) -> CheckedChain {
@@ -321,18 +333,29 @@ fn shared_priorities(callbacks: &[CheckedCallback]) -> impl Iterator<Item = Stri
     })
 }
 
-/// A warning for each window that messages may miss for ever.
+/// A warning for each join that may not pass on for ever what it got.
 fn starved(file: &SystemFile, report: &SystemReport) -> impl Iterator<Item = String> {
     file.callbacks.iter().filter_map(|entry| {
-        let join = report.joins[entry.tasks.start].as_ref()?;
-        let far = entry.topics.get(*join.starved_by.first()?)?;
-        Some(format!(
-            "callback `{}` runs only if stamps lie within {} ms, but messages of `{far}` may lie further apart than that: unless \
-             something keeps the topics in step, it may never run, and nothing bounds how long a message waits to be \
-             reflected; make the `window` as long as the time between two messages of all topics but the slowest",
-            entry.name,
-            entry.window_ns.unwrap_or(0) as f64 / 1e6
-        ))
+        let join = report.joins[entry.tasks.start].as_ref().filter(|join| join.reflected_ns.is_none())?;
+        let far = join.starved_by.first().and_then(|far| entry.topics.get(*far));
+        let name = &entry.name;
+        Some(match (entry.policy, far) {
+            (JoinPolicy::LatestTime, Some(far)) => format!(
+                "callback `{name}` runs at the pace of the fastest of its topics, but messages of `{far}` may come as close as those of the \
+                 fastest are apart, so that it is not known which that is, and nothing bounds how long a message waits to be reflected; \
+                 lower the jitter of both, or let the one that sets the pace be its `topic`, and put the others into `reads`"
+            ),
+            (_, Some(far)) => format!(
+                "callback `{name}` runs only if stamps lie within {} ms, but messages of `{far}` may lie further apart than that: unless \
+                 something keeps the topics in step, it may never run, and nothing bounds how long a message waits to be \
+                 reflected; make the `window` as long as the time between two messages of all topics but the slowest",
+                entry.window_ns.unwrap_or(0) as f64 / 1e6
+            ),
+            (_, None) => format!(
+                "callback `{name}` drops what is near a message that is too early, and with three topics or more that may belong to the \
+                 next set: nothing bounds how long a message waits to be reflected; leave out its `policy`"
+            ),
+        })
     })
 }
 

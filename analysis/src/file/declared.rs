@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The file as it is written: every section with its places in the text, nothing resolved yet.
 use super::reader::At;
-use super::{Client, LinkPriority, OverrunPolicy};
+use super::{Client, JoinPolicy, LinkPriority, OverrunPolicy};
 use crate::{LockProtocol, Order, Reservation};
 
 /// How priorities are chosen for callbacks that name none.
@@ -70,6 +70,7 @@ pub(super) struct Callback {
     /// Whether there is a `topic`.
     pub has_topic: bool,
     pub window: Option<At<u64>>,
+    pub policy: Option<At<JoinPolicy>>,
     pub take: Option<At<u64>>,
     pub period: Option<At<u64>>,
     /// Whether the file says anything of a trigger, be it wrong.
@@ -96,6 +97,10 @@ pub(super) struct Callback {
 }
 
 impl Callback {
+    pub fn policy(&self) -> JoinPolicy {
+        self.policy.as_ref().map_or(JoinPolicy::ByWindow, |policy| policy.value)
+    }
+
     /// Where it says that its jobs are held to their budget, if it does.
     pub fn holds(&self) -> Option<usize> {
         self.overrun.as_ref().filter(|overrun| overrun.value != OverrunPolicy::Tell).map(|overrun| overrun.at)

@@ -2,9 +2,11 @@
 //! Who triggers whom: topics, their publishers, and the streams of messages that reach each callback.
 use std::collections::HashMap;
 
+use super::JoinPolicy;
 use super::declared::{Callback, Declared, Topic};
 use super::places::Place;
 use super::problem::{Collector, suggestion};
+use super::reader::At;
 
 /// Most topics that a callback waits for, as in message_filters.
 const MOST_INPUTS: usize = 9;
@@ -100,10 +102,14 @@ impl<'f> Graph<'f> {
     fn check_join(&self, callback: &Callback, problems: &mut Collector) {
         let name = &callback.name;
         let Some(all) = callback.all else {
-            for (key, value) in [("window", &callback.window), ("take", &callback.take)] {
-                if let Some(value) = value {
+            let at = |time: &Option<At<u64>>| time.as_ref().map(|time| time.at);
+            let policy = callback.policy.as_ref().map(|policy| policy.at);
+            for (key, at) in
+                [("window", at(&callback.window)), ("take", at(&callback.take)), ("policy", policy)]
+            {
+                if let Some(at) = at {
                     problems.add(
-                        value.at,
+                        at,
                         format!("`{key}` of callback `{name}` is without `all`: list the topics that it waits for there"),
                     );
                 }
@@ -136,6 +142,26 @@ impl<'f> Graph<'f> {
                     format!("callback `{name}` waits for topic `{}` twice: list it once", topic.value),
                 );
             }
+        }
+        match (&callback.policy, &callback.window) {
+            (Some(At { value: JoinPolicy::LatestTime, at }), Some(_)) => problems.add(
+                *at,
+                format!(
+                    "callback `{name}` has `policy = \"latest_time\"`, which does not look at stamps, and a `window`: leave out one of them"
+                ),
+            ),
+            (Some(At { value: JoinPolicy::ApproximateEpsilonTime, at }), window)
+                if window.as_ref().is_none_or(|window| window.value == 0) =>
+            {
+                problems.add(
+                    *at,
+                    format!(
+                        "callback `{name}` has `policy = \"approximate_epsilon_time\"`: set its `window` to how far apart the stamps of \
+                         a set may lie, above 0; for equal stamps leave out the policy"
+                    ),
+                );
+            }
+            _ => {}
         }
         if let (Some(take), Some(wcet)) = (&callback.take, &callback.wcet)
             && take.value > wcet.value

@@ -84,6 +84,8 @@ pub struct CallbackEntry {
     pub topics: Vec<String>,
     /// Whether it waits for messages of all its topics.
     pub joins: bool,
+    /// By which policy, if it does.
+    pub policy: JoinPolicy,
     /// What becomes of a job that uses more than is charged to it.
     pub overrun: OverrunPolicy,
     /// How far apart the stamps of these may lie, in nanoseconds: 0 for equal ones; `None`: the newest of each, whatever its stamp.
@@ -146,6 +148,33 @@ impl OverrunPolicy {
             OverrunPolicy::Demote => "demote",
             OverrunPolicy::Suspend => "suspend",
             OverrunPolicy::End => "end",
+        }
+    }
+}
+
+/// How a callback that waits for messages of several topics finds those that belong together.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum JoinPolicy {
+    /// By its window: `ApproximateTime`, equal stamps for a window of 0, and the newest of each without one.
+    #[default]
+    ByWindow,
+    /// The first whose stamps lie within the window.
+    ApproximateEpsilonTime,
+    /// The newest of each, with each message of the fastest.
+    LatestTime,
+}
+
+impl JoinPolicy {
+    /// Those that the file names.
+    pub const NAMED: [JoinPolicy; 2] = [JoinPolicy::ApproximateEpsilonTime, JoinPolicy::LatestTime];
+
+    /// Its name in the file.
+    #[must_use]
+    pub fn as_str(self) -> &'static str {
+        match self {
+            JoinPolicy::ByWindow => "by_window",
+            JoinPolicy::ApproximateEpsilonTime => "approximate_epsilon_time",
+            JoinPolicy::LatestTime => "latest_time",
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::declared::{Callback, Chain, Costs, Declared, Group, Host, Node, Policy, Topic};
 use super::problem::{Collector, suggestion};
 use super::reader::{At, Section, integer, time};
-use super::{Client, LinkPriority, OverrunPolicy};
+use super::{Client, JoinPolicy, LinkPriority, OverrunPolicy};
 use crate::{LockProtocol, Order, Reservation};
 use toml::de::DeValue;
 
@@ -239,6 +239,10 @@ fn callback(name: String, mut section: Section<'_>, problems: &mut Collector) ->
     let overruns = OverrunPolicy::ALL.map(|policy| (policy.as_str(), policy));
     let overrun = choice(&mut section, "overrun", &overruns, problems);
     let overrun = overrun.zip(overrun_at).map(|(value, at)| At { value, at });
+    let policy_at = section.raw("policy").map(|value| value.span().start);
+    let policies = JoinPolicy::NAMED.map(|policy| (policy.as_str(), policy));
+    let policy = choice(&mut section, "policy", &policies, problems);
+    let policy = policy.zip(policy_at).map(|(value, at)| At { value, at });
     let any =
         section.raw("core").filter(|value| matches!(value.get_ref(), DeValue::String(text) if text == "any"));
     let floats = any.map(|value| value.span().start);
@@ -250,6 +254,7 @@ fn callback(name: String, mut section: Section<'_>, problems: &mut Collector) ->
         all,
         has_topic: section.has("topic"),
         window: section.time("window", problems),
+        policy,
         take: section.positive_time("take", problems),
         period: section.positive_time("period", problems),
         triggered: section.has("topic") || section.has("all") || section.has("period"),

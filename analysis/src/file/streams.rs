@@ -23,6 +23,8 @@ pub(super) enum Source {
 /// The streams of releases that reach a callback, by callback.
 pub(super) struct Streams {
     sources: Vec<Vec<Source>>,
+    /// By which of its topics each of these reaches it; of no meaning for a period.
+    topics: Vec<Vec<usize>>,
     /// Whether the callback waits for all of them.
     joins: Vec<bool>,
     /// Its first task.
@@ -44,6 +46,11 @@ impl Streams {
     /// What reaches a callback.
     pub fn sources(&self, callback: usize) -> &[Source] {
         &self.sources[callback]
+    }
+
+    /// By which of the callback's topics each of its sources reaches it.
+    pub fn topics(&self, callback: usize) -> &[usize] {
+        &self.topics[callback]
     }
 
     pub fn is_join(&self, callback: usize) -> bool {
@@ -78,7 +85,11 @@ impl Streams {
 impl Graph<'_> {
     /// The streams of releases of every callback, and the places of their tasks; call it on a graph without problems.
     pub fn streams(&self, problems: &mut Collector) -> Streams {
-        let sources = self.sources(problems);
+        let (sources, topics): (Vec<_>, Vec<_>) = self
+            .sources(problems)
+            .into_iter()
+            .map(|streams| streams.into_iter().unzip::<_, _, Vec<_>, Vec<_>>())
+            .unzip();
         let joins: Vec<bool> = self.file.callbacks.iter().map(|callback| callback.all.is_some()).collect();
         let mut first = Vec::with_capacity(sources.len());
         let mut next = 0;
@@ -86,11 +97,12 @@ impl Graph<'_> {
             first.push(next);
             next += streams.len() + usize::from(*is_join);
         }
-        Streams { sources, joins, first }
+        Streams { sources, topics, joins, first }
     }
 
-    fn sources(&self, problems: &mut Collector) -> Vec<Vec<Source>> {
-        let mut streams: Vec<Vec<Source>> = vec![Vec::new(); self.file.callbacks.len()];
+    /// The sources of every callback, each with the topic by which it comes.
+    fn sources(&self, problems: &mut Collector) -> Vec<Vec<(Source, usize)>> {
+        let mut streams: Vec<Vec<(Source, usize)>> = vec![Vec::new(); self.file.callbacks.len()];
         let mut waiting: Vec<usize> = (0..streams.len()).collect();
         while !waiting.is_empty() {
             let ready = |i: &usize| self.triggers(*i).all(|source| !streams[source].is_empty());
@@ -100,20 +112,6 @@ impl Graph<'_> {
             }
             for i in now {
                 streams[i] = self.streams_of(i, &streams);
-                let callback = &self.file.callbacks[i];
-                if callback.all.is_some() && streams[i].len() != callback.topics.len() {
-                    problems.add(
-                        callback.at,
-                        format!(
-                            "callback `{}` waits for {} topics, which reach it in {} ways: each has to come from one \
-                             publisher that one thing triggers, for others have no common pace",
-                            callback.name,
-                            callback.topics.len(),
-                            streams[i].len()
-                        ),
-                    );
-                    return streams;
-                }
                 if streams[i].len() > MAX_STREAMS {
                     let callback = &self.file.callbacks[i];
                     problems.add(
@@ -132,22 +130,23 @@ impl Graph<'_> {
         streams
     }
 
-    fn streams_of(&self, index: usize, streams: &[Vec<Source>]) -> Vec<Source> {
+    fn streams_of(&self, index: usize, streams: &[Vec<(Source, usize)>]) -> Vec<(Source, usize)> {
         let callback = &self.file.callbacks[index];
         if callback.period.is_some() {
-            return vec![Source::Period];
+            return vec![(Source::Period, 0)];
         }
         let outputs = |p: usize| if self.file.callbacks[p].all.is_some() { 1 } else { streams[p].len() };
         let mut sources = Vec::new();
-        for topic in &callback.topics {
+        for (at, topic) in callback.topics.iter().enumerate() {
             let name = topic.value.as_str();
             match self.publishers.get(name) {
                 Some(publishers) => {
                     let all = publishers.iter().flat_map(|p| (0..outputs(*p)).map(|s| Source::Stream(*p, s)));
-                    sources.extend(all);
+                    sources.extend(all.map(|source| (source, at)));
                 }
                 None => {
-                    sources.extend(self.file.topics.iter().position(|t| t.name == name).map(Source::Outside))
+                    let topic = self.file.topics.iter().position(|t| t.name == name);
+                    sources.extend(topic.map(|topic| (Source::Outside(topic), at)));
                 }
             }
         }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! End-to-end bounds of the chains of a system.
 use super::fixpoint::Solved;
-use super::{Chain, Join, Matching, System, Transfer, join};
+use super::{Chain, Matching, System, Transfer, join};
 use crate::chain::{Stage, data_age, register_sampled};
 use crate::{AnalysisError, Response};
 
@@ -83,19 +83,29 @@ fn pace(system: &System, solved: &Solved, chain: &Chain, stage: usize) -> Result
 /// Why a join may never run.
 fn starved(system: &System, solved: &Solved, chain: &str, stage: usize) -> AnalysisError {
     let name = |i: usize| system.callbacks[i].task.name.clone();
-    let bound = solved.joins[stage].as_ref().and_then(|bound| bound.starved_by.first());
-    match (&system.callbacks[stage].join, bound) {
-        (Some(Join { inputs, matching: Matching::Approximate { window_ns } }), Some(far)) => {
-            AnalysisError::Starved {
-                chain: chain.to_owned(),
-                task: name(stage),
-                input: name(inputs[*far]),
-                window_ns: *window_ns,
-                gap_ns: solved.timings[inputs[*far]].gap_ns,
-            }
+    let far = solved.joins[stage].as_ref().and_then(|bound| bound.starved_by.first());
+    let (chain, task) = (chain.to_owned(), name(stage));
+    let Some(join) = &system.callbacks[stage].join else { return AnalysisError::Overflow { task } };
+    let taker = join.ports.iter().position(|port| Some(port) == far).and_then(|at| join.inputs.get(at));
+    match (join.matching, taker) {
+        (Matching::Approximate { window_ns } | Matching::ApproximateEpsilon { window_ns }, Some(&far)) => {
+            let gap_ns = solved.timings[far].gap_ns;
+            AnalysisError::Starved { chain, task, input: name(far), window_ns, gap_ns }
         }
+        (Matching::ApproximateEpsilon { .. }, None) => AnalysisError::NotReflected {
+            chain,
+            task,
+            problem: "with a tolerance, what belongs to the next set may be dropped with what is too early for it, if there are three \
+                      inputs or more: match by a window, as ApproximateTime does",
+        },
+        (Matching::LatestTime, _) => AnalysisError::NotReflected {
+            chain,
+            task,
+            problem: "two inputs may have the same rate, for their jitter is large, so that it is not known which is the fastest: \
+                      let one of them trigger it, and read the others",
+        },
         // Never: what starves says by what.
-        _ => AnalysisError::Overflow { task: name(stage) },
+        _ => AnalysisError::Overflow { task },
     }
 }
 

@@ -1,44 +1,72 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Callbacks that wait for messages of several others: when they run, how long a message waits, how many wait.
 //!
-//! Symbols, for input i of a join: its stream has period T_i, nominal releases r_i(n), and each message arrives within
-//! [`least_i`, `most_i`] after its own, where most - least is the jitter J_i. What a message waits for is its *activation*,
-//! the arrival of the last message that is needed; the join's response time counts from there. R is the longest response of
-//! the join's thread. Messages come at their period, none is lost, and everyone has begun to send.
+//! Symbols: an input i of a join is a topic, and k one of the streams that reach it, one for each publisher and trigger. A stream has
+//! period T_k, nominal releases r_k(n), and each message arrives within [`least_k`, `most_k`] after its own, where most - least is
+//! the jitter J_k. What a message waits for is its *activation*, the arrival of the last message that is needed; the join's
+//! response time counts from there. R_k is the longest response of the join's thread to a message. Messages come at their period, none
+//! is lost, and everyone has begun to send.
+//!
+//! **Several streams in one** (`union`). In a window w come at most sum ceil((w + J_k) / T_k) <= w / T + C messages, where
+//! 1 / T = sum 1 / T_k and C = sum (J_k + T_k - 1) / T_k. That is no more than ceil((w + J) / T) with J = T (C - 1) + 1, rounded up: a
+//! stream with period T and jitter J. With one stream these are its own. Its longest gap is that of the stream with the shortest gap.
 //!
 //! **Newest of each** ([`Matching::Newest`]). It runs once everyone has sent something new. Each activation but the first is
 //! preceded by a message of every input since the one before, so m of them span at least m - 1 messages of the slowest: a
-//! stream with its T and jitter J + T. A message waits at most for the longest gap of another input, T_j + J_j.
+//! stream with its T and jitter J + T. A message waits at most for the longest gap of another input, min (T_k + J_k).
 //!
-//! **Exact stamps** ([`Matching::Exact`]). The inputs have their nominal releases in common, and messages with the same
+//! **Exact stamps** ([`Matching::Exact`]). Each input is one stream: those of several publishers would meet by chance only, and each set
+//! drops what is older. The inputs have their nominal releases in common, and messages with the same
 //! n meet. The n-th activation lies within [max least, max most] after r(n); a message waits at most max most - `least_i`.
 //!
-//! **Close stamps** ([`Matching::Approximate`], message_filters' policy with a window w). A stamp is taken within S_i after
-//! its nominal release. Stamps are at most G_i = T_i + S_i apart and processed within D_i = most_i + R after they were taken.
+//! **Close stamps** ([`Matching::Approximate`], message_filters' policy with a window w). A stamp is taken within S_k after
+//! its nominal release. Stamps of a stream are at most G_k = T_k + S_k apart and processed within D_k = most_k + R_k after they were
+//! taken. What an input has that is earlier than what was processed of it is refused, so the stamps that are *kept* ascend.
+//!
+//! - After any instant x, each input has something later processed by x + E_i, E_i = min (G_k + D_k): stream k has a stamp in
+//!   (x, x + G_k], which is kept, or refused because something still later was.
+//! - Kept stamps of an input are at most G_i = min (max G_k, E_i) apart. Let s and then s' of stream k' be kept. The first stamp of any
+//!   stream k after s is processed no sooner than s': before s, it would have made s refused, and in between it would have been kept.
+//!   For k' itself that means s' <= s + G_k', for the others that s' <= s + G_k + D_k, as a stamp is taken before it is processed.
+//!
 //! A set is passed on at the latest when each input has sent something later than the set's pivot p, that is by
-//! p + max(G + D); its stamps are no earlier than p - w. So
+//! p + max E; its stamps are no earlier than p - w. So
 //!
 //! ```text
-//! from a stamp to the activation of its set            L = w + max(G + D)
-//! messages of i that wait: its stamps within           w + max(G + D)
-//! activations: the stream of each input, delayed by up to L: the slowest one's T with jitter S + L
+//! from a stamp to the activation of its set            L = w + max min (G_k + most_k)
+//! messages of i that wait: its stamps, of all streams, within          w + max E
+//! activations: the union of each input's streams, delayed by up to L: the slowest one's T with jitters S_k + L
 //! ```
 //!
 //! If w is at least all gaps but the longest, G*, sets never starve: the latest of the oldest messages after a set that ends
 //! before x is by x + G* + max(w, G*) at the latest the pivot of the next (dropping early messages moves the latest of the
 //! oldest only where the slowest input is dropped, to G* after what was dropped, which was w before the latest). So a message
-//! with stamp x, or a later one of its input, is in a set by x + G* + max(w, G*) + max(G + D). RTSS 2023 (Li et al.,
-//! 'Worst-Case Latency Analysis of Message Synchronization in ROS') and RTCSA 2024 (Wu et al.) analyse the same policy, with
+//! with stamp x, or a later one of its input, is in a set by x + G* + max(w, G*) + max E; one that is refused has a later one. RTSS 2023
+//! (Li et al., 'Worst-Case Latency Analysis of Message Synchronization in ROS') and RTCSA 2024 (Wu et al.) analyse the same policy, with
 //! predicted arrivals and without windows; the bounds above are for windows and jitter, and checked against the policy itself.
+//!
+//! **First close stamps** ([`Matching::ApproximateEpsilon`], message_filters' `ApproximateEpsilonTime` with a tolerance w). A set is
+//! passed on when its own last message is processed: as long as all of them are there, each input has something, so all before them
+//! goes. L = w + max `most_k`. A message with stamp x waits only as long as another input has nothing later than x + w. Of two inputs
+//! the first that is too early is dropped alone, as above, and sets come by x + G* + max(w, G*) + max `most_k`. Of three or more it takes
+//! others with it, which may have belonged to the next set, and nothing bounds how often.
+//!
+//! **At the pace of the fastest** ([`Matching::LatestTime`]). Each activation is a message, so those of all inputs together bound them.
+//! A message may be in sets until the next of its input is taken, for T_k + J_k + R_k. Each input is one stream. The rate of the fastest,
+//! f, is estimated as 1 / (T_f + J_f + R_f) at least, as an average of what is no less, and that of another one as 1 / A_i at most,
+//! A_i = max(T_i - J_i, least distance) - R_i. If that is always less, f is the pivot whenever it has sent something, so that each of its
+//! messages is an activation; if not, nothing is known of who is the pivot.
 use super::System;
 use crate::{AnalysisError, Release, Task};
 
 /// What makes a callback run once it has messages of several others.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Join {
-    /// Indices of the callbacks that take the messages, one for each input, in its thread. They are triggered by who
+    /// Indices of the callbacks that take the messages, one for each stream, in its thread. They are triggered by who
     /// publishes, or released from outside, and put the message aside.
     pub inputs: Vec<usize>,
+    /// Which input of the join each of these takes the messages of, from 0: an input may have several publishers.
+    pub ports: Vec<usize>,
     /// Which messages belong together.
     pub matching: Matching,
 }
@@ -55,20 +83,28 @@ pub enum Matching {
         /// The longest distance of two stamps of a set, in nanoseconds.
         window_ns: u64,
     },
+    /// The first whose stamps lie within a window, by message_filters' `ApproximateEpsilonTime`.
+    ApproximateEpsilon {
+        /// The longest distance of two stamps of a set, in nanoseconds.
+        window_ns: u64,
+    },
+    /// The newest of each, with each message of the fastest, by message_filters' `LatestTime`.
+    LatestTime,
 }
 
 /// What is known of a join once everyone sends, all in nanoseconds.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct JoinBound {
-    /// For each input: from the arrival of a message that is in a set to that of the last one of the set.
+    /// For each of [`Join::inputs`]: from the arrival of a message that is in a set to that of the last one of the set.
     pub wait_ns: Vec<u64>,
-    /// For each input: as [`wait_ns`](Self::wait_ns), to that of a set with this message or a later one of its input. `None`:
-    /// the window is so short that sets may never come together.
+    /// For each of [`Join::inputs`]: as [`wait_ns`](Self::wait_ns), to that of a set with this message or a later one of its input,
+    /// whoever published that. `None`: sets may never come together, or for a long time not at the pace of the fastest.
     pub reflected_ns: Option<Vec<u64>>,
     /// How many messages of one input wait at most (of exact stamps: how many different ones), one that arrives not included.
     pub queue_size: u64,
-    /// Which inputs may be further apart than the window, if sets may never come together: all but the slowest of these.
+    /// Which inputs make that [`reflected_ns`](Self::reflected_ns) is `None`: whose messages may be further apart than the window, all but
+    /// the slowest of these; at the pace of the fastest, those whose rate may be as high.
     pub starved_by: Vec<usize>,
 }
 
@@ -105,8 +141,8 @@ impl Timing {
     }
 }
 
-/// An input of a join.
-struct Input<'a> {
+/// What reaches an input of a join, of one publisher and one trigger.
+struct Stream<'a> {
     task: &'a Task,
     timing: Timing,
     most_ns: u64,
@@ -114,16 +150,92 @@ struct Input<'a> {
     response_ns: u64,
 }
 
-impl Input<'_> {
+impl Stream<'_> {
     /// The longest distance of two stamps.
     fn stamp_gap_ns(&self) -> u64 {
         self.task.period_ns.saturating_add(self.timing.stamp_ns)
+    }
+
+    /// From an instant to the arrival of what is stamped next.
+    fn heard_ns(&self) -> u64 {
+        self.stamp_gap_ns().saturating_add(self.most_ns)
     }
 
     /// From the stamp to the end of what is done with it.
     fn processed_ns(&self) -> u64 {
         self.most_ns.saturating_add(self.response_ns)
     }
+}
+
+/// An input of a join: all streams that reach it.
+struct Input<'a> {
+    streams: Vec<Stream<'a>>,
+}
+
+impl<'a> Input<'a> {
+    fn most(&self, of: impl Fn(&Stream<'a>) -> u64) -> u64 {
+        self.streams.iter().map(of).max().unwrap_or(0)
+    }
+
+    fn least(&self, of: impl Fn(&Stream<'a>) -> u64) -> u64 {
+        self.streams.iter().map(of).min().unwrap_or(0)
+    }
+
+    fn period_ns(&self) -> u64 {
+        union_period(self.streams.iter().map(|stream| stream.task.period_ns))
+    }
+
+    /// The longest time without a message.
+    fn gap_ns(&self) -> u64 {
+        self.least(|stream| stream.timing.gap_ns)
+    }
+
+    /// The longest time until something later than an instant is processed.
+    fn known_ns(&self) -> u64 {
+        self.least(|stream| stream.stamp_gap_ns().saturating_add(stream.processed_ns()))
+    }
+
+    /// The longest distance of two stamps that are kept.
+    fn stamp_gap_ns(&self) -> u64 {
+        self.most(Stream::stamp_gap_ns).min(self.known_ns())
+    }
+}
+
+/// The period of several streams together, no longer than it is.
+fn union_period(periods: impl Iterator<Item = u64> + Clone) -> u64 {
+    let mut several = periods.clone();
+    if let (Some(only), None) = (several.next(), several.next()) {
+        return only;
+    }
+    const FINE: u128 = 1 << 100;
+    // Exact if the periods have a common multiple that is small enough.
+    let multiple = periods.clone().try_fold(1_u64, |all, period| {
+        let (mut a, mut b) = (all, period.max(1));
+        while b > 0 {
+            (a, b) = (b, a % b);
+        }
+        (all / a).checked_mul(period.max(1))
+    });
+    let whole = multiple.map_or(FINE, u128::from);
+    let rate: u128 = periods.map(|period| whole.div_ceil(u128::from(period.max(1)))).sum();
+    u64::try_from(whole / rate.max(1)).unwrap_or(u64::MAX).max(1)
+}
+
+/// Several streams in one, with what `jitter` says of each, and `more` messages at any time.
+fn union<'a, 'b: 'a>(
+    streams: impl Iterator<Item = &'a Stream<'b>> + Clone,
+    jitter: impl Fn(&Stream<'b>) -> u64,
+    more: u64,
+) -> Release {
+    let period_ns = union_period(streams.clone().map(|stream| stream.task.period_ns));
+    let period = u128::from(period_ns);
+    let of = |stream: &Stream<'b>| {
+        let own = u128::from(stream.task.period_ns.max(1));
+        (period * (u128::from(jitter(stream)) + own - 1)).div_ceil(own)
+    };
+    let all: u128 = streams.map(of).sum();
+    let jitter = (all + 1 + period * u128::from(more)).saturating_sub(period);
+    Release::periodic(period_ns).jitter(u64::try_from(jitter).unwrap_or(u64::MAX))
 }
 
 /// How a join is released, what waits there, and how it lies to the nominal releases of its inputs.
@@ -133,57 +245,110 @@ pub(super) fn solve(
     timings: &[Timing],
     response_ns: impl Fn(usize) -> u64,
 ) -> (Release, Timing, JoinBound) {
-    let input = |i: &usize| {
-        let (task, timing) = (&tasks[*i], timings[*i]);
+    let stream = |i: usize| {
+        let (task, timing) = (&tasks[i], timings[i]);
         let most_ns = timing.least_ns.saturating_add(task.jitter_ns);
-        Input { task, timing, most_ns, response_ns: response_ns(*i) }
+        Stream { task, timing, most_ns, response_ns: response_ns(i) }
     };
-    let inputs: Vec<Input<'_>> = join.inputs.iter().map(input).collect();
-    match join.matching {
+    let input = |port| {
+        let takers = join.inputs.iter().zip(&join.ports).filter(|(_, of)| **of == port);
+        Input { streams: takers.map(|(taker, _)| stream(*taker)).collect() }
+    };
+    let inputs: Vec<Input<'_>> = (0..join.width()).map(input).collect();
+    let (release, timing, bound) = match join.matching {
         Matching::Newest => newest(&inputs),
         Matching::Exact => exact(&inputs),
-        Matching::Approximate { window_ns } => approximate(&inputs, window_ns),
+        Matching::Approximate { window_ns } => {
+            close(&inputs, window_ns, most(&inputs, |input| input.least(Stream::heard_ns)), true)
+        }
+        Matching::ApproximateEpsilon { window_ns } => {
+            let most_ns = most(&inputs, |input| input.most(|stream| stream.most_ns));
+            close(&inputs, window_ns, most_ns, inputs.len() == 2)
+        }
+        Matching::LatestTime => latest(&inputs),
+    };
+    (release, timing, bound.ordered(&join.ports))
+}
+
+impl Join {
+    /// How many inputs it has.
+    pub(super) fn width(&self) -> usize {
+        self.ports.iter().max().map_or(0, |last| last + 1)
     }
 }
 
-fn most(inputs: &[Input<'_>], of: impl Fn(&Input<'_>) -> u64) -> u64 {
+/// As a bound, with the times of each input's streams.
+struct Found {
+    wait_ns: Vec<Vec<u64>>,
+    reflected_ns: Option<Vec<Vec<u64>>>,
+    queue_size: u64,
+    starved_by: Vec<usize>,
+}
+
+impl Found {
+    /// With the times in the order in which the streams were given.
+    fn ordered(self, ports: &[usize]) -> JoinBound {
+        let ordered = |times: Vec<Vec<u64>>| {
+            let mut times: Vec<_> = times.into_iter().map(Vec::into_iter).collect();
+            ports.iter().map(|port| times[*port].next().unwrap_or(0)).collect()
+        };
+        JoinBound {
+            wait_ns: ordered(self.wait_ns),
+            reflected_ns: self.reflected_ns.map(ordered),
+            queue_size: self.queue_size,
+            starved_by: self.starved_by,
+        }
+    }
+}
+
+fn most<'a>(inputs: &[Input<'a>], of: impl Fn(&Input<'a>) -> u64) -> u64 {
     inputs.iter().map(of).max().unwrap_or(0)
 }
 
-/// The slowest input's period, with the least of what `jitter` says of those that are as slow.
-fn slowest(inputs: &[Input<'_>], jitter: impl Fn(&Input<'_>) -> u64) -> Release {
-    let period_ns = most(inputs, |input| input.task.period_ns);
-    let slow = inputs.iter().filter(|input| input.task.period_ns == period_ns);
-    Release::periodic(period_ns).jitter(slow.map(jitter).min().unwrap_or(0))
+/// Of each input, and each of its streams.
+fn each(inputs: &[Input<'_>], of: impl Fn(usize, &Stream<'_>) -> u64) -> Vec<Vec<u64>> {
+    let streams =
+        |(i, input): (usize, &Input<'_>)| input.streams.iter().map(|stream| of(i, stream)).collect();
+    inputs.iter().enumerate().map(streams).collect()
 }
 
-fn newest(inputs: &[Input<'_>]) -> (Release, Timing, JoinBound) {
-    let release = slowest(inputs, |input| input.task.jitter_ns.saturating_add(input.task.period_ns));
-    let apart = inputs.iter().map(|input| input.task.min_distance_ns).min().unwrap_or(0);
+/// The slowest input, with what `jitter` says of its streams; of those that are as slow the steadiest.
+fn slowest<'a>(inputs: &[Input<'a>], jitter: impl Fn(&Stream<'a>) -> u64, more: u64) -> Release {
+    let releases = inputs.iter().map(|input| union(input.streams.iter(), &jitter, more));
+    let slowest = releases.max_by_key(|release| (release.period_ns, std::cmp::Reverse(release.jitter_ns)));
+    slowest.unwrap_or(Release::periodic(u64::MAX))
+}
+
+fn newest(inputs: &[Input<'_>]) -> (Release, Timing, Found) {
+    let release = slowest(inputs, |stream| stream.task.jitter_ns, 1);
+    // Messages of several publishers may come at once.
+    let apart = |input: &Input<'_>| match &input.streams[..] {
+        [only] => only.task.min_distance_ns,
+        _ => 0,
+    };
+    let apart = inputs.iter().map(apart).min().unwrap_or(0);
     let others = |i: usize| inputs.iter().enumerate().filter(move |(j, _)| *j != i);
-    let wait = |i| others(i).map(|(_, input)| input.timing.gap_ns).max().unwrap_or(0);
-    let wait_ns: Vec<u64> = (0..inputs.len()).map(wait).collect();
-    let timing = Timing { gap_ns: most(inputs, |input| input.timing.gap_ns), ..Timing::default() };
-    let bound =
-        JoinBound { reflected_ns: Some(wait_ns.clone()), wait_ns, queue_size: 1, starved_by: Vec::new() };
+    let wait = |i| others(i).map(|(_, input)| input.gap_ns()).max().unwrap_or(0);
+    let wait_ns = each(inputs, |i, _| wait(i));
+    let timing = Timing { gap_ns: most(inputs, Input::gap_ns), ..Timing::default() };
+    let bound = Found { reflected_ns: Some(wait_ns.clone()), wait_ns, queue_size: 1, starved_by: Vec::new() };
     (release.min_distance(apart), timing, bound)
 }
 
-fn exact(inputs: &[Input<'_>]) -> (Release, Timing, JoinBound) {
-    let least_ns = most(inputs, |input| input.timing.least_ns);
-    let most_ns = most(inputs, |input| input.most_ns);
+fn exact(inputs: &[Input<'_>]) -> (Release, Timing, Found) {
+    let least_ns = most(inputs, |input| input.most(|stream| stream.timing.least_ns));
+    let most_ns = most(inputs, |input| input.most(|stream| stream.most_ns));
     let jitter_ns = most_ns.saturating_sub(least_ns);
-    let wait_ns: Vec<u64> =
-        inputs.iter().map(|input| most_ns.saturating_sub(input.timing.least_ns)).collect();
-    let period_ns = most(inputs, |input| input.task.period_ns);
-    let first = inputs.iter().map(|input| input.timing.least_ns).min().unwrap_or(0);
-    let waits = most(inputs, |input| input.processed_ns()).saturating_sub(first);
+    let wait_ns = each(inputs, |_, stream| most_ns.saturating_sub(stream.timing.least_ns));
+    let period_ns = most(inputs, Input::period_ns);
+    let first = inputs.iter().map(|input| input.least(|stream| stream.timing.least_ns)).min().unwrap_or(0);
+    let waits = most(inputs, |input| input.most(Stream::processed_ns)).saturating_sub(first);
     let timing = Timing {
         least_ns,
         gap_ns: period_ns.saturating_add(jitter_ns),
-        stamp_ns: most(inputs, |input| input.timing.stamp_ns),
+        stamp_ns: most(inputs, |input| input.most(|stream| stream.timing.stamp_ns)),
     };
-    let bound = JoinBound {
+    let bound = Found {
         reflected_ns: Some(wait_ns.clone()),
         wait_ns,
         queue_size: Release::periodic(period_ns).most_within(waits.saturating_add(1)).max(1),
@@ -192,54 +357,94 @@ fn exact(inputs: &[Input<'_>]) -> (Release, Timing, JoinBound) {
     (Release::periodic(period_ns).jitter(jitter_ns), timing, bound)
 }
 
-fn approximate(inputs: &[Input<'_>], window_ns: u64) -> (Release, Timing, JoinBound) {
+/// `completed` is the longest time from the pivot of a set, no later than a window after its first stamp, to its activation. `meets`: sets do
+/// not starve if the window is long enough.
+fn close(inputs: &[Input<'_>], window_ns: u64, completed: u64, meets: bool) -> (Release, Timing, Found) {
     // Of the activation itself, which is an arrival, and of the end of what the thread does with it.
-    let arrived = most(inputs, |input| input.stamp_gap_ns().saturating_add(input.most_ns));
-    let processed = most(inputs, |input| input.stamp_gap_ns().saturating_add(input.processed_ns()));
-    let activated = window_ns.saturating_add(arrived);
+    let activated = window_ns.saturating_add(completed);
+    let known = most(inputs, Input::known_ns);
     // An arrival is at least `least` after its nominal release, a stamp at most S.
-    let from_arrival = |from_stamp: u64| -> Vec<u64> {
-        let of = |input: &Input<'_>| {
-            from_stamp.saturating_add(input.timing.stamp_ns).saturating_sub(input.timing.least_ns)
-        };
-        inputs.iter().map(of).collect()
+    let from_arrival = |from_stamp: u64| {
+        each(inputs, |_, stream| {
+            from_stamp.saturating_add(stream.timing.stamp_ns).saturating_sub(stream.timing.least_ns)
+        })
     };
     let slow = (0..inputs.len()).max_by_key(|i| inputs[*i].stamp_gap_ns()).unwrap_or(0);
-    let longest = most(inputs, |input| input.stamp_gap_ns());
+    let longest = most(inputs, Input::stamp_gap_ns);
     let starved_by: Vec<usize> =
         (0..inputs.len()).filter(|i| *i != slow && inputs[*i].stamp_gap_ns() > window_ns).collect();
-    let reflected = longest.saturating_add(window_ns.max(longest)).saturating_add(arrived);
-    let held = window_ns.saturating_add(processed).saturating_add(1);
+    let reflected = longest.saturating_add(window_ns.max(longest)).saturating_add(completed);
+    let held = window_ns.saturating_add(known).saturating_add(1);
     let waiting = |input: &Input<'_>| {
-        Release::periodic(input.task.period_ns).jitter(input.timing.stamp_ns).most_within(held)
+        let of = |stream: &Stream<'_>| {
+            Release::periodic(stream.task.period_ns).jitter(stream.timing.stamp_ns).most_within(held)
+        };
+        input.streams.iter().map(of).fold(0, u64::saturating_add)
     };
     let gap = inputs.iter().map(Input::stamp_gap_ns).min().unwrap_or(0);
-    let bound = JoinBound {
+    let bound = Found {
         wait_ns: from_arrival(activated),
-        reflected_ns: starved_by.is_empty().then(|| from_arrival(reflected)),
+        reflected_ns: (meets && starved_by.is_empty()).then(|| from_arrival(reflected)),
         queue_size: most(inputs, waiting).max(1),
         starved_by,
     };
-    let release = slowest(inputs, |input| input.timing.stamp_ns.saturating_add(activated));
+    let release = slowest(inputs, |stream| stream.timing.stamp_ns.saturating_add(activated), 0);
     // Where sets may starve, nothing that waits for this one has a bound.
     let gap_ns = if bound.reflected_ns.is_some() { gap.saturating_add(reflected) } else { u64::MAX };
+    (release, Timing { gap_ns, ..Timing::default() }, bound)
+}
+
+fn latest(inputs: &[Input<'_>]) -> (Release, Timing, Found) {
+    let release = union(inputs.iter().flat_map(|input| &input.streams), |stream| stream.task.jitter_ns, 0);
+    let taken = |stream: &Stream<'_>| stream.timing.gap_ns.saturating_add(stream.response_ns);
+    let fastest = (0..inputs.len()).min_by_key(|i| inputs[*i].period_ns()).unwrap_or(0);
+    let pace = inputs.get(fastest).map_or(0, |input| input.least(taken));
+    let apart = |stream: &Stream<'_>| {
+        let nominal = stream.task.period_ns.saturating_sub(stream.task.jitter_ns);
+        nominal.max(stream.task.min_distance_ns).saturating_sub(stream.response_ns)
+    };
+    let is_as_fast = |i: &usize| *i != fastest && inputs[*i].least(apart) <= pace;
+    let starved_by: Vec<usize> = (0..inputs.len()).filter(is_as_fast).collect();
+    let next = inputs.get(fastest).map_or(0, Input::gap_ns);
+    let reflected = |i, stream: &Stream<'_>| {
+        if i == fastest { 0 } else { next.saturating_add(stream.response_ns) }
+    };
+    let bound = Found {
+        wait_ns: each(inputs, |i, _| inputs[i].least(taken)),
+        reflected_ns: starved_by.is_empty().then(|| each(inputs, reflected)),
+        queue_size: 1,
+        starved_by,
+    };
+    let gap_ns = if bound.reflected_ns.is_some() { next } else { u64::MAX };
     (release, Timing { gap_ns, ..Timing::default() }, bound)
 }
 
 /// Refuses what has no meaning.
 pub(super) fn validate(system: &System, join: &Join, name: &str) -> Result<(), AnalysisError> {
     let problem = |problem| Err(AnalysisError::BadJoin { task: name.to_owned(), problem });
-    if join.inputs.len() < 2 {
+    let takers = |port| join.ports.iter().filter(|of| **of == port).count();
+    if join.ports.len() != join.inputs.len() || (0..join.width()).any(|port| takers(port) == 0) {
+        return problem("its ports do not tell whose messages each of its callbacks takes");
+    }
+    if join.width() < 2 {
         return problem("it has fewer than two inputs");
     }
     if join.inputs.iter().any(|i| system.callbacks[*i].join.is_some()) {
         return problem("an input is a join itself, where a callback has to take its messages");
     }
-    let periods: Vec<u64> = join.inputs.iter().map(|i| period(system, *i)).collect();
-    if join.matching == Matching::Exact && periods.windows(2).any(|pair| pair[0] != pair[1]) {
+    let several = join.width() < join.inputs.len();
+    if several && join.matching == Matching::Exact {
+        return problem("an input has several publishers, whose stamps are not equal to those of the others");
+    }
+    if several && join.matching == Matching::LatestTime {
+        return problem("an input has several publishers, so that it has no rate of its own");
+    }
+    let mut periods = join.inputs.iter().map(|i| period(system, *i));
+    let first_period = periods.next();
+    if join.matching == Matching::Exact && periods.any(|period| Some(period) != first_period) {
         return problem("its inputs have different periods, so that most stamps have no equal");
     }
-    let by_stamp = join.matching != Matching::Newest;
+    let by_stamp = !matches!(join.matching, Matching::Newest | Matching::LatestTime);
     if by_stamp && join.inputs.iter().any(|i| system.callbacks[first(system, *i)].join.is_some()) {
         return problem("an input comes from a join, so that its stamps are not known");
     }
@@ -253,7 +458,7 @@ pub(super) fn first(system: &System, mut index: usize) -> usize {
         let callback = &system.callbacks[index];
         match (&callback.trigger, &callback.join) {
             (Some((source, _)), _) => index = *source,
-            (None, Some(Join { inputs, matching: Matching::Exact })) => index = inputs[0],
+            (None, Some(Join { inputs, matching: Matching::Exact, .. })) => index = inputs[0],
             _ => return index,
         }
     }
@@ -264,7 +469,18 @@ pub(super) fn period(system: &System, index: usize) -> u64 {
     let callback = &system.callbacks[index];
     match (&callback.trigger, &callback.join) {
         (Some((source, _)), _) => period(system, *source),
-        (None, Some(join)) => join.inputs.iter().map(|i| period(system, *i)).max().unwrap_or(0),
+        (None, Some(join)) => {
+            let taken = || join.inputs.iter().map(|i| period(system, *i)).zip(&join.ports);
+            if join.matching == Matching::LatestTime {
+                return union_period(taken().map(|(period, _)| period).collect::<Vec<_>>().into_iter());
+            }
+            let of = |port: usize| {
+                let periods: Vec<u64> =
+                    taken().filter(|(_, of)| **of == port).map(|(period, _)| period).collect();
+                union_period(periods.into_iter())
+            };
+            (0..join.width()).map(of).max().unwrap_or(0)
+        }
         (None, None) => callback.task.period_ns,
     }
 }

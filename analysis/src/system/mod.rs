@@ -104,8 +104,15 @@ impl Callback {
 
     /// Makes it run once messages of several others are there, which these callbacks take.
     #[must_use]
-    pub fn joining(mut self, inputs: Vec<usize>, matching: Matching) -> Self {
-        self.join = Some(Join { inputs, matching });
+    pub fn joining(self, inputs: Vec<usize>, matching: Matching) -> Self {
+        let ports = (0..inputs.len()).collect();
+        self.joining_ports(inputs, ports, matching)
+    }
+
+    /// The same, where several of these callbacks may take the messages of one input: see [`Join::ports`].
+    #[must_use]
+    pub fn joining_ports(mut self, inputs: Vec<usize>, ports: Vec<usize>, matching: Matching) -> Self {
+        self.join = Some(Join { inputs, ports, matching });
         self
     }
 
@@ -152,8 +159,8 @@ impl SystemReport {
 }
 
 impl System {
-    /// The period of a callback: its own, or what it inherits from what triggers it, of several the longest. The system must
-    /// have no circles.
+    /// The period of a callback: its own, or what it inherits from what triggers it, of several inputs the longest; one with several
+    /// publishers has that of all their messages. The system must have no circles.
     #[must_use]
     pub fn period_ns(&self, callback: usize) -> u64 {
         join::period(self, callback)

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 
 use serde::Serialize;
-use tautline_analysis::file::CheckedSystem;
+use tautline_analysis::file::{CheckedSystem, JoinPolicy};
 
 use super::admit;
 use super::sensitivity::Growth;
@@ -53,9 +53,11 @@ struct Reservation {
     floats: bool,
 }
 
-/// Without a window: the newest of each.
+/// Without a window: the newest of each. With a policy where the file names one.
 #[derive(Serialize)]
 struct Join<'a> {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    policy: Option<&'static str>,
     window_ms: Option<f64>,
     queue_size: usize,
     inputs: Vec<Input<'a>>,
@@ -109,6 +111,9 @@ pub fn write(
             .capacity_without_stall
             .filter(|_| callback.capacity != callback.capacity_without_stall),
         join: callback.join.as_ref().map(|join| Join {
+            policy: Some(callback.entry.policy)
+                .filter(|policy| *policy != JoinPolicy::ByWindow)
+                .map(JoinPolicy::as_str),
             window_ms: join.window_ns.map(ms),
             queue_size: join.queue_size,
             inputs: join

@@ -2,7 +2,7 @@
 //! The verdict for people: callbacks, chains, cores, warnings.
 use std::io::{self, Write};
 
-use tautline_analysis::file::{CheckedCallback, CheckedSystem};
+use tautline_analysis::file::{CheckedCallback, CheckedSystem, JoinPolicy};
 
 use crate::table::{BAD, GOOD, WARNING, ms, priority, write_table};
 
@@ -12,6 +12,9 @@ fn write_joins(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> 
     for callback in &checked.callbacks {
         let Some(join) = &callback.join else { continue };
         let stamps = match join.window_ns {
+            None if callback.entry.policy == JoinPolicy::LatestTime => {
+                "newest, at the fastest's rate".to_owned()
+            }
             None => "newest of each".to_owned(),
             Some(0) => "equal".to_owned(),
             Some(_) => format!("within {} ms", ms(join.window_ns)),

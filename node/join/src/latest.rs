@@ -2,7 +2,7 @@
 //! Each message of one stream, with the newest of others.
 
 use crate::counters::{InputCounters, JoinCounters};
-use crate::source::Source;
+use crate::source::{Room, Source};
 use crate::{JoinError, check_room, for_each_tuple};
 use futures::{Stream, StreamExt};
 use std::ops::Deref;
@@ -44,8 +44,13 @@ pub struct Latest<T, S: LatestInputs> {
 /// [`JoinError::Room`] if one of the others may hold fewer than four items.
 pub fn latest<T: Source, S: LatestInputs>(trigger: T, others: S) -> Result<Latest<T, S>, JoinError> {
     let mut readers = others.into_readers();
-    check_room((0..S::COUNT).map(|i| S::reader(&mut readers, i).room()), KEPT)?;
+    check_readers::<S>(&mut readers)?;
     Ok(Latest { trigger, readers, counters: Arc::new(JoinCounters::new(S::COUNT)) })
+}
+
+pub(crate) fn check_readers<S: LatestInputs>(readers: &mut S::Readers) -> Result<(), JoinError> {
+    let rooms = (0..S::COUNT).map(|i| S::reader(readers, i).room());
+    check_room(rooms.map(|(name, room)| (name, room.held)), KEPT)
 }
 
 impl<T, S: LatestInputs> Latest<T, S> {
@@ -98,6 +103,8 @@ impl<T> Deref for Kept<T> {
 pub trait LatestInputs: sealed::Tuple {
     /// The newest of each, if there is one.
     type Items;
+    /// The newest of each.
+    type All;
     #[doc(hidden)]
     type Readers: Unpin;
     #[doc(hidden)]
@@ -108,6 +115,9 @@ pub trait LatestInputs: sealed::Tuple {
     fn reader(readers: &mut Self::Readers, input: usize) -> &mut dyn Reader;
     #[doc(hidden)]
     fn read(readers: &mut Self::Readers) -> Self::Items;
+    /// The newest of each, if all have one.
+    #[doc(hidden)]
+    fn read_all(readers: &mut Self::Readers) -> Option<Self::All>;
 }
 
 mod sealed {
@@ -118,7 +128,16 @@ mod sealed {
 #[doc(hidden)]
 pub trait Reader {
     fn catch_up(&mut self, input: usize, counters: &JoinCounters);
-    fn room(&self) -> (String, usize);
+    /// Takes one message, as a job, and says whether there was a place for it.
+    fn poll_arrival(
+        &mut self,
+        context: &mut Context<'_>,
+        input: usize,
+        counters: &JoinCounters,
+    ) -> Poll<Option<bool>>;
+    fn finish(&mut self);
+    fn is_empty(&self) -> bool;
+    fn room(&self) -> (String, Room);
 }
 
 #[doc(hidden)]
@@ -128,6 +147,7 @@ pub struct Input<S: Source> {
     places: [Arc<Option<S::Item>>; KEPT],
     newest: usize,
     was_given: bool,
+    has_ended: bool,
 }
 
 // Nothing in it is pinned but the source, which may be moved.
@@ -135,7 +155,13 @@ impl<S: Source> Unpin for Input<S> {}
 
 impl<S: Source> Input<S> {
     fn new(source: S) -> Self {
-        Input { source, places: [(); KEPT].map(|()| Arc::new(None)), newest: 0, was_given: true }
+        Input {
+            source,
+            places: [(); KEPT].map(|()| Arc::new(None)),
+            newest: 0,
+            was_given: true,
+            has_ended: false,
+        }
     }
 
     fn read(&mut self) -> Option<Kept<S::Item>> {
@@ -143,36 +169,67 @@ impl<S: Source> Input<S> {
         self.was_given |= newest.is_some();
         newest.is_some().then(|| Kept(newest.clone()))
     }
+
+    /// Keeps a message as the newest; `false`: all places are read, so that it is dropped.
+    fn put(&mut self, item: S::Item, input: usize, counters: &JoinCounters) -> bool {
+        counters.of(input, InputCounters::received_counter);
+        // A place that nobody reads, beginning with that of the newest; what else nobody reads is given back.
+        let mut item = Some(item);
+        let (newest, was_given) = (self.newest, std::mem::replace(&mut self.was_given, false));
+        for place in (0..KEPT).map(|step| (newest + step) % KEPT) {
+            if let Some(free) = Arc::get_mut(&mut self.places[place]) {
+                let is_newest = item.is_some();
+                *free = item.take();
+                if is_newest {
+                    self.newest = place;
+                }
+            }
+        }
+        let is_kept = item.is_none();
+        if !is_kept {
+            self.was_given = was_given;
+        }
+        if !is_kept || !was_given {
+            counters.of(input, InputCounters::dropped_counter);
+        }
+        is_kept
+    }
 }
 
 impl<S: Source> Reader for Input<S> {
     fn catch_up(&mut self, input: usize, counters: &JoinCounters) {
         for _ in 0..=self.source.room().depth {
             let Some(item) = self.source.try_next() else { return };
-            counters.of(input, InputCounters::received_counter);
-            // A place that nobody reads, beginning with that of the newest; what else nobody reads is given back.
-            let mut item = Some(item);
-            let (newest, was_given) = (self.newest, std::mem::replace(&mut self.was_given, false));
-            for place in (0..KEPT).map(|step| (newest + step) % KEPT) {
-                if let Some(free) = Arc::get_mut(&mut self.places[place]) {
-                    let is_newest = item.is_some();
-                    *free = item.take();
-                    if is_newest {
-                        self.newest = place;
-                    }
-                }
-            }
-            if item.is_some() {
-                self.was_given = was_given;
-            }
-            if item.is_some() || !was_given {
-                counters.of(input, InputCounters::dropped_counter);
-            }
+            self.put(item, input, counters);
         }
     }
 
-    fn room(&self) -> (String, usize) {
-        (self.source.name(), self.source.room().held)
+    fn poll_arrival(
+        &mut self,
+        context: &mut Context<'_>,
+        input: usize,
+        counters: &JoinCounters,
+    ) -> Poll<Option<bool>> {
+        if self.has_ended {
+            return Poll::Ready(None);
+        }
+        let poll = self.source.poll_next_unpin(context);
+        poll.map(|item| {
+            self.has_ended = item.is_none();
+            item.map(|item| self.put(item, input, counters))
+        })
+    }
+
+    fn finish(&mut self) {
+        self.source.finish();
+    }
+
+    fn is_empty(&self) -> bool {
+        self.places[self.newest].is_none()
+    }
+
+    fn room(&self) -> (String, Room) {
+        (self.source.name(), self.source.room())
     }
 }
 
@@ -182,6 +239,7 @@ macro_rules! tuple {
 
         impl<$($name: Source),*> LatestInputs for ($($name,)*) {
             type Items = ($(Option<Kept<$name::Item>>,)*);
+            type All = ($(Kept<$name::Item>,)*);
             type Readers = ($(Input<$name>,)*);
             const COUNT: usize = [$($place),*].len();
 
@@ -199,6 +257,13 @@ macro_rules! tuple {
 
             fn read(readers: &mut Self::Readers) -> Self::Items {
                 ($(readers.$place.read(),)*)
+            }
+
+            fn read_all(readers: &mut Self::Readers) -> Option<Self::All> {
+                if $(readers.$place.is_empty() ||)* false {
+                    return None;
+                }
+                Some(($(readers.$place.read()?,)*))
             }
         }
     };

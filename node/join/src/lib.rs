@@ -4,9 +4,11 @@
 //! | a callback wants | use |
 //! |---|---|
 //! | messages with the same stamp | [`Synchronizer`] with [`ExactTime`] |
-//! | messages whose stamps are close | [`Synchronizer`] with [`ApproximateTime`] |
+//! | messages whose stamps are close: of those that may be, the closest | [`Synchronizer`] with [`ApproximateTime`] |
+//! | messages whose stamps are close: the first that are | [`Synchronizer`] with [`ApproximateEpsilonTime`] |
 //! | something new from everyone, the newest of each | [`all_of`] |
 //! | each message of one, with the newest of the others | [`latest`] |
+//! | each message of the fastest, whichever that is, with the newest of the others | [`RateSynchronizer`] with [`LatestTime`] |
 //!
 //! All are streams over items that stay where they are: samples in shared memory are neither copied nor counted. What they need is
 //! allocated when they are made, and each says how much it does for one arrival. What is not passed on is counted
@@ -33,13 +35,17 @@ mod all_of;
 mod counters;
 mod latest;
 mod policy;
+mod rate;
 mod source;
 mod synchronizer;
 
 pub use all_of::{AllOf, AllOfInputs, all_of};
 pub use counters::{InputCounters, JoinCounters};
 pub use latest::{Kept, Latest, LatestInputs, latest};
-pub use policy::{ApproximateTime, Arrival, ExactTime, Policy};
+pub use policy::{
+    ApproximateEpsilonTime, ApproximateTime, Arrival, ExactTime, LatestTime, Policy, RateConfig,
+};
+pub use rate::RateSynchronizer;
 pub use source::{Plain, Room, Source, Stamped, StampedStream, stamped};
 pub use synchronizer::{Synchronizer, SynchronizerInputs};
 

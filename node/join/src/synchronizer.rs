@@ -13,7 +13,8 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 /// A stream of sets: tuples of one message of each input, whose stamps are equal ([`ExactTime`](crate::ExactTime)) or close
-/// ([`ApproximateTime`](crate::ApproximateTime)). As in message_filters, and with its sets.
+/// ([`ApproximateTime`](crate::ApproximateTime), [`ApproximateEpsilonTime`](crate::ApproximateEpsilonTime)). As in message_filters, and
+/// with its sets.
 ///
 /// If time leaps back by more than [`time_jump`](Self::time_jump), as it does where a recording begins anew, all that waits is dropped.
 ///

@@ -3,7 +3,9 @@
 
 use rand::{RngExt, SeedableRng, rngs::StdRng};
 use std::time::Duration;
-use tautline_join::{ApproximateTime, Arrival, ExactTime, Policy};
+use tautline_join::{
+    ApproximateEpsilonTime, ApproximateTime, Arrival, ExactTime, LatestTime, Policy, RateConfig,
+};
 
 /// A policy with the messages it decides on: their stamps.
 struct Queues<P> {
@@ -216,6 +218,228 @@ fn exact_sets_are_those_of_a_table_of_stamps() {
         }
     }
     assert!(sets_seen > 1_000, "{sets_seen}");
+}
+
+#[test]
+fn epsilon_sets_are_those_of_message_filters() {
+    // What ros2/message_filters' test_approximate_epsilon_time_policy.cpp expects, in tenths of its seconds.
+    let run = |epsilon, inputs, text| {
+        run(ApproximateEpsilonTime::new(10, Duration::from_nanos(epsilon)), inputs, text)
+    };
+    assert_eq!(run(5, 2, "a 0 b 0 a 30 b 30 a 60 b 60"), [[0, 0], [30, 30], [60, 60]], "exact match");
+    let perfect = "a 0 b 10 a 30 b 40 a 60 b 70";
+    assert_eq!(run(15, 2, perfect), [[0, 10], [30, 40], [60, 70]], "perfect match");
+    let imperfect = "a 0 b 10 a 20 a 30 b 40 a 60 b 70";
+    assert_eq!(run(15, 2, imperfect), [[0, 10], [30, 40], [60, 70]], "imperfect match");
+    // At the tolerance, and just beyond it.
+    assert_eq!(run(10, 2, "a 0 b 10 a 20 b 31"), [[0, 10]]);
+    // Of three, what is near the first is dropped with it: 98 would have been near the next.
+    assert_eq!(run(10, 3, "a 89 b 98 c 100 a 93 b 108 a 97 a 101 b 118"), Vec::<Vec<i64>>::new());
+}
+
+/// The sets of whole sequences, by the rule as it is said: while all have one, the first are a set or those near the oldest go.
+fn epsilon_sets(all: &[Vec<i64>], epsilon: i64) -> Vec<Vec<i64>> {
+    let (mut at, mut sets) = (vec![0; all.len()], Vec::new());
+    while at.iter().zip(all).all(|(at, all)| *at < all.len()) {
+        let fronts: Vec<i64> = at.iter().zip(all).map(|(at, all)| all[*at]).collect();
+        let oldest = *fronts.iter().min().unwrap();
+        if fronts.iter().max().unwrap() - oldest <= epsilon {
+            sets.push(fronts.clone());
+        }
+        at.iter_mut().zip(fronts).for_each(|(at, front)| *at += usize::from(front - oldest <= epsilon));
+    }
+    sets
+}
+
+#[test]
+fn epsilon_sets_do_not_depend_on_the_order_of_inputs() {
+    let seed = rand::random();
+    println!("seed {seed}");
+    let mut rng = StdRng::seed_from_u64(seed);
+    let mut sets_seen = 0;
+    for round in 0..2_000 {
+        let inputs = rng.random_range(2..=4);
+        let (epsilon, gap) = (rng.random_range(0..20), rng.random_range(1..20));
+        let all: Vec<Vec<i64>> = (0..inputs)
+            .map(|_| {
+                let mut stamp = 0;
+                let next = |_| {
+                    stamp += rng.random_range(0..=gap);
+                    stamp
+                };
+                (0..20).map(next).collect()
+            })
+            .collect();
+        let mut order: Vec<usize> = (0..inputs).flat_map(|i| vec![i; 20]).collect();
+        for i in (1..order.len()).rev() {
+            order.swap(i, rng.random_range(0..=i));
+        }
+        let policy = ApproximateEpsilonTime::new(100, Duration::from_nanos(epsilon));
+        let (mut queues, mut next) = (Queues::new(policy, inputs), vec![0; inputs]);
+        let mut sets = Vec::new();
+        for input in order {
+            sets.extend(queues.add(input, all[input][next[input]]));
+            next[input] += 1;
+        }
+        assert_eq!(sets, epsilon_sets(&all, epsilon as i64), "seed {seed}, round {round}: {epsilon} {all:?}");
+        // Each message is in a set, dropped, or waits.
+        let waiting: usize = queues.waiting.iter().map(Vec::len).sum();
+        assert_eq!(sets.len() * inputs + queues.dropped.len() + waiting + queues.refused, inputs * 20);
+        assert_eq!(queues.refused, 0);
+        sets_seen += sets.len();
+    }
+    assert!(sets_seen > 1_000, "{sets_seen}");
+}
+
+#[test]
+fn an_epsilon_queue_drops_its_oldest_and_refuses_what_is_late() {
+    let mut queues = Queues::new(ApproximateEpsilonTime::new(2, Duration::from_nanos(1)), 2);
+    for stamp in [1, 2, 3] {
+        assert!(queues.add(0, stamp).is_empty());
+    }
+    assert_eq!(queues.dropped, [(0, 1)]);
+    assert!(queues.add(0, 2).is_empty());
+    assert_eq!(queues.refused, 1);
+    assert_eq!(queues.add(1, 2), [[2, 2]]);
+    queues.policy.clear();
+    queues.waiting.iter_mut().for_each(Vec::clear);
+    assert!(queues.add(0, 1).is_empty());
+    assert_eq!(queues.add(1, 1), [[1, 1]]);
+}
+
+/// `"0 qrp 20 p"`: when which inputs (p, q, r) get a message; those that make a set once all have come, each with the numbers of the
+/// messages that it consists of.
+fn rate_sets(text: &str) -> Vec<(i64, [usize; 3])> {
+    let (mut policy, mut newest, mut sets) = (LatestTime::new(), [0; 3], Vec::new());
+    let words: Vec<&str> = text.split_whitespace().collect();
+    for pair in words.chunks(2) {
+        let ms: i64 = pair[0].parse().unwrap();
+        for input in pair[1].bytes().map(|name| usize::from(name - b'p')) {
+            newest[input] += 1;
+            if policy.arrived(input, ms * 1_000_000) && newest.iter().all(|newest| *newest > 0) {
+                sets.push((ms, newest.map(|newest| newest - 1)));
+            }
+        }
+    }
+    sets
+}
+
+#[test]
+fn latest_sets_are_those_of_message_filters() {
+    // The cases of ros2/message_filters' test_latest_time_policy.cpp: p every 20 ms, q every 40, r every 80.
+    assert_eq!(
+        rate_sets("0 qrp 20 p 40 qp 60 p 80 qrp 100 p 120 qp 140 p"),
+        (1..8).map(|i| (i as i64 * 20, [i, i / 2, i / 4])).collect::<Vec<_>>(),
+        "leading"
+    );
+    assert_eq!(
+        rate_sets("0 p 20 qp 40 p 60 qrp 80 p 100 qp 120 p 140 qrp"),
+        (3..8).map(|i| (i as i64 * 20, [i, (i - 1) / 2, (i - 3) / 4])).collect::<Vec<_>>(),
+        "trailing"
+    );
+    // p slows down to one in 60 ms: q takes over once p is late.
+    assert_eq!(
+        rate_sets("0 qrp 20 p 40 qp 60 p 80 qr 120 qp 160 qr 180 p 200 q"),
+        [
+            (20, [1, 0, 0]),
+            (40, [2, 1, 0]),
+            (60, [3, 1, 0]),
+            (120, [3, 3, 1]),
+            (160, [4, 4, 1]),
+            (200, [5, 5, 2])
+        ],
+        "slower, leading"
+    );
+    assert_eq!(
+        rate_sets("0 p 20 qp 40 p 60 qrp 80 p 100 q 140 qrp 180 q 200 p 220 qr"),
+        [(60, [3, 1, 0]), (80, [4, 1, 0]), (140, [4, 3, 0]), (180, [5, 4, 1]), (220, [6, 5, 1])],
+        "slower, trailing"
+    );
+}
+
+#[test]
+fn a_pivot_that_stops_is_replaced_and_one_that_returns_takes_over() {
+    let mut policy = LatestTime::new();
+    let mut sets = |input: usize, times: &[i64]| -> Vec<bool> {
+        times.iter().map(|ms| policy.arrived(input, ms * 1_000_000)).collect()
+    };
+    assert_eq!(sets(1, &[0, 50]), [false, true]);
+    assert_eq!(sets(0, &[60, 70, 80, 90]), [false, true, true, true]);
+    assert_eq!(sets(1, &[95, 100, 150]), [false, true, true]);
+    assert_eq!(sets(0, &[160]), [false], "its gap makes it slow");
+    assert_eq!(sets(0, &[170, 180]), [true, true]);
+    // Time that stands still or goes back makes no set.
+    assert_eq!(sets(0, &[180, 5, 15]), [false, false, true]);
+    // Weights that are none are not taken.
+    let odd = RateConfig { rate_ema_alpha: f64::NAN, error_ema_alpha: 2.0, margin_factor: -1.0 };
+    let mut odd = LatestTime::new().rate_config(odd).rate_config_of(9, odd);
+    assert_eq!([0, 10, 20].map(|ms| odd.arrived(0, ms * 1_000_000)), [false, true, true]);
+    assert!(!odd.arrived(9, 0));
+}
+
+#[test]
+fn the_fastest_that_is_not_late_makes_sets() {
+    let seed = rand::random();
+    println!("seed {seed}");
+    let mut rng = StdRng::seed_from_u64(seed);
+    let (mut made, mut not_made) = (0, 0);
+    for round in 0..2_000 {
+        let inputs = rng.random_range(2..=4);
+        let (alpha, beta, factor) =
+            (rng.random_range(0.0..1.0), rng.random_range(0.0..1.0), rng.random_range(0.0..10.0));
+        let config = RateConfig { rate_ema_alpha: alpha, error_ema_alpha: beta, margin_factor: factor };
+        let mut policy = LatestTime::new().rate_config(config);
+        // All messages of each input so far, from which everything is computed anew.
+        let mut seen: Vec<Vec<i64>> = vec![Vec::new(); inputs];
+        let mut now = 0;
+        for _ in 0..60 {
+            now += rng.random_range(0..20) * 1_000_000;
+            let input = rng.random_range(0..inputs);
+            let is_same = seen[input].last() == Some(&now);
+            seen[input].push(now);
+            let estimate = |seen: &[i64]| -> (Option<f64>, Option<f64>) {
+                let mut state: (Option<f64>, Option<f64>) = (None, None);
+                for period in seen.windows(2).map(|pair| (pair[1] - pair[0]) as f64 / 1e9) {
+                    if period == 0.0 {
+                        continue;
+                    }
+                    let hz = 1.0 / period;
+                    state = match state {
+                        (None, _) => (Some(hz), None),
+                        (Some(old), Some(error)) if (old - hz).abs() > factor * error + 1e-9 * old => {
+                            (Some(hz), None)
+                        }
+                        (Some(old), error) => {
+                            let error = error
+                                .map_or((old - hz).abs(), |e| beta * (old - hz).abs() + (1.0 - beta) * e);
+                            (Some(alpha * hz + (1.0 - alpha) * old), Some(error))
+                        }
+                    };
+                }
+                state
+            };
+            let mut ranks: Vec<(usize, f64, Option<f64>, i64)> = (0..inputs)
+                .filter_map(|i| {
+                    let (hz, error) = estimate(&seen[i]);
+                    Some((i, hz?, error, *seen[i].last()?))
+                })
+                .collect();
+            ranks.sort_by(|a, b| b.1.total_cmp(&a.1));
+            let pivot = ranks.iter().find(|(_, hz, error, last)| {
+                let late = |error: f64| hz - 1e9 / (now - last) as f64 > factor * error + 1e-9 * hz;
+                now == *last || !error.is_some_and(late)
+            });
+            let expected = !is_same && pivot.is_some_and(|pivot| pivot.0 == input);
+            assert_eq!(
+                policy.arrived(input, now),
+                expected,
+                "seed {seed}, round {round}: {seen:?} {config:?}"
+            );
+            made += usize::from(expected);
+            not_made += usize::from(!expected);
+        }
+    }
+    assert!(made > 1_000 && not_made > 1_000, "{made} {not_made}");
 }
 
 #[test]

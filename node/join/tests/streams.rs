@@ -12,8 +12,8 @@ use std::rc::Rc;
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tautline_join::{
-    ApproximateTime, ExactTime, JoinCounters, JoinError, Room, Source, Stamped, Synchronizer, all_of, latest,
-    stamped,
+    ApproximateEpsilonTime, ApproximateTime, ExactTime, JoinCounters, JoinError, LatestTime,
+    RateSynchronizer, Room, Source, Stamped, Synchronizer, all_of, latest, stamped,
 };
 
 thread_local!(static CALLS: Cell<u64> = const { Cell::new(0) });
@@ -208,6 +208,59 @@ fn the_latest_of_others_is_read_with_the_trigger_and_makes_no_job() {
 }
 
 #[test]
+fn each_message_of_the_fastest_comes_with_the_newest_of_all() {
+    let world = World::new();
+    let now = Rc::new(Cell::new(0));
+    let clock = {
+        let now = now.clone();
+        move || now.get()
+    };
+    let inputs = (world.input(0), world.input(1));
+    let mut joined = RateSynchronizer::new(LatestTime::new(), clock, inputs).unwrap();
+    let at = |ms: i64| now.set(ms * 1_000_000);
+    let mut send = |ms: i64, input: usize, item: i64| {
+        at(ms);
+        world.send(input, item);
+        let Poll::Ready(set) = poll(&mut joined) else { return None };
+        set.map(|(a, b)| (*a, *b))
+    };
+    assert_eq!((send(0, 0, 1), send(10, 0, 2)), (None, None), "nothing of the other yet");
+    assert_eq!((send(15, 1, 100), send(20, 0, 3)), (None, Some((3, 100))));
+    assert_eq!(world.log(), "+a-a+a-a+b-b+a");
+    assert_eq!((send(30, 0, 4), send(35, 1, 101), send(40, 0, 5)), (Some((4, 100)), None, Some((5, 101))));
+    // The fast one stops: the other takes over.
+    assert_eq!((send(55, 1, 102), send(75, 1, 103)), (Some((5, 102)), Some((5, 103))));
+    assert_eq!(world.log(), "-a+a-a+b-b+a-a+b-b+b");
+    assert_eq!((joined.counters().sets(), counts(&joined.counters())), (5, vec![[5, 2, 0], [4, 0, 0]]));
+
+    // Who holds both places of an input gets no set with what finds none.
+    let mut held = Vec::new();
+    for i in 0..3 {
+        at(100 + i * 10);
+        world.send(0, 10 + i);
+        while let Poll::Ready(Some(set)) = poll(&mut joined) {
+            held.push(set);
+        }
+    }
+    at(130);
+    world.send(0, 13);
+    assert!(poll(&mut joined).is_pending() && held.len() == 2, "{held:?}");
+    drop(held);
+    at(140);
+    world.send(0, 14);
+    let Poll::Ready(Some((a, _))) = poll(&mut joined) else { panic!() };
+    assert_eq!(*a, 14);
+    // It ends when all have ended, or one that sent nothing.
+    world.has_ended[0].set(true);
+    assert!(poll(&mut joined).is_pending());
+    world.has_ended[1].set(true);
+    assert!(matches!(poll(&mut joined), Poll::Ready(None)));
+    let inputs = (world.input(0), world.input(2));
+    let mut never = RateSynchronizer::new(LatestTime::new(), || 0, inputs).unwrap();
+    assert!(matches!(poll(&mut never), Poll::Ready(None)));
+}
+
+#[test]
 fn nothing_is_unaccounted_for_and_nothing_is_allocated() {
     let world = World::new();
     let inputs = || (world.input(0), world.input(1), world.input(2));
@@ -216,9 +269,17 @@ fn nothing_is_unaccounted_for_and_nothing_is_allocated() {
     let mut equal = Synchronizer::new(ExactTime::new(4), inputs()).unwrap();
     let mut all = all_of(inputs()).unwrap();
     let mut joined = latest(world.input(0), (world.input(1), world.input(2))).unwrap();
-    let mut sets = [0; 4];
+    let epsilon = ApproximateEpsilonTime::new(4, Duration::from_nanos(30));
+    let mut within = Synchronizer::new(epsilon, inputs()).unwrap();
+    let now = Cell::new(0);
+    let clock = || {
+        now.set(now.get() + 1);
+        now.get()
+    };
+    let mut fastest = RateSynchronizer::new(LatestTime::new(), clock, inputs()).unwrap();
+    let mut sets = [0; 6];
     let before = CALLS.get();
-    for step in 0..20_000_i64 {
+    for step in 0..30_000_i64 {
         let input = (step % 7 % 3) as usize;
         let part = step / 5_000;
         world.send(input, step / 7 * 10 + if part == 1 { 0 } else { step % 2 * 3 });
@@ -238,9 +299,19 @@ fn nothing_is_unaccounted_for_and_nothing_is_allocated() {
                     sets[2] += 1
                 }
             }
-            _ => {
+            3 => {
                 while let Poll::Ready(Some(_)) = poll(&mut joined) {
                     sets[3] += 1
+                }
+            }
+            4 => {
+                while let Poll::Ready(Some(_)) = poll(&mut within) {
+                    sets[4] += 1
+                }
+            }
+            _ => {
+                while let Poll::Ready(Some(_)) = poll(&mut fastest) {
+                    sets[5] += 1
                 }
             }
         }
@@ -249,7 +320,8 @@ fn nothing_is_unaccounted_for_and_nothing_is_allocated() {
     assert_eq!(CALLS.get(), before);
     println!("{sets:?}");
     assert!(sets.iter().all(|sets| *sets > 10), "{sets:?}");
-    for (counters, most) in [(near.counters(), 4), (equal.counters(), 4), (all.counters(), 1)] {
+    let queued = [near.counters(), equal.counters(), within.counters()].map(|counters| (counters, 4));
+    for (counters, most) in queued.into_iter().chain([(all.counters(), 1)]) {
         for input in counters.inputs() {
             let known = counters.sets() + input.dropped() + input.refused();
             assert!((known..=known + most).contains(&input.received()), "{counters:?}");
@@ -265,6 +337,10 @@ fn a_flood_lets_others_have_their_turn() {
     assert_eq!(poll(&mut never), Poll::Pending);
     let taken: u64 = never.counters().inputs().iter().map(|input| input.received()).sum();
     assert_eq!(taken, 16);
+    let mut never = RateSynchronizer::new(LatestTime::new(), || 0, (endless(0), endless(1))).unwrap();
+    assert!(poll(&mut never).is_pending());
+    let taken: u64 = never.counters().inputs().iter().map(|input| input.received()).sum();
+    assert_eq!(taken, 2_000);
 }
 
 #[test]
@@ -300,4 +376,7 @@ fn what_has_no_room_is_refused_with_the_fix() {
     assert_eq!(none, JoinError::NoQueue);
     assert!(all_of((Input { held: 2, ..world.input(0) }, world.input(1))).is_err());
     assert!(latest(world.input(0), (Input { held: 3, ..world.input(1) },)).is_err());
+    let tight = (world.input(0), Input { held: 3, ..world.input(1) });
+    let error = RateSynchronizer::new(LatestTime::new(), || 0, tight).err().unwrap();
+    assert_eq!(error, JoinError::Room { input: "/b".into(), room: 3, needed: 4 });
 }

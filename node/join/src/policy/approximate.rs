@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Stamps that are close to each other.
 
-use super::{Arrival, Policy};
+use super::{Arrival, Policy, nanos};
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -240,8 +240,4 @@ fn span(stamps: impl Iterator<Item = Option<i64>>) -> Option<[(i64, usize); 2]> 
         }
     }
     span
-}
-
-fn nanos(duration: Duration) -> i64 {
-    i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX)
 }

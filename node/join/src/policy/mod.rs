@@ -2,10 +2,14 @@
 //! Which messages belong together, decided from their stamps alone.
 
 mod approximate;
+mod epsilon;
 mod exact;
+mod latest_time;
 
 pub use approximate::ApproximateTime;
+pub use epsilon::ApproximateEpsilonTime;
 pub use exact::ExactTime;
+pub use latest_time::{LatestTime, RateConfig};
 
 /// Decides which of the messages that wait are a set. It sees stamps in nanoseconds; whoever calls it keeps the messages, one queue for
 /// each input, and does to them what it says.
@@ -36,4 +40,8 @@ pub enum Arrival {
     WaitTooClose(usize),
     /// It is dropped.
     Refuse,
+}
+
+fn nanos(duration: std::time::Duration) -> i64 {
+    i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX)
 }

@@ -1,0 +1,144 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Which input is the fastest.
+
+/// What is a set by the rates at which messages come: message_filters' `LatestTime`.
+///
+/// Each message of the *pivot* makes a set, of the newest of all inputs. The pivot is the input with the highest rate among those that
+/// are not late, so that another one takes over if it slows down or stops. A rate is known from an input's second message on.
+///
+/// A rate is a moving average of 1 / (time between two messages), and its error one of the distances from it. A rate that is more than
+/// [`margin_factor`](RateConfig::margin_factor) errors away begins anew; an input is late if a message that came now would be that much
+/// too slow. If the clock goes back, the rate of an input begins anew with its next message.
+///
+/// # Real-time
+/// For each message one step for each input; no allocation.
+#[derive(Clone, Debug)]
+pub struct LatestTime {
+    rates: [Rate; crate::MAX_INPUTS],
+}
+
+/// How rates are estimated, and when they are taken to have changed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RateConfig {
+    /// The weight of what came last in a rate, 0 to 1.
+    pub rate_ema_alpha: f64,
+    /// The weight of what came last in a rate's error, 0 to 1.
+    pub error_ema_alpha: f64,
+    /// How many errors from the rate are a change.
+    pub margin_factor: f64,
+}
+
+impl Default for RateConfig {
+    fn default() -> Self {
+        RateConfig { rate_ema_alpha: 0.9, error_ema_alpha: 0.3, margin_factor: 10.0 }
+    }
+}
+
+/// Relative error of the arithmetic that is no change of a rate.
+const ROUNDING: f64 = 1e-9;
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Rate {
+    config: RateConfig,
+    last_ns: Option<i64>,
+    hz: Option<f64>,
+    /// Known from the third message on.
+    error_hz: Option<f64>,
+}
+
+impl Default for LatestTime {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl LatestTime {
+    /// With message_filters' weights.
+    #[must_use]
+    pub fn new() -> Self {
+        LatestTime { rates: [Rate::default(); crate::MAX_INPUTS] }
+    }
+
+    /// How the rates of all inputs are estimated (`setRateConfig`). A weight that is not in 0 to 1, or a factor below 0, is taken as the
+    /// default.
+    #[must_use]
+    pub fn rate_config(mut self, config: RateConfig) -> Self {
+        self.rates.iter_mut().for_each(|rate| rate.config = config.checked());
+        self
+    }
+
+    /// The same for input `input` (from 0) alone (`setRateConfigPerMessage`). An input that is not there is ignored.
+    #[must_use]
+    pub fn rate_config_of(mut self, input: usize, config: RateConfig) -> Self {
+        if let Some(rate) = self.rates.get_mut(input) {
+            rate.config = config.checked();
+        }
+        self
+    }
+
+    /// A message of an input has come at this time; whether it makes a set, if one of each input has come.
+    pub fn arrived(&mut self, input: usize, now_ns: i64) -> bool {
+        let Some(hz) = self.rates.get_mut(input).and_then(|rate| rate.update(now_ns)) else { return false };
+        let is_faster = |(i, other): (usize, &Rate)| {
+            // Of equal ones the first.
+            let comes_first = other.hz.is_some_and(|other| if i < input { other >= hz } else { other > hz });
+            i != input && comes_first && !other.is_late(now_ns)
+        };
+        !self.rates.iter().enumerate().any(is_faster)
+    }
+}
+
+impl RateConfig {
+    fn checked(self) -> Self {
+        let default = RateConfig::default();
+        let weight = |alpha: f64, default: f64| if (0.0..=1.0).contains(&alpha) { alpha } else { default };
+        RateConfig {
+            rate_ema_alpha: weight(self.rate_ema_alpha, default.rate_ema_alpha),
+            error_ema_alpha: weight(self.error_ema_alpha, default.error_ema_alpha),
+            margin_factor: if self.margin_factor >= 0.0 { self.margin_factor } else { default.margin_factor },
+        }
+    }
+}
+
+impl Rate {
+    /// The rate with a message that comes now; `None` if it is not known.
+    fn update(&mut self, now_ns: i64) -> Option<f64> {
+        let period_ns = now_ns.saturating_sub(self.last_ns.replace(now_ns)?);
+        if period_ns < 0 {
+            (self.hz, self.error_hz) = (None, None);
+        }
+        if period_ns <= 0 {
+            return None;
+        }
+        let now_hz = 1e9 / period_ns as f64;
+        let mix = |alpha: f64, new: f64, old: f64| alpha * new + (1.0 - alpha) * old;
+        let hz = match (self.hz, self.error_hz) {
+            (Some(hz), Some(error_hz)) if (hz - now_hz).abs() > self.margin(hz, error_hz) => {
+                self.error_hz = None;
+                now_hz
+            }
+            (Some(hz), error_hz) => {
+                let error = (hz - now_hz).abs();
+                self.error_hz =
+                    Some(error_hz.map_or(error, |old| mix(self.config.error_ema_alpha, error, old)));
+                mix(self.config.rate_ema_alpha, now_hz, hz)
+            }
+            (None, _) => now_hz,
+        };
+        self.hz = Some(hz);
+        self.hz
+    }
+
+    fn margin(&self, hz: f64, error_hz: f64) -> f64 {
+        self.config.margin_factor * error_hz + ROUNDING * hz
+    }
+
+    /// Whether a message that came now would be too late for the rate.
+    fn is_late(&self, now_ns: i64) -> bool {
+        let (Some(last_ns), Some(hz), Some(error_hz)) = (self.last_ns, self.hz, self.error_hz) else {
+            return false;
+        };
+        let period_ns = now_ns.saturating_sub(last_ns);
+        period_ns > 0 && hz - 1e9 / period_ns as f64 > self.margin(hz, error_hz)
+    }
+}
