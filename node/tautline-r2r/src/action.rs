@@ -2,7 +2,6 @@
 
 use futures::Stream;
 use serde_json::Value;
-use std::ops::{Deref, DerefMut};
 use tautline::raw::Availability;
 use tautline::{Action, ActionServerCancelRequest, GoalStatus, IsAvailablePollable, Result};
 
@@ -172,37 +171,9 @@ impl IsAvailablePollable for ActionClientUntyped {
     }
 }
 
-macro_rules! beneath {
-    ($($name:ident $(<$type:ident>)?),+) => {
-        $(
-            impl$(<$type: Action>)? From<tautline::$name$(<$type>)?> for $name$(<$type>)? {
-                fn from(inner: tautline::$name$(<$type>)?) -> Self {
-                    $name(inner)
-                }
-            }
-
-            impl$(<$type: Action>)? Deref for $name$(<$type>)? {
-                type Target = tautline::$name$(<$type>)?;
-
-                fn deref(&self) -> &Self::Target {
-                    &self.0
-                }
-            }
-
-            impl$(<$type: Action>)? DerefMut for $name$(<$type>)? {
-                fn deref_mut(&mut self) -> &mut Self::Target {
-                    &mut self.0
-                }
-            }
-        )+
-    };
-}
-
-beneath!(
-    ActionClient<T>,
-    ActionClientGoal<T>,
-    ActionClientUntyped,
-    ActionClientGoalUntyped,
-    ActionServerGoalRequest<T>,
-    ActionServerGoal<T>
-);
+beneath!(ActionClient<T: Action>);
+beneath!(ActionClientGoal<T: Action>);
+beneath!(ActionClientUntyped);
+beneath!(ActionClientGoalUntyped);
+beneath!(ActionServerGoalRequest<T: Action>);
+beneath!(ActionServerGoal<T: Action>);

@@ -32,6 +32,31 @@
 //! ```
 #![forbid(unsafe_code)]
 
+/// Made of what is beneath it, and dereferenced to that.
+macro_rules! beneath {
+    ($name:ident $(<$type:ident: $bound:ident>)? $(, $rest:expr)?) => {
+        impl$(<$type: $bound>)? From<tautline::$name$(<$type>)?> for $name$(<$type>)? {
+            fn from(inner: tautline::$name$(<$type>)?) -> Self {
+                $name(inner $(, $rest)?)
+            }
+        }
+
+        impl$(<$type: $bound>)? std::ops::Deref for $name$(<$type>)? {
+            type Target = tautline::$name$(<$type>)?;
+
+            fn deref(&self) -> &Self::Target {
+                &self.0
+            }
+        }
+
+        impl$(<$type: $bound>)? std::ops::DerefMut for $name$(<$type>)? {
+            fn deref_mut(&mut self) -> &mut Self::Target {
+                &mut self.0
+            }
+        }
+    };
+}
+
 mod action;
 mod client;
 mod message;

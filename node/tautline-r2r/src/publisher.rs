@@ -2,7 +2,6 @@
 
 use crate::message::NativeMsg;
 use futures::TryFutureExt;
-use std::ops::Deref;
 use tautline::{Error, Loan, Message, Plain, Result};
 
 /// A publisher as r2r has it; beneath it is a [`tautline::Publisher`].
@@ -80,30 +79,5 @@ impl PublisherUntyped {
     }
 }
 
-impl<T: Message> From<tautline::Publisher<T>> for Publisher<T> {
-    fn from(publisher: tautline::Publisher<T>) -> Self {
-        Publisher(publisher)
-    }
-}
-
-impl<T: Message> Deref for Publisher<T> {
-    type Target = tautline::Publisher<T>;
-
-    fn deref(&self) -> &tautline::Publisher<T> {
-        &self.0
-    }
-}
-
-impl From<tautline::PublisherUntyped> for PublisherUntyped {
-    fn from(publisher: tautline::PublisherUntyped) -> Self {
-        PublisherUntyped(publisher)
-    }
-}
-
-impl Deref for PublisherUntyped {
-    type Target = tautline::PublisherUntyped;
-
-    fn deref(&self) -> &tautline::PublisherUntyped {
-        &self.0
-    }
-}
+beneath!(Publisher<T: Message>);
+beneath!(PublisherUntyped);

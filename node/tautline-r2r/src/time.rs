@@ -2,7 +2,6 @@
 
 use crate::node::Node;
 use futures::StreamExt;
-use std::ops::{Deref, DerefMut};
 use std::sync::{Mutex, PoisonError, Weak};
 use std::time::Duration;
 use tautline::builtin_interfaces::msg::Time;
@@ -82,10 +81,11 @@ impl TimeSource {
 /// A timer as r2r has it; beneath it is a [`tautline::Timer`].
 #[derive(Debug)]
 #[must_use = "nothing happens unless it is awaited; dropping it ends it"]
-pub struct Timer {
-    inner: tautline::Timer,
-    last_release_ns: Option<u64>,
-}
+pub struct Timer(
+    tautline::Timer,
+    /// The last release, in nanoseconds.
+    Option<u64>,
+);
 
 impl Timer {
     /// Waits for the next release and returns the time since the one before: one period, or several if releases were missed.
@@ -94,59 +94,15 @@ impl Timer {
     /// # Errors
     /// [`Error::NodeEnded`]: the node was dropped.
     pub async fn tick(&mut self) -> Result<Duration> {
-        let release_ns = self.inner.next().await.ok_or(Error::NodeEnded)?.release_ns;
-        let last = self.last_release_ns.replace(release_ns);
+        let release_ns = self.0.next().await.ok_or(Error::NodeEnded)?.release_ns;
+        let last = self.1.replace(release_ns);
         Ok(match last {
             Some(last_ns) => Duration::from_nanos(release_ns.saturating_sub(last_ns)),
-            None => self.inner.period(),
+            None => self.0.period(),
         })
     }
 }
 
-macro_rules! beneath {
-    ($($name:ident),+) => {
-        $(
-            impl From<tautline::$name> for $name {
-                fn from(inner: tautline::$name) -> Self {
-                    $name(inner)
-                }
-            }
-
-            impl Deref for $name {
-                type Target = tautline::$name;
-
-                fn deref(&self) -> &tautline::$name {
-                    &self.0
-                }
-            }
-
-            impl DerefMut for $name {
-                fn deref_mut(&mut self) -> &mut tautline::$name {
-                    &mut self.0
-                }
-            }
-        )+
-    };
-}
-
-beneath!(Clock, TimeSource);
-
-impl From<tautline::Timer> for Timer {
-    fn from(inner: tautline::Timer) -> Self {
-        Timer { inner, last_release_ns: None }
-    }
-}
-
-impl Deref for Timer {
-    type Target = tautline::Timer;
-
-    fn deref(&self) -> &tautline::Timer {
-        &self.inner
-    }
-}
-
-impl DerefMut for Timer {
-    fn deref_mut(&mut self) -> &mut tautline::Timer {
-        &mut self.inner
-    }
-}
+beneath!(Clock);
+beneath!(TimeSource);
+beneath!(Timer, None);
