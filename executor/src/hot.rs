@@ -275,7 +275,7 @@ impl Measured {
     }
 
     /// A job that ends now, of the callback with these statistics.
-    fn end(&self, begun: StartedJob, of: &CallbackStats) -> stats::Job {
+    fn end(&self, begun: StartedJob, input_size: Option<u64>, of: &CallbackStats) -> stats::Job {
         let StartedJob { release_ns } = begun;
         let response_ns = monotonic_ns().saturating_sub(release_ns);
         if let Some(account) = &self.account {
@@ -284,7 +284,6 @@ impl Measured {
         if self.enforcer.as_ref().is_some_and(BudgetEnforcer::end) {
             self.stats.demoted();
         }
-        let input_size = current(|thread| thread.input_size.take()).flatten();
         let execution_ns = self.stopwatch.as_ref().map(Stopwatch::lap);
         stats::Job { release_ns, response_ns, execution_ns, input_size }
     }
@@ -534,7 +533,7 @@ impl Job {
         if let Some(begun) = self.begun {
             current(|thread| {
                 if let Some(to) = &thread.measured {
-                    let job = to.end(begun, &to.stats);
+                    let job = to.end(begun, thread.input_size.take(), &to.stats);
                     to.pass_over(to.watch.tell(to.stats.complete(&job), &job));
                 }
             });
@@ -550,7 +549,7 @@ impl Job {
 /// thread, and where execution times are off, it does nothing.
 ///
 /// # Real-time
-/// Wait-free; no allocation; no syscall. The job's end then searches 32 classes and 64 execution times, which takes 0.15 to 0.25 us.
+/// Wait-free; no allocation; no syscall. The job's end then looks at 32 classes and 64 execution times at most.
 pub fn set_input_size(size: u64) {
     current(|thread| thread.input_size.set(Some(size)));
 }
@@ -673,6 +672,8 @@ where
         if let Some(item) = self.next.take() {
             let release_ns = (self.release)(&item);
             self.stats.release(release_ns);
+            // What a member's stream stated is no job's.
+            current(|thread| thread.input_size.take());
             self.begun = Some(total.begin(release_ns, None, &self.stats));
             tautline_trace::callback_start(self.traced, release_ns);
             self.future.set(Some((self.callback)(item)));
@@ -684,9 +685,12 @@ where
         self.future.set(None);
         if let Some(begun) = self.begun.take() {
             tautline_trace::callback_end(self.traced);
-            let job = total.end(begun, &self.stats);
+            let input_size = current(|thread| thread.input_size.take()).flatten();
+            let job = total.end(begun, input_size, &self.stats);
             let of_member = self.watch.tell(self.stats.complete(&job), &job);
-            let of_group = total.watch.tell(total.stats.complete(&job), &job);
+            // Sizes of different members are of different things.
+            let of_all = stats::Job { input_size: None, ..job };
+            let of_group = total.watch.tell(total.stats.complete(&of_all), &job);
             total.pass_over(of_member || of_group);
         }
         Poll::Ready(())

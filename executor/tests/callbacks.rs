@@ -270,15 +270,19 @@ fn an_input_size_is_that_of_the_job_that_stated_it() {
         |_| 0,
         |size| async move { job::set_input_size(size) },
     );
-    let silent = group.add(CallbackOptions::other(), futures::stream::iter([1]), |_| 0, |_| async {});
+    // What its stream states is no job's.
+    let stream = futures::stream::iter([1]).inspect(|_| job::set_input_size(77));
+    let silent = group.add(CallbackOptions::other(), stream, |_| 0, |_| async {});
     let group = executor.spawn_group(CallbackOptions::other(), group).unwrap();
     callback.join().unwrap();
+    let all = group.stats().clone();
     group.join().unwrap();
     let seen = |stats: &CallbackStats| -> Vec<_> {
         stats.snapshot().unwrap().inputs.iter().map(|class| (class.least, class.jobs)).collect()
     };
     assert_eq!((seen(&alone), alone.completions()), (vec![(3, 2), (700, 1)], 4));
     assert_eq!((seen(&member), seen(&silent)), (vec![(5, 2), (900, 1)], vec![]));
+    assert_eq!((seen(&all), all.completions()), (vec![], 4));
 }
 
 #[test]

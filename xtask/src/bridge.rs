@@ -61,6 +61,7 @@ fn build() -> Result<Environment, String> {
 /// `cargo xtask bridge`.
 pub fn run() -> ExitCode {
     let mut steps = Steps::new();
+    r2r::prepare_libclang(&mut steps, true);
     test(&mut steps);
     steps.finish()
 }

@@ -39,6 +39,11 @@ pub const WITH_ROS: &str = "binary(ros_hashes)|binary(ros_values)|test(ros::)|te
 /// these with [`WHOLE`].
 pub const SAME: &str = "-p xtask-features -p xtask-host-features";
 
+/// [`WHOLE`] with more features, with commas between.
+pub fn whole_with(features: &str) -> String {
+    format!("{WHOLE} --features {features}")
+}
+
 /// [`WHOLE`] without [`LATER`]. What both build is the same, for `xtask-features` asks for the same features of other packages as what is left
 /// out; [`crate::shared`] checks it.
 pub fn most() -> String {

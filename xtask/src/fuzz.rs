@@ -105,11 +105,17 @@ fn fuzz(target: &str, runs: u64) -> Outcome {
 }
 
 /// cargo-fuzz with one of its verbs. It asks for options that stable compilers have, too, but keep for nightly ones: the compiler is told to take
-/// them, and not cargo, which would build anew what looks at that variable. Macros and build scripts are then those of the workspace.
+/// them where it has them, and not cargo, which would build anew what looks at that variable. Macros and build scripts, whose build scripts look for
+/// what the compiler can, are then those of the workspace.
 fn command(program: &PathBuf, verb: &str) -> Result<Command, String> {
-    let rustc = machine::script("rustc-fuzz", "RUSTC_BOOTSTRAP=1 exec \"$@\"")?;
+    let rustc = machine::script(
+        "rustc-fuzz",
+        "case \"$*\" in *-Zsanitizer*) export RUSTC_BOOTSTRAP=1 ;; esac\nexec \"$@\"",
+    )?;
     let mut command = Command::new(program);
     command.env("RUSTC_WRAPPER", rustc).envs(steps::variables()).current_dir(machine::root());
+    // What the sanitizer says has lines.
+    command.env("CARGO_PROFILE_DEV_STRIP", "none");
     // One codegen unit, the default of its release builds, keeps only one core busy.
     command.args([verb, "--dev", "--fuzz-dir", "fuzz", "--codegen-units", "4", "--target-dir"]);
     command.arg(machine::target_dir());

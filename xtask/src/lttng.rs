@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! LTTng for the test that records one run twice: its packages, installed where CI is set.
 
-use crate::build::{SAME, WHOLE};
+use crate::build::{SAME, whole_with};
 use crate::packages;
 use crate::steps::{Outcome, Steps, cargo};
 
@@ -23,9 +23,9 @@ pub fn test(steps: &mut Steps) {
     steps.command(NAMES[0], &mut cargo(&format!("{clippy} -- -D warnings")));
     // Of all packages, for what does not depend on the feature has been built so.
     let programs = "--bin taut --bin trace --test lttng -- -D warnings";
-    let clippy = format!("clippy {WHOLE},taut/lttng,tautline-benches/lttng {programs}");
+    let clippy = format!("clippy {} {programs}", whole_with("taut/lttng,tautline-benches/lttng"));
     steps.command(NAMES[1], &mut cargo(&clippy));
-    let test = format!("test {WHOLE},taut/lttng --test lttng -- --nocapture");
+    let test = format!("test {} --test lttng -- --nocapture", whole_with("taut/lttng"));
     steps.command(NAMES[2], &mut cargo(&test));
 }
 

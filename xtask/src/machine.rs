@@ -22,9 +22,13 @@ pub fn target_dir() -> PathBuf {
 
 /// Writes a shell script to the target directory.
 pub fn script(name: &str, line: &str) -> Result<PathBuf, String> {
-    let path = target_dir().join(name);
-    let written = fs::write(&path, format!("#!/bin/sh\n{line}\n"))
-        .and_then(|()| fs::set_permissions(&path, fs::Permissions::from_mode(0o755)));
+    let (path, text) = (target_dir().join(name), format!("#!/bin/sh\n{line}\n"));
+    // Somebody may be running it.
+    if fs::read_to_string(&path).is_ok_and(|there| there == text) {
+        return Ok(path);
+    }
+    let written =
+        fs::write(&path, text).and_then(|()| fs::set_permissions(&path, fs::Permissions::from_mode(0o755)));
     written.map(|()| path.clone()).map_err(|error| format!("{}: {error}", path.display()))
 }
 

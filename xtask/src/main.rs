@@ -316,6 +316,7 @@ fn main() -> ExitCode {
         Verb::Rmw { test: false } => rmw::run(),
         Verb::Rmw { test: true } => {
             let mut steps = Steps::new();
+            r2r::prepare_libclang(&mut steps, true);
             rmw::test(&mut steps);
             steps.finish()
         }

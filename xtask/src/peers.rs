@@ -14,6 +14,7 @@ const WHEELS: [&str; 2] = ["zenoh-ros2-sdk==0.1.8", "xxhash==4.1.0"];
 /// `cargo xtask peers`.
 pub fn run() -> ExitCode {
     let mut steps = Steps::new();
+    crate::r2r::prepare_libclang(&mut steps, true);
     let examples = steps.command("examples", &mut cargo("build -p tautline-examples --examples"));
     let gateway = steps.command("gateway", &mut cargo("build -p tautline-gateway"));
     test(&mut steps, examples && gateway);

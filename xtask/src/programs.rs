@@ -2,8 +2,8 @@
 //! The programs of the test `programs` of `tautline-r2r` on r2r itself: what they expect of Tautline is what they get there.
 
 use crate::bridge::{bridge_cargo, with_libraries};
+use crate::r2r;
 use crate::steps::{Outcome, Steps, execute};
-use crate::{machine, r2r};
 use std::process::ExitCode;
 
 /// With what they need as the workspace's tests have it.
@@ -16,6 +16,7 @@ pub const PACKAGES: &str = "action_msgs;builtin_interfaces;geometry_msgs;rcl_int
 /// `cargo xtask r2r`.
 pub fn run() -> ExitCode {
     let mut steps = Steps::new();
+    r2r::prepare_libclang(&mut steps, true);
     test(&mut steps);
     steps.finish()
 }
@@ -25,8 +26,7 @@ pub fn test(steps: &mut Steps) {
     steps.step("r2r: programs", || {
         let environment = match r2r::environment() {
             Ok(environment) => environment,
-            Err(reason) if machine::is_ci() => return Outcome::Failed(reason),
-            Err(reason) => return Outcome::Skipped(reason),
+            Err(reason) => return Outcome::Failed(reason).unless_ci(),
         };
         match execute(&mut with_libraries(&environment, &format!("test {WHOLE} --no-run"))) {
             Outcome::Ok => execute(&mut bridge_cargo(&environment, &format!("test {WHOLE} --no-fail-fast"))),

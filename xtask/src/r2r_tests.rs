@@ -118,6 +118,7 @@ impl Program {
 /// `cargo xtask r2r-tests`: some minutes.
 pub fn run() -> ExitCode {
     let mut steps = Steps::new();
+    crate::r2r::prepare_libclang(&mut steps, true);
     all(&mut steps);
     steps.finish()
 }

@@ -27,7 +27,8 @@ pub fn check() -> Outcome {
     match faults.collect::<Vec<_>>().join("; ") {
         faults if faults.is_empty() => Outcome::Ok,
         faults => Outcome::Failed(format!(
-            "{faults}. Give xtask/features or xtask/host-features the features that are missing, and Cargo.lock the workspace's versions."
+            "{faults}. If features differ, give xtask/features or xtask/host-features those that are missing; if versions do, `cargo update --precise` \
+             in the workspace named; if debuginfo or opt_level do, its [profile.dev] the root's"
         )),
     }
 }

@@ -203,21 +203,19 @@ impl<'r> Fits<'r> {
 impl<'r> Fit<'r> {
     /// `None`: nothing was measured of it.
     fn new(row: &'r Row, exceedance: f64) -> Option<Self> {
-        let Measured { execution, .. } = row.measured.as_ref()?;
+        let Measured { execution, callback, .. } = row.measured.as_ref()?;
         let (jobs, max_ns) = (execution.n(), u64::try_from(execution.max().as_nanos()).unwrap_or(u64::MAX));
         if jobs == 0 {
             return None;
         }
         let buckets: Vec<Bucket> = execution.buckets().collect();
         let tail = tail(&buckets, max_ns, exceedance);
-        let inputs = &row.measured.as_ref()?.callback.inputs;
-        let classes: Vec<Class<'_>> = inputs.iter().map(|class| Class::new(class, exceedance)).collect();
+        let classes: Vec<Class<'_>> =
+            callback.inputs.iter().map(|class| Class::new(class, exceedance)).collect();
         let line = Line::above(&classes);
-        let expected_ns = match (line, row.predicted.entry.input_max) {
-            (Some(line), Some(most)) => line.at(most),
-            _ => tail.map_or(0, |tail| tail.upper_ns as u64),
-        };
-        let used_ns = max_ns.max(expected_ns);
+        let by_line = line.zip(row.predicted.entry.input_max).map_or(0, |(line, most)| line.at(most));
+        let by_tail = tail.map_or(0, |tail| tail.upper_ns as u64);
+        let used_ns = max_ns.max(by_line).max(by_tail);
         // What executor and transport use in the thread is in the measurement, and charged by the file on top of the wcet.
         let overheads_ns = row.predicted.charged_ns - row.predicted.wcet_ns;
         let wcet_ns = used_ns.saturating_sub(overheads_ns).max(1).div_ceil(1000).saturating_mul(1000);

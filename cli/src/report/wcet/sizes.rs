@@ -94,6 +94,7 @@ impl Line {
     }
 }
 
+/// Rounded up, so that no job is above the line as it is printed either.
 impl fmt::Display for Line {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let time = |ns: f64| {
@@ -102,7 +103,10 @@ impl fmt::Display for Line {
                 ..1e6 => (ns / 1e3, "us"),
                 _ => (ns / 1e6, "ms"),
             };
-            let text = format!("{value:.3}");
+            // Four significant digits at least.
+            let decimals = 3_i32.saturating_sub(value.abs().log10().floor() as i32).clamp(3, 12);
+            let scale = 10_f64.powi(decimals);
+            let text = format!("{:.*}", decimals as usize, (value * scale).ceil() / scale);
             format!("{}{unit}", text.trim_end_matches('0').trim_end_matches('.'))
         };
         write!(f, "{} + {} * size", time(self.fixed_ns), time(self.per_unit_ns))
@@ -159,6 +163,10 @@ mod tests {
         assert_eq!(wide, Some(Line { fixed_ns: 227.0, per_unit_ns: 1.0 }));
         let shown = Line { fixed_ns: 120_500.0, per_unit_ns: 34.25 };
         assert_eq!((shown.to_string(), shown.at(10)), ("120.5us + 34.25ns * size".to_owned(), 120_843));
+        let shown = |fixed_ns, per_unit_ns| Line { fixed_ns, per_unit_ns }.to_string();
+        assert_eq!(shown(1_234_567.1, 0.123_41), "1.235ms + 0.1235ns * size");
+        assert_eq!(shown(-10.000_9, 0.000_012_341), "-10ns + 0.00001235ns * size");
+        assert_eq!(shown(0.0, 0.0), "0ns + 0ns * size");
     }
 
     /// Against all lines through two classes, which the optimum of the program is one of, or level.

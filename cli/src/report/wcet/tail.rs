@@ -231,13 +231,14 @@ mod tests {
         let exponential = |u: f64| 1e6 - 5e4 * u.ln();
         let uniform = |u: f64| 1e6 + 5e5 * (1.0 - u);
         let pareto = |u: f64| 1e6 + 5e4 / 0.2 * (u.powf(-0.2) - 1.0);
-        for of_longest in [false, true] {
+        // What docs/report.md says, too.
+        for (of_longest, shares) in [(false, 0.785..0.935), (true, 0.865..0.995)] {
             for (name, (covered, off)) in [
                 ("exponential", covered(exponential, 1e-5, of_longest)),
                 ("uniform", covered(uniform, 1e-5, of_longest)),
                 ("pareto", covered(pareto, 1e-5, of_longest)),
             ] {
-                assert!(covered >= 0.75 && off < 0.4, "{name}: {covered} covered, off by {off}");
+                assert!(shares.contains(&covered) && off < 0.4, "{name}: {covered} covered, off by {off}");
             }
         }
     }
