@@ -10,7 +10,10 @@ use std::time::Duration;
 use common::{Log, Number, context, eventually, spin};
 use futures::StreamExt;
 use tautline::geometry_msgs::msg::{PointStamped, PoseStamped};
-use tautline::join::{ApproximateTime, ExactTime, JoinError, Synchronizer, all_of, latest};
+use tautline::join::{
+    ApproximateEpsilonTime, ApproximateTime, ExactTime, JoinError, LatestTime, RateSynchronizer,
+    Synchronizer, all_of, latest,
+};
 use tautline::{CallbackOptions, Limits, Node, Publisher, Qos};
 
 thread_local!(static CALLS: Cell<u64> = const { Cell::new(0) });
@@ -99,6 +102,84 @@ fn messages_of_two_topics_meet_by_their_headers() {
     assert_eq!((stats.releases(), stats.completions()), (60, 60));
     assert_eq!(counters.inputs().iter().map(|input| input.received()).collect::<Vec<_>>(), [20, 40]);
     assert!(counters.inputs()[1].dropped() >= 18, "{counters:?}");
+}
+
+#[test]
+fn a_set_within_a_tolerance_comes_with_its_last_message() {
+    static SETS: Log<(f64, f64)> = Log::new();
+    let (context, mut node) = node(56);
+    let points = node.create_publisher("/points", Qos::default()).unwrap();
+    let poses = node.create_publisher("/poses", Qos::default()).unwrap();
+    let inputs = (
+        node.subscribe::<PointStamped>("/points", Qos::default()).unwrap(),
+        node.subscribe::<PoseStamped>("/poses", Qos::default()).unwrap(),
+    );
+    let policy = ApproximateEpsilonTime::new(QUEUE, Duration::from_millis(20));
+    let pairs = Synchronizer::new(policy, inputs).unwrap();
+    let counters = pairs.counters();
+    let callback = pairs.for_each(|(point, pose)| async move {
+        SETS.add((point.view().point().x, pose.view().pose().position.x));
+    });
+    let callback = node.spawn_callback(CallbackOptions::other(), callback).unwrap();
+    let _spinning = spin(&context);
+    for i in 0..20 {
+        // One that is 50 ms before its partner is in no set.
+        pose(&poses, i * 100 + 50, -1.0);
+        point(&points, i * 100 + 100, i as f64);
+        pose(&poses, i * 100 + 103, i as f64);
+        SETS.wait_for(i as usize + 1);
+    }
+    let expected: Vec<_> = (0..20).map(|i| (f64::from(i), f64::from(i))).collect();
+    assert_eq!(SETS.events(), expected);
+    let stats = callback.stats().clone();
+    eventually("the end of the last job", || stats.completions() == 60);
+    callback.stop();
+    callback.join().unwrap();
+    assert_eq!((stats.releases(), stats.completions()), (60, 60));
+    assert_eq!(counters.inputs().iter().map(|input| input.dropped()).collect::<Vec<_>>(), [0, 20]);
+}
+
+#[test]
+fn the_newest_of_all_come_at_the_pace_of_the_fastest() {
+    static SETS: Log<(u64, u64)> = Log::new();
+    static TAKEN: Log<u64> = Log::new();
+    let context = context(57);
+    let mut node = Node::create(context.clone(), "joiner", "").unwrap();
+    let [fast, slow] =
+        ["/fast", "/slow"].map(|topic| node.create_publisher::<Number>(topic, Qos::default()).unwrap());
+    let mut subscribe = |topic: &str| node.subscribe::<Number>(topic, Qos::default()).unwrap();
+    let inputs = (subscribe("/fast"), subscribe("/slow"));
+    // Each message is taken 10 ms after the one before.
+    let clock = || {
+        TAKEN.add(0);
+        10_000_000 * TAKEN.events().len() as i64
+    };
+    let joined = RateSynchronizer::new(LatestTime::new(), clock, inputs).unwrap();
+    let counters = joined.counters();
+    let each = joined.for_each(|(fast, slow)| async move { SETS.add((fast.value, slow.value)) });
+    let each = node.spawn_callback(CallbackOptions::other(), each).unwrap();
+    let _spinning = spin(&context);
+    let mut sent = 0;
+    let mut send = |publisher: &Publisher<Number>, value| {
+        publisher.publish(&Number { value }).unwrap();
+        sent += 1;
+        TAKEN.wait_for(sent);
+    };
+    for value in 0..12 {
+        send(&fast, value);
+        if value % 3 == 0 {
+            send(&slow, 100 + value);
+        }
+    }
+    // A rate is known from an input's second message on; then each message of the fast one makes a set, and none of the slow one.
+    let expected: Vec<_> = (1..12).map(|value| (value, 100 + (value - 1) / 3 * 3)).collect();
+    assert_eq!(SETS.wait_for(expected.len()), expected);
+    let stats = each.stats().clone();
+    eventually("the end of the last job", || stats.completions() == 16);
+    each.stop();
+    each.join().unwrap();
+    // A message of the slow one is a job, too.
+    assert_eq!((stats.releases(), stats.completions(), counters.sets()), (16, 16, 11));
 }
 
 #[test]

@@ -83,7 +83,16 @@ pub struct Records {
     begin_ns: u64,
     times: Vec<Times>,
     sent: Vec<AtomicU64>,
-    received: Vec<AtomicU64>,
+    received: Vec<Received>,
+}
+
+/// What came of a topic.
+#[derive(Debug, Default)]
+struct Received {
+    count: AtomicU64,
+    /// The sequence numbers of the first and the last one, if they are known; 0 is none.
+    first: AtomicU64,
+    last: AtomicU64,
 }
 
 /// The topics, by whose numbers messages are counted.
@@ -117,9 +126,13 @@ impl Records {
                 Histogram::new_with_bounds(1, 60_000_000_000, 3).expect("bounds that it can have"),
             ))
         };
-        let zeroes = || TOPICS.iter().map(|_| AtomicU64::new(0)).collect();
         let times = Span::ALL.iter().map(|_| times()).collect();
-        Records { begin_ns, times, sent: zeroes(), received: zeroes() }
+        Records {
+            begin_ns,
+            times,
+            sent: TOPICS.iter().map(|_| AtomicU64::new(0)).collect(),
+            received: TOPICS.iter().map(|_| Received::default()).collect(),
+        }
     }
 
     /// A time that ended at `now_ns`.
@@ -148,9 +161,14 @@ impl Records {
         self.sent[topic].fetch_add(1, Ordering::Relaxed);
     }
 
-    /// A message of topic number `topic` came.
-    pub fn received(&self, topic: usize) {
-        self.received[topic].fetch_add(1, Ordering::Relaxed);
+    /// A message of topic number `topic` came, of one publisher, with its sequence number if that is known.
+    pub fn received(&self, topic: usize, number: Option<u64>) {
+        let received = &self.received[topic];
+        received.count.fetch_add(1, Ordering::Relaxed);
+        if let Some(number) = number {
+            let _ = received.first.compare_exchange(0, number, Ordering::Relaxed, Ordering::Relaxed);
+            received.last.store(number, Ordering::Relaxed);
+        }
     }
 
     /// What has been noted so far.
@@ -163,7 +181,13 @@ impl Records {
                 times.iter_recorded().map(|value| (value.value_iterated_to(), value.count_at_value()));
             (!times.is_empty()).then(|| Told { span: *span, values: values.collect(), max_ns: times.max() })
         });
-        Part { times: times.collect(), sent: counts(&self.sent), received: counts(&self.received), drive }
+        let received = self.received.iter().map(|received| {
+            let [count, first, last] =
+                [&received.count, &received.first, &received.last].map(|of| of.load(Ordering::Relaxed));
+            (count, (first > 0).then(|| (last + 1).saturating_sub(first)))
+        });
+        let (times, received) = (times.collect(), received.collect());
+        Part { times, sent: counts(&self.sent), received, drive }
     }
 }
 
@@ -172,7 +196,8 @@ impl Records {
 pub struct Part {
     times: Vec<Told>,
     sent: Vec<u64>,
-    received: Vec<u64>,
+    /// How many messages came, and how many there are from the first to the last of them, if that is known.
+    received: Vec<(u64, Option<u64>)>,
     /// The adapter's.
     pub drive: Option<Drive>,
 }
@@ -251,13 +276,15 @@ pub fn summaries<'p>(parts: impl Iterator<Item = &'p Part> + Clone) -> Vec<Summa
 }
 
 /// Messages that were published to a topic and did not come to one who subscribes to it: of each topic that lost some, and how many of how
-/// many.
+/// many. By their sequence numbers, between the first and the last that came: processes begin and end one after the other. Where these are
+/// not known, what was published and did not come.
 #[must_use]
 pub fn losses(parts: &[Part]) -> Vec<(String, u64, u64)> {
     let of_topic = |(index, topic): (usize, &&str)| {
         let sent: u64 = parts.iter().filter_map(|part| part.sent.get(index)).sum();
-        let received = parts.iter().filter_map(|part| part.received.get(index)).filter(|count| **count > 0);
-        let lost = received.map(|count| sent.saturating_sub(*count)).max().unwrap_or(0);
+        let received =
+            parts.iter().filter_map(|part| part.received.get(index)).filter(|(count, _)| *count > 0);
+        let lost = received.map(|(count, of)| of.unwrap_or(sent).saturating_sub(*count)).max().unwrap_or(0);
         (lost > 0).then(|| ((*topic).to_owned(), lost, sent))
     };
     TOPICS.iter().enumerate().filter_map(of_topic).collect()
@@ -294,11 +321,19 @@ mod tests {
     fn what_is_sent_and_does_not_come_is_lost() {
         let (sender, reader, other) = (Records::new(0), Records::new(0), Records::new(0));
         (0..10).for_each(|_| sender.sent(3));
-        (0..10).for_each(|_| reader.received(3));
+        (0..10).for_each(|_| reader.received(3, None));
         assert_eq!(losses(&[sender.part(None), reader.part(None), other.part(None)]), []);
-        (0..8).for_each(|_| other.received(3));
+        (0..8).for_each(|_| other.received(3, None));
         let parts = [sender.part(None), reader.part(None), other.part(None)];
         assert_eq!(losses(&parts), [("/flexray/odometry".to_owned(), 2, 10)]);
+        // One that came later and left earlier, and one that was overrun.
+        let [late, slow] = [[2, 3, 4, 5], [2, 3, 6, 10]].map(|numbers| {
+            let reader = Records::new(0);
+            numbers.into_iter().for_each(|number| reader.received(3, Some(number)));
+            reader.part(None)
+        });
+        assert_eq!(losses(&[sender.part(None), late.clone()]), []);
+        assert_eq!(losses(&[sender.part(None), late, slow]), [("/flexray/odometry".to_owned(), 5, 10)]);
         assert_eq!(published(&parts), 10);
     }
 }

@@ -146,7 +146,7 @@ fn commands(
         commands,
         |message: &Sample<Float64MultiArray>| message.info().released_ns,
         move |message| {
-            records.received(12);
+            records.received(12, Some(message.info().sequence_number));
             if let Some(command) = ros::from_command(&message.to_owned()) {
                 lock(&world).command = command;
             }

@@ -81,7 +81,7 @@ fn keep<T: Message>(
     let to = to.clone();
     let released = |message: &Sample<T>| message.info().released_ns;
     group.add(context.callback(name)?, messages, released, move |message: Sample<T>| {
-        to.records.received(topic);
+        to.records.received(topic, Some(message.info().sequence_number));
         to.records.timed(Span::Subscriber, || to.update(|inputs| keep(inputs, &message.to_owned())));
         std::future::ready(())
     });
@@ -96,7 +96,7 @@ fn odometry((node, context, group, to): &mut Adding) -> Result<()> {
     let to = to.clone();
     let released = |message: &Sample<Odometry>| message.info().released_ns;
     group.add(context.callback("on_odometry")?, messages, released, move |message: Sample<Odometry>| {
-        to.records.received(3);
+        to.records.received(3, Some(message.info().sequence_number));
         let begin_ns = monotonic_ns();
         let message = message.to_owned();
         let mut pose = None;

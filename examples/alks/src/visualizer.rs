@@ -81,7 +81,7 @@ fn hear<T: Message>(
     let (known, records) = (known.clone(), records.clone());
     let released = |message: &Sample<T>| message.info().released_ns;
     group.add(context.callback(name)?, messages, released, move |message: Sample<T>| {
-        records.received(topic);
+        records.received(topic, Some(message.info().sequence_number));
         keep(&mut lock(&known), &message.to_owned());
         std::future::ready(())
     });
@@ -95,7 +95,7 @@ fn odometry(Adding { node, context, group, known, records }: &mut Adding) -> Res
     let (known, records) = (known.clone(), records.clone());
     let released = |message: &Sample<Odometry>| message.info().released_ns;
     group.add(context.callback("show_odometry")?, messages, released, move |message: Sample<Odometry>| {
-        records.received(11);
+        records.received(11, Some(message.info().sequence_number));
         let begin_ns = monotonic_ns();
         let message = message.to_owned();
         lock(&known).inputs.odometry = ros::from_odometry(&message);

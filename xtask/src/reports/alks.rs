@@ -28,10 +28,7 @@ const ROW: &[(&str, Kind)] = &[
     ("values", List),
 ];
 
-/// Of so many messages of a topic one may be lost, which the report tells, on a machine that others share.
-const MOST_LOST_IN: u64 = 50;
-
-/// Each way to share was measured, hardly a message of Tautline's was lost, and the car kept its lane.
+/// Each way to share was measured, no message of Tautline's was lost, and the car kept its lane.
 pub fn check_lane(path: &Path) -> Outcome {
     judge(path, |reports| {
         let reports = reports.as_array().ok_or("the report is no list")?;
@@ -54,8 +51,8 @@ fn check_run(report: &Value) -> Result<(), String> {
         }
     }
     let lost = report["lost"].as_array().ok_or("no list of what was lost")?;
-    if lost.iter().any(is_much) {
-        return Err(format!("more than one of {MOST_LOST_IN} messages was lost: {}", report["lost"]));
+    if !lost.is_empty() {
+        return Err(format!("messages were lost: {}", report["lost"]));
     }
     let drive = &report["drive"];
     let off_m = drive["lateral_max_m"].as_f64().ok_or("no 'lateral_max_m'")?;
@@ -66,23 +63,4 @@ fn check_run(report: &Value) -> Result<(), String> {
         ));
     }
     Ok(())
-}
-
-/// Topic, lost, published. A command that comes late is overwritten by the next one: where the host takes the core, single ones are.
-fn is_much(lost: &Value) -> bool {
-    let count = |at: usize| lost[at].as_u64().unwrap_or(u64::MAX);
-    count(1).saturating_mul(MOST_LOST_IN) > count(2)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use serde_json::json;
-
-    #[test]
-    fn single_messages_may_be_lost() {
-        assert!(!is_much(&json!(["/alks/command", 4, 226])));
-        assert!(is_much(&json!(["/alks/command", 5, 226])));
-        assert!(is_much(&json!(["/alks/command", null, 226])));
-    }
 }

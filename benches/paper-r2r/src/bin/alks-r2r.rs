@@ -195,7 +195,7 @@ fn adapter(mut node: Node, job: &Job) -> Result<()> {
         let heard = (command.clone(), records.clone());
         let take = async move {
             while let Some(message) = commands.next().await {
-                heard.1.received(12);
+                heard.1.received(12, None);
                 if let Some(command) = ros::from_command(&message) {
                     *heard.0.borrow_mut() = command;
                 }
@@ -276,7 +276,7 @@ impl Subscribers {
         let (mut messages, to) = (hear::<T>(node, topic)?, self.clone());
         pool.spawner().spawn_local(async move {
             while let Some(message) = messages.next().await {
-                to.records.received(topic);
+                to.records.received(topic, None);
                 to.records.timed(Span::Subscriber, || to.update(|inputs| keep(inputs, &message)));
             }
         })?;
@@ -288,7 +288,7 @@ impl Subscribers {
         let absolute = Sender::<Odometry>::new(node, 11, &self.records)?;
         pool.spawner().spawn_local(async move {
             while let Some(message) = messages.next().await {
-                to.records.received(3);
+                to.records.received(3, None);
                 let begin_ns = monotonic_ns();
                 let mut pose = None;
                 to.update(|inputs| {
@@ -370,7 +370,7 @@ fn visualizer(mut node: Node, job: &Job) -> Result<()> {
     let to = (known.clone(), records.clone());
     spawner.spawn_local(async move {
         while let Some(message) = odometry.next().await {
-            to.1.received(11);
+            to.1.received(11, None);
             let begin_ns = monotonic_ns();
             to.0.borrow_mut().0.odometry = ros::from_odometry(&message);
             let end_ns = monotonic_ns();
@@ -381,21 +381,21 @@ fn visualizer(mut node: Node, job: &Job) -> Result<()> {
     let to = (known.clone(), records.clone());
     spawner.spawn_local(async move {
         while let Some(message) = vehicles.next().await {
-            to.1.received(9);
+            to.1.received(9, None);
             ros::keep::vehicles(&mut to.0.borrow_mut().0, &message);
         }
     })?;
     let to = (known.clone(), records.clone());
     spawner.spawn_local(async move {
         while let Some(message) = lines.next().await {
-            to.1.received(10);
+            to.1.received(10, None);
             ros::keep::lines(&mut to.0.borrow_mut().0, &message);
         }
     })?;
     let to = (known.clone(), records.clone());
     spawner.spawn_local(async move {
         while let Some(message) = plans.next().await {
-            to.1.received(13);
+            to.1.received(13, None);
             let mut known = to.0.borrow_mut();
             known.1 = ros::from_trajectory(&message).or(known.1);
         }

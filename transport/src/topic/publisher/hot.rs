@@ -23,6 +23,12 @@ use core::task::Poll;
 use tautline_doorbell::ActivityKind;
 use tautline_rt::clock::{monotonic_ns, wall_ns};
 
+/// How many samples of a subscription a loan takes back, if it finds a free one then. One more than a publication adds: what a
+/// subscription returns at once, such as a recorder, is spread over the next loans, and no more is ever out than `depth`, what it holds,
+/// and the loans. (What is out and what is loaned together grow by no loan: it takes back two, or all, and then only what is queued or
+/// held is out.)
+const TAKEN_BACK: usize = 2;
+
 /// A body to write in place: `&mut [u8]` in shared memory, at an address that is a multiple of 8. Dropping it gives it
 /// back unsent.
 pub struct RawLoan<'p> {
@@ -79,8 +85,8 @@ impl RawPublisher {
     /// write every byte.
     ///
     /// # Real-time
-    /// Lock-free, O(subscriptions + samples that came back): tries again only while the janitor gives samples of a subscription back
-    /// that has gone; no allocation; no syscall. For a type without a fixed size, a body that
+    /// Lock-free, O(subscriptions), and O(samples that came back) if no other is free: tries again only while the janitor gives samples
+    /// of a subscription back that has gone; no allocation; no syscall. For a type without a fixed size, a body that
     /// is longer than `Limits::message_bytes` and than all before takes a larger segment, and a publisher whose memory is claimed on
     /// use may take more samples: allocates, maps memory, takes a lock.
     ///
@@ -104,8 +110,12 @@ impl RawPublisher {
         }
         let mut publish_state = self.publish_state.borrow_mut();
         publish_state.refresh(self.core.history.as_ref());
-        publish_state.reclaim();
-        let (segment, index) = match take(&publish_state) {
+        publish_state.reclaim(TAKEN_BACK);
+        let taken = take(&publish_state).or_else(|| {
+            publish_state.reclaim(usize::MAX);
+            take(&publish_state)
+        });
+        let (segment, index) = match taken {
             Some(taken) => taken,
             None => {
                 self.claim_more()?;

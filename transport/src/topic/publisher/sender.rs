@@ -250,18 +250,18 @@ impl Sender {
         }
     }
 
-    /// Takes back what the subscription has returned.
+    /// Takes back `most` of what the subscription has returned.
     ///
     /// # Real-time
-    /// Wait-free, O(depth + held); no allocation; no syscall.
+    /// Wait-free, O(depth + held) and O(most); no allocation; no syscall.
     ///
     /// # Safety
     /// For who has the sending half.
-    unsafe fn reclaim(&self, pool: &Pool) {
+    unsafe fn reclaim(&self, most: usize, pool: &Pool) {
         // SAFETY: as the caller promises.
         let half = unsafe { &mut *self.half.get() };
         // As many as there can be: more would be another process's lie.
-        for _ in 0..=half.out.len() * 64 {
+        for _ in 0..most.min(half.out.len() * 64 + 1) {
             // SAFETY: the sending half.
             let Some(chunk) = (unsafe { self.connection.take_back() }) else { return };
             release(&mut half.out, chunk, pool);
@@ -520,15 +520,15 @@ impl PublishState {
         }
     }
 
-    /// Takes back what subscriptions have returned.
+    /// Takes back what subscriptions have returned, `most` of each.
     ///
     /// # Real-time
-    /// Wait-free, O(subscriptions + samples that came back); no allocation; no syscall.
-    pub(crate) fn reclaim(&self) {
+    /// Wait-free, O(subscriptions x most) and O(subscriptions + samples that came back); no allocation; no syscall.
+    pub(crate) fn reclaim(&self, most: usize) {
         let table = self.table();
         for sender in table.live() {
             // SAFETY: it is live, so it is this thread's.
-            unsafe { sender.reclaim(&table.pool) };
+            unsafe { sender.reclaim(most, &table.pool) };
         }
     }
 }

@@ -26,8 +26,8 @@ impl<T: Message> Publisher<T> {
     /// Loan and publish in a block or function of its own, or run the future with `Node::spawn_local`.
     ///
     /// # Real-time
-    /// As [`RawPublisher::loan`]: lock-free, O(subscriptions + samples that came back); no allocation; no syscall. For a type with
-    /// bool, char or enum fields, O(number of these) to check that the memory holds a valid `T`.
+    /// As [`RawPublisher::loan`]: lock-free, O(subscriptions), and O(samples that came back) if no other is free; no allocation; no
+    /// syscall. For a type with bool, char or enum fields, O(number of these) to check that the memory holds a valid `T`.
     ///
     /// # Errors
     /// [`LoanError::Exhausted`]: `Limits::loans` are out already.
@@ -41,9 +41,9 @@ impl<T: Message> Publisher<T> {
     /// Loans a sample for a message of these lengths, to be [written](Unwritten::write) in place.
     ///
     /// # Real-time
-    /// As [`RawPublisher::loan`]: lock-free, O(subscriptions + samples that came back); no allocation; no syscall; linear in the number
-    /// of fields and of elements that have sizes of their own. A message that is longer than `Limits::message_bytes` and than all
-    /// before takes a larger segment: allocates, maps memory.
+    /// As [`RawPublisher::loan`]: lock-free, O(subscriptions), and O(samples that came back) if no other is free; no allocation; no
+    /// syscall; linear in the number of fields and of elements that have sizes of their own. A message that is longer than
+    /// `Limits::message_bytes` and than all before takes a larger segment: allocates, maps memory.
     ///
     /// # Errors
     /// [`LoanError`]: see [`RawPublisher::loan`](crate::RawPublisher::loan).
