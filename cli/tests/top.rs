@@ -2,11 +2,13 @@
 //! `taut top`: of processes that come, are measured, and are killed; on a terminal.
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::OFlags;
 use rustix::pty;
 use rustix::termios::{Winsize, tcsetwinsize};
 use serde_json::Value;
 use std::fs::File;
 use std::io::{Read, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tautline_transport::{EndpointKind, graph_of};
@@ -96,7 +98,9 @@ fn on_terminal() -> (Child, File, vt100::Parser) {
     let size = Winsize { ws_row: 24, ws_col: 120, ws_xpixel: 0, ws_ypixel: 0 };
     tcsetwinsize(&terminal, size).unwrap();
     let path = pty::ptsname(&terminal, Vec::new()).unwrap().into_string().unwrap();
-    let open = || File::options().read(true).write(true).open(&path).unwrap();
+    // Nor may it become this process's own, which would end with it.
+    let flags = OFlags::NOCTTY.bits() as i32;
+    let open = || File::options().read(true).write(true).custom_flags(flags).open(&path).unwrap();
     let mut top = taut(&["top", "--domain", "145", "--every", "100ms"]);
     let top = top.stdin(open()).stdout(open()).stderr(Stdio::null()).spawn().unwrap();
     (top, File::from(terminal), vt100::Parser::new(24, 120, 0))

@@ -48,6 +48,9 @@ pub struct TopArgs {
 /// How soon a key is answered.
 const KEYS: Duration = Duration::from_millis(50);
 
+/// How long the process may take to end when its terminal has hung up.
+const GRACE: Duration = Duration::from_secs(1);
+
 pub fn run(args: &TopArgs) -> Outcome {
     let end = End::of(&args.common)?;
     let mut gatherer = Gatherer::new(args.common.domain()?)?;
@@ -58,6 +61,7 @@ pub fn run(args: &TopArgs) -> Outcome {
     if !io::stdout().is_terminal() || !io::stdin().is_terminal() {
         return Err(Failure::unusable("this is no terminal: `taut top --once` prints one picture"));
     }
+    end_with_terminal();
     // Gives the terminal back as it was, also after a panic.
     let mut terminal = ratatui::try_init()?;
     let shown = show(args, &mut gatherer, first, &mut terminal, &end);
@@ -113,6 +117,20 @@ fn show(
         }
     }
     Ok(())
+}
+
+/// Ends the process when the terminal has hung up and the process does not end by itself: if that happens between
+/// [`is_answered`]'s look and crossterm's, crossterm reads for ever.
+fn end_with_terminal() {
+    std::thread::spawn(|| {
+        let stdin = io::stdin();
+        // That it has hung up is told unasked.
+        let mut input = [PollFd::new(&stdin, PollFlags::empty())];
+        while let Err(Errno::INTR) = poll(&mut input, None) {}
+        std::thread::sleep(GRACE);
+        eprintln!("taut: the terminal has hung up");
+        std::process::exit(2);
+    });
 }
 
 /// Whether there is a key within this time, or another size.
