@@ -891,3 +891,50 @@ fn simulated_joins_stay_within_their_bounds() {
             && sets > 1_000
     );
 }
+
+#[test]
+fn what_is_longer_than_any_clock_has_no_bound() {
+    let long = "15000000000s";
+    let text = format!(
+        "[hosts.h]\ncores = 1\n[nodes.n]\n[topics]\n\"/a\" = {{ period = \"{long}\" }}\n\"/b\" = {{ period = \"{long}\" }}\n\
+         [callbacks.fuse]\nall = [\"/a\", \"/b\"]\nwindow = \"{long}\"\nwcet = \"1ms\"\n"
+    );
+    // Beyond what 64 bits hold: no bound, and no panic.
+    let checked = SystemFile::parse(&text).unwrap().check();
+    assert!(!checked.schedulable && checked.callbacks[0].response_ns.is_none(), "{checked:?}");
+}
+
+#[test]
+fn joins_of_joins_are_walked_once() {
+    let topics = |level: usize| (0..9).map(|n| format!("\"/t{level}_{n}\"")).collect::<Vec<_>>().join(", ");
+    let mut text = format!(
+        "[hosts.h]\ncores = 1\n[nodes.n]\n[callbacks.first]\nperiod = \"1s\"\nwcet = \"1us\"\npublishes = [{}]\n",
+        topics(0)
+    );
+    for level in 1..12 {
+        let (all, publishes) = (topics(level - 1), topics(level));
+        text +=
+            &format!("[callbacks.join{level}]\nall = [{all}]\nwcet = \"1us\"\npublishes = [{publishes}]\n");
+    }
+    // Eleven levels of nine ways each.
+    let file = SystemFile::parse(&text).unwrap();
+    assert_eq!(file.system().period_ns(file.system().callbacks.len() - 1), 1_000_000_000);
+    assert_eq!(file.check().callbacks.len(), 12);
+}
+
+#[test]
+fn the_fastest_of_joins_is_left_to_the_analysis() {
+    let text = "[hosts.h]\ncores = 1\n[nodes.n]\n[callbacks]\n\
+        a = { period = \"10ms\", wcet = \"1us\", publishes = \"/a\" }\n\
+        b = { period = \"100ms\", wcet = \"1us\", publishes = \"/b\" }\n\
+        ja = { all = [\"/a\", \"/a2\"], wcet = \"1us\", publishes = \"/ja\" }\n\
+        jb = { all = [\"/b\", \"/b2\"], wcet = \"1us\", publishes = \"/jb\" }\n\
+        a2 = { period = \"10ms\", wcet = \"1us\", publishes = \"/a2\" }\n\
+        b2 = { period = \"100ms\", wcet = \"1us\", publishes = \"/b2\" }\n\
+        fuse = { all = [\"/ja\", \"/jb\"], policy = \"latest_time\", wcet = \"1us\" }\n";
+    let file = SystemFile::parse(text).unwrap();
+    let system = file.system();
+    let fuse = system.callbacks.iter().position(|callback| callback.task.name == "fuse").unwrap();
+    // One each 10 ms and one each 100 ms.
+    assert_eq!(system.period_ns(fuse), 100_000_000 / 11);
+}

@@ -473,8 +473,10 @@ fn paced(
     let what = if let Some(topic) = shared {
         format!("`{topic}` has several publishers, so that it has no rate of its own")
     } else {
-        let fastest = periods.iter().flatten().min();
-        let mut fast = periods.iter().zip(&callback.topics).filter(|(period, _)| period.as_ref() == fastest);
+        // Of those whose rate is not their own, such as of a join, the analysis says more.
+        let Some(fastest) = periods.iter().flatten().min() else { return };
+        let fast = periods.iter().zip(&callback.topics);
+        let mut fast = fast.filter(|(period, _)| period.as_ref() == Some(fastest));
         let (Some((_, one)), Some((_, other))) = (fast.next(), fast.next()) else { return };
         format!("`{}` and `{}` have the same period", one.value, other.value)
     };

@@ -11,9 +11,6 @@ use super::reader::At;
 /// Most topics that a callback waits for, as in message_filters.
 const MOST_INPUTS: usize = 9;
 
-/// Longer ways back to a period are not followed to check times; the analysis follows all.
-const DEEPEST: usize = 64;
-
 /// Topics by name.
 pub(super) struct Graph<'f> {
     pub file: &'f Declared,
@@ -247,7 +244,7 @@ impl<'f> Graph<'f> {
     fn check_times(&self, index: usize, problems: &mut Collector) {
         let callback = &self.file.callbacks[index];
         let name = &callback.name;
-        let period = self.shortest_period(index, &mut Vec::new());
+        let period = self.shortest_period(index);
         let limits = [
             ("wcet", &callback.wcet, "period", period),
             ("min_distance", &callback.min_distance, "period", period),
@@ -276,24 +273,24 @@ impl<'f> Graph<'f> {
     }
 
     /// The shortest period of what triggers a callback, if it is known.
-    fn shortest_period(&self, index: usize, path: &mut Vec<usize>) -> Option<u64> {
-        let callback = &self.file.callbacks[index];
-        if let Some(period) = &callback.period {
-            return Some(period.value);
+    fn shortest_period(&self, index: usize) -> Option<u64> {
+        // Each is looked at once, in however many ways it is reached.
+        let (mut seen, mut next) = (vec![false; self.file.callbacks.len()], vec![index]);
+        let mut periods = Vec::new();
+        while let Some(i) = next.pop() {
+            if core::mem::replace(&mut seen[i], true) {
+                continue;
+            }
+            let callback = &self.file.callbacks[i];
+            if let Some(period) = &callback.period {
+                periods.push(period.value);
+                continue;
+            }
+            let outside = callback.topics.iter().filter_map(|topic| self.declared.get(topic.value.as_str()));
+            periods.extend(outside.filter_map(|topic| topic.period.as_ref()).map(|period| period.value));
+            next.extend(self.triggers(i));
         }
-        if path.contains(&index) || path.len() > DEEPEST {
-            return None;
-        }
-        path.push(index);
-        let outside = |topic: &str| self.declared.get(topic)?.period.as_ref().map(|period| period.value);
-        let mut shortest = None;
-        for topic in &callback.topics {
-            let inside = self.publishers.get(topic.value.as_str()).into_iter().flatten();
-            let periods = inside.filter_map(|i| self.shortest_period(*i, path)).chain(outside(&topic.value));
-            shortest = periods.chain(shortest).min();
-        }
-        path.pop();
-        shortest
+        periods.into_iter().min()
     }
 
     /// Whose messages trigger a callback.

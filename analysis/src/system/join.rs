@@ -231,7 +231,9 @@ fn union<'a, 'b: 'a>(
     let period = u128::from(period_ns);
     let of = |stream: &Stream<'b>| {
         let own = u128::from(stream.task.period_ns.max(1));
-        (period * (u128::from(jitter(stream)) + own - 1)).div_ceil(own)
+        let all = u128::from(jitter(stream)) + own - 1;
+        // `period * all / own`, rounded up, which 128 bits need not hold before it is divided.
+        period * (all / own) + (period * (all % own)).div_ceil(own)
     };
     let all: u128 = streams.map(of).sum();
     let jitter = (all + 1 + period * u128::from(more)).saturating_sub(period);
@@ -273,7 +275,7 @@ pub(super) fn solve(
 impl Join {
     /// How many inputs it has.
     pub(super) fn width(&self) -> usize {
-        self.ports.iter().max().map_or(0, |last| last + 1)
+        self.ports.iter().max().map_or(0, |last| last.saturating_add(1))
     }
 }
 
@@ -466,21 +468,31 @@ pub(super) fn first(system: &System, mut index: usize) -> usize {
 
 /// The period that a callback inherits.
 pub(super) fn period(system: &System, index: usize) -> u64 {
+    inherited_period(system, index, &mut vec![None; system.callbacks.len()])
+}
+
+/// The same; of the callbacks on the way to it, which may be reached in many ways, each is looked at once.
+fn inherited_period(system: &System, index: usize, known: &mut [Option<u64>]) -> u64 {
+    if let Some(period_ns) = known[index] {
+        return period_ns;
+    }
     let callback = &system.callbacks[index];
-    match (&callback.trigger, &callback.join) {
-        (Some((source, _)), _) => period(system, *source),
+    let period_ns = match (&callback.trigger, &callback.join) {
+        (Some((source, _)), _) => inherited_period(system, *source, known),
         (None, Some(join)) => {
-            let taken = || join.inputs.iter().map(|i| period(system, *i)).zip(&join.ports);
-            if join.matching == Matching::LatestTime {
-                return union_period(taken().map(|(period, _)| period).collect::<Vec<_>>().into_iter());
-            }
-            let of = |port: usize| {
-                let periods: Vec<u64> =
-                    taken().filter(|(_, of)| **of == port).map(|(period, _)| period).collect();
-                union_period(periods.into_iter())
+            let inputs = join.inputs.iter().map(|i| inherited_period(system, *i, known));
+            let inputs: Vec<(u64, usize)> = inputs.zip(join.ports.iter().copied()).collect();
+            let of = |port: Option<usize>| {
+                let taken = inputs.iter().filter(|(_, of)| port.is_none_or(|port| *of == port));
+                union_period(taken.map(|(period, _)| *period))
             };
-            (0..join.width()).map(of).max().unwrap_or(0)
+            match join.matching {
+                Matching::LatestTime => of(None),
+                _ => (0..join.width()).map(|port| of(Some(port))).max().unwrap_or(0),
+            }
         }
         (None, None) => callback.task.period_ns,
-    }
+    };
+    known[index] = Some(period_ns);
+    period_ns
 }
