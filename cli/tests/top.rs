@@ -102,7 +102,7 @@ fn on_terminal() -> (Child, File, vt100::Parser) {
     let flags = OFlags::NOCTTY.bits() as i32;
     let open = || File::options().read(true).write(true).custom_flags(flags).open(&path).unwrap();
     let mut top = taut(&["top", "--domain", "145", "--every", "100ms"]);
-    let top = top.stdin(open()).stdout(open()).stderr(Stdio::null()).spawn().unwrap();
+    let top = top.stdin(open()).stdout(open()).stderr(open()).spawn().unwrap();
     (top, File::from(terminal), vt100::Parser::new(24, 120, 0))
 }
 

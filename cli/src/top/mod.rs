@@ -9,7 +9,7 @@ use clap::Args;
 use picture::{Gatherer, Order, Picture};
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
-use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::event::{PollFd, PollFlags, poll};
 use rustix::io::Errno;
 use screen::View;
 use std::io::{self, IsTerminal, Write};
@@ -47,9 +47,6 @@ pub struct TopArgs {
 
 /// How soon a key is answered.
 const KEYS: Duration = Duration::from_millis(50);
-
-/// How long the process may take to end when its terminal has hung up.
-const GRACE: Duration = Duration::from_secs(1);
 
 pub fn run(args: &TopArgs) -> Outcome {
     let end = End::of(&args.common)?;
@@ -101,7 +98,7 @@ fn show(
         terminal.draw(|frame| screen::draw(frame, &shown, &mut view))?;
         let mut is_same = true;
         while is_same && !end.is_reached() {
-            if is_answered(KEYS.min(next.saturating_duration_since(Instant::now())))? {
+            if event::poll(KEYS.min(next.saturating_duration_since(Instant::now())))? {
                 is_same = false;
                 if !answer(&event::read()?, &mut view) {
                     return Ok(());
@@ -119,42 +116,16 @@ fn show(
     Ok(())
 }
 
-/// Ends the process when the terminal has hung up and the process does not end by itself: if that happens between
-/// [`is_answered`]'s look and crossterm's, crossterm reads for ever.
+/// Ends the process when its terminal hangs up, from which crossterm would read for ever.
 fn end_with_terminal() {
     std::thread::spawn(|| {
         let stdin = io::stdin();
         // That it has hung up is told unasked.
         let mut input = [PollFd::new(&stdin, PollFlags::empty())];
         while let Err(Errno::INTR) = poll(&mut input, None) {}
-        std::thread::sleep(GRACE);
-        eprintln!("taut: the terminal has hung up");
+        // Nobody is left to be told.
         std::process::exit(2);
     });
-}
-
-/// Whether there is a key within this time, or another size.
-///
-/// # Errors
-/// The terminal has hung up, from which crossterm would read for ever.
-fn is_answered(timeout: Duration) -> Outcome<bool> {
-    // What has been read already comes first.
-    for timeout in [Duration::ZERO, timeout] {
-        let stdin = io::stdin();
-        let mut input = [PollFd::new(&stdin, PollFlags::IN)];
-        match poll(&mut input, Timespec::try_from(timeout).ok().as_ref()) {
-            // A signal: of another size.
-            Ok(_) | Err(Errno::INTR) => {}
-            Err(error) => return Err(io::Error::from(error).into()),
-        }
-        if input[0].revents().intersects(PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL) {
-            return Err(Failure::unusable("the terminal has hung up"));
-        }
-        if event::poll(Duration::ZERO)? {
-            return Ok(true);
-        }
-    }
-    Ok(false)
 }
 
 /// Does what a key says. False if it says to end.
