@@ -2,7 +2,7 @@
 //! What the callbacks of a process write down: memory that is there before they start.
 
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use hdrhistogram::Histogram;
@@ -83,16 +83,9 @@ pub struct Records {
     begin_ns: u64,
     times: Vec<Times>,
     sent: Vec<AtomicU64>,
-    received: Vec<Received>,
-}
-
-/// What came of a topic.
-#[derive(Debug, Default)]
-struct Received {
-    count: AtomicU64,
-    /// The sequence numbers of the first and the last one, if they are known; 0 is none.
-    first: AtomicU64,
-    last: AtomicU64,
+    received: Vec<AtomicU64>,
+    /// As the subscription counts.
+    lost: Vec<OnceLock<AtomicU64>>,
 }
 
 /// The topics, by whose numbers messages are counted.
@@ -127,12 +120,9 @@ impl Records {
             ))
         };
         let times = Span::ALL.iter().map(|_| times()).collect();
-        Records {
-            begin_ns,
-            times,
-            sent: TOPICS.iter().map(|_| AtomicU64::new(0)).collect(),
-            received: TOPICS.iter().map(|_| Received::default()).collect(),
-        }
+        let zeroes = || TOPICS.iter().map(|_| AtomicU64::new(0)).collect();
+        let lost = TOPICS.iter().map(|_| OnceLock::new()).collect();
+        Records { begin_ns, times, sent: zeroes(), received: zeroes(), lost }
     }
 
     /// A time that ended at `now_ns`.
@@ -161,13 +151,11 @@ impl Records {
         self.sent[topic].fetch_add(1, Ordering::Relaxed);
     }
 
-    /// A message of topic number `topic` came, of one publisher, with its sequence number if that is known.
-    pub fn received(&self, topic: usize, number: Option<u64>) {
-        let received = &self.received[topic];
-        received.count.fetch_add(1, Ordering::Relaxed);
-        if let Some(number) = number {
-            let _ = received.first.compare_exchange(0, number, Ordering::Relaxed, Ordering::Relaxed);
-            received.last.store(number, Ordering::Relaxed);
+    /// A message of topic number `topic` came; its subscription has lost so many until now, if it counts them.
+    pub fn received(&self, topic: usize, lost: Option<u64>) {
+        self.received[topic].fetch_add(1, Ordering::Relaxed);
+        if let Some(lost) = lost {
+            self.lost[topic].get_or_init(AtomicU64::default).store(lost, Ordering::Relaxed);
         }
     }
 
@@ -181,13 +169,9 @@ impl Records {
                 times.iter_recorded().map(|value| (value.value_iterated_to(), value.count_at_value()));
             (!times.is_empty()).then(|| Told { span: *span, values: values.collect(), max_ns: times.max() })
         });
-        let received = self.received.iter().map(|received| {
-            let [count, first, last] =
-                [&received.count, &received.first, &received.last].map(|of| of.load(Ordering::Relaxed));
-            (count, (first > 0).then(|| (last + 1).saturating_sub(first)))
-        });
-        let (times, received) = (times.collect(), received.collect());
-        Part { times, sent: counts(&self.sent), received, drive }
+        let lost = self.lost.iter().map(|lost| lost.get().map(|count| count.load(Ordering::Relaxed)));
+        let (times, lost) = (times.collect(), lost.collect());
+        Part { times, sent: counts(&self.sent), received: counts(&self.received), lost, drive }
     }
 }
 
@@ -196,8 +180,8 @@ impl Records {
 pub struct Part {
     times: Vec<Told>,
     sent: Vec<u64>,
-    /// How many messages came, and how many there are from the first to the last of them, if that is known.
-    received: Vec<(u64, Option<u64>)>,
+    received: Vec<u64>,
+    lost: Vec<Option<u64>>,
     /// The adapter's.
     pub drive: Option<Drive>,
 }
@@ -276,15 +260,17 @@ pub fn summaries<'p>(parts: impl Iterator<Item = &'p Part> + Clone) -> Vec<Summa
 }
 
 /// Messages that were published to a topic and did not come to one who subscribes to it: of each topic that lost some, and how many of how
-/// many. By their sequence numbers, between the first and the last that came: processes begin and end one after the other. Where these are
-/// not known, what was published and did not come.
+/// many. As the subscription counts; if it does not, what was published and did not come, which contains what was published before it began
+/// and after it ended.
 #[must_use]
 pub fn losses(parts: &[Part]) -> Vec<(String, u64, u64)> {
     let of_topic = |(index, topic): (usize, &&str)| {
         let sent: u64 = parts.iter().filter_map(|part| part.sent.get(index)).sum();
-        let received =
-            parts.iter().filter_map(|part| part.received.get(index)).filter(|(count, _)| *count > 0);
-        let lost = received.map(|(count, of)| of.unwrap_or(sent).saturating_sub(*count)).max().unwrap_or(0);
+        let of_part = |part: &Part| {
+            let count = *part.received.get(index).filter(|count| **count > 0)?;
+            Some(part.lost.get(index).copied().flatten().unwrap_or(sent.saturating_sub(count)))
+        };
+        let lost = parts.iter().filter_map(of_part).max().unwrap_or(0);
         (lost > 0).then(|| ((*topic).to_owned(), lost, sent))
     };
     TOPICS.iter().enumerate().filter_map(of_topic).collect()
@@ -327,9 +313,9 @@ mod tests {
         let parts = [sender.part(None), reader.part(None), other.part(None)];
         assert_eq!(losses(&parts), [("/flexray/odometry".to_owned(), 2, 10)]);
         // One that came later and left earlier, and one that was overrun.
-        let [late, slow] = [[2, 3, 4, 5], [2, 3, 6, 10]].map(|numbers| {
+        let [late, slow] = [0, 5].map(|lost| {
             let reader = Records::new(0);
-            numbers.into_iter().for_each(|number| reader.received(3, Some(number)));
+            (0..4).for_each(|_| reader.received(3, Some(lost)));
             reader.part(None)
         });
         assert_eq!(losses(&[sender.part(None), late.clone()]), []);

@@ -140,13 +140,13 @@ fn commands(
 ) -> Result<()> {
     let qos = context.callback_qos("take_command")?;
     let commands = node.subscribe::<Float64MultiArray>(TOPICS[12], qos)?;
-    let (world, records) = (world.clone(), records.clone());
+    let (world, records, counters) = (world.clone(), records.clone(), commands.counters());
     group.add(
         context.callback("take_command")?,
         commands,
         |message: &Sample<Float64MultiArray>| message.info().released_ns,
         move |message| {
-            records.received(12, Some(message.info().sequence_number));
+            records.received(12, Some(counters.lost()));
             if let Some(command) = ros::from_command(&message.to_owned()) {
                 lock(&world).command = command;
             }

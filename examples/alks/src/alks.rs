@@ -78,10 +78,10 @@ fn keep<T: Message>(
     keep: fn(&mut Inputs, &T),
 ) -> Result<()> {
     let messages = node.subscribe::<T>(TOPICS[topic], context.callback_qos(name)?)?;
-    let to = to.clone();
+    let (to, counters) = (to.clone(), messages.counters());
     let released = |message: &Sample<T>| message.info().released_ns;
     group.add(context.callback(name)?, messages, released, move |message: Sample<T>| {
-        to.records.received(topic, Some(message.info().sequence_number));
+        to.records.received(topic, Some(counters.lost()));
         to.records.timed(Span::Subscriber, || to.update(|inputs| keep(inputs, &message.to_owned())));
         std::future::ready(())
     });
@@ -93,10 +93,10 @@ fn odometry((node, context, group, to): &mut Adding) -> Result<()> {
     type Odometry = nav_msgs::msg::Odometry;
     let messages = node.subscribe::<Odometry>(TOPICS[3], context.callback_qos("on_odometry")?)?;
     let absolute: Publisher<Odometry> = publisher(node, 11)?;
-    let to = to.clone();
+    let (to, counters) = (to.clone(), messages.counters());
     let released = |message: &Sample<Odometry>| message.info().released_ns;
     group.add(context.callback("on_odometry")?, messages, released, move |message: Sample<Odometry>| {
-        to.records.received(3, Some(message.info().sequence_number));
+        to.records.received(3, Some(counters.lost()));
         let begin_ns = monotonic_ns();
         let message = message.to_owned();
         let mut pose = None;

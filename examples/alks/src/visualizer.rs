@@ -78,10 +78,10 @@ fn hear<T: Message>(
     keep: fn(&mut Known, &T),
 ) -> Result<()> {
     let messages = node.subscribe::<T>(TOPICS[topic], context.callback_qos(name)?)?;
-    let (known, records) = (known.clone(), records.clone());
+    let (known, records, counters) = (known.clone(), records.clone(), messages.counters());
     let released = |message: &Sample<T>| message.info().released_ns;
     group.add(context.callback(name)?, messages, released, move |message: Sample<T>| {
-        records.received(topic, Some(message.info().sequence_number));
+        records.received(topic, Some(counters.lost()));
         keep(&mut lock(&known), &message.to_owned());
         std::future::ready(())
     });
@@ -92,10 +92,10 @@ fn hear<T: Message>(
 fn odometry(Adding { node, context, group, known, records }: &mut Adding) -> Result<()> {
     type Odometry = nav_msgs::msg::Odometry;
     let messages = node.subscribe::<Odometry>(TOPICS[11], context.callback_qos("show_odometry")?)?;
-    let (known, records) = (known.clone(), records.clone());
+    let (known, records, counters) = (known.clone(), records.clone(), messages.counters());
     let released = |message: &Sample<Odometry>| message.info().released_ns;
     group.add(context.callback("show_odometry")?, messages, released, move |message: Sample<Odometry>| {
-        records.received(11, Some(message.info().sequence_number));
+        records.received(11, Some(counters.lost()));
         let begin_ns = monotonic_ns();
         let message = message.to_owned();
         lock(&known).inputs.odometry = ros::from_odometry(&message);
