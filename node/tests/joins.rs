@@ -11,10 +11,10 @@ use common::{Log, Number, context, eventually, spin};
 use futures::StreamExt;
 use tautline::geometry_msgs::msg::{PointStamped, PoseStamped};
 use tautline::join::{
-    ApproximateEpsilonTime, ApproximateTime, ExactTime, JoinError, LatestTime, RateSynchronizer,
+    ApproximateEpsilonTime, ApproximateTime, ExactTime, JoinError, LatestTime, Policy, RateSynchronizer,
     Synchronizer, all_of, latest,
 };
-use tautline::{CallbackOptions, Limits, Node, Publisher, Qos};
+use tautline::{CallbackHandle, CallbackOptions, Limits, Node, Publisher, Qos, Subscription};
 
 thread_local!(static CALLS: Cell<u64> = const { Cell::new(0) });
 
@@ -64,23 +64,40 @@ fn node(domain: u32) -> (tautline::Context, Node) {
     (context, node)
 }
 
+type Publishers = (Publisher<PointStamped>, Publisher<PoseStamped>);
+type Pairs<P> = Synchronizer<P, (Subscription<PointStamped>, Subscription<PoseStamped>)>;
+
+/// Both topics, published and joined.
+fn pairs<P: Policy>(node: &mut Node, policy: P) -> (Publishers, Pairs<P>) {
+    let points = node.create_publisher("/points", Qos::default()).unwrap();
+    let poses = node.create_publisher("/poses", Qos::default()).unwrap();
+    let inputs = (
+        node.subscribe("/points", Qos::default()).unwrap(),
+        node.subscribe("/poses", Qos::default()).unwrap(),
+    );
+    ((points, poses), Synchronizer::new(policy, inputs).unwrap())
+}
+
+/// What the sets say that come.
+fn spawn<P: Policy + Unpin + Send + 'static>(
+    node: &mut Node,
+    pairs: Pairs<P>,
+    sets: &'static Log<(f64, f64)>,
+) -> CallbackHandle {
+    let callback = pairs.for_each(move |(point, pose)| async move {
+        sets.add((point.view().point().x, pose.view().pose().position.x));
+    });
+    node.spawn_callback(CallbackOptions::other(), callback).unwrap()
+}
+
 #[test]
 fn messages_of_two_topics_meet_by_their_headers() {
     static SETS: Log<(f64, f64)> = Log::new();
     let (context, mut node) = node(53);
-    let points = node.create_publisher("/points", Qos::default()).unwrap();
-    let poses = node.create_publisher("/poses", Qos::default()).unwrap();
-    let inputs = (
-        node.subscribe::<PointStamped>("/points", Qos::default()).unwrap(),
-        node.subscribe::<PoseStamped>("/poses", Qos::default()).unwrap(),
-    );
     let policy = ApproximateTime::new(QUEUE).max_interval(Duration::from_millis(20));
-    let pairs = Synchronizer::new(policy, inputs).unwrap();
+    let ((points, poses), pairs) = pairs(&mut node, policy);
     let counters = pairs.counters();
-    let callback = pairs.for_each(|(point, pose)| async move {
-        SETS.add((point.view().point().x, pose.view().pose().position.x));
-    });
-    let callback = node.spawn_callback(CallbackOptions::other(), callback).unwrap();
+    let callback = spawn(&mut node, pairs, &SETS);
     let _spinning = spin(&context);
     // Points every 100 ms, poses every 50 ms and 3 ms late; a set is known to be the best with the message after it.
     for i in 0..20 {
@@ -108,19 +125,10 @@ fn messages_of_two_topics_meet_by_their_headers() {
 fn a_set_within_a_tolerance_comes_with_its_last_message() {
     static SETS: Log<(f64, f64)> = Log::new();
     let (context, mut node) = node(56);
-    let points = node.create_publisher("/points", Qos::default()).unwrap();
-    let poses = node.create_publisher("/poses", Qos::default()).unwrap();
-    let inputs = (
-        node.subscribe::<PointStamped>("/points", Qos::default()).unwrap(),
-        node.subscribe::<PoseStamped>("/poses", Qos::default()).unwrap(),
-    );
     let policy = ApproximateEpsilonTime::new(QUEUE, Duration::from_millis(20));
-    let pairs = Synchronizer::new(policy, inputs).unwrap();
+    let ((points, poses), pairs) = pairs(&mut node, policy);
     let counters = pairs.counters();
-    let callback = pairs.for_each(|(point, pose)| async move {
-        SETS.add((point.view().point().x, pose.view().pose().position.x));
-    });
-    let callback = node.spawn_callback(CallbackOptions::other(), callback).unwrap();
+    let callback = spawn(&mut node, pairs, &SETS);
     let _spinning = spin(&context);
     for i in 0..20 {
         // One that is 50 ms before its partner is in no set.
@@ -187,15 +195,9 @@ fn ten_thousand_sets_allocate_nothing() {
     static SETS: Log<u64> = Log::new();
     const COUNT: i64 = 10_000;
     let (context, mut node) = node(54);
-    let points = node.create_publisher("/points", Qos::default()).unwrap();
-    let poses = node.create_publisher("/poses", Qos::default()).unwrap();
+    let ((points, poses), mut pairs) = pairs(&mut node, ExactTime::new(QUEUE));
     let numbers = node.create_publisher::<Number>("/numbers", Qos::default()).unwrap();
-    let inputs = (
-        node.subscribe::<PointStamped>("/points", Qos::default()).unwrap(),
-        node.subscribe::<PoseStamped>("/poses", Qos::default()).unwrap(),
-    );
     let others = node.subscribe::<Number>("/numbers", Qos::default()).unwrap();
-    let mut pairs = Synchronizer::new(ExactTime::new(QUEUE), inputs).unwrap();
     let callback = async move {
         let mut before = 0;
         for i in 0..COUNT {
