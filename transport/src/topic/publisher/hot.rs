@@ -23,10 +23,10 @@ use core::task::Poll;
 use tautline_doorbell::ActivityKind;
 use tautline_rt::clock::{monotonic_ns, wall_ns};
 
-/// How many samples of a subscription a loan takes back, if it finds a free one then. One more than a publication adds: what a
-/// subscription returns at once, such as a recorder, is spread over the next loans, and no more is ever out than `depth`, what it holds,
-/// and the loans. (What is out and what is loaned together grow by no loan: it takes back two, or all, and then only what is queued or
-/// held is out.)
+/// How many samples of a subscription a loan takes back at most, unless no other is free. One more than a publication adds: what is
+/// returned at once, as by a recorder, is spread over the next loans, and yet no more is out than `depth`, `held` and `loans` together. For
+/// a loan that takes back two leaves fewer samples out and loaned than it found, and after one that takes back fewer only what is queued
+/// or held is out.
 const TAKEN_BACK: usize = 2;
 
 /// A body to write in place: `&mut [u8]` in shared memory, at an address that is a multiple of 8. Dropping it gives it

@@ -250,10 +250,10 @@ impl Sender {
         }
     }
 
-    /// Takes back `most` of what the subscription has returned.
+    /// Takes back what the subscription has returned, `most` samples at most.
     ///
     /// # Real-time
-    /// Wait-free, O(depth + held) and O(most); no allocation; no syscall.
+    /// Wait-free, O(min(most, depth + held + loans)); no allocation; no syscall.
     ///
     /// # Safety
     /// For who has the sending half.
@@ -520,10 +520,10 @@ impl PublishState {
         }
     }
 
-    /// Takes back what subscriptions have returned, `most` of each.
+    /// Takes back what subscriptions have returned, `most` samples of each at most.
     ///
     /// # Real-time
-    /// Wait-free, O(subscriptions x most) and O(subscriptions + samples that came back); no allocation; no syscall.
+    /// Wait-free, O(subscriptions + samples taken back); no allocation; no syscall.
     pub(crate) fn reclaim(&self, most: usize) {
         let table = self.table();
         for sender in table.live() {
@@ -552,6 +552,37 @@ impl Sender {
                 // SAFETY: as the caller promises; the reference was added just now.
                 unsafe { self.submit(number, chunk, pool) };
             }
+        }
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use crate::{Limits, Participant, Qos, TopicType};
+
+    #[test]
+    fn what_is_returned_at_once_is_taken_back_over_the_next_loans() {
+        crate::tests::isolated();
+        let participant = Participant::new(7).unwrap();
+        let topic_type = TopicType::new("test_msgs/msg/Text").with_body_bytes(64);
+        let (limits, qos) = (Limits { held: 1, loans: 1, ..Limits::default() }, Qos::keep_last(20));
+        let publisher = participant.create_raw_publisher("/burst", &topic_type, qos, limits).unwrap();
+        let subscription = participant.create_raw_subscription("/burst", &topic_type, qos, limits).unwrap();
+        let out = || {
+            let publish_state = publisher.publish_state.borrow();
+            let senders = publish_state.table().live();
+            // SAFETY: this is the thread that publishes.
+            senders
+                .flat_map(|sender| unsafe { &*sender.half.get() }.out.iter())
+                .map(|bits| bits.count_ones())
+                .sum::<u32>()
+        };
+        (0..20).for_each(|_| publisher.publish(&[1; 64]).unwrap());
+        assert_eq!(out(), 20);
+        while subscription.try_take().unwrap().is_some() {}
+        for loan in 1..=10 {
+            drop(publisher.loan(64).unwrap());
+            assert_eq!(out(), 20 - 2 * loan);
         }
     }
 }
