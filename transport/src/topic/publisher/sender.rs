@@ -557,6 +557,7 @@ impl Sender {
 }
 
 #[cfg(all(test, not(taut_loom)))]
+#[allow(clippy::unwrap_used, reason = "a test may panic")]
 mod tests {
     use crate::{Limits, Participant, Qos, TopicType};
 
