@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Time that something outside the analysis took from a core while it ran: a hypervisor, interrupts, firmware.
+//! Time that something outside the analysis took from a core while it ran: a hypervisor, interrupts, firmware, a job that used more
+//! than its wcet.
 //!
 //! No bound knows of it beforehand. Afterwards, with what was taken and when, there is one: a [`Task`] that loses T in its busy
 //! window ends as if it had been blocked for T more, once. A response beyond its bound is explained if it is within this one, and
@@ -27,6 +28,9 @@ pub enum Seen {
     Running,
     /// By a thread that a clock was to wake: it was woken later. Several may see the same time, and one that ran may have, too.
     WokenLate,
+    /// By the thread that ran, as time that its job used beyond what the analysis allows it. Not a sight of the other two's time, which
+    /// no thread used.
+    Overran,
 }
 
 /// All that was taken from a core in a run, each nanosecond once.
@@ -34,6 +38,8 @@ pub enum Seen {
 pub struct TakenTimes {
     /// By their begin.
     pieces: Vec<Taken>,
+    /// No piece lies between instants that are further apart.
+    widest_ns: u64,
 }
 
 impl TakenTimes {
@@ -43,7 +49,7 @@ impl TakenTimes {
         let (mut pieces, mut late): (Vec<Taken>, Vec<Taken>) = seen
             .into_iter()
             .filter(|piece| piece.length_ns > 0)
-            .partition(|piece| piece.seen == Seen::Running);
+            .partition(|piece| piece.seen != Seen::WokenLate);
         late.sort_unstable_by_key(|piece| (piece.from_ns, piece.to_ns));
         let overlap = |a: &Taken, b: &Taken| a.from_ns < b.to_ns && b.from_ns < a.to_ns;
         let mut merged: Vec<Taken> = Vec::new();
@@ -58,13 +64,23 @@ impl TakenTimes {
         }
         let running = pieces.clone();
         pieces.extend(merged.into_iter().filter_map(|piece| {
-            let seen_ns: u64 =
-                running.iter().filter(|ran| overlap(ran, &piece)).map(|ran| ran.length_ns).sum();
+            let seen_ns: u64 = running
+                .iter()
+                .filter(|ran| ran.seen == Seen::Running && overlap(ran, &piece))
+                .map(|ran| ran.length_ns)
+                .sum();
             let length_ns = piece.length_ns.checked_sub(seen_ns).filter(|rest| *rest > 0)?;
             Some(Taken { length_ns, ..piece })
         }));
         pieces.sort_unstable_by_key(|piece| (piece.from_ns, piece.to_ns));
-        TakenTimes { pieces }
+        TakenTimes::of(pieces)
+    }
+
+    /// Of pieces in order.
+    fn of(pieces: Vec<Taken>) -> TakenTimes {
+        let widest_ns =
+            pieces.iter().map(|piece| piece.to_ns.saturating_sub(piece.from_ns)).max().unwrap_or(0);
+        TakenTimes { pieces, widest_ns }
     }
 
     /// The pieces, by their begin.
@@ -73,10 +89,16 @@ impl TakenTimes {
         &self.pieces
     }
 
-    /// All of it that was noticed in this way, in nanoseconds.
+    /// What was noticed in one of these ways.
     #[must_use]
-    pub fn total_ns(&self, seen: Seen) -> u64 {
-        self.pieces.iter().filter(|piece| piece.seen == seen).map(|piece| piece.length_ns).sum()
+    pub fn seen(&self, ways: &[Seen]) -> TakenTimes {
+        TakenTimes::of(self.pieces.iter().filter(|piece| ways.contains(&piece.seen)).copied().collect())
+    }
+
+    /// All of it, in nanoseconds.
+    #[must_use]
+    pub fn total_ns(&self) -> u64 {
+        self.pieces.iter().map(|piece| piece.length_ns).sum()
     }
 
     /// The longest piece, in nanoseconds.
@@ -89,9 +111,11 @@ impl TakenTimes {
     #[must_use]
     pub fn before(&self, end_ns: u64, window_ns: u64) -> u64 {
         let begin_ns = end_ns.saturating_sub(window_ns);
-        let within = |piece: &&Taken| piece.from_ns < end_ns && piece.to_ns > begin_ns;
+        let first =
+            self.pieces.partition_point(|piece| piece.from_ns < begin_ns.saturating_sub(self.widest_ns));
+        let begun = self.pieces[first..].iter().take_while(|piece| piece.from_ns < end_ns);
         // A window loses no more than it is long.
-        self.pieces.iter().filter(within).map(|piece| piece.length_ns).sum::<u64>().min(window_ns)
+        begun.filter(|piece| piece.to_ns > begin_ns).map(|piece| piece.length_ns).sum::<u64>().min(window_ns)
     }
 
     /// The most that may have been taken in any window of this length.
@@ -176,13 +200,20 @@ mod tests {
         ];
         let taken = TakenTimes::new(seen);
         assert_eq!(lengths(&taken), [(90, 30), (400, 7)]);
-        assert_eq!((taken.total_ns(Running), taken.total_ns(WokenLate), taken.longest_ns()), (30, 7, 30));
+        let total_ns = |way| taken.seen(&[way]).total_ns();
+        assert_eq!((total_ns(Running), total_ns(WokenLate), taken.longest_ns()), (30, 7, 30));
         // The timer saw more than the job lost: the rest was while nobody ran.
         let taken = TakenTimes::new([piece(Running, 90, 200, 30), piece(WokenLate, 190, 240, 50)]);
         assert_eq!(lengths(&taken), [(90, 30), (190, 20)]);
         // Jobs that others preempt: each sees its own.
         let taken = TakenTimes::new([piece(Running, 90, 200, 30), piece(Running, 100, 150, 5)]);
-        assert_eq!(taken.total_ns(Running), 35);
+        assert_eq!(taken.total_ns(), 35);
+        // What a job used beyond its wcet is nothing that a timer could have seen, and comes on top.
+        let taken = TakenTimes::new([piece(Seen::Overran, 90, 200, 30), piece(WokenLate, 110, 130, 20)]);
+        assert_eq!(
+            (lengths(&taken), taken.seen(&[Seen::Overran]).total_ns()),
+            (vec![(90, 30), (110, 20)], 30)
+        );
         assert_eq!(TakenTimes::new([]).most_within(u64::MAX), 0);
     }
 

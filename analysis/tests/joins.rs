@@ -83,7 +83,7 @@ fn close_stamps_meet_when_everyone_has_sent_something_later() {
     let (join, chain) = (report.joins[4].as_ref().unwrap(), report.chains[0].as_ref().unwrap());
     assert_eq!(
         (join.starved_by.clone(), join.reflected_ns.clone(), chain.reaction_ns),
-        (vec![0], None, None)
+        (vec![(0, 41_000_000)], None, None)
     );
     assert!(chain.latency_ns > 0);
 }
@@ -185,7 +185,7 @@ fn a_publisher_that_is_always_overtaken_fills_no_gap() {
         system.callbacks[3].trigger = Some((0, late));
         system.analyse().unwrap().joins[6].clone().unwrap()
     };
-    assert_eq!((with_window(30).starved_by, with_window(30).reflected_ns), (vec![0], None));
+    assert_eq!((with_window(30).starved_by, with_window(30).reflected_ns), (vec![(0, 101_000_000)], None));
     assert!(with_window(102).reflected_ns.is_some());
 }
 
@@ -219,7 +219,7 @@ fn the_fastest_sets_the_pace() {
     assert_eq!(report.callbacks[4].as_ref().unwrap().period_ns, 8_000_000, "whatever comes may be the pace");
     let report = two_sensors([10, 12], Matching::LatestTime).analyse().unwrap();
     let (join, chain) = (report.joins[4].as_ref().unwrap(), report.chains[0].as_ref().unwrap());
-    assert_eq!((&join.reflected_ns, &join.starved_by, chain.reaction_ns), (&None, &vec![1], None));
+    assert_eq!((&join.reflected_ns, &join.starved_by, chain.reaction_ns), (&None, &vec![(1, 999_997)], None));
 }
 
 /// A camera and a lidar, each on its core, and what waits for both.
@@ -348,7 +348,11 @@ fn what_is_wrong_with_a_join_is_said_with_its_line() {
     let latest = FILE.replace("window = \"32ms\"", "policy = \"latest_time\"");
     for (piece, replacement, message) in [
         ("period = \"100ms\"", "period = \"30ms\"", "`/image` and `/cloud` have the same period"),
-        ("publishes = \"/image\"", "publishes = [\"/image\", \"/cloud\"]", "`/cloud` has several publishers"),
+        (
+            "publishes = \"/image\"",
+            "publishes = [\"/image\", \"/cloud\"]",
+            "`/cloud` comes from several publishers",
+        ),
     ] {
         let problems = SystemFile::parse(&latest.replace(piece, replacement)).unwrap_err().to_string();
         assert!(problems.starts_with("23:") && problems.contains(message), "{problems}");

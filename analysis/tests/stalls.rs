@@ -80,6 +80,24 @@ fn messages_bunch_while_the_publisher_stands_still() {
 }
 
 #[test]
+fn what_comes_from_a_host_outside_passes_this_ones_gateway() {
+    // It may come 50 ms late, at once with two others, and wait for 50 ms and theirs: 86 after 50.
+    let text = LIDAR.replace("{ period", "{ remote = true, period");
+    assert_eq!(capacities(&text), [(7, 1)]);
+}
+
+#[test]
+fn a_sampler_on_another_core_may_stand_still_first() {
+    let [period, cores] = [("20ms", "1ms"), ("cores = 1", "cores = 2")];
+    let text = LIDAR.replace(period.0, period.1).replace(cores.0, cores.1).replace("12ms", "0.1ms");
+    let other = "[callbacks.timer]\nperiod = \"10ms\"\nwcet = \"0.1ms\"\n";
+    let on = |core: usize| format!("{text}core = 0\n{other}core = {core}\n");
+    // Beside it, the timer may run before it; on another core, its sampler may stand still before it does.
+    assert!((51..=57).contains(&capacities(&on(0))[0].0), "{:?}", capacities(&on(0)));
+    assert!((101..=112).contains(&capacities(&on(1))[0].0), "{:?}", capacities(&on(1)));
+}
+
+#[test]
 fn a_thread_of_several_callbacks_and_a_join_have_deeper_queues() {
     let group = "[hosts.robot]\ncores = 1\nSTALL[nodes.n]\n[groups.g]\n[topics]\n\"/a\" = { period = \"10ms\" }\n\"/b\" = { period = \"30ms\" }\n\
                  [callbacks.a]\ntopic = \"/a\"\nwcet = \"1ms\"\ngroup = \"g\"\n\

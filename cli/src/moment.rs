@@ -21,6 +21,7 @@ pub enum Kind {
     Late,
     Taken,
     WokenLate,
+    Overran,
 }
 
 impl From<&tautline::Moment> for Moment {
@@ -29,6 +30,7 @@ impl From<&tautline::Moment> for Moment {
             MomentKind::Late => Kind::Late,
             MomentKind::Taken => Kind::Taken,
             MomentKind::WokenLate => Kind::WokenLate,
+            MomentKind::Overran => Kind::Overran,
         };
         let tautline::Moment { from_ns, to_ns, length_ns, .. } = *moment;
         Moment { kind, from_ns, to_ns, length_ns }
@@ -42,6 +44,7 @@ impl Moment {
             Kind::Late => return None,
             Kind::Taken => Seen::Running,
             Kind::WokenLate => Seen::WokenLate,
+            Kind::Overran => Seen::Overran,
         };
         let Moment { from_ns, to_ns, length_ns, .. } = *self;
         Some(Taken { from_ns, to_ns, length_ns, seen })

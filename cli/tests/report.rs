@@ -243,7 +243,7 @@ fn what_the_host_took_explains_a_late_response_or_it_does_not() {
     let saved = std::fs::read_to_string(path).unwrap();
 
     // `other` took 43 s, its bound is 40 s, and while it ran the host had the core for this long.
-    let report = |taken_ns: u64, accounts: bool| {
+    let report_of = |kind: &str, taken_ns: u64, accounts: bool| {
         let mut run: Value = serde_json::from_str(&saved).unwrap();
         let callbacks = run["processes"][0]["callbacks"].as_array_mut().unwrap();
         let other = callbacks.iter_mut().find(|of| of["name"] == "other").unwrap();
@@ -254,16 +254,18 @@ fn what_the_host_took_explains_a_late_response_or_it_does_not() {
         });
         other["accounts_core_time"] = accounts.into();
         let moment = |kind: &str, length_ns: u64| serde_json::json!({"kind": kind, "from_ns": begin_ns, "to_ns": end_ns, "length_ns": length_ns});
-        other["moments"] = serde_json::json!([moment("taken", taken_ns), moment("late", response_ns)]);
+        other["moments"] = serde_json::json!([moment(kind, taken_ns), moment("late", response_ns)]);
         std::fs::write(path, run.to_string()).unwrap();
         (taut(&[path, "--json"]), text(&taut(&[path]).stdout).replace('\n', " "))
     };
 
+    let report = |taken_ns, accounts| report_of("taken", taken_ns, accounts);
     let (explained, shown) = report(3_000_000_000, true);
     assert_eq!(explained.status.code(), Some(0), "{explained:?}");
     let other = &json(&explained)["callbacks"][1];
     let host = serde_json::json!({
         "response_ms": 43_000.0, "beyond": 1, "unexplained": 0, "longest_ms": 43_000.0, "taken_ms": 3_000.0,
+        "overran_ms": 0.0,
     });
     assert_eq!((&other["measured"]["host"], &other["violations"]), (&host, &serde_json::json!([])));
     assert!(shown.contains("other: once beyond its bound, by what the host took"), "{shown}");
@@ -273,6 +275,16 @@ fn what_the_host_took_explains_a_late_response_or_it_does_not() {
     assert_eq!(unexplained.status.code(), Some(1), "{unexplained:?}");
     assert_eq!(violations(&json(&unexplained), "other"), ["bound exceeded"]);
     assert!(shown.contains("1 of 1 such responses with less taken by the host"), "{shown}");
+
+    // A job that used more than its wcet explains it as well, but nothing excuses that.
+    let (overran, shown) = report_of("overran", 3_000_000_000, true);
+    let host = &json(&overran)["callbacks"][1]["measured"]["host"];
+    assert_eq!((&host["response_ms"], &host["unexplained"]), (&40_000.0.into(), &0.into()));
+    assert_eq!((&host["taken_ms"], &host["overran_ms"]), (&0.0.into(), &3_000.0.into()));
+    assert!(
+        shown.contains("the host took 0 ns and jobs 3000 ms more than their wcet; mend the wcet"),
+        "{shown}"
+    );
 
     // Nobody looked.
     let (unknown, shown) = report(3_000_000_000, false);

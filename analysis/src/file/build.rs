@@ -471,7 +471,9 @@ fn paced(
     let Some(policy) = &callback.policy else { return };
     let name = &callback.name;
     let what = if let Some(topic) = shared {
-        format!("`{topic}` has several publishers, so that it has no rate of its own")
+        format!(
+            "`{topic}` comes from several publishers, or from one with several triggers, so that it has no rate of its own"
+        )
     } else {
         // Of those whose rate is not their own, such as of a join, the analysis says more.
         let Some(fastest) = periods.iter().flatten().min() else { return };

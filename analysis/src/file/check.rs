@@ -337,19 +337,22 @@ fn shared_priorities(callbacks: &[CheckedCallback]) -> impl Iterator<Item = Stri
 fn starved(file: &SystemFile, report: &SystemReport) -> impl Iterator<Item = String> {
     file.callbacks.iter().filter_map(|entry| {
         let join = report.joins[entry.tasks.start].as_ref().filter(|join| join.reflected_ns.is_none())?;
-        let far = join.starved_by.first().and_then(|far| entry.topics.get(*far));
+        let far = join.starved_by.first().and_then(|(far, _)| entry.topics.get(*far));
+        let window_ns = join.starved_by.iter().map(|(_, gap_ns)| *gap_ns).max();
+        let ms = |ns: u64| ns as f64 / 1e6;
         let name = &entry.name;
         Some(match (entry.policy, far) {
             (JoinPolicy::LatestTime, Some(far)) => format!(
                 "callback `{name}` runs at the pace of the fastest of its topics, but messages of `{far}` may come as close as those of the \
-                 fastest are apart, so that it is not known which that is, and nothing bounds how long a message waits to be reflected; \
-                 lower the jitter of both, or let the one that sets the pace be its `topic`, and put the others into `reads`"
+                 fastest are apart, with their jitter and the time that it takes to take them, so that it is not known which that is, and \
+                 nothing bounds how long a message waits to be reflected; lower the jitter or the response times of both, or let the one that sets the pace be its `topic`, and put the others into `reads`"
             ),
             (_, Some(far)) => format!(
                 "callback `{name}` runs only if stamps lie within {} ms, but messages of `{far}` may lie further apart than that: unless \
                  something keeps the topics in step, it may never run, and nothing bounds how long a message waits to be \
-                 reflected; make the `window` as long as the time between two messages of all topics but the slowest",
-                entry.window_ns.unwrap_or(0) as f64 / 1e6
+                 reflected; make the `window` as long as the time between two messages of all topics but the slowest, {} ms",
+                ms(entry.window_ns.unwrap_or(0)),
+                ms(window_ns.unwrap_or(0))
             ),
             (_, None) => format!(
                 "callback `{name}` drops what is near a message that is too early, and with three topics or more that may belong to the \

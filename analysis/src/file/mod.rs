@@ -368,6 +368,23 @@ impl SystemFile {
                 }
             }
         }
+        for entry in &self.callbacks {
+            let stall_ns = stall_ns(entry.core);
+            // Its sampler may be on another core than it.
+            let split =
+                self.callbacks.iter().any(|other| other.node == entry.node && other.core != entry.core);
+            let remote = |topic: &TopicEntry| topic.remote && entry.topics.contains(&topic.name);
+            let remote = self.topics.iter().any(remote);
+            for callback in &mut stalled.callbacks[entry.tasks.clone()] {
+                if split {
+                    callback.task.blocking_ns = callback.task.blocking_ns.saturating_add(stall_ns);
+                }
+                // What comes from a host that is not in the file comes by this one's gateway.
+                if remote && !callback.is_triggered() {
+                    callback.task.jitter_ns = callback.task.jitter_ns.saturating_add(stall_ns);
+                }
+            }
+        }
         Some(stalled)
     }
 

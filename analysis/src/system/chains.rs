@@ -13,8 +13,8 @@ pub struct ChainBound {
     /// are in a set. Otherwise the reaction
     /// time, the sum of (T + R) (Davare et al. 2007), in which stages that trigger one another count as one.
     pub latency_ns: u64,
-    /// From an event outside, just missed by the first stage, to the end of the first job that reflects it. `None` if the
-    /// window of a join is so short that there may be none.
+    /// From an event outside, just missed by the first stage, to the end of the first job that reflects it. `None` if a join, by its
+    /// window or its policy, may never run such a job.
     pub reaction_ns: Option<u64>,
     /// How old what the first stage read may be when the last one ends a job that uses it.
     pub age_ns: u64,
@@ -86,12 +86,13 @@ fn starved(system: &System, solved: &Solved, chain: &str, stage: usize) -> Analy
     let far = solved.joins[stage].as_ref().and_then(|bound| bound.starved_by.first());
     let (chain, task) = (chain.to_owned(), name(stage));
     let Some(join) = &system.callbacks[stage].join else { return AnalysisError::Overflow { task } };
-    let taker = join.ports.iter().position(|port| Some(port) == far).and_then(|at| join.inputs.get(at));
-    match (join.matching, taker) {
-        (Matching::Approximate { window_ns } | Matching::ApproximateEpsilon { window_ns }, Some(&far)) => {
-            let gap_ns = solved.timings[far].gap_ns;
-            AnalysisError::Starved { chain, task, input: name(far), window_ns, gap_ns }
-        }
+    let taker = |far| join.inputs.get(join.ports.iter().position(|port| *port == far)?);
+    let far = far.and_then(|&(far, gap_ns)| Some((*taker(far)?, gap_ns)));
+    match (join.matching, far) {
+        (
+            Matching::Approximate { window_ns } | Matching::ApproximateEpsilon { window_ns },
+            Some((far, gap_ns)),
+        ) => AnalysisError::Starved { chain, task, input: name(far), window_ns, gap_ns },
         (Matching::ApproximateEpsilon { .. }, None) => AnalysisError::NotReflected {
             chain,
             task,
@@ -101,8 +102,8 @@ fn starved(system: &System, solved: &Solved, chain: &str, stage: usize) -> Analy
         (Matching::LatestTime, _) => AnalysisError::NotReflected {
             chain,
             task,
-            problem: "two inputs may have the same rate, for their jitter is large, so that it is not known which is the fastest: \
-                      let one of them trigger it, and read the others",
+            problem: "messages of two inputs may come at the same rate, with their jitter and the time that it takes to take them, so that \
+                      it is not known which is the fastest: let one of them trigger it, and read the others",
         },
         // Never: what starves says by what.
         _ => AnalysisError::Overflow { task },

@@ -103,9 +103,10 @@ pub struct JoinBound {
     pub reflected_ns: Option<Vec<u64>>,
     /// How many messages of one input wait at most (of exact stamps: how many different ones), one that arrives not included.
     pub queue_size: u64,
-    /// Which inputs make that [`reflected_ns`](Self::reflected_ns) is `None`: whose messages may be further apart than the window, all but
-    /// the slowest of these; at the pace of the fastest, those whose rate may be as high.
-    pub starved_by: Vec<usize>,
+    /// Which inputs make that [`reflected_ns`](Self::reflected_ns) is `None`, each with a distance in nanoseconds: whose messages may be
+    /// this far apart, more than the window, all but the slowest of these; at the pace of the fastest, those whose messages may be
+    /// this close, no more than the fastest's are apart. None where the policy alone is the reason.
+    pub starved_by: Vec<(usize, u64)>,
 }
 
 /// How the releases of a callback lie to those of what triggers it first.
@@ -284,7 +285,7 @@ struct Found {
     wait_ns: Vec<Vec<u64>>,
     reflected_ns: Option<Vec<Vec<u64>>>,
     queue_size: u64,
-    starved_by: Vec<usize>,
+    starved_by: Vec<(usize, u64)>,
 }
 
 impl Found {
@@ -373,8 +374,9 @@ fn close(inputs: &[Input<'_>], window_ns: u64, completed: u64, meets: bool) -> (
     };
     let slow = (0..inputs.len()).max_by_key(|i| inputs[*i].stamp_gap_ns()).unwrap_or(0);
     let longest = most(inputs, Input::stamp_gap_ns);
-    let starved_by: Vec<usize> =
-        (0..inputs.len()).filter(|i| *i != slow && inputs[*i].stamp_gap_ns() > window_ns).collect();
+    let others = inputs.iter().enumerate().filter(|(i, _)| meets && *i != slow);
+    let apart = others.map(|(i, input)| (i, input.stamp_gap_ns()));
+    let starved_by: Vec<_> = apart.filter(|(_, gap_ns)| *gap_ns > window_ns).collect();
     let reflected = longest.saturating_add(window_ns.max(longest)).saturating_add(completed);
     let held = window_ns.saturating_add(known).saturating_add(1);
     let waiting = |input: &Input<'_>| {
@@ -405,8 +407,9 @@ fn latest(inputs: &[Input<'_>]) -> (Release, Timing, Found) {
         let nominal = stream.task.period_ns.saturating_sub(stream.task.jitter_ns);
         nominal.max(stream.task.min_distance_ns).saturating_sub(stream.response_ns)
     };
-    let is_as_fast = |i: &usize| *i != fastest && inputs[*i].least(apart) <= pace;
-    let starved_by: Vec<usize> = (0..inputs.len()).filter(is_as_fast).collect();
+    let others = inputs.iter().enumerate().filter(|(i, _)| *i != fastest);
+    let close = others.map(|(i, input)| (i, input.least(apart)));
+    let starved_by: Vec<_> = close.filter(|(_, apart_ns)| *apart_ns <= pace).collect();
     let next = inputs.get(fastest).map_or(0, Input::gap_ns);
     let reflected = |i, stream: &Stream<'_>| {
         if i == fastest { 0 } else { next.saturating_add(stream.response_ns) }
@@ -434,12 +437,15 @@ pub(super) fn validate(system: &System, join: &Join, name: &str) -> Result<(), A
     if join.inputs.iter().any(|i| system.callbacks[*i].join.is_some()) {
         return problem("an input is a join itself, where a callback has to take its messages");
     }
+    if join.inputs.iter().any(|i| system.callbacks[first(system, *i)].task.distances.is_some()) {
+        return problem("an input has the releases of a trace, where joins need a period");
+    }
     let several = join.width() < join.inputs.len();
     if several && join.matching == Matching::Exact {
         return problem("an input has several publishers, whose stamps are not equal to those of the others");
     }
     if several && join.matching == Matching::LatestTime {
-        return problem("an input has several publishers, so that it has no rate of its own");
+        return problem("an input has several streams, so that it has no rate of its own");
     }
     let mut periods = join.inputs.iter().map(|i| period(system, *i));
     let first_period = periods.next();

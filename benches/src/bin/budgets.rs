@@ -230,7 +230,7 @@ fn moments(callbacks: &[CallbackHandle], who: usize, begin_ns: u64) -> (Vec<(Mom
                 MomentKind::Taken => taken.push(piece(taken::Seen::Running)),
                 MomentKind::WokenLate => taken.push(piece(taken::Seen::WokenLate)),
                 MomentKind::Late if i != who => late.push((moment, seen.bound_ns.unwrap_or(0))),
-                MomentKind::Late => {}
+                MomentKind::Late | MomentKind::Overran => {}
             }
         }
     }

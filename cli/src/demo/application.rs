@@ -2,6 +2,8 @@
 //! The application: topics, message, priorities (ECRTS 2025, section 5), from examples/systems/paper.toml.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
 use std::time::Duration;
 use tautline::{CallbackHandle, CallbackStats, Context, ContextBuilder, Message, Qos, Realtime};
 use tautline_analysis::Task;
@@ -18,7 +20,7 @@ pub const PUBLISHER_WORKER_PRIORITY: u8 = 24;
 const SYSTEM: &str = include_str!("../../../examples/systems/paper.toml");
 
 /// What is taken from one job is noted if it is as long.
-const PIECE: Duration = Duration::from_micros(10);
+const PIECE: Duration = Duration::from_micros(1);
 
 /// The message of every topic.
 #[derive(Message, Clone, Copy, Default)]
@@ -80,27 +82,52 @@ pub fn realtime(args: &DemoArgs) -> Realtime {
     if args.no_rt { Realtime::Off } else { Realtime::Required }
 }
 
-/// Collects what was taken from a callback's core, as its thread sees it.
+/// Collects what was taken from callbacks' cores, as their threads saw it: from a thread of its own while they run, for only the
+/// latest moments are kept where they are noted.
 pub struct MomentCollector {
-    stats: Arc<CallbackStats>,
-    /// How many moments have been collected, or were overwritten before.
-    known: u64,
-    pub moments: Vec<Moment>,
+    over: Arc<AtomicBool>,
+    thread: JoinHandle<Vec<Moment>>,
 }
 
 impl MomentCollector {
-    pub fn new(callback: &CallbackHandle) -> Self {
-        MomentCollector { stats: callback.stats().clone(), known: 0, moments: Vec::new() }
+    /// Calls `progress` each time before it collects.
+    pub fn new<'a>(
+        callbacks: impl IntoIterator<Item = &'a CallbackHandle>,
+        progress: impl Fn() + Send + 'static,
+    ) -> Self {
+        // Of each callback, how many moments have been collected or were overwritten before.
+        let mut known: Vec<_> =
+            callbacks.into_iter().map(|callback| (Arc::clone(callback.stats()), 0)).collect();
+        let over = Arc::new(AtomicBool::new(false));
+        let ends = Arc::clone(&over);
+        let thread = std::thread::spawn(move || {
+            let mut moments = Vec::new();
+            loop {
+                let last = ends.load(Ordering::Acquire);
+                known.iter_mut().for_each(|(stats, known)| moments.extend(new_moments(stats, known)));
+                if last {
+                    return moments;
+                }
+                std::thread::sleep(Duration::from_millis(200));
+                progress();
+            }
+        });
+        MomentCollector { over, thread }
     }
 
-    /// Collects what was seen since the last time: often enough, for only the latest are kept.
-    pub fn collect(&mut self) {
-        let Some(seen) = self.stats.snapshot() else { return };
-        let (older, latest) = (seen.older_moments, seen.moments);
-        let known = usize::try_from(self.known.saturating_sub(older)).unwrap_or(usize::MAX);
-        self.known = older + latest.len() as u64;
-        self.moments.extend(latest.iter().skip(known).map(Moment::from));
+    /// All that was collected, when the callbacks have ended.
+    pub fn end(self) -> Vec<Moment> {
+        self.over.store(true, Ordering::Release);
+        self.thread.join().unwrap_or_default()
     }
+}
+
+fn new_moments(stats: &CallbackStats, known: &mut u64) -> Vec<Moment> {
+    let Some(seen) = stats.snapshot() else { return Vec::new() };
+    let (older, latest) = (seen.older_moments, seen.moments);
+    let seen_before = usize::try_from(known.saturating_sub(older)).unwrap_or(usize::MAX);
+    *known = older + latest.len() as u64;
+    latest.iter().skip(seen_before).map(Moment::from).collect()
 }
 
 /// Binds the whole process to the demo's core: threads inherit it.

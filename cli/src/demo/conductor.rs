@@ -168,7 +168,7 @@ fn assemble(
     };
     let moments = published.moments.iter().chain(&measured.moments);
     let taken = TakenTimes::new(moments.filter_map(Moment::taken));
-    let (taken_ns, longest_taken_ns) = (|seen| taken.total_ns(seen), taken.longest_ns());
+    let (taken_ns, longest_taken_ns) = (|way| taken.seen(&[way]).total_ns(), taken.longest_ns());
     let (taken_running_ns, taken_late_ns) = (taken_ns(Seen::Running), taken_ns(Seen::WokenLate));
     let (per_message, interruptions) = (Duration::from_nanos(overhead_ns), run.interruptions);
     let costs = Costs { per_message, interruptions, taken };

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The publisher process: a sampler that serves five absolute timers, a worker thread that publishes.
 
-use super::application::{self, Stamped};
+use super::application::{self, MomentCollector, Stamped};
 use super::protocol::{self, Line, Published};
 use super::{DemoArgs, DemoError};
 use futures::StreamExt;
@@ -46,15 +46,14 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         let context = context.clone();
         protocol::when_told_to_end(move || context.shutdown());
     }
+    let collector = MomentCollector::new([&worker], || {});
     let cpu_before_ns = clock::process_cpu_ns();
     protocol::say(&Line::Ready);
     node.spin()?;
     let cpu_ns = clock::process_cpu_ns() - cpu_before_ns;
     worker.stop();
     let (messages, missed) = (counts.messages.load(Ordering::Relaxed), counts.missed.load(Ordering::Relaxed));
-    let mut collector = application::MomentCollector::new(&worker);
-    collector.collect();
-    protocol::say(&Line::Published(Published { messages, cpu_ns, missed, moments: collector.moments }));
+    protocol::say(&Line::Published(Published { messages, cpu_ns, missed, moments: collector.end() }));
     Ok(())
 }
 

@@ -82,7 +82,7 @@ pub struct TopicReport {
     pub rta_host_ms: Option<f64>,
     /// Response times above `rta_overhead_ms`.
     pub beyond: u64,
-    /// Those of them that what the host took before their ends does not explain: defects.
+    /// Those of them that what the host took before their ends does not explain to 0.1 ms: defects.
     pub unexplained: u64,
     /// The longest of these, unexplained ones first; `None` (null) if there is none.
     pub worst: Option<Worst>,
@@ -101,6 +101,9 @@ pub struct Worst {
     /// What the prediction allows with what the host took before its end; `None` (null) if that is too much for any.
     pub allowed_ms: Option<f64>,
 }
+
+/// To this it is accounted for what was taken: a wake that is late by less is not noted, and the overhead is a mean.
+const ACCOUNTED_TO_NS: u64 = 100_000;
 
 /// What was measured on one topic.
 #[derive(Debug, Clone)]
@@ -250,7 +253,8 @@ impl Excess {
         for (release_ns, &latency_ns) in jobs.filter(|(_, latency_ns)| **latency_ns > bound_ns) {
             let end_ns = release_ns.saturating_add(latency_ns);
             let allowed_ns = bound(&|window_ns| taken.before(end_ns, window_ns));
-            let unexplained = allowed_ns.is_none_or(|allowed_ns| latency_ns > allowed_ns);
+            let explained = |allowed_ns: u64| latency_ns <= allowed_ns.saturating_add(ACCOUNTED_TO_NS);
+            let unexplained = !allowed_ns.is_some_and(explained);
             excess.beyond += 1;
             excess.unexplained += u64::from(unexplained);
             if (unexplained, latency_ns) > longest {

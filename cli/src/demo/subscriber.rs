@@ -6,7 +6,7 @@ use super::protocol::{self, Line, Measured, TopicMeasured};
 use super::{DemoArgs, DemoError};
 use futures::StreamExt;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
 use tautline::rt::clock;
 use tautline::{CallbackOptions, Node, SubscriptionCounters};
@@ -40,23 +40,20 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         };
         callbacks.push(Callback { topic, log, counters, handle });
     }
-    let over = Arc::new(AtomicBool::new(false));
     {
-        let (context, over) = (context.clone(), over.clone());
-        protocol::when_told_to_end(move || {
-            over.store(true, Ordering::Release);
-            context.shutdown();
-        });
+        let context = context.clone();
+        protocol::when_told_to_end(move || context.shutdown());
     }
-    let collectors = callbacks.iter().map(|callback| MomentCollector::new(&callback.handle)).collect();
-    let logs = callbacks.iter().map(|callback| callback.log.clone()).collect();
-    let reporter = report_progress(logs, collectors, over);
+    let logs: Vec<_> = callbacks.iter().map(|callback| callback.log.clone()).collect();
+    let collector = MomentCollector::new(callbacks.iter().map(|callback| &callback.handle), move || {
+        let handled: usize = logs.iter().map(|log| log.count.load(Ordering::Relaxed)).sum();
+        protocol::say(&Line::Progress(handled as u64));
+    });
     let cpu_before_ns = clock::process_cpu_ns();
     protocol::say(&Line::Ready);
     node.spin()?;
     let cpu_ns = clock::process_cpu_ns() - cpu_before_ns;
-    let collectors = reporter.join().unwrap_or_default();
-    protocol::say(&Line::Measured(measured(callbacks, collectors, cpu_ns)?));
+    protocol::say(&Line::Measured(measured(callbacks, collector, cpu_ns)?));
     Ok(())
 }
 
@@ -69,7 +66,7 @@ struct Callback {
 
 fn measured(
     callbacks: Vec<Callback>,
-    mut collectors: Vec<MomentCollector>,
+    collector: MomentCollector,
     cpu_ns: u64,
 ) -> Result<Measured, DemoError> {
     let (mut topics, mut busy_ns) = (Vec::new(), 0);
@@ -81,9 +78,7 @@ fn measured(
         let (lost, max_queue) = (callback.counters.lost(), callback.counters.max_queue());
         topics.push(TopicMeasured { releases_ns, latencies_ns, lost, max_queue });
     }
-    collectors.iter_mut().for_each(MomentCollector::collect);
-    let moments = collectors.into_iter().flat_map(|collector| collector.moments).collect();
-    Ok(Measured { overhead_cpu_ns: cpu_ns.saturating_sub(busy_ns), topics, moments })
+    Ok(Measured { overhead_cpu_ns: cpu_ns.saturating_sub(busy_ns), topics, moments: collector.end() })
 }
 
 /// Where a callback writes its releases and response times: memory that is there before it starts.
@@ -115,20 +110,4 @@ impl Log {
         let value = |word: &AtomicU64| word.load(Ordering::Relaxed);
         self.entries[..count].iter().map(move |[release, latency]| (value(release), value(latency)))
     }
-}
-
-fn report_progress(
-    logs: Vec<Arc<Log>>,
-    mut collectors: Vec<MomentCollector>,
-    over: Arc<AtomicBool>,
-) -> std::thread::JoinHandle<Vec<MomentCollector>> {
-    std::thread::spawn(move || {
-        while !over.load(Ordering::Acquire) {
-            std::thread::sleep(Duration::from_millis(200));
-            let handled: usize = logs.iter().map(|log| log.count.load(Ordering::Relaxed)).sum();
-            protocol::say(&Line::Progress(handled as u64));
-            collectors.iter_mut().for_each(MomentCollector::collect);
-        }
-        collectors
-    })
 }

@@ -5,7 +5,7 @@ use std::fmt;
 use tautline::Policy;
 use tautline_analysis::file::{CheckedCallback, Client, OverrunPolicy};
 
-use super::host::Share;
+use super::host::{Longest, Share};
 use super::run::{Callback, Process, Run};
 use super::verdict::Mark;
 
@@ -235,10 +235,11 @@ pub fn bound_exceeded(
     let so_far =
         if seen.unfinished_ns == Some(longest_ns) { " so far, for its job has not ended" } else { "" };
     let host = match share {
-        Some(Share { beyond, unexplained, longest: Some((longest_ns, taken_ns)), .. }) => format!(
-            ", {unexplained} of {beyond} such responses with less taken by the host than that explains (of one of {}, it took {})",
-            Time(*longest_ns),
-            Time(*taken_ns)
+        Some(Share { beyond, unexplained, longest: Some(longest), .. }) => format!(
+            ", {unexplained} of {beyond} such responses with less taken by the host{} than that explains (of one of {}, {})",
+            if longest.overran_ns > 0 { " and by jobs beyond their wcet" } else { "" },
+            Time(longest.response_ns),
+            took(longest)
         ),
         _ => String::new(),
     };
@@ -246,15 +247,28 @@ pub fn bound_exceeded(
     mark("bound exceeded", format!("a response took {longest}{so_far}, the bound is {bound}{host}: {why}"))
 }
 
-/// Not a violation: every response above the bound is within it if what the host took before its end is added.
+fn took(longest: &Longest) -> String {
+    let host = format!("the host took {}", Time(longest.taken_ns));
+    match longest.overran_ns {
+        0 => host,
+        overran_ns => format!("{host} and jobs {} more than their wcet", Time(overran_ns)),
+    }
+}
+
+/// Not a violation: every response above the bound is within it if what was taken before its end is added. A job that took it is
+/// one.
 pub fn host_took(predicted: &CheckedCallback, share: &Share) -> String {
-    let (longest_ns, taken_ns) = share.longest.unwrap_or_default();
+    let longest = share.longest.unwrap_or_default();
+    let [by, rest] = match longest.overran_ns {
+        0 => ["what the host took", "no assumption on the system was violated"],
+        _ => ["what was taken", "mend the wcet that was exceeded"],
+    };
     format!(
-        "{}: {} beyond its bound, by what the host took: the longest was {}, of which it took {}; no assumption on the system was violated",
+        "{}: {} beyond its bound, by {by}: the longest was {}, of which {}; {rest}",
         predicted.entry.name,
         times(share.beyond),
-        Time(longest_ns),
-        Time(taken_ns)
+        Time(longest.response_ns),
+        took(&longest)
     )
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the host took from the cores, and which responses beyond their bounds that explains.
+//! What the host took from the cores, what jobs used beyond their wcet, and which responses beyond their bounds that explains.
 use std::collections::BTreeMap;
 
 use tautline_analysis::file::{CheckedCallback, CheckedSystem};
@@ -12,22 +12,38 @@ use crate::moment::{Kind, Moment};
 pub struct Host<'c> {
     checked: &'c CheckedSystem,
     /// By host and number.
-    cores: BTreeMap<(String, usize), TakenTimes>,
+    cores: BTreeMap<(String, usize), CoreTimes>,
+}
+
+struct CoreTimes {
+    host: TakenTimes,
+    overran: TakenTimes,
+    both: TakenTimes,
 }
 
 /// What it did to a callback.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Share {
-    /// The bound with the most that was taken in any window of it; `None` without a bound.
+    /// The bound with the most that the host took in any window of it; `None` without a bound.
     pub bound_ns: Option<u64>,
     /// Responses above the bound that are known with their instants.
     pub beyond: u64,
     /// Those of them that what was taken before their ends does not explain.
     pub unexplained: u64,
-    /// The longest one, unexplained ones first, and what was taken while it lasted.
-    pub longest: Option<(u64, u64)>,
+    /// The longest one, unexplained ones first.
+    pub longest: Option<Longest>,
     /// Whether the longest response that was seen is among them, and none was overwritten.
     pub complete: bool,
+}
+
+/// A response, and what was taken while it lasted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Longest {
+    pub response_ns: u64,
+    /// By the host.
+    pub taken_ns: u64,
+    /// By jobs that used more than their wcet.
+    pub overran_ns: u64,
 }
 
 impl<'c> Host<'c> {
@@ -37,13 +53,22 @@ impl<'c> Host<'c> {
             let is_served = is_served_first(process, run);
             for callback in process.callbacks.iter().filter(|callback| callback.accounts_core_time) {
                 let Some(core) = callback.core else { continue };
-                let counts = |moment: &&Moment| is_served || moment.kind != Kind::WokenLate;
+                let counts = |moment: &&Moment| match moment.kind {
+                    Kind::WokenLate => is_served,
+                    // What was demoted or slept took nothing from others.
+                    Kind::Overran => callback.demotions == 0,
+                    Kind::Late | Kind::Taken => true,
+                };
                 let moments = callback.moments.iter().filter(counts);
                 seen.entry((process.host.clone(), core)).or_default().extend(moments);
             }
         }
-        let taken = |moments: Vec<&Moment>| TakenTimes::new(moments.into_iter().filter_map(Moment::taken));
-        let cores = seen.into_iter().map(|(core, moments)| (core, taken(moments))).collect();
+        let times = |moments: Vec<&Moment>| {
+            let both = TakenTimes::new(moments.into_iter().filter_map(Moment::taken));
+            let host = both.seen(&[Seen::Running, Seen::WokenLate]);
+            CoreTimes { host, overran: both.seen(&[Seen::Overran]), both }
+        };
+        let cores = seen.into_iter().map(|(core, moments)| (core, times(moments))).collect();
         Host { checked, cores }
     }
 
@@ -55,20 +80,24 @@ impl<'c> Host<'c> {
     /// What became of a callback; `None` if nobody looked at its core.
     pub fn share(&self, predicted: &CheckedCallback, seen: &Callback) -> Option<Share> {
         let taken = self.cores.get(&(predicted.host.clone(), predicted.core))?;
-        let bound_ns = self.bound_ns(predicted, |window_ns| taken.most_within(window_ns));
+        let bound_ns = self.bound_ns(predicted, |window_ns| taken.host.most_within(window_ns));
         let mut share = Share { bound_ns, beyond: 0, unexplained: 0, longest: None, complete: false };
         let predicted_ns = predicted.response_overhead_ns?;
         let is_beyond = |moment: &&Moment| moment.kind == Kind::Late && moment.length_ns > predicted_ns;
         let mut longest = (false, 0);
         for late in seen.moments.iter().filter(is_beyond) {
-            let allowed_ns = self.bound_ns(predicted, |window_ns| taken.before(late.to_ns, window_ns));
+            let allowed_ns = self.bound_ns(predicted, |window_ns| taken.both.before(late.to_ns, window_ns));
             let unexplained = allowed_ns.is_none_or(|allowed_ns| late.length_ns > allowed_ns);
             share.beyond += 1;
             share.unexplained += u64::from(unexplained);
             share.complete |= Some(late.length_ns) == seen.response.max_ns();
             if (unexplained, late.length_ns) > longest {
                 longest = (unexplained, late.length_ns);
-                share.longest = Some((late.length_ns, taken.before(late.to_ns, late.length_ns)));
+                share.longest = Some(Longest {
+                    response_ns: late.length_ns,
+                    taken_ns: taken.host.before(late.to_ns, late.length_ns),
+                    overran_ns: taken.overran.before(late.to_ns, late.length_ns),
+                });
             }
         }
         share.complete &= seen.older_moments == 0;
@@ -99,17 +128,18 @@ impl<'c> Host<'c> {
 
     /// A line for each core.
     pub fn notes(&self) -> Vec<String> {
-        let line = |((host, core), taken): (&(String, usize), &TakenTimes)| {
+        let line = |((host, core), times): (&(String, usize), &CoreTimes)| {
             let ms = |ns: u64| ns as f64 / 1e6;
+            let taken = &times.host;
             format!(
                 "the host took {:.2} ms of core {core} of `{host}` while callbacks ran and {:.2} ms before timers were served, at most \
                  {:.2} ms at once",
-                ms(taken.total_ns(Seen::Running)),
-                ms(taken.total_ns(Seen::WokenLate)),
+                ms(taken.seen(&[Seen::Running]).total_ns()),
+                ms(taken.seen(&[Seen::WokenLate]).total_ns()),
                 ms(taken.longest_ns())
             )
         };
-        self.cores.iter().filter(|(_, taken)| !taken.pieces().is_empty()).map(line).collect()
+        self.cores.iter().filter(|(_, times)| !times.host.pieces().is_empty()).map(line).collect()
     }
 }
 

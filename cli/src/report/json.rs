@@ -65,12 +65,13 @@ struct Seen<'a> {
 struct HostShare {
     /// The bound with the most that it took in any window.
     response_ms: Option<f64>,
-    /// Responses above the bound, and those of them that what it took does not explain.
+    /// Responses above the bound, and those of them that what it took, and jobs beyond their wcet, do not explain.
     beyond: u64,
     unexplained: u64,
     /// Of the longest of them.
     longest_ms: Option<f64>,
     taken_ms: Option<f64>,
+    overran_ms: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -160,8 +161,9 @@ fn seen(measured: &Measured) -> Seen<'_> {
             response_ms: share.bound_ns.map(ms),
             beyond: share.beyond,
             unexplained: share.unexplained,
-            longest_ms: share.longest.map(|(longest_ns, _)| ms(longest_ns)),
-            taken_ms: share.longest.map(|(_, taken_ns)| ms(taken_ns)),
+            longest_ms: share.longest.map(|longest| ms(longest.response_ns)),
+            taken_ms: share.longest.map(|longest| ms(longest.taken_ns)),
+            overran_ms: share.longest.map(|longest| ms(longest.overran_ns)),
         }),
     }
 }

@@ -142,10 +142,10 @@ impl CallbackStats {
             add(&head[word::DEADLINE_MISSES], 1);
         }
         block.response.record(job.response_ns);
+        let (from_ns, to_ns) = (job.release_ns, job.release_ns.saturating_add(job.response_ns));
+        let note = |kind, length_ns| block.moments.note(&Moment { kind, from_ns, to_ns, length_ns });
         if job.response_ns > limit(CallbackStats::BOUND) {
-            let (from_ns, length_ns) = (job.release_ns, job.response_ns);
-            let to_ns = from_ns.saturating_add(length_ns);
-            block.moments.note(&Moment { kind: MomentKind::Late, from_ns, to_ns, length_ns });
+            note(MomentKind::Late, job.response_ns);
         }
         if let Some(ns) = job.execution_ns {
             block.execution.record(ns);
@@ -154,6 +154,7 @@ impl CallbackStats {
             }
             if ns > budget_ns {
                 violations.over_ns = Some(budget_ns);
+                note(MomentKind::Overran, ns - budget_ns);
                 add(&head[word::OVERRUNS], 1);
             }
         }

@@ -36,10 +36,14 @@ pub enum MomentKind {
     Taken,
     /// Nobody served the clock that releases a job: from then on until its thread was woken.
     WokenLate,
+    /// A job used more processor time than its [budget](crate::CallbackOptions::budget): how much more, some time between its release
+    /// and its end.
+    Overran,
 }
 
 impl MomentKind {
-    const ALL: [MomentKind; 3] = [MomentKind::Late, MomentKind::Taken, MomentKind::WokenLate];
+    const ALL: [MomentKind; 4] =
+        [MomentKind::Late, MomentKind::Taken, MomentKind::WokenLate, MomentKind::Overran];
     const BITS: u32 = 2;
 }
 

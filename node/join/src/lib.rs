@@ -65,7 +65,7 @@ pub enum JoinError {
     #[error(
         "`{input}` may hold {room} samples at once, but the join needs {needed} (what waits, one that arrives, one in \
          the callback's hands): raise `Limits::held` to {needed} before it is made (`Node::set_topic_limits`), or lower \
-         the queue size"
+         the queue size, if it has one"
     )]
     Room {
         /// Its name.

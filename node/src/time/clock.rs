@@ -97,7 +97,7 @@ impl Clock {
         /// How long the system's clock is trusted not to be set.
         const LONGEST: Duration = Duration::from_secs(1);
         // Also woken when the clock comes to show another time.
-        let seat = self.source.as_ref().map(TimeSource::seat).transpose()?;
+        let waiter = self.source.as_ref().map(TimeSource::waiter).transpose()?;
         loop {
             let left = until.saturating_sub(self.now());
             if left.is_zero() {
@@ -110,8 +110,8 @@ impl Clock {
             };
             let simulated = self.is_simulated();
             poll_fn(|task| {
-                if let Some(seat) = &seat {
-                    seat.register(task);
+                if let Some(waiter) = &waiter {
+                    waiter.register(task);
                 }
                 let due = timer.as_mut().is_some_and(|timer| timer.poll_tick(task).is_ready());
                 if due || self.is_simulated() != simulated || self.now() >= until {

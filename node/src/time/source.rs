@@ -269,7 +269,7 @@ impl TimeSource {
     }
 
     /// A place to be woken.
-    pub(super) fn seat(&self) -> Result<ClockWaiter> {
+    pub(super) fn waiter(&self) -> Result<ClockWaiter> {
         let claimed = &self.shared.waiting.claimed;
         let claim = |claimed: u64| (claimed != u64::MAX).then(|| claimed | (claimed + 1));
         match claimed.fetch_update(Ordering::AcqRel, Ordering::Acquire, claim) {

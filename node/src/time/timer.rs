@@ -10,7 +10,7 @@ use tautline_transport::NodeHandle;
 
 /// Follows the ROS clock: while it shows the system's time, a timer of the sampler; while it shows simulated time, that.
 pub(crate) struct RosTimer {
-    seat: ClockWaiter,
+    waiter: ClockWaiter,
     events: Events,
     /// Wakes the task when the node ends.
     end: GuardCondition,
@@ -59,14 +59,14 @@ impl Schedule {
 impl RosTimer {
     pub(crate) fn new(
         node: &NodeHandle,
-        seat: ClockWaiter,
+        waiter: ClockWaiter,
         events: Events,
         period_ns: u64,
     ) -> Result<RosTimer> {
-        let on = On::of(&seat, &events, period_ns)?;
+        let on = On::of(&waiter, &events, period_ns)?;
         let end = events.guard_condition()?;
         node.adopt(end.slot());
-        Ok(RosTimer { seat, events, end, period_ns, on, index: 0, missed: 0 })
+        Ok(RosTimer { waiter, events, end, period_ns, on, index: 0, missed: 0 })
     }
 
     pub(crate) fn period_ns(&self) -> u64 {
@@ -79,11 +79,11 @@ impl RosTimer {
 
     /// The next release, and since when it could be served, in `CLOCK_MONOTONIC`.
     pub(crate) fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<(Tick, u64)> {
-        self.seat.register(context);
+        self.waiter.register(context);
         let _ = self.end.poll_triggered(context);
-        let simulated = self.seat.source().simulated_ns();
+        let simulated = self.waiter.source().simulated_ns();
         if simulated.is_some() != matches!(self.on, On::Simulated(_)) {
-            match On::of(&self.seat, &self.events, self.period_ns) {
+            match On::of(&self.waiter, &self.events, self.period_ns) {
                 Ok(on) => self.on = on,
                 Err(error) => tracing::warn!("a timer stays on the clock that it was on: {error}"),
             }
@@ -108,9 +108,9 @@ impl RosTimer {
 }
 
 impl On {
-    fn of(seat: &ClockWaiter, events: &Events, period_ns: u64) -> Result<On> {
+    fn of(waiter: &ClockWaiter, events: &Events, period_ns: u64) -> Result<On> {
         let period = std::time::Duration::from_nanos(period_ns);
-        Ok(match seat.source().simulated_ns() {
+        Ok(match waiter.source().simulated_ns() {
             Some(now_ns) => {
                 let mut schedule = Schedule::default();
                 schedule.released(now_ns, period_ns.cast_signed());

@@ -114,7 +114,7 @@ fn prediction_verdict(report: &DemoReport) -> Option<(bool, String)> {
     if !explained.is_empty() {
         let text = format!(
             "Prediction held but for what the host took: {explained}. With what it took before each of these, the prediction \
-             allows them all."
+             allows them all, to the 0.1 ms to which that is known."
         );
         return Some((true, text));
     }

@@ -33,7 +33,7 @@ struct Channel {
 impl ApproximateEpsilonTime {
     /// The stamps of a set lie at most `epsilon` apart. At most `queue_size` messages of each input wait; the oldest is dropped for one
     /// more.
-    #[must_use]
+    #[must_use = "give it to a Synchronizer"]
     pub fn new(queue_size: usize, epsilon: Duration) -> Self {
         ApproximateEpsilonTime { queue_size, epsilon_ns: nanos(epsilon), channels: Vec::new() }
     }

@@ -54,21 +54,21 @@ impl Default for LatestTime {
 
 impl LatestTime {
     /// With message_filters' weights.
-    #[must_use]
+    #[must_use = "give it to a Synchronizer"]
     pub fn new() -> Self {
         LatestTime { rates: [Rate::default(); crate::MAX_INPUTS] }
     }
 
     /// How the rates of all inputs are estimated (`setRateConfig`). A weight that is not in 0 to 1, or a factor below 0, is taken as the
     /// default.
-    #[must_use]
+    #[must_use = "it returns the changed policy"]
     pub fn rate_config(mut self, config: RateConfig) -> Self {
         self.rates.iter_mut().for_each(|rate| rate.config = config.checked());
         self
     }
 
     /// The same for input `input` (from 0) alone (`setRateConfigPerMessage`). An input that is not there is ignored.
-    #[must_use]
+    #[must_use = "it returns the changed policy"]
     pub fn rate_config_of(mut self, input: usize, config: RateConfig) -> Self {
         if let Some(rate) = self.rates.get_mut(input) {
             rate.config = config.checked();

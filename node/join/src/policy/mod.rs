@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which messages belong together, decided from their stamps alone.
+//! Which messages belong together, decided from their stamps, and by [`LatestTime`] from the rates at which they come.
 
 mod approximate;
 mod epsilon;
