@@ -42,7 +42,6 @@ pub enum LockProtocol {
 /// assert_eq!(blocking(&tasks, &sections, LockProtocol::PriorityCeiling), [30, 30, 0]);
 /// assert_eq!(blocking(&tasks, &sections, LockProtocol::PriorityInheritance), [37, 30, 0]);
 /// ```
-#[must_use]
 pub fn blocking(tasks: &[Task], sections: &[CriticalSection], protocol: LockProtocol) -> Vec<u64> {
     let priority = |section: &CriticalSection| tasks.get(section.task).map(|task| task.priority);
     let ceiling = |resource| sections.iter().filter(|s| s.resource == resource).filter_map(priority).max();

@@ -16,7 +16,6 @@ pub struct Stage {
 /// ```
 /// assert_eq!(tautline_analysis::chain::event_triggered(&[2, 6, 13]), Some(21));
 /// ```
-#[must_use]
 pub fn event_triggered(responses_ns: &[u64]) -> Option<u64> {
     responses_ns.iter().try_fold(0, |sum: u64, response| sum.checked_add(*response))
 }
@@ -30,7 +29,6 @@ pub fn event_triggered(responses_ns: &[u64]) -> Option<u64> {
 /// assert_eq!(register_sampled(&stages), Some(101));
 /// assert_eq!(data_age(&stages), Some(51));
 /// ```
-#[must_use]
 pub fn register_sampled(stages: &[Stage]) -> Option<u64> {
     stages.iter().try_fold(0, |sum: u64, s| sum.checked_add(s.period_ns)?.checked_add(s.response_ns))
 }
@@ -41,7 +39,6 @@ pub fn register_sampled(stages: &[Stage]) -> Option<u64> {
 /// A job released at r reads what the latest job of the stage before has written that ended by r, which was released
 /// later than r - (T + R): had it not been, its successor would have ended by r, too. The last stage adds its R. (Until
 /// the next output replaces it, the value ages by one more period of the last stage.)
-#[must_use]
 pub fn data_age(stages: &[Stage]) -> Option<u64> {
     let last = stages.last().map_or(0, |stage| stage.period_ns);
     register_sampled(stages)?.checked_sub(last)

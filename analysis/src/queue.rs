@@ -15,7 +15,6 @@ use std::time::Duration;
 /// assert_eq!(tautline_analysis::queue_capacity(ms(170), ms(200), ms(0)), Some(1));
 /// assert_eq!(tautline_analysis::queue_capacity(ms(76), ms(10), ms(0)), Some(8));
 /// ```
-#[must_use]
 pub fn queue_capacity(response: Duration, period: Duration, jitter: Duration) -> Option<usize> {
     if period.is_zero() {
         return None;

@@ -78,14 +78,12 @@ pub struct Release {
 
 impl Release {
     /// Once in each period.
-    #[must_use]
     pub const fn periodic(period_ns: u64) -> Self {
         Self { period_ns, jitter_ns: 0, min_distance_ns: 0, distances: None }
     }
 
     /// At any time, but never sooner than this after the last release. For every bound of this crate that is as
     /// demanding as [`periodic`](Self::periodic).
-    #[must_use]
     pub const fn sporadic(min_distance_ns: u64) -> Self {
         Self::periodic(min_distance_ns)
     }
@@ -101,28 +99,26 @@ impl Release {
     }
 
     /// How much later than nominal a release may come.
-    #[must_use]
+    #[must_use = "it returns the changed Release"]
     pub const fn jitter(mut self, jitter_ns: u64) -> Self {
         self.jitter_ns = jitter_ns;
         self
     }
 
     /// The least distance between two releases however large the jitter; 0 for none.
-    #[must_use]
+    #[must_use = "it returns the changed Release"]
     pub const fn min_distance(mut self, min_distance_ns: u64) -> Self {
         self.min_distance_ns = min_distance_ns;
         self
     }
 
     /// How much later than nominal a release may be, in nanoseconds.
-    #[must_use]
     pub const fn jitter_ns(&self) -> u64 {
         self.jitter_ns
     }
 
     /// The most releases in any half-open window of this length: ceil((window + J) / T), and no more than
     /// ceil(window / minimum distance). `u64::MAX` if that is not known to be fewer.
-    #[must_use]
     pub fn most_within(&self, window_ns: u64) -> u64 {
         if window_ns == 0 {
             return 0;
@@ -139,7 +135,6 @@ impl Release {
     }
 
     /// The shortest time from a release to the one `steps` after it; `u64::MAX` past 584 years.
-    #[must_use]
     pub fn shortest_span(&self, steps: u64) -> u64 {
         let delayed = self.nominal_span(steps).saturating_sub(self.jitter_ns);
         delayed.max(steps.saturating_mul(self.min_distance_ns))

@@ -33,7 +33,6 @@ pub struct Response {
 
 impl Response {
     /// The worst-case response time.
-    #[must_use]
     pub fn response(&self) -> Duration {
         Duration::from_nanos(self.response_ns)
     }
@@ -91,7 +90,6 @@ pub fn response_times_with_overheads(
 
 /// As [`response_times_with_overheads`], with an outcome for each task: where a low priority is overloaded, the bounds
 /// of the priorities above it still stand.
-#[must_use]
 pub fn response_time_per_task(tasks: &[Task], overheads: &Overheads) -> Vec<Result<Response, AnalysisError>> {
     match Core::new(tasks, overheads) {
         Ok(core) => tasks.iter().enumerate().map(|(i, task)| Response::of(&core, task, i)).collect(),

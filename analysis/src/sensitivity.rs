@@ -41,7 +41,6 @@ pub fn largest_factor(mut schedulable: impl FnMut(u64) -> bool) -> u64 {
 /// let system = System { cores: vec![Core::default()], callbacks, chains: vec![] };
 /// assert_eq!(sensitivity::load(&system), 1_111);
 /// ```
-#[must_use]
 pub fn load(system: &System) -> u64 {
     largest_factor(|factor| {
         let callbacks = system.callbacks.iter();
@@ -52,7 +51,6 @@ pub fn load(system: &System) -> u64 {
 
 /// By how many thousandths the execution times of these callbacks may be multiplied, the others unchanged. 0 if one of
 /// them does not exist.
-#[must_use]
 pub fn wcet(system: &System, callbacks: &[usize]) -> u64 {
     if callbacks.iter().any(|i| *i >= system.callbacks.len()) {
         return 0;
@@ -65,7 +63,6 @@ pub fn wcet(system: &System, callbacks: &[usize]) -> u64 {
 }
 
 /// By how many thousandths all overheads together may be multiplied; the limit of 1,000,000 if there are none.
-#[must_use]
 pub fn overhead(system: &System) -> u64 {
     largest_factor(|factor| {
         let mut scaled = system.clone();

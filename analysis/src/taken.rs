@@ -44,7 +44,6 @@ pub struct TakenTimes {
 
 impl TakenTimes {
     /// From what all threads of the core saw, in any order. Of time that may have been seen by two, the longer sight counts.
-    #[must_use]
     pub fn new(seen: impl IntoIterator<Item = Taken>) -> TakenTimes {
         let (mut pieces, mut late): (Vec<Taken>, Vec<Taken>) = seen
             .into_iter()
@@ -84,31 +83,26 @@ impl TakenTimes {
     }
 
     /// The pieces, by their begin.
-    #[must_use]
     pub fn pieces(&self) -> &[Taken] {
         &self.pieces
     }
 
     /// What was noticed in one of these ways.
-    #[must_use]
     pub fn seen(&self, ways: &[Seen]) -> TakenTimes {
         TakenTimes::of(self.pieces.iter().filter(|piece| ways.contains(&piece.seen)).copied().collect())
     }
 
     /// All of it, in nanoseconds.
-    #[must_use]
     pub fn total_ns(&self) -> u64 {
         self.pieces.iter().map(|piece| piece.length_ns).sum()
     }
 
     /// The longest piece, in nanoseconds.
-    #[must_use]
     pub fn longest_ns(&self) -> u64 {
         self.pieces.iter().map(|piece| piece.length_ns).max().unwrap_or(0)
     }
 
     /// What may have been taken in the `window_ns` before `end_ns`: of a piece that may lie in it, all.
-    #[must_use]
     pub fn before(&self, end_ns: u64, window_ns: u64) -> u64 {
         let begin_ns = end_ns.saturating_sub(window_ns);
         let first =
@@ -119,7 +113,6 @@ impl TakenTimes {
     }
 
     /// The most that may have been taken in any window of this length.
-    #[must_use]
     pub fn most_within(&self, window_ns: u64) -> u64 {
         // The window that loses most can be moved back until it is about to leave the piece that ends first.
         let end = |piece: &Taken| piece.to_ns.saturating_sub(1).saturating_add(window_ns);

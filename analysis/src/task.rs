@@ -108,7 +108,7 @@ impl Task {
     }
 
     /// Gives the task a reservation, and the priority of such.
-    #[must_use]
+    #[must_use = "it returns the changed Task"]
     pub fn reserved(mut self, runtime: Duration, period: Duration) -> Self {
         let (runtime_ns, period_ns) = (nanos(runtime), nanos(period));
         self.reservation = Some(Reservation { runtime_ns, period_ns });
@@ -117,21 +117,21 @@ impl Task {
     }
 
     /// Sets the deadline, relative to the nominal release.
-    #[must_use]
+    #[must_use = "it returns the changed Task"]
     pub fn deadline(mut self, deadline: Duration) -> Self {
         self.deadline_ns = nanos(deadline);
         self
     }
 
     /// Sets the release jitter.
-    #[must_use]
+    #[must_use = "it returns the changed Task"]
     pub fn jitter(mut self, jitter: Duration) -> Self {
         self.jitter_ns = nanos(jitter);
         self
     }
 
     /// Sets how the task is released; the deadline stays.
-    #[must_use]
+    #[must_use = "it returns the changed Task"]
     pub fn released(mut self, release: Release) -> Self {
         let Release { period_ns, jitter_ns, min_distance_ns, distances } = release;
         (self.period_ns, self.jitter_ns) = (period_ns, jitter_ns);
@@ -140,28 +140,28 @@ impl Task {
     }
 
     /// Sets the blocking by lower priorities.
-    #[must_use]
+    #[must_use = "it returns the changed Task"]
     pub fn blocking(mut self, blocking: Duration) -> Self {
         self.blocking_ns = nanos(blocking);
         self
     }
 
     /// Sets the longest section that nothing preempts.
-    #[must_use]
+    #[must_use = "it returns the changed Task"]
     pub fn non_preemptive(mut self, section: Duration) -> Self {
         self.non_preemptive_ns = nanos(section);
         self
     }
 
     /// Puts the task into a thread with others.
-    #[must_use]
+    #[must_use = "it returns the changed Task"]
     pub fn group(mut self, id: u32, order: Order) -> Self {
         self.group = Some(Group { id, order });
         self
     }
 
     /// Sets the middleware work for each message of this task, in place of [`Overheads::per_message_ns`].
-    #[must_use]
+    #[must_use = "it returns the changed Task"]
     pub fn message_overhead(mut self, overhead: Duration) -> Self {
         self.message_overhead_ns = Some(nanos(overhead));
         self
@@ -179,7 +179,6 @@ impl Task {
     }
 
     /// How the task is released.
-    #[must_use]
     pub fn release(&self) -> Release {
         Release {
             period_ns: self.period_ns,

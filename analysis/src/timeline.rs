@@ -52,7 +52,6 @@ struct Ready {
 /// thread without order, the last task goes first, its own jobs in their order.
 ///
 /// Zero periods are left out. At most 1,000,000 jobs are simulated.
-#[must_use]
 pub fn critical_instant(tasks: &[Task], overheads: &Overheads, until_ns: u64) -> Timeline {
     let mut releases = releases(tasks, overheads, until_ns);
     releases.reverse();

@@ -4,14 +4,12 @@ use crate::Task;
 
 /// The share of the core the tasks need: the sum of wcet / period, 1.0 being the whole core. Infinite (or NaN) if a
 /// period is 0. For display; the analysis compares exactly.
-#[must_use]
 pub fn utilisation(tasks: &[Task]) -> f64 {
     tasks.iter().map(|task| task.wcet_ns as f64 / task.period_ns as f64).sum()
 }
 
 /// The utilisation up to which any `count` tasks meet their deadlines under rate-monotonic priorities, n (2^(1/n) - 1)
 /// (Liu & Layland 1973), provided that deadlines are periods and there is no jitter or blocking. 1.0 for no task.
-#[must_use]
 pub fn liu_layland_bound(count: usize) -> f64 {
     if count == 0 { 1.0 } else { count as f64 * ((1.0 / count as f64).exp2() - 1.0) }
 }
@@ -28,7 +26,6 @@ pub fn liu_layland_bound(count: usize) -> f64 {
 /// assert!(utilisation(&tasks) > liu_layland_bound(2)); // 0.833 > 0.828
 /// assert!(hyperbolic_test(&tasks)); // 3/2 * 4/3 = 2
 /// ```
-#[must_use]
 pub fn hyperbolic_test(tasks: &[Task]) -> bool {
     const ONE: u128 = 1 << 60;
     let mut product = ONE;

@@ -18,7 +18,6 @@ impl Distribution {
     /// # Panics
     ///
     /// Never: the bounds are valid.
-    #[must_use]
     pub fn new() -> Self {
         let histogram = Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("valid bounds");
         Self { histogram }
@@ -30,7 +29,6 @@ impl Distribution {
     }
 
     /// The times and how often each occurred, for another process to [`add`](Self::add).
-    #[must_use]
     pub fn counts(&self) -> Vec<(u64, u64)> {
         self.histogram.iter_recorded().map(|step| (step.value_iterated_to(), step.count_at_value())).collect()
     }
@@ -43,25 +41,21 @@ impl Distribution {
     }
 
     /// How many times were recorded.
-    #[must_use]
     pub fn len(&self) -> u64 {
         self.histogram.len()
     }
 
     /// Whether there are none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.histogram.is_empty()
     }
 
     /// The time in µs that a share of `quantile` (0 to 1) does not exceed; 0 if empty.
-    #[must_use]
     pub fn quantile_us(&self, quantile: f64) -> f64 {
         microseconds(self.histogram.value_at_quantile(quantile))
     }
 
     /// The longest time in µs; 0 if empty.
-    #[must_use]
     pub fn max_us(&self) -> f64 {
         microseconds(self.histogram.max())
     }

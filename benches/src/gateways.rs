@@ -68,7 +68,6 @@ impl<'a> Gateways<'a> {
     }
 
     /// What the gateway of `host` (0 or 1) said last.
-    #[must_use]
     pub fn stats(&mut self, host: usize) -> serde_json::Value {
         self.both[host].latest().unwrap_or_default()
     }

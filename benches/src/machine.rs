@@ -7,7 +7,6 @@ use std::time::Instant;
 use tautline_rt::host::{HostInfo, steal_ticks};
 
 /// Processor, cores, kernel and the kernel's limit for real-time threads in one line.
-#[must_use]
 pub fn machine() -> String {
     let host = HostInfo::read();
     let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
@@ -27,7 +26,6 @@ pub fn machine() -> String {
 }
 
 /// The version of `package` that this workspace was built with.
-#[must_use]
 pub fn version_of(package: &str) -> Option<&'static str> {
     let lock = include_str!("../../Cargo.lock");
     let (_, entry) = lock.split_once(&format!("name = \"{package}\"\nversion = \""))?;
@@ -45,7 +43,6 @@ pub struct Disturbance {
 
 impl Disturbance {
     /// Starts.
-    #[must_use]
     pub fn start() -> Self {
         let load = fs::read_to_string("/proc/loadavg").unwrap_or_default();
         let load = load.split(' ').next().and_then(|load| load.parse().ok()).unwrap_or(f64::NAN);
@@ -54,7 +51,6 @@ impl Disturbance {
 
     /// The time that the hypervisor gave to others since the start (ticks of 10 ms, share of all cores' time) and the
     /// load average at the start, with a warning if others were running.
-    #[must_use]
     pub fn report(&self) -> String {
         let ticks = steal_ticks(None).saturating_sub(self.steal_ticks);
         let cores = std::thread::available_parallelism().map_or(1, usize::from);

@@ -30,7 +30,6 @@ pub fn list(out: &mut String, title: &str, lines: &[String]) -> fmt::Result {
 }
 
 /// As text of a page.
-#[must_use]
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }

@@ -196,7 +196,6 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
     }
 
     /// Its number.
-    #[must_use]
     pub fn id(&self) -> u32 {
         self.child.id()
     }

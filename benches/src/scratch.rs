@@ -33,13 +33,11 @@ impl Scratch {
     }
 
     /// For files.
-    #[must_use]
     pub fn directory(&self) -> &Path {
         self.directory.path()
     }
 
     /// For names in /dev/shm.
-    #[must_use]
     pub fn prefix(&self) -> &str {
         &self.prefix
     }

@@ -40,7 +40,6 @@ impl Stage {
     }
 
     /// Whether what is measured here can be judged: without priorities or a second core it depends on anything.
-    #[must_use]
     pub fn is_fit(&self) -> bool {
         self.realtime && self.core != self.other_core
     }

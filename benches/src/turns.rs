@@ -42,7 +42,6 @@ impl Turns {
     }
 
     /// Of the ratios: the median, the least and the greatest.
-    #[must_use]
     pub fn ratio(&self) -> [f64; 3] {
         let mut ratios = self.ratios.clone();
         ratios.sort_by(f64::total_cmp);

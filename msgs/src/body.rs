@@ -35,13 +35,11 @@ impl<'a> Body<'a> {
     }
 
     /// The body itself.
-    #[must_use]
     pub fn bytes(self) -> &'a [u8] {
         self.memory.get(..self.len).unwrap_or_default()
     }
 
     /// The body and what follows it.
-    #[must_use]
     pub fn memory(self) -> &'a [u8] {
         self.memory
     }

@@ -18,7 +18,6 @@ impl Definition {
     /// # Real-time
     ///
     /// Setup only: allocates.
-    #[must_use]
     pub fn to_text(&self) -> String {
         let mut needed = Vec::new();
         self.collect(&mut needed);
@@ -46,7 +45,6 @@ impl Definition {
 
 /// The definition of a generated type, for those that have a field of it.
 #[doc(hidden)]
-#[must_use]
 pub const fn definition_of<T: crate::Message>() -> &'static Definition {
     match T::DEFINITION {
         Some(definition) => definition,

@@ -42,7 +42,7 @@ pub enum Invalid {
 impl Invalid {
     /// The same fault in a value that starts `base` bytes into a larger one.
     #[doc(hidden)]
-    #[must_use]
+    #[must_use = "it returns the changed error"]
     pub fn at(self, base: usize) -> Self {
         match self {
             Self::Value { offset, value, type_name } => {

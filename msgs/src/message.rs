@@ -173,7 +173,6 @@ impl<T: Plain + Message> PlainView<T> {
     /// # Safety
     ///
     /// [`Message::view`] of `T` is [`view_plain`](crate::view_plain).
-    #[must_use]
     pub const unsafe fn new() -> Self {
         Self(PhantomData)
     }

@@ -38,7 +38,6 @@ pub struct StructShape {
 /// # Real-time
 ///
 /// Setup only: allocates.
-#[must_use]
 pub fn definition_text<T: Message>() -> Option<String> {
     match (T::DEFINITION, T::SHAPE) {
         (Some(definition), _) => Some(definition.to_text()),

@@ -26,7 +26,6 @@ pub trait HasStamp: Message {
 }
 
 /// The nanoseconds of a `builtin_interfaces/Time`.
-#[must_use]
 pub const fn time_ns(sec: i32, nanosec: u32) -> i64 {
     sec as i64 * 1_000_000_000 + nanosec as i64
 }

@@ -98,7 +98,6 @@ impl Running {
     }
 
     /// For the analysis.
-    #[must_use]
     pub fn machine(&self) -> Machine<'_> {
         let mut machine = Machine::default();
         for FileInUse { file, host, label } in &self.files {

@@ -73,7 +73,7 @@ impl RemapRules {
     }
 
     /// These rules, and `others` where none of these matches.
-    #[must_use]
+    #[must_use = "it returns the changed RemapRules"]
     pub fn then(mut self, others: &RemapRules) -> RemapRules {
         self.rules.extend_from_slice(&others.rules);
         self

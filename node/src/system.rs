@@ -237,27 +237,23 @@ pub struct CallbackJoin {
 
 impl CallbackJoin {
     /// For [`Synchronizer::new`](crate::join::Synchronizer::new): close stamps, within the window.
-    #[must_use]
     pub fn approximate_time(&self) -> ApproximateTime {
         ApproximateTime::new(self.queue_size).max_interval(self.window.unwrap_or(Duration::MAX))
     }
 
     /// For [`Synchronizer::new`](crate::join::Synchronizer::new), with `policy = "approximate_epsilon_time"`: the first stamps within the
     /// window.
-    #[must_use]
     pub fn approximate_epsilon_time(&self) -> ApproximateEpsilonTime {
         ApproximateEpsilonTime::new(self.queue_size, self.window.unwrap_or(Duration::MAX))
     }
 
     /// For [`Synchronizer::new`](crate::join::Synchronizer::new): equal stamps.
-    #[must_use]
     pub fn exact_time(&self) -> ExactTime {
         ExactTime::new(self.queue_size)
     }
 
     /// What a subscription of the join has to hold, for [`Node::set_topic_limits`](crate::Node::set_topic_limits): what waits, a
     /// message that arrives, and one that the callback works on.
-    #[must_use]
     pub fn limits(&self) -> Limits {
         Limits { held: self.queue_size.saturating_add(2).clamp(4, Limits::MAX_HELD), ..Limits::default() }
     }

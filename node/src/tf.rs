@@ -110,13 +110,11 @@ impl TransformListener {
     }
 
     /// What transforms are looked up in; a clone is the same.
-    #[must_use]
     pub fn buffer(&self) -> Buffer {
         self.buffer.clone()
     }
 
     /// The callback, with its statistics.
-    #[must_use]
     pub fn callback(&self) -> &CallbackHandle {
         &self.callback
     }
@@ -245,7 +243,6 @@ impl StaticTransformBroadcaster {
 }
 
 /// A transform as messages have it.
-#[must_use]
 pub fn to_message(transform: &Transform) -> msg::Transform {
     let ([x, y, z], [qx, qy, qz, qw]) = (transform.translation, transform.rotation);
     msg::Transform {
@@ -255,7 +252,6 @@ pub fn to_message(transform: &Transform) -> msg::Transform {
 }
 
 /// A transform of a message.
-#[must_use]
 pub fn of_message(transform: &msg::Transform) -> Transform {
     let (by, turned) = (&transform.translation, &transform.rotation);
     Transform::new([by.x, by.y, by.z], [turned.x, turned.y, turned.z, turned.w])

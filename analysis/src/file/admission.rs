@@ -116,20 +116,17 @@ impl<'f> Machine<'f> {
     }
 
     /// Whether nothing real-time is known to run.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.shares.is_empty() && self.threads.is_empty()
     }
 
     /// All that runs, as one system.
-    #[must_use]
     pub fn check(&self) -> CheckedSystem {
         self.unite().file.check()
     }
 
     /// What becomes of all deadlines if the candidate runs, too. It is admitted if it meets its own, and breaks none that
     /// is met without it.
-    #[must_use]
     pub fn admit(&self, candidate: &Candidate<'f>) -> Admission {
         let mut with = self.clone();
         let own = match candidate {

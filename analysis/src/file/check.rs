@@ -108,7 +108,6 @@ pub struct CheckedCore {
 
 impl CheckedSystem {
     /// The hosts that stall, each with its longest time in nanoseconds; none if no queue is deeper for it.
-    #[must_use]
     pub fn stalls(&self) -> Vec<(&str, u64)> {
         if self.callbacks.iter().all(|callback| callback.capacity == callback.capacity_without_stall) {
             return Vec::new();

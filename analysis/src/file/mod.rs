@@ -141,7 +141,6 @@ impl OverrunPolicy {
         [OverrunPolicy::Tell, OverrunPolicy::Demote, OverrunPolicy::Suspend, OverrunPolicy::End];
 
     /// Its name in the file.
-    #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
             OverrunPolicy::Tell => "tell",
@@ -169,7 +168,6 @@ impl JoinPolicy {
     pub const NAMED: [JoinPolicy; 2] = [JoinPolicy::ApproximateEpsilonTime, JoinPolicy::LatestTime];
 
     /// Its name in the file.
-    #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
             JoinPolicy::ByWindow => "by_window",
@@ -214,7 +212,6 @@ impl LinkPriority {
     ];
 
     /// Its name in the file and on the gateway's command line.
-    #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
             LinkPriority::RealTime => "real_time",
@@ -296,19 +293,16 @@ impl SystemFile {
     }
 
     /// The callbacks, in the order of the file.
-    #[must_use]
     pub fn callbacks(&self) -> &[CallbackEntry] {
         &self.callbacks
     }
 
     /// The topics that the file declares, then those that are only published.
-    #[must_use]
     pub fn topics(&self) -> &[TopicEntry] {
         &self.topics
     }
 
     /// The cores of all hosts.
-    #[must_use]
     pub fn cores(&self) -> &[CoreEntry] {
         &self.cores
     }
@@ -328,19 +322,16 @@ impl SystemFile {
     }
 
     /// A number that is another one for another text: to tell whether two programs read the same file.
-    #[must_use]
     pub fn fingerprint(&self) -> u64 {
         self.fingerprint
     }
 
     /// What the analysis sees.
-    #[must_use]
     pub fn system(&self) -> &System {
         &self.system
     }
 
     /// The same on machines that cost nothing.
-    #[must_use]
     pub fn system_without_overheads(&self) -> System {
         let mut free = self.system.clone();
         free.cores.iter_mut().for_each(|core| core.overheads = crate::Overheads::NONE);
@@ -389,7 +380,6 @@ impl SystemFile {
     }
 
     /// Bounds every callback and every chain, with and without overheads, and sizes the queues.
-    #[must_use]
     pub fn check(&self) -> CheckedSystem {
         check::check(self)
     }

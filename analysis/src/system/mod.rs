@@ -90,34 +90,32 @@ impl Transfer {
 
 impl Callback {
     /// A callback with releases of its own.
-    #[must_use]
     pub fn new(task: Task, core: usize) -> Self {
         Self { task, core, trigger: None, join: None }
     }
 
     /// Makes the messages of another callback trigger this one.
-    #[must_use]
+    #[must_use = "it returns the changed Callback"]
     pub fn triggered_by(mut self, callback: usize, transfer: Transfer) -> Self {
         self.trigger = Some((callback, transfer));
         self
     }
 
     /// Makes it run once messages of several others are there, which these callbacks take.
-    #[must_use]
+    #[must_use = "it returns the changed Callback"]
     pub fn joining(self, inputs: Vec<usize>, matching: Matching) -> Self {
         let ports = (0..inputs.len()).collect();
         self.joining_ports(inputs, ports, matching)
     }
 
     /// The same, where several of these callbacks may take the messages of one input: see [`Join::ports`].
-    #[must_use]
+    #[must_use = "it returns the changed Callback"]
     pub fn joining_ports(mut self, inputs: Vec<usize>, ports: Vec<usize>, matching: Matching) -> Self {
         self.join = Some(Join { inputs, ports, matching });
         self
     }
 
     /// Whether its releases are those of messages of the system, not its own.
-    #[must_use]
     pub fn is_triggered(&self) -> bool {
         self.trigger.is_some() || self.join.is_some()
     }
@@ -150,7 +148,6 @@ pub struct SystemReport {
 
 impl SystemReport {
     /// Whether every callback and every chain meets its deadline.
-    #[must_use]
     pub fn schedulable(&self) -> bool {
         let callbacks =
             self.callbacks.iter().all(|outcome| outcome.as_ref().is_ok_and(|response| response.met));
@@ -161,7 +158,6 @@ impl SystemReport {
 impl System {
     /// The period of a callback: its own, or what it inherits from what triggers it, of several inputs the longest; one with several
     /// publishers has that of all their messages. The system must have no circles.
-    #[must_use]
     pub fn period_ns(&self, callback: usize) -> u64 {
         join::period(self, callback)
     }

@@ -46,7 +46,6 @@ pub struct Pid {
 
 impl Pid {
     /// Gains of the error, its integral and its derivative; the integral's part is at most `most`.
-    #[must_use]
     pub const fn new(gains: [f64; 3], most: f64) -> Pid {
         Pid { gains, most, integral: 0.0, last: None }
     }
@@ -141,7 +140,6 @@ impl Controller {
     }
 
     /// The plan that is followed.
-    #[must_use]
     pub fn trajectory(&self) -> Option<&Trajectory> {
         self.plan.as_ref()
     }

@@ -65,7 +65,6 @@ pub struct Logbook {
 
 impl Logbook {
     /// An empty one, with room for `seconds`.
-    #[must_use]
     pub fn new(seed: u64, seconds: f64) -> Logbook {
         let room = (seconds / STEP_S) as usize / KEEP_EVERY + 2;
         let drive = Drive { seed, course: Vec::with_capacity(room), ..Drive::default() };
@@ -91,7 +90,6 @@ impl Logbook {
     }
 
     /// What it was.
-    #[must_use]
     pub fn close(self) -> Drive {
         let seconds = self.steps as f64 * STEP_S;
         let counted = self.counted.max(1) as f64;

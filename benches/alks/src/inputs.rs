@@ -33,19 +33,16 @@ pub struct Inputs {
 }
 
 /// Of the wheel's angle at the driver's hands that of the road wheels.
-#[must_use]
 pub fn road_wheels(steering_wheel_rad: f64) -> f64 {
     steering_wheel_rad / crate::vehicle::STEERING_RATIO
 }
 
 /// The speed that the wheels have, in m/s.
-#[must_use]
 pub fn wheel_speed(wheels_radps: &[f64; 4]) -> f64 {
     wheels_radps.iter().sum::<f64>() / 4.0 * crate::vehicle::WHEEL_M
 }
 
 /// Where the car is on the map, of where it has come since its start.
-#[must_use]
 pub fn absolute(relative: Pose, start: Pose) -> Pose {
     relative.from(start)
 }

@@ -39,7 +39,6 @@ impl Shared {
     pub const ALL: [Shared; 3] = [Shared::Latest, Shared::Inherit, Shared::Mutex];
 
     /// For people and command lines.
-    #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
             Shared::Latest => "latest",
@@ -71,13 +70,11 @@ pub const WARM_UP_NS: u64 = 1_000_000_000;
 
 impl Job {
     /// When the adapter's last step is, if its first is at `first_ns`.
-    #[must_use]
     pub fn end_ns(&self, first_ns: u64) -> u64 {
         first_ns + WARM_UP_NS + (self.seconds * 1e9) as u64
     }
 
     /// The length of the drive, in minutes.
-    #[must_use]
     pub fn minutes(&self) -> f64 {
         (self.seconds + 2.0) / 60.0
     }

@@ -47,7 +47,6 @@ pub const START: signals::Pose = signals::Pose { x: 50.0, y: 0.0, yaw: 0.0 };
 pub const CRUISE_MPS: f64 = 130.0 / 3.6;
 
 /// `CLOCK_MONOTONIC`, in s: what controllers are called with.
-#[must_use]
 pub fn now_s() -> f64 {
     tautline_rt::clock::monotonic_ns() as f64 / 1e9
 }

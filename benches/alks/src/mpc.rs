@@ -113,7 +113,6 @@ const fn slack(k: usize) -> usize {
 const VARIABLES: usize = 7 * HORIZON;
 
 /// The best trajectory; `None` if the solver found none within its iterations.
-#[must_use]
 pub fn plan(problem: &Problem) -> Option<Trajectory> {
     let speed = problem.speed_mps.max(1.0);
     let mut rows = Rows::default();

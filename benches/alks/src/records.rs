@@ -55,7 +55,6 @@ impl Span {
     ];
 
     /// For people.
-    #[must_use]
     pub const fn as_str(self) -> &'static str {
         match self {
             Span::Chain => "odometry chain, end to end",
@@ -112,7 +111,6 @@ impl Records {
     ///
     /// # Panics
     /// Never: the bounds are those of the library.
-    #[must_use]
     pub fn new(begin_ns: u64) -> Records {
         let times = || {
             Times(Mutex::new(
@@ -160,7 +158,6 @@ impl Records {
     }
 
     /// What has been noted so far.
-    #[must_use]
     pub fn part(&self, drive: Option<Drive>) -> Part {
         let counts = |of: &[AtomicU64]| of.iter().map(|count| count.load(Ordering::Relaxed)).collect();
         let times = Span::ALL.iter().zip(&self.times).filter_map(|(span, times)| {
@@ -217,7 +214,6 @@ pub struct Summary {
 
 impl Summary {
     /// Share of the times below `limit`, 0 to 1.
-    #[must_use]
     pub fn share_below(&self, limit: Duration) -> f64 {
         let below = self.values.iter().filter(|(ns, _)| u128::from(*ns) < limit.as_nanos());
         below.map(|(_, count)| count).sum::<u64>() as f64 / self.n.max(1) as f64
@@ -225,7 +221,6 @@ impl Summary {
 }
 
 /// Summaries of all that several processes, or several runs, have told.
-#[must_use]
 pub fn summaries<'p>(parts: impl Iterator<Item = &'p Part> + Clone) -> Vec<Summary> {
     let of_span = |span: &Span| {
         let mut values = std::collections::BTreeMap::new();
@@ -262,7 +257,6 @@ pub fn summaries<'p>(parts: impl Iterator<Item = &'p Part> + Clone) -> Vec<Summa
 /// Messages that were published to a topic and did not come to one who subscribes to it: of each topic that lost some, and how many of how
 /// many. As the subscription counts; if it does not, what was published and did not come, which contains what was published before it began
 /// and after it ended.
-#[must_use]
 pub fn losses(parts: &[Part]) -> Vec<(String, u64, u64)> {
     let of_topic = |(index, topic): (usize, &&str)| {
         let sent: u64 = parts.iter().filter_map(|part| part.sent.get(index)).sum();
@@ -277,7 +271,6 @@ pub fn losses(parts: &[Part]) -> Vec<(String, u64, u64)> {
 }
 
 /// Messages that were published in all.
-#[must_use]
 pub fn published(parts: &[Part]) -> u64 {
     parts.iter().flat_map(|part| &part.sent).sum()
 }

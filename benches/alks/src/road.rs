@@ -28,7 +28,6 @@ struct Point {
 
 impl Road {
     /// At least `length_m` of it.
-    #[must_use]
     pub fn new(seed: u64, length_m: f64) -> Road {
         let mut rng = StdRng::seed_from_u64(seed);
         let mut curvatures = Vec::new();
@@ -63,19 +62,16 @@ impl Road {
     }
 
     /// How long it is, in m. Beyond its end it is straight.
-    #[must_use]
     pub fn length_m(&self) -> f64 {
         (self.points.len() - 1) as f64 * GRID_M
     }
 
     /// Curvature at `s` m from its begin, in 1/m; positive to the left.
-    #[must_use]
     pub fn curvature(&self, s: f64) -> f64 {
         self.point(s).curvature
     }
 
     /// The place `across` m to the left of the centre at `s`, heading along the road.
-    #[must_use]
     pub fn pose(&self, s: f64, across: f64) -> Pose {
         let Point { pose, curvature } = self.point(s);
         let along = s - (s / GRID_M).floor().clamp(0.0, (self.points.len() - 1) as f64) * GRID_M;
@@ -87,7 +83,6 @@ impl Road {
 
     /// Where a place near `guess` lies: along the road, and to the left of its centre. Newton's method; three steps are exact to
     /// less than a millimetre for a guess within 10 m.
-    #[must_use]
     pub fn project(&self, place: Pose, guess: f64) -> (f64, f64) {
         let mut s = guess;
         for _ in 0..3 {

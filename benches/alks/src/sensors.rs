@@ -36,7 +36,6 @@ pub struct Sensors {
 
 impl Sensors {
     /// Of a car that starts there.
-    #[must_use]
     pub fn new(seed: u64, start: Pose) -> Sensors {
         Sensors { rng: StdRng::seed_from_u64(seed), start }
     }
@@ -105,7 +104,6 @@ impl Sensors {
 
 /// The cubic with the least squares of distances, from `c0`: the normal equations, of x in hundreds of metres, by elimination with pivots.
 /// `None` if the points do not determine one.
-#[must_use]
 pub fn fit(points: &[(f64, f64)]) -> Option<[f64; 4]> {
     const SCALE: f64 = 100.0;
     let mut rows = [[0.0; 5]; 4];

@@ -31,7 +31,6 @@ pub enum View {
 }
 
 /// Both sides.
-#[must_use]
 pub fn share(shared: Shared) -> (Store, View) {
     match shared {
         Shared::Latest => {

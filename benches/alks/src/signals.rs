@@ -55,7 +55,7 @@ pub struct Pose {
 
 impl Pose {
     /// This place, which is relative to `origin`, in the frame of `origin`.
-    #[must_use]
+    #[must_use = "it returns the place"]
     pub fn from(self, origin: Pose) -> Pose {
         let (sin, cos) = origin.yaw.sin_cos();
         Pose {
@@ -66,7 +66,7 @@ impl Pose {
     }
 
     /// This place as seen from `origin`: the inverse of [`from`](Self::from).
-    #[must_use]
+    #[must_use = "it returns the place"]
     pub fn seen_from(self, origin: Pose) -> Pose {
         let (sin, cos) = origin.yaw.sin_cos();
         let (dx, dy) = (self.x - origin.x, self.y - origin.y);
@@ -75,7 +75,6 @@ impl Pose {
 }
 
 /// An angle between -pi and pi.
-#[must_use]
 pub fn wrap(angle: f64) -> f64 {
     let turn = std::f64::consts::TAU;
     angle - turn * (angle / turn).round()
@@ -121,7 +120,6 @@ pub struct Vehicles {
 
 impl Vehicles {
     /// Those that there are.
-    #[must_use]
     pub fn as_slice(&self) -> &[Vehicle] {
         &self.of[..self.count.min(MAX_VEHICLES)]
     }
@@ -158,13 +156,11 @@ pub struct Line {
 
 impl Line {
     /// Its y at x.
-    #[must_use]
     pub fn y(&self, x: f64) -> f64 {
         self.coefficients.iter().rev().fold(0.0, |sum, c| sum * x + c)
     }
 
     /// Its curvature at x, in 1/m, for slopes that are small.
-    #[must_use]
     pub fn curvature(&self, x: f64) -> f64 {
         2.0 * self.coefficients[2] + 6.0 * self.coefficients[3] * x
     }

@@ -54,7 +54,6 @@ pub struct Truth {
 
 impl Simulator {
     /// With room for `minutes` at the speed that is wanted. The car drives at 120 km/h.
-    #[must_use]
     pub fn new(seed: u64, minutes: f64) -> Simulator {
         let road = Road::new(seed, CRUISE_MPS * 60.0 * minutes + 1_000.0);
         // The first stretch is straight.
@@ -89,7 +88,6 @@ impl Simulator {
     }
 
     /// Whether the slow sensors have something to say of this step.
-    #[must_use]
     pub fn is_slow_due(&self) -> bool {
         self.steps.is_multiple_of(SLOW_EVERY)
     }
@@ -100,19 +98,16 @@ impl Simulator {
     }
 
     /// Time since the start, in s.
-    #[must_use]
     pub fn time_s(&self) -> f64 {
         self.steps as f64 * STEP_S
     }
 
     /// The car itself.
-    #[must_use]
     pub fn car(&self) -> &Car {
         &self.car
     }
 
     /// What is true now.
-    #[must_use]
     pub fn truth(&self) -> Truth {
         let ahead = self
             .traffic

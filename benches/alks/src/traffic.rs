@@ -50,7 +50,6 @@ pub struct Traffic {
 
 impl Traffic {
     /// Around a car at `s`.
-    #[must_use]
     pub fn new(seed: u64, s: f64, speed_mps: f64) -> Traffic {
         let mut rng = StdRng::seed_from_u64(seed);
         let spacing = 2.0 * NEAR_M / CARS as f64;
@@ -130,19 +129,16 @@ impl Traffic {
     }
 
     /// The cars, always as many.
-    #[must_use]
     pub fn cars(&self) -> &[Other] {
         &self.cars
     }
 
     /// How often one has cut in.
-    #[must_use]
     pub fn cut_ins(&self) -> u32 {
         self.cut_ins
     }
 
     /// Whether one that has cut in is still ahead.
-    #[must_use]
     pub fn has_guest(&self) -> bool {
         self.guest.is_some()
     }

@@ -61,7 +61,6 @@ pub struct Car {
 
 impl Car {
     /// One that drives straight ahead.
-    #[must_use]
     pub fn new(pose: Pose, speed_mps: f64) -> Car {
         Car {
             pose,
@@ -108,7 +107,6 @@ impl Car {
 }
 
 /// The steering angle of a steady curve: `curvature` (L + K u²), with the understeer gradient K = m (lr Cr - lf Cf) / (L Cf Cr).
-#[must_use]
 pub fn steering_of(curvature: f64, speed_mps: f64) -> f64 {
     let gradient = MASS_KG * (REAR_M * REAR_STIFFNESS - FRONT_M * FRONT_STIFFNESS)
         / (WHEELBASE_M * FRONT_STIFFNESS * REAR_STIFFNESS);

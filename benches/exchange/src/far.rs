@@ -39,7 +39,6 @@ pub struct Arrivals {
 
 impl Arrivals {
     /// Before the first message.
-    #[must_use]
     pub fn new(job: &Job) -> Self {
         let stride = match job.exchange {
             Exchange::Stream { window: Some(window) } => (window / 4).max(1),
@@ -90,7 +89,6 @@ impl Arrivals {
     }
 
     /// What was measured; nothing remains.
-    #[must_use]
     pub fn take_measured(&mut self) -> Measured {
         std::mem::take(&mut self.measured)
     }

@@ -73,7 +73,6 @@ pub struct Source {
 
 impl Source {
     /// Before the first message; `go` as by [`stop_flag`](crate::stop_flag).
-    #[must_use]
     pub fn new(job: &Job, go: Arc<AtomicBool>) -> Self {
         let (numbers, budget_ns) = (Numbers::of(job), nanoseconds(job.budget));
         Source {
@@ -146,7 +145,6 @@ impl Source {
     }
 
     /// What it took.
-    #[must_use]
     pub fn measured(&self) -> Measured {
         let (cpu_ns, since_ns, before) = self.warm.unwrap_or_default();
         Measured {
@@ -207,7 +205,6 @@ struct Counts {
 
 impl Sink {
     /// Before the first message.
-    #[must_use]
     pub fn new(job: &Job) -> Self {
         let inlets = topics(job) * job.way.subscribers.max(1);
         let counts = || Counts { times_ns: Vec::with_capacity(ROOM / topics(job)), ..Counts::default() };
@@ -234,7 +231,6 @@ impl Sink {
     }
 
     /// What has arrived. Of several subscriptions to one topic: when it had arrived at all of them.
-    #[must_use]
     pub fn measured(&self) -> Measured {
         let end_cpu_ns = match self.state.complete_cpu_ns.load(Ordering::Relaxed) {
             0 => process_cpu_ns(),
@@ -272,7 +268,6 @@ impl Sink {
 }
 
 /// The longest time of each number that arrived everywhere.
-#[must_use]
 pub fn to_the_last(mut arrivals: Vec<(u64, u64)>, receivers: usize) -> Vec<(u64, u64)> {
     arrivals.sort_unstable();
     let of_all = |group: &[(u64, u64)]| (group.len() == receivers).then(|| group[receivers - 1]);

@@ -104,7 +104,6 @@ pub struct FutexPair {
 
 impl FutexPair {
     /// How long the file must be.
-    #[must_use]
     pub fn memory_bytes(payload_bytes: usize) -> usize {
         SharedMemory::bytes(payload_bytes, 2)
     }
@@ -161,7 +160,6 @@ const RECEIVED: usize = 1;
 
 impl FutexRing {
     /// How long the file must be.
-    #[must_use]
     pub fn memory_bytes(payload_bytes: usize) -> usize {
         SharedMemory::bytes(TOPIC_BYTES + payload_bytes, RING as usize)
     }

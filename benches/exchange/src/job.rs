@@ -104,7 +104,6 @@ impl Job {
     }
 
     /// Topics on which this end sends and receives.
-    #[must_use]
     pub fn topics(&self) -> [String; 2] {
         let (there, back) = (format!("{}/there", self.topic), format!("{}/back", self.topic));
         match self.role {
@@ -114,7 +113,6 @@ impl Job {
     }
 
     /// Messages that a queue has room for, whatever the system: 10, of a stream of small ones 100.
-    #[must_use]
     pub fn depth(&self) -> usize {
         match self.exchange {
             Exchange::Stream { .. } if self.payload_bytes <= SMALL_BYTES => 100,
@@ -228,7 +226,6 @@ pub fn say(line: &Line) {
 }
 
 /// Set when standard input is closed: the starter needs this process no more.
-#[must_use]
 pub fn stop_flag() -> Arc<AtomicBool> {
     let flag = Arc::new(AtomicBool::new(false));
     let stop = flag.clone();
@@ -257,7 +254,6 @@ pub struct Memory {
 
 impl Memory {
     /// A process's share; 0 if the kernel does not say.
-    #[must_use]
     pub fn of(process: &str) -> Self {
         let text = std::fs::read_to_string(format!("/proc/{process}/smaps_rollup")).unwrap_or_default();
         let number = |name: &str| {

@@ -103,7 +103,6 @@ pub struct RoundTrips {
 
 impl RoundTrips {
     /// Before the first.
-    #[must_use]
     pub fn new(job: &Job) -> Self {
         RoundTrips {
             times_ns: Vec::with_capacity(ROOM),
@@ -156,13 +155,11 @@ impl RoundTrips {
     }
 
     /// How long to wait for an answer.
-    #[must_use]
     pub fn patience(&self) -> Duration {
         if self.connected_ns.is_some() { PATIENCE } else { CONNECTING }
     }
 
     /// Whether the answer has not come in that time.
-    #[must_use]
     pub fn is_overdue(&self) -> bool {
         monotonic_ns() - self.started_ns >= nanoseconds(self.patience())
     }
@@ -179,7 +176,6 @@ impl RoundTrips {
     }
 
     /// What was measured.
-    #[must_use]
     pub fn measured(self) -> Measured {
         let seconds = self.measuring_since_ns.map_or(0.0, |since| (monotonic_ns() - since) as f64 / 1e9);
         let cpu_ns = process_cpu_ns() - self.cpu_ns;
@@ -202,7 +198,6 @@ pub struct Window {
 
 impl Window {
     /// Before the first message.
-    #[must_use]
     pub fn new(size: Option<u64>) -> Self {
         Window {
             size,
@@ -237,13 +232,11 @@ impl Window {
     }
 
     /// Whether the far end has enough.
-    #[must_use]
     pub fn is_done(&self) -> bool {
         self.is_done
     }
 
     /// How long to wait for a confirmation.
-    #[must_use]
     pub fn patience(&self) -> Duration {
         if self.is_connected { PATIENCE } else { CONNECTING }
     }

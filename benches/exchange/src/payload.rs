@@ -41,7 +41,6 @@ impl Stamp {
     ///
     /// # Panics
     /// Of less than [`BYTES`](Self::BYTES), or of a number that is no multiple of 8.
-    #[must_use]
     pub fn written(self, bytes: usize) -> Vec<u8> {
         assert!(bytes >= Self::BYTES && bytes.is_multiple_of(8), "a message of {bytes} bytes");
         let mut message = Vec::with_capacity(bytes);

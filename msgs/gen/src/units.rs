@@ -2,7 +2,6 @@
 //! The units of the fields of ROS 2's own messages: REP 103's, or what the comments in the definitions say.
 
 /// The unit of a field, where it has one and it is known: `rad/s`.
-#[must_use]
 pub fn unit(type_name: &str, field: &str) -> Option<&'static str> {
     let index = UNITS.binary_search_by_key(&type_name, |(name, _)| name).ok()?;
     UNITS[index].1.iter().find(|(_, fields)| fields.contains(&field)).map(|(unit, _)| *unit)

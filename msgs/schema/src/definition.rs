@@ -55,19 +55,16 @@ impl Primitive {
     ];
 
     /// Its name in definitions.
-    #[must_use]
     pub fn as_str(self) -> &'static str {
         Self::ALL.iter().find(|entry| entry.0 == self).map_or("", |entry| entry.1)
     }
 
     /// The inverse of [`as_str`](Self::as_str).
-    #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.iter().find(|entry| entry.1 == name).map(|entry| entry.0)
     }
 
     /// Its size in bytes, which is its alignment as well.
-    #[must_use]
     pub fn size(self) -> usize {
         match self {
             Self::Bool | Self::Byte | Self::Char | Self::I8 | Self::U8 => 1,
@@ -169,7 +166,6 @@ pub(crate) const EMPTY_MEMBER: &str = "structure_needs_at_least_one_member";
 
 impl Definition {
     /// Whether it defines no field, and has only the one that stands for none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         let byte = FieldType { base: Base::Primitive(Primitive::U8), shape: Shape::Single };
         matches!(&self.fields[..], [field] if field.name == EMPTY_MEMBER && field.ty == byte)

@@ -78,7 +78,6 @@ pub struct NamedHash {
 
 impl TypeDescription {
     /// The hash of the type: SHA-256 of the description as JSON without defaults, spaced as Python does.
-    #[must_use]
     pub fn hash(&self) -> TypeHash {
         let mut text = String::from("{\"type_description\": ");
         individual(&mut text, &self.type_description);
@@ -135,7 +134,6 @@ impl From<&Schema> for HashedTypeDescription {
 
 impl HashedTypeDescription {
     /// The text of the file, byte for byte as ROS writes it.
-    #[must_use]
     pub fn to_json(&self) -> String {
         // Strings and numbers can always be serialised.
         ascii(&serde_json::to_string_pretty(self).unwrap_or_default())

@@ -35,7 +35,6 @@ impl Default for EchoForm {
 
 impl DynamicMessage {
     /// As [`Display`](fmt::Display), with what is long cut off, or left out.
-    #[must_use]
     pub fn echo(&self, form: EchoForm) -> String {
         let mut text = String::new();
         // Writing to a `String` cannot fail.

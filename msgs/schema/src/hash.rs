@@ -19,7 +19,6 @@ impl TypeHash {
     }
 
     /// The SHA-256.
-    #[must_use]
     pub fn as_bytes(&self) -> &[u8; 32] {
         &self.0
     }

@@ -49,7 +49,6 @@ const HEADER: [u8; 4] = [0, 1, 0, 0];
 
 impl DynamicMessage {
     /// A message of defaults.
-    #[must_use]
     pub fn new(schema: &Arc<Schema>) -> Self {
         Self { schema: schema.clone(), fields: defaults(schema, 0), trailing: 0 }
     }
@@ -110,31 +109,26 @@ impl DynamicMessage {
 
     /// How many bytes followed the last field when this was decoded. ROS 2 may append up to 8, and up to 8 more for
     /// every empty sequence of 8-byte numbers and every `wstring`.
-    #[must_use]
     pub fn trailing_bytes(&self) -> usize {
         self.trailing
     }
 
     /// Encodes as on the ROS 2 wire: header, then the little-endian body, padding zeroed.
-    #[must_use]
     pub fn to_cdr(&self) -> Vec<u8> {
         Writer::new(&self.schema, HEADER.to_vec()).message(&self.fields)
     }
 
     /// Encodes the little-endian body alone.
-    #[must_use]
     pub fn to_body(&self) -> Vec<u8> {
         Writer::new(&self.schema, Vec::new()).message(&self.fields)
     }
 
     /// The schema.
-    #[must_use]
     pub fn schema(&self) -> &Arc<Schema> {
         &self.schema
     }
 
     /// The fields, in the order of their definition.
-    #[must_use]
     pub fn fields(&self) -> &[Value] {
         &self.fields
     }

@@ -19,7 +19,6 @@ pub enum Kind {
 
 impl Kind {
     /// `msg`, `srv` or `action`: the folder, the middle of the type's name and the file extension.
-    #[must_use]
     pub fn as_str(self) -> &'static str {
         match self {
             Self::Action => "action",
@@ -29,7 +28,6 @@ impl Kind {
     }
 
     /// The inverse of [`as_str`](Self::as_str).
-    #[must_use]
     pub fn from_name(text: &str) -> Option<Self> {
         [Self::Action, Self::Msg, Self::Srv].into_iter().find(|kind| kind.as_str() == text)
     }
@@ -61,26 +59,22 @@ impl TypeName {
     }
 
     /// The package: `std_msgs` of `std_msgs/msg/String`.
-    #[must_use]
     pub fn package(&self) -> &str {
         &self.text[..self.package_len]
     }
 
     /// The folder: `msg` of `std_msgs/msg/String`.
-    #[must_use]
     pub fn kind(&self) -> Kind {
         let rest = &self.text[self.package_len + 1..];
         Kind::from_name(rest.split('/').next().unwrap_or_default()).unwrap_or(Kind::Msg)
     }
 
     /// The name in its package: `String` of `std_msgs/msg/String`.
-    #[must_use]
     pub fn name(&self) -> &str {
         self.text.rsplit('/').next().unwrap_or_default()
     }
 
     /// The full name.
-    #[must_use]
     pub fn as_str(&self) -> &str {
         &self.text
     }

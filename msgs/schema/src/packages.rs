@@ -23,13 +23,11 @@ pub struct Packages {
 
 impl Packages {
     /// No folders: only the messages that services and actions are derived with are known.
-    #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
     /// The prefixes of a sourced ROS 2 installation: those in `AMENT_PREFIX_PATH`.
-    #[must_use]
     pub fn from_env() -> Self {
         let paths = env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();
         let folders = env::split_paths(&paths).filter(|path| !path.as_os_str().is_empty()).collect();
@@ -47,7 +45,6 @@ impl Packages {
     }
 
     /// The folders, in the order in which they are searched.
-    #[must_use]
     pub fn folders(&self) -> &[PathBuf] {
         &self.folders
     }
@@ -99,7 +96,6 @@ impl Packages {
     }
 
     /// The messages, services and actions that the folders have, without those that are derived. Only looks at names.
-    #[must_use]
     pub fn list(&self) -> BTreeSet<TypeName> {
         let mut names = BTreeSet::new();
         for (package, folder) in &self.named {

@@ -100,13 +100,11 @@ impl Schema {
     }
 
     /// The type's name.
-    #[must_use]
     pub fn name(&self) -> &TypeName {
         &self.definition().name
     }
 
     /// The type's definition.
-    #[must_use]
     pub fn definition(&self) -> &Definition {
         &self.types[0].definition
     }
@@ -117,14 +115,12 @@ impl Schema {
     }
 
     /// The hash of the type.
-    #[must_use]
     pub fn hash(&self) -> TypeHash {
         self.hash
     }
 
     /// The type and those it consists of as one text, which [`from_text`](Self::from_text) reads. Normalised: without
     /// comments, constants first.
-    #[must_use]
     pub fn to_text(&self) -> String {
         bundle::write(self)
     }

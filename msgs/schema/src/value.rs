@@ -90,19 +90,16 @@ macro_rules! for_each_list {
 
 impl List {
     /// How many elements there are.
-    #[must_use]
     pub fn len(&self) -> usize {
         for_each_list!(self, items => items.len())
     }
 
     /// Whether there are none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
     /// Element `index`, copied.
-    #[must_use]
     pub fn get(&self, index: usize) -> Option<Value> {
         Some(match self {
             Self::Bool(items) => Value::Bool(*items.get(index)?),
@@ -226,7 +223,6 @@ impl Value {
     }
 
     /// An integer, whatever its width.
-    #[must_use]
     pub fn as_integer(&self) -> Option<i128> {
         Some(match *self {
             Self::I8(value) => value.into(),
@@ -242,7 +238,6 @@ impl Value {
     }
 
     /// A number as `f64`, whatever its type. 64-bit integers are rounded.
-    #[must_use]
     pub fn as_f64(&self) -> Option<f64> {
         match *self {
             Self::F32(value) => Some(value.into()),
@@ -252,13 +247,11 @@ impl Value {
     }
 
     /// A `bool`.
-    #[must_use]
     pub fn as_bool(&self) -> Option<bool> {
         if let Self::Bool(value) = self { Some(*value) } else { None }
     }
 
     /// A `string` or `wstring`.
-    #[must_use]
     pub fn as_str(&self) -> Option<&str> {
         if let Self::String(value) = self { Some(value) } else { None }
     }

@@ -153,7 +153,7 @@ impl EncodeError {
     /// Says where it happened, unless a message further in did.
     #[cold]
     #[doc(hidden)]
-    #[must_use]
+    #[must_use = "it returns the changed error"]
     pub fn within(mut self, type_name: &'static str, field: &'static str) -> Self {
         if self.type_name.is_empty() {
             (self.type_name, self.field) = (type_name, plain(field));
@@ -184,7 +184,6 @@ impl FieldPath {
         Self { names: [None; MAX_FIELDS], indices: [NO_INDEX; MAX_FIELDS], index: NO_INDEX, len: 0 };
 
     /// Whether it leads nowhere: what is meant is the message itself.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }

@@ -30,13 +30,11 @@ pub(crate) const SLACK: usize = 8;
 
 impl<'a> Reader<'a> {
     /// Starts at the start of `body`.
-    #[must_use]
     pub fn new(body: &'a [u8], endian: Endian) -> Self {
         Self { body, at: 0, endian, slack: SLACK, path: None }
     }
 
     /// How many bytes are read.
-    #[must_use]
     pub fn position(&self) -> usize {
         self.at
     }
@@ -52,13 +50,11 @@ impl<'a> Reader<'a> {
     }
 
     /// How many bytes are left.
-    #[must_use]
     pub fn left(&self) -> usize {
         self.body.len().saturating_sub(self.at)
     }
 
     /// The order of the bytes of numbers.
-    #[must_use]
     pub fn endian(&self) -> Endian {
         self.endian
     }
@@ -139,7 +135,6 @@ impl<'a> Reader<'a> {
     /// The number of `size` bytes that was read last is no value of its type.
     #[cold]
     #[doc(hidden)]
-    #[must_use]
     pub fn no_value(&self, value: i64, type_name: &'static &'static str, size: usize) -> Fault {
         Fault::new(self.at.saturating_sub(size), DecodeFault::Value { value, type_name })
     }
@@ -147,7 +142,6 @@ impl<'a> Reader<'a> {
     /// Says in which field a fault is, on its way out.
     #[cold]
     #[doc(hidden)]
-    #[must_use]
     pub fn in_field(&mut self, fault: Fault, name: &'static &'static str) -> Fault {
         self.path.get_or_insert(FieldPath::EMPTY).enter_field(name);
         fault

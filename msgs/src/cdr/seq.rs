@@ -28,13 +28,11 @@ impl<'a, F: View> Seq<'a, F> {
     }
 
     /// The number of elements.
-    #[must_use]
     pub fn len(self) -> usize {
         self.len
     }
 
     /// Whether there are none.
-    #[must_use]
     pub fn is_empty(self) -> bool {
         self.len == 0
     }
@@ -44,13 +42,11 @@ impl<'a, F: View> Seq<'a, F> {
     /// # Real-time
     ///
     /// Wait-free; no allocation; no syscall. Linear in `index`: the elements before it are passed over.
-    #[must_use]
     pub fn get(self, index: usize) -> Option<F::Ref<'a>> {
         self.iter().nth(index)
     }
 
     /// The elements in order.
-    #[must_use]
     pub fn iter(self) -> Iter<'a, F> {
         let mut reader = Reader::new(self.body, Endian::Little);
         reader.skip_to(self.start);

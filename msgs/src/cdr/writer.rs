@@ -11,13 +11,11 @@ pub struct Writer<'a> {
 
 impl<'a> Writer<'a> {
     /// Starts a body at the start of `out`.
-    #[must_use]
     pub fn new(out: &'a mut [u8]) -> Self {
         Self { out, at: 0 }
     }
 
     /// How many bytes are written.
-    #[must_use]
     pub fn position(&self) -> usize {
         self.at
     }

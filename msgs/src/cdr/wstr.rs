@@ -27,13 +27,11 @@ impl<'a> WStr<'a> {
     }
 
     /// The number of UTF-16 units.
-    #[must_use]
     pub fn len(self) -> usize {
         self.units.len()
     }
 
     /// Whether there are none.
-    #[must_use]
     pub fn is_empty(self) -> bool {
         self.units.is_empty()
     }

@@ -40,7 +40,6 @@ macro_rules! in_place {
 
         impl<'a> $view<'a> {
             /// The message as an owned one.
-            #[must_use]
             pub fn to_owned(&self) -> $type {
                 <$type as $crate::cdr::View>::own(*self)
             }
@@ -48,7 +47,6 @@ macro_rules! in_place {
             $(
                 $(#[$docs])*
                 #[inline]
-                #[must_use]
                 pub fn $field(&self) -> $ref {
                     self.$field
                 }

@@ -112,7 +112,6 @@ impl fmt::Display for Size {
 
 impl Layout {
     /// The layout of a schema's type.
-    #[must_use]
     pub fn of(schema: &Schema) -> Self {
         let facts = Facts::of(schema);
         let mut position = Position::start();

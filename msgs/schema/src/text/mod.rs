@@ -58,14 +58,12 @@ impl DynamicMessage {
     }
 
     /// Writes JSON in one line. [`serde::Serialize`] gives every other form.
-    #[must_use]
     pub fn to_json(&self) -> String {
         // All keys are strings, all numbers finite.
         serde_json::to_string(self).unwrap_or_default()
     }
 
     /// What [`to_json`](Self::to_json) writes, as a value.
-    #[must_use]
     pub fn to_json_value(&self) -> serde_json::Value {
         serde_json::to_value(self).unwrap_or_default()
     }

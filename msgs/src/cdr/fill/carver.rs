@@ -12,13 +12,11 @@ pub struct Carver<'a> {
 
 impl<'a> Carver<'a> {
     /// Starts with `memory`, which lies `at` bytes after the start of the body.
-    #[must_use]
     pub fn new(memory: &'a mut [u8], at: usize) -> Self {
         Self { rest: memory, at }
     }
 
     /// How many bytes of the body are taken.
-    #[must_use]
     pub fn position(&self) -> usize {
         self.at
     }

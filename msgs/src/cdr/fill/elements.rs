@@ -36,13 +36,11 @@ impl<'a, 's, F: Fill> Elements<'a, 's, F> {
     }
 
     /// The number of elements.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.len
     }
 
     /// Whether there are none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }

@@ -182,7 +182,7 @@ impl WriteError {
     /// Says where it happened, unless a message further in did.
     #[cold]
     #[doc(hidden)]
-    #[must_use]
+    #[must_use = "it returns the changed error"]
     pub fn within(mut self, type_name: &'static str, field: &'static str) -> Self {
         if self.type_name.is_empty() {
             (self.type_name, self.field) = (type_name, field.strip_prefix("r#").unwrap_or(field));

@@ -72,13 +72,11 @@ impl<T: Plain> Slice<'_, T> {
     }
 
     /// The number of elements.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.place.len()
     }
 
     /// Whether there are none.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.place.is_empty()
     }
