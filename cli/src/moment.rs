@@ -22,6 +22,7 @@ pub enum Kind {
     Taken,
     WokenLate,
     Overran,
+    Served,
 }
 
 impl From<&tautline::Moment> for Moment {
@@ -31,6 +32,7 @@ impl From<&tautline::Moment> for Moment {
             MomentKind::Taken => Kind::Taken,
             MomentKind::WokenLate => Kind::WokenLate,
             MomentKind::Overran => Kind::Overran,
+            MomentKind::Served => Kind::Served,
         };
         let tautline::Moment { from_ns, to_ns, length_ns, .. } = *moment;
         Moment { kind, from_ns, to_ns, length_ns }
@@ -44,7 +46,7 @@ impl Moment {
             Kind::Late => return None,
             Kind::Taken => Seen::Running,
             Kind::WokenLate => Seen::WokenLate,
-            Kind::Overran => Seen::Overran,
+            Kind::Overran | Kind::Served => Seen::Overran,
         };
         let Moment { from_ns, to_ns, length_ns, .. } = *self;
         Some(Taken { from_ns, to_ns, length_ns, seen })

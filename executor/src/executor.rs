@@ -12,15 +12,16 @@ use futures::executor::LocalPool;
 use futures::future::LocalFutureObj;
 use futures::task::LocalSpawn;
 use tautline_rt::{
-    BudgetTimer, CoreSet, CoreTime, OwnPriority, Policy, Realtime, RtError, ThreadBuilder, clock,
+    BudgetTimer, CoreSet, CoreTime, OwnPriority, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo, clock,
     current_affinity, current_policy, host::online_cores,
 };
 
+use crate::account::{CoreTimeAccount, SamplerAccount};
 use crate::callback::{Callback, Completion, CompletionGuard, Thread};
 use crate::group::{CallbackGroup, MemberInfo};
 use crate::hot::{
-    self, BudgetEnforcer, CallbackThread, Control, Controlled, CoreTimeAccount, GroupFuture, Measured,
-    Parker, Stopwatch, Waiting,
+    self, BudgetEnforcer, CallbackThread, Control, Controlled, GroupFuture, Measured, Parker, Stopwatch,
+    Waiting,
 };
 use crate::registry::{RegisteredThread, Registry};
 use crate::settings::{CallbackSettings, Callbacks};
@@ -76,13 +77,40 @@ impl Executor {
     }
 
     /// Notes what was taken from the core of each callback, by the hypervisor or by interrupts, among its
-    /// [moments](crate::CallbackSnapshot::moments): what was taken from one job if it is as long as `least`, and timers that were served
-    /// 100 µs late. It costs three system calls before each job and three after it. For callbacks that are spawned from now on; not for
-    /// those that poll busily.
+    /// [moments](crate::CallbackSnapshot::moments): what was taken from one job if it is as long as `least`. It costs three system calls
+    /// before each job and three after it. For callbacks that are spawned from now on; not for those that poll busily. The sampler's is
+    /// accounted for by [`sampler_account`](Self::sampler_account).
     #[must_use = "it returns the changed executor"]
     pub fn account_core_time(mut self, least: Option<Duration>) -> Executor {
         self.accounts = least;
         self
+    }
+
+    /// Statistics of the sampler, where core time is accounted for: its [moments](crate::CallbackSnapshot::moments) are what was taken
+    /// from its core, timers that were served 100 µs late, and what it used to serve events, each if it is as long as `least`.
+    ///
+    /// # Errors
+    /// [`ExecutorError::Statistics`] if there is no memory for them.
+    pub fn sampler_statistics(&self) -> Result<Option<Arc<CallbackStats>>, ExecutorError> {
+        if self.accounts.is_none() {
+            return Ok(None);
+        }
+        let (name, stats) = ("sampler", Arc::new(CallbackStats::new("sampler")));
+        let no_statistics = |source| ExecutorError::Statistics { name: name.into(), source };
+        stats.place(self.statistics.as_ref(), false).map_err(no_statistics)?;
+        stats.describe_sampler();
+        Ok(Some(stats))
+    }
+
+    /// Accounts for the current thread, which becomes the sampler, in these statistics; it costs three system calls before and after
+    /// each sleep. `None` where core time is not accounted for.
+    ///
+    /// # Errors
+    /// What the kernel refuses to tell.
+    pub fn sampler_account(&self, stats: &Arc<CallbackStats>) -> Result<Option<SamplerAccount>, RtError> {
+        let Some(least) = self.accounts else { return Ok(None) };
+        stats.set_thread(&ThreadInfo::of_current("sampler")?);
+        Ok(Some(SamplerAccount::new(CoreTime::new()?, clock::nanoseconds(least), Arc::clone(stats))))
     }
 
     /// Its callbacks, to change how they run.

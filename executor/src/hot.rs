@@ -15,12 +15,13 @@ use std::time::Duration;
 use futures::Stream;
 use futures::task::AtomicWaker;
 use tautline_rt::clock::{monotonic_ns, nanoseconds, thread_cpu_ns};
-use tautline_rt::{BudgetTimer, CoreMark, CoreTime, Refill, RemainingBudget};
+use tautline_rt::{BudgetTimer, Refill, RemainingBudget};
 use tautline_trace::{Object, ObjectId};
 
+use crate::account::CoreTimeAccount;
 use crate::group::Kept;
 use crate::options::Watch;
-use crate::stats::{self, CallbackStats, Moment, MomentKind, QueueState};
+use crate::stats::{self, CallbackStats, QueueState};
 
 thread_local! {
     static CURRENT: RefCell<Option<CallbackThread>> = const { RefCell::new(None) };
@@ -165,66 +166,6 @@ impl BudgetEnforcer {
     }
 }
 
-/// Accounts for the time of a callback's core: see [`Executor::account_core_time`](crate::Executor::account_core_time).
-pub(crate) struct CoreTimeAccount {
-    clock: CoreTime,
-    /// Shorter pieces are not noted.
-    least_ns: u64,
-    /// At the begin of the job that runs; of jobs that overlap, the first.
-    begun: Cell<Option<CoreMark>>,
-    /// At the end of the last one.
-    ended: Cell<Option<CoreMark>>,
-    /// Jobs that have begun and not ended.
-    running: Cell<u32>,
-}
-
-impl CoreTimeAccount {
-    /// To wake a thread takes some time: less is not late.
-    const WAKE_NS: u64 = 100_000;
-
-    pub const fn new(clock: CoreTime, least_ns: u64) -> CoreTimeAccount {
-        CoreTimeAccount {
-            clock,
-            least_ns,
-            begun: Cell::new(None),
-            ended: Cell::new(None),
-            running: Cell::new(0),
-        }
-    }
-
-    /// A job begins that a clock released at `due_ns`, if one did.
-    fn begin(&self, due_ns: Option<u64>, stats: &CallbackStats) {
-        if self.running.replace(self.running.get().saturating_add(1)) > 0 {
-            return;
-        }
-        let now = self.clock.mark();
-        if let (Some(due_ns), Some(asleep)) = (due_ns, self.ended.get())
-            && let Some(length_ns) =
-                asleep.woken_late_by(due_ns, &now).filter(|ns| *ns >= self.least_ns.max(Self::WAKE_NS))
-        {
-            let to_ns = now.from_ns;
-            stats.note(&Moment { kind: MomentKind::WokenLate, from_ns: due_ns, to_ns, length_ns });
-        }
-        self.begun.set(Some(now));
-    }
-
-    /// A job has ended; of jobs that overlap, the last. One that has slept says nothing of what was taken from it.
-    fn end(&self, stats: &CallbackStats, slept: bool) {
-        self.running.set(self.running.get().saturating_sub(1));
-        if self.running.get() > 0 {
-            return;
-        }
-        let now = self.clock.mark();
-        if let Some(begun) = self.begun.take()
-            && let Some(length_ns) = begun.taken_until(&now).filter(|ns| *ns >= self.least_ns && !slept)
-        {
-            let (from_ns, to_ns) = (begun.to_ns, now.from_ns);
-            stats.note(&Moment { kind: MomentKind::Taken, from_ns, to_ns, length_ns });
-        }
-        self.ended.set(Some(now));
-    }
-}
-
 /// Measures execution times on the thread it was made on.
 ///
 /// The thread's CPU clock costs a syscall, so it is read once per job, at its end: a job is charged what the thread has
@@ -258,12 +199,11 @@ impl Stopwatch {
 }
 
 impl Measured {
-    /// A job begins of the callback with these statistics: the thread's own, or a member's. `due_ns`: when a clock was to release
-    /// it.
-    fn begin(&self, release_ns: u64, due_ns: Option<u64>, of: &CallbackStats) -> StartedJob {
+    /// A job begins of the callback with these statistics: the thread's own, or a member's.
+    fn begin(&self, release_ns: u64, of: &CallbackStats) -> StartedJob {
         self.stats.release(release_ns);
         if let Some(account) = &self.account {
-            account.begin(due_ns, of);
+            account.begin();
         }
         if let Some(stopwatch) = &self.stopwatch {
             stopwatch.begin();
@@ -495,21 +435,8 @@ pub fn begin(release_ns: u64) -> Job {
 /// # Real-time
 /// As [`begin`].
 pub fn begin_for(callback: ObjectId, release_ns: u64) -> Job {
-    start(callback, release_ns, None)
-}
-
-/// As [`begin_for`], of a job that a clock released: if the thread slept then, it was to be woken at that instant.
-///
-/// # Real-time
-/// As [`begin`].
-pub fn begin_due(callback: ObjectId, release_ns: u64) -> Job {
-    start(callback, release_ns, Some(release_ns))
-}
-
-fn start(callback: ObjectId, release_ns: u64, due_ns: Option<u64>) -> Job {
     let begun = current(|thread| {
-        let begin = |measured: &Measured| measured.begin(release_ns, due_ns, &measured.stats);
-        let begun = thread.measured.as_ref().map(begin);
+        let begun = thread.measured.as_ref().map(|measured| measured.begin(release_ns, &measured.stats));
         if begun.is_none() {
             thread.announced.set(callback);
         }
@@ -674,7 +601,7 @@ where
             self.stats.release(release_ns);
             // What a member's stream stated is no job's.
             current(|thread| thread.input_size.take());
-            self.begun = Some(total.begin(release_ns, None, &self.stats));
+            self.begun = Some(total.begin(release_ns, &self.stats));
             tautline_trace::callback_start(self.traced, release_ns);
             self.future.set(Some((self.callback)(item)));
         }

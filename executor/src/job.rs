@@ -38,5 +38,5 @@
 //! either: the group measures its members itself, since it takes an item before it is that item's turn. Where two
 //! streams of one callback overlap, both jobs count, and each is charged the CPU time since the end of the one before.
 
-pub use crate::hot::{Job, begin, begin_due, begin_for, note_queue, set_input_size};
+pub use crate::hot::{Job, begin, begin_for, note_queue, set_input_size};
 pub use crate::stats::QueueState;

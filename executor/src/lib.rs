@@ -31,6 +31,7 @@
 //! ```
 #![forbid(unsafe_code)]
 
+mod account;
 mod callback;
 mod error;
 mod executor;
@@ -45,6 +46,7 @@ mod stats;
 pub mod assign;
 pub mod job;
 
+pub use account::SamplerAccount;
 pub use callback::CallbackHandle;
 pub use error::{ExecutorError, Panic};
 pub use executor::Executor;

@@ -14,10 +14,11 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tautline_executor::{
-    Admitted, CallbackOptions, CoreSet, Executor, Policy, ProcessInfo, Realtime, StatisticsFile,
+    Admitted, CallbackOptions, CallbackStats, CoreSet, Executor, Policy, ProcessInfo, Realtime,
+    StatisticsFile,
 };
 use tautline_rt::{IdleHold, MemoryLock, ThreadBuilder};
-use tautline_sampler::{Events, Sampler, Wait};
+use tautline_sampler::{Events, Sampler, Sleep, Wait};
 use tautline_trace::TraceSettings;
 use tautline_transport::Participant;
 use tautline_transport::Qos;
@@ -51,6 +52,7 @@ pub(crate) struct ContextState {
     // Dropped in this order: callbacks end before what they wait for.
     pub(crate) executor: Executor,
     _flush: FlushOnDrop,
+    sampler_statistics: Option<Arc<CallbackStats>>,
     /// Taken by the thread that spins.
     sampler: Mutex<Option<Sampler>>,
     pub(crate) events: Events,
@@ -178,8 +180,8 @@ impl ContextBuilder {
     }
 
     /// Whether what the host takes from the cores of callbacks is accounted for, so that `taut report` can say of a late job whose
-    /// doing it was: steal on a virtual machine, interrupts, timers that nobody served. It costs each job six short system calls
-    /// (some 3 µs). What was taken from one job counts if it is as long as `least`. Otherwise `TAUT_CORE_TIME=on`, which is 100 µs, or
+    /// doing it was: steal on a virtual machine, interrupts, timers that nobody served. It costs each job and each wake of the sampler
+    /// six short system calls (some 3 µs). What was taken from one job counts if it is as long as `least`. Otherwise `TAUT_CORE_TIME=on`, which is 100 µs, or
     /// `off`, else off.
     pub fn account_core_time(mut self, least: Option<Duration>) -> Self {
         self.core_time = Some(least);
@@ -274,6 +276,7 @@ impl ContextBuilder {
             let file = StatisticsFile::create(&prefix, &about).map_err(Error::Statistics)?;
             executor = executor.with_statistics(file);
         }
+        let sampler_statistics = executor.sampler_statistics()?;
         logging::configure(&arguments);
         let system = system.map(|system| Arc::new(CurrentSystem::new(system)));
         if let (Some(system), Some(statistics)) = (&system, executor.statistics()) {
@@ -284,6 +287,7 @@ impl ContextBuilder {
             executor,
             _flush: FlushOnDrop,
             events: sampler.events().clone(),
+            sampler_statistics,
             sampler: Mutex::new(Some(sampler)),
             arguments,
             parameter_events: Arc::new(EventTopic::new(participant.clone())),
@@ -480,6 +484,12 @@ impl Context {
         self.shared.events.stop();
     }
 
+    /// What was taken from the sampler's core, and what it used to serve events: see
+    /// [`account_core_time`](ContextBuilder::account_core_time), without which there is nothing.
+    pub fn sampler_statistics(&self) -> Option<&Arc<CallbackStats>> {
+        self.shared.sampler_statistics.as_ref()
+    }
+
     /// Timers and guard conditions served by this context's sampler.
     pub fn events(&self) -> &Events {
         &self.shared.events
@@ -500,7 +510,17 @@ impl Context {
     pub fn spin(&self) -> Result<()> {
         let mut sampler = self.borrow_sampler()?;
         let _settings = self.become_sampler()?;
-        sampler.get().spin();
+        match &self.shared.sampler_statistics {
+            None => sampler.get().spin(),
+            Some(statistics) => {
+                let account = self.shared.executor.sampler_account(statistics)?;
+                sampler.get().spin_told(|sleep| match (&account, sleep) {
+                    (Some(account), Sleep::Begins) => account.sleeps(),
+                    (Some(account), Sleep::Ends { due_ns }) => account.woke(due_ns),
+                    (None, _) => {}
+                });
+            }
+        }
         Ok(())
     }
 

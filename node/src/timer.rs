@@ -115,7 +115,7 @@ impl Timer {
         poll.map(|(tick, since_ns)| {
             // A timer queues nothing: what is released while its callback is busy is missed, but for the latest.
             job::note_queue(job::QueueState { lost: tick.missed, max_queue: 1, depth: 1 });
-            self.job = Some(job::begin_due(self.trace.id(), since_ns));
+            self.job = Some(job::begin_for(self.trace.id(), since_ns));
             Some(tick)
         })
     }

@@ -160,6 +160,9 @@ fn late_jobs_are_kept_with_their_instants() {
     let snapshot = &snapshots(ACCOUNTED)[0];
     let seen = find(snapshot, "scan");
     assert_eq!((seen.bound_ns, seen.accounts_core_time), (Some(bound.as_nanos() as u64), true));
+    let sampler = snapshot.sampler.as_ref().expect("it is accounted for, too");
+    assert_eq!((sampler.name.as_str(), sampler.accounts_core_time), ("sampler", true));
+    assert!(snapshot.callbacks.iter().all(|callback| callback.name != "sampler"), "it is no callback");
     let late: Vec<_> = seen.moments.iter().filter(|moment| moment.kind == MomentKind::Late).collect();
     let [late] = late.as_slice() else { panic!("{late:?}") };
     assert_eq!((late.from_ns, late.length_ns), (releases[0], late.to_ns - late.from_ns));

@@ -33,6 +33,17 @@ pub struct ThreadInfo {
     pub cores: CoreSet,
 }
 
+impl ThreadInfo {
+    /// The current thread, as the kernel confirms it, under a name that may be longer than the kernel's.
+    ///
+    /// # Errors
+    /// [`RtError::Kernel`] if the kernel does not tell.
+    pub fn of_current(name: &str) -> Result<ThreadInfo, RtError> {
+        let (policy, cores) = (current_policy()?, current_affinity()?);
+        Ok(ThreadInfo { tid: current_tid(), name: short_name(name), policy, cores })
+    }
+}
+
 /// Starts a thread with a name, a policy and cores.
 #[derive(Debug, Clone)]
 #[must_use = "call spawn()"]
@@ -158,13 +169,7 @@ impl ThreadBuilder {
         if let Some(cores) = self.cores {
             set_affinity(cores)?;
         }
-        let info = ThreadInfo {
-            tid: current_tid(),
-            name: short_name(&self.name),
-            policy: current_policy()?,
-            cores: current_affinity()?,
-        };
-        Ok((body, info))
+        Ok((body, ThreadInfo::of_current(&self.name)?))
     }
 }
 

@@ -4,7 +4,7 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use crate::events::SamplerState;
-use crate::sampler::{Sampler, Wait};
+use crate::sampler::{Sampler, Sleep, Wait};
 use crate::timer::TimerWords;
 use crate::timers::{Due, SpareQueues};
 use core::cmp::Reverse;
@@ -118,7 +118,7 @@ impl Sampler {
             if served != 0 || self.events.is_stopped() || expired() {
                 return served;
             }
-            self.wait_until(deadline_ns);
+            self.wait_until(deadline_ns, &mut |_| ());
         }
     }
 
@@ -127,10 +127,18 @@ impl Sampler {
     /// # Real-time
     /// Per wake as [`spin_once`](Self::spin_once).
     pub fn spin(&mut self) {
+        self.spin_told(|_| ());
+    }
+
+    /// As [`spin`](Self::spin), and tells `sleep` when it is about to sleep and when it has slept.
+    ///
+    /// # Real-time
+    /// As [`spin`](Self::spin), and what `sleep` does, twice per wake.
+    pub fn spin_told(&mut self, mut sleep: impl FnMut(Sleep)) {
         tautline_trace::register_thread_as("sampler");
         while !self.events.is_stopped() {
             if self.serve() == 0 {
-                self.wait_until(None);
+                self.wait_until(None, &mut sleep);
             }
         }
     }
@@ -146,13 +154,15 @@ impl Sampler {
         served
     }
 
-    fn wait_until(&mut self, deadline_ns: Option<u64>) {
+    fn wait_until(&mut self, deadline_ns: Option<u64>, sleep: &mut impl FnMut(Sleep)) {
         let until = match (deadline_ns, self.timers.next_release()) {
             (Some(deadline), Some(release)) => Some(deadline.min(release)),
             (deadline, release) => deadline.or(release),
         };
         tautline_trace::spin_start(&self.trace, until);
+        sleep(Sleep::Begins);
         self.sleep_until(until);
+        sleep(Sleep::Ends { due_ns: until });
         if tautline_trace::is_on() {
             let due = || self.timers.next_release().is_some_and(|release_ns| monotonic_ns() >= release_ns);
             self.awake = self.events.state.doorbell.is_pending() || due();

@@ -48,6 +48,6 @@ pub use events::{Events, GuardCondition};
 pub use qos_events::{
     DeadlineMissed, LivelinessLost, PublisherEvent, PublisherEvents, SubscriptionEvent, SubscriptionEvents,
 };
-pub use sampler::{Sampler, SamplerThread, Wait};
+pub use sampler::{Sampler, SamplerThread, Sleep, Wait};
 pub use timer::{Tick, Timer};
 pub use watchdog::{Expiry, Watchdog};

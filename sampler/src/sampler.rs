@@ -17,6 +17,18 @@ pub enum Wait {
     Adaptive(Duration),
 }
 
+/// When a sampler sleeps: see [`Sampler::spin_told`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sleep {
+    /// From now on.
+    Begins,
+    /// Until now.
+    Ends {
+        /// When a timer was to end it at the latest, in ns of `CLOCK_MONOTONIC`; `None` if no timer is armed.
+        due_ns: Option<u64>,
+    },
+}
+
 /// Waits for samples, timers and guard conditions, and wakes the tasks that wait for them.
 ///
 /// Runs on the thread that calls [`spin`](Sampler::spin) or [`spin_once`](Sampler::spin_once), or on one of its own

@@ -18,7 +18,7 @@ use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 use tautline_rt::ThreadBuilder;
 use tautline_rt::clock::monotonic_ns;
-use tautline_sampler::{Sampler, Tick, Timer, Wait};
+use tautline_sampler::{Sampler, Sleep, Tick, Timer, Wait};
 use tautline_transport::Participant;
 
 const MS: u64 = 1_000_000;
@@ -104,6 +104,29 @@ fn timers_are_released_in_order() {
     let mut log = log.borrow().clone();
     log.sort();
     assert_eq!(log, expected);
+}
+
+/// Told are the sleeps, with when a timer ends them: in turn, and nothing else.
+#[test]
+fn sleeps_are_told_with_what_is_due() {
+    let mut sampler = sampler(174);
+    let events = sampler.events().clone();
+    let start = monotonic_ns() + 5 * MS;
+    let mut timer = events.timer_at(start, HOUR).unwrap();
+    let mut told = Vec::new();
+    sampler.spin_told(|sleep| {
+        told.push(sleep);
+        // Once it slept for the timer.
+        if sleep == (Sleep::Ends { due_ns: Some(start) }) && monotonic_ns() >= start {
+            events.stop();
+        }
+    });
+    assert!(told.len().is_multiple_of(2) && !told.is_empty(), "{told:?}");
+    for pair in told.chunks(2) {
+        assert!(matches!(pair, [Sleep::Begins, Sleep::Ends { .. }]), "{told:?}");
+    }
+    assert_eq!(told.last(), Some(&Sleep::Ends { due_ns: Some(start) }));
+    let _ = poll(&mut timer);
 }
 
 #[test]

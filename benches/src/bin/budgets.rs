@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 use tautline::rt::clock::{burn_cpu, monotonic_ns};
-use tautline::{CallbackHandle, CallbackOptions, Context, Moment, MomentKind, Node};
+use tautline::{CallbackHandle, CallbackOptions, CallbackStats, Context, Moment, MomentKind, Node};
 use tautline_analysis::taken::{self, Taken, TakenTimes};
 use tautline_benches::{Disturbance, Stage, machine, print_no_verdict, print_verdict};
 use tautline_rt::CoreSet;
@@ -124,7 +124,8 @@ fn measure_part(part: Part, runs: u64, seed: u64) -> Result<Row, Box<dyn std::er
     }
     let watched: Vec<CallbackHandle> = callbacks.clone();
     let core = stage.core;
-    let seen = stage.spin_while(callbacks, || run(part, runs, seed, core, &more, &watched))?;
+    let sampler = stage.context.sampler_statistics();
+    let seen = stage.spin_while(callbacks, || run(part, runs, seed, core, &more, &watched, sampler))?;
     let pieces = || seen.taken.iter();
     let sum = |of: fn(&CallbackHandle) -> u64| watched.iter().map(of).sum();
     Ok(Row {
@@ -160,6 +161,7 @@ fn run(
     core: usize,
     more: &[Arc<AtomicU64>],
     callbacks: &[CallbackHandle],
+    sampler: Option<&Arc<CallbackStats>>,
 ) -> Seen {
     let longest = Duration::from_millis(PERIODS_MS[PERIODS_MS.len() - 1]);
     let stop = Arc::new(AtomicBool::new(part != Part::None));
@@ -203,7 +205,7 @@ fn run(
         let now = others() - before;
         seen.misses += now;
         seen.runs += u64::from(now > 0);
-        let (late, taken) = moments(callbacks, who, begin_ns);
+        let (late, taken) = moments(callbacks, sampler, who, begin_ns);
         seen.taken.extend(taken.pieces().iter().map(|piece| piece.length_ns));
         let is_explained = |(moment, deadline_ns): &(Moment, u64)| {
             // As far back as the job before may have ended.
@@ -219,10 +221,15 @@ fn run(
 }
 
 /// The late jobs of all callbacks but `who` that began since `begin_ns`, each with its deadline, and what was taken from the core since.
-fn moments(callbacks: &[CallbackHandle], who: usize, begin_ns: u64) -> (Vec<(Moment, u64)>, TakenTimes) {
+fn moments(
+    callbacks: &[CallbackHandle],
+    sampler: Option<&Arc<CallbackStats>>,
+    who: usize,
+    begin_ns: u64,
+) -> (Vec<(Moment, u64)>, TakenTimes) {
     let (mut late, mut taken) = (Vec::new(), Vec::new());
-    for (i, callback) in callbacks.iter().enumerate() {
-        let Some(seen) = callback.stats().snapshot() else { continue };
+    for (i, stats) in callbacks.iter().map(CallbackHandle::stats).chain(sampler).enumerate() {
+        let Some(seen) = stats.snapshot() else { continue };
         for moment in seen.moments.into_iter().filter(|moment| moment.to_ns >= begin_ns) {
             let Moment { from_ns, to_ns, length_ns, .. } = moment;
             let piece = |seen| Taken { from_ns, to_ns, length_ns, seen };
@@ -230,7 +237,7 @@ fn moments(callbacks: &[CallbackHandle], who: usize, begin_ns: u64) -> (Vec<(Mom
                 MomentKind::Taken => taken.push(piece(taken::Seen::Running)),
                 MomentKind::WokenLate => taken.push(piece(taken::Seen::WokenLate)),
                 MomentKind::Late if i != who => late.push((moment, seen.bound_ns.unwrap_or(0))),
-                MomentKind::Late | MomentKind::Overran => {}
+                MomentKind::Late | MomentKind::Overran | MomentKind::Served => {}
             }
         }
     }

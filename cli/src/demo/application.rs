@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The application: topics, message, priorities (ECRTS 2025, section 5), from examples/systems/paper.toml.
 
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
-use tautline::{CallbackHandle, CallbackStats, Context, ContextBuilder, Message, Qos, Realtime};
+use tautline::rt::{current_affinity, set_affinity};
+use tautline::{CallbackHandle, CallbackStats, Context, ContextBuilder, CoreSet, Message, Qos, Realtime};
 use tautline_analysis::Task;
 use tautline_analysis::file::{CheckedCallback, SystemFile};
 
@@ -19,7 +21,7 @@ pub const PUBLISHER_WORKER_PRIORITY: u8 = 24;
 /// Topics, execution times and priorities, as `taut check` reads them.
 const SYSTEM: &str = include_str!("../../../examples/systems/paper.toml");
 
-/// What is taken from one job is noted if it is as long.
+/// What is taken from one job, and what the middleware uses, is noted if it is as long.
 const PIECE: Duration = Duration::from_micros(1);
 
 /// The message of every topic.
@@ -82,31 +84,47 @@ pub fn realtime(args: &DemoArgs) -> Realtime {
     if args.no_rt { Realtime::Off } else { Realtime::Required }
 }
 
-/// Collects what was taken from callbacks' cores, as their threads saw it: from a thread of its own while they run, for only the
-/// latest moments are kept where they are noted.
+/// What threads saw being taken from their core, and what the middleware used of it.
+#[derive(Serialize, Deserialize, Debug, Default)]
+pub struct Collected {
+    pub by_callbacks: Vec<Moment>,
+    pub by_sampler: Vec<Moment>,
+    /// How many more were overwritten before they were collected.
+    pub overwritten: u64,
+}
+
+/// Collects moments: from a thread of its own while they are noted, for only the latest are kept there.
 pub struct MomentCollector {
     over: Arc<AtomicBool>,
-    thread: JoinHandle<Vec<Moment>>,
+    thread: JoinHandle<Collected>,
 }
 
 impl MomentCollector {
-    /// Calls `progress` each time before it collects.
+    /// Those of these callbacks and of the sampler; calls `progress` each time before it collects.
     pub fn new<'a>(
+        context: &'a Context,
         callbacks: impl IntoIterator<Item = &'a CallbackHandle>,
         progress: impl Fn() + Send + 'static,
     ) -> Self {
-        // Of each callback, how many moments have been collected or were overwritten before.
-        let mut known: Vec<_> =
-            callbacks.into_iter().map(|callback| (Arc::clone(callback.stats()), 0)).collect();
+        // With how many moments have been collected or were overwritten before.
+        let source = |stats: &Arc<CallbackStats>| (Arc::clone(stats), 0);
+        let mut of_callbacks: Vec<_> =
+            callbacks.into_iter().map(|callback| source(callback.stats())).collect();
+        let mut of_sampler = context.sampler_statistics().map(source);
         let over = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&over);
         let thread = std::thread::spawn(move || {
-            let mut moments = Vec::new();
+            leave_core();
+            let mut collected = Collected::default();
             loop {
                 let last = ends.load(Ordering::Acquire);
-                known.iter_mut().for_each(|(stats, known)| moments.extend(new_moments(stats, known)));
+                let Collected { by_callbacks, by_sampler, overwritten } = &mut collected;
+                for source in &mut of_callbacks {
+                    *overwritten += collect(source, by_callbacks);
+                }
+                *overwritten += of_sampler.as_mut().map_or(0, |source| collect(source, by_sampler));
                 if last {
-                    return moments;
+                    return collected;
                 }
                 std::thread::sleep(Duration::from_millis(200));
                 progress();
@@ -116,22 +134,32 @@ impl MomentCollector {
     }
 
     /// All that was collected, when the callbacks have ended.
-    pub fn end(self) -> Vec<Moment> {
+    pub fn end(self) -> Collected {
         self.over.store(true, Ordering::Release);
         self.thread.join().unwrap_or_default()
     }
 }
 
-fn new_moments(stats: &CallbackStats, known: &mut u64) -> Vec<Moment> {
-    let Some(seen) = stats.snapshot() else { return Vec::new() };
+/// Adds what came since the last call; says how many were overwritten.
+fn collect((stats, known): &mut (Arc<CallbackStats>, u64), moments: &mut Vec<Moment>) -> u64 {
+    let Some(seen) = stats.snapshot() else { return 0 };
     let (older, latest) = (seen.older_moments, seen.moments);
+    let known = std::mem::replace(known, older + latest.len() as u64);
     let seen_before = usize::try_from(known.saturating_sub(older)).unwrap_or(usize::MAX);
-    *known = older + latest.len() as u64;
-    latest.iter().skip(seen_before).map(Moment::from).collect()
+    moments.extend(latest.iter().skip(seen_before).map(Moment::from));
+    older.saturating_sub(known)
+}
+
+/// Lets the thread run on any core but those it is bound to, if there are others: it is to be served while the demo's core is busy.
+fn leave_core() {
+    if let (Ok(allowed), Ok(bound)) = (CoreSet::allowed(), current_affinity()) {
+        let others = allowed.iter().filter(|core| !bound.contains(*core));
+        // None is no set of cores, and is refused.
+        let _ = set_affinity(others.fold(CoreSet::empty(), CoreSet::with));
+    }
 }
 
 /// Binds the whole process to the demo's core: threads inherit it.
 pub fn bind(core: usize) -> Result<(), DemoError> {
-    tautline::rt::set_affinity(tautline::CoreSet::one(core))
-        .map_err(|source| DemoError::Core { core, source })
+    set_affinity(CoreSet::one(core)).map_err(|source| DemoError::Core { core, source })
 }

@@ -2,9 +2,10 @@
 //! The process that the user started: starts the two others, shows the progress, prints the report.
 
 use super::application::{self, Topic};
+use super::others;
 use super::output::Files;
 use super::process::{GLANCE, Process};
-use super::protocol::{self, Line, Measured, Published};
+use super::protocol::{self, Job, Line, Measured, Published};
 use super::report::{self, Costs, DemoReport, TopicRun};
 use super::{DemoArgs, DemoError, Role};
 use crate::moment::Moment;
@@ -16,7 +17,7 @@ use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 use tautline::rt::{Interruptions, ThreadBuilder, current_affinity, host, permission};
 use tautline::{CoreSet, Policy};
-use tautline_analysis::taken::{Seen, TakenTimes};
+use tautline_analysis::taken::{Seen, Taken, TakenTimes};
 
 /// After the last release: the longest response time of a run that keeps its bounds, and some more.
 const DRAIN: Duration = Duration::from_millis(400);
@@ -158,7 +159,7 @@ fn assemble(
     measured: Measured,
 ) -> Result<DemoReport, DemoError> {
     let topics = application::topics()?;
-    let handled: u64 = measured.topics.iter().map(|topic| topic.latencies_ns.len() as u64).sum();
+    let handled: u64 = measured.topics.iter().map(|topic| topic.jobs.len() as u64).sum();
     // Everything that the two processes did besides the callbacks' own work, spread over the messages.
     // Of a run that was interrupted before its first message there is none.
     let share = |cpu_ns: u64, messages| cpu_ns.checked_div(messages).unwrap_or(0);
@@ -166,16 +167,19 @@ fn assemble(
         0 => 0,
         handled => share(published.cpu_ns, published.messages) + share(measured.overhead_cpu_ns, handled),
     };
-    let moments = published.moments.iter().chain(&measured.moments);
-    let taken = TakenTimes::new(moments.filter_map(Moment::taken));
-    let (taken_ns, longest_taken_ns) = (|way| taken.seen(&[way]).total_ns(), taken.longest_ns());
+    let moments_overwritten = published.seen.overwritten + measured.seen.overwritten;
+    let costs = Costs {
+        per_message: Duration::from_nanos(overhead_ns),
+        interruptions: run.interruptions,
+        ..losses(published, &measured)
+    };
+    let taken_ns = |way| costs.taken.seen(&[way]).total_ns();
     let (taken_running_ns, taken_late_ns) = (taken_ns(Seen::Running), taken_ns(Seen::WokenLate));
-    let (per_message, interruptions) = (Duration::from_nanos(overhead_ns), run.interruptions);
-    let costs = Costs { per_message, interruptions, taken };
+    let (longest_taken_ns, others_ns) = (costs.taken.longest_ns(), costs.others.total_ns());
     let pair = |(topic, measured): (Topic, protocol::TopicMeasured)| TopicRun {
         task: topic.task(),
-        releases_ns: measured.releases_ns,
-        latencies_ns: measured.latencies_ns,
+        releases_ns: measured.jobs.iter().map(|job| job.release_ns).collect(),
+        latencies_ns: measured.jobs.iter().map(Job::latency_ns).collect(),
         lost: measured.lost,
         max_queue: measured.max_queue,
     };
@@ -199,5 +203,32 @@ fn assemble(
         taken_running_ms: taken_running_ns as f64 / 1e6,
         taken_late_ms: taken_late_ns as f64 / 1e6,
         longest_taken_ms: longest_taken_ns as f64 / 1e6,
+        others_ms: others_ns as f64 / 1e6,
+        moments_overwritten,
     })
+}
+
+/// What the host, the middleware and others had of the core.
+fn losses(published: &Published, measured: &Measured) -> Costs {
+    let seen = [
+        &published.seen.by_callbacks,
+        &published.seen.by_sampler,
+        &measured.seen.by_sampler,
+        &measured.seen.by_callbacks,
+    ];
+    let all = TakenTimes::new(seen.into_iter().flatten().filter_map(Moment::taken));
+    // What was taken from topics' callbacks while they ran is in the times of their jobs.
+    let [besides @ .., by_topics] = seen;
+    let besides = besides.into_iter().flatten().filter_map(Moment::taken);
+    let used_by_topics =
+        by_topics.iter().filter_map(Moment::taken).filter(|piece| piece.seen == Seen::Overran);
+    let ran = besides.filter(|piece| piece.seen != Seen::WokenLate).chain(used_by_topics);
+    let jobs: Vec<_> = measured.topics.iter().map(|topic| topic.jobs.as_slice()).collect();
+    let others: Vec<Taken> = others::had_the_core(&jobs, ran);
+    Costs {
+        taken: all.seen(&[Seen::Running, Seen::WokenLate]),
+        middleware: all.seen(&[Seen::Overran]),
+        others: TakenTimes::new(others),
+        ..Costs::default()
+    }
 }

@@ -6,6 +6,7 @@
 
 mod application;
 mod conductor;
+mod others;
 mod output;
 pub mod plot;
 mod process;

@@ -2,7 +2,7 @@
 //! What the demo's processes tell the one that started them: a line of JSON each, on standard output. What it tells them
 //! is to end, by closing their standard input.
 
-use crate::moment::Moment;
+use super::application::Collected;
 use serde::{Deserialize, Serialize};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::sync::mpsc;
@@ -30,7 +30,7 @@ pub struct Published {
     /// Releases that came too late to be published.
     pub missed: u64,
     /// What was taken from the core, as its threads saw it.
-    pub moments: Vec<Moment>,
+    pub seen: Collected,
 }
 
 /// What the subscriber measured.
@@ -41,16 +41,31 @@ pub struct Measured {
     /// One for each topic.
     pub topics: Vec<TopicMeasured>,
     /// What was taken from the core, as its threads saw it.
-    pub moments: Vec<Moment>,
+    pub seen: Collected,
+}
+
+/// One call of a topic's callback.
+#[derive(Serialize, Deserialize, Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Job {
+    /// The scheduled release, in ns of `CLOCK_MONOTONIC`.
+    pub release_ns: u64,
+    pub begin_ns: u64,
+    pub end_ns: u64,
+    /// How long it waited for the core from its begin to its end.
+    pub waited_ns: u64,
+}
+
+impl Job {
+    /// From the release to the end.
+    pub fn latency_ns(&self) -> u64 {
+        self.end_ns.saturating_sub(self.release_ns)
+    }
 }
 
 /// What was measured on one topic.
 #[derive(Serialize, Deserialize, Debug, Default)]
 pub struct TopicMeasured {
-    /// The scheduled releases.
-    pub releases_ns: Vec<u64>,
-    /// From there to the end of the callback, in the same order.
-    pub latencies_ns: Vec<u64>,
+    pub jobs: Vec<Job>,
     pub lost: u64,
     pub max_queue: u64,
 }

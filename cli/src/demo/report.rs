@@ -45,6 +45,10 @@ pub struct DemoReport {
     pub taken_late_ms: f64,
     /// The longest piece of either.
     pub longest_taken_ms: f64,
+    /// What threads that are not the demo's had of the core while jobs waited for it.
+    pub others_ms: f64,
+    /// How many notes of what was taken or used were overwritten before they were collected: what they explain is unexplained.
+    pub moments_overwritten: u64,
 }
 
 /// Prediction and measurement of one topic. The fields up to `max_queue` are part of the contract.
@@ -82,7 +86,8 @@ pub struct TopicReport {
     pub rta_host_ms: Option<f64>,
     /// Response times above `rta_overhead_ms`.
     pub beyond: u64,
-    /// Those of them that what the host took before their ends does not explain to 0.1 ms: defects.
+    /// Those of them that what the host and other threads took and the middleware used before their ends does not explain to 0.1 ms:
+    /// defects.
     pub unexplained: u64,
     /// The longest of these, unexplained ones first; `None` (null) if there is none.
     pub worst: Option<Worst>,
@@ -98,11 +103,15 @@ pub struct Worst {
     pub response_ms: f64,
     /// What the host took while it lasted.
     pub host_took_ms: f64,
-    /// What the prediction allows with what the host took before its end; `None` (null) if that is too much for any.
+    /// What threads that are not the demo's had of the core while it lasted.
+    pub others_had_ms: f64,
+    /// What the middleware used while it lasted: for messages of this priority and above, and some of others.
+    pub middleware_used_ms: f64,
+    /// What the prediction allows with all of that before its end; `None` (null) if that is too much for any.
     pub allowed_ms: Option<f64>,
 }
 
-/// To this it is accounted for what was taken: a wake that is late by less is not noted, and the overhead is a mean.
+/// To this it is accounted for what was taken: a wake that is late by less is not noted.
 const ACCOUNTED_TO_NS: u64 = 100_000;
 
 /// What was measured on one topic.
@@ -140,6 +149,10 @@ pub struct Costs {
     pub interruptions: Interruptions,
     /// What the host took from the core during the run.
     pub taken: TakenTimes,
+    /// What the middleware used of it: all that is, on an average, `per_message`.
+    pub middleware: TakenTimes,
+    /// What threads that are not the demo's had of it while jobs waited.
+    pub others: TakenTimes,
 }
 
 /// The tasks, and what each costs besides.
@@ -171,6 +184,12 @@ impl Loaded {
         let response = response_time_with(&self.seen, &self.overheads, index, taken_within);
         Some(response.ok()?.response_ns.max(self.bound_ns(index)?))
     }
+
+    /// The same, where what the window loses has in it what the middleware used, in place of its mean.
+    fn allowed_ns(&self, index: usize, lost_within: impl Fn(u64) -> u64) -> Option<u64> {
+        let response = response_time_with(&self.seen, &Overheads::NONE, index, lost_within);
+        Some(response.ok()?.response_ns)
+    }
 }
 
 /// Predicts every task's response time, on a machine that costs nothing and on one that costs `costs`.
@@ -195,8 +214,10 @@ pub fn topic_reports(runs: Vec<TopicRun>, costs: &Costs) -> Vec<TopicReport> {
     let predictions = predict(&tasks, costs);
     let loaded = Loaded::new(&tasks, costs);
     let report = |(index, (run, prediction)): (usize, (TopicRun, Prediction))| {
-        let excess = Excess::of(&run, prediction, &costs.taken, |taken_within| {
-            loaded.host_bound_ns(index, taken_within)
+        let excess = Excess::of(&run, prediction, costs, |taken_within, used_within| {
+            let expected = loaded.host_bound_ns(index, taken_within);
+            let lost_within = |window_ns| taken_within(window_ns) + used_within(window_ns);
+            expected.max(loaded.allowed_ns(index, lost_within))
         });
         topic_report(run, prediction, excess)
     };
@@ -222,10 +243,11 @@ impl TopicReport {
         let (worst, predicted) = (self.worst?, self.rta_overhead_ms?);
         let count = if self.unexplained > 0 { self.unexplained } else { self.beyond };
         let times = if count == 1 { "once".to_owned() } else { format!("{count} times") };
-        let Worst { response_ms, host_took_ms, allowed_ms } = worst;
+        let Worst { response_ms, host_took_ms, others_had_ms, middleware_used_ms, allowed_ms } = worst;
         let allowed = allowed_ms.map_or(String::new(), |ms| format!(", with that {ms:.2} ms"));
-        let host =
-            format!(", of which the host took {host_took_ms:.2} ms; predicted {predicted:.2} ms{allowed}");
+        let host = format!(
+            ", of which the host took {host_took_ms:.2} ms, other threads {others_had_ms:.2} ms and the middleware {middleware_used_ms:.2} ms; predicted {predicted:.2} ms{allowed}"
+        );
         Some(format!("{} {times} ({response_ms:.2} ms{host})", self.topic))
     }
 }
@@ -239,29 +261,45 @@ struct Excess {
 }
 
 impl Excess {
-    /// `bound`: the topic's, if a window loses what it is told.
+    /// `bound`: the topic's, if of a window the host and others take, and the middleware uses, what it is told.
     fn of(
         run: &TopicRun,
         prediction: Prediction,
-        taken: &TakenTimes,
-        bound: impl Fn(&dyn Fn(u64) -> u64) -> Option<u64>,
+        costs: &Costs,
+        bound: impl Fn(&dyn Fn(u64) -> u64, &dyn Fn(u64) -> u64) -> Option<u64>,
     ) -> Excess {
         let mut excess = Excess::default();
         let mut longest = (false, 0);
         let Some(bound_ns) = prediction.rta_overhead_ns else { return excess };
-        let jobs = run.releases_ns.iter().zip(&run.latencies_ns);
-        for (release_ns, &latency_ns) in jobs.filter(|(_, latency_ns)| **latency_ns > bound_ns) {
+        let mut before_ns = 0;
+        for (&release_ns, &latency_ns) in run.releases_ns.iter().zip(&run.latencies_ns) {
             let end_ns = release_ns.saturating_add(latency_ns);
-            let allowed_ns = bound(&|window_ns| taken.before(end_ns, window_ns));
+            // When the job before ended nothing above it waited: what was lost until then delayed this one only if it was released.
+            let since_ns = std::mem::replace(&mut before_ns, end_ns);
+            let since_ns = if since_ns <= release_ns { since_ns } else { 0 };
+            if latency_ns <= bound_ns {
+                continue;
+            }
+            let lost =
+                |times: &TakenTimes, window_ns: u64| times.before(end_ns, window_ns.min(end_ns - since_ns));
+            let allowed_ns = bound(
+                &|window_ns| lost(&costs.taken, window_ns) + lost(&costs.others, window_ns),
+                &|window_ns| lost(&costs.middleware, window_ns),
+            );
             let explained = |allowed_ns: u64| latency_ns <= allowed_ns.saturating_add(ACCOUNTED_TO_NS);
             let unexplained = !allowed_ns.is_some_and(explained);
             excess.beyond += 1;
             excess.unexplained += u64::from(unexplained);
             if (unexplained, latency_ns) > longest {
                 longest = (unexplained, latency_ns);
-                let host_took_ms = ms(taken.before(end_ns, latency_ns));
-                let allowed_ms = allowed_ns.map(ms);
-                excess.worst = Some(Worst { response_ms: ms(latency_ns), host_took_ms, allowed_ms });
+                let lasted = |times: &TakenTimes| ms(times.before(end_ns, latency_ns));
+                excess.worst = Some(Worst {
+                    response_ms: ms(latency_ns),
+                    host_took_ms: lasted(&costs.taken),
+                    others_had_ms: lasted(&costs.others),
+                    middleware_used_ms: lasted(&costs.middleware),
+                    allowed_ms: allowed_ns.map(ms),
+                });
             }
         }
         excess

@@ -2,13 +2,13 @@
 //! The subscriber process: the sampler on the main thread, one callback thread per topic.
 
 use super::application::{self, MomentCollector, Stamped, Topic};
-use super::protocol::{self, Line, Measured, TopicMeasured};
+use super::protocol::{self, Job, Line, Measured, TopicMeasured};
 use super::{DemoArgs, DemoError};
 use futures::StreamExt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
-use tautline::rt::clock;
+use tautline::rt::{CoreMark, CoreTime, clock};
 use tautline::{CallbackOptions, Node, SubscriptionCounters};
 
 pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
@@ -26,17 +26,19 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         let options = CallbackOptions::fifo(topic.priority)
             .name(topic.name.as_str())
             .period(topic.period)
-            .execution_time(false);
+            .budget(topic.wcet);
         let handle = {
             let log = log.clone();
-            node.spawn_callback(
-                options,
+            node.spawn_local(options, move || {
+                let core_time = CoreTime::new();
+                let mark = move || core_time.as_ref().map_or_else(|_| no_account(), CoreTime::mark);
                 subscription.for_each(move |message| {
+                    let begin = mark();
                     clock::burn_cpu(wcet);
-                    log.note(message.release_ns, clock::monotonic_ns());
+                    log.note(message.release_ns, &begin, &mark());
                     async {}
-                }),
-            )?
+                })
+            })?
         };
         callbacks.push(Callback { topic, log, counters, handle });
     }
@@ -45,10 +47,11 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         protocol::when_told_to_end(move || context.shutdown());
     }
     let logs: Vec<_> = callbacks.iter().map(|callback| callback.log.clone()).collect();
-    let collector = MomentCollector::new(callbacks.iter().map(|callback| &callback.handle), move || {
-        let handled: usize = logs.iter().map(|log| log.count.load(Ordering::Relaxed)).sum();
-        protocol::say(&Line::Progress(handled as u64));
-    });
+    let collector =
+        MomentCollector::new(&context, callbacks.iter().map(|callback| &callback.handle), move || {
+            let handled: usize = logs.iter().map(|log| log.count.load(Ordering::Relaxed)).sum();
+            protocol::say(&Line::Progress(handled as u64));
+        });
     let cpu_before_ns = clock::process_cpu_ns();
     protocol::say(&Line::Ready);
     node.spin()?;
@@ -73,17 +76,24 @@ fn measured(
     for callback in callbacks {
         callback.handle.stop();
         callback.handle.join().map_err(tautline::Error::from)?;
-        let (releases_ns, latencies_ns): (Vec<_>, Vec<_>) = callback.log.jobs().unzip();
-        busy_ns += latencies_ns.len() as u64 * callback.topic.wcet.as_nanos() as u64;
+        let jobs: Vec<_> = callback.log.jobs().collect();
+        busy_ns += jobs.len() as u64 * callback.topic.wcet.as_nanos() as u64;
         let (lost, max_queue) = (callback.counters.lost(), callback.counters.max_queue());
-        topics.push(TopicMeasured { releases_ns, latencies_ns, lost, max_queue });
+        topics.push(TopicMeasured { jobs, lost, max_queue });
     }
-    Ok(Measured { overhead_cpu_ns: cpu_ns.saturating_sub(busy_ns), topics, moments: collector.end() })
+    Ok(Measured { overhead_cpu_ns: cpu_ns.saturating_sub(busy_ns), topics, seen: collector.end() })
 }
 
-/// Where a callback writes its releases and response times: memory that is there before it starts.
+/// The core time of a thread whose kernel keeps no account: how long a job waited is then unknown.
+fn no_account() -> CoreMark {
+    let now_ns = clock::monotonic_ns();
+    CoreMark { from_ns: now_ns, to_ns: now_ns, ..CoreMark::default() }
+}
+
+/// Where a callback writes its jobs: memory that is there before it starts.
 struct Log {
-    entries: Box<[[AtomicU64; 2]]>,
+    /// Release, begin, end, time that it waited.
+    entries: Box<[[AtomicU64; 4]]>,
     count: AtomicUsize,
 }
 
@@ -95,19 +105,23 @@ impl Log {
         Log { entries: (0..room).map(|_| Default::default()).collect(), count: AtomicUsize::new(0) }
     }
 
-    fn note(&self, release_ns: u64, end_ns: u64) {
+    fn note(&self, release_ns: u64, begin: &CoreMark, end: &CoreMark) {
         let index = self.count.load(Ordering::Relaxed);
-        if let Some([release, latency]) = self.entries.get(index) {
-            release.store(release_ns, Ordering::Relaxed);
-            latency.store(end_ns.saturating_sub(release_ns), Ordering::Relaxed);
+        if let Some(entry) = self.entries.get(index) {
+            let waited_ns = end.waited_ns.saturating_sub(begin.waited_ns);
+            for (word, value) in entry.iter().zip([release_ns, begin.to_ns, end.from_ns, waited_ns]) {
+                word.store(value, Ordering::Relaxed);
+            }
             self.count.store(index + 1, Ordering::Release);
         }
     }
 
-    /// Each release with its response time.
-    fn jobs(&self) -> impl Iterator<Item = (u64, u64)> {
+    fn jobs(&self) -> impl Iterator<Item = Job> {
         let count = self.count.load(Ordering::Acquire);
-        let value = |word: &AtomicU64| word.load(Ordering::Relaxed);
-        self.entries[..count].iter().map(move |[release, latency]| (value(release), value(latency)))
+        self.entries[..count].iter().map(|entry| {
+            let [release_ns, begin_ns, end_ns, waited_ns] =
+                entry.each_ref().map(|word| word.load(Ordering::Relaxed));
+            Job { release_ns, begin_ns, end_ns, waited_ns }
+        })
     }
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the host took from the cores, what jobs used beyond their wcet, and which responses beyond their bounds that explains.
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use tautline_analysis::file::{CheckedCallback, CheckedSystem};
 use tautline_analysis::taken::{Seen, TakenTimes, response_time_with};
@@ -47,20 +47,30 @@ pub struct Longest {
 }
 
 impl<'c> Host<'c> {
-    pub fn new(checked: &'c CheckedSystem, run: &Run) -> Host<'c> {
-        let mut seen: BTreeMap<(String, usize), Vec<&Moment>> = BTreeMap::new();
+    pub fn new<'r>(checked: &'c CheckedSystem, run: &'r Run) -> Host<'c> {
+        let mut seen: BTreeMap<(String, usize), Vec<&'r Moment>> = BTreeMap::new();
         for process in &run.processes {
             let is_served = is_served_first(process, run);
-            for callback in process.callbacks.iter().filter(|callback| callback.accounts_core_time) {
-                let Some(core) = callback.core else { continue };
-                let counts = |moment: &&Moment| match moment.kind {
-                    Kind::WokenLate => is_served,
-                    // What was demoted or slept took nothing from others.
-                    Kind::Overran => callback.demotions == 0,
-                    Kind::Late | Kind::Taken => true,
-                };
-                let moments = callback.moments.iter().filter(counts);
+            let mut note = |core, moments: &mut dyn Iterator<Item = &'r Moment>| {
                 seen.entry((process.host.clone(), core)).or_default().extend(moments);
+            };
+            for callback in process.callbacks.iter().filter(|callback| callback.accounts_core_time) {
+                // What was demoted or slept took nothing from others.
+                let counts = |moment: &&Moment| moment.kind != Kind::Overran || callback.demotions == 0;
+                if let Some(core) = callback.core {
+                    note(core, &mut callback.moments.iter().filter(counts));
+                }
+            }
+            let Some(sampler) = &process.sampler else { continue };
+            // Where it runs, and where what it wakes does. What it uses by itself is in the overheads of the file.
+            let counts = |moment: &&Moment| match moment.kind {
+                Kind::WokenLate => is_served,
+                Kind::Served => false,
+                Kind::Late | Kind::Taken | Kind::Overran => true,
+            };
+            let woken = process.callbacks.iter().filter_map(|callback| callback.core);
+            for core in woken.chain(sampler.core).collect::<BTreeSet<_>>() {
+                note(core, &mut sampler.moments.iter().filter(counts));
             }
         }
         let times = |moments: Vec<&Moment>| {

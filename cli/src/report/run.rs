@@ -47,6 +47,16 @@ pub struct Process {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub forced: Option<String>,
     pub callbacks: Vec<Callback>,
+    /// Where core time is accounted for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sampler: Option<SamplerThread>,
+}
+
+/// What is known of a process's sampler.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct SamplerThread {
+    pub core: Option<usize>,
+    pub moments: Vec<Moment>,
 }
 
 /// As `CallbackSnapshot`.
@@ -185,6 +195,10 @@ impl Process {
                 Admitted::Unchecked | Admitted::Checked => None,
             },
             callbacks: snapshot.callbacks.iter().map(|of| Callback::new(of, now_ns)).collect(),
+            sampler: snapshot.sampler.as_ref().map(|of| SamplerThread {
+                core: of.core,
+                moments: of.moments.iter().map(Moment::from).collect(),
+            }),
         }
     }
 

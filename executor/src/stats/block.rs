@@ -33,6 +33,7 @@ pub(crate) mod word {
     pub const BUDGET: usize = 8;
     pub const BOUND: usize = 9;
     pub const ACCOUNTS: usize = 10;
+    pub const IS_SAMPLER: usize = 11;
     // Written by the callback's thread from here on.
     pub const RELEASES: usize = 16;
     pub const COMPLETIONS: usize = 17;

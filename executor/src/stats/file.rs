@@ -12,7 +12,7 @@ use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, put_text, sta
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautstat");
 /// Of the layout here and in `block.rs`.
-const VERSION: u64 = 6;
+const VERSION: u64 = 7;
 const HEADER_WORDS: usize = 864;
 
 /// What each word of the header is.
@@ -289,6 +289,8 @@ pub struct ProcessSnapshot {
     pub process: ProcessInfo,
     /// Its callbacks, in no particular order.
     pub callbacks: Vec<CallbackSnapshot>,
+    /// What is known of its sampler's thread, where core time is accounted for: no jobs, but moments.
+    pub sampler: Option<CallbackSnapshot>,
 }
 
 impl ForeignStatistics {
@@ -389,14 +391,19 @@ impl ForeignStatistics {
         let there = (0..words[header::PLACES])
             .map(|index| place(index as usize, page_words))
             .take_while(|at| at.checked_add(BLOCK_WORDS).is_some_and(|end| end <= size_words));
-        let mut callbacks = Vec::new();
+        let (mut callbacks, mut sampler) = (Vec::new(), None);
         for at in there {
             let words = self.file.read(at, BLOCK_WORDS)?;
-            if [state::RUNNING, state::ENDED].contains(&words[word::STATE]) {
-                callbacks.push(CallbackSnapshot::of_words(&words));
+            if ![state::RUNNING, state::ENDED].contains(&words[word::STATE]) {
+                continue;
+            }
+            let snapshot = CallbackSnapshot::of_words(&words);
+            match words[word::IS_SAMPLER] {
+                0 => callbacks.push(snapshot),
+                _ => sampler = Some(snapshot),
             }
         }
-        Ok(Some(ProcessSnapshot { process, callbacks }))
+        Ok(Some(ProcessSnapshot { process, callbacks, sampler }))
     }
 }
 

@@ -116,6 +116,14 @@ impl CallbackStats {
         }
     }
 
+    /// They are those of the sampler's thread.
+    pub(crate) fn describe_sampler(&self) {
+        if let Some(block) = self.block.get() {
+            block.set(word::IS_SAMPLER, 1);
+        }
+        self.describe_account();
+    }
+
     /// What the kernel says of the thread that runs it.
     pub(crate) fn set_thread(&self, thread: &ThreadInfo) {
         if let Some(block) = self.block.get() {

@@ -34,17 +34,19 @@ pub enum MomentKind {
     Late,
     /// The core was taken from a job while it ran, by the hypervisor or by interrupts: some time between its begin and its end.
     Taken,
-    /// Nobody served the clock that releases a job: from then on until its thread was woken.
+    /// Nobody served the clock that the sampler slept for: from when it was due until the sampler was woken.
     WokenLate,
     /// A job used more processor time than its [budget](crate::CallbackOptions::budget): how much more, some time between its release
     /// and its end.
     Overran,
+    /// The sampler served events: the processor time that it used for them.
+    Served,
 }
 
 impl MomentKind {
-    const ALL: [MomentKind; 4] =
-        [MomentKind::Late, MomentKind::Taken, MomentKind::WokenLate, MomentKind::Overran];
-    const BITS: u32 = 2;
+    const ALL: [MomentKind; 5] =
+        [MomentKind::Late, MomentKind::Taken, MomentKind::WokenLate, MomentKind::Overran, MomentKind::Served];
+    const BITS: u32 = 3;
 }
 
 /// Where a callback's moments are written: by one thread at a time, read by any.
@@ -117,12 +119,12 @@ mod tests {
         let moments = moments();
         assert_eq!(read(&moments), (vec![], 0));
         let all: Vec<_> = (0..CAPACITY as u64 + 5)
-            .map(|at| moment(MomentKind::ALL[at as usize % 3], at))
+            .map(|at| moment(MomentKind::ALL[at as usize % MomentKind::ALL.len()], at))
             .inspect(|moment| moments.note(moment))
             .collect();
         assert_eq!(read(&moments), (all[5..].to_vec(), 5));
         moments.note(&Moment { length_ns: u64::MAX, from_ns: 0, to_ns: u64::MAX, kind: MomentKind::Late });
-        assert_eq!(read(&moments).0.last().unwrap().length_ns, u64::MAX >> 2);
+        assert_eq!(read(&moments).0.last().unwrap().length_ns, u64::MAX >> MomentKind::BITS);
     }
 
     #[test]
@@ -145,7 +147,7 @@ mod tests {
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 for at in 0..if cfg!(miri) { 1_000 } else { 200_000 } {
-                    moments.note(&moment(MomentKind::ALL[at as usize % 3], at));
+                    moments.note(&moment(MomentKind::ALL[at as usize % MomentKind::ALL.len()], at));
                 }
                 over.store(true, Ordering::Release);
             });
@@ -154,7 +156,7 @@ mod tests {
                 let (seen, older) = read(&moments);
                 for (index, found) in seen.iter().enumerate() {
                     let at = older + index as u64;
-                    assert_eq!(*found, moment(MomentKind::ALL[at as usize % 3], at));
+                    assert_eq!(*found, moment(MomentKind::ALL[at as usize % MomentKind::ALL.len()], at));
                 }
                 let count = older + seen.len() as u64;
                 assert!(count >= most, "{count} after {most}");

@@ -30,6 +30,8 @@ fn report(topics: Vec<TopicReport>) -> DemoReport {
         taken_running_ms: 0.0,
         taken_late_ms: 0.0,
         longest_taken_ms: 0.0,
+        others_ms: 0.0,
+        moments_overwritten: 0,
     }
 }
 

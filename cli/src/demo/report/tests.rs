@@ -9,16 +9,23 @@ fn report(latencies_ms: [&[f64]; 5]) -> DemoReport {
 
 /// And with what the host took: from where to where in ms, all of it.
 fn report_with(latencies_ms: [&[f64]; 5], taken_ms: &[(f64, f64)]) -> DemoReport {
+    report_of(latencies_ms, Costs { taken: times(taken_ms, Seen::Running), ..Costs::default() })
+}
+
+fn times(from_to_ms: &[(f64, f64)], seen: Seen) -> TakenTimes {
     let ns = |ms: f64| (ms * 1e6).round() as u64;
-    let pieces = taken_ms.iter().map(|&(from, to)| Taken {
+    TakenTimes::new(from_to_ms.iter().map(|&(from, to)| Taken {
         from_ns: ns(from),
         to_ns: ns(to),
         length_ns: ns(to - from),
-        seen: Seen::Running,
-    });
-    let taken = TakenTimes::new(pieces);
-    let (taken_running_ms, longest_taken_ms) = (ms(taken.total_ns()), ms(taken.longest_ns()));
-    let costs = Costs { per_message: Duration::from_micros(60), taken, ..Costs::default() };
+        seen,
+    }))
+}
+
+fn report_of(latencies_ms: [&[f64]; 5], costs: Costs) -> DemoReport {
+    let (taken_running_ms, longest_taken_ms) = (ms(costs.taken.total_ns()), ms(costs.taken.longest_ns()));
+    let others_ms = ms(costs.others.total_ns());
+    let costs = Costs { per_message: Duration::from_micros(60), ..costs };
     let set = [(10, 2), (20, 4), (50, 5), (100, 15), (200, 50)];
     let span = Duration::from_millis;
     let run = |(i, ((period, wcet), latencies)): (usize, ((u64, u64), &[f64]))| TopicRun {
@@ -45,6 +52,8 @@ fn report_with(latencies_ms: [&[f64]; 5], taken_ms: &[(f64, f64)]) -> DemoReport
         taken_running_ms,
         taken_late_ms: 0.0,
         longest_taken_ms,
+        others_ms,
+        moments_overwritten: 0,
     }
 }
 
@@ -116,7 +125,9 @@ fn table_lines_up_and_says_that_all_is_well() {
     assert!(out.contains("All deadlines met: 6 messages, none late, none lost.\n"), "{out}");
     assert!(out.contains("the closest was topic5 at 99.7 % of it.\n"), "{out}");
     assert!(
-        prose(&good()).contains("(longest 0.00 ms); steal 0 ticks. Kernel 6.1.0, preemption PREEMPT_RT."),
+        prose(&good()).contains(
+            "(longest 0.00 ms); by other threads 0.00 ms; steal 0 ticks. Kernel 6.1.0, preemption PREEMPT_RT."
+        ),
         "{out}"
     );
     assert!(out.lines().all(|line| line.chars().count() <= 100), "{out}");
@@ -128,10 +139,10 @@ fn misses_are_named_and_explained() {
     let out = prose(&report);
     assert!(out.contains("2 deadlines missed: topic1 (1 of 2), topic5 (1 of 1). "), "{out}");
     assert!(
-        out.contains("Prediction exceeded: topic1 once (12.50 ms, of which the host took 0.00 ms; predicted 2.30 ms, with that 2.30 ms), topic5"),
+        out.contains("Prediction exceeded: topic1 once (12.50 ms, of which the host took 0.00 ms, other threads 0.00 ms and the middleware 0.00 ms; predicted 2.30 ms, with that 2.30 ms), topic5"),
         "{out}"
     );
-    assert!(out.contains("was not taken by the host"), "{out}");
+    assert!(out.contains("was taken neither by the host nor by other threads"), "{out}");
 
     report.steal_ticks = 3;
     let out = prose(&report);
@@ -156,8 +167,8 @@ fn what_the_host_took_explains_a_response_or_it_does_not() {
     let out = prose(&report);
     assert!(
         out.contains(
-            "Prediction held but for what the host took: topic1 once (5.20 ms, of which the host took 3.00 ms; predicted 2.30 ms, \
-             with that 5.30 ms)."
+            "Prediction held but for what the host or other threads took, or the middleware beyond its mean: topic1 once (5.20 ms, of \
+             which the host took 3.00 ms, other threads 0.00 ms and the middleware 0.00 ms; predicted 2.30 ms, with that 5.30 ms)."
         ),
         "{out}"
     );
@@ -169,14 +180,43 @@ fn what_the_host_took_explains_a_response_or_it_does_not() {
     assert_eq!((report.topics[0].beyond, report.topics[0].unexplained), (1, 1));
     let out = prose(&report);
     assert!(
-        out.contains("Prediction exceeded: topic1 once (5.50 ms, of which the host took 3.00 ms;"),
+        out.contains("Prediction exceeded: topic1 once (5.50 ms, of which the host took 3.00 ms,"),
         "{out}"
     );
-    assert!(out.contains("look for other real-time threads"), "{out}");
+    assert!(out.contains("look for interrupts, throttling"), "{out}");
 
     // Taken after it had ended: a defect, whatever the longest piece of the run would allow.
     let report = report_with([&[5.2], &[6.1], &[13.1], &[36.2], &[173.5]], &[(30.0, 33.0)]);
     assert_eq!((report.topics[0].unexplained, report.topics[0].rta_host_ms), (1, Some(5.3)));
+}
+
+#[test]
+fn what_others_had_and_the_middleware_used_explains_a_response() {
+    let latencies: [&[f64]; 5] = [&[2.1, 5.2], &[6.1], &[13.1], &[36.2], &[173.5]];
+    // All that the middleware used takes the place of its mean.
+    let used = |from_to_ms| times(from_to_ms, Seen::Overran);
+    let costs = Costs { middleware: used(&[(9.0, 10.0), (11.0, 14.1)]), ..Costs::default() };
+    let report = report_of(latencies, costs);
+    let worst = report.topics[0].worst.unwrap();
+    assert_eq!((report.topics[0].unexplained, worst.middleware_used_ms), (0, 3.1));
+    // What it used until the job before ended delayed nobody after.
+    let costs = Costs { middleware: used(&[(1.0, 2.1), (11.0, 13.0)]), ..Costs::default() };
+    assert_eq!(report_of(latencies, costs).topics[0].unexplained, 1);
+
+    let costs = Costs { others: times(&[(11.0, 14.0)], Seen::Running), ..Costs::default() };
+    let report = report_of(latencies, costs);
+    let worst = report.topics[0].worst.unwrap();
+    assert_eq!((report.topics[0].unexplained, worst.others_had_ms), (0, 3.0));
+    assert_eq!(report.topics[0].rta_host_ms, report.topics[0].rta_overhead_ms, "it is not the host's");
+    let out = prose(&report);
+    assert!(out.contains("by other threads 3.00 ms") && out.contains("move them to another core"), "{out}");
+}
+
+#[test]
+fn notes_that_were_lost_are_told() {
+    let mut report = good();
+    report.moments_overwritten = 7;
+    assert!(prose(&report).contains("7 notes were overwritten"), "{}", prose(&report));
 }
 
 #[test]

@@ -1,0 +1,163 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Accounting for the time of threads' cores: see [`Executor::account_core_time`](crate::Executor::account_core_time).
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
+
+use std::cell::Cell;
+use std::sync::Arc;
+
+use tautline_rt::{CoreMark, CoreTime};
+
+use crate::stats::{CallbackStats, Moment, MomentKind};
+
+/// What is taken from the core of a callback while its jobs run.
+pub(crate) struct CoreTimeAccount {
+    clock: CoreTime,
+    /// Shorter pieces are not noted.
+    least_ns: u64,
+    /// At the begin of the job that runs; of jobs that overlap, the first.
+    begun: Cell<Option<CoreMark>>,
+    /// Jobs that have begun and not ended.
+    running: Cell<u32>,
+}
+
+impl CoreTimeAccount {
+    pub const fn new(clock: CoreTime, least_ns: u64) -> CoreTimeAccount {
+        CoreTimeAccount { clock, least_ns, begun: Cell::new(None), running: Cell::new(0) }
+    }
+
+    /// A job begins.
+    pub fn begin(&self) {
+        if self.running.replace(self.running.get().saturating_add(1)) == 0 {
+            self.begun.set(Some(self.clock.mark()));
+        }
+    }
+
+    /// A job has ended; of jobs that overlap, the last. One that has slept says nothing of what was taken from it.
+    pub fn end(&self, stats: &CallbackStats, slept: bool) {
+        self.running.set(self.running.get().saturating_sub(1));
+        if self.running.get() > 0 {
+            return;
+        }
+        if let Some(begun) = self.begun.take()
+            && !slept
+        {
+            note_taken(stats, &begun, &self.clock.mark(), self.least_ns);
+        }
+    }
+}
+
+/// What is taken from the core of the sampler, and what it uses of it: made by its thread.
+///
+/// The sampler sleeps for a clock as well: what is taken while nobody runs makes it wake late.
+#[derive(Debug)]
+pub struct SamplerAccount {
+    clock: CoreTime,
+    least_ns: u64,
+    stats: Arc<CallbackStats>,
+    asleep: Cell<Option<CoreMark>>,
+    /// Since when it is awake, and the processor time from which on it is charged.
+    awake: Cell<Option<(CoreMark, u64)>>,
+}
+
+impl SamplerAccount {
+    /// To wake a thread takes some time: less is not late.
+    const WAKE_NS: u64 = 100_000;
+
+    pub(crate) const fn new(clock: CoreTime, least_ns: u64, stats: Arc<CallbackStats>) -> SamplerAccount {
+        SamplerAccount { clock, least_ns, stats, asleep: Cell::new(None), awake: Cell::new(None) }
+    }
+
+    /// The sampler is about to sleep.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; three system calls.
+    pub fn sleeps(&self) {
+        let now = self.clock.mark();
+        self.asleep.set(Some(now));
+        if let Some((awake, used_ns)) = self.awake.take() {
+            note_taken(&self.stats, &awake, &now, self.least_ns);
+            // What it took to wake lies just before.
+            let from_ns = awake.from_ns.saturating_sub(awake.used_ns.saturating_sub(used_ns));
+            let length_ns = now.used_ns.saturating_sub(used_ns);
+            self.note(MomentKind::Served, from_ns, now.to_ns, length_ns, self.least_ns);
+        }
+    }
+
+    /// It has slept, until `due_ns` at the latest if that is set.
+    ///
+    /// # Real-time
+    /// As [`sleeps`](Self::sleeps).
+    pub fn woke(&self, due_ns: Option<u64>) {
+        let now = self.clock.mark();
+        let Some(asleep) = self.asleep.get() else { return };
+        let late_ns = due_ns.and_then(|due_ns| asleep.woken_late_by(due_ns, &now)).unwrap_or(0);
+        // What it took to wake is then part of that.
+        let used_ns = if late_ns >= Self::WAKE_NS { now.used_ns } else { asleep.used_ns };
+        if late_ns >= Self::WAKE_NS {
+            let from_ns = now.from_ns.saturating_sub(late_ns);
+            self.note(MomentKind::WokenLate, from_ns, now.from_ns, late_ns, self.least_ns);
+        }
+        self.awake.set(Some((now, used_ns)));
+    }
+
+    fn note(&self, kind: MomentKind, from_ns: u64, to_ns: u64, length_ns: u64, least_ns: u64) {
+        if length_ns >= least_ns {
+            self.stats.note(&Moment { kind, from_ns, to_ns, length_ns });
+        }
+    }
+}
+
+/// What was taken from the thread between two marks, if it did not sleep.
+fn note_taken(stats: &CallbackStats, begun: &CoreMark, now: &CoreMark, least_ns: u64) {
+    if let Some(length_ns) = begun.taken_until(now).filter(|ns| *ns >= least_ns) {
+        let (from_ns, to_ns) = (begun.to_ns, now.from_ns);
+        stats.note(&Moment { kind: MomentKind::Taken, from_ns, to_ns, length_ns });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Executor;
+    use std::time::Duration;
+    use tautline_rt::Realtime;
+    use tautline_rt::clock::{burn_cpu, monotonic_ns};
+
+    fn moments(stats: &CallbackStats) -> Vec<(MomentKind, u64)> {
+        let seen = stats.snapshot().unwrap().moments;
+        // What a busy machine takes meanwhile is not asked for.
+        let kinds = [MomentKind::WokenLate, MomentKind::Served];
+        seen.iter().filter(|of| kinds.contains(&of.kind)).map(|of| (of.kind, of.length_ns)).collect()
+    }
+
+    #[test]
+    fn the_sampler_notes_what_it_used_and_how_late_it_woke() {
+        let executor = Executor::new(Realtime::Off).account_core_time(Some(Duration::ZERO));
+        let stats = executor.sampler_statistics().unwrap().unwrap();
+        let account = executor.sampler_account(&stats).unwrap().unwrap();
+        assert_eq!(stats.tid(), tautline_rt::current_tid());
+        account.sleeps();
+        assert_eq!(moments(&stats), [], "it has not woken");
+        let due_ns = monotonic_ns() + 1_000_000;
+        std::thread::sleep(Duration::from_millis(6));
+        account.woke(Some(due_ns));
+        burn_cpu(Duration::from_millis(2));
+        account.sleeps();
+        let [(MomentKind::WokenLate, late_ns), (MomentKind::Served, used_ns)] = moments(&stats)[..] else {
+            panic!("{:?}", moments(&stats))
+        };
+        assert!(late_ns >= 5_000_000 - 1_000_000 && used_ns >= 2_000_000, "{late_ns} {used_ns}");
+        // Nothing was due.
+        account.woke(None);
+        account.sleeps();
+        assert_eq!(moments(&stats).last().map(|of| of.0), Some(MomentKind::Served));
+        assert_eq!(moments(&stats).len(), 3);
+    }
+
+    #[test]
+    fn without_an_account_there_is_none_of_the_sampler() {
+        let executor = Executor::new(Realtime::Off);
+        assert!(executor.sampler_statistics().unwrap().is_none());
+    }
+}
