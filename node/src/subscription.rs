@@ -12,8 +12,6 @@ use tautline_executor::job::QueueState;
 use tautline_executor::{Parker, busy_polling, job, parker, parks_on, stop_requested};
 use tautline_join::{self as join, Room, StampedStream};
 use tautline_msgs::HasStamp;
-#[allow(unused_imports, reason = "for the documentation")]
-use tautline_msgs::Message;
 use tautline_transport::{
     Decode, Participant, RawSubscription, Sample, SubscriptionCounters, TakeError, ThreadBell,
 };
@@ -36,7 +34,7 @@ impl<T: Decode> Subscription<T> {
     /// Takes the oldest sample, if there is one, without waiting. (Not called `take`: that is a method of every stream.)
     ///
     /// # Real-time
-    /// Wait-free; no allocation; no syscall. The message is checked: see [`Message::view`].
+    /// Wait-free; no allocation; no syscall. The message is checked: see [`Message::view`](crate::Message::view).
     ///
     /// # Errors
     /// [`TakeError`].
@@ -99,7 +97,7 @@ impl<T: Decode> Stream for Subscription<T> {
     type Item = Sample<T>;
 
     /// # Real-time
-    /// Wait-free; no allocation; the message is checked: see [`Message::view`]; on a callback thread that measures execution times one syscall per message. Ends with the node.
+    /// Wait-free; no allocation; the message is checked: see [`Message::view`](crate::Message::view); on a callback thread that measures execution times one syscall per message. Ends with the node.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
         self.samples.poll_next(context)
     }

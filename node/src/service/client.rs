@@ -22,37 +22,21 @@ pub struct Client<T: ServiceCodec> {
     events: Events,
 }
 
-impl<T: ServiceCodec> Client<T> {
+impl<T: ServiceCodec<Error: Into<Error>>> Client<T> {
     pub(super) fn new(inner: tautline_transport::Client<T>, events: &Events) -> Self {
         Client { inner, events: events.clone() }
     }
 
-    /// What is known at run time of the service's requests and responses.
-    pub fn definitions(&self) -> (&<T::Request as Decode>::Definition, &<T::Response as Decode>::Definition) {
-        self.inner.definitions()
-    }
-
-    /// The service's fully qualified name.
-    pub fn service_name(&self) -> &str {
-        self.inner.service()
-    }
-
-    /// Number of servers.
-    pub fn server_count(&self) -> usize {
-        self.inner.server_count()
-    }
-}
-
-impl<T: ServiceCodec<Error: Into<Error>>> Client<T> {
     /// Sends a request. The future ends with the response, or with an error when all servers that got the request have gone.
     /// Dropping it cancels the wait. It may outlive the client.
     ///
     /// # Real-time
     /// As [`loan`](Self::loan) and [`send`](Self::send), and one copy of the request; the response allocates its strings and sequences, where that
-    /// of [`send`](Self::send) does not. A message that is not a Rust type's own: as its type says.
+    /// of [`send`](Self::send) does not. Codecs other than Rust types add what they say: JSON allocates.
     ///
     /// # Errors
-    /// [`Error::Service`]: there is no server, its queue is full, or too many requests wait; or what else its type says. Nothing was sent.
+    /// [`Error::Service`]: there is no server, its queue is full, or too many requests wait; codecs other than Rust types have errors of
+    /// their own. Nothing was sent.
     pub fn request(&self, msg: &T::Request) -> Result<ResponseFuture<T>> {
         Ok(ResponseFuture { response: self.inner.request(msg).map_err(Into::into)?, limit: None })
     }
@@ -71,6 +55,21 @@ impl<T: ServiceCodec<Error: Into<Error>>> Client<T> {
     pub fn request_timeout(&self, msg: &T::Request, timeout: Duration) -> Result<ResponseFuture<T>> {
         let limit = Limit::new(&self.events, timeout, self.service_name())?;
         Ok(ResponseFuture { limit: Some(limit), ..self.request(msg)? })
+    }
+
+    /// What is known at run time of the service's requests and responses.
+    pub fn definitions(&self) -> (&<T::Request as Decode>::Definition, &<T::Response as Decode>::Definition) {
+        self.inner.definitions()
+    }
+
+    /// The service's fully qualified name.
+    pub fn service_name(&self) -> &str {
+        self.inner.service()
+    }
+
+    /// Number of servers.
+    pub fn server_count(&self) -> usize {
+        self.inner.server_count()
     }
 }
 
@@ -211,7 +210,7 @@ impl<T: ServiceCodec> AsRef<RawClient> for Client<T> {
 
 impl<T: ServiceCodec> std::fmt::Debug for Client<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Client").field("service", &self.service_name()).finish_non_exhaustive()
+        f.debug_struct("Client").field("service", &self.inner.service()).finish_non_exhaustive()
     }
 }
 

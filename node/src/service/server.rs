@@ -64,11 +64,11 @@ impl<T: ServiceCodec> Server<T> {
     /// Writes `response` into a loan and sends it.
     ///
     /// # Real-time
-    /// As [`loan_with`](Self::loan_with) and [`Response::send`], and one copy of the message. A message that is not a Rust type's own: as
-    /// its type says.
+    /// As [`loan_with`](Self::loan_with) and [`Response::send`], and one copy of the message. Codecs other than Rust types add what they
+    /// say: JSON allocates.
     ///
     /// # Errors
-    /// As [`loan`](Self::loan) and [`Response::send`], or what else its type says.
+    /// As [`loan`](Self::loan) and [`Response::send`]; codecs other than Rust types have errors of their own.
     pub fn respond(&self, request: &Request<T>, response: &T::Response) -> std::result::Result<(), T::Error> {
         self.server().respond(request.id(), response)
     }

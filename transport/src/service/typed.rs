@@ -166,10 +166,10 @@ impl<S: ServiceCodec> Client<S> {
     /// Writes `message` into a loan and sends it.
     ///
     /// # Real-time
-    /// As [`send`](Self::send) and the loan, and one copy of the message. A message that is not a Rust type's own: as its type says.
+    /// As [`send`](Self::send) and the loan, and one copy of the message. Codecs other than Rust types add what they say.
     ///
     /// # Errors
-    /// [`ServiceError`], or what else its type says; nothing was sent.
+    /// [`ServiceError`], or those of a codec other than a Rust type; nothing was sent.
     pub fn request(&self, message: &S::Request) -> Result<PendingResponse<S>, S::Error> {
         let loan = |len_bytes| Ok(self.raw.loan(len_bytes)?);
         let loan = message
@@ -255,7 +255,7 @@ impl<S: ServiceCodec> Future for PendingResponse<S> {
     type Output = Result<Sample<S::Response>, ServiceError>;
 
     /// # Real-time
-    /// As [`RawPending`]; the response is checked: see [`Message::view`].
+    /// As [`RawPending`]; the response is checked: see [`Message::view`](tautline_msgs::Message::view).
     fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
         Pin::new(&mut self.raw).poll(context).map(|response| {
             let invalid = |source| ServiceError::Invalid { service: self.raw.state.service.clone(), source };
@@ -315,10 +315,10 @@ impl<S: ServiceCodec> Server<S> {
     /// Writes `message` into a loan and sends it.
     ///
     /// # Real-time
-    /// As the loan and [`Response::send`], and one copy of the message. A message that is not a Rust type's own: as its type says.
+    /// As the loan and [`Response::send`], and one copy of the message. Codecs other than Rust types add what they say.
     ///
     /// # Errors
-    /// [`ServiceError`], or what else its type says; nothing was sent.
+    /// [`ServiceError`], or those of a codec other than a Rust type; nothing was sent.
     pub fn respond(&self, id: RequestId, message: &S::Response) -> Result<(), S::Error> {
         let loan = |len_bytes| Ok(self.raw.loan(id, len_bytes)?);
         let loan =

@@ -59,11 +59,11 @@ impl<T: Codec> Publisher<T> {
     /// Writes `message` into a loan and publishes it.
     ///
     /// # Real-time
-    /// As [`RawPublisher::loan`](crate::RawPublisher::loan) and [`Loan::publish`], and one copy of the message. A message that is not a
-    /// Rust type's own: as its type says.
+    /// As [`RawPublisher::loan`](crate::RawPublisher::loan) and [`Loan::publish`], and one copy of the message. Codecs other than Rust
+    /// types add what they say.
     ///
     /// # Errors
-    /// [`PublishError`], or what else its type says; nothing was sent.
+    /// [`PublishError`], or those of a codec other than a Rust type; nothing was sent.
     pub fn publish(&self, message: &T) -> Result<(), T::Error> {
         let loan = |len_bytes| self.raw.loan(len_bytes).map_err(|error| PublishError::from(error).into());
         let raw = message.encode_into(&self.definition, loan, T::Error::from)?;
@@ -77,7 +77,7 @@ impl<T: Codec> Publisher<T> {
     /// As [`publish`](Publisher::publish), and [`Message::view`]. Big-endian messages allocate their strings and sequences.
     ///
     /// # Errors
-    /// [`PublishCdrError`](crate::PublishCdrError), or what else its type says: with field and byte if these are no message of the type.
+    /// [`PublishCdrError`](crate::PublishCdrError), or those of a codec other than a Rust type: with field and byte if these are no message of the type.
     pub fn publish_raw(&self, cdr: &[u8]) -> Result<(), T::CdrError> {
         T::publish_cdr(self, cdr)
     }
@@ -359,8 +359,8 @@ impl<T: Message + Plain> Deref for Sample<T> {
 
     fn deref(&self) -> &T {
         const { assert!(T::PLAIN.is_some(), "a plain type becomes a message by the derive") }
-        // SAFETY: `T::view` accepted the payload in `new`, so that it starts with a valid `T`: `PLAIN` is the proof. It stays
-        // where and as it is as long as `raw` lives.
+        // SAFETY: `T::view`, a message's own, accepted the payload in `new`, so that it starts with a valid `T`: `PLAIN` is the
+        // proof. It stays where and as it is as long as `raw` lives.
         unsafe { &*self.raw.payload().as_ptr().cast() }
     }
 }
