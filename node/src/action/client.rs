@@ -45,16 +45,17 @@ pub trait ActionCodec: Sized + Send + Sync + 'static {
     ///
     /// # Errors
     /// The response is none of the type.
-    fn is_accepted(response: Response<Self::SendGoal>) -> Result<bool>;
+    fn is_accepted(response: <<Self::SendGoal as ServiceCodec>::Response as Decode>::Owned) -> Result<bool>;
     /// The request for the result.
     fn result_request(id: GoalId) -> <Self::GetResult as ServiceCodec>::Request;
     /// The response to it.
-    fn take_result(response: Response<Self::GetResult>) -> Outcome<Self>;
+    fn take_result(
+        response: <<Self::GetResult as ServiceCodec>::Response as Decode>::Owned,
+    ) -> (GoalStatus, Self::Result);
     /// Whose feedback it is, and what. `None` if it is nobody's.
     fn take_feedback(message: <Self::FeedbackMessage as Decode>::Owned) -> Option<(GoalId, Self::Feedback)>;
 }
 
-type Response<S> = <<S as ServiceCodec>::Response as Decode>::Owned;
 type Outcome<T> = (GoalStatus, <T as ActionCodec>::Result);
 type ResultFuture<T> = BoxFuture<'static, Result<Outcome<T>>>;
 

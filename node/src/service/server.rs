@@ -175,13 +175,10 @@ impl<T: ServiceCodec> Stream for Requests<T> {
     }
 }
 
-/// What is asked, as an owned message.
-type Message<T> = <<T as ServiceCodec>::Request as Decode>::Owned;
-
 /// A request with an owned message, to be answered with [`respond`](Self::respond), now or later, in any thread.
 pub struct ServiceRequest<T: ServiceCodec> {
     /// What is asked.
-    pub message: Message<T>,
+    pub message: <T::Request as Decode>::Owned,
     reply: Reply<T>,
 }
 
@@ -204,14 +201,14 @@ impl<T: ServiceCodec<Error: Into<Error>>> ServiceRequest<T> {
 
     /// What is asked, and the means to answer.
     #[cfg(feature = "action_msgs")]
-    pub(crate) fn into_parts(self) -> (Message<T>, Reply<T>) {
+    pub(crate) fn into_parts(self) -> (<T::Request as Decode>::Owned, Reply<T>) {
         (self.message, self.reply)
     }
 }
 
 impl<T: ServiceCodec> Clone for ServiceRequest<T>
 where
-    Message<T>: Clone,
+    <T::Request as Decode>::Owned: Clone,
 {
     fn clone(&self) -> Self {
         let Reply { id, service } = &self.reply;
