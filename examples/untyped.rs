@@ -8,7 +8,7 @@ use futures::StreamExt;
 use serde_json::json;
 use std::process::ExitCode;
 use tautline::sensor_msgs::msg::JointState;
-use tautline::{CallbackOptions, Node, Qos, Result};
+use tautline::{CallbackOptions, Json, Node, Qos, Result};
 use tautline_examples::{context, exit_code};
 
 const TYPE: &str = "sensor_msgs/msg/JointState";
@@ -21,8 +21,8 @@ fn show() -> Result<()> {
     let context = context()?;
     let mut node = Node::create(context.clone(), "untyped", "")?;
     let qos = Qos::default();
-    let mut bytes = node.subscribe_raw("/joints", TYPE, qos)?;
-    let mut json = node.subscribe_untyped("/relayed", TYPE, qos)?;
+    let mut bytes = node.subscribe_raw("/joints", TYPE, qos)?.owned();
+    let mut json = node.subscribe_untyped("/relayed", TYPE, qos)?.owned();
     let mut typed = node.subscribe::<JointState>("/relayed", qos)?;
     let publisher = node.create_publisher_untyped("/joints", TYPE, qos)?;
     let relay = node.create_publisher_untyped("/relayed", TYPE, qos)?;
@@ -51,11 +51,11 @@ fn show() -> Result<()> {
 
     // The definition leads: what is left out has its default, what does not fit is refused with its place.
     for wrong in [json!({ "positions": [0.5] }), json!({ "name": ["left", 2] })] {
-        if let Err(error) = publisher.publish(wrong) {
+        if let Err(error) = publisher.publish(&Json(wrong)) {
             println!("refused:   {error}");
         }
     }
-    publisher.publish(json!({ "name": ["left", "right"], "position": [0.5, "Infinity"] }))?;
+    publisher.publish(&Json(json!({ "name": ["left", "right"], "position": [0.5, "Infinity"] })))?;
 
     node.spin()?;
     forward.stop(); // it would wait for more

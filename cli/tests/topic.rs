@@ -82,7 +82,7 @@ fn publisher(participant: &Participant, topic: &str, qos: Qos) -> RawPublisher {
 }
 
 fn message(json: &Value) -> Vec<u8> {
-    DynamicMessage::from_json_value(&schema(), json.clone()).unwrap().to_body()
+    DynamicMessage::from_json_value(&schema(), json).unwrap().to_body()
 }
 
 #[test]

@@ -73,11 +73,9 @@ pub mod tf;
 
 #[cfg(feature = "action_msgs")]
 pub use action::{
-    ActionClient, ActionClientGoal, ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest,
-    ActionServerOptions, GoalStatus,
+    ActionClient, ActionClientGoal, ActionCodec, ActionServerCancelRequest, ActionServerGoal,
+    ActionServerGoalRequest, ActionServerOptions, GoalStatus,
 };
-#[cfg(all(feature = "action_msgs", feature = "untyped"))]
-pub use action::{ActionClientGoalUntyped, ActionClientUntyped};
 pub use admission::{Admission, Running};
 pub use callbacks::NodeCallbacks;
 pub use context::{Context, ContextBuilder};
@@ -98,8 +96,6 @@ pub use qos_events::{
 pub use reload::apply_system;
 pub use remap::RemapRules;
 pub use service::{Client, IsAvailablePollable, ResponseFuture, Server, ServiceRequest};
-#[cfg(feature = "untyped")]
-pub use service::{ClientUntyped, ServiceRequestUntyped};
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
 pub use system::CallbackJoin;
@@ -107,7 +103,7 @@ pub use system::CallbackJoin;
 pub use time::{Clock, ClockChange, ClockJump, ClockType, JumpCallback, JumpThreshold, TimeSource};
 pub use timer::Timer;
 #[cfg(feature = "untyped")]
-pub use untyped::{Bundled, PublisherUntyped, SubscriptionRaw, SubscriptionUntyped, find_schema, type_of};
+pub use untyped::{Bundled, Cdr, Json, find_schema, type_of};
 
 pub use indexmap;
 pub use tautline_derive::RosParams;
@@ -135,12 +131,13 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Claim, Durability, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, History, IncompatibleQos,
-    IncompatibleType, Limits, Liveliness, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS, Matched,
-    MessageInfo, MessageLost, NodeHandle, NodeInfo, NodeName, PendingResponse, PublishCdrError, PublishError,
-    Publisher, PublisherCounters, Qos, QosPolicyKind, Reliability, Request, RequestId, Response, Sample,
-    SendError, ServiceEndpoint, ServiceError, ServiceKind, SubscriptionCounters, TakeError, TopicEndpoint,
-    TopicMemory, TransportError, Unwritten, UnwrittenResponse, topic_memory,
+    Claim, Codec, Decode, Durability, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, History,
+    IncompatibleQos, IncompatibleType, Limits, Liveliness, LivelinessChanged, Loan, LoanError,
+    MAX_PENDING_REQUESTS, Matched, MessageInfo, MessageLost, NodeHandle, NodeInfo, NodeName, PendingResponse,
+    PublishCdrError, PublishError, Publisher, PublisherCounters, Qos, QosPolicyKind, Reliability, Request,
+    RequestId, Response, Sample, SendError, ServiceCodec, ServiceEndpoint, ServiceError, ServiceKind,
+    SubscriptionCounters, TakeError, TopicEndpoint, TopicMemory, TransportError, Unwritten,
+    UnwrittenResponse, topic_memory,
 };
 
 /// Below messages: ends of topics and services that carry bytes, what the sampler serves, what the domain knows of its members. For tools,

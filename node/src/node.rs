@@ -18,7 +18,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
 use tautline_msgs::Message;
-use tautline_transport::{Limits, NodeHandle, Participant, Publisher, Qos, TopicType};
+use tautline_transport::{Codec, Decode, Limits, NodeHandle, Participant, Publisher, Qos, TopicType};
 
 /// A node. It ends when it is dropped and its callbacks, those that were spawned through it, have ended. What was made through it ends
 /// with it: streams give out what had come and end, timers end, nothing can be published or asked any more. Its context lives as long
@@ -268,10 +268,19 @@ impl Node {
     /// # Errors
     /// [`Error::Name`]; [`Error::Transport`]: a QoS that cannot be kept, no memory left in /dev/shm.
     pub fn create_publisher<T: Message>(&mut self, topic: &str, qos: Qos) -> Result<Publisher<T>> {
+        self.create_publisher_of(topic, &topic_type_of::<T>(), (), qos)
+    }
+
+    pub(crate) fn create_publisher_of<T: Codec>(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        definition: T::Definition,
+        qos: Qos,
+    ) -> Result<Publisher<T>> {
         let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        let topic_type = topic_type_of::<T>();
-        Ok(self.participant.create_publisher_of(&topic, &topic_type, qos, limits)?)
+        Ok(self.participant.create_publisher_of(&topic, topic_type, definition, qos, limits)?)
     }
 
     /// Subscribes to a topic: a stream of samples, read in shared memory: through [`Sample::view`](crate::Sample::view), or
@@ -280,11 +289,20 @@ impl Node {
     /// # Errors
     /// As [`create_publisher`](Self::create_publisher).
     pub fn subscribe<T: Message>(&mut self, topic: &str, qos: Qos) -> Result<Subscription<T>> {
+        self.subscribe_of(topic, &topic_type_of::<T>(), (), qos)
+    }
+
+    pub(crate) fn subscribe_of<T: Decode>(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        definition: T::Definition,
+        qos: Qos,
+    ) -> Result<Subscription<T>> {
         let (topic, limits) = self.resolve(topic)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        let subscription =
-            self.participant.create_subscription_of(&topic, &topic_type_of::<T>(), qos, limits)?;
-        Ok(Subscription::new(subscription))
+        let inner = self.participant.create_subscription_of(&topic, topic_type, definition, qos, limits)?;
+        Ok(Subscription::new(inner))
     }
 
     pub(crate) fn resolve(&self, topic: &str) -> Result<(String, Limits)> {

@@ -11,19 +11,22 @@ use std::time::Duration;
 use tautline_executor::job::QueueState;
 use tautline_executor::{Parker, busy_polling, job, parker, parks_on, stop_requested};
 use tautline_join::{self as join, Room, StampedStream};
-use tautline_msgs::{HasStamp, Message};
-use tautline_transport::{Participant, RawSubscription, Sample, SubscriptionCounters, TakeError, ThreadBell};
+use tautline_msgs::HasStamp;
+use tautline_transport::{
+    Decode, Participant, RawSubscription, Sample, SubscriptionCounters, TakeError, ThreadBell,
+};
 
-/// Receives messages of type `T` from one topic: a stream of [`Sample`]s, each read where it was written.
+/// Receives messages of type `T` from one topic: a stream of [`Sample`]s, each read where it was written. `T` is a Rust type, or what
+/// stands for one that is known at run time only: `Json`, `Cdr`.
 ///
 /// On a callback thread each message is a job: its response time counts from the message's release, and the next poll of
 /// this stream ends it. On a busy-polling thread the subscription polls its queue without any doorbell.
 #[must_use = "nothing is received unless it is polled; dropping it ends it"]
-pub struct Subscription<T> {
+pub struct Subscription<T: Decode> {
     samples: Samples<tautline_transport::Subscription<T>>,
 }
 
-impl<T: Message> Subscription<T> {
+impl<T: Decode> Subscription<T> {
     pub(crate) fn new(inner: tautline_transport::Subscription<T>) -> Self {
         Subscription { samples: Samples::new(inner) }
     }
@@ -31,7 +34,7 @@ impl<T: Message> Subscription<T> {
     /// Takes the oldest sample, if there is one, without waiting. (Not called `take`: that is a method of every stream.)
     ///
     /// # Real-time
-    /// Wait-free; no allocation; no syscall. The message is checked: see [`Message::view`].
+    /// Wait-free; no allocation; no syscall. The message is checked: see [`Message::view`](crate::Message::view).
     ///
     /// # Errors
     /// [`TakeError`].
@@ -40,7 +43,7 @@ impl<T: Message> Subscription<T> {
     }
 
     /// The stream of owned messages, copied out of shared memory: strings and sequences are allocated.
-    pub fn owned(self) -> impl Stream<Item = T> + Unpin + Send + use<T> {
+    pub fn owned(self) -> impl Stream<Item = T::Owned> + Unpin + Send + use<T> {
         self.map(|sample| sample.to_owned())
     }
 
@@ -55,6 +58,11 @@ impl<T: Message> Subscription<T> {
     /// ```
     pub fn stamped_by<F: Fn(&Sample<T>) -> i64>(self, stamp: F) -> StampedStream<Self, F> {
         StampedStream::new(self, stamp)
+    }
+
+    /// What is known of the type at run time.
+    pub fn definition(&self) -> &T::Definition {
+        self.samples.source().definition()
     }
 
     /// Received, lost, invalid, highest queue fill: to be read from any thread.
@@ -73,30 +81,30 @@ impl<T: Message> Subscription<T> {
     }
 }
 
-impl<T: Message> AsRef<RawSubscription> for Subscription<T> {
+impl<T: Decode> AsRef<RawSubscription> for Subscription<T> {
     fn as_ref(&self) -> &RawSubscription {
         self.samples.source().raw()
     }
 }
 
-impl<T: Message> std::fmt::Debug for Subscription<T> {
+impl<T: Decode> std::fmt::Debug for Subscription<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Subscription").field("topic", &self.topic()).finish_non_exhaustive()
     }
 }
 
-impl<T: Message> Stream for Subscription<T> {
+impl<T: Decode> Stream for Subscription<T> {
     type Item = Sample<T>;
 
     /// # Real-time
-    /// Wait-free; no allocation; the message is checked: see [`Message::view`]; on a callback thread that measures execution times one syscall per message. Ends with the node.
+    /// Wait-free; no allocation; the message is checked: see [`Message::view`](crate::Message::view); on a callback thread that measures execution times one syscall per message. Ends with the node.
     fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
         self.samples.poll_next(context)
     }
 }
 
 /// What a join knows of a topic: a message that it takes is a job, unless it is read beside a trigger.
-impl<T: Message> join::Source for Subscription<T> {
+impl<T: Decode> join::Source for Subscription<T> {
     fn name(&self) -> String {
         self.topic().to_owned()
     }
@@ -122,7 +130,7 @@ impl<T: HasStamp> join::Stamped for Subscription<T> {
     }
 }
 
-/// Where samples come from: a subscription to messages of a type, or to bytes.
+/// Where samples come from: a subscription to messages, or a server's to requests.
 pub(crate) trait Source {
     type Sample;
 
@@ -132,7 +140,7 @@ pub(crate) trait Source {
     fn released_ns(sample: &Self::Sample) -> u64;
 }
 
-impl<T: Message> Source for tautline_transport::Subscription<T> {
+impl<T: Decode> Source for tautline_transport::Subscription<T> {
     type Sample = Sample<T>;
 
     fn raw(&self) -> &RawSubscription {
@@ -148,27 +156,6 @@ impl<T: Message> Source for tautline_transport::Subscription<T> {
     }
 
     fn released_ns(sample: &Sample<T>) -> u64 {
-        sample.info().released_ns
-    }
-}
-
-#[cfg(feature = "untyped")]
-impl Source for RawSubscription {
-    type Sample = tautline_transport::RawSample;
-
-    fn raw(&self) -> &RawSubscription {
-        self
-    }
-
-    fn try_take_valid(&mut self) -> Result<Option<Self::Sample>, TakeError> {
-        RawSubscription::try_take_valid(self)
-    }
-
-    fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Self::Sample> {
-        RawSubscription::poll_take(self, context)
-    }
-
-    fn released_ns(sample: &Self::Sample) -> u64 {
         sample.info().released_ns
     }
 }

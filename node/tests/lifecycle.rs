@@ -282,7 +282,7 @@ fn untyped_publishers_are_silent_while_it_is_not_active() {
         node.create_publisher_untyped("~/text", "std_msgs/msg/String", Qos::default())
     };
     let publisher = node.with_node(create).unwrap().unwrap();
-    let say = || publisher.publish(serde_json::json!({ "data": "here" })).unwrap();
+    let say = || publisher.publish(&tautline::Json(serde_json::json!({ "data": "here" }))).unwrap();
     let silenced = || publisher.counters().silenced();
     say();
     node.configure().unwrap();

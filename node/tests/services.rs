@@ -343,19 +343,20 @@ fn a_client_that_goes_is_forgotten() {
 #[test]
 fn json_to_a_typed_server_and_a_typed_client_to_a_json_server() {
     use serde_json::json;
+    use tautline::{Json, ServiceRequest};
     let ctx = context(52);
     let mut node = node(&ctx, "json");
     let _service = serve(&mut node, "sum");
     let _spinning = spin(&ctx);
     let client = node.create_client_untyped("sum", "example_interfaces/srv/AddTwoInts", QOS()).unwrap();
-    let sum = block_on(client.request(json!({ "a": 40, "b": 2 })).unwrap()).unwrap().unwrap();
+    let sum = block_on(client.request(&Json(json!({ "a": 40, "b": 2 }))).unwrap()).unwrap().unwrap();
     assert_eq!(sum, json!({ "sum": 42 }));
-    assert!(client.request(json!({ "c": 1 })).err().unwrap().to_string().contains('c'));
+    assert!(client.request(&Json(json!({ "c": 1 }))).err().unwrap().to_string().contains('c'));
 
-    let requests = node.create_service_untyped("flag", "std_srvs/srv/SetBool", QOS()).unwrap();
-    let answer = |request: tautline::ServiceRequestUntyped| async move {
+    let requests = node.create_service_untyped("flag", "std_srvs/srv/SetBool", QOS()).unwrap().owned();
+    let answer = |request: ServiceRequest<Json>| async move {
         let message = request.message.as_ref().unwrap().to_string();
-        request.respond(json!({ "success": true, "message": message })).unwrap();
+        request.respond(Json(json!({ "success": true, "message": message }))).unwrap();
     };
     node.spawn_callback(CallbackOptions::other(), requests.for_each(answer)).unwrap();
     let typed = node.create_client::<SetBool::Service>("flag", QOS()).unwrap();

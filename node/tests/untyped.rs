@@ -10,7 +10,9 @@ use serde_json::{Value, json};
 use tautline::schema::{DynamicMessage, Schema};
 use tautline::sensor_msgs::msg::Image;
 use tautline::std_msgs::msg::{Empty, String as Text};
-use tautline::{CallbackOptions, Error, IncompatibleType, Limits, Message, Node, Qos, SubscriptionEvent};
+use tautline::{
+    CallbackOptions, Error, IncompatibleType, Json, Limits, Message, Node, Qos, SubscriptionEvent,
+};
 use tautline_transport::{Participant, SchemaStore, TopicType};
 
 const DOMAIN: u32 = 117;
@@ -44,15 +46,15 @@ fn ends_of_every_kind_understand_each_other() {
     const TYPE: &str = "std_msgs/msg/String";
     let mut node = node();
     let mut typed = node.subscribe::<Text>("/words", qos()).unwrap().owned();
-    let mut json = node.subscribe_untyped("/words", TYPE, qos()).unwrap();
-    let mut raw = node.subscribe_raw("/words", TYPE, qos()).unwrap();
+    let mut json = node.subscribe_untyped("/words", TYPE, qos()).unwrap().owned();
+    let mut raw = node.subscribe_raw("/words", TYPE, qos()).unwrap().owned();
     let typed_publisher = node.create_publisher::<Text>("/words", qos()).unwrap();
     let untyped_publisher = node.create_publisher_untyped("words", TYPE, qos()).unwrap();
     assert_eq!((untyped_publisher.topic(), untyped_publisher.subscription_count()), ("/words", 3));
 
     typed_publisher.publish(&text("typed")).unwrap();
-    untyped_publisher.publish(json!({ "data": "as JSON" })).unwrap();
-    untyped_publisher.publish(json!({})).unwrap();
+    untyped_publisher.publish(&Json(json!({ "data": "as JSON" }))).unwrap();
+    untyped_publisher.publish(&Json(json!({}))).unwrap();
     for endian in [1, 0] {
         untyped_publisher.publish_raw(&string_cdr("as CDR", endian)).unwrap();
         typed_publisher.publish_raw(&string_cdr("typed CDR", endian)).unwrap();
@@ -79,8 +81,8 @@ fn an_image_is_the_same_from_every_end() {
     const TYPE: &str = "sensor_msgs/msg/Image";
     let mut node = node();
     let mut typed = node.subscribe::<Image>("/image", qos()).unwrap().owned();
-    let mut json = node.subscribe_untyped("/image", TYPE, qos()).unwrap();
-    let mut raw = node.subscribe_raw("/image", TYPE, qos()).unwrap();
+    let mut json = node.subscribe_untyped("/image", TYPE, qos()).unwrap().owned();
+    let mut raw = node.subscribe_raw("/image", TYPE, qos()).unwrap().owned();
     let typed_publisher = node.create_publisher::<Image>("/image", qos()).unwrap();
     let untyped_publisher = node.create_publisher_untyped("/image", TYPE, qos()).unwrap();
 
@@ -94,7 +96,7 @@ fn an_image_is_the_same_from_every_end() {
         "data": [0, 1, 2, 3, 254, 255],
     });
     typed_publisher.publish(&image).unwrap();
-    untyped_publisher.publish(as_json.clone()).unwrap();
+    untyped_publisher.publish(&Json(as_json.clone())).unwrap();
     let bytes = drain(&mut raw);
     assert_eq!(bytes[0], bytes[1], "the encoders agree");
     typed_publisher.publish_raw(&bytes[0]).unwrap();
@@ -110,18 +112,18 @@ fn types_of_fixed_size_keep_it() {
     let mut node = node();
     let mut typed = node.subscribe::<tautline::geometry_msgs::msg::Twist>("/twist", qos()).unwrap().owned();
     let untyped = node.create_publisher_untyped("/twist", "geometry_msgs/msg/Twist", qos()).unwrap();
-    untyped.publish(json!({ "linear": { "x": 0.5 }, "angular": { "z": -1 } })).unwrap();
-    let cdr = DynamicMessage::from_json(untyped.schema(), r#"{"linear": {"y": 2}}"#).unwrap().to_cdr();
+    untyped.publish(&Json(json!({ "linear": { "x": 0.5 }, "angular": { "z": -1 } }))).unwrap();
+    let cdr = DynamicMessage::from_json(untyped.definition(), r#"{"linear": {"y": 2}}"#).unwrap().to_cdr();
     // As rmw implementations do.
     untyped.publish_raw(&[&cdr[..], &[1, 2, 3, 4]].concat()).unwrap();
     let twists = drain(&mut typed);
     assert_eq!((twists[0].linear.x, twists[0].angular.z, twists[1].linear.y), (0.5, -1.0, 2.0));
 
     let mut typed = node.subscribe::<Empty>("/empty", qos()).unwrap().owned();
-    let mut json = node.subscribe_untyped("/empty", "std_msgs/msg/Empty", qos()).unwrap();
+    let mut json = node.subscribe_untyped("/empty", "std_msgs/msg/Empty", qos()).unwrap().owned();
     let untyped = node.create_publisher_untyped("/empty", "std_msgs/msg/Empty", qos()).unwrap();
     let publisher = node.create_publisher::<Empty>("/empty", qos()).unwrap();
-    untyped.publish(json!({})).unwrap();
+    untyped.publish(&Json(json!({}))).unwrap();
     publisher.publish(&Empty::default()).unwrap();
     assert_eq!(drain(&mut typed).len(), 2);
     assert!(drain(&mut json).into_iter().all(|message| message.unwrap() == json!({})));
@@ -144,7 +146,7 @@ fn what_is_no_message_is_an_error_with_the_field() {
         (json!({ "header": { "frame_id": null } }), "header.frame_id"),
         (json!([1]), "sensor_msgs/msg/Image"),
     ] {
-        let error = untyped.publish(json.clone()).expect_err(expected);
+        let error = untyped.publish(&Json(json.clone())).expect_err(expected);
         assert!(matches!(error, Error::Message(_)), "{error}");
         let error = error.to_string();
         assert!(error.contains(expected) && error.contains("sensor_msgs/msg/Image"), "{json}: {error}");
@@ -152,7 +154,7 @@ fn what_is_no_message_is_an_error_with_the_field() {
     // Of an image: the time (8), the frame (4, 2 and 2 for alignment), height and width (8), the encoding (4).
     let mut image = Image { encoding: "rgb8".into(), data: vec![1, 2, 3], ..Image::default() };
     image.header.frame_id = "f".into();
-    let schema = untyped.schema();
+    let schema = untyped.definition();
     let good = DynamicMessage::from_json(schema, &serde_json::to_string(&image).unwrap()).unwrap().to_cdr();
     let changed = |index: usize, value: u8| {
         let mut bytes = good.clone();
@@ -185,7 +187,7 @@ fn what_is_no_message_is_an_error_with_the_field() {
 #[test]
 fn a_sample_that_is_no_message_is_an_error_of_its_item() {
     let mut node = node();
-    let mut json = node.subscribe_untyped("/liar", "std_msgs/msg/String", qos()).unwrap();
+    let mut json = node.subscribe_untyped("/liar", "std_msgs/msg/String", qos()).unwrap().owned();
     let participant = Participant::new(DOMAIN).unwrap();
     let claimed = TopicType::new("std_msgs/msg/String");
     let liar =
@@ -224,12 +226,14 @@ fn a_definition_comes_with_the_topic() {
     let publisher =
         participant.create_raw_publisher("/track", &topic_type, Qos::default(), Limits::default()).unwrap();
     assert_eq!(std::fs::read_to_string(&file).unwrap(), schema.to_text());
-    let mut json = node.subscribe_untyped("/track", name.as_str(), qos()).unwrap();
+    let mut json = node.subscribe_untyped("/track", name.as_str(), qos()).unwrap().owned();
     let untyped = node.create_publisher_untyped("/track", name.as_str(), qos()).unwrap();
     let track = json!({ "points": [{ "x": 0.5, "y": 7 }, { "x": "NaN", "y": -1 }], "seen": true });
     let body = DynamicMessage::from_json(&schema.into(), &track.to_string()).unwrap().to_body();
     publisher.publish(&body).unwrap();
-    untyped.publish(json!({ "points": [{ "x": 0.5 }, { "x": "NaN", "y": -1 }], "seen": true })).unwrap();
+    untyped
+        .publish(&Json(json!({ "points": [{ "x": 0.5 }, { "x": "NaN", "y": -1 }], "seen": true })))
+        .unwrap();
     let heard: Vec<Value> = drain(&mut json).into_iter().map(Result::unwrap).collect();
     assert_eq!(heard, [track.clone(), track]);
     for (json, expected) in [
@@ -237,7 +241,7 @@ fn a_definition_comes_with_the_topic() {
         (json!({ "points": [{}, {}, {}, {}, {}] }), "points"),
         (json!({ "seen": 1 }), "seen"),
     ] {
-        let error = untyped.publish(json).unwrap_err().to_string();
+        let error = untyped.publish(&Json(json)).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");
     }
     let error = untyped.publish_raw(&[0, 1, 0, 0, 0, 0, 0, 0, 2]).unwrap_err().to_string();
@@ -259,7 +263,7 @@ fn without_a_definition_there_are_still_the_bytes() {
     let error = node.create_publisher_untyped("/number", "test_msgs/msg/Number", qos()).unwrap_err();
     assert!(matches!(error, Error::UnknownType { .. }), "{error}");
     assert!(error.to_string().contains("has no hash"), "{error}");
-    let mut raw = node.subscribe_raw("/number", "test_msgs/msg/Number", qos()).unwrap();
+    let mut raw = node.subscribe_raw("/number", "test_msgs/msg/Number", qos()).unwrap().owned();
     let mut typed = node.subscribe::<Number>("/number", qos()).unwrap().owned();
     publisher.publish(&Number { Value: 3 }).unwrap();
     let bytes = drain(&mut raw);
@@ -300,7 +304,7 @@ fn each_message_is_a_job_of_its_callback() {
     let json = node.subscribe_untyped("/jobs", "std_msgs/msg/String", qos()).unwrap();
     let counters = json.counters();
     let publisher = node.create_publisher::<Text>("/jobs", qos()).unwrap();
-    let callback = json.for_each(|message| async { HEARD.add(message.unwrap()) });
+    let callback = json.owned().for_each(|message| async { HEARD.add(message.unwrap()) });
     let handle = node.spawn_callback(CallbackOptions::other().name("/jobs"), callback).unwrap();
     let _spinning = spin(&context);
     for data in ["one", "two"] {

@@ -59,7 +59,7 @@ pub use qos::{Claim, Durability, History, Limits, Liveliness, Qos, Reliability};
 pub use schema_store::{ClaimedSchema, MAX_SCHEMA_BYTES, SchemaStore};
 pub use service::{
     Availability, Client, MAX_PENDING_REQUESTS, PendingResponse, QueuedClient, RawClient, RawPending,
-    RawResponse, RawServer, Request, RequestId, Response, Server, ServiceError, ServiceType,
+    RawResponse, RawServer, Request, RequestId, Response, Server, ServiceCodec, ServiceError, ServiceType,
     UnwrittenResponse,
 };
 pub use tautline_doorbell::{
@@ -78,4 +78,4 @@ pub use topic::publisher::{Gate, MatchedCount, PublisherCounters, RawLoan, RawPu
 pub use topic::subscription::{RawSample, RawSubscription, SubscriptionCounters};
 pub use topic::topic_type::TopicType;
 pub use topic::traced::{TracedPort, TracedSample, TracedSender};
-pub use topic::typed::{Loan, Publisher, Sample, Subscription, Unwritten};
+pub use topic::typed::{Codec, Decode, Loan, Publisher, Sample, Subscription, Unwritten};

@@ -14,7 +14,7 @@ use std::io::{self, Write};
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
-use tautline::{ActionClientUntyped, Error, GoalStatus, GraphSnapshot, Node, find_schema};
+use tautline::{ActionClient, Error, GoalStatus, GraphSnapshot, Json, Node, find_schema};
 use tautline_schema::{DynamicMessage, Schema};
 use tautline_transport::{TopicType, graph_of};
 
@@ -92,7 +92,7 @@ fn wait(
 }
 
 async fn pursue(
-    client: &ActionClientUntyped,
+    client: &ActionClient<Json>,
     goal: Value,
     with_feedback: bool,
     cancelled: oneshot::Receiver<()>,
@@ -171,7 +171,7 @@ impl Shown {
 }
 
 fn yaml(schema: &Arc<Schema>, message: &Value) -> Outcome<String> {
-    let text = DynamicMessage::from_json_value(schema, message.clone())?.to_string();
+    let text = DynamicMessage::from_json_value(schema, message)?.to_string();
     Ok(text.lines().map(|line| format!("    {line}\n")).collect())
 }
 

@@ -7,9 +7,8 @@ use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::Args;
 use std::io::{self, Write};
-use std::sync::Arc;
-use tautline::{ClientUntyped, Error, Node, Qos};
-use tautline_schema::{DynamicMessage, Schema};
+use tautline::{Error, Json, Node, Qos};
+use tautline_schema::DynamicMessage;
 use tautline_transport::graph_of;
 
 /// Asks a service, and prints its answer
@@ -38,10 +37,11 @@ pub fn run(args: &CallArgs, common: &CommonArgs) -> Outcome {
     let type_name = type_to_ask("service", &service, &super::services(&graph), type_name)?;
     let mut asking = Asking::new(domain, end)?;
     let client = asking.node.create_client_untyped(&service, &type_name, Qos::services_default())?;
-    let request = DynamicMessage::from_yaml(&part(&client, &type_name, "Request")?, values)?.to_json_value();
+    let (request, response) = client.definitions();
+    let request = Json(DynamicMessage::from_yaml(request, values)?.to_json_value());
     let answer = asking.wait(|| format!("'{service}' to answer"), async {
         Node::is_available(&client)?.await?;
-        client.request(request)?.await
+        client.request(&request)?.await
     })?;
     // The answer, once it is there, is a message or it is not: that is no "no".
     let answer = answer.map_err(|error: Error| Failure::no(error.to_string()))??;
@@ -49,10 +49,6 @@ pub fn run(args: &CallArgs, common: &CommonArgs) -> Outcome {
     if common.json {
         return Ok(writeln!(out, "{answer}")?);
     }
-    let response = DynamicMessage::from_json_value(&part(&client, &type_name, "Response")?, answer)?;
+    let response = DynamicMessage::from_json_value(response, &answer)?;
     Ok(write!(out, "{response}")?)
-}
-
-fn part(client: &ClientUntyped, type_name: &str, part: &str) -> Outcome<Arc<Schema>> {
-    Ok(client.schema().of_part(&format!("{type_name}_{part}").parse()?)?.into())
 }

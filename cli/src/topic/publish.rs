@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
 use tautline::rt::{Policy, set_policy};
-use tautline::{Context, EndpointKind, Node, PublisherUntyped, Qos, Realtime, TopicEndpoint};
+use tautline::{Context, EndpointKind, Json, Node, Publisher, Qos, Realtime, TopicEndpoint};
 use tautline_schema::DynamicMessage;
 use tautline_transport::{Visitor, graph_of};
 
@@ -143,7 +143,7 @@ pub fn run(args: &PubArgs, common: &CommonArgs) -> Outcome {
     let context = Context::builder().domain(domain).realtime(Realtime::Off).build()?;
     let mut node = Node::create(context, &format!("taut_pub_{}", std::process::id()), "")?;
     let publisher = node.create_publisher_untyped(&topic, &type_name, args.qos())?;
-    let mut message = DynamicMessage::from_yaml(publisher.schema(), values)?;
+    let mut message = DynamicMessage::from_yaml(publisher.definition(), values)?;
     let stamp = args.stamp.map(|_| stamp_path(&message)).transpose()?;
     let wanted = args.wait.or(args.once.then_some(1));
     if let Some(wanted) = wanted {
@@ -174,7 +174,7 @@ pub fn run(args: &PubArgs, common: &CommonArgs) -> Outcome {
 fn wait_for_subscriptions(
     domain: u32,
     node: &Node,
-    publisher: &PublisherUntyped,
+    publisher: &Publisher<Json>,
     wanted: usize,
     end: &End,
 ) -> Outcome {
@@ -211,7 +211,7 @@ fn wait_for_subscriptions(
 /// Publishes at absolute times; gives how late each message was.
 fn send(
     args: &PubArgs,
-    publisher: &PublisherUntyped,
+    publisher: &Publisher<Json>,
     message: &mut DynamicMessage,
     stamp: Option<&str>,
     count: Option<u64>,

@@ -1,52 +1,99 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Action clients: what is common to all, and those of a type.
+//! Action clients.
 
 use super::goals::cancel_code;
 use super::state::{GoalStatus, SharedStatus};
-use super::{FEEDBACK_DEPTH, Names, feedback_qos, lock, qos, status_qos};
+use super::{FEEDBACK_DEPTH, Names, lock, qos, status_qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{Client, IsAvailablePollable};
+use crate::subscription::Subscription;
 use futures::channel::{mpsc, oneshot};
 use futures::future::{AbortHandle, Abortable, BoxFuture};
-use futures::stream::{BoxStream, FuturesUnordered};
+use futures::stream::FuturesUnordered;
 use futures::{FutureExt, Stream, StreamExt};
-use std::future::{Future, poll_fn};
+use std::future::{Future, poll_fn, ready};
 use std::sync::{Arc, Mutex, MutexGuard, Weak};
-use std::task::{Context, Poll, ready};
+use std::task::{Context, Poll};
 use tautline_executor::CallbackOptions;
-use tautline_msgs::{Action, GoalId};
+use tautline_msgs::{Action, GoalId, Service};
 use tautline_ros_msgs::action_msgs::msg::GoalStatusArray;
 use tautline_ros_msgs::action_msgs::srv::CancelGoal;
-use tautline_transport::{Availability, MAX_PENDING_REQUESTS, ServiceError, SubscriptionCounters};
+use tautline_transport::{
+    Availability, Decode, MAX_PENDING_REQUESTS, ServiceCodec, ServiceError, SubscriptionCounters,
+};
 use uuid::Uuid;
 
-/// How goals, results and feedback of an action travel: as Rust types, or as JSON.
-pub(super) trait Protocol: Send + Sync + 'static {
-    type Goal;
+/// How goals, results and feedback of an action travel. Every [`Action`] is its own codec.
+pub trait ActionCodec: Sized + Send + Sync + 'static {
+    /// What a client asks for.
+    type Goal: Send;
+    /// What it gets at the end.
     type Result: Send + 'static;
+    /// What it hears on the way.
     type Feedback: Send + 'static;
+    /// The feedback with the goal's id, as published.
+    type FeedbackMessage: Decode;
+    /// The service that sends a goal.
+    type SendGoal: ServiceCodec<Error: Into<Error>>;
+    /// The service that waits for the result.
+    type GetResult: ServiceCodec<Error: Into<Error>>;
 
-    /// Whether the goal is accepted.
-    fn send_goal(&self, id: GoalId, goal: Self::Goal) -> Result<BoxFuture<'static, Result<bool>>>;
-    fn get_result(&self, id: GoalId) -> Result<ResultFuture<Self>>;
-    fn availability(&self) -> Result<Vec<Availability>>;
+    /// The request that sends a goal.
+    fn goal_request(id: GoalId, goal: Self::Goal) -> <Self::SendGoal as ServiceCodec>::Request;
+    /// Whether the goal was accepted.
+    ///
+    /// # Errors
+    /// The response is none of the type.
+    fn is_accepted(response: <<Self::SendGoal as ServiceCodec>::Response as Decode>::Owned) -> Result<bool>;
+    /// The request for the result.
+    fn result_request(id: GoalId) -> <Self::GetResult as ServiceCodec>::Request;
+    /// The response to it.
+    fn take_result(
+        response: <<Self::GetResult as ServiceCodec>::Response as Decode>::Owned,
+    ) -> (GoalStatus, Self::Result);
+    /// Whose feedback it is, and what. `None` if it is nobody's.
+    fn take_feedback(message: <Self::FeedbackMessage as Decode>::Owned) -> Option<(GoalId, Self::Feedback)>;
 }
 
-pub(super) type Outcome<P> = (GoalStatus, <P as Protocol>::Result);
-pub(super) type ResultFuture<P> = BoxFuture<'static, Result<Outcome<P>>>;
+type Outcome<T> = (GoalStatus, <T as ActionCodec>::Result);
+type ResultFuture<T> = BoxFuture<'static, Result<Outcome<T>>>;
 
-/// All that the server publishes.
-pub(super) struct Feedback<P: Protocol> {
-    /// Whose it is, and what.
-    pub(super) messages: BoxStream<'static, (GoalId, P::Feedback)>,
-    pub(super) counters: Arc<SubscriptionCounters>,
+impl<T: Action> ActionCodec for T {
+    type Goal = T::Goal;
+    type Result = T::Result;
+    type Feedback = T::Feedback;
+    type FeedbackMessage = T::FeedbackMessage;
+    type SendGoal = T::SendGoal;
+    type GetResult = T::GetResult;
+
+    fn goal_request(id: GoalId, goal: T::Goal) -> <T::SendGoal as Service>::Request {
+        T::make_goal_request_msg(id, goal)
+    }
+
+    fn is_accepted(response: <T::SendGoal as Service>::Response) -> Result<bool> {
+        Ok(T::destructure_goal_response_msg(response).0)
+    }
+
+    fn result_request(id: GoalId) -> <T::GetResult as Service>::Request {
+        T::make_result_request_msg(id)
+    }
+
+    fn take_result(response: <T::GetResult as Service>::Response) -> (GoalStatus, T::Result) {
+        let (status, result) = T::destructure_result_response_msg(response);
+        (GoalStatus::from_rcl(status), result)
+    }
+
+    fn take_feedback(message: T::FeedbackMessage) -> Option<(GoalId, T::Feedback)> {
+        Some(T::destructure_feedback_msg(message))
+    }
 }
 
 /// What an action client's handles share.
-pub(super) struct ActionClientState<P: Protocol> {
+struct ActionClientState<P: ActionCodec> {
     name: String,
-    protocol: P,
+    send_goal: Mutex<Client<P::SendGoal>>,
+    get_result: Mutex<Client<P::GetResult>>,
     /// Of all threads that have a clone of the action client or of a goal.
     cancel_goal: Mutex<Client<CancelGoal::Service>>,
     goals: Mutex<Vec<Goal<P>>>,
@@ -58,7 +105,7 @@ pub(super) struct ActionClientState<P: Protocol> {
 type ResultToCome = BoxFuture<'static, Option<GoalId>>;
 
 /// A goal that was sent and that somebody still asks about.
-struct Goal<P: Protocol> {
+struct Goal<P: ActionCodec> {
     id: GoalId,
     status: SharedStatus,
     /// Until the goal has ended.
@@ -72,29 +119,31 @@ struct Goal<P: Protocol> {
     held: usize,
 }
 
-impl<P: Protocol> ActionClientState<P> {
+impl<P: ActionCodec> ActionClientState<P> {
     /// Makes a client, and the callback that listens for it.
-    pub(super) fn create(
+    fn create(
         node: &mut Node,
         action: &str,
-        protocol: P,
-        feedback: Feedback<P>,
+        send_goal: Client<P::SendGoal>,
+        get_result: Client<P::GetResult>,
+        messages: Subscription<P::FeedbackMessage>,
     ) -> Result<Arc<Self>> {
         let names = Names::of(action);
+        let (send_goal, get_result) = (Mutex::new(send_goal), Mutex::new(get_result));
         let cancel_goal = Mutex::new(node.create_client::<CancelGoal::Service>(&names.cancel_goal, qos())?);
         let status = node.subscribe::<GoalStatusArray>(&names.status, status_qos())?.owned();
         let (results, requests) = mpsc::unbounded();
         let goals = Mutex::new(Vec::new());
-        let shared =
-            Arc::new(ActionClientState { name: action.to_owned(), protocol, cancel_goal, goals, results });
+        let name = action.to_owned();
+        let shared = Arc::new(ActionClientState { name, send_goal, get_result, cancel_goal, goals, results });
         let weak = Arc::downgrade(&shared);
         let listening = Listening(weak.clone());
         let listen = async move {
             let _listening = listening;
-            let Feedback { messages, counters } = feedback;
-            let (mut feedback, mut status, mut requests) = (messages.fuse(), status.fuse(), requests.fuse());
+            let mut lost = Lost { counters: messages.counters(), said: 0 };
+            let feedback = messages.filter_map(|sample| ready(P::take_feedback(sample.to_owned())));
+            let (mut feedback, mut status, mut requests) = (feedback.fuse(), status.fuse(), requests.fuse());
             let mut results = FuturesUnordered::new();
-            let mut lost = Lost { counters, said: 0 };
             loop {
                 // None of them first: a flood of one keeps nobody from the others.
                 futures::select! {
@@ -167,20 +216,18 @@ impl<P: Protocol> ActionClientState<P> {
         }
     }
 
-    pub(super) fn availability(&self) -> Result<Vec<Availability>> {
-        let mut all = self.protocol.availability()?;
+    fn availability(&self) -> Result<Vec<Availability>> {
+        let mut all = lock(&self.send_goal).availability()?;
+        all.extend(lock(&self.get_result).availability()?);
         all.extend(lock(&self.cancel_goal).availability()?);
         Ok(all)
     }
 
     /// Sends a goal; the future ends with its handle, its result to come and its feedback.
-    pub(super) fn send(
+    fn send(
         self: &Arc<Self>,
         goal: P::Goal,
-    ) -> Result<impl Future<Output = Result<Sent<P>>> + Send + use<P>>
-    where
-        P::Goal: Send,
-    {
+    ) -> Result<impl Future<Output = Result<Sent<P>>> + Send + use<P>> {
         let id = Uuid::new_v4().into_bytes();
         let (feedback, received) = mpsc::channel(FEEDBACK_DEPTH);
         // Before the goal is sent: the first feedback may be as fast as the response, and the result must be asked for.
@@ -195,21 +242,20 @@ impl<P: Protocol> ActionClientState<P> {
             goals.push(goal_sent);
         }
         let held = Held { id, status, shared: self.clone() };
-        let accepted = self.protocol.send_goal(id, goal)?;
+        let response = lock(&self.send_goal).request(&P::goal_request(id, goal))?;
         Ok(async move {
-            if !accepted.await? {
+            if !P::is_accepted(response.await?)? {
                 return Err(Error::GoalRejected { action: held.shared.name.clone() });
             }
-            let response = held.shared.protocol.get_result(id).map_err(|error| held.give_up(error))?;
-            Ok(held.listen(response, received))
+            let response = lock(&held.shared.get_result).request(&P::result_request(id));
+            let response = response.map_err(|error| held.give_up(error))?;
+            let result = response.map(|response| response.map(P::take_result));
+            Ok(held.listen(result.boxed(), received))
         })
     }
 
     /// Asks the server to cancel a goal.
-    pub(super) fn cancel(
-        &self,
-        id: GoalId,
-    ) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<P>> {
+    fn cancel(&self, id: GoalId) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<P>> {
         let mut request = CancelGoal::Request::default();
         request.goal_info.goal_id.uuid = id;
         let response = lock(&self.cancel_goal).request(&request)?;
@@ -244,9 +290,9 @@ impl Lost {
 }
 
 /// As long as feedback and results are listened for: until the client, or its context, ends.
-struct Listening<P: Protocol>(Weak<ActionClientState<P>>);
+struct Listening<P: ActionCodec>(Weak<ActionClientState<P>>);
 
-impl<P: Protocol> Drop for Listening<P> {
+impl<P: ActionCodec> Drop for Listening<P> {
     fn drop(&mut self) {
         if let Some(shared) = self.0.upgrade() {
             shared.goals().iter_mut().for_each(|goal| goal.feedback = None);
@@ -266,16 +312,16 @@ impl From<&tautline_ros_msgs::action_msgs::msg::GoalStatus> for StatusOf {
 }
 
 /// A goal's handle, its result to come, its feedback.
-pub(super) type Sent<P> = (Held<P>, GoalResult<P>, GoalFeedback<P>);
+type Sent<P> = (Held<P>, GoalResult<P>, GoalFeedback<P>);
 
 /// Keeps what is known of a goal, and what listens for it.
-pub(super) struct Held<P: Protocol> {
-    pub(super) id: GoalId,
-    pub(super) status: SharedStatus,
-    pub(super) shared: Arc<ActionClientState<P>>,
+struct Held<P: ActionCodec> {
+    id: GoalId,
+    status: SharedStatus,
+    shared: Arc<ActionClientState<P>>,
 }
 
-impl<P: Protocol> Held<P> {
+impl<P: ActionCodec> Held<P> {
     /// Listens for the result and the feedback of a goal that was accepted.
     fn listen(self, response: ResultFuture<P>, received: mpsc::Receiver<P::Feedback>) -> Sent<P> {
         let (id, shared) = (self.id, self.shared.clone());
@@ -290,7 +336,7 @@ impl<P: Protocol> Held<P> {
                 let mut awaited = lock(&awaited);
                 // Without one it is about to be aborted.
                 let Some(response) = &mut *awaited else { return Poll::Pending };
-                let result = ready!(response.poll_unpin(context));
+                let result = std::task::ready!(response.poll_unpin(context));
                 *awaited = None;
                 Poll::Ready(result)
             });
@@ -329,7 +375,7 @@ impl<P: Protocol> Held<P> {
     }
 }
 
-impl<P: Protocol> Clone for Held<P> {
+impl<P: ActionCodec> Clone for Held<P> {
     fn clone(&self) -> Self {
         if let Some(goal) = self.shared.goals().iter_mut().find(|goal| goal.id == self.id) {
             goal.held += 1;
@@ -338,7 +384,7 @@ impl<P: Protocol> Clone for Held<P> {
     }
 }
 
-impl<P: Protocol> Drop for Held<P> {
+impl<P: ActionCodec> Drop for Held<P> {
     fn drop(&mut self) {
         let mut goals = self.shared.goals();
         if let Some(index) = goals.iter().position(|goal| goal.id == self.id) {
@@ -351,7 +397,7 @@ impl<P: Protocol> Drop for Held<P> {
 }
 
 /// As long as somebody waits for a goal's result or feedback: then the place of the request for the result is given back.
-struct Wanted<P: Protocol> {
+struct Wanted<P: ActionCodec> {
     /// Until the result is there.
     response: Arc<Mutex<Option<ResultFuture<P>>>>,
     /// Ends what listens for it.
@@ -359,7 +405,7 @@ struct Wanted<P: Protocol> {
     held: Held<P>,
 }
 
-impl<P: Protocol> Drop for Wanted<P> {
+impl<P: ActionCodec> Drop for Wanted<P> {
     fn drop(&mut self) {
         // First, so that whoever finds a place by the count finds one for the request.
         let response = lock(&self.response).take();
@@ -372,12 +418,12 @@ impl<P: Protocol> Drop for Wanted<P> {
 }
 
 /// The result of a goal, once it is there.
-pub(super) struct GoalResult<P: Protocol> {
+struct GoalResult<P: ActionCodec> {
     result: oneshot::Receiver<Result<Outcome<P>>>,
     wanted: Arc<Wanted<P>>,
 }
 
-impl<P: Protocol> Future for GoalResult<P> {
+impl<P: ActionCodec> Future for GoalResult<P> {
     type Output = Result<Outcome<P>>;
 
     fn poll(mut self: std::pin::Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
@@ -391,12 +437,12 @@ impl<P: Protocol> Future for GoalResult<P> {
 }
 
 /// The feedback of a goal, until that has ended.
-pub(super) struct GoalFeedback<P: Protocol> {
+struct GoalFeedback<P: ActionCodec> {
     received: mpsc::Receiver<P::Feedback>,
     _wanted: Arc<Wanted<P>>,
 }
 
-impl<P: Protocol> Stream for GoalFeedback<P> {
+impl<P: ActionCodec> Stream for GoalFeedback<P> {
     type Item = P::Feedback;
 
     fn poll_next(mut self: std::pin::Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
@@ -404,53 +450,20 @@ impl<P: Protocol> Stream for GoalFeedback<P> {
     }
 }
 
-/// An action of a Rust type.
-pub(super) struct Typed<T: Action> {
-    send_goal: Mutex<Client<T::SendGoal>>,
-    get_result: Mutex<Client<T::GetResult>>,
-}
-
-impl<T: Action> Protocol for Typed<T> {
-    type Goal = T::Goal;
-    type Result = T::Result;
-    type Feedback = T::Feedback;
-
-    fn send_goal(&self, id: GoalId, goal: T::Goal) -> Result<BoxFuture<'static, Result<bool>>> {
-        let response = lock(&self.send_goal).request(&T::make_goal_request_msg(id, goal))?;
-        Ok(response.map(|response| Ok(T::destructure_goal_response_msg(response?).0)).boxed())
-    }
-
-    fn get_result(&self, id: GoalId) -> Result<ResultFuture<Self>> {
-        let response = lock(&self.get_result).request(&T::make_result_request_msg(id))?;
-        let take_apart = |response| {
-            let (status, result) = T::destructure_result_response_msg(response);
-            (GoalStatus::from_rcl(status), result)
-        };
-        Ok(response.map(move |response| response.map(take_apart)).boxed())
-    }
-
-    fn availability(&self) -> Result<Vec<Availability>> {
-        let mut both = lock(&self.send_goal).availability()?;
-        both.extend(lock(&self.get_result).availability()?);
-        Ok(both)
-    }
-}
-
 /// Sends goals to an action's server. A clone is the same client.
-pub struct ActionClient<T: Action> {
-    shared: Arc<ActionClientState<Typed<T>>>,
+pub struct ActionClient<T: ActionCodec> {
+    shared: Arc<ActionClientState<T>>,
 }
 
-impl<T: Action> ActionClient<T> {
-    pub(super) fn create(node: &mut Node, action: &str) -> Result<Self> {
-        let names = Names::of(action);
-        let send_goal = Mutex::new(node.create_client::<T::SendGoal>(&names.send_goal, qos())?);
-        let get_result = Mutex::new(node.create_client::<T::GetResult>(&names.get_result, qos())?);
-        let messages = node.subscribe::<T::FeedbackMessage>(&names.feedback, feedback_qos())?;
-        let counters = messages.counters();
-        let messages = messages.map(|sample| T::destructure_feedback_msg(sample.to_owned())).boxed();
-        let feedback = Feedback { messages, counters };
-        let shared = ActionClientState::create(node, action, Typed { send_goal, get_result }, feedback)?;
+impl<T: ActionCodec> ActionClient<T> {
+    pub(super) fn create(
+        node: &mut Node,
+        action: &str,
+        send_goal: Client<T::SendGoal>,
+        get_result: Client<T::GetResult>,
+        feedback: Subscription<T::FeedbackMessage>,
+    ) -> Result<Self> {
+        let shared = ActionClientState::create(node, action, send_goal, get_result, feedback)?;
         Ok(ActionClient { shared })
     }
 
@@ -487,13 +500,13 @@ impl<T: Action> ActionClient<T> {
 }
 
 /// A goal that was accepted. A clone is the same goal.
-pub struct ActionClientGoal<T: Action> {
+pub struct ActionClientGoal<T: ActionCodec> {
     /// The goal's id.
     pub uuid: Uuid,
-    held: Held<Typed<T>>,
+    held: Held<T>,
 }
 
-impl<T: Action> ActionClientGoal<T> {
+impl<T: ActionCodec> ActionClientGoal<T> {
     /// What was last heard of the goal.
     ///
     /// # Real-time
@@ -515,25 +528,25 @@ impl<T: Action> ActionClientGoal<T> {
     }
 }
 
-impl<T: Action> Clone for ActionClient<T> {
+impl<T: ActionCodec> Clone for ActionClient<T> {
     fn clone(&self) -> Self {
         ActionClient { shared: self.shared.clone() }
     }
 }
 
-impl<T: Action> Clone for ActionClientGoal<T> {
+impl<T: ActionCodec> Clone for ActionClientGoal<T> {
     fn clone(&self) -> Self {
         ActionClientGoal { uuid: self.uuid, held: self.held.clone() }
     }
 }
 
-impl<T: Action> IsAvailablePollable for ActionClient<T> {
+impl<T: ActionCodec> IsAvailablePollable for ActionClient<T> {
     fn availability(&self) -> Result<Vec<Availability>> {
         self.shared.availability()
     }
 }
 
-impl<T: Action> std::fmt::Debug for ActionClient<T> {
+impl<T: ActionCodec> std::fmt::Debug for ActionClient<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("ActionClient")
             .field("action", &self.shared.name)
@@ -542,7 +555,7 @@ impl<T: Action> std::fmt::Debug for ActionClient<T> {
     }
 }
 
-impl<T: Action> std::fmt::Debug for ActionClientGoal<T> {
+impl<T: ActionCodec> std::fmt::Debug for ActionClientGoal<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("ActionClientGoal").field("uuid", &self.uuid).finish_non_exhaustive()
     }

@@ -9,11 +9,9 @@ mod state;
 #[cfg(feature = "untyped")]
 mod untyped;
 
-pub use client::{ActionClient, ActionClientGoal};
+pub use client::{ActionClient, ActionClientGoal, ActionCodec};
 pub use server::{ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest, ActionServerOptions};
 pub use state::GoalStatus;
-#[cfg(feature = "untyped")]
-pub use untyped::{ActionClientGoalUntyped, ActionClientUntyped};
 
 #[allow(unused_imports, reason = "for the documentation")]
 use crate::error::Error;
@@ -93,8 +91,12 @@ impl Node {
     /// # Errors
     /// As [`create_client`](Self::create_client); as [`spawn_callback`](Self::spawn_callback).
     pub fn create_action_client<T: Action>(&mut self, action_name: &str) -> Result<ActionClient<T>> {
-        let name = self.resolve_topic_name(action_name)?;
-        ActionClient::create(self, &name)
+        let action = self.resolve_topic_name(action_name)?;
+        let names = Names::of(&action);
+        let send_goal = self.create_client(&names.send_goal, qos())?;
+        let get_result = self.create_client(&names.get_result, qos())?;
+        let feedback = self.subscribe(&names.feedback, feedback_qos())?;
+        ActionClient::create(self, &action, send_goal, get_result, feedback)
     }
 }
 

@@ -81,7 +81,7 @@ impl ManagedNode {
         topic: &str,
         topic_type: &str,
         qos: Qos,
-    ) -> Result<crate::PublisherUntyped> {
+    ) -> Result<Publisher<crate::Json>> {
         let publisher = self.node.create_publisher_untyped(topic, topic_type, qos)?;
         Ok(publisher.with_gate(self.gate.clone()))
     }

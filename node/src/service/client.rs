@@ -11,18 +11,18 @@ use tautline_msgs::{Plain, Service};
 use tautline_rt::clock::monotonic_ns;
 use tautline_sampler::{Alarm, Events};
 use tautline_transport::{
-    Availability, Loan, PendingResponse, RawClient, SendError, ServiceError, Unwritten,
+    Availability, Decode, Loan, PendingResponse, RawClient, SendError, ServiceCodec, ServiceError, Unwritten,
 };
 
 /// Asks a service: with owned messages, or with requests that are written, and responses that are read, in shared memory.
 ///
 /// May be moved to another thread, and is used by one at a time; what waits for its responses may be in any thread.
-pub struct Client<T: Service> {
+pub struct Client<T: ServiceCodec> {
     inner: tautline_transport::Client<T>,
     events: Events,
 }
 
-impl<T: Service> Client<T> {
+impl<T: ServiceCodec<Error: Into<Error>>> Client<T> {
     pub(super) fn new(inner: tautline_transport::Client<T>, events: &Events) -> Self {
         Client { inner, events: events.clone() }
     }
@@ -32,12 +32,13 @@ impl<T: Service> Client<T> {
     ///
     /// # Real-time
     /// As [`loan`](Self::loan) and [`send`](Self::send), and one copy of the request; the response allocates its strings and sequences, where that
-    /// of [`send`](Self::send) does not.
+    /// of [`send`](Self::send) does not. Codecs other than Rust types add what they say: JSON allocates.
     ///
     /// # Errors
-    /// [`Error::Service`]: there is no server, its queue is full, or too many requests wait. Nothing was sent.
+    /// [`Error::Service`]: there is no server, its queue is full, or too many requests wait; codecs other than Rust types have errors of
+    /// their own. Nothing was sent.
     pub fn request(&self, msg: &T::Request) -> Result<ResponseFuture<T>> {
-        Ok(ResponseFuture { response: self.inner.request(msg)?, limit: None })
+        Ok(ResponseFuture { response: self.inner.request(msg).map_err(Into::into)?, limit: None })
     }
 
     /// [`request`](Self::request), whose future ends with an error if the response does not come in time; with a limit of zero, unless
@@ -53,9 +54,26 @@ impl<T: Service> Client<T> {
     /// [`Error::ServiceTimeout`].
     pub fn request_timeout(&self, msg: &T::Request, timeout: Duration) -> Result<ResponseFuture<T>> {
         let limit = Limit::new(&self.events, timeout, self.service_name())?;
-        Ok(ResponseFuture { response: self.inner.request(msg)?, limit: Some(limit) })
+        Ok(ResponseFuture { limit: Some(limit), ..self.request(msg)? })
     }
 
+    /// What is known at run time of the service's requests and responses.
+    pub fn definitions(&self) -> (&<T::Request as Decode>::Definition, &<T::Response as Decode>::Definition) {
+        self.inner.definitions()
+    }
+
+    /// The service's fully qualified name.
+    pub fn service_name(&self) -> &str {
+        self.inner.service()
+    }
+
+    /// Number of servers.
+    pub fn server_count(&self) -> usize {
+        self.inner.server_count()
+    }
+}
+
+impl<T: Service> Client<T> {
     /// Loans memory for a request to write in place, as `&mut T::Request`. A loan stays in its thread: see
     /// [`Publisher::loan`](crate::Publisher::loan).
     ///
@@ -121,27 +139,17 @@ impl<T: Service> Client<T> {
     {
         self.inner.request_with(write)
     }
-
-    /// The service's fully qualified name.
-    pub fn service_name(&self) -> &str {
-        self.inner.service()
-    }
-
-    /// Number of servers.
-    pub fn server_count(&self) -> usize {
-        self.inner.server_count()
-    }
 }
 
 /// The response to one request, once it is there. Dropping it cancels the wait; the server is not told.
 #[must_use = "the response is lost unless it is awaited"]
-pub struct ResponseFuture<T: Service> {
+pub struct ResponseFuture<T: ServiceCodec> {
     response: PendingResponse<T>,
     limit: Option<Limit>,
 }
 
 /// Until when a response is waited for.
-pub(super) struct Limit {
+struct Limit {
     /// Rings once: a timer would go on for as long as nobody polls.
     alarm: Alarm,
     timeout: Duration,
@@ -149,7 +157,7 @@ pub(super) struct Limit {
 }
 
 impl Limit {
-    pub(super) fn new(events: &Events, timeout: Duration, service: &str) -> Result<Self> {
+    fn new(events: &Events, timeout: Duration, service: &str) -> Result<Self> {
         let mut alarm = events.alarm()?;
         let timeout_ns = tautline_rt::clock::nanoseconds(timeout);
         alarm.set(Some(monotonic_ns().saturating_add(timeout_ns)));
@@ -157,15 +165,15 @@ impl Limit {
     }
 
     /// Ready when it is too late.
-    pub(super) fn poll(&mut self, context: &mut Context<'_>) -> Poll<Error> {
+    fn poll(&mut self, context: &mut Context<'_>) -> Poll<Error> {
         let Limit { alarm, timeout, service } = self;
         let late = alarm.poll(context);
         late.map(|()| Error::ServiceTimeout { service: service.clone(), timeout: *timeout })
     }
 }
 
-impl<T: Service> Future for ResponseFuture<T> {
-    type Output = Result<T::Response>;
+impl<T: ServiceCodec> Future for ResponseFuture<T> {
+    type Output = Result<<T::Response as Decode>::Owned>;
 
     fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
         if let Poll::Ready(response) = Pin::new(&mut self.response).poll(context) {
@@ -188,31 +196,25 @@ pub trait IsAvailablePollable {
     fn availability(&self) -> Result<Vec<Availability>>;
 }
 
-impl<T: Service> IsAvailablePollable for Client<T> {
+impl<T: ServiceCodec> IsAvailablePollable for Client<T> {
     fn availability(&self) -> Result<Vec<Availability>> {
         Ok(vec![self.inner.availability()?])
     }
 }
 
-impl<T: Service> AsRef<RawClient> for Client<T> {
+impl<T: ServiceCodec> AsRef<RawClient> for Client<T> {
     fn as_ref(&self) -> &RawClient {
         self.inner.raw()
     }
 }
 
-impl IsAvailablePollable for RawClient {
-    fn availability(&self) -> Result<Vec<Availability>> {
-        Ok(vec![RawClient::availability(self)?])
-    }
-}
-
-impl<T: Service> std::fmt::Debug for Client<T> {
+impl<T: ServiceCodec> std::fmt::Debug for Client<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Client").field("service", &self.service_name()).finish_non_exhaustive()
+        f.debug_struct("Client").field("service", &self.inner.service()).finish_non_exhaustive()
     }
 }
 
-impl<T: Service> std::fmt::Debug for ResponseFuture<T> {
+impl<T: ServiceCodec> std::fmt::Debug for ResponseFuture<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("ResponseFuture").field("response", &self.response).finish_non_exhaustive()
     }

@@ -10,8 +10,6 @@ pub use client::{Client, IsAvailablePollable, ResponseFuture};
 #[cfg(feature = "action_msgs")]
 pub(crate) use server::Reply;
 pub use server::{Server, ServiceRequest};
-#[cfg(feature = "untyped")]
-pub use untyped::{ClientUntyped, ServiceRequestUntyped};
 
 #[allow(unused_imports, reason = "for the documentation")]
 use crate::error::Error;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Servers: requests in place, and as an adapter of that owned ones.
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::subscription::{Samples, Source};
 use futures::Stream;
 use std::pin::Pin;
@@ -10,8 +10,8 @@ use std::task::{Context, Poll};
 use tautline_msgs::Service;
 use tautline_msgs::cdr::Fill;
 use tautline_transport::{
-    RawSubscription, Request, RequestId, Response, ServiceError, SubscriptionCounters, TakeError,
-    UnwrittenResponse,
+    Decode, RawSubscription, Request, RequestId, Response, ServiceCodec, ServiceError, SubscriptionCounters,
+    TakeError, UnwrittenResponse,
 };
 
 /// Serves in place: a stream of [`Request`]s, each read where the client wrote it, and the means to answer them, written where
@@ -48,11 +48,11 @@ use tautline_transport::{
 /// # Ok::<(), tautline::Error>(())
 /// ```
 #[must_use = "nothing is served unless it is polled; dropping it ends the service"]
-pub struct Server<T: Service> {
+pub struct Server<T: ServiceCodec> {
     requests: Samples<tautline_transport::Server<T>>,
 }
 
-impl<T: Service> Server<T> {
+impl<T: ServiceCodec> Server<T> {
     pub(super) fn new(server: tautline_transport::Server<T>) -> Self {
         Server { requests: Samples::new(server) }
     }
@@ -61,6 +61,36 @@ impl<T: Service> Server<T> {
         self.requests.source()
     }
 
+    /// Writes `response` into a loan and sends it.
+    ///
+    /// # Real-time
+    /// As [`loan_with`](Self::loan_with) and [`Response::send`], and one copy of the message. Codecs other than Rust types add what they
+    /// say: JSON allocates.
+    ///
+    /// # Errors
+    /// As [`loan`](Self::loan) and [`Response::send`]; codecs other than Rust types have errors of their own.
+    pub fn respond(&self, request: &Request<T>, response: &T::Response) -> std::result::Result<(), T::Error> {
+        self.server().respond(request.id(), response)
+    }
+
+    /// The stream of owned requests, copied out of shared memory, each to be answered with [`ServiceRequest::respond`], in any thread. The
+    /// service ends with the stream and the last request.
+    pub fn owned(self) -> impl Stream<Item = ServiceRequest<T>> + Unpin + Send + use<T> {
+        Requests { service: Arc::new(Mutex::new(self)) }
+    }
+
+    /// Requests received, invalid, highest queue fill: to be read from any thread.
+    pub fn counters(&self) -> Arc<SubscriptionCounters> {
+        self.requests.counters()
+    }
+
+    /// The service's fully qualified name.
+    pub fn service_name(&self) -> &str {
+        self.server().service()
+    }
+}
+
+impl<T: Service> Server<T> {
     /// Loans memory for the response to `request`, to write in place as `&mut T::Response`. A future that keeps it over an
     /// `.await` is not `Send`: wait before, or run the future with [`Node::spawn_local`](crate::Node::spawn_local).
     ///
@@ -94,40 +124,9 @@ impl<T: Service> Server<T> {
     {
         self.server().loan_with(request.id(), sizes)
     }
-
-    /// Writes `response` into a loan and sends it.
-    ///
-    /// # Real-time
-    /// As [`loan_with`](Self::loan_with) and [`Response::send`], and one copy of the message.
-    ///
-    /// # Errors
-    /// As [`loan`](Self::loan) and [`Response::send`].
-    pub fn respond(
-        &self,
-        request: &Request<T>,
-        response: &T::Response,
-    ) -> std::result::Result<(), ServiceError> {
-        self.server().respond(request.id(), response)
-    }
-
-    /// The stream of owned requests, copied out of shared memory, each to be answered with [`ServiceRequest::respond`], in any thread. The
-    /// service ends with the stream and the last request.
-    pub fn owned(self) -> impl Stream<Item = ServiceRequest<T>> + Unpin + Send + use<T> {
-        Requests { service: Arc::new(Mutex::new(self)) }
-    }
-
-    /// Requests received, invalid, highest queue fill: to be read from any thread.
-    pub fn counters(&self) -> Arc<SubscriptionCounters> {
-        self.requests.counters()
-    }
-
-    /// The service's fully qualified name.
-    pub fn service_name(&self) -> &str {
-        self.server().service()
-    }
 }
 
-impl<T: Service> Stream for Server<T> {
+impl<T: ServiceCodec> Stream for Server<T> {
     type Item = Request<T>;
 
     /// # Real-time
@@ -137,7 +136,7 @@ impl<T: Service> Stream for Server<T> {
     }
 }
 
-impl<T: Service> Source for tautline_transport::Server<T> {
+impl<T: ServiceCodec> Source for tautline_transport::Server<T> {
     type Sample = Request<T>;
 
     fn raw(&self) -> &RawSubscription {
@@ -158,11 +157,11 @@ impl<T: Service> Source for tautline_transport::Server<T> {
 }
 
 /// A service's stream of requests with owned messages.
-struct Requests<T: Service> {
+struct Requests<T: ServiceCodec> {
     service: Arc<Mutex<Server<T>>>,
 }
 
-impl<T: Service> Stream for Requests<T> {
+impl<T: ServiceCodec> Stream for Requests<T> {
     type Item = ServiceRequest<T>;
 
     fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<ServiceRequest<T>>> {
@@ -177,13 +176,13 @@ impl<T: Service> Stream for Requests<T> {
 }
 
 /// A request with an owned message, to be answered with [`respond`](Self::respond), now or later, in any thread.
-pub struct ServiceRequest<T: Service> {
+pub struct ServiceRequest<T: ServiceCodec> {
     /// What is asked.
-    pub message: T::Request,
+    pub message: <T::Request as Decode>::Owned,
     reply: Reply<T>,
 }
 
-impl<T: Service> ServiceRequest<T> {
+impl<T: ServiceCodec<Error: Into<Error>>> ServiceRequest<T> {
     /// Answers the request. If its client has gone meanwhile, nothing happens, as in ROS 2.
     ///
     /// # Real-time
@@ -202,14 +201,14 @@ impl<T: Service> ServiceRequest<T> {
 
     /// What is asked, and the means to answer.
     #[cfg(feature = "action_msgs")]
-    pub(crate) fn into_parts(self) -> (T::Request, Reply<T>) {
+    pub(crate) fn into_parts(self) -> (<T::Request as Decode>::Owned, Reply<T>) {
         (self.message, self.reply)
     }
 }
 
-impl<T: Service> Clone for ServiceRequest<T>
+impl<T: ServiceCodec> Clone for ServiceRequest<T>
 where
-    T::Request: Clone,
+    <T::Request as Decode>::Owned: Clone,
 {
     fn clone(&self) -> Self {
         let Reply { id, service } = &self.reply;
@@ -218,13 +217,13 @@ where
 }
 
 /// The means to answer one request.
-pub(crate) struct Reply<T: Service> {
+pub(crate) struct Reply<T: ServiceCodec> {
     id: RequestId,
     /// Held while a response is written and sent, and while requests are taken.
     service: Arc<Mutex<Server<T>>>,
 }
 
-impl<T: Service> Reply<T> {
+impl<T: ServiceCodec<Error: Into<Error>>> Reply<T> {
     /// Whether the client that asked is still there.
     #[cfg(feature = "action_msgs")]
     pub(crate) fn is_awaited(&self) -> bool {
@@ -234,20 +233,20 @@ impl<T: Service> Reply<T> {
 
     pub(crate) fn respond(self, msg: &T::Response) -> Result<()> {
         let service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
-        match service.server().respond(self.id, msg) {
-            Err(ServiceError::ClientGone { .. }) => Ok(()),
-            responded => Ok(responded?),
+        match service.server().respond(self.id, msg).map_err(Into::into) {
+            Err(Error::Service(ServiceError::ClientGone { .. })) => Ok(()),
+            responded => responded,
         }
     }
 }
 
-impl<T: Service> std::fmt::Debug for ServiceRequest<T> {
+impl<T: ServiceCodec> std::fmt::Debug for ServiceRequest<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("ServiceRequest").field("id", &self.id()).finish_non_exhaustive()
+        f.debug_struct("ServiceRequest").field("id", &self.reply.id).finish_non_exhaustive()
     }
 }
 
-impl<T: Service> std::fmt::Debug for Server<T> {
+impl<T: ServiceCodec> std::fmt::Debug for Server<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Server").field("service", &self.service_name()).finish_non_exhaustive()
     }

@@ -2,21 +2,20 @@
 //! Topics of types that the program was not built with: messages as JSON, or as the CDR of the ROS 2 wire.
 
 mod bundled;
+mod codec;
 mod definitions;
-mod publisher;
-mod subscription;
 
 pub use bundled::Bundled;
+pub use codec::{Cdr, Json};
 pub use definitions::find_schema;
-pub use publisher::PublisherUntyped;
-pub use subscription::{SubscriptionRaw, SubscriptionUntyped};
 
 use crate::error::{Error, Result};
 use crate::node::Node;
+use crate::subscription::Subscription;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tautline_schema::{Layout, Schema, Size, TypeName};
-use tautline_transport::{EndpointKind, Limits, Qos, RawSubscription, SchemaStore, TopicEndpoint, TopicType};
+use tautline_transport::{EndpointKind, Publisher, Qos, SchemaStore, TopicEndpoint, TopicType};
 
 /// How long the gateway is waited for to learn a type, and how often it is looked whether it has.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -26,18 +25,18 @@ const LOOK_PERIOD: Duration = Duration::from_millis(20);
 /// keeps the definitions of its types in `/tmp/tautline_<uid>/schemas`); the packages of `AMENT_PREFIX_PATH`; those that are
 /// bundled; the nodes of other hosts that publish the topic, through this host's gateway.
 impl Node {
-    /// Subscribes to a topic of a type that is known by name: a stream of messages as JSON, led by the type's definition.
-    /// An item is an error if a message is not of the type.
+    /// Subscribes to a topic of a type that is known by name: a stream of samples, each to be copied as JSON, led by the type's definition;
+    /// an error if it is not of the type. [`Subscription::owned`] makes a stream of these copies.
     ///
     /// ```
     /// # use futures::{StreamExt, executor::block_on};
-    /// # use tautline::{Context, Node, Qos, Realtime};
+    /// # use tautline::{Context, Json, Node, Qos, Realtime};
     /// # let ctx = Context::builder().domain(196).realtime(Realtime::Off).build()?;
     /// # let mut node = Node::create(ctx, "example", "")?;
     /// let qos = Qos::default();
-    /// let mut points = node.subscribe_untyped("/point", "geometry_msgs/msg/Point", qos)?;
+    /// let mut points = node.subscribe_untyped("/point", "geometry_msgs/msg/Point", qos)?.owned();
     /// let publisher = node.create_publisher_untyped("/point", "geometry_msgs/msg/Point", qos)?;
-    /// publisher.publish(serde_json::json!({ "x": 1.5 }))?; // what is left out has its default
+    /// publisher.publish(&Json(serde_json::json!({ "x": 1.5 })))?; // what is left out has its default
     /// let point = block_on(points.next()).expect("it never ends")?;
     /// assert_eq!(point, serde_json::json!({ "x": 1.5, "y": 0.0, "z": 0.0 }));
     /// # Ok::<(), tautline::Error>(())
@@ -51,20 +50,19 @@ impl Node {
         topic: &str,
         topic_type: &str,
         qos: Qos,
-    ) -> Result<SubscriptionUntyped> {
+    ) -> Result<Subscription<Json>> {
         let schema = self.find_schema(topic, topic_type)?;
-        let raw = self.raw_subscription(topic, &type_of(&schema), qos)?;
-        Ok(SubscriptionUntyped::new(raw, schema))
+        self.subscribe_of(topic, &type_of(&schema), schema, qos)
     }
 
-    /// Subscribes to a topic of a type that is known by name: a stream of its messages as CDR, each with the 4 bytes of the
-    /// encapsulation header, copied out of shared memory. Nobody has looked whether they are messages of the type. Its
-    /// definition need not be known; if it is, the topic must agree with its hash.
+    /// Subscribes to a topic of a type that is known by name: a stream of samples whose view is the body of the message's CDR;
+    /// [`Subscription::owned`] makes a stream of copies of it, each with the 4 bytes of the encapsulation header. Nobody has looked whether
+    /// they are messages of the type. Its definition need not be known; if it is, the topic must agree with its hash.
     ///
     /// # Errors
     /// [`Error::Schema`] and [`Error::StoredDefinition`] if there is a definition but it is wrong; as
     /// [`create_publisher`](Self::create_publisher).
-    pub fn subscribe_raw(&mut self, topic: &str, topic_type: &str, qos: Qos) -> Result<SubscriptionRaw> {
+    pub fn subscribe_raw(&mut self, topic: &str, topic_type: &str, qos: Qos) -> Result<Subscription<Cdr>> {
         let full = self.resolve_topic_name(topic)?;
         let existing = self.participant.topic_type(&full)?.filter(|existing| existing.name == topic_type);
         let topic_type = match find_schema(&full, &topic_type.parse()?, existing.as_ref()) {
@@ -72,7 +70,7 @@ impl Node {
             Err(Error::UnknownType { type_name, .. }) => existing.unwrap_or(TopicType::new(type_name)),
             Err(error) => return Err(error),
         };
-        Ok(SubscriptionRaw::new(self.raw_subscription(topic, &topic_type, qos)?))
+        self.subscribe_of(topic, &topic_type, (), qos)
     }
 
     /// Creates a publisher of messages as JSON or CDR, checked with the type's definition.
@@ -84,12 +82,9 @@ impl Node {
         topic: &str,
         topic_type: &str,
         qos: Qos,
-    ) -> Result<PublisherUntyped> {
+    ) -> Result<Publisher<Json>> {
         let schema = self.find_schema(topic, topic_type)?;
-        let (topic, limits) = self.resolve(topic)?;
-        let _node = tautline_trace::in_node(self.trace.id());
-        let raw = self.participant.create_raw_publisher(&topic, &type_of(&schema), qos, limits)?;
-        Ok(PublisherUntyped::new(raw, schema))
+        self.create_publisher_of(topic, &type_of(&schema), schema, qos)
     }
 
     /// The definition of the type `topic_type` for `topic`, looked for as [`find_schema`] does. If only nodes of other hosts
@@ -127,12 +122,6 @@ impl Node {
             std::thread::sleep(LOOK_PERIOD);
         }
         Ok(())
-    }
-
-    fn raw_subscription(&self, topic: &str, topic_type: &TopicType, qos: Qos) -> Result<RawSubscription> {
-        let (topic, limits): (String, Limits) = self.resolve(topic)?;
-        let _node = tautline_trace::in_node(self.trace.id());
-        Ok(self.participant.create_raw_subscription(&topic, topic_type, qos, limits)?)
     }
 }
 

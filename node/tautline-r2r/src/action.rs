@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use futures::Stream;
-use serde_json::Value;
 use tautline::raw::Availability;
-use tautline::{Action, ActionServerCancelRequest, GoalStatus, IsAvailablePollable, Result};
+use tautline::{
+    Action, ActionCodec, ActionServerCancelRequest, GoalStatus, IsAvailablePollable, Json, Result,
+};
 
 /// An action client as r2r has it; beneath it is a [`tautline::ActionClient`]. A clone is the same client.
 #[derive(Debug)]
-pub struct ActionClient<T: Action>(tautline::ActionClient<T>);
+pub struct ActionClient<T: ActionCodec>(tautline::ActionClient<T>);
 
-impl<T: Action> ActionClient<T> {
+impl<T: ActionCodec> ActionClient<T> {
     /// As [`tautline::ActionClient::send_goal_request`].
     ///
     /// # Errors
@@ -38,9 +39,9 @@ impl<T: Action> ActionClient<T> {
 
 /// A goal as r2r has it; beneath it is a [`tautline::ActionClientGoal`]. A clone is the same goal.
 #[derive(Debug)]
-pub struct ActionClientGoal<T: Action>(tautline::ActionClientGoal<T>);
+pub struct ActionClientGoal<T: ActionCodec>(tautline::ActionClientGoal<T>);
 
-impl<T: Action> ActionClientGoal<T> {
+impl<T: ActionCodec> ActionClientGoal<T> {
     /// What was last heard of the goal.
     ///
     /// # Errors
@@ -50,52 +51,10 @@ impl<T: Action> ActionClientGoal<T> {
     }
 }
 
-/// An action client of a type that is known by name, as r2r has it; beneath it is a [`tautline::ActionClientUntyped`]. A clone is the
-/// same client.
-#[derive(Clone, Debug)]
-pub struct ActionClientUntyped(tautline::ActionClientUntyped);
-
-impl ActionClientUntyped {
-    /// As [`tautline::ActionClientUntyped::send_goal_request`].
-    ///
-    /// # Errors
-    /// As there.
-    #[allow(clippy::type_complexity, reason = "it is r2r's")]
-    pub fn send_goal_request(
-        &self,
-        goal: Value,
-    ) -> Result<
-        impl Future<
-            Output = Result<(
-                ActionClientGoalUntyped,
-                impl Future<Output = Result<(GoalStatus, Result<Value>)>> + Unpin + Send + use<>,
-                impl Stream<Item = Result<Value>> + Unpin + Send + use<>,
-            )>,
-        > + Send
-        + use<>,
-    > {
-        let sent = self.0.send_goal_request(goal)?;
-        Ok(async move {
-            let (goal, result, feedback) = sent.await?;
-            Ok((goal.into(), result, feedback))
-        })
-    }
-}
-
-/// A goal of a type that is known by name, as r2r has it; beneath it is a [`tautline::ActionClientGoalUntyped`]. A clone is the same
-/// goal.
-#[derive(Clone, Debug)]
-pub struct ActionClientGoalUntyped(tautline::ActionClientGoalUntyped);
-
-impl ActionClientGoalUntyped {
-    /// What was last heard of the goal.
-    ///
-    /// # Errors
-    /// None.
-    pub fn get_status(&self) -> Result<GoalStatus> {
-        Ok(self.0.status())
-    }
-}
+/// An action client of a type that is known by name.
+pub type ActionClientUntyped = ActionClient<Json>;
+/// A goal of a type that is known by name.
+pub type ActionClientGoalUntyped = ActionClientGoal<Json>;
 
 /// A goal that a client sent, to be accepted or rejected, as r2r has it; beneath it is a [`tautline::ActionServerGoalRequest`]. Dropping it
 /// rejects it.
@@ -138,13 +97,13 @@ impl<T: Action> ActionServerGoal<T> {
     }
 }
 
-impl<T: Action> Clone for ActionClient<T> {
+impl<T: ActionCodec> Clone for ActionClient<T> {
     fn clone(&self) -> Self {
         ActionClient(self.0.clone())
     }
 }
 
-impl<T: Action> Clone for ActionClientGoal<T> {
+impl<T: ActionCodec> Clone for ActionClientGoal<T> {
     fn clone(&self) -> Self {
         ActionClientGoal(self.0.clone())
     }
@@ -159,21 +118,13 @@ where
     }
 }
 
-impl<T: Action> IsAvailablePollable for ActionClient<T> {
+impl<T: ActionCodec> IsAvailablePollable for ActionClient<T> {
     fn availability(&self) -> Result<Vec<Availability>> {
         self.0.availability()
     }
 }
 
-impl IsAvailablePollable for ActionClientUntyped {
-    fn availability(&self) -> Result<Vec<Availability>> {
-        self.0.availability()
-    }
-}
-
-beneath!(ActionClient<T: Action>);
-beneath!(ActionClientGoal<T: Action>);
-beneath!(ActionClientUntyped);
-beneath!(ActionClientGoalUntyped);
+beneath!(ActionClient<T: ActionCodec>);
+beneath!(ActionClientGoal<T: ActionCodec>);
 beneath!(ActionServerGoalRequest<T: Action>);
 beneath!(ActionServerGoal<T: Action>);

@@ -2,17 +2,13 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tautline::raw::Availability;
-use tautline::{IsAvailablePollable, ResponseFuture, Result, Service};
+use tautline::{Error, IsAvailablePollable, Json, ResponseFuture, Result, ServiceCodec};
 
 /// A client as r2r has it, for several threads; beneath it is a [`tautline::Client`].
 #[derive(Debug)]
-pub struct Client<T: Service>(Mutex<tautline::Client<T>>);
+pub struct Client<T: ServiceCodec>(Mutex<tautline::Client<T>>);
 
-impl<T: Service> Client<T> {
-    fn client(&self) -> MutexGuard<'_, tautline::Client<T>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
+impl<T: ServiceCodec<Error: Into<Error>>> Client<T> {
     /// As [`tautline::Client::request`].
     ///
     /// # Real-time
@@ -21,18 +17,42 @@ impl<T: Service> Client<T> {
     /// # Errors
     /// As there.
     pub fn request(&self, msg: &T::Request) -> Result<ResponseFuture<T>> {
-        self.client().request(msg)
+        lock(&self.0).request(msg)
     }
 }
 
-impl<T: Service> IsAvailablePollable for Client<T> {
+impl<T: ServiceCodec> IsAvailablePollable for Client<T> {
     fn availability(&self) -> Result<Vec<Availability>> {
-        self.client().availability()
+        lock(&self.0).availability()
     }
 }
 
-impl<T: Service> From<tautline::Client<T>> for Client<T> {
+impl<T: ServiceCodec> From<tautline::Client<T>> for Client<T> {
     fn from(client: tautline::Client<T>) -> Self {
         Client(Mutex::new(client))
+    }
+}
+
+fn lock<T: ServiceCodec>(client: &Mutex<tautline::Client<T>>) -> MutexGuard<'_, tautline::Client<T>> {
+    client.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A client of a type that is known by name, as r2r has it, for several threads; beneath it is a [`tautline::Client`] of [`Json`].
+#[derive(Debug)]
+pub struct ClientUntyped(pub(crate) Client<Json>);
+
+impl ClientUntyped {
+    /// As [`Client::request`]. The inner result of the future is an error if the response is not of the type.
+    ///
+    /// # Errors
+    /// [`Error::Message`] if it is not a request of the type; as [`Client::request`].
+    pub fn request(&self, msg: serde_json::Value) -> Result<ResponseFuture<Json>> {
+        self.0.request(&Json(msg))
+    }
+}
+
+impl IsAvailablePollable for ClientUntyped {
+    fn availability(&self) -> Result<Vec<Availability>> {
+        self.0.availability()
     }
 }

@@ -35,14 +35,17 @@
 /// Made of what is beneath it, and dereferenced to that.
 macro_rules! beneath {
     ($name:ident $(<$type:ident: $bound:ident>)? $(, $rest:expr)?) => {
-        impl$(<$type: $bound>)? From<tautline::$name$(<$type>)?> for $name$(<$type>)? {
-            fn from(inner: tautline::$name$(<$type>)?) -> Self {
+        beneath!($name $(<$type: $bound>)? = tautline::$name$(<$type>)? $(, $rest)?);
+    };
+    ($name:ident $(<$type:ident: $bound:ident>)? = $inner:ty $(, $rest:expr)?) => {
+        impl$(<$type: $bound>)? From<$inner> for $name$(<$type>)? {
+            fn from(inner: $inner) -> Self {
                 $name(inner $(, $rest)?)
             }
         }
 
         impl$(<$type: $bound>)? std::ops::Deref for $name$(<$type>)? {
-            type Target = tautline::$name$(<$type>)?;
+            type Target = $inner;
 
             fn deref(&self) -> &Self::Target {
                 &self.0
@@ -72,7 +75,7 @@ pub use action::{
     ActionClient, ActionClientGoal, ActionClientGoalUntyped, ActionClientUntyped, ActionServerGoal,
     ActionServerGoalRequest,
 };
-pub use client::Client;
+pub use client::{Client, ClientUntyped};
 pub use message::{NativeMsg, ROS_DISTRO, WrappedTypesupport};
 pub use node::{Node, TopicEndpointInfo};
 pub use publisher::{Publisher, PublisherUntyped};

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use crate::action::{ActionClient, ActionClientUntyped, ActionServerGoalRequest};
-use crate::client::Client;
+use crate::client::{Client, ClientUntyped};
 use crate::publisher::{Publisher, PublisherUntyped};
 use crate::qos::QosProfile;
 use crate::time::{Clock, TimeSource, Timer};
@@ -10,10 +10,7 @@ use indexmap::IndexMap;
 use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
-use tautline::{
-    Action, ClientUntyped, Context, Message, Parameter, Result, Service, ServiceRequest, SubscriptionRaw,
-    SubscriptionUntyped,
-};
+use tautline::{Action, Context, Message, Parameter, Result, Service, ServiceRequest};
 
 /// A node as r2r has it; beneath it is a [`tautline::Node`].
 #[derive(Debug)]
@@ -67,7 +64,7 @@ impl Node {
         topic: &str,
         qos_profile: QosProfile,
     ) -> Result<impl Stream<Item = T> + Unpin + Send + use<T>> {
-        Ok(self.inner.subscribe(topic, qos_profile.into())?.owned())
+        Ok(self.inner.subscribe::<T>(topic, qos_profile.into())?.owned())
     }
 
     /// As [`tautline::Node::subscribe_untyped`].
@@ -79,8 +76,8 @@ impl Node {
         topic: &str,
         topic_type: &str,
         qos_profile: QosProfile,
-    ) -> Result<SubscriptionUntyped> {
-        self.inner.subscribe_untyped(topic, topic_type, qos_profile.into())
+    ) -> Result<impl Stream<Item = Result<serde_json::Value>> + Unpin + Send + use<>> {
+        Ok(self.inner.subscribe_untyped(topic, topic_type, qos_profile.into())?.owned())
     }
 
     /// As [`tautline::Node::subscribe_raw`].
@@ -92,8 +89,8 @@ impl Node {
         topic: &str,
         topic_type: &str,
         qos_profile: QosProfile,
-    ) -> Result<SubscriptionRaw> {
-        self.inner.subscribe_raw(topic, topic_type, qos_profile.into())
+    ) -> Result<impl Stream<Item = Vec<u8>> + Unpin + Send + use<>> {
+        Ok(self.inner.subscribe_raw(topic, topic_type, qos_profile.into())?.owned())
     }
 
     /// As [`tautline::Node::create_publisher`].
@@ -165,7 +162,8 @@ impl Node {
         service_type: &str,
         qos_profile: QosProfile,
     ) -> Result<ClientUntyped> {
-        self.inner.create_client_untyped(service_name, service_type, qos_profile.into())
+        let client = self.inner.create_client_untyped(service_name, service_type, qos_profile.into())?;
+        Ok(ClientUntyped(client.into()))
     }
 
     /// As [`tautline::Node::is_available`].

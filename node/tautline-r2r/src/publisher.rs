@@ -2,7 +2,7 @@
 
 use crate::message::NativeMsg;
 use futures::TryFutureExt;
-use tautline::{Error, Loan, Message, Plain, Result};
+use tautline::{Error, Json, Loan, Message, Plain, Result};
 
 /// A publisher as r2r has it; beneath it is a [`tautline::Publisher`].
 #[derive(Debug)]
@@ -55,11 +55,19 @@ impl<T: Message> Publisher<T> {
     }
 }
 
-/// A publisher of a type that is known by its definition, as r2r has it; beneath it is a [`tautline::PublisherUntyped`].
+/// A publisher of a type that is known by its definition, as r2r has it; beneath it is a [`tautline::Publisher`] of [`Json`].
 #[derive(Debug)]
-pub struct PublisherUntyped(tautline::PublisherUntyped);
+pub struct PublisherUntyped(tautline::Publisher<Json>);
 
 impl PublisherUntyped {
+    /// As [`tautline::Publisher::publish`].
+    ///
+    /// # Errors
+    /// [`Error::Message`] with the field if it is not a message of the type; [`Error::Publish`].
+    pub fn publish(&self, msg: serde_json::Value) -> Result<()> {
+        self.0.publish(&Json(msg))
+    }
+
     /// Number of subscriptions on this host; those of this process count, too.
     ///
     /// # Errors
@@ -68,16 +76,16 @@ impl PublisherUntyped {
         Ok(self.0.subscription_count())
     }
 
-    /// As [`tautline::PublisherUntyped::wait_for_subscriptions`].
+    /// As [`tautline::Publisher::wait_for_subscriptions`].
     ///
     /// # Errors
     /// As there.
     pub fn wait_for_inter_process_subscribers(
         &self,
     ) -> Result<impl Future<Output = Result<()>> + Send + use<>> {
-        self.0.wait_for_subscriptions()
+        Ok(self.0.wait_for_subscriptions()?.map_err(Error::from))
     }
 }
 
 beneath!(Publisher<T: Message>);
-beneath!(PublisherUntyped);
+beneath!(PublisherUntyped = tautline::Publisher<Json>);

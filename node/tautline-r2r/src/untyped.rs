@@ -57,7 +57,7 @@ impl WrappedNativeMsgUntyped {
     /// [`Error::Message`](tautline::Error::Message) with the field if it is none of the type; this one is then what it was.
     #[allow(clippy::wrong_self_convention, reason = "the name is r2r's")]
     pub fn from_json(&self, json: serde_json::Value) -> Result<()> {
-        *self.message.borrow_mut() = DynamicMessage::from_json_value(&self.schema, json)?;
+        *self.message.borrow_mut() = DynamicMessage::from_json_value(&self.schema, &json)?;
         Ok(())
     }
 }

@@ -13,7 +13,7 @@ use crate::topic::matching::Matcher;
 use crate::topic::publisher::{PublisherRole, RawPublisher};
 use crate::topic::subscription::{RawSubscription, SubscriptionRole};
 use crate::topic::topic_type::TopicType;
-use crate::topic::typed::{Publisher, Subscription};
+use crate::topic::typed::{Codec, Decode, Publisher, Subscription};
 use file::{OwnMemory, Peer};
 use iceoryx2_log::{LogLevel, set_log_level};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -213,24 +213,26 @@ impl Participant {
         qos: Qos,
         limits: Limits,
     ) -> Result<Publisher<T>, TransportError> {
-        self.create_publisher_of(topic, &TopicType::of::<T>(), qos, limits)
+        self.create_publisher_of(topic, &TopicType::of::<T>(), (), qos, limits)
     }
 
-    /// The same for who knows more of the type than `T` tells: the hash of one that is only written in Rust.
+    /// The same for who knows more of the type than `T` tells: the hash of one that is only written in Rust, the definition of one that
+    /// is known at run time.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
     /// As [`create_publisher`](Self::create_publisher).
-    pub fn create_publisher_of<T: Message>(
+    pub fn create_publisher_of<T: Codec>(
         &self,
         topic: &str,
         topic_type: &TopicType,
+        definition: T::Definition,
         qos: Qos,
         limits: Limits,
     ) -> Result<Publisher<T>, TransportError> {
-        Ok(Publisher::new(self.create_raw_publisher(topic, topic_type, qos, limits)?))
+        Ok(Publisher::new(self.create_raw_publisher(topic, topic_type, qos, limits)?, definition))
     }
 
     /// Creates a subscription of `topic`, a fully qualified name. What is published from now on is queued.
@@ -246,7 +248,7 @@ impl Participant {
         qos: Qos,
         limits: Limits,
     ) -> Result<Subscription<T>, TransportError> {
-        self.create_subscription_of(topic, &TopicType::of::<T>(), qos, limits)
+        self.create_subscription_of(topic, &TopicType::of::<T>(), (), qos, limits)
     }
 
     /// The same for who knows more of the type than `T` tells, as [`create_publisher_of`](Self::create_publisher_of).
@@ -256,14 +258,15 @@ impl Participant {
     ///
     /// # Errors
     /// As [`create_subscription`](Self::create_subscription).
-    pub fn create_subscription_of<T: Message>(
+    pub fn create_subscription_of<T: Decode>(
         &self,
         topic: &str,
         topic_type: &TopicType,
+        definition: T::Definition,
         qos: Qos,
         limits: Limits,
     ) -> Result<Subscription<T>, TransportError> {
-        Ok(Subscription::new(self.create_raw_subscription(topic, topic_type, qos, limits)?))
+        Ok(Subscription::new(self.create_raw_subscription(topic, topic_type, qos, limits)?, definition))
     }
 
     /// Creates a publisher of bytes of `topic`, a fully qualified name.

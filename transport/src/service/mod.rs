@@ -20,7 +20,7 @@ pub use client::{Availability, RawClient, RawPending};
 pub use pending::MAX_PENDING_REQUESTS;
 pub use queued::QueuedClient;
 pub use server::{RawResponse, RawServer, RequestId};
-pub use typed::{Client, PendingResponse, Request, Response, Server, UnwrittenResponse};
+pub use typed::{Client, PendingResponse, Request, Response, Server, ServiceCodec, UnwrittenResponse};
 
 use crate::error::{LoanError, TransportError};
 use crate::graph::record::{REQUESTS, RESPONSES, is_absolute};

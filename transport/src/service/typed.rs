@@ -11,41 +11,69 @@ use crate::participant::Participant;
 use crate::qos::Limits;
 use crate::topic::header::MessageInfo;
 use crate::topic::subscription::RawSubscription;
-use crate::topic::typed::{Loan, Sample, Unwritten, poll_take, take_valid};
+use crate::topic::typed::{Codec, Decode, Loan, Sample, Unwritten, poll_take, take_valid};
 use core::fmt;
 use core::future::Future;
-use core::marker::PhantomData;
 use core::ops::{Deref, DerefMut};
 use core::pin::Pin;
 use core::task::{Context, Poll};
-use tautline_msgs::cdr::{Fill, WriteError};
-use tautline_msgs::{Message, Plain, Service};
+use std::sync::Arc;
+use tautline_msgs::cdr::{EncodeError, Fill, WriteError};
+use tautline_msgs::{Plain, Service};
+
+/// How the requests and responses of a service are written and read. Every [`Service`] is its own.
+pub trait ServiceCodec: Sized + 'static {
+    /// What a client sends.
+    type Request: Codec;
+    /// What the server answers.
+    type Response: Codec<Invalid = <Self::Request as Codec>::Invalid>;
+    /// Why a request or a response was not sent.
+    type Error: From<ServiceError>;
+
+    /// What is said of a value that is no request, or no response.
+    fn invalid(service: &Arc<str>, invalid: <Self::Request as Codec>::Invalid) -> Self::Error;
+}
+
+impl<S: Service> ServiceCodec for S {
+    type Request = S::Request;
+    type Response = S::Response;
+    type Error = ServiceError;
+
+    fn invalid(service: &Arc<str>, invalid: EncodeError) -> ServiceError {
+        ServiceError::Encode { service: service.clone(), source: invalid.into() }
+    }
+}
+
+/// What must be known at run time of requests or responses.
+type Definition<T> = <T as Decode>::Definition;
 
 /// Asks a service: requests written in place, responses read in place.
 ///
 /// May be moved to another thread, and is used by one at a time; what waits for its answers may be in any thread.
-pub struct Client<S> {
+pub struct Client<S: ServiceCodec> {
     raw: RawClient,
-    _service: PhantomData<fn(S)>,
+    request: Definition<S::Request>,
+    response: Definition<S::Response>,
 }
 
 /// The response to one request, once it is there. Dropping it cancels the wait; the server is not told.
 #[must_use = "the response is lost unless it is awaited"]
-pub struct PendingResponse<S> {
+pub struct PendingResponse<S: ServiceCodec> {
     raw: RawPending,
-    _service: PhantomData<fn() -> S>,
+    definition: Definition<S::Response>,
 }
 
 /// Takes requests, read in place, and answers them in place.
 ///
 /// May be moved to another thread, and is used by one at a time.
-pub struct Server<S: Service> {
+pub struct Server<S: ServiceCodec> {
     raw: RawServer,
-    _service: PhantomData<fn(S)>,
+    request: Definition<S::Request>,
+    response: Definition<S::Response>,
 }
 
 /// A request, read in place. At most `Limits::held` of one server are alive at once.
-pub struct Request<S: Service> {
+pub struct Request<S: ServiceCodec> {
     message: Sample<S::Request>,
 }
 
@@ -81,8 +109,7 @@ impl Participant {
         service: &str,
         limits: Limits,
     ) -> Result<Client<S>, TransportError> {
-        let raw = self.create_raw_client(service, &ServiceType::of::<S>(), limits)?;
-        Ok(Client { raw, _service: PhantomData })
+        Ok(Client::new(self.create_raw_client(service, &ServiceType::of::<S>(), limits)?, (), ()))
     }
 
     /// Creates a server of `service`, a fully qualified name. `depth` is how many requests of one client can wait here.
@@ -98,12 +125,16 @@ impl Participant {
         depth: usize,
         limits: Limits,
     ) -> Result<Server<S>, TransportError> {
-        let raw = self.create_raw_server(service, &ServiceType::of::<S>(), depth, limits)?;
-        Ok(Server { raw, _service: PhantomData })
+        Ok(Server::new(self.create_raw_server(service, &ServiceType::of::<S>(), depth, limits)?, (), ()))
     }
 }
 
-impl<S: Service> Client<S> {
+impl<S: ServiceCodec> Client<S> {
+    /// Of a client of bytes that are those of `S`, with what must be known at run time of requests and responses.
+    pub fn new(raw: RawClient, request: Definition<S::Request>, response: Definition<S::Response>) -> Self {
+        Client { raw, request, response }
+    }
+
     /// The client of bytes below.
     pub fn raw(&self) -> &RawClient {
         &self.raw
@@ -112,6 +143,11 @@ impl<S: Service> Client<S> {
     /// The service's fully qualified name.
     pub fn service(&self) -> &str {
         self.raw.service()
+    }
+
+    /// What is known at run time of requests and responses.
+    pub fn definitions(&self) -> (&Definition<S::Request>, &Definition<S::Response>) {
+        (&self.request, &self.response)
     }
 
     /// Number of servers.
@@ -127,6 +163,26 @@ impl<S: Service> Client<S> {
         self.raw.availability()
     }
 
+    /// Writes `message` into a loan and sends it.
+    ///
+    /// # Real-time
+    /// As [`send`](Self::send) and the loan, and one copy of the message. Codecs other than Rust types add what they say.
+    ///
+    /// # Errors
+    /// [`ServiceError`], or those of a codec other than a Rust type; nothing was sent.
+    pub fn request(&self, message: &S::Request) -> Result<PendingResponse<S>, S::Error> {
+        let loan = |len_bytes| Ok(self.raw.loan(len_bytes)?);
+        let loan = message
+            .encode_into(&self.request, loan, |invalid| S::invalid(&self.raw.state.service, invalid))?;
+        Ok(self.pending(self.raw.send(loan).map_err(ServiceError::from)?))
+    }
+
+    fn pending(&self, raw: RawPending) -> PendingResponse<S> {
+        PendingResponse { raw, definition: self.response.clone() }
+    }
+}
+
+impl<S: Service> Client<S> {
     /// Loans memory for a request to write in place, as `&mut S::Request`. See [`Publisher::loan`](crate::Publisher::loan): a loan
     /// stays in its thread, so a future that may change threads sends it before it waits, in a block of its own or with
     /// [`request_with`](Self::request_with).
@@ -172,7 +228,7 @@ impl<S: Service> Client<S> {
         request: Loan<'c, S::Request>,
     ) -> Result<PendingResponse<S>, SendError<Loan<'c, S::Request>, ServiceError>> {
         let sent = self.raw.send(request.ready());
-        sent.map(PendingResponse::of).map_err(|unsent| unsent.map(Loan::back))
+        sent.map(|raw| self.pending(raw)).map_err(|unsent| unsent.map(Loan::back))
     }
 
     /// Loans memory for a request, lets `write` write it in place, and sends it.
@@ -193,44 +249,27 @@ impl<S: Service> Client<S> {
         write(&mut request);
         Ok(self.send(request)?)
     }
-
-    /// Writes `message` into a loan and sends it.
-    ///
-    /// # Real-time
-    /// As [`send`](Self::send) and the loan, and one copy of the message.
-    ///
-    /// # Errors
-    /// [`ServiceError`]; nothing was sent.
-    pub fn request(&self, message: &S::Request) -> Result<PendingResponse<S>, ServiceError> {
-        let mut loan = self.raw.loan(message.cdr_len())?;
-        let service = || self.raw.state.service.clone();
-        message
-            .encode(&mut loan)
-            .map_err(|source| ServiceError::Encode { service: service(), source: source.into() })?;
-        Ok(PendingResponse::of(self.raw.send(loan)?))
-    }
 }
 
-impl<S> PendingResponse<S> {
-    fn of(raw: RawPending) -> Self {
-        PendingResponse { raw, _service: PhantomData }
-    }
-}
-
-impl<S: Service> Future for PendingResponse<S> {
+impl<S: ServiceCodec> Future for PendingResponse<S> {
     type Output = Result<Sample<S::Response>, ServiceError>;
 
     /// # Real-time
-    /// As [`RawPending`]; the response is checked: see [`Message::view`].
+    /// As [`RawPending`]; the response is checked: see [`Message::view`](tautline_msgs::Message::view).
     fn poll(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Self::Output> {
         Pin::new(&mut self.raw).poll(context).map(|response| {
             let invalid = |source| ServiceError::Invalid { service: self.raw.state.service.clone(), source };
-            Sample::new(response?).map_err(|error| invalid(error.into()))
+            Sample::new(response?, &self.definition).map_err(|error| invalid(error.into()))
         })
     }
 }
 
-impl<S: Service> Server<S> {
+impl<S: ServiceCodec> Server<S> {
+    /// Of a server of bytes that are those of `S`, with what must be known at run time of requests and responses.
+    pub fn new(raw: RawServer, request: Definition<S::Request>, response: Definition<S::Response>) -> Self {
+        Server { raw, request, response }
+    }
+
     /// The server of bytes below.
     pub fn raw(&self) -> &RawServer {
         &self.raw
@@ -255,7 +294,7 @@ impl<S: Service> Server<S> {
     /// # Errors
     /// [`TakeError`].
     pub fn try_take(&self) -> Result<Option<Request<S>>, TakeError> {
-        let taken = take_valid(self.requests(), |invalid| self.refuse(invalid))?;
+        let taken = take_valid(self.requests(), &self.request, |invalid| self.refuse(invalid))?;
         Ok(taken.map(|message| Request { message }))
     }
 
@@ -264,7 +303,7 @@ impl<S: Service> Server<S> {
     /// # Real-time
     /// As [`try_take`](Self::try_take).
     pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Request<S>> {
-        let taken = poll_take(self.requests(), context, |invalid| self.refuse(invalid));
+        let taken = poll_take(self.requests(), &self.request, context, |invalid| self.refuse(invalid));
         taken.map(|message| Request { message })
     }
 
@@ -273,6 +312,22 @@ impl<S: Service> Server<S> {
         let _ = self.raw.refuse(RequestId::of(invalid));
     }
 
+    /// Writes `message` into a loan and sends it.
+    ///
+    /// # Real-time
+    /// As the loan and [`Response::send`], and one copy of the message. Codecs other than Rust types add what they say.
+    ///
+    /// # Errors
+    /// [`ServiceError`], or those of a codec other than a Rust type; nothing was sent.
+    pub fn respond(&self, id: RequestId, message: &S::Response) -> Result<(), S::Error> {
+        let loan = |len_bytes| Ok(self.raw.loan(id, len_bytes)?);
+        let loan =
+            message.encode_into(&self.response, loan, |invalid| S::invalid(&self.raw.service, invalid))?;
+        Ok(loan.send().map_err(ServiceError::from)?)
+    }
+}
+
+impl<S: Service> Server<S> {
     /// Loans memory for the response to a request, to write in place as `&mut S::Response`.
     ///
     /// # Real-time
@@ -309,25 +364,9 @@ impl<S: Service> Server<S> {
         let loan = loan.map_err(|source| self.raw.loan_error(source))?;
         Ok(UnwrittenResponse { server: &self.raw, id, loan })
     }
-
-    /// Writes `message` into a loan and sends it.
-    ///
-    /// # Real-time
-    /// As the loan and [`Response::send`], and one copy of the message.
-    ///
-    /// # Errors
-    /// [`ServiceError`]; nothing was sent.
-    pub fn respond(&self, id: RequestId, message: &S::Response) -> Result<(), ServiceError> {
-        let mut loan = self.raw.loan(id, message.cdr_len())?;
-        let service = || self.raw.service.clone();
-        message
-            .encode(&mut loan)
-            .map_err(|source| ServiceError::Encode { service: service(), source: source.into() })?;
-        Ok(loan.send()?)
-    }
 }
 
-impl<S: Service> Request<S> {
+impl<S: ServiceCodec> Request<S> {
     /// Which request of which client: what it is answered by.
     pub fn id(&self) -> RequestId {
         RequestId::of(self.message.info())
@@ -340,7 +379,7 @@ impl<S: Service> Request<S> {
 }
 
 /// The sample, which derefs to the request itself if that is plain.
-impl<S: Service> Deref for Request<S> {
+impl<S: ServiceCodec> Deref for Request<S> {
     type Target = Sample<S::Request>;
 
     fn deref(&self) -> &Sample<S::Request> {
@@ -404,25 +443,25 @@ where
     }
 }
 
-impl<S> fmt::Debug for Client<S> {
+impl<S: ServiceCodec> fmt::Debug for Client<S> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Client").field("service", &self.raw.service()).finish_non_exhaustive()
     }
 }
 
-impl<S> fmt::Debug for PendingResponse<S> {
+impl<S: ServiceCodec> fmt::Debug for PendingResponse<S> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.raw.fmt(f)
     }
 }
 
-impl<S: Service> fmt::Debug for Server<S> {
+impl<S: ServiceCodec> fmt::Debug for Server<S> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Server").field("service", &self.service()).finish_non_exhaustive()
     }
 }
 
-impl<S: Service> fmt::Debug for Request<S> {
+impl<S: ServiceCodec> fmt::Debug for Request<S> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Request").field("id", &self.id()).finish_non_exhaustive()
     }

@@ -168,7 +168,7 @@ impl Descriptions {
             "type_hash": id.hash.to_string(),
             "include_type_sources": false,
         });
-        let request = DynamicMessage::from_json_value(&self.request, request)?.to_cdr();
+        let request = DynamicMessage::from_json_value(&self.request, &request)?.to_cdr();
         let attachment =
             Attachment { sequence_number: 1, source_timestamp_ns: wall_ns(), gid: Gid::default() };
         let (events, asked) = (self.events.clone(), id.clone());
@@ -322,7 +322,7 @@ impl Descriptions {
             }
         };
         let response =
-            DynamicMessage::from_json_value(&self.response, response).map_err(|_| Refused::Request)?;
+            DynamicMessage::from_json_value(&self.response, &response).map_err(|_| Refused::Request)?;
         Ok((response.to_cdr(), outcome))
     }
 }
@@ -359,7 +359,7 @@ mod tests {
     fn question(asker: &Descriptions, id: &TypeId) -> ZBytes {
         let request =
             serde_json::json!({ "type_name": id.name.to_string(), "type_hash": id.hash.to_string() });
-        DynamicMessage::from_json_value(&asker.request, request).unwrap().to_cdr().into()
+        DynamicMessage::from_json_value(&asker.request, &request).unwrap().to_cdr().into()
     }
 
     #[test]

@@ -90,7 +90,7 @@ fn a_type_that_only_another_knows_is_learned() {
         let is_truth = asked["type_hash"] == schema.hash().to_string();
         let description = if is_truth { description.clone() } else { liar.clone() };
         let reply = serde_json::json!({ "successful": true, "type_description": description });
-        let reply = DynamicMessage::from_json_value(&response, reply).unwrap().to_cdr();
+        let reply = DynamicMessage::from_json_value(&response, &reply).unwrap().to_cdr();
         query.reply(query.key_expr().clone(), reply).wait().unwrap();
     };
     let key = format!("115/their_node/get_type_description/{SERVICE}/{SERVICE_HASH}");
@@ -142,7 +142,7 @@ fn nodes_here_are_asked_for_their_types() {
     let (request, response) = (service_schema("Request"), service_schema("Response"));
     let ask = |hash: &str| {
         let request_json = serde_json::json!({ "type_name": "a_msgs/msg/Whole", "type_hash": hash });
-        let payload = DynamicMessage::from_json_value(&request, request_json).unwrap().to_cdr();
+        let payload = DynamicMessage::from_json_value(&request, &request_json).unwrap().to_cdr();
         let attachment = Attachment { sequence_number: 7, source_timestamp_ns: 1, gid: Gid([9; 16]) };
         wait("an answer", || {
             let replies = (session.get(&key).payload(payload.clone()))

@@ -44,7 +44,7 @@ impl DynamicMessage {
     /// # Errors
     ///
     /// [`MessageError::Text`] with the field if it does not fit the type.
-    pub fn from_json_value(schema: &Arc<Schema>, json: serde_json::Value) -> Result<Self, MessageError> {
+    pub fn from_json_value(schema: &Arc<Schema>, json: &serde_json::Value) -> Result<Self, MessageError> {
         let fields = Root::seed(schema).deserialize(json);
         Self::from_text_fields(schema, fields.map_err(|error| error.to_string()))
     }

@@ -3,7 +3,7 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::{Publisher, Subscription};
+use super::{Codec, Decode, Publisher, Subscription};
 use crate::error::{LoanError, PublishError, SendError, TakeError};
 use crate::topic::header::MessageInfo;
 use crate::topic::publisher::{RawLoan, RawPublisher};
@@ -53,18 +53,33 @@ impl<T: Message> Publisher<T> {
     {
         Unwritten::of_sizes(&self.raw, sizes)
     }
+}
 
+impl<T: Codec> Publisher<T> {
     /// Writes `message` into a loan and publishes it.
     ///
     /// # Real-time
-    /// As [`RawPublisher::loan`](crate::RawPublisher::loan) and [`Loan::publish`], and one copy of the message.
+    /// As [`RawPublisher::loan`](crate::RawPublisher::loan) and [`Loan::publish`], and one copy of the message. Codecs other than Rust
+    /// types add what they say.
     ///
     /// # Errors
-    /// [`PublishError`]; nothing was sent.
-    pub fn publish(&self, message: &T) -> Result<(), PublishError> {
-        let mut raw = self.raw.loan(message.cdr_len())?;
-        message.encode(&mut raw)?;
-        raw.publish().map_err(PublishError::from)
+    /// [`PublishError`], or those of a codec other than a Rust type; nothing was sent.
+    pub fn publish(&self, message: &T) -> Result<(), T::Error> {
+        let loan = |len_bytes| self.raw.loan(len_bytes).map_err(|error| PublishError::from(error).into());
+        let raw = message.encode_into(&self.definition, loan, T::Error::from)?;
+        Ok(raw.publish().map_err(PublishError::from)?)
+    }
+
+    /// Publishes what is on the ROS 2 wire and in bags: the encapsulation header of 4 bytes, then the body. It is checked that they are a
+    /// message of the type; what other middleware appended is left out. Big-endian ones are decoded and written anew.
+    ///
+    /// # Real-time
+    /// As [`publish`](Publisher::publish), and [`Message::view`]. Big-endian messages allocate their strings and sequences.
+    ///
+    /// # Errors
+    /// [`PublishCdrError`](crate::PublishCdrError), or those of a codec other than a Rust type: with field and byte if these are no message of the type.
+    pub fn publish_raw(&self, cdr: &[u8]) -> Result<(), T::CdrError> {
+        T::publish_cdr(self, cdr)
     }
 }
 
@@ -255,29 +270,27 @@ impl<T: Message> fmt::Debug for Loan<'_, T> {
 
 /// A message in shared memory, checked when it was taken: read in place through its [`view`](Sample::view); one of a plain
 /// type derefs to `T`. At most `Limits::held` of one subscription are alive at once; they may be dropped in any thread.
-pub struct Sample<T: Message> {
+pub struct Sample<T: Decode> {
     /// Borrows from `raw`, whatever its lifetime says; given out only for as long as that is borrowed. `MaybeUninit`, though
     /// always set: passing a reference to a function promises that its memory stays as it is until that returns, but the
     /// memory goes back to its publisher when `raw` is dropped, maybe within.
     view: MaybeUninit<T::View<'static>>,
     raw: RawSample,
+    definition: T::Definition,
 }
 
-impl<T: Message> Sample<T> {
+impl<T: Decode> Sample<T> {
     /// Checks the bytes once.
-    pub(crate) fn new(raw: RawSample) -> Result<Self, DecodeError> {
+    pub(crate) fn new(raw: RawSample, definition: &T::Definition) -> Result<Self, DecodeError> {
         let payload: *const [u8] = raw.payload();
         // SAFETY: the payload is mapped and unchanged as long as `raw` lives, wherever that moves. What borrows it is kept
         // beside `raw` and is not used after it.
         let payload: &'static [u8] = unsafe { &*payload };
-        let body = Body::new(payload, raw.body().len()).map_err(|fault| DecodeError {
-            type_name: T::TYPE_NAME,
-            path: FieldPath::EMPTY,
-            offset: 0,
-            fault,
-        })?;
+        let (type_name, path) = ("sample", FieldPath::EMPTY);
+        let body = Body::new(payload, raw.body().len());
+        let body = body.map_err(|fault| DecodeError { type_name, path, offset: 0, fault })?;
         let view = MaybeUninit::new(T::view(body)?);
-        Ok(Sample { view, raw })
+        Ok(Sample { view, raw, definition: definition.clone() })
     }
 
     /// Reads the message in place: `&T` for a plain type, else getters. Costs nothing: the message was checked when it was
@@ -291,8 +304,8 @@ impl<T: Message> Sample<T> {
     }
 
     /// The message as an owned one: allocates its strings and sequences.
-    pub fn to_owned(&self) -> T {
-        T::owned(self.view())
+    pub fn to_owned(&self) -> T::Owned {
+        T::owned(&self.definition, self.view())
     }
 
     /// Sequence number, time stamps, publisher.
@@ -346,14 +359,14 @@ impl<T: Message + Plain> Deref for Sample<T> {
 
     fn deref(&self) -> &T {
         const { assert!(T::PLAIN.is_some(), "a plain type becomes a message by the derive") }
-        // SAFETY: `T::view` accepted the payload in `new`, so that it starts with a valid `T`: `PLAIN` is the proof. It stays
-        // where and as it is as long as `raw` lives.
+        // SAFETY: `T::view`, a message's own, accepted the payload in `new`, so that it starts with a valid `T`: `PLAIN` is the
+        // proof. It stays where and as it is as long as `raw` lives.
         unsafe { &*self.raw.payload().as_ptr().cast() }
     }
 }
 
 /// The message's, through its view.
-impl<T: Message> fmt::Debug for Sample<T>
+impl<T: Decode> fmt::Debug for Sample<T>
 where
     for<'a> T::View<'a>: fmt::Debug,
 {
@@ -362,7 +375,7 @@ where
     }
 }
 
-impl<T: Message> Subscription<T> {
+impl<T: Decode> Subscription<T> {
     /// Takes the oldest sample of a publisher, if there is one. Passes over what [`RawSubscription::try_take`] passes over.
     ///
     /// # Real-time
@@ -374,7 +387,7 @@ impl<T: Message> Subscription<T> {
     /// [`RawSubscription::try_take`]: crate::RawSubscription::try_take
     pub fn try_take(&self) -> Result<Option<Sample<T>>, TakeError> {
         let Some(raw) = self.raw.try_take()? else { return Ok(None) };
-        check(&self.raw, raw).map(Some).map_err(TakeError::Invalid)
+        check(&self.raw, &self.definition, raw).map(Some).map_err(TakeError::Invalid)
     }
 
     /// Takes the oldest valid sample, if there is one. Invalid ones are counted and passed over, like those that
@@ -386,7 +399,7 @@ impl<T: Message> Subscription<T> {
     /// # Errors
     /// [`TakeError`], but not [`TakeError::Invalid`].
     pub fn try_take_valid(&self) -> Result<Option<Sample<T>>, TakeError> {
-        take_valid(&self.raw, |_| ())
+        take_valid(&self.raw, &self.definition, |_| ())
     }
 
     /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
@@ -395,19 +408,20 @@ impl<T: Message> Subscription<T> {
     /// As [`try_take_valid`](Self::try_take_valid), but the task is woken itself: after 16 samples that are passed over other tasks
     /// of the thread have a turn.
     pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Sample<T>> {
-        poll_take(&self.raw, context, |_| ())
+        poll_take(&self.raw, &self.definition, context, |_| ())
     }
 }
 
 /// As [`Subscription::try_take_valid`]; tells of what is invalid.
-pub(crate) fn take_valid<T: Message>(
+pub(crate) fn take_valid<T: Decode>(
     raw: &RawSubscription,
+    definition: &T::Definition,
     invalid: impl Fn(MessageInfo),
 ) -> Result<Option<Sample<T>>, TakeError> {
     let mut budget = PollBudget::new();
     while let Some(taken) = raw.take_valid(&mut budget)? {
         let info = taken.info();
-        match check(raw, taken) {
+        match check(raw, definition, taken) {
             Ok(sample) => return Ok(Some(sample)),
             Err(_) => invalid(info),
         }
@@ -417,15 +431,16 @@ pub(crate) fn take_valid<T: Message>(
 }
 
 /// As [`Subscription::poll_take`]; tells of what is invalid.
-pub(crate) fn poll_take<T: Message>(
+pub(crate) fn poll_take<T: Decode>(
     raw: &RawSubscription,
+    definition: &T::Definition,
     context: &mut Context<'_>,
     invalid: impl Fn(MessageInfo),
 ) -> Poll<Sample<T>> {
     let mut budget = PollBudget::new();
     while let Poll::Ready(taken) = raw.poll_within(context, &mut budget) {
         let info = taken.info();
-        match check(raw, taken) {
+        match check(raw, definition, taken) {
             Ok(sample) => return Poll::Ready(sample),
             Err(_) => invalid(info),
         }
@@ -433,15 +448,19 @@ pub(crate) fn poll_take<T: Message>(
     Poll::Pending
 }
 
-fn check<T: Message>(raw: &RawSubscription, taken: RawSample) -> Result<Sample<T>, DecodeError> {
-    let checked = Sample::new(taken);
+fn check<T: Decode>(
+    raw: &RawSubscription,
+    definition: &T::Definition,
+    taken: RawSample,
+) -> Result<Sample<T>, DecodeError> {
+    let checked = Sample::new(taken, definition);
     if checked.is_err() {
         raw.note_invalid();
     }
     checked
 }
 
-impl<T: Message> Stream for Subscription<T> {
+impl<T: Decode> Stream for Subscription<T> {
     type Item = Sample<T>;
 
     /// # Real-time

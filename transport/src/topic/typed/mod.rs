@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Publishers and subscriptions of a type: a thin layer over those of bytes.
 
-mod cdr;
+mod codec;
 mod hot;
 
+pub use codec::{Codec, Decode};
 pub use hot::{Loan, Sample, Unwritten};
 pub(crate) use hot::{poll_take, take_valid};
 
@@ -12,23 +13,21 @@ use crate::qos::{Limits, Qos};
 use crate::topic::header::Gid;
 use crate::topic::publisher::{Gate, PublisherCounters, RawPublisher};
 use crate::topic::subscription::{RawSubscription, SubscriptionCounters};
-use std::marker::PhantomData;
 use std::sync::Arc;
-use tautline_msgs::Message;
 
 /// Publishes messages of type `T` on one topic: written in place after [`loan`](Publisher::loan) or, where sizes differ,
 /// [`loan_with`](Publisher::loan_with); or owned ones, with [`publish`](Publisher::publish).
 ///
 /// May be moved to another thread, and is used by one at a time.
-pub struct Publisher<T> {
+pub struct Publisher<T: Codec> {
     raw: RawPublisher,
-    _message: PhantomData<fn(T)>,
+    definition: T::Definition,
 }
 
-impl<T: Message> Publisher<T> {
+impl<T: Codec> Publisher<T> {
     /// Of a publisher of bytes that are those of `T`.
-    pub(crate) fn new(raw: RawPublisher) -> Self {
-        Publisher { raw, _message: PhantomData }
+    pub(crate) fn new(raw: RawPublisher, definition: T::Definition) -> Self {
+        Publisher { raw, definition }
     }
 
     /// The same, silent while `gate` is shut: see [`RawPublisher::with_gate`].
@@ -40,6 +39,11 @@ impl<T: Message> Publisher<T> {
     /// The publisher of bytes below.
     pub fn raw(&self) -> &RawPublisher {
         &self.raw
+    }
+
+    /// What is known of the type at run time.
+    pub fn definition(&self) -> &T::Definition {
+        &self.definition
     }
 
     /// The topic's fully qualified name.
@@ -94,13 +98,13 @@ impl<T: Message> Publisher<T> {
     }
 }
 
-impl<T> AsRef<RawPublisher> for Publisher<T> {
+impl<T: Codec> AsRef<RawPublisher> for Publisher<T> {
     fn as_ref(&self) -> &RawPublisher {
         &self.raw
     }
 }
 
-impl<T> std::fmt::Debug for Publisher<T> {
+impl<T: Codec> std::fmt::Debug for Publisher<T> {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Publisher")
             .field("topic", &self.raw.topic())
@@ -113,20 +117,25 @@ impl<T> std::fmt::Debug for Publisher<T> {
 ///
 /// May be moved to another thread, and is used by one at a time. Its samples may be dropped anywhere; their memory goes
 /// back to the publisher when this subscription next takes.
-pub struct Subscription<T> {
+pub struct Subscription<T: Decode> {
     raw: RawSubscription,
-    _message: PhantomData<fn() -> T>,
+    definition: T::Definition,
 }
 
-impl<T: Message> Subscription<T> {
+impl<T: Decode> Subscription<T> {
     /// Of a subscription to bytes that are those of `T`.
-    pub(crate) fn new(raw: RawSubscription) -> Self {
-        Subscription { raw, _message: PhantomData }
+    pub(crate) fn new(raw: RawSubscription, definition: T::Definition) -> Self {
+        Subscription { raw, definition }
     }
 
     /// The subscription to bytes below.
     pub fn raw(&self) -> &RawSubscription {
         &self.raw
+    }
+
+    /// What is known of the type at run time.
+    pub fn definition(&self) -> &T::Definition {
+        &self.definition
     }
 
     /// The topic's fully qualified name.
