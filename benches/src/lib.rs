@@ -15,16 +15,20 @@
 //! | `trace` | what a trace event costs, recorded and not |
 //!
 //! A measurement runs its rivals in alternating rounds of one run, on pinned cores, and states percentiles, counts and
-//! the machine. Absolute times belong to the machine; ratios within a run are what is compared.
+//! the machine. Absolute times belong to the machine; ratios within a run are what is compared: `rows` has the one form of what was
+//! measured, `claims.toml` what must hold, `claims` judges it, `table` and `page` show it.
 
 pub mod canvas;
+pub mod claims;
 mod distribution;
 mod gateways;
 mod machine;
 pub mod page;
 mod process;
+pub mod rows;
 mod scratch;
 mod stage;
+pub mod table;
 mod turns;
 
 pub use distribution::Distribution;

@@ -14,7 +14,7 @@
 //! | `load` | what disturbs the measurement under load |
 //! | `systems` | the systems that this binary runs itself |
 //! | `report` | the tables, the JSON |
-//! | `ratios`, `verdict`, `slower` | figures of rivals compared, the ratios that must hold, where a rival is ahead and why |
+//! | `slower` | where a rival is ahead and why |
 //! | `html`, `figures` | the page |
 
 mod figures;
@@ -24,12 +24,10 @@ mod load;
 mod modes;
 mod pair;
 mod plan;
-mod ratios;
 mod report;
 mod rounds;
 mod slower;
 mod systems;
-mod verdict;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -137,7 +135,7 @@ fn measure(options: &Options) -> Result<()> {
     }
     let disturbance = Disturbance::start();
     let cells = rounds::run(&plan, &interrupted)?;
-    let report = Report::new(&plan, cells, disturbance.report());
+    let report = Report::new(&plan, cells, disturbance.report())?;
     report.print();
     if let Some(path) = &options.json {
         write(path, &report.json()?)?;
@@ -153,7 +151,7 @@ fn measure(options: &Options) -> Result<()> {
 /// Shows an earlier run.
 fn show(options: &Options, path: &std::path::Path) -> Result<()> {
     let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
-    let report = Report::of_rows(serde_json::from_str(&text)?);
+    let report = Report::of_rows(serde_json::from_str(&text)?)?;
     report.print();
     draw(options, &report)
 }

@@ -6,6 +6,7 @@ use std::fs;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use indicatif::{ProgressBar, ProgressStyle};
+use tautline_benches::rows::{Tally, Wakes, rounded};
 use tautline_benches::{Distribution, Scratch};
 use tautline_exchange::Memory;
 use tautline_rt::IdleHold;
@@ -13,15 +14,14 @@ use tautline_rt::host::steal_ticks;
 
 use crate::Result;
 use crate::modes::Part;
-use crate::pair::{Found, Setup, Wakes};
+use crate::pair::{Found, Setup};
 use crate::plan::{Case, Idle, Plan, Task};
-use crate::report::Round;
 
 /// A case and what was found.
 pub struct Cell {
     pub case: Case,
-    pub times: Distribution,
-    pub lost: u64,
+    /// Of the rounds that did not fail.
+    pub tally: Tally,
     pub cpu_ns: u64,
     pub messages: u64,
     pub seconds: f64,
@@ -30,8 +30,6 @@ pub struct Cell {
     pub late: u64,
     pub refused: u64,
     pub wakes: Option<Wakes>,
-    /// Those that did not fail.
-    pub rounds: Vec<Round>,
     pub steal_ticks: u64,
     /// Why idle states were as shipped where they should not have been.
     pub idle_refused: Option<String>,
@@ -43,8 +41,7 @@ impl Cell {
     fn new(case: Case) -> Self {
         Cell {
             case,
-            times: Distribution::new(),
-            lost: 0,
+            tally: Tally::default(),
             cpu_ns: 0,
             messages: 0,
             seconds: 0.0,
@@ -52,7 +49,6 @@ impl Cell {
             late: 0,
             refused: 0,
             wakes: None,
-            rounds: Vec::new(),
             steal_ticks: 0,
             idle_refused: None,
             failures: Vec::new(),
@@ -62,19 +58,12 @@ impl Cell {
     fn add(&mut self, round: u32, found: &Found) {
         let mut times = Distribution::new();
         found.times_ns.iter().for_each(|&time_ns| times.record(time_ns));
-        self.rounds.push(Round {
-            round,
-            n: times.len(),
-            p50_us: times.quantile_us(0.5),
-            p99_us: times.quantile_us(0.99),
-            p999_us: times.quantile_us(0.999),
-            cpu_us_per_msg: (found.cpu_ns > 0)
-                .then(|| found.cpu_ns as f64 / 1e3 / found.messages.max(1) as f64),
-            msgs_per_s: (found.seconds > 0.0).then(|| found.messages as f64 / found.seconds),
-            rss_mib: (found.memory.kib > 0).then(|| found.memory.kib as f64 / 1024.0),
-        });
-        found.times_ns.iter().for_each(|&time_ns| self.times.record(time_ns));
-        self.lost += found.lost;
+        let of_round = self.tally.add(round, &times);
+        of_round.cpu_us_per_msg =
+            (found.cpu_ns > 0).then(|| rounded(found.cpu_ns as f64 / 1e3 / found.messages.max(1) as f64));
+        of_round.msgs_per_s = (found.seconds > 0.0).then(|| rounded(found.messages as f64 / found.seconds));
+        of_round.rss_mib = (found.memory.kib > 0).then(|| rounded(found.memory.kib as f64 / 1024.0));
+        self.tally.lost += found.lost;
         self.cpu_ns += found.cpu_ns;
         self.messages += found.messages;
         self.seconds += found.seconds;
