@@ -22,6 +22,7 @@ pub mod canvas;
 pub mod claims;
 mod distribution;
 mod gateways;
+mod json;
 mod machine;
 pub mod page;
 mod process;
@@ -33,6 +34,7 @@ mod turns;
 
 pub use distribution::Distribution;
 pub use gateways::{Gateways, Host};
+pub use json::write_json;
 pub use machine::{Disturbance, machine, version_of};
 pub use process::Process;
 pub use scratch::Scratch;

@@ -1,29 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The network bench's report.
 
-use super::{Kind, Kind::*, check_row, judge};
+use super::{ROW, check_row, judge};
 use crate::steps::Outcome;
 use serde_json::Value;
 use std::path::Path;
-
-const NETWORK_ROW: &[(&str, Kind)] = &[
-    ("experiment", Text),
-    ("system", Text),
-    ("mode", Text),
-    ("payload_bytes", Count),
-    ("n", Count),
-    ("p50_us", Number),
-    ("p99_us", Number),
-    ("p999_us", Number),
-    ("max_us", Number),
-    ("lost", Count),
-];
 
 /// The network bench's rows: each question is answered for Tautline, and beside Zenoh where that can be.
 pub fn check_network(path: &Path) -> Outcome {
     judge(path, |report| {
         let rows = report.as_array().ok_or("it is not a list")?;
-        rows.iter().try_for_each(|row| check_row(row, NETWORK_ROW))?;
+        rows.iter().try_for_each(|row| check_row(row, ROW))?;
         for (experiment, system, count) in [
             ("round-trip", "tautline", 3),
             ("round-trip", "zenoh", 3),

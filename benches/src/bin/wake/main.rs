@@ -12,7 +12,7 @@
 //! | `child` | one of a pair: the round trip's clock (`Pinger`), set-up, the loops over a `Link` |
 //! | `payload` | what a message contains |
 //! | `futex`, `iceoryx`, `tautline` | the systems |
-//! | `report`, `verdict` | the table, the JSON, the ratios that must hold |
+//! | `report` | what is said of the rows |
 
 mod child;
 mod futex;
@@ -22,7 +22,6 @@ mod plan;
 mod report;
 mod rounds;
 mod tautline;
-mod verdict;
 
 use std::error::Error;
 use std::path::PathBuf;
@@ -76,9 +75,9 @@ fn measure(options: &Options) -> Result<()> {
     }
     let plan = plan::Plan::new(options.quick, cores(options)?, !options.no_rt);
     let rows = rounds::run(&plan)?;
-    report::print(&plan, &rows);
+    report::print(&plan, &rows)?;
     if let Some(path) = &options.json {
-        report::write_json(path, &rows)?;
+        tautline_benches::write_json(path, &rows.rows)?;
     }
     let lost_messages = rows.rows.iter().any(|row| row.system == "tautline" && row.lost > 0);
     if lost_messages { Err("tautline lost wake-ups".into()) } else { Ok(()) }

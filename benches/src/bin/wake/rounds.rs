@@ -12,13 +12,14 @@ use std::time::Duration;
 use indicatif::{ProgressBar, ProgressStyle};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
+use tautline_benches::rows::{Row, Tally};
 use tautline_benches::{Distribution, Disturbance, Scratch};
 use tautline_rt::IdleHold;
 use tautline_rt::domain::scope;
 
 use crate::child::{Measured, READY};
 use crate::plan::{Idle, Job, Mode, Payload, Plan, Role};
-use crate::report::{Round, Row, Rows};
+use crate::report::Rows;
 use crate::{Result, futex};
 
 /// What the parent waits for.
@@ -61,13 +62,13 @@ pub fn run(plan: &Plan) -> Result<Rows> {
                 format!("{system} {mode}, {} B, round {round}: {error}", cell.payload.bytes)
             })?;
             drop(hold);
-            cell.add(&measured);
+            cell.add(round, &measured);
             progress.inc(1);
         }
     }
     progress.finish_and_clear();
     cells.sort_by_key(|cell| cell.position);
-    let rows = cells.iter().filter(|cell| !cell.distribution.is_empty()).map(Cell::row).collect();
+    let rows = cells.iter().filter(|cell| !cell.tally.times.is_empty()).map(Cell::row).collect();
     Ok(Rows { rows, disturbance: disturbance.report(), idle_refused })
 }
 
@@ -78,19 +79,17 @@ struct Cell {
     mode: Mode,
     payload: Payload,
     idle: Idle,
-    distribution: Distribution,
-    lost: u64,
-    rounds: Vec<Round>,
+    tally: Tally,
 }
 
 /// All cells, rivals next to each other.
 fn cells(plan: &Plan) -> Vec<Cell> {
     let mut cells = Vec::new();
-    for &idle in &plan.idles {
+    for idle in Idle::ALL {
         for &payload in &plan.payloads {
             for &mode in &plan.modes {
-                let (position, distribution) = (cells.len(), Distribution::new());
-                cells.push(Cell { position, mode, payload, idle, distribution, lost: 0, rounds: Vec::new() });
+                let (position, tally) = (cells.len(), Tally::default());
+                cells.push(Cell { position, mode, payload, idle, tally });
             }
         }
     }
@@ -98,30 +97,16 @@ fn cells(plan: &Plan) -> Vec<Cell> {
 }
 
 impl Cell {
-    fn add(&mut self, measured: &Measured) {
-        let mut round = Distribution::new();
-        round.add(&measured.counts);
-        self.rounds.push(Round { p50_us: round.quantile_us(0.5), p99_us: round.quantile_us(0.99) });
-        self.distribution.add(&measured.counts);
-        self.lost += measured.lost;
+    fn add(&mut self, round: u32, measured: &Measured) {
+        let mut times = Distribution::new();
+        times.add(&measured.counts);
+        self.tally.add(round, &times);
+        self.tally.lost += measured.lost;
     }
 
     fn row(&self) -> Row {
         let (system, mode) = self.mode.names();
-        Row {
-            system,
-            mode,
-            idle: self.idle,
-            payload_bytes: self.payload.bytes,
-            touched: self.payload.touched,
-            n: self.distribution.len(),
-            p50_us: self.distribution.quantile_us(0.5),
-            p99_us: self.distribution.quantile_us(0.99),
-            p999_us: self.distribution.quantile_us(0.999),
-            max_us: self.distribution.max_us(),
-            lost: self.lost,
-            rounds: self.rounds.clone(),
-        }
+        self.tally.row(self.idle.experiment(self.payload.touched), system, mode, self.payload.bytes)
     }
 }
 
