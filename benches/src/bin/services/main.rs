@@ -23,6 +23,7 @@ use std::time::Duration;
 
 use clap::Parser;
 use serde::{Deserialize, Serialize};
+use tautline_benches::rows::{Row, Tally};
 use tautline_benches::{Distribution, Disturbance, Scratch, version_of};
 use tautline_rt::domain::scope;
 use tautline_rt::{CoreSet, permission};
@@ -78,13 +79,14 @@ pub enum System {
 impl System {
     const ALL: [Self; 5] = [Self::Topics, Self::Server, Self::Iceoryx2, Self::ServiceOwned, Self::R2r];
 
-    fn name(self) -> &'static str {
+    /// The system and its mode, as in the table and the JSON.
+    fn names(self) -> (&'static str, &'static str) {
         match self {
-            Self::Topics => "tautline topics",
-            Self::Server => "tautline service, in place",
-            Self::ServiceOwned => "tautline service, owned",
-            Self::Iceoryx2 => "iceoryx2 request-response",
-            Self::R2r => "r2r over Fast DDS",
+            Self::Topics => ("tautline", "topics"),
+            Self::Server => ("tautline", "service, in place"),
+            Self::ServiceOwned => ("tautline", "service, owned"),
+            Self::Iceoryx2 => ("iceoryx2", "request-response"),
+            Self::R2r => ("r2r", "over Fast DDS"),
         }
     }
 }
@@ -114,13 +116,23 @@ pub struct Measured {
     pub(crate) lost: u64,
 }
 
-/// A line of the result.
-pub struct Cell {
-    pub(crate) system: System,
-    pub(crate) bytes: usize,
-    pub(crate) all: Distribution,
-    pub(crate) lost: u64,
-    pub(crate) rounds_p50_us: Vec<f64>,
+/// A line of the result in the making.
+struct Cell {
+    system: System,
+    bytes: usize,
+    tally: Tally,
+}
+
+impl Cell {
+    fn name(&self) -> String {
+        let (system, mode) = self.system.names();
+        format!("{system} {mode}, {} B", self.bytes)
+    }
+
+    fn row(&self) -> Row {
+        let (system, mode) = self.system.names();
+        self.tally.row(report::EXPERIMENT, system, mode, self.bytes)
+    }
 }
 
 fn main() -> ExitCode {
@@ -145,7 +157,7 @@ fn measure(options: &Options) -> Result<()> {
     }
     let cores: Vec<_> = CoreSet::allowed()?.iter().take(2).collect();
     let [asking, answering] = cores[..] else { return Err("two cores are needed".into()) };
-    let (rounds, budget) = if options.quick { (3, 200) } else { (7, 1000) };
+    let (rounds, budget): (u32, u64) = if options.quick { (3, 200) } else { (7, 1000) };
     let sizes = [64, 4 << 10, 1 << 20];
     let r2r = match &options.r2r {
         Some(program) => Some((program.as_path(), versions_of(program)?)),
@@ -160,22 +172,16 @@ fn measure(options: &Options) -> Result<()> {
         // A copy of a MiB is no news.
         .filter(|&(system, bytes)| system != System::ServiceOwned || bytes == 64)
         .filter(|&(system, _)| system != System::R2r || r2r.is_some())
-        .map(|(system, bytes)| Cell {
-            system,
-            bytes,
-            all: Distribution::new(),
-            lost: 0,
-            rounds_p50_us: vec![],
-        })
+        .map(|(system, bytes)| Cell { system, bytes, tally: Tally::default() })
         .collect();
     let scratch = Scratch::new("services")?;
     let disturbance = Disturbance::start();
     // For all systems alike: of itself only Tautline does so. Ignored: where it is refused, all wake-ups are slower by the same.
     let _idle = tautline_rt::IdleHold::new();
-    let progress = indicatif::ProgressBar::new((rounds * cells.len()) as u64);
-    for round in 0..rounds {
+    let progress = indicatif::ProgressBar::new(u64::from(rounds) * cells.len() as u64);
+    for round in 1..=rounds {
         for cell in &mut cells {
-            progress.set_message(format!("{}, {} B", cell.system.name(), cell.bytes));
+            progress.set_message(cell.name());
             let job = Job {
                 system: cell.system,
                 bytes: cell.bytes,
@@ -191,22 +197,22 @@ fn measure(options: &Options) -> Result<()> {
                 (System::R2r, Some((program, _))) => program.to_path_buf(),
                 _ => std::env::current_exe()?,
             };
-            let measured = run_pair(&program, &job, asking)
-                .map_err(|error| format!("{}, {} B: {error}", cell.system.name(), cell.bytes))?;
-            let mut distribution = Distribution::new();
-            distribution.add(&measured.counts);
-            cell.rounds_p50_us.push(distribution.quantile_us(0.5));
-            cell.all.add(&measured.counts);
-            cell.lost += measured.lost;
+            let measured =
+                run_pair(&program, &job, asking).map_err(|error| format!("{}: {error}", cell.name()))?;
+            let mut times = Distribution::new();
+            times.add(&measured.counts);
+            cell.tally.add(round, &times);
+            cell.tally.lost += measured.lost;
             progress.inc(1);
         }
     }
     progress.finish_and_clear();
     let r2r = r2r.map_or_else(|| format!("r2r LEFT OUT: {}", options.without_r2r), |(_, versions)| versions);
     let versions = format!("iceoryx2 {}, {r2r}", version_of("iceoryx2").unwrap_or("?"));
-    let verdict = report::print(&cells, &disturbance.report(), &versions);
+    let rows = cells.iter().map(Cell::row).collect();
+    let report = report::print(rows, &disturbance.report(), versions)?;
     match &options.json {
-        Some(path) => report::write_json(path, &cells, &verdict, &versions),
+        Some(path) => tautline_benches::write_json(path, &report),
         None => Ok(()),
     }
 }
