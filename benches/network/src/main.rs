@@ -11,14 +11,13 @@
 //! | `rounds` | starts the pairs, merges what they measured |
 //! | `tautline`, `zenoh` | the systems; hiroz's is `benches/network-hiroz` |
 //! | `callbacks` | real-time callbacks, with and without a flood from the network |
-//! | `report`, `verdict` | the tables, the JSON, the ratios that must hold |
+//! | `report` | what is said of the rows |
 
 mod callbacks;
 mod plan;
 mod report;
 mod rounds;
 mod tautline;
-mod verdict;
 mod zenoh;
 
 use std::path::PathBuf;
@@ -130,9 +129,9 @@ fn measure(options: &Options) -> Result<()> {
         flood = Some(arrived);
     }
     let report = Report { rows, flood, disturbance: disturbance.report() };
-    report.print(&plan);
+    report.print(&plan)?;
     match &options.json {
-        Some(path) => report.write_json(path),
+        Some(path) => tautline_benches::write_json(path, &report.rows),
         None => Ok(()),
     }
 }

@@ -28,21 +28,20 @@ pub(super) fn table(run: &Value) -> String {
         });
         out.push('\n');
     }
-    let callbacks = of("callbacks");
-    let p99 = |mode: &str| {
-        let rows =
-            callbacks.iter().filter(|row| row["mode"].as_str().is_some_and(|name| name.starts_with(mode)));
-        rows.map(|row| row["p99_us"].as_f64().map_or("-".into(), |us| format!("{:.2}", us / 1e3)))
+    let p99 = |experiment: &str| {
+        let rows = of(experiment);
+        rows.iter()
+            .map(|row| row["p99_us"].as_f64().map_or("-".into(), |us| format!("{:.2}", us / 1e3)))
             .collect::<Vec<_>>()
             .join(" / ")
     };
-    let arrived = callbacks.iter().find_map(|row| row["mb_per_s"].as_f64()).unwrap_or(0.0);
+    let arrived = of("callbacks/flood").iter().find_map(|row| row["mb_per_s"].as_f64()).unwrap_or(0.0);
     let _ = writeln!(
         out,
         "p99 response times in ms of five real-time callbacks that load a core to 90 %: {} alone, {} while {arrived:.0} MB/s \
          arrive for another topic.",
-        p99("quiet"),
-        p99("flood"),
+        p99("callbacks/quiet"),
+        p99("callbacks/flood"),
     );
     let lost: u64 =
         rows.iter().filter(|row| row["system"] == "tautline").filter_map(|row| row["lost"].as_u64()).sum();
@@ -72,8 +71,8 @@ mod tests {
             row("round-trip", "zenoh", "pub-sub", 1 << 20, 400.0),
             row("round-trip", "tautline", "node-to-node", 64, 50.0),
             row("stream", "zenoh", "window", 64 << 10, 1.0),
-            row("callbacks", "tautline", "quiet a", 0, 2000.0),
-            row("callbacks", "tautline", "flood a", 1 << 20, 2100.0),
+            row("callbacks/quiet", "tautline", "a", 0, 2000.0),
+            row("callbacks/flood", "tautline", "a", 1 << 20, 2100.0),
         ];
         let tables = table(&rows.to_vec().into());
         for line in [
