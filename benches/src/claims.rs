@@ -36,6 +36,11 @@ pub struct Verdict {
 }
 
 impl Verdict {
+    /// Of a claim that needs no reason.
+    pub fn new(claim: impl Into<String>, found: impl Into<String>, holds: Option<bool>) -> Self {
+        Verdict { claim: claim.into(), found: found.into(), holds, reason: None }
+    }
+
     /// In a word.
     pub fn word(&self) -> &'static str {
         match self.holds {

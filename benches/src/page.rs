@@ -6,7 +6,7 @@ use std::fmt::{self, Write};
 use crate::claims::Verdict;
 
 /// Their looks.
-pub const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;color:#222831;max-width:1120px;margin:2em auto;padding:0 1em}\
+const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;color:#222831;max-width:1120px;margin:2em auto;padding:0 1em}\
 h1{font-size:26px;margin-bottom:.2em}h2{font-size:19px;margin:2em 0 .4em}p,li{max-width:68em}\
 figure{margin:1em 0;overflow-x:auto}figcaption{color:#666e7a;font-size:14px;max-width:68em}\
 svg{max-width:100%;height:auto}\

@@ -3,7 +3,7 @@
 
 use std::fmt::Write;
 
-use tautline_benches::page::{STYLE, escape, list};
+use tautline_benches::page::{END, begin, escape, list, verdicts};
 use tautline_paper::Variant;
 
 use crate::Result;
@@ -20,15 +20,14 @@ pub fn page(report: &Report) -> Result<String> {
     let others: Vec<String> =
         variants.iter().filter(|(_, v)| !v.is_ablation()).map(|(n, _)| n.clone()).collect();
     let mut out = String::new();
-    write!(
-        out,
-        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Tautline: the paper's evaluation</title>\
-         <meta name=\"viewport\" content=\"width=device-width\"><style>{STYLE}</style></head><body>\n\
-         <h1>Response times of asynchronous callbacks</h1>\n\
-         <p>The evaluation of <i>A first look at ROS 2 applications written in asynchronous Rust</i> (ECRTS 2025, section 5), \
-         run on Tautline and on r2r.</p>\n"
+    begin(
+        &mut out,
+        "Tautline: the paper's evaluation",
+        "Response times of asynchronous callbacks",
+        "The evaluation of <i>A first look at ROS 2 applications written in asynchronous Rust</i> (ECRTS 2025, section 5), \
+         run on Tautline and on r2r.",
     )?;
-    write_verdicts(&mut out, report)?;
+    verdicts(&mut out, "What holds", &report.verdicts)?;
     if !others.is_empty() {
         out.push_str("<h2>Response times of all variants</h2>\n<figure>\n");
         out.push_str(&p99_bars(&report.rows, &others)?);
@@ -54,7 +53,7 @@ pub fn page(report: &Report) -> Result<String> {
     write_disturbed(&mut out, report)?;
     list(&mut out, "Method", &report.notes.method)?;
     list(&mut out, "Machine and versions", &report.notes.machine)?;
-    out.push_str("</body></html>\n");
+    out.push_str(END);
     Ok(out)
 }
 
@@ -73,21 +72,6 @@ fn variants(rows: &[Row]) -> Vec<(String, Variant)> {
 
 fn is_of_ablation(variant: Variant) -> bool {
     variant.is_ablation() || variant == Variant::FUTURES_RT
-}
-
-fn write_verdicts(out: &mut String, report: &Report) -> Result<()> {
-    out.push_str("<h2>What holds</h2>\n<ul class=\"verdicts\">\n");
-    for verdict in &report.verdicts {
-        let (class, word) = match verdict.holds {
-            Some(true) => ("yes", "holds"),
-            Some(false) => ("no", "differs"),
-            None => ("unknown", "–"),
-        };
-        let (claim, found) = (escape(&verdict.claim), escape(&verdict.found));
-        writeln!(out, "<li><b class=\"{class}\">{word}</b>{claim}: {found}</li>")?;
-    }
-    out.push_str("</ul>\n");
-    Ok(())
 }
 
 fn write_capacity(out: &mut String, report: &Report) -> Result<()> {

@@ -3,6 +3,7 @@
 
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{Cell as TableCell, CellAlignment, Table};
+use tautline_benches::claims::Verdict;
 use tautline_benches::{machine, version_of};
 use tautline_paper::Variant;
 
@@ -11,7 +12,7 @@ use crate::plan::{Experiment, Plan, System};
 use crate::predict;
 use crate::rounds::{CellRuns, Results};
 use crate::stats::{self, Row, counted};
-use crate::verdict::{Verdict, verdicts};
+use crate::verdict::verdicts;
 
 /// Everything that the outputs say.
 pub struct Report {
