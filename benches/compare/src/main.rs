@@ -31,17 +31,14 @@ mod systems;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use clap::Parser;
 use modes::Programs;
 use plan::{Experiment, Plan};
 use report::Report;
-use signal_hook::consts::{SIGINT, SIGTERM};
-use tautline_benches::Disturbance;
+use tautline_benches::{Disturbance, exit, interrupted, two_cores, write, write_json};
 use tautline_exchange::APPLICATION_PRIORITY;
-use tautline_rt::{CoreSet, permission};
+use tautline_rt::permission;
 
 /// What nobody handles but the person who reads it.
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
@@ -106,13 +103,7 @@ fn main() -> ExitCode {
         (_, Some(path)) => show(&options, path),
         _ => measure(&options),
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("compare: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    exit("compare", result)
 }
 
 fn measure(options: &Options) -> Result<()> {
@@ -121,13 +112,8 @@ fn measure(options: &Options) -> Result<()> {
             .map_err(|error| format!("{error} (or measure without: --no-rt)"))?;
     }
     let programs = Programs::new(&options.program, &options.without)?;
-    let plan = Plan::new(options, cores(options)?, programs);
-    let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        // The second one ends at once.
-        signal_hook::flag::register_conditional_shutdown(signal, 130, interrupted.clone())?;
-        signal_hook::flag::register(signal, interrupted.clone())?;
-    }
+    let plan = Plan::new(options, two_cores(options.cores.as_deref())?, programs);
+    let interrupted = interrupted()?;
     // Before minutes are spent on what cannot be written.
     for path in [&options.json, &options.html, &options.svg].into_iter().flatten() {
         let file = std::fs::File::options().create(true).append(true).open(path);
@@ -138,7 +124,7 @@ fn measure(options: &Options) -> Result<()> {
     let report = Report::new(&plan, cells, disturbance.report())?;
     report.print();
     if let Some(path) = &options.json {
-        write(path, &report.json()?)?;
+        write_json(path, &report.rows)?;
     }
     if let Some(path) = &options.html {
         write(path, &html::page(&plan, &report)?)?;
@@ -160,21 +146,4 @@ fn draw(options: &Options, report: &Report) -> Result<()> {
     let Some(path) = &options.svg else { return Ok(()) };
     let picture = figures::latency_by_size(&report.rows, "latency/whole/held-off")?;
     write(path, &picture.ok_or("latencies of several sizes are needed for a picture")?)
-}
-
-fn write(path: &std::path::Path, text: &str) -> Result<()> {
-    std::fs::write(path, text).map_err(|error| format!("cannot write {}: {error}", path.display()).into())
-}
-
-/// The sender's and the receiver's core.
-fn cores(options: &Options) -> Result<[usize; 2]> {
-    let chosen = match &options.cores {
-        Some(cores) => cores.clone(),
-        None => CoreSet::allowed()?.iter().take(2).collect(),
-    };
-    match chosen[..] {
-        [sender, receiver] if sender != receiver => Ok([sender, receiver]),
-        _ => Err(format!("two different cores are needed, there are {chosen:?}: name them with --cores A,B")
-            .into()),
-    }
 }

@@ -87,10 +87,6 @@ impl Report {
         tables.into_iter().filter(|(_, rows)| !rows.is_empty()).collect()
     }
 
-    pub fn json(&self) -> Result<String> {
-        Ok(serde_json::to_string_pretty(&self.rows)? + "\n")
-    }
-
     /// What Tautline could not do: nothing that a rival's row may hide.
     pub fn failure_of_our_own(&self) -> Option<String> {
         (!self.failures.is_empty()).then(|| self.failures.join("\n"))

@@ -5,9 +5,8 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use indicatif::{ProgressBar, ProgressStyle};
 use tautline_benches::rows::{Tally, Wakes, rounded};
-use tautline_benches::{Distribution, Scratch};
+use tautline_benches::{Distribution, Scratch, progress_bar};
 use tautline_exchange::Memory;
 use tautline_rt::IdleHold;
 use tautline_rt::host::steal_ticks;
@@ -174,10 +173,4 @@ fn segments() -> BTreeSet<String> {
         is_fastdds && !name.ends_with("_el") || name.ends_with(".zenoh")
     };
     names.filter(is_segment).collect()
-}
-
-fn progress_bar(steps: u64) -> ProgressBar {
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} of about {duration}  {msg}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(steps).with_style(style)
 }

@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The table, the JSON, and whether aims are met. A miss is printed, never an error: the machine has its part in it.
 
-use crate::{Experiment, Result};
+use crate::Experiment;
 use clap::ValueEnum;
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{Cell, CellAlignment, Table};
 use serde::Serialize;
-use std::path::Path;
 use tautline_benches::{Distribution, Disturbance, machine, version_of};
 
 /// One thing that was measured at one size.
@@ -170,12 +169,6 @@ impl Report {
                 );
             }
         }
-    }
-
-    pub fn write_json(&self, path: &Path) -> Result<()> {
-        let text = serde_json::to_string_pretty(self)?;
-        std::fs::write(path, text + "\n")
-            .map_err(|error| format!("cannot write {}: {error}", path.display()).into())
     }
 }
 

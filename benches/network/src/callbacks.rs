@@ -10,14 +10,14 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use serde_json::Value;
-use tautline_benches::Process;
 use tautline_benches::rows::{Round, Row, Tally};
+use tautline_benches::{Process, progress_bar};
 use tautline_exchange::{Exchange, Job, Line, Measured, Role, Way};
 
 use crate::Result;
 use crate::plan::{FLOOD, Plan, QUIET, System};
 use crate::report::Flood;
-use crate::rounds::{DOMAINS, gateways, progress_bar, start};
+use crate::rounds::{DOMAINS, gateways, start};
 
 /// 500 MB a second.
 const MESSAGE_BYTES: usize = 1 << 20;

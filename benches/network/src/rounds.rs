@@ -5,9 +5,8 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
 use tautline_benches::rows::{Row, Tally, median, rounded};
-use tautline_benches::{Distribution, Gateways, Host, Process};
+use tautline_benches::{Distribution, Gateways, Host, Process, progress_bar};
 use tautline_exchange::{Exchange, Job, Line, Measured, Role, Way};
 
 use crate::Result;
@@ -150,11 +149,4 @@ impl Cell {
         let mb_per_s = median(rates.collect()).filter(|_| exchange != Exchange::RoundTrips).map(rounded);
         Row { throttled: self.throttled, mb_per_s, ..row }
     }
-}
-
-/// A bar for so many steps.
-pub fn progress_bar(steps: u64) -> ProgressBar {
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} of about {duration}  {msg}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(steps).with_style(style)
 }

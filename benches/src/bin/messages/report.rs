@@ -1,15 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The table, the JSON, and what must hold.
 
-use std::fs;
-use std::path::Path;
-
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{Cell, CellAlignment, Table};
 use serde::Serialize;
 use tautline_benches::{machine, version_of};
 
-use crate::Result;
 use crate::cases::{FLOOR, IN_PLACE, OWNED, PUBLISHED_ONLY};
 use crate::rounds::median_ratio;
 
@@ -44,12 +40,6 @@ pub fn print(rows: &[Row], core: usize, disturbance: &str) {
     for line in verdicts(rows) {
         println!("{line}");
     }
-}
-
-/// Writes the rows to `path`.
-pub fn write_json(path: &Path, rows: &[Row]) -> Result<()> {
-    let text = serde_json::to_string_pretty(rows)?;
-    fs::write(path, text + "\n").map_err(|error| format!("cannot write {}: {error}", path.display()).into())
 }
 
 fn table(rows: &[Row]) -> Table {

@@ -141,13 +141,7 @@ fn main() -> ExitCode {
         Some(job) => child::run(job),
         None => measure(&options),
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("services: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    tautline_benches::exit("services", result)
 }
 
 fn measure(options: &Options) -> Result<()> {

@@ -9,11 +9,10 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use tautline_benches::rows::{Row, Tally};
-use tautline_benches::{Distribution, Disturbance, Scratch};
+use tautline_benches::{Distribution, Disturbance, Scratch, progress_bar};
 use tautline_rt::IdleHold;
 use tautline_rt::domain::scope;
 
@@ -39,7 +38,7 @@ pub fn run(plan: &Plan) -> Result<Rows> {
     let mut cells = cells(plan);
     let disturbance = Disturbance::start();
     let mut idle_refused = None;
-    let progress = progress_bar(plan);
+    let progress = progress_bar(plan.runs().into());
     for round in 1..=plan.rounds {
         // To and fro, so that a drift of the machine meets all rivals.
         cells.reverse();
@@ -243,10 +242,4 @@ fn interrupt_on_signal(sender: Sender<Event>) -> Result<()> {
         std::process::exit(130);
     });
     Ok(())
-}
-
-fn progress_bar(plan: &Plan) -> ProgressBar {
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} of about {duration}  {msg}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(plan.runs().into()).with_style(style)
 }
