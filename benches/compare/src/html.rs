@@ -5,7 +5,8 @@ use std::fmt::Write;
 
 use tautline_benches::page::{END, begin, escape, list, verdicts};
 use tautline_benches::rows::Row;
-use tautline_benches::table::{self, short, size};
+use tautline_benches::table::Column::{Text, Words};
+use tautline_benches::table::{Table, of_rows, short, size};
 
 use crate::Result;
 use crate::figures::{Bar, bars, distributions, fan_out, latency_by_size};
@@ -48,20 +49,14 @@ fn write_slower(out: &mut String, report: &Report) -> Result<()> {
     }
     out.push_str(
         "<h2>Where a rival is ahead of Tautline's default, and why</h2>\n<p>The default mode is blocking, for rivals that never \
-         sleep busy-poll; the median of the rounds' ratios, from 1.05 x on.</p>\n<table><tr><th class=\"l\">experiment, payload, \
-         figure</th><th class=\"l\">found</th><th class=\"l\">why it stays</th></tr>\n",
+         sleep busy-poll; the median of the rounds' ratios, from 1.05 x on.</p>\n",
     );
+    let mut table =
+        Table::new(0, [Words("experiment, payload, figure"), Words("found"), Text("why it stays")]);
     for Slower { what, found, reason } in &report.slower {
-        writeln!(
-            out,
-            "<tr><td class=\"l\">{}</td><td class=\"l\">{}</td><td class=\"l\" style=\"white-space:normal\">{}</td></tr>",
-            escape(what),
-            escape(found),
-            escape(reason)
-        )?;
+        table.add([what.into(), found.into(), (*reason).into()]);
     }
-    out.push_str("</table>\n");
-    Ok(())
+    Ok(table.html(out)?)
 }
 
 fn write_figure(out: &mut String, svg: Option<String>, caption: &str) {
@@ -223,23 +218,17 @@ fn write_tables(out: &mut String, report: &Report) -> Result<()> {
     );
     for (title, rows) in report.tables() {
         writeln!(out, "<h3>{title}</h3>")?;
-        table::html(out, &rows)?;
+        of_rows(rows).html(out)?;
     }
     Ok(())
 }
 
 fn write_settings(out: &mut String) -> Result<()> {
-    out.push_str("<h2>Settings of each system</h2>\n<table><tr><th class=\"l\">system</th><th class=\"l\">mode</th><th class=\"l\">settings</th></tr>\n");
-    for mode in MODES {
-        writeln!(
-            out,
-            "<tr><td class=\"l\">{}</td><td class=\"l\">{}</td><td class=\"l\" style=\"white-space:normal\">{}</td></tr>",
-            mode.system,
-            mode.mode,
-            escape(mode.settings)
-        )?;
-    }
-    out.push_str("</table>\n<h2>What others do better</h2>\n<ul>\n");
+    out.push_str("<h2>Settings of each system</h2>\n");
+    let mut table = Table::new(1, [Words("system"), Words("mode"), Text("settings")]);
+    MODES.iter().for_each(|mode| table.add([mode.system.into(), mode.mode.into(), mode.settings.into()]));
+    table.html(out)?;
+    out.push_str("<h2>What others do better</h2>\n<ul>\n");
     for system in SYSTEMS.into_iter().filter(|system| !strengths(system).is_empty()) {
         writeln!(out, "<li><b>{system}</b>: {}</li>", escape(strengths(system)))?;
     }

@@ -3,7 +3,7 @@
 
 use tautline_benches::claims::{Bench, Verdict, verdicts};
 use tautline_benches::rows::{Details, Row, Tally, Wakes, is_enough, rounded};
-use tautline_benches::table::{short, text};
+use tautline_benches::table::{of_rows, short};
 use tautline_benches::{machine, version_of};
 use tautline_exchange::APPLICATION_PRIORITY;
 
@@ -61,7 +61,7 @@ impl Report {
             println!("\n*** measured without real-time priorities: these are not the numbers to compare ***");
         }
         for (title, rows) in self.tables() {
-            println!("\n{title}\n{}", text(&rows));
+            println!("\n{title}\n{}", of_rows(rows));
         }
         println!();
         self.verdicts.iter().for_each(|verdict| println!("{verdict}"));

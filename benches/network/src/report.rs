@@ -39,8 +39,7 @@ impl Report {
         }
         for &experiment in &plan.experiments {
             let is_of = |row: &&Row| experiment.names().contains(&row.experiment.as_str());
-            let rows: Vec<_> = self.rows.iter().filter(is_of).collect();
-            println!("\n{}\n{}", title(experiment), table::text(&rows));
+            println!("\n{}\n{}", title(experiment), table::of_rows(self.rows.iter().filter(is_of)));
         }
         if let Some(flood) = &self.flood {
             println!(

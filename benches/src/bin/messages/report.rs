@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The table, the JSON, and what must hold.
 
-use comfy_table::presets::UTF8_FULL_CONDENSED;
-use comfy_table::{Cell, CellAlignment, Table};
 use serde::Serialize;
+use tautline_benches::table::Column::{Number, Words};
+use tautline_benches::table::Table;
 use tautline_benches::{machine, version_of};
 
 use crate::cases::{FLOOR, IN_PLACE, OWNED, PUBLISHED_ONLY};
@@ -43,24 +43,14 @@ pub fn print(rows: &[Row], core: usize, disturbance: &str) {
 }
 
 fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED);
-    table.set_header(["message", "bytes", "implementation", "n", "p50", "p99", "ratio"]);
-    let mut previous = "";
+    let words = [Words("message"), Number("bytes"), Words("implementation")];
+    let numbers = ["n", "p50", "p99", "ratio"].map(Number);
+    let mut table = Table::new(2, [&words[..], &numbers].concat());
     for row in rows {
-        let first = row.case != previous;
-        previous = row.case;
-        let shown = |text: String| if first { text } else { String::new() };
-        let number = |text: String| Cell::new(text).set_alignment(CellAlignment::Right);
-        table.add_row([
-            Cell::new(shown(row.case.to_owned())),
-            number(shown(row.bytes.to_string())),
-            Cell::new(row.implementation),
-            number(row.n.to_string()),
-            number(format!("{:.3}", row.p50_us)),
-            number(format!("{:.3}", row.p99_us)),
-            number(format!("{:.2}", row.ratio_to_plain_buffer)),
-        ]);
+        let numbers = [format!("{:.3}", row.p50_us), format!("{:.3}", row.p99_us)];
+        let ratio = format!("{:.2}", row.ratio_to_plain_buffer).into();
+        let words = [row.case.into(), row.bytes.into(), row.implementation.into(), row.n.into()];
+        table.add(words.into_iter().chain(numbers.map(Into::into)).chain([ratio]));
     }
     table
 }

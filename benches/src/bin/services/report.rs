@@ -24,7 +24,7 @@ pub struct Report {
 pub fn print(rows: Vec<Row>, disturbance: &str, versions: String) -> Result<Report> {
     let machine = machine();
     println!("Round trips between two processes, both blocking, in µs. {machine}; {disturbance}.");
-    println!("{versions}\n{}\n", table::text(&rows.iter().collect::<Vec<_>>()));
+    println!("{versions}\n{}\n", table::of_rows(&rows));
     let verdicts = verdicts(Bench::Services, &[EXPERIMENT.to_owned()].into(), &rows)?;
     verdicts.iter().for_each(|verdict| println!("{verdict}"));
     Ok(Report { machine, versions, rows, verdicts })

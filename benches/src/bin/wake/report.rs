@@ -36,7 +36,7 @@ pub fn print(plan: &Plan, result: &Rows) -> Result<()> {
         }
         match &result.idle_refused {
             Some(reason) if rows.is_empty() => println!("not measured: {reason}"),
-            _ => println!("{}", table::text(&rows)),
+            _ => println!("{}", table::of_rows(rows)),
         }
     }
     println!();
