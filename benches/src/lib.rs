@@ -24,6 +24,7 @@ mod distribution;
 mod gateways;
 mod machine;
 pub mod page;
+pub mod pair;
 mod process;
 mod program;
 pub mod rows;
