@@ -13,8 +13,7 @@ use crate::table::{bytes_of, short};
 const FILE: &str = include_str!("../claims.toml");
 
 /// A bench whose rows are judged.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[expect(missing_docs, reason = "the names say it")]
 pub enum Bench {
     Compare,
@@ -85,17 +84,20 @@ impl fmt::Display for BadClaims {
 
 impl std::error::Error for BadClaims {}
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
+/// The claims of each bench.
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
 struct File {
-    claim: Vec<Spanned<Entry>>,
+    compare: Vec<Spanned<Entry>>,
+    network: Vec<Spanned<Entry>>,
+    services: Vec<Spanned<Entry>>,
+    wake: Vec<Spanned<Entry>>,
 }
 
 /// A claim as it is written.
 #[derive(Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 struct Entry {
-    bench: Bench,
     words: String,
     #[serde(default)]
     each: Vec<String>,
@@ -179,14 +181,24 @@ struct Claim {
 fn read(text: &str, bench: Bench, experiments: &BTreeSet<String>) -> Result<Vec<Claim>, BadClaims> {
     let file: File = toml::from_str(text).map_err(|error| BadClaims(error.to_string()))?;
     let mut claims = Vec::new();
-    for entry in &file.claim {
-        let line = 1 + text[..entry.span().start].matches('\n').count();
-        let entry = entry.get_ref();
-        let bad =
-            |(field, what): Bad| BadClaims(format!("line {line}, '{field}' of \"{}\": {what}", entry.words));
-        for text in entry.texts().map_err(bad)? {
-            let claim = entry.claim(&text, experiments, entry.bench == bench).map_err(bad)?;
-            claims.extend((entry.bench == bench).then_some(claim));
+    for (of, entries) in [
+        (Bench::Compare, &file.compare),
+        (Bench::Network, &file.network),
+        (Bench::Services, &file.services),
+        (Bench::Wake, &file.wake),
+    ] {
+        // Of the others the experiments are not known, but all else is.
+        let experiments = (of == bench).then_some(experiments);
+        for entry in entries {
+            let line = 1 + text[..entry.span().start].matches('\n').count();
+            let entry = entry.get_ref();
+            let bad = |(field, what): Bad| {
+                BadClaims(format!("line {line}, '{field}' of \"{}\": {what}", entry.words))
+            };
+            for text in entry.texts().map_err(bad)? {
+                let claim = entry.claim(&text, experiments).map_err(bad)?;
+                claims.extend(experiments.map(|_| claim));
+            }
         }
     }
     Ok(claims)
@@ -208,15 +220,17 @@ impl Entry {
         }
     }
 
-    fn claim(&self, text: &str, experiments: &BTreeSet<String>, is_of_bench: bool) -> Result<Claim, Bad> {
+    fn claim(&self, text: &str, experiments: Option<&BTreeSet<String>>) -> Result<Claim, Bad> {
         let rows = |side: &Side| -> Result<Rows, Bad> {
             let put = |words: &String| words.replace("{}", text);
             let names = side.experiment.as_ref().or(self.experiment.as_ref());
             let names =
                 names.ok_or(("experiment", "missing: name it for the claim or for each side".to_owned()))?;
             let names: Vec<String> = names.of().iter().map(put).collect();
-            if let Some(name) = names.iter().find(|name| is_of_bench && !experiments.contains(*name)) {
-                let all: Vec<_> = experiments.iter().map(String::as_str).collect();
+            if let Some(all) = experiments
+                && let Some(name) = names.iter().find(|name| !all.contains(*name))
+            {
+                let all: Vec<_> = all.iter().map(String::as_str).collect();
                 return Err(("experiment", format!("the bench has no '{name}'; it has {}", all.join(", "))));
             }
             let size = side.bytes.as_ref().or(self.bytes.as_ref());

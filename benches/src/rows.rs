@@ -3,8 +3,6 @@
 //!
 //! A machine has slow and fast phases, so rows are compared round by round: rivals run next to each other in each.
 
-use std::fmt;
-
 use serde::{Deserialize, Serialize};
 
 use crate::Distribution;
@@ -161,67 +159,61 @@ impl Row {
     }
 }
 
-/// A number of a row that is compared. Its name is that of the claims' file.
+/// A number of a row that is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(try_from = "String")]
 #[expect(missing_docs, reason = "the names say it")]
 pub enum Metric {
-    #[serde(rename = "p50")]
     P50,
-    #[serde(rename = "p99")]
     P99,
-    #[serde(rename = "p99.9")]
     P999,
-    #[serde(rename = "CPU time")]
     CpuTime,
-    #[serde(rename = "memory")]
     Memory,
-    /// Of a stream, from one message to the next, in µs.
-    #[serde(rename = "time per message")]
+    /// Of a stream, from one message to the next.
     Interval,
-    /// Of a stream, in MB/s.
-    #[serde(rename = "rate")]
+    /// Of a stream.
     Rate,
-    /// Of a start, in µs: one each round.
-    #[serde(rename = "time")]
+    /// Of a start: one time each round.
     Start,
-    #[serde(rename = "sampler wakes")]
     SamplerWakes,
-    #[serde(rename = "other wakes")]
     OtherWakes,
-    #[serde(rename = "steal")]
     Steal,
+}
+
+/// Each with its name, as in the claims' file, and the unit of its numbers.
+const METRICS: [(Metric, &str, &str); 11] = [
+    (Metric::P50, "p50", "µs"),
+    (Metric::P99, "p99", "µs"),
+    (Metric::P999, "p99.9", "µs"),
+    (Metric::CpuTime, "CPU time", "µs"),
+    (Metric::Memory, "memory", "MiB"),
+    (Metric::Interval, "time per message", "µs"),
+    (Metric::Rate, "rate", "MB/s"),
+    (Metric::Start, "time", "µs"),
+    (Metric::SamplerWakes, "sampler wakes", "wakes of the sampler per message"),
+    (Metric::OtherWakes, "other wakes", "wakes of the process's other threads per message, in sum"),
+    (Metric::Steal, "steal", "ticks of 10 ms of steal"),
+];
+
+impl TryFrom<String> for Metric {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        let named = METRICS.iter().find(|(_, other, _)| *other == name);
+        let names = || METRICS.map(|(_, name, _)| name).join(", ");
+        named.map(|named| named.0).ok_or_else(|| format!("no metric '{name}'; there are {}", names()))
+    }
 }
 
 impl Metric {
     /// As in the claims' file.
     pub fn name(self) -> &'static str {
-        match self {
-            Metric::P50 => "p50",
-            Metric::P99 => "p99",
-            Metric::P999 => "p99.9",
-            Metric::CpuTime => "CPU time",
-            Metric::Memory => "memory",
-            Metric::Interval => "time per message",
-            Metric::Rate => "rate",
-            Metric::Start => "time",
-            Metric::SamplerWakes => "sampler wakes",
-            Metric::OtherWakes => "other wakes",
-            Metric::Steal => "steal",
-        }
+        METRICS[self as usize].1
     }
 
     /// What stands behind a number of it.
     pub fn unit(self) -> &'static str {
-        match self {
-            Metric::P50 | Metric::P99 | Metric::P999 | Metric::CpuTime | Metric::Interval | Metric::Start => {
-                "µs"
-            }
-            Metric::Memory => "MiB",
-            Metric::Rate => "MB/s",
-            Metric::SamplerWakes => "wakes of the sampler per message",
-            Metric::OtherWakes => "wakes of the process's other threads per message, in sum",
-            Metric::Steal => "ticks of 10 ms of steal",
-        }
+        METRICS[self as usize].2
     }
 
     /// Of a round; whether it has enough times for it is another question.
@@ -418,8 +410,14 @@ impl Compared {
     }
 }
 
-impl fmt::Display for Metric {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_metric_has_its_own_name() {
+        for (at, (metric, name, _)) in METRICS.into_iter().enumerate() {
+            assert_eq!((metric as usize, Metric::try_from(name.to_owned())), (at, Ok(metric)));
+        }
     }
 }

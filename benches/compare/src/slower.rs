@@ -128,7 +128,7 @@ fn beside(rows: &[Row], row: &Row, metric: Metric, system: &str, is_polling: boo
         found += &format!(", {} {}", other.mode, figure.text(other));
     }
     let reason = reason(row, &name, metric);
-    let what = format!("{}, {}, {}", row.experiment, size(row.payload_bytes), metric);
+    let what = format!("{}, {}, {}", row.experiment, size(row.payload_bytes), metric.name());
     Some(Slower { what, found, reason })
 }
 

@@ -28,7 +28,7 @@ fn experiments() -> BTreeSet<String> {
 /// A claim about rows of 64 B, with these lines more.
 fn claim(lines: &str) -> String {
     format!(
-        "[[claim]]\nbench = 'wake'\nwords = 'it is fast'\nexperiment = '{HELD}'\nbytes = '64 B'\nours = {{ system = 'tautline' }}\n\
+        "[[wake]]\nwords = 'it is fast'\nexperiment = '{HELD}'\nbytes = '64 B'\nours = {{ system = 'tautline' }}\n\
          {lines}\n"
     )
 }
@@ -128,9 +128,9 @@ fn one_entry_is_a_claim_for_each_text() {
 #[test]
 fn a_bad_file_says_where_and_what_would_be_right() {
     for (lines, words) in [
-        (FASTER.replace("metric", "metrik"), vec!["line 7", "unknown field `metrik`", "`metric`"]),
-        (FASTER.replace("p50", "p51"), vec!["line 7", "unknown variant `p51`", "`p50`"]),
-        (FASTER.replace("1.0", "'1.0'"), vec!["line 9", "invalid type: string"]),
+        (FASTER.replace("metric", "metrik"), vec!["line 6", "unknown field `metrik`", "`metric`"]),
+        (FASTER.replace("p50", "p51"), vec!["line 6", "no metric 'p51'", "p50, p99"]),
+        (FASTER.replace("1.0", "'1.0'"), vec!["line 8", "invalid type: string"]),
         (FASTER.replace("at-most", "at-least = { times = 1 }\nat-most"), vec!["line 1, 'at-most'", "either"]),
         (FASTER.replace("times", "number"), vec!["line 1, 'theirs'", "leave 'theirs' out"]),
         ("metric = 'p50'\nat-most = { times = 1 }".to_owned(), vec!["line 1, 'theirs'", "missing"]),
@@ -145,7 +145,7 @@ fn a_bad_file_says_where_and_what_would_be_right() {
     let unknown = refusal(&format!("{whole}{}", whole.replace(HELD, "latency/hole")));
     assert!(
         unknown.contains(
-            "line 10, 'experiment' of \"it is fast\": the bench has no 'latency/hole'; it has latency/whole"
+            "line 9, 'experiment' of \"it is fast\": the bench has no 'latency/hole'; it has latency/whole"
         ),
         "{unknown}"
     );
@@ -154,5 +154,5 @@ fn a_bad_file_says_where_and_what_would_be_right() {
         refusal(&whole.replace("experiment =", "# ")).contains("'experiment' of \"it is fast\": missing")
     );
     assert!(refusal(&whole.replace("it is fast", "as {}")).contains("no 'each' says"));
-    assert!(refusal(&whole.replace("'wake'", "'wape'")).contains("unknown variant `wape`"));
+    assert!(refusal(&whole.replace("[wake]", "[wape]")).contains("unknown field `wape`"));
 }
