@@ -4,6 +4,7 @@
 use crate::Experiment;
 use clap::ValueEnum;
 use serde::Serialize;
+use tautline_benches::claims::Verdict;
 use tautline_benches::table::Column::{Number, Words};
 use tautline_benches::table::{Cell, Table};
 use tautline_benches::{Distribution, Disturbance, machine, version_of};
@@ -152,21 +153,15 @@ impl Report {
         println!();
         for row in &self.rows {
             if let Some(aim) = &row.aim {
-                let word = if aim.is_met { "holds" } else { "MISSED" };
                 let number = match aim.of {
                     "p99" => row.p99.unwrap_or(f64::NAN),
                     "max" => row.max.unwrap_or(f64::NAN),
                     _ => row.p50,
                 };
                 let size = if row.size == 0 { String::new() } else { format!(" {}", row.size) };
-                println!(
-                    "{word:7} {}{size}: {}: {} {}, at most {}",
-                    row.experiment,
-                    row.what,
-                    shown(number),
-                    row.unit,
-                    shown(aim.at_most)
-                );
+                let claim = format!("{}{size}: {}", row.experiment, row.what);
+                let found = format!("{} {}, at most {}", shown(number), row.unit, shown(aim.at_most));
+                println!("{}", Verdict::new(claim, found, Some(aim.is_met)));
             }
         }
     }

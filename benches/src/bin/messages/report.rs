@@ -2,6 +2,7 @@
 //! The table, the JSON, and what must hold.
 
 use serde::Serialize;
+use tautline_benches::claims::Verdict;
 use tautline_benches::table::Column::{Number, Words};
 use tautline_benches::table::Table;
 use tautline_benches::{machine, version_of};
@@ -37,9 +38,7 @@ pub fn print(rows: &[Row], core: usize, disturbance: &str) {
     );
     println!("one process; µs per message; ratio to filling and reading a plain buffer of the same size");
     println!("{}", table(rows));
-    for line in verdicts(rows) {
-        println!("{line}");
-    }
+    verdicts(rows).iter().for_each(|verdict| println!("{verdict}"));
 }
 
 fn table(rows: &[Row]) -> Table {
@@ -56,8 +55,8 @@ fn table(rows: &[Row]) -> Table {
 }
 
 /// What must hold between the rows of a run. A miss is printed, never an error: the machine has its part in it.
-fn verdicts(rows: &[Row]) -> Vec<String> {
-    let mut lines = Vec::new();
+fn verdicts(rows: &[Row]) -> Vec<Verdict> {
+    let mut verdicts = Vec::new();
     let mut cases: Vec<_> = rows.iter().map(|row| row.case).collect();
     cases.dedup();
     for case in cases {
@@ -66,8 +65,8 @@ fn verdicts(rows: &[Row]) -> Vec<String> {
         let rivals = || rows.iter().filter(|row| row.case == case && row.implementation.contains("cdr"));
         let large = find(PUBLISHED_ONLY).is_some();
         let mut judge = |claim: String, measured: f64, most: f64| {
-            let word = if measured <= most { "holds" } else { "MISSED" };
-            lines.push(format!("{word:7} {case}: {claim}: {measured:.3}, at most {most:.3}"));
+            let found = format!("{measured:.3}, at most {most:.3}");
+            verdicts.push(Verdict::new(format!("{case}: {claim}"), found, Some(measured <= most)));
         };
         if large && let Some(row) = find(IN_PLACE) {
             judge(format!("{IN_PLACE} / {FLOOR}"), row.ratio_to_plain_buffer, 1.1);
@@ -79,5 +78,5 @@ fn verdicts(rows: &[Row]) -> Vec<String> {
             judge(format!("{ours} / {}", rival.implementation), ratio, most);
         }
     }
-    lines
+    verdicts
 }
