@@ -46,14 +46,17 @@ pub fn interrupted() -> Result<Arc<AtomicBool>> {
 ///
 /// If there are not two.
 pub fn two_cores(named: Option<&[usize]>) -> Result<[usize; 2]> {
-    let chosen = match named {
-        Some(cores) => cores.to_vec(),
-        None => CoreSet::allowed()?.iter().take(2).collect(),
+    let allowed;
+    let (chosen, wanted) = match named {
+        Some(named) => (named, "--cores takes two different cores, not"),
+        None => {
+            allowed = CoreSet::allowed()?.iter().take(2).collect::<Vec<_>>();
+            (&allowed[..], "two cores are needed, this process may use")
+        }
     };
-    match chosen[..] {
+    match *chosen {
         [one, other] if one != other => Ok([one, other]),
-        _ => Err(format!("two different cores are needed, there are {chosen:?}: name them with --cores A,B")
-            .into()),
+        _ => Err(format!("{wanted} {chosen:?}").into()),
     }
 }
 
