@@ -46,17 +46,14 @@ pub fn interrupted() -> Result<Arc<AtomicBool>> {
 ///
 /// If there are not two.
 pub fn two_cores(named: Option<&[usize]>) -> Result<[usize; 2]> {
-    let allowed;
-    let (chosen, wanted) = match named {
-        Some(named) => (named, "--cores takes two different cores, not"),
-        None => {
-            allowed = CoreSet::allowed()?.iter().take(2).collect::<Vec<_>>();
-            (&allowed[..], "two cores are needed, this process may use")
-        }
+    let chosen = match named {
+        Some(named) => named.to_vec(),
+        None => CoreSet::allowed()?.iter().take(2).collect(),
     };
-    match *chosen {
+    match chosen[..] {
         [one, other] if one != other => Ok([one, other]),
-        _ => Err(format!("{wanted} {chosen:?}").into()),
+        _ if named.is_some() => Err(format!("--cores takes two different cores, not {chosen:?}").into()),
+        _ => Err(format!("two cores are needed, this process may use {chosen:?}").into()),
     }
 }
 

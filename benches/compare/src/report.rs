@@ -101,15 +101,17 @@ fn missing(system: &str, mode: &str, reason: &str) -> Row {
 fn row(cell: &Cell, plan: &Plan) -> Row {
     let Cell { case, tally, .. } = cell;
     let is_there = !tally.times.is_empty();
-    let per_message = |ns: u64| rounded(ns as f64 / 1e3 / cell.messages.max(1) as f64);
+    let per_message = |ns: u64| rounded(ns as f64 / 1e3 / cell.total.messages.max(1) as f64);
     let is_start = matches!(case.task, Task::Start { .. });
     let row = tally.row(case.experiment(), case.mode.system, case.mode.mode, case.payload_bytes);
     let rare = |time: Option<f64>, quantile| time.filter(|_| is_enough(row.n, quantile));
     Row {
         p99_us: rare(row.p99_us, 0.99),
         p999_us: rare(row.p999_us, 0.999),
-        cpu_us_per_msg: (is_there && !is_start && cell.cpu_ns > 0).then(|| per_message(cell.cpu_ns)),
-        rss_mib: (is_there && cell.memory.kib > 0).then(|| rounded(cell.memory.kib as f64 / 1024.0)),
+        cpu_us_per_msg: (is_there && !is_start && cell.total.cpu_ns > 0)
+            .then(|| per_message(cell.total.cpu_ns)),
+        rss_mib: (is_there && cell.total.memory.kib > 0)
+            .then(|| rounded(cell.total.memory.kib as f64 / 1024.0)),
         note: note(cell),
         unfit: unfit(cell, plan),
         details: is_there.then(|| details(cell)),
@@ -132,10 +134,10 @@ fn unfit(cell: &Cell, plan: &Plan) -> Option<String> {
 fn details(cell: &Cell) -> Details {
     Details {
         times: cell.tally.times.clone(),
-        messages_per_s: cell.messages as f64 / cell.seconds.max(1e-9),
-        cpu_share: cell.cpu_ns as f64 / 1e9 / cell.seconds.max(1e-9),
+        messages_per_s: cell.total.messages as f64 / cell.total.seconds.max(1e-9),
+        cpu_share: cell.total.cpu_ns as f64 / 1e9 / cell.total.seconds.max(1e-9),
         steal_ticks: cell.steal_ticks,
-        wakes: cell.wakes,
+        wakes: cell.total.wakes,
     }
 }
 
@@ -151,7 +153,7 @@ fn note(cell: &Cell) -> String {
     if cell.tally.times.is_empty() {
         return words.join("; ");
     }
-    let rate = cell.messages as f64 / cell.seconds.max(1e-9);
+    let rate = cell.total.messages as f64 / cell.total.seconds.max(1e-9);
     match cell.case.task {
         Task::Stream => {
             let gb_per_s = rate * cell.case.payload_bytes as f64 / 1e9;
@@ -162,13 +164,13 @@ fn note(cell: &Cell) -> String {
             words.push(format!("{rate:.0} messages/s, {gb_per_s:.3} GB/s, {loss}"));
         }
         Task::Paced { .. } if cell.case.experiment == Experiment::Robot => {
-            let percent = cell.cpu_ns as f64 / 1e7 / cell.seconds.max(1e-9);
+            let percent = cell.total.cpu_ns as f64 / 1e7 / cell.total.seconds.max(1e-9);
             words.push(format!("{percent:.1} % of a core for all processes"));
         }
         _ => {}
     }
     let is_ours = cell.case.experiment == Experiment::FanOut && cell.case.mode.system == "tautline";
-    if let Some(wakes) = cell.wakes.filter(|_| is_ours) {
+    if let Some(wakes) = cell.total.wakes.filter(|_| is_ours) {
         let Wakes { sampler, others } = wakes;
         words.push(format!(
             "per message a receiver's sampler woke {sampler:.2} times, its other threads {others:.2} times in sum"
@@ -178,14 +180,17 @@ fn note(cell: &Cell) -> String {
         let rounds: Vec<_> = cell.tally.rounds.iter().map(|round| format!("{:.1}", round.p50_us)).collect();
         words.push(format!("p50 of the rounds {}", rounds.join(", ")));
     }
-    if cell.late > 0 {
-        words.push(format!("{} sent late: stamped with the time at which they were due", cell.late));
+    if cell.total.late > 0 {
+        words.push(format!("{} sent late: stamped with the time at which they were due", cell.total.late));
     }
-    if cell.refused > 0 {
-        words.push(format!("{} not taken from the sender", cell.refused));
+    if cell.total.refused > 0 {
+        words.push(format!("{} not taken from the sender", cell.total.refused));
     }
-    if cell.memory.shared_kib > 0 {
-        words.push(format!("{} MiB of the memory are shared", short(cell.memory.shared_kib as f64 / 1024.0)));
+    if cell.total.memory.shared_kib > 0 {
+        words.push(format!(
+            "{} MiB of the memory are shared",
+            short(cell.total.memory.shared_kib as f64 / 1024.0)
+        ));
     }
     words.push(format!("steal {} ticks", cell.steal_ticks));
     words.join("; ")

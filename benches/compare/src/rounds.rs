@@ -5,9 +5,8 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use tautline_benches::rows::{Tally, Wakes, rounded};
+use tautline_benches::rows::{Tally, rounded};
 use tautline_benches::{Distribution, Scratch, progress_bar};
-use tautline_exchange::Memory;
 use tautline_rt::IdleHold;
 use tautline_rt::host::steal_ticks;
 
@@ -21,14 +20,8 @@ pub struct Cell {
     pub case: Case,
     /// Of the rounds that did not fail.
     pub tally: Tally,
-    pub cpu_ns: u64,
-    pub messages: u64,
-    pub seconds: f64,
-    /// The most of a round.
-    pub memory: Memory,
-    pub late: u64,
-    pub refused: u64,
-    pub wakes: Option<Wakes>,
+    /// Of them all but their times and losses, added up; of memory the most of a round.
+    pub total: Found,
     pub steal_ticks: u64,
     /// Why idle states were as shipped where they should not have been.
     pub idle_refused: Option<String>,
@@ -41,13 +34,7 @@ impl Cell {
         Cell {
             case,
             tally: Tally::default(),
-            cpu_ns: 0,
-            messages: 0,
-            seconds: 0.0,
-            memory: Memory::default(),
-            late: 0,
-            refused: 0,
-            wakes: None,
+            total: Found::default(),
             steal_ticks: 0,
             idle_refused: None,
             failures: Vec::new(),
@@ -63,15 +50,16 @@ impl Cell {
         of_round.msgs_per_s = (found.seconds > 0.0).then(|| rounded(found.messages as f64 / found.seconds));
         of_round.rss_mib = (found.memory.kib > 0).then(|| rounded(found.memory.kib as f64 / 1024.0));
         self.tally.lost += found.lost;
-        self.cpu_ns += found.cpu_ns;
-        self.messages += found.messages;
-        self.seconds += found.seconds;
-        if found.memory.kib > self.memory.kib {
-            self.memory = found.memory;
+        let total = &mut self.total;
+        total.cpu_ns += found.cpu_ns;
+        total.messages += found.messages;
+        total.seconds += found.seconds;
+        if found.memory.kib > total.memory.kib {
+            total.memory = found.memory;
         }
-        self.late += found.late;
-        self.refused += found.refused;
-        self.wakes = found.wakes.or(self.wakes);
+        total.late += found.late;
+        total.refused += found.refused;
+        total.wakes = found.wakes.or(total.wakes);
     }
 }
 
