@@ -244,3 +244,15 @@ fn notes(plan: &Plan, disturbance: String) -> Vec<String> {
         format!("load: {LOAD}"),
     ]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_claim_is_about_an_experiment_that_there_is() {
+        let verdicts = Report::of_rows(Vec::new()).map(|report| report.verdicts).unwrap();
+        assert_eq!(verdicts.len(), 33);
+        assert!(verdicts.iter().all(|verdict| verdict.found == "not measured"));
+    }
+}

@@ -2,7 +2,7 @@
 //! What is said of the rows.
 
 use clap::ValueEnum;
-use tautline_benches::claims::{Bench, verdicts};
+use tautline_benches::claims::{Bench, Verdict, verdicts};
 use tautline_benches::rows::Row;
 use tautline_benches::{machine, table, version_of};
 use tautline_exchange::{APPLICATION_PRIORITY, NETWORK_PRIORITY};
@@ -48,11 +48,14 @@ impl Report {
             );
         }
         println!();
-        let names = Experiment::value_variants().iter().flat_map(|experiment| experiment.names());
-        let names = names.map(|&name| name.to_owned()).collect();
-        verdicts(Bench::Network, &names, &self.rows)?.iter().for_each(|verdict| println!("{verdict}"));
+        judge(&self.rows)?.iter().for_each(|verdict| println!("{verdict}"));
         Ok(())
     }
+}
+
+fn judge(rows: &[Row]) -> Result<Vec<Verdict>> {
+    let names = Experiment::value_variants().iter().flat_map(|experiment| experiment.names());
+    Ok(verdicts(Bench::Network, &names.map(|&name| name.to_owned()).collect(), rows)?)
 }
 
 fn conditions(plan: &Plan) -> String {
@@ -83,4 +86,16 @@ fn versions() -> String {
     let hiroz = include_str!("../../network-hiroz/Cargo.toml");
     let hiroz = hiroz.split_once("hiroz = \"=").and_then(|(_, rest)| rest.split('"').next()).unwrap_or("?");
     format!("tautline {}, zenoh {}, hiroz {hiroz}", version("tautline"), version("zenoh"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_claim_is_about_an_experiment_that_there_is() {
+        let verdicts = judge(&[]).unwrap();
+        assert_eq!(verdicts.len(), 17);
+        assert!(verdicts.iter().all(|verdict| verdict.found == "not measured"));
+    }
 }

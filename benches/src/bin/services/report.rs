@@ -29,3 +29,15 @@ pub fn print(rows: Vec<Row>, disturbance: &str, versions: String) -> Result<Repo
     verdicts.iter().for_each(|verdict| println!("{verdict}"));
     Ok(Report { machine, versions, rows, verdicts })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_claim_is_about_an_experiment_that_there_is() {
+        let verdicts = print(Vec::new(), "", String::new()).map(|report| report.verdicts).unwrap();
+        assert_eq!(verdicts.len(), 2);
+        assert!(verdicts.iter().all(|verdict| verdict.found == "not measured"));
+    }
+}

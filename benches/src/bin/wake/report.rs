@@ -50,3 +50,15 @@ fn versions() -> String {
     let version = |package| version_of(package).unwrap_or("?");
     format!("tautline {}, iceoryx2 {}", version("tautline"), version("iceoryx2"))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_claim_is_about_an_experiment_that_there_is() {
+        let verdicts = verdicts(Bench::Wake, &Idle::experiments(), &[]).unwrap();
+        assert_eq!(verdicts.len(), 7);
+        assert!(verdicts.iter().all(|verdict| verdict.found == "not measured"));
+    }
+}
