@@ -58,11 +58,11 @@ pub struct Round {
     pub p50_us: f64,
     pub p99_us: f64,
     pub p999_us: f64,
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cpu_us_per_msg: Option<f64>,
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub msgs_per_s: Option<f64>,
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rss_mib: Option<f64>,
 }
 
