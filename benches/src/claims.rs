@@ -295,10 +295,12 @@ impl Rows {
 
 impl Claim {
     fn judge(&self, rows: &[Row]) -> Verdict {
-        let (found, holds) = match &self.theirs {
-            Some((theirs, by)) => self.compare(rows, &theirs.of(rows), *by),
-            None => self.alone(rows),
+        let ours = self.ours.of(rows);
+        let (mut found, holds) = match &self.theirs {
+            Some((theirs, by)) => self.compare(rows, &ours, &theirs.of(rows), *by),
+            None => self.alone(&ours),
         };
+        found += &ours.first().map_or(String::new(), |row| self.beside(row));
         let reason = self.reason.clone().filter(|_| holds == Some(false));
         Verdict { claim: self.words.clone(), found, holds, reason }
     }
@@ -312,9 +314,9 @@ impl Claim {
     }
 
     /// The best of ours beside the best of theirs. What is not fit to be compared never counts for us.
-    fn compare(&self, rows: &[Row], theirs: &[&Row], by: By) -> (String, Option<bool>) {
+    fn compare(&self, rows: &[Row], ours: &[&Row], theirs: &[&Row], by: By) -> (String, Option<bool>) {
         let figure = self.figure;
-        let (fit_ours, unfit_ours) = figure.sort(&self.ours.of(rows));
+        let (fit_ours, unfit_ours) = figure.sort(ours);
         let (fit_theirs, unfit_theirs) = figure.sort(theirs);
         let (Some(us), Some(them)) = (figure.best(&fit_ours), figure.best(&fit_theirs)) else {
             return (missing([("ours", fit_ours, unfit_ours), ("theirs", fit_theirs, unfit_theirs)]), None);
@@ -344,7 +346,6 @@ impl Claim {
                 None
             }
         };
-        found += &self.beside(us);
         let floor = self.floor.as_ref().map(|floor| floor.of(rows)).unwrap_or_default();
         if let [floor] = floor[..]
             && let Some(compared) = Compared::of(floor, them, figure, by)
@@ -357,8 +358,8 @@ impl Claim {
     }
 
     /// The best of ours by itself.
-    fn alone(&self, rows: &[Row]) -> (String, Option<bool>) {
-        let (fit, unfit) = self.figure.sort(&self.ours.of(rows));
+    fn alone(&self, ours: &[&Row]) -> (String, Option<bool>) {
+        let (fit, unfit) = self.figure.sort(ours);
         let Some((row, number)) =
             self.figure.best(&fit).and_then(|row| Some((row, self.figure.median(row)?)))
         else {
@@ -366,8 +367,7 @@ impl Claim {
         };
         let unit = self.figure.metric.unit();
         let (bound, limit) = (self.bound(), self.limit);
-        let mut found = format!("{number:.2} {unit}, {bound} {limit:.2} ({}, {})", row.mode, row.experiment);
-        found += &self.beside(row);
+        let found = format!("{number:.2} {unit}, {bound} {limit:.2} ({}, {})", row.mode, row.experiment);
         (found, Some(self.is_within(number)))
     }
 
