@@ -31,8 +31,8 @@ impl Column {
     fn class(self) -> &'static str {
         match self {
             Number(_) => "",
-            Words(_) => "l",
-            Text(_) => "l w",
+            Words(_) => " class=\"l\"",
+            Text(_) => " class=\"l w\"",
         }
     }
 }
@@ -91,15 +91,15 @@ impl Table {
     pub fn html(&self, out: &mut String) -> fmt::Result {
         out.push_str("<div class=\"scroll\"><table><tr>");
         for column in &self.columns {
-            write!(out, "<th class=\"{}\">{}</th>", column.class(), column.title())?;
+            write!(out, "<th{}>{}</th>", column.class(), column.title())?;
         }
         out.push_str("</tr>\n");
         for (at, cells) in self.rows.iter().enumerate() {
             let is_first = self.shared > 0 && self.repeated(at) < self.shared;
             out.push_str(if is_first { "<tr class=\"first\">" } else { "<tr>" });
             for (column, Cell { text, is_bad }) in self.columns.iter().zip(cells) {
-                let class = if *is_bad { "late" } else { column.class() };
-                write!(out, "<td class=\"{class}\">{}</td>", escape(text))?;
+                let class = if *is_bad { " class=\"late\"" } else { column.class() };
+                write!(out, "<td{class}>{}</td>", escape(text))?;
             }
             out.push_str("</tr>\n");
         }
