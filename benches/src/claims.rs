@@ -224,6 +224,7 @@ impl Entry {
         let rows = |side: &Side| -> Result<Rows, Bad> {
             let put = |words: &String| words.replace("{}", text);
             let names = side.experiment.as_ref().or(self.experiment.as_ref());
+            let names = names.filter(|names| !names.of().is_empty());
             let names =
                 names.ok_or(("experiment", "missing: name it for the claim or for each side".to_owned()))?;
             let names: Vec<String> = names.of().iter().map(put).collect();

@@ -153,6 +153,8 @@ fn a_bad_file_says_where_and_what_would_be_right() {
     assert!(
         refusal(&whole.replace("experiment =", "# ")).contains("'experiment' of \"it is fast\": missing")
     );
+    let nowhere = whole.replace(&format!("'{HELD}'"), "[]");
+    assert!(refusal(&nowhere).contains("'experiment' of \"it is fast\": missing"));
     assert!(refusal(&whole.replace("it is fast", "as {}")).contains("no 'each' says"));
     assert!(refusal(&whole.replace("[wake]", "[wape]")).contains("unknown field `wape`"));
 }
