@@ -15,22 +15,29 @@
 //! | `trace` | what a trace event costs, recorded and not |
 //!
 //! A measurement runs its rivals in alternating rounds of one run, on pinned cores, and states percentiles, counts and
-//! the machine. Absolute times belong to the machine; ratios within a run are what is compared.
+//! the machine. Absolute times belong to the machine; ratios within a run are what is compared: `rows` has the one form of what was
+//! measured, `claims.toml` what must hold, `claims` judges it, `table` and `page` show it.
 
 pub mod canvas;
+pub mod claims;
 mod distribution;
 mod gateways;
 mod machine;
 pub mod page;
+pub mod pair;
 mod process;
+mod program;
+pub mod rows;
 mod scratch;
 mod stage;
+pub mod table;
 mod turns;
 
 pub use distribution::Distribution;
 pub use gateways::{Gateways, Host};
 pub use machine::{Disturbance, machine, version_of};
 pub use process::Process;
+pub use program::{exit, interrupted, progress_bar, two_cores, write, write_json};
 pub use scratch::Scratch;
 pub use stage::Stage;
 pub use turns::{Turns, print_no_verdict, print_verdict};

@@ -201,7 +201,7 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
     }
 
     /// Ends the process and returns what it wrote to standard error in the end.
-    fn last_words(&mut self) -> String {
+    pub(crate) fn last_words(&mut self) -> String {
         if !end(&mut self.child) {
             return "it was killed, and does not end".to_owned();
         }

@@ -156,89 +156,52 @@ enum Verb {
     Stress(Stress),
 }
 
+/// Of a bench that is asked for nothing else.
+#[derive(clap::Args)]
+struct Plain {
+    /// Fewer and shorter rounds
+    #[arg(long)]
+    quick: bool,
+    /// Write the numbers to FILE as well
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Passed on: see `-- --help`
+    #[arg(last = true)]
+    arguments: Vec<String>,
+}
+
+impl Plain {
+    fn command(&self, name: &str) -> Command {
+        let mut command = bench(Build::Release, name, self.quick, self.json.as_deref());
+        command.args(&self.arguments);
+        command
+    }
+
+    fn run(&self, name: &str) -> ExitCode {
+        steps::run(&mut self.command(name))
+    }
+}
+
 #[derive(Subcommand)]
 enum Bench {
-    /// What overruns of one callback do to the deadlines of others, if they are counted and if they are demoted
-    Budgets {
-        /// A twentieth of the runs: half a minute
-        #[arg(long)]
-        quick: bool,
-        /// Write the numbers to FILE as well
-        #[arg(long, value_name = "FILE")]
-        json: Option<PathBuf>,
-    },
-    /// How late the event of a missed deadline is with 200 topics on a sampler, beside a timer and a bare sleep
-    Deadlines {
-        /// Fewer and shorter rounds: some seconds
-        #[arg(long)]
-        quick: bool,
-        /// Write the numbers to FILE as well
-        #[arg(long, value_name = "FILE")]
-        json: Option<PathBuf>,
-    },
-    /// What a domain of many processes, topics and ends costs: idle, looked at, joined, under load
-    Domain {
-        /// Fewer processes and topics: a minute and a half
-        #[arg(long)]
-        quick: bool,
-        /// Write the numbers to FILE as well
-        #[arg(long, value_name = "FILE")]
-        json: Option<PathBuf>,
-        /// Passed on: see --help there
-        #[arg(last = true)]
-        arguments: Vec<String>,
-    },
-    /// What reading a parameter costs a callback, and whether a thread that sets parameters disturbs it
-    Parameters {
-        /// Fewer rounds: some seconds
-        #[arg(long)]
-        quick: bool,
-        /// Write the numbers to FILE as well
-        #[arg(long, value_name = "FILE")]
-        json: Option<PathBuf>,
-    },
-    /// Whether a publisher notices that `taut topic hz`, `taut top` or `taut topic echo` looks at its topic
-    Tools {
-        /// Fewer rounds: some seconds
-        #[arg(long)]
-        quick: bool,
-        /// Write the numbers to FILE as well
-        #[arg(long, value_name = "FILE")]
-        json: Option<PathBuf>,
-    },
-    /// What a trace event costs, recorded and not
-    Trace {
-        /// Fewer rounds: a second
-        #[arg(long)]
-        quick: bool,
-        /// Write the numbers to FILE as well
-        #[arg(long, value_name = "FILE")]
-        json: Option<PathBuf>,
-    },
-    /// The wake-up from one process to another, beside a bare futex and iceoryx2
-    Wake {
-        /// Fewer payloads and rounds: under a minute
-        #[arg(long)]
-        quick: bool,
-        /// Write the numbers to FILE as well
-        #[arg(long, value_name = "FILE")]
-        json: Option<PathBuf>,
-        /// Passed on: see `cargo xtask bench wake -- --help`
-        #[arg(last = true)]
-        arguments: Vec<String>,
-    },
-    /// Writing, publishing and reading messages, beside a plain buffer and other encoders
-    Messages {
-        /// Fewer rounds: some seconds
-        #[arg(long)]
-        quick: bool,
-        /// Write the numbers to FILE as well
-        #[arg(long, value_name = "FILE")]
-        json: Option<PathBuf>,
-        /// Passed on: see `cargo xtask bench messages -- --help`
-        #[arg(last = true)]
-        arguments: Vec<String>,
-    },
+    /// What overruns of one callback do to the deadlines of others, if they are counted and if they are demoted; half a minute with --quick
+    Budgets(Plain),
+    /// How late the event of a missed deadline is with 200 topics on a sampler, beside a timer and a bare sleep; some seconds with --quick
+    Deadlines(Plain),
+    /// What a domain of many processes, topics and ends costs: idle, looked at, joined, under load;
+    /// a minute and a half with --quick
+    Domain(Plain),
+    /// What reading a parameter costs a callback, and whether a thread that sets parameters disturbs it; some seconds
+    /// with --quick
+    Parameters(Plain),
+    /// Whether a publisher notices that `taut topic hz`, `taut top` or `taut topic echo` looks at its topic; some seconds with --quick
+    Tools(Plain),
+    /// What a trace event costs, recorded and not; a second with --quick
+    Trace(Plain),
+    /// The wake-up from one process to another, beside a bare futex and iceoryx2; under a minute with --quick
+    Wake(Plain),
+    /// Writing, publishing and reading messages, beside a plain buffer and other encoders; some seconds with --quick
+    Messages(Plain),
     /// Tautline beside Fast DDS, iceoryx2 and others: latency, load, fan-out, throughput, start-up
     Compare(compare::Options),
     /// Topics over two gateways beside plain Zenoh and hiroz, and what a flood from the network costs local callbacks
@@ -323,33 +286,17 @@ fn main() -> ExitCode {
         Verb::Peers => peers::run(),
         Verb::R2r => programs::run(),
         Verb::R2rTests => r2r_tests::run(),
-        Verb::Bench(Bench::Wake { quick, json, arguments }) => {
-            steps::run(bench(Build::Release, "wake", quick, json.as_deref()).args(arguments))
-        }
-        Verb::Bench(Bench::Messages { quick, json, arguments }) => {
-            steps::run(bench(Build::Release, "messages", quick, json.as_deref()).args(arguments))
-        }
+        Verb::Bench(Bench::Wake(plain)) => plain.run("wake"),
+        Verb::Bench(Bench::Messages(plain)) => plain.run("messages"),
         Verb::Bench(Bench::Services(options)) => services::run(&options),
-        Verb::Bench(Bench::Budgets { quick, json }) => {
-            steps::run(&mut bench(Build::Release, "budgets", quick, json.as_deref()))
-        }
-        Verb::Bench(Bench::Deadlines { quick, json }) => {
-            steps::run(&mut bench(Build::Release, "deadlines", quick, json.as_deref()))
-        }
-        Verb::Bench(Bench::Domain { quick, json, arguments }) => {
+        Verb::Bench(Bench::Budgets(plain)) => plain.run("budgets"),
+        Verb::Bench(Bench::Deadlines(plain)) => plain.run("deadlines"),
+        Verb::Bench(Bench::Domain(Plain { quick, json, arguments })) => {
             steps::run(&mut bench_domain(Build::Release, quick, json.as_deref(), &arguments))
         }
-        Verb::Bench(Bench::Parameters { quick, json }) => {
-            steps::run(&mut bench(Build::Release, "parameters", quick, json.as_deref()))
-        }
-        Verb::Bench(Bench::Tools { quick, json }) => {
-            let mut steps = Steps::new();
-            bench_tools(&mut steps, quick, json.as_deref());
-            steps.finish()
-        }
-        Verb::Bench(Bench::Trace { quick, json }) => {
-            steps::run(&mut bench(Build::Release, "trace", quick, json.as_deref()))
-        }
+        Verb::Bench(Bench::Parameters(plain)) => plain.run("parameters"),
+        Verb::Bench(Bench::Tools(plain)) => bench_tools(&plain),
+        Verb::Bench(Bench::Trace(plain)) => plain.run("trace"),
         Verb::Bench(Bench::Compare(options)) => compare::run(&options),
         Verb::Bench(Bench::Network(options)) => network::run(&options),
         Verb::Bench(Bench::Bridge(options)) => bridge::bench(&options),
@@ -415,10 +362,12 @@ fn bench_domain(build: Build, quick: bool, json: Option<&std::path::Path>, argum
 }
 
 /// With the `taut` of this build.
-fn bench_tools(steps: &mut Steps, quick: bool, json: Option<&std::path::Path>) {
+fn bench_tools(plain: &Plain) -> ExitCode {
+    let mut steps = Steps::new();
     if steps.command("bench: tools: build", &mut steps::cargo("build --release -p taut")) {
-        steps.command("bench: tools", &mut bench(Build::Release, "tools", quick, json));
+        steps.command("bench: tools", &mut plain.command("tools"));
     }
+    steps.finish()
 }
 
 fn bench(build: Build, name: &str, quick: bool, json: Option<&std::path::Path>) -> Command {

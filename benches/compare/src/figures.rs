@@ -3,9 +3,10 @@
 
 use plotters::style::{RGBColor, WHITE};
 use tautline_benches::canvas::{Align, Canvas, FAINT, GRID, INK, Words};
+use tautline_benches::rows::Row;
+use tautline_benches::table::{short, size};
 
 use crate::Result;
-use crate::report::{Row, payload, short};
 
 const LEFT: i32 = 70;
 const WIDTH: i32 = 720;
@@ -51,7 +52,7 @@ pub struct Line {
 impl Line {
     /// Of a system; its modes differ by their dashes.
     fn of(row: &Row, points: Vec<(f64, f64)>, turn: usize) -> Self {
-        let label = format!("{} {}", row.system, row.mode);
+        let label = row.name();
         Line { label, colour: colour(&row.system), dash: DASHES[turn % DASHES.len()], points }
     }
 }
@@ -94,7 +95,7 @@ pub fn latency_by_size(rows: &[Row], experiment: &str) -> Result<Option<String>>
     if lines.is_empty() || sizes.len() < 2 {
         return Ok(None);
     }
-    let marks = sizes.iter().map(|&bytes| (bytes as f64, payload(bytes))).collect();
+    let marks = sizes.iter().map(|&bytes| (bytes as f64, size(bytes))).collect();
     let x = Axis { title: "payload", marks, is_log: true };
     let times = lines.iter().flat_map(|line| line.points.iter().map(|point| point.1));
     chart(&lines, &x, &Axis { title: "half a round trip, p50", ..Axis::decades(times) }).map(Some)
@@ -166,7 +167,7 @@ fn lines_of(rows: &[Row], experiment: &str, point: impl Fn(&Row) -> Option<(f64,
 }
 
 fn add_point(lines: &mut Vec<Line>, row: &Row, point: (f64, f64)) {
-    let label = format!("{} {}", row.system, row.mode);
+    let label = row.name();
     match lines.iter_mut().find(|line| line.label == label) {
         Some(line) => line.points.push(point),
         None => {
@@ -277,7 +278,7 @@ pub struct Bar {
 impl Bar {
     /// Of a row's number.
     pub fn new(row: &Row, value: f64, spread: Option<(f64, f64)>) -> Self {
-        let label = format!("{} {}", row.system, row.mode);
+        let label = row.name();
         Bar { label, system: row.system.clone(), value, spread, text: short(value) }
     }
 }
@@ -327,9 +328,9 @@ pub fn bars(title: &str, bars: &[Bar], end: Option<f64>) -> Result<Option<String
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::Details;
-    use crate::verdict::tests::row;
+    use crate::slower::tests::row;
     use tautline_benches::Distribution;
+    use tautline_benches::rows::Details;
 
     #[test]
     fn every_line_and_every_bar_has_its_label() {

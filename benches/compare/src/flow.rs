@@ -5,12 +5,13 @@ use std::fs;
 use std::time::{Duration, Instant};
 
 use tautline_benches::Process;
+use tautline_benches::rows::Wakes;
 use tautline_exchange::{Line, Measured, Memory, to_the_last};
 use tautline_rt::clock::monotonic_ns;
 
 use crate::Result;
 use crate::load::Load;
-use crate::pair::{Found, PATIENCE, Setup, Wakes, measured};
+use crate::pair::{Found, PATIENCE, Setup, measured};
 use crate::plan::{Case, Task};
 
 impl Setup<'_> {

@@ -3,30 +3,32 @@
 
 use std::fmt::Write;
 
-use tautline_benches::page::{STYLE, escape, list};
+use tautline_benches::page::{END, begin, escape, list, verdicts};
+use tautline_benches::rows::Row;
+use tautline_benches::table::Column::{Text, Words};
+use tautline_benches::table::{Table, of_rows, short, size};
 
 use crate::Result;
 use crate::figures::{Bar, bars, distributions, fan_out, latency_by_size};
 use crate::load::LOAD;
 use crate::modes::{MODES, SYSTEMS, strengths};
 use crate::plan::Plan;
-use crate::report::{Report, Row, payload, short};
+use crate::report::Report;
 use crate::slower::Slower;
 
 /// The page.
 pub fn page(plan: &Plan, report: &Report) -> Result<String> {
     let mut out = String::new();
-    write!(
-        out,
-        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Tautline beside other middleware</title>\
-         <meta name=\"viewport\" content=\"width=device-width\"><style>{STYLE}</style></head><body>\n\
-         <h1>Tautline beside other middleware</h1>\n<p>One run of all systems on one machine: absolute times belong to it, \
-         ratios within the run are what is compared.</p>\n"
+    begin(
+        &mut out,
+        "Tautline beside other middleware",
+        "Tautline beside other middleware",
+        "One run of all systems on one machine: absolute times belong to it, ratios within the run are what is compared.",
     )?;
     if !report.is_realtime {
         out.push_str("<p class=\"late\">Measured without real-time priorities: these are not the numbers to compare.</p>\n");
     }
-    write_verdicts(&mut out, report)?;
+    verdicts(&mut out, "What must hold", &report.verdicts)?;
     write_slower(&mut out, report)?;
     write_latency(&mut out, report)?;
     write_bars(&mut out, report)?;
@@ -37,25 +39,8 @@ pub fn page(plan: &Plan, report: &Report) -> Result<String> {
     if plan.quick {
         out.push_str("<p>A quick run: fewer payloads, rounds and messages than a full one.</p>\n");
     }
-    out.push_str("</body></html>\n");
+    out.push_str(END);
     Ok(out)
-}
-
-fn write_verdicts(out: &mut String, report: &Report) -> Result<()> {
-    out.push_str("<h2>What must hold</h2>\n<ul class=\"verdicts\">\n");
-    for verdict in &report.verdicts {
-        let (class, word) = match verdict.holds {
-            Some(true) => ("yes", "met"),
-            Some(false) => ("no", "MISSED"),
-            None => ("unknown", "–"),
-        };
-        let (claim, found) = (escape(&verdict.claim), escape(&verdict.found));
-        let reason =
-            verdict.reason.map_or(String::new(), |reason| format!("; why it stays: {}", escape(reason)));
-        writeln!(out, "<li><b class=\"{class}\">{word}</b>{claim}: {found}{reason}</li>")?;
-    }
-    out.push_str("</ul>\n");
-    Ok(())
 }
 
 fn write_slower(out: &mut String, report: &Report) -> Result<()> {
@@ -64,20 +49,14 @@ fn write_slower(out: &mut String, report: &Report) -> Result<()> {
     }
     out.push_str(
         "<h2>Where a rival is ahead of Tautline's default, and why</h2>\n<p>The default mode is blocking, for rivals that never \
-         sleep busy-poll; the median of the rounds' ratios, from 1.05 x on.</p>\n<table><tr><th class=\"l\">experiment, payload, \
-         figure</th><th class=\"l\">found</th><th class=\"l\">why it stays</th></tr>\n",
+         sleep busy-poll; the median of the rounds' ratios, from 1.05 x on.</p>\n",
     );
+    let mut table =
+        Table::new(0, [Words("experiment, payload, figure"), Words("found"), Text("why it stays")]);
     for Slower { what, found, reason } in &report.slower {
-        writeln!(
-            out,
-            "<tr><td class=\"l\">{}</td><td class=\"l\">{}</td><td class=\"l\" style=\"white-space:normal\">{}</td></tr>",
-            escape(what),
-            escape(found),
-            escape(reason)
-        )?;
+        table.add([what.into(), found.into(), (*reason).into()]);
     }
-    out.push_str("</table>\n");
-    Ok(())
+    Ok(table.html(out)?)
 }
 
 fn write_figure(out: &mut String, svg: Option<String>, caption: &str) {
@@ -112,7 +91,7 @@ fn write_latency(out: &mut String, report: &Report) -> Result<()> {
     out.push_str("<h2>Distributions</h2>\n");
     for bytes in [64, 1 << 20] {
         let caption =
-            format!("Half round trips of {}, written and read whole, idle states held off.", payload(bytes));
+            format!("Half round trips of {}, written and read whole, idle states held off.", size(bytes));
         let axis = "half a round trip";
         write_figure(out, distributions(rows, "latency/whole/held-off", bytes, axis)?, &caption);
     }
@@ -238,53 +217,18 @@ fn write_tables(out: &mut String, report: &Report) -> Result<()> {
          subscriptions, in µs; memory: resident, of all processes, what they share counts once.</p>\n",
     );
     for (title, rows) in report.tables() {
-        write!(
-            out,
-            "<h3>{title}</h3>\n<div class=\"scroll\"><table><tr><th class=\"l\">experiment</th><th>payload</th>\
-             <th class=\"l\">system</th><th class=\"l\">mode</th><th>n</th><th>p50</th><th>p99</th><th>p99.9</th><th>max</th>\
-             <th>lost</th><th>CPU µs</th><th>MiB</th><th class=\"l\">note</th></tr>\n"
-        )?;
-        let mut previous = None;
-        for row in rows {
-            let first =
-                if previous == Some((&row.experiment, row.payload_bytes)) { "" } else { " class=\"first\"" };
-            previous = Some((&row.experiment, row.payload_bytes));
-            write!(
-                out,
-                "<tr{first}><td class=\"l\">{}</td><td>{}</td><td class=\"l\">{}</td><td class=\"l\">{}</td><td>{}</td>",
-                escape(&row.experiment),
-                payload(row.payload_bytes),
-                row.system,
-                row.mode,
-                row.n
-            )?;
-            for number in [row.p50_us, row.p99_us, row.p999_us, row.max_us] {
-                write!(out, "<td>{}</td>", number.map_or(String::new(), short))?;
-            }
-            let lost = if row.lost > 0 { " class=\"late\"" } else { "" };
-            write!(out, "<td{lost}>{}</td>", row.lost)?;
-            for number in [row.cpu_us_per_msg, row.rss_mib] {
-                write!(out, "<td>{}</td>", number.map_or(String::new(), short))?;
-            }
-            writeln!(out, "<td class=\"l\">{}</td></tr>", escape(&row.note))?;
-        }
-        out.push_str("</table></div>\n");
+        writeln!(out, "<h3>{title}</h3>")?;
+        of_rows(rows).html(out)?;
     }
     Ok(())
 }
 
 fn write_settings(out: &mut String) -> Result<()> {
-    out.push_str("<h2>Settings of each system</h2>\n<table><tr><th class=\"l\">system</th><th class=\"l\">mode</th><th class=\"l\">settings</th></tr>\n");
-    for mode in MODES {
-        writeln!(
-            out,
-            "<tr><td class=\"l\">{}</td><td class=\"l\">{}</td><td class=\"l\" style=\"white-space:normal\">{}</td></tr>",
-            mode.system,
-            mode.mode,
-            escape(mode.settings)
-        )?;
-    }
-    out.push_str("</table>\n<h2>What others do better</h2>\n<ul>\n");
+    out.push_str("<h2>Settings of each system</h2>\n");
+    let mut table = Table::new(1, [Words("system"), Words("mode"), Text("settings")]);
+    MODES.iter().for_each(|mode| table.add([mode.system.into(), mode.mode.into(), mode.settings.into()]));
+    table.html(out)?;
+    out.push_str("<h2>What others do better</h2>\n<ul>\n");
     for system in SYSTEMS.into_iter().filter(|system| !strengths(system).is_empty()) {
         writeln!(out, "<li><b>{system}</b>: {}</li>", escape(strengths(system)))?;
     }

@@ -14,7 +14,7 @@
 //! | `load` | what disturbs the measurement under load |
 //! | `systems` | the systems that this binary runs itself |
 //! | `report` | the tables, the JSON |
-//! | `ratios`, `verdict`, `slower` | figures of rivals compared, the ratios that must hold, where a rival is ahead and why |
+//! | `slower` | where a rival is ahead and why |
 //! | `html`, `figures` | the page |
 
 mod figures;
@@ -24,26 +24,21 @@ mod load;
 mod modes;
 mod pair;
 mod plan;
-mod ratios;
 mod report;
 mod rounds;
 mod slower;
 mod systems;
-mod verdict;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use clap::Parser;
 use modes::Programs;
 use plan::{Experiment, Plan};
 use report::Report;
-use signal_hook::consts::{SIGINT, SIGTERM};
-use tautline_benches::Disturbance;
+use tautline_benches::{Disturbance, exit, interrupted, two_cores, write, write_json};
 use tautline_exchange::APPLICATION_PRIORITY;
-use tautline_rt::{CoreSet, permission};
+use tautline_rt::permission;
 
 /// What nobody handles but the person who reads it.
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
@@ -108,13 +103,7 @@ fn main() -> ExitCode {
         (_, Some(path)) => show(&options, path),
         _ => measure(&options),
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("compare: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    exit("compare", result)
 }
 
 fn measure(options: &Options) -> Result<()> {
@@ -123,13 +112,8 @@ fn measure(options: &Options) -> Result<()> {
             .map_err(|error| format!("{error} (or measure without: --no-rt)"))?;
     }
     let programs = Programs::new(&options.program, &options.without)?;
-    let plan = Plan::new(options, cores(options)?, programs);
-    let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        // The second one ends at once.
-        signal_hook::flag::register_conditional_shutdown(signal, 130, interrupted.clone())?;
-        signal_hook::flag::register(signal, interrupted.clone())?;
-    }
+    let plan = Plan::new(options, two_cores(options.cores.as_deref())?, programs);
+    let interrupted = interrupted()?;
     // Before minutes are spent on what cannot be written.
     for path in [&options.json, &options.html, &options.svg].into_iter().flatten() {
         let file = std::fs::File::options().create(true).append(true).open(path);
@@ -137,10 +121,10 @@ fn measure(options: &Options) -> Result<()> {
     }
     let disturbance = Disturbance::start();
     let cells = rounds::run(&plan, &interrupted)?;
-    let report = Report::new(&plan, cells, disturbance.report());
+    let report = Report::new(&plan, cells, disturbance.report())?;
     report.print();
     if let Some(path) = &options.json {
-        write(path, &report.json()?)?;
+        write_json(path, &report.rows)?;
     }
     if let Some(path) = &options.html {
         write(path, &html::page(&plan, &report)?)?;
@@ -153,7 +137,7 @@ fn measure(options: &Options) -> Result<()> {
 /// Shows an earlier run.
 fn show(options: &Options, path: &std::path::Path) -> Result<()> {
     let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
-    let report = Report::of_rows(serde_json::from_str(&text)?);
+    let report = Report::of_rows(serde_json::from_str(&text)?)?;
     report.print();
     draw(options, &report)
 }
@@ -162,21 +146,4 @@ fn draw(options: &Options, report: &Report) -> Result<()> {
     let Some(path) = &options.svg else { return Ok(()) };
     let picture = figures::latency_by_size(&report.rows, "latency/whole/held-off")?;
     write(path, &picture.ok_or("latencies of several sizes are needed for a picture")?)
-}
-
-fn write(path: &std::path::Path, text: &str) -> Result<()> {
-    std::fs::write(path, text).map_err(|error| format!("cannot write {}: {error}", path.display()).into())
-}
-
-/// The sender's and the receiver's core.
-fn cores(options: &Options) -> Result<[usize; 2]> {
-    let chosen = match &options.cores {
-        Some(cores) => cores.clone(),
-        None => CoreSet::allowed()?.iter().take(2).collect(),
-    };
-    match chosen[..] {
-        [sender, receiver] if sender != receiver => Ok([sender, receiver]),
-        _ => Err(format!("two different cores are needed, there are {chosen:?}: name them with --cores A,B")
-            .into()),
-    }
 }

@@ -7,6 +7,7 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
+use tautline_benches::rows::Wakes;
 use tautline_benches::{Gateways, Host, Process, Scratch};
 use tautline_exchange::{Exchange, FutexPair, FutexRing, Job, Line, Measured, Memory, PEERS, Role, Way};
 
@@ -81,15 +82,6 @@ pub struct Found {
     pub refused: u64,
     /// Of a receiver.
     pub wakes: Option<Wakes>,
-}
-
-/// How often the threads of a process stopped waiting, per message that it was sent.
-#[derive(Clone, Copy, Debug)]
-pub struct Wakes {
-    /// Its main thread, which is Tautline's sampler.
-    pub sampler: f64,
-    /// All others together.
-    pub others: f64,
 }
 
 impl Setup<'_> {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is measured.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use clap::ValueEnum;
@@ -65,38 +66,54 @@ pub struct Case {
 impl Case {
     /// The experiment with its settings, as in the JSON.
     pub fn experiment(&self) -> String {
-        let idle = match self.idle {
-            Idle::AsShipped => "as-shipped",
-            Idle::HeldOff => "held-off",
-        };
-        match self.task {
-            Task::RoundTrips { whole } => {
-                format!("latency/{}/{idle}", if whole { "whole" } else { "untouched" })
-            }
-            Task::Paced { is_loaded, .. } if self.experiment == Experiment::OpenLoop => {
-                format!("open-loop/{}/{idle}", if is_loaded { "load" } else { "quiet" })
-            }
-            Task::Paced { processes, subscribers, .. } if self.experiment == Experiment::FanOut => {
-                match processes {
-                    1 => format!("fan-out/one-process/{idle}/{subscribers}"),
-                    _ => format!("fan-out/processes/{idle}/{processes}"),
-                }
-            }
-            Task::Paced { rate, topics, at_once, .. } => {
-                let how = if at_once { "/at-once" } else { "" };
-                format!("robot/{topics}x{}Hz{how}/{idle}", rate / topics as f64)
-            }
-            Task::Stream => format!("throughput/{idle}"),
-            Task::Start { is_late_joiner: true, .. } => format!("start-up/late-joiner/{idle}"),
-            Task::Start { topics: 1, .. } => format!("start-up/first-message/{idle}"),
-            Task::Start { topics, .. } => format!("start-up/{topics}-topics/{idle}"),
-        }
+        name(self.experiment, self.task, self.idle)
     }
 
     /// The whole, for messages.
     pub fn name(&self) -> String {
         format!("{} {}, {}, {} B", self.mode.system, self.mode.mode, self.experiment(), self.payload_bytes)
     }
+}
+
+fn name(experiment: Experiment, task: Task, idle: Idle) -> String {
+    let idle = match idle {
+        Idle::AsShipped => "as-shipped",
+        Idle::HeldOff => "held-off",
+    };
+    match task {
+        Task::RoundTrips { whole } => {
+            format!("latency/{}/{idle}", if whole { "whole" } else { "untouched" })
+        }
+        Task::Paced { is_loaded, .. } if experiment == Experiment::OpenLoop => {
+            format!("open-loop/{}/{idle}", if is_loaded { "load" } else { "quiet" })
+        }
+        Task::Paced { processes, subscribers, .. } if experiment == Experiment::FanOut => match processes {
+            1 => format!("fan-out/one-process/{idle}/{subscribers}"),
+            _ => format!("fan-out/processes/{idle}/{processes}"),
+        },
+        Task::Paced { rate, topics, at_once, .. } => {
+            let how = if at_once { "/at-once" } else { "" };
+            format!("robot/{topics}x{}Hz{how}/{idle}", rate / topics as f64)
+        }
+        Task::Stream => format!("throughput/{idle}"),
+        Task::Start { is_late_joiner: true, .. } => format!("start-up/late-joiner/{idle}"),
+        Task::Start { topics: 1, .. } => format!("start-up/first-message/{idle}"),
+        Task::Start { topics, .. } => format!("start-up/{topics}-topics/{idle}"),
+    }
+}
+
+/// The names of all experiments, whatever is chosen of them.
+pub fn experiments() -> BTreeSet<String> {
+    let extents = [Extent::Smoke, Extent::Quick, Extent::Full];
+    let of_experiment = |experiment: &Experiment| {
+        let of_setting = |setting: Setting| name(*experiment, setting.task, setting.idle);
+        extents
+            .into_iter()
+            .flat_map(|extent| settings(*experiment, extent))
+            .map(of_setting)
+            .collect::<Vec<_>>()
+    };
+    Experiment::value_variants().iter().flat_map(of_experiment).collect()
 }
 
 /// Everything that is measured.
@@ -184,15 +201,18 @@ struct Setting {
     rounds: u32,
 }
 
-fn of_experiment(experiment: Experiment, extent: Extent, modes: &[&'static Mode]) -> Vec<Case> {
-    let settings = match experiment {
+fn settings(experiment: Experiment, extent: Extent) -> Vec<Setting> {
+    match experiment {
         Experiment::Latency => latency(extent),
         Experiment::OpenLoop => open_loop(extent),
         Experiment::FanOut => fan_out(extent),
         Experiment::Robot => robot(extent),
         Experiment::Throughput => throughput(extent),
         Experiment::StartUp => start_up(extent),
-    };
+    }
+}
+
+fn of_experiment(experiment: Experiment, extent: Extent, modes: &[&'static Mode]) -> Vec<Case> {
     let case = |setting: &Setting, mode| Case {
         experiment,
         task: setting.task,
@@ -205,7 +225,7 @@ fn of_experiment(experiment: Experiment, extent: Extent, modes: &[&'static Mode]
     let of_setting = |setting: &Setting| -> Vec<Case> {
         modes.iter().filter(|mode| takes_part(mode, setting)).map(|mode| case(setting, mode)).collect()
     };
-    settings.iter().flat_map(of_setting).collect()
+    settings(experiment, extent).iter().flat_map(of_setting).collect()
 }
 
 fn takes_part(mode: &Mode, setting: &Setting) -> bool {

@@ -1,85 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The tables and the JSON.
 
-use comfy_table::presets::UTF8_FULL_CONDENSED;
-use comfy_table::{Cell as TableCell, CellAlignment, Table};
-use serde::{Deserialize, Serialize};
-use tautline_benches::{Distribution, machine, version_of};
+use tautline_benches::claims::{Bench, Verdict, verdicts};
+use tautline_benches::rows::{Details, Row, Tally, Wakes, is_enough, rounded};
+use tautline_benches::table::{of_rows, short};
+use tautline_benches::{machine, version_of};
 use tautline_exchange::APPLICATION_PRIORITY;
 
 use crate::Result;
 use crate::load::LOAD;
 use crate::modes::NOT_JOINED;
-use crate::pair::Wakes;
-use crate::plan::{Experiment, Plan, Task};
-use crate::ratios::is_enough;
+use crate::plan::{Experiment, Plan, Task, experiments};
 use crate::rounds::Cell;
 use crate::slower::{Slower, slower};
-use crate::verdict::{Verdict, verdicts};
-
-/// A line of the result. Times are `None` where nothing was measured; the note says why.
-#[derive(Debug, Serialize, Deserialize)]
-pub struct Row {
-    pub experiment: String,
-    pub system: String,
-    pub mode: String,
-    pub payload_bytes: usize,
-    pub n: u64,
-    pub p50_us: Option<f64>,
-    pub p99_us: Option<f64>,
-    pub p999_us: Option<f64>,
-    pub max_us: Option<f64>,
-    pub lost: u64,
-    /// Of the sending and the receiving together.
-    pub cpu_us_per_msg: Option<f64>,
-    /// Of all processes; what they share counts once.
-    pub rss_mib: Option<f64>,
-    pub note: String,
-    /// Rivals run next to each other in each: what is compared.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub rounds: Vec<Round>,
-    /// Why the row must not be compared with others.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub unfit: Option<String>,
-    #[serde(skip)]
-    pub details: Option<Details>,
-}
-
-/// What a round found.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Round {
-    /// From 1.
-    pub round: u32,
-    pub n: u64,
-    pub p50_us: f64,
-    pub p99_us: f64,
-    pub p999_us: f64,
-    pub cpu_us_per_msg: Option<f64>,
-    #[serde(default)]
-    pub msgs_per_s: Option<f64>,
-    #[serde(default)]
-    pub rss_mib: Option<f64>,
-}
-
-impl Row {
-    /// Least and most of a figure of the rounds.
-    pub fn spread(&self, figure: impl Fn(&Round) -> Option<f64>) -> Option<(f64, f64)> {
-        let mut figures = self.rounds.iter().filter_map(figure);
-        let first = figures.next()?;
-        Some(figures.fold((first, first), |(least, most), figure| (least.min(figure), most.max(figure))))
-    }
-}
-
-/// What the page shows beside.
-#[derive(Debug)]
-pub struct Details {
-    pub times: Distribution,
-    pub messages_per_s: f64,
-    /// CPU time of all processes per second.
-    pub cpu_share: f64,
-    pub steal_ticks: u64,
-    pub wakes: Option<Wakes>,
-}
 
 /// The result of a run.
 pub struct Report {
@@ -94,7 +27,7 @@ pub struct Report {
 }
 
 impl Report {
-    pub fn new(plan: &Plan, cells: Vec<Cell>, disturbance: String) -> Self {
+    pub fn new(plan: &Plan, cells: Vec<Cell>, disturbance: String) -> Result<Self> {
         let ours = cells.iter().filter(|cell| cell.case.mode.system == "tautline");
         let of_cell = |cell: &Cell| {
             let name = cell.case.name();
@@ -110,15 +43,15 @@ impl Report {
         for (system, mode, reason) in NOT_JOINED.iter().filter(|(system, ..)| plan.is_wanted(system)) {
             rows.push(missing(system, mode, reason));
         }
-        let (verdicts, slower) = (verdicts(&rows), slower(&rows));
         let machine = notes(plan, disturbance);
-        Report { rows, verdicts, slower, machine, is_realtime: plan.realtime, failures }
+        Ok(Report { machine, is_realtime: plan.realtime, failures, ..Report::of_rows(rows)? })
     }
 
     /// Of an earlier run.
-    pub fn of_rows(rows: Vec<Row>) -> Self {
-        let (verdicts, slower) = (verdicts(&rows), slower(&rows));
-        Report { rows, verdicts, slower, machine: Vec::new(), is_realtime: true, failures: Vec::new() }
+    pub fn of_rows(rows: Vec<Row>) -> Result<Self> {
+        let verdicts = verdicts(Bench::Compare, &experiments(), &rows)?;
+        let (slower, machine, failures) = (slower(&rows), Vec::new(), Vec::new());
+        Ok(Report { rows, verdicts, slower, machine, is_realtime: true, failures })
     }
 
     /// Prints the machine, a table per experiment and what must hold.
@@ -128,7 +61,7 @@ impl Report {
             println!("\n*** measured without real-time priorities: these are not the numbers to compare ***");
         }
         for (title, rows) in self.tables() {
-            println!("\n{title}\n{}", table(&rows));
+            println!("\n{title}\n{}", of_rows(rows));
         }
         println!();
         self.verdicts.iter().for_each(|verdict| println!("{verdict}"));
@@ -154,10 +87,6 @@ impl Report {
         tables.into_iter().filter(|(_, rows)| !rows.is_empty()).collect()
     }
 
-    pub fn json(&self) -> Result<String> {
-        Ok(serde_json::to_string_pretty(&self.rows)? + "\n")
-    }
-
     /// What Tautline could not do: nothing that a rival's row may hide.
     pub fn failure_of_our_own(&self) -> Option<String> {
         (!self.failures.is_empty()).then(|| self.failures.join("\n"))
@@ -165,62 +94,28 @@ impl Report {
 }
 
 fn missing(system: &str, mode: &str, reason: &str) -> Row {
-    Row {
-        experiment: "-".to_owned(),
-        system: system.to_owned(),
-        mode: mode.to_owned(),
-        payload_bytes: 0,
-        n: 0,
-        p50_us: None,
-        p99_us: None,
-        p999_us: None,
-        max_us: None,
-        lost: 0,
-        cpu_us_per_msg: None,
-        rss_mib: None,
-        note: format!("not measured: {reason}"),
-        rounds: Vec::new(),
-        unfit: None,
-        details: None,
-    }
+    let note = format!("not measured: {reason}");
+    Row { note, ..Tally::default().row("-", system, mode, 0) }
 }
 
 fn row(cell: &Cell, plan: &Plan) -> Row {
-    let Cell { case, times, .. } = cell;
-    let is_there = !times.is_empty();
-    let time = |quantile| is_there.then(|| round(times.quantile_us(quantile)));
-    let rare = |quantile| time(quantile).filter(|_| is_enough(times.len(), quantile));
-    let per_message = |ns: u64| round(ns as f64 / 1e3 / cell.messages.max(1) as f64);
+    let Cell { case, tally, .. } = cell;
+    let is_there = !tally.times.is_empty();
+    let per_message = |ns: u64| rounded(ns as f64 / 1e3 / cell.total.messages.max(1) as f64);
     let is_start = matches!(case.task, Task::Start { .. });
+    let row = tally.row(case.experiment(), case.mode.system, case.mode.mode, case.payload_bytes);
+    let rare = |time: Option<f64>, quantile| time.filter(|_| is_enough(row.n, quantile));
     Row {
-        experiment: case.experiment(),
-        system: case.mode.system.to_owned(),
-        mode: case.mode.mode.to_owned(),
-        payload_bytes: case.payload_bytes,
-        n: times.len(),
-        p50_us: time(0.5),
-        p99_us: rare(0.99),
-        p999_us: rare(0.999),
-        max_us: is_there.then(|| round(times.max_us())),
-        lost: cell.lost,
-        cpu_us_per_msg: (is_there && !is_start && cell.cpu_ns > 0).then(|| per_message(cell.cpu_ns)),
-        rss_mib: (is_there && cell.memory.kib > 0).then(|| round(cell.memory.kib as f64 / 1024.0)),
+        p99_us: rare(row.p99_us, 0.99),
+        p999_us: rare(row.p999_us, 0.999),
+        cpu_us_per_msg: (is_there && !is_start && cell.total.cpu_ns > 0)
+            .then(|| per_message(cell.total.cpu_ns)),
+        rss_mib: (is_there && cell.total.memory.kib > 0)
+            .then(|| rounded(cell.total.memory.kib as f64 / 1024.0)),
         note: note(cell),
-        rounds: cell.rounds.iter().map(rounded).collect(),
         unfit: unfit(cell, plan),
         details: is_there.then(|| details(cell)),
-    }
-}
-
-fn rounded(of: &Round) -> Round {
-    Round {
-        p50_us: round(of.p50_us),
-        p99_us: round(of.p99_us),
-        p999_us: round(of.p999_us),
-        cpu_us_per_msg: of.cpu_us_per_msg.map(round),
-        msgs_per_s: of.msgs_per_s.map(round),
-        rss_mib: of.rss_mib.map(round),
-        ..*of
+        ..row
     }
 }
 
@@ -232,33 +127,33 @@ fn unfit(cell: &Cell, plan: &Plan) -> Option<String> {
     if cell.idle_refused.is_some() {
         return Some("was measured while idle states were not held off".to_owned());
     }
-    let (failed, all) = (cell.failures.len(), cell.failures.len() + cell.rounds.len());
+    let (failed, all) = (cell.failures.len(), cell.failures.len() + cell.tally.rounds.len());
     (failed > 0).then(|| format!("failed in {failed} of {all} rounds"))
 }
 
 fn details(cell: &Cell) -> Details {
     Details {
-        times: cell.times.clone(),
-        messages_per_s: cell.messages as f64 / cell.seconds.max(1e-9),
-        cpu_share: cell.cpu_ns as f64 / 1e9 / cell.seconds.max(1e-9),
+        times: cell.tally.times.clone(),
+        messages_per_s: cell.total.messages as f64 / cell.total.seconds.max(1e-9),
+        cpu_share: cell.total.cpu_ns as f64 / 1e9 / cell.total.seconds.max(1e-9),
         steal_ticks: cell.steal_ticks,
-        wakes: cell.wakes,
+        wakes: cell.total.wakes,
     }
 }
 
 fn note(cell: &Cell) -> String {
     let mut words = Vec::new();
     if let Some(failure) = cell.failures.last() {
-        let (failed, all) = (cell.failures.len(), cell.failures.len() + cell.rounds.len());
+        let (failed, all) = (cell.failures.len(), cell.failures.len() + cell.tally.rounds.len());
         words.push(format!("FAILED: {failed} of {all} rounds failed: {}", shortened(failure)));
     }
     if let Some(error) = &cell.idle_refused {
         words.push(format!("IDLE STATES WERE NOT HELD OFF: {error}"));
     }
-    if cell.times.is_empty() {
+    if cell.tally.times.is_empty() {
         return words.join("; ");
     }
-    let rate = cell.messages as f64 / cell.seconds.max(1e-9);
+    let rate = cell.total.messages as f64 / cell.total.seconds.max(1e-9);
     match cell.case.task {
         Task::Stream => {
             let gb_per_s = rate * cell.case.payload_bytes as f64 / 1e9;
@@ -269,30 +164,33 @@ fn note(cell: &Cell) -> String {
             words.push(format!("{rate:.0} messages/s, {gb_per_s:.3} GB/s, {loss}"));
         }
         Task::Paced { .. } if cell.case.experiment == Experiment::Robot => {
-            let percent = cell.cpu_ns as f64 / 1e7 / cell.seconds.max(1e-9);
+            let percent = cell.total.cpu_ns as f64 / 1e7 / cell.total.seconds.max(1e-9);
             words.push(format!("{percent:.1} % of a core for all processes"));
         }
         _ => {}
     }
     let is_ours = cell.case.experiment == Experiment::FanOut && cell.case.mode.system == "tautline";
-    if let Some(wakes) = cell.wakes.filter(|_| is_ours) {
+    if let Some(wakes) = cell.total.wakes.filter(|_| is_ours) {
         let Wakes { sampler, others } = wakes;
         words.push(format!(
             "per message a receiver's sampler woke {sampler:.2} times, its other threads {others:.2} times in sum"
         ));
     }
-    if cell.rounds.len() > 1 {
-        let rounds: Vec<_> = cell.rounds.iter().map(|round| format!("{:.1}", round.p50_us)).collect();
+    if cell.tally.rounds.len() > 1 {
+        let rounds: Vec<_> = cell.tally.rounds.iter().map(|round| format!("{:.1}", round.p50_us)).collect();
         words.push(format!("p50 of the rounds {}", rounds.join(", ")));
     }
-    if cell.late > 0 {
-        words.push(format!("{} sent late: stamped with the time at which they were due", cell.late));
+    if cell.total.late > 0 {
+        words.push(format!("{} sent late: stamped with the time at which they were due", cell.total.late));
     }
-    if cell.refused > 0 {
-        words.push(format!("{} not taken from the sender", cell.refused));
+    if cell.total.refused > 0 {
+        words.push(format!("{} not taken from the sender", cell.total.refused));
     }
-    if cell.memory.shared_kib > 0 {
-        words.push(format!("{} MiB of the memory are shared", short(cell.memory.shared_kib as f64 / 1024.0)));
+    if cell.total.memory.shared_kib > 0 {
+        words.push(format!(
+            "{} MiB of the memory are shared",
+            short(cell.total.memory.shared_kib as f64 / 1024.0)
+        ));
     }
     words.push(format!("steal {} ticks", cell.steal_ticks));
     words.join("; ")
@@ -309,11 +207,6 @@ fn shortened(failure: &str) -> String {
         Some((end, _)) => format!("{}...", &line[..end]),
         None => line,
     }
-}
-
-/// Three digits after the point are enough.
-fn round(number: f64) -> f64 {
-    (number * 1e3).round() / 1e3
 }
 
 /// What whoever quotes figures must say beside them.
@@ -352,60 +245,14 @@ fn notes(plan: &Plan, disturbance: String) -> Vec<String> {
     ]
 }
 
-fn table(rows: &[&Row]) -> Table {
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED);
-    table.set_header([
-        "experiment",
-        "payload",
-        "system",
-        "n",
-        "p50",
-        "p99",
-        "p99.9",
-        "max µs",
-        "lost",
-        "CPU µs",
-        "MiB",
-        "note",
-    ]);
-    for row in rows {
-        let number = |value: Option<f64>| value.map_or("-".to_owned(), short);
-        let numbers = [
-            row.n.to_string(),
-            number(row.p50_us),
-            number(row.p99_us),
-            number(row.p999_us),
-            number(row.max_us),
-            row.lost.to_string(),
-            number(row.cpu_us_per_msg),
-            number(row.rss_mib),
-        ];
-        let words =
-            [row.experiment.clone(), payload(row.payload_bytes), format!("{} {}", row.system, row.mode)];
-        let cells = words.into_iter().map(TableCell::new);
-        let numbers =
-            numbers.into_iter().map(|text| TableCell::new(text).set_alignment(CellAlignment::Right));
-        table.add_row(cells.chain(numbers).chain([TableCell::new(&row.note)]));
-    }
-    table
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// Three digits.
-pub fn short(number: f64) -> String {
-    match number {
-        number if number < 10.0 => format!("{number:.2}"),
-        number if number < 100.0 => format!("{number:.1}"),
-        number => format!("{number:.0}"),
-    }
-}
-
-/// With its unit.
-pub fn payload(bytes: usize) -> String {
-    match bytes {
-        0 => "-".to_owned(),
-        bytes if bytes >= 1 << 20 => format!("{} MiB", bytes >> 20),
-        bytes if bytes >= 1 << 10 => format!("{} KiB", bytes >> 10),
-        bytes => format!("{bytes} B"),
+    #[test]
+    fn every_claim_is_about_an_experiment_that_there_is() {
+        let verdicts = Report::of_rows(Vec::new()).map(|report| report.verdicts).unwrap();
+        assert_eq!(verdicts.len(), 33);
+        assert!(verdicts.iter().all(|verdict| verdict.found == "not measured"));
     }
 }

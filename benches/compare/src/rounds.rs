@@ -5,33 +5,23 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use indicatif::{ProgressBar, ProgressStyle};
-use tautline_benches::{Distribution, Scratch};
-use tautline_exchange::Memory;
+use tautline_benches::rows::{Tally, rounded};
+use tautline_benches::{Distribution, Scratch, progress_bar};
 use tautline_rt::IdleHold;
 use tautline_rt::host::steal_ticks;
 
 use crate::Result;
 use crate::modes::Part;
-use crate::pair::{Found, Setup, Wakes};
+use crate::pair::{Found, Setup};
 use crate::plan::{Case, Idle, Plan, Task};
-use crate::report::Round;
 
 /// A case and what was found.
 pub struct Cell {
     pub case: Case,
-    pub times: Distribution,
-    pub lost: u64,
-    pub cpu_ns: u64,
-    pub messages: u64,
-    pub seconds: f64,
-    /// The most of a round.
-    pub memory: Memory,
-    pub late: u64,
-    pub refused: u64,
-    pub wakes: Option<Wakes>,
-    /// Those that did not fail.
-    pub rounds: Vec<Round>,
+    /// Of the rounds that did not fail.
+    pub tally: Tally,
+    /// Of them all but their times and losses, added up; of memory the most of a round.
+    pub total: Found,
     pub steal_ticks: u64,
     /// Why idle states were as shipped where they should not have been.
     pub idle_refused: Option<String>,
@@ -43,16 +33,8 @@ impl Cell {
     fn new(case: Case) -> Self {
         Cell {
             case,
-            times: Distribution::new(),
-            lost: 0,
-            cpu_ns: 0,
-            messages: 0,
-            seconds: 0.0,
-            memory: Memory::default(),
-            late: 0,
-            refused: 0,
-            wakes: None,
-            rounds: Vec::new(),
+            tally: Tally::default(),
+            total: Found::default(),
             steal_ticks: 0,
             idle_refused: None,
             failures: Vec::new(),
@@ -62,28 +44,22 @@ impl Cell {
     fn add(&mut self, round: u32, found: &Found) {
         let mut times = Distribution::new();
         found.times_ns.iter().for_each(|&time_ns| times.record(time_ns));
-        self.rounds.push(Round {
-            round,
-            n: times.len(),
-            p50_us: times.quantile_us(0.5),
-            p99_us: times.quantile_us(0.99),
-            p999_us: times.quantile_us(0.999),
-            cpu_us_per_msg: (found.cpu_ns > 0)
-                .then(|| found.cpu_ns as f64 / 1e3 / found.messages.max(1) as f64),
-            msgs_per_s: (found.seconds > 0.0).then(|| found.messages as f64 / found.seconds),
-            rss_mib: (found.memory.kib > 0).then(|| found.memory.kib as f64 / 1024.0),
-        });
-        found.times_ns.iter().for_each(|&time_ns| self.times.record(time_ns));
-        self.lost += found.lost;
-        self.cpu_ns += found.cpu_ns;
-        self.messages += found.messages;
-        self.seconds += found.seconds;
-        if found.memory.kib > self.memory.kib {
-            self.memory = found.memory;
+        let of_round = self.tally.add(round, &times);
+        of_round.cpu_us_per_msg =
+            (found.cpu_ns > 0).then(|| rounded(found.cpu_ns as f64 / 1e3 / found.messages.max(1) as f64));
+        of_round.msgs_per_s = (found.seconds > 0.0).then(|| rounded(found.messages as f64 / found.seconds));
+        of_round.rss_mib = (found.memory.kib > 0).then(|| rounded(found.memory.kib as f64 / 1024.0));
+        self.tally.lost += found.lost;
+        let total = &mut self.total;
+        total.cpu_ns += found.cpu_ns;
+        total.messages += found.messages;
+        total.seconds += found.seconds;
+        if found.memory.kib > total.memory.kib {
+            total.memory = found.memory;
         }
-        self.late += found.late;
-        self.refused += found.refused;
-        self.wakes = found.wakes.or(self.wakes);
+        total.late += found.late;
+        total.refused += found.refused;
+        total.wakes = found.wakes.or(total.wakes);
     }
 }
 
@@ -185,10 +161,4 @@ fn segments() -> BTreeSet<String> {
         is_fastdds && !name.ends_with("_el") || name.ends_with(".zenoh")
     };
     names.filter(is_segment).collect()
-}
-
-fn progress_bar(steps: u64) -> ProgressBar {
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} of about {duration}  {msg}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(steps).with_style(style)
 }

@@ -4,10 +4,11 @@
 use std::collections::BTreeSet;
 use std::fmt;
 
+use tautline_benches::rows::Metric::{self, CpuTime, Interval, Memory, P50, P99, P999, Start};
+use tautline_benches::rows::{By, Compared, Figure, Row};
+use tautline_benches::table::size;
+
 use crate::modes::SYSTEMS;
-use crate::ratios::Figure::{self, CpuTime, Interval, Memory, P50, P99, P999, Start};
-use crate::ratios::{Ratios, Rows, best, sort};
-use crate::report::{Row, payload, short};
 
 /// A figure that a rival has better.
 #[derive(Debug)]
@@ -25,7 +26,7 @@ impl fmt::Display for Slower {
 }
 
 /// Why a rival is ahead. What was not looked into has no reason.
-fn reason(row: &Row, rival: &str, figure: Figure) -> &'static str {
+fn reason(row: &Row, rival: &str, figure: Metric) -> &'static str {
     let (is_of, kind) = (|part: &str| row.experiment.contains(part), row.experiment.split('/').next());
     // Of more, waking is a small part.
     let is_small = row.payload_bytes <= 32 << 10;
@@ -69,7 +70,6 @@ const POLLING: [&str; 2] = ["busy-poll", "items"];
 
 /// All of them, in the order of the rows.
 pub fn slower(rows: &[Row]) -> Vec<Slower> {
-    let all = Rows(rows);
     let mut seen = BTreeSet::new();
     let mut found = Vec::new();
     for row in rows.iter().filter(|row| row.system == "tautline") {
@@ -79,8 +79,7 @@ pub fn slower(rows: &[Row]) -> Vec<Slower> {
         for figure in figures(&row.experiment) {
             for system in SYSTEMS.into_iter().filter(|system| !["tautline", "floor"].contains(system)) {
                 for is_polling in [false, true] {
-                    let theirs = all.all(&row.experiment, system, row.payload_bytes);
-                    found.extend(beside(&all, row, *figure, theirs, is_polling));
+                    found.extend(beside(rows, row, *figure, system, is_polling));
                 }
             }
         }
@@ -89,7 +88,7 @@ pub fn slower(rows: &[Row]) -> Vec<Slower> {
 }
 
 /// What is compared in an experiment.
-fn figures(experiment: &str) -> &'static [Figure] {
+fn figures(experiment: &str) -> &'static [Metric] {
     match experiment.split('/').next() {
         Some("latency" | "open-loop") => &[P50, P99, P999],
         Some("robot") => &[P50, CpuTime, Memory],
@@ -99,43 +98,53 @@ fn figures(experiment: &str) -> &'static [Figure] {
     }
 }
 
-fn beside(
-    all: &Rows<'_>,
-    row: &Row,
-    figure: Figure,
-    mut theirs: Vec<&Row>,
-    is_polling: bool,
-) -> Option<Slower> {
+fn beside(rows: &[Row], row: &Row, metric: Metric, system: &str, is_polling: bool) -> Option<Slower> {
+    let of = |system: &str| -> Vec<&Row> {
+        let key = |row: &Row| (row.experiment.clone(), row.payload_bytes);
+        rows.iter().filter(|other| other.system == system && key(other) == key(row)).collect()
+    };
+    let figure = Figure::from(metric);
+    let (mut theirs, mut ours) = (of(system), of("tautline"));
     theirs.retain(|row| POLLING.contains(&row.mode.as_str()) == is_polling);
-    let mut ours = all.all(&row.experiment, "tautline", row.payload_bytes);
     let default =
         ours.iter().copied().find(|row| row.mode == if is_polling { "busy-poll" } else { "blocking" })?;
-    let (theirs, _) = sort(&theirs, figure);
-    let them = best(&theirs, figure)?;
-    let ratio = Ratios::of(default, them, figure)?.median;
+    let (theirs, _) = figure.sort(&theirs);
+    let them = figure.best(&theirs)?;
+    let ratio = Compared::of(default, them, figure, By::Ratio)?.median;
     if ratio < NOTABLE {
         return None;
     }
-    let text = |row| figure.median(row).map_or("-".to_owned(), short);
-    let unit = if figure == Memory { "MiB" } else { "µs" };
-    let name = format!("{} {}", them.system, them.mode);
-    let mut found =
-        format!("{name} {} {unit}, {} {} ({ratio:.2} x)", text(them), default.mode, text(default));
+    let (name, unit) = (them.name(), metric.unit());
+    let mut found = format!(
+        "{name} {} {unit}, {} {} ({ratio:.2} x)",
+        figure.text(them),
+        default.mode,
+        figure.text(default)
+    );
     // A mode that its users can choose instead.
     ours.retain(|row| ["direct", "one-thread"].contains(&row.mode.as_str()) && !is_polling);
-    let (ours, _) = sort(&ours, figure);
-    if let Some(other) = best(&ours, figure).filter(|other| figure.median(other) < figure.median(default)) {
-        found += &format!(", {} {}", other.mode, text(other));
+    let (ours, _) = figure.sort(&ours);
+    if let Some(other) = figure.best(&ours).filter(|other| figure.median(other) < figure.median(default)) {
+        found += &format!(", {} {}", other.mode, figure.text(other));
     }
-    let reason = reason(row, &name, figure);
-    let what = format!("{}, {}, {}", row.experiment, payload(row.payload_bytes), figure.name());
+    let reason = reason(row, &name, metric);
+    let what = format!("{}, {}, {}", row.experiment, size(row.payload_bytes), metric.name());
     Some(Slower { what, found, reason })
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use super::*;
-    use crate::verdict::tests::row;
+    use tautline_benches::Distribution;
+    use tautline_benches::rows::Tally;
+
+    /// A round of 10,000 times.
+    pub fn row(experiment: &str, system: &str, mode: &str, bytes: usize, us: f64) -> Row {
+        let (mut times, mut tally) = (Distribution::new(), Tally::default());
+        times.add(&[((us * 1e3) as u64, 10_000)]);
+        tally.add(1, &times).cpu_us_per_msg = Some(us);
+        tally.row(experiment, system, mode, bytes)
+    }
 
     #[test]
     fn what_sleeps_is_compared_with_what_sleeps_and_the_better_mode_is_named() {

@@ -30,10 +30,8 @@ use clap::{Parser, ValueEnum};
 use job::Job;
 use place::Place;
 use report::Report;
-use signal_hook::consts::{SIGINT, SIGTERM};
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use tautline_benches::Disturbance;
 use tautline_exchange::APPLICATION_PRIORITY;
@@ -109,22 +107,11 @@ fn main() -> ExitCode {
         Some(job) => Job::run(job),
         None => measure(&options),
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("domain: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    tautline_benches::exit("domain", result)
 }
 
 fn measure(options: &Options) -> Result<()> {
-    let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        // The second one ends at once.
-        signal_hook::flag::register_conditional_shutdown(signal, 130, interrupted.clone())?;
-        signal_hook::flag::register(signal, interrupted.clone())?;
-    }
+    let interrupted = tautline_benches::interrupted()?;
     // Three pipes for each process.
     let open_files = host::raise_open_files();
     let disturbance = Disturbance::start();
@@ -148,7 +135,7 @@ fn measure(options: &Options) -> Result<()> {
     report.finish(&disturbance);
     report.print();
     match &options.json {
-        Some(path) => report.write_json(path),
+        Some(path) => tautline_benches::write_json(path, &report),
         None => Ok(()),
     }
 }

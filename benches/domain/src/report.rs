@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The table, the JSON, and whether aims are met. A miss is printed, never an error: the machine has its part in it.
 
-use crate::{Experiment, Result};
+use crate::Experiment;
 use clap::ValueEnum;
-use comfy_table::presets::UTF8_FULL_CONDENSED;
-use comfy_table::{Cell, CellAlignment, Table};
 use serde::Serialize;
-use std::path::Path;
+use tautline_benches::claims::Verdict;
+use tautline_benches::table::Column::{Number, Words};
+use tautline_benches::table::{Cell, Table};
 use tautline_benches::{Distribution, Disturbance, machine, version_of};
 
 /// One thing that was measured at one size.
@@ -153,29 +153,17 @@ impl Report {
         println!();
         for row in &self.rows {
             if let Some(aim) = &row.aim {
-                let word = if aim.is_met { "holds" } else { "MISSED" };
                 let number = match aim.of {
                     "p99" => row.p99.unwrap_or(f64::NAN),
                     "max" => row.max.unwrap_or(f64::NAN),
                     _ => row.p50,
                 };
                 let size = if row.size == 0 { String::new() } else { format!(" {}", row.size) };
-                println!(
-                    "{word:7} {}{size}: {}: {} {}, at most {}",
-                    row.experiment,
-                    row.what,
-                    shown(number),
-                    row.unit,
-                    shown(aim.at_most)
-                );
+                let claim = format!("{}{size}: {}", row.experiment, row.what);
+                let found = format!("{} {}, at most {}", shown(number), row.unit, shown(aim.at_most));
+                println!("{}", Verdict::new(claim, found, Some(aim.is_met)));
             }
         }
-    }
-
-    pub fn write_json(&self, path: &Path) -> Result<()> {
-        let text = serde_json::to_string_pretty(self)?;
-        std::fs::write(path, text + "\n")
-            .map_err(|error| format!("cannot write {}: {error}", path.display()).into())
     }
 }
 
@@ -185,23 +173,18 @@ fn title(experiment: Experiment) -> String {
 }
 
 fn table(rows: &[&Row]) -> Table {
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED);
-    table.set_header(["size", "system", "what", "unit", "n", "p50 / value", "p99", "p99.9", "max", "aim"]);
-    let mut previous = None;
+    let words = [Number("size"), Words("system"), Words("what"), Words("unit")];
+    let numbers = ["n", "p50 / value", "p99", "p99.9", "max"].map(Number);
+    let mut table = Table::new(1, [&words[..], &numbers, &[Words("aim")]].concat());
     for row in rows {
-        let size = if previous == Some(row.size) { String::new() } else { row.size.to_string() };
-        previous = Some(row.size);
-        let words = [size, row.system.to_owned(), row.what.clone(), row.unit.to_owned()];
+        let words: [Cell; 5] =
+            [row.size.into(), row.system.into(), (&row.what).into(), row.unit.into(), row.n.into()];
         let numbers = [Some(row.p50), row.p99, row.p999, row.max];
+        let numbers = numbers.map(|number| number.map_or(String::new(), shown).into());
         let aim = row.aim.as_ref().map_or(String::new(), |aim| {
             format!("{} <= {} {}", aim.of, shown(aim.at_most), if aim.is_met { "holds" } else { "MISSED" })
         });
-        let numbers = numbers.map(|number| number.map_or(String::new(), shown));
-        let right = |text: String| Cell::new(text).set_alignment(CellAlignment::Right);
-        let cells = words.into_iter().map(Cell::new);
-        let cells = cells.chain([right(row.n.to_string())]).chain(numbers.into_iter().map(right));
-        table.add_row(cells.chain([Cell::new(aim)]));
+        table.add(words.into_iter().chain(numbers).chain([aim.into()]));
     }
     table
 }

@@ -10,13 +10,14 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use serde_json::Value;
-use tautline_benches::Process;
+use tautline_benches::rows::{Round, Row, Tally};
+use tautline_benches::{Process, progress_bar};
 use tautline_exchange::{Exchange, Job, Line, Measured, Role, Way};
 
 use crate::Result;
-use crate::plan::{Experiment, Plan, System};
-use crate::report::{Flood, Round, Row};
-use crate::rounds::{DOMAINS, gateways, progress_bar, start};
+use crate::plan::{FLOOD, Plan, QUIET, System};
+use crate::report::Flood;
+use crate::rounds::{DOMAINS, gateways, start};
 
 /// 500 MB a second.
 const MESSAGE_BYTES: usize = 1 << 20;
@@ -50,8 +51,8 @@ pub fn run(plan: &Plan, interrupted: &AtomicBool) -> Result<(Vec<Row>, Flood)> {
     let mut arrived: Vec<f64> = floods.iter().map(|(measured, _)| mb_per_s(measured)).collect();
     arrived.sort_by(f64::total_cmp);
     let arrived_mb_per_s = arrived[arrived.len() / 2];
-    let mut rows = rows("quiet", 0, None, &quiet);
-    rows.extend(self::rows("flood", MESSAGE_BYTES, Some(arrived_mb_per_s), &flooded));
+    let mut rows = rows(QUIET, 0, None, &quiet);
+    rows.extend(self::rows(FLOOD, MESSAGE_BYTES, Some(arrived_mb_per_s), &flooded));
     let flood = Flood {
         offered_mb_per_s: RATE * MESSAGE_BYTES as f64 / 1e6,
         arrived_mb_per_s,
@@ -117,37 +118,38 @@ fn demo(plan: &Plan, seconds: u64, interrupted: &AtomicBool) -> Result<Value> {
 }
 
 /// A row for each topic.
-fn rows(mode: &str, payload_bytes: usize, mb_per_s: Option<f64>, reports: &[Value]) -> Vec<Row> {
+fn rows(experiment: &str, payload_bytes: usize, mb_per_s: Option<f64>, reports: &[Value]) -> Vec<Row> {
     let topics = reports.first().and_then(|report| report["topics"].as_array()).map_or(0, Vec::len);
     let row = |index: usize| {
-        let topics: Vec<&Value> = reports.iter().map(|report| &report["topics"][index]).collect();
+        let topics = || reports.iter().map(|report| &report["topics"][index]);
         let us = |topic: &Value, key: &str| topic[key].as_f64().unwrap_or(0.0) * 1e3;
         let sorted = |key: &str| {
-            let mut times: Vec<f64> = topics.iter().map(|topic| us(topic, key)).collect();
+            let mut times: Vec<f64> = topics().map(|topic| us(topic, key)).collect();
             times.sort_by(f64::total_cmp);
             times
         };
-        let sum = |key: &str| topics.iter().filter_map(|topic| topic[key].as_u64()).sum();
+        let count = |topic: &Value, key: &str| topic[key].as_u64().unwrap_or(0);
         let (p50, p99, max) = (sorted("p50_ms"), sorted("p99_ms"), sorted("max_ms"));
-        let longest = max.last().copied().unwrap_or(0.0);
-        Row {
-            experiment: Experiment::Callbacks,
-            system: System::Tautline,
-            mode: format!("{mode} {}", topics[0]["topic"].as_str().unwrap_or("?")),
-            payload_bytes,
-            n: sum("n"),
-            p50_us: p50[p50.len() / 2],
-            p99_us: p99[p99.len() / 2],
+        let name = reports[0]["topics"][index]["topic"].as_str().unwrap_or("?");
+        let round = |(round, topic): (u32, &Value)| Round {
+            round,
+            n: count(topic, "n"),
+            p50_us: us(topic, "p50_ms"),
+            p99_us: us(topic, "p99_ms"),
             // A round has less than a thousand.
-            p999_us: longest,
-            max_us: longest,
-            lost: sum("lost"),
-            throttled: None,
+            p999_us: us(topic, "max_ms"),
+            ..Round::default()
+        };
+        Row {
+            n: topics().map(|topic| count(topic, "n")).sum(),
+            p50_us: Some(p50[p50.len() / 2]),
+            p99_us: Some(p99[p99.len() / 2]),
+            p999_us: max.last().copied(),
+            max_us: max.last().copied(),
+            lost: topics().map(|topic| count(topic, "lost")).sum(),
             mb_per_s,
-            rounds: topics
-                .iter()
-                .map(|topic| Round { time_us: us(topic, "p99_ms"), mb_per_s: 0.0 })
-                .collect(),
+            rounds: (1..).zip(topics()).map(round).collect(),
+            ..Tally::default().row(experiment, System::Tautline.name(), name, payload_bytes)
         }
     };
     (0..topics).map(row).collect()

@@ -11,28 +11,24 @@
 //! | `rounds` | starts the pairs, merges what they measured |
 //! | `tautline`, `zenoh` | the systems; hiroz's is `benches/network-hiroz` |
 //! | `callbacks` | real-time callbacks, with and without a flood from the network |
-//! | `report`, `verdict` | the tables, the JSON, the ratios that must hold |
+//! | `report` | what is said of the rows |
 
 mod callbacks;
 mod plan;
 mod report;
 mod rounds;
 mod tautline;
-mod verdict;
 mod zenoh;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use clap::Parser;
 use plan::{Experiment, Plan, System};
 use report::Report;
-use signal_hook::consts::{SIGINT, SIGTERM};
-use tautline_benches::Disturbance;
+use tautline_benches::{Disturbance, exit, interrupted, two_cores, write_json};
 use tautline_exchange::{Job, NETWORK_PRIORITY};
-use tautline_rt::{CoreSet, permission};
+use tautline_rt::permission;
 
 /// What nobody handles but the person who reads it.
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
@@ -91,13 +87,7 @@ fn main() -> ExitCode {
         Some([system, job]) => child(system, job).map_err(|error| error as Box<dyn std::error::Error>),
         _ => measure(&options),
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("network: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    exit("network", result)
 }
 
 fn child(system: &str, job: &str) -> tautline_exchange::Result<()> {
@@ -114,13 +104,8 @@ fn measure(options: &Options) -> Result<()> {
         permission::realtime_permitted(NETWORK_PRIORITY + 1)
             .map_err(|error| format!("{error} (or measure without: --no-rt)"))?;
     }
-    let plan = Plan::new(options, cores(options)?)?;
-    let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        // The second one ends at once.
-        signal_hook::flag::register_conditional_shutdown(signal, 130, interrupted.clone())?;
-        signal_hook::flag::register(signal, interrupted.clone())?;
-    }
+    let plan = Plan::new(options, two_cores(options.cores.as_deref())?)?;
+    let interrupted = interrupted()?;
     let disturbance = Disturbance::start();
     let mut rows = rounds::run(&plan, &interrupted)?;
     let mut flood = None;
@@ -130,22 +115,9 @@ fn measure(options: &Options) -> Result<()> {
         flood = Some(arrived);
     }
     let report = Report { rows, flood, disturbance: disturbance.report() };
-    report.print(&plan);
+    report.print(&plan)?;
     match &options.json {
-        Some(path) => report.write_json(path),
+        Some(path) => write_json(path, &report.rows),
         None => Ok(()),
-    }
-}
-
-/// The near and the far host's core.
-fn cores(options: &Options) -> Result<[usize; 2]> {
-    let chosen = match &options.cores {
-        Some(cores) => cores.clone(),
-        None => CoreSet::allowed()?.iter().take(2).collect(),
-    };
-    match chosen[..] {
-        [near, far] if near != far => Ok([near, far]),
-        _ => Err(format!("two different cores are needed, there are {chosen:?}: name them with --cores A,B")
-            .into()),
     }
 }

@@ -5,14 +5,12 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::ValueEnum;
-use serde::Serialize;
 use tautline_exchange::Exchange;
 
 use crate::{Options, Result};
 
 /// A question.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Experiment {
     /// Half round trips
     RoundTrip,
@@ -22,9 +20,23 @@ pub enum Experiment {
     Callbacks,
 }
 
+/// Callbacks, without and with a flood.
+pub const QUIET: &str = "callbacks/quiet";
+pub const FLOOD: &str = "callbacks/flood";
+
+impl Experiment {
+    /// Its parts' names, as in the JSON.
+    pub fn names(self) -> &'static [&'static str] {
+        match self {
+            Experiment::RoundTrip => &["round-trip"],
+            Experiment::Stream => &["stream"],
+            Experiment::Callbacks => &[QUIET, FLOOD],
+        }
+    }
+}
+
 /// A way from one process to another.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
-#[serde(rename_all = "kebab-case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum System {
     /// Zenoh's own publishers and subscribers
     Zenoh,
@@ -32,6 +44,17 @@ pub enum System {
     Tautline,
     /// Another implementation of ROS 2's API over Zenoh
     Hiroz,
+}
+
+impl System {
+    /// As in the table and the JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            System::Zenoh => "zenoh",
+            System::Tautline => "tautline",
+            System::Hiroz => "hiroz",
+        }
+    }
 }
 
 /// One way to do one thing with one payload.

@@ -5,13 +5,12 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
-use tautline_benches::{Distribution, Gateways, Host, Process};
+use tautline_benches::rows::{Row, Tally, median, rounded};
+use tautline_benches::{Distribution, Gateways, Host, Process, progress_bar};
 use tautline_exchange::{Exchange, Job, Line, Measured, Role, Way};
 
 use crate::Result;
 use crate::plan::{Case, Plan, System};
-use crate::report::{Round, Row};
 
 /// The near and the far host's. Nobody else measures there, and no test runs there.
 pub const DOMAINS: [u32; 2] = [117, 118];
@@ -43,7 +42,7 @@ pub fn run(plan: &Plan, interrupted: &AtomicBool) -> Result<Vec<Row>> {
             };
             let measured = pair(plan, case, topic, interrupted)
                 .map_err(|error| format!("{name}, round {round}: {error}"))?;
-            cell.add(&measured);
+            cell.add(round, &measured);
             if let Some(gateways) = &mut gateways {
                 let throttled = [0, 1].map(|host| gateways.stats(host)["throttled"].as_u64().unwrap_or(0));
                 cell.throttled = cell.throttled.max(throttled.into_iter().max());
@@ -126,51 +125,28 @@ pub fn start<'a>(
 /// A line of the result in the making.
 struct Cell {
     case: Case,
-    times: Distribution,
-    lost: u64,
+    tally: Tally,
     throttled: Option<u64>,
-    rounds: Vec<Round>,
 }
 
 impl Cell {
     fn new(case: Case) -> Self {
-        Cell { case, times: Distribution::new(), lost: 0, throttled: None, rounds: Vec::new() }
+        Cell { case, tally: Tally::default(), throttled: None }
     }
 
-    fn add(&mut self, measured: &Measured) {
-        let mut round = Distribution::new();
-        measured.times_ns.iter().for_each(|&time_ns| round.record(time_ns));
-        let bytes = self.case.payload_bytes as f64 * measured.times_ns.len() as f64;
-        let mb_per_s = bytes / measured.seconds.max(1e-9) / 1e6;
-        self.rounds.push(Round { time_us: round.quantile_us(0.5), mb_per_s });
-        measured.times_ns.iter().for_each(|&time_ns| self.times.record(time_ns));
-        self.lost += measured.lost;
+    fn add(&mut self, round: u32, measured: &Measured) {
+        let mut times = Distribution::new();
+        measured.times_ns.iter().for_each(|&time_ns| times.record(time_ns));
+        let msgs_per_s = measured.times_ns.len() as f64 / measured.seconds.max(1e-9);
+        self.tally.add(round, &times).msgs_per_s = Some(rounded(msgs_per_s));
+        self.tally.lost += measured.lost;
     }
 
     fn row(&self) -> Row {
-        let mut rates: Vec<f64> = self.rounds.iter().map(|round| round.mb_per_s).collect();
-        rates.sort_by(f64::total_cmp);
-        Row {
-            experiment: self.case.experiment,
-            system: self.case.system,
-            mode: self.case.mode().to_owned(),
-            payload_bytes: self.case.payload_bytes,
-            n: self.times.len(),
-            p50_us: self.times.quantile_us(0.5),
-            p99_us: self.times.quantile_us(0.99),
-            p999_us: self.times.quantile_us(0.999),
-            max_us: self.times.max_us(),
-            lost: self.lost,
-            throttled: self.throttled,
-            mb_per_s: (self.case.exchange != Exchange::RoundTrips).then(|| rates[rates.len() / 2]),
-            rounds: self.rounds.clone(),
-        }
+        let Case { experiment, system, payload_bytes, exchange, .. } = self.case;
+        let row = self.tally.row(experiment.names()[0], system.name(), self.case.mode(), payload_bytes);
+        let rates = row.rounds.iter().filter_map(|round| row.mb_per_s(round));
+        let mb_per_s = median(rates.collect()).filter(|_| exchange != Exchange::RoundTrips).map(rounded);
+        Row { throttled: self.throttled, mb_per_s, ..row }
     }
-}
-
-/// A bar for so many steps.
-pub fn progress_bar(steps: u64) -> ProgressBar {
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} of about {duration}  {msg}")
-        .unwrap_or_else(|_| ProgressStyle::default_bar());
-    ProgressBar::new(steps).with_style(style)
 }

@@ -77,13 +77,7 @@ struct Row {
 }
 
 fn main() -> ExitCode {
-    match measure(&Options::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("budgets: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    tautline_benches::exit("budgets", measure(&Options::parse()))
 }
 
 fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
@@ -276,7 +270,7 @@ fn report(rows: &[Row], options: &Options, machine: &str) -> Result<(), Box<dyn 
     }
     println!();
     if let Some(path) = &options.json {
-        std::fs::write(path, serde_json::to_string_pretty(rows)?)?;
+        tautline_benches::write_json(path, rows)?;
     }
     let [none, _, demoted, suspended] = rows else { return Err("a part is missing".into()) };
     if !(demoted.realtime && suspended.realtime) {

@@ -115,13 +115,7 @@ impl Recorder {
 }
 
 fn main() -> ExitCode {
-    match measure(&Options::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("deadlines: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    tautline_benches::exit("deadlines", measure(&Options::parse()))
 }
 
 fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
@@ -291,7 +285,7 @@ fn report(
     }
     println!("\n{machine}\n{disturbance}\n");
     if let Some(path) = &options.json {
-        std::fs::write(path, serde_json::to_string_pretty(&rows)?)?;
+        tautline_benches::write_json(path, &rows)?;
     }
     let Some(of_event) = rows.last().filter(|_| is_judged) else {
         print_no_verdict();

@@ -180,13 +180,7 @@ impl Read {
 }
 
 fn main() -> ExitCode {
-    match measure(&Options::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("parameters: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    tautline_benches::exit("parameters", measure(&Options::parse()))
 }
 
 struct Readers {
@@ -224,7 +218,7 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     let report = Report { machine, disturbance: disturbance.report(), realtime, cores, reads, callback };
     print(&report);
     if let Some(path) = &options.json {
-        std::fs::write(path, serde_json::to_string_pretty(&report.rows())?)?;
+        tautline_benches::write_json(path, &report.rows())?;
     }
     if !stage.is_fit() {
         print_no_verdict();

@@ -57,13 +57,7 @@ const CASES: [(&str, Work); 4] = [
 ];
 
 fn main() -> ExitCode {
-    match measure(&Options::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("trace: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    tautline_benches::exit("trace", measure(&Options::parse()))
 }
 
 fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
@@ -104,7 +98,7 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     print(&cases);
     println!("\n{machine}\n{}", disturbance.report());
     if let Some(path) = &options.json {
-        std::fs::write(path, serde_json::to_string_pretty(&cases)?)?;
+        tautline_benches::write_json(path, &cases)?;
     }
     Ok(())
 }

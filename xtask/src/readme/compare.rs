@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Tautline beside other middleware.
 
-use super::figures::{names, us};
+use super::figures::{all_us, table as of_ways, us};
 use serde_json::Value;
 use std::fmt::Write;
 
@@ -9,16 +9,8 @@ use std::fmt::Write;
 pub(super) fn table(run: &Value) -> String {
     let rows: Vec<&Value> = run.as_array().into_iter().flatten().collect();
     let measured: Vec<&Value> = rows.iter().copied().filter(|row| row["n"] != 0).collect();
-    let find = |experiment: &str, (system, mode): (&str, &str), bytes: u64| {
-        measured.iter().copied().find(|row| {
-            row["experiment"] == experiment
-                && row["system"] == system
-                && row["mode"] == mode
-                && row["payload_bytes"] == bytes
-        })
-    };
     let held = "latency/whole/held-off";
-    let both = |row: &Value| format!("{} / {}", us(row, "p50_us"), us(row, "p99_us"));
+    let both = |row: &Value| all_us(row, &["p50_us", "p99_us"]);
     type Cell<'a> = (&'a str, &'a str, u64, &'a dyn Fn(&Value) -> String);
     let columns: [Cell; 7] = [
         ("64 B", held, 64, &both),
@@ -29,16 +21,10 @@ pub(super) fn table(run: &Value) -> String {
         ("at once", "robot/20x100Hz/at-once/as-shipped", 4096, &|row| us(row, "cpu_us_per_msg")),
         ("robot: MiB", "robot/20x100Hz/as-shipped", 4096, &|row| us(row, "rss_mib")),
     ];
-    let mut out = String::from("| system |");
-    columns.iter().for_each(|(title, ..)| out.push_str(&format!(" {title} |")));
-    let _ = writeln!(out, "\n|---|{}", "--:|".repeat(columns.len()));
-    for name in names(&measured) {
-        let cells = columns
-            .map(|(_, experiment, bytes, text)| find(experiment, name, bytes).map_or("-".into(), text));
-        if cells.iter().any(|cell| cell != "-") {
-            let _ = writeln!(out, "| {}, {} | {} |", name.0, name.1, cells.join(" | "));
-        }
-    }
+    let titles = columns.map(|(title, ..)| title.to_owned());
+    let mut out = of_ways(&measured, "system", &titles, |way| {
+        columns.map(|(_, experiment, bytes, text)| way.cell(experiment, bytes, text)).to_vec()
+    });
     let mut missing: Vec<String> = Vec::new();
     let word = |row: &Value, key: &str| row[key].as_str().unwrap_or("?").to_owned();
     let of_machine = |row: &&Value| row["system"] == "machine";

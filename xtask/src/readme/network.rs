@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What goes over the gateways.
 
-use super::figures::{machine, names, us};
+use super::figures::{all_us, machine, size, sizes, table as of_ways};
 use serde_json::Value;
 use std::fmt::Write;
 
@@ -14,55 +14,34 @@ pub(super) fn table(run: &Value) -> String {
     let mut out = String::new();
     type Number = fn(&Value) -> String;
     let columns: [(&str, &str, Number); 2] = [
-        ("round-trip", "half a round trip in µs, p50 / p99", |row| {
-            format!("{} / {}", us(row, "p50_us"), us(row, "p99_us"))
-        }),
+        ("round-trip", "half a round trip in µs, p50 / p99", |row| all_us(row, &["p50_us", "p99_us"])),
         ("stream", "a stream in MB/s", |row| {
             row["mb_per_s"].as_f64().map_or("-".into(), |rate| format!("{rate:.0}"))
         }),
     ];
     for (experiment, title, number) in columns {
         let rows = of(experiment);
-        let mut sizes: Vec<u64> = rows.iter().filter_map(|row| row["payload_bytes"].as_u64()).collect();
-        sizes.sort_unstable();
-        sizes.dedup();
-        let _ = write!(out, "| {title} |");
-        for bytes in &sizes {
-            let (number, unit) = match bytes {
-                1_048_576.. => (bytes >> 20, "MiB"),
-                1024.. => (bytes >> 10, "KiB"),
-                _ => (*bytes, "B"),
-            };
-            let _ = write!(out, " {number} {unit} |");
-        }
-        let _ = writeln!(out, "\n|---|{}", "--:|".repeat(sizes.len()));
-        for (system, mode) in names(&rows) {
-            let _ = write!(out, "| {system}, {mode} |");
-            for bytes in &sizes {
-                let wanted = |row: &&&Value| {
-                    row["system"] == system && row["mode"] == mode && row["payload_bytes"] == *bytes
-                };
-                let _ = write!(out, " {} |", rows.iter().find(wanted).map_or("-".into(), |row| number(row)));
-            }
-            out.push('\n');
-        }
+        let sizes = sizes(&rows);
+        let titles: Vec<String> = sizes.iter().map(|&bytes| size(bytes)).collect();
+        out += &of_ways(&rows, title, &titles, |way| {
+            sizes.iter().map(|&bytes| way.cell(experiment, bytes, number)).collect()
+        });
         out.push('\n');
     }
-    let callbacks = of("callbacks");
-    let p99 = |mode: &str| {
-        let rows =
-            callbacks.iter().filter(|row| row["mode"].as_str().is_some_and(|name| name.starts_with(mode)));
-        rows.map(|row| row["p99_us"].as_f64().map_or("-".into(), |us| format!("{:.2}", us / 1e3)))
+    let p99 = |experiment: &str| {
+        let rows = of(experiment);
+        rows.iter()
+            .map(|row| row["p99_us"].as_f64().map_or("-".into(), |us| format!("{:.2}", us / 1e3)))
             .collect::<Vec<_>>()
             .join(" / ")
     };
-    let arrived = callbacks.iter().find_map(|row| row["mb_per_s"].as_f64()).unwrap_or(0.0);
+    let arrived = of("callbacks/flood").iter().find_map(|row| row["mb_per_s"].as_f64()).unwrap_or(0.0);
     let _ = writeln!(
         out,
         "p99 response times in ms of five real-time callbacks that load a core to 90 %: {} alone, {} while {arrived:.0} MB/s \
          arrive for another topic.",
-        p99("quiet"),
-        p99("flood"),
+        p99("callbacks/quiet"),
+        p99("callbacks/flood"),
     );
     let lost: u64 =
         rows.iter().filter(|row| row["system"] == "tautline").filter_map(|row| row["lost"].as_u64()).sum();
@@ -92,8 +71,8 @@ mod tests {
             row("round-trip", "zenoh", "pub-sub", 1 << 20, 400.0),
             row("round-trip", "tautline", "node-to-node", 64, 50.0),
             row("stream", "zenoh", "window", 64 << 10, 1.0),
-            row("callbacks", "tautline", "quiet a", 0, 2000.0),
-            row("callbacks", "tautline", "flood a", 1 << 20, 2100.0),
+            row("callbacks/quiet", "tautline", "a", 0, 2000.0),
+            row("callbacks/flood", "tautline", "a", 1 << 20, 2100.0),
         ];
         let tables = table(&rows.to_vec().into());
         for line in [

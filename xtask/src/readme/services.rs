@@ -13,9 +13,10 @@ pub(super) fn table(run: &Value) -> String {
     for row in run["rows"].as_array().into_iter().flatten() {
         let _ = writeln!(
             out,
-            "| {} | {} | {} | {} | {} | {} | {} | {} |",
+            "| {} {} | {} | {} | {} | {} | {} | {} | {} |",
             row["system"].as_str().unwrap_or("?"),
-            row["request_bytes"],
+            row["mode"].as_str().unwrap_or("?"),
+            row["payload_bytes"],
             row["n"],
             us(row, "p50_us"),
             us(row, "p99_us"),
@@ -41,7 +42,7 @@ mod tests {
     #[test]
     fn the_services_table_says_what_was_lost_and_with_which_versions() {
         let run = serde_json::json!({"versions": "r2r 0.9.7", "rows": [
-            {"system": "r2r over Fast DDS", "request_bytes": 64, "n": 10, "p50_us": 123.4, "p99_us": 5.0, "p999_us": 6.0,
+            {"system": "r2r", "mode": "over Fast DDS", "payload_bytes": 64, "n": 10, "p50_us": 123.4, "p99_us": 5.0, "p999_us": 6.0,
              "max_us": 7.0, "lost": 2}]});
         let table = table(&run);
         assert!(table.contains("| r2r over Fast DDS | 64 | 10 | 123 | 5.00 | 6.00 | 7.00 | 2 |"), "{table}");

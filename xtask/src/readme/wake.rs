@@ -1,45 +1,31 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Round trips by system and by size.
 
-use super::figures::{machine, names, us};
+use super::figures::{all_us, machine, size, sizes, table as of_ways, us};
 use serde_json::Value;
 use std::fmt::Write;
 
 pub(super) fn table(rows: &Value) -> String {
     let rows: Vec<&Value> = rows.as_array().into_iter().flatten().collect();
     let mut out = String::from(
-        "64 B, from one process to another, half a round trip, in µs (p50 / p99 / p99.9 / max):\n\n\
-         | system | idle states as shipped | idle states held off |\n|---|--:|--:|\n",
+        "64 B, from one process to another, half a round trip, in µs (p50 / p99 / p99.9 / max):\n\n",
     );
-    for (system, mode) in names(&rows) {
-        let cell = |idle| {
-            let row = find(&rows, system, mode, idle, 64, false);
-            row.map_or("-".into(), |row| {
-                format!(
-                    "{} / {} / {} / {}",
-                    us(row, "p50_us"),
-                    us(row, "p99_us"),
-                    us(row, "p999_us"),
-                    us(row, "max_us")
-                )
-            })
-        };
-        let _ = writeln!(out, "| {system}, {mode} | {} | {} |", cell("default"), cell("poll"));
-    }
-    let sizes: [(u64, &str); 4] = [(64, "64 B"), (4 << 10, "4 KiB"), (1 << 20, "1 MiB"), (8 << 20, "8 MiB")];
-    out.push_str("\nBy size, idle states held off, p50 in µs (payload untouched / all of it written and read):\n\n| system |");
-    sizes.iter().for_each(|(_, name)| out.push_str(&format!(" {name} |")));
-    out.push_str("\n|---|--:|--:|--:|--:|\n");
-    for (system, mode) in names(&rows) {
-        let _ = write!(out, "| {system}, {mode} |");
-        for (bytes, _) in sizes {
-            let p50 = |touched| {
-                find(&rows, system, mode, "poll", bytes, touched).map_or("-".into(), |row| us(row, "p50_us"))
-            };
-            let _ = write!(out, " {} / {} |", p50(false), p50(true));
-        }
-        out.push('\n');
-    }
+    let titles = ["idle states as shipped", "idle states held off"].map(str::to_owned);
+    let times = |row: &Value| all_us(row, &["p50_us", "p99_us", "p999_us", "max_us"]);
+    out += &of_ways(&rows, "system", &titles, |way| {
+        ["as-shipped/untouched", "held-off/untouched"]
+            .map(|experiment| way.cell(experiment, 64, times))
+            .to_vec()
+    });
+    out.push_str(
+        "\nBy size, idle states held off, p50 in µs (payload untouched / all of it written and read):\n\n",
+    );
+    let (sizes, p50) = (sizes(&rows), |row: &Value| us(row, "p50_us"));
+    let titles: Vec<String> = sizes.iter().map(|&bytes| size(bytes)).collect();
+    out += &of_ways(&rows, "system", &titles, |way| {
+        let of = |bytes, how| way.cell(&format!("held-off/{how}"), bytes, p50);
+        sizes.iter().map(|&bytes| format!("{} / {}", of(bytes, "untouched"), of(bytes, "whole"))).collect()
+    });
     let lost: u64 = rows.iter().filter_map(|row| row["lost"].as_u64()).sum();
     let n: u64 = rows.iter().filter_map(|row| row["n"].as_u64()).sum();
     let _ = writeln!(
@@ -52,20 +38,29 @@ pub(super) fn table(rows: &Value) -> String {
     out
 }
 
-fn find<'r>(
-    rows: &[&'r Value],
-    system: &str,
-    mode: &str,
-    idle: &str,
-    bytes: u64,
-    touched: bool,
-) -> Option<&'r Value> {
-    let wanted = |row: &&&Value| {
-        row["system"] == system
-            && row["mode"] == mode
-            && row["idle"] == idle
-            && row["payload_bytes"] == bytes
-            && row["touched"] == touched
-    };
-    rows.iter().find(wanted).copied()
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_tables_have_a_column_per_idle_state_and_one_per_size() {
+        let row = |experiment: &str, bytes: u64, us: f64| {
+            serde_json::json!({"experiment": experiment, "system": "futex", "mode": "blocking", "payload_bytes": bytes,
+                               "p50_us": us, "p99_us": 20.0, "p999_us": 30.0, "max_us": 400.4, "lost": 0, "n": 7})
+        };
+        let rows = [
+            row("as-shipped/untouched", 64, 9.0),
+            row("held-off/untouched", 64, 3.0),
+            row("held-off/whole", 1 << 20, 33.0),
+        ];
+        let tables = table(&rows.to_vec().into());
+        for line in [
+            "| system | idle states as shipped | idle states held off |\n|---|--:|--:|\n",
+            "| futex, blocking | 9.00 / 20.00 / 30.00 / 400 | 3.00 / 20.00 / 30.00 / 400 |\n",
+            "| system | 64 B | 1 MiB |\n|---|--:|--:|\n| futex, blocking | 3.00 / - | - / 33.00 |\n",
+            "21 round trips",
+        ] {
+            assert!(tables.contains(line), "{line}\n{tables}");
+        }
+    }
 }

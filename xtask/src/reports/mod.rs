@@ -34,12 +34,12 @@ enum Kind {
 }
 use Kind::{Bool, Count, List, Number, Text};
 
-const WAKE_ROW: &[(&str, Kind)] = &[
+/// Of every row of a bench that has measured something.
+const ROW: &[(&str, Kind)] = &[
+    ("experiment", Text),
     ("system", Text),
     ("mode", Text),
-    ("idle", Text),
     ("payload_bytes", Count),
-    ("touched", Bool),
     ("n", Count),
     ("p50_us", Number),
     ("p99_us", Number),
@@ -60,7 +60,7 @@ const MESSAGES_ROW: &[(&str, Kind)] = &[
 
 /// The wake bench's report: a list of rows, each with measurements.
 pub fn check_wake(path: &Path) -> Outcome {
-    check_rows(path, WAKE_ROW)
+    check_rows(path, ROW)
 }
 
 /// The messages bench's rows.
@@ -124,24 +124,24 @@ mod tests {
         }
     }
 
-    fn wake_row() -> Value {
-        json!({"system": "futex", "mode": "blocking", "idle": "poll", "payload_bytes": 64, "touched": false, "n": 9,
+    fn row() -> Value {
+        json!({"experiment": "held-off/whole", "system": "futex", "mode": "blocking", "payload_bytes": 64, "n": 9,
                "p50_us": 1.0, "p99_us": 2, "p999_us": 3.0, "max_us": 4.0, "lost": 0})
     }
 
     #[test]
     fn what_is_missing_or_of_another_type_is_named() {
-        assert_eq!(check_row(&wake_row(), WAKE_ROW), Ok(()));
+        assert_eq!(check_row(&row(), ROW), Ok(()));
         let refused = |name: &str, value: Value| {
-            let mut row = wake_row();
+            let mut row = row();
             row[name] = value;
-            check_row(&row, WAKE_ROW).unwrap_err()
+            check_row(&row, ROW).unwrap_err()
         };
         assert!(refused("lost", json!(-1)).starts_with("'lost' of"));
         assert!(refused("p50_us", Value::Null).contains("should be a number, not null"));
         assert!(refused("n", json!(0)).starts_with("nothing was measured"));
-        let mut row = wake_row();
-        row.as_object_mut().unwrap().remove("idle");
-        assert!(check_row(&row, WAKE_ROW).unwrap_err().ends_with("has no field 'idle'"));
+        let mut row = row();
+        row.as_object_mut().unwrap().remove("mode");
+        assert!(check_row(&row, ROW).unwrap_err().ends_with("has no field 'mode'"));
     }
 }

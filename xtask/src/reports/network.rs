@@ -1,35 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The network bench's report.
 
-use super::{Kind, Kind::*, check_row, judge};
+use super::{ROW, check_row, judge};
 use crate::steps::Outcome;
 use serde_json::Value;
 use std::path::Path;
-
-const NETWORK_ROW: &[(&str, Kind)] = &[
-    ("experiment", Text),
-    ("system", Text),
-    ("mode", Text),
-    ("payload_bytes", Count),
-    ("n", Count),
-    ("p50_us", Number),
-    ("p99_us", Number),
-    ("p999_us", Number),
-    ("max_us", Number),
-    ("lost", Count),
-];
 
 /// The network bench's rows: each question is answered for Tautline, and beside Zenoh where that can be.
 pub fn check_network(path: &Path) -> Outcome {
     judge(path, |report| {
         let rows = report.as_array().ok_or("it is not a list")?;
-        rows.iter().try_for_each(|row| check_row(row, NETWORK_ROW))?;
+        rows.iter().try_for_each(|row| check_row(row, ROW))?;
         for (experiment, system, count) in [
             ("round-trip", "tautline", 3),
             ("round-trip", "zenoh", 3),
             ("stream", "tautline", 2),
             ("stream", "zenoh", 2),
-            ("callbacks", "tautline", 10),
+            ("callbacks/quiet", "tautline", 5),
+            ("callbacks/flood", "tautline", 5),
         ] {
             let of = |row: &&Value| row["experiment"] == experiment && row["system"] == system;
             let found = rows.iter().filter(of).count();
@@ -56,14 +44,15 @@ mod tests {
             json!({"experiment": experiment, "system": system, "mode": "m", "payload_bytes": 64, "n": 9, "p50_us": 1.0,
                    "p99_us": 2, "p999_us": 3.0, "max_us": 4.0, "lost": 0, "mb_per_s": 5.0})
         };
-        let mut rows = vec![row("callbacks", "tautline"); 10];
+        let mut rows = vec![row("callbacks/quiet", "tautline"); 5];
+        rows.extend(vec![row("callbacks/flood", "tautline"); 5]);
         for (experiment, count) in [("round-trip", 3), ("stream", 2)] {
             rows.extend(vec![row(experiment, "tautline"); count]);
             rows.extend(vec![row(experiment, "zenoh"); count]);
         }
         let judged = |rows: &[Value]| refusal(check_network, &Value::from(rows));
         assert_eq!(judged(&rows), "");
-        assert!(judged(&rows[1..]).contains("9 rows of tautline's callbacks, 10 are promised"));
+        assert!(judged(&rows[1..]).contains("4 rows of tautline's callbacks/quiet, 5 are promised"));
         rows[15].as_object_mut().unwrap().remove("mb_per_s");
         assert!(judged(&rows).is_empty(), "of round trips there is none");
         rows[18].as_object_mut().unwrap().remove("mb_per_s");

@@ -90,7 +90,7 @@ fn answer(job: &Value) -> Result<()> {
         }
     })?;
     go_realtime(job)?;
-    println!("ready");
+    println!("\"ready\"");
     stdout().flush()?;
     loop {
         node.spin_once(Duration::from_millis(100));
@@ -137,7 +137,7 @@ fn ask(job: &Value) -> Result<()> {
     }
     let clock = clock.borrow();
     let counts: Vec<(u64, u64)> = clock.times_ns.iter().map(|&time_ns| (time_ns, 1)).collect();
-    println!("{}", serde_json::json!({ "counts": counts, "lost": clock.asked - clock.answered }));
+    println!("{}", serde_json::json!({ "measured": { "counts": counts, "lost": clock.asked - clock.answered } }));
     Ok(stdout().flush()?)
 }
 

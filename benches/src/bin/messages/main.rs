@@ -46,13 +46,7 @@ struct Options {
 }
 
 fn main() -> ExitCode {
-    match measure(&Options::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("messages: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    tautline_benches::exit("messages", measure(&Options::parse()))
 }
 
 fn measure(options: &Options) -> Result<()> {
@@ -61,7 +55,7 @@ fn measure(options: &Options) -> Result<()> {
     let rows = rounds::run(&mut cases::all()?, options.quick)?;
     report::print(&rows, core, &disturbance.report());
     match &options.json {
-        Some(path) => report::write_json(path, &rows),
+        Some(path) => tautline_benches::write_json(path, &rows),
         None => Ok(()),
     }
 }

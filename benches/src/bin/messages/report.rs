@@ -1,15 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The table, the JSON, and what must hold.
 
-use std::fs;
-use std::path::Path;
-
-use comfy_table::presets::UTF8_FULL_CONDENSED;
-use comfy_table::{Cell, CellAlignment, Table};
 use serde::Serialize;
+use tautline_benches::claims::Verdict;
+use tautline_benches::table::Column::{Number, Words};
+use tautline_benches::table::Table;
 use tautline_benches::{machine, version_of};
 
-use crate::Result;
 use crate::cases::{FLOOR, IN_PLACE, OWNED, PUBLISHED_ONLY};
 use crate::rounds::median_ratio;
 
@@ -41,43 +38,25 @@ pub fn print(rows: &[Row], core: usize, disturbance: &str) {
     );
     println!("one process; µs per message; ratio to filling and reading a plain buffer of the same size");
     println!("{}", table(rows));
-    for line in verdicts(rows) {
-        println!("{line}");
-    }
-}
-
-/// Writes the rows to `path`.
-pub fn write_json(path: &Path, rows: &[Row]) -> Result<()> {
-    let text = serde_json::to_string_pretty(rows)?;
-    fs::write(path, text + "\n").map_err(|error| format!("cannot write {}: {error}", path.display()).into())
+    verdicts(rows).iter().for_each(|verdict| println!("{verdict}"));
 }
 
 fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED);
-    table.set_header(["message", "bytes", "implementation", "n", "p50", "p99", "ratio"]);
-    let mut previous = "";
+    let words = [Words("message"), Number("bytes"), Words("implementation")];
+    let numbers = ["n", "p50", "p99", "ratio"].map(Number);
+    let mut table = Table::new(2, [&words[..], &numbers].concat());
     for row in rows {
-        let first = row.case != previous;
-        previous = row.case;
-        let shown = |text: String| if first { text } else { String::new() };
-        let number = |text: String| Cell::new(text).set_alignment(CellAlignment::Right);
-        table.add_row([
-            Cell::new(shown(row.case.to_owned())),
-            number(shown(row.bytes.to_string())),
-            Cell::new(row.implementation),
-            number(row.n.to_string()),
-            number(format!("{:.3}", row.p50_us)),
-            number(format!("{:.3}", row.p99_us)),
-            number(format!("{:.2}", row.ratio_to_plain_buffer)),
-        ]);
+        let numbers = [format!("{:.3}", row.p50_us), format!("{:.3}", row.p99_us)];
+        let ratio = format!("{:.2}", row.ratio_to_plain_buffer).into();
+        let words = [row.case.into(), row.bytes.into(), row.implementation.into(), row.n.into()];
+        table.add(words.into_iter().chain(numbers.map(Into::into)).chain([ratio]));
     }
     table
 }
 
 /// What must hold between the rows of a run. A miss is printed, never an error: the machine has its part in it.
-fn verdicts(rows: &[Row]) -> Vec<String> {
-    let mut lines = Vec::new();
+fn verdicts(rows: &[Row]) -> Vec<Verdict> {
+    let mut verdicts = Vec::new();
     let mut cases: Vec<_> = rows.iter().map(|row| row.case).collect();
     cases.dedup();
     for case in cases {
@@ -86,8 +65,8 @@ fn verdicts(rows: &[Row]) -> Vec<String> {
         let rivals = || rows.iter().filter(|row| row.case == case && row.implementation.contains("cdr"));
         let large = find(PUBLISHED_ONLY).is_some();
         let mut judge = |claim: String, measured: f64, most: f64| {
-            let word = if measured <= most { "holds" } else { "MISSED" };
-            lines.push(format!("{word:7} {case}: {claim}: {measured:.3}, at most {most:.3}"));
+            let found = format!("{measured:.3}, at most {most:.3}");
+            verdicts.push(Verdict::new(format!("{case}: {claim}"), found, Some(measured <= most)));
         };
         if large && let Some(row) = find(IN_PLACE) {
             judge(format!("{IN_PLACE} / {FLOOR}"), row.ratio_to_plain_buffer, 1.1);
@@ -99,5 +78,5 @@ fn verdicts(rows: &[Row]) -> Vec<String> {
             judge(format!("{ours} / {}", rival.implementation), ratio, most);
         }
     }
-    lines
+    verdicts
 }

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The report as one page that needs nothing else.
 
-use std::fmt::Write;
-
-use tautline_benches::page::{STYLE, escape, list};
+use tautline_benches::page::{END, begin, list, verdicts};
+use tautline_benches::table::Column::{Number, Words};
+use tautline_benches::table::{Cell, Table};
 use tautline_paper::Variant;
 
 use crate::Result;
 use crate::figures::{ablation_histograms, p99_bars};
 use crate::plan::Experiment;
-use crate::report::Report;
+use crate::report::{Report, table, time};
 use crate::stats::Row;
 
 /// The page.
@@ -20,15 +20,14 @@ pub fn page(report: &Report) -> Result<String> {
     let others: Vec<String> =
         variants.iter().filter(|(_, v)| !v.is_ablation()).map(|(n, _)| n.clone()).collect();
     let mut out = String::new();
-    write!(
-        out,
-        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>Tautline: the paper's evaluation</title>\
-         <meta name=\"viewport\" content=\"width=device-width\"><style>{STYLE}</style></head><body>\n\
-         <h1>Response times of asynchronous callbacks</h1>\n\
-         <p>The evaluation of <i>A first look at ROS 2 applications written in asynchronous Rust</i> (ECRTS 2025, section 5), \
-         run on Tautline and on r2r.</p>\n"
+    begin(
+        &mut out,
+        "Tautline: the paper's evaluation",
+        "Response times of asynchronous callbacks",
+        "The evaluation of <i>A first look at ROS 2 applications written in asynchronous Rust</i> (ECRTS 2025, section 5), \
+         run on Tautline and on r2r.",
     )?;
-    write_verdicts(&mut out, report)?;
+    verdicts(&mut out, "What holds", &report.verdicts)?;
     if !others.is_empty() {
         out.push_str("<h2>Response times of all variants</h2>\n<figure>\n");
         out.push_str(&p99_bars(&report.rows, &others)?);
@@ -50,11 +49,14 @@ pub fn page(report: &Report) -> Result<String> {
         );
     }
     write_capacity(&mut out, report)?;
-    write_rows(&mut out, report)?;
+    out.push_str(
+        "<h2>All numbers</h2>\n<p>Times in ms. RTA+ is the prediction with the overhead that was measured.</p>\n",
+    );
+    table(&report.rows).html(&mut out)?;
     write_disturbed(&mut out, report)?;
     list(&mut out, "Method", &report.notes.method)?;
     list(&mut out, "Machine and versions", &report.notes.machine)?;
-    out.push_str("</body></html>\n");
+    out.push_str(END);
     Ok(out)
 }
 
@@ -75,21 +77,6 @@ fn is_of_ablation(variant: Variant) -> bool {
     variant.is_ablation() || variant == Variant::FUTURES_RT
 }
 
-fn write_verdicts(out: &mut String, report: &Report) -> Result<()> {
-    out.push_str("<h2>What holds</h2>\n<ul class=\"verdicts\">\n");
-    for verdict in &report.verdicts {
-        let (class, word) = match verdict.holds {
-            Some(true) => ("yes", "holds"),
-            Some(false) => ("no", "differs"),
-            None => ("unknown", "–"),
-        };
-        let (claim, found) = (escape(&verdict.claim), escape(&verdict.found));
-        writeln!(out, "<li><b class=\"{class}\">{word}</b>{claim}: {found}</li>")?;
-    }
-    out.push_str("</ul>\n");
-    Ok(())
-}
-
 fn write_capacity(out: &mut String, report: &Report) -> Result<()> {
     let rows: Vec<_> =
         report.rows.iter().filter(|row| matches!(row.cell.experiment, Experiment::Capacity(_))).collect();
@@ -98,70 +85,17 @@ fn write_capacity(out: &mut String, report: &Report) -> Result<()> {
     }
     out.push_str(
         "<h2>Queue capacity</h2>\n<p>While <i>goal</i>'s callback computes, <i>scan</i> waits: its queue needs the computed \
-         capacity, the larger number here. r2r is asked for as much.</p>\n<table><tr><th class=\"l\">system</th><th class=\"l\">queue</th><th class=\"l\">topic</th>\
-         <th>runs</th><th>published</th><th>handled</th><th>lost</th><th>max ms</th><th>RTA ms</th></tr>\n",
+         capacity, the larger number here. r2r is asked for as much.</p>\n",
     );
+    let words = ["system", "queue", "topic"].map(Words).into_iter();
+    let numbers = ["runs", "published", "handled", "lost", "max ms", "RTA ms"].map(Number);
+    let mut table = Table::new(0, words.chain(numbers).collect::<Vec<_>>());
     for row in rows {
-        let lost = if row.lost > 0 { " class=\"late\"" } else { "" };
-        writeln!(
-            out,
-            "<tr><td class=\"l\">{}</td><td class=\"l\">{}</td><td class=\"l\">{}</td><td>{}</td><td>{}</td><td>{}</td>\
-             <td{lost}>{}</td><td>{}</td><td>{}</td></tr>",
-            row.system,
-            row.variant,
-            escape(&row.topic),
-            row.runs,
-            row.published,
-            row.n,
-            row.lost,
-            time(row.max_ms),
-            time(row.rta_ms)
-        )?;
+        let words: [Cell; 3] = [row.system.into(), (&row.variant).into(), (&row.topic).into()];
+        let counts = [row.runs.into(), row.published.into(), row.n.into(), Cell::bad(row.lost)];
+        table.add(words.into_iter().chain(counts).chain([row.max_ms, row.rta_ms].map(|ms| time(ms).into())));
     }
-    out.push_str("</table>\n");
-    Ok(())
-}
-
-fn write_rows(out: &mut String, report: &Report) -> Result<()> {
-    out.push_str(
-        "<h2>All numbers</h2>\n<p>Times in ms. RTA+ is the prediction with the overhead that was measured.</p>\n<div class=\"scroll\">\
-         <table><tr><th class=\"l\">variant</th><th class=\"l\">system</th><th class=\"l\">topic</th><th>runs</th><th>n</th>\
-         <th>mean</th><th>p50</th><th>p99</th><th>±</th><th>max</th><th>RTA</th><th>RTA+</th><th>deadline</th><th>late</th>\
-         <th>lost</th><th>steal ticks</th></tr>\n",
-    );
-    for row in &report.rows {
-        let first = if row.index == 0 { " class=\"first\"" } else { "" };
-        let mark = |count: u64| if count > 0 { " class=\"late\"" } else { "" };
-        write!(out, "<tr{first}>")?;
-        for word in [&row.variant, &row.system.to_string(), &row.topic] {
-            write!(out, "<td class=\"l\">{}</td>", escape(word))?;
-        }
-        write!(out, "<td>{}</td><td>{}</td>", row.runs, row.n)?;
-        let times = [
-            row.mean_ms,
-            row.p50_ms,
-            row.p99_ms,
-            row.p99_std_ms,
-            row.max_ms,
-            row.rta_ms,
-            row.rta_overhead_ms,
-        ];
-        for ms in times {
-            write!(out, "<td>{}</td>", time(ms))?;
-        }
-        writeln!(
-            out,
-            "<td>{}</td><td{}>{}</td><td{}>{}</td><td>{}</td></tr>",
-            row.deadline_ms,
-            mark(row.misses),
-            row.misses,
-            mark(row.lost),
-            row.lost,
-            row.steal_ticks
-        )?;
-    }
-    out.push_str("</table></div>\n");
-    Ok(())
+    Ok(table.html(out)?)
 }
 
 fn write_disturbed(out: &mut String, report: &Report) -> Result<()> {
@@ -170,29 +104,28 @@ fn write_disturbed(out: &mut String, report: &Report) -> Result<()> {
         out.push_str("<p>The hypervisor took the core from no run.</p>\n");
         return Ok(());
     }
-    out.push_str(
-        "<table><tr><th class=\"l\">variant</th><th>run</th><th>steal ticks</th><th>releases missed</th><th class=\"l\">then</th>\
-         <th class=\"l\">p99 of each topic, ms</th></tr>\n",
-    );
+    let columns = [
+        Words("variant"),
+        Number("run"),
+        Number("steal ticks"),
+        Number("releases missed"),
+        Words("then"),
+        Words("p99 of each topic, ms"),
+    ];
+    let mut table = Table::new(0, columns);
     for run in &report.disturbed {
-        let fate = if run.replaced { "replaced by a repetition" } else { "counts nevertheless" };
         let p99: Vec<_> = run.p99_ms.iter().map(|ms| format!("{ms:.2}")).collect();
-        writeln!(
-            out,
-            "<tr><td class=\"l\">{}</td><td>{}</td><td>{}</td><td>{}</td><td class=\"l\">{fate}</td><td class=\"l\">{}</td></tr>",
-            escape(&run.cell),
-            run.run,
-            run.steal_ticks,
-            run.missed_releases,
-            p99.join(", ")
-        )?;
+        let (steal, missed) = (run.steal_ticks.into(), run.missed_releases.into());
+        table.add([
+            (&run.cell).into(),
+            run.run.into(),
+            steal,
+            missed,
+            run.fate().into(),
+            p99.join(", ").into(),
+        ]);
     }
-    out.push_str("</table>\n");
-    Ok(())
-}
-
-fn time(ms: Option<f64>) -> String {
-    ms.map_or(String::new(), |ms| format!("{ms:.2}"))
+    Ok(table.html(out)?)
 }
 
 #[cfg(test)]

@@ -37,6 +37,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
+use tautline_benches::{write, write_json};
 use tautline_paper::{Variant, priorities};
 use tautline_rt::{CoreSet, permission};
 
@@ -106,13 +107,7 @@ fn main() -> ExitCode {
         Some(job) => tautline::run(job),
         None => measure(&options),
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("paper: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    tautline_benches::exit("paper", result)
 }
 
 fn measure(options: &Options) -> Result<()> {
@@ -126,7 +121,7 @@ fn measure(options: &Options) -> Result<()> {
     let report = report::Report::new(&plan, &results)?;
     report::print(&report);
     if let Some(path) = &options.json {
-        write(path, &report::json(&report)?)?;
+        write_json(path, &report.rows)?;
     }
     if let Some(path) = &options.html {
         write(path, &html::page(&report)?)?;
@@ -142,8 +137,4 @@ fn core(options: &Options) -> Result<usize> {
         Some(core) => Err(format!("core {core} is not among those this process may use: {allowed:?}").into()),
         None => allowed.iter().last().ok_or_else(|| "no core may be used".into()),
     }
-}
-
-fn write(path: &std::path::Path, text: &str) -> Result<()> {
-    std::fs::write(path, text).map_err(|error| format!("cannot write {}: {error}", path.display()).into())
 }

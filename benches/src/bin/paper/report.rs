@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What was found: the data of all outputs, the table for the terminal, the JSON.
 
-use comfy_table::presets::UTF8_FULL_CONDENSED;
-use comfy_table::{Cell as TableCell, CellAlignment, Table};
+use tautline_benches::claims::Verdict;
+use tautline_benches::table::Column::{Number, Words};
+use tautline_benches::table::{Cell, Table};
 use tautline_benches::{machine, version_of};
 use tautline_paper::Variant;
 
@@ -11,7 +12,7 @@ use crate::plan::{Experiment, Plan, System};
 use crate::predict;
 use crate::rounds::{CellRuns, Results};
 use crate::stats::{self, Row, counted};
-use crate::verdict::{Verdict, verdicts};
+use crate::verdict::verdicts;
 
 /// Everything that the outputs say.
 pub struct Report {
@@ -190,7 +191,7 @@ pub fn print(report: &Report) {
     report.verdicts.iter().for_each(|verdict| println!("{verdict}"));
     println!();
     for run in &report.disturbed {
-        let fate = if run.replaced { "replaced by a repetition" } else { "counts nevertheless" };
+        let fate = run.fate();
         let (steal, missed) = (run.steal_ticks, run.missed_releases);
         println!(
             "disturbed {}, run {}: steal {steal} ticks, {missed} releases missed; {fate}",
@@ -200,44 +201,52 @@ pub fn print(report: &Report) {
     report.notes.machine.iter().for_each(|line| println!("{line}"));
 }
 
-/// The rows as a JSON list.
-pub fn json(report: &Report) -> Result<String> {
-    Ok(serde_json::to_string_pretty(&report.rows)? + "\n")
-}
-
-fn table(rows: &[Row]) -> Table {
-    let mut table = Table::new();
-    table.load_style(UTF8_FULL_CONDENSED);
-    table.set_header([
-        "variant", "system", "topic", "n", "mean", "p50", "p99", "±", "max", "RTA", "RTA+", "deadline",
-        "late", "lost", "steal",
-    ]);
-    let mut previous = (String::new(), None);
+/// All numbers.
+pub fn table(rows: &[Row]) -> Table {
+    let words = ["variant", "system", "topic"].map(Words).into_iter();
+    let numbers = [
+        "runs",
+        "n",
+        "mean",
+        "p50",
+        "p99",
+        "±",
+        "max",
+        "RTA",
+        "RTA+",
+        "deadline",
+        "late",
+        "lost",
+        "steal ticks",
+    ];
+    let mut table = Table::new(2, words.chain(numbers.map(Number)).collect::<Vec<_>>());
     for row in rows {
-        let this = (row.variant.clone(), Some(row.system));
-        let first = this != previous;
-        let words = if first { [row.variant.clone(), row.system.to_string()] } else { Default::default() };
-        previous = this;
-        let time = |ms: Option<f64>| ms.map_or("-".into(), |ms| format!("{ms:.2}"));
-        let numbers = [
-            row.n.to_string(),
-            time(row.mean_ms),
-            time(row.p50_ms),
-            time(row.p99_ms),
-            time(row.p99_std_ms),
-            time(row.max_ms),
-            time(row.rta_ms),
-            row.rta_overhead_ms.map_or(String::new(), |ms| format!("{ms:.2}")),
-            format!("{}", row.deadline_ms),
-            row.misses.to_string(),
-            row.lost.to_string(),
-            if first { row.steal_ticks.to_string() } else { String::new() },
+        let times = [
+            row.mean_ms,
+            row.p50_ms,
+            row.p99_ms,
+            row.p99_std_ms,
+            row.max_ms,
+            row.rta_ms,
+            row.rta_overhead_ms,
         ];
-        let words = words.into_iter().chain([row.topic.clone()]).map(TableCell::new);
-        let numbers = numbers.map(|text| TableCell::new(text).set_alignment(CellAlignment::Right));
-        table.add_row(words.chain(numbers));
+        let cells: [Cell; 5] =
+            [(&row.variant).into(), row.system.into(), (&row.topic).into(), row.runs.into(), row.n.into()];
+        let last =
+            [row.deadline_ms.into(), Cell::bad(row.misses), Cell::bad(row.lost), row.steal_ticks.into()];
+        table.add(cells.into_iter().chain(times.map(|ms| time(ms).into())).chain(last));
     }
     table
+}
+
+pub fn time(ms: Option<f64>) -> String {
+    ms.map_or(String::new(), |ms| format!("{ms:.2}"))
+}
+
+impl Disturbed {
+    pub fn fate(&self) -> &'static str {
+        if self.replaced { "replaced by a repetition" } else { "counts nevertheless" }
+    }
 }
 
 #[cfg(test)]
@@ -288,7 +297,7 @@ pub mod tests {
 
     #[test]
     fn json_keeps_its_contract() {
-        let text = json(&report(vec![row(System::Tautline, "futures-rt", 0, &[2.1])])).unwrap();
+        let text = serde_json::to_string_pretty(&[row(System::Tautline, "futures-rt", 0, &[2.1])]).unwrap();
         let list: Value = serde_json::from_str(&text).unwrap();
         let first = &list[0];
         assert_eq!(

@@ -3,12 +3,10 @@
 
 use std::io::IsTerminal;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
-use signal_hook::consts::{SIGINT, SIGTERM};
 use tautline_benches::Disturbance;
 use tautline_paper::priorities;
 use tautline_rt::{CoreSet, IdleHold, Interruptions, Policy, Realtime, ThreadBuilder};
@@ -64,12 +62,7 @@ impl CellRuns {
 
 /// Measures everything in the plan that `results` does not hold yet, until `limit` is over.
 pub fn run(plan: &Plan, results: Option<&Path>, limit: Option<Duration>) -> Result<Results> {
-    let interrupted = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
-        // The second one ends at once.
-        signal_hook::flag::register_conditional_default(signal, Arc::clone(&interrupted))?;
-        signal_hook::flag::register(signal, Arc::clone(&interrupted))?;
-    }
+    let interrupted = tautline_benches::interrupted()?;
     if let Err(reason) = &plan.r2r {
         eprintln!("r2r is left out: {reason}");
     }

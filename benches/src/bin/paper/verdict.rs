@@ -1,32 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What must hold between the rows. A miss is printed, never an error: the machine has its part in it.
 
-use std::fmt;
-
+use tautline_benches::claims::Verdict;
 use tautline_paper::{Scheduling, Structure, Variant};
 
 use crate::plan::{Experiment, System};
 use crate::stats::Row;
-
-/// A claim and whether it holds.
-pub struct Verdict {
-    /// `None` if what it is about was not measured.
-    pub holds: Option<bool>,
-    pub claim: String,
-    /// The numbers, and what differs.
-    pub found: String,
-}
-
-impl fmt::Display for Verdict {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let word = match self.holds {
-            Some(true) => "holds",
-            Some(false) => "DIFFERS",
-            None => "-",
-        };
-        write!(f, "{word:7} {}: {}", self.claim, self.found)
-    }
-}
 
 /// How much longer than r2r's our p99 may be.
 const FACTOR: f64 = 1.01;
@@ -73,7 +52,7 @@ fn rows_of(rows: &[Row], system: System, experiment: Experiment) -> Vec<&Row> {
 }
 
 fn unmeasured(claim: String) -> Verdict {
-    Verdict { holds: None, claim, found: "not measured".into() }
+    Verdict::new(claim, "not measured", None)
 }
 
 fn only_futures_rt(rows: &[Row], system: System) -> Verdict {
@@ -103,7 +82,7 @@ fn only_futures_rt(rows: &[Row], system: System) -> Verdict {
     }
     // That no other does is not known if there is none.
     let is_alone = meets(proposed) && variants.len() == 1;
-    Verdict { holds: (!is_alone).then_some(meets(proposed) && others.is_empty()), claim, found }
+    Verdict::new(claim, found, (!is_alone).then_some(meets(proposed) && others.is_empty()))
 }
 
 /// Which topics missed how many deadlines, with the disturbances that may be the reason.
@@ -143,7 +122,7 @@ fn others_fail(rows: &[Row], system: System) -> Verdict {
     }
     let found =
         if differ.is_empty() { format!("all {count} do") } else { format!("here {}", differ.join("; ")) };
-    Verdict { holds: Some(differ.is_empty()), claim, found }
+    Verdict::new(claim, found, Some(differ.is_empty()))
 }
 
 fn no_slower_than_r2r(rows: &[Row]) -> Verdict {
@@ -160,7 +139,7 @@ fn no_slower_than_r2r(rows: &[Row]) -> Verdict {
         holds &= pair.is_some_and(|(ours, theirs)| ours <= theirs * FACTOR + SLACK_MS);
         texts.push(format!("{} {} / {}", ours.topic, number(ours.p99_ms), number(theirs.p99_ms)));
     }
-    Verdict { holds: Some(holds), claim, found: format!("{} ms", texts.join(", ")) }
+    Verdict::new(claim, format!("{} ms", texts.join(", ")), Some(holds))
 }
 
 fn as_predicted(rows: &[Row], system: System) -> Verdict {
@@ -179,7 +158,7 @@ fn as_predicted(rows: &[Row], system: System) -> Verdict {
             pair.is_some_and(|(p99, predicted)| (p99 - predicted).abs() <= predicted * SHARE + MARGIN_MS);
         texts.push(format!("{} {} / {}", row.topic, number(row.p99_ms), number(row.rta_overhead_ms)));
     }
-    Verdict { holds: Some(holds), claim, found: format!("{} ms", texts.join(", ")) }
+    Verdict::new(claim, format!("{} ms", texts.join(", ")), Some(holds))
 }
 
 fn ablation(rows: &[Row], system: System) -> Verdict {
@@ -197,7 +176,7 @@ fn ablation(rows: &[Row], system: System) -> Verdict {
         holds &= late > 0;
         texts.push(format!("{variant} {late} of {n} late, p99 of topic1 {} ms", number(first)));
     }
-    Verdict { holds: Some(holds), claim, found: texts.join("; ") }
+    Verdict::new(claim, texts.join("; "), Some(holds))
 }
 
 fn nort_tokio(rows: &[Row], system: System) -> Verdict {
@@ -216,7 +195,7 @@ fn nort_tokio(rows: &[Row], system: System) -> Verdict {
         .map(|index| tokio[index].topic.as_str())
         .collect();
     let found = if worst.is_empty() { "on none".into() } else { format!("on {}", worst.join(", ")) };
-    Verdict { holds: Some(worst.len() >= 3), claim, found }
+    Verdict::new(claim, found, Some(worst.len() >= 3))
 }
 
 fn computed_capacity(rows: &[Row], capacity: usize) -> Verdict {
@@ -255,7 +234,7 @@ fn lossless(rows: Vec<&Row>, claim: String, wanted: bool) -> Verdict {
     }
     let runs = rows[0].runs;
     let found = format!("{lost} of {published} lost in {runs} runs");
-    Verdict { holds: Some((lost == 0) == wanted), claim, found }
+    Verdict::new(claim, found, Some((lost == 0) == wanted))
 }
 
 fn number(ms: Option<f64>) -> String {

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! One process of a pair; Tautline's ways as its users have them: a callback thread, the main thread as the sampler.
 
-use std::io::{Write, stdout};
 use std::sync::mpsc;
 
 use futures::StreamExt;
@@ -11,9 +10,10 @@ use tautline::{
     Realtime, Request, Server, Service, ServiceRequest, Subscription,
 };
 use tautline_benches::Distribution;
+use tautline_benches::pair::{Line, Measured};
 use tautline_rt::clock::monotonic_ns;
 
-use crate::{Job, Measured, PRIORITY, Result, System, iceoryx};
+use crate::{Job, PRIORITY, Result, System, iceoryx};
 
 /// Measures round trips for as long as the job says, after a warm-up of an eighth of that.
 pub struct Clock {
@@ -63,16 +63,9 @@ impl Clock {
 
     /// Says what was measured.
     pub fn print(&self) -> Result<()> {
-        let measured = Measured { counts: self.distribution.counts(), lost: self.number - self.answered };
-        println!("{}", serde_json::to_string(&measured)?);
-        Ok(stdout().flush()?)
+        let (counts, lost) = (self.distribution.counts(), self.number - self.answered);
+        Line::Measured(Measured { counts, lost }).say()
     }
-}
-
-/// Tells the parent that this process can answer.
-pub fn ready() -> Result<()> {
-    println!("ready");
-    Ok(stdout().flush()?)
 }
 
 /// A message of one of the measured sizes, of which the first word is used.
@@ -240,7 +233,7 @@ fn serve(
     answer: impl Future<Output = ()> + Send + 'static,
 ) -> Result<()> {
     let _callback = node.spawn_callback(options, answer)?;
-    ready()?;
+    Line::Ready.say()?;
     Ok(node.spin()?)
 }
 

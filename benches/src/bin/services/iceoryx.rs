@@ -5,9 +5,10 @@ use std::os::unix::ffi::OsStrExt;
 use std::time::Duration;
 
 use iceoryx2::prelude::*;
+use tautline_benches::pair::Line;
 use tautline_rt::{CoreSet, MemoryLock, Policy, lock_memory, prefault_stack, set_affinity, set_policy};
 
-use crate::child::{Clock, ready};
+use crate::child::Clock;
 use crate::{Job, PRIORITY, Result};
 
 pub fn run(job: &Job) -> Result<()> {
@@ -62,7 +63,7 @@ pub fn run(job: &Job) -> Result<()> {
     let server = service.server_builder().create()?;
     let (notifier, listener) = (answered.notifier_builder().create()?, asked.listener_builder().create()?);
     go_realtime(job)?;
-    ready()?;
+    Line::Ready.say()?;
     loop {
         listener.timed_wait(|_| {}, patience)?;
         while listener.try_wait(|_| {})? > 0 {}

@@ -16,20 +16,23 @@ mod iceoryx;
 mod report;
 
 use std::error::Error;
-use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitCode, Stdio};
+use std::process::{Command, ExitCode};
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use clap::Parser;
 use serde::{Deserialize, Serialize};
-use tautline_benches::{Distribution, Disturbance, Scratch, version_of};
-use tautline_rt::domain::scope;
-use tautline_rt::{CoreSet, permission};
+use tautline_benches::pair::Measured;
+use tautline_benches::rows::{Row, Tally};
+use tautline_benches::{Disturbance, Scratch, exit, interrupted, pair, two_cores, version_of, write_json};
+use tautline_rt::permission;
 
 /// What nobody handles but the person who reads it.
 pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
+/// How long a process may take to set itself up.
+const PATIENCE: Duration = Duration::from_secs(30);
 /// The priority of the threads that measure.
 pub const PRIORITY: u8 = 50;
 
@@ -78,13 +81,14 @@ pub enum System {
 impl System {
     const ALL: [Self; 5] = [Self::Topics, Self::Server, Self::Iceoryx2, Self::ServiceOwned, Self::R2r];
 
-    fn name(self) -> &'static str {
+    /// The system and its mode, as in the table and the JSON.
+    fn names(self) -> (&'static str, &'static str) {
         match self {
-            Self::Topics => "tautline topics",
-            Self::Server => "tautline service, in place",
-            Self::ServiceOwned => "tautline service, owned",
-            Self::Iceoryx2 => "iceoryx2 request-response",
-            Self::R2r => "r2r over Fast DDS",
+            Self::Topics => ("tautline", "topics"),
+            Self::Server => ("tautline", "service, in place"),
+            Self::ServiceOwned => ("tautline", "service, owned"),
+            Self::Iceoryx2 => ("iceoryx2", "request-response"),
+            Self::R2r => ("r2r", "over Fast DDS"),
         }
     }
 }
@@ -105,22 +109,23 @@ pub struct Job {
     pub(crate) directory: PathBuf,
 }
 
-/// What the asking process says.
-#[derive(Debug, Serialize, Deserialize)]
-pub struct Measured {
-    /// Round trips in ns and how often each occurred.
-    pub(crate) counts: Vec<(u64, u64)>,
-    /// Questions without an answer.
-    pub(crate) lost: u64,
+/// A line of the result in the making.
+struct Cell {
+    system: System,
+    bytes: usize,
+    tally: Tally,
 }
 
-/// A line of the result.
-pub struct Cell {
-    pub(crate) system: System,
-    pub(crate) bytes: usize,
-    pub(crate) all: Distribution,
-    pub(crate) lost: u64,
-    pub(crate) rounds_p50_us: Vec<f64>,
+impl Cell {
+    fn name(&self) -> String {
+        let (system, mode) = self.system.names();
+        format!("{system} {mode}, {} B", self.bytes)
+    }
+
+    fn row(&self) -> Row {
+        let (system, mode) = self.system.names();
+        self.tally.row(report::EXPERIMENT, system, mode, self.bytes)
+    }
 }
 
 fn main() -> ExitCode {
@@ -129,13 +134,7 @@ fn main() -> ExitCode {
         Some(job) => child::run(job),
         None => measure(&options),
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("services: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    exit("services", result)
 }
 
 fn measure(options: &Options) -> Result<()> {
@@ -143,9 +142,9 @@ fn measure(options: &Options) -> Result<()> {
         permission::realtime_permitted(PRIORITY)
             .map_err(|error| format!("{error} (or measure without: --no-rt)"))?;
     }
-    let cores: Vec<_> = CoreSet::allowed()?.iter().take(2).collect();
-    let [asking, answering] = cores[..] else { return Err("two cores are needed".into()) };
-    let (rounds, budget) = if options.quick { (3, 200) } else { (7, 1000) };
+    let [asking, answering] = two_cores(None)?;
+    let interrupted = interrupted()?;
+    let (rounds, budget): (u32, u64) = if options.quick { (3, 200) } else { (7, 1000) };
     let sizes = [64, 4 << 10, 1 << 20];
     let r2r = match &options.r2r {
         Some(program) => Some((program.as_path(), versions_of(program)?)),
@@ -160,22 +159,16 @@ fn measure(options: &Options) -> Result<()> {
         // A copy of a MiB is no news.
         .filter(|&(system, bytes)| system != System::ServiceOwned || bytes == 64)
         .filter(|&(system, _)| system != System::R2r || r2r.is_some())
-        .map(|(system, bytes)| Cell {
-            system,
-            bytes,
-            all: Distribution::new(),
-            lost: 0,
-            rounds_p50_us: vec![],
-        })
+        .map(|(system, bytes)| Cell { system, bytes, tally: Tally::default() })
         .collect();
     let scratch = Scratch::new("services")?;
     let disturbance = Disturbance::start();
     // For all systems alike: of itself only Tautline does so. Ignored: where it is refused, all wake-ups are slower by the same.
     let _idle = tautline_rt::IdleHold::new();
-    let progress = indicatif::ProgressBar::new((rounds * cells.len()) as u64);
-    for round in 0..rounds {
+    let progress = indicatif::ProgressBar::new(u64::from(rounds) * cells.len() as u64);
+    for round in 1..=rounds {
         for cell in &mut cells {
-            progress.set_message(format!("{}, {} B", cell.system.name(), cell.bytes));
+            progress.set_message(cell.name());
             let job = Job {
                 system: cell.system,
                 bytes: cell.bytes,
@@ -191,22 +184,19 @@ fn measure(options: &Options) -> Result<()> {
                 (System::R2r, Some((program, _))) => program.to_path_buf(),
                 _ => std::env::current_exe()?,
             };
-            let measured = run_pair(&program, &job, asking)
-                .map_err(|error| format!("{}, {} B: {error}", cell.system.name(), cell.bytes))?;
-            let mut distribution = Distribution::new();
-            distribution.add(&measured.counts);
-            cell.rounds_p50_us.push(distribution.quantile_us(0.5));
-            cell.all.add(&measured.counts);
-            cell.lost += measured.lost;
+            let measured = run_pair(&program, &job, asking, &interrupted)
+                .map_err(|error| format!("{}: {error}", cell.name()))?;
+            cell.tally.add_measured(round, &measured);
             progress.inc(1);
         }
     }
     progress.finish_and_clear();
     let r2r = r2r.map_or_else(|| format!("r2r LEFT OUT: {}", options.without_r2r), |(_, versions)| versions);
     let versions = format!("iceoryx2 {}, {r2r}", version_of("iceoryx2").unwrap_or("?"));
-    let verdict = report::print(&cells, &disturbance.report(), &versions);
+    let rows = cells.iter().map(Cell::row).collect();
+    let report = report::print(rows, &disturbance.report(), versions)?;
     match &options.json {
-        Some(path) => report::write_json(path, &cells, &verdict, &versions),
+        Some(path) => write_json(path, &report),
         None => Ok(()),
     }
 }
@@ -221,56 +211,15 @@ fn versions_of(program: &Path) -> Result<String> {
     Ok(String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }
 
-fn run_pair(program: &Path, job: &Job, asking: usize) -> Result<Measured> {
-    let mut answers = Peer::start(program, job)?;
-    if answers.line()?.trim() != "ready" {
-        return Err(format!("the answering process ended: {}", answers.last_words()).into());
-    }
-    let mut asks = Peer::start(program, &Job { asks: true, core: asking, ..job.clone() })?;
-    let line = asks.line()?;
-    serde_json::from_str(&line)
-        .map_err(|_| format!("{}; its peer: {}", asks.last_words(), answers.last_words()).into())
-}
-
-/// A process of a pair; ended on drop.
-struct Peer {
-    child: Child,
-    output: BufReader<std::process::ChildStdout>,
-}
-
-impl Peer {
-    fn start(program: &Path, job: &Job) -> Result<Self> {
+fn run_pair(program: &Path, job: &Job, asking: usize, interrupted: &AtomicBool) -> Result<Measured> {
+    let command = |job: &Job| -> Result<Command> {
         let mut command = Command::new(program);
         // Of r2r, which would look for others in the whole network.
         command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
-        command.envs(scope()?.map(|scope| ("TAUT_SCOPE", scope)));
-        command.arg("--child").arg(serde_json::to_string(job)?).stdin(Stdio::null());
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
-        let output = BufReader::new(child.stdout.take().ok_or("a pipe")?);
-        Ok(Peer { child, output })
-    }
-
-    /// Its next line; empty if it ended.
-    fn line(&mut self) -> Result<String> {
-        let mut line = String::new();
-        self.output.read_line(&mut line)?;
-        Ok(line)
-    }
-
-    fn last_words(&mut self) -> String {
-        let _ = self.child.kill();
-        let mut words = String::new();
-        if let Some(mut errors) = self.child.stderr.take() {
-            let _ = errors.read_to_string(&mut words);
-        }
-        words.trim().to_owned()
-    }
-}
-
-impl Drop for Peer {
-    fn drop(&mut self) {
-        // Ignored: both fail only if it has ended.
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+        command.arg("--child").arg(serde_json::to_string(job)?);
+        Ok(command)
+    };
+    let pair = [command(job)?, command(&Job { asks: true, core: asking, ..job.clone() })?];
+    // The one that answers does so for ever.
+    pair::measure(pair, PATIENCE + 2 * job.budget, interrupted).map(|(measured, _)| measured)
 }

@@ -135,7 +135,7 @@ fn measure(options: &Options) -> Result<bool> {
     println!("\n{machine}\n{}", watched.report());
     if let Some(path) = &options.json {
         report.insert("broken".to_owned(), json!(broken));
-        std::fs::write(path, serde_json::to_string_pretty(&report)?)?;
+        tautline_benches::write_json(path, &report)?;
     }
     broken.iter().for_each(|broken| println!("does not hold: {broken}"));
     Ok(broken.is_empty())

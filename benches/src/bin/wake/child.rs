@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! One process of a pair.
 
-use std::io::{Write, stdout};
 use std::time::Duration;
 
 use rustix::process::{Signal, set_parent_process_death_signal};
-use serde::{Deserialize, Serialize};
 use tautline_benches::Distribution;
+use tautline_benches::pair::{Line, Measured};
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{CoreSet, MemoryLock, Policy, lock_memory, prefault_stack, set_affinity, set_policy};
 
@@ -37,18 +36,6 @@ pub struct Received {
     pub late: bool,
 }
 
-/// What the ping process measured; a line of JSON on its standard output.
-#[derive(Serialize, Deserialize)]
-pub struct Measured {
-    /// Half round trips in ns, and how often each occurred.
-    pub counts: Vec<(u64, u64)>,
-    /// Round trips in which a wake-up was lost; not in `counts`.
-    pub lost: u64,
-}
-
-/// The line with which the pong process says that it can receive.
-pub const READY: &str = "ready";
-
 /// Runs the job given as JSON.
 pub fn run(job: &str) -> Result<()> {
     // Nobody is left to stop a busy-polling child when the parent is killed.
@@ -57,14 +44,13 @@ pub fn run(job: &str) -> Result<()> {
     let mut pinger = Pinger::new(&job);
     run_mode(&job, &mut pinger)?;
     if job.role == Role::Ping {
-        let measured = Measured { counts: pinger.distribution.counts(), lost: pinger.lost };
-        println!("{}", serde_json::to_string(&measured)?);
+        Line::Measured(Measured { counts: pinger.distribution.counts(), lost: pinger.lost }).say()?;
     }
     Ok(())
 }
 
 /// Runs one side of the exchange to its end. A system provides one function for both sides; the ping side uses the
-/// pinger, the pong side says [`ready`] once it can receive and returns after [`STOP`].
+/// pinger, the pong side says [`Line::Ready`] once it can receive and returns after [`STOP`].
 fn run_mode(job: &Job, pinger: &mut Pinger) -> Result<()> {
     match job.mode {
         Mode::FutexBlocking | Mode::FutexOneCore => futex::run(job, |link| exchange(job, pinger, link)),
@@ -74,12 +60,6 @@ fn run_mode(job: &Job, pinger: &mut Pinger) -> Result<()> {
             tautline::run(job, pinger)
         }
     }
-}
-
-/// Tells the parent that this process can receive.
-pub fn ready() -> Result<()> {
-    println!("{READY}");
-    Ok(stdout().flush()?)
 }
 
 /// Binds and prioritises the current thread, after its system has set itself up.
@@ -99,7 +79,7 @@ fn exchange(job: &Job, pinger: &mut Pinger, link: &mut dyn Link) -> Result<()> {
     match job.role {
         Role::Ping => ping(pinger, link)?,
         Role::Pong => {
-            ready()?;
+            Line::Ready.say()?;
             pong(link)?;
         }
     }

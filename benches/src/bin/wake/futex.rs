@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The floor: one futex wake each way and nothing else. The parent hands both processes the same memory as standard input.
+//! The floor: one futex wake each way and nothing else. Both processes map a file of the parent.
 
 use std::fs::File;
-use std::io::stdin;
-use std::os::fd::OwnedFd;
+use std::path::PathBuf;
 
-use rustix::fs::{MemfdFlags, memfd_create};
 use tautline_exchange::FutexPair;
 
 use crate::Result;
@@ -13,11 +11,14 @@ use crate::child::{Link, Received, WAIT};
 use crate::payload;
 use crate::plan::{Job, Payload, Role};
 
-/// Anonymous memory for a pair, as a file.
-pub fn memory(payload: Payload) -> Result<OwnedFd> {
-    let file = File::from(memfd_create("wake", MemfdFlags::CLOEXEC)?);
-    file.set_len(FutexPair::memory_bytes(payload.bytes) as u64)?;
-    Ok(file.into())
+/// Makes the memory of a pair.
+pub fn make_memory(job: &Job) -> Result<()> {
+    let file = File::create(memory(job))?;
+    Ok(file.set_len(FutexPair::memory_bytes(job.payload.bytes) as u64)?)
+}
+
+fn memory(job: &Job) -> PathBuf {
+    PathBuf::from("/dev/shm").join(format!("{}futex", job.prefix))
 }
 
 /// Runs `body` with one end of the link.
@@ -26,7 +27,8 @@ pub fn run(job: &Job, body: impl FnOnce(&mut dyn Link) -> Result<()>) -> Result<
         Role::Ping => tautline_exchange::Role::Near,
         Role::Pong => tautline_exchange::Role::Far,
     };
-    let pair = FutexPair::open(stdin(), role, job.payload.bytes)?;
+    let file = File::options().read(true).write(true).open(memory(job))?;
+    let pair = FutexPair::open(file, role, job.payload.bytes)?;
     body(&mut FutexLink { pair, payload: job.payload })
 }
 

@@ -12,7 +12,7 @@
 //! | `child` | one of a pair: the round trip's clock (`Pinger`), set-up, the loops over a `Link` |
 //! | `payload` | what a message contains |
 //! | `futex`, `iceoryx`, `tautline` | the systems |
-//! | `report`, `verdict` | the table, the JSON, the ratios that must hold |
+//! | `report` | what is said of the rows |
 
 mod child;
 mod futex;
@@ -22,14 +22,14 @@ mod plan;
 mod report;
 mod rounds;
 mod tautline;
-mod verdict;
 
 use std::error::Error;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-use tautline_rt::{CoreSet, permission};
+use tautline_benches::{exit, two_cores, write_json};
+use tautline_rt::permission;
 
 /// What nobody handles but the person who reads it.
 pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -60,13 +60,7 @@ fn main() -> ExitCode {
         Some(job) => child::run(job),
         None => measure(&options),
     };
-    match result {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("wake: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    exit("wake", result)
 }
 
 fn measure(options: &Options) -> Result<()> {
@@ -74,25 +68,12 @@ fn measure(options: &Options) -> Result<()> {
         permission::realtime_permitted(plan::PRIORITY)
             .map_err(|error| format!("{error} (or measure without: --no-rt)"))?;
     }
-    let plan = plan::Plan::new(options.quick, cores(options)?, !options.no_rt);
+    let plan = plan::Plan::new(options.quick, two_cores(options.cores.as_deref())?, !options.no_rt);
     let rows = rounds::run(&plan)?;
-    report::print(&plan, &rows);
+    report::print(&plan, &rows)?;
     if let Some(path) = &options.json {
-        report::write_json(path, &rows)?;
+        write_json(path, &rows.rows)?;
     }
     let lost_messages = rows.rows.iter().any(|row| row.system == "tautline" && row.lost > 0);
     if lost_messages { Err("tautline lost wake-ups".into()) } else { Ok(()) }
-}
-
-/// The sender's and the receiver's core.
-fn cores(options: &Options) -> Result<[usize; 2]> {
-    let chosen = match &options.cores {
-        Some(cores) => cores.clone(),
-        None => CoreSet::allowed()?.iter().take(2).collect(),
-    };
-    match chosen[..] {
-        [sender, receiver] if sender != receiver => Ok([sender, receiver]),
-        _ => Err(format!("two different cores are needed, there are {chosen:?}: name them with --cores A,B")
-            .into()),
-    }
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is measured.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -63,13 +64,31 @@ impl Mode {
 }
 
 /// What the cores may do while they wait.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Idle {
     /// Sleep, as the machine is set up.
     Default,
     /// Nothing: `/dev/cpu_dma_latency` is held at 0.
     Poll,
+}
+
+impl Idle {
+    pub const ALL: [Self; 2] = [Self::Default, Self::Poll];
+
+    /// The experiment, as in the table and the JSON.
+    pub fn experiment(self, touched: bool) -> String {
+        let payload = if touched { "whole" } else { "untouched" };
+        let idle = match self {
+            Idle::Default => "as-shipped",
+            Idle::Poll => "held-off",
+        };
+        format!("{idle}/{payload}")
+    }
+
+    /// The names of all experiments.
+    pub fn experiments() -> BTreeSet<String> {
+        Self::ALL.iter().flat_map(|idle| [false, true].map(|touched| idle.experiment(touched))).collect()
+    }
 }
 
 /// A message's size and whether both sides go through it.
@@ -87,7 +106,6 @@ pub struct Plan {
     pub cores: [usize; 2],
     pub modes: Vec<Mode>,
     pub payloads: Vec<Payload>,
-    pub idles: Vec<Idle>,
     pub rounds: u32,
 }
 
@@ -102,21 +120,19 @@ impl Plan {
                 .flat_map(|&b| [payload(b, false), payload(b, true)])
                 .collect()
         };
-        let idles = vec![Idle::Default, Idle::Poll];
         Self {
             quick,
             realtime,
             cores,
             modes: Mode::ALL.to_vec(),
             payloads,
-            idles,
             rounds: if quick { 3 } else { 5 },
         }
     }
 
     /// How many pairs of processes will run.
     pub fn runs(&self) -> u32 {
-        let cells = self.modes.len() * self.payloads.len() * self.idles.len();
+        let cells = self.modes.len() * self.payloads.len() * Idle::ALL.len();
         u32::try_from(cells).unwrap_or(u32::MAX).saturating_mul(self.rounds)
     }
 

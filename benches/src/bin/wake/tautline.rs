@@ -9,9 +9,10 @@ use std::time::{Duration, Instant};
 
 use ::tautline::{CallbackOptions, Context, Message, Node, Plain, Publisher, Qos, Realtime, Subscription};
 use futures::StreamExt;
+use tautline_benches::pair::Line;
 
 use crate::Result;
-use crate::child::{Pinger, Received, WAIT, ready};
+use crate::child::{Pinger, Received, WAIT};
 use crate::payload::STOP;
 use crate::plan::{Job, Mode, PRIORITY, Payload, Role};
 
@@ -109,7 +110,7 @@ fn play<T: Frame>(job: &Job, pinger: &mut Pinger) -> Result<()> {
         })?,
     };
     if job.role == Role::Pong {
-        ready()?;
+        Line::Ready.say()?;
     }
     node.spin()?;
     callback.join()?;

@@ -3,8 +3,9 @@
 
 use plotters::style::{RGBColor, WHITE};
 use tautline_benches::canvas::{Align, Canvas, FAINT, GRID, INK, Words};
+use tautline_benches::table::short;
 
-use super::{BOUND, colour, label, on_bar, short};
+use super::{BOUND, colour, label, on_bar};
 use crate::Result;
 use crate::plan::System;
 use crate::stats::Row;

@@ -35,12 +35,3 @@ fn label(system: System) -> &'static str {
         System::R2r => "r2r over Fast DDS",
     }
 }
-
-/// Three digits, or none after the point from 100 on.
-fn short(ms: f64) -> String {
-    match ms {
-        ms if ms < 10.0 => format!("{ms:.2}"),
-        ms if ms < 100.0 => format!("{ms:.1}"),
-        ms => format!("{ms:.0}"),
-    }
-}

@@ -1,0 +1,400 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The claims that must hold between the rows of a run, as `claims.toml` has them, and their judge.
+
+use std::collections::BTreeSet;
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+use toml::Spanned;
+
+use crate::rows::{By, Compared, Figure, Metric, Row};
+use crate::table::{bytes_of, short};
+
+const FILE: &str = include_str!("../claims.toml");
+
+/// A bench whose rows are judged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum Bench {
+    Compare,
+    Network,
+    Services,
+    Wake,
+}
+
+/// What must hold, and what was found. `holds` is `None` where that cannot be judged; `found` says why.
+#[derive(Clone, Debug, Serialize)]
+#[expect(missing_docs, reason = "the names say it")]
+pub struct Verdict {
+    pub claim: String,
+    pub found: String,
+    pub holds: Option<bool>,
+    /// Of a claim that is missed: why it stays so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+}
+
+impl Verdict {
+    /// Of a claim that needs no reason.
+    pub fn new(claim: impl Into<String>, found: impl Into<String>, holds: Option<bool>) -> Self {
+        Verdict { claim: claim.into(), found: found.into(), holds, reason: None }
+    }
+
+    /// In a word.
+    pub fn word(&self) -> &'static str {
+        match self.holds {
+            Some(true) => "holds",
+            Some(false) => "MISSED",
+            None => "not judged",
+        }
+    }
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:10}  {}: {}", self.word(), self.claim, self.found)?;
+        match &self.reason {
+            Some(reason) => write!(f, "; why it stays: {reason}"),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Judges all claims about a bench that has these experiments.
+///
+/// # Errors
+/// The file says what cannot be judged.
+pub fn verdicts(
+    bench: Bench,
+    experiments: &BTreeSet<String>,
+    rows: &[Row],
+) -> Result<Vec<Verdict>, BadClaims> {
+    Ok(read(FILE, bench, experiments)?.iter().map(|claim| claim.judge(rows)).collect())
+}
+
+/// What is wrong with the file: where, and what would be right.
+#[derive(Debug)]
+pub struct BadClaims(String);
+
+impl fmt::Display for BadClaims {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "benches/claims.toml: {}", self.0)
+    }
+}
+
+impl std::error::Error for BadClaims {}
+
+/// The claims of each bench.
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct File {
+    compare: Vec<Spanned<Entry>>,
+    network: Vec<Spanned<Entry>>,
+    services: Vec<Spanned<Entry>>,
+    wake: Vec<Spanned<Entry>>,
+}
+
+/// A claim as it is written.
+#[derive(Clone, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+struct Entry {
+    words: String,
+    #[serde(default)]
+    each: Vec<String>,
+    experiment: Option<Names>,
+    bytes: Option<String>,
+    metric: Metric,
+    #[serde(default)]
+    however_few: bool,
+    ours: Side,
+    theirs: Option<Side>,
+    floor: Option<Side>,
+    at_most: Option<Limit>,
+    at_least: Option<Limit>,
+    #[serde(default)]
+    beside: Vec<Metric>,
+    reason: Option<String>,
+}
+
+/// Which rows. What it does not say the claim says for all its sides.
+#[derive(Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Side {
+    experiment: Option<Names>,
+    system: String,
+    #[serde(default)]
+    modes: Vec<String>,
+    bytes: Option<String>,
+}
+
+/// One name or several.
+#[derive(Clone, Deserialize)]
+#[serde(untagged, expecting = "expected a name or a list of names")]
+enum Names {
+    One(String),
+    Several(Vec<String>),
+}
+
+impl Names {
+    fn of(&self) -> &[String] {
+        match self {
+            Names::One(name) => std::slice::from_ref(name),
+            Names::Several(names) => names,
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Limit {
+    /// Times theirs.
+    Times(f64),
+    /// More than theirs, in the metric's unit.
+    More(f64),
+    /// By itself, in the metric's unit.
+    Number(f64),
+}
+
+/// Rows of a system, of which the best one counts.
+struct Rows {
+    experiments: Vec<String>,
+    system: String,
+    /// None: all.
+    modes: Vec<String>,
+    bytes: usize,
+}
+
+/// A claim that can be judged.
+struct Claim {
+    words: String,
+    figure: Figure,
+    ours: Rows,
+    /// And by what they are compared; `None`: by itself.
+    theirs: Option<(Rows, By)>,
+    floor: Option<Rows>,
+    limit: f64,
+    is_at_most: bool,
+    beside: Vec<Metric>,
+    reason: Option<String>,
+}
+
+fn read(text: &str, bench: Bench, experiments: &BTreeSet<String>) -> Result<Vec<Claim>, BadClaims> {
+    let file: File = toml::from_str(text).map_err(|error| BadClaims(error.to_string()))?;
+    let mut claims = Vec::new();
+    for (of, entries) in [
+        (Bench::Compare, &file.compare),
+        (Bench::Network, &file.network),
+        (Bench::Services, &file.services),
+        (Bench::Wake, &file.wake),
+    ] {
+        // Of the others the experiments are not known, but all else is.
+        let experiments = (of == bench).then_some(experiments);
+        for entry in entries {
+            let line = 1 + text[..entry.span().start].matches('\n').count();
+            let entry = entry.get_ref();
+            let bad = |(field, what): Bad| {
+                BadClaims(format!("line {line}, '{field}' of \"{}\": {what}", entry.words))
+            };
+            for text in entry.texts().map_err(bad)? {
+                let claim = entry.claim(&text, experiments).map_err(bad)?;
+                claims.extend(experiments.map(|_| claim));
+            }
+        }
+    }
+    Ok(claims)
+}
+
+/// A field, and what is wrong with it.
+type Bad = (&'static str, String);
+
+impl Entry {
+    /// What takes the place of `{}`, for each claim that this is.
+    fn texts(&self) -> Result<Vec<String>, Bad> {
+        match (self.each.is_empty(), self.words.contains("{}")) {
+            (true, true) => Err(("words", "it has a {}, and no 'each' says what to put there".to_owned())),
+            (false, false) => {
+                Err(("words", "with 'each' it needs a {}, or all claims are called the same".to_owned()))
+            }
+            (true, false) => Ok(vec![String::new()]),
+            (false, true) => Ok(self.each.clone()),
+        }
+    }
+
+    fn claim(&self, text: &str, experiments: Option<&BTreeSet<String>>) -> Result<Claim, Bad> {
+        let rows = |side: &Side| -> Result<Rows, Bad> {
+            let put = |words: &String| words.replace("{}", text);
+            let names = side.experiment.as_ref().or(self.experiment.as_ref());
+            let names = names.filter(|names| !names.of().is_empty());
+            let names =
+                names.ok_or(("experiment", "missing: name it for the claim or for each side".to_owned()))?;
+            let names: Vec<String> = names.of().iter().map(put).collect();
+            if let Some(all) = experiments
+                && let Some(name) = names.iter().find(|name| !all.contains(*name))
+            {
+                let all: Vec<_> = all.iter().map(String::as_str).collect();
+                return Err(("experiment", format!("the bench has no '{name}'; it has {}", all.join(", "))));
+            }
+            let size = side.bytes.as_ref().or(self.bytes.as_ref());
+            let size = size.ok_or(("bytes", "missing: say it for the claim or for each side".to_owned()))?;
+            let size = put(size);
+            let bytes = bytes_of(&size).ok_or_else(|| {
+                ("bytes", format!("'{size}' is no size; one is written as \"64 B\", \"4 KiB\" or \"1 MiB\""))
+            })?;
+            Ok(Rows {
+                experiments: names,
+                system: put(&side.system),
+                modes: side.modes.iter().map(put).collect(),
+                bytes,
+            })
+        };
+        let (limit, is_at_most) = match (self.at_most, self.at_least) {
+            (Some(limit), None) => (limit, true),
+            (None, Some(limit)) => (limit, false),
+            _ => return Err(("at-most", "say either 'at-most' or 'at-least'".to_owned())),
+        };
+        let theirs = self.theirs.as_ref().map(&rows).transpose()?;
+        let (theirs, limit) = match (limit, theirs) {
+            (Limit::Times(limit), Some(theirs)) => (Some((theirs, By::Ratio)), limit),
+            (Limit::More(limit), Some(theirs)) => (Some((theirs, By::Difference)), limit),
+            (Limit::Number(limit), None) => (None, limit),
+            (Limit::Number(_), Some(_)) => {
+                return Err((
+                    "theirs",
+                    "a { number } stands by itself: leave 'theirs' out, or give { times } or { more }"
+                        .to_owned(),
+                ));
+            }
+            (_, None) => return Err(("theirs", "missing: { times } and { more } are of theirs".to_owned())),
+        };
+        Ok(Claim {
+            words: self.words.replace("{}", text),
+            figure: Figure { metric: self.metric, however_few: self.however_few },
+            ours: rows(&self.ours)?,
+            theirs,
+            floor: self.floor.as_ref().map(&rows).transpose()?,
+            limit,
+            is_at_most,
+            beside: self.beside.clone(),
+            reason: self.reason.clone(),
+        })
+    }
+}
+
+impl Rows {
+    /// Of the first experiment that was measured.
+    fn of<'a>(&self, rows: &'a [Row]) -> Vec<&'a Row> {
+        let of_experiment = |experiment: &String| {
+            let is_wanted = |row: &&Row| {
+                (&row.experiment, &row.system, row.payload_bytes) == (experiment, &self.system, self.bytes)
+                    && (self.modes.is_empty() || self.modes.contains(&row.mode))
+            };
+            rows.iter().filter(is_wanted).collect::<Vec<_>>()
+        };
+        self.experiments.iter().map(of_experiment).find(|rows| !rows.is_empty()).unwrap_or_default()
+    }
+}
+
+impl Claim {
+    fn judge(&self, rows: &[Row]) -> Verdict {
+        let ours = self.ours.of(rows);
+        let (mut found, holds) = match &self.theirs {
+            Some((theirs, by)) => self.compare(rows, &ours, &theirs.of(rows), *by),
+            None => self.alone(&ours),
+        };
+        found += &ours.first().map_or(String::new(), |row| self.beside(row));
+        let reason = self.reason.clone().filter(|_| holds == Some(false));
+        Verdict { claim: self.words.clone(), found, holds, reason }
+    }
+
+    fn is_within(&self, number: f64) -> bool {
+        if self.is_at_most { number <= self.limit } else { number >= self.limit }
+    }
+
+    fn bound(&self) -> &'static str {
+        if self.is_at_most { "at most" } else { "at least" }
+    }
+
+    /// The best of ours beside the best of theirs. What is not fit to be compared never counts for us.
+    fn compare(&self, rows: &[Row], ours: &[&Row], theirs: &[&Row], by: By) -> (String, Option<bool>) {
+        let figure = self.figure;
+        let (fit_ours, unfit_ours) = figure.sort(ours);
+        let (fit_theirs, unfit_theirs) = figure.sort(theirs);
+        let (Some(us), Some(them)) = (figure.best(&fit_ours), figure.best(&fit_theirs)) else {
+            return (missing([("ours", fit_ours, unfit_ours), ("theirs", fit_theirs, unfit_theirs)]), None);
+        };
+        let Some(compared) = Compared::of(us, them, figure, by) else {
+            return ("no round in which both were measured".to_owned(), None);
+        };
+        let unit = figure.metric.unit();
+        let mut found = format!(
+            "{}, {} {}: {} {unit} ({}) against {} {unit} ({})",
+            compared.show(unit),
+            self.bound(),
+            by.show(self.limit, unit),
+            figure.text(us),
+            us.mode,
+            figure.text(them),
+            them.name()
+        );
+        if !unfit_ours.is_empty() {
+            found += &format!("; of ours left out: {}", unfit_ours.join(", "));
+        }
+        let holds = match self.is_within(compared.median) {
+            false => Some(false),
+            true if unfit_theirs.is_empty() => Some(true),
+            true => {
+                found += &format!("; but not judged: {}", unfit_theirs.join(", "));
+                None
+            }
+        };
+        let floor = self.floor.as_ref().map(|floor| floor.of(rows)).unwrap_or_default();
+        if let [floor] = floor[..]
+            && let Some(compared) = Compared::of(floor, them, figure, by)
+        {
+            let beyond =
+                if self.is_within(compared.median) { "" } else { ": the limit lies below the floor" };
+            found += &format!("; the floor itself {}{beyond}", by.show(compared.median, unit));
+        }
+        (found, holds)
+    }
+
+    /// The best of ours by itself.
+    fn alone(&self, ours: &[&Row]) -> (String, Option<bool>) {
+        let (fit, unfit) = self.figure.sort(ours);
+        let Some((row, number)) =
+            self.figure.best(&fit).and_then(|row| Some((row, self.figure.median(row)?)))
+        else {
+            return (missing([("ours", fit, unfit)]), None);
+        };
+        let unit = self.figure.metric.unit();
+        let (bound, limit) = (self.bound(), self.limit);
+        let found = format!("{number:.2} {unit}, {bound} {limit:.2} ({}, {})", row.mode, row.experiment);
+        (found, Some(self.is_within(number)))
+    }
+
+    fn beside(&self, row: &Row) -> String {
+        let number = |metric: &Metric| {
+            let number = Figure::from(*metric).median(row)?;
+            Some(format!("; {} {}", short(number), metric.unit()))
+        };
+        self.beside.iter().filter_map(number).collect()
+    }
+}
+
+/// Why there is nothing to judge: of each side, its rows that are fit, and why others are not.
+fn missing<const N: usize>(sides: [(&str, Vec<&Row>, Vec<String>); N]) -> String {
+    if sides.iter().all(|(_, fit, unfit)| fit.is_empty() && unfit.is_empty()) {
+        return "not measured".to_owned();
+    }
+    let lacking = sides.into_iter().filter(|(_, fit, _)| fit.is_empty());
+    let words = lacking.map(|(side, _, unfit)| match unfit.is_empty() {
+        true => format!("{side} not measured"),
+        false => unfit.join(", "),
+    });
+    let mut words: Vec<String> = words.collect();
+    words.dedup();
+    words.join("; ")
+}
+
+#[cfg(test)]
+mod tests;

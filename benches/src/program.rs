@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What every bench's program does.
+
+use std::error::Error;
+use std::fmt::Display;
+use std::path::Path;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use tautline_rt::CoreSet;
+
+type Result<T> = std::result::Result<T, Box<dyn Error>>;
+
+/// Says why a program failed.
+pub fn exit(name: &str, result: std::result::Result<(), impl Display>) -> ExitCode {
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{name}: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Set by Ctrl-C and SIGTERM, so that children are killed and files removed; the second one ends the program at once.
+///
+/// # Errors
+///
+/// If signals cannot be handled.
+pub fn interrupted() -> Result<Arc<AtomicBool>> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register_conditional_shutdown(signal, 130, interrupted.clone())?;
+        signal_hook::flag::register(signal, interrupted.clone())?;
+    }
+    Ok(interrupted)
+}
+
+/// Two different cores: those that were named with `--cores`, else the first two allowed.
+///
+/// # Errors
+///
+/// If there are not two.
+pub fn two_cores(named: Option<&[usize]>) -> Result<[usize; 2]> {
+    let chosen = match named {
+        Some(named) => named.to_vec(),
+        None => CoreSet::allowed()?.iter().take(2).collect(),
+    };
+    match chosen[..] {
+        [one, other] if one != other => Ok([one, other]),
+        _ if named.is_some() => Err(format!("--cores takes two different cores, not {chosen:?}").into()),
+        _ => Err(format!("two cores are needed, this process may use {chosen:?}").into()),
+    }
+}
+
+/// A bar for so many steps.
+pub fn progress_bar(steps: u64) -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed} of about {duration}  {msg}")
+        .unwrap_or_else(|_| ProgressStyle::default_bar());
+    ProgressBar::new(steps).with_style(style)
+}
+
+/// Writes a file.
+///
+/// # Errors
+///
+/// With its name.
+pub fn write(path: &Path, text: &str) -> Result<()> {
+    std::fs::write(path, text).map_err(|error| format!("cannot write {}: {error}", path.display()).into())
+}
+
+/// Writes the numbers of a run.
+///
+/// # Errors
+///
+/// As [`write`].
+pub fn write_json(path: &Path, numbers: &(impl Serialize + ?Sized)) -> Result<()> {
+    write(path, &(serde_json::to_string_pretty(numbers)? + "\n"))
+}

@@ -1,0 +1,227 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Tables, for the terminal and for a page; rows as a table.
+
+use std::fmt::{self, Write};
+
+use comfy_table::presets::UTF8_FULL_CONDENSED;
+use comfy_table::{CellAlignment, Table as Terminal};
+
+use crate::page::escape;
+use crate::rows::Row;
+
+/// What stands in a column, and its title.
+#[derive(Clone, Copy, Debug)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum Column {
+    Number(&'static str),
+    Words(&'static str),
+    /// Words that are broken into lines.
+    Text(&'static str),
+}
+use Column::{Number, Text, Words};
+
+impl Column {
+    fn title(self) -> &'static str {
+        match self {
+            Number(title) | Words(title) | Text(title) => title,
+        }
+    }
+
+    /// Its class on a page.
+    fn class(self) -> &'static str {
+        match self {
+            Number(_) => "",
+            Words(_) => " class=\"l\"",
+            Text(_) => " class=\"l w\"",
+        }
+    }
+}
+
+/// What stands in one place.
+#[derive(Clone, Debug)]
+pub struct Cell {
+    text: String,
+    /// Something that should not be.
+    is_bad: bool,
+}
+
+impl<T: fmt::Display> From<T> for Cell {
+    fn from(text: T) -> Self {
+        Cell { text: text.to_string(), is_bad: false }
+    }
+}
+
+impl Cell {
+    /// How often something happened that should not.
+    pub fn bad(count: u64) -> Self {
+        Cell { text: count.to_string(), is_bad: count > 0 }
+    }
+}
+
+/// A table. Of its first `shared` columns the terminal does not repeat what stands above.
+#[derive(Clone, Debug)]
+pub struct Table {
+    columns: Vec<Column>,
+    shared: usize,
+    rows: Vec<Vec<Cell>>,
+}
+
+impl Table {
+    /// Without rows.
+    pub fn new(shared: usize, columns: impl Into<Vec<Column>>) -> Self {
+        Table { columns: columns.into(), shared, rows: Vec::new() }
+    }
+
+    /// Adds a row.
+    pub fn add(&mut self, cells: impl IntoIterator<Item = Cell>) {
+        self.rows.push(cells.into_iter().collect());
+    }
+
+    /// How many of the first columns are as in the row above.
+    fn repeated(&self, at: usize) -> usize {
+        let Some(above) = at.checked_sub(1) else { return 0 };
+        let pairs = self.rows[above].iter().zip(&self.rows[at]).take(self.shared);
+        pairs.take_while(|(above, here)| above.text == here.text).count()
+    }
+
+    /// Writes it for a page.
+    ///
+    /// # Errors
+    /// The writer's.
+    pub fn html(&self, out: &mut String) -> fmt::Result {
+        out.push_str("<div class=\"scroll\"><table><tr>");
+        for column in &self.columns {
+            write!(out, "<th{}>{}</th>", column.class(), column.title())?;
+        }
+        out.push_str("</tr>\n");
+        for (at, cells) in self.rows.iter().enumerate() {
+            let is_first = self.shared > 0 && self.repeated(at) < self.shared;
+            out.push_str(if is_first { "<tr class=\"first\">" } else { "<tr>" });
+            for (column, Cell { text, is_bad }) in self.columns.iter().zip(cells) {
+                let class = if *is_bad { " class=\"late\"" } else { column.class() };
+                write!(out, "<td{class}>{}</td>", escape(text))?;
+            }
+            out.push_str("</tr>\n");
+        }
+        out.push_str("</table></div>\n");
+        Ok(())
+    }
+}
+
+/// For the terminal.
+impl fmt::Display for Table {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut terminal = Terminal::new();
+        terminal.load_style(UTF8_FULL_CONDENSED);
+        terminal.set_header(self.columns.iter().map(|column| column.title()));
+        for (at, cells) in self.rows.iter().enumerate() {
+            let (repeated, texts) = (self.repeated(at), cells.iter().map(|cell| cell.text.as_str()));
+            terminal.add_row(texts.enumerate().map(|(at, text)| if at < repeated { "" } else { text }));
+        }
+        for (column, shown) in self.columns.iter().zip(terminal.column_iter_mut()) {
+            if matches!(column, Number(_)) {
+                shown.set_cell_alignment(CellAlignment::Right);
+            }
+        }
+        terminal.fmt(f)
+    }
+}
+
+/// What is shown of a row, by columns; one of which no row has anything is left out.
+type Shown = (Column, fn(&Row) -> Cell);
+const SHOWN: [Shown; 15] = [
+    (Words("experiment"), |row| row.experiment.as_str().into()),
+    (Number("payload"), |row| size(row.payload_bytes).into()),
+    (Words("system"), |row| row.system.as_str().into()),
+    (Words("mode"), |row| row.mode.as_str().into()),
+    (Number("n"), |row| row.n.into()),
+    (Number("p50"), |row| digits(row.p50_us)),
+    (Number("p99"), |row| digits(row.p99_us)),
+    (Number("p99.9"), |row| digits(row.p999_us)),
+    (Number("max µs"), |row| digits(row.max_us)),
+    (Number("lost"), |row| Cell::bad(row.lost)),
+    (Number("throttled"), |row| row.throttled.map_or("".into(), Cell::from)),
+    (Number("CPU µs"), |row| digits(row.cpu_us_per_msg)),
+    (Number("MiB"), |row| digits(row.rss_mib)),
+    (Number("MB/s"), |row| digits(row.mb_per_s)),
+    (Words("note"), |row| row.note.as_str().into()),
+];
+
+/// Rows as a table.
+pub fn of_rows<'a>(rows: impl IntoIterator<Item = &'a Row>) -> Table {
+    let rows: Vec<&Row> = rows.into_iter().collect();
+    let is_said = |(_, cell): &&Shown| rows.iter().any(|row| !cell(row).text.is_empty());
+    let shown: Vec<&Shown> = SHOWN.iter().filter(is_said).collect();
+    let mut table = Table::new(2, shown.iter().map(|(column, _)| *column).collect::<Vec<_>>());
+    rows.iter().for_each(|row| table.add(shown.iter().map(|(_, cell)| cell(row))));
+    table
+}
+
+fn digits(number: Option<f64>) -> Cell {
+    number.map_or(String::new(), short).into()
+}
+
+/// Three digits.
+pub fn short(number: f64) -> String {
+    match number {
+        number if number < 10.0 => format!("{number:.2}"),
+        number if number < 100.0 => format!("{number:.1}"),
+        number => format!("{number:.0}"),
+    }
+}
+
+/// Bytes with their unit.
+pub fn size(bytes: usize) -> String {
+    match bytes {
+        0 => "-".to_owned(),
+        bytes if bytes >= 1 << 20 => format!("{} MiB", bytes >> 20),
+        bytes if bytes >= 1 << 10 => format!("{} KiB", bytes >> 10),
+        bytes => format!("{bytes} B"),
+    }
+}
+
+/// The inverse of [`size`].
+pub(crate) fn bytes_of(size: &str) -> Option<usize> {
+    let (number, unit) = size.split_once(' ')?;
+    let shift = match unit {
+        "B" => 0,
+        "KiB" => 10,
+        "MiB" => 20,
+        _ => return None,
+    };
+    number.parse::<usize>().ok()?.checked_shl(shift)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_are_those_that_say_something_and_what_rows_share_is_said_once() {
+        let row = |system: &str, lost| Row {
+            experiment: "latency".to_owned(),
+            system: system.to_owned(),
+            payload_bytes: 1 << 20,
+            p50_us: Some(123.4),
+            lost,
+            ..Row::default()
+        };
+        let (ours, theirs) = (row("tautline", 0), row("a <rival>", 2));
+        let table = of_rows([&ours, &theirs]);
+        let text = table.to_string();
+        let count = |words: &str| text.matches(words).count();
+        assert_eq!((count("latency"), count("1 MiB"), count("123"), count("MB/s")), (1, 1, 2, 0), "{text}");
+        let mut page = String::new();
+        table.html(&mut page).unwrap();
+        assert!(page.contains("a &lt;rival&gt;") && page.contains("<td class=\"late\">2</td>"), "{page}");
+        assert_eq!((page.matches("class=\"first\"").count(), page.contains("p99")), (1, false), "{page}");
+    }
+
+    #[test]
+    fn sizes_are_read_as_they_are_written() {
+        for bytes in [64, 4 << 10, 1 << 20, 8 << 20] {
+            assert_eq!(bytes_of(&size(bytes)), Some(bytes));
+        }
+        assert_eq!((bytes_of("64"), bytes_of("1 GB"), bytes_of("x B")), (None, None, None));
+    }
+}
