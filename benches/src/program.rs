@@ -77,7 +77,7 @@ pub fn write(path: &Path, text: &str) -> Result<()> {
 ///
 /// # Errors
 ///
-/// As [`write`].
+/// As [`write()`].
 pub fn write_json(path: &Path, numbers: &(impl Serialize + ?Sized)) -> Result<()> {
     write(path, &(serde_json::to_string_pretty(numbers)? + "\n"))
 }

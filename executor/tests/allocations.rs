@@ -258,3 +258,23 @@ fn jobs_of_other_executors_are_counted_without_allocation() {
     assert_eq!((seen.response.n(), seen.execution.n(), seen.max_queue, seen.depth), (all, all, 2, 3));
     assert!(seen.tid != 0 && seen.measures_execution);
 }
+
+/// The sampler's account allocates nothing between two sleeps.
+#[test]
+fn the_sampler_is_accounted_for_without_allocation() {
+    let executor = Executor::new(Realtime::Off).account_core_time(Some(Duration::ZERO));
+    let stats = executor.sampler_statistics().unwrap().unwrap();
+    let account = executor.sampler_account(&stats).unwrap().unwrap();
+    let run = |count: u64| {
+        for _ in 0..count {
+            account.sleeps();
+            // Long ago.
+            account.woke(Some(1));
+        }
+    };
+    run(WARM_UP);
+    let before = HEAP_CALLS.get();
+    run(CYCLES);
+    assert_eq!(HEAP_CALLS.get() - before, 0);
+    assert!(stats.snapshot().unwrap().older_moments >= CYCLES - 128);
+}

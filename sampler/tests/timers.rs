@@ -109,7 +109,7 @@ fn timers_are_released_in_order() {
 /// Told are the sleeps, with when a timer ends them: in turn, and nothing else.
 #[test]
 fn sleeps_are_told_with_what_is_due() {
-    let mut sampler = sampler(174);
+    let mut sampler = sampler(226);
     let events = sampler.events().clone();
     let start = monotonic_ns() + 5 * MS;
     let mut timer = events.timer_at(start, HOUR).unwrap();

@@ -399,8 +399,8 @@ impl ForeignStatistics {
             }
             let snapshot = CallbackSnapshot::of_words(&words);
             match words[word::IS_SAMPLER] {
-                0 => callbacks.push(snapshot),
-                _ => sampler = Some(snapshot),
+                1 => sampler = Some(snapshot),
+                _ => callbacks.push(snapshot),
             }
         }
         Ok(Some(ProcessSnapshot { process, callbacks, sampler }))
