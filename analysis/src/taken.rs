@@ -28,6 +28,8 @@ pub enum Seen {
     Running,
     /// By a thread that a clock was to wake: it was woken later. Several may see the same time, and one that ran may have, too.
     WokenLate,
+    /// By a thread that waited for the core: others had it than those that it is known to wait for. A clock may have waited, too.
+    Waited,
     /// By the thread that ran, as time that its job used beyond what the analysis allows it. Not a sight of the other two's time, which
     /// no thread used.
     Overran,
@@ -43,7 +45,7 @@ pub struct TakenTimes {
 }
 
 impl TakenTimes {
-    /// From what all threads of the core saw, in any order. Of time that may have been seen by two, the longer sight counts.
+    /// From what all threads of the core saw, in any order. Of time that may have been seen by a clock, too, the longer sight counts.
     pub fn new(seen: impl IntoIterator<Item = Taken>) -> TakenTimes {
         let (mut pieces, mut late): (Vec<Taken>, Vec<Taken>) = seen
             .into_iter()
@@ -61,13 +63,11 @@ impl TakenTimes {
                 None => merged.push(piece),
             }
         }
-        let running = pieces.clone();
+        pieces.sort_unstable_by_key(|piece| (piece.from_ns, piece.to_ns));
+        let noticed = TakenTimes::of(pieces);
+        let (seen, mut pieces) = (noticed.seen(&[Seen::Running, Seen::Waited]), noticed.pieces);
         pieces.extend(merged.into_iter().filter_map(|piece| {
-            let seen_ns: u64 = running
-                .iter()
-                .filter(|ran| ran.seen == Seen::Running && overlap(ran, &piece))
-                .map(|ran| ran.length_ns)
-                .sum();
+            let seen_ns: u64 = seen.within(piece.from_ns, piece.to_ns).map(|ran| ran.length_ns).sum();
             let length_ns = piece.length_ns.checked_sub(seen_ns).filter(|rest| *rest > 0)?;
             Some(Taken { length_ns, ..piece })
         }));
@@ -102,21 +102,32 @@ impl TakenTimes {
         self.pieces.iter().map(|piece| piece.length_ns).max().unwrap_or(0)
     }
 
-    /// What may have been taken in the `window_ns` before `end_ns`: of a piece that may lie in it, all.
+    /// What may have been taken in the `window_ns` before `end_ns`: of a piece, as much as may lie in it.
     pub fn before(&self, end_ns: u64, window_ns: u64) -> u64 {
         let begin_ns = end_ns.saturating_sub(window_ns);
-        let first =
-            self.pieces.partition_point(|piece| piece.from_ns < begin_ns.saturating_sub(self.widest_ns));
-        let begun = self.pieces[first..].iter().take_while(|piece| piece.from_ns < end_ns);
+        let in_it = |piece: &Taken| {
+            piece.length_ns.min(piece.to_ns.min(end_ns).saturating_sub(piece.from_ns.max(begin_ns)))
+        };
         // A window loses no more than it is long.
-        begun.filter(|piece| piece.to_ns > begin_ns).map(|piece| piece.length_ns).sum::<u64>().min(window_ns)
+        self.within(begin_ns, end_ns).map(in_it).sum::<u64>().min(window_ns)
     }
 
     /// The most that may have been taken in any window of this length.
     pub fn most_within(&self, window_ns: u64) -> u64 {
-        // The window that loses most can be moved back until it is about to leave the piece that ends first.
-        let end = |piece: &Taken| piece.to_ns.saturating_sub(1).saturating_add(window_ns);
-        self.pieces.iter().map(|piece| self.before(end(piece), window_ns)).max().unwrap_or(0)
+        // Of whole pieces: the window that loses most can be moved back until it is about to leave the piece that ends first.
+        let begin_ns = |piece: &Taken| piece.to_ns.saturating_sub(1);
+        let whole = |from_ns: u64| {
+            self.within(from_ns, from_ns.saturating_add(window_ns)).map(|piece| piece.length_ns).sum::<u64>()
+        };
+        self.pieces.iter().map(|piece| whole(begin_ns(piece)).min(window_ns)).max().unwrap_or(0)
+    }
+
+    /// The pieces that may lie between two instants, at least in part.
+    fn within(&self, from_ns: u64, to_ns: u64) -> impl Iterator<Item = &Taken> {
+        let first =
+            self.pieces.partition_point(|piece| piece.from_ns < from_ns.saturating_sub(self.widest_ns));
+        let begun = self.pieces[first..].iter().take_while(move |piece| piece.from_ns < to_ns);
+        begun.filter(move |piece| piece.to_ns > from_ns)
     }
 }
 
@@ -201,6 +212,9 @@ mod tests {
         // Jobs that others preempt: each sees its own.
         let taken = TakenTimes::new([piece(Running, 90, 200, 30), piece(Running, 100, 150, 5)]);
         assert_eq!(taken.total_ns(), 35);
+        // Who waited for others while the clock was not served saw the same.
+        let taken = TakenTimes::new([piece(Seen::Waited, 90, 200, 30), piece(WokenLate, 110, 130, 20)]);
+        assert_eq!((lengths(&taken), taken.seen(&[Seen::Waited]).total_ns()), (vec![(90, 30)], 30));
         // What a job used beyond its wcet is nothing that a timer could have seen, and comes on top.
         let taken = TakenTimes::new([piece(Seen::Overran, 90, 200, 30), piece(WokenLate, 110, 130, 20)]);
         assert_eq!(
@@ -217,7 +231,8 @@ mod tests {
             piece(Seen::Running, 150, 170, 5),
             piece(Seen::WokenLate, 300, 340, 40),
         ]);
-        assert_eq!([taken.before(100, 50), taken.before(101, 50), taken.before(160, 60)], [0, 10, 15]);
+        assert_eq!([taken.before(100, 50), taken.before(101, 50), taken.before(160, 60)], [0, 1, 15]);
+        assert_eq!([taken.before(153, 60), taken.before(110, 3), taken.before(200, 31)], [13, 3, 1]);
         assert_eq!(taken.before(1_000, 30), 0);
         assert_eq!(
             [1, 10, 42, 60, 240, u64::MAX].map(|window| taken.most_within(window)),

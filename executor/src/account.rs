@@ -77,10 +77,12 @@ impl SamplerAccount {
         self.asleep.set(Some(now));
         if let Some((awake, used_ns)) = self.awake.take() {
             note_taken(&self.stats, &awake, &now, self.least_ns);
-            // What it took to wake lies just before.
-            let from_ns = awake.from_ns.saturating_sub(awake.used_ns.saturating_sub(used_ns));
             let length_ns = now.used_ns.saturating_sub(used_ns);
-            self.note(MomentKind::Served, from_ns, now.to_ns, length_ns, self.least_ns);
+            if length_ns >= self.least_ns {
+                // What it took to wake lies just before.
+                let from_ns = awake.from_ns.saturating_sub(awake.used_ns.saturating_sub(used_ns));
+                self.stats.note(&Moment { kind: MomentKind::Served, from_ns, to_ns: now.to_ns, length_ns });
+            }
         }
     }
 
@@ -91,20 +93,19 @@ impl SamplerAccount {
     pub fn woke(&self, due_ns: Option<u64>) {
         let now = self.clock.mark();
         let Some(asleep) = self.asleep.get() else { return };
-        let late_ns = due_ns.and_then(|due_ns| asleep.woken_late_by(due_ns, &now)).unwrap_or(0);
-        // What it took to wake is then part of that.
-        let used_ns = if late_ns >= Self::WAKE_NS { now.used_ns } else { asleep.used_ns };
-        if late_ns >= Self::WAKE_NS {
-            let from_ns = now.from_ns.saturating_sub(late_ns);
-            self.note(MomentKind::WokenLate, from_ns, now.from_ns, late_ns, self.least_ns);
+        // A ring came first: it has not slept.
+        let since = if now.sleeps == asleep.sleeps { asleep } else { now };
+        let mut used_ns = asleep.used_ns;
+        if let Some(from_ns) = due_ns
+            && let Some(length_ns) = asleep.woken_late_by(from_ns, &now)
+            && now.from_ns.saturating_sub(from_ns) >= self.least_ns.max(Self::WAKE_NS)
+        {
+            let to_ns = now.from_ns;
+            self.stats.note(&Moment { kind: MomentKind::WokenLate, from_ns, to_ns, length_ns });
+            // What it took to wake is part of that.
+            used_ns = now.used_ns;
         }
-        self.awake.set(Some((now, used_ns)));
-    }
-
-    fn note(&self, kind: MomentKind, from_ns: u64, to_ns: u64, length_ns: u64, least_ns: u64) {
-        if length_ns >= least_ns {
-            self.stats.note(&Moment { kind, from_ns, to_ns, length_ns });
-        }
+        self.awake.set(Some((since, used_ns)));
     }
 }
 

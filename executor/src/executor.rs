@@ -25,6 +25,7 @@ use crate::hot::{
 };
 use crate::registry::{RegisteredThread, Registry};
 use crate::settings::{CallbackSettings, Callbacks};
+use crate::stats::kind;
 use crate::{
     CallbackHandle, CallbackOptions, CallbackStats, ExecutorError, OverrunPolicy, StatisticsFile,
     ThreadRegistration,
@@ -89,6 +90,9 @@ impl Executor {
     /// Statistics of the sampler, where core time is accounted for: its [moments](crate::CallbackSnapshot::moments) are what was taken
     /// from its core, timers that were served 100 µs late, and what it used to serve events, each if it is as long as `least`.
     ///
+    /// # Real-time
+    /// Setup only.
+    ///
     /// # Errors
     /// [`ExecutorError::Statistics`] if there is no memory for them.
     pub fn sampler_statistics(&self) -> Result<Option<Arc<CallbackStats>>, ExecutorError> {
@@ -97,20 +101,23 @@ impl Executor {
         }
         let (name, stats) = ("sampler", Arc::new(CallbackStats::new("sampler")));
         let no_statistics = |source| ExecutorError::Statistics { name: name.into(), source };
-        stats.place(self.statistics.as_ref(), false).map_err(no_statistics)?;
-        stats.describe_sampler();
+        stats.place(self.statistics.as_ref(), kind::SAMPLER).map_err(no_statistics)?;
+        stats.describe_account();
         Ok(Some(stats))
     }
 
-    /// Accounts for the current thread, which becomes the sampler, in these statistics; it costs three system calls before and after
-    /// each sleep. `None` where core time is not accounted for.
+    /// Accounts for the current thread, which becomes the sampler, in these statistics of [`sampler_statistics`](Self::sampler_statistics);
+    /// it costs three system calls before and after each sleep.
+    ///
+    /// # Real-time
+    /// Setup only.
     ///
     /// # Errors
     /// What the kernel refuses to tell.
-    pub fn sampler_account(&self, stats: &Arc<CallbackStats>) -> Result<Option<SamplerAccount>, RtError> {
-        let Some(least) = self.accounts else { return Ok(None) };
+    pub fn sampler_account(&self, stats: &Arc<CallbackStats>) -> Result<SamplerAccount, RtError> {
         stats.set_thread(&ThreadInfo::of_current("sampler")?);
-        Ok(Some(SamplerAccount::new(CoreTime::new()?, clock::nanoseconds(least), Arc::clone(stats))))
+        let least_ns = self.accounts.map_or(0, clock::nanoseconds);
+        Ok(SamplerAccount::new(CoreTime::new()?, least_ns, Arc::clone(stats)))
     }
 
     /// Its callbacks, to change how they run.
@@ -246,9 +253,10 @@ impl Executor {
         stats.set_budget(options.budget);
         stats.set_bound(options.bound);
         let no_statistics = |source| ExecutorError::Statistics { name: options.name.clone(), source };
-        stats.place(self.statistics.as_ref(), !members.is_empty()).map_err(no_statistics)?;
+        let kind = if members.is_empty() { kind::CALLBACK } else { kind::GROUP };
+        stats.place(self.statistics.as_ref(), kind).map_err(no_statistics)?;
         for member in &members {
-            member.stats.place(self.statistics.as_ref(), false).map_err(no_statistics)?;
+            member.stats.place(self.statistics.as_ref(), kind::CALLBACK).map_err(no_statistics)?;
         }
         let (control, end) = (Arc::<Control>::default(), Arc::<Completion>::default());
         let all_stats = members.iter().map(|member| &member.stats).chain([&stats]).cloned().collect();

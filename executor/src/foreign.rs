@@ -8,7 +8,7 @@ use tautline_rt::{PiMutex, ThreadInfo, current_affinity, current_policy, current
 
 use crate::hot::Stopwatch;
 use crate::job::QueueState;
-use crate::stats::Job;
+use crate::stats::{Job, kind};
 use crate::{CallbackOptions, CallbackStats, StatisticsFile};
 
 thread_local! {
@@ -51,7 +51,7 @@ impl ForeignCallback {
         stats.set_deadline(options.effective_deadline());
         stats.set_budget(options.budget);
         stats.set_bound(options.bound);
-        stats.place(Some(file), false)?;
+        stats.place(Some(file), kind::CALLBACK)?;
         stats.describe_jobs(options.period, options.execution_time);
         Ok(ForeignCallback { stats: PiMutex::new(stats), measures_execution: options.execution_time })
     }

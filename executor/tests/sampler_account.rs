@@ -17,7 +17,7 @@ fn moments(stats: &CallbackStats) -> Vec<(MomentKind, u64)> {
 fn the_sampler_notes_what_it_used_and_how_late_it_woke() {
     let executor = Executor::new(Realtime::Off).account_core_time(Some(Duration::ZERO));
     let stats = executor.sampler_statistics().unwrap().unwrap();
-    let account = executor.sampler_account(&stats).unwrap().unwrap();
+    let account = executor.sampler_account(&stats).unwrap();
     assert_eq!(stats.snapshot().unwrap().tid, tautline_rt::current_tid());
     account.sleeps();
     assert_eq!(moments(&stats), [], "it has not woken");

@@ -484,7 +484,7 @@ impl Context {
         self.shared.events.stop();
     }
 
-    /// What was taken from the sampler's core, and what it used to serve events: see
+    /// What was taken from the sampler's core, and what it used to serve events, while it [spins](Self::spin): see
     /// [`account_core_time`](ContextBuilder::account_core_time), without which there is nothing.
     pub fn sampler_statistics(&self) -> Option<&Arc<CallbackStats>> {
         self.shared.sampler_statistics.as_ref()
@@ -502,7 +502,7 @@ impl Context {
     /// With [`Realtime::Off`] it serves events under the policy that the thread has, on the sampler's core if one is set.
     ///
     /// # Real-time
-    /// After the set-up per wake: O(ready), no allocation, no lock.
+    /// After the set-up per wake: O(ready), no allocation, no lock; six system calls where core time is accounted for.
     ///
     /// # Errors
     /// [`Error::AlreadySpinning`]; [`Error::Realtime`] with the fix if a setting is refused; [`Error::Executor`] if a
@@ -514,10 +514,9 @@ impl Context {
             None => sampler.get().spin(),
             Some(statistics) => {
                 let account = self.shared.executor.sampler_account(statistics)?;
-                sampler.get().spin_told(|sleep| match (&account, sleep) {
-                    (Some(account), Sleep::Begins) => account.sleeps(),
-                    (Some(account), Sleep::Ends { due_ns }) => account.woke(due_ns),
-                    (None, _) => {}
+                sampler.get().spin_told(|sleep| match sleep {
+                    Sleep::Begins => account.sleeps(),
+                    Sleep::Ends { due_ns } => account.woke(due_ns),
                 });
             }
         }

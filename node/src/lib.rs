@@ -73,8 +73,8 @@ pub mod tf;
 
 #[cfg(feature = "action_msgs")]
 pub use action::{
-    ActionClient, ActionClientGoal, ActionCodec, ActionServerCancelRequest, ActionServerGoal,
-    ActionServerGoalRequest, ActionServerOptions, GoalStatus,
+    ActionClient, ActionClientGoal, ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest,
+    ActionServerOptions, GoalStatus,
 };
 pub use admission::{Admission, Running};
 pub use callbacks::NodeCallbacks;
@@ -131,14 +131,21 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub use tautline_schema as schema;
 pub use tautline_transport::{
-    Claim, Codec, Decode, Durability, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, History,
-    IncompatibleQos, IncompatibleType, Limits, Liveliness, LivelinessChanged, Loan, LoanError,
-    MAX_PENDING_REQUESTS, Matched, MessageInfo, MessageLost, NodeHandle, NodeInfo, NodeName, PendingResponse,
-    PublishCdrError, PublishError, Publisher, PublisherCounters, Qos, QosPolicyKind, Reliability, Request,
-    RequestId, Response, Sample, SendError, ServiceCodec, ServiceEndpoint, ServiceError, ServiceKind,
-    SubscriptionCounters, TakeError, TopicEndpoint, TopicMemory, TransportError, Unwritten,
-    UnwrittenResponse, topic_memory,
+    Claim, Durability, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, History, IncompatibleQos,
+    IncompatibleType, Limits, Liveliness, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS, Matched,
+    MessageInfo, MessageLost, NodeHandle, NodeInfo, NodeName, PendingResponse, PublishCdrError, PublishError,
+    Publisher, PublisherCounters, Qos, QosPolicyKind, Reliability, Request, RequestId, Response, Sample,
+    SendError, ServiceEndpoint, ServiceError, ServiceKind, SubscriptionCounters, TakeError, TopicEndpoint,
+    TopicMemory, TransportError, Unwritten, UnwrittenResponse, topic_memory,
 };
+
+/// What the ends of topics, services and actions are generic over: a Rust type is its own codec, [`Json`](crate::Json) and
+/// [`Cdr`](crate::Cdr) are those of types known by name. For bounds of generic code; which codecs there are is fixed.
+pub mod codec {
+    #[cfg(feature = "action_msgs")]
+    pub use crate::action::ActionCodec;
+    pub use tautline_transport::{Codec, Decode, ServiceCodec};
+}
 
 /// Below messages: ends of topics and services that carry bytes, what the sampler serves, what the domain knows of its members. For tools,
 /// recorders and other languages.

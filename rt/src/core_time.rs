@@ -110,18 +110,21 @@ impl CoreMark {
         Some(wall_ns.saturating_sub(known_ns))
     }
 
-    /// Of a thread that slept at this mark and was to be woken by a clock at `due_ns`: how much later it ran. Until then nobody had
-    /// served the clock, or the kernel had not let go of the core; or threads of no lower priority ran, if there are any. `None` if it
-    /// was not yet asleep when it was due.
+    /// Of a thread that slept at this mark and was to be woken by a clock at `due_ns`: how much later it was ready to run. Until
+    /// then nobody had served the clock. `None` if it was not yet asleep when it was due, or the kernel did not tell.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
     pub fn woken_late_by(&self, due_ns: u64, later: &CoreMark) -> Option<u64> {
         (due_ns >= self.to_ns && later.sleeps != self.sleeps).then_some(())?;
-        Some(later.from_ns.saturating_sub(due_ns))
+        Some(later.from_ns.saturating_sub(due_ns).saturating_sub(self.waited_until(later)?))
     }
 
-    fn waited_until(&self, later: &CoreMark) -> Option<u64> {
+    /// How long the thread was ready to run and did not, from this mark to a later one. `None` if the kernel did not tell.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn waited_until(&self, later: &CoreMark) -> Option<u64> {
         let told = |mark: &CoreMark| (mark.waited_ns != u64::MAX).then_some(mark.waited_ns);
         Some(told(later)?.saturating_sub(told(self)?))
     }
@@ -170,7 +173,7 @@ mod tests {
     #[test]
     fn a_clock_that_nobody_served_wakes_late() {
         let asleep = mark(1_000, 50, 70, 3);
-        assert_eq!(asleep.woken_late_by(1_500, &mark(1_900, 51, 170, 4)), Some(400));
+        assert_eq!(asleep.woken_late_by(1_500, &mark(1_900, 51, 170, 4)), Some(400 - 100));
         assert_eq!(asleep.woken_late_by(1_000, &mark(1_900, 51, 170, 4)), None, "due before it could sleep");
         assert_eq!(asleep.woken_late_by(1_500, &mark(1_900, 51, 170, 3)), None, "it did not sleep");
     }

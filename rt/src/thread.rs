@@ -36,6 +36,9 @@ pub struct ThreadInfo {
 impl ThreadInfo {
     /// The current thread, as the kernel confirms it, under a name that may be longer than the kernel's.
     ///
+    /// # Real-time
+    /// Setup only.
+    ///
     /// # Errors
     /// [`RtError::Kernel`] if the kernel does not tell.
     pub fn of_current(name: &str) -> Result<ThreadInfo, RtError> {

@@ -20,9 +20,9 @@ pub enum Wait {
 /// When a sampler sleeps: see [`Sampler::spin_told`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sleep {
-    /// From now on.
+    /// The sampler is about to sleep.
     Begins,
-    /// Until now.
+    /// It has slept, if nothing came first.
     Ends {
         /// When a timer was to end it at the latest, in ns of `CLOCK_MONOTONIC`; `None` if no timer is armed.
         due_ns: Option<u64>,

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
+use tautline::rt::clock::thread_cpu_ns;
 use tautline::rt::{current_affinity, set_affinity};
 use tautline::{CallbackHandle, CallbackStats, Context, ContextBuilder, CoreSet, Message, Qos, Realtime};
 use tautline_analysis::Task;
@@ -87,10 +88,13 @@ pub fn realtime(args: &DemoArgs) -> Realtime {
 /// What threads saw being taken from their core, and what the middleware used of it.
 #[derive(Serialize, Deserialize, Debug, Default)]
 pub struct Collected {
-    pub by_callbacks: Vec<Moment>,
+    /// By each callback, in the order in which they were given.
+    pub by_callbacks: Vec<Vec<Moment>>,
     pub by_sampler: Vec<Moment>,
     /// How many more were overwritten before they were collected.
     pub overwritten: u64,
+    /// Processor time of collecting, which is none of the middleware's.
+    pub cpu_ns: u64,
 }
 
 /// Collects moments: from a thread of its own while they are noted, for only the latest are kept there.
@@ -100,9 +104,11 @@ pub struct MomentCollector {
 }
 
 impl MomentCollector {
-    /// Those of these callbacks and of the sampler; calls `progress` each time before it collects.
+    /// Those of these callbacks and of the sampler, on one of the cores `elsewhere` if there are any; calls `progress` each time before
+    /// it collects.
     pub fn new<'a>(
         context: &'a Context,
+        elsewhere: CoreSet,
         callbacks: impl IntoIterator<Item = &'a CallbackHandle>,
         progress: impl Fn() + Send + 'static,
     ) -> Self {
@@ -114,19 +120,22 @@ impl MomentCollector {
         let over = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&over);
         let thread = std::thread::spawn(move || {
-            leave_core();
-            let mut collected = Collected::default();
+            // None is no set of cores, and is refused: then where the rest runs.
+            let _ = set_affinity(elsewhere);
+            let mut collected =
+                Collected { by_callbacks: vec![Vec::new(); of_callbacks.len()], ..Collected::default() };
             loop {
                 let last = ends.load(Ordering::Acquire);
-                let Collected { by_callbacks, by_sampler, overwritten } = &mut collected;
-                for source in &mut of_callbacks {
-                    *overwritten += collect(source, by_callbacks);
+                let Collected { by_callbacks, by_sampler, overwritten, cpu_ns } = &mut collected;
+                for (source, moments) in of_callbacks.iter_mut().zip(by_callbacks) {
+                    *overwritten += collect(source, moments);
                 }
                 *overwritten += of_sampler.as_mut().map_or(0, |source| collect(source, by_sampler));
+                *cpu_ns = thread_cpu_ns();
                 if last {
                     return collected;
                 }
-                std::thread::sleep(Duration::from_millis(200));
+                std::thread::sleep(Duration::from_millis(50));
                 progress();
             }
         });
@@ -150,16 +159,10 @@ fn collect((stats, known): &mut (Arc<CallbackStats>, u64), moments: &mut Vec<Mom
     older.saturating_sub(known)
 }
 
-/// Lets the thread run on any core but those it is bound to, if there are others: it is to be served while the demo's core is busy.
-fn leave_core() {
-    if let (Ok(allowed), Ok(bound)) = (CoreSet::allowed(), current_affinity()) {
-        let others = allowed.iter().filter(|core| !bound.contains(*core));
-        // None is no set of cores, and is refused.
-        let _ = set_affinity(others.fold(CoreSet::empty(), CoreSet::with));
-    }
-}
-
-/// Binds the whole process to the demo's core: threads inherit it.
-pub fn bind(core: usize) -> Result<(), DemoError> {
-    set_affinity(CoreSet::one(core)).map_err(|source| DemoError::Core { core, source })
+/// Binds the whole process to the demo's core: threads inherit it. Gives the other cores that it might use.
+pub fn bind(core: Option<usize>) -> Result<CoreSet, DemoError> {
+    let Some(core) = core else { return Ok(CoreSet::empty()) };
+    let elsewhere = current_affinity()?.iter().filter(|other| *other != core);
+    set_affinity(CoreSet::one(core)).map_err(|source| DemoError::Core { core, source })?;
+    Ok(elsewhere.fold(CoreSet::empty(), CoreSet::with))
 }

@@ -168,22 +168,25 @@ fn assemble(
         handled => share(published.cpu_ns, published.messages) + share(measured.overhead_cpu_ns, handled),
     };
     let moments_overwritten = published.seen.overwritten + measured.seen.overwritten;
-    let costs = Costs {
-        per_message: Duration::from_nanos(overhead_ns),
-        interruptions: run.interruptions,
-        ..losses(published, &measured)
-    };
-    let taken_ns = |way| costs.taken.seen(&[way]).total_ns();
-    let (taken_running_ns, taken_late_ns) = (taken_ns(Seen::Running), taken_ns(Seen::WokenLate));
-    let (longest_taken_ns, others_ns) = (costs.taken.longest_ns(), costs.others.total_ns());
-    let pair = |(topic, measured): (Topic, protocol::TopicMeasured)| TopicRun {
+    let losses = losses(published, &measured);
+    // All that was seen is in the last: the topic below all others.
+    let all = losses.last().cloned().unwrap_or_default();
+    let taken = all.seen(&[Seen::Running, Seen::WokenLate]);
+    let lost_ns = |way| all.seen(&[way]).total_ns();
+    let (taken_running_ns, taken_late_ns) = (lost_ns(Seen::Running), lost_ns(Seen::WokenLate));
+    let (longest_taken_ns, others_ns) = (taken.longest_ns(), lost_ns(Seen::Waited));
+    let longest_use_ns = all.seen(&[Seen::Overran]).longest_ns();
+    let (per_message, interruptions) = (Duration::from_nanos(overhead_ns), run.interruptions);
+    let costs = Costs { per_message, interruptions, taken };
+    let pair = |((topic, measured), lost): ((Topic, protocol::TopicMeasured), TakenTimes)| TopicRun {
+        lost_time: lost,
         task: topic.task(),
         releases_ns: measured.jobs.iter().map(|job| job.release_ns).collect(),
         latencies_ns: measured.jobs.iter().map(Job::latency_ns).collect(),
         lost: measured.lost,
         max_queue: measured.max_queue,
     };
-    let runs = topics.into_iter().zip(measured.topics).map(pair).collect();
+    let runs = topics.into_iter().zip(measured.topics).zip(losses).map(pair).collect();
     let info = host::HostInfo::read();
     let mode = info.preempt_mode.as_deref().map_or(String::new(), |mode| format!(" ({mode})"));
     let Interruptions { total_ns, window_ns, regular_ns, longest_ns, .. } = run.interruptions;
@@ -204,31 +207,37 @@ fn assemble(
         taken_late_ms: taken_late_ns as f64 / 1e6,
         longest_taken_ms: longest_taken_ns as f64 / 1e6,
         others_ms: others_ns as f64 / 1e6,
+        longest_use_us: longest_use_ns as f64 / 1e3,
         moments_overwritten,
     })
 }
 
-/// What the host, the middleware and others had of the core.
-fn losses(published: &Published, measured: &Measured) -> Costs {
-    let seen = [
-        &published.seen.by_callbacks,
-        &published.seen.by_sampler,
-        &measured.seen.by_sampler,
-        &measured.seen.by_callbacks,
-    ];
-    let all = TakenTimes::new(seen.into_iter().flatten().filter_map(Moment::taken));
+/// Of each topic, highest priority first: what may have kept its jobs from the core.
+fn losses(published: &Published, measured: &Measured) -> Vec<TakenTimes> {
+    let taken = |moments: &[Moment]| moments.iter().filter_map(Moment::taken).collect::<Vec<_>>();
+    let publisher = taken(&published.seen.by_callbacks.concat());
+    // Nothing of the demo is above the publisher's sampler: what it waited when it was due was not let go of.
+    let served = taken(&published.seen.by_sampler).into_iter().map(|piece| match piece.seen {
+        Seen::WokenLate => Taken { length_ns: piece.to_ns - piece.from_ns, ..piece },
+        _ => piece,
+    });
+    let samplers = served.chain(taken(&measured.seen.by_sampler));
+    let middleware: Vec<Taken> = publisher.into_iter().chain(samplers).collect();
+    let topics: Vec<_> = measured.seen.by_callbacks.iter().map(|moments| taken(moments)).collect();
+    let used = |pieces: &[Taken]| {
+        pieces.iter().filter(|piece| piece.seen == Seen::Overran).copied().collect::<Vec<_>>()
+    };
     // What was taken from topics' callbacks while they ran is in the times of their jobs.
-    let [besides @ .., by_topics] = seen;
-    let besides = besides.into_iter().flatten().filter_map(Moment::taken);
-    let used_by_topics =
-        by_topics.iter().filter_map(Moment::taken).filter(|piece| piece.seen == Seen::Overran);
-    let ran = besides.filter(|piece| piece.seen != Seen::WokenLate).chain(used_by_topics);
+    let ran = middleware.iter().filter(|piece| piece.seen != Seen::WokenLate).copied();
+    let ran = ran.chain(topics.iter().flat_map(|pieces| used(pieces)));
     let jobs: Vec<_> = measured.topics.iter().map(|topic| topic.jobs.as_slice()).collect();
-    let others: Vec<Taken> = others::had_the_core(&jobs, ran);
-    Costs {
-        taken: all.seen(&[Seen::Running, Seen::WokenLate]),
-        middleware: all.seen(&[Seen::Overran]),
-        others: TakenTimes::new(others),
-        ..Costs::default()
-    }
+    let others = others::had_the_core(&jobs, ran);
+    let of_topic = |index: usize| {
+        // Whoever ran when the host took the core; but what a topic below used has delayed nobody above.
+        let host = topics.iter().flatten().filter(|piece| piece.seen == Seen::Running).copied();
+        let used = topics[..=index].iter().flat_map(|pieces| used(pieces));
+        let waited = others[..=index].iter().flatten().copied();
+        TakenTimes::new(middleware.iter().copied().chain(host).chain(used).chain(waited))
+    };
+    (0..topics.len()).map(of_topic).collect()
 }

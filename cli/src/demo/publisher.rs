@@ -17,9 +17,7 @@ const LEAD: Duration = Duration::from_millis(200);
 
 pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     super::conductor::ignore_interrupts();
-    if let Some(core) = args.core {
-        application::bind(core)?;
-    }
+    let elsewhere = application::bind(args.core)?;
     let context = application::context(args, application::PUBLISHER_SAMPLER_PRIORITY).build()?;
     let mut node = Node::create(context.clone(), "publisher", &args.namespace)?;
     let first_ns = clock::monotonic_ns() + LEAD.as_nanos() as u64;
@@ -49,14 +47,16 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         let context = context.clone();
         protocol::when_told_to_end(move || context.shutdown());
     }
-    let collector = MomentCollector::new(&context, [&worker], || {});
+    let collector = MomentCollector::new(&context, elsewhere, [&worker], || {});
     let cpu_before_ns = clock::process_cpu_ns();
     protocol::say(&Line::Ready);
     node.spin()?;
     let cpu_ns = clock::process_cpu_ns() - cpu_before_ns;
     worker.stop();
     let (messages, missed) = (counts.messages.load(Ordering::Relaxed), counts.missed.load(Ordering::Relaxed));
-    protocol::say(&Line::Published(Published { messages, cpu_ns, missed, seen: collector.end() }));
+    let seen = collector.end();
+    let cpu_ns = cpu_ns.saturating_sub(seen.cpu_ns);
+    protocol::say(&Line::Published(Published { messages, cpu_ns, missed, seen }));
     Ok(())
 }
 

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 use tautline::rt::Interruptions;
-use tautline_analysis::taken::{TakenTimes, response_time_with};
+use tautline_analysis::taken::{Seen, TakenTimes, response_time_with};
 use tautline_analysis::{Overheads, Task};
 
 mod text;
@@ -45,8 +45,10 @@ pub struct DemoReport {
     pub taken_late_ms: f64,
     /// The longest piece of either.
     pub longest_taken_ms: f64,
-    /// What threads that are not the demo's had of the core while jobs waited for it.
+    /// What other threads than the demo's had of the core while jobs waited for it.
     pub others_ms: f64,
+    /// The most that the middleware used of the core at once; `overhead_us` is a mean.
+    pub longest_use_us: f64,
     /// How many notes of what was taken or used were overwritten before they were collected: what they explain is unexplained.
     pub moments_overwritten: u64,
 }
@@ -103,9 +105,9 @@ pub struct Worst {
     pub response_ms: f64,
     /// What the host took while it lasted.
     pub host_took_ms: f64,
-    /// What threads that are not the demo's had of the core while it lasted.
+    /// What other threads than the demo's had of the core while it lasted.
     pub others_had_ms: f64,
-    /// What the middleware used while it lasted: for messages of this priority and above, and some of others.
+    /// What the middleware used while it lasted, for any message, and this callback and those above beyond their wcet.
     pub middleware_used_ms: f64,
     /// What the prediction allows with all of that before its end; `None` (null) if that is too much for any.
     pub allowed_ms: Option<f64>,
@@ -113,6 +115,8 @@ pub struct Worst {
 
 /// To this it is accounted for what was taken: a wake that is late by less is not noted.
 const ACCOUNTED_TO_NS: u64 = 100_000;
+
+const NOT_MIDDLEWARE: &[Seen] = &[Seen::Running, Seen::WokenLate, Seen::Waited];
 
 /// What was measured on one topic.
 #[derive(Debug, Clone)]
@@ -127,6 +131,9 @@ pub struct TopicRun {
     pub lost: u64,
     /// Most messages waiting at once.
     pub max_queue: u64,
+    /// What the host took of the core, what other threads had of it, and what the middleware used, which is on an average
+    /// [`Costs::per_message`].
+    pub lost_time: TakenTimes,
 }
 
 /// Worst-case response times in nanoseconds; `None` where the core is overloaded.
@@ -149,10 +156,6 @@ pub struct Costs {
     pub interruptions: Interruptions,
     /// What the host took from the core during the run.
     pub taken: TakenTimes,
-    /// What the middleware used of it: all that is, on an average, `per_message`.
-    pub middleware: TakenTimes,
-    /// What threads that are not the demo's had of it while jobs waited.
-    pub others: TakenTimes,
 }
 
 /// The tasks, and what each costs besides.
@@ -214,10 +217,8 @@ pub fn topic_reports(runs: Vec<TopicRun>, costs: &Costs) -> Vec<TopicReport> {
     let predictions = predict(&tasks, costs);
     let loaded = Loaded::new(&tasks, costs);
     let report = |(index, (run, prediction)): (usize, (TopicRun, Prediction))| {
-        let excess = Excess::of(&run, prediction, costs, |taken_within, used_within| {
-            let expected = loaded.host_bound_ns(index, taken_within);
-            let lost_within = |window_ns| taken_within(window_ns) + used_within(window_ns);
-            expected.max(loaded.allowed_ns(index, lost_within))
+        let excess = Excess::of(&run, prediction, |taken_within, lost_within| {
+            loaded.host_bound_ns(index, taken_within).max(loaded.allowed_ns(index, lost_within))
         });
         topic_report(run, prediction, excess)
     };
@@ -261,20 +262,23 @@ struct Excess {
 }
 
 impl Excess {
-    /// `bound`: the topic's, if of a window the host and others take, and the middleware uses, what it is told.
+    /// `bound`: the topic's, if a window loses to others than the middleware, and in all, what it is told.
     fn of(
         run: &TopicRun,
         prediction: Prediction,
-        costs: &Costs,
         bound: impl Fn(&dyn Fn(u64) -> u64, &dyn Fn(u64) -> u64) -> Option<u64>,
     ) -> Excess {
+        let [host, others, middleware, taken] =
+            [&[Seen::Running, Seen::WokenLate][..], &[Seen::Waited], &[Seen::Overran], NOT_MIDDLEWARE]
+                .map(|ways| run.lost_time.seen(ways));
         let mut excess = Excess::default();
         let mut longest = (false, 0);
         let Some(bound_ns) = prediction.rta_overhead_ns else { return excess };
         let mut before_ns = 0;
         for (&release_ns, &latency_ns) in run.releases_ns.iter().zip(&run.latencies_ns) {
             let end_ns = release_ns.saturating_add(latency_ns);
-            // When the job before ended nothing above it waited: what was lost until then delayed this one only if it was released.
+            // When the job before ended nothing above it waited: what was lost until then has not delayed this one, if it was released
+            // after.
             let since_ns = std::mem::replace(&mut before_ns, end_ns);
             let since_ns = if since_ns <= release_ns { since_ns } else { 0 };
             if latency_ns <= bound_ns {
@@ -282,10 +286,8 @@ impl Excess {
             }
             let lost =
                 |times: &TakenTimes, window_ns: u64| times.before(end_ns, window_ns.min(end_ns - since_ns));
-            let allowed_ns = bound(
-                &|window_ns| lost(&costs.taken, window_ns) + lost(&costs.others, window_ns),
-                &|window_ns| lost(&costs.middleware, window_ns),
-            );
+            let allowed_ns =
+                bound(&|window_ns| lost(&taken, window_ns), &|window_ns| lost(&run.lost_time, window_ns));
             let explained = |allowed_ns: u64| latency_ns <= allowed_ns.saturating_add(ACCOUNTED_TO_NS);
             let unexplained = !allowed_ns.is_some_and(explained);
             excess.beyond += 1;
@@ -295,9 +297,9 @@ impl Excess {
                 let lasted = |times: &TakenTimes| ms(times.before(end_ns, latency_ns));
                 excess.worst = Some(Worst {
                     response_ms: ms(latency_ns),
-                    host_took_ms: lasted(&costs.taken),
-                    others_had_ms: lasted(&costs.others),
-                    middleware_used_ms: lasted(&costs.middleware),
+                    host_took_ms: lasted(&host),
+                    others_had_ms: lasted(&others),
+                    middleware_used_ms: lasted(&middleware),
                     allowed_ms: allowed_ns.map(ms),
                 });
             }

@@ -13,9 +13,7 @@ use tautline::{CallbackOptions, Node, SubscriptionCounters};
 
 pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     super::conductor::ignore_interrupts();
-    if let Some(core) = args.core {
-        application::bind(core)?;
-    }
+    let elsewhere = application::bind(args.core)?;
     let context = application::context(args, application::sampler_priority(args)?).build()?;
     let mut node = Node::create(context.clone(), "subscriber", &args.namespace)?;
     let mut callbacks = Vec::new();
@@ -47,11 +45,15 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
         protocol::when_told_to_end(move || context.shutdown());
     }
     let logs: Vec<_> = callbacks.iter().map(|callback| callback.log.clone()).collect();
-    let collector =
-        MomentCollector::new(&context, callbacks.iter().map(|callback| &callback.handle), move || {
+    let collector = MomentCollector::new(
+        &context,
+        elsewhere,
+        callbacks.iter().map(|callback| &callback.handle),
+        move || {
             let handled: usize = logs.iter().map(|log| log.count.load(Ordering::Relaxed)).sum();
             protocol::say(&Line::Progress(handled as u64));
-        });
+        },
+    );
     let cpu_before_ns = clock::process_cpu_ns();
     protocol::say(&Line::Ready);
     node.spin()?;
@@ -81,7 +83,9 @@ fn measured(
         let (lost, max_queue) = (callback.counters.lost(), callback.counters.max_queue());
         topics.push(TopicMeasured { jobs, lost, max_queue });
     }
-    Ok(Measured { overhead_cpu_ns: cpu_ns.saturating_sub(busy_ns), topics, seen: collector.end() })
+    let seen = collector.end();
+    let overhead_cpu_ns = cpu_ns.saturating_sub(busy_ns + seen.cpu_ns);
+    Ok(Measured { overhead_cpu_ns, topics, seen })
 }
 
 /// The core time of a thread whose kernel keeps no account: how long a job waited is then unknown.
@@ -108,8 +112,9 @@ impl Log {
     fn note(&self, release_ns: u64, begin: &CoreMark, end: &CoreMark) {
         let index = self.count.load(Ordering::Relaxed);
         if let Some(entry) = self.entries.get(index) {
-            let waited_ns = end.waited_ns.saturating_sub(begin.waited_ns);
-            for (word, value) in entry.iter().zip([release_ns, begin.to_ns, end.from_ns, waited_ns]) {
+            // What happens while a mark is read is in the job.
+            let waited_ns = begin.waited_until(end).unwrap_or(0);
+            for (word, value) in entry.iter().zip([release_ns, begin.from_ns, end.to_ns, waited_ns]) {
                 word.store(value, Ordering::Relaxed);
             }
             self.count.store(index + 1, Ordering::Release);

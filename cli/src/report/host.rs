@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use tautline_analysis::file::{CheckedCallback, CheckedSystem};
-use tautline_analysis::taken::{Seen, TakenTimes, response_time_with};
+use tautline_analysis::taken::{Seen, Taken, TakenTimes, response_time_with};
 
 use super::run::{Callback, Process, Run};
 use crate::moment::{Kind, Moment};
@@ -47,18 +47,22 @@ pub struct Longest {
 }
 
 impl<'c> Host<'c> {
-    pub fn new<'r>(checked: &'c CheckedSystem, run: &'r Run) -> Host<'c> {
-        let mut seen: BTreeMap<(String, usize), Vec<&'r Moment>> = BTreeMap::new();
+    pub fn new(checked: &'c CheckedSystem, run: &Run) -> Host<'c> {
+        let mut seen: BTreeMap<(String, usize), Vec<Taken>> = BTreeMap::new();
         for process in &run.processes {
             let is_served = is_served_first(process, run);
-            let mut note = |core, moments: &mut dyn Iterator<Item = &'r Moment>| {
-                seen.entry((process.host.clone(), core)).or_default().extend(moments);
+            let mut note = |core, taken: &mut dyn Iterator<Item = Taken>| {
+                seen.entry((process.host.clone(), core)).or_default().extend(taken);
             };
             for callback in process.callbacks.iter().filter(|callback| callback.accounts_core_time) {
-                // What was demoted or slept took nothing from others.
-                let counts = |moment: &&Moment| moment.kind != Kind::Overran || callback.demotions == 0;
+                let counts = |moment: &&Moment| match moment.kind {
+                    Kind::WokenLate => is_served,
+                    // What was demoted or slept took nothing from others.
+                    Kind::Overran => callback.demotions == 0,
+                    Kind::Late | Kind::Taken | Kind::Served => true,
+                };
                 if let Some(core) = callback.core {
-                    note(core, &mut callback.moments.iter().filter(counts));
+                    note(core, &mut callback.moments.iter().filter(counts).filter_map(Moment::taken));
                 }
             }
             let Some(sampler) = &process.sampler else { continue };
@@ -70,15 +74,21 @@ impl<'c> Host<'c> {
             };
             let woken = process.callbacks.iter().filter_map(|callback| callback.core);
             for core in woken.chain(sampler.core).collect::<BTreeSet<_>>() {
-                note(core, &mut sampler.moments.iter().filter(counts));
+                // On another core it may be time that its own threads saw, too.
+                let as_seen = |taken: Taken| match taken.seen {
+                    Seen::Running if sampler.core != Some(core) => Taken { seen: Seen::WokenLate, ..taken },
+                    _ => taken,
+                };
+                let taken = sampler.moments.iter().filter(counts).filter_map(Moment::taken);
+                note(core, &mut taken.map(as_seen));
             }
         }
-        let times = |moments: Vec<&Moment>| {
-            let both = TakenTimes::new(moments.into_iter().filter_map(Moment::taken));
+        let times = |taken: Vec<Taken>| {
+            let both = TakenTimes::new(taken);
             let host = both.seen(&[Seen::Running, Seen::WokenLate]);
             CoreTimes { host, overran: both.seen(&[Seen::Overran]), both }
         };
-        let cores = seen.into_iter().map(|(core, moments)| (core, times(moments))).collect();
+        let cores = seen.into_iter().map(|(core, taken)| (core, times(taken))).collect();
         Host { checked, cores }
     }
 

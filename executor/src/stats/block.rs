@@ -21,7 +21,8 @@ const NAME_WORDS: usize = 32;
 /// What each word of the head is. Zeros are a callback that has done nothing.
 pub(crate) mod word {
     pub const STATE: usize = 0;
-    pub const IS_GROUP: usize = 1;
+    /// See [`kind`](super::kind).
+    pub const KIND: usize = 1;
     pub const TID: usize = 2;
     /// 0: time sharing.
     pub const PRIORITY: usize = 3;
@@ -33,7 +34,6 @@ pub(crate) mod word {
     pub const BUDGET: usize = 8;
     pub const BOUND: usize = 9;
     pub const ACCOUNTS: usize = 10;
-    pub const IS_SAMPLER: usize = 11;
     // Written by the callback's thread from here on.
     pub const RELEASES: usize = 16;
     pub const COMPLETIONS: usize = 17;
@@ -48,6 +48,13 @@ pub(crate) mod word {
     pub const DEPTH: usize = 25;
     pub const DEMOTIONS: usize = 26;
     pub const NAME: usize = 32;
+}
+
+/// Values of [`word::KIND`].
+pub(crate) mod kind {
+    pub const CALLBACK: u64 = 0;
+    pub const GROUP: u64 = 1;
+    pub const SAMPLER: u64 = 2;
 }
 
 /// Values of [`word::STATE`].
@@ -207,7 +214,7 @@ impl CallbackSnapshot {
             Moments::of_words(words.get(MOMENTS_AT..MOMENTS_AT + MOMENT_WORDS).unwrap_or(&[]));
         CallbackSnapshot {
             name: get_text(words.get(word::NAME..word::NAME + NAME_WORDS).unwrap_or(&[])),
-            is_group: word(word::IS_GROUP) != 0,
+            is_group: word(word::KIND) == kind::GROUP,
             ended: word(word::STATE) == state::ENDED,
             tid: u32::try_from(word(word::TID)).unwrap_or(0),
             priority: u8::try_from(word(word::PRIORITY)).ok().filter(|priority| *priority != 0),

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tautline_rt::{ForeignWords, Words, WordsFile, page_words};
 
-use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, put_text, state, word};
+use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, kind, put_text, state, word};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautstat");
 /// Of the layout here and in `block.rs`.
@@ -398,8 +398,8 @@ impl ForeignStatistics {
                 continue;
             }
             let snapshot = CallbackSnapshot::of_words(&words);
-            match words[word::IS_SAMPLER] {
-                1 => sampler = Some(snapshot),
+            match words[word::KIND] {
+                kind::SAMPLER => sampler = Some(snapshot),
                 _ => callbacks.push(snapshot),
             }
         }
@@ -447,7 +447,7 @@ mod tests {
         assert!(names(&prefix).is_empty());
         let new = |name: &str| {
             let stats = CallbackStats::new(name);
-            stats.place(Some(&file), false).unwrap();
+            stats.place(Some(&file), kind::CALLBACK).unwrap();
             stats
         };
         let (a, b) = (new("a"), new("b"));

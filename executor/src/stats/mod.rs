@@ -21,6 +21,7 @@ pub use inputs::SizeClass;
 pub use moments::{Moment, MomentKind};
 
 use crate::options::{DeadlineMiss, Overrun, Watch};
+pub(crate) use block::kind;
 use block::{Block, HEAD_WORDS, state, word};
 
 /// A job that has ended.
@@ -70,13 +71,13 @@ impl CallbackStats {
     }
 
     /// Gives the statistics their memory: all is counted from here on.
-    pub(crate) fn place(&self, file: Option<&StatisticsFile>, is_group: bool) -> std::io::Result<()> {
+    pub(crate) fn place(&self, file: Option<&StatisticsFile>, kind: u64) -> std::io::Result<()> {
         let block = match file {
             Some(file) => file.claim()?,
             None => Block::private(),
         };
         block.set_name(&self.name);
-        block.set(word::IS_GROUP, u64::from(is_group));
+        block.set(word::KIND, kind);
         let limits =
             [(Self::DEADLINE, word::DEADLINE), (Self::BUDGET, word::BUDGET), (Self::BOUND, word::BOUND)];
         for (index, place) in limits {
@@ -114,14 +115,6 @@ impl CallbackStats {
         if let Some(block) = self.block.get() {
             block.set(word::ACCOUNTS, 1);
         }
-    }
-
-    /// They are those of the sampler's thread.
-    pub(crate) fn describe_sampler(&self) {
-        if let Some(block) = self.block.get() {
-            block.set(word::IS_SAMPLER, 1);
-        }
-        self.describe_account();
     }
 
     /// What the kernel says of the thread that runs it.
@@ -260,7 +253,7 @@ mod tests {
         stats.set_deadline(Some(Duration::from_nanos(100)));
         stats.complete(&job(1, None));
         assert_eq!((stats.completions(), stats.response().snapshot().n()), (0, 0), "not spawned");
-        stats.place(None, false).unwrap();
+        stats.place(None, kind::CALLBACK).unwrap();
         for response_ns in [99, 100, 101] {
             stats.complete(&job(response_ns, Some(response_ns - 50)));
         }
@@ -275,7 +268,7 @@ mod tests {
     #[test]
     fn distances_between_releases() {
         let stats = CallbackStats::new("a");
-        stats.place(None, false).unwrap();
+        stats.place(None, kind::CALLBACK).unwrap();
         let seen = |stats: &CallbackStats| {
             let now = stats.snapshot().unwrap();
             (now.releases, now.first_release_ns, now.last_release_ns, now.least_distance_ns)
@@ -294,7 +287,7 @@ mod tests {
     fn jobs_beyond_the_bound_are_kept_with_their_instants() {
         let stats = CallbackStats::new("a");
         stats.set_bound(Some(Duration::from_nanos(100)));
-        stats.place(None, false).unwrap();
+        stats.place(None, kind::CALLBACK).unwrap();
         for response_ns in [100, 101, 7, 300] {
             stats.complete(&Job { release_ns: 5, ..job(response_ns, None) });
         }
@@ -307,7 +300,7 @@ mod tests {
     #[test]
     fn losses_add_up_and_the_fullest_queue_counts() {
         let stats = CallbackStats::new("a");
-        stats.place(None, false).unwrap();
+        stats.place(None, kind::CALLBACK).unwrap();
         for (lost, max_queue, depth) in [(2, 1, 4), (0, 3, 4), (1, 2, 8)] {
             stats.note_queue(QueueState { lost, max_queue, depth });
         }

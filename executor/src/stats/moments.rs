@@ -34,7 +34,8 @@ pub enum MomentKind {
     Late,
     /// The core was taken from a job while it ran, by the hypervisor or by interrupts: some time between its begin and its end.
     Taken,
-    /// Nobody served the clock that the sampler slept for: from when it was due until the sampler was woken.
+    /// Nobody served the clock that the sampler slept for: from when it was due until the sampler ran, less what it then waited for the
+    /// core.
     WokenLate,
     /// A job used more processor time than its [budget](crate::CallbackOptions::budget): how much more, some time between its release
     /// and its end.

@@ -202,6 +202,12 @@ impl<T: ServiceCodec> IsAvailablePollable for Client<T> {
     }
 }
 
+impl IsAvailablePollable for RawClient {
+    fn availability(&self) -> Result<Vec<Availability>> {
+        Ok(vec![RawClient::availability(self)?])
+    }
+}
+
 impl<T: ServiceCodec> AsRef<RawClient> for Client<T> {
     fn as_ref(&self) -> &RawClient {
         self.inner.raw()

@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use futures::Stream;
+use tautline::codec::ActionCodec;
 use tautline::raw::Availability;
-use tautline::{
-    Action, ActionCodec, ActionServerCancelRequest, GoalStatus, IsAvailablePollable, Json, Result,
-};
+use tautline::{Action, ActionServerCancelRequest, GoalStatus, IsAvailablePollable, Json, Result};
 
 /// An action client as r2r has it; beneath it is a [`tautline::ActionClient`]. A clone is the same client.
 #[derive(Debug)]

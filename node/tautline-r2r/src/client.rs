@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use tautline::codec::ServiceCodec;
 use tautline::raw::Availability;
-use tautline::{Error, IsAvailablePollable, Json, ResponseFuture, Result, ServiceCodec};
+use tautline::{Error, IsAvailablePollable, Json, ResponseFuture, Result};
 
 /// A client as r2r has it, for several threads; beneath it is a [`tautline::Client`].
 #[derive(Debug)]

@@ -9,7 +9,8 @@ use crate::demo::report::{Costs, TopicRun, topic_reports};
 fn topic(latencies_ms: &[f64]) -> TopicReport {
     let task = Task::new("topic<1>", Duration::from_millis(10), Duration::from_millis(2), 20);
     let latencies_ns = latencies_ms.iter().map(|ms| (ms * 1e6) as u64).collect();
-    let run = TopicRun { task, releases_ns: Vec::new(), latencies_ns, lost: 0, max_queue: 1 };
+    let (releases_ns, lost_time) = Default::default();
+    let run = TopicRun { task, releases_ns, latencies_ns, lost: 0, max_queue: 1, lost_time };
     topic_reports(vec![run], &Costs { per_message: Duration::from_micros(60), ..Costs::default() }).remove(0)
 }
 
@@ -31,6 +32,7 @@ fn report(topics: Vec<TopicReport>) -> DemoReport {
         taken_late_ms: 0.0,
         longest_taken_ms: 0.0,
         others_ms: 0.0,
+        longest_use_us: 0.0,
         moments_overwritten: 0,
     }
 }

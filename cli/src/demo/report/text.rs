@@ -113,8 +113,8 @@ fn prediction_verdict(report: &DemoReport) -> Option<(bool, String)> {
     let explained = list(&report.topics, TopicReport::beyond_prediction);
     if !explained.is_empty() {
         let text = format!(
-            "Prediction held but for what the host or other threads took, or the middleware beyond its mean: {explained}. With what was \
-             seen of that before each of these, the prediction allows them all, to the 0.1 ms to which it is known."
+            "Prediction held, except where the host or other threads had the core, or the middleware used more than its mean: {explained}. \
+             With what was seen of that before each of these, the prediction allows them all, to the 0.1 ms to which it is known."
         );
         return Some((true, text));
     }
@@ -129,7 +129,7 @@ fn prediction_verdict(report: &DemoReport) -> Option<(bool, String)> {
 
 fn circumstances(report: &DemoReport) -> String {
     format!(
-        "{:.1} s on core {}, sampler at priority {}. Measured overhead: {:.1} µs of middleware per message, \
+        "{:.1} s on core {}, sampler at priority {}. Measured overhead: {:.1} µs of middleware per message (most at once: {:.0} µs), \
          interruptions of {:.0} µs that take {:.2} % of the core (longest seen before the run: {:.0} µs). \
          Taken by the host during the run: {:.2} ms while threads ran, {:.2} ms before timers were served (longest {:.2} ms); by \
          other threads {:.2} ms; steal {} ticks. Kernel {}, preemption {}.",
@@ -137,6 +137,7 @@ fn circumstances(report: &DemoReport) -> String {
         report.core,
         report.sampler_priority,
         report.overhead_us,
+        report.longest_use_us,
         report.interruption_us,
         report.interrupted_percent,
         report.longest_interruption_us,
@@ -180,21 +181,23 @@ fn explanations(report: &DemoReport) -> Vec<String> {
     if report.realtime && unexplained && !sampler_below {
         texts.push(
             "What exceeds the prediction was taken neither by the host nor by other threads, nor used by the middleware, as far as \
-             threads saw it: look for interrupts, throttling (kernel.sched_rt_runtime_us), and a callback that runs longer than its wcet."
+             threads saw it: look for interrupts, and for a callback whose priority is not its own."
                 .into(),
         );
     }
-    if report.topics.iter().filter_map(|t| t.worst).any(|worst| worst.others_had_ms > 0.1) {
+    if report.realtime && report.topics.iter().filter_map(|t| t.worst).any(|worst| worst.others_had_ms > 0.1)
+    {
         texts.push(
             "Other threads had the core while jobs waited for it: real-time threads that are not the demo's, or ordinary ones in the 5 % \
-             that Linux keeps for them (since 6.12 /sys/kernel/debug/sched/fair_server): move them to another core."
+             that Linux keeps for them (since 6.12 /sys/kernel/debug/sched/fair_server, before kernel.sched_rt_runtime_us): move them to \
+             another core."
                 .into(),
         );
     }
     if report.moments_overwritten > 0 {
         texts.push(format!(
-            "Of what was taken and used {} notes were overwritten before they were collected: what they would explain counts as \
-             unexplained. The processes' collectors were not served for some 0.5 s; leave the other cores some time.",
+            "{} records of what was taken and used were overwritten before they could be read; responses that they would explain count \
+             as unexplained. Leave the other cores some time.",
             report.moments_overwritten
         ));
     }

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! How messages are written and read. A Rust type is its own codec, in place in shared memory; what is above has others, for types that
 //! are known at run time only.
+#![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
+#![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use super::Publisher;
 use crate::error::{PublishCdrError, PublishError};
@@ -9,8 +11,12 @@ use tautline_msgs::cdr::{DecodeError, DecodeFault, EncodeError, Endian, FieldPat
 use tautline_msgs::{Body, Message, split_header};
 
 /// How the samples of a topic are read. Every [`Message`] is read in place, as its own [`view`](Message::view) does.
+///
+/// # Real-time
+/// Of a Rust type wait-free, without allocation but for [`owned`](Decode::owned). Others check nothing before they are copied, and
+/// allocate for each copy.
 pub trait Decode: Sized + 'static {
-    /// What must be known of the type at run time: nothing of a Rust type.
+    /// What must be known of the type at run time: nothing of a Rust type. It is cloned for each sample, without allocation.
     type Definition: Clone + Send + Sync + Unpin + 'static;
     /// What reads a sample in place.
     type View<'a>: Copy + Send + Sync;
@@ -32,6 +38,9 @@ pub trait Decode: Sized + 'static {
 }
 
 /// How the messages of a topic are written, besides how they are read.
+///
+/// # Real-time
+/// Of a Rust type wait-free, without allocation; others allocate for each message.
 pub trait Codec: Decode {
     /// Why a value is no message.
     type Invalid;

@@ -74,7 +74,8 @@ impl<T: Codec> Publisher<T> {
     /// message of the type; what other middleware appended is left out. Big-endian ones are decoded and written anew.
     ///
     /// # Real-time
-    /// As [`publish`](Publisher::publish), and [`Message::view`]. Big-endian messages allocate their strings and sequences.
+    /// As [`publish`](Publisher::publish), and [`Message::view`]. Big-endian messages allocate their strings and
+    /// sequences, and codecs other than Rust types for each message.
     ///
     /// # Errors
     /// [`PublishCdrError`](crate::PublishCdrError), or those of a codec other than a Rust type: with field and byte if these are no message of the type.
@@ -286,7 +287,7 @@ impl<T: Decode> Sample<T> {
         // SAFETY: the payload is mapped and unchanged as long as `raw` lives, wherever that moves. What borrows it is kept
         // beside `raw` and is not used after it.
         let payload: &'static [u8] = unsafe { &*payload };
-        let (type_name, path) = ("sample", FieldPath::EMPTY);
+        let (type_name, path) = (core::any::type_name::<T>(), FieldPath::EMPTY);
         let body = Body::new(payload, raw.body().len());
         let body = body.map_err(|fault| DecodeError { type_name, path, offset: 0, fault })?;
         let view = MaybeUninit::new(T::view(body)?);
