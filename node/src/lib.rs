@@ -139,8 +139,8 @@ pub use tautline_transport::{
     TopicMemory, TransportError, Unwritten, UnwrittenResponse, topic_memory,
 };
 
-/// What the ends of topics, services and actions are generic over: a Rust type is its own codec, [`Json`](crate::Json) and
-/// [`Cdr`](crate::Cdr) are those of types known by name. For bounds of generic code; which codecs there are is fixed.
+/// What the ends of topics, services and actions are generic over: a Rust type is its own codec, `Json` and
+/// `Cdr` are those of types known by name. For bounds of generic code; which codecs there are is fixed.
 pub mod codec {
     #[cfg(feature = "action_msgs")]
     pub use crate::action::ActionCodec;
