@@ -137,7 +137,10 @@ fn ask(job: &Value) -> Result<()> {
     }
     let clock = clock.borrow();
     let counts: Vec<(u64, u64)> = clock.times_ns.iter().map(|&time_ns| (time_ns, 1)).collect();
-    println!("{}", serde_json::json!({ "measured": { "counts": counts, "lost": clock.asked - clock.answered } }));
+    println!(
+        "{}",
+        serde_json::json!({ "measured": { "counts": counts, "lost": clock.asked - clock.answered } })
+    );
     Ok(stdout().flush()?)
 }
 
