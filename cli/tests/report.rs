@@ -286,6 +286,22 @@ fn what_the_host_took_explains_a_late_response_or_it_does_not() {
         "{shown}"
     );
 
+    // The sampler, on another core, saw the same 3 s as the callback, and no more explain the response than those.
+    let with_sampler = |core: Value, taken_ns: u64| {
+        let (_, _) = report(taken_ns, true);
+        let mut run: Value = serde_json::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+        let moment = serde_json::json!({
+            "kind": "taken", "from_ns": 110_000_000_000u64, "to_ns": 120_000_000_000u64, "length_ns": 3_000_000_000u64,
+        });
+        run["processes"][0]["sampler"] = serde_json::json!({ "core": core, "moments": [moment] });
+        std::fs::write(path, run.to_string()).unwrap();
+        let report = taut(&[path, "--json"]);
+        (report.status.code(), json(&report)["callbacks"][1]["measured"]["host"]["taken_ms"].clone())
+    };
+    assert_eq!(with_sampler(5.into(), 2_999_000_000), (Some(0), 3_000.0.into()));
+    // On the same core only one of them ran at a time.
+    assert_eq!(with_sampler(0.into(), 1_000_000_000), (Some(0), 4_000.0.into()));
+
     // Nobody looked.
     let (unknown, shown) = report(3_000_000_000, false);
     assert_eq!(violations(&json(&unknown), "other"), ["bound exceeded"]);

@@ -6,7 +6,7 @@
 use std::cell::Cell;
 use std::sync::Arc;
 
-use tautline_rt::{CoreMark, CoreTime};
+use tautline_rt::{CoreMark, CoreTime, RtError, ThreadInfo};
 
 use crate::stats::{CallbackStats, Moment, MomentKind};
 
@@ -47,7 +47,46 @@ impl CoreTimeAccount {
     }
 }
 
-/// What is taken from the core of the sampler, and what it uses of it: made by its thread.
+/// Where the sampler accounts for its core: the [moments](crate::CallbackSnapshot::moments) are what was taken from it, timers that were
+/// served 100 µs late, and what the sampler used to serve events, each if it is as long as [`Executor::account_core_time`] says.
+///
+/// [`Executor::account_core_time`]: crate::Executor::account_core_time
+#[derive(Debug)]
+pub struct SamplerStatistics {
+    stats: Arc<CallbackStats>,
+    least_ns: u64,
+}
+
+impl SamplerStatistics {
+    pub(crate) const fn new(stats: Arc<CallbackStats>, least_ns: u64) -> SamplerStatistics {
+        SamplerStatistics { stats, least_ns }
+    }
+
+    /// The statistics: of no jobs, but with moments.
+    pub fn stats(&self) -> &Arc<CallbackStats> {
+        &self.stats
+    }
+
+    /// Accounts for the current thread, which becomes the sampler; for one at a time.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// What the kernel refuses to tell.
+    pub fn account(&self) -> Result<SamplerAccount, RtError> {
+        self.stats.set_thread(&ThreadInfo::of_current("sampler")?);
+        Ok(SamplerAccount {
+            clock: CoreTime::new()?,
+            least_ns: self.least_ns,
+            stats: Arc::clone(&self.stats),
+            asleep: Cell::new(None),
+            awake: Cell::new(None),
+        })
+    }
+}
+
+/// What is taken from the core of the sampler, and what it uses of it. It costs three system calls before and after each sleep.
 ///
 /// The sampler sleeps for a clock as well: what is taken while nobody runs makes it wake late.
 #[derive(Debug)]
@@ -63,10 +102,6 @@ pub struct SamplerAccount {
 impl SamplerAccount {
     /// To wake a thread takes some time: less is not late.
     const WAKE_NS: u64 = 100_000;
-
-    pub(crate) const fn new(clock: CoreTime, least_ns: u64, stats: Arc<CallbackStats>) -> SamplerAccount {
-        SamplerAccount { clock, least_ns, stats, asleep: Cell::new(None), awake: Cell::new(None) }
-    }
 
     /// The sampler is about to sleep.
     ///

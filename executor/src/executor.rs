@@ -12,11 +12,11 @@ use futures::executor::LocalPool;
 use futures::future::LocalFutureObj;
 use futures::task::LocalSpawn;
 use tautline_rt::{
-    BudgetTimer, CoreSet, CoreTime, OwnPriority, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo, clock,
+    BudgetTimer, CoreSet, CoreTime, OwnPriority, Policy, Realtime, RtError, ThreadBuilder, clock,
     current_affinity, current_policy, host::online_cores,
 };
 
-use crate::account::{CoreTimeAccount, SamplerAccount};
+use crate::account::{CoreTimeAccount, SamplerStatistics};
 use crate::callback::{Callback, Completion, CompletionGuard, Thread};
 use crate::group::{CallbackGroup, MemberInfo};
 use crate::hot::{
@@ -80,44 +80,27 @@ impl Executor {
     /// Notes what was taken from the core of each callback, by the hypervisor or by interrupts, among its
     /// [moments](crate::CallbackSnapshot::moments): what was taken from one job if it is as long as `least`. It costs three system calls
     /// before each job and three after it. For callbacks that are spawned from now on; not for those that poll busily. The sampler's is
-    /// accounted for by [`sampler_account`](Self::sampler_account).
+    /// accounted for by [`sampler_statistics`](Self::sampler_statistics).
     #[must_use = "it returns the changed executor"]
     pub fn account_core_time(mut self, least: Option<Duration>) -> Executor {
         self.accounts = least;
         self
     }
 
-    /// Statistics of the sampler, where core time is accounted for: its [moments](crate::CallbackSnapshot::moments) are what was taken
-    /// from its core, timers that were served 100 µs late, and what it used to serve events, each if it is as long as `least`.
+    /// Statistics of the sampler; `None` where core time is not accounted for.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
     /// [`ExecutorError::Statistics`] if there is no memory for them.
-    pub fn sampler_statistics(&self) -> Result<Option<Arc<CallbackStats>>, ExecutorError> {
-        if self.accounts.is_none() {
-            return Ok(None);
-        }
-        let (name, stats) = ("sampler", Arc::new(CallbackStats::new("sampler")));
-        let no_statistics = |source| ExecutorError::Statistics { name: name.into(), source };
+    pub fn sampler_statistics(&self) -> Result<Option<SamplerStatistics>, ExecutorError> {
+        let Some(least) = self.accounts else { return Ok(None) };
+        let stats = Arc::new(CallbackStats::new("sampler"));
+        let no_statistics = |source| ExecutorError::Statistics { name: stats.name().into(), source };
         stats.place(self.statistics.as_ref(), kind::SAMPLER).map_err(no_statistics)?;
         stats.describe_account();
-        Ok(Some(stats))
-    }
-
-    /// Accounts for the current thread, which becomes the sampler, in these statistics of [`sampler_statistics`](Self::sampler_statistics);
-    /// it costs three system calls before and after each sleep.
-    ///
-    /// # Real-time
-    /// Setup only.
-    ///
-    /// # Errors
-    /// What the kernel refuses to tell.
-    pub fn sampler_account(&self, stats: &Arc<CallbackStats>) -> Result<SamplerAccount, RtError> {
-        stats.set_thread(&ThreadInfo::of_current("sampler")?);
-        let least_ns = self.accounts.map_or(0, clock::nanoseconds);
-        Ok(SamplerAccount::new(CoreTime::new()?, least_ns, Arc::clone(stats)))
+        Ok(Some(SamplerStatistics::new(stats, clock::nanoseconds(least))))
     }
 
     /// Its callbacks, to change how they run.

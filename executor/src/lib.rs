@@ -46,7 +46,7 @@ mod stats;
 pub mod assign;
 pub mod job;
 
-pub use account::SamplerAccount;
+pub use account::{SamplerAccount, SamplerStatistics};
 pub use callback::CallbackHandle;
 pub use error::{ExecutorError, Panic};
 pub use executor::Executor;

@@ -13,8 +13,8 @@ use std::time::Duration;
 use futures::stream;
 use futures::task::AtomicWaker;
 use tautline_executor::{
-    CallbackGroup, CallbackOptions, Executor, ForeignCallback, ForeignStatistics, ProcessInfo, Realtime,
-    StatisticsFile, foreign, job,
+    CallbackGroup, CallbackOptions, Executor, ForeignCallback, ForeignStatistics, MomentKind, ProcessInfo,
+    Realtime, StatisticsFile, foreign, job,
 };
 
 struct Counting;
@@ -259,22 +259,24 @@ fn jobs_of_other_executors_are_counted_without_allocation() {
     assert!(seen.tid != 0 && seen.measures_execution);
 }
 
-/// The sampler's account allocates nothing between two sleeps.
+/// The sampler's account allocates nothing: not when it is early, and not when it is late.
 #[test]
 fn the_sampler_is_accounted_for_without_allocation() {
+    const SLEEPS: u64 = 200;
     let executor = Executor::new(Realtime::Off).account_core_time(Some(Duration::ZERO));
-    let stats = executor.sampler_statistics().unwrap().unwrap();
-    let account = executor.sampler_account(&stats).unwrap();
-    let run = |count: u64| {
-        for _ in 0..count {
-            account.sleeps();
-            std::thread::yield_now();
-            account.woke(Some(1));
-        }
-    };
-    run(WARM_UP);
+    let sampler = executor.sampler_statistics().unwrap().unwrap();
+    let account = sampler.account().unwrap();
     let before = HEAP_CALLS.get();
-    run(CYCLES);
+    for _ in 0..SLEEPS {
+        account.sleeps();
+        let due_ns = tautline_rt::clock::monotonic_ns();
+        std::thread::sleep(Duration::from_micros(200));
+        account.woke(Some(due_ns));
+        account.sleeps();
+        account.woke(None);
+    }
     assert_eq!(HEAP_CALLS.get() - before, 0);
-    assert!(stats.snapshot().unwrap().older_moments >= CYCLES - 128);
+    let seen = sampler.stats().snapshot().unwrap();
+    let late = seen.moments.iter().filter(|moment| moment.kind == MomentKind::WokenLate).count();
+    assert!(seen.older_moments + 128 >= 2 * SLEEPS && late > 0, "{late} of {}", seen.older_moments);
 }

@@ -16,25 +16,25 @@ fn moments(stats: &CallbackStats) -> Vec<(MomentKind, u64)> {
 #[test]
 fn the_sampler_notes_what_it_used_and_how_late_it_woke() {
     let executor = Executor::new(Realtime::Off).account_core_time(Some(Duration::ZERO));
-    let stats = executor.sampler_statistics().unwrap().unwrap();
-    let account = executor.sampler_account(&stats).unwrap();
+    let sampler = executor.sampler_statistics().unwrap().unwrap();
+    let (stats, account) = (sampler.stats(), sampler.account().unwrap());
     assert_eq!(stats.snapshot().unwrap().tid, tautline_rt::current_tid());
     account.sleeps();
-    assert_eq!(moments(&stats), [], "it has not woken");
+    assert_eq!(moments(stats), [], "it has not woken");
     let due_ns = monotonic_ns() + 1_000_000;
     std::thread::sleep(Duration::from_millis(6));
     account.woke(Some(due_ns));
     burn_cpu(Duration::from_millis(2));
     account.sleeps();
-    let [(MomentKind::WokenLate, late_ns), (MomentKind::Served, used_ns)] = moments(&stats)[..] else {
-        panic!("{:?}", moments(&stats))
+    let [(MomentKind::WokenLate, late_ns), (MomentKind::Served, used_ns)] = moments(stats)[..] else {
+        panic!("{:?}", moments(stats))
     };
     assert!(late_ns >= 5_000_000 && used_ns >= 2_000_000, "{late_ns} {used_ns}");
     // Nothing was due.
     account.woke(None);
     account.sleeps();
-    assert_eq!(moments(&stats).last().map(|of| of.0), Some(MomentKind::Served));
-    assert_eq!(moments(&stats).len(), 3);
+    assert_eq!(moments(stats).last().map(|of| of.0), Some(MomentKind::Served));
+    assert_eq!(moments(stats).len(), 3);
 }
 
 #[test]

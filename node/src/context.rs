@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tautline_executor::{
     Admitted, CallbackOptions, CallbackStats, CoreSet, Executor, Policy, ProcessInfo, Realtime,
-    StatisticsFile,
+    SamplerStatistics, StatisticsFile,
 };
 use tautline_rt::{IdleHold, MemoryLock, ThreadBuilder};
 use tautline_sampler::{Events, Sampler, Sleep, Wait};
@@ -52,7 +52,7 @@ pub(crate) struct ContextState {
     // Dropped in this order: callbacks end before what they wait for.
     pub(crate) executor: Executor,
     _flush: FlushOnDrop,
-    sampler_statistics: Option<Arc<CallbackStats>>,
+    sampler_statistics: Option<SamplerStatistics>,
     /// Taken by the thread that spins.
     sampler: Mutex<Option<Sampler>>,
     pub(crate) events: Events,
@@ -487,7 +487,7 @@ impl Context {
     /// What was taken from the sampler's core, and what it used to serve events, while it [spins](Self::spin): see
     /// [`account_core_time`](ContextBuilder::account_core_time), without which there is nothing.
     pub fn sampler_statistics(&self) -> Option<&Arc<CallbackStats>> {
-        self.shared.sampler_statistics.as_ref()
+        self.shared.sampler_statistics.as_ref().map(SamplerStatistics::stats)
     }
 
     /// Timers and guard conditions served by this context's sampler.
@@ -513,7 +513,7 @@ impl Context {
         match &self.shared.sampler_statistics {
             None => sampler.get().spin(),
             Some(statistics) => {
-                let account = self.shared.executor.sampler_account(statistics)?;
+                let account = statistics.account()?;
                 sampler.get().spin_told(|sleep| match sleep {
                     Sleep::Begins => account.sleeps(),
                     Sleep::Ends { due_ns } => account.woke(due_ns),

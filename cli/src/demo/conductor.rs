@@ -2,13 +2,12 @@
 //! The process that the user started: starts the two others, shows the progress, prints the report.
 
 use super::application::{self, Topic};
-use super::others;
+use super::losses::losses;
 use super::output::Files;
 use super::process::{GLANCE, Process};
 use super::protocol::{self, Job, Line, Measured, Published};
 use super::report::{self, Costs, DemoReport, TopicRun};
 use super::{DemoArgs, DemoError, Role};
-use crate::moment::Moment;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -17,7 +16,7 @@ use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 use tautline::rt::{Interruptions, ThreadBuilder, current_affinity, host, permission};
 use tautline::{CoreSet, Policy};
-use tautline_analysis::taken::{Seen, Taken, TakenTimes};
+use tautline_analysis::taken::{Seen, TakenTimes};
 
 /// After the last release: the longest response time of a run that keeps its bounds, and some more.
 const DRAIN: Duration = Duration::from_millis(400);
@@ -168,7 +167,7 @@ fn assemble(
         handled => share(published.cpu_ns, published.messages) + share(measured.overhead_cpu_ns, handled),
     };
     let moments_overwritten = published.seen.overwritten + measured.seen.overwritten;
-    let losses = losses(published, &measured);
+    let losses = losses(&published.seen, &measured);
     // All that was seen is in the last: the topic below all others.
     let all = losses.last().cloned().unwrap_or_default();
     let taken = all.seen(&[Seen::Running, Seen::WokenLate]);
@@ -210,34 +209,4 @@ fn assemble(
         longest_use_us: longest_use_ns as f64 / 1e3,
         moments_overwritten,
     })
-}
-
-/// Of each topic, highest priority first: what may have kept its jobs from the core.
-fn losses(published: &Published, measured: &Measured) -> Vec<TakenTimes> {
-    let taken = |moments: &[Moment]| moments.iter().filter_map(Moment::taken).collect::<Vec<_>>();
-    let publisher = taken(&published.seen.by_callbacks.concat());
-    // Nothing of the demo is above the publisher's sampler: what it waited when it was due was not let go of.
-    let served = taken(&published.seen.by_sampler).into_iter().map(|piece| match piece.seen {
-        Seen::WokenLate => Taken { length_ns: piece.to_ns - piece.from_ns, ..piece },
-        _ => piece,
-    });
-    let samplers = served.chain(taken(&measured.seen.by_sampler));
-    let middleware: Vec<Taken> = publisher.into_iter().chain(samplers).collect();
-    let topics: Vec<_> = measured.seen.by_callbacks.iter().map(|moments| taken(moments)).collect();
-    let used = |pieces: &[Taken]| {
-        pieces.iter().filter(|piece| piece.seen == Seen::Overran).copied().collect::<Vec<_>>()
-    };
-    // What was taken from topics' callbacks while they ran is in the times of their jobs.
-    let ran = middleware.iter().filter(|piece| piece.seen != Seen::WokenLate).copied();
-    let ran = ran.chain(topics.iter().flat_map(|pieces| used(pieces)));
-    let jobs: Vec<_> = measured.topics.iter().map(|topic| topic.jobs.as_slice()).collect();
-    let others = others::had_the_core(&jobs, ran);
-    let of_topic = |index: usize| {
-        // Whoever ran when the host took the core; but what a topic below used has delayed nobody above.
-        let host = topics.iter().flatten().filter(|piece| piece.seen == Seen::Running).copied();
-        let used = topics[..=index].iter().flat_map(|pieces| used(pieces));
-        let waited = others[..=index].iter().flatten().copied();
-        TakenTimes::new(middleware.iter().copied().chain(host).chain(used).chain(waited))
-    };
-    (0..topics.len()).map(of_topic).collect()
 }

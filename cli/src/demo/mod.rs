@@ -6,7 +6,7 @@
 
 mod application;
 mod conductor;
-mod others;
+mod losses;
 mod output;
 pub mod plot;
 mod process;

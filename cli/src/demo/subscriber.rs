@@ -29,7 +29,8 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
             let log = log.clone();
             node.spawn_local(options, move || {
                 let core_time = CoreTime::new();
-                let mark = move || core_time.as_ref().map_or_else(|_| no_account(), CoreTime::mark);
+                // Where there is none the executor has refused, for it accounts as well, and no job will run.
+                let mark = move || core_time.as_ref().map_or_else(|_| CoreMark::default(), CoreTime::mark);
                 subscription.for_each(move |message| {
                     let begin = mark();
                     clock::burn_cpu(wcet);
@@ -86,12 +87,6 @@ fn measured(
     let seen = collector.end();
     let overhead_cpu_ns = cpu_ns.saturating_sub(busy_ns + seen.cpu_ns);
     Ok(Measured { overhead_cpu_ns, topics, seen })
-}
-
-/// The core time of a thread whose kernel keeps no account: how long a job waited is then unknown.
-fn no_account() -> CoreMark {
-    let now_ns = clock::monotonic_ns();
-    CoreMark { from_ns: now_ns, to_ns: now_ns, ..CoreMark::default() }
 }
 
 /// Where a callback writes its jobs: memory that is there before it starts.

@@ -51,27 +51,27 @@ impl<'c> Host<'c> {
         let mut seen: BTreeMap<(String, usize), Vec<Taken>> = BTreeMap::new();
         for process in &run.processes {
             let is_served = is_served_first(process, run);
+            let counts = |demotions: u64| {
+                move |moment: &&Moment| match moment.kind {
+                    Kind::WokenLate => is_served,
+                    // What was demoted or slept took nothing from others.
+                    Kind::Overran => demotions == 0,
+                    // That is in the overheads of the file.
+                    Kind::Served => false,
+                    Kind::Late | Kind::Taken => true,
+                }
+            };
             let mut note = |core, taken: &mut dyn Iterator<Item = Taken>| {
                 seen.entry((process.host.clone(), core)).or_default().extend(taken);
             };
             for callback in process.callbacks.iter().filter(|callback| callback.accounts_core_time) {
-                let counts = |moment: &&Moment| match moment.kind {
-                    Kind::WokenLate => is_served,
-                    // What was demoted or slept took nothing from others.
-                    Kind::Overran => callback.demotions == 0,
-                    Kind::Late | Kind::Taken | Kind::Served => true,
-                };
                 if let Some(core) = callback.core {
-                    note(core, &mut callback.moments.iter().filter(counts).filter_map(Moment::taken));
+                    let moments = callback.moments.iter().filter(counts(callback.demotions));
+                    note(core, &mut moments.filter_map(Moment::taken));
                 }
             }
             let Some(sampler) = &process.sampler else { continue };
-            // Where it runs, and where what it wakes does. What it uses by itself is in the overheads of the file.
-            let counts = |moment: &&Moment| match moment.kind {
-                Kind::WokenLate => is_served,
-                Kind::Served => false,
-                Kind::Late | Kind::Taken | Kind::Overran => true,
-            };
+            // Where it runs, and where what it wakes does.
             let woken = process.callbacks.iter().filter_map(|callback| callback.core);
             for core in woken.chain(sampler.core).collect::<BTreeSet<_>>() {
                 // On another core it may be time that its own threads saw, too.
@@ -79,7 +79,7 @@ impl<'c> Host<'c> {
                     Seen::Running if sampler.core != Some(core) => Taken { seen: Seen::WokenLate, ..taken },
                     _ => taken,
                 };
-                let taken = sampler.moments.iter().filter(counts).filter_map(Moment::taken);
+                let taken = sampler.moments.iter().filter(counts(0)).filter_map(Moment::taken);
                 note(core, &mut taken.map(as_seen));
             }
         }

@@ -5,7 +5,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use indicatif::ProgressBar;
-use tautline_benches::Distribution;
+use tautline_benches::{Distribution, rows};
 use tautline_rt::CoreSet;
 
 use crate::Result;
@@ -67,11 +67,11 @@ struct Measured {
 }
 
 impl Measured {
-    fn add(&mut self, mut times_ns: Vec<f64>) {
+    fn add(&mut self, times_ns: Vec<f64>) {
         for time in &times_ns {
             self.all.record(time.round() as u64);
         }
-        self.rounds.push(median(&mut times_ns));
+        self.rounds.push(median(times_ns));
     }
 }
 
@@ -95,11 +95,9 @@ fn time(way: &mut Way, bytes: usize, samples: usize) -> Result<Vec<f64>> {
 
 /// The ratio of the median round: virtual cores change their speed between rounds.
 pub fn median_ratio(ours: &[f64], theirs: &[f64]) -> f64 {
-    let mut ratios: Vec<_> = ours.iter().zip(theirs).map(|(ours, theirs)| ours / theirs).collect();
-    median(&mut ratios)
+    median(ours.iter().zip(theirs).map(|(ours, theirs)| ours / theirs).collect())
 }
 
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+fn median(values: Vec<f64>) -> f64 {
+    rows::median(values).unwrap_or(f64::NAN)
 }

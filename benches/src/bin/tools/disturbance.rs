@@ -11,6 +11,7 @@ use serde::Serialize;
 use std::error::Error;
 use std::time::Duration;
 use tautline::geometry_msgs::msg::Point;
+use tautline_benches::rows;
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_rt::{CoreSet, MemoryLock, Policy, lock_memory, set_affinity, set_policy};
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription};
@@ -164,7 +165,7 @@ pub fn measure(taut: &Taut, quick: bool) -> Result<(Vec<Case>, Vec<String>)> {
             messages,
             p50_us: us(0.5),
             p99_us: us(0.99),
-            p999_us: median(tails) as f64 / 1e3,
+            p999_us: rows::median(tails.iter().map(|&ns| ns as f64).collect()).unwrap_or(0.0) / 1e3,
             max_us,
             page_faults,
             preempted,
@@ -192,12 +193,6 @@ pub fn measure(taut: &Taut, quick: bool) -> Result<(Vec<Case>, Vec<String>)> {
         }));
     }
     Ok((cases, broken))
-}
-
-fn median(values: &[u64]) -> u64 {
-    let mut values = values.to_vec();
-    values.sort_unstable();
-    values.get(values.len() / 2).copied().unwrap_or(0)
 }
 
 fn print(cases: &[Case]) {

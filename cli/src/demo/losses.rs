@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What kept jobs from the demo's core: the host, what the middleware used, and other threads, which are real-time threads, kernel
+//! threads, and ordinary ones in the share that Linux keeps for them.
+//!
+//! A job that waits, waits for threads of the demo above it, whose times are known, or for others. What it waited beyond the former is
+//! therefore theirs.
+
+use super::application::Collected;
+use super::protocol::{Job, Measured};
+use crate::moment::Moment;
+use tautline_analysis::taken::{Seen, Taken, TakenTimes};
+
+/// Of each topic, highest priority first: what may have kept its jobs from the core.
+pub fn losses(publisher: &Collected, subscriber: &Measured) -> Vec<TakenTimes> {
+    let taken = |moments: &[Moment]| moments.iter().filter_map(Moment::taken).collect::<Vec<_>>();
+    let worker = taken(&publisher.by_callbacks.concat());
+    // Nothing of the demo is above the publisher's sampler: what it waited when it was due was not let go of.
+    let served = taken(&publisher.by_sampler).into_iter().map(|piece| match piece.seen {
+        Seen::WokenLate => Taken { length_ns: piece.to_ns - piece.from_ns, ..piece },
+        _ => piece,
+    });
+    let samplers = served.chain(taken(&subscriber.seen.by_sampler));
+    let middleware: Vec<Taken> = worker.into_iter().chain(samplers).collect();
+    let topics: Vec<_> = subscriber.seen.by_callbacks.iter().map(|moments| taken(moments)).collect();
+    let used = |pieces: &[Taken]| {
+        pieces.iter().filter(|piece| piece.seen == Seen::Overran).copied().collect::<Vec<_>>()
+    };
+    // What was taken from topics' callbacks while they ran is in the times of their jobs.
+    let ran = middleware.iter().filter(|piece| piece.seen != Seen::WokenLate).copied();
+    let ran = ran.chain(topics.iter().flat_map(|pieces| used(pieces)));
+    let jobs: Vec<_> = subscriber.topics.iter().map(|topic| topic.jobs.as_slice()).collect();
+    let others = had_by_others(&jobs, ran);
+    let of_topic = |index: usize| {
+        // Whoever ran when the host took the core; but what a topic below used has delayed nobody above.
+        let host = topics.iter().flatten().filter(|piece| piece.seen == Seen::Running).copied();
+        let used = topics[..=index].iter().flat_map(|pieces| used(pieces));
+        let waited = others[..=index].iter().flatten().copied();
+        TakenTimes::new(middleware.iter().copied().chain(host).chain(used).chain(waited))
+    };
+    (0..topics.len()).map(of_topic).collect()
+}
+
+/// Of each topic, what others had while its jobs waited: from the jobs of each, highest priority first, and from what the demo's threads
+/// used and lost besides. In a job's interval lies all of what ran in place of it.
+fn had_by_others(topics: &[&[Job]], besides: impl IntoIterator<Item = Taken>) -> Vec<Vec<Taken>> {
+    let mut known: Vec<Taken> = besides.into_iter().collect();
+    let mut others = Vec::new();
+    for (index, jobs) in topics.iter().enumerate() {
+        known.sort_unstable_by_key(|piece| piece.from_ns);
+        let (mut of_topic, mut of_others) = (Vec::with_capacity(jobs.len()), Vec::new());
+        for job in *jobs {
+            let first = known.partition_point(|piece| piece.from_ns < job.begin_ns);
+            let begun = known[first..].iter().take_while(|piece| piece.from_ns < job.end_ns);
+            let known_ns: u64 =
+                begun.filter(|piece| piece.to_ns <= job.end_ns).map(|piece| piece.length_ns).sum();
+            // One of a topic below, which ran in place of this: a defect, and no other thread's time.
+            let inverted = topics[index + 1..].iter().any(|below| {
+                let next = below.partition_point(|below| below.begin_ns <= job.begin_ns);
+                below.get(next).is_some_and(|below| below.begin_ns < job.end_ns)
+            });
+            let other_ns = if inverted { 0 } else { job.waited_ns.saturating_sub(known_ns) };
+            let piece =
+                |length_ns| Taken { from_ns: job.begin_ns, to_ns: job.end_ns, length_ns, seen: Seen::Waited };
+            if other_ns > 0 {
+                of_others.push(piece(other_ns));
+            }
+            // What it had itself, and what others had of it: a job below has waited for both.
+            of_topic.push(piece((job.end_ns - job.begin_ns).saturating_sub(job.waited_ns) + other_ns));
+        }
+        known.extend(of_topic);
+        others.push(of_others);
+    }
+    others
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::demo::protocol::TopicMeasured;
+    use crate::moment::Kind;
+
+    fn job(begin_ns: u64, end_ns: u64, waited_ns: u64) -> Job {
+        Job { release_ns: begin_ns, begin_ns, end_ns, waited_ns }
+    }
+
+    fn found(topics: &[&[Job]], besides: &[Taken]) -> Vec<Vec<(u64, u64, u64)>> {
+        let triple = |piece: &Taken| (piece.from_ns, piece.to_ns, piece.length_ns);
+        let others = had_by_others(topics, besides.iter().copied());
+        others.iter().map(|pieces| pieces.iter().map(triple).collect()).collect()
+    }
+
+    #[test]
+    fn what_was_waited_for_nobody_of_the_demo_is_others() {
+        // The sampler for 5 from 100 on; then the upper one, of which somebody had 10; the lower one waits for all of that.
+        let sampler = Taken { from_ns: 100, to_ns: 105, length_ns: 5, seen: Seen::Overran };
+        let upper = [job(105, 135, 10), job(300, 320, 0)];
+        let lower = [job(50, 190, 5 + 30 + 7)];
+        assert_eq!(found(&[&upper, &lower], &[sampler]), [vec![(105, 135, 10)], vec![(50, 190, 7)]]);
+        // What ends after a job has not run in place of it.
+        let later = Taken { from_ns: 130, to_ns: 140, length_ns: 10, seen: Seen::Overran };
+        assert_eq!(found(&[&upper], &[later])[0], [(105, 135, 10)]);
+    }
+
+    #[test]
+    fn a_topic_that_runs_in_place_of_one_above_is_no_other() {
+        let (upper, lower) = ([job(100, 150, 30)], [job(110, 140, 0)]);
+        assert_eq!(found(&[&upper, &lower], &[]), [vec![], vec![]]);
+    }
+
+    fn moment(kind: Kind, from_ns: u64, to_ns: u64, length_ns: u64) -> Moment {
+        Moment { kind, from_ns, to_ns, length_ns }
+    }
+
+    #[test]
+    fn a_topic_loses_to_what_is_above_it_and_to_the_host() {
+        // The publisher's sampler was due at 90, ready at 96, and ran at 100.
+        let publisher = Collected {
+            by_callbacks: vec![vec![moment(Kind::Overran, 90, 104, 3)]],
+            by_sampler: vec![moment(Kind::WokenLate, 90, 100, 6), moment(Kind::Served, 99, 101, 2)],
+            ..Collected::default()
+        };
+        let upper = vec![moment(Kind::Overran, 90, 136, 4), moment(Kind::Taken, 105, 135, 1)];
+        let lower = vec![moment(Kind::Overran, 40, 191, 9), moment(Kind::Late, 0, 900, 900)];
+        let topic = |jobs| TopicMeasured { jobs, ..TopicMeasured::default() };
+        let subscriber = Measured {
+            topics: vec![topic(vec![job(105, 135, 0)]), topic(vec![job(50, 190, 3 + 2 + 30 + 4 + 7)])],
+            seen: Collected { by_callbacks: vec![upper, lower], ..Collected::default() },
+            ..Measured::default()
+        };
+        let all = losses(&publisher, &subscriber);
+        let of = |index: usize, seen| all[index].seen(&[seen]).total_ns();
+        // Late by what it waited, too; of a job below only what the host took counts for one above.
+        assert_eq!(
+            [Seen::WokenLate, Seen::Running, Seen::Overran, Seen::Waited].map(|seen| of(0, seen)),
+            [10, 1, 9, 0]
+        );
+        // Who waited saw 7 of the 10.
+        assert_eq!(
+            [Seen::WokenLate, Seen::Running, Seen::Overran, Seen::Waited].map(|seen| of(1, seen)),
+            [3, 1, 18, 7]
+        );
+    }
+}
