@@ -4,7 +4,7 @@
 use crate::metadata::write_metadata;
 use crate::reader::{Event, FileReader, FileSummary, files_of};
 use crate::writer::{Open, TopicId};
-use crate::{BagError, Damage, Topic};
+use crate::{BagError, Damage, Options, Topic};
 use std::collections::HashMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -67,7 +67,7 @@ fn one(path: &Path) -> Result<Recovered, BagError> {
 }
 
 fn again(path: &Path, to: &Path, summary: &FileSummary) -> Result<FileSummary, BagError> {
-    let mut out = Open::create(to, summary.compression)?;
+    let mut out = Open::create(to, Options { compression: summary.compression, ..Options::default() })?;
     let (mut ids, mut topics) = (HashMap::<Arc<Topic>, TopicId>::new(), Vec::<Topic>::new());
     FileReader::open(path)?.read(&mut |event| match event {
         Event::Metadata(name, metadata) => out.say(&name, metadata),

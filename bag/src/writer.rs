@@ -11,6 +11,8 @@ use std::fs;
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 
+/// For what is on its way to the disk: a chunk and a long message, twice.
+const MEMORY_BYTES: usize = 16 << 20;
 /// A chunk is written when it has this many bytes, if it is not [flushed](Writer::flush) before.
 const CHUNK_BYTES: u64 = 4 << 20;
 
@@ -37,6 +39,8 @@ pub struct Options {
     pub split_ns: Option<u64>,
     /// The oldest file is removed when there are more.
     pub keep_files: Option<NonZeroU32>,
+    /// Memory for what is on its way to the disk, in bytes. `None`: 16 MiB.
+    pub memory_bytes: Option<usize>,
 }
 
 /// A topic of a [`Writer`].
@@ -165,7 +169,9 @@ impl Writer {
     /// # Errors
     /// The file cannot be written.
     pub fn flush(&mut self) -> Result<(), BagError> {
-        self.file.as_mut().map_or(Ok(()), Open::flush)
+        let Some(file) = &mut self.file else { return Ok(()) };
+        file.hand_over()?;
+        file.claim.wait()
     }
 
     /// Bytes of all files that are there, without what is not flushed.
@@ -189,9 +195,9 @@ impl Writer {
 
     fn open(&mut self) -> Result<(), BagError> {
         let path = self.folder.join(format!("{}_{}.mcap", self.name, self.number));
-        let mut file = Open::create(&path, self.options.compression)?;
+        let mut file = Open::create(&path, self.options)?;
         file.say(SESSION, self.session.clone())?;
-        file.flush()?;
+        file.hand_over()?;
         self.file = Some(file);
         Ok(())
     }
@@ -219,8 +225,9 @@ impl Writer {
 }
 
 impl Open {
-    pub(crate) fn create(path: &Path, compression: Compression) -> Result<Self, BagError> {
-        let (mut claim, claimed, end) = create(path)?;
+    pub(crate) fn create(path: &Path, options: Options) -> Result<Self, BagError> {
+        let Options { compression, memory_bytes, .. } = options;
+        let (mut claim, claimed, end) = create(path, memory_bytes.unwrap_or(MEMORY_BYTES) / 2)?;
         claim.up_to(OF_FILE)?;
         let level = u32::from(compression == Compression::Zstd);
         let writer = mcap::WriteOptions::new()
@@ -283,7 +290,7 @@ impl Open {
         if let Some((_, messages)) = self.channels.get_mut(&topic) {
             *messages += 1;
         }
-        if self.pending >= CHUNK_BYTES { self.flush() } else { Ok(()) }
+        if self.pending >= CHUNK_BYTES { self.hand_over() } else { Ok(()) }
     }
 
     /// The file's number of a topic, which is in it from now on.
@@ -313,20 +320,20 @@ impl Open {
         Ok(channel)
     }
 
-    fn flush(&mut self) -> Result<(), BagError> {
+    /// Ends the chunk, for the disk's thread to write.
+    fn hand_over(&mut self) -> Result<(), BagError> {
         if self.pending == 0 {
             return Ok(());
         }
         self.writer.flush().map_err(BagError::mcap(&self.summary.path))?;
         (self.pending, self.flushed) = (0, self.end.get());
-        self.claim.send_off(self.flushed);
         self.ending += OF_CHUNK + OF_CHUNK_AND_TOPIC * self.channels.len() as u64;
         Ok(())
     }
 
     pub(crate) fn finish(mut self, topics: &[Topic]) -> Result<FileSummary, BagError> {
         let path = self.summary.path.clone();
-        self.flush()?;
+        self.hand_over()?;
         self.writer.finish().map_err(BagError::mcap(&path))?;
         let mut claimed = self.writer.into_inner();
         std::io::Write::flush(&mut claimed).map_err(BagError::write(&path))?;

@@ -213,18 +213,66 @@ fn what_was_cut_off_anywhere_is_recovered() {
     }
 }
 
-#[test]
-fn a_changed_byte_costs_no_more_than_its_chunk() {
-    let folder = tempfile::tempdir().unwrap();
+/// Numbers below what is asked for, from a seed that is printed.
+fn random() -> impl FnMut(usize) -> usize {
     let seed: u64 = std::env::var("TAUT_SEED").map_or(1, |seed| seed.parse().unwrap());
     println!("seed {seed}");
     let mut state = seed;
-    let mut random = |below: usize| {
+    move |below| {
         state ^= state << 13;
         state ^= state >> 7;
         state ^= state << 17;
         (state % below as u64) as usize
-    };
+    }
+}
+
+/// Messages and chunks that are longer than all memory for what is on its way to the disk, and shorter ones; what was flushed is there.
+#[test]
+fn what_goes_to_the_disk_in_pieces_is_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut random = random();
+    for round in 0..9 {
+        let compression = [Compression::None, Compression::Zstd, Compression::Lz4][round % 3];
+        let memory_bytes = [None, Some(0), Some(1 + random(200_000))][round / 3];
+        let bag = folder.path().join(format!("{round}"));
+        let options = Options { compression, memory_bytes, ..Options::default() };
+        let mut writer = Writer::create(&bag, options, BTreeMap::new()).unwrap();
+        let long = writer.add_topic(topic("/long"));
+        let file = files_of(&bag).unwrap().remove(0);
+        let mut written: Vec<Vec<u8>> = Vec::new();
+        let all = |file: &Path| {
+            let (mut all, mut reader) = (Vec::new(), FileReader::open(file).unwrap());
+            let read = reader.read(&mut |event| {
+                if let Event::Message(message) = event {
+                    all.push(message.cdr.to_vec());
+                }
+                Ok::<_, BagError>(())
+            });
+            read.unwrap();
+            (all, reader.damage().0.len())
+        };
+        for n in 0..100 {
+            let mut cdr = vec![0; [10, 5000, 100_000, 300_000][random(4)].min(random(300_001))];
+            cdr.iter_mut().step_by(1 + random(7)).for_each(|byte| *byte = random(256) as u8);
+            writer.write(long, stamp(n), &cdr).unwrap();
+            written.push(cdr);
+            if random(20) == 0 {
+                writer.flush().unwrap();
+                // A file that has no end yet.
+                assert_eq!(fs::metadata(&file).unwrap().len(), writer.bytes());
+                assert!(all(&file).0 == written, "round {round}, {n} messages");
+            }
+        }
+        writer.finish(BTreeMap::new()).unwrap();
+        assert!(all(&file) == (written, 0), "round {round}");
+        fs::remove_dir_all(&bag).unwrap();
+    }
+}
+
+#[test]
+fn a_changed_byte_costs_no_more_than_its_chunk() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut random = random();
     for compression in [Compression::None, Compression::Zstd, Compression::Lz4] {
         let bag = folder.path().join(format!("{compression:?}"));
         let mut writer =

@@ -208,7 +208,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
     if let Err(error) = rt::lock_memory(MemoryLock::OnFault) {
         say(&format!("taut: warning: the buffers are not locked into memory: {error}"));
     }
-    let (producer, consumer) = crate::ring::touched(args.budget)?;
+    let (producer, consumer) = crate::ring::touched(args.budget.saturating_sub(args.memory_bytes() as u64))?;
     let folder = args.output.clone().unwrap_or_else(|| args.default_folder().into());
     let participant = Participant::new(domain)?;
     let (stop, is_over) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
@@ -346,12 +346,18 @@ fn listen(toggled: &Arc<AtomicBool>) -> Outcome {
 }
 
 impl RecordArgs {
+    /// Of the budget, what is on its way to the disk.
+    fn memory_bytes(&self) -> usize {
+        (self.budget / 8).clamp(128 << 10, 16 << 20) as usize
+    }
+
     fn options(&self) -> Options {
         Options {
             compression: self.compression.into(),
             split_bytes: self.max_size,
             split_ns: self.max_time.map(rt::clock::nanoseconds),
             keep_files: self.keep,
+            memory_bytes: Some(self.memory_bytes()),
         }
     }
 

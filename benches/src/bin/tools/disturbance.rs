@@ -3,7 +3,8 @@
 //!
 //! A thread publishes at 1 kHz, with a real-time priority if it may have one, and times each publication, while nobody looks and
 //! while `taut` does, in alternating rounds. What the kernel counts for the thread says more than times do: page faults, and how
-//! often it lost its core. That an observer costs no system call is a test (`transport/tests/syscalls.rs`).
+//! often it lost its core. What times say is in `recording`, where there are enough for a quantile of a thousand to mean something: here
+//! two equal cases differ by a third. That an observer costs no system call is a test (`transport/tests/syscalls.rs`).
 
 use crate::{DOMAIN, Looking, Result, Taut};
 use hdrhistogram::Histogram;
@@ -52,8 +53,6 @@ pub struct Case {
 
 /// Times, and the p99.9 of each round; page faults and how often the core was lost; rounds with page faults.
 type Counted = ((Histogram<u64>, Vec<u64>), [u64; 2], u64);
-/// What a recorder may add to the p99.9 of a publication, beside what two equal cases differ by.
-const MOST: f64 = 1.05;
 
 /// Page faults and involuntary changes of the thread on the core, so far.
 fn counted() -> Result<[u64; 2]> {
@@ -179,19 +178,7 @@ pub fn measure(taut: &Taut, quick: bool) -> Result<(Vec<Case>, Vec<String>)> {
     let fault = |case: &Case| {
         format!("{}: {} page faults of the publisher, some in every round", case.name, case.page_faults)
     };
-    let mut broken: Vec<_> = faulted.map(|(case, _)| fault(case)).collect();
-    let (nobody, again) = (cases[0].p999_us, cases[1].p999_us);
-    let most_us = nobody.max(again) * MOST;
-    let disturbed =
-        cases.iter().filter(|case| case.name.starts_with("taut record") && case.p999_us > most_us);
-    if !quick {
-        broken.extend(disturbed.map(|case| {
-            format!(
-                "{}: p99.9 of a publication is {:.2} us, without it {nobody:.2} and {again:.2}",
-                case.name, case.p999_us
-            )
-        }));
-    }
+    let broken = faulted.map(|(case, _)| fault(case)).collect();
     Ok((cases, broken))
 }
 

@@ -29,8 +29,11 @@ const PATIENCE: Duration = Duration::from_secs(30);
 const SHARE: f64 = 0.9;
 /// What the player may be later than the timer that it sleeps by, of 99 messages in 100.
 const MOST_JITTER_MS: f64 = 0.05;
-/// The player's priority.
+/// The priorities of the player and of who publishes what is recorded.
 const PLAYER: u8 = 40;
+const ROBOT: u8 = 80;
+/// What a recorder may add to the p99.9 of a publication.
+const MOST_ADDED: f64 = 1.05;
 
 #[derive(Serialize)]
 pub struct Flight {
@@ -42,7 +45,17 @@ pub struct Flight {
     longest_stall_ms: f64,
     survives_ms: f64,
     longest_write_ms: f64,
+    publications: Publications,
     replay: Replay,
+}
+
+/// How long a publication on one of the small topics takes while there is a recorder, and while there is none: before and after that, so
+/// that a machine that gets slower or faster meanwhile is in both.
+#[derive(Serialize)]
+struct Publications {
+    /// p50, p99, p99.9, max.
+    without_us: [f64; 4],
+    with_us: [f64; 4],
 }
 
 /// A plain file and a recording of as much, one after the other.
@@ -83,8 +96,7 @@ impl Beside {
             if let Err(error) = set_policy(Policy::Fifo(PLAYER + 1)) {
                 println!("without a real-time priority: {error}");
             }
-            let mut late =
-                Histogram::new_with_bounds(1, 1_000_000_000_000, 3).map_err(|error| error.to_string())?;
+            let mut late = histogram()?;
             let mut due_ns = monotonic_ns();
             while !is_over.load(Ordering::Relaxed) {
                 due_ns += Self::PERIOD_NS;
@@ -209,28 +221,74 @@ fn number(report: &Value, key: &str) -> u64 {
     report[key].as_u64().unwrap_or(0)
 }
 
+fn histogram() -> std::result::Result<Histogram<u64>, String> {
+    Histogram::new_with_bounds(1, 1_000_000_000_000, 3).map_err(|error| error.to_string())
+}
+
+/// The robot: a thread that publishes on the small topics each millisecond, with a real-time priority on a core of its own if it may have
+/// that, beside one that films.
+struct Robot {
+    small: Vec<RawPublisher>,
+    camera: RawPublisher,
+    image: Vec<u8>,
+}
+
+impl Robot {
+    /// For so long; how long each publication on a small topic took, in nanoseconds.
+    fn fly(self, seconds: u64) -> Result<(Self, Histogram<u64>)> {
+        let Robot { small, camera, image } = self;
+        let filming = std::thread::spawn(move || {
+            let filmed = send(&camera, &image, 30.0, seconds * 30).map_err(|error| error.to_string());
+            filmed.map(|()| (camera, image))
+        });
+        let working = std::thread::spawn(move || {
+            if let Some(core) = CoreSet::allowed().ok().and_then(|cores| cores.iter().last()) {
+                set_affinity(CoreSet::one(core)).map_err(|error| error.to_string())?;
+            }
+            if let Err(error) = set_policy(Policy::Fifo(ROBOT)) {
+                println!("without a real-time priority: {error}");
+            }
+            let (mut took, body, start_ns) = (histogram()?, [7_u8; SMALL_BYTES], monotonic_ns());
+            for n in 0..seconds * 1000 {
+                sleep_until_monotonic(start_ns + n * 1_000_000);
+                let mut before_ns = monotonic_ns();
+                for publisher in &small {
+                    publisher.publish(&body).map_err(|error| error.to_string())?;
+                    let after_ns = monotonic_ns();
+                    took.saturating_record(after_ns - before_ns);
+                    before_ns = after_ns;
+                }
+            }
+            Ok::<_, String>((small, took))
+        });
+        let (small, took) = working.join().map_err(|_| "the publishing thread panicked")??;
+        let (camera, image) = filming.join().map_err(|_| "the camera panicked")??;
+        Ok((Robot { small, camera, image }, took))
+    }
+}
+
 /// Twenty topics and a camera, and all of it again; the second value is what does not hold.
 pub fn flight(taut: &Taut, quick: bool) -> Result<(Flight, Vec<String>)> {
-    let (seconds, image) = if quick { (3, MIB) } else { (60, 8 * MIB) };
+    let (seconds, image) = if quick { (3_u64, MIB) } else { (60, 8 * MIB) };
     let folder = folder()?;
     let participant = Participant::new(crate::DOMAIN)?;
-    let many = (0..SMALL_TOPICS).map(|n| publisher(&participant, &format!("/small_{n}"), SMALL_BYTES, 10));
-    let many = many.collect::<Result<Vec<_>>>()?;
+    let small = (0..SMALL_TOPICS).map(|n| publisher(&participant, &format!("/small_{n}"), SMALL_BYTES, 10));
+    let small = small.collect::<Result<Vec<_>>>()?;
     let camera = publisher(&participant, "/camera", image, 10)?;
+    let robot = Robot { small, camera, image: vec![7; image] };
+    let (robot, mut without) = robot.fly(seconds.div_ceil(2))?;
     let mut recorder = Recorder::start(taut, &folder.path().join("flight"))?;
     recorder.wait(SMALL_TOPICS + 1)?;
-    let filming = std::thread::spawn(move || {
-        let filmed = send(&camera, &vec![7; image], 30.0, seconds * 30).map_err(|error| error.to_string());
-        filmed.map(|()| camera)
-    });
-    let (body, start_ns) = ([7_u8; SMALL_BYTES], monotonic_ns());
-    for n in 0..seconds * 1000 {
-        sleep_until_monotonic(start_ns + n * 1_000_000);
-        many.iter().try_for_each(|publisher| publisher.publish(&body))?;
-    }
-    let camera = filming.join().map_err(|_| "the camera panicked")??;
+    let (robot, with) = robot.fly(seconds)?;
     let report = recorder.end()?;
-    drop((many, camera));
+    let (robot, after) = robot.fly(seconds.div_ceil(2))?;
+    without.add(&after)?;
+    drop(robot);
+    let of = |took: &Histogram<u64>| {
+        [took.value_at_quantile(0.5), took.value_at_quantile(0.99), took.value_at_quantile(0.999), took.max()]
+            .map(|ns| ns as f64 / 1e3)
+    };
+    let publications = Publications { without_us: of(&without), with_us: of(&with) };
     let replay = Replay::run(taut, &folder.path().join("flight"))?;
 
     let topics = report["topics"].as_array().ok_or("no topics")?;
@@ -246,6 +304,7 @@ pub fn flight(taut: &Taut, quick: bool) -> Result<(Flight, Vec<String>)> {
         longest_stall_ms: stalls.into_iter().fold(0.0, f64::max),
         survives_ms: survives.into_iter().fold(f64::INFINITY, f64::min),
         longest_write_ms: number(&report, "longest_write_ns") as f64 / 1e6,
+        publications,
         replay,
     };
     flight.print(image);
@@ -254,6 +313,12 @@ pub fn flight(taut: &Taut, quick: bool) -> Result<(Flight, Vec<String>)> {
     if flight.lost > 0 || flight.messages != wanted {
         let Flight { lost, messages, .. } = flight;
         broken.push(format!("taut record: {messages} of {wanted} messages are in the bag, {lost} lost"));
+    }
+    let Publications { without_us: [.., without_us, _], with_us: [.., with_us, _] } = flight.publications;
+    if !quick && with_us > without_us * MOST_ADDED {
+        broken.push(format!(
+            "taut record: p99.9 of a publication is {with_us:.2} us, without it {without_us:.2}"
+        ));
     }
     let Replay { published, late_ms: [_, late_ms, _], beside_ms: [_, beside_ms, _], .. } = flight.replay;
     if published != flight.messages {
@@ -322,8 +387,13 @@ impl Flight {
         println!(
             "longest time between two looks {longest_stall_ms:.1} ms, survived would be {survives_ms:.1} ms; longest write {longest_write_ms:.1} ms"
         );
+        println!("\na publication of {SMALL_BYTES} B, in us     p50      p99    p99.9      max");
+        let Publications { without_us, with_us } = &self.publications;
+        for (what, [p50, p99, p999, max]) in [("without a recorder", without_us), ("with it", with_us)] {
+            println!("{what:<28}  {p50:>6.2}  {p99:>7.2}  {p999:>7.2}  {max:>7.1}");
+        }
         let Replay { published, starved, late_ms, timer_late_ms, beside_ms } = &self.replay;
-        println!("taut play of that: {published} messages, {starved} not read in time\n");
+        println!("\ntaut play of that: {published} messages, {starved} not read in time\n");
         println!("late by, in ms                  p50      p99      max");
         let of_timer = "of that its timer";
         for (what, [p50, p99, max]) in

@@ -278,7 +278,7 @@ impl Sender {
     /// # Real-time
     /// Wait-free; no syscall.
     pub(crate) fn note_sample(&self, now_ns: u64) {
-        if self.flags().is_some_and(Flags::has_deadline) {
+        if !self.is_observer && self.flags().is_some_and(Flags::has_deadline) {
             self.owner.arena().set_activity(Activity { slot: self.slot, kind: ActivityKind::Sample }, now_ns);
         }
     }
@@ -491,22 +491,23 @@ impl PublishState {
         self.table.current()
     }
 
-    /// Rings every subscription that got the sample, but for those that poll by themselves and those that are still taking what they
-    /// were rung for. All are marked before anybody is woken: whoever sleeps for several wakes once.
+    /// Rings every subscription that got the sample, but for those that poll by themselves, as observers do, and those that are still
+    /// taking what they were rung for. All are marked before anybody is woken: whoever sleeps for several wakes once.
     ///
     /// # Real-time
     /// Wait-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per callback thread that
     /// sleeps and is woken directly.
     pub(crate) fn ring(&self, to: Option<Gid>) {
         let table = self.table();
-        for sender in table.receiving(to) {
+        let ringing = || table.receiving(to).filter(|sender| !sender.is_observer);
+        for sender in ringing() {
             // SAFETY: it is live, so its sending half is this thread's.
             let half = unsafe { &mut *sender.half.get() };
             half.sleeper = sender.owner.arena().mark_sample(sender.slot);
         }
         fence(Ordering::SeqCst);
         let (mut last, mut woken) = (None, WokenSleepers::default());
-        for sender in table.receiving(to) {
+        for sender in ringing() {
             // SAFETY: as above.
             let Some(sleeper) = (unsafe { (*sender.half.get()).sleeper }) else { continue };
             let arena = sender.owner.arena();
