@@ -11,7 +11,7 @@ use std::io::{self, Seek, SeekFrom, Write};
 use std::os::fd::AsRawFd;
 use std::os::unix::fs::{FileExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::sync::{Arc, OnceLock};
 
@@ -59,8 +59,13 @@ pub struct Claimed {
     spare: Receiver<Piece>,
 }
 
-/// A new file, of which `piece_bytes` go to the disk at once; twice that is its memory.
-pub fn create(path: &Path, piece_bytes: usize) -> Result<(Claim, Claimed, Position), BagError> {
+/// A new file, of which `piece_bytes` go to the disk at once; twice that is its memory. While `is_behind` what is written goes through
+/// the kernel's cache all the same: that takes it at once, if the disk does not.
+pub fn create(
+    path: &Path,
+    piece_bytes: usize,
+    is_behind: Arc<AtomicBool>,
+) -> Result<(Claim, Claimed, Position), BagError> {
     let file = File::options().write(true).create_new(true).open(path).map_err(BagError::write(path))?;
     let position = Position::default();
     let others = file.try_clone().map_err(BagError::write(path))?;
@@ -69,7 +74,7 @@ pub fn create(path: &Path, piece_bytes: usize) -> Result<(Claim, Claimed, Positi
     for _ in 1..PIECES {
         let _ = give_back.send(Piece::new(piece_bytes));
     }
-    let disk = Disk { file: others, past_cache, give_back, hurried: 0..0 };
+    let disk = Disk { file: others, past_cache, is_behind, give_back, hurried: 0..0 };
     let jobs = Jobs { sender, fault: Arc::default() };
     let fault = jobs.fault.clone();
     let thread = std::thread::Builder::new().name("disk".to_owned());
@@ -161,6 +166,7 @@ struct Disk {
     file: File,
     /// The same one, past the kernel's cache.
     past_cache: Option<File>,
+    is_behind: Arc<AtomicBool>,
     give_back: Sender<Piece>,
     /// What the kernel was last told to write out.
     hurried: std::ops::Range<u64>,
@@ -185,6 +191,9 @@ impl Disk {
     /// Blocks that are written once go past the cache; one that two pieces share goes through it each time, for what the cache has of a
     /// block would have to be written first.
     fn write(&mut self, bytes: &[u8], start: u64, is_shared: bool) -> io::Result<()> {
+        if self.is_behind.load(Ordering::Relaxed) {
+            return self.file.write_all_at(bytes, start);
+        }
         let shared = if is_shared { BLOCK.min(bytes.len()) } else { 0 };
         let whole = (bytes.len() / BLOCK * BLOCK).max(shared);
         self.file.write_all_at(&bytes[..shared], start)?;

@@ -67,7 +67,8 @@ fn one(path: &Path) -> Result<Recovered, BagError> {
 }
 
 fn again(path: &Path, to: &Path, summary: &FileSummary) -> Result<FileSummary, BagError> {
-    let mut out = Open::create(to, Options { compression: summary.compression, ..Options::default() })?;
+    let mut out =
+        Open::create(to, Options { compression: summary.compression, ..Options::default() }, Arc::default())?;
     let (mut ids, mut topics) = (HashMap::<Arc<Topic>, TopicId>::new(), Vec::<Topic>::new());
     FileReader::open(path)?.read(&mut |event| match event {
         Event::Metadata(name, metadata) => out.say(&name, metadata),

@@ -10,6 +10,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// For what is on its way to the disk: a chunk and a long message, twice.
 const MEMORY_BYTES: usize = 16 << 20;
@@ -62,6 +64,7 @@ pub struct Writer {
     done: Vec<FileSummary>,
     /// Files that were removed again.
     removed: u32,
+    is_behind: Arc<AtomicBool>,
 }
 
 /// What was written.
@@ -117,8 +120,10 @@ impl Writer {
         session: BTreeMap<String, String>,
     ) -> Result<Self, BagError> {
         let (folder, name, topics, done) = (folder.to_owned(), name.to_owned(), Vec::new(), Vec::new());
+        let is_behind = Arc::default();
+        let (file, number, removed) = (None, 0, 0);
         let mut writer =
-            Writer { folder, name, options, session, topics, file: None, number: 0, done, removed: 0 };
+            Writer { folder, name, options, session, topics, file, number, done, removed, is_behind };
         // What cannot be written is known before there are messages.
         writer.open()?;
         Ok(writer)
@@ -127,6 +132,12 @@ impl Writer {
     /// The folder.
     pub fn folder(&self) -> &Path {
         &self.folder
+    }
+
+    /// Says whether messages come faster than the disk takes them. Then they go through the kernel's page cache, which takes them at once
+    /// and makes the writer wait later, if at all; else past it.
+    pub fn set_behind(&self, is_behind: bool) {
+        self.is_behind.store(is_behind, Ordering::Relaxed);
     }
 
     /// A topic, which is in a file from its first message on.
@@ -195,7 +206,7 @@ impl Writer {
 
     fn open(&mut self) -> Result<(), BagError> {
         let path = self.folder.join(format!("{}_{}.mcap", self.name, self.number));
-        let mut file = Open::create(&path, self.options)?;
+        let mut file = Open::create(&path, self.options, self.is_behind.clone())?;
         file.say(SESSION, self.session.clone())?;
         file.hand_over()?;
         self.file = Some(file);
@@ -225,9 +236,13 @@ impl Writer {
 }
 
 impl Open {
-    pub(crate) fn create(path: &Path, options: Options) -> Result<Self, BagError> {
+    pub(crate) fn create(
+        path: &Path,
+        options: Options,
+        is_behind: Arc<AtomicBool>,
+    ) -> Result<Self, BagError> {
         let Options { compression, memory_bytes, .. } = options;
-        let (mut claim, claimed, end) = create(path, memory_bytes.unwrap_or(MEMORY_BYTES) / 2)?;
+        let (mut claim, claimed, end) = create(path, memory_bytes.unwrap_or(MEMORY_BYTES) / 2, is_behind)?;
         claim.up_to(OF_FILE)?;
         let level = u32::from(compression == Compression::Zstd);
         let writer = mcap::WriteOptions::new()

@@ -256,6 +256,7 @@ fn what_goes_to_the_disk_in_pieces_is_the_same() {
             cdr.iter_mut().step_by(1 + random(7)).for_each(|byte| *byte = random(256) as u8);
             writer.write(long, stamp(n), &cdr).unwrap();
             written.push(cdr);
+            writer.set_behind(random(3) == 0);
             if random(20) == 0 {
                 writer.flush().unwrap();
                 // A file that has no end yet.

@@ -445,9 +445,16 @@ fn a_kill_costs_no_more_than_the_last_second() {
         // The recorder before may still be somebody to its topic.
         let topic = format!("/killed_{kill}");
         let publisher = place.publisher::<Count>(&topic, Qos::default());
+        let camera_topic = format!("/camera_{kill}");
+        // Longer than what is on its way to the disk at once.
+        let (mut image, topic_type) = (vec![0; 600_000], TopicType::new("demo_msgs/msg/Bytes"));
+        let limits = Limits { message_bytes: image.len(), ..Limits::default() };
+        let qos = Qos::keep_last(10);
+        let camera = place.participant.create_raw_publisher(&camera_topic, &topic_type, qos, limits).unwrap();
         let compression = ["none", "zstd", "lz4"][kill as usize % 3];
-        let mut recorder = place.record(&[&topic, "--depth", "1000", "--compression", compression]);
-        place.wait_for_observer(publisher.gid());
+        let mut recorder =
+            place.record(&[&topic, &camera_topic, "--depth", "200", "--compression", compression]);
+        place.wait_for_observers([publisher.gid(), camera.gid()]);
         state ^= state << 13;
         state ^= state >> 7;
         state ^= state << 17;
@@ -460,6 +467,10 @@ fn a_kill_costs_no_more_than_the_last_second() {
                 break;
             }
             publisher.publish(&Count { n }).unwrap();
+            if n % 20 == 0 {
+                image[..8].copy_from_slice(&(n / 20).to_le_bytes());
+                camera.publish(&image).unwrap();
+            }
             sent.push(now_ns);
         }
         recorder.0.kill().unwrap();
@@ -471,6 +482,10 @@ fn a_kill_costs_no_more_than_the_last_second() {
         let kept = topics.get(&topic).map_or(Vec::new(), |messages| numbers(messages));
         let first = kept.first().copied().unwrap_or(0);
         assert_eq!(kept, (first..first + kept.len() as u64).collect::<Vec<_>>());
+        let images = topics.get(&camera_topic).map_or(Vec::new(), |messages| numbers(messages));
+        let first_image = images.first().copied().unwrap_or(0);
+        assert_eq!(images, (first_image..first_image + images.len() as u64).collect::<Vec<_>>());
+        assert!(images.len() as u64 * 20 + 20 >= kept.len() as u64, "{} of {}", images.len(), kept.len());
         let certain = sent.iter().filter(|sent_ns| killed_ns - *sent_ns > 1_000_000_000).count();
         let until = first as usize + kept.len();
         assert!(

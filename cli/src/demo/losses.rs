@@ -47,25 +47,32 @@ fn had_by_others(topics: &[&[Job]], besides: impl IntoIterator<Item = Taken>) ->
     let mut others = Vec::new();
     for (index, jobs) in topics.iter().enumerate() {
         known.sort_unstable_by_key(|piece| piece.from_ns);
+        let lengths = known.iter().map(|piece| piece.to_ns.saturating_sub(piece.from_ns));
+        let longest_ns = lengths.max().unwrap_or(0);
         let (mut of_topic, mut of_others) = (Vec::with_capacity(jobs.len()), Vec::new());
         for job in *jobs {
-            let first = known.partition_point(|piece| piece.from_ns < job.begin_ns);
+            let in_place = |piece: &Taken| {
+                // What has begun before may lie in the job as far as it can; what ends after it has not run in place of it.
+                let within_ns = piece.to_ns.saturating_sub(piece.from_ns.max(job.ready_ns));
+                if piece.to_ns <= job.end_ns { piece.length_ns.min(within_ns) } else { 0 }
+            };
+            let first =
+                known.partition_point(|piece| piece.from_ns.saturating_add(longest_ns) < job.ready_ns);
             let begun = known[first..].iter().take_while(|piece| piece.from_ns < job.end_ns);
-            let known_ns: u64 =
-                begun.filter(|piece| piece.to_ns <= job.end_ns).map(|piece| piece.length_ns).sum();
+            let known_ns: u64 = begun.map(in_place).sum();
             // One of a topic below, which ran in place of this: a defect, and no other thread's time.
             let inverted = topics[index + 1..].iter().any(|below| {
-                let next = below.partition_point(|below| below.begin_ns <= job.begin_ns);
+                let next = below.partition_point(|below| below.begin_ns <= job.ready_ns);
                 below.get(next).is_some_and(|below| below.begin_ns < job.end_ns)
             });
             let other_ns = if inverted { 0 } else { job.waited_ns.saturating_sub(known_ns) };
             let piece =
-                |length_ns| Taken { from_ns: job.begin_ns, to_ns: job.end_ns, length_ns, seen: Seen::Waited };
+                |length_ns| Taken { from_ns: job.ready_ns, to_ns: job.end_ns, length_ns, seen: Seen::Waited };
             if other_ns > 0 {
                 of_others.push(piece(other_ns));
             }
             // What it had itself, and what others had of it: a job below has waited for both.
-            of_topic.push(piece((job.end_ns - job.begin_ns).saturating_sub(job.waited_ns) + other_ns));
+            of_topic.push(piece((job.end_ns - job.ready_ns).saturating_sub(job.waited_ns) + other_ns));
         }
         known.extend(of_topic);
         others.push(of_others);
@@ -80,7 +87,7 @@ mod tests {
     use crate::moment::Kind;
 
     fn job(begin_ns: u64, end_ns: u64, waited_ns: u64) -> Job {
-        Job { release_ns: begin_ns, begin_ns, end_ns, waited_ns }
+        Job { release_ns: begin_ns, ready_ns: begin_ns, begin_ns, end_ns, waited_ns }
     }
 
     fn found(topics: &[&[Job]], besides: &[Taken]) -> Vec<Vec<(u64, u64, u64)>> {
@@ -99,6 +106,17 @@ mod tests {
         // What ends after a job has not run in place of it.
         let later = Taken { from_ns: 130, to_ns: 140, length_ns: 10, seen: Seen::Overran };
         assert_eq!(found(&[&upper], &[later])[0], [(105, 135, 10)]);
+    }
+
+    #[test]
+    fn what_was_waited_before_a_job_began_is_others_too() {
+        // Both are ready at 100; the upper one has it from 110 on, until 150, and the lower one from 157.
+        let upper = [Job { begin_ns: 110, ..job(100, 150, 10) }];
+        let lower = [Job { begin_ns: 157, ..job(100, 190, 57) }];
+        assert_eq!(found(&[&upper, &lower], &[]), [vec![(100, 150, 10)], vec![(100, 190, 7)]]);
+        // Ready when the upper one was half through: of that it has seen 20 at most.
+        let lower = [Job { begin_ns: 157, ..job(130, 190, 27) }];
+        assert_eq!(found(&[&upper, &lower], &[])[1], [(130, 190, 7)]);
     }
 
     #[test]

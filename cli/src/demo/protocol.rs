@@ -49,9 +49,11 @@ pub struct Measured {
 pub struct Job {
     /// The scheduled release, in ns of `CLOCK_MONOTONIC`.
     pub release_ns: u64,
+    /// Since when its thread wanted the core.
+    pub ready_ns: u64,
     pub begin_ns: u64,
     pub end_ns: u64,
-    /// How long it waited for the core from its begin to its end.
+    /// How long it waited for the core from then to its end.
     pub waited_ns: u64,
 }
 

@@ -31,10 +31,12 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
                 let core_time = CoreTime::new();
                 // Where there is none the executor has refused, for it accounts as well, and no job will run.
                 let mark = move || core_time.as_ref().map_or_else(|_| CoreMark::default(), CoreTime::mark);
+                let mut before = mark();
                 subscription.for_each(move |message| {
                     let begin = mark();
                     clock::burn_cpu(wcet);
-                    log.note(message.release_ns, &begin, &mark());
+                    let end = mark();
+                    log.note(message.release_ns, [&std::mem::replace(&mut before, end), &begin, &end]);
                     async {}
                 })
             })?
@@ -91,8 +93,8 @@ fn measured(
 
 /// Where a callback writes its jobs: memory that is there before it starts.
 struct Log {
-    /// Release, begin, end, time that it waited.
-    entries: Box<[[AtomicU64; 4]]>,
+    /// Release, since when it was ready, begin, end, time that it waited.
+    entries: Box<[[AtomicU64; 5]]>,
     count: AtomicUsize,
 }
 
@@ -104,12 +106,17 @@ impl Log {
         Log { entries: (0..room).map(|_| Default::default()).collect(), count: AtomicUsize::new(0) }
     }
 
-    fn note(&self, release_ns: u64, begin: &CoreMark, end: &CoreMark) {
+    /// `before`: the end of the job before.
+    fn note(&self, release_ns: u64, [before, begin, end]: [&CoreMark; 3]) {
         let index = self.count.load(Ordering::Relaxed);
         if let Some(entry) = self.entries.get(index) {
+            // What it waited until it began is before that, and since the release: the rest the thread had waited before it slept.
+            let waited_ns = before.waited_until(begin).unwrap_or(0);
+            let ready_ns = begin.from_ns.saturating_sub(waited_ns).max(release_ns).min(begin.from_ns);
             // What happens while a mark is read is in the job.
-            let waited_ns = begin.waited_until(end).unwrap_or(0);
-            for (word, value) in entry.iter().zip([release_ns, begin.from_ns, end.to_ns, waited_ns]) {
+            let waited_ns = begin.from_ns - ready_ns + begin.waited_until(end).unwrap_or(0);
+            for (word, value) in entry.iter().zip([release_ns, ready_ns, begin.from_ns, end.to_ns, waited_ns])
+            {
                 word.store(value, Ordering::Relaxed);
             }
             self.count.store(index + 1, Ordering::Release);
@@ -119,9 +126,9 @@ impl Log {
     fn jobs(&self) -> impl Iterator<Item = Job> {
         let count = self.count.load(Ordering::Acquire);
         self.entries[..count].iter().map(|entry| {
-            let [release_ns, begin_ns, end_ns, waited_ns] =
+            let [release_ns, ready_ns, begin_ns, end_ns, waited_ns] =
                 entry.each_ref().map(|word| word.load(Ordering::Relaxed));
-            Job { release_ns, begin_ns, end_ns, waited_ns }
+            Job { release_ns, ready_ns, begin_ns, end_ns, waited_ns }
         })
     }
 }

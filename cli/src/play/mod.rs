@@ -119,7 +119,7 @@ pub struct PlayArgs {
     #[arg(long)]
     no_rt: bool,
     /// Memory for what is read ahead, locked and touched at the start
-    #[arg(long, value_name = "SIZE", default_value = "128MB", value_parser = size)]
+    #[arg(long, value_name = "SIZE", default_value = "256MB", value_parser = size)]
     budget: u64,
 }
 

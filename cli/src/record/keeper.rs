@@ -100,8 +100,19 @@ impl Work {
         Written { finished, failed, messages, stall }
     }
 
+    /// Whether the disk keeps up, by how much of the ring is full.
+    fn look(&self) {
+        let (full, all) = (self.consumer.slots(), self.consumer.buffer().capacity());
+        if full > all / 2 {
+            self.writer.set_behind(true);
+        } else if full < all / 8 {
+            self.writer.set_behind(false);
+        }
+    }
+
     /// Writes a message; `false` if there is none.
     fn some(&mut self) -> Result<bool, BagError> {
+        self.look();
         let mut head = [0; HEAD_BYTES];
         let Ok(chunk) = self.consumer.read_chunk(HEAD_BYTES) else { return Ok(false) };
         let (first, second) = chunk.as_slices();

@@ -106,7 +106,7 @@ pub struct RecordArgs {
     #[arg(long)]
     paused: bool,
     /// Memory for what the disk does not take at once, locked and touched at the start
-    #[arg(long, value_name = "SIZE", default_value = "128MB", value_parser = size)]
+    #[arg(long, value_name = "SIZE", default_value = "256MB", value_parser = size)]
     budget: u64,
     /// Messages that wait in the queue of each publisher [default: what its own are, or as many as have 1 MiB, up to 1000]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65_536))]
