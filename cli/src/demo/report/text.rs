@@ -188,9 +188,9 @@ fn explanations(report: &DemoReport) -> Vec<String> {
     if report.realtime && report.topics.iter().filter_map(|t| t.worst).any(|worst| worst.others_had_ms > 0.1)
     {
         texts.push(
-            "Other threads had the core while jobs waited for it: real-time threads that are not the demo's, or ordinary ones in the 5 % \
-             that Linux keeps for them (since 6.12 /sys/kernel/debug/sched/fair_server, before kernel.sched_rt_runtime_us): move them to \
-             another core."
+            "Other threads had the core while jobs waited for it, or the host did between two threads: real-time threads that are not the \
+             demo's, or ordinary ones in the 5 % that Linux keeps for them (since 6.12 /sys/kernel/debug/sched/fair_server, before \
+             kernel.sched_rt_runtime_us): move them to another core."
                 .into(),
         );
     }
