@@ -53,6 +53,8 @@ pub struct Claimed {
     end: Position,
     /// The piece's first block is one that the last piece ended in.
     is_shared: bool,
+    /// What is before this is the disk's thread's.
+    given: u64,
     /// What is written again of what is before the piece, and where.
     again: (u64, Vec<u8>),
     jobs: Jobs,
@@ -74,10 +76,11 @@ pub fn create(
     for _ in 1..PIECES {
         let _ = give_back.send(Piece::new(piece_bytes));
     }
-    let disk = Disk { file: others, past_cache, is_behind, give_back, hurried: 0..0 };
+    let mut disk = Disk { file: others, past_cache, is_behind, give_back, hurried: 0..0 };
     let jobs = Jobs { sender, fault: Arc::default() };
     let fault = jobs.fault.clone();
     let thread = std::thread::Builder::new().name("disk".to_owned());
+    // Why it ends is there before it has ended.
     let run = move || drop(disk.run(&work).map_err(|error| fault.set(error)));
     thread.spawn(run).map_err(BagError::write(path))?;
     let claim = Claim { file, path: path.to_owned(), claimed: 0, is_impossible: false, jobs: jobs.clone() };
@@ -87,6 +90,7 @@ pub fn create(
         cursor: 0,
         end: position.clone(),
         is_shared: false,
+        given: 0,
         again: (0, Vec::new()),
         jobs,
         spare,
@@ -173,7 +177,7 @@ struct Disk {
 }
 
 impl Disk {
-    fn run(mut self, jobs: &Receiver<Job>) -> io::Result<()> {
+    fn run(&mut self, jobs: &Receiver<Job>) -> io::Result<()> {
         while let Ok(job) = jobs.recv() {
             match job {
                 Job::Write { piece, start, is_shared } => {
@@ -191,6 +195,7 @@ impl Disk {
     /// Blocks that are written once go past the cache; one that two pieces share goes through it each time, for what the cache has of a
     /// block would have to be written first.
     fn write(&mut self, bytes: &[u8], start: u64, is_shared: bool) -> io::Result<()> {
+        // Not hurried: that may wait for the disk.
         if self.is_behind.load(Ordering::Relaxed) {
             return self.file.write_all_at(bytes, start);
         }
@@ -213,11 +218,16 @@ impl Disk {
         let end = start + bytes.len() as u64;
         if !is_written {
             self.file.write_all_at(bytes, start)?;
-            hurry(&self.file, start..end, libc::SYNC_FILE_RANGE_WRITE);
-            let before = std::mem::replace(&mut self.hurried, start..end);
+        }
+        self.file.write_all_at(rest, end)?;
+        // What is in the cache all the same, from before or because the file system does not do otherwise.
+        let range = self.hurried.end..end;
+        hurry(&self.file, range.clone(), libc::SYNC_FILE_RANGE_WRITE);
+        let before = std::mem::replace(&mut self.hurried, range);
+        if !is_written {
             hurry(&self.file, before, libc::SYNC_FILE_RANGE_WAIT_BEFORE);
         }
-        self.file.write_all_at(rest, end)
+        Ok(())
     }
 }
 
@@ -291,12 +301,26 @@ impl Claimed {
         self.is_shared = whole < bytes.len();
         let start = self.start;
         self.start += whole as u64;
+        self.given = self.end.get();
         self.jobs.give(Job::Write { piece, start, is_shared })
     }
 
     fn hand_over_again(&mut self) -> io::Result<()> {
         let (at, bytes) = std::mem::take(&mut self.again);
         if bytes.is_empty() { Ok(()) } else { self.jobs.give(Job::Again(at, bytes)) }
+    }
+}
+
+impl Drop for Claim {
+    /// What was given is in the file when this is gone: of a bag that was not finished, too.
+    fn drop(&mut self) {
+        let _ = self.wait();
+    }
+}
+
+impl Drop for Claimed {
+    fn drop(&mut self) {
+        let _ = self.flush();
     }
 }
 
@@ -324,7 +348,7 @@ impl Write for Claimed {
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        self.hand_over()
+        if self.given < self.end.get() { self.hand_over() } else { self.hand_over_again() }
     }
 }
 

@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// For what is on its way to the disk: a chunk and a long message, twice.
-const MEMORY_BYTES: usize = 16 << 20;
+const MEMORY_BYTES: usize = 32 << 20;
 /// A chunk is written when it has this many bytes, if it is not [flushed](Writer::flush) before.
 const CHUNK_BYTES: u64 = 4 << 20;
 
@@ -41,7 +41,7 @@ pub struct Options {
     pub split_ns: Option<u64>,
     /// The oldest file is removed when there are more.
     pub keep_files: Option<NonZeroU32>,
-    /// Memory for what is on its way to the disk, in bytes. `None`: 16 MiB.
+    /// Memory for what is on its way to the disk, in bytes. `None`: 32 MiB.
     pub memory_bytes: Option<usize>,
 }
 

@@ -11,11 +11,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
+use tautline::rt::clock::monotonic_ns;
 use tautline::rt::{Policy, ThreadBuilder};
 use tautline_bag::{BagError, Finished, Stamp, TopicId, Writer};
 
 /// What a kill can cost.
 const FLUSH: Duration = Duration::from_millis(500);
+/// Of a message that is written: the disk does not keep up, or does again.
+const BEHIND_NS: i64 = 250_000_000;
+const ABREAST_NS: i64 = 50_000_000;
 /// How often is looked whether there is something to write.
 const PERIOD: Duration = Duration::from_millis(10);
 
@@ -40,10 +44,12 @@ impl Keeper {
         consumer: Consumer<u8>,
         topics: Receiver<Kept>,
         is_over: Arc<AtomicBool>,
+        offset_ns: i64,
     ) -> Outcome<Self> {
         let (statement, stated) = channel();
         let thread = ThreadBuilder::new("keeper").policy(Policy::Other { nice: 0 });
-        let work = Work { writer, consumer, topics, kept: Vec::new(), scratch: Vec::new(), messages: 0 };
+        let (kept, scratch) = (Vec::new(), Vec::new());
+        let work = Work { writer, consumer, topics, kept, scratch, messages: 0, offset_ns };
         let thread = thread.spawn(move || move || work.run(&is_over, &stated))?;
         Ok(Keeper { statement, thread })
     }
@@ -64,6 +70,8 @@ struct Work {
     /// A message that goes over the ring's end.
     scratch: Vec<u8>,
     messages: u64,
+    /// From `CLOCK_MONOTONIC` to times of reception.
+    offset_ns: i64,
 }
 
 impl Work {
@@ -100,25 +108,26 @@ impl Work {
         Written { finished, failed, messages, stall }
     }
 
-    /// Whether the disk keeps up, by how much of the ring is full.
-    fn look(&self) {
-        let (full, all) = (self.consumer.slots(), self.consumer.buffer().capacity());
-        if full > all / 2 {
+    /// Whether the disk keeps up, by the age of what is written: a kill loses what is not.
+    fn look(&self, log_ns: u64) {
+        let now_ns = monotonic_ns().cast_signed().saturating_add(self.offset_ns);
+        let age_ns = now_ns.saturating_sub_unsigned(log_ns);
+        if age_ns > BEHIND_NS {
             self.writer.set_behind(true);
-        } else if full < all / 8 {
+        } else if age_ns < ABREAST_NS {
             self.writer.set_behind(false);
         }
     }
 
     /// Writes a message; `false` if there is none.
     fn some(&mut self) -> Result<bool, BagError> {
-        self.look();
         let mut head = [0; HEAD_BYTES];
         let Ok(chunk) = self.consumer.read_chunk(HEAD_BYTES) else { return Ok(false) };
         let (first, second) = chunk.as_slices();
         head[..first.len()].copy_from_slice(first);
         head[first.len()..].copy_from_slice(second);
         let head = Head::from_bytes(head);
+        self.look(head.log_ns);
         let whole = HEAD_BYTES + head.cdr_bytes as usize;
         // The taker is not through with it.
         let Ok(chunk) = self.consumer.read_chunk(whole) else { return Ok(false) };

@@ -219,7 +219,13 @@ pub fn run(args: &RecordArgs) -> Outcome {
     let mut behind = match args.black_box {
         None => {
             let writer = Writer::create(&folder, args.options(), session(domain)).map_err(failed)?;
-            Behind::Keeper(Keeper::start(writer, consumer, new_observers.topics, is_over.clone())?)
+            Behind::Keeper(Keeper::start(
+                writer,
+                consumer,
+                new_observers.topics,
+                is_over.clone(),
+                taker.offset_ns(),
+            )?)
         }
         Some(span) => {
             let plan = args.plan(&folder, domain, span, taker.offset_ns())?;
@@ -348,7 +354,7 @@ fn listen(toggled: &Arc<AtomicBool>) -> Outcome {
 impl RecordArgs {
     /// Of the budget, what is on its way to the disk.
     fn memory_bytes(&self) -> usize {
-        (self.budget / 8).clamp(128 << 10, 16 << 20) as usize
+        (self.budget / 8).clamp(8 << 10, 32 << 20) as usize
     }
 
     fn options(&self) -> Options {

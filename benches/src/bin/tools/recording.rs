@@ -180,7 +180,8 @@ impl Recorder {
     }
 }
 
-/// A plain file of as many bytes, written as the recorder does and then on the disk: megabytes a second.
+/// A plain file of as many bytes, written through the page cache and then on the disk, as a program that only writes does it: megabytes
+/// a second.
 fn bare(path: &Path, bytes: usize) -> Result<f64> {
     let (block, start_ns) = (vec![0x5a_u8; 4 * MIB], monotonic_ns());
     let mut file = File::create(path)?;
