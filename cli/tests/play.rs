@@ -145,6 +145,17 @@ fn seen(subscriptions: &[RawSubscription]) -> Vec<Seen> {
     seen
 }
 
+/// As many as were published: a subscription may find out of them when who published them has gone.
+fn all(subscriptions: &[RawSubscription], count: usize) -> Vec<Seen> {
+    let mut all = Vec::new();
+    wait_for("all that was published", || {
+        all.extend(seen(subscriptions));
+        all.len() >= count
+    });
+    all.sort_by_key(|(n, info)| (info.released_ns, *n));
+    all
+}
+
 fn numbers(seen: &[Seen]) -> Vec<u64> {
     seen.iter().map(|(n, _)| *n).collect()
 }
@@ -157,7 +168,7 @@ fn what_was_recorded_is_published_as_it_was() {
     for (args, nanoseconds) in [(&["--json"][..], MS), (&["--json", "--rate", "4", "--no-rt"], MS / 4)] {
         let (code, out, errors) = place.play(args);
         assert_eq!(code, 0, "{out}{errors}");
-        let all = seen(&subscriptions);
+        let all = all(&subscriptions, 500);
         assert_eq!(numbers(&all), (0..500).collect::<Vec<_>>());
         let first_ns = all[0].1.released_ns;
         for (n, info) in all {
@@ -178,7 +189,7 @@ fn what_was_recorded_is_published_as_it_was() {
     let (code, out, errors) = place.play(&["--max-jitter", "1us", "--rate", "100"]);
     assert!(code == 1 && errors.contains("late, more than 1µs"), "{errors}");
     assert!(out.contains("500 messages, late by") && out.contains("/even"), "{out}");
-    assert_eq!(seen(&subscriptions).len(), 500);
+    assert_eq!(all(&subscriptions, 500).len(), 500);
 }
 
 #[test]
@@ -189,21 +200,21 @@ fn a_part_of_it_is_played_and_again() {
     // What a publisher that keeps two had kept when the part began is there first.
     let (code, _, errors) = place.play(&["--from", "100ms", "--to", "120ms", "--rate", "10"]);
     assert_eq!(code, 0, "{errors}");
-    assert_eq!(numbers(&seen(&subscriptions)), (96..=120).collect::<Vec<_>>());
+    assert_eq!(numbers(&all(&subscriptions, 25)), (96..=120).collect::<Vec<_>>());
     let (code, _, errors) = place.play(&["/odd", "--loop=3", "--rate", "100"]);
     assert_eq!(code, 0, "{errors}");
     let odd: Vec<_> = (0..100).map(|n| n * 2 + 1).collect();
-    assert_eq!(numbers(&seen(&subscriptions)), odd.repeat(3));
+    assert_eq!(numbers(&all(&subscriptions, 300)), odd.repeat(3));
     let (code, _, errors) = place.play(&["-x", "odd", "--rate", "100", "-e", "."]);
     assert_eq!(code, 0, "{errors}");
-    assert_eq!(seen(&subscriptions).len(), 100);
+    assert_eq!(all(&subscriptions, 100).len(), 100);
     // One moment again and again is no flood.
     let (code, out, errors) = place.play(&["--from", "50ms", "--to", "50ms", "--loop=20", "/even", "--json"]);
     let report: Value = serde_json::from_str(&out).unwrap();
     // What was kept before, and the one.
     assert_eq!((code, &report["published"]), (0, &60.into()), "{errors}");
-    let all = seen(&subscriptions);
-    assert!(all[59].1.released_ns - all[0].1.released_ns >= 19 * MS);
+    let of_a_moment = all(&subscriptions, 60);
+    assert!(of_a_moment[59].1.released_ns - of_a_moment[0].1.released_ns >= 19 * MS);
     // For ever, until somebody ends it.
     let child = Place::begin(place.command(&["--loop", "--rate", "50", "--json"]));
     let mut count = 0;
@@ -224,7 +235,7 @@ fn a_part_of_it_is_played_and_again() {
         (&["-x", "."], 2, "no topic of the bag is chosen"),
         (&["-x", "("], 2, "regex parse error"),
         (&["--rate", "0"], 2, "is no number of 0.000001 to 1000000"),
-        (&["--wait", "/even", "-m", "/even:=/nobody", "--timeout", "50ms"], 1, "a subscription of '/nobody'"),
+        (&["--wait", "/even", "-m", "/even:=/nobody", "--timeout", "1s"], 1, "a subscription of '/nobody'"),
     ] {
         let (found, _, errors) = place.play(args);
         assert!(found == code && errors.contains(why), "{args:?}: {found}: {errors}");
@@ -248,10 +259,10 @@ fn nobody_is_surprised_by_messages_beside_his_own() {
     assert!(code == 1 && errors.contains("did you mean /odd?"), "{errors}");
     let (code, _, errors) = place.play(&["--rate", "10", "--remap", "/odd:=/other"]);
     assert_eq!(code, 0, "{errors}");
-    let each: Vec<_> = subscriptions.chunks(1).map(|one| seen(one).len()).collect();
+    let each: Vec<_> = subscriptions.chunks(1).zip([50, 0, 50]).map(|(one, n)| all(one, n).len()).collect();
     assert_eq!(each, [50, 0, 50]);
     let (code, _, errors) = place.play(&["--rate", "10", "--mix"]);
-    assert_eq!((code, seen(&subscriptions).len()), (0, 100), "{errors}");
+    assert_eq!((code, all(&subscriptions, 100).len()), (0, 100), "{errors}");
     drop(live);
     // Nothing, again and again, comes to its end.
     let (code, out, errors) = place.play(&["--from", "50500us", "--to", "50600us", "--loop"]);
@@ -281,7 +292,7 @@ fn long_messages_are_whole_and_in_time() {
     assert_eq!(code, 0, "{out}{errors}");
     let report: Value = serde_json::from_str(&out).unwrap();
     assert_eq!((&report["published"], &report["refused"]), (&500.into(), &0.into()), "{report}");
-    let numbers = numbers(&seen(&counts));
+    let numbers = numbers(&all(&counts, 480));
     assert_eq!(numbers, (0..500).filter(|n| n % 25 != 7).collect::<Vec<_>>());
     for n in (7..500).step_by(25) {
         let sample = images.try_take().unwrap().unwrap();
@@ -366,12 +377,8 @@ fn a_leap_in_a_loop_leaves_the_passes_that_are_to_come() {
     command.stdin(File::options().read(true).write(true).open(path).unwrap());
     let child = Place::begin(command);
     let mut terminal = File::from(terminal);
-    let mut all = Vec::new();
     terminal.write_all(b"s 15ms\n\n").unwrap();
-    wait_for("messages", || {
-        all.extend(seen(&subscriptions));
-        all.len() >= 35 + 4 * 50
-    });
+    let all = all(&subscriptions, 35 + 4 * 50);
     let (code, out, errors) = ended(child.wait_with_output().unwrap());
     assert!(code == 0 && out.contains("235 messages"), "{out}{errors}");
     let passes = (0..4).flat_map(|_| 0..50);
@@ -388,7 +395,7 @@ fn simulated_time_is_that_of_the_bag() {
         (place.subscription("/clock", "rosgraph_msgs/msg/Clock"), place.counts(&["/count"]));
     let (code, _, errors) = place.play(&["--clock=1000", "--rate", "2"]);
     assert_eq!(code, 0, "{errors}");
-    let counts = seen(&subscriptions);
+    let counts = all(&subscriptions, 100);
     assert_eq!(counts.len(), 100);
     let mut times = Vec::new();
     while let Some(sample) = clocks.try_take().unwrap() {
