@@ -1,26 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A file whose space is claimed before it is written, so that a disk that fills up is noticed while the file can still be ended; and
-//! which goes to the disk past the kernel's cache, where the file system permits that: its pages would have to be found first, would
-//! push out those of others, and be written when the kernel likes, which then stops the writer for long.
+//! A file whose space is claimed before it is written, so that a disk that fills up is noticed while the file can still be ended.
 
 use crate::BagError;
+use crate::disk::{BLOCK, Disk, Job, Jobs, Piece};
 use rustix::fs::{FallocateFlags, fallocate};
 use rustix::io::Errno;
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
-use std::os::fd::AsRawFd;
-use std::os::unix::fs::{FileExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
-use std::sync::{Arc, OnceLock};
+use std::sync::mpsc::{Receiver, sync_channel};
 
 /// How much is claimed at once, if there is as much.
 const STEP: u64 = 64 << 20;
-/// What a disk takes from memory: so many bytes, or several times as many, at an address and to a place that are multiples of it.
-const BLOCK: usize = 4096;
-/// The one that is filled and the one that is being written.
-const PIECES: usize = 2;
 
 /// Where a [`Claimed`] file ends, for who no longer has it.
 #[derive(Clone, Default)]
@@ -70,19 +63,7 @@ pub fn create(
 ) -> Result<(Claim, Claimed, Position), BagError> {
     let file = File::options().write(true).create_new(true).open(path).map_err(BagError::write(path))?;
     let position = Position::default();
-    let others = file.try_clone().map_err(BagError::write(path))?;
-    let past_cache = File::options().write(true).custom_flags(libc::O_DIRECT).open(path).ok();
-    let ((sender, work), (give_back, spare)) = (channel(), channel());
-    for _ in 1..PIECES {
-        let _ = give_back.send(Piece::new(piece_bytes));
-    }
-    let mut disk = Disk { file: others, past_cache, is_behind, give_back, hurried: 0..0 };
-    let jobs = Jobs { sender, fault: Arc::default() };
-    let fault = jobs.fault.clone();
-    let thread = std::thread::Builder::new().name("disk".to_owned());
-    // Why it ends is there before it has ended.
-    let run = move || drop(disk.run(&work).map_err(|error| fault.set(error)));
-    thread.spawn(run).map_err(BagError::write(path))?;
+    let (jobs, spare) = Disk::start(path, &file, piece_bytes, is_behind)?;
     let claim = Claim { file, path: path.to_owned(), claimed: 0, is_impossible: false, jobs: jobs.clone() };
     let claimed = Claimed {
         piece: Piece::new(piece_bytes),
@@ -96,151 +77,6 @@ pub fn create(
         spare,
     };
     Ok((claim, claimed, position))
-}
-
-/// Memory that begins where a block can.
-struct Piece {
-    bytes: Vec<u8>,
-    /// Where the first block is.
-    first: usize,
-    len: usize,
-}
-
-impl Piece {
-    fn new(bytes: usize) -> Self {
-        let bytes = vec![0; bytes.max(BLOCK).next_multiple_of(BLOCK) + BLOCK];
-        let first = bytes.as_ptr().align_offset(BLOCK).min(BLOCK);
-        Piece { bytes, first, len: 0 }
-    }
-
-    fn get(&self) -> &[u8] {
-        &self.bytes[self.first..self.first + self.len]
-    }
-
-    /// What there is room for from `at` on; how many bytes that is.
-    fn put(&mut self, at: usize, bytes: &[u8]) -> usize {
-        let room = self.bytes.len() - BLOCK - at;
-        let count = bytes.len().min(room);
-        self.bytes[self.first + at..][..count].copy_from_slice(&bytes[..count]);
-        self.len = self.len.max(at + count);
-        count
-    }
-
-    fn is_full(&self) -> bool {
-        self.len == self.bytes.len() - BLOCK
-    }
-}
-
-/// What the disk's thread is told, in this order.
-enum Job {
-    /// To be written from here on. The first block, if it is shared, was written before, in part.
-    Write { piece: Piece, start: u64, is_shared: bool },
-    /// To be written in the place of others.
-    Again(u64, Vec<u8>),
-    /// To be said when all of before is done.
-    Tell(SyncSender<()>),
-}
-
-/// To the disk's thread.
-#[derive(Clone)]
-struct Jobs {
-    sender: Sender<Job>,
-    /// Why it has ended.
-    fault: Arc<OnceLock<io::Error>>,
-}
-
-impl Jobs {
-    fn give(&self, job: Job) -> io::Result<()> {
-        self.sender.send(job).map_err(|_| self.fault())
-    }
-
-    fn fault(&self) -> io::Error {
-        match self.fault.get() {
-            Some(error) => error.raw_os_error().map_or_else(
-                || io::Error::new(error.kind(), error.to_string()),
-                io::Error::from_raw_os_error,
-            ),
-            None => io::Error::other("the thread that writes to the disk has ended"),
-        }
-    }
-}
-
-/// The thread that waits for the disk.
-struct Disk {
-    file: File,
-    /// The same one, past the kernel's cache.
-    past_cache: Option<File>,
-    is_behind: Arc<AtomicBool>,
-    give_back: Sender<Piece>,
-    /// What the kernel was last told to write out.
-    hurried: std::ops::Range<u64>,
-}
-
-impl Disk {
-    fn run(&mut self, jobs: &Receiver<Job>) -> io::Result<()> {
-        while let Ok(job) = jobs.recv() {
-            match job {
-                Job::Write { piece, start, is_shared } => {
-                    self.write(piece.get(), start, is_shared)?;
-                    // Nobody wants it any more after the last.
-                    let _ = self.give_back.send(piece);
-                }
-                Job::Again(at, bytes) => self.file.write_all_at(&bytes, at)?,
-                Job::Tell(done) => drop(done.send(())),
-            }
-        }
-        Ok(())
-    }
-
-    /// Blocks that are written once go past the cache; one that two pieces share goes through it each time, for what the cache has of a
-    /// block would have to be written first.
-    fn write(&mut self, bytes: &[u8], start: u64, is_shared: bool) -> io::Result<()> {
-        // Not hurried: that may wait for the disk.
-        if self.is_behind.load(Ordering::Relaxed) {
-            return self.file.write_all_at(bytes, start);
-        }
-        let shared = if is_shared { BLOCK.min(bytes.len()) } else { 0 };
-        let whole = (bytes.len() / BLOCK * BLOCK).max(shared);
-        self.file.write_all_at(&bytes[..shared], start)?;
-        let (start, bytes, rest) = (start + shared as u64, &bytes[shared..whole], &bytes[whole..]);
-        let is_written = match &self.past_cache {
-            Some(file) => match file.write_all_at(bytes, start) {
-                Ok(()) => true,
-                // A disk of longer blocks, for one.
-                Err(error) if error.raw_os_error() == Some(libc::EINVAL) => {
-                    self.past_cache = None;
-                    false
-                }
-                Err(error) => return Err(error),
-            },
-            None => false,
-        };
-        let end = start + bytes.len() as u64;
-        if !is_written {
-            self.file.write_all_at(bytes, start)?;
-        }
-        self.file.write_all_at(rest, end)?;
-        // What is in the cache all the same, from before or because the file system does not do otherwise.
-        let range = self.hurried.end..end;
-        hurry(&self.file, range.clone(), libc::SYNC_FILE_RANGE_WRITE);
-        let before = std::mem::replace(&mut self.hurried, range);
-        if !is_written {
-            hurry(&self.file, before, libc::SYNC_FILE_RANGE_WAIT_BEFORE);
-        }
-        Ok(())
-    }
-}
-
-/// Has the disk begin with what is in the cache: the kernel alone would begin when a tenth of the memory is unwritten, and then stop the
-/// writer for long. If that is refused, it is written later. Not `posix_fadvise`, which drops what is on the disk, and disturbs every core
-/// for that.
-#[expect(unsafe_code, reason = "no crate that is used here has the call")]
-fn hurry(file: &File, range: std::ops::Range<u64>, how: libc::c_uint) {
-    // No bytes are all that follow.
-    let Some(Ok(bytes)) = (!range.is_empty()).then(|| (range.end - range.start).try_into()) else { return };
-    let Ok(offset) = range.start.try_into() else { return };
-    // SAFETY: the descriptor is open as long as the file is borrowed; the call touches no memory of this process.
-    let _ = unsafe { libc::sync_file_range(file.as_raw_fd(), offset, bytes, how) };
 }
 
 impl Claim {

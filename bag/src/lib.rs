@@ -9,6 +9,7 @@
 
 mod claim;
 mod convert;
+mod disk;
 mod error;
 mod index;
 mod metadata;

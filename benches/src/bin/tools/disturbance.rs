@@ -3,8 +3,8 @@
 //!
 //! A thread publishes at 1 kHz, with a real-time priority if it may have one, and times each publication, while nobody looks and
 //! while `taut` does, in alternating rounds. What the kernel counts for the thread says more than times do: page faults, and how
-//! often it lost its core. What times say is in `recording`, where there are enough for a quantile of a thousand to mean something: here
-//! two equal cases differ by a third. That an observer costs no system call is a test (`transport/tests/syscalls.rs`).
+//! often it lost its core. What a recorder adds to p99.9 is judged in `recording`, where there are enough publications for that:
+//! here two equal cases differ by more. That an observer costs no system call is a test (`transport/tests/syscalls.rs`).
 
 use crate::{DOMAIN, Looking, Result, Taut};
 use hdrhistogram::Histogram;
