@@ -185,3 +185,39 @@ fn hurry(file: &File, range: Range<u64>, how: libc::c_uint) {
     // SAFETY: the descriptor is open as long as the file is borrowed; the call touches no memory of this process.
     let _ = unsafe { libc::sync_file_range(file.as_raw_fd(), offset, bytes, how) };
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Past the cache, without that, refused there (memory that begins anywhere), and behind: the file is the same.
+    #[test]
+    fn a_file_is_the_same_whichever_way_it_goes() {
+        let folder = tempfile::tempdir().unwrap();
+        let bytes: Vec<u8> = (0..10 * BLOCK + 100).map(|n| (n % 251) as u8).collect();
+        let mut aligned = Piece::new(bytes.len());
+        assert_eq!(aligned.put(0, &bytes), bytes.len());
+        let mut shifted = vec![0; 1 + bytes.len()];
+        let first = shifted.as_ptr().align_offset(2) ^ 1;
+        shifted[first..][..bytes.len()].copy_from_slice(&bytes);
+        let anywhere = &shifted[first..][..bytes.len()];
+        for (way, direct, is_behind, memory) in [
+            ("past the cache", true, false, aligned.get()),
+            ("through it", false, false, aligned.get()),
+            ("refused", true, false, anywhere),
+            ("behind", true, true, aligned.get()),
+        ] {
+            let path = folder.path().join(way);
+            let file = File::create(&path).unwrap();
+            let opened = || File::options().write(true).custom_flags(libc::O_DIRECT).open(&path).ok();
+            let past_cache = direct.then(opened).flatten();
+            let is_behind = Arc::new(AtomicBool::new(is_behind));
+            let mut disk = Disk { file, past_cache, is_behind, give_back: channel().0, hurried: 0..0 };
+            // The second piece begins with the block that the first one ended in.
+            let middle = 5 * BLOCK;
+            disk.write(&memory[..middle + 10], 0, false).unwrap();
+            disk.write(&memory[middle..], middle as u64, true).unwrap();
+            assert!(std::fs::read(&path).unwrap() == bytes, "{way}");
+        }
+    }
+}
