@@ -52,6 +52,8 @@ enum Part {
     Flight,
     /// Long messages as fast as the disk is
     Sequential,
+    /// Whether a recorder's memory is the same after ten minutes
+    Memory,
 }
 
 /// The command that is measured.
@@ -128,6 +130,7 @@ fn measure(options: &Options) -> Result<bool> {
             Part::Start => ("start", of(start::measure(&taut, quick))?),
             Part::Flight => ("flight", of(recording::flight(&taut, quick))?),
             Part::Sequential => ("sequential", of(recording::sequential(&taut, quick))?),
+            Part::Memory => ("memory", of(recording::memory(&taut, quick))?),
         };
         report.insert(key.to_owned(), measured);
         broken.extend(wrong);

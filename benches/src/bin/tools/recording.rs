@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut record`: twenty topics at 1 kHz and a camera for a while, of which nothing may be lost; `taut play` of that; and 1 MiB messages as
-//! fast as the disk takes a plain file, which is measured just before.
+//! fast as the disk takes a plain file, which is measured just before. And whether its memory stays what it was.
 
 use crate::{Result, Taut};
 use hdrhistogram::Histogram;
@@ -34,6 +34,8 @@ const PLAYER: u8 = 40;
 const ROBOT: u8 = 80;
 /// What a recorder may add to the p99.9 of a publication.
 const MOST_ADDED: f64 = 1.05;
+/// What a recorder's memory may grow by after the first tenth of ten minutes: a page here and there, no message of 8 MiB.
+const MOST_GROWTH_KB: u64 = 1024;
 
 #[derive(Serialize)]
 pub struct Flight {
@@ -56,6 +58,16 @@ struct Publications {
     /// p50, p99, p99.9, max.
     without_us: [f64; 4],
     with_us: [f64; 4],
+}
+
+/// Of a recorder that runs for long.
+#[derive(Serialize)]
+pub struct Memory {
+    seconds: u64,
+    messages: u64,
+    lost: u64,
+    /// What is resident, each second.
+    resident_kb: Vec<u64>,
 }
 
 /// A plain file and a recording of as much, one after the other.
@@ -144,9 +156,9 @@ impl Replay {
 struct Recorder(Child);
 
 impl Recorder {
-    fn start(taut: &Taut, bag: &Path) -> Result<Self> {
+    fn start(taut: &Taut, bag: &Path, options: &[&str]) -> Result<Self> {
         let mut command = taut.command(&["record", "-a", "--json", "-o"]);
-        Ok(Recorder(command.arg(bag).stdout(Stdio::piped()).spawn()?))
+        Ok(Recorder(command.arg(bag).args(options).stdout(Stdio::piped()).spawn()?))
     }
 
     /// Until it is connected with each publisher, which only a visitor sees.
@@ -235,6 +247,13 @@ struct Robot {
 }
 
 impl Robot {
+    fn new(participant: &Participant, image: usize) -> Result<Self> {
+        let small =
+            (0..SMALL_TOPICS).map(|n| publisher(participant, &format!("/small_{n}"), SMALL_BYTES, 10));
+        let small = small.collect::<Result<Vec<_>>>()?;
+        Ok(Robot { small, camera: publisher(participant, "/camera", image, 10)?, image: vec![7; image] })
+    }
+
     /// For so long; how long each publication on a small topic took, in nanoseconds.
     fn fly(self, seconds: u64) -> Result<(Self, Histogram<u64>)> {
         let Robot { small, camera, image } = self;
@@ -271,14 +290,9 @@ impl Robot {
 /// Twenty topics and a camera, and all of it again; the second value is what does not hold.
 pub fn flight(taut: &Taut, quick: bool) -> Result<(Flight, Vec<String>)> {
     let (seconds, image) = if quick { (3_u64, MIB) } else { (60, 8 * MIB) };
-    let folder = folder()?;
-    let participant = Participant::new(crate::DOMAIN)?;
-    let small = (0..SMALL_TOPICS).map(|n| publisher(&participant, &format!("/small_{n}"), SMALL_BYTES, 10));
-    let small = small.collect::<Result<Vec<_>>>()?;
-    let camera = publisher(&participant, "/camera", image, 10)?;
-    let robot = Robot { small, camera, image: vec![7; image] };
-    let (robot, mut without) = robot.fly(seconds.div_ceil(2))?;
-    let mut recorder = Recorder::start(taut, &folder.path().join("flight"))?;
+    let (folder, participant) = (folder()?, Participant::new(crate::DOMAIN)?);
+    let (robot, mut without) = Robot::new(&participant, image)?.fly(seconds.div_ceil(2))?;
+    let mut recorder = Recorder::start(taut, &folder.path().join("flight"), &[])?;
     recorder.wait(SMALL_TOPICS + 1)?;
     let (robot, with) = robot.fly(seconds)?;
     let report = recorder.end()?;
@@ -331,6 +345,62 @@ pub fn flight(taut: &Taut, quick: bool) -> Result<(Flight, Vec<String>)> {
     Ok((flight, broken))
 }
 
+/// The flight for ten minutes, into a ring of files: the recorder's memory meanwhile; the second value is what does not hold.
+pub fn memory(taut: &Taut, quick: bool) -> Result<(Memory, Vec<String>)> {
+    let (seconds, image, file) = if quick { (3_u64, MIB, "16MB") } else { (600, 8 * MIB, "4GB") };
+    println!("\ntaut record for {seconds} s, a ring of 4 files of {file}\n");
+    let (folder, participant) = (folder()?, Participant::new(crate::DOMAIN)?);
+    let robot = Robot::new(&participant, image)?;
+    let bag = folder.path().join("flight");
+    let mut recorder = Recorder::start(taut, &bag, &["--max-size", file, "--keep", "4"])?;
+    recorder.wait(SMALL_TOPICS + 1)?;
+    let (status, stop) = (format!("/proc/{}/status", recorder.0.id()), Arc::new(AtomicBool::new(false)));
+    let is_over = stop.clone();
+    let watching = std::thread::spawn(move || {
+        let (mut resident_kb, mut due_ns) = (Vec::new(), monotonic_ns());
+        while !is_over.load(Ordering::Relaxed) {
+            let text = std::fs::read_to_string(&status).unwrap_or_default();
+            let line = text.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+            resident_kb.extend(line.and_then(|line| line.trim().strip_suffix(" kB")?.parse::<u64>().ok()));
+            due_ns += Memory::PERIOD_NS;
+            sleep_until_monotonic(due_ns);
+        }
+        resident_kb
+    });
+    let flown = robot.fly(seconds);
+    stop.store(true, Ordering::Relaxed);
+    let resident_kb = watching.join().map_err(|_| "the thread that watches the memory panicked")?;
+    flown?;
+    let report = recorder.end()?;
+    let memory =
+        Memory { seconds, messages: number(&report, "messages"), lost: number(&report, "lost"), resident_kb };
+    let broken = memory.judge(seconds * (SMALL_TOPICS as u64 * 1000 + 30), quick);
+    Ok((memory, broken))
+}
+
+impl Memory {
+    const PERIOD_NS: u64 = 1_000_000_000;
+
+    /// Prints it and says what does not hold.
+    fn judge(&self, wanted: u64, quick: bool) -> Vec<String> {
+        let Memory { messages, lost, resident_kb, .. } = self;
+        let (first, later) = resident_kb.split_at(resident_kb.len().div_ceil(10));
+        let most = |of: &[u64]| of.iter().max().copied().unwrap_or(0);
+        let (first, later) = (most(first), most(later));
+        println!("{messages} messages, {lost} lost");
+        println!("memory: at most {first} kB in the first tenth of the time, {later} kB after that");
+        let mut broken = Vec::new();
+        if *lost > 0 || *messages != wanted {
+            broken.push(format!("taut record: {messages} of {wanted} messages were recorded, {lost} lost"));
+        }
+        // In three seconds it has not yet used all that it uses.
+        if !quick && later > first + MOST_GROWTH_KB {
+            broken.push(format!("taut record: its memory grew from {first} to {later} kB"));
+        }
+        broken
+    }
+}
+
 /// Messages of 1 MiB as fast as a plain file of as many was written before, a few times; the second value is what does not hold.
 pub fn sequential(taut: &Taut, quick: bool) -> Result<(Vec<Sequential>, Vec<String>)> {
     // A small one on a machine whose disk nobody knows.
@@ -355,7 +425,7 @@ impl Sequential {
         let bare_mb_s = bare(&folder.path().join("bare"), bytes)?;
         let participant = Participant::new(crate::DOMAIN)?;
         let stream = publisher(&participant, "/stream", MIB, 64)?;
-        let mut recorder = Recorder::start(taut, &folder.path().join("stream"))?;
+        let mut recorder = Recorder::start(taut, &folder.path().join("stream"), &[])?;
         recorder.wait(1)?;
         let start_ns = monotonic_ns();
         send(&stream, &vec![7; MIB], bare_mb_s * 1e6 / MIB as f64, (bytes / MIB) as u64)?;
