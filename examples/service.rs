@@ -16,7 +16,7 @@ fn show() -> Result<()> {
     let context = context()?;
     let mut node = Node::create(context.clone(), "service", "")?;
     let qos = Qos::default();
-    let client = node.create_client::<AddTwoInts::Service>("add_two_ints", qos)?;
+    let client = node.create_client::<AddTwoInts::Service>("add_two_ints")?;
 
     // Nobody serves it yet: that is said, rather than waited for.
     if let Err(error @ Error::Service(ServiceError::NoServer { .. })) =
@@ -39,7 +39,7 @@ fn show() -> Result<()> {
             }
         }
     })?;
-    let in_place = node.create_client::<AddTwoInts::Service>("add_two_ints", qos)?;
+    let in_place = node.create_client::<AddTwoInts::Service>("add_two_ints")?;
     let ask = node.spawn_callback(CallbackOptions::fifo(10).name("ask"), async move {
         let asked = async move {
             available.await?;

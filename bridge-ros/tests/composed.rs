@@ -351,8 +351,7 @@ fn services_cross_bridges_and_gateways() {
 
     // The other host asks ROS.
     peer.tell(json!({ "do": "service", "name": "/there/echo", "type": BASIC_TYPES, "behaviour": "echo" }));
-    let qos = Qos::default();
-    let client = here.node.create_client::<BasicTypes::Service>("/there/echo", qos).unwrap();
+    let client = here.node.create_client::<BasicTypes::Service>("/there/echo").unwrap();
     here.available(&client);
     let numbers: Vec<i64> = (0..REQUESTS).collect();
     for numbers in numbers.chunks(AT_ONCE) {
@@ -428,9 +427,8 @@ fn parameters_of_a_node_in_ros_are_got_and_set_from_another_host() {
     let mut here = Spinning::new(B, "here");
     let mut peer = Peer::start_with_services(&venv, A, "there");
     peer.tell(json!({ "do": "serve_parameters", "values": { "gain": 1.5 } }));
-    let qos = Qos::default();
-    let get = here.node.create_client::<GetParameters::Service>("/there/get_parameters", qos).unwrap();
-    let set = here.node.create_client::<SetParameters::Service>("/there/set_parameters", qos).unwrap();
+    let get = here.node.create_client::<GetParameters::Service>("/there/get_parameters").unwrap();
+    let set = here.node.create_client::<SetParameters::Service>("/there/set_parameters").unwrap();
     here.available(&get);
     here.available(&set);
     let gain = |here: &mut Spinning| {

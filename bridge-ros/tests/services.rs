@@ -122,14 +122,14 @@ fn requests_are_answered_both_ways() {
     // Tautline asks.
     peer.tell(json!({ "do": "service", "name": "/there/set", "type": SET_BOOL, "behaviour": "set_bool" }));
     peer.tell(json!({ "do": "service", "name": "/there/echo", "type": BASIC_TYPES, "behaviour": "echo" }));
-    let set = here.node.create_client::<SetBool::Service>("/there/set", qos()).unwrap();
+    let set = here.node.create_client::<SetBool::Service>("/there/set").unwrap();
     available(&mut here, &set);
     let pending: Vec<_> =
         (0..50).map(|index| set.request(&SetBool::Request { data: index % 3 == 0 }).unwrap()).collect();
     let answers = here.wait("answers", join_all(pending));
     let answers: Vec<bool> = answers.into_iter().map(|answer| answer.unwrap().success).collect();
     assert!(answers.into_iter().eq((0..50).map(|index| index % 3 == 0)));
-    let echo = here.node.create_client::<BasicTypes::Service>("/there/echo", qos()).unwrap();
+    let echo = here.node.create_client::<BasicTypes::Service>("/there/echo").unwrap();
     let there = Node::is_available(&echo).unwrap();
     here.wait("a server", there).unwrap();
     for _ in 0..50 {
@@ -161,7 +161,7 @@ fn a_server_that_dies_ends_what_it_was_asked() {
     // In ROS: the client here gets an error, and an answer from the next one.
     let mut server = Peer::start_with_services(&venv, DOMAIN, "server");
     server.tell(json!({ "do": "service", "name": "/set", "type": SET_BOOL, "behaviour": "silent" }));
-    let client = here.node.create_client::<SetBool::Service>("/set", qos()).unwrap();
+    let client = here.node.create_client::<SetBool::Service>("/set").unwrap();
     available(&mut here, &client);
     let pending = client.request(&SetBool::Request { data: true }).unwrap();
     server.kill();
@@ -218,7 +218,7 @@ fn a_silent_server_is_asked_no_more_than_there_is_room_for() {
 
     // In ROS: a client has as many requests as it can have, and an error of the next.
     peer.tell(json!({ "do": "service", "name": "/there", "type": SET_BOOL, "behaviour": "silent" }));
-    let client = here.node.create_client::<SetBool::Service>("/there", qos()).unwrap();
+    let client = here.node.create_client::<SetBool::Service>("/there").unwrap();
     available(&mut here, &client);
     let ask = || client.request(&SetBool::Request { data: true });
     let pending: Vec<_> = (0..tautline::MAX_PENDING_REQUESTS).map(|_| ask().unwrap()).collect();
@@ -237,7 +237,7 @@ fn what_cannot_be_passed_on_ends_alone() {
     let mut here = Spinning::new(DOMAIN, "here");
     let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
     peer.tell(json!({ "do": "service", "name": "/there", "type": SET_BOOL, "behaviour": "silent" }));
-    let client = here.node.create_client::<SetBool::Service>("/there", qos()).unwrap();
+    let client = here.node.create_client::<SetBool::Service>("/there").unwrap();
     available(&mut here, &client);
     let mut waiting = client.request(&SetBool::Request { data: true }).unwrap();
     let participant = Participant::new(DOMAIN).unwrap();
@@ -269,7 +269,7 @@ fn a_bridge_that_dies_ends_what_it_was_asked_and_the_next_one_goes_on() {
     peer.tell(json!({ "do": "service", "name": "/silent", "type": SET_BOOL, "behaviour": "silent" }));
     peer.tell(json!({ "do": "service", "name": "/set", "type": SET_BOOL, "behaviour": "set_bool" }));
     let [silent, set] =
-        ["/silent", "/set"].map(|name| here.node.create_client::<SetBool::Service>(name, qos()).unwrap());
+        ["/silent", "/set"].map(|name| here.node.create_client::<SetBool::Service>(name).unwrap());
     available(&mut here, &silent);
     available(&mut here, &set);
     let asking = peer.tell(json!({ "do": "client", "name": "/here", "type": SET_BOOL }));

@@ -9,7 +9,7 @@ use std::future::Future;
 use std::sync::Arc;
 use std::task::{Context as Polled, Wake, Waker};
 use std::thread::{JoinHandle, Thread};
-use tautline::{Client, Context, Error, GraphSnapshot, Node, Qos, Realtime, ServiceKind};
+use tautline::{Client, Context, Error, GraphSnapshot, Node, Realtime, ServiceKind};
 use tautline_msgs::Service;
 use tautline_transport::graph_of;
 
@@ -47,7 +47,7 @@ impl Asking {
         let mut answers: Vec<_> = requests.iter().map(|(service, _)| silent(service)).collect();
         let (mut waiting, mut asked) = (Vec::new(), FuturesUnordered::new());
         for (index, (service, request)) in requests.into_iter().enumerate() {
-            let client = self.node.create_client::<T>(&service, Qos::services_default())?;
+            let client = self.node.create_client::<T>(&service)?;
             let is_there = has_server(&graph, &service);
             waiting.push(Some(service));
             asked.push(async move { (index, exchange(client, is_there, request).await) });

@@ -93,7 +93,7 @@ fn names_of_what_exists_are_offered() {
     let qos = Qos::services_default();
     let _lights = arm.create_service::<SetBool::Service>("/robot/lights", qos).unwrap();
     let _reset = arm.create_service::<Trigger::Service>("/reset", qos).unwrap();
-    let _client = arm.create_client::<Trigger::Service>("/unserved", qos).unwrap();
+    let _client = arm.create_client::<Trigger::Service>("/unserved").unwrap();
     let _goals = arm.create_action_server::<Fibonacci::Action>("/robot/count").unwrap();
 
     // Topics, typed with and without a slash, after options, and before them.

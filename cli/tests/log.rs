@@ -106,7 +106,7 @@ fn levels_are_read_and_set_while_a_node_runs() {
 
     let mut asking = here.node("asking", "");
     let name = "/robot/leg/set_logger_levels";
-    let client = asking.create_client::<SetLoggerLevels::Service>(name, Qos::services_default()).unwrap();
+    let client = asking.create_client::<SetLoggerLevels::Service>(name).unwrap();
     let (done, reason) = set(&client, "robot.leg", 11);
     assert!(!done && reason.starts_with("11 is no level: 0 unset, 10 debug"), "{reason}");
     // Each makes every log statement slower, so nobody may have any number of them.

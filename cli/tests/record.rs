@@ -661,7 +661,7 @@ fn services_and_actions_are_recorded_as_events() {
             std::future::ready(())
         }),
     );
-    let _add = node.create_client::<AddTwoInts::Service>("/add", qos).unwrap();
+    let _add = node.create_client::<AddTwoInts::Service>("/add").unwrap();
     let _count = node.create_action_client::<Fibonacci::Action>("/count").unwrap();
     let unknown = place.participant.create_raw_server(
         "/odd",

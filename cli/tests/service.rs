@@ -26,7 +26,7 @@ fn services_are_found_and_asked() {
     let requests = node.create_service::<Trigger::Service>("/dying", qos).unwrap().owned();
     // With its first request in hand.
     here.serve(&mut node, requests.into_future().map(drop));
-    let _client = node.create_client::<Trigger::Service>("/unserved", qos).unwrap();
+    let _client = node.create_client::<Trigger::Service>("/unserved").unwrap();
 
     assert_eq!(here.taut(&["service", "type", "robot/lights"]), "std_srvs/srv/SetBool\n");
     assert_eq!(here.json(&["service", "type", "/silent"]), json!(["std_srvs/srv/Trigger"]));

@@ -318,7 +318,7 @@ fn all_who_ask_to_cancel_before_a_decision_share_it() {
     let (goal, mut cancels) = block_on(accept(&mut goals));
     let _waiting = block_on(sent).unwrap();
     let service = "asked/_action/cancel_goal";
-    let canceller = node.create_client::<CancelGoal::Service>(service, Qos::default()).unwrap();
+    let canceller = node.create_client::<CancelGoal::Service>(service).unwrap();
     let ask = |uuid: [u8; 16]| {
         let mut request = CancelGoal::Request::default();
         request.goal_info.goal_id.uuid = uuid;

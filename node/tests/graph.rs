@@ -47,8 +47,8 @@ fn a_node_sees_what_others_have() {
     let service = "/robot/turn/_action/send_goal";
     let _turn = talker.create_service::<Turn>(service, qos).unwrap();
     let _add = talker.create_service::<Add>("add", qos).unwrap();
-    let _client = listener.create_client::<Add>("/robot/add", qos).unwrap();
-    let _other = listener.create_client::<Add>("/nobody", qos).unwrap();
+    let _client = listener.create_client::<Add>("/robot/add").unwrap();
+    let _other = listener.create_client::<Add>("/nobody").unwrap();
 
     assert_eq!(listener.get_node_names().unwrap(), ["/listener", "/robot/talker"]);
     let pair = |name: &str, namespace: &str| (name.to_owned(), namespace.to_owned());

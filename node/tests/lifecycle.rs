@@ -248,9 +248,8 @@ fn its_state_is_told_while_a_callback_runs() {
     };
     let callbacks = [spawn(changes.boxed()), spawn(states.boxed())];
     let mut other = Node::create(context, "manager", "").unwrap();
-    let qos = Qos::services_default();
-    let change = other.create_client::<ChangeState::Service>("/slow/change_state", qos).unwrap();
-    let state = other.create_client::<GetState::Service>("/slow/get_state", qos).unwrap();
+    let change = other.create_client::<ChangeState::Service>("/slow/change_state").unwrap();
+    let state = other.create_client::<GetState::Service>("/slow/get_state").unwrap();
     for available in
         [Node::is_available(&change).unwrap().boxed(), Node::is_available(&state).unwrap().boxed()]
     {
@@ -309,13 +308,11 @@ fn its_services_are_ros_2s() {
         .unwrap();
 
     let mut other = Node::create(context.clone(), "manager", "").unwrap();
-    let qos = Qos::services_default();
-    let change = other.create_client::<ChangeState::Service>("/served/change_state", qos).unwrap();
-    let state = other.create_client::<GetState::Service>("/served/get_state", qos).unwrap();
-    let states =
-        other.create_client::<GetAvailableStates::Service>("/served/get_available_states", qos).unwrap();
+    let change = other.create_client::<ChangeState::Service>("/served/change_state").unwrap();
+    let state = other.create_client::<GetState::Service>("/served/get_state").unwrap();
+    let states = other.create_client::<GetAvailableStates::Service>("/served/get_available_states").unwrap();
     let [transitions, graph] = ["available_transitions", "transition_graph"].map(|name| {
-        other.create_client::<GetAvailableTransitions::Service>(&format!("/served/get_{name}"), qos).unwrap()
+        other.create_client::<GetAvailableTransitions::Service>(&format!("/served/get_{name}")).unwrap()
     });
     block_on(Node::is_available(&change).unwrap()).unwrap();
     let ask = |id: u8, label: &str| {

@@ -59,7 +59,7 @@ fn ten_thousand_round_trips_allocate_nothing() {
     let mut node = Node::create(ctx.clone(), "frugal", "").unwrap();
     let qos = Qos::default();
     let mut service = node.create_service::<AddTwoInts::Service>("frugal", qos).unwrap();
-    let client = node.create_client::<AddTwoInts::Service>("frugal", qos).unwrap();
+    let client = node.create_client::<AddTwoInts::Service>("frugal").unwrap();
     node.spawn_callback(CallbackOptions::other(), async move {
         while let Some(request) = service.next().await {
             let mut response = service.loan(&request).unwrap();

@@ -31,7 +31,7 @@ fn child_main() {
     let _spinning = spin(&ctx);
     match part.as_str() {
         "killed_client" => {
-            let client = node.create_client::<AddTwoInts::Service>(&service(&part), qos).unwrap();
+            let client = node.create_client::<AddTwoInts::Service>(&service(&part)).unwrap();
             block_on(Node::is_available(&client).unwrap()).unwrap();
             let _answer = client.request(&AddTwoInts::Request { a: 1, b: 1 }).unwrap();
             println!("asked");
@@ -91,7 +91,7 @@ fn a_killed_server_ends_its_requests_and_a_new_one_takes_over() {
     let ctx = context(DOMAIN);
     let mut node = Node::create(ctx.clone(), "parent", "").unwrap();
     let name = service("killed_server");
-    let client = node.create_client::<AddTwoInts::Service>(&name, Qos::default()).unwrap();
+    let client = node.create_client::<AddTwoInts::Service>(&name).unwrap();
     let _spinning = spin(&ctx);
     for round in 0..3 {
         let mut server = Peer::start("killed_server");
@@ -118,7 +118,7 @@ fn a_killed_client_is_forgotten() {
     let mut node = Node::create(ctx.clone(), "parent", "").unwrap();
     let name = service("killed_client");
     let mut requests = node.create_service::<AddTwoInts::Service>(&name, Qos::default()).unwrap().owned();
-    let own = node.create_client::<AddTwoInts::Service>(&name, Qos::default()).unwrap();
+    let own = node.create_client::<AddTwoInts::Service>(&name).unwrap();
     let _spinning = spin(&ctx);
     for _ in 0..3 {
         let mut client = Peer::start("killed_client");

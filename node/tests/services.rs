@@ -42,7 +42,7 @@ fn several_clients_get_their_own_answers() {
     let _service = serve(&mut node, "several");
     let _spinning = spin(&ctx);
     let clients: Vec<_> =
-        (0..4).map(|_| node.create_client::<AddTwoInts::Service>("/several", QOS()).unwrap()).collect();
+        (0..4).map(|_| node.create_client::<AddTwoInts::Service>("/several").unwrap()).collect();
     for round in 0..100 {
         let ask =
             |(index, client): (i64, &tautline::Client<_>)| client.request(&question(round, index)).unwrap();
@@ -65,7 +65,7 @@ fn a_request_goes_to_every_server_and_the_first_answer_counts() {
         };
         node.spawn_callback(CallbackOptions::other().name(name), requests.for_each(answer)).unwrap();
     }
-    let client = node.create_client::<SetBool::Service>("both", QOS()).unwrap();
+    let client = node.create_client::<SetBool::Service>("both").unwrap();
     let _spinning = spin(&ctx);
     assert_eq!(client.server_count(), 2);
     for _ in 0..10 {
@@ -83,7 +83,7 @@ fn in_place_both_ways_and_of_any_length() {
     let ctx = context(35);
     let mut node = node(&ctx, "in_place");
     let mut service = node.create_service::<SetBool::Service>("place", QOS()).unwrap();
-    let client = node.create_client::<SetBool::Service>("place", QOS()).unwrap();
+    let client = node.create_client::<SetBool::Service>("place").unwrap();
     let _spinning = spin(&ctx);
     let long = "long ".repeat(10_000);
     let answer = long.clone();
@@ -113,7 +113,7 @@ fn in_place_both_ways_and_of_any_length() {
 fn a_service_without_a_server_is_an_error_and_can_be_waited_for() {
     let ctx = context(36);
     let mut node = node(&ctx, "waiting");
-    let client = node.create_client::<AddTwoInts::Service>("nobody", QOS()).unwrap();
+    let client = node.create_client::<AddTwoInts::Service>("nobody").unwrap();
     let _spinning = spin(&ctx);
     let error = client.request(&question(1, 2)).unwrap_err();
     assert!(matches!(error, Error::Service(ServiceError::NoServer { .. })), "{error}");
@@ -133,7 +133,7 @@ fn a_service_without_a_server_is_an_error_and_can_be_waited_for() {
 fn a_server_that_ends_ends_its_requests() {
     let ctx = context(37);
     let mut node = node(&ctx, "ending");
-    let client = node.create_client::<AddTwoInts::Service>("ending", QOS()).unwrap();
+    let client = node.create_client::<AddTwoInts::Service>("ending").unwrap();
     let _spinning = spin(&ctx);
     let mut requests = node.create_service::<AddTwoInts::Service>("ending", QOS()).unwrap().owned();
     // Connected: what was answered comes before the end, although nobody takes it meanwhile.
@@ -160,7 +160,7 @@ fn a_server_that_ends_ends_its_requests() {
 fn another_server_that_got_the_request_may_still_answer() {
     let ctx = context(38);
     let mut node = node(&ctx, "surviving");
-    let client = node.create_client::<AddTwoInts::Service>("surviving", QOS()).unwrap();
+    let client = node.create_client::<AddTwoInts::Service>("surviving").unwrap();
     let _spinning = spin(&ctx);
     let first = node.create_service::<AddTwoInts::Service>("surviving", QOS()).unwrap().owned();
     let second = node.create_service::<AddTwoInts::Service>("surviving", QOS()).unwrap().owned();
@@ -180,7 +180,7 @@ fn another_server_that_got_the_request_may_still_answer() {
 fn time_outs_and_requests_that_are_dropped() {
     let ctx = context(39);
     let mut node = node(&ctx, "slow");
-    let client = node.create_client::<AddTwoInts::Service>("slow", QOS()).unwrap();
+    let client = node.create_client::<AddTwoInts::Service>("slow").unwrap();
     let mut requests =
         node.create_service::<AddTwoInts::Service>("slow", Qos::keep_last(100)).unwrap().owned();
     // No time at all needs no sampler to pass.
@@ -208,7 +208,7 @@ fn time_outs_and_requests_that_are_dropped() {
 fn full_queues_are_errors_and_lose_nothing() {
     let ctx = context(41);
     let mut node = node(&ctx, "full");
-    let client = node.create_client::<AddTwoInts::Service>("full", QOS()).unwrap();
+    let client = node.create_client::<AddTwoInts::Service>("full").unwrap();
     let mut requests = node.create_service::<AddTwoInts::Service>("full", Qos::keep_last(3)).unwrap().owned();
     let _spinning = spin(&ctx);
     let ask = |a| {
@@ -241,7 +241,7 @@ fn more_pending_requests_than_a_client_can_have() {
     let mut node = node(&ctx, "many");
     let mut requests =
         node.create_service::<AddTwoInts::Service>("many", Qos::keep_last(100)).unwrap().owned();
-    let client = node.create_client::<AddTwoInts::Service>("many", QOS()).unwrap();
+    let client = node.create_client::<AddTwoInts::Service>("many").unwrap();
     let _spinning = spin(&ctx);
     let mut answers: Vec<_> =
         (0..tautline::MAX_PENDING_REQUESTS).map(|_| client.request(&question(1, 1)).unwrap()).collect();
@@ -265,10 +265,10 @@ fn another_type_is_another_service() {
     let ctx = context(44);
     let mut node = node(&ctx, "types");
     let _requests = node.create_service::<AddTwoInts::Service>("typed", QOS()).unwrap();
-    let client = node.create_client::<SetBool::Service>("typed", QOS()).unwrap();
+    let client = node.create_client::<SetBool::Service>("typed").unwrap();
     let error = client.request(&SetBool::Request { data: true }).map(drop).unwrap_err().to_string();
     assert!(error.contains("service '/typed' has no server"), "{error}");
-    assert!(node.create_client::<SetBool::Service>("a b", QOS()).is_err());
+    assert!(node.create_client::<SetBool::Service>("a b").is_err());
     assert!(node.get_topic_names_and_types().unwrap().is_empty(), "services are no topics");
     assert_eq!(node.get_service_names_and_types().unwrap()["/typed"], ["example_interfaces/srv/AddTwoInts"]);
     let clients = node.get_client_names_and_types_by_node("types", "/").unwrap();
@@ -281,7 +281,7 @@ fn answers_come_from_any_thread_and_in_any_order() {
     let mut node = node(&ctx, "threads");
     let requests =
         node.create_service::<AddTwoInts::Service>("threads", Qos::keep_last(100)).unwrap().owned();
-    let client = std::sync::Mutex::new(node.create_client::<AddTwoInts::Service>("threads", QOS()).unwrap());
+    let client = std::sync::Mutex::new(node.create_client::<AddTwoInts::Service>("threads").unwrap());
     let _spinning = spin(&ctx);
     std::thread::scope(|scope| {
         scope.spawn(|| {
@@ -324,7 +324,7 @@ fn a_client_that_goes_is_forgotten() {
     let _spinning = spin(&ctx);
     // More than the service can have at once.
     for n in 0..40 {
-        let client = node.create_client::<AddTwoInts::Service>("leaving", QOS()).unwrap();
+        let client = node.create_client::<AddTwoInts::Service>("leaving").unwrap();
         let answer = client.request(&question(n, 0)).unwrap();
         let request = block_on(service.next()).unwrap();
         if n % 2 == 0 {
@@ -348,7 +348,7 @@ fn json_to_a_typed_server_and_a_typed_client_to_a_json_server() {
     let mut node = node(&ctx, "json");
     let _service = serve(&mut node, "sum");
     let _spinning = spin(&ctx);
-    let client = node.create_client_untyped("sum", "example_interfaces/srv/AddTwoInts", QOS()).unwrap();
+    let client = node.create_client_untyped("sum", "example_interfaces/srv/AddTwoInts").unwrap();
     let sum = block_on(client.request(&Json(json!({ "a": 40, "b": 2 }))).unwrap()).unwrap().unwrap();
     assert_eq!(sum, json!({ "sum": 42 }));
     assert!(client.request(&Json(json!({ "c": 1 }))).err().unwrap().to_string().contains('c'));
@@ -359,12 +359,39 @@ fn json_to_a_typed_server_and_a_typed_client_to_a_json_server() {
         request.respond(Json(json!({ "success": true, "message": message }))).unwrap();
     };
     node.spawn_callback(CallbackOptions::other(), requests.for_each(answer)).unwrap();
-    let typed = node.create_client::<SetBool::Service>("flag", QOS()).unwrap();
+    let typed = node.create_client::<SetBool::Service>("flag").unwrap();
     let response = block_on(typed.request(&SetBool::Request { data: true }).unwrap()).unwrap();
     assert_eq!((response.success, response.message.as_str()), (true, r#"{"data":true}"#));
 
-    let error = node.create_client_untyped("sum", "no_msgs/srv/None", QOS()).unwrap_err().to_string();
+    let error = node.create_client_untyped("sum", "no_msgs/srv/None").unwrap_err().to_string();
     assert!(error.contains("no_msgs/srv/None"), "{error}");
+}
+
+#[cfg(feature = "untyped")]
+#[test]
+fn json_is_read_and_answered_in_place() {
+    use serde_json::json;
+    use tautline::Json;
+    let ctx = context(52);
+    let mut node = node(&ctx, "place_of_json");
+    let mut server = node.create_service_untyped("json_in_place", "std_srvs/srv/SetBool", QOS()).unwrap();
+    let _spinning = spin(&ctx);
+    let serve = async move {
+        while let Some(request) = server.next().await {
+            assert_eq!(request.message().view(), [1], "the body of the request's CDR");
+            assert_eq!(request.message().to_owned().unwrap(), json!({ "data": true }));
+            let refused = server.respond(&request, &Json(json!({ "success": 3 }))).unwrap_err();
+            assert!(refused.to_string().contains("success"), "{refused}");
+            // Nothing was sent: the request still waits.
+            server.respond(&request, &Json(json!({ "success": true, "message": "once" }))).unwrap();
+        }
+    };
+    node.spawn_callback(CallbackOptions::other(), serve).unwrap();
+    let client = node.create_client::<SetBool::Service>("json_in_place").unwrap();
+    for _ in 0..2 {
+        let response = block_on(client.request(&SetBool::Request { data: true }).unwrap()).unwrap();
+        assert_eq!((response.success, response.message.as_str()), (true, "once"));
+    }
 }
 
 /// What a server keeps of its type is enough for those who were built without it.

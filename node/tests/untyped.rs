@@ -77,6 +77,19 @@ fn ends_of_every_kind_understand_each_other() {
 }
 
 #[test]
+fn samples_of_json_are_bodies_in_place_until_they_are_copied() {
+    let mut node = node();
+    let subscription = node.subscribe_untyped("/in_place", "std_msgs/msg/String", qos()).unwrap();
+    let publisher = node.create_publisher::<Text>("/in_place", qos()).unwrap();
+    publisher.publish(&text("here")).unwrap();
+    let sample = subscription.try_take().unwrap().unwrap();
+    assert_eq!(sample.view(), &string_cdr("here", 1)[4..]);
+    assert_eq!(sample.to_owned().unwrap(), json!({ "data": "here" }));
+    assert_eq!(subscription.definition().name().to_string(), "std_msgs/msg/String");
+    assert!(subscription.try_take().unwrap().is_none());
+}
+
+#[test]
 fn an_image_is_the_same_from_every_end() {
     const TYPE: &str = "sensor_msgs/msg/Image";
     let mut node = node();

@@ -381,7 +381,7 @@ fn client(context: &Context) -> Result<()> {
     let (asked, stop, in_flight) = (Arc::default(), Arc::default(), Arc::default());
     let mut clients = Vec::new();
     for name in [ADD, ACTORS_ADD] {
-        clients.push((name, node.create_client::<AddTwoInts::Service>(name, Qos::services_default())?));
+        clients.push((name, node.create_client::<AddTwoInts::Service>(name)?));
     }
     let actions = node.create_action_client::<Fibonacci::Action>(ACTORS_FIBONACCI)?;
     let _spinning = spin(context);

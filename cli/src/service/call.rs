@@ -7,7 +7,7 @@ use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::Args;
 use std::io::{self, Write};
-use tautline::{Error, Json, Node, Qos};
+use tautline::{Error, Json, Node};
 use tautline_schema::DynamicMessage;
 use tautline_transport::graph_of;
 
@@ -36,7 +36,7 @@ pub fn run(args: &CallArgs, common: &CommonArgs) -> Outcome {
     let graph = graph_of(domain)?;
     let type_name = type_to_ask("service", &service, &super::services(&graph), type_name)?;
     let mut asking = Asking::new(domain, end)?;
-    let client = asking.node.create_client_untyped(&service, &type_name, Qos::services_default())?;
+    let client = asking.node.create_client_untyped(&service, &type_name)?;
     let (request, response) = client.definitions();
     let request = Json(DynamicMessage::from_yaml(request, values)?.to_json_value());
     let answer = asking.wait(|| format!("'{service}' to answer"), async {

@@ -3,7 +3,7 @@
 
 use super::goals::cancel_code;
 use super::state::{GoalStatus, SharedStatus};
-use super::{FEEDBACK_DEPTH, Names, lock, qos, status_qos};
+use super::{FEEDBACK_DEPTH, Names, lock, status_qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{Client, IsAvailablePollable};
@@ -130,7 +130,7 @@ impl<P: ActionCodec> ActionClientState<P> {
     ) -> Result<Arc<Self>> {
         let names = Names::of(action);
         let (send_goal, get_result) = (Mutex::new(send_goal), Mutex::new(get_result));
-        let cancel_goal = Mutex::new(node.create_client::<CancelGoal::Service>(&names.cancel_goal, qos())?);
+        let cancel_goal = Mutex::new(node.create_client::<CancelGoal::Service>(&names.cancel_goal)?);
         let status = node.subscribe::<GoalStatusArray>(&names.status, status_qos())?.owned();
         let (results, requests) = mpsc::unbounded();
         let goals = Mutex::new(Vec::new());

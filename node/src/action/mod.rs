@@ -93,8 +93,8 @@ impl Node {
     pub fn create_action_client<T: Action>(&mut self, action_name: &str) -> Result<ActionClient<T>> {
         let action = self.resolve_topic_name(action_name)?;
         let names = Names::of(&action);
-        let send_goal = self.create_client(&names.send_goal, qos())?;
-        let get_result = self.create_client(&names.get_result, qos())?;
+        let send_goal = self.create_client(&names.send_goal)?;
+        let get_result = self.create_client(&names.get_result)?;
         let feedback = self.subscribe(&names.feedback, feedback_qos())?;
         ActionClient::create(self, &action, send_goal, get_result, feedback)
     }

@@ -3,7 +3,7 @@
 
 use super::client::{ActionClient, ActionCodec};
 use super::state::GoalStatus;
-use super::{Names, feedback_qos, qos};
+use super::{Names, feedback_qos};
 use crate::error::Result;
 use crate::node::Node;
 use crate::untyped::Json;
@@ -24,8 +24,8 @@ impl Node {
         let action = self.resolve_topic_name(action_name)?;
         let names = Names::of(&action);
         let part = |part: &str| format!("{action_type}_{part}");
-        let send_goal = self.create_client_untyped(&names.send_goal, &part("SendGoal"), qos())?;
-        let get_result = self.create_client_untyped(&names.get_result, &part("GetResult"), qos())?;
+        let send_goal = self.create_client_untyped(&names.send_goal, &part("SendGoal"))?;
+        let get_result = self.create_client_untyped(&names.get_result, &part("GetResult"))?;
         let feedback = self.subscribe_untyped(&names.feedback, &part("FeedbackMessage"), feedback_qos())?;
         ActionClient::create(self, &action, send_goal, get_result, feedback)
     }

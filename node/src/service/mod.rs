@@ -38,7 +38,7 @@ impl Node {
     /// # let ctx = Context::builder().domain(129).realtime(Realtime::Off).build()?;
     /// # let mut node = Node::create(ctx.clone(), "example", "")?;
     /// let requests = node.create_service::<AddTwoInts::Service>("/add", Qos::default())?.owned();
-    /// let client = node.create_client::<AddTwoInts::Service>("/add", Qos::default())?;
+    /// let client = node.create_client::<AddTwoInts::Service>("/add")?;
     /// let mut pool = LocalPool::new();
     /// pool.spawner().spawn_local(requests.for_each(|request| async move {
     ///     let sum = request.message.a + request.message.b;
@@ -65,12 +65,11 @@ impl Node {
         Ok(Server::new(self.participant.create_server(&name, qos.depth, limits)?))
     }
 
-    /// Creates a client of a service. Requests are reliable whatever `qos` says, and [`Limits`] say for how many there is room.
+    /// Creates a client of a service. Requests are always reliable, and [`Limits`] say for how many there is room.
     ///
     /// # Errors
     /// As [`create_service`](Self::create_service).
-    pub fn create_client<T: Service>(&mut self, service_name: &str, qos: Qos) -> Result<Client<T>> {
-        let _ = qos;
+    pub fn create_client<T: Service>(&mut self, service_name: &str) -> Result<Client<T>> {
         let (name, limits) = self.resolve_service(service_name)?;
         let _node = tautline_trace::in_node(self.trace.id());
         Ok(Client::new(self.participant.create_client(&name, limits)?, self.context.events()))

@@ -36,7 +36,7 @@ use tautline_transport::{
 ///         response.send().expect("the client takes what it asked for");
 ///     }
 /// })?;
-/// let client = node.create_client::<AddTwoInts::Service>("/sum", Qos::default())?;
+/// let client = node.create_client::<AddTwoInts::Service>("/sum")?;
 /// let stop = ctx.events().clone();
 /// node.spawn_callback(CallbackOptions::fifo(10), async move {
 ///     let response = client.request_with(|request| (request.a, request.b) = (1, 2)).expect("there is a server");

@@ -16,13 +16,7 @@ impl Node {
     /// # Errors
     /// [`Error::UnknownType`](crate::Error::UnknownType), [`Error::Schema`](crate::Error::Schema) and
     /// [`Error::StoredDefinition`](crate::Error::StoredDefinition) for the type's definition; as [`create_client`](Self::create_client).
-    pub fn create_client_untyped(
-        &mut self,
-        service_name: &str,
-        service_type: &str,
-        qos: Qos,
-    ) -> Result<Client<Json>> {
-        let _ = qos;
+    pub fn create_client_untyped(&mut self, service_name: &str, service_type: &str) -> Result<Client<Json>> {
         let (name, limits) = self.resolve_service(service_name)?;
         let (service_type, request, response) = self.service_definitions(&name, service_type)?;
         let _node = tautline_trace::in_node(self.trace.id());

@@ -140,19 +140,15 @@ impl Node {
         Ok(self.inner.create_service(service_name, qos_profile.into())?.owned())
     }
 
-    /// As [`tautline::Node::create_client`].
+    /// As [`tautline::Node::create_client`]: requests are reliable whatever the profile says.
     ///
     /// # Errors
     /// As there.
-    pub fn create_client<T: Service>(
-        &mut self,
-        service_name: &str,
-        qos_profile: QosProfile,
-    ) -> Result<Client<T>> {
-        Ok(self.inner.create_client(service_name, qos_profile.into())?.into())
+    pub fn create_client<T: Service>(&mut self, service_name: &str, _: QosProfile) -> Result<Client<T>> {
+        Ok(self.inner.create_client(service_name)?.into())
     }
 
-    /// As [`tautline::Node::create_client_untyped`].
+    /// As [`tautline::Node::create_client_untyped`]: see [`create_client`](Self::create_client).
     ///
     /// # Errors
     /// As there.
@@ -160,9 +156,9 @@ impl Node {
         &mut self,
         service_name: &str,
         service_type: &str,
-        qos_profile: QosProfile,
+        _: QosProfile,
     ) -> Result<ClientUntyped> {
-        let client = self.inner.create_client_untyped(service_name, service_type, qos_profile.into())?;
+        let client = self.inner.create_client_untyped(service_name, service_type)?;
         Ok(ClientUntyped(client.into()))
     }
 

@@ -67,7 +67,7 @@ pub fn serve_and_ask(actor: &mut Actor) -> Result<()> {
                 }
             }
             let service = actor.one_of(&[ADD, ACTORS_ADD]);
-            let client = node.create_client::<AddTwoInts::Service>(service, Qos::services_default())?;
+            let client = node.create_client::<AddTwoInts::Service>(service)?;
             for _ in 0..actor.up_to(4) {
                 if let Ok(response) = client.request_timeout(&AddTwoInts::Request { a: 1, b: 2 }, LIMIT) {
                     // Some are not waited for.
@@ -146,9 +146,8 @@ pub fn set_parameters(actor: &mut Actor) -> Result<()> {
         node.spawn_callback(options().name("answer"), answer)?;
         node.spawn_callback(options().name("changes"), changes.for_each(|_| async {}))?;
         let of = actor.one_of(&[PARAMETERS, "/actors/parameters"]);
-        let qos = Qos::services_default();
-        let set = node.create_client::<SetParameters::Service>(&format!("{of}/set_parameters"), qos)?;
-        let get = node.create_client::<GetParameters::Service>(&format!("{of}/get_parameters"), qos)?;
+        let set = node.create_client::<SetParameters::Service>(&format!("{of}/set_parameters"))?;
+        let get = node.create_client::<GetParameters::Service>(&format!("{of}/get_parameters"))?;
         for n in 0..=actor.up_to(6) as i64 {
             node.set_parameter("speed", n)?;
             let value = (&ParameterValue::Integer(n)).into();

@@ -8,7 +8,6 @@ use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::time::Duration;
-use tautline::Qos;
 use tautline::composition_interfaces::srv::{LoadNode, UnloadNode};
 
 const CONTAINER: &str = "taut-container";
@@ -45,10 +44,8 @@ pub fn load(actor: &mut Actor) -> Result<()> {
     let limit = Duration::from_millis(50);
     loop {
         let mut node = actor.node("loader")?;
-        let qos = Qos::services_default();
-        let load = node.create_client::<LoadNode::Service>("/ComponentManager/_container/load_node", qos)?;
-        let unload =
-            node.create_client::<UnloadNode::Service>("/ComponentManager/_container/unload_node", qos)?;
+        let load = node.create_client::<LoadNode::Service>("/ComponentManager/_container/load_node")?;
+        let unload = node.create_client::<UnloadNode::Service>("/ComponentManager/_container/unload_node")?;
         for _ in 0..=actor.up_to(6) {
             let request = LoadNode::Request {
                 package_name: library.clone(),

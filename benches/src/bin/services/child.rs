@@ -173,7 +173,7 @@ where
     }
     let mut clock = Clock::new(job);
     if job.system == System::ServiceOwned {
-        let client = node.create_client::<Service64B>("ask", qos)?;
+        let client = node.create_client::<Service64B>("ask")?;
         return until_done(&node, options, async move {
             while let Some(number) = clock.start() {
                 let mut words = [0; 8];
@@ -184,7 +184,7 @@ where
             clock
         });
     }
-    let client = node.create_client::<S>("ask", qos)?;
+    let client = node.create_client::<S>("ask")?;
     until_done(&node, options, async move {
         while let Some(number) = clock.start() {
             let response = ask(&client, number).await;

@@ -152,12 +152,11 @@ fn a_process_that_does_not_share_its_tautline_loads_nothing() {
 fn components_come_and_go_by_service() {
     let context = Context::builder().domain(59).realtime(Realtime::Off).build().unwrap();
     let mut node = Node::create(context.clone(), "manager", "").unwrap();
-    let qos = Qos::services_default();
     let [load, unload, list] = ["load", "unload", "list"]
         .map(|verb| format!("/served/_container/{verb}_node").replace("list_node", "list_nodes"));
-    let load = node.create_client::<LoadNode::Service>(&load, qos).unwrap();
-    let unload = node.create_client::<UnloadNode::Service>(&unload, qos).unwrap();
-    let list = node.create_client::<ListNodes::Service>(&list, qos).unwrap();
+    let load = node.create_client::<LoadNode::Service>(&load).unwrap();
+    let unload = node.create_client::<UnloadNode::Service>(&unload).unwrap();
+    let list = node.create_client::<ListNodes::Service>(&list).unwrap();
     let counts = node.subscribe::<UInt64>("/moved/count", Qos::default()).unwrap();
     let global = node.subscribe::<UInt64>("/global/count", Qos::default()).unwrap();
     let lines = node.subscribe::<Log>("/rosout", Qos::default().transient_local()).unwrap().owned();
@@ -243,9 +242,7 @@ fn a_library_that_was_replaced_is_not_taken_for_the_one_that_is_loaded() {
     std::fs::copy(demo(), &library).unwrap();
     let context = Context::builder().domain(76).realtime(Realtime::Off).build().unwrap();
     let mut node = Node::create(context.clone(), "manager", "").unwrap();
-    let load = node
-        .create_client::<LoadNode::Service>("/ComponentManager/_container/load_node", Qos::services_default())
-        .unwrap();
+    let load = node.create_client::<LoadNode::Service>("/ComponentManager/_container/load_node").unwrap();
     let spinning = std::thread::spawn(move || context.spin().map(|()| context));
     let running = Running(container(76, &[]).spawn().unwrap());
     block_on(Node::is_available(&load).unwrap()).unwrap();

@@ -112,7 +112,7 @@ fn numbers(order: i32) -> Vec<i32> {
 fn a_service_each_way() {
     let mut pair = Pair::new(68);
     let mut server = pair.theirs.create_service::<TheirSetBool>("/theirs/switch").build().unwrap();
-    let client = pair.ours.create_client::<SetBool::Service>("/theirs/switch", Qos::default()).unwrap();
+    let client = pair.ours.create_client::<SetBool::Service>("/theirs/switch").unwrap();
     block_on(Node::is_available(&client).unwrap()).unwrap();
     for data in [true, false] {
         let response = client.request(&SetBool::Request { data }).unwrap();
