@@ -47,14 +47,30 @@ pub struct TakenTimes {
 impl TakenTimes {
     /// From what all threads of the core saw, in any order. Of time that may have been seen by a clock, too, the longer sight counts.
     pub fn new(seen: impl IntoIterator<Item = Taken>) -> TakenTimes {
-        let (mut pieces, mut late): (Vec<Taken>, Vec<Taken>) = seen
+        let (pieces, late): (Vec<Taken>, Vec<Taken>) = seen
             .into_iter()
             .filter(|piece| piece.length_ns > 0)
             .partition(|piece| piece.seen != Seen::WokenLate);
-        late.sort_unstable_by_key(|piece| (piece.from_ns, piece.to_ns));
+        let noticed = TakenTimes::of(pieces);
+        let more = noticed.seen(&[Seen::Running, Seen::Waited]).what_is_more_of(late);
+        TakenTimes::of(noticed.pieces.into_iter().chain(more).collect())
+    }
+
+    /// The same, where threads that waited saw the same time as others, too, which they did not count off.
+    pub fn with_waits(seen: impl IntoIterator<Item = Taken>) -> TakenTimes {
+        let (waits, rest): (Vec<Taken>, Vec<Taken>) =
+            seen.into_iter().partition(|piece| piece.seen == Seen::Waited);
+        let ran = rest.iter().filter(|piece| piece.seen == Seen::Running && piece.length_ns > 0);
+        let waits = TakenTimes::of(ran.copied().collect()).what_is_more_of(waits);
+        TakenTimes::new(rest.into_iter().chain(waits))
+    }
+
+    /// Of sights that may be of the same time, those that overlap being one, what is not among these.
+    fn what_is_more_of(&self, mut sights: Vec<Taken>) -> Vec<Taken> {
+        sights.sort_unstable_by_key(|piece| (piece.from_ns, piece.to_ns));
         let overlap = |a: &Taken, b: &Taken| a.from_ns < b.to_ns && b.from_ns < a.to_ns;
         let mut merged: Vec<Taken> = Vec::new();
-        for piece in late {
+        for piece in sights {
             match merged.last_mut().filter(|last| overlap(last, &piece)) {
                 Some(last) => {
                     last.to_ns = last.to_ns.max(piece.to_ns);
@@ -63,20 +79,16 @@ impl TakenTimes {
                 None => merged.push(piece),
             }
         }
-        pieces.sort_unstable_by_key(|piece| (piece.from_ns, piece.to_ns));
-        let noticed = TakenTimes::of(pieces);
-        let (seen, mut pieces) = (noticed.seen(&[Seen::Running, Seen::Waited]), noticed.pieces);
-        pieces.extend(merged.into_iter().filter_map(|piece| {
-            let seen_ns: u64 = seen.within(piece.from_ns, piece.to_ns).map(|ran| ran.length_ns).sum();
+        let more = |piece: Taken| {
+            let seen_ns: u64 = self.within(piece.from_ns, piece.to_ns).map(|seen| seen.length_ns).sum();
             let length_ns = piece.length_ns.checked_sub(seen_ns).filter(|rest| *rest > 0)?;
             Some(Taken { length_ns, ..piece })
-        }));
-        pieces.sort_unstable_by_key(|piece| (piece.from_ns, piece.to_ns));
-        TakenTimes::of(pieces)
+        };
+        merged.into_iter().filter_map(more).collect()
     }
 
-    /// Of pieces in order.
-    fn of(pieces: Vec<Taken>) -> TakenTimes {
+    fn of(mut pieces: Vec<Taken>) -> TakenTimes {
+        pieces.sort_unstable_by_key(|piece| (piece.from_ns, piece.to_ns));
         let widest_ns =
             pieces.iter().map(|piece| piece.to_ns.saturating_sub(piece.from_ns)).max().unwrap_or(0);
         TakenTimes { pieces, widest_ns }
@@ -222,6 +234,23 @@ mod tests {
             (vec![(90, 30), (110, 20)], 30)
         );
         assert_eq!(TakenTimes::new([]).most_within(u64::MAX), 0);
+    }
+
+    #[test]
+    fn waits_of_several_threads_are_one() {
+        use Seen::{Running, Waited, WokenLate};
+        // Two threads waited at once, 10 of it while a third one that ran lost the core, and a clock saw 8 more than they.
+        let seen = [
+            piece(Waited, 100, 160, 40),
+            piece(Waited, 110, 170, 50),
+            piece(Running, 120, 140, 10),
+            piece(WokenLate, 150, 230, 58),
+            piece(Waited, 400, 410, 0),
+        ];
+        let taken = TakenTimes::with_waits(seen);
+        let total_ns = |way| taken.seen(&[way]).total_ns();
+        assert_eq!([Running, Waited, WokenLate].map(total_ns), [10, 40, 18], "{taken:?}");
+        assert_eq!(lengths(&taken), [(100, 40), (120, 10), (150, 18)]);
     }
 
     #[test]

@@ -23,6 +23,7 @@ pub enum Kind {
     WokenLate,
     Overran,
     Served,
+    Waited,
 }
 
 impl From<&tautline::Moment> for Moment {
@@ -33,6 +34,7 @@ impl From<&tautline::Moment> for Moment {
             MomentKind::WokenLate => Kind::WokenLate,
             MomentKind::Overran => Kind::Overran,
             MomentKind::Served => Kind::Served,
+            MomentKind::Waited => Kind::Waited,
         };
         let tautline::Moment { from_ns, to_ns, length_ns, .. } = *moment;
         Moment { kind, from_ns, to_ns, length_ns }
@@ -47,6 +49,7 @@ impl Moment {
             Kind::Taken => Seen::Running,
             Kind::WokenLate => Seen::WokenLate,
             Kind::Overran | Kind::Served => Seen::Overran,
+            Kind::Waited => Seen::Waited,
         };
         let Moment { from_ns, to_ns, length_ns, .. } = *self;
         Some(Taken { from_ns, to_ns, length_ns, seen })

@@ -33,16 +33,19 @@ impl CoreTimeAccount {
         }
     }
 
-    /// A job has ended; of jobs that overlap, the last. One that has slept says nothing of what was taken from it.
-    pub fn end(&self, stats: &CallbackStats, slept: bool) {
+    /// A job has ended; of jobs that overlap, the last. One that has slept says nothing of what was taken from it. `late`: when it was released,
+    /// if it took longer than its bound.
+    pub fn end(&self, stats: &CallbackStats, slept: bool, late: Option<u64>) {
         self.running.set(self.running.get().saturating_sub(1));
         if self.running.get() > 0 {
             return;
         }
-        if let Some(begun) = self.begun.take()
-            && !slept
-        {
-            note_taken(stats, &begun, &self.clock.mark(), self.least_ns);
+        let Some(begun) = self.begun.take().filter(|_| !slept) else { return };
+        let now = self.clock.mark();
+        note_taken(stats, &begun, &now, self.least_ns);
+        if let (Some(from_ns), Some(preempted_ns)) = (late, begun.waited_until(&now)) {
+            let length_ns = begun.from_ns.saturating_sub(from_ns).saturating_add(preempted_ns);
+            stats.note(&Moment { kind: MomentKind::Waited, from_ns, to_ns: now.to_ns, length_ns });
         }
     }
 }

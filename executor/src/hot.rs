@@ -219,7 +219,8 @@ impl Measured {
         let StartedJob { release_ns } = begun;
         let response_ns = monotonic_ns().saturating_sub(release_ns);
         if let Some(account) = &self.account {
-            account.end(of, self.enforcer.as_ref().is_some_and(BudgetEnforcer::has_slept));
+            let slept = self.enforcer.as_ref().is_some_and(BudgetEnforcer::has_slept);
+            account.end(of, slept, of.is_late(response_ns).then_some(release_ns));
         }
         if self.enforcer.as_ref().is_some_and(BudgetEnforcer::end) {
             self.stats.demoted();

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use super::{CallbackEntry, Client, JoinPolicy, OverrunPolicy, SystemFile};
-use crate::system::{Core, SystemReport};
+use crate::system::{Chain, Core, SystemReport};
 use crate::{AnalysisError, Overheads, Release, Reservation, Task, Throttling, utilisation};
 
 /// What the analysis of a [`SystemFile`] found.
@@ -86,6 +86,9 @@ pub struct CheckedChain {
     pub deadline_ns: u64,
     /// Whether the latency is within the deadline.
     pub met: bool,
+    /// The callbacks that it passes, by their place in the file, if each triggers the next by a message on one host: no message then takes
+    /// longer than their longest responses together. Otherwise `None`.
+    pub stages: Option<Vec<usize>>,
 }
 
 /// A core and what it runs.
@@ -263,7 +266,24 @@ fn checked_chain(file: &SystemFile, index: usize, report: &SystemReport) -> Chec
         age_ns: longest(|chain| Some(chain.age_ns)),
         deadline_ns: entry.deadline_ns,
         met: latency_ns.is_some_and(|latency| latency <= entry.deadline_ns),
+        stages: stages(file, &file.system.chains[entry.streams.clone()]),
     }
+}
+
+/// The callbacks that all ways of a chain pass, if nothing but their responses is on them.
+fn stages(file: &SystemFile, ways: &[Chain]) -> Option<Vec<usize>> {
+    let of_task = |task: &usize| file.callbacks.iter().position(|entry| entry.tasks.contains(task));
+    let host = |task: usize| &file.cores[file.system.callbacks[task].core].host;
+    let follows = |pair: &[usize]| {
+        let trigger = file.system.callbacks[pair[1]].trigger;
+        trigger.is_some_and(|(source, _)| source == pair[0]) && host(pair[0]) == host(pair[1])
+    };
+    let mut found = ways.iter().map(|way| {
+        let all: Option<Vec<usize>> = way.stages.iter().map(of_task).collect();
+        all.filter(|_| way.stages.windows(2).all(follows))
+    });
+    let first = found.next()??;
+    found.all(|other| other.as_ref() == Some(&first)).then_some(first)
 }
 
 fn cores(file: &SystemFile, report: &SystemReport) -> Vec<CheckedCore> {

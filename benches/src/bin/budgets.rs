@@ -231,7 +231,7 @@ fn moments(
                 MomentKind::Taken => taken.push(piece(taken::Seen::Running)),
                 MomentKind::WokenLate => taken.push(piece(taken::Seen::WokenLate)),
                 MomentKind::Late if i != who => late.push((moment, seen.bound_ns.unwrap_or(0))),
-                MomentKind::Late | MomentKind::Overran | MomentKind::Served => {}
+                MomentKind::Late | MomentKind::Overran | MomentKind::Served | MomentKind::Waited => {}
             }
         }
     }

@@ -12,7 +12,11 @@ use tautline_analysis::taken::{Seen, Taken, TakenTimes};
 
 /// Of each topic, highest priority first: what may have kept its jobs from the core.
 pub fn losses(publisher: &Collected, subscriber: &Measured) -> Vec<TakenTimes> {
-    let taken = |moments: &[Moment]| moments.iter().filter_map(Moment::taken).collect::<Vec<_>>();
+    // Of all waits, the jobs tell.
+    let taken = |moments: &[Moment]| {
+        let taken = moments.iter().filter_map(Moment::taken);
+        taken.filter(|piece| piece.seen != Seen::Waited).collect::<Vec<_>>()
+    };
     let worker = taken(&publisher.by_callbacks.concat());
     // Nothing of the demo is above the publisher's sampler: what it waited when it was due was not let go of.
     let served = taken(&publisher.by_sampler).into_iter().map(|piece| match piece.seen {

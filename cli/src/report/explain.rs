@@ -235,12 +235,19 @@ pub fn bound_exceeded(
     let so_far =
         if seen.unfinished_ns == Some(longest_ns) { " so far, for its job has not ended" } else { "" };
     let host = match share {
-        Some(Share { beyond, unexplained, longest: Some(longest), .. }) => format!(
-            ", {unexplained} of {beyond} such responses with less taken by the host{} than that explains (of one of {}, {})",
-            if longest.overran_ns > 0 { " and by jobs beyond their wcet" } else { "" },
-            Time(longest.response_ns),
-            took(longest)
-        ),
+        Some(Share { beyond, waited, unexplained, longest: Some(longest), .. }) => {
+            let waits = format!(
+                ", {waited} of {beyond} such responses by waits for the core beyond the analysis: for threads that the file lacks, or for a \
+                 host that does not run a core when it is woken"
+            );
+            let nothing = format!(
+                ", {unexplained} of {beyond} such responses with less taken by the host{} than that explains",
+                if longest.overran_ns > 0 { " and by jobs beyond their wcet" } else { "" },
+            );
+            let [waits, nothing] = [(*waited, waits), (*unexplained, nothing)]
+                .map(|(count, text)| if count > 0 { text } else { String::new() });
+            format!("{waits}{nothing} (of one of {}, {})", Time(longest.response_ns), took(longest))
+        }
         _ => String::new(),
     };
     let (longest, bound) = (Time(longest_ns), Time(bound_ns));
@@ -248,11 +255,14 @@ pub fn bound_exceeded(
 }
 
 fn took(longest: &Longest) -> String {
-    let host = format!("the host took {}", Time(longest.taken_ns));
-    match longest.overran_ns {
-        0 => host,
-        overran_ns => format!("{host} and jobs {} more than their wcet", Time(overran_ns)),
-    }
+    let Longest { taken_ns, overran_ns, waited_ns, .. } = *longest;
+    let more = [
+        (overran_ns, "jobs", "more than their wcet"),
+        (waited_ns, "waits for the core were", "longer than by analysis"),
+    ];
+    let more = more.iter().filter(|(ns, ..)| *ns > 0);
+    let more: String = more.map(|(ns, who, what)| format!(" and {who} {} {what}", Time(*ns))).collect();
+    format!("the host took {}{more}", Time(taken_ns))
 }
 
 /// Not a violation: every response above the bound is within it if what was taken before its end is added. A job that took it is

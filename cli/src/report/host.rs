@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the host took from the cores, what jobs used beyond their wcet, and which responses beyond their bounds that explains.
+//! What the host took from the cores, what jobs used beyond their wcet, how long late ones did not have the core beyond what the analysis
+//! knows, and which responses beyond their bounds that explains.
 use std::collections::{BTreeMap, BTreeSet};
 
 use tautline_analysis::file::{CheckedCallback, CheckedSystem};
@@ -18,7 +19,10 @@ pub struct Host<'c> {
 struct CoreTimes {
     host: TakenTimes,
     overran: TakenTimes,
-    both: TakenTimes,
+    waited: TakenTimes,
+    /// Of the first two, and of all.
+    known: TakenTimes,
+    all: TakenTimes,
 }
 
 /// What it did to a callback.
@@ -28,9 +32,11 @@ pub struct Share {
     pub bound_ns: Option<u64>,
     /// Responses above the bound that are known with their instants.
     pub beyond: u64,
-    /// Those of them that what was taken before their ends does not explain.
+    /// Those of them that what was taken before their ends explains only with waits: without the core, when nobody of the file can have had it.
+    pub waited: u64,
+    /// Those that nothing explains.
     pub unexplained: u64,
-    /// The longest one, unexplained ones first.
+    /// The longest one; unexplained ones first, then those that waited.
     pub longest: Option<Longest>,
     /// Whether the longest response that was seen is among them, and none was overwritten.
     pub complete: bool,
@@ -44,6 +50,8 @@ pub struct Longest {
     pub taken_ns: u64,
     /// By jobs that used more than their wcet.
     pub overran_ns: u64,
+    /// What threads were without the core meanwhile, beyond what others may have had of it.
+    pub waited_ns: u64,
 }
 
 impl<'c> Host<'c> {
@@ -58,7 +66,7 @@ impl<'c> Host<'c> {
                     Kind::Overran => demotions == 0,
                     // That is in the overheads of the file.
                     Kind::Served => false,
-                    Kind::Late | Kind::Taken => true,
+                    Kind::Late | Kind::Taken | Kind::Waited => true,
                 }
             };
             let mut note = |core, taken: &mut dyn Iterator<Item = Taken>| {
@@ -67,7 +75,14 @@ impl<'c> Host<'c> {
             for callback in process.callbacks.iter().filter(|callback| callback.accounts_core_time) {
                 if let Some(core) = callback.core {
                     let moments = callback.moments.iter().filter(counts(callback.demotions));
-                    note(core, &mut moments.filter_map(Moment::taken));
+                    let others_ns = waits_at_most(checked, &process.host, &callback.name);
+                    let beyond = |taken: Taken| match taken.seen {
+                        Seen::Waited => {
+                            Taken { length_ns: taken.length_ns.saturating_sub(others_ns), ..taken }
+                        }
+                        _ => taken,
+                    };
+                    note(core, &mut moments.filter_map(Moment::taken).map(beyond));
                 }
             }
             let Some(sampler) = &process.sampler else { continue };
@@ -84,9 +99,16 @@ impl<'c> Host<'c> {
             }
         }
         let times = |taken: Vec<Taken>| {
-            let both = TakenTimes::new(taken);
-            let host = both.seen(&[Seen::Running, Seen::WokenLate]);
-            CoreTimes { host, overran: both.seen(&[Seen::Overran]), both }
+            let known = TakenTimes::new(taken.iter().copied().filter(|piece| piece.seen != Seen::Waited));
+            let all = TakenTimes::with_waits(taken);
+            let host = known.seen(&[Seen::Running, Seen::WokenLate]);
+            CoreTimes {
+                host,
+                overran: known.seen(&[Seen::Overran]),
+                waited: all.seen(&[Seen::Waited]),
+                known,
+                all,
+            }
         };
         let cores = seen.into_iter().map(|(core, taken)| (core, times(taken))).collect();
         Host { checked, cores }
@@ -101,22 +123,30 @@ impl<'c> Host<'c> {
     pub fn share(&self, predicted: &CheckedCallback, seen: &Callback) -> Option<Share> {
         let taken = self.cores.get(&(predicted.host.clone(), predicted.core))?;
         let bound_ns = self.bound_ns(predicted, |window_ns| taken.host.most_within(window_ns));
-        let mut share = Share { bound_ns, beyond: 0, unexplained: 0, longest: None, complete: false };
+        let mut share =
+            Share { bound_ns, beyond: 0, waited: 0, unexplained: 0, longest: None, complete: false };
         let predicted_ns = predicted.response_overhead_ns?;
         let is_beyond = |moment: &&Moment| moment.kind == Kind::Late && moment.length_ns > predicted_ns;
-        let mut longest = (false, 0);
+        let mut longest = (false, false, 0);
         for late in seen.moments.iter().filter(is_beyond) {
-            let allowed_ns = self.bound_ns(predicted, |window_ns| taken.both.before(late.to_ns, window_ns));
-            let unexplained = allowed_ns.is_none_or(|allowed_ns| late.length_ns > allowed_ns);
+            let is_explained_by = |times: &TakenTimes| {
+                let allowed_ns = self.bound_ns(predicted, |window_ns| times.before(late.to_ns, window_ns));
+                allowed_ns.is_some_and(|allowed_ns| late.length_ns <= allowed_ns)
+            };
+            let waited = !is_explained_by(&taken.known);
+            let unexplained = waited && !is_explained_by(&taken.all);
             share.beyond += 1;
+            share.waited += u64::from(waited && !unexplained);
             share.unexplained += u64::from(unexplained);
             share.complete |= Some(late.length_ns) == seen.response.max_ns();
-            if (unexplained, late.length_ns) > longest {
-                longest = (unexplained, late.length_ns);
+            if (unexplained, waited, late.length_ns) > longest {
+                longest = (unexplained, waited, late.length_ns);
+                let before = |times: &TakenTimes| times.before(late.to_ns, late.length_ns);
                 share.longest = Some(Longest {
                     response_ns: late.length_ns,
-                    taken_ns: taken.host.before(late.to_ns, late.length_ns),
-                    overran_ns: taken.overran.before(late.to_ns, late.length_ns),
+                    taken_ns: before(&taken.host),
+                    overran_ns: before(&taken.overran),
+                    waited_ns: before(&taken.waited),
                 });
             }
         }
@@ -161,6 +191,13 @@ impl<'c> Host<'c> {
         };
         self.cores.iter().filter(|(_, times)| !times.host.pieces().is_empty()).map(line).collect()
     }
+}
+
+/// How long a job of a callback may be without the core by analysis; of one that the file lacks, nobody knows.
+fn waits_at_most(checked: &CheckedSystem, host: &str, callback: &str) -> u64 {
+    let is_it = |of: &&CheckedCallback| of.host == host && of.entry.name == callback;
+    let bound_ns = |of: &CheckedCallback| Some(of.response_overhead_ns?.saturating_sub(of.charged_ns));
+    checked.callbacks.iter().find(is_it).and_then(bound_ns).unwrap_or(u64::MAX)
 }
 
 /// Whether nothing of the domain can keep a process's timers from being served: else it is not the host that makes them late.

@@ -5,13 +5,14 @@ use std::io::{self, Write};
 use serde::Serialize;
 use tautline::HistogramSnapshot;
 
-use super::verdict::{Comparison, Mark, Measured, Row, Running, Unknown, least_distance};
+use super::verdict::{ChainRow, Comparison, Mark, Measured, Row, Running, Unknown, least_distance};
 
 #[derive(Serialize)]
 struct Report<'a> {
     kept: bool,
     realtime: bool,
     callbacks: Vec<Callback<'a>>,
+    chains: Vec<Chain<'a>>,
     processes: Vec<Process<'a>>,
     unknown: Vec<Stray<'a>>,
     notes: &'a [String],
@@ -65,13 +66,16 @@ struct Seen<'a> {
 struct HostShare {
     /// The bound with the most that it took in any window.
     response_ms: Option<f64>,
-    /// Responses above the bound, and those of them that what it took, and jobs beyond their wcet, do not explain.
+    /// Responses above the bound; those of them that what it took, and jobs beyond their wcet, explain only with waits for the core; those that
+    /// nothing explains.
     beyond: u64,
+    waited: u64,
     unexplained: u64,
     /// Of the longest of them.
     longest_ms: Option<f64>,
     taken_ms: Option<f64>,
     overran_ms: Option<f64>,
+    waited_ms: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -86,6 +90,20 @@ struct Times {
 struct Violation<'a> {
     name: &'a str,
     explanation: &'a str,
+}
+
+/// A chain whose callbacks trigger one another.
+#[derive(Serialize)]
+struct Chain<'a> {
+    name: &'a str,
+    callbacks: &'a [String],
+    /// The longest responses of its callbacks together, which no message of it exceeded.
+    longest_ms: f64,
+    predicted_ms: Option<f64>,
+    /// The bounds of its callbacks together with the most that the host took in any window.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    host_ms: Option<f64>,
+    deadline_ms: f64,
 }
 
 #[derive(Serialize)]
@@ -113,6 +131,7 @@ pub fn write(comparison: &Comparison, out: &mut impl Write) -> io::Result<()> {
         kept: comparison.kept,
         realtime: comparison.realtime,
         callbacks: comparison.rows.iter().map(callback).collect(),
+        chains: comparison.chains.iter().map(chain).collect(),
         processes: comparison.processes.iter().map(process).collect(),
         unknown: comparison.unknown.iter().map(stray).collect(),
         notes: &comparison.notes,
@@ -160,11 +179,25 @@ fn seen(measured: &Measured) -> Seen<'_> {
         host: measured.share.as_ref().map(|share| HostShare {
             response_ms: share.bound_ns.map(ms),
             beyond: share.beyond,
+            waited: share.waited,
             unexplained: share.unexplained,
             longest_ms: share.longest.map(|longest| ms(longest.response_ns)),
             taken_ms: share.longest.map(|longest| ms(longest.taken_ns)),
             overran_ms: share.longest.map(|longest| ms(longest.overran_ns)),
+            waited_ms: share.longest.map(|longest| ms(longest.waited_ns)),
         }),
+    }
+}
+
+fn chain(row: &ChainRow) -> Chain<'_> {
+    let ChainRow { predicted, callbacks, longest_ns, host_ns } = row;
+    Chain {
+        name: &predicted.name,
+        callbacks,
+        longest_ms: ms(*longest_ns),
+        predicted_ms: predicted.latency_ns.map(ms),
+        host_ms: host_ns.map(ms),
+        deadline_ms: ms(predicted.deadline_ns),
     }
 }
 

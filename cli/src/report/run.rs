@@ -57,6 +57,9 @@ pub struct Process {
 pub struct SamplerThread {
     pub core: Option<usize>,
     pub moments: Vec<Moment>,
+    /// How many older ones there were.
+    #[serde(default)]
+    pub older_moments: u64,
 }
 
 /// As `CallbackSnapshot`.
@@ -155,6 +158,29 @@ impl Run {
         })
     }
 
+    /// With the moments of an earlier look that have been overwritten since then.
+    pub fn with_moments_of(mut self, before: &Run) -> Run {
+        for process in &mut self.processes {
+            let Some(before) = before.processes.iter().find(|other| other.pid == process.pid) else {
+                continue;
+            };
+            for callback in &mut process.callbacks {
+                let is_it = |other: &&Callback| other.name == callback.name && other.tid == callback.tid;
+                if let Some(before) = before.callbacks.iter().find(is_it) {
+                    let latest = (&mut callback.moments, &mut callback.older_moments);
+                    prepend((&before.moments, before.older_moments), latest);
+                }
+            }
+            if let (Some(before), Some(sampler)) = (&before.sampler, &mut process.sampler) {
+                prepend(
+                    (&before.moments, before.older_moments),
+                    (&mut sampler.moments, &mut sampler.older_moments),
+                );
+            }
+        }
+        self
+    }
+
     /// Reads a saved run from its text.
     pub fn parse(path: &Path, text: &str) -> Result<Run, ReportError> {
         let refuse = |reason: String| ReportError::Saved { path: path.into(), reason };
@@ -174,6 +200,21 @@ impl Run {
         std::fs::write(&partial, text + "\n").map_err(refuse)?;
         std::fs::rename(&partial, path).map_err(refuse)
     }
+}
+
+/// Of a callback: a day of them at one a second.
+const MOST_MOMENTS: usize = 86_400;
+
+/// Puts what was known before what is there now. Both say how many older ones there were.
+fn prepend((known, older_known): (&[Moment], u64), (latest, older): (&mut Vec<Moment>, &mut u64)) {
+    let known_until = older_known + known.len() as u64;
+    // Those of the latest that were known, and those that nobody has seen.
+    let again = usize::try_from(known_until.saturating_sub(*older)).unwrap_or(usize::MAX).min(latest.len());
+    let missed = older.saturating_sub(known_until);
+    let new = latest.split_off(again);
+    let dropped = (known.len() + new.len()).saturating_sub(MOST_MOMENTS);
+    *latest = known.iter().chain(&new).skip(dropped).copied().collect();
+    *older = older_known + missed + dropped as u64;
 }
 
 impl Process {
@@ -198,6 +239,7 @@ impl Process {
             sampler: snapshot.sampler.as_ref().map(|of| SamplerThread {
                 core: of.core,
                 moments: of.moments.iter().map(Moment::from).collect(),
+                older_moments: of.older_moments,
             }),
         }
     }
@@ -293,5 +335,36 @@ impl Times {
     /// How many times were longer than this: those of a bucket that holds it are not counted.
     pub fn longer_than(&self, limit_ns: u64) -> u64 {
         self.buckets.iter().filter(|(low_ns, _)| *low_ns > limit_ns).map(|(_, count)| count).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::moment::Kind;
+
+    fn moments(numbers: std::ops::Range<u64>) -> Vec<Moment> {
+        numbers
+            .map(|from_ns| Moment { kind: Kind::Taken, from_ns, to_ns: from_ns + 1, length_ns: 1 })
+            .collect()
+    }
+
+    #[test]
+    fn what_is_overwritten_between_two_looks_is_kept_and_what_nobody_saw_is_counted() {
+        let after = |known: std::ops::Range<u64>, latest: std::ops::Range<u64>| {
+            let (before, mut older, mut now) =
+                ((moments(known.clone()), known.start), latest.start, moments(latest));
+            prepend((&before.0, before.1), (&mut now, &mut older));
+            (now, older)
+        };
+        // Nothing new; some; none in common; some that were never seen; of one whose first ones were missed already.
+        assert_eq!(after(0..5, 0..5), (moments(0..5), 0));
+        assert_eq!(after(0..5, 2..7), (moments(0..7), 0));
+        assert_eq!(after(0..5, 5..9), (moments(0..9), 0));
+        let (all, older) = after(0..5, 7..9);
+        assert_eq!((all, older), ([moments(0..5), moments(7..9)].concat(), 2));
+        assert_eq!(after(3..5, 4..9), (moments(3..9), 3));
+        let most = MOST_MOMENTS as u64;
+        assert_eq!(after(0..most, most - 2..most + 3), (moments(3..most + 3), 3));
     }
 }

@@ -8,7 +8,7 @@ use tautline::HistogramSnapshot;
 use super::explain;
 use super::host::Share;
 use super::run::Run;
-use super::verdict::{Comparison, Row};
+use super::verdict::{ChainRow, Comparison, Row};
 use crate::table::{BAD, GOOD, WARNING, ms, wrap, write_table};
 
 /// Writes all there is to know; callbacks with a mark are red.
@@ -38,6 +38,7 @@ pub fn write(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Re
     }
     write_table(&head, 1, rows, out)?;
     writeln!(out)?;
+    chains(comparison, with_host, out)?;
     for unknown in &comparison.unknown {
         let where_it_runs = match (unknown.callback.priority, unknown.callback.core) {
             (Some(priority), Some(core)) => format!("core {core}, {}", explain::level(priority)),
@@ -57,6 +58,36 @@ pub fn write(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Re
         writeln!(out, "{WARNING}note:{WARNING:#} {}", wrap(note))?;
     }
     verdict(comparison, run, out)
+}
+
+/// Where there are any.
+fn chains(comparison: &Comparison, with_host: bool, out: &mut impl Write) -> io::Result<()> {
+    if comparison.chains.is_empty() {
+        return Ok(());
+    }
+    let cells = |chain: &ChainRow| {
+        let ChainRow { predicted, callbacks, longest_ns, host_ns } = chain;
+        let host = with_host.then(|| ms(*host_ns));
+        let first = [
+            predicted.name.clone(),
+            callbacks.len().to_string(),
+            ms(Some(*longest_ns)),
+            ms(predicted.latency_ns),
+        ];
+        first.into_iter().chain(host).chain([ms(Some(predicted.deadline_ns))]).collect()
+    };
+    let host = with_host.then_some("R+\nhost");
+    let head = ["chain", "callbacks", "R max\ntogether ms", "R+\npredicted"]
+        .into_iter()
+        .chain(host)
+        .chain(["deadline\nms"]);
+    write_table(
+        &head.collect::<Vec<_>>(),
+        1,
+        comparison.chains.iter().map(|chain| (true, cells(chain))).collect(),
+        out,
+    )?;
+    writeln!(out)
 }
 
 /// Which column says what the host makes of the bound; left out where nobody looked.

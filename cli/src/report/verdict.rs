@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use tautline::{HistogramSnapshot, Policy};
-use tautline_analysis::file::{CheckedCallback, CheckedSystem, Client, SystemFile};
+use tautline_analysis::file::{CheckedCallback, CheckedChain, CheckedSystem, Client, SystemFile};
 
 use super::explain;
 use super::host::{Host, Share};
@@ -17,6 +17,8 @@ pub struct Comparison {
     pub realtime: bool,
     /// The callbacks of the hosts that run, in the order of the file.
     pub rows: Vec<Row>,
+    /// The chains of which that says something, in the order of the file.
+    pub chains: Vec<ChainRow>,
     /// The processes they run in.
     pub processes: Vec<Running>,
     /// Callbacks that run, but are not in the file.
@@ -43,6 +45,16 @@ pub struct Measured {
     pub misses: u64,
     /// What the host had to do with it; `None` if nobody looked.
     pub share: Option<Share>,
+}
+
+/// A chain whose callbacks trigger one another and have all run. No message of it took longer than their longest responses together.
+pub struct ChainRow {
+    pub predicted: CheckedChain,
+    pub callbacks: Vec<String>,
+    /// Of all callbacks together, the longest responses.
+    pub longest_ns: u64,
+    /// Of all callbacks together, the bounds with what the host took; `None` if nobody looked.
+    pub host_ns: Option<u64>,
 }
 
 /// A process.
@@ -82,6 +94,7 @@ impl Comparison {
         });
         let host = Host::new(checked, run);
         let rows: Vec<Row> = seen.into_iter().map(|predicted| row(predicted, run, &host)).collect();
+        let chains: Vec<_> = checked.chains.iter().filter_map(|of| chain(of, checked, &rows)).collect();
         let unknown = unknown(&here, run);
         let mut notes = notes(file, checked, run, &rows, &host);
         let played: BTreeSet<_> = rows
@@ -104,6 +117,15 @@ impl Comparison {
             notes
                 .push(format!("callbacks of {names} are not looked at: only this host's processes are seen"));
         }
+        let others = checked.chains.iter().filter(|chain| chain.stages.is_none());
+        let others: Vec<&str> = others.map(|chain| &*chain.name).collect();
+        if !others.is_empty() {
+            notes.push(format!(
+                "chains of which a callback reads at its own pace, waits for several topics or is on another host are not looked at: {}; `taut trace` \
+                 measures them",
+                others.join(", ")
+            ));
+        }
         let processes = run.processes.iter().map(|process| Running {
             label: process.label(),
             host: process.host.clone(),
@@ -112,8 +134,15 @@ impl Comparison {
             mark: sampler_too_low(process),
         });
         let realtime = run.processes.iter().all(|process| process.realtime);
-        let mut comparison =
-            Comparison { kept: false, realtime, rows, processes: processes.collect(), unknown, notes };
+        let mut comparison = Comparison {
+            kept: false,
+            realtime,
+            rows,
+            chains,
+            processes: processes.collect(),
+            unknown,
+            notes,
+        };
         let marks = comparison.marks().count();
         comparison.kept = marks == 0;
         comparison
@@ -185,6 +214,24 @@ fn row(predicted: &CheckedCallback, run: &Run, host: &Host) -> Row {
         callback: callback.clone(),
     };
     Row { predicted: predicted.clone(), measured: Some(measured), marks }
+}
+
+/// What is known of a chain.
+fn chain(predicted: &CheckedChain, checked: &CheckedSystem, rows: &[Row]) -> Option<ChainRow> {
+    let measured = |stage: &usize| {
+        let name = &checked.callbacks.get(*stage)?.entry.name;
+        rows.iter().find(|row| row.predicted.entry.name == *name)?.measured.as_ref()
+    };
+    let stages: Vec<&Measured> =
+        predicted.stages.as_ref()?.iter().map(measured).collect::<Option<Vec<_>>>()?;
+    let longest_ns = stages.iter().map(|stage| stage.callback.longest_response_ns());
+    let host_ns = stages.iter().map(|stage| stage.share.as_ref()?.bound_ns);
+    Some(ChainRow {
+        predicted: predicted.clone(),
+        callbacks: stages.iter().map(|stage| stage.callback.name.clone()).collect(),
+        longest_ns: longest_ns.sum::<Option<u64>>()?,
+        host_ns: host_ns.sum(),
+    })
 }
 
 /// Who plays what its node published, from a bag.
@@ -282,10 +329,11 @@ fn violations(
     marks
 }
 
-/// Whether the host explains every response above the bound.
+/// Whether the host explains every response above the bound. A wait is none of its own words: it may have been for another thread.
 fn is_explained(seen: &Callback, share: Option<&Share>) -> bool {
     let is_running = seen.unfinished_ns > seen.response.max_ns();
-    !is_running && share.is_some_and(|share| share.beyond > 0 && share.unexplained == 0 && share.complete)
+    let by_host = |share: &Share| share.beyond > 0 && share.waited + share.unexplained == 0 && share.complete;
+    !is_running && share.is_some_and(by_host)
 }
 
 /// The shortest time that the analysis assumes between two releases; several streams may coincide.

@@ -18,11 +18,13 @@ pub struct ObservedProcesses {
     /// Those without one.
     others: BTreeSet<PathBuf>,
     killed: usize,
+    /// The last look: processes keep the latest moments only.
+    last: Option<Run>,
 }
 
 impl ObservedProcesses {
     pub fn new(domain: u32) -> ObservedProcesses {
-        ObservedProcesses { domain, processes: Vec::new(), others: BTreeSet::new(), killed: 0 }
+        ObservedProcesses { domain, processes: Vec::new(), others: BTreeSet::new(), killed: 0, last: None }
     }
 
     /// Looks for processes that are new.
@@ -83,9 +85,17 @@ impl ObservedProcesses {
     }
 
     /// What they have done so far.
-    pub fn gather(&self, path: &Path, system: &str) -> Result<Run, ReportError> {
+    pub fn gather(&mut self, path: &Path, system: &str) -> Result<Run, ReportError> {
         let run = Run::gather(self.domain, path, system, &self.processes)?;
-        if run.processes.is_empty() { Err(self.nothing()) } else { Ok(run) }
+        if run.processes.is_empty() {
+            return Err(self.nothing());
+        }
+        let run = match &self.last {
+            Some(last) => run.with_moments_of(last),
+            None => run,
+        };
+        self.last = Some(run.clone());
+        Ok(run)
     }
 
     /// Says what was removed.

@@ -19,9 +19,12 @@ use crate::{Options, Result, own_file, progress, sharing};
 const PATIENCE: Duration = Duration::from_secs(30);
 /// Of comparisons, nobody else's; r2r's, too.
 const DOMAIN: &str = "87";
+/// Whether processes account for the time of their cores, by which `taut report` explains what was late.
+const CORE_TIME: &str = "TAUT_CORE_TIME";
 /// What in the environment would set a system otherwise than it is said.
-const INHERITED: [&str; 8] = [
+const INHERITED: [&str; 9] = [
     "TAUT_DOMAIN",
+    CORE_TIME,
     "FASTDDS_BUILTIN_TRANSPORTS",
     "FASTDDS_DEFAULT_PROFILES_FILE",
     "FASTRTPS_DEFAULT_PROFILES_FILE",
@@ -144,6 +147,8 @@ impl Process {
             });
             // r2r would look for others in the whole network, and hear whoever publishes the same topics.
             command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("ROS_DOMAIN_ID", DOMAIN);
+        } else if std::env::var_os(CORE_TIME).is_none() {
+            command.env(CORE_TIME, "on");
         }
         let child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
         let mut child = child.map_err(|error| format!("{}: {error}", program.display()))?;

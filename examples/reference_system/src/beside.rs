@@ -20,8 +20,9 @@ const ELSEWHERE: &str = "From elsewhere, on a like system, 60 s, p99 of three re
 /// Nobody else's.
 const DOMAIN: &str = "88";
 /// What in the environment would set a system otherwise than it is said.
-const INHERITED: [&str; 8] = [
+const INHERITED: [&str; 9] = [
     "TAUT_DOMAIN",
+    "TAUT_CORE_TIME",
     "FASTDDS_BUILTIN_TRANSPORTS",
     "FASTDDS_DEFAULT_PROFILES_FILE",
     "FASTRTPS_DEFAULT_PROFILES_FILE",

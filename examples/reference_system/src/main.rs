@@ -19,6 +19,7 @@ use std::fs;
 use std::io::{IsTerminal, stderr, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::time::Duration;
 use tautline::rt::permission::realtime_permitted;
 use tautline_reference::{CRUNCHER_LIMIT, Job, Load};
 
@@ -39,7 +40,9 @@ const SKIPPED: u8 = 77;
                                           every callback at one priority
   reference_system --cruncher-limit 2048  less work for each node
   reference_system --seconds 60 --json kpis.json --svg hot_path.svg
-  cargo xtask bench reference-system      the same on r2r over Fast DDS beside it")]
+  cargo xtask bench reference-system      the same on r2r over Fast DDS beside it
+
+While it runs, `taut report --watch` compares all callbacks with the file, and explains what was late.")]
 struct Options {
     /// How long is measured
     #[arg(long, value_name = "N", default_value_t = 10.0, value_parser = seconds)]
@@ -73,6 +76,9 @@ struct Options {
     child: Option<String>,
 }
 
+/// What is taken from a job is noted if it is as long: three system calls before and after each.
+const PIECE: Duration = Duration::from_micros(100);
+
 /// The system files of this example.
 fn own_file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
@@ -99,7 +105,7 @@ fn start(options: &Options) -> Result<ExitCode> {
     if let Some(job) = &options.child {
         let job: Job = serde_json::from_str(job)?;
         let load = Load::measure(job.cruncher_limit);
-        println!("{}", serde_json::to_string(&robot::run(&job, &load, |_| {})?)?);
+        println!("{}", serde_json::to_string(&robot::run(&job, &load, None, |_| {})?)?);
         return Ok(ExitCode::SUCCESS);
     }
     let realtime = !options.no_rt && std::env::var("TAUT_REALTIME").as_deref() != Ok("off");
@@ -137,7 +143,7 @@ fn alone(job: &Job, load: &Load, options: &Options) -> Result<()> {
         eprintln!("measuring for {:.0} s", job.seconds);
     }
     let shown = bar.clone();
-    let kpis = robot::run(job, load, move |share| shown.set_position((share * 1000.0) as u64))?;
+    let kpis = robot::run(job, load, Some(PIECE), move |share| shown.set_position((share * 1000.0) as u64))?;
     bar.finish_and_clear();
     let report = Report::new(kpis, Some(&bounds));
     table::print(&[&report], &mut stdout().lock())?;

@@ -7,6 +7,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::Poll;
 use std::thread;
+use std::time::Duration;
 use tautline::rt::clock::monotonic_ns;
 use tautline::{Admission, Context, Node, Publisher, Qos, Realtime, Sample, Subscription, Timer};
 use tautline_reference::graph::{Callback, NODES, Trigger};
@@ -17,12 +18,19 @@ use crate::Result;
 /// Time between set-up and the first release, which all timers have in common: the critical instant.
 const LEAD_NS: u64 = 200_000_000;
 
-/// Runs all nodes in this process, which then is a process without nodes again.
-pub fn run(job: &Job, load: &Load, progress: impl FnMut(f64) + Send + 'static) -> Result<Kpis> {
+/// Runs all nodes in this process, which then is a process without nodes again. `least`: what is taken from a job is noted, for `taut report`,
+/// if it is as long.
+pub fn run(
+    job: &Job,
+    load: &Load,
+    least: Option<Duration>,
+    progress: impl FnMut(f64) + Send + 'static,
+) -> Result<Kpis> {
     let file = job.system_file.as_deref().ok_or("a system file says who runs where")?;
     let realtime = if job.realtime { Realtime::Required } else { Realtime::Off };
     // What the analysis refuses is measured, too.
-    let context = Context::builder().system(file).realtime(realtime).admission(Admission::Force).build()?;
+    let context = Context::builder().system(file).realtime(realtime).admission(Admission::Force);
+    let context = context.account_core_time(least).build()?;
     let window = window(job);
     let records = Arc::new(Records::new(window));
     let first_ns = monotonic_ns() + LEAD_NS;

@@ -12,7 +12,7 @@ use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, kind, put_tex
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautstat");
 /// Of the layout here and in `block.rs`.
-const VERSION: u64 = 7;
+const VERSION: u64 = 8;
 const HEADER_WORDS: usize = 864;
 
 /// What each word of the header is.

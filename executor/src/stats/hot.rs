@@ -103,6 +103,19 @@ impl CallbackStats {
         }
     }
 
+    /// Whether a job with this response time is later than its bound.
+    pub(crate) fn is_late(&self, response_ns: u64) -> bool {
+        response_ns > self.limit_ns(CallbackStats::BOUND)
+    }
+
+    /// A limit, or a time that nothing exceeds.
+    fn limit_ns(&self, index: usize) -> u64 {
+        match self.limits.get(index).map(|limit| limit.load(Ordering::Relaxed)) {
+            Some(0) | None => u64::MAX,
+            Some(ns) => ns,
+        }
+    }
+
     /// A job begins.
     pub(crate) fn release(&self, release_ns: u64) {
         let Some(head) = self.head() else { return };
@@ -130,11 +143,8 @@ impl CallbackStats {
     pub(crate) fn complete(&self, job: &Job) -> Violations {
         let Some(block) = self.block.get() else { return Violations::default() };
         let Some(head) = block.head() else { return Violations::default() };
-        let limit = |index: usize| match self.limits.get(index).map(|limit| limit.load(Ordering::Relaxed)) {
-            Some(0) | None => u64::MAX,
-            Some(ns) => ns,
-        };
-        let (deadline_ns, budget_ns) = (limit(CallbackStats::DEADLINE), limit(CallbackStats::BUDGET));
+        let (deadline_ns, budget_ns) =
+            (self.limit_ns(CallbackStats::DEADLINE), self.limit_ns(CallbackStats::BUDGET));
         let mut violations =
             Violations { job: head[word::COMPLETIONS].load(Ordering::Relaxed) + 1, ..Violations::default() };
         if job.response_ns > deadline_ns {
@@ -144,7 +154,7 @@ impl CallbackStats {
         block.response.record(job.response_ns);
         let (from_ns, to_ns) = (job.release_ns, job.release_ns.saturating_add(job.response_ns));
         let note = |kind, length_ns| block.moments.note(&Moment { kind, from_ns, to_ns, length_ns });
-        if job.response_ns > limit(CallbackStats::BOUND) {
+        if self.is_late(job.response_ns) {
             note(MomentKind::Late, job.response_ns);
         }
         if let Some(ns) = job.execution_ns {

@@ -42,11 +42,20 @@ pub enum MomentKind {
     Overran,
     /// The sampler served events: the processor time that it used for them.
     Served,
+    /// A job that was [`Late`](Self::Late) did not have the core: how long from its release to its begin, while nobody woke its thread or others
+    /// ran, and while others preempted it.
+    Waited,
 }
 
 impl MomentKind {
-    const ALL: [MomentKind; 5] =
-        [MomentKind::Late, MomentKind::Taken, MomentKind::WokenLate, MomentKind::Overran, MomentKind::Served];
+    const ALL: [MomentKind; 6] = [
+        MomentKind::Late,
+        MomentKind::Taken,
+        MomentKind::WokenLate,
+        MomentKind::Overran,
+        MomentKind::Served,
+        MomentKind::Waited,
+    ];
     const BITS: u32 = 3;
 }
 
