@@ -56,17 +56,18 @@ impl TakenTimes {
         TakenTimes::of(noticed.pieces.into_iter().chain(more).collect())
     }
 
-    /// The same, where threads that waited saw the same time as others, too, which they did not count off.
+    /// The same, where several threads may have waited at once: waits that overlap are one, the longest.
     pub fn with_waits(seen: impl IntoIterator<Item = Taken>) -> TakenTimes {
         let (waits, rest): (Vec<Taken>, Vec<Taken>) =
             seen.into_iter().partition(|piece| piece.seen == Seen::Waited);
-        let ran = rest.iter().filter(|piece| piece.seen == Seen::Running && piece.length_ns > 0);
-        let waits = TakenTimes::of(ran.copied().collect()).what_is_more_of(waits);
+        let waits = TakenTimes::default().what_is_more_of(waits);
         TakenTimes::new(rest.into_iter().chain(waits))
     }
 
     /// Of sights that may be of the same time, those that overlap being one, what is not among these.
     fn what_is_more_of(&self, mut sights: Vec<Taken>) -> Vec<Taken> {
+        // One of nothing must not join two others.
+        sights.retain(|piece| piece.length_ns > 0);
         sights.sort_unstable_by_key(|piece| (piece.from_ns, piece.to_ns));
         let overlap = |a: &Taken, b: &Taken| a.from_ns < b.to_ns && b.from_ns < a.to_ns;
         let mut merged: Vec<Taken> = Vec::new();
@@ -238,19 +239,19 @@ mod tests {
 
     #[test]
     fn waits_of_several_threads_are_one() {
-        use Seen::{Running, Waited, WokenLate};
-        // Two threads waited at once, 10 of it while a third one that ran lost the core, and a clock saw 8 more than they.
+        use Seen::{Overran, Running, Waited, WokenLate};
+        // Two threads waited at once, and a clock was late for 8 more than they; one that waited for nothing spans it and the next wait.
         let seen = [
             piece(Waited, 100, 160, 40),
             piece(Waited, 110, 170, 50),
-            piece(Running, 120, 140, 10),
             piece(WokenLate, 150, 230, 58),
-            piece(Waited, 400, 410, 0),
+            piece(Waited, 90, 420, 0),
+            piece(Waited, 400, 410, 10),
+            piece(Running, 500, 510, 3),
+            piece(Overran, 500, 510, 4),
         ];
         let taken = TakenTimes::with_waits(seen);
-        let total_ns = |way| taken.seen(&[way]).total_ns();
-        assert_eq!([Running, Waited, WokenLate].map(total_ns), [10, 40, 18], "{taken:?}");
-        assert_eq!(lengths(&taken), [(100, 40), (120, 10), (150, 18)]);
+        assert_eq!(lengths(&taken), [(100, 50), (150, 8), (400, 10), (500, 3), (500, 4)], "{taken:?}");
     }
 
     #[test]

@@ -6,6 +6,7 @@
 use std::cell::Cell;
 use std::sync::Arc;
 
+use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{CoreMark, CoreTime, RtError, ThreadInfo};
 
 use crate::stats::{CallbackStats, Moment, MomentKind};
@@ -19,11 +20,14 @@ pub(crate) struct CoreTimeAccount {
     begun: Cell<Option<CoreMark>>,
     /// Jobs that have begun and not ended.
     running: Cell<u32>,
+    /// When the job before ended, or the thread began.
+    ended_ns: Cell<u64>,
 }
 
 impl CoreTimeAccount {
-    pub const fn new(clock: CoreTime, least_ns: u64) -> CoreTimeAccount {
-        CoreTimeAccount { clock, least_ns, begun: Cell::new(None), running: Cell::new(0) }
+    pub fn new(clock: CoreTime, least_ns: u64) -> CoreTimeAccount {
+        let ended_ns = Cell::new(monotonic_ns());
+        CoreTimeAccount { clock, least_ns, begun: Cell::new(None), running: Cell::new(0), ended_ns }
     }
 
     /// A job begins.
@@ -33,19 +37,25 @@ impl CoreTimeAccount {
         }
     }
 
-    /// A job has ended; of jobs that overlap, the last. One that has slept says nothing of what was taken from it. `late`: when it was released,
-    /// if it took longer than its bound.
-    pub fn end(&self, stats: &CallbackStats, slept: bool, late: Option<u64>) {
+    /// A job has ended; of jobs that overlap, the last. One that has slept says nothing of what was taken from it. `late`: when it was released
+    /// and when it ended, if that was beyond its bound.
+    pub fn end(&self, stats: &CallbackStats, slept: bool, late: Option<(u64, u64)>) {
         self.running.set(self.running.get().saturating_sub(1));
         if self.running.get() > 0 {
             return;
         }
-        let Some(begun) = self.begun.take().filter(|_| !slept) else { return };
         let now = self.clock.mark();
+        let ended_ns = self.ended_ns.replace(now.to_ns);
+        let Some(begun) = self.begun.take().filter(|_| !slept) else { return };
         note_taken(stats, &begun, &now, self.least_ns);
-        if let (Some(from_ns), Some(preempted_ns)) = (late, begun.waited_until(&now)) {
+        if let (Some((release_ns, to_ns)), Some(preempted_ns)) = (late, begun.waited_until(&now)) {
+            // Before, the thread did something else.
+            let from_ns = release_ns.max(ended_ns).min(to_ns);
             let length_ns = begun.from_ns.saturating_sub(from_ns).saturating_add(preempted_ns);
-            stats.note(&Moment { kind: MomentKind::Waited, from_ns, to_ns: now.to_ns, length_ns });
+            let length_ns = length_ns.min(to_ns - from_ns);
+            if length_ns >= self.least_ns {
+                stats.note(&Moment { kind: MomentKind::Waited, from_ns, to_ns, length_ns });
+            }
         }
     }
 }
@@ -152,5 +162,49 @@ fn note_taken(stats: &CallbackStats, begun: &CoreMark, now: &CoreMark, least_ns:
     if let Some(length_ns) = begun.taken_until(now).filter(|ns| *ns >= least_ns) {
         let (from_ns, to_ns) = (begun.to_ns, now.from_ns);
         stats.note(&Moment { kind: MomentKind::Taken, from_ns, to_ns, length_ns });
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::disallowed_methods, clippy::unwrap_used, clippy::indexing_slicing, reason = "a test")]
+mod tests {
+    use super::*;
+    use crate::{Executor, Realtime};
+    use std::time::Duration;
+
+    #[test]
+    fn a_late_job_was_without_the_core_since_its_release_or_the_job_before() {
+        const LEAST_NS: u64 = 2_000_000;
+        let executor = Executor::new(Realtime::Off).account_core_time(Some(Duration::ZERO));
+        let sampler = executor.sampler_statistics().unwrap().unwrap();
+        let account = CoreTimeAccount::new(CoreTime::new().unwrap(), LEAST_NS);
+        let job = |release_ns: u64, late: bool| {
+            account.begin();
+            let now_ns = monotonic_ns();
+            account.end(sampler.stats(), false, late.then_some((release_ns, now_ns)));
+            now_ns
+        };
+        let waits = || {
+            let moments = sampler.stats().snapshot().unwrap().moments.into_iter();
+            moments.filter(|of| of.kind == MomentKind::Waited).collect::<Vec<_>>()
+        };
+        // What was released before the thread began has waited for that, and not for a core.
+        let long_ago_ns = monotonic_ns().saturating_sub(3_600_000_000_000);
+        job(long_ago_ns, true);
+        assert!(waits().iter().all(|wait| wait.from_ns > long_ago_ns), "{:?}", waits());
+        let (before, release_ns) = (waits().len(), monotonic_ns());
+        std::thread::sleep(Duration::from_millis(6));
+        job(release_ns, false);
+        assert_eq!(waits().len(), before, "it was in time");
+        let release_ns = monotonic_ns();
+        std::thread::sleep(Duration::from_millis(6));
+        let end_ns = job(release_ns, true);
+        let wait = *waits().last().unwrap();
+        assert_eq!((wait.from_ns, wait.to_ns), (release_ns, end_ns));
+        assert!((6_000_000..=end_ns - release_ns).contains(&wait.length_ns), "{wait:?}");
+        // Released before that one ended, and begun at once then.
+        let waited = waits().len();
+        job(release_ns, true);
+        assert!(waits()[waited..].iter().all(|wait| wait.from_ns >= end_ns), "{:?}", waits());
     }
 }

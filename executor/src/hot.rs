@@ -217,10 +217,11 @@ impl Measured {
     /// A job that ends now, of the callback with these statistics.
     fn end(&self, begun: StartedJob, input_size: Option<u64>, of: &CallbackStats) -> stats::Job {
         let StartedJob { release_ns } = begun;
-        let response_ns = monotonic_ns().saturating_sub(release_ns);
+        let now_ns = monotonic_ns();
+        let response_ns = now_ns.saturating_sub(release_ns);
         if let Some(account) = &self.account {
             let slept = self.enforcer.as_ref().is_some_and(BudgetEnforcer::has_slept);
-            account.end(of, slept, of.is_late(response_ns).then_some(release_ns));
+            account.end(of, slept, of.is_late(response_ns).then_some((release_ns, now_ns)));
         }
         if self.enforcer.as_ref().is_some_and(BudgetEnforcer::end) {
             self.stats.demoted();

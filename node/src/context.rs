@@ -84,7 +84,7 @@ pub struct ContextBuilder {
     sampler_cores: Option<CoreSet>,
     wait: Wait,
     lock_memory: bool,
-    hold_idle: bool,
+    hold_idle: Option<bool>,
     system: Option<PathBuf>,
     host: Option<String>,
     admission: Option<Admission>,
@@ -137,9 +137,10 @@ impl ContextBuilder {
     }
 
     /// Whether spinning in real time keeps all cores out of idle states, by `/dev/cpu_dma_latency`: wake-ups become
-    /// several times faster, power consumption rises. On by default; where the file cannot be opened a warning says so.
+    /// several times faster, power consumption rises, and a hypervisor whose guests have a quota stops this one for milliseconds once it is
+    /// used up. On by default, unless `TAUT_HOLD_IDLE=off`; where the file cannot be opened a warning says so.
     pub fn hold_idle(mut self, hold: bool) -> Self {
-        self.hold_idle = hold;
+        self.hold_idle = Some(hold);
         self
     }
 
@@ -258,8 +259,11 @@ impl ContextBuilder {
         let sampler = Sampler::new(&participant)?.with_wait(self.wait);
         let core_time = match self.core_time {
             Some(core_time) => core_time,
-            None => core_time_of_environment()?,
+            None => switch_of_environment("TAUT_CORE_TIME")?.unwrap_or(false).then_some(CORE_TIME_PIECE),
         };
+        if self.hold_idle.is_none() {
+            self.hold_idle = switch_of_environment("TAUT_HOLD_IDLE")?;
+        }
         let mut executor =
             Executor::new(realtime).with_parkers(thread_parkers(&participant)).account_core_time(core_time);
         if self.share_statistics {
@@ -312,7 +316,7 @@ impl Default for ContextBuilder {
             sampler_cores: None,
             wait: Wait::Block,
             lock_memory: true,
-            hold_idle: true,
+            hold_idle: None,
             system: None,
             host: None,
             admission: None,
@@ -346,12 +350,18 @@ fn admission_of_environment(has_system: bool) -> Result<Admission> {
     }
 }
 
-fn core_time_of_environment() -> Result<Option<Duration>> {
-    let (variable, expected) = ("TAUT_CORE_TIME", "it may be 'on' or 'off'");
+/// What is taken from one job counts if it is as long, where the environment asks for it.
+const CORE_TIME_PIECE: Duration = Duration::from_micros(100);
+
+/// `None` if it is not set.
+fn switch_of_environment(variable: &'static str) -> Result<Option<bool>> {
     match environment(variable).as_deref() {
-        None | Some("off") => Ok(None),
-        Some("on") => Ok(Some(Duration::from_micros(100))),
-        Some(value) => Err(Error::Environment { variable, value: value.to_owned(), expected }),
+        None => Ok(None),
+        Some("off") => Ok(Some(false)),
+        Some("on") => Ok(Some(true)),
+        Some(value) => {
+            Err(Error::Environment { variable, value: value.to_owned(), expected: "it may be 'on' or 'off'" })
+        }
     }
 }
 
@@ -588,7 +598,7 @@ impl Context {
                 tautline_rt::lock_memory(MemoryLock::OnFault)?;
             }
             tautline_rt::prefault_stack(ThreadBuilder::STACK_BYTES / 4);
-            if settings.hold_idle {
+            if settings.hold_idle != Some(false) {
                 held._idle = IdleHold::new().inspect_err(|error| tracing::warn!("{error}")).ok();
             }
             held.policy = Some(former.0);

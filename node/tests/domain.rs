@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the environment says: `TAUT_DOMAIN`, `ROS_DOMAIN_ID`, `TAUT_REALTIME`. Each case in a child process.
+//! What the environment says: `TAUT_DOMAIN`, `ROS_DOMAIN_ID`, `TAUT_REALTIME`, `TAUT_CORE_TIME`, `TAUT_HOLD_IDLE`. Each case in a child process.
 
 mod common;
 
@@ -17,7 +17,7 @@ fn describe() -> String {
 #[test]
 fn the_environment_names_the_domain_and_the_policy() {
     let not_a_domain = "is not understood: a domain is a number from 0 to 232";
-    let cases: [(&[(&str, &str)], String); 14] = [
+    let cases: [(&[(&str, &str)], String); 16] = [
         (&[], "0 Required".into()),
         (&[("TAUT_DOMAIN", "217")], "217 Required".into()),
         (&[("ROS_DOMAIN_ID", "218")], "218 Required".into()),
@@ -38,6 +38,11 @@ fn the_environment_names_the_domain_and_the_policy() {
         (
             &[("TAUT_DOMAIN", "217"), ("TAUT_CORE_TIME", "1")],
             "TAUT_CORE_TIME=1 is not understood: it may be 'on' or 'off'".into(),
+        ),
+        (&[("TAUT_DOMAIN", "217"), ("TAUT_HOLD_IDLE", "off")], "217 Required".into()),
+        (
+            &[("TAUT_DOMAIN", "217"), ("TAUT_HOLD_IDLE", "no")],
+            "TAUT_HOLD_IDLE=no is not understood: it may be 'on' or 'off'".into(),
         ),
     ];
     for (variables, expected) in cases {

@@ -167,11 +167,9 @@ fn late_jobs_are_kept_with_their_instants() {
     let [late] = late.as_slice() else { panic!("{late:?}") };
     assert_eq!((late.from_ns, late.length_ns), (releases[0], late.to_ns - late.from_ns));
     assert_eq!(u128::from(late.length_ns), seen.response.max().as_nanos());
-    // Nearly all of that it was without the core.
-    let waited: Vec<_> = seen.moments.iter().filter(|moment| moment.kind == MomentKind::Waited).collect();
-    let [waited] = waited.as_slice() else { panic!("{waited:?}") };
-    assert_eq!(waited.from_ns, releases[0]);
-    assert!((late.length_ns / 2..=late.length_ns).contains(&waited.length_ns), "{waited:?} {late:?}");
+    // It was there before the callback was: that is no wait for the core.
+    let mut waited = seen.moments.iter().filter(|moment| moment.kind == MomentKind::Waited);
+    assert!(waited.all(|wait| wait.from_ns > now_ns), "{:?}", seen.moments);
 }
 
 #[test]

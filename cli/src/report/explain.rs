@@ -244,9 +244,15 @@ pub fn bound_exceeded(
                 ", {unexplained} of {beyond} such responses with less taken by the host{} than that explains",
                 if longest.overran_ns > 0 { " and by jobs beyond their wcet" } else { "" },
             );
+            let known = match waited + unexplained {
+                0 => format!(
+                    ", explained for all {beyond} such responses that are known, of which there are more, or one that goes on"
+                ),
+                _ => String::new(),
+            };
             let [waits, nothing] = [(*waited, waits), (*unexplained, nothing)]
                 .map(|(count, text)| if count > 0 { text } else { String::new() });
-            format!("{waits}{nothing} (of one of {}, {})", Time(longest.response_ns), took(longest))
+            format!("{known}{waits}{nothing} (of one of {}, {})", Time(longest.response_ns), took(longest))
         }
         _ => String::new(),
     };

@@ -16,13 +16,22 @@ pub struct Host<'c> {
     cores: BTreeMap<(String, usize), CoreTimes>,
 }
 
+#[derive(Default)]
 struct CoreTimes {
     host: TakenTimes,
     overran: TakenTimes,
-    waited: TakenTimes,
-    /// Of the first two, and of all.
+    /// Of both.
     known: TakenTimes,
-    all: TakenTimes,
+    /// All that was seen, waits beyond what the analysis allows among it.
+    seen: Vec<Sight>,
+}
+
+/// Who saw it.
+struct Sight {
+    taken: Taken,
+    /// The callback that did, if it was one: its process, and its thread.
+    thread: Option<(u32, u32)>,
+    priority: Option<u8>,
 }
 
 /// What it did to a callback.
@@ -56,25 +65,24 @@ pub struct Longest {
 
 impl<'c> Host<'c> {
     pub fn new(checked: &'c CheckedSystem, run: &Run) -> Host<'c> {
-        let mut seen: BTreeMap<(String, usize), Vec<Taken>> = BTreeMap::new();
+        let mut cores: BTreeMap<(String, usize), CoreTimes> = BTreeMap::new();
         for process in &run.processes {
             let is_served = is_served_first(process, run);
             let counts = |demotions: u64| {
                 move |moment: &&Moment| match moment.kind {
                     Kind::WokenLate => is_served,
-                    // What was demoted or slept took nothing from others.
-                    Kind::Overran => demotions == 0,
+                    // What was demoted or slept took nothing from others, and waited by itself.
+                    Kind::Overran | Kind::Waited => demotions == 0,
                     // That is in the overheads of the file.
                     Kind::Served => false,
-                    Kind::Late | Kind::Taken | Kind::Waited => true,
+                    Kind::Late | Kind::Taken => true,
                 }
             };
-            let mut note = |core, taken: &mut dyn Iterator<Item = Taken>| {
-                seen.entry((process.host.clone(), core)).or_default().extend(taken);
+            let mut note = |core, sights: &mut dyn Iterator<Item = Sight>| {
+                cores.entry((process.host.clone(), core)).or_default().seen.extend(sights);
             };
             for callback in process.callbacks.iter().filter(|callback| callback.accounts_core_time) {
                 if let Some(core) = callback.core {
-                    let moments = callback.moments.iter().filter(counts(callback.demotions));
                     let others_ns = waits_at_most(checked, &process.host, &callback.name);
                     let beyond = |taken: Taken| match taken.seen {
                         Seen::Waited => {
@@ -82,7 +90,10 @@ impl<'c> Host<'c> {
                         }
                         _ => taken,
                     };
-                    note(core, &mut moments.filter_map(Moment::taken).map(beyond));
+                    let (thread, priority) = (Some((process.pid, callback.tid)), callback.priority);
+                    let sight = |taken| Sight { taken: beyond(taken), thread, priority };
+                    let moments = callback.moments.iter().filter(counts(callback.demotions));
+                    note(core, &mut moments.filter_map(Moment::taken).map(sight));
                 }
             }
             let Some(sampler) = &process.sampler else { continue };
@@ -95,22 +106,16 @@ impl<'c> Host<'c> {
                     _ => taken,
                 };
                 let taken = sampler.moments.iter().filter(counts(0)).filter_map(Moment::taken);
-                note(core, &mut taken.map(as_seen));
+                let sight = |taken| Sight { taken: as_seen(taken), thread: None, priority: None };
+                note(core, &mut taken.map(sight));
             }
         }
-        let times = |taken: Vec<Taken>| {
-            let known = TakenTimes::new(taken.iter().copied().filter(|piece| piece.seen != Seen::Waited));
-            let all = TakenTimes::with_waits(taken);
-            let host = known.seen(&[Seen::Running, Seen::WokenLate]);
-            CoreTimes {
-                host,
-                overran: known.seen(&[Seen::Overran]),
-                waited: all.seen(&[Seen::Waited]),
-                known,
-                all,
-            }
-        };
-        let cores = seen.into_iter().map(|(core, taken)| (core, times(taken))).collect();
+        for times in cores.values_mut() {
+            let known = times.seen.iter().map(|sight| sight.taken).filter(|taken| taken.seen != Seen::Waited);
+            times.known = TakenTimes::new(known);
+            times.host = times.known.seen(&[Seen::Running, Seen::WokenLate]);
+            times.overran = times.known.seen(&[Seen::Overran]);
+        }
         Host { checked, cores }
     }
 
@@ -128,25 +133,30 @@ impl<'c> Host<'c> {
         let predicted_ns = predicted.response_overhead_ns?;
         let is_beyond = |moment: &&Moment| moment.kind == Kind::Late && moment.length_ns > predicted_ns;
         let mut longest = (false, false, 0);
+        let mut with_waits = None;
         for late in seen.moments.iter().filter(is_beyond) {
             let is_explained_by = |times: &TakenTimes| {
                 let allowed_ns = self.bound_ns(predicted, |window_ns| times.before(late.to_ns, window_ns));
                 allowed_ns.is_some_and(|allowed_ns| late.length_ns <= allowed_ns)
             };
             let waited = !is_explained_by(&taken.known);
-            let unexplained = waited && !is_explained_by(&taken.all);
+            let all = match waited {
+                true => with_waits.get_or_insert_with(|| taken.with_waits(seen.priority)),
+                false => &taken.known,
+            };
+            let unexplained = waited && !is_explained_by(all);
             share.beyond += 1;
             share.waited += u64::from(waited && !unexplained);
             share.unexplained += u64::from(unexplained);
             share.complete |= Some(late.length_ns) == seen.response.max_ns();
             if (unexplained, waited, late.length_ns) > longest {
                 longest = (unexplained, waited, late.length_ns);
-                let before = |times: &TakenTimes| times.before(late.to_ns, late.length_ns);
+                let before = |ways: &[Seen]| all.seen(ways).before(late.to_ns, late.length_ns);
                 share.longest = Some(Longest {
                     response_ns: late.length_ns,
-                    taken_ns: before(&taken.host),
-                    overran_ns: before(&taken.overran),
-                    waited_ns: before(&taken.waited),
+                    taken_ns: before(&[Seen::Running, Seen::WokenLate]),
+                    overran_ns: before(&[Seen::Overran]),
+                    waited_ns: before(&[Seen::Waited]),
                 });
             }
         }
@@ -190,6 +200,28 @@ impl<'c> Host<'c> {
             )
         };
         self.cores.iter().filter(|(_, times)| !times.host.pieces().is_empty()).map(line).collect()
+    }
+}
+
+impl CoreTimes {
+    /// What was known, and the waits of callbacks that are not below this priority: a wait below delays nobody above. Of a wait, what other threads saw of
+    /// it is counted off.
+    fn with_waits(&self, priority: Option<u8>) -> TakenTimes {
+        let counts = |sight: &&Sight| sight.taken.seen != Seen::Waited || sight.priority >= priority;
+        let less = |sight: &Sight| {
+            let Taken { from_ns, to_ns, length_ns, seen } = sight.taken;
+            if seen != Seen::Waited {
+                return sight.taken;
+            }
+            let within = |other: &Taken| {
+                other.length_ns.min(other.to_ns.min(to_ns).saturating_sub(other.from_ns.max(from_ns)))
+            };
+            let others = self.seen.iter().filter(|other| other.thread != sight.thread);
+            let others = others.filter(|other| matches!(other.taken.seen, Seen::Running | Seen::Overran));
+            let others_ns: u64 = others.map(|other| within(&other.taken)).sum();
+            Taken { length_ns: length_ns.saturating_sub(others_ns), ..sight.taken }
+        };
+        TakenTimes::with_waits(self.seen.iter().filter(counts).map(less))
     }
 }
 

@@ -29,6 +29,9 @@ pub struct Run {
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Process {
+    /// Where its statistics are: another one for another context of the same process.
+    #[serde(skip)]
+    path: PathBuf,
     pub pid: u32,
     pub program: String,
     pub host: String,
@@ -144,7 +147,7 @@ impl Run {
             // Before reading, too: what runs then has run as long as that at least.
             let now_ns = running.then(tautline::rt::clock::monotonic_ns);
             if let Some(snapshot) = process.read().map_err(ReportError::Statistics)? {
-                gathered.push(Process::new(&snapshot, now_ns));
+                gathered.push(Process { path: process.path().into(), ..Process::new(&snapshot, now_ns) });
             }
         }
         gathered.sort_by_key(|process| process.pid);
@@ -161,7 +164,7 @@ impl Run {
     /// With the moments of an earlier look that have been overwritten since then.
     pub fn with_moments_of(mut self, before: &Run) -> Run {
         for process in &mut self.processes {
-            let Some(before) = before.processes.iter().find(|other| other.pid == process.pid) else {
+            let Some(before) = before.processes.iter().find(|other| other.path == process.path) else {
                 continue;
             };
             for callback in &mut process.callbacks {
@@ -202,8 +205,8 @@ impl Run {
     }
 }
 
-/// Of a callback: a day of them at one a second.
-const MOST_MOMENTS: usize = 86_400;
+/// Of a callback: more take long to be looked through each second.
+const MOST_MOMENTS: usize = 10_000;
 
 /// Puts what was known before what is there now. Both say how many older ones there were.
 fn prepend((known, older_known): (&[Moment], u64), (latest, older): (&mut Vec<Moment>, &mut u64)) {
@@ -222,6 +225,7 @@ impl Process {
     fn new(snapshot: &ProcessSnapshot, now_ns: Option<u64>) -> Process {
         let process = &snapshot.process;
         Process {
+            path: PathBuf::new(),
             pid: process.pid,
             program: process.program.clone(),
             host: process.host.clone(),

@@ -43,6 +43,8 @@ pub struct Measured {
     pub execution: HistogramSnapshot,
     /// Jobs later than the file's deadline.
     pub misses: u64,
+    /// The longest response, also of earlier processes and other ones.
+    pub longest_ns: Option<u64>,
     /// What the host had to do with it; `None` if nobody looked.
     pub share: Option<Share>,
 }
@@ -210,6 +212,7 @@ fn row(predicted: &CheckedCallback, run: &Run, host: &Host) -> Row {
         response: callback.response.histogram(),
         execution: callback.execution.histogram(),
         misses,
+        longest_ns: found.iter().filter_map(|(_, callback)| callback.longest_response_ns()).max(),
         share,
         callback: callback.clone(),
     };
@@ -224,13 +227,14 @@ fn chain(predicted: &CheckedChain, checked: &CheckedSystem, rows: &[Row]) -> Opt
     };
     let stages: Vec<&Measured> =
         predicted.stages.as_ref()?.iter().map(measured).collect::<Option<Vec<_>>>()?;
-    let longest_ns = stages.iter().map(|stage| stage.callback.longest_response_ns());
-    let host_ns = stages.iter().map(|stage| stage.share.as_ref()?.bound_ns);
+    let together = |times: &dyn Fn(&Measured) -> Option<u64>| {
+        stages.iter().try_fold(0u64, |sum, stage| Some(sum.saturating_add(times(stage)?)))
+    };
     Some(ChainRow {
         predicted: predicted.clone(),
         callbacks: stages.iter().map(|stage| stage.callback.name.clone()).collect(),
-        longest_ns: longest_ns.sum::<Option<u64>>()?,
-        host_ns: host_ns.sum(),
+        longest_ns: together(&|stage| stage.longest_ns)?,
+        host_ns: together(&|stage| stage.share.as_ref()?.bound_ns),
     })
 }
 

@@ -45,7 +45,7 @@ const PRIORITY: u8 = 20;
   alks drive --minutes 10 --svg drive.svg  the closed loop alone, as fast as the processor can
   cargo xtask bench alks                   the same on r2r over Fast DDS beside it
 
-While it runs, `taut report` compares all callbacks with the file, and `taut record /visualization/markers` keeps the markers as MCAP,
+While it runs, `taut report --watch` compares all callbacks with the file, and explains what was late; `taut record /visualization/markers` keeps the markers as MCAP,
 which Foxglove shows; `taut bridge-ros` brings them to rviz.")]
 struct Cli {
     #[command(subcommand)]

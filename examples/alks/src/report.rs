@@ -119,7 +119,7 @@ impl Report {
             let (name, max_ms) = (&row.times.name, row.times.max_ms);
             let bound_ms = row.bound_ms.unwrap_or(0.0);
             complaints.push(format!(
-                "{name}: {max_ms:.3} ms, the bound is {bound_ms:.3} ms; the host took {} ms in this run (steal); `taut report --watch` meanwhile explains each response above its bound",
+                "{name}: {max_ms:.3} ms, the bound is {bound_ms:.3} ms; the host took {} ms in this run (steal); of a run by itself `taut report --watch` meanwhile explains each response above its bound",
                 self.steal_ticks * 10
             ));
         }

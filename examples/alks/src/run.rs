@@ -22,9 +22,10 @@ const DOMAIN: &str = "87";
 /// Whether processes account for the time of their cores, by which `taut report` explains what was late.
 const CORE_TIME: &str = "TAUT_CORE_TIME";
 /// What in the environment would set a system otherwise than it is said.
-const INHERITED: [&str; 9] = [
+const INHERITED: [&str; 10] = [
     "TAUT_DOMAIN",
     CORE_TIME,
+    "TAUT_HOLD_IDLE",
     "FASTDDS_BUILTIN_TRANSPORTS",
     "FASTDDS_DEFAULT_PROFILES_FILE",
     "FASTRTPS_DEFAULT_PROFILES_FILE",

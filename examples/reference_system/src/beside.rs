@@ -20,9 +20,10 @@ const ELSEWHERE: &str = "From elsewhere, on a like system, 60 s, p99 of three re
 /// Nobody else's.
 const DOMAIN: &str = "88";
 /// What in the environment would set a system otherwise than it is said.
-const INHERITED: [&str; 9] = [
+const INHERITED: [&str; 10] = [
     "TAUT_DOMAIN",
     "TAUT_CORE_TIME",
+    "TAUT_HOLD_IDLE",
     "FASTDDS_BUILTIN_TRANSPORTS",
     "FASTDDS_DEFAULT_PROFILES_FILE",
     "FASTRTPS_DEFAULT_PROFILES_FILE",

@@ -19,7 +19,7 @@ use crate::Result;
 const LEAD_NS: u64 = 200_000_000;
 
 /// Runs all nodes in this process, which then is a process without nodes again. `least`: what is taken from a job is noted, for `taut report`,
-/// if it is as long.
+/// if it is as long; `None`: as the environment says.
 pub fn run(
     job: &Job,
     load: &Load,
@@ -30,7 +30,10 @@ pub fn run(
     let realtime = if job.realtime { Realtime::Required } else { Realtime::Off };
     // What the analysis refuses is measured, too.
     let context = Context::builder().system(file).realtime(realtime).admission(Admission::Force);
-    let context = context.account_core_time(least).build()?;
+    let context = match least {
+        Some(least) => context.account_core_time(Some(least)).build()?,
+        None => context.build()?,
+    };
     let window = window(job);
     let records = Arc::new(Records::new(window));
     let first_ns = monotonic_ns() + LEAD_NS;

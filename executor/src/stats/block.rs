@@ -194,8 +194,8 @@ pub struct CallbackSnapshot {
     pub response: HistogramSnapshot,
     /// CPU times of jobs.
     pub execution: HistogramSnapshot,
-    /// Jobs that took longer than the bound, or used more than their budget, and what was taken from the callback's core: the latest 128,
-    /// the oldest first.
+    /// Jobs that took longer than the bound, what they waited, or used more than their budget, and what was taken from the callback's core: the
+    /// latest 128, the oldest first.
     pub moments: Vec<Moment>,
     /// How many older ones there were.
     pub older_moments: u64,

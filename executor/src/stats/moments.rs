@@ -42,8 +42,8 @@ pub enum MomentKind {
     Overran,
     /// The sampler served events: the processor time that it used for them.
     Served,
-    /// A job that was [`Late`](Self::Late) did not have the core: how long from its release to its begin, while nobody woke its thread or others
-    /// ran, and while others preempted it.
+    /// A job that was [`Late`](Self::Late) did not have the core: since its release, or since the job before on its thread ended, until it began,
+    /// while nobody woke its thread or others ran; and while others preempted it.
     Waited,
 }
 

@@ -347,7 +347,7 @@ pub fn flight(taut: &Taut, quick: bool) -> Result<(Flight, Vec<String>)> {
 
 /// The flight for ten minutes, into a ring of files: the recorder's memory meanwhile; the second value is what does not hold.
 pub fn memory(taut: &Taut, quick: bool) -> Result<(Memory, Vec<String>)> {
-    let (seconds, image, file) = if quick { (3_u64, MIB, "16MB") } else { (600, 8 * MIB, "4GB") };
+    let (seconds, image, file) = if quick { (3_u64, MIB, "16MB") } else { (600, 8 * MIB, "2GB") };
     println!("\ntaut record for {seconds} s, a ring of 4 files of {file}\n");
     let (folder, participant) = (folder()?, Participant::new(crate::DOMAIN)?);
     let robot = Robot::new(&participant, image)?;
@@ -394,6 +394,9 @@ impl Memory {
             broken.push(format!("taut record: {messages} of {wanted} messages were recorded, {lost} lost"));
         }
         // In three seconds it has not yet used all that it uses.
+        if resident_kb.len() as u64 * 2 < self.seconds {
+            broken.push("taut record: its memory could not be read".to_owned());
+        }
         if !quick && later > first + MOST_GROWTH_KB {
             broken.push(format!("taut record: its memory grew from {first} to {later} kB"));
         }
