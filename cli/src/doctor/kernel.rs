@@ -170,7 +170,7 @@ pub fn steal(host: &Host) -> Checked {
             format!("{stolen} ticks of 10 ms since booting on cores {cores}, {share:.3} % of the time"),
         )
         .costs(MEASURE)
-        .fix("the hypervisor gives these cores to others: give each virtual processor a physical one of its own, or use no virtual machine")),
+        .fix("the hypervisor gives these cores to others: give each virtual processor a physical one of its own, or use no virtual machine; if it has a quota, TAUT_HOLD_IDLE=off uses less of it")),
     }
 }
 
