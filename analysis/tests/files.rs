@@ -101,6 +101,11 @@ fn the_other_examples_are_schedulable() {
     // From the lidar's 4 ms on one host over the network, planning on the other, and back.
     let chain = &example("two-hosts").chains[0];
     assert!((20_000_000..24_000_000).contains(&chain.latency_ns.unwrap()), "{chain:?}");
+    // Over the network, and through a join, there is more on the way than the responses of callbacks.
+    assert_eq!((&chain.stages, &example("fusion").chains[0].stages), (&None, &None));
+    let lanes = example("../alks/system");
+    let names = lanes.chains[0].stages.iter().flatten().map(|at| lanes.callbacks[*at].entry.name.as_str());
+    assert_eq!(names.collect::<Vec<_>>(), ["imu", "on_odometry", "show_odometry"]);
 }
 
 #[test]
@@ -119,6 +124,7 @@ fn a_good_file_and_what_it_says() {
     assert_eq!(checked.callbacks[2].capacity, Some(2));
     // 2 + 3 + (1 + 1 + 3): the other message, and one job of `plan`.
     assert_eq!(checked.chains[0].latency_ns, Some(10_000_000));
+    assert_eq!(checked.chains[0].stages, Some(vec![0, 1, 2]));
     assert!(checked.warnings[0].contains("no [overheads]"), "{:?}", checked.warnings);
 }
 

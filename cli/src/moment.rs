@@ -5,6 +5,9 @@ use serde::{Deserialize, Serialize};
 use tautline::MomentKind;
 use tautline_analysis::taken::{Seen, Taken};
 
+/// To this it is accounted for what was taken: what is shorter, and a wake that is late by less, may not be noted.
+pub const ACCOUNTED_TO_NS: u64 = 100_000;
+
 /// As [`tautline::Moment`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Moment {

@@ -8,6 +8,8 @@ use tautline::rt::Interruptions;
 use tautline_analysis::taken::{Seen, TakenTimes, response_time_with};
 use tautline_analysis::{Overheads, Task};
 
+use crate::moment::ACCOUNTED_TO_NS;
+
 mod text;
 
 pub use text::write_table;
@@ -112,9 +114,6 @@ pub struct Worst {
     /// What the prediction allows with all of that before its end; `None` (null) if that is too much for any.
     pub allowed_ms: Option<f64>,
 }
-
-/// To this it is accounted for what was taken: a wake that is late by less is not noted.
-const ACCOUNTED_TO_NS: u64 = 100_000;
 
 const NOT_MIDDLEWARE: &[Seen] = &[Seen::Running, Seen::WokenLate, Seen::Waited];
 

@@ -236,23 +236,24 @@ pub fn bound_exceeded(
         if seen.unfinished_ns == Some(longest_ns) { " so far, for its job has not ended" } else { "" };
     let host = match share {
         Some(Share { beyond, waited, unexplained, longest: Some(longest), .. }) => {
-            let waits = format!(
-                ", {waited} of {beyond} such responses by waits for the core beyond the analysis: for threads that the file lacks, or for a \
-                 host that does not run a core when it is woken"
-            );
-            let nothing = format!(
-                ", {unexplained} of {beyond} such responses with less taken by the host{} than that explains",
-                if longest.overran_ns > 0 { " and by jobs beyond their wcet" } else { "" },
-            );
-            let known = match waited + unexplained {
-                0 => format!(
-                    ", explained for all {beyond} such responses that are known, of which there are more, or one that goes on"
-                ),
-                _ => String::new(),
-            };
-            let [waits, nothing] = [(*waited, waits), (*unexplained, nothing)]
-                .map(|(count, text)| if count > 0 { text } else { String::new() });
-            format!("{known}{waits}{nothing} (of one of {}, {})", Time(longest.response_ns), took(longest))
+            let mut text = String::new();
+            if *waited > 0 {
+                text += &format!(
+                    ", {waited} of {beyond} such responses by waits for the core beyond the analysis: for threads that the file lacks, or \
+                     for a host that does not run a core when it is woken"
+                );
+            }
+            if *unexplained > 0 {
+                let jobs = if longest.overran_ns > 0 { " and by jobs beyond their wcet" } else { "" };
+                text += &format!(
+                    ", {unexplained} of {beyond} such responses with less taken by the host{jobs} than that explains"
+                );
+            }
+            if text.is_empty() {
+                text =
+                    format!(", {beyond} such responses are explained, but not all are known, or one goes on");
+            }
+            format!("{text} (before the end of one of {}, {})", Time(longest.response_ns), took(longest))
         }
         _ => String::new(),
     };
@@ -280,7 +281,7 @@ pub fn host_took(predicted: &CheckedCallback, share: &Share) -> String {
         _ => ["what was taken", "mend the wcet that was exceeded"],
     };
     format!(
-        "{}: {} beyond its bound, by {by}: the longest was {}, of which {}; {rest}",
+        "{}: {} beyond its bound, by {by}: the longest was {}, before whose end {}; {rest}",
         predicted.entry.name,
         times(share.beyond),
         Time(longest.response_ns),

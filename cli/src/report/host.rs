@@ -7,7 +7,7 @@ use tautline_analysis::file::{CheckedCallback, CheckedSystem};
 use tautline_analysis::taken::{Seen, Taken, TakenTimes, response_time_with};
 
 use super::run::{Callback, Process, Run};
-use crate::moment::{Kind, Moment};
+use crate::moment::{ACCOUNTED_TO_NS, Kind, Moment};
 
 /// What was taken from each core, of those on which somebody looked.
 pub struct Host<'c> {
@@ -51,7 +51,7 @@ pub struct Share {
     pub complete: bool,
 }
 
-/// A response, and what was taken while it lasted.
+/// A response, and what was taken before its end: while it lasted, and a period before that.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Longest {
     pub response_ns: u64,
@@ -137,7 +137,7 @@ impl<'c> Host<'c> {
         for late in seen.moments.iter().filter(is_beyond) {
             let is_explained_by = |times: &TakenTimes| {
                 let allowed_ns = self.bound_ns(predicted, |window_ns| times.before(late.to_ns, window_ns));
-                allowed_ns.is_some_and(|allowed_ns| late.length_ns <= allowed_ns)
+                allowed_ns.is_some_and(|ns| late.length_ns <= ns.saturating_add(ACCOUNTED_TO_NS))
             };
             let waited = !is_explained_by(&taken.known);
             let all = match waited {
@@ -151,7 +151,9 @@ impl<'c> Host<'c> {
             share.complete |= Some(late.length_ns) == seen.response.max_ns();
             if (unexplained, waited, late.length_ns) > longest {
                 longest = (unexplained, waited, late.length_ns);
-                let before = |ways: &[Seen]| all.seen(ways).before(late.to_ns, late.length_ns);
+                // What was taken before the release may have delayed it, too.
+                let window_ns = late.length_ns.saturating_add(predicted.period_ns);
+                let before = |ways: &[Seen]| all.seen(ways).before(late.to_ns, window_ns);
                 share.longest = Some(Longest {
                     response_ns: late.length_ns,
                     taken_ns: before(&[Seen::Running, Seen::WokenLate]),
