@@ -100,6 +100,9 @@ impl ContextBuilder {
     /// the kernel's own threads.
     pub const SAMPLER_PRIORITY: u8 = 90;
 
+    /// What is taken from one job is noted if it is as long, where the environment asks for it (`TAUT_CORE_TIME=on`).
+    pub const CORE_TIME_PIECE: Duration = Duration::from_micros(100);
+
     /// The domain, 0 to 232. Otherwise `TAUT_DOMAIN`, else `ROS_DOMAIN_ID`, else 0.
     pub fn domain(mut self, domain: u32) -> Self {
         self.domain = Some(domain);
@@ -259,7 +262,9 @@ impl ContextBuilder {
         let sampler = Sampler::new(&participant)?.with_wait(self.wait);
         let core_time = match self.core_time {
             Some(core_time) => core_time,
-            None => switch_of_environment("TAUT_CORE_TIME")?.unwrap_or(false).then_some(CORE_TIME_PIECE),
+            None => {
+                switch_of_environment("TAUT_CORE_TIME")?.unwrap_or(false).then_some(Self::CORE_TIME_PIECE)
+            }
         };
         if self.hold_idle.is_none() {
             self.hold_idle = switch_of_environment("TAUT_HOLD_IDLE")?;
@@ -349,9 +354,6 @@ fn admission_of_environment(has_system: bool) -> Result<Admission> {
         Some(value) => Err(Error::Environment { variable, value: value.to_owned(), expected }),
     }
 }
-
-/// What is taken from one job counts if it is as long, where the environment asks for it.
-const CORE_TIME_PIECE: Duration = Duration::from_micros(100);
 
 /// `None` if it is not set.
 fn switch_of_environment(variable: &'static str) -> Result<Option<bool>> {

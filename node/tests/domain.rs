@@ -3,8 +3,9 @@
 
 mod common;
 
-use common::run_again;
-use tautline::{Context, Realtime};
+use common::{realtime, run_again, spin};
+use std::time::Duration;
+use tautline::{Context, Node, Realtime};
 
 /// In the child.
 fn describe() -> String {
@@ -52,6 +53,39 @@ fn the_environment_names_the_domain_and_the_policy() {
         let text = String::from_utf8_lossy(&output.stdout).into_owned();
         let said = text.lines().find_map(|line| line.strip_prefix("child: "));
         assert_eq!(said, Some(expected.as_str()), "{variables:?}: {output:?}");
+    }
+}
+
+/// How many times this process holds idle states off.
+fn holds() -> usize {
+    let files = std::fs::read_dir("/proc/self/fd").unwrap();
+    let names = files.filter_map(|file| std::fs::read_link(file.ok()?.path()).ok());
+    names.filter(|name| name.ends_with("cpu_dma_latency")).count()
+}
+
+#[test]
+fn idle_states_are_held_off_unless_the_environment_says_otherwise() {
+    if !realtime() {
+        return;
+    }
+    // One that may not open the device holds nothing, and says so.
+    let most = usize::from(std::fs::OpenOptions::new().write(true).open("/dev/cpu_dma_latency").is_ok());
+    for (value, expected) in [("", most), ("on", most), ("off", 0)] {
+        let name = "idle_states_are_held_off_unless_the_environment_says_otherwise";
+        let Some(output) = run_again(name, &[("TAUT_DOMAIN", "217"), ("TAUT_HOLD_IDLE", value)]) else {
+            let context = Context::create().unwrap();
+            let spinning = spin(&context);
+            // The sampler serves a timer when it holds what it will.
+            let mut node = Node::create(context, "idle", "").unwrap();
+            let mut timer = node.create_wall_timer(Duration::from_millis(1)).unwrap();
+            futures::executor::block_on(timer.tick()).unwrap();
+            println!("\nchild: {}", holds());
+            drop(spinning);
+            return;
+        };
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        let said = text.lines().find_map(|line| line.strip_prefix("child: "));
+        assert_eq!(said, Some(expected.to_string().as_str()), "'{value}': {output:?}");
     }
 }
 

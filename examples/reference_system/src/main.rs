@@ -19,7 +19,6 @@ use std::fs;
 use std::io::{IsTerminal, stderr, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::time::Duration;
 use tautline::rt::permission::realtime_permitted;
 use tautline_reference::{CRUNCHER_LIMIT, Job, Load};
 
@@ -76,9 +75,6 @@ struct Options {
     child: Option<String>,
 }
 
-/// What is taken from a job is noted if it is as long: three system calls before and after each.
-const PIECE: Duration = Duration::from_micros(100);
-
 /// The system files of this example.
 fn own_file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
@@ -105,7 +101,7 @@ fn start(options: &Options) -> Result<ExitCode> {
     if let Some(job) = &options.child {
         let job: Job = serde_json::from_str(job)?;
         let load = Load::measure(job.cruncher_limit);
-        println!("{}", serde_json::to_string(&robot::run(&job, &load, None, |_| {})?)?);
+        println!("{}", serde_json::to_string(&robot::run(&job, &load, false, |_| {})?)?);
         return Ok(ExitCode::SUCCESS);
     }
     let realtime = !options.no_rt && std::env::var("TAUT_REALTIME").as_deref() != Ok("off");
@@ -143,8 +139,8 @@ fn alone(job: &Job, load: &Load, options: &Options) -> Result<()> {
         eprintln!("measuring for {:.0} s", job.seconds);
     }
     let shown = bar.clone();
-    let least = std::env::var_os("TAUT_CORE_TIME").is_none().then_some(PIECE);
-    let kpis = robot::run(job, load, least, move |share| shown.set_position((share * 1000.0) as u64))?;
+    let accounts = std::env::var_os("TAUT_CORE_TIME").is_none();
+    let kpis = robot::run(job, load, accounts, move |share| shown.set_position((share * 1000.0) as u64))?;
     bar.finish_and_clear();
     let report = Report::new(kpis, Some(&bounds));
     table::print(&[&report], &mut stdout().lock())?;

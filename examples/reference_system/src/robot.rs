@@ -7,9 +7,10 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::Poll;
 use std::thread;
-use std::time::Duration;
 use tautline::rt::clock::monotonic_ns;
-use tautline::{Admission, Context, Node, Publisher, Qos, Realtime, Sample, Subscription, Timer};
+use tautline::{
+    Admission, Context, ContextBuilder, Node, Publisher, Qos, Realtime, Sample, Subscription, Timer,
+};
 use tautline_reference::graph::{Callback, NODES, Trigger};
 use tautline_reference::{DEPTH, Input, Job, Kpis, Load, Message4kb, Output, Records, conduct, window};
 
@@ -18,22 +19,22 @@ use crate::Result;
 /// Time between set-up and the first release, which all timers have in common: the critical instant.
 const LEAD_NS: u64 = 200_000_000;
 
-/// Runs all nodes in this process, which then is a process without nodes again. `least`: what is taken from a job is noted, for `taut report`,
-/// if it is as long; `None`: as the environment says.
+/// Runs all nodes in this process, which then is a process without nodes again. If it `accounts` for the time of cores, `taut report`
+/// explains what was late; otherwise the environment says whether.
 pub fn run(
     job: &Job,
     load: &Load,
-    least: Option<Duration>,
+    accounts: bool,
     progress: impl FnMut(f64) + Send + 'static,
 ) -> Result<Kpis> {
     let file = job.system_file.as_deref().ok_or("a system file says who runs where")?;
     let realtime = if job.realtime { Realtime::Required } else { Realtime::Off };
     // What the analysis refuses is measured, too.
-    let context = Context::builder().system(file).realtime(realtime).admission(Admission::Force);
-    let context = match least {
-        Some(least) => context.account_core_time(Some(least)).build()?,
-        None => context.build()?,
-    };
+    let mut context = Context::builder().system(file).realtime(realtime).admission(Admission::Force);
+    if accounts {
+        context = context.account_core_time(Some(ContextBuilder::CORE_TIME_PIECE));
+    }
+    let context = context.build()?;
     let window = window(job);
     let records = Arc::new(Records::new(window));
     let first_ns = monotonic_ns() + LEAD_NS;

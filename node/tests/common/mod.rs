@@ -137,7 +137,7 @@ pub fn run_again(name: &str, variables: &[(&str, &str)]) -> Option<Output> {
     }
     let mut child = Command::new(std::env::current_exe().unwrap());
     child.args(["--exact", name, "--nocapture", "--test-threads=1"]).env(CHILD, "1");
-    for variable in ["TAUT_DOMAIN", "ROS_DOMAIN_ID", "TAUT_REALTIME"] {
+    for variable in ["TAUT_DOMAIN", "ROS_DOMAIN_ID", "TAUT_REALTIME", "TAUT_CORE_TIME", "TAUT_HOLD_IDLE"] {
         child.env_remove(variable);
     }
     Some(child.envs(variables.iter().copied()).output().unwrap())
