@@ -35,6 +35,17 @@ pub enum Seen {
     Overran,
 }
 
+/// Who noticed it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sight {
+    /// What was noticed.
+    pub taken: Taken,
+    /// By which thread: any number that no other thread has. `None`: by the sampler.
+    pub thread: Option<u64>,
+    /// Of that thread; `None`: not known, or it has no real-time priority.
+    pub priority: Option<u8>,
+}
+
 /// All that was taken from a core in a run, each nanosecond once.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct TakenTimes {
@@ -56,10 +67,25 @@ impl TakenTimes {
         TakenTimes::of(noticed.pieces.into_iter().chain(more).collect())
     }
 
-    /// The same, where several threads may have waited at once: waits that overlap are one, the longest.
-    pub fn with_waits(seen: impl IntoIterator<Item = Taken>) -> TakenTimes {
+    /// As [`new`](Self::new), with what threads waited for the core beyond what the analysis allows, those below `priority` left out: a wait
+    /// below delays nobody above. Of a wait, what other threads saw of it is counted off, and waits that overlap are one, the longest.
+    pub fn with_waits(sights: &[Sight], priority: Option<u8>) -> TakenTimes {
+        let counts = |sight: &&Sight| sight.taken.seen != Seen::Waited || sight.priority >= priority;
+        let less = |sight: &Sight| {
+            let Taken { from_ns, to_ns, length_ns, seen } = sight.taken;
+            if seen != Seen::Waited {
+                return sight.taken;
+            }
+            let within = |other: &Taken| {
+                other.length_ns.min(other.to_ns.min(to_ns).saturating_sub(other.from_ns.max(from_ns)))
+            };
+            let others = sights.iter().filter(|other| other.thread != sight.thread);
+            let others = others.filter(|other| matches!(other.taken.seen, Seen::Running | Seen::Overran));
+            let others_ns: u64 = others.map(|other| within(&other.taken)).sum();
+            Taken { length_ns: length_ns.saturating_sub(others_ns), ..sight.taken }
+        };
         let (waits, rest): (Vec<Taken>, Vec<Taken>) =
-            seen.into_iter().partition(|piece| piece.seen == Seen::Waited);
+            sights.iter().filter(counts).map(less).partition(|piece| piece.seen == Seen::Waited);
         let waits = TakenTimes::default().what_is_more_of(waits);
         TakenTimes::new(rest.into_iter().chain(waits))
     }
@@ -241,17 +267,27 @@ mod tests {
     fn waits_of_several_threads_are_one() {
         use Seen::{Overran, Running, Waited, WokenLate};
         // Two threads waited at once, and a clock was late for 8 more than they; one that waited for nothing spans it and the next wait.
+        let sight = |thread, priority, taken| Sight { taken, thread: Some(thread), priority: Some(priority) };
         let seen = [
-            piece(Waited, 100, 160, 40),
-            piece(Waited, 110, 170, 50),
-            piece(WokenLate, 150, 230, 58),
-            piece(Waited, 90, 420, 0),
-            piece(Waited, 400, 410, 10),
-            piece(Running, 500, 510, 3),
-            piece(Overran, 500, 510, 4),
+            sight(1, 9, piece(Waited, 100, 160, 40)),
+            sight(2, 8, piece(Waited, 110, 170, 50)),
+            Sight { taken: piece(WokenLate, 150, 230, 58), thread: None, priority: None },
+            sight(3, 8, piece(Waited, 90, 420, 0)),
+            sight(1, 9, piece(Waited, 400, 410, 10)),
+            sight(4, 9, piece(Running, 500, 510, 3)),
+            sight(4, 9, piece(Overran, 500, 510, 4)),
         ];
-        let taken = TakenTimes::with_waits(seen);
+        let taken = TakenTimes::with_waits(&seen, Some(8));
         assert_eq!(lengths(&taken), [(100, 50), (150, 8), (400, 10), (500, 3), (500, 4)], "{taken:?}");
+        // Those below are left out; what two others saw of a wait is not that wait's.
+        let taken = TakenTimes::with_waits(&seen, Some(9));
+        assert_eq!(lengths(&taken), [(100, 40), (150, 18), (400, 10), (500, 3), (500, 4)], "{taken:?}");
+        let more = seen.into_iter().chain([sight(5, 9, piece(Waited, 495, 520, 12))]).collect::<Vec<_>>();
+        let taken = TakenTimes::with_waits(&more, Some(9));
+        assert_eq!(taken.seen(&[Waited]).total_ns(), 40 + 10 + 5, "{taken:?}");
+        // What a thread saw itself is no part of its wait.
+        let more = seen.into_iter().chain([sight(4, 9, piece(Waited, 495, 520, 12))]).collect::<Vec<_>>();
+        assert_eq!(TakenTimes::with_waits(&more, Some(9)).seen(&[Waited]).total_ns(), 40 + 10 + 12);
     }
 
     #[test]

@@ -61,7 +61,8 @@ impl CoreTimeAccount {
 }
 
 /// Where the sampler accounts for its core: the [moments](crate::CallbackSnapshot::moments) are what was taken from it, timers that were
-/// served 100 µs late, and what the sampler used to serve events, each if it is as long as [`Executor::account_core_time`] says.
+/// served 100 µs late, how long it waited for the core, and what it used to serve events, each if it is as long as
+/// [`Executor::account_core_time`] says.
 ///
 /// [`Executor::account_core_time`]: crate::Executor::account_core_time
 #[derive(Debug)]
@@ -125,6 +126,7 @@ impl SamplerAccount {
         self.asleep.set(Some(now));
         if let Some((awake, used_ns)) = self.awake.take() {
             note_taken(&self.stats, &awake, &now, self.least_ns);
+            note_wait(&self.stats, &awake, &now, self.least_ns);
             let length_ns = now.used_ns.saturating_sub(used_ns);
             if length_ns >= self.least_ns {
                 // What it took to wake lies just before.
@@ -141,6 +143,7 @@ impl SamplerAccount {
     pub fn woke(&self, due_ns: Option<u64>) {
         let now = self.clock.mark();
         let Some(asleep) = self.asleep.get() else { return };
+        note_wait(&self.stats, &asleep, &now, self.least_ns);
         // A ring came first: it has not slept.
         let since = if now.sleeps == asleep.sleeps { asleep } else { now };
         let mut used_ns = asleep.used_ns;
@@ -165,12 +168,43 @@ fn note_taken(stats: &CallbackStats, begun: &CoreMark, now: &CoreMark, least_ns:
     }
 }
 
+/// What the sampler waited for the core between two marks: at the end of that time, if it slept before.
+fn note_wait(stats: &CallbackStats, before: &CoreMark, now: &CoreMark, least_ns: u64) {
+    if let Some(length_ns) = before.waited_until(now).filter(|ns| *ns >= least_ns) {
+        let to_ns = now.from_ns;
+        let from_ns =
+            if now.sleeps == before.sleeps { before.to_ns } else { to_ns.saturating_sub(length_ns) };
+        stats.note(&Moment { kind: MomentKind::Waited, from_ns, to_ns, length_ns });
+    }
+}
+
 #[cfg(test)]
 #[allow(clippy::disallowed_methods, clippy::unwrap_used, clippy::indexing_slicing, reason = "a test")]
 mod tests {
     use super::*;
     use crate::{Executor, Realtime};
     use std::time::Duration;
+
+    #[test]
+    fn the_sampler_waits_after_it_was_woken_or_while_it_serves() {
+        let executor = Executor::new(Realtime::Off).account_core_time(Some(Duration::ZERO));
+        let sampler = executor.sampler_statistics().unwrap().unwrap();
+        let mark = |at_ns: u64, waited_ns: u64, sleeps: u64| CoreMark {
+            from_ns: at_ns,
+            to_ns: at_ns + 1,
+            used_ns: 0,
+            waited_ns,
+            sleeps,
+        };
+        let note = |before: CoreMark, now: CoreMark| note_wait(sampler.stats(), &before, &now, 100);
+        note(mark(1_000, 50, 3), mark(9_000, 149, 4));
+        note(mark(1_000, 50, 3), mark(9_000, u64::MAX, 4));
+        note(mark(1_000, 50, 3), mark(9_000, 450, 4));
+        note(mark(1_000, 50, 3), mark(2_000, 450, 3));
+        let seen = sampler.stats().snapshot().unwrap().moments;
+        let seen: Vec<_> = seen.iter().map(|of| (of.kind, of.from_ns, of.to_ns, of.length_ns)).collect();
+        assert_eq!(seen, [(MomentKind::Waited, 8_600, 9_000, 400), (MomentKind::Waited, 1_001, 2_000, 400)]);
+    }
 
     #[test]
     fn a_late_job_was_without_the_core_since_its_release_or_the_job_before() {

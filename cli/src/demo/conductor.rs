@@ -167,7 +167,9 @@ fn assemble(
         handled => share(published.cpu_ns, published.messages) + share(measured.overhead_cpu_ns, handled),
     };
     let moments_overwritten = published.seen.overwritten + measured.seen.overwritten;
-    let losses = losses(&published.seen, &measured);
+    let sampler_priority = application::sampler_priority(args)?;
+    let sampler_first = topics.iter().all(|topic| topic.priority < sampler_priority);
+    let losses = losses(&published.seen, &measured, sampler_first);
     // All that was seen is in the last: the topic below all others.
     let all = losses.last().cloned().unwrap_or_default();
     let taken = all.seen(&[Seen::Running, Seen::WokenLate]);
@@ -198,7 +200,7 @@ fn assemble(
         topics: report::topic_reports(runs, &costs),
         preemption: format!("{}{mode}", info.preemption),
         overhead_us: overhead_ns as f64 / 1e3,
-        sampler_priority: application::sampler_priority(args)?,
+        sampler_priority,
         interruption_us: regular_ns as f64 / 1e3,
         interrupted_percent: 100.0 * total_ns as f64 / window_ns.max(1) as f64,
         longest_interruption_us: longest_ns as f64 / 1e3,

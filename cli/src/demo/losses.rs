@@ -7,24 +7,33 @@
 
 use super::application::Collected;
 use super::protocol::{Job, Measured};
-use crate::moment::Moment;
+use crate::moment::{Kind, Moment};
 use tautline_analysis::taken::{Seen, Taken, TakenTimes};
 
-/// Of each topic, highest priority first: what may have kept its jobs from the core.
-pub fn losses(publisher: &Collected, subscriber: &Measured) -> Vec<TakenTimes> {
+/// Of each topic, highest priority first: what may have kept its jobs from the core. `sampler_first`: the subscriber's sampler is above its
+/// callbacks, so it does not wait for them.
+pub fn losses(publisher: &Collected, subscriber: &Measured, sampler_first: bool) -> Vec<TakenTimes> {
     // Of all waits, the jobs tell.
     let taken = |moments: &[Moment]| {
         let taken = moments.iter().filter_map(Moment::taken);
         taken.filter(|piece| piece.seen != Seen::Waited).collect::<Vec<_>>()
     };
-    let worker = taken(&publisher.by_callbacks.concat());
+    let by_worker = publisher.by_callbacks.concat();
+    let worker = taken(&by_worker);
     // Nothing of the demo is above the publisher's sampler: what it waited when it was due was not let go of.
     let served = taken(&publisher.by_sampler).into_iter().map(|piece| match piece.seen {
         Seen::WokenLate => Taken { length_ns: piece.to_ns - piece.from_ns, ..piece },
         _ => piece,
     });
+    let (late, served): (Vec<Taken>, Vec<Taken>) = served.partition(|piece| piece.seen == Seen::WokenLate);
+    let mut waited = waits(&by_worker, &late, served.iter().copied());
+    if sampler_first {
+        let above = served.iter().chain(&worker).chain(&waited).copied().collect::<Vec<_>>();
+        waited.extend(waits(&subscriber.seen.by_sampler, &[], above));
+    }
+    let served = late.into_iter().chain(served);
     let samplers = served.chain(taken(&subscriber.seen.by_sampler));
-    let middleware: Vec<Taken> = worker.into_iter().chain(samplers).collect();
+    let middleware: Vec<Taken> = worker.into_iter().chain(samplers).chain(waited).collect();
     let topics: Vec<_> = subscriber.seen.by_callbacks.iter().map(|moments| taken(moments)).collect();
     let used = |pieces: &[Taken]| {
         pieces.iter().filter(|piece| piece.seen == Seen::Overran).copied().collect::<Vec<_>>()
@@ -42,6 +51,20 @@ pub fn losses(publisher: &Collected, subscriber: &Measured) -> Vec<TakenTimes> {
         TakenTimes::new(middleware.iter().copied().chain(host).chain(used).chain(waited))
     };
     (0..topics.len()).map(of_topic).collect()
+}
+
+/// What others had while a thread waited, of which this is noted: it waits for nobody else than `known`, and is woken when what was `late` is over.
+fn waits(moments: &[Moment], late: &[Taken], known: impl IntoIterator<Item = Taken>) -> Vec<Taken> {
+    let mut woken_ns: Vec<u64> = late.iter().map(|piece| piece.to_ns).collect();
+    woken_ns.sort_unstable();
+    let jobs = moments.iter().filter(|moment| moment.kind == Kind::Waited).map(|wait| {
+        let before = woken_ns.partition_point(|woken_ns| *woken_ns <= wait.to_ns);
+        let last_ns = before.checked_sub(1).map_or(0, |last| woken_ns[last]);
+        let ready_ns = last_ns.max(wait.from_ns);
+        let waited_ns = wait.length_ns.saturating_sub(ready_ns - wait.from_ns);
+        Job { release_ns: wait.from_ns, ready_ns, begin_ns: ready_ns, end_ns: wait.to_ns, waited_ns }
+    });
+    had_by_others(&[&jobs.collect::<Vec<_>>()], known).concat()
 }
 
 /// Of each topic, what others had while its jobs waited: from the jobs of each, highest priority first, and from what the demo's threads
@@ -88,7 +111,6 @@ fn had_by_others(topics: &[&[Job]], besides: impl IntoIterator<Item = Taken>) ->
 mod tests {
     use super::*;
     use crate::demo::protocol::TopicMeasured;
-    use crate::moment::Kind;
 
     fn job(begin_ns: u64, end_ns: u64, waited_ns: u64) -> Job {
         Job { release_ns: begin_ns, ready_ns: begin_ns, begin_ns, end_ns, waited_ns }
@@ -129,6 +151,19 @@ mod tests {
         assert_eq!(found(&[&upper, &lower], &[]), [vec![], vec![]]);
     }
 
+    #[test]
+    fn who_was_woken_late_waits_from_then_on() {
+        // Due at 100, the sampler was served at 106 and used 2; the worker had the core from 115 to 118. The next one waited only for the sampler.
+        let late =
+            |from_ns, to_ns| Taken { from_ns, to_ns, length_ns: to_ns - from_ns, seen: Seen::WokenLate };
+        let served = |from_ns, to_ns| Taken { seen: Seen::Overran, ..late(from_ns, to_ns) };
+        let noted = [moment(Kind::Waited, 100, 118, 15), moment(Kind::Waited, 200, 209, 2)];
+        let known = [served(106, 108), served(200, 202)];
+        let pieces = waits(&noted, &[late(100, 106)], known);
+        assert_eq!(pieces, [Taken { seen: Seen::Waited, length_ns: 15 - 6 - 2, ..late(106, 118) }]);
+        assert_eq!(waits(&[moment(Kind::Late, 100, 118, 18)], &[], []), []);
+    }
+
     fn moment(kind: Kind, from_ns: u64, to_ns: u64, length_ns: u64) -> Moment {
         Moment { kind, from_ns, to_ns, length_ns }
     }
@@ -144,12 +179,17 @@ mod tests {
         let upper = vec![moment(Kind::Overran, 90, 136, 4), moment(Kind::Taken, 105, 135, 1)];
         let lower = vec![moment(Kind::Overran, 40, 191, 9), moment(Kind::Late, 0, 900, 900)];
         let topic = |jobs| TopicMeasured { jobs, ..TopicMeasured::default() };
+        let wait = moment(Kind::Waited, 300, 340, 40);
         let subscriber = Measured {
             topics: vec![topic(vec![job(105, 135, 0)]), topic(vec![job(50, 190, 3 + 2 + 30 + 4 + 7)])],
-            seen: Collected { by_callbacks: vec![upper, lower], ..Collected::default() },
+            seen: Collected {
+                by_callbacks: vec![upper, lower],
+                by_sampler: vec![wait],
+                ..Collected::default()
+            },
             ..Measured::default()
         };
-        let all = losses(&publisher, &subscriber);
+        let all = losses(&publisher, &subscriber, false);
         let of = |index: usize, seen| all[index].seen(&[seen]).total_ns();
         // Late by what it waited, too; of a job below only what the host took counts for one above.
         assert_eq!(
@@ -161,5 +201,9 @@ mod tests {
             [Seen::WokenLate, Seen::Running, Seen::Overran, Seen::Waited].map(|seen| of(1, seen)),
             [3, 1, 18, 7]
         );
+        // What a sampler above all topics waited has kept them from being woken.
+        let waited_ns =
+            losses(&publisher, &subscriber, true).into_iter().map(|all| all.seen(&[Seen::Waited]).total_ns());
+        assert_eq!(waited_ns.collect::<Vec<_>>(), [40, 7 + 40]);
     }
 }

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use tautline_analysis::file::{CheckedCallback, CheckedSystem};
-use tautline_analysis::taken::{Seen, Taken, TakenTimes, response_time_with};
+use tautline_analysis::taken::{Seen, Sight, Taken, TakenTimes, response_time_with};
 
 use super::run::{Callback, Process, Run};
 use crate::moment::{ACCOUNTED_TO_NS, Kind, Moment};
@@ -24,14 +24,6 @@ struct CoreTimes {
     known: TakenTimes,
     /// All that was seen, waits beyond what the analysis allows among it.
     seen: Vec<Sight>,
-}
-
-/// Who saw it.
-struct Sight {
-    taken: Taken,
-    /// The callback that did, if it was one: its process, and its thread.
-    thread: Option<(u32, u32)>,
-    priority: Option<u8>,
 }
 
 /// What it did to a callback.
@@ -68,16 +60,6 @@ impl<'c> Host<'c> {
         let mut cores: BTreeMap<(String, usize), CoreTimes> = BTreeMap::new();
         for process in &run.processes {
             let is_served = is_served_first(process, run);
-            let counts = |demotions: u64| {
-                move |moment: &&Moment| match moment.kind {
-                    Kind::WokenLate => is_served,
-                    // What was demoted or slept took nothing from others, and waited by itself.
-                    Kind::Overran | Kind::Waited => demotions == 0,
-                    // That is in the overheads of the file.
-                    Kind::Served => false,
-                    Kind::Late | Kind::Taken => true,
-                }
-            };
             let mut note = |core, sights: &mut dyn Iterator<Item = Sight>| {
                 cores.entry((process.host.clone(), core)).or_default().seen.extend(sights);
             };
@@ -90,10 +72,17 @@ impl<'c> Host<'c> {
                         }
                         _ => taken,
                     };
-                    let (thread, priority) = (Some((process.pid, callback.tid)), callback.priority);
+                    let thread = u64::from(process.pid) << 32 | u64::from(callback.tid);
+                    let (thread, priority) = (Some(thread), callback.priority);
                     let sight = |taken| Sight { taken: beyond(taken), thread, priority };
-                    let moments = callback.moments.iter().filter(counts(callback.demotions));
-                    note(core, &mut moments.filter_map(Moment::taken).map(sight));
+                    // What was demoted or slept took nothing from others, and waited by itself.
+                    let counts = |of: &&Moment| {
+                        callback.demotions == 0 || !matches!(of.kind, Kind::Overran | Kind::Waited)
+                    };
+                    note(
+                        core,
+                        &mut callback.moments.iter().filter(counts).filter_map(Moment::taken).map(sight),
+                    );
                 }
             }
             let Some(sampler) = &process.sampler else { continue };
@@ -105,9 +94,16 @@ impl<'c> Host<'c> {
                     Seen::Running if sampler.core != Some(core) => Taken { seen: Seen::WokenLate, ..taken },
                     _ => taken,
                 };
-                let taken = sampler.moments.iter().filter(counts(0)).filter_map(Moment::taken);
-                let sight = |taken| Sight { taken: as_seen(taken), thread: None, priority: None };
-                note(core, &mut taken.map(sight));
+                let counts = |of: &&Moment| match of.kind {
+                    // It waits for nobody of the file.
+                    Kind::WokenLate | Kind::Waited => is_served,
+                    // That is in the overheads of the file.
+                    Kind::Served => false,
+                    _ => true,
+                };
+                let priority = process.sampler_priority;
+                let sight = |taken| Sight { taken: as_seen(taken), thread: None, priority };
+                note(core, &mut sampler.moments.iter().filter(counts).filter_map(Moment::taken).map(sight));
             }
         }
         for times in cores.values_mut() {
@@ -141,7 +137,7 @@ impl<'c> Host<'c> {
             };
             let waited = !is_explained_by(&taken.known);
             let all = match waited {
-                true => with_waits.get_or_insert_with(|| taken.with_waits(seen.priority)),
+                true => with_waits.get_or_insert_with(|| TakenTimes::with_waits(&taken.seen, seen.priority)),
                 false => &taken.known,
             };
             let unexplained = waited && !is_explained_by(all);
@@ -202,28 +198,6 @@ impl<'c> Host<'c> {
             )
         };
         self.cores.iter().filter(|(_, times)| !times.host.pieces().is_empty()).map(line).collect()
-    }
-}
-
-impl CoreTimes {
-    /// What was known, and the waits of callbacks that are not below this priority: a wait below delays nobody above. Of a wait, what other threads saw of
-    /// it is counted off.
-    fn with_waits(&self, priority: Option<u8>) -> TakenTimes {
-        let counts = |sight: &&Sight| sight.taken.seen != Seen::Waited || sight.priority >= priority;
-        let less = |sight: &Sight| {
-            let Taken { from_ns, to_ns, length_ns, seen } = sight.taken;
-            if seen != Seen::Waited {
-                return sight.taken;
-            }
-            let within = |other: &Taken| {
-                other.length_ns.min(other.to_ns.min(to_ns).saturating_sub(other.from_ns.max(from_ns)))
-            };
-            let others = self.seen.iter().filter(|other| other.thread != sight.thread);
-            let others = others.filter(|other| matches!(other.taken.seen, Seen::Running | Seen::Overran));
-            let others_ns: u64 = others.map(|other| within(&other.taken)).sum();
-            Taken { length_ns: length_ns.saturating_sub(others_ns), ..sight.taken }
-        };
-        TakenTimes::with_waits(self.seen.iter().filter(counts).map(less))
     }
 }
 

@@ -28,8 +28,9 @@ const REFRESH: Duration = Duration::from_secs(1);
 /// Compares what callbacks did with what was predicted
 ///
 /// Reads the statistics of every process of the domain whose context has a system file, without disturbing it, and sets
-/// them beside the analysis of that file: response times and bounds, execution times and wcet, releases and periods,
-/// queues and capacities. Each violated assumption is named, with what to change. Exits with 0 if all were kept, 1 if
+/// them beside the analysis of that file: response times and bounds of callbacks and chains, execution times and wcet, releases and
+/// periods, queues and capacities. A response above its bound comes with what the host or other jobs took from the core, if processes
+/// account for core time (TAUT_CORE_TIME=on). Each violated assumption is named, with what to change. Exits with 0 if all were kept, 1 if
 /// one was violated, 2 if there is nothing to compare.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:

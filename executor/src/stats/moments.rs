@@ -43,7 +43,7 @@ pub enum MomentKind {
     /// The sampler served events: the processor time that it used for them.
     Served,
     /// A job that was [`Late`](Self::Late) did not have the core: since its release, or since the job before on its thread ended, until it began,
-    /// while nobody woke its thread or others ran; and while others preempted it.
+    /// while nobody woke its thread or others ran; and while others preempted it. Or the sampler was ready to run, and did not.
     Waited,
 }
 
