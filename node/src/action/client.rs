@@ -3,7 +3,7 @@
 
 use super::goals::cancel_code;
 use super::state::{GoalStatus, SharedStatus};
-use super::{FEEDBACK_DEPTH, Names, lock, status_qos};
+use super::{FEEDBACK_DEPTH, Names, status_qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{Client, IsAvailablePollable};
@@ -13,12 +13,13 @@ use futures::future::{AbortHandle, Abortable, BoxFuture};
 use futures::stream::FuturesUnordered;
 use futures::{FutureExt, Stream, StreamExt};
 use std::future::{Future, poll_fn, ready};
-use std::sync::{Arc, Mutex, MutexGuard, Weak};
+use std::sync::{Arc, Weak};
 use std::task::{Context, Poll};
 use tautline_executor::CallbackOptions;
 use tautline_msgs::{Action, GoalId, Service};
 use tautline_ros_msgs::action_msgs::msg::GoalStatusArray;
 use tautline_ros_msgs::action_msgs::srv::CancelGoal;
+use tautline_rt::{PiGuard, PiMutex};
 use tautline_transport::{
     Availability, Decode, MAX_PENDING_REQUESTS, ServiceCodec, ServiceError, SubscriptionCounters,
 };
@@ -92,11 +93,11 @@ impl<T: Action> ActionCodec for T {
 /// What an action client's handles share.
 struct ActionClientState<P: ActionCodec> {
     name: String,
-    send_goal: Mutex<Client<P::SendGoal>>,
-    get_result: Mutex<Client<P::GetResult>>,
+    send_goal: PiMutex<Client<P::SendGoal>>,
+    get_result: PiMutex<Client<P::GetResult>>,
     /// Of all threads that have a clone of the action client or of a goal.
-    cancel_goal: Mutex<Client<CancelGoal::Service>>,
-    goals: Mutex<Vec<Goal<P>>>,
+    cancel_goal: PiMutex<Client<CancelGoal::Service>>,
+    goals: PiMutex<Vec<Goal<P>>>,
     /// Results to wait for; when it is closed, the thread that listens ends.
     results: mpsc::UnboundedSender<ResultToCome>,
 }
@@ -129,11 +130,11 @@ impl<P: ActionCodec> ActionClientState<P> {
         messages: Subscription<P::FeedbackMessage>,
     ) -> Result<Arc<Self>> {
         let names = Names::of(action);
-        let (send_goal, get_result) = (Mutex::new(send_goal), Mutex::new(get_result));
-        let cancel_goal = Mutex::new(node.create_client::<CancelGoal::Service>(&names.cancel_goal)?);
+        let (send_goal, get_result) = (PiMutex::new(send_goal), PiMutex::new(get_result));
+        let cancel_goal = PiMutex::new(node.create_client::<CancelGoal::Service>(&names.cancel_goal)?);
         let status = node.subscribe::<GoalStatusArray>(&names.status, status_qos())?.owned();
         let (results, requests) = mpsc::unbounded();
-        let goals = Mutex::new(Vec::new());
+        let goals = PiMutex::new(Vec::new());
         let name = action.to_owned();
         let shared = Arc::new(ActionClientState { name, send_goal, get_result, cancel_goal, goals, results });
         let weak = Arc::downgrade(&shared);
@@ -178,8 +179,8 @@ impl<P: ActionCodec> ActionClientState<P> {
         Ok(shared)
     }
 
-    fn goals(&self) -> MutexGuard<'_, Vec<Goal<P>>> {
-        lock(&self.goals)
+    fn goals(&self) -> PiGuard<'_, Vec<Goal<P>>> {
+        self.goals.lock()
     }
 
     fn pass_on(&self, id: GoalId, feedback: P::Feedback) {
@@ -217,9 +218,9 @@ impl<P: ActionCodec> ActionClientState<P> {
     }
 
     fn availability(&self) -> Result<Vec<Availability>> {
-        let mut all = lock(&self.send_goal).availability()?;
-        all.extend(lock(&self.get_result).availability()?);
-        all.extend(lock(&self.cancel_goal).availability()?);
+        let mut all = self.send_goal.lock().availability()?;
+        all.extend(self.get_result.lock().availability()?);
+        all.extend(self.cancel_goal.lock().availability()?);
         Ok(all)
     }
 
@@ -242,12 +243,12 @@ impl<P: ActionCodec> ActionClientState<P> {
             goals.push(goal_sent);
         }
         let held = Held { id, status, shared: self.clone() };
-        let response = lock(&self.send_goal).request(&P::goal_request(id, goal))?;
+        let response = self.send_goal.lock().request(&P::goal_request(id, goal))?;
         Ok(async move {
             if !P::is_accepted(response.await?)? {
                 return Err(Error::GoalRejected { action: held.shared.name.clone() });
             }
-            let response = lock(&held.shared.get_result).request(&P::result_request(id));
+            let response = held.shared.get_result.lock().request(&P::result_request(id));
             let response = response.map_err(|error| held.give_up(error))?;
             let result = response.map(|response| response.map(P::take_result));
             Ok(held.listen(result.boxed(), received))
@@ -258,7 +259,7 @@ impl<P: ActionCodec> ActionClientState<P> {
     fn cancel(&self, id: GoalId) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<P>> {
         let mut request = CancelGoal::Request::default();
         request.goal_info.goal_id.uuid = id;
-        let response = lock(&self.cancel_goal).request(&request)?;
+        let response = self.cancel_goal.lock().request(&request)?;
         Ok(response.map(|response| match response?.return_code {
             cancel_code::NONE => Ok(()),
             cancel_code::UNKNOWN_GOAL_ID => Err(Error::GoalCancelUnknownGoalID),
@@ -326,14 +327,14 @@ impl<P: ActionCodec> Held<P> {
     fn listen(self, response: ResultFuture<P>, received: mpsc::Receiver<P::Feedback>) -> Sent<P> {
         let (id, shared) = (self.id, self.shared.clone());
         let (sender, result) = oneshot::channel();
-        let response = Arc::new(Mutex::new(Some(response)));
+        let response = Arc::new(PiMutex::new(Some(response)));
         let (abort, registration) = AbortHandle::new_pair();
         // Whoever has the result to come, or the feedback, keeps what listens for them.
         let weak = Arc::downgrade(&shared);
         let awaited = response.clone();
         let deliver = async move {
             let result = poll_fn(|context| {
-                let mut awaited = lock(&awaited);
+                let mut awaited = awaited.lock();
                 // Without one it is about to be aborted.
                 let Some(response) = &mut *awaited else { return Poll::Pending };
                 let result = std::task::ready!(response.poll_unpin(context));
@@ -399,7 +400,7 @@ impl<P: ActionCodec> Drop for Held<P> {
 /// As long as somebody waits for a goal's result or feedback: then the place of the request for the result is given back.
 struct Wanted<P: ActionCodec> {
     /// Until the result is there.
-    response: Arc<Mutex<Option<ResultFuture<P>>>>,
+    response: Arc<PiMutex<Option<ResultFuture<P>>>>,
     /// Ends what listens for it.
     abort: AbortHandle,
     held: Held<P>,
@@ -408,7 +409,7 @@ struct Wanted<P: ActionCodec> {
 impl<P: ActionCodec> Drop for Wanted<P> {
     fn drop(&mut self) {
         // First, so that whoever finds a place by the count finds one for the request.
-        let response = lock(&self.response).take();
+        let response = self.response.lock().take();
         drop(response);
         self.abort.abort();
         if let Some(goal) = self.held.shared.goals().iter_mut().find(|goal| goal.id == self.held.id) {
@@ -518,7 +519,8 @@ impl<T: ActionCodec> ActionClientGoal<T> {
     /// Asks the server to cancel the goal. The future ends when the server has decided.
     ///
     /// # Real-time
-    /// As [`Client::request`](crate::Client::request): the lock is taken only by those who cancel goals of the same action client.
+    /// As [`Client::request`](crate::Client::request): the lock, which inherits priority, is taken only by those who cancel goals of the same
+    /// action client.
     ///
     /// # Errors
     /// [`Error::Service`]: there is no server. The future's: [`Error::GoalCancelRejected`],

@@ -18,7 +18,6 @@ use crate::error::Error;
 use crate::error::Result;
 use crate::node::Node;
 use futures::Stream;
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use tautline_msgs::Action;
 use tautline_transport::Qos;
 
@@ -120,10 +119,6 @@ impl Names {
             status: part("status"),
         }
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Feedback that waits for the client that listens, and feedback of a goal that waits for its reader.

@@ -3,7 +3,7 @@
 
 use super::goals::{Goals, MAX_WAITING, ResultOf, Stamp, cancel_code};
 use super::state::{GoalEvent, GoalStatus, SharedStatus};
-use super::{Names, lock, qos, status_qos};
+use super::{Names, qos, status_qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
 use crate::service::{Reply, ServiceRequest};
@@ -11,7 +11,7 @@ use futures::channel::{mpsc, oneshot};
 use futures::future::{Either, Shared, select};
 use futures::stream::FuturesUnordered;
 use futures::{FutureExt, Stream, StreamExt};
-use std::sync::{Arc, Mutex, MutexGuard, Weak};
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 use tautline_executor::CallbackOptions;
 use tautline_msgs::cdr::Endian;
@@ -19,6 +19,7 @@ use tautline_msgs::{Action, GoalId, Message, Service};
 use tautline_ros_msgs::action_msgs::msg::{GoalInfo, GoalStatus as StatusMsg, GoalStatusArray};
 use tautline_ros_msgs::action_msgs::srv::CancelGoal;
 use tautline_rt::clock::monotonic_ns;
+use tautline_rt::{PiGuard, PiMutex};
 use tautline_sampler::GuardCondition;
 use tautline_transport::Publisher;
 use uuid::Uuid;
@@ -53,11 +54,11 @@ struct Server<T: Action> {
     /// What goals are stamped by, and requests to cancel those of a time mean.
     now: Box<dyn Fn() -> Stamp + Send + Sync>,
     /// Never held while something is published.
-    state: Mutex<State<T>>,
+    state: PiMutex<State<T>>,
     /// Taken by those who pursue goals, never by the thread that answers.
-    feedback: Mutex<Publisher<T::FeedbackMessage>>,
+    feedback: PiMutex<Publisher<T::FeedbackMessage>>,
     /// Held while the status of all goals is gathered and published, so that the newest comes last. Taken before `state`.
-    status_of_all: Mutex<Publisher<GoalStatusArray>>,
+    status_of_all: PiMutex<Publisher<GoalStatusArray>>,
 }
 
 /// What the stream of goals and the goals hold: without them, the thread that answers ends.
@@ -90,8 +91,8 @@ struct Cancels {
 }
 
 impl<T: Action> Server<T> {
-    fn state(&self) -> MutexGuard<'_, State<T>> {
-        lock(&self.state)
+    fn state(&self) -> PiGuard<'_, State<T>> {
+        self.state.lock()
     }
 
     /// Makes an event happen to a goal and says so to everybody.
@@ -157,7 +158,7 @@ impl<T: Action> Server<T> {
 impl<T: Action> Server<T> {
     /// Tells everybody the status of all goals. Not under the lock of the state, which goals' handles take.
     fn publish_status(&self) {
-        let publisher = lock(&self.status_of_all);
+        let publisher = self.status_of_all.lock();
         let status = |(id, accepted, status): (GoalId, Stamp, GoalStatus)| StatusMsg {
             goal_info: goal_info(id, accepted),
             status: status.to_rcl(),
@@ -226,9 +227,9 @@ pub(super) fn create<T: Action>(
     let server = Arc::new(Server {
         name: action.to_owned(),
         now: clock(node),
-        state: Mutex::new(state),
-        feedback: Mutex::new(feedback),
-        status_of_all: Mutex::new(status),
+        state: PiMutex::new(state),
+        feedback: PiMutex::new(feedback),
+        status_of_all: PiMutex::new(status),
     });
     let user = Arc::new(User { server: server.clone(), end });
     let (mut goals, requests) = mpsc::channel(GOALS_WAITING);
@@ -489,8 +490,7 @@ impl<T: Action> ActionServerGoal<T> {
     /// Publishes feedback to all clients; that of this goal passes it on.
     ///
     /// # Real-time
-    /// Takes a lock that only other threads hold which publish feedback of this action: threads of one priority should, or one
-    /// thread. The message's strings and sequences are copied, and freed.
+    /// Takes a lock that inherits priority, which only other threads hold that publish feedback of this action. The message's strings and sequences are copied, and freed.
     ///
     /// # Errors
     /// [`Error::Goal`] if the goal has ended; [`Error::Publish`].
@@ -500,7 +500,7 @@ impl<T: Action> ActionServerGoal<T> {
         match status.get() {
             GoalStatus::Executing | GoalStatus::Canceling => {
                 let message = T::make_feedback_msg(*id, msg);
-                Ok(lock(&server.feedback).publish(&message)?)
+                Ok(server.feedback.lock().publish(&message)?)
             }
             status => Err(server.goal_error(*id, status)),
         }

@@ -5,10 +5,11 @@ use crate::error::{Error, Result};
 use crate::subscription::{Samples, Source};
 use futures::Stream;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::task::{Context, Poll};
 use tautline_msgs::Service;
 use tautline_msgs::cdr::Fill;
+use tautline_rt::PiMutex;
 use tautline_transport::{
     Decode, RawSubscription, Request, RequestId, Response, ServiceCodec, ServiceError, SubscriptionCounters,
     TakeError, UnwrittenResponse,
@@ -76,7 +77,7 @@ impl<T: ServiceCodec> Server<T> {
     /// The stream of owned requests, copied out of shared memory, each to be answered with [`ServiceRequest::respond`], in any thread. The
     /// service ends with the stream and the last request.
     pub fn owned(self) -> impl Stream<Item = ServiceRequest<T>> + Unpin + Send + use<T> {
-        Requests { service: Arc::new(Mutex::new(self)) }
+        Requests { service: Arc::new(PiMutex::new(self)) }
     }
 
     /// Requests received, invalid, highest queue fill: to be read from any thread.
@@ -158,15 +159,16 @@ impl<T: ServiceCodec> Source for tautline_transport::Server<T> {
 
 /// A service's stream of requests with owned messages.
 struct Requests<T: ServiceCodec> {
-    service: Arc<Mutex<Server<T>>>,
+    service: Arc<PiMutex<Server<T>>>,
 }
 
 impl<T: ServiceCodec> Stream for Requests<T> {
     type Item = ServiceRequest<T>;
 
     fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<ServiceRequest<T>>> {
-        let mut service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
-        service.requests.poll_next(context).map(|request| {
+        let taken = self.service.lock().requests.poll_next(context);
+        // Copied when others may take and answer.
+        taken.map(|request| {
             let request = request?;
             let message = request.message().to_owned();
             let reply = Reply { id: request.id(), service: self.service.clone() };
@@ -186,7 +188,8 @@ impl<T: ServiceCodec<Error: Into<Error>>> ServiceRequest<T> {
     /// Answers the request. If its client has gone meanwhile, nothing happens, as in ROS 2.
     ///
     /// # Real-time
-    /// Takes a lock that other threads which answer requests of this service, or take them, hold. [`Server::respond`] takes none.
+    /// Takes a lock that inherits priority, which threads hold while they write and send an answer of this service, or take a request.
+    /// [`Server::respond`] takes none.
     ///
     /// # Errors
     /// [`Error::Service`](crate::Error::Service): the client's queue is full or cannot be reached, the response cannot be written.
@@ -220,19 +223,19 @@ where
 pub(crate) struct Reply<T: ServiceCodec> {
     id: RequestId,
     /// Held while a response is written and sent, and while requests are taken.
-    service: Arc<Mutex<Server<T>>>,
+    service: Arc<PiMutex<Server<T>>>,
 }
 
 impl<T: ServiceCodec<Error: Into<Error>>> Reply<T> {
     /// Whether the client that asked is still there.
     #[cfg(feature = "action_msgs")]
     pub(crate) fn is_awaited(&self) -> bool {
-        let service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
+        let service = self.service.lock();
         service.server().raw().can_answer(self.id.client)
     }
 
     pub(crate) fn respond(self, msg: &T::Response) -> Result<()> {
-        let service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
+        let service = self.service.lock();
         match service.server().respond(self.id, msg).map_err(Into::into) {
             Err(Error::Service(ServiceError::ClientGone { .. })) => Ok(()),
             responded => responded,
