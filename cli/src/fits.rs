@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Publishers and subscriptions of one topic that get nothing from each other.
+//! Publishers and subscriptions of one topic that are incompatible.
 
 use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint};
 use tautline_transport::QosPolicyKind;
@@ -17,7 +17,7 @@ impl Mismatch<'_> {
     /// Why, in a sentence.
     pub fn reason(&self) -> String {
         let policy =
-            self.policy.map(|policy| format!("the {policy} that is offered does not meet what is requested"));
+            self.policy.map(|policy| format!("the offered {policy} does not meet the requested one"));
         let types = self.types_differ.then(|| "their types differ".to_owned());
         policy.into_iter().chain(types).collect::<Vec<_>>().join(", and ")
     }

@@ -451,7 +451,7 @@ fn a_domain_in_which_much_is_wrong() {
     assert_eq!(code, Some(1), "{text}");
     for line in [
         &*format!("bad      node names: 2 nodes are called /map: process {pid}, process {pid}\n"),
-        "bad      qos: /scan: no message gets from /lidar -> /map: the durability that is offered does not meet what\n",
+        "bad      qos: /scan: no message gets from /lidar -> /map: the offered durability does not meet",
         "bad      qos: /scan: no message gets from /lidar -> /map: their types differ\n",
     ] {
         assert!(text.contains(line), "{line} in {text}");

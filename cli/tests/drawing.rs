@@ -140,7 +140,7 @@ fn a_domain_is_drawn() {
     assert_eq!(edge(&picture, "publisher", "/lidar", "/far")["rate_hz"], Value::Null);
     assert_eq!(edge(&picture, "server", "/camera", "/start")["qos"], Value::Null);
     edge(&picture, "client", "/viewer", "/start");
-    let reason = "the reliability that is offered does not meet what is requested";
+    let reason = "the offered reliability does not meet the requested one";
     let expected =
         json!([{ "topic": "/image", "publisher": "/camera", "subscription": "/viewer", "reason": reason }]);
     assert_eq!(picture["mismatches"], expected);

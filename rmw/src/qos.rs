@@ -241,7 +241,7 @@ pub unsafe extern "C" fn rmw_qos_profile_check_compatible(
         let text = match offered.incompatibility(&requested) {
             Some(policy) => {
                 *compatibility = RMW_QOS_COMPATIBILITY_ERROR;
-                format!("ERROR: the {policy} that is offered does not meet the one that is requested;")
+                format!("ERROR: the offered {policy} does not meet the requested one;")
             }
             None if is_open(&publisher) || is_open(&subscription) => {
                 *compatibility = RMW_QOS_COMPATIBILITY_WARNING;

@@ -166,7 +166,7 @@ pub enum LoanError {
     )]
     OutOfMemory,
     /// The publisher's node has ended.
-    #[error("the node of this publisher has ended: keep the node as long as something of it is used")]
+    #[error("the node of this publisher has ended: keep the node while its publishers are in use")]
     Ended,
 }
 

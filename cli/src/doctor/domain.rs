@@ -74,7 +74,7 @@ fn names(graph: &GraphSnapshot) -> Vec<Finding> {
     twice.map(bad).collect()
 }
 
-/// Publishers and subscriptions that get nothing from each other, by topic and reason.
+/// Incompatible publishers and subscriptions, by topic and reason.
 fn mismatches(graph: &GraphSnapshot) -> Vec<Finding> {
     let mut pairs: BTreeMap<(&str, String), BTreeSet<String>> = BTreeMap::new();
     for found in fits::mismatches(graph) {
@@ -84,7 +84,7 @@ fn mismatches(graph: &GraphSnapshot) -> Vec<Finding> {
     let bad = |((topic, reason), pairs): ((&str, String), BTreeSet<String>)| {
         let pairs = pairs.into_iter().collect::<Vec<_>>().join(", ");
         let fix = format!(
-            "change one of them: `taut topic info {topic} -v` shows both; who fits whom is in docs/qos.md"
+            "change one of them: `taut topic info {topic} -v` shows both; docs/qos.md lists what is compatible"
         );
         Finding::new(Verdict::Bad, format!("{topic}: no message gets from {pairs}: {reason}")).fix(fix)
     };

@@ -83,7 +83,7 @@ pub struct Edge {
     pub bound: Option<Bound>,
 }
 
-/// Publishers and subscriptions that get nothing from each other.
+/// Incompatible publishers and subscriptions.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Mismatch {
     pub topic: String,

@@ -67,7 +67,7 @@ fn made_up() -> Picture {
         topic: "/image".into(),
         publisher: "/camera".into(),
         subscription: "/viewer".into(),
-        reason: "the reliability that is offered does not meet what is requested".into(),
+        reason: "the offered reliability does not meet the requested one".into(),
     };
     let chain =
         |name: &str, latency_ns, met| Chain { name: name.into(), latency_ns, deadline_ns: 5_000_000, met };
@@ -259,6 +259,6 @@ fn a_caption_says_what_there_is() {
     let expected = "1 Domain 7: 5 nodes, 3 topics, 1 service, 1 action; rates of 1.0 s; 2 left out, --all shows them\n\
                     1 Chain look_and_steer: latency ≤ 4.200 ms\n\
                     0 Chain look: no bound\n\
-                    0 /image: no message gets from /camera to /viewer: the reliability that is offered does not meet what is requested\n";
+                    0 /image: no message gets from /camera to /viewer: the offered reliability does not meet the requested one\n";
     assert_eq!(all, expected);
 }

@@ -23,7 +23,7 @@ const ABREAST_NS: i64 = 50_000_000;
 /// How often is looked whether there is something to write.
 const PERIOD: Duration = Duration::from_millis(10);
 
-pub struct Keeper {
+pub struct BagWriter {
     statement: Sender<BTreeMap<String, String>>,
     thread: tautline::rt::JoinHandle<Written>,
 }
@@ -38,7 +38,7 @@ pub struct Written {
     pub stall: Duration,
 }
 
-impl Keeper {
+impl BagWriter {
     pub fn start(
         writer: Writer,
         consumer: Consumer<u8>,
@@ -47,11 +47,11 @@ impl Keeper {
         offset_ns: i64,
     ) -> Outcome<Self> {
         let (statement, stated) = channel();
-        let thread = ThreadBuilder::new("keeper").policy(Policy::Other { nice: 0 });
+        let thread = ThreadBuilder::new("bag-writer").policy(Policy::Other { nice: 0 });
         let (kept, scratch) = (Vec::new(), Vec::new());
         let work = Work { writer, consumer, topics, kept, scratch, messages: 0, offset_ns };
         let thread = thread.spawn(move || move || work.run(&is_over, &stated))?;
-        Ok(Keeper { statement, thread })
+        Ok(BagWriter { statement, thread })
     }
 
     /// When all is in the ring: the rest is written, and this.
@@ -98,7 +98,7 @@ impl Work {
             }
         };
         let Work { writer, consumer, messages, .. } = self;
-        // The taker does not wait for room.
+        // The reader does not wait for room.
         drop(consumer);
         is_over.store(true, Ordering::Release);
         let finished = match &failed {
@@ -129,7 +129,7 @@ impl Work {
         let head = Head::from_bytes(head);
         self.look(head.log_ns);
         let whole = HEAD_BYTES + head.cdr_bytes as usize;
-        // The taker is not through with it.
+        // The reader is not through with it.
         let Ok(chunk) = self.consumer.read_chunk(whole) else { return Ok(false) };
         while self.kept.len() <= head.topic as usize {
             // Told before its first message.

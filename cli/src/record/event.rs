@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Requests and responses as events, `package/srv/Name_Event`: what ROS 2's service introspection publishes, and rosbag2 records.
 //!
-//! An event is `service_msgs/ServiceEventInfo info`, `request[<=1]`, `response[<=1]`. The taker puts what is in front of a response
-//! there and copies it behind: it begins at a multiple of 8, as it was written for. A request begins 4 bytes before one, so the keeper
+//! An event is `service_msgs/ServiceEventInfo info`, `request[<=1]`, `response[<=1]`. The reader puts what is in front of a response
+//! there and copies it behind: it begins at a multiple of 8, as it was written for. A request begins 4 bytes before one, so the writer
 //! writes it anew.
 
 use crate::definitions;
@@ -95,7 +95,7 @@ impl Events {
         }
     }
 
-    /// The event of a request, with its encapsulation, from what the taker left.
+    /// The event of a request, with its encapsulation, from what the reader left.
     ///
     /// # Errors
     /// It is no request of the service.

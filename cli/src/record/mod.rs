@@ -1,27 +1,28 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut record`: messages of topics into a bag, unseen by those that publish them.
 //!
-//! This thread looks who is there; `taker` takes what comes and copies it once, into a ring of locked memory; `keeper` writes from there
+//! This thread looks who is there; `reader` takes what comes and copies it once, into a ring of locked memory; `bag_writer` writes from there
 //! to the disk.
 
 mod aside;
+mod bag_writer;
 mod black_box;
 mod choice;
 mod event;
-mod keeper;
 mod observers;
+mod reader;
 mod statement;
-mod taker;
 
 use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use aside::Aside;
-use black_box::{Alarms, Kind, Vault};
+use bag_writer::BagWriter;
+use black_box::{Alarms, Dumper, Kind};
 use choice::Choice;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use keeper::Keeper;
 use observers::Observers;
+use reader::{Pace, Reader};
 use statement::Statement;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -30,7 +31,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use taker::{Pace, Taker};
 use tautline::rt::{self, CoreSet, MemoryLock, Policy, ThreadBuilder};
 use tautline_bag::{BagError, Compression, Options, Writer};
 use tautline_transport::Participant;
@@ -215,30 +215,30 @@ pub fn run(args: &RecordArgs) -> Outcome {
     let (observers, new_observers) = Observers::new(participant, choice, args)?;
     let pace =
         Pace { period_ns: rt::clock::nanoseconds(args.period).max(100_000), is_paused: is_paused.clone() };
-    let taker = Taker::new(producer, new_observers.observers, pace, stop.clone());
+    let reader = Reader::new(producer, new_observers.observers, pace, stop.clone());
     let mut behind = match args.black_box {
         None => {
             let writer = Writer::create(&folder, args.options(), session(domain)).map_err(failed)?;
-            Behind::Keeper(Keeper::start(
+            Behind::BagWriter(BagWriter::start(
                 writer,
                 consumer,
                 new_observers.topics,
                 is_over.clone(),
-                taker.offset_ns(),
+                reader.offset_ns(),
             )?)
         }
         Some(span) => {
-            let plan = args.plan(&folder, domain, span, taker.offset_ns())?;
+            let plan = args.plan(&folder, domain, span, reader.offset_ns())?;
             let tracing = args.tracing(domain, span)?;
             let alarms = Alarms::new(domain, &args.on, &args.silent, span, asked)?;
-            let vault = Vault::start(plan, consumer, new_observers.topics, tracing, is_over.clone())?;
-            Behind::Vault(vault, Box::new(alarms))
+            let dumper = Dumper::start(plan, consumer, new_observers.topics, tracing, is_over.clone())?;
+            Behind::Dumper(dumper, Box::new(alarms))
         }
     };
     let priority = if args.no_rt { None } else { rt::permission::realtime_permitted(1).is_ok().then_some(1) };
     let policy = priority.map_or(Policy::Other { nice: 0 }, Policy::Fifo);
-    let thread = ThreadBuilder::new("taker").policy(policy);
-    let thread = thread.spawn(move || move || taker.run())?;
+    let thread = ThreadBuilder::new("reader").policy(policy);
+    let thread = thread.spawn(move || move || reader.run())?;
 
     end.restart();
     let until = if end.timeout().is_some() { "" } else { ", until Ctrl-C" };
@@ -256,32 +256,32 @@ pub fn run(args: &RecordArgs) -> Outcome {
         Err(failure) => {
             // The bag is whole all the same.
             match behind {
-                Behind::Keeper(keeper) => drop(keeper.finish(BTreeMap::new())?),
-                Behind::Vault(vault, _) => drop(vault.finish()?),
+                Behind::BagWriter(writer) => drop(writer.finish(BTreeMap::new())?),
+                Behind::Dumper(dumper, _) => drop(dumper.finish()?),
             }
             return Err(failure);
         }
     };
     let statement = Statement::new(observers, taken, args.period);
     match behind {
-        Behind::Keeper(keeper) => {
-            let written = keeper.finish(statement.for_the_file());
+        Behind::BagWriter(writer) => {
+            let written = writer.finish(statement.for_the_file());
             statement.print(&folder, written, args.common.json)
         }
-        Behind::Vault(vault, _) => {
-            let vaulted = vault.finish();
+        Behind::Dumper(dumper, _) => {
+            let dumped = dumper.finish();
             if !args.common.json {
                 statement.table(&mut anstream::stdout().lock())?;
             }
-            black_box::print(args, &folder, vaulted, statement.lost())
+            black_box::print(args, &folder, dumped, statement.lost())
         }
     }
 }
 
 /// What takes messages out of the ring.
 enum Behind {
-    Keeper(Keeper),
-    Vault(Vault, Box<Alarms>),
+    BagWriter(BagWriter),
+    Dumper(Dumper, Box<Alarms>),
 }
 
 /// Until the end. Whoever writes may have none to write to before.
@@ -300,10 +300,10 @@ fn watch(
         if let Some(words) = aside.as_mut().and_then(|aside| aside.look(observers.processes())) {
             progress.suspend(|| say(&format!("taut: {words}")));
         }
-        if let Behind::Vault(vault, alarms) = behind {
+        if let Behind::Dumper(dumper, alarms) = behind {
             for alarm in alarms.look(&observers)? {
                 progress.suspend(|| say(&format!("taut: {}: {}", alarm.kind.name(), alarm.words)));
-                vault.alarm(alarm);
+                dumper.alarm(alarm);
             }
         }
         if said.elapsed() >= SAY {

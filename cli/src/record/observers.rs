@@ -24,7 +24,7 @@ const QUEUE_BYTES: usize = 1 << 20;
 /// Requests of a client, responses of a server, and what an action tells, that wait for the recorder: a goal's states come at once.
 const SERVICE_DEPTH: usize = 16;
 
-/// The subscription of a topic, for the taker. One of the number of another replaces its subscription.
+/// The subscription of a topic, for the reader. One of the number of another replaces its subscription.
 pub struct Observer {
     pub number: usize,
     pub part: Part,
@@ -42,13 +42,13 @@ pub struct Counts {
     pub lost: AtomicU64,
 }
 
-/// What the keeper makes of the messages of an observer.
+/// What the writer makes of the messages of an observer.
 pub enum Kept {
     /// Themselves.
     Topic(Topic),
     /// Events of requests.
     Requests(Topic, Events),
-    /// The taker has made them events, of the topic of this observer.
+    /// The reader has made them events, of the topic of this observer.
     Responses(usize),
 }
 
@@ -208,13 +208,13 @@ impl Observers {
     }
 
     fn add(&mut self, topic: RecordedTopic, kept: Kept) {
-        // The keeper ends before this only with an error of its own, which is told.
+        // The writer ends before this only with an error of its own, which is told.
         let _ = self.to_keeper.send(kept);
         self.numbers.entry(topic.topic.name.clone()).or_default().push(self.topics.len());
         self.topics.push(topic);
     }
 
-    /// The taker takes the messages of this observer from there now.
+    /// The reader takes the messages of this observer from there now.
     fn take_place(&mut self, number: usize, subscription: RawSubscription) {
         let RecordedTopic { topic, part, counts, .. } = &self.topics[number];
         let hz = self.throttle.iter().find(|(name, _)| *name == topic.name).map(|(_, hz)| *hz);

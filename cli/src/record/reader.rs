@@ -29,7 +29,7 @@ pub struct Pace {
     pub is_paused: Arc<AtomicBool>,
 }
 
-pub struct Taker {
+pub struct Reader {
     producer: Producer<u8>,
     new_observers: Receiver<Observer>,
     pace: Pace,
@@ -99,7 +99,7 @@ struct Place {
     taken: Taken,
 }
 
-impl Taker {
+impl Reader {
     pub fn new(
         producer: Producer<u8>,
         new_observers: Receiver<Observer>,
@@ -108,7 +108,7 @@ impl Taker {
     ) -> Self {
         let began_ns = monotonic_ns();
         let offset_ns = wall_ns() - began_ns.cast_signed();
-        Taker {
+        Reader {
             producer,
             new_observers,
             pace,

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What became of every message, in the end: on the terminal, as JSON, and in the file.
 
+use super::bag_writer::Written;
 use super::event::Part;
 use super::failed;
-use super::keeper::Written;
 use super::observers::{Observers, RecordedTopic};
-use super::taker::{Harvest, Taken};
+use super::reader::{Harvest, Taken};
 use crate::table::write_table;
 use crate::verb::{Failure, Outcome};
 use serde_json::{Value, json};
@@ -70,7 +70,7 @@ impl Statement {
     pub fn new(observers: Observers, harvest: Harvest, period: Duration) -> Self {
         let (topics, before, absent) = observers.end();
         let time = Duration::from_nanos(harvest.ended_ns - harvest.began_ns);
-        // An observer that the taker did not come to any more took nothing.
+        // An observer that the reader did not come to any more took nothing.
         let taken = harvest.topics.into_iter().chain(std::iter::repeat_with(Taken::default));
         let rows = topics.into_iter().zip(taken).map(|(topic, taken)| Row::new(topic, taken, &before));
         Statement { rows: rows.collect(), absent, waited: harvest.waited, time, period }

@@ -164,7 +164,7 @@ impl Candidate {
                         Err(error) => {
                             if !std::mem::replace(&mut is_said, true) {
                                 tracing::warn!(
-                                    "this process cannot look after those that died: {error} (said once)"
+                                    "this process cannot look after those that died: {error} (logged once)"
                                 );
                             }
                             (None, Some(RETRY))
@@ -213,7 +213,7 @@ fn watch(folder: Option<&Path>) -> Option<OwnedFd> {
     watched
         .inspect_err(|error| {
             tracing::warn!(
-                "the kernel does not tell of processes that die ({error}), so they are looked for {} times a second: raise \
+                "the kernel does not report processes that die ({error}), so Tautline polls for them {} times a second: raise \
                  fs.inotify.max_user_instances and fs.inotify.max_user_watches (sysctl)",
                 1000 / PERIOD.as_millis()
             );

@@ -107,7 +107,7 @@ impl Domain {
                 // Its last member removes it right now, unless that one was stopped.
                 Opened::Leaving if start.elapsed() > PATIENCE => {
                     return Err(refuse(io::Error::other(
-                        "the last process of this domain is removing it, and does not go on: continue or end it if it is stopped",
+                        "the last process of this domain is removing it and makes no progress: continue or kill it if it is stopped",
                     )));
                 }
                 Opened::Leaving => std::thread::sleep(Duration::from_millis(1)),

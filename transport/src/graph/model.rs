@@ -193,7 +193,7 @@ fn here(gid: Gid) -> Origin {
 }
 
 fn complain(error: &TransportError) {
-    tracing::warn!("a participant is left out of the graph: {error} (said once)");
+    tracing::warn!("a participant is left out of the graph: {error} (logged once)");
 }
 
 impl Model {

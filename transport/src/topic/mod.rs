@@ -66,17 +66,16 @@ impl Topic {
         crate::error::named(&self.name)
     }
 
-    /// Says, where an end is made or another one appears, that they get nothing from each other.
+    /// Warns, where an endpoint is made or another one appears, that they exchange no messages.
     fn warn_of_mismatch(&self, mismatch: Mismatch, here: &str, there: &str, port: &PortRecord) {
         match mismatch {
             Mismatch::Qos(policy) => tracing::warn!(
-                "{}: this {here} and a {there} get nothing from each other: what is offered does not meet the {policy} that is \
-                 requested (docs/qos.md)",
+                "{}: this {here} and a {there} are QoS-incompatible: the offered {policy} does not meet the requested one \
+                 (docs/qos.md)",
                 self.named()
             ),
             Mismatch::Type => tracing::warn!(
-                "{}: this {here} and a {there} get nothing from each other: one is of '{}', the other of '{}'; rename one of \
-                 them, or use the same type",
+                "{}: this {here} and a {there} have different types, '{}' and '{}': rename one of them, or use the same type",
                 self.named(),
                 self.topic_type.describe(),
                 port.topic_type().describe()

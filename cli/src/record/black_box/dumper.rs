@@ -42,13 +42,13 @@ pub struct Plan {
     pub offset_ns: i64,
 }
 
-pub struct Vault {
+pub struct Dumper {
     alarms: Sender<Alarm>,
-    thread: tautline::rt::JoinHandle<Vaulted>,
+    thread: tautline::rt::JoinHandle<Dumped>,
 }
 
 /// What was done.
-pub struct Vaulted {
+pub struct Dumped {
     pub dumps: Vec<Dump>,
     /// Bags that were removed for newer ones.
     pub removed: usize,
@@ -94,7 +94,7 @@ impl Dump {
     }
 }
 
-impl Vault {
+impl Dumper {
     pub fn start(
         plan: Plan,
         consumer: Consumer<u8>,
@@ -111,11 +111,11 @@ impl Vault {
             tracing,
             number: 0,
             scratch: Vec::new(),
-            done: Vaulted { dumps: Vec::new(), removed: 0, unusable: 0, shortest_ns: None, failed: None },
+            done: Dumped { dumps: Vec::new(), removed: 0, unusable: 0, shortest_ns: None, failed: None },
         };
-        let thread = ThreadBuilder::new("vault").policy(Policy::Other { nice: 0 });
+        let thread = ThreadBuilder::new("dumper").policy(Policy::Other { nice: 0 });
         let thread = thread.spawn(move || move || work.run(&new_observers, &is_over))?;
-        Ok(Vault { alarms, thread })
+        Ok(Dumper { alarms, thread })
     }
 
     pub fn alarm(&self, alarm: Alarm) {
@@ -124,7 +124,7 @@ impl Vault {
     }
 
     /// When nothing is put into the ring any more. An alarm that waits is written first.
-    pub fn finish(self) -> Outcome<Vaulted> {
+    pub fn finish(self) -> Outcome<Dumped> {
         drop(self.alarms);
         Ok(self.thread.join()?)
     }
@@ -149,7 +149,7 @@ struct Work {
     tracing: Option<Tracing>,
     number: u32,
     scratch: Vec<u8>,
-    done: Vaulted,
+    done: Dumped,
 }
 
 /// What is to be written, and when.
@@ -159,7 +159,7 @@ struct Pending {
 }
 
 impl Work {
-    fn run(mut self, alarms: &Receiver<Alarm>, is_over: &AtomicBool) -> Vaulted {
+    fn run(mut self, alarms: &Receiver<Alarm>, is_over: &AtomicBool) -> Dumped {
         let mut pending: Option<Pending> = None;
         loop {
             use std::sync::mpsc::TryRecvError::{Disconnected, Empty};
@@ -219,7 +219,7 @@ impl Work {
         bytes[..first.len()].copy_from_slice(first);
         bytes[first.len()..].copy_from_slice(second);
         let head = Head::from_bytes(bytes);
-        // The taker is not through with it.
+        // The reader is not through with it.
         self.consumer.read_chunk(HEAD_BYTES + head.cdr_bytes as usize).ok()?;
         while self.topics.len() <= head.topic as usize {
             // Told before its first message.

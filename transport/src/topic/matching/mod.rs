@@ -215,8 +215,8 @@ impl Matcher {
             }
             if patience.is_zero() {
                 tracing::warn!(
-                    "{}: {left} publishers do not answer: are their processes stopped, or without processor time? What they \
-                     send comes when they do",
+                    "{}: {left} publishers do not answer: are their processes stopped, or without processor time? Their \
+                     messages arrive when they answer",
                     core.topic.named()
                 );
                 return;
@@ -629,7 +629,7 @@ fn complain(error: &TransportError) {
     let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
     if said.len() < 64 && said.insert(text.clone()) {
         tracing::warn!(
-            "ports of this process and of another one are not connected, and that is tried again: {text} (said once)"
+            "an endpoint of this process and one of another process are not connected, retrying: {text} (logged once)"
         );
     }
 }
