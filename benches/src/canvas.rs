@@ -23,7 +23,6 @@ pub struct Canvas<'a>(DrawingArea<SVGBackend<'a>, Shift>);
 
 /// Where a text stands relative to its point; always in the middle of its height.
 #[derive(Clone, Copy, Debug)]
-#[expect(missing_docs, reason = "the names say it")]
 pub enum Align {
     Left,
     Centre,
@@ -32,7 +31,6 @@ pub enum Align {
 
 /// A text's looks; `pixels` is the size that a browser shows.
 #[derive(Clone, Copy, Debug)]
-#[expect(missing_docs, reason = "the names say it")]
 pub struct Words {
     pub pixels: u32,
     pub colour: RGBColor,
@@ -40,7 +38,6 @@ pub struct Words {
     pub bold: bool,
 }
 
-#[expect(missing_docs, reason = "the names say it")]
 impl Words {
     pub const PLAIN: Words = Words { pixels: 12, colour: INK, align: Align::Left, bold: false };
     pub const SMALL: Words = Words { pixels: 10, colour: FAINT, align: Align::Centre, bold: false };
@@ -48,9 +45,6 @@ impl Words {
 }
 
 impl<'a> Canvas<'a> {
-    ///
-    /// # Errors
-    /// It cannot be drawn.
     pub fn new(svg: &'a mut String, (width, height): (i32, i32)) -> Result<Self> {
         let area = SVGBackend::with_string(svg, (width as u32, height as u32)).into_drawing_area();
         let canvas = Self(area);
@@ -59,49 +53,30 @@ impl<'a> Canvas<'a> {
     }
 
     /// Completes the document.
-    ///
-    /// # Errors
-    /// It cannot be drawn.
     pub fn finish(self) -> Result<()> {
         self.0.present().map_err(failed)
     }
 
     /// A filled one.
-    ///
-    /// # Errors
-    /// It cannot be drawn.
     pub fn rectangle(&self, from: (i32, i32), to: (i32, i32), colour: RGBColor) -> Result<()> {
         self.0.draw(&Rectangle::new([from, to], colour.filled())).map_err(failed)
     }
 
-    /// A straight one.
-    ///
-    /// # Errors
-    /// It cannot be drawn.
     pub fn line(&self, from: (i32, i32), to: (i32, i32), colour: RGBColor, width: u32) -> Result<()> {
         self.0.draw(&PathElement::new([from, to], colour.stroke_width(width))).map_err(failed)
     }
 
     /// A deadline: vertical and dashed.
-    ///
-    /// # Errors
-    /// It cannot be drawn.
     pub fn deadline(&self, x: i32, top: i32, bottom: i32) -> Result<()> {
         (top..bottom).step_by(8).try_for_each(|y| self.line((x, y), (x, (y + 5).min(bottom)), DEADLINE, 2))
     }
 
     /// A bar that goes on beyond the picture ends in this: a triangle that points to the right.
-    ///
-    /// # Errors
-    /// It cannot be drawn.
     pub fn beyond(&self, x: i32, y: i32, colour: RGBColor) -> Result<()> {
         self.0.draw(&Polygon::new([(x, y - 5), (x, y + 5), (x + 6, y)], colour)).map_err(failed)
     }
 
     /// A text at a point.
-    ///
-    /// # Errors
-    /// It cannot be drawn.
     pub fn text(&self, text: &str, at: (i32, i32), words: Words) -> Result<()> {
         // The SVG backend divides sizes by 1.24.
         let style = if words.bold { FontStyle::Bold } else { FontStyle::Normal };

@@ -14,7 +14,6 @@ const FILE: &str = include_str!("../claims.toml");
 
 /// A bench whose rows are judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(missing_docs, reason = "the names say it")]
 pub enum Bench {
     Compare,
     Network,
@@ -24,7 +23,6 @@ pub enum Bench {
 
 /// What must hold, and what was found. `holds` is `None` where that cannot be judged; `found` says why.
 #[derive(Clone, Debug, Serialize)]
-#[expect(missing_docs, reason = "the names say it")]
 pub struct Verdict {
     pub claim: String,
     pub found: String,
@@ -40,7 +38,6 @@ impl Verdict {
         Verdict { claim: claim.into(), found: found.into(), holds, reason: None }
     }
 
-    /// In a word.
     pub fn word(&self) -> &'static str {
         match self.holds {
             Some(true) => "holds",

@@ -14,16 +14,11 @@ pub struct Distribution {
 
 impl Distribution {
     /// An empty one; allocates all it will ever need.
-    ///
-    /// # Panics
-    ///
-    /// Never: the bounds are valid.
     pub fn new() -> Self {
         let histogram = Histogram::new_with_bounds(1, 10_000_000_000, 3).expect("valid bounds");
         Self { histogram }
     }
 
-    /// Adds a time.
     pub fn record(&mut self, time_ns: u64) {
         self.histogram.saturating_record(time_ns);
     }
@@ -45,7 +40,6 @@ impl Distribution {
         self.histogram.len()
     }
 
-    /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.histogram.is_empty()
     }

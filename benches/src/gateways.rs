@@ -12,7 +12,6 @@ use crate::Process;
 /// A host: a domain of this machine.
 #[derive(Clone, Copy, Debug)]
 pub struct Host {
-    /// Its own.
     pub domain: u32,
     /// Its gateway's; `None`: any.
     pub core: Option<usize>,

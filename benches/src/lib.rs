@@ -17,6 +17,7 @@
 //! A measurement runs its rivals in alternating rounds of one run, on pinned cores, and states percentiles, counts and
 //! the machine. Absolute times belong to the machine; ratios within a run are what is compared: `rows` has the one form of what was
 //! measured, `claims.toml` what must hold, `claims` judges it, `table` and `page` show it.
+#![allow(missing_docs, reason = "many names say it all")]
 
 pub mod canvas;
 pub mod claims;

@@ -42,7 +42,6 @@ pub struct Disturbance {
 }
 
 impl Disturbance {
-    /// Starts.
     pub fn start() -> Self {
         let load = fs::read_to_string("/proc/loadavg").unwrap_or_default();
         let load = load.split(' ').next().and_then(|load| load.parse().ok()).unwrap_or(f64::NAN);

@@ -22,9 +22,6 @@ th{background:#f4f6f8;position:sticky;top:0}.l{text-align:left}.w{white-space:no
 pub const END: &str = "</body></html>\n";
 
 /// Begins one: what the window is called, the heading, and what is said below it, which may have marks.
-///
-/// # Errors
-/// The writer's.
 pub fn begin(out: &mut String, title: &str, heading: &str, introduction: &str) -> fmt::Result {
     write!(
         out,
@@ -35,9 +32,6 @@ pub fn begin(out: &mut String, title: &str, heading: &str, introduction: &str) -
 }
 
 /// What must hold, and whether it does.
-///
-/// # Errors
-/// The writer's.
 pub fn verdicts(out: &mut String, heading: &str, verdicts: &[Verdict]) -> fmt::Result {
     write!(out, "<h2>{heading}</h2>\n<ul class=\"verdicts\">\n")?;
     for verdict in verdicts {
@@ -56,9 +50,6 @@ pub fn verdicts(out: &mut String, heading: &str, verdicts: &[Verdict]) -> fmt::R
 }
 
 /// A heading and a list of lines.
-///
-/// # Errors
-/// The writer's.
 pub fn list(out: &mut String, title: &str, lines: &[String]) -> fmt::Result {
     writeln!(out, "<h2>{title}</h2>\n<ul>")?;
     for line in lines {

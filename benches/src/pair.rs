@@ -19,7 +19,6 @@ type Result<T> = std::result::Result<T, Box<dyn Error>>;
 pub enum Line {
     /// It can answer.
     Ready,
-    /// What was measured.
     Measured(Measured),
 }
 
@@ -33,10 +32,6 @@ pub struct Measured {
 }
 
 impl Line {
-    /// Says it.
-    ///
-    /// # Errors
-    /// Nobody listens.
     pub fn say(&self) -> Result<()> {
         println!("{}", serde_json::to_string(self)?);
         Ok(stdout().flush()?)

@@ -38,9 +38,6 @@ pub struct Process<'a, L> {
 
 impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
     /// Starts it, in this one's scope; `name` is what errors call it. Waiting for it ends when `interrupted` is set.
-    ///
-    /// # Errors
-    /// It cannot be started.
     pub fn start(
         command: &mut Command,
         name: impl Into<String>,
@@ -122,9 +119,6 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
     }
 
     /// Writes a line to its standard input, and closes it.
-    ///
-    /// # Errors
-    /// It has closed its end.
     pub fn tell(&mut self, line: &str) -> Result<()> {
         let mut input = self.child.stdin.take().ok_or("the input of the child is a pipe")?;
         if writeln!(input, "{line}").is_err() {
@@ -135,9 +129,6 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
     }
 
     /// Closes its standard input and waits for the end, which must be a success.
-    ///
-    /// # Errors
-    /// It failed, or does not end.
     pub fn finish(&mut self) -> Result<()> {
         drop(self.child.stdin.take());
         let since = Instant::now();
@@ -157,9 +148,6 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
     }
 
     /// Says whether it still runs.
-    ///
-    /// # Errors
-    /// It has ended.
     pub fn still_runs(&mut self) -> Result<()> {
         match self.child.try_wait()? {
             None => Ok(()),
@@ -195,7 +183,6 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
         let _ = self.child.kill();
     }
 
-    /// Its number.
     pub fn id(&self) -> u32 {
         self.child.id()
     }

@@ -27,10 +27,6 @@ pub fn exit(name: &str, result: std::result::Result<(), impl Display>) -> ExitCo
 }
 
 /// Set by Ctrl-C and SIGTERM, so that children are killed and files removed; the second one ends the program at once.
-///
-/// # Errors
-///
-/// If signals cannot be handled.
 pub fn interrupted() -> Result<Arc<AtomicBool>> {
     let interrupted = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
@@ -41,10 +37,6 @@ pub fn interrupted() -> Result<Arc<AtomicBool>> {
 }
 
 /// Two different cores: those that were named with `--cores`, else the first two allowed.
-///
-/// # Errors
-///
-/// If there are not two.
 pub fn two_cores(named: Option<&[usize]>) -> Result<[usize; 2]> {
     let chosen = match named {
         Some(named) => named.to_vec(),
@@ -64,20 +56,11 @@ pub fn progress_bar(steps: u64) -> ProgressBar {
     ProgressBar::new(steps).with_style(style)
 }
 
-/// Writes a file.
-///
-/// # Errors
-///
-/// With its name.
 pub fn write(path: &Path, text: &str) -> Result<()> {
     std::fs::write(path, text).map_err(|error| format!("cannot write {}: {error}", path.display()).into())
 }
 
 /// Writes the numbers of a run.
-///
-/// # Errors
-///
-/// As [`write()`].
 pub fn write_json(path: &Path, numbers: &(impl Serialize + ?Sized)) -> Result<()> {
     write(path, &(serde_json::to_string_pretty(numbers)? + "\n"))
 }

@@ -11,7 +11,6 @@ use crate::table::short;
 
 /// A line of the result. Times are `None` where nothing was measured; the note says why.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-#[expect(missing_docs, reason = "the names say it")]
 pub struct Row {
     /// What was done, such as `latency/whole/held-off`.
     pub experiment: String,
@@ -50,7 +49,6 @@ pub struct Row {
 
 /// What a round found.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-#[expect(missing_docs, reason = "the names say it")]
 pub struct Round {
     /// From 1.
     pub round: u32,
@@ -68,7 +66,6 @@ pub struct Round {
 
 /// What a page shows beside.
 #[derive(Clone, Debug)]
-#[expect(missing_docs, reason = "the names say it")]
 pub struct Details {
     pub times: Distribution,
     pub messages_per_s: f64,
@@ -89,7 +86,6 @@ pub struct Wakes {
 
 /// A row in the making: the times of all rounds.
 #[derive(Clone, Debug, Default)]
-#[expect(missing_docs, reason = "the names say it")]
 pub struct Tally {
     pub times: Distribution,
     pub lost: u64,
@@ -162,7 +158,6 @@ impl Row {
 /// A number of a row that is compared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "String")]
-#[expect(missing_docs, reason = "the names say it")]
 pub enum Metric {
     P50,
     P99,
@@ -265,7 +260,6 @@ pub fn is_enough(times: u64, quantile: f64) -> bool {
 
 /// A metric as it is taken from rows: a quantile of too few times does not count, unless they are said to do.
 #[derive(Clone, Copy, Debug)]
-#[expect(missing_docs, reason = "the names say it")]
 pub struct Figure {
     pub metric: Metric,
     pub however_few: bool,
@@ -344,6 +338,13 @@ pub fn median(mut numbers: Vec<f64>) -> Option<f64> {
     }
 }
 
+/// The least, the median (of an even number the greater one in the middle) and the greatest; NaN of none.
+pub fn extent(mut numbers: Vec<f64>) -> [f64; 3] {
+    numbers.sort_by(f64::total_cmp);
+    let at = |index: usize| numbers.get(index).copied().unwrap_or(f64::NAN);
+    [at(0), at(numbers.len() / 2), at(numbers.len().saturating_sub(1))]
+}
+
 /// How two rows are set against each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum By {
@@ -355,7 +356,6 @@ pub enum By {
 
 /// Of the rounds that two rows have in common; of all rounds together where each has too few times.
 #[derive(Clone, Copy, Debug)]
-#[expect(missing_docs, reason = "the names say it")]
 pub struct Compared {
     pub median: f64,
     least: f64,

@@ -18,18 +18,11 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// # Errors
-    ///
-    /// If there is no context to be had.
     pub fn new() -> Result<Self> {
         Stage::with(Context::builder())
     }
 
     /// With a context of other settings.
-    ///
-    /// # Errors
-    ///
-    /// As [`new`](Self::new).
     pub fn with(builder: ContextBuilder) -> Result<Self> {
         let cores: Vec<usize> = CoreSet::allowed()?.iter().collect();
         let (core, other_core) = (cores[cores.len() - 1], cores[0]);
@@ -45,10 +38,6 @@ impl Stage {
     }
 
     /// Spins while `measure` runs; then ends the context and the callbacks.
-    ///
-    /// # Errors
-    ///
-    /// If the sampler or a callback failed.
     pub fn spin_while<T>(&self, callbacks: Vec<CallbackHandle>, measure: impl FnOnce() -> T) -> Result<T> {
         let context = self.context.clone();
         let sampler = std::thread::spawn(move || context.spin());

@@ -11,7 +11,6 @@ use crate::rows::Row;
 
 /// What stands in a column, and its title.
 #[derive(Clone, Copy, Debug)]
-#[expect(missing_docs, reason = "the names say it")]
 pub enum Column {
     Number(&'static str),
     Words(&'static str),
@@ -72,7 +71,6 @@ impl Table {
         Table { columns: columns.into(), shared, rows: Vec::new() }
     }
 
-    /// Adds a row.
     pub fn add(&mut self, cells: impl IntoIterator<Item = Cell>) {
         self.rows.push(cells.into_iter().collect());
     }
@@ -85,9 +83,6 @@ impl Table {
     }
 
     /// Writes it for a page.
-    ///
-    /// # Errors
-    /// The writer's.
     pub fn html(&self, out: &mut String) -> fmt::Result {
         out.push_str("<div class=\"scroll\"><table><tr>");
         for column in &self.columns {
@@ -147,7 +142,6 @@ const SHOWN: [Shown; 15] = [
     (Words("note"), |row| row.note.as_str().into()),
 ];
 
-/// Rows as a table.
 pub fn of_rows<'a>(rows: impl IntoIterator<Item = &'a Row>) -> Table {
     let rows: Vec<&Row> = rows.into_iter().collect();
     let is_said = |(_, cell): &&Shown| rows.iter().any(|row| !cell(row).text.is_empty());

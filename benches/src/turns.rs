@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use crate::Distribution;
+use crate::rows::extent;
 
 /// What was measured in one part of all rounds.
 #[derive(Clone, Debug)]
@@ -13,10 +14,6 @@ pub struct Turns {
 
 impl Turns {
     /// Measures `N` parts of each round, by their index. Each comes first, second and so on equally often.
-    ///
-    /// # Errors
-    ///
-    /// What `measure` says.
     pub fn take<const N: usize, E>(
         rounds: usize,
         mut measure: impl FnMut(usize) -> Result<Distribution, E>,
@@ -43,10 +40,8 @@ impl Turns {
 
     /// Of the ratios: the median, the least and the greatest.
     pub fn ratio(&self) -> [f64; 3] {
-        let mut ratios = self.ratios.clone();
-        ratios.sort_by(f64::total_cmp);
-        let at = |index: usize| ratios.get(index).copied().unwrap_or(f64::NAN);
-        [at(ratios.len() / 2), at(0), at(ratios.len().saturating_sub(1))]
+        let [least, median, greatest] = extent(self.ratios.clone());
+        [median, least, greatest]
     }
 }
 

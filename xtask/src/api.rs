@@ -79,10 +79,7 @@ fn document() -> Result<(), String> {
         command.env("RUSTC_WORKSPACE_WRAPPER", driver);
         command.env("CLIPPY_ARGS", ["-D", "warnings", ""].join("__CLIPPY_HACKERY__"));
     }
-    match execute(&mut command) {
-        Outcome::Ok => Ok(()),
-        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
-    }
+    execute(&mut command).result()
 }
 
 /// What rustdoc tells of a crate.

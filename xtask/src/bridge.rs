@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bridge to ROS 2: its lints and its tests, against the ROS 2 that is sourced or the one under the target directory.
 
-use crate::build::WHOLE as WORKSPACE;
+use crate::bench::Options;
+use crate::build::{WHOLE as WORKSPACE, build};
+use crate::r2r::Environment;
 use crate::reports::check_bridge;
-use crate::steps::{self, Outcome, Steps, cargo, execute};
+use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{machine, programs, r2r};
-use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 
 #[derive(clap::Args)]
@@ -13,48 +14,21 @@ use std::process::{Command, ExitCode};
   cargo xtask bench bridge                  20 topics at 1 kHz, 30 s each way
   cargo xtask bench bridge --quick          2 s each way
   cargo xtask bench bridge -- --topics 5 --rate 100 --no-rt")]
-pub struct Options {
-    /// Two seconds each way
-    #[arg(long)]
-    pub quick: bool,
-    /// Write the numbers to FILE as well
-    #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
-    /// Passed on: see `cargo xtask bench bridge -- --help`
-    #[arg(last = true)]
-    pub arguments: Vec<String>,
+pub struct Bridge {
+    #[command(flatten)]
+    bench: Options,
 }
 
-/// Builds the bridge and r2r's side, and measures.
-pub fn bench(options: &Options) -> ExitCode {
-    let environment = match build() {
-        Ok(environment) => environment,
-        Err(reason) => {
-            eprintln!("bench bridge: {reason}");
-            return ExitCode::FAILURE;
-        }
-    };
-    let mut command = Command::new(machine::target_dir().join("release/bench-bridge"));
-    // The bridge finds types where this says.
-    command.envs(environment);
-    if options.quick {
-        command.args(["--seconds", "2"]);
-    }
-    if let Some(path) = &options.json {
-        command.arg("--json").arg(path);
-    }
-    steps::run(command.args(&options.arguments))
-}
-
-/// What its programs need to be built and to run.
-pub type Environment = Vec<(&'static str, String)>;
-
-/// Some minutes from cold. Returns what its programs need to run as well.
-fn build() -> Result<Environment, String> {
-    let environment = r2r::environment()?;
-    match execute(&mut with_libraries(&environment, &format!("build --release {BENCH} --bins"))) {
-        Outcome::Ok => Ok(environment),
-        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("the build failed: {reason}")),
+impl Bridge {
+    /// Builds the bridge and r2r's side, some minutes from cold, and makes the command that measures.
+    pub fn command(&self) -> Result<Command, String> {
+        let environment = r2r::environment()?;
+        build(&mut with_libraries(&environment, &format!("build --release {BENCH} --bins")))?;
+        let mut command = Command::new(machine::target_dir().join("release/bench-bridge"));
+        // The bridge finds types where this says.
+        command.envs(environment);
+        self.bench.pass_on(&mut command, &["--seconds", "2"]);
+        Ok(command)
     }
 }
 
@@ -68,19 +42,7 @@ pub fn run() -> ExitCode {
 
 /// Without a ROS 2 it is left out, which is said; but not in CI.
 pub fn test(steps: &mut Steps) {
-    let mut environment = Vec::new();
-    let prepared = steps.step("bridge-ros: ROS 2", || match r2r::environment() {
-        Ok(variables) => {
-            environment = variables;
-            Outcome::Ok
-        }
-        Err(reason) if machine::is_ci() => Outcome::Failed(reason),
-        Err(reason) => Outcome::Skipped(reason),
-    });
-    if !prepared {
-        return steps
-            .skip("bridge-ros", "there is no ROS 2 to build it with: source one, or run `cargo xtask ros`");
-    }
+    let Some(environment) = r2r::environment_of(steps, "bridge-ros") else { return };
     // With the bench, which is linted too, and measures in a step of its own.
     let building = |arguments: &str| with_libraries(&environment, arguments);
     steps.command(
@@ -142,9 +104,8 @@ pub fn with_libraries(environment: &Environment, arguments: &str) -> Command {
 /// subscriber, and belongs to the machine and the build.
 pub fn bench_of_tests(steps: &mut Steps) {
     let environment = match r2r::environment() {
-        Err(reason) if !machine::is_ci() => return steps.skip("bench: bridge", &reason),
         Err(reason) => {
-            steps.step("bench: bridge", || Outcome::Failed(reason));
+            steps.step("bench: bridge", || Outcome::Failed(reason).unless_ci());
             return;
         }
         Ok(environment) => environment,
@@ -160,9 +121,7 @@ pub fn bench_of_tests(steps: &mut Steps) {
         // It waits for processes, which may not come.
         let mut command = Command::new("timeout");
         command.arg("300").arg(target.join("debug/bench-bridge")).arg("--json").arg(&json).envs(environment);
-        if !machine::is_ci() && !machine::realtime_permitted() {
-            command.arg("--no-rt");
-        }
+        command.args(machine::no_rt());
         match execute(&mut command) {
             Outcome::Ok => check_bridge(&json, 20 * 1000 * 30),
             other => other,

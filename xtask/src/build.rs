@@ -2,7 +2,7 @@
 //! Which build of a program is run: the release build, whose figures count, or that of the tests, which is there already.
 
 use crate::machine;
-use crate::steps::cargo;
+use crate::steps::{cargo, execute};
 use std::path::PathBuf;
 use std::process::Command;
 
@@ -48,6 +48,22 @@ pub fn whole_with(features: &str) -> String {
 /// out; [`crate::shared`] checks it.
 pub fn most() -> String {
     LATER.iter().fold(WHOLE.to_owned(), |most, package| most + " --exclude " + package)
+}
+
+/// Of what is not in this workspace.
+pub const RELEASE: &str = "build --release --locked";
+
+/// Builds; what is to be run later is then there.
+pub fn build(command: &mut Command) -> Result<(), String> {
+    execute(command).result().map_err(|reason| format!("the build failed: {reason}"))
+}
+
+/// Builds a program of a workspace of its own by [`RELEASE`], and says where it is.
+pub fn apart(cargo: &mut Command, folder: &str, target: &str, program: &str) -> Result<PathBuf, String> {
+    let target = machine::target_dir().join(target);
+    cargo.arg("--manifest-path").arg(machine::root().join(folder).join("Cargo.toml"));
+    build(cargo.arg("--target-dir").arg(&target))?;
+    Ok(target.join("release").join(program))
 }
 
 impl Build {

@@ -3,7 +3,10 @@
 //! the tests' build, unoptimised: that they run and keep their promises is checked, what they measure belongs to a quiet machine and a release
 //! build.
 
+use crate::bench::Options;
+use crate::beside_r2r::{ALKS, Paper, REFERENCE, Services};
 use crate::build::{Build, LATER, WHOLE, WITH_GATEWAY, WITH_ROS};
+use crate::compare::Compare;
 use crate::machine::{self, Scope};
 use crate::reports::{
     check_compare, check_domain, check_lane, check_messages, check_network, check_paper, check_reference,
@@ -12,10 +15,10 @@ use crate::reports::{
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::test::{self, nextest};
 use crate::{
-    alks, api, bench, bench_domain, book, bridge, compare as comparison, fuzz, lttng, packages,
-    paper as evaluation, peers, programs, r2r, r2r_tests, reference, rmw, ros, services as round_trips,
-    shared, stress_doorbell, stress_kills,
+    api, book, bridge, fuzz, lttng, packages, peers, programs, r2r, r2r_tests, rmw, ros, shared,
+    stress_doorbell, stress_kills,
 };
+use std::path::Path;
 use std::process::{Command, ExitCode};
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
@@ -151,27 +154,25 @@ fn reference_system(steps: &mut Steps) {
     let name = "reference system";
     let target = machine::target_dir();
     let (json, svg) = (target.join("reference.json"), target.join("reference.svg"));
-    let realtime = machine::is_ci() || machine::realtime_permitted();
+    let no_rt = machine::no_rt();
     let run = |arguments: &[&str], check: &dyn Fn() -> Outcome| {
         let _ = std::fs::remove_file(&json);
         let mut command = Command::new(Build::Tests.folder().join("reference_system"));
-        command.args(arguments).arg("--json").arg(&json);
-        if !realtime {
-            command.arg("--no-rt");
-        }
+        command.args(arguments).arg("--json").arg(&json).args(no_rt);
         match execute(&mut command) {
             Outcome::Ok => check(),
             other => other,
         }
     };
     let svg = svg.display().to_string();
-    steps.step(name, || run(&["--seconds", "3", "--svg", &svg], &|| check_reference(&json, realtime)));
+    let check = || check_reference(&json, no_rt.is_none());
+    steps.step(name, || run(&["--seconds", "3", "--svg", &svg], &check));
     let name = "reference system: beside r2r";
-    if !r2r::is_built(reference::PROGRAM) {
+    if !r2r::is_built(REFERENCE) {
         return steps.skip(name, "not built before: `cargo xtask bench reference-system` does it");
     }
     steps.step(name, || {
-        let program = match r2r::program(reference::PROGRAM) {
+        let program = match r2r::program(REFERENCE) {
             Ok(program) => program.display().to_string(),
             Err(reason) => return Outcome::Failed(reason),
         };
@@ -190,19 +191,17 @@ fn lane_keeping(steps: &mut Steps) {
         let _ = std::fs::remove_file(&json);
         let mut command = Command::new(Build::Release.folder().join("alks"));
         command.args(arguments).args(["--rounds", "1", "--json"]).arg(&json).arg("--html").arg(&page);
-        if !machine::is_ci() && !machine::realtime_permitted() {
-            command.arg("--no-rt");
-        }
+        command.args(machine::no_rt());
         // What it says of bounds is not judged here.
         let _ = execute(&mut command);
         check_lane(&json)
     };
     steps.step(name, || run(&["--seconds", "3", "--without-r2r", "a step of its own"]));
     let name = "lane keeping: beside r2r";
-    if !r2r::is_built(alks::PROGRAM) {
+    if !r2r::is_built(ALKS) {
         return steps.skip(name, "not built before: `cargo xtask bench alks` does it");
     }
-    steps.step(name, || match r2r::program(alks::PROGRAM) {
+    steps.step(name, || match r2r::program(ALKS) {
         Ok(program) => run(&["--seconds", "2", "--r2r", &program.display().to_string()]),
         Err(reason) => Outcome::Failed(reason),
     });
@@ -215,7 +214,7 @@ fn two_hosts(steps: &mut Steps) {
         let mut command = Command::new("timeout");
         command.arg("60").arg(machine::root().join("examples/two_hosts.sh")).args(["5", program]);
         command.env("TAUT_GATEWAY", &gateway).env("TAUT_BUILT", Build::Tests.folder());
-        if !machine::is_ci() && !machine::realtime_permitted() {
+        if machine::no_rt().is_some() {
             command.env("TAUT_REALTIME", "off");
         }
         steps.command(name, &mut command);
@@ -252,138 +251,100 @@ fn clock_step(steps: &mut Steps) {
     steps.command("clock step", command.env("TAUT_STEP_CLOCK", "1"));
 }
 
-/// A quick run of the wake bench: it runs and its report keeps its promises.
+/// A bench of the tests' build runs, and the numbers that it writes to `<name>.json` keep its promises.
+fn bench(
+    steps: &mut Steps,
+    name: &str,
+    command: impl FnOnce(Options) -> Command,
+    check: impl FnOnce(&Path) -> Outcome,
+) {
+    let json = machine::target_dir().join(format!("{name}.json"));
+    let _ = std::fs::remove_file(&json);
+    steps.step(&format!("bench: {name}"), || {
+        match execute(&mut command(Options { json: Some(json.clone()), ..Options::of_tests() })) {
+            Outcome::Ok => check(&json),
+            other => other,
+        }
+    });
+}
+
+/// For a bench that cannot measure otherwise where real-time priorities are not permitted.
+fn permitted() -> Vec<String> {
+    machine::no_rt().map(str::to_owned).into_iter().collect()
+}
+
+/// A quick run of the wake bench.
 fn wake(steps: &mut Steps) {
-    let json = machine::target_dir().join("wake.json");
-    let _ = std::fs::remove_file(&json);
-    steps.step("bench: wake", || {
-        let mut command = bench(Build::Tests, "wake", true, Some(&json));
-        if !machine::is_ci() && !machine::realtime_permitted() {
-            command.arg("--no-rt");
-        }
-        match execute(&mut command) {
-            Outcome::Ok => check_wake(&json),
-            other => other,
-        }
-    });
+    let command = |options| Options { arguments: permitted(), ..options }.command("wake");
+    bench(steps, "wake", command, check_wake);
 }
 
-/// A quick run of the messages bench: every encoder writes the same bytes, and the rows keep their promises.
+/// A quick run of the messages bench: every encoder writes the same bytes.
 fn messages(steps: &mut Steps) {
-    let json = machine::target_dir().join("messages.json");
-    let _ = std::fs::remove_file(&json);
-    steps.step("bench: messages", || {
-        match execute(&mut bench(Build::Tests, "messages", true, Some(&json))) {
-            Outcome::Ok => check_messages(&json),
-            other => other,
-        }
-    });
+    bench(steps, "messages", |options| options.command("messages"), check_messages);
 }
 
-/// A round of each measurement without hiroz, and of a debug build, for a release build of Zenoh takes minutes: it runs and
-/// its report keeps its promises; the numbers mean nothing.
+/// A round of each measurement without hiroz, and of a debug build, for a release build of Zenoh takes minutes: the numbers mean
+/// nothing.
 fn network(steps: &mut Steps) {
-    let target = machine::target_dir();
-    let json = target.join("network.json");
-    let _ = std::fs::remove_file(&json);
-    steps.step("bench: network", || {
+    let command = |options: Options| {
         let mut command = Command::new(Build::Tests.folder().join("network"));
-        command.args(["--quick", "--rounds", "1", "--without-hiroz=a debug build", "--taut"]);
-        command.arg(Build::Tests.folder().join("taut")).arg("--json").arg(&json);
-        if !machine::is_ci() && !machine::realtime_permitted() {
-            command.arg("--no-rt");
-        }
-        match execute(&mut command) {
-            Outcome::Ok => check_network(&json),
-            other => other,
-        }
-    });
+        command.args(["--rounds", "1", "--without-hiroz=a debug build", "--taut"]);
+        command.arg(Build::Tests.folder().join("taut")).args(permitted());
+        options.pass_on(&mut command, &["--quick"]);
+        command
+    };
+    bench(steps, "network", command, check_network);
 }
 
-/// A minute of the comparison with what is built in seconds: it runs, its page is drawn and its report keeps its promises.
+/// A minute of the comparison with what is built in seconds: its page is drawn, too.
 fn compare(steps: &mut Steps) {
     const SYSTEMS: [&str; 4] = ["floor", "tautline", "iceoryx2", "fastdds"];
-    let target = machine::target_dir();
-    let (json, html) = (target.join("compare.json"), target.join("compare.html"));
-    let _ = std::fs::remove_file(&json);
-    steps.step("bench: compare", || {
-        let mut arguments = vec!["--smoke".to_owned()];
-        if !machine::is_ci() && !machine::realtime_permitted() {
-            arguments.push("--no-rt".to_owned());
-        }
-        let mut command = comparison::command(&comparison::Options {
+    let command = |options| {
+        let arguments = [vec!["--smoke".to_owned()], permitted()].concat();
+        let compare = Compare {
+            bench: Options { quick: false, arguments, ..options },
             systems: SYSTEMS.map(str::to_owned).into(),
-            json: Some(json.clone()),
-            html: Some(html),
-            arguments,
-            build: Build::Tests,
-            ..Default::default()
-        });
-        match execute(&mut command) {
-            Outcome::Ok => check_compare(&json, &SYSTEMS),
-            other => other,
-        }
-    });
+            html: Some(machine::target_dir().join("compare.html")),
+        };
+        compare.command()
+    };
+    bench(steps, "compare", command, |json| check_compare(json, &SYSTEMS));
 }
 
 /// It runs, without r2r, which takes a minute to build; what it says belongs to the machine.
 fn services(steps: &mut Steps) {
-    let no_rt = !machine::is_ci() && !machine::realtime_permitted();
-    let arguments = no_rt.then(|| "--no-rt".to_owned()).into_iter().collect();
-    let options = round_trips::Options {
-        quick: true,
-        no_r2r: true,
-        arguments,
-        build: Build::Tests,
-        ..Default::default()
-    };
-    steps.command("bench: services", &mut round_trips::command(&options));
+    let bench = Options { arguments: permitted(), ..Options::of_tests() };
+    steps.command("bench: services", &mut Services { bench, no_r2r: true }.command());
 }
 
 /// They run; what they say belongs to the machine.
 fn plain_benches(steps: &mut Steps) {
     for name in ["trace", "tools", "parameters"] {
-        steps.command(&format!("bench: {name}"), &mut bench(Build::Tests, name, true, None));
+        steps.command(&format!("bench: {name}"), &mut Options::of_tests().command(name));
     }
 }
 
-/// A quick run: no process hangs or leaves anything, and the report keeps its promises; what it says belongs to the machine.
+/// A quick run: no process hangs or leaves anything; what it says belongs to the machine.
 fn domain(steps: &mut Steps) {
-    let json = machine::target_dir().join("domain.json");
-    let _ = std::fs::remove_file(&json);
-    steps.step("bench: domain", || match execute(&mut bench_domain(Build::Tests, true, Some(&json), &[])) {
-        Outcome::Ok => check_domain(&json),
-        other => other,
-    });
+    bench(steps, "domain", |options| options.domain(), check_domain);
 }
 
-/// A second of each variant of the evaluation, Tautline's side: it runs and its report keeps its promises. r2r's side takes a
-/// minute to build.
+/// A second of each variant of the evaluation, Tautline's side: r2r's side takes a minute to build.
 fn paper(steps: &mut Steps) {
-    let target = machine::target_dir();
-    let (json, html) = (target.join("paper.json"), target.join("paper.html"));
-    let _ = std::fs::remove_file(&json);
-    let realtime = machine::is_ci() || machine::realtime_permitted();
-    steps.step("bench: paper", || {
-        let mut arguments = vec!["--repeats".to_owned(), "0".to_owned()];
-        if !realtime {
-            arguments.push("--no-rt".to_owned());
-        }
-        let mut command = evaluation::command(&evaluation::Options {
+    let command = |options| {
+        let arguments = [vec!["--repeats".to_owned(), "0".to_owned()], permitted()].concat();
+        let paper = Paper {
+            bench: Options { quick: false, arguments, ..options },
             no_r2r: true,
             runs: Some(1),
             seconds: Some(1.0),
-            json: Some(json.clone()),
-            html: Some(html),
-            arguments,
-            build: Build::Tests,
-            ..Default::default()
-        });
-        match execute(&mut command) {
-            Outcome::Ok => check_paper(&json, realtime),
-            other => other,
-        }
-    });
+            html: Some(machine::target_dir().join("paper.html")),
+            ..Paper::default()
+        };
+        paper.command()
+    };
+    bench(steps, "paper", command, |json| check_paper(json, machine::no_rt().is_none()));
 }
 
 /// The unsafe code that needs no kernel, under an interpreter that sees undefined behaviour.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! rmw_tautline as a package of a ROS 2 workspace: what colcon finds in this repository, builds and installs.
 
-use crate::bridge::Environment;
+use crate::r2r::Environment;
 use crate::steps::{Outcome, Steps, announce, execute};
 use crate::{machine, packages, r2r, ros};
 use std::path::Path;
@@ -54,10 +54,7 @@ pub fn test(steps: &mut Steps, environment: &Environment) {
         }
         command
     };
-    steps.step(NAME, || match check(&workspace, command) {
-        Ok(()) => Outcome::Ok,
-        Err(reason) => Outcome::Failed(reason),
-    });
+    steps.step(NAME, || check(&workspace, command).into());
 }
 
 fn check(workspace: &Path, command: impl Fn(&str) -> Command) -> Result<(), String> {
@@ -82,18 +79,10 @@ fn check(workspace: &Path, command: impl Fn(&str) -> Command) -> Result<(), Stri
         colcon.arg(verb).arg("--base-paths").arg(machine::root().join("rmw"));
         colcon
     };
-    run(colcon("build").args([
-        "--cmake-args",
-        "-DCMAKE_BUILD_TYPE=Debug",
-        "-DRMW_TAUTLINE_CARGO_ARGS=--features bench,xtask",
-    ]))?;
-    run(colcon("test").arg("--return-code-on-test-failure"))?;
-    run(command("sh").args(["-c", &format!(". install/setup.sh && exec python3 -c \"{INSTALLED}\"")]))
-}
-
-fn run(command: &mut Command) -> Result<(), String> {
-    match execute(command) {
-        Outcome::Ok => Ok(()),
-        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
-    }
+    let mut build = colcon("build");
+    build.args(["--cmake-args", "-DCMAKE_BUILD_TYPE=Debug"]);
+    execute(build.arg("-DRMW_TAUTLINE_CARGO_ARGS=--features bench,xtask")).result()?;
+    execute(colcon("test").arg("--return-code-on-test-failure")).result()?;
+    let installed = format!(". install/setup.sh && exec python3 -c \"{INSTALLED}\"");
+    execute(command("sh").args(["-c", &installed])).result()
 }

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The comparison with other middleware: builds the rivals, those that it can, and runs all.
 
-use crate::build::Build;
-use crate::steps::{self, Outcome, execute};
+use crate::bench::{Options, pass};
+use crate::build::{Build, RELEASE, apart, build};
+use crate::steps::{self, execute};
 use crate::{machine, network, r2r};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode};
+use std::process::Command;
 use std::{fs, io};
 
 #[derive(clap::Args, Default)]
@@ -16,24 +17,15 @@ use std::{fs, io};
   cargo xtask bench compare --systems tautline,iceoryx2,fastdds -- --only latency
 
 A rival that cannot be built here is named in the report, with the reason.")]
-pub struct Options {
-    /// Fewer payloads, fewer and shorter rounds
-    #[arg(long)]
-    pub quick: bool,
+pub struct Compare {
+    #[command(flatten)]
+    pub bench: Options,
     /// Only these systems [default: all]
     #[arg(long, value_name = "SYSTEM,...", value_delimiter = ',')]
     pub systems: Vec<String>,
-    /// Write the numbers to FILE as well
-    #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
     /// Write the report with its pictures to FILE
     #[arg(long, value_name = "FILE")]
     pub html: Option<PathBuf>,
-    #[arg(skip)]
-    pub build: Build,
-    /// Passed on: see `cargo xtask bench compare -- --help`
-    #[arg(last = true)]
-    pub arguments: Vec<String>,
 }
 
 /// A system, a program that is not in this workspace or not always built with it, and what makes that.
@@ -51,38 +43,31 @@ const RIVALS: [Rival; 8] = [
     ("cyclonedds", "roudi", write_roudi),
 ];
 
-pub fn run(options: &Options) -> ExitCode {
-    steps::run(&mut command(options))
-}
-
-/// Builds the rivals, and makes the command that measures.
-pub fn command(options: &Options) -> Command {
-    let mut command = options.build.program("tautline-compare", "compare");
-    let is_wanted =
-        |name: &str| options.systems.is_empty() || options.systems.iter().any(|system| system == name);
-    for (_, name, build) in RIVALS.iter().filter(|(system, ..)| is_wanted(system)) {
-        let built = match *name {
-            "gateway" if options.build == Build::Tests => Ok(Build::Tests.folder().join("taut-gateway")),
-            _ => build(),
-        };
-        match built {
-            Ok(program) => command.arg(format!("--program={name}={}", program.display())),
-            Err(reason) => command.arg(format!("--without={name}={reason}")),
-        };
-    }
-    if options.quick {
-        command.arg("--quick");
-    }
-    if !options.systems.is_empty() {
-        command.arg(format!("--systems={}", options.systems.join(",")));
-    }
-    for (name, path) in [("--json", &options.json), ("--html", &options.html)] {
-        if let Some(path) = path {
-            command.arg(name).arg(path);
+impl Compare {
+    /// Builds the rivals, and makes the command that measures.
+    pub fn command(&self) -> Command {
+        let mut command = self.bench.build.program("tautline-compare", "compare");
+        let is_wanted =
+            |name: &str| self.systems.is_empty() || self.systems.iter().any(|system| system == name);
+        for (_, name, build) in RIVALS.iter().filter(|(system, ..)| is_wanted(system)) {
+            let built = match *name {
+                "gateway" if self.bench.build == Build::Tests => {
+                    Ok(Build::Tests.folder().join("taut-gateway"))
+                }
+                _ => build(),
+            };
+            match built {
+                Ok(program) => command.arg(format!("--program={name}={}", program.display())),
+                Err(reason) => command.arg(format!("--without={name}={reason}")),
+            };
         }
+        if !self.systems.is_empty() {
+            command.arg(format!("--systems={}", self.systems.join(",")));
+        }
+        pass(&mut command, "--html", self.html.as_ref());
+        self.bench.pass_on(&mut command, &["--quick"]);
+        command
     }
-    command.args(&options.arguments);
-    command
 }
 
 /// With the Fast DDS of the ROS 2 that is sourced, else with that of the wheels; some seconds.
@@ -172,10 +157,8 @@ fn write_roudi() -> Result<PathBuf, String> {
 
 /// The gateway of this workspace: a minute from cold, for it has a Zenoh.
 fn build_gateway() -> Result<PathBuf, String> {
-    match execute(&mut steps::cargo("build --release -p tautline-gateway --bins")) {
-        Outcome::Ok => Ok(machine::target_dir().join("release/taut-gateway")),
-        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
-    }
+    build(&mut steps::cargo("build --release -p tautline-gateway --bins"))?;
+    Ok(Build::Release.folder().join("taut-gateway"))
 }
 
 /// Fetches packages and unpacks them to a folder.
@@ -185,14 +168,11 @@ fn unpack(root: &Path, packages: &[&str]) -> Result<(), String> {
         fs::remove_dir_all(root).map_err(say)?;
     }
     fs::create_dir_all(root).map_err(say)?;
-    let succeed = |command: &mut Command| match execute(command) {
-        Outcome::Ok => Ok(()),
-        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
-    };
-    succeed(Command::new("apt-get").args(["download", "--quiet"]).args(packages).current_dir(root))?;
+    let mut download = Command::new("apt-get");
+    execute(download.args(["download", "--quiet"]).args(packages).current_dir(root)).result()?;
     for entry in fs::read_dir(root).map_err(say)?.flatten() {
         if entry.path().extension().is_some_and(|extension| extension == "deb") {
-            succeed(Command::new("dpkg").arg("-x").arg(entry.path()).arg(root))?;
+            execute(Command::new("dpkg").arg("-x").arg(entry.path()).arg(root)).result()?;
             fs::remove_file(entry.path()).map_err(say)?;
         }
     }
@@ -202,36 +182,17 @@ fn unpack(root: &Path, packages: &[&str]) -> Result<(), String> {
 
 /// A minute from cold; what it uses is built where `bench paper` has it.
 fn build_r2r() -> Result<PathBuf, String> {
-    let target = machine::target_dir().join("ros/paper-r2r");
-    let mut build = r2r::cargo("build --release --locked")?;
-    build.arg("--manifest-path").arg(machine::root().join("benches/compare/r2r/Cargo.toml"));
-    build.arg("--target-dir").arg(&target);
-    build.env("IDL_PACKAGE_FILTER", r2r::MESSAGES);
-    match execute(&mut build) {
-        Outcome::Ok => Ok(target.join("release/compare-r2r")),
-        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
-    }
+    r2r::build("benches/compare/r2r", "compare-r2r")
 }
 
 /// Half a minute from cold: its iceoryx2 is not ours.
 fn build_taktora() -> Result<PathBuf, String> {
-    build_apart("taktora")
+    apart(&mut steps::cargo(RELEASE), "benches/compare/taktora", "compare/taktora-build", "compare-taktora")
 }
 
 /// Minutes from cold: a Zenoh with shared memory, which the gateway's has not.
 fn build_zenoh() -> Result<PathBuf, String> {
-    build_apart("zenoh")
-}
-
-/// A program of a workspace of its own.
-fn build_apart(name: &str) -> Result<PathBuf, String> {
-    let target = machine::target_dir().join(format!("compare/{name}-build"));
-    let mut build = steps::cargo("build --release --locked");
-    build.arg("--manifest-path").arg(machine::root().join(format!("benches/compare/{name}/Cargo.toml")));
-    match execute(build.arg("--target-dir").arg(&target)) {
-        Outcome::Ok => Ok(target.join(format!("release/compare-{name}"))),
-        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
-    }
+    apart(&mut steps::cargo(RELEASE), "benches/compare/zenoh", "compare/zenoh-build", "compare-zenoh")
 }
 
 /// A program of one C++ file in the making.
@@ -261,13 +222,9 @@ impl Cpp {
         if is_same && is_newer(&self.program, &self.sources).unwrap_or(false) {
             return Ok(self.program);
         }
-        match execute(&mut self.command) {
-            Outcome::Ok => {
-                fs::write(&record, words).map_err(|error| format!("{}: {error}", record.display()))?;
-                Ok(self.program)
-            }
-            Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
-        }
+        build(&mut self.command)?;
+        fs::write(&record, words).map_err(|error| format!("{}: {error}", record.display()))?;
+        Ok(self.program)
     }
 }
 

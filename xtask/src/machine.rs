@@ -52,6 +52,11 @@ pub fn realtime_permitted() -> bool {
     capable || limit == "unlimited" || limit.parse().is_ok_and(|limit: u8| limit >= 98)
 }
 
+/// What a program is told where real-time priorities are not permitted; in CI they must be.
+pub fn no_rt() -> Option<&'static str> {
+    (!is_ci() && !realtime_permitted()).then_some("--no-rt")
+}
+
 /// Whether `cargo <arguments>` works; otherwise the last line of what it complains about.
 pub fn cargo_has(arguments: &str) -> Result<(), String> {
     let output = Command::new("cargo").args(arguments.split(' ')).stdin(Stdio::null()).output();

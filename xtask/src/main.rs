@@ -9,7 +9,8 @@
 //! | `test` | the verb `test`: every step of it, in order |
 //! | `ci` | the verb `ci`: the rest of what CI runs |
 //! | `shared` | checks that both build what they share once |
-//! | `alks` | the automated lane keeping system: builds r2r's side, if it can, and runs both |
+//! | `bench` | what benches are told, and those that need nothing else |
+//! | `beside_r2r` | the benches with a side of r2r's, which is built if it can be |
 //! | `book` | the documentation as a book, and its links |
 //! | `bridge` | lints and tests of the bridge to ROS 2 |
 //! | `colcon` | rmw_tautline as a package of a ROS 2 workspace |
@@ -19,9 +20,6 @@
 //! | `reports` | checks that the JSON of the demo and of the benches keeps its promises |
 //! | `compare` | the comparison with other middleware: builds the rivals, and runs all |
 //! | `network` | the bench of the gateways: builds Zenoh's and hiroz's sides, and runs all |
-//! | `paper` | the evaluation: builds r2r's side, if it can, and runs both |
-//! | `reference` | the Autoware reference system: builds r2r's side, if it can, and runs both |
-//! | `services` | the services bench: builds r2r's side, if it can, and runs all |
 //! | `readme` | the README's tables and picture, and the domain's in its ADR, made from a run |
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |
 //! | `programs` | runs the programs of a test of the node on r2r |
@@ -32,8 +30,9 @@
 //! | `packages` | Debian's packages that some tests need |
 //! | `machine` | where things are built, and what this user may do |
 
-mod alks;
 mod api;
+mod bench;
+mod beside_r2r;
 mod book;
 mod bridge;
 mod build;
@@ -46,24 +45,21 @@ mod lttng;
 mod machine;
 mod network;
 mod packages;
-mod paper;
 mod peers;
 mod programs;
 mod r2r;
 mod r2r_tests;
 mod readme;
-mod reference;
 mod reports;
 mod rmw;
 mod ros;
-mod services;
 mod shared;
 mod steps;
 mod test;
 
+use bench::Options;
 use build::Build;
 use clap::{Parser, Subcommand};
-use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 use steps::Steps;
 
@@ -156,68 +152,80 @@ enum Verb {
     Stress(Stress),
 }
 
-/// Of a bench that is asked for nothing else.
-#[derive(clap::Args)]
-struct Plain {
-    /// Fewer and shorter rounds
-    #[arg(long)]
-    quick: bool,
-    /// Write the numbers to FILE as well
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
-    /// Passed on: see `-- --help`
-    #[arg(last = true)]
-    arguments: Vec<String>,
-}
-
-impl Plain {
-    fn command(&self, name: &str) -> Command {
-        let mut command = bench(Build::Release, name, self.quick, self.json.as_deref());
-        command.args(&self.arguments);
-        command
-    }
-
-    fn run(&self, name: &str) -> ExitCode {
-        steps::run(&mut self.command(name))
-    }
-}
-
 #[derive(Subcommand)]
 enum Bench {
     /// What overruns of one callback do to the deadlines of others, if they are counted and if they are demoted; half a minute with --quick
-    Budgets(Plain),
+    Budgets(Options),
     /// How late the event of a missed deadline is with 200 topics on a sampler, beside a timer and a bare sleep; some seconds with --quick
-    Deadlines(Plain),
+    Deadlines(Options),
     /// What a domain of many processes, topics and ends costs: idle, looked at, joined, under load;
     /// a minute and a half with --quick
-    Domain(Plain),
+    Domain(Options),
     /// What reading a parameter costs a callback, and whether a thread that sets parameters disturbs it; some seconds
     /// with --quick
-    Parameters(Plain),
+    Parameters(Options),
     /// Whether a publisher notices that `taut topic hz`, `taut top` or `taut topic echo` looks at its topic; some seconds with --quick
-    Tools(Plain),
+    Tools(Options),
     /// What a trace event costs, recorded and not; a second with --quick
-    Trace(Plain),
+    Trace(Options),
     /// The wake-up from one process to another, beside a bare futex and iceoryx2; under a minute with --quick
-    Wake(Plain),
+    Wake(Options),
     /// Writing, publishing and reading messages, beside a plain buffer and other encoders; some seconds with --quick
-    Messages(Plain),
+    Messages(Options),
     /// Tautline beside Fast DDS, iceoryx2 and others: latency, load, fan-out, throughput, start-up
-    Compare(compare::Options),
+    Compare(compare::Compare),
     /// Topics over two gateways beside plain Zenoh and hiroz, and what a flood from the network costs local callbacks
-    Network(network::Options),
+    Network(network::Network),
     /// A request and its response, beside a topic each way, iceoryx2's request-response and, if there is a ROS 2, r2r's services
-    Services(services::Options),
+    Services(beside_r2r::Services),
     /// The bridge to ROS 2 at 20 topics of 1 kHz, each way, beside r2r's own subscriber; some minutes to build
-    Bridge(bridge::Options),
+    Bridge(bridge::Bridge),
     /// Round trips, CPU time and start-up on rmw_tautline and on Fast DDS's RMW
-    Rmw(rmw::Options),
+    Rmw(rmw::Rmw),
     /// The evaluation of an ECRTS 2025 paper, on Tautline and, if there is a ROS 2, on r2r beside it
-    Paper(paper::Options),
+    Paper(beside_r2r::Paper),
     /// The Autoware reference system, 24 nodes in one process, on Tautline and, if there is a ROS 2, on r2r beside it
-    ReferenceSystem(reference::Options),
+    ReferenceSystem(beside_r2r::Reference),
     /// An automated lane keeping system, three processes in a closed loop with a simulated car, on Tautline and, if there is a ROS 2, on r2r
-    Alks(alks::Options),
+    Alks(beside_r2r::Alks),
+}
+
+impl Bench {
+    /// Builds what takes part, and makes the command that measures.
+    fn command(&self) -> Result<Command, String> {
+        Ok(match self {
+            Bench::Budgets(options) => options.command("budgets"),
+            Bench::Deadlines(options) => options.command("deadlines"),
+            Bench::Domain(options) => options.domain(),
+            Bench::Parameters(options) => options.command("parameters"),
+            Bench::Tools(options) => {
+                // With the `taut` of this build.
+                build::build(&mut steps::cargo("build --release -p taut"))?;
+                options.command("tools")
+            }
+            Bench::Trace(options) => options.command("trace"),
+            Bench::Wake(options) => options.command("wake"),
+            Bench::Messages(options) => options.command("messages"),
+            Bench::Compare(compare) => compare.command(),
+            Bench::Network(network) => network.command()?,
+            Bench::Services(services) => services.command(),
+            Bench::Bridge(bridge) => bridge.command()?,
+            Bench::Rmw(rmw) => rmw.command()?,
+            Bench::Paper(paper) => paper.command(),
+            Bench::ReferenceSystem(reference) => reference.command(),
+            Bench::Alks(alks) => alks.command(),
+        })
+    }
+
+    fn run(&self) -> ExitCode {
+        match self.command() {
+            Ok(mut command) => steps::run(&mut command),
+            Err(reason) => {
+                eprintln!("bench: {reason}");
+                ExitCode::FAILURE
+            }
+        }
+    }
 }
 
 #[derive(Subcommand)]
@@ -286,24 +294,7 @@ fn main() -> ExitCode {
         Verb::Peers => peers::run(),
         Verb::R2r => programs::run(),
         Verb::R2rTests => r2r_tests::run(),
-        Verb::Bench(Bench::Wake(plain)) => plain.run("wake"),
-        Verb::Bench(Bench::Messages(plain)) => plain.run("messages"),
-        Verb::Bench(Bench::Services(options)) => services::run(&options),
-        Verb::Bench(Bench::Budgets(plain)) => plain.run("budgets"),
-        Verb::Bench(Bench::Deadlines(plain)) => plain.run("deadlines"),
-        Verb::Bench(Bench::Domain(Plain { quick, json, arguments })) => {
-            steps::run(&mut bench_domain(Build::Release, quick, json.as_deref(), &arguments))
-        }
-        Verb::Bench(Bench::Parameters(plain)) => plain.run("parameters"),
-        Verb::Bench(Bench::Tools(plain)) => bench_tools(&plain),
-        Verb::Bench(Bench::Trace(plain)) => plain.run("trace"),
-        Verb::Bench(Bench::Compare(options)) => compare::run(&options),
-        Verb::Bench(Bench::Network(options)) => network::run(&options),
-        Verb::Bench(Bench::Bridge(options)) => bridge::bench(&options),
-        Verb::Bench(Bench::Rmw(options)) => rmw::bench(&options),
-        Verb::Bench(Bench::Paper(options)) => paper::run(&options),
-        Verb::Bench(Bench::ReferenceSystem(options)) => reference::run(&options),
-        Verb::Bench(Bench::Alks(options)) => alks::run(&options),
+        Verb::Bench(bench) => bench.run(),
         Verb::Readme { quick, only, minutes } => readme::run(quick, minutes, &only),
         Verb::Miri => {
             let mut steps = Steps::new();
@@ -348,35 +339,4 @@ fn stress_kills(steps: &mut Steps, build: Build, kills: u64, seed: Option<u64>, 
     steps.command("stress: kills at random", &mut command(&format!("random --kills {kills}")));
     let all = if exhaustive { "syscalls --all" } else { "syscalls" };
     steps.command("stress: kills at system calls", &mut command(all));
-}
-
-/// In a package of its own: it needs many processes of nodes, and iceoryx2.
-fn bench_domain(build: Build, quick: bool, json: Option<&std::path::Path>, arguments: &[String]) -> Command {
-    let mut command = build.program("tautline-bench-domain", "domain");
-    command.args(quick.then_some("--quick"));
-    if let Some(path) = json {
-        command.arg("--json").arg(path);
-    }
-    command.args(arguments);
-    command
-}
-
-/// With the `taut` of this build.
-fn bench_tools(plain: &Plain) -> ExitCode {
-    let mut steps = Steps::new();
-    if steps.command("bench: tools: build", &mut steps::cargo("build --release -p taut")) {
-        steps.command("bench: tools", &mut plain.command("tools"));
-    }
-    steps.finish()
-}
-
-fn bench(build: Build, name: &str, quick: bool, json: Option<&std::path::Path>) -> Command {
-    let mut command = build.program("tautline-benches", name);
-    if quick {
-        command.arg("--quick");
-    }
-    if let Some(path) = json {
-        command.arg("--json").arg(path);
-    }
-    command
 }

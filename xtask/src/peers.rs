@@ -3,8 +3,8 @@
 //! the target directory.
 
 use crate::machine::{self, Scope};
-use crate::steps::{Outcome, Steps, announce, cargo, execute};
-use std::fs;
+use crate::ros;
+use crate::steps::{Outcome, Steps, announce, cargo};
 use std::io::{self, BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitCode, Stdio};
@@ -83,33 +83,5 @@ fn venv() -> PathBuf {
 
 /// Makes the environment unless it is there already: some 60 MB from PyPI.
 fn prepare() -> Outcome {
-    let venv = venv();
-    // Written last: what was interrupted is made anew.
-    let complete = venv.join("wheels.txt");
-    let wheels = WHEELS.join("\n");
-    if fs::read_to_string(&complete).is_ok_and(|text| text == wheels) {
-        return Outcome::Ok;
-    }
-    if venv.exists()
-        && let Err(error) = fs::remove_dir_all(&venv)
-    {
-        return Outcome::Failed(error.to_string());
-    }
-    let mut make = Command::new("python3");
-    make.args(["-m", "venv"]).arg(&venv);
-    announce(&make);
-    match make.status() {
-        Ok(status) if status.success() => {}
-        Ok(status) => return Outcome::Failed(format!("python3 -m venv: {status}")),
-        Err(error) => return Outcome::Failed(format!("python3: {error}")),
-    }
-    let mut install = Command::new(venv.join("bin/pip"));
-    install.args(["install", "--quiet", "--disable-pip-version-check"]).args(WHEELS);
-    match execute(&mut install) {
-        Outcome::Ok => match fs::write(&complete, wheels) {
-            Ok(()) => Outcome::Ok,
-            Err(error) => Outcome::Failed(error.to_string()),
-        },
-        other => other,
-    }
+    ros::make_venv(&venv(), &WHEELS, || Ok("python3".to_owned())).into()
 }

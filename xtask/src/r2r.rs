@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What it takes to build a program of r2r's: a ROS 2 to link with and libclang.
 
+use crate::build::{RELEASE, apart};
 use crate::steps::{self, Outcome, Steps};
 use crate::{machine, ros};
 use std::os::unix::fs::symlink;
@@ -26,27 +27,22 @@ pub fn cargo(arguments: &str) -> Result<Command, String> {
 /// The packages of messages that the benches' programs use; all there are take minutes. One list for all: r2r is built once.
 pub const MESSAGES: &str = "geometry_msgs;nav_msgs;sensor_msgs;std_msgs;test_msgs;visualization_msgs";
 
-/// Where r2r's side of the benches is built.
-fn programs() -> PathBuf {
-    machine::target_dir().join("ros/paper-r2r")
-}
+/// Where r2r's side of the benches is built, under the target directory.
+const TARGET: &str = "ros/paper-r2r";
 
 /// Whether [`program`] has built this one before, so that it will not take long.
 pub fn is_built(name: &str) -> bool {
-    programs().join("release").join(name).exists()
+    machine::target_dir().join(TARGET).join("release").join(name).exists()
 }
 
 /// Builds r2r's side of the benches, a minute from cold, and says where this program of it is.
 pub fn program(name: &str) -> Result<PathBuf, String> {
-    let target = programs();
-    let mut build = cargo("build --release --locked")?;
-    build.arg("--manifest-path").arg(machine::root().join("benches/paper-r2r/Cargo.toml"));
-    build.arg("--target-dir").arg(&target);
-    build.env("IDL_PACKAGE_FILTER", MESSAGES);
-    match steps::execute(&mut build) {
-        Outcome::Ok => Ok(target.join("release").join(name)),
-        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(format!("its build failed: {reason}")),
-    }
+    build("benches/paper-r2r", name)
+}
+
+/// The same for a program of another workspace, which shares that build.
+pub fn build(folder: &str, program: &str) -> Result<PathBuf, String> {
+    apart(cargo(RELEASE)?.env("IDL_PACKAGE_FILTER", MESSAGES), folder, TARGET, program)
 }
 
 /// Tells a bench where r2r's side of it is, built before, or why it is left out.
@@ -61,8 +57,11 @@ pub fn join(bench: &mut Command, name: &str, is_left_out: bool) {
 /// What the bridge's build script makes the rpath of.
 pub const RPATH: &str = "TAUT_ROS_RPATH";
 
+/// What programs need to be built and to run.
+pub type Environment = Vec<(&'static str, String)>;
+
 /// Variables that a build needs beside those that are set: none where a ROS 2 is sourced and the system has libclang.
-pub fn environment() -> Result<Vec<(&'static str, String)>, String> {
+pub fn environment() -> Result<Environment, String> {
     let mut variables = Vec::new();
     if env::var_os("AMENT_PREFIX_PATH").is_none() || env::var_os("ROS_DISTRO").is_none() {
         let prefix = wheels()?;
@@ -74,8 +73,24 @@ pub fn environment() -> Result<Vec<(&'static str, String)>, String> {
     Ok(variables)
 }
 
+/// They, for the steps of this name. Without a ROS 2 these are left out, which is said; but not in CI.
+pub fn environment_of(steps: &mut Steps, name: &str) -> Option<Environment> {
+    let mut found = None;
+    steps.step(&format!("{name}: ROS 2"), || match environment() {
+        Ok(variables) => {
+            found = Some(variables);
+            Outcome::Ok
+        }
+        Err(reason) => Outcome::Failed(reason).unless_ci(),
+    });
+    if found.is_none() {
+        steps.skip(name, "there is no ROS 2 to build it with: source one, or run `cargo xtask ros`");
+    }
+    found
+}
+
 /// Those of them by which bindgen finds libclang.
-pub fn libclang() -> Result<Vec<(&'static str, String)>, String> {
+pub fn libclang() -> Result<Environment, String> {
     match env::var_os("LIBCLANG_PATH").is_none() && !system_has_libclang() {
         true => Ok(pypi_libclang()?.into_iter().collect()),
         false => Ok(Vec::new()),
@@ -108,7 +123,7 @@ pub fn prefix() -> Result<PathBuf, String> {
 
 /// The wheels' files in the layout of an installed ROS 2.
 fn wheels() -> Result<PathBuf, String> {
-    done(ros::prepare())?;
+    ros::prepare().result()?;
     let prefix = machine::target_dir().join("ros/prefix");
     make_prefix(&ros::venv(), &prefix).map_err(|error| format!("{}: {error}", prefix.display()))?;
     Ok(prefix)
@@ -189,11 +204,12 @@ fn native() -> PathBuf {
 }
 
 fn pypi_libclang() -> Result<[(&'static str, String); 2], String> {
-    done(ros::prepare())?;
+    ros::prepare().result()?;
     let native = native();
     if !native.exists() {
         let mut install = Command::new(ros::venv().join("bin/pip"));
-        done(steps::execute(install.args(["install", "--quiet", "--disable-pip-version-check", LIBCLANG])))?;
+        install.args(["install", "--quiet", "--disable-pip-version-check", LIBCLANG]);
+        steps::execute(&mut install).result()?;
     }
     // It comes without the compiler's own headers.
     let gcc =
@@ -201,13 +217,6 @@ fn pypi_libclang() -> Result<[(&'static str, String); 2], String> {
     let include = String::from_utf8_lossy(&gcc.stdout).trim().to_owned();
     let native = native.display().to_string();
     Ok([("LIBCLANG_PATH", native), ("BINDGEN_EXTRA_CLANG_ARGS", format!("-I{include}"))])
-}
-
-fn done(outcome: Outcome) -> Result<(), String> {
-    match outcome {
-        Outcome::Ok => Ok(()),
-        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
-    }
 }
 
 #[cfg(test)]

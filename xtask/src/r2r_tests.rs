@@ -406,7 +406,7 @@ impl Running {
         let mut command = Command::new(path);
         command.args(arguments.split_whitespace()).env("TAUT_SCOPE", scope.name());
         command.env_remove("TAUT_DOMAIN").env_remove("ROS_DOMAIN_ID");
-        if !machine::is_ci() && !machine::realtime_permitted() {
+        if machine::no_rt().is_some() {
             command.env("TAUT_REALTIME", "off");
         }
         announce(&command);

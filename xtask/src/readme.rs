@@ -13,9 +13,13 @@ mod parameters;
 mod services;
 mod wake;
 
-use crate::build::Build;
+use crate::bench::Options;
+use crate::beside_r2r::{Paper, Services};
+use crate::compare::Compare;
 use crate::machine::target_dir;
-use crate::{bench, steps};
+use crate::network::Network;
+use crate::steps;
+use clap::ValueEnum;
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
@@ -27,7 +31,7 @@ const PICTURE: &str = "docs/demo.svg";
 const COMPARISON: &str = "docs/compare.svg";
 
 /// A part of the documents that is made from a run.
-#[derive(clap::ValueEnum, Clone, Copy, PartialEq, Eq)]
+#[derive(ValueEnum, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
     Demo,
     Wake,
@@ -41,18 +45,6 @@ pub enum Part {
 }
 
 impl Part {
-    const ALL: [Part; 9] = [
-        Part::Demo,
-        Part::Wake,
-        Part::Messages,
-        Part::Services,
-        Part::Parameters,
-        Part::Network,
-        Part::Paper,
-        Part::Compare,
-        Part::Domain,
-    ];
-
     /// Its mark in its document.
     fn mark(self) -> &'static str {
         match self {
@@ -79,46 +71,27 @@ impl Part {
 
     /// What measures it and writes `json`.
     fn command(self, quick: bool, minutes: Option<u64>, json: &Path) -> Result<Command, String> {
+        let bench = Options { quick, json: Some(json.to_owned()), ..Options::default() };
+        let html = Some(json.with_extension("html"));
         Ok(match self {
             Part::Demo => {
                 let mut demo = steps::cargo("run --release -p taut -- demo --seconds 20 --svg");
                 demo.arg(PICTURE).arg("--json").arg(json);
                 demo
             }
-            Part::Wake => bench(Build::Release, "wake", quick, Some(json)),
-            Part::Messages => bench(Build::Release, "messages", quick, Some(json)),
-            Part::Services => crate::services::command(&crate::services::Options {
-                quick,
-                json: Some(json.to_owned()),
-                ..Default::default()
-            }),
-            Part::Parameters => bench(Build::Release, "parameters", quick, Some(json)),
-            Part::Domain => crate::bench_domain(Build::Release, quick, Some(json), &[]),
-            Part::Network => crate::network::command(&crate::network::Options {
-                quick,
-                json: Some(json.to_owned()),
-                ..Default::default()
-            })?,
-            Part::Compare => crate::compare::command(&crate::compare::Options {
-                quick,
-                json: Some(json.to_owned()),
-                html: Some(json.with_extension("html")),
-                arguments: vec!["--svg".to_owned(), COMPARISON.to_owned()],
-                ..Default::default()
-            }),
+            Part::Wake | Part::Messages | Part::Parameters => bench.command(self.mark()),
+            Part::Services => Services { bench, ..Services::default() }.command(),
+            Part::Domain => bench.domain(),
+            Part::Network => Network { bench, ..Network::default() }.command()?,
+            Part::Compare => {
+                let arguments = vec!["--svg".to_owned(), COMPARISON.to_owned()];
+                Compare { bench: Options { arguments, ..bench }, html, ..Compare::default() }.command()
+            }
             Part::Paper => {
                 // The whole evaluation takes two hours: what was begun is gone on with.
                 let results = (!quick).then(|| json.with_extension("runs"));
                 let minutes = minutes.filter(|_| !quick);
-                let (json, html) = (Some(json.to_owned()), Some(json.with_extension("html")));
-                crate::paper::command(&crate::paper::Options {
-                    quick,
-                    results,
-                    minutes,
-                    json,
-                    html,
-                    ..Default::default()
-                })
+                Paper { bench, results, minutes, html, ..Paper::default() }.command()
             }
         })
     }
@@ -141,7 +114,7 @@ impl Part {
 /// Runs what the parts (none: all) are made from and puts them into their documents. Measures first: no table is made of a run
 /// that failed.
 pub fn run(quick: bool, minutes: Option<u64>, parts: &[Part]) -> ExitCode {
-    let parts = if parts.is_empty() { &Part::ALL[..] } else { parts };
+    let parts = if parts.is_empty() { Part::value_variants() } else { parts };
     let json = |part: &Part| target_dir().join(format!("readme-{}.json", part.mark()));
     for part in parts {
         let run = part.command(quick, minutes, json(part).as_ref()).and_then(|mut command| {

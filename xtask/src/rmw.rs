@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! rmw_tautline: built for use, its lints and tests, and its bench.
 
-use crate::bridge::{Environment, nextest, programs, with_libraries};
-use crate::steps::{self, Outcome, Steps, cargo, execute};
+use crate::bench::{Options, pass};
+use crate::bridge::{nextest, programs, with_libraries};
+use crate::build::{Build, build};
+use crate::steps::{Steps, cargo};
 use crate::{colcon, machine, r2r, ros};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -16,47 +18,28 @@ pub const WHOLE: &str = "--manifest-path rmw/Cargo.toml --locked --features benc
 
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
-  cargo xtask bench rmw
-  cargo xtask bench rmw --quick --json rmw.json")]
-pub struct Options {
-    /// Fewer and shorter rounds: half a minute instead of five
-    #[arg(long)]
-    pub quick: bool,
-    /// Write the numbers to FILE as well
-    #[arg(long, value_name = "FILE")]
-    pub json: Option<PathBuf>,
-    /// Passed on: see `cargo xtask bench rmw -- --help`
-    #[arg(last = true)]
-    pub arguments: Vec<String>,
+  cargo xtask bench rmw                           some five minutes
+  cargo xtask bench rmw --quick --json rmw.json   half a minute")]
+pub struct Rmw {
+    #[command(flatten)]
+    bench: Options,
 }
 
-/// Builds it and its bench, and measures.
-pub fn bench(options: &Options) -> ExitCode {
-    let built = r2r::environment().and_then(|environment| {
-        match execute(&mut with_libraries(&environment, &format!("build --release {BENCH}"))) {
-            Outcome::Ok => Ok(()),
-            Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
-        }
-    });
-    if let Err(reason) = built {
-        eprintln!("bench rmw: {reason}");
-        return ExitCode::FAILURE;
+impl Rmw {
+    /// Builds it and its bench, and makes the command that measures.
+    pub fn command(&self) -> Result<Command, String> {
+        build(&mut with_libraries(&r2r::environment()?, &format!("build --release {BENCH}")))?;
+        Ok(measure(&self.bench))
     }
-    steps::run(measure("release", options.quick, options.json.as_deref()).args(&options.arguments))
 }
 
-fn measure(profile: &str, quick: bool, json: Option<&Path>) -> Command {
-    let folder = machine::target_dir().join(profile);
+fn measure(bench: &Options) -> Command {
+    let folder = bench.build.folder();
     // It waits for processes, which may not come.
     let mut command = Command::new("timeout");
     command.arg("600").arg(folder.join("bench-rmw")).arg("--tautline").arg(folder.join("librmw_tautline.so"));
-    command.args(quick.then_some("--quick"));
-    if let Some(python) = python() {
-        command.arg("--python").arg(python);
-    }
-    if let Some(path) = json {
-        command.arg("--json").arg(path);
-    }
+    pass(&mut command, "--python", python());
+    bench.pass_on(&mut command, &["--quick"]);
     command
 }
 
@@ -72,16 +55,14 @@ fn python() -> Option<PathBuf> {
 
 /// Nothing is lost, with the build of the tests; how it compares is for a quiet machine and a release build.
 pub fn bench_of_tests(steps: &mut Steps) {
-    let mut command = measure("debug", true, Some(&machine::target_dir().join("rmw.json")));
-    if !machine::is_ci() && !machine::realtime_permitted() {
-        command.arg("--no-rt");
-    }
-    steps.command("bench: rmw", &mut command);
+    let json = Some(machine::target_dir().join("rmw.json"));
+    let mut command = measure(&Options { json, ..Options::of_tests() });
+    steps.command("bench: rmw", command.args(machine::no_rt()));
 }
 
 /// Builds the library for use, a minute from cold, and says how it is used.
 pub fn run() -> ExitCode {
-    match build() {
+    match for_use() {
         Ok(()) => ExitCode::SUCCESS,
         Err(reason) => {
             eprintln!("rmw_tautline is not built: {reason}");
@@ -90,13 +71,10 @@ pub fn run() -> ExitCode {
     }
 }
 
-fn build() -> Result<(), String> {
+fn for_use() -> Result<(), String> {
     let environment = r2r::environment()?;
-    match execute(&mut with_libraries(&environment, &format!("build --release {LIBRARY}"))) {
-        Outcome::Ok => {}
-        Outcome::Failed(reason) | Outcome::Skipped(reason) => return Err(reason),
-    }
-    let folder = machine::target_dir().join("release");
+    build(&mut with_libraries(&environment, &format!("build --release {LIBRARY}")))?;
+    let folder = Build::Release.folder();
     println!("\nTo run a node of ROS 2 on it:");
     if !environment.iter().any(|(name, _)| *name == r2r::RPATH) {
         println!("  export LD_LIBRARY_PATH={}:$LD_LIBRARY_PATH", folder.display());
@@ -113,18 +91,7 @@ fn build() -> Result<(), String> {
 
 /// Without a ROS 2 it is left out, which is said; but not in CI.
 pub fn test(steps: &mut Steps) {
-    let mut environment = Environment::new();
-    let prepared = steps.step("rmw: ROS 2", || match r2r::environment() {
-        Ok(variables) => {
-            environment = variables;
-            Outcome::Ok
-        }
-        Err(reason) if machine::is_ci() => Outcome::Failed(reason),
-        Err(reason) => Outcome::Skipped(reason),
-    });
-    if !prepared {
-        return steps.skip("rmw", "there is no ROS 2 to build it with: source one, or run `cargo xtask ros`");
-    }
+    let Some(environment) = r2r::environment_of(steps, "rmw") else { return };
     let building = |arguments: &str| with_libraries(&environment, arguments);
     steps.command("rmw: clippy", &mut building(&format!("clippy {WHOLE} --all-targets -- -D warnings")));
     // Cargo builds no library of this kind for its tests.

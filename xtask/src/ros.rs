@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A real ROS 2 Jazzy from PyPI, in a Python environment under the target directory: rclpy, Fast DDS, message packages.
 
-use crate::steps::{Outcome, announce, execute};
+use crate::steps::{Outcome, execute};
 use crate::{machine, r2r};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
@@ -33,11 +33,7 @@ const WHEELS: [&str; 18] = [
 
 /// Makes the environment and says how to use it.
 pub fn run() -> ExitCode {
-    let setup = match prepare() {
-        Outcome::Ok => r2r::setup_file(),
-        Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
-    };
-    match setup {
+    match prepare().result().and_then(|()| r2r::setup_file()) {
         Ok(setup) => {
             println!("ROS 2 Jazzy is in {}. To build and run the bridge with it:", venv().display());
             println!("  source {}", setup.display());
@@ -61,44 +57,36 @@ pub fn venv() -> PathBuf {
 
 /// Makes the environment unless it is there already. Ten seconds and 120 MB from PyPI.
 pub fn prepare() -> Outcome {
-    let venv = venv();
-    // Written last: what was interrupted is made anew.
-    let complete = venv.join("wheels.txt");
-    let wheels = WHEELS.join("\n");
-    if fs::read_to_string(&complete).is_ok_and(|text| text == wheels) {
-        return Outcome::Ok;
-    }
-    let Some(python) = python() else {
-        return Outcome::Failed(
-            "the wheels need Python 3.11: install python3.11 with its venv module".to_owned(),
-        );
-    };
-    if let Err(error) = make(&python, &venv) {
-        return Outcome::Failed(error.to_string());
-    }
-    let mut install = Command::new(venv.join("bin/pip"));
-    install.args(["install", "--quiet", "--disable-pip-version-check"]).args(WHEELS);
-    match execute(&mut install) {
-        Outcome::Ok => match fs::write(&complete, wheels) {
-            Ok(()) => Outcome::Ok,
-            Err(error) => Outcome::Failed(error.to_string()),
-        },
-        other => other,
-    }
+    let python =
+        || python().ok_or("the wheels need Python 3.11: install python3.11 with its venv module".to_owned());
+    make_venv(&venv(), &WHEELS, python).into()
 }
 
-fn make(python: &str, venv: &Path) -> io::Result<()> {
+/// Makes a Python environment with packages from PyPI unless it is there already.
+pub fn make_venv(
+    venv: &Path,
+    wheels: &[&str],
+    python: impl FnOnce() -> Result<String, String>,
+) -> Result<(), String> {
+    let say = |error: io::Error| format!("{}: {error}", venv.display());
+    // Written last: what was interrupted is made anew.
+    let (complete, names) = (venv.join("wheels.txt"), wheels.join("\n"));
+    if fs::read_to_string(&complete).is_ok_and(|there| there == names) {
+        return Ok(());
+    }
+    let python = python()?;
     if venv.exists() {
-        fs::remove_dir_all(venv)?;
+        fs::remove_dir_all(venv).map_err(say)?;
     }
     // The wheels' packages are none of a workspace that this repository is in.
-    fs::create_dir_all(machine::target_dir())?;
-    fs::write(machine::target_dir().join("COLCON_IGNORE"), "")?;
-    let mut command = Command::new(python);
-    command.args(["-m", "venv"]).arg(venv);
-    announce(&command);
-    let status = command.status()?;
-    if status.success() { Ok(()) } else { Err(io::Error::other(format!("{python} -m venv: {status}"))) }
+    fs::create_dir_all(machine::target_dir()).map_err(say)?;
+    fs::write(machine::target_dir().join("COLCON_IGNORE"), "").map_err(say)?;
+    let made = execute(Command::new(&python).args(["-m", "venv"]).arg(venv)).result();
+    made.map_err(|reason| format!("{python} -m venv: {reason}"))?;
+    let mut install = Command::new(venv.join("bin/pip"));
+    install.args(["install", "--quiet", "--disable-pip-version-check"]).args(wheels);
+    execute(&mut install).result()?;
+    fs::write(complete, names).map_err(say)
 }
 
 /// A Python of the version that the wheels are built for.

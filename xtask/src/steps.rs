@@ -20,6 +20,23 @@ impl Outcome {
             other => other,
         }
     }
+
+    /// Otherwise the reason.
+    pub fn result(self) -> Result<(), String> {
+        match self {
+            Outcome::Ok => Ok(()),
+            Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
+        }
+    }
+}
+
+impl From<Result<(), String>> for Outcome {
+    fn from(result: Result<(), String>) -> Outcome {
+        match result {
+            Ok(()) => Outcome::Ok,
+            Err(reason) => Outcome::Failed(reason),
+        }
+    }
 }
 
 /// The steps of a task. One that fails does not stop those after it.

@@ -61,7 +61,7 @@ fn demo(steps: &mut Steps, built: bool) {
             }
         });
     };
-    let realtime = machine::is_ci() || machine::realtime_permitted();
+    let realtime = machine::no_rt().is_none();
     run("demo", "21", &|| check_demo(&json, realtime));
     if realtime {
         run("demo: sampler below the callbacks", "15", &|| check_ablation(&json));

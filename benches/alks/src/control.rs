@@ -29,7 +29,6 @@ pub enum Mode {
     /// Nothing: it may not be on, or has not seen a lane yet.
     #[default]
     Standby = 0,
-    /// It drives.
     Active = 1,
     /// It has lost the lane, and brakes in the curve that it drives: the minimum risk manoeuvre.
     MinimumRisk = 2,
@@ -59,7 +58,6 @@ impl Pid {
         p * error + self.integral + d * slope
     }
 
-    /// Forgets.
     pub fn reset(&mut self) {
         (self.integral, self.last) = (0.0, None);
     }
@@ -68,7 +66,6 @@ impl Pid {
 /// What a call of the controller says.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Output {
-    /// To the car.
     pub command: Command,
     /// For whoever looks.
     pub state: State,

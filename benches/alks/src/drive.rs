@@ -21,13 +21,10 @@ const WARM_UP_S: f64 = 5.0;
 pub struct Drive {
     /// What it was made from.
     pub seed: u64,
-    /// In s.
     pub seconds: f64,
-    /// In km.
     pub kilometres: f64,
     /// Distance from the lane's centre: largest and root mean square, in m.
     pub lateral_max_m: f64,
-    /// See `lateral_max_m`.
     pub lateral_rms_m: f64,
     /// Mean speed, in km/h.
     pub mean_kmh: f64,
@@ -41,11 +38,9 @@ pub struct Drive {
     pub collisions: u32,
     /// How often the planner ran, and how often it found nothing.
     pub plans: u32,
-    /// See `plans`.
     pub unsolved: u32,
     /// Longest and mean time of a call that planned, in ms: by the wall clock of this machine.
     pub plan_max_ms: f64,
-    /// See `plan_max_ms`.
     pub plan_mean_ms: f64,
     /// The drive, ten times a second.
     #[serde(default)]

@@ -6,15 +6,12 @@ use crate::signals::{Driver, Fast, Gps, Imu, Lines, Pose, Slow, Vehicles};
 /// The internal representation; each field is one subscription's.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Inputs {
-    /// In m/s.
     pub speed_mps: f64,
     /// Of the road wheels, in rad.
     pub steering_rad: f64,
-    /// By satellite.
     pub gps: Gps,
     /// Absolute: see [`absolute`].
     pub odometry: Pose,
-    /// How the car moves.
     pub imu: Imu,
     /// By the wheels' speeds, in m/s: the mean.
     pub wheel_speed_mps: f64,
@@ -22,11 +19,8 @@ pub struct Inputs {
     pub pedals: [f64; 2],
     /// See [`Fast::status`].
     pub status: u32,
-    /// What the driver wants.
     pub driver: Driver,
-    /// Other cars.
     pub vehicles: Vehicles,
-    /// Lines.
     pub lines: Lines,
     /// When the lines came, in s of any clock; 0: never.
     pub lines_at_s: f64,

@@ -12,7 +12,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::records::Part;
 
-/// Which process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Role {
     /// In place of the car and its FlexRay bus.
@@ -35,7 +34,6 @@ pub enum Shared {
 }
 
 impl Shared {
-    /// All.
     pub const ALL: [Shared; 3] = [Shared::Latest, Shared::Inherit, Shared::Mutex];
 
     /// For people and command lines.
@@ -51,7 +49,6 @@ impl Shared {
 /// What a process is asked to be. JSON on its command line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Job {
-    /// Which.
     pub role: Role,
     /// How long is measured, after a second that is not.
     pub seconds: f64,
@@ -95,9 +92,6 @@ pub fn until_told() {
 }
 
 /// Tells what was noted.
-///
-/// # Errors
-/// The writer's.
 pub fn tell(part: &Part) -> std::io::Result<()> {
     let mut out = stdout().lock();
     serde_json::to_writer(&mut out, part)?;

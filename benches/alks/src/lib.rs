@@ -17,6 +17,7 @@
 //!
 //! Lengths are in metres, times in seconds, angles in radians; x points ahead, y to the left, as REP 103 has it.
 #![forbid(unsafe_code)]
+#![allow(missing_docs, reason = "many names say it all")]
 
 pub mod control;
 pub mod drive;

@@ -27,13 +27,10 @@ pub enum Kind {
 /// One thing to draw.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Marker {
-    /// What it is.
     pub kind: Kind,
     /// Whether it is there: otherwise whoever draws takes it away.
     pub is_shown: bool,
-    /// Its namespace.
     pub namespace: &'static str,
-    /// Its number there.
     pub id: i32,
     /// Of a box.
     pub pose: Pose,
@@ -62,7 +59,6 @@ const EMPTY: Marker = Marker {
 /// All markers, always as many, each at its place.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// Each.
     pub markers: [Marker; MARKERS],
 }
 

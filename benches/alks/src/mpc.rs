@@ -53,9 +53,7 @@ pub struct Problem {
     pub curvature: f64,
     /// Of the lane at each step, in 1/m.
     pub lane: [f64; HORIZON],
-    /// In m/s.
     pub speed_mps: f64,
-    /// In m/s².
     pub acceleration_mps2: f64,
     /// What is wanted, in m/s.
     pub target_mps: f64,

@@ -32,9 +32,6 @@ struct Panel {
 }
 
 /// The drive as an SVG document.
-///
-/// # Errors
-/// It cannot be drawn.
 pub fn drive(drive: &Drive) -> Result<String> {
     let mut svg = String::new();
     let root = SVGBackend::with_string(&mut svg, SIZE).into_drawing_area();

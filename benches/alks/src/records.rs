@@ -108,9 +108,6 @@ pub const TOPICS: [&str; 15] = [
 
 impl Records {
     /// Times from `begin_ns` on count, on `CLOCK_MONOTONIC`; messages always do.
-    ///
-    /// # Panics
-    /// Never: the bounds are those of the library.
     pub fn new(begin_ns: u64) -> Records {
         let times = || {
             Times(Mutex::new(
@@ -194,19 +191,14 @@ struct Told {
 /// Times of one span: in ms.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
-    /// Which.
     pub span: Span,
     /// For people.
     pub name: String,
-    /// How many there are.
     pub n: u64,
     /// Quantiles and the largest.
     pub p50_ms: f64,
-    /// See `p50_ms`.
     pub p99_ms: f64,
-    /// See `p50_ms`.
     pub p999_ms: f64,
-    /// See `p50_ms`.
     pub max_ms: f64,
     /// Values in ns with their counts, ascending.
     pub values: Vec<(u64, u64)>,

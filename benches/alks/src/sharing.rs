@@ -13,20 +13,15 @@ use crate::job::Shared;
 pub enum Store {
     /// All that is known, and where the timer finds it.
     Latest(Box<Inputs>, LatestWriter<Inputs>),
-    /// See [`Shared::Inherit`].
     Inherit(Arc<PiMutex<Inputs>>),
-    /// See [`Shared::Mutex`].
     Mutex(Arc<Mutex<Inputs>>),
 }
 
 /// The timer's side.
 #[expect(missing_debug_implementations, reason = "its ends have none")]
 pub enum View {
-    /// See [`Shared::Latest`].
     Latest(LatestReader<Inputs>),
-    /// See [`Shared::Inherit`].
     Inherit(Arc<PiMutex<Inputs>>),
-    /// See [`Shared::Mutex`].
     Mutex(Arc<Mutex<Inputs>>),
 }
 

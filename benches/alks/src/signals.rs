@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is exchanged: plain data of a fixed size.
 
-use serde::{Deserialize, Serialize};
-
 /// Most vehicles in a message.
 pub const MAX_VEHICLES: usize = 8;
 /// Lines in a message: the ego lane's two and the next ones on either side.
@@ -11,17 +9,15 @@ pub const LINES: usize = 4;
 pub const PLAN_POINTS: usize = crate::mpc::HORIZON;
 
 /// What the topics of 50 Hz say of one step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Fast {
     /// Over the ground, in m/s.
     pub speed_mps: f64,
     /// At the wheel, in rad; positive to the left.
     pub steering_wheel_rad: f64,
-    /// Where the car is.
     pub gps: Gps,
     /// Where it has come since it started.
     pub odometry: Pose,
-    /// How it moves.
     pub imu: Imu,
     /// Front left, front right, rear left, rear right, in rad/s.
     pub wheels_radps: [f64; 4],
@@ -29,25 +25,20 @@ pub struct Fast {
     pub pedals: [f64; 2],
     /// Bits: 0 the system may be on, 1 turn signal left, 2 right, 3 stability control works.
     pub status: u32,
-    /// Of the driver.
     pub driver: Driver,
 }
 
 /// A position by satellite.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Gps {
-    /// In degrees.
     pub latitude_deg: f64,
-    /// In degrees.
     pub longitude_deg: f64,
 }
 
 /// A place in the plane.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pose {
-    /// In m.
     pub x: f64,
-    /// In m.
     pub y: f64,
     /// In rad, counter-clockwise.
     pub yaw: f64,
@@ -81,36 +72,32 @@ pub fn wrap(angle: f64) -> f64 {
 }
 
 /// An inertial measurement.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Imu {
     /// Ahead, in m/s².
     pub acceleration_mps2: f64,
     /// To the left, in m/s².
     pub lateral_mps2: f64,
-    /// In rad/s.
     pub yaw_rate_radps: f64,
 }
 
 /// What the driver wants.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Driver {
-    /// In m/s.
     pub set_speed_mps: f64,
     /// Whether hands are at the wheel: 0 or 1.
     pub hands_on: f64,
 }
 
 /// What the topics of 25 Hz say.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Slow {
-    /// Other cars.
     pub vehicles: Vehicles,
-    /// Lines on the road.
     pub lines: Lines,
 }
 
 /// The nearest vehicles.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Vehicles {
     /// How many of `of` there are.
     pub count: usize,
@@ -126,7 +113,7 @@ impl Vehicles {
 }
 
 /// A car, seen from this one.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Vehicle {
     /// Ahead, centre to centre, in m.
     pub x: f64,
@@ -139,14 +126,13 @@ pub struct Vehicle {
 }
 
 /// The lines from right to left.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Lines {
-    /// Each.
     pub of: [Line; LINES],
 }
 
 /// A line in the car's frame: y = c0 + c1 x + c2 x² + c3 x³.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Line {
     /// From `c0`.
     pub coefficients: [f64; 4],
@@ -167,16 +153,15 @@ impl Line {
 }
 
 /// What the car is told.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Command {
-    /// In m/s².
     pub acceleration_mps2: f64,
     /// At the road wheels, in rad; positive to the left.
     pub steering_rad: f64,
 }
 
 /// What the controller is doing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct State {
     /// See [`Mode`](crate::control::Mode): its number.
     pub mode: u8,
@@ -191,19 +176,15 @@ pub struct State {
 }
 
 /// What the planner wants for the next seconds.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Trajectory {
     /// Distance from the lane's centre at each point, in m.
-    #[serde(with = "points")]
     pub lateral_m: [f64; PLAN_POINTS],
     /// Curvature to drive, in 1/m.
-    #[serde(with = "points")]
     pub curvature: [f64; PLAN_POINTS],
     /// Speed, in m/s.
-    #[serde(with = "points")]
     pub speed_mps: [f64; PLAN_POINTS],
     /// Acceleration, in m/s².
-    #[serde(with = "points")]
     pub acceleration_mps2: [f64; PLAN_POINTS],
 }
 
@@ -211,22 +192,6 @@ impl Default for Trajectory {
     fn default() -> Self {
         let none = [0.0; PLAN_POINTS];
         Trajectory { lateral_m: none, curvature: none, speed_mps: none, acceleration_mps2: none }
-    }
-}
-
-/// serde has arrays of up to 32.
-mod points {
-    use super::PLAN_POINTS;
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
-    pub fn serialize<S: Serializer>(points: &[f64; PLAN_POINTS], to: S) -> Result<S::Ok, S::Error> {
-        points.as_slice().serialize(to)
-    }
-
-    pub fn deserialize<'d, D: Deserializer<'d>>(from: D) -> Result<[f64; PLAN_POINTS], D::Error> {
-        let points = Vec::<f64>::deserialize(from)?;
-        let count = points.len();
-        points.try_into().map_err(|_| serde::de::Error::invalid_length(count, &"the points of a trajectory"))
     }
 }
 

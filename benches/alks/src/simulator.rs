@@ -38,7 +38,6 @@ pub struct Truth {
     pub time_s: f64,
     /// To the left of the lane's centre, in m.
     pub lateral_m: f64,
-    /// In m/s.
     pub speed_mps: f64,
     /// Of the road, in 1/m.
     pub curvature: f64,
@@ -100,11 +99,6 @@ impl Simulator {
     /// Time since the start, in s.
     pub fn time_s(&self) -> f64 {
         self.steps as f64 * STEP_S
-    }
-
-    /// The car itself.
-    pub fn car(&self) -> &Car {
-        &self.car
     }
 
     /// What is true now.

@@ -51,7 +51,6 @@ pub struct Car {
     pub speed_mps: f64,
     /// To the left, in m/s.
     pub lateral_mps: f64,
-    /// In rad/s.
     pub yaw_rate_radps: f64,
     /// What it really has, in m/s².
     pub acceleration_mps2: f64,

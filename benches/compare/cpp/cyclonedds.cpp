@@ -125,67 +125,8 @@ class Input {
     dds_entity_t reader_ = 0;
 };
 
-void ask(Participant& participant, const Job& job) {
-    Outlet out(participant, job, job.there());
-    exchange::Asking asking(job, [&](Stamp stamp) { out.send(stamp); });
-    Input input(participant, job, job.back(), [&](Stamp answer) { asking.answered(answer.number); });
-    asking.run();
-    input.close();
-    asking.measured().say();
-}
-
-void answer(Participant& participant, const Job& job) {
-    Outlet out(participant, job, job.there());
-    Input input(participant, job, job.back(),
-                [&](Stamp question) { out.send(Stamp{question.number, exchange::monotonic_ns()}); });
-    exchange::say_ready();
-    exchange::wait_for_stop();
-    input.close();
-}
-
-void send_flow(Participant& participant, const Job& job) {
-    std::vector<std::unique_ptr<Outlet>> outlets;
-    for (size_t index = 0; index < job.topics; index++)
-        outlets.push_back(std::make_unique<Outlet>(participant, job, job.topic + "/t" + std::to_string(index)));
-    exchange::Source source(job);
-    size_t topic;
-    Stamp stamp;
-    while (source.next(topic, stamp))
-        if (!outlets[topic]->send(stamp)) source.refuse();
-    source.measured().say();
-    // What is under way is repeated from its history.
-    exchange::sleep_until(exchange::monotonic_ns() + 100000000);
-}
-
-void receive_flow(Participant& participant, const Job& job) {
-    exchange::Sink sink(job);
-    std::vector<std::unique_ptr<Input>> inputs;
-    for (size_t index = 0; index < sink.inlets.size(); index++) {
-        auto* inlet = sink.inlets[index].get();
-        std::string topic = job.topic + "/t" + std::to_string(index % job.topics);
-        inputs.push_back(
-            std::make_unique<Input>(participant, job, topic, [inlet](Stamp stamp) { inlet->arrive(stamp); }));
-    }
-    exchange::say_ready();
-    exchange::wait_for_stop();
-    for (auto& input : inputs) input->close();
-    sink.measured().say();
-}
-
 }  // namespace
 
-int main(int argc, char** argv) try {
-    if (argc == 2 && argv[1] == std::string("version")) {
-        puts("Cyclone DDS " DDS_VERSION);
-        return 0;
-    }
-    Job job(argc, argv);
-    exchange::stop_flag();
-    Participant participant(job);
-    if (job.is_round_trips()) job.near ? ask(participant, job) : answer(participant, job);
-    else job.near ? send_flow(participant, job) : receive_flow(participant, job);
-    return 0;
-} catch (const std::exception& error) {
-    fprintf(stderr, "cyclonedds: %s\n", error.what());
-    return 1;
+int main(int argc, char** argv) {
+    return exchange::play<Participant, Outlet, Input>(argc, argv, "cyclonedds", "Cyclone DDS " DDS_VERSION);
 }

@@ -513,12 +513,8 @@ class Sink {
         return last;
     }
     void connect(uint64_t now) {
-        uint64_t none = 0;
-        first_ns_.compare_exchange_strong(none, now);
-        if (++connected_ == inlets.size())
-            say("{\"Connected\":{\"first_ns\":" + std::to_string(first_ns_) + ",\"all_ns\":" + std::to_string(now) + "}}");
+        if (++connected_ == inlets.size()) say("{\"Connected\":{\"all_ns\":" + std::to_string(now) + "}}");
     }
-
     void complete(uint64_t now) {
         if (++complete_ < inlets.size()) return;
         end_cpu_ns_ = process_cpu_ns();
@@ -530,7 +526,82 @@ class Sink {
     bool is_stream_;
     uint64_t budget_ns_;
     std::atomic<size_t> connected_{0}, complete_{0};
-    std::atomic<uint64_t> first_ns_{0}, cpu_ns_{0}, end_cpu_ns_{0};
+    std::atomic<uint64_t> cpu_ns_{0}, end_cpu_ns_{0};
 };
+
+// The ends of all exchanges, by a system's Participant, made of the job, an Outlet, which sends to a topic or says that it was
+// refused, and an Input, which has what arrives handled in another thread until it is closed.
+template <class Participant, class Outlet, class Input>
+class Ends {
+  public:
+    explicit Ends(const Job& job) : job_(job), participant_(job) {}
+    void play() {
+        if (job_.is_round_trips()) job_.near ? ask() : answer();
+        else job_.near ? send_flow() : receive_flow();
+    }
+
+  private:
+    void ask() {
+        Outlet out(participant_, job_, job_.there());
+        Asking asking(job_, [&](Stamp stamp) { out.send(stamp); });
+        Input input(participant_, job_, job_.back(), [&](Stamp answer) { asking.answered(answer.number); });
+        asking.run();
+        input.close();
+        asking.measured().say();
+    }
+    void answer() {
+        Outlet out(participant_, job_, job_.there());
+        Input input(participant_, job_, job_.back(),
+                    [&](Stamp question) { out.send(Stamp{question.number, monotonic_ns()}); });
+        say_ready();
+        wait_for_stop();
+        input.close();
+    }
+    void send_flow() {
+        std::vector<std::unique_ptr<Outlet>> outlets;
+        for (size_t index = 0; index < job_.topics; index++)
+            outlets.push_back(std::make_unique<Outlet>(participant_, job_, topic_of(index)));
+        Source source(job_);
+        size_t topic;
+        Stamp stamp;
+        while (source.next(topic, stamp))
+            if (!outlets[topic]->send(stamp)) source.refuse();
+        source.measured().say();
+        // What is under way is repeated from its history.
+        sleep_until(monotonic_ns() + 100000000);
+    }
+    void receive_flow() {
+        Sink sink(job_);
+        std::vector<std::unique_ptr<Input>> inputs;
+        for (size_t index = 0; index < sink.inlets.size(); index++) {
+            auto* inlet = sink.inlets[index].get();
+            inputs.push_back(std::make_unique<Input>(participant_, job_, topic_of(index % job_.topics),
+                                                     [inlet](Stamp stamp) { inlet->arrive(stamp); }));
+        }
+        say_ready();
+        wait_for_stop();
+        for (auto& input : inputs) input->close();
+        sink.measured().say();
+    }
+    std::string topic_of(size_t index) const { return job_.topic + "/t" + std::to_string(index); }
+    const Job& job_;
+    Participant participant_;
+};
+
+// The whole program of a system.
+template <class Participant, class Outlet, class Input>
+int play(int argc, char** argv, const char* name, const char* version) try {
+    if (argc == 2 && argv[1] == std::string("version")) {
+        puts(version);
+        return 0;
+    }
+    Job job(argc, argv);
+    stop_flag();
+    Ends<Participant, Outlet, Input>(job).play();
+    return 0;
+} catch (const std::exception& error) {
+    fprintf(stderr, "%s: %s\n", name, error.what());
+    return 1;
+}
 
 }  // namespace exchange

@@ -173,7 +173,9 @@ class Outlet {
 // Has what arrives read: in place, or in a sample of its own.
 class Input : public fdds::DataReaderListener {
   public:
-    Input(const Job& job, std::function<void(Stamp)> then) : job_(job), then_(std::move(then)), sample_(job.payload_bytes) {}
+    Input(Participant& participant, const Job& job, const std::string& topic, std::function<void(Stamp)> then)
+        : job_(job), then_(std::move(then)), sample_(job.payload_bytes), reader_(participant.reader(topic, this)) {}
+    void close() { reader_->set_listener(nullptr); }
     void on_data_available(fdds::DataReader* reader) override {
         if (job_.mode == "data-sharing") {
             fdds::LoanableSequence<uint8_t> samples;
@@ -202,71 +204,12 @@ class Input : public fdds::DataReaderListener {
     const Job& job_;
     std::function<void(Stamp)> then_;
     std::vector<uint8_t> sample_;
+    // Made last: it may call at once.
+    fdds::DataReader* reader_;
 };
-
-void ask(Participant& participant, const Job& job) {
-    Outlet out(participant, job, job.there());
-    exchange::Asking asking(job, [&](Stamp stamp) { out.send(stamp); });
-    Input input(job, [&](Stamp answer) { asking.answered(answer.number); });
-    auto* reader = participant.reader(job.back(), &input);
-    asking.run();
-    reader->set_listener(nullptr);
-    asking.measured().say();
-}
-
-void answer(Participant& participant, const Job& job) {
-    Outlet out(participant, job, job.there());
-    Input input(job, [&](Stamp question) { out.send(Stamp{question.number, exchange::monotonic_ns()}); });
-    auto* reader = participant.reader(job.back(), &input);
-    exchange::say_ready();
-    exchange::wait_for_stop();
-    reader->set_listener(nullptr);
-}
-
-void send_flow(Participant& participant, const Job& job) {
-    std::vector<std::unique_ptr<Outlet>> outlets;
-    for (size_t index = 0; index < job.topics; index++)
-        outlets.push_back(std::make_unique<Outlet>(participant, job, job.topic + "/t" + std::to_string(index)));
-    exchange::Source source(job);
-    size_t topic;
-    Stamp stamp;
-    while (source.next(topic, stamp))
-        if (!outlets[topic]->send(stamp)) source.refuse();
-    source.measured().say();
-    // What is under way is repeated from its history.
-    exchange::sleep_until(exchange::monotonic_ns() + 100000000);
-}
-
-void receive_flow(Participant& participant, const Job& job) {
-    exchange::Sink sink(job);
-    std::vector<std::unique_ptr<Input>> inputs;
-    std::vector<fdds::DataReader*> readers;
-    for (size_t index = 0; index < sink.inlets.size(); index++) {
-        auto* inlet = sink.inlets[index].get();
-        inputs.push_back(std::make_unique<Input>(job, [inlet](Stamp stamp) { inlet->arrive(stamp); }));
-        readers.push_back(
-            participant.reader(job.topic + "/t" + std::to_string(index % job.topics), inputs.back().get()));
-    }
-    exchange::say_ready();
-    exchange::wait_for_stop();
-    for (auto* reader : readers) reader->set_listener(nullptr);
-    sink.measured().say();
-}
 
 }  // namespace
 
-int main(int argc, char** argv) try {
-    if (argc == 2 && argv[1] == std::string("version")) {
-        puts("Fast DDS " FASTRTPS_VERSION_STR);
-        return 0;
-    }
-    Job job(argc, argv);
-    exchange::stop_flag();
-    Participant participant(job);
-    if (job.is_round_trips()) job.near ? ask(participant, job) : answer(participant, job);
-    else job.near ? send_flow(participant, job) : receive_flow(participant, job);
-    return 0;
-} catch (const std::exception& error) {
-    fprintf(stderr, "fastdds: %s\n", error.what());
-    return 1;
+int main(int argc, char** argv) {
+    return exchange::play<Participant, Outlet, Input>(argc, argv, "fastdds", "Fast DDS " FASTRTPS_VERSION_STR);
 }

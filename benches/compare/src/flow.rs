@@ -11,7 +11,7 @@ use tautline_rt::clock::monotonic_ns;
 
 use crate::Result;
 use crate::load::Load;
-use crate::pair::{Found, PATIENCE, Setup, measured};
+use crate::pair::{Found, PATIENCE, Setup};
 use crate::plan::{Case, Task};
 
 impl Setup<'_> {
@@ -35,7 +35,7 @@ impl Setup<'_> {
             let warm = fars.0[0].wait_for(case.budget + DRAIN, is_warm)?;
             before = warm.and_then(|()| waits(&fars.0[0]));
         }
-        let sent = measured(&mut near, PATIENCE + case.budget * 3)?;
+        let sent = near.expect(PATIENCE + case.budget * 3, Line::measured)?;
         if case.task != Task::Stream {
             let since = Instant::now();
             for far in &mut fars.0 {
@@ -100,7 +100,7 @@ impl Setup<'_> {
             fars.0.push(late);
         }
         near.tell("go")?;
-        let sent = measured(&mut near, PATIENCE)?;
+        let sent = near.expect(PATIENCE, Line::measured)?;
         // Its peers' is in the near end's; of one that came late this is most of it.
         let late = fars.0.get(1).map_or(Memory::default(), |late| Memory::of(&late.id().to_string()));
         for far in &mut fars.0 {
@@ -143,7 +143,7 @@ const DRAIN: Duration = Duration::from_millis(500);
 /// When a receiver had messages on all its subscriptions.
 fn connected(far: &mut Process<'_, Line>) -> Result<u64> {
     far.expect(PATIENCE, |line| match line {
-        Line::Connected { all_ns, .. } => Some(all_ns),
+        Line::Connected { all_ns } => Some(all_ns),
         _ => None,
     })
 }
@@ -151,7 +151,7 @@ fn connected(far: &mut Process<'_, Line>) -> Result<u64> {
 /// Ends a receiver.
 fn received(far: &mut Process<'_, Line>) -> Result<Measured> {
     far.tell("stop")?;
-    let received = measured(far, Duration::from_secs(20))?;
+    let received = far.expect(Duration::from_secs(20), Line::measured)?;
     far.finish()?;
     Ok(received)
 }

@@ -326,9 +326,6 @@ impl Programs {
     }
 
     /// A system's program.
-    ///
-    /// # Errors
-    /// Why there is none.
     pub fn find(&self, name: &str) -> std::result::Result<&PathBuf, String> {
         let path = self.paths.get(name);
         path.ok_or_else(|| self.missing.get(name).cloned().unwrap_or_else(|| NOT_BUILT.to_owned()))

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use tautline_benches::rows::Wakes;
 use tautline_benches::{Gateways, Host, Process, Scratch};
-use tautline_exchange::{Exchange, FutexPair, FutexRing, Job, Line, Measured, Memory, PEERS, Role, Way};
+use tautline_exchange::{Exchange, FutexPair, FutexRing, Job, Line, Memory, PEERS, Role, Way};
 
 use crate::Result;
 use crate::modes::{GATEWAY, Program};
@@ -199,10 +199,7 @@ impl Setup<'_> {
     /// The far end, ready; and where the near one finds it.
     pub fn start_far(&self, case: &Case, topic: &str) -> Result<(Process<'_, Line>, Option<String>)> {
         let mut far = self.spawn_far(case, topic, None)?;
-        let endpoint = far.expect(PATIENCE, |line| match line {
-            Line::Ready(endpoint) => Some(endpoint),
-            _ => None,
-        })?;
+        let endpoint = far.expect(PATIENCE, Line::ready)?;
         Ok((far, endpoint))
     }
 
@@ -229,7 +226,7 @@ impl Setup<'_> {
             }
         };
         let mut near = self.start_near(case, topic, endpoint, far.as_slice())?;
-        let measured = measured(&mut near, PATIENCE + case.budget * 3)?;
+        let measured = near.expect(PATIENCE + case.budget * 3, Line::measured)?;
         near.finish()?;
         if let Some(far) = &mut far {
             far.finish()?;
@@ -247,14 +244,6 @@ impl Setup<'_> {
             ..Found::default()
         })
     }
-}
-
-/// What a process says that it measured.
-pub fn measured(process: &mut Process<'_, Line>, patience: Duration) -> Result<Measured> {
-    process.expect(patience, |line| match line {
-        Line::Measured(measured) => Some(measured),
-        _ => None,
-    })
 }
 
 /// A job for a program that does not read JSON.

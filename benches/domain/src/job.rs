@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 use std::io::{Read, Write, stdin, stdout};
 use std::path::PathBuf;
 use std::process::Command;
+use std::time::Duration;
+use tautline_rt::clock::monotonic_ns;
 
 /// The domain of all processes, in a scope of their own.
 pub const DOMAIN: u32 = 0;
@@ -96,6 +98,23 @@ pub fn say(said: &Said) -> Result<()> {
     let mut out = stdout().lock();
     writeln!(out, "{}", serde_json::to_string(said)?)?;
     Ok(out.flush()?)
+}
+
+/// Looks until it is so, with a rest after each look.
+pub fn wait_until(
+    what: &str,
+    patience: Duration,
+    rest: impl Fn(),
+    mut is_so: impl FnMut() -> Result<bool>,
+) -> Result<()> {
+    let end_ns = monotonic_ns() + patience.as_nanos() as u64;
+    while !is_so()? {
+        if monotonic_ns() > end_ns {
+            return Err(format!("{} s were not enough until {what}", patience.as_secs()).into());
+        }
+        rest();
+    }
+    Ok(())
 }
 
 /// Until the process that started this one closes its standard input.

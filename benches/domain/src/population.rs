@@ -2,7 +2,7 @@
 //! Processes with a node each: what they cost when nothing happens, what it costs to look at them and to come to them, and how soon
 //! they are buried.
 
-use crate::job::{DOMAIN, Job, Said, say, wait_for_end};
+use crate::job::{DOMAIN, Job, Said, say, wait_for_end, wait_until};
 use crate::place::Gate;
 use crate::process::{self, Process};
 use crate::report::Row;
@@ -11,7 +11,7 @@ use crate::{Bench, Experiment, Result};
 use futures::StreamExt;
 use std::hint::black_box;
 use std::path::PathBuf;
-use std::thread::sleep;
+use std::thread::{sleep, yield_now};
 use std::time::Duration;
 use tautline::rcl_interfaces::msg::ParameterEvent;
 use tautline::std_msgs::msg::UInt64;
@@ -129,7 +129,7 @@ fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>
         seldom(),
     )?;
     let survivors =
-        |count: usize| wait_until("all are matched", || Ok(publisher.subscription_count() == count));
+        |count: usize| look_until("all are matched", || Ok(publisher.subscription_count() == count));
     survivors(processes.len())?;
     let mut deaths = Vec::new();
     for index in 0..rounds {
@@ -145,7 +145,7 @@ fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>
             let folder = bench.place.folder();
             let mut index = None;
             // Who becomes it after one was killed does so when it is scheduled.
-            wait_until("there is a warden", || {
+            look_until("there is a warden", || {
                 index = processes.iter().position(|process| process::is_warden(process.id(), &folder));
                 Ok(index.is_some() || process::is_warden(std::process::id(), &folder))
             })?;
@@ -208,7 +208,7 @@ fn death(
     let mut death = [None; 3];
     let start_ns = monotonic_ns();
     victim.kill();
-    let buried = wait_until("a killed process is buried", || {
+    let buried = look_until("a killed process is buried", || {
         let is_so = |part: usize| -> Result<bool> {
             Ok(match part {
                 0 => !participant.graph()?.nodes.iter().any(|node| node.pid == Some(pid)),
@@ -234,15 +234,8 @@ fn death(
 }
 
 /// Looks every 100 µs.
-fn wait_until(what: &str, mut is_so: impl FnMut() -> Result<bool>) -> Result<()> {
-    let end_ns = monotonic_ns() + SHORT.as_nanos() as u64;
-    while !is_so()? {
-        if monotonic_ns() > end_ns {
-            return Err(format!("{} s were not enough until {what}", SHORT.as_secs()).into());
-        }
-        sleep(Duration::from_micros(100));
-    }
-    Ok(())
+fn look_until(what: &str, is_so: impl FnMut() -> Result<bool>) -> Result<()> {
+    wait_until(what, SHORT, || sleep(Duration::from_micros(100)), is_so)
 }
 
 /// The domain that the aims of a look are about.
@@ -284,18 +277,14 @@ pub fn node(index: usize, gate: Option<PathBuf>, processes: Option<usize>) -> Re
     let context = ros_node::context()?;
     let (node, answers) = RosNode::create(&context, &format!("node_{index}"))?;
     let _callback = node.serve(answers)?;
-    let sampler = {
-        let context = context.clone();
-        std::thread::spawn(move || context.spin())
-    };
-    say(&Said::Made { ns: monotonic_ns() - start_ns })?;
-    if let Some(processes) = processes {
-        say(&Said::Matched { at_ns: node.wait_until_matched(processes)? })?;
-    }
-    wait_for_end();
-    context.shutdown();
-    sampler.join().map_err(|_| "the sampler panicked")??;
-    Ok(())
+    ros_node::spin_while(&context, || {
+        say(&Said::Made { ns: monotonic_ns() - start_ns })?;
+        if let Some(processes) = processes {
+            say(&Said::Matched { at_ns: node.wait_until_matched(processes)? })?;
+        }
+        wait_for_end();
+        Ok(())
+    })
 }
 
 pub fn ports(index: usize, pairs: usize) -> Result<()> {
@@ -333,15 +322,11 @@ pub fn echo() -> Result<()> {
             }
         }
     })?;
-    let sampler = {
-        let context = context.clone();
-        std::thread::spawn(move || context.spin())
-    };
-    say(&Said::Made { ns: 0 })?;
-    wait_for_end();
-    context.shutdown();
-    sampler.join().map_err(|_| "the sampler panicked")??;
-    Ok(())
+    ros_node::spin_while(&context, || {
+        say(&Said::Made { ns: 0 })?;
+        wait_for_end();
+        Ok(())
+    })
 }
 
 const FRESH: &str = "a look by who has not looked before";
@@ -434,14 +419,7 @@ pub fn probe(processes: usize, quick: bool) -> Result<()> {
 }
 
 fn spin_until(what: &str, mut is_so: impl FnMut() -> bool) -> Result<()> {
-    let end_ns = monotonic_ns() + SHORT.as_nanos() as u64;
-    while !is_so() {
-        if monotonic_ns() > end_ns {
-            return Err(format!("{} s were not enough until {what}", SHORT.as_secs()).into());
-        }
-        std::thread::yield_now();
-    }
-    Ok(())
+    wait_until(what, SHORT, yield_now, || Ok(is_so()))
 }
 
 /// How long it takes until a new subscription has its publisher, and until a new publisher's first message is taken.

@@ -3,9 +3,10 @@
 //! /parameter_events, six services for its parameters and one that describes types.
 
 use crate::Result;
-use crate::job::DOMAIN;
+use crate::job::{DOMAIN, wait_until};
 use futures::future::BoxFuture;
 use futures::{FutureExt, StreamExt};
+use std::thread::sleep;
 use std::time::Duration;
 use tautline::rcl_interfaces::msg::{Log, ParameterEvent};
 use tautline::type_description_interfaces::srv::GetTypeDescription;
@@ -23,7 +24,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 const GLANCE: Duration = Duration::from_millis(10);
 
 pub struct RosNode {
-    rosout: Publisher<Log>,
+    _rosout: Publisher<Log>,
     changes: Publisher<ParameterEvent>,
     changes_of_all: Subscription<ParameterEvent>,
     _description: Server<GetTypeDescription::Service>,
@@ -37,6 +38,15 @@ pub fn seldom() -> Limits {
 
 pub fn context() -> Result<Context> {
     Ok(Context::builder().domain(DOMAIN).realtime(Realtime::Off).hold_idle(false).build()?)
+}
+
+/// Spins in a thread while this one works.
+pub fn spin_while(context: &Context, work: impl FnOnce() -> Result<()>) -> Result<()> {
+    let spinning = context.clone();
+    let sampler = std::thread::spawn(move || spinning.spin());
+    work()?;
+    context.shutdown();
+    Ok(sampler.join().map_err(|_| "the sampler panicked")??)
 }
 
 impl RosNode {
@@ -55,7 +65,7 @@ impl RosNode {
         let description = node.create_service("~/get_type_description", description)?;
         let (answers, changed) = node.make_parameter_handler()?;
         let answers = futures::future::join(answers, changed.for_each(|_| async {})).map(drop).boxed();
-        Ok((RosNode { rosout, changes, changes_of_all, _description: description, node }, answers))
+        Ok((RosNode { _rosout: rosout, changes, changes_of_all, _description: description, node }, answers))
     }
 
     /// Gives what answers requests a thread.
@@ -71,19 +81,13 @@ impl RosNode {
 
     /// Waits until it is, and says when that was seen.
     pub fn wait_until_matched(&self, nodes: usize) -> Result<u64> {
-        let end_ns = monotonic_ns() + PATIENCE.as_nanos() as u64;
-        while !self.is_matched(nodes) {
-            if monotonic_ns() > end_ns {
-                let (publishers, subscriptions) =
-                    (self.changes_of_all.publisher_count(), self.changes.subscription_count());
-                return Err(format!(
-                    "{}: matched with {subscriptions} subscriptions and {publishers} publishers instead of {nodes}",
-                    self.rosout.topic()
-                )
-                .into());
-            }
-            std::thread::sleep(GLANCE);
-        }
+        let is_matched = || Ok(self.is_matched(nodes));
+        let waited = wait_until("a node is matched", PATIENCE, || sleep(GLANCE), is_matched);
+        waited.map_err(|error| {
+            let (publishers, subscriptions) =
+                (self.changes_of_all.publisher_count(), self.changes.subscription_count());
+            format!("{error}: it is with {subscriptions} subscriptions and {publishers} publishers instead of {nodes}")
+        })?;
         Ok(monotonic_ns())
     }
 }

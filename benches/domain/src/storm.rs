@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Many that come at once: processes, nodes of a process, ends of a topic.
 
-use crate::job::{DOMAIN, Job, Said, say, wait_for_end};
+use crate::job::{DOMAIN, Job, Said, say, wait_for_end, wait_until};
 use crate::place::Gate;
 use crate::population::{PATIENCE, made, matched, memory_of};
 use crate::process::{self, Process};
@@ -137,19 +137,15 @@ pub fn nodes(nodes: usize) -> Result<()> {
     let answers = futures::future::join_all(answers);
     let Some(first) = all.first() else { return Err("no nodes".into()) };
     let _callback = first.serve(Box::pin(async move { drop(answers.await) }))?;
-    let sampler = {
-        let context = context.clone();
-        std::thread::spawn(move || context.spin())
-    };
-    let mut matched_ns = start_ns;
-    for node in &all {
-        matched_ns = matched_ns.max(node.wait_until_matched(nodes)?);
-    }
-    say(&Said::Matched { at_ns: matched_ns - start_ns })?;
-    wait_for_end();
-    context.shutdown();
-    sampler.join().map_err(|_| "the sampler panicked")??;
-    Ok(())
+    ros_node::spin_while(&context, || {
+        let mut matched_ns = start_ns;
+        for node in &all {
+            matched_ns = matched_ns.max(node.wait_until_matched(nodes)?);
+        }
+        say(&Said::Matched { at_ns: matched_ns - start_ns })?;
+        wait_for_end();
+        Ok(())
+    })
 }
 
 pub fn join_crowd(publishers: usize, subscriptions: usize, of: usize, gate: &Path) -> Result<()> {
@@ -161,17 +157,15 @@ pub fn join_crowd(publishers: usize, subscriptions: usize, of: usize, gate: &Pat
     let subscription = |_| participant.create_subscription::<UInt64>("/crowd", qos, limits);
     let subscriptions: Vec<_> =
         (0..subscriptions).map(subscription).collect::<std::result::Result<_, _>>()?;
-    let end_ns = monotonic_ns() + PATIENCE.as_nanos() as u64;
-    let are_matched = || {
-        publishers.iter().all(|publisher| publisher.subscription_count() == of)
-            && subscriptions.iter().all(|subscription| subscription.publisher_count() == of)
-    };
-    while !are_matched() {
-        if monotonic_ns() > end_ns {
-            return Err("not all are matched".into());
-        }
-        sleep(Duration::from_millis(5));
-    }
+    wait_until(
+        "all are matched",
+        PATIENCE,
+        || sleep(Duration::from_millis(5)),
+        || {
+            Ok(publishers.iter().all(|publisher| publisher.subscription_count() == of)
+                && subscriptions.iter().all(|subscription| subscription.publisher_count() == of))
+        },
+    )?;
     say(&Said::Matched { at_ns: monotonic_ns() })?;
     wait_for_end();
     Ok(())

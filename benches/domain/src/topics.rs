@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Many topics between two processes: what publishing costs as they grow in number, and what making and looking at them does.
 
-use crate::job::{DOMAIN, Job, Said, say, wait_for_end};
+use crate::job::{DOMAIN, Job, Said, say, wait_for_end, wait_until};
 use crate::population::{PATIENCE, looks, made, memory_of, times};
 use crate::process;
 use crate::report::Row;
 use crate::{Bench, Experiment, Result};
+use std::thread::sleep;
 use std::time::Duration;
 use tautline::std_msgs::msg::UInt64;
 use tautline_benches::Distribution;
@@ -85,16 +86,16 @@ pub fn talk(topics: usize, quick: bool) -> Result<()> {
         publishers.push(participant.create_publisher(&name(topic), Qos::default(), Limits::default())?);
         making.record(monotonic_ns() - start_ns);
     }
-    while !publishers.iter().all(|publisher| publisher.subscription_count() == 1) {
-        if monotonic_ns() - begin_ns > PATIENCE.as_nanos() as u64 {
-            return Err("not all publishers are matched".into());
-        }
-        std::thread::sleep(Duration::from_millis(1));
-    }
+    wait_until(
+        "all publishers are matched",
+        PATIENCE,
+        || sleep(Duration::from_millis(1)),
+        || Ok(publishers.iter().all(|publisher| publisher.subscription_count() == 1)),
+    )?;
     say(&Said::Made { ns: monotonic_ns() - begin_ns })?;
     let mut all = vec![("making a publisher that another process listens to".to_owned(), making.counts())];
     // Until the other process's janitor is done.
-    std::thread::sleep(Duration::from_millis(500));
+    sleep(Duration::from_millis(500));
     let rounds = if quick { 20_000 } else { 100_000 };
     // Spread over all, and the same topics in every round.
     let busy: Vec<_> = publishers.iter().step_by(topics.div_ceil(BUSY)).collect();

@@ -3,24 +3,8 @@
 
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 
-use crate::job::{Exchange, Job, Measured};
+use crate::job::{Exchange, Job, Line, Measured, say};
 use crate::near::WARM_UP_SHARE;
-
-/// What follows from a message of a stream.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Answer {
-    /// Nothing.
-    None,
-    /// Send this number.
-    Send(u64),
-    /// As `Send`, and what was measured is complete now: once.
-    Complete(u64),
-}
-
-impl Answer {
-    /// Sent when enough has arrived.
-    pub const DONE: u64 = u64::MAX;
-}
 
 /// What arrives of a stream.
 #[derive(Debug)]
@@ -38,6 +22,9 @@ pub struct Arrivals {
 }
 
 impl Arrivals {
+    /// The answer when enough has arrived.
+    pub const DONE: u64 = u64::MAX;
+
     /// Before the first message.
     pub fn new(job: &Job) -> Self {
         let stride = match job.exchange {
@@ -57,14 +44,19 @@ impl Arrivals {
         }
     }
 
-    /// Message `number` has arrived.
-    pub fn arrive(&mut self, number: u64) -> Answer {
-        self.arrive_at(number, monotonic_ns())
+    /// Message `number` has arrived: what is answered, if anything is. Says what was measured once that is enough.
+    pub fn arrive(&mut self, number: u64) -> Option<u64> {
+        let was_complete = self.is_complete;
+        let answer = self.arrive_at(number, monotonic_ns());
+        if self.is_complete && !was_complete {
+            say(&Line::Measured(std::mem::take(&mut self.measured)));
+        }
+        answer
     }
 
-    fn arrive_at(&mut self, number: u64, now: u64) -> Answer {
+    fn arrive_at(&mut self, number: u64, now: u64) -> Option<u64> {
         if self.is_complete {
-            return Answer::Send(Answer::DONE);
+            return Some(Self::DONE);
         }
         let first = *self.first_ns.get_or_insert(now);
         if let Some(since) = self.measuring_since_ns {
@@ -73,7 +65,7 @@ impl Arrivals {
             self.measured.seconds = (now - since) as f64 / 1e9;
             if now - since >= self.budget_ns {
                 self.is_complete = true;
-                return Answer::Complete(Answer::DONE);
+                return Some(Self::DONE);
             }
         } else if now - first >= self.budget_ns / u64::from(WARM_UP_SHARE) {
             self.measuring_since_ns = Some(now);
@@ -83,14 +75,9 @@ impl Arrivals {
         // The first ones come one by one: see `Window`.
         if self.unconfirmed >= self.stride || self.measuring_since_ns.is_none() && number < 1000 {
             self.unconfirmed = 0;
-            return Answer::Send(number);
+            return Some(number);
         }
-        Answer::None
-    }
-
-    /// What was measured; nothing remains.
-    pub fn take_measured(&mut self) -> Measured {
-        std::mem::take(&mut self.measured)
+        None
     }
 }
 
@@ -115,14 +102,14 @@ mod tests {
             way: crate::Way::default(),
         };
         let mut arrivals = Arrivals::new(&job);
-        assert_eq!(arrivals.arrive_at(1, 1000), Answer::Send(1));
-        assert_eq!(arrivals.arrive_at(5, 1050), Answer::Send(5), "a gap while it warms up is none");
-        assert_eq!(arrivals.arrive_at(6, 1100), Answer::None, "warm");
-        assert_eq!(arrivals.arrive_at(7, 1200), Answer::Send(7), "every second of a window of 8");
-        assert_eq!(arrivals.arrive_at(10, 1300), Answer::None);
-        assert_eq!(arrivals.arrive_at(11, 1900), Answer::Complete(Answer::DONE));
-        assert_eq!(arrivals.arrive_at(12, 2000), Answer::Send(Answer::DONE));
-        let measured = arrivals.take_measured();
+        assert_eq!(arrivals.arrive_at(1, 1000), Some(1));
+        assert_eq!(arrivals.arrive_at(5, 1050), Some(5), "a gap while it warms up is none");
+        assert_eq!(arrivals.arrive_at(6, 1100), None, "warm");
+        assert_eq!(arrivals.arrive_at(7, 1200), Some(7), "every second of a window of 8");
+        assert_eq!(arrivals.arrive_at(10, 1300), None);
+        assert_eq!((arrivals.arrive_at(11, 1900), arrivals.is_complete), (Some(Arrivals::DONE), true));
+        assert_eq!(arrivals.arrive_at(12, 2000), Some(Arrivals::DONE));
+        let measured = arrivals.measured;
         assert_eq!((measured.times_ns, measured.lost), (vec![100, 100, 600], 2));
         assert!((measured.seconds - 800e-9).abs() < 1e-12);
     }

@@ -9,9 +9,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tautline_rt::clock::{monotonic_ns, nanoseconds, process_cpu_ns, sleep_until_monotonic};
 
-use crate::Stamp;
 use crate::job::{Exchange, Job, Line, Measured, Memory, say};
 use crate::near::WARM_UP_SHARE;
+use crate::{Result, Stamp};
 
 /// Of what goes as fast as it can, between two messages of number 0, and for each of their bytes: no system is flooded before it
 /// is measured.
@@ -93,6 +93,23 @@ impl Source {
         }
     }
 
+    /// Plays the near end, whose `send` has a topic's stamp sent, and says what it took.
+    ///
+    /// # Errors
+    /// What `send` says.
+    pub fn play(
+        job: &Job,
+        go: Arc<AtomicBool>,
+        mut send: impl FnMut(usize, Stamp) -> Result<()>,
+    ) -> Result<()> {
+        let mut source = Source::new(job, go);
+        while let Some((topic, stamp)) = source.next() {
+            send(topic, stamp)?;
+        }
+        say(&Line::Measured(source.measured()));
+        Ok(())
+    }
+
     /// Sleeps until a message is due; returns its topic and its stamp, or `None` at the end. One that was due while the one
     /// before was still being sent is stamped with the time at which it was due: a system that blocks its sender does not shorten
     /// its own latencies.
@@ -171,7 +188,6 @@ pub struct Sink {
 struct SinkState {
     inlets: usize,
     connected: AtomicUsize,
-    first_ns: AtomicU64,
     /// When the first measured message came.
     warm_cpu_ns: AtomicU64,
     /// Subscriptions that have had the last message of a flow at a rate, and when all had.
@@ -293,13 +309,8 @@ impl Inlet {
     }
 
     fn connect(&self, now: u64) {
-        let first = &self.state.first_ns;
-        let first_ns = match first.compare_exchange(0, now, Ordering::Relaxed, Ordering::Relaxed) {
-            Ok(_) => now,
-            Err(earlier) => earlier,
-        };
         if self.state.connected.fetch_add(1, Ordering::Relaxed) + 1 == self.state.inlets {
-            say(&Line::Connected { first_ns, all_ns: now });
+            say(&Line::Connected { all_ns: now });
         }
     }
 

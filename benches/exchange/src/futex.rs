@@ -109,18 +109,12 @@ impl FutexPair {
     }
 
     /// Maps a file of [`memory_bytes`](Self::memory_bytes).
-    ///
-    /// # Errors
-    /// It cannot be mapped.
     pub fn open(file: impl AsFd, role: Role, payload_bytes: usize) -> rustix::io::Result<Self> {
         let (outgoing, incoming) = if role == Role::Near { (0, 1) } else { (1, 0) };
         Ok(Self { shared: SharedMemory::open(file, payload_bytes, 2)?, outgoing, incoming, received: 0 })
     }
 
     /// Has `fill` write a message, and wakes the other end.
-    ///
-    /// # Errors
-    /// The futex's.
     pub fn send(&mut self, fill: impl FnOnce(&mut [MaybeUninit<u8>])) -> rustix::io::Result<()> {
         let area = self.shared.area(self.outgoing).cast::<MaybeUninit<u8>>();
         // SAFETY: as long as an area; the peer reads it only between the wake below and its own next message.
@@ -129,9 +123,6 @@ impl FutexPair {
     }
 
     /// Waits at most so long for a message and has it read.
-    ///
-    /// # Errors
-    /// The futex's.
     pub fn receive<T>(
         &mut self,
         patience: Duration,
@@ -165,17 +156,11 @@ impl FutexRing {
     }
 
     /// Maps a file of [`memory_bytes`](Self::memory_bytes), all of it zero.
-    ///
-    /// # Errors
-    /// It cannot be mapped.
     pub fn open(file: impl AsFd, payload_bytes: usize) -> rustix::io::Result<Self> {
         Ok(Self { shared: SharedMemory::open(file, TOPIC_BYTES + payload_bytes, RING as usize)?, count: 0 })
     }
 
     /// Has `fill` write a message of a topic once there is room for it, and wakes the other end. For the near end alone.
-    ///
-    /// # Errors
-    /// The futex's.
     pub fn send(
         &mut self,
         topic: usize,
@@ -196,9 +181,6 @@ impl FutexRing {
     }
 
     /// Waits at most so long for a message and has it read; also its topic, as the other end says. For the far end alone.
-    ///
-    /// # Errors
-    /// The futex's.
     pub fn receive<T>(
         &mut self,
         patience: Duration,

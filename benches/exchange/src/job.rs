@@ -2,6 +2,7 @@
 //! What a process is told, as JSON on its command line, and what it says: a line of JSON each, on standard output.
 
 use std::io::{Read, Write, stdin, stdout};
+use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -41,18 +42,13 @@ pub enum Exchange {
         window: Option<u64>,
     },
     /// One way, so many messages a second, whatever becomes of them.
-    Paced {
-        /// Messages a second.
-        rate: f64,
-    },
+    Paced { rate: f64 },
 }
 
 /// What a process is told.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Job {
-    /// Which end.
     pub role: Role,
-    /// What.
     pub exchange: Exchange,
     /// Length of the messages' data.
     pub payload_bytes: usize,
@@ -153,6 +149,18 @@ impl Job {
     }
 }
 
+/// The whole program of a system's ends, whose job is its first argument.
+pub fn program(name: &str, run: impl FnOnce(Job) -> Result<()>) -> ExitCode {
+    let job = std::env::args().nth(1).unwrap_or_default();
+    match Job::begin(&job).and_then(run) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{name}: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
 /// Opens a session, whose threads inherit the priority of this one: as the gateway does it.
 ///
 /// # Errors
@@ -169,12 +177,9 @@ pub fn on_network_thread<T: Send + 'static>(
 pub enum Line {
     /// The far end can receive, here if the near one is to link to it.
     Ready(Option<String>),
-    /// The far end of a flow has had a message on each of its subscriptions: since the first one, since the last one
-    /// (`CLOCK_MONOTONIC`).
+    /// The far end of a flow has had a message on each of its subscriptions.
     Connected {
-        /// When the first subscription had its first message.
-        first_ns: u64,
-        /// When all had.
+        /// When all had (`CLOCK_MONOTONIC`).
         all_ns: u64,
     },
     /// The far end of a flow has had the first message that is measured.
@@ -188,6 +193,17 @@ pub enum Line {
     Measured(Measured),
 }
 
+impl Line {
+    /// Where the far end is linked to.
+    pub fn ready(self) -> Option<Option<String>> {
+        if let Line::Ready(endpoint) = self { Some(endpoint) } else { None }
+    }
+
+    pub fn measured(self) -> Option<Measured> {
+        if let Line::Measured(measured) = self { Some(measured) } else { None }
+    }
+}
+
 /// What one end measured.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Measured {
@@ -195,7 +211,6 @@ pub struct Measured {
     pub times_ns: Vec<u64>,
     /// Questions without an answer, or messages of a stream that did not arrive.
     pub lost: u64,
-    /// How long it took.
     pub seconds: f64,
     /// CPU time of this process meanwhile.
     #[serde(default)]
@@ -231,6 +246,13 @@ pub fn stop_flag() -> Arc<AtomicBool> {
     let stop = flag.clone();
     on_stop(move || stop.store(true, Ordering::Relaxed));
     flag
+}
+
+/// Until the flag of [`stop_flag`] is set.
+pub fn wait_for_stop(flag: &AtomicBool) {
+    while !flag.load(Ordering::Relaxed) {
+        std::thread::sleep(Duration::from_millis(20));
+    }
 }
 
 /// Runs `then` when standard input is closed, however busy threads are that are started later.

@@ -9,6 +9,7 @@
 //! | `flow` | both ends of what is sent one way, at a rate or as fast as it goes, to any number of subscriptions |
 //! | `payload` | what a message contains |
 //! | `futex` | the floors below all of them: memory that two processes share, and a futex wake for each message |
+#![allow(missing_docs, reason = "many names say it all")]
 
 mod far;
 mod flow;
@@ -17,14 +18,14 @@ mod job;
 mod near;
 mod payload;
 
-pub use far::{Answer, Arrivals};
+pub use far::Arrivals;
 pub use flow::{Inlet, Sink, Source, to_the_last};
 pub use futex::{FutexPair, FutexRing};
 pub use job::{
     APPLICATION_PRIORITY, Exchange, Job, Line, Measured, Memory, NETWORK_PRIORITY, PEERS, Role, Way,
-    on_network_thread, on_stop, say, stop_flag,
+    on_network_thread, on_stop, program, say, stop_flag, wait_for_stop,
 };
-pub use near::{Link, PATIENCE, RoundTrips, Window, drive};
+pub use near::{Link, PATIENCE, RoundTrips, Window, drive, play};
 pub use payload::Stamp;
 
 /// What nobody handles but the person who reads it.

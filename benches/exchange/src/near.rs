@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The end that sends first.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use tautline_rt::clock::{monotonic_ns, nanoseconds, process_cpu_ns};
 
-use crate::job::{Exchange, Job, Measured, Memory};
-use crate::{Answer, Result};
+use crate::job::{Exchange, Job, Line, Measured, Memory, Role, say};
+use crate::{Arrivals, Result};
 
 /// How long an answer is waited for.
 pub const PATIENCE: Duration = Duration::from_millis(500);
@@ -24,15 +25,9 @@ const ROOM: usize = 1 << 18;
 /// One end of a system whose user waits for the next message.
 pub trait Link {
     /// Sends a message that begins with `number`.
-    ///
-    /// # Errors
-    /// The system's.
     fn send(&mut self, number: u64) -> Result<()>;
 
     /// Waits for a message at most so long; returns the number that it begins with.
-    ///
-    /// # Errors
-    /// The system's.
     fn receive(&mut self, patience: Duration) -> Result<Option<u64>>;
 }
 
@@ -46,6 +41,27 @@ pub fn drive(job: &Job, link: &mut dyn Link) -> Result<Option<Measured>> {
         Exchange::Stream { window } => stream(&mut Window::new(window), link).map(|()| None),
         Exchange::Paced { .. } => Err("this system does not send at a rate".into()),
     }
+}
+
+/// Plays an end of round trips over a link, and says what it has to say: the far one, which the near one finds at `endpoint`, answers
+/// until it is to stop.
+///
+/// # Errors
+/// The link's; nothing was ever answered.
+pub fn play(job: &Job, link: &mut dyn Link, stop: &AtomicBool, endpoint: Option<String>) -> Result<()> {
+    if job.role == Role::Near {
+        if let Some(measured) = drive(job, link)? {
+            say(&Line::Measured(measured));
+        }
+        return Ok(());
+    }
+    say(&Line::Ready(endpoint));
+    while !stop.load(Ordering::Relaxed) {
+        if let Some(number) = link.receive(CONNECTING)? {
+            link.send(number)?;
+        }
+    }
+    Ok(())
 }
 
 fn round_trips(job: &Job, link: &mut dyn Link) -> Result<Measured> {
@@ -175,7 +191,6 @@ impl RoundTrips {
         never(self.connected_ns.is_some(), self.created_ns)
     }
 
-    /// What was measured.
     pub fn measured(self) -> Measured {
         let seconds = self.measuring_since_ns.map_or(0.0, |since| (monotonic_ns() - since) as f64 / 1e9);
         let cpu_ns = process_cpu_ns() - self.cpu_ns;
@@ -227,7 +242,7 @@ impl Window {
     /// The far end has all up to this number, or enough.
     pub fn confirm(&mut self, number: u64) {
         self.is_connected = true;
-        self.is_done |= number == Answer::DONE;
+        self.is_done |= number == Arrivals::DONE;
         self.confirmed = self.confirmed.max(number.min(self.sent));
     }
 
@@ -276,7 +291,7 @@ mod tests {
         assert_eq!(window.next(), None, "an old one changes nothing");
         window.give_up().unwrap();
         assert_eq!(window.next(), Some(8));
-        window.confirm(Answer::DONE);
+        window.confirm(Arrivals::DONE);
         assert!(window.is_done());
     }
 }

@@ -4,9 +4,7 @@
 
 use std::net::TcpListener;
 use std::process::ExitCode;
-use std::sync::Mutex;
-use std::sync::atomic::Ordering;
-use std::sync::mpsc;
+use std::sync::{Mutex, mpsc};
 use std::time::Duration;
 
 use hiroz::context::{ZContext, ZContextBuilder};
@@ -16,21 +14,14 @@ use hiroz::pubsub::ZPub;
 use hiroz::{Builder, ZBuf};
 use hiroz_msgs::std_msgs::ByteMultiArray;
 use tautline_exchange::{
-    Answer, Arrivals, Exchange, Job, Line, Link, Result, Role, Stamp, drive, on_network_thread, say,
-    stop_flag,
+    Arrivals, Exchange, Job, Line, Link, Result, Role, Stamp, drive, on_network_thread, program, say,
+    stop_flag, wait_for_stop,
 };
 use zenoh_buffers::ZSlice;
 use zenoh_buffers::buffer::SplitBuffer;
 
 fn main() -> ExitCode {
-    let job = std::env::args().nth(1).unwrap_or_default();
-    match Job::begin(&job).and_then(|job| run(&job)) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("network-hiroz: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    program("network-hiroz", |job| run(&job))
 }
 
 fn run(job: &Job) -> Result<()> {
@@ -112,19 +103,12 @@ fn far(node: &ZNode, job: &Job, endpoint: String) -> Result<()> {
     let [to, from] = job.topics();
     let publisher = node.create_pub::<ByteMultiArray>(&to).build()?;
     let (is_stream, whole, bytes) = (job.exchange != Exchange::RoundTrips, job.way.whole, job.payload_bytes);
-    let (finished, measured) = mpsc::channel();
     let arrivals = Mutex::new(Arrivals::new(job));
     let answer = move |question: ByteMultiArray| {
         let answer = if is_stream {
             let Ok(mut arrivals) = arrivals.lock() else { return };
-            match arrivals.arrive(number(&question)) {
-                Answer::None => return,
-                Answer::Send(number) => message(number, None),
-                Answer::Complete(number) => {
-                    let _ = finished.send(arrivals.take_measured());
-                    message(number, None)
-                }
-            }
+            let Some(number) = arrivals.arrive(number(&question)) else { return };
+            message(number, None)
         } else if whole {
             written(read(&question), bytes)
         } else {
@@ -136,11 +120,7 @@ fn far(node: &ZNode, job: &Job, endpoint: String) -> Result<()> {
     let _subscription = node.create_sub::<ByteMultiArray>(&from).build_with_callback(answer)?;
     let stop = stop_flag();
     say(&Line::Ready(Some(endpoint)));
-    while !stop.load(Ordering::Relaxed) {
-        if let Ok(measured) = measured.recv_timeout(Duration::from_millis(50)) {
-            say(&Line::Measured(measured));
-        }
-    }
+    wait_for_stop(&stop);
     Ok(())
 }
 

@@ -10,7 +10,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use serde_json::Value;
-use tautline_benches::rows::{Round, Row, Tally};
+use tautline_benches::rows::{Round, Row, Tally, extent};
 use tautline_benches::{Process, progress_bar};
 use tautline_exchange::{Exchange, Job, Line, Measured, Role, Way};
 
@@ -48,9 +48,7 @@ pub fn run(plan: &Plan, interrupted: &AtomicBool) -> Result<(Vec<Row>, Flood)> {
         }
     }
     progress.finish_and_clear();
-    let mut arrived: Vec<f64> = floods.iter().map(|(measured, _)| mb_per_s(measured)).collect();
-    arrived.sort_by(f64::total_cmp);
-    let arrived_mb_per_s = arrived[arrived.len() / 2];
+    let [_, arrived_mb_per_s, _] = extent(floods.iter().map(|(measured, _)| mb_per_s(measured)).collect());
     let mut rows = rows(QUIET, 0, None, &quiet);
     rows.extend(self::rows(FLOOD, MESSAGE_BYTES, Some(arrived_mb_per_s), &flooded));
     let flood = Flood {
@@ -86,16 +84,13 @@ impl<'a> Stream<'a> {
             way: Way::default(),
         };
         let mut far = start(plan, System::Tautline, &job(Role::Far, 1, None), interrupted)?;
-        far.expect(PATIENCE, |line| matches!(line, Line::Ready(_)).then_some(()))?;
+        far.expect(PATIENCE, Line::ready)?;
         let near = start(plan, System::Tautline, &job(Role::Near, 0, Some(plan.both[0])), interrupted)?;
         Ok(Stream { near, far })
     }
 
     fn end(&mut self) -> Result<Measured> {
-        let measured = self.far.expect(PATIENCE, |line| match line {
-            Line::Measured(measured) => Some(measured),
-            _ => None,
-        })?;
+        let measured = self.far.expect(PATIENCE, Line::measured)?;
         self.near.finish()?;
         self.far.finish()?;
         Ok(measured)
@@ -123,13 +118,10 @@ fn rows(experiment: &str, payload_bytes: usize, mb_per_s: Option<f64>, reports: 
     let row = |index: usize| {
         let topics = || reports.iter().map(|report| &report["topics"][index]);
         let us = |topic: &Value, key: &str| topic[key].as_f64().unwrap_or(0.0) * 1e3;
-        let sorted = |key: &str| {
-            let mut times: Vec<f64> = topics().map(|topic| us(topic, key)).collect();
-            times.sort_by(f64::total_cmp);
-            times
-        };
+        let of_rounds = |key: &str| extent(topics().map(|topic| us(topic, key)).collect());
         let count = |topic: &Value, key: &str| topic[key].as_u64().unwrap_or(0);
-        let (p50, p99, max) = (sorted("p50_ms"), sorted("p99_ms"), sorted("max_ms"));
+        let ([_, p50_us, _], [_, p99_us, _]) = (of_rounds("p50_ms"), of_rounds("p99_ms"));
+        let [.., max_us] = of_rounds("max_ms");
         let name = reports[0]["topics"][index]["topic"].as_str().unwrap_or("?");
         let round = |(round, topic): (u32, &Value)| Round {
             round,
@@ -142,10 +134,10 @@ fn rows(experiment: &str, payload_bytes: usize, mb_per_s: Option<f64>, reports: 
         };
         Row {
             n: topics().map(|topic| count(topic, "n")).sum(),
-            p50_us: Some(p50[p50.len() / 2]),
-            p99_us: Some(p99[p99.len() / 2]),
-            p999_us: max.last().copied(),
-            max_us: max.last().copied(),
+            p50_us: Some(p50_us),
+            p99_us: Some(p99_us),
+            p999_us: Some(max_us),
+            max_us: Some(max_us),
             lost: topics().map(|topic| count(topic, "lost")).sum(),
             mb_per_s,
             rounds: (1..).zip(topics()).map(round).collect(),

@@ -83,19 +83,12 @@ fn pair(plan: &Plan, case: Case, topic: String, interrupted: &AtomicBool) -> Res
         way: Way::default(),
     };
     let mut far = start(plan, case.system, &job(Role::Far), interrupted)?;
-    let endpoint = far.expect(PATIENCE, |line| match line {
-        Line::Ready(endpoint) => Some(endpoint),
-        _ => None,
-    })?;
+    let endpoint = far.expect(PATIENCE, Line::ready)?;
     let mut near = start(plan, case.system, &Job { endpoint, ..job(Role::Near) }, interrupted)?;
-    let measured = |line| match line {
-        Line::Measured(measured) => Some(measured),
-        _ => None,
-    };
     let patience = PATIENCE + plan.budget * 3;
     let measured = match case.exchange {
-        Exchange::RoundTrips => near.expect(patience, measured)?,
-        _ => far.expect(patience, measured)?,
+        Exchange::RoundTrips => near.expect(patience, Line::measured)?,
+        _ => far.expect(patience, Line::measured)?,
     };
     near.finish()?;
     far.finish()?;

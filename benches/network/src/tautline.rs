@@ -12,8 +12,7 @@ use ::tautline::{CallbackOptions, Context, Limits, Node, Publisher, Qos, Realtim
 use futures::StreamExt;
 use futures::future::{Either, select};
 use tautline_exchange::{
-    APPLICATION_PRIORITY, Answer, Arrivals, Exchange, Job, Line, Result, Role, RoundTrips, Window, say,
-    stop_flag,
+    APPLICATION_PRIORITY, Arrivals, Exchange, Job, Line, Result, Role, RoundTrips, Window, say, stop_flag,
 };
 use tautline_ros_msgs::std_msgs::msg::{ByteMultiArray, ByteMultiArraySizes, MultiArrayLayoutSizes};
 
@@ -177,13 +176,8 @@ impl End {
     async fn gather(&mut self, mut arrivals: Arrivals, stop: &AtomicBool) -> Result<()> {
         while !stop.load(Ordering::Relaxed) {
             let Some(number) = self.next().await else { continue };
-            match arrivals.arrive(number) {
-                Answer::None => {}
-                Answer::Send(number) => self.send(number, size_of::<u64>())?,
-                Answer::Complete(number) => {
-                    say(&Line::Measured(arrivals.take_measured()));
-                    self.send(number, size_of::<u64>())?;
-                }
+            if let Some(number) = arrivals.arrive(number) {
+                self.send(number, size_of::<u64>())?;
             }
         }
         Ok(())

@@ -2,12 +2,11 @@
 //! Plain Zenoh as its own examples measure it (`z_ping`, `z_pong`, `z_pub_thr`, `z_sub_thr`): two peers with one TCP link,
 //! publishers that wait for the link, express, the answer sent from within the callback.
 
-use std::sync::atomic::Ordering;
-use std::sync::mpsc;
 use std::time::Duration;
 
 use tautline_exchange::{
-    Answer, Arrivals, Exchange, Job, Line, Link, Result, Role, drive, on_network_thread, say, stop_flag,
+    Arrivals, Exchange, Job, Line, Link, Result, Role, drive, on_network_thread, say, stop_flag,
+    wait_for_stop,
 };
 use zenoh::bytes::ZBytes;
 use zenoh::handlers::FifoChannelHandler;
@@ -99,18 +98,11 @@ fn far(session: &Session, job: &Job) -> Result<()> {
     let [_, from] = keys(job);
     let publisher = publisher(session, job)?;
     let is_stream = job.exchange != Exchange::RoundTrips;
-    let (finished, measured) = mpsc::channel();
     let mut arrivals = Arrivals::new(job);
     let answer = move |sample: Sample| {
         let payload = if is_stream {
-            match arrivals.arrive(number(&sample)) {
-                Answer::None => return,
-                Answer::Send(number) => ZBytes::from(number.to_le_bytes().to_vec()),
-                Answer::Complete(number) => {
-                    let _ = finished.send(arrivals.take_measured());
-                    number.to_le_bytes().to_vec().into()
-                }
-            }
+            let Some(number) = arrivals.arrive(number(&sample)) else { return };
+            ZBytes::from(number.to_le_bytes().to_vec())
         } else {
             sample.payload().clone()
         };
@@ -121,11 +113,7 @@ fn far(session: &Session, job: &Job) -> Result<()> {
     let locators = session.info().locators().wait();
     let stop = stop_flag();
     say(&Line::Ready(locators.first().map(ToString::to_string)));
-    while !stop.load(Ordering::Relaxed) {
-        if let Ok(measured) = measured.recv_timeout(Duration::from_millis(50)) {
-            say(&Line::Measured(measured));
-        }
-    }
+    wait_for_stop(&stop);
     Ok(())
 }
 

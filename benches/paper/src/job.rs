@@ -20,7 +20,6 @@ pub enum Role {
 /// One run of one process.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Job {
-    /// Which process.
     pub role: Role,
     /// How the subscriber executes its callbacks.
     pub variant: Variant,

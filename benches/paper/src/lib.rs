@@ -7,6 +7,7 @@
 //! ([`Job`]) and tells ([`Line`]), the callbacks with their [`Log`], and the [`structures`], which see a middleware only
 //! as a [`Sampler`]. A middleware adds a node with subscriptions, and its publisher.
 #![forbid(unsafe_code)]
+#![allow(missing_docs, reason = "many names say it all")]
 
 mod callback;
 mod job;
@@ -50,7 +51,6 @@ pub enum PaperError {
     Start {
         /// What was to be started.
         what: &'static str,
-        /// Why not.
         source: std::io::Error,
     },
     /// The thread that spins has panicked.

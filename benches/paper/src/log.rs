@@ -31,12 +31,10 @@ impl Log {
         }
     }
 
-    /// How many there are.
     pub fn len(&self) -> usize {
         self.count.load(Ordering::Acquire)
     }
 
-    /// Whether there is none.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }

@@ -34,9 +34,6 @@ type Hook = Arc<Mutex<Option<Box<dyn FnOnce() + Send>>>>;
 impl Subscriber {
     /// Binds the process to its core, locks its memory and gives the calling thread the priority that threads of the
     /// middleware are to inherit. To be called first.
-    ///
-    /// # Errors
-    /// [`PaperError::Realtime`].
     pub fn new(job: &Job) -> Result<Subscriber, PaperError> {
         let logs: Vec<_> = job.topics.iter().map(|topic| Arc::new(Log::new(job, topic))).collect();
         let (over, when_over) = (Arc::<AtomicBool>::default(), Hook::default());
@@ -95,9 +92,6 @@ impl Subscriber {
 }
 
 /// Binds the publisher's process to its core and gives the calling thread the paper's priority. To be called first.
-///
-/// # Errors
-/// [`PaperError::Realtime`].
 pub fn set_up_publisher(job: &Job) -> Result<(), PaperError> {
     bind(job)?;
     if job.realtime {

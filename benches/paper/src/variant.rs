@@ -44,9 +44,7 @@ pub enum Scheduling {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Variant {
-    /// Its threads.
     pub structure: Structure,
-    /// Their priorities.
     pub scheduling: Scheduling,
 }
 
@@ -64,7 +62,6 @@ impl Variant {
     /// The structure that the paper proposes.
     pub const FUTURES_RT: Variant = Variant::new(Structure::FuturesRt, Scheduling::Fifo);
 
-    /// A structure with priorities.
     pub const fn new(structure: Structure, scheduling: Scheduling) -> Variant {
         Variant { structure, scheduling }
     }

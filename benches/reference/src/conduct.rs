@@ -21,7 +21,6 @@ const TELL: Duration = Duration::from_millis(200);
 /// What a process is asked to run. JSON on the command line of a process that another one starts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Job {
-    /// How long is measured.
     pub seconds: f64,
     /// Up to where nodes count primes.
     pub cruncher_limit: u64,
@@ -36,7 +35,6 @@ pub struct Job {
 /// A thread's place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Placement {
-    /// Its core.
     pub core: usize,
     /// Its `SCHED_FIFO` priority.
     pub priority: u8,
@@ -45,7 +43,6 @@ pub struct Placement {
 /// What the process used in the window.
 #[derive(Clone, Copy, Debug)]
 pub struct Usage {
-    /// Processor time.
     pub cpu_ns: u64,
     /// Resident memory at the end.
     pub rss_bytes: u64,

@@ -33,7 +33,6 @@ pub struct Load {
     pub crunch: Duration,
     /// How many cores the work of all nodes keeps busy.
     pub cores_needed: f64,
-    /// How many there are.
     pub cores: usize,
 }
 

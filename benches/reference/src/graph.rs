@@ -14,12 +14,9 @@ pub const ESTIMATOR: &str = "ObjectCollisionEstimator";
 /// The node whose punctuality is measured.
 pub const PLANNER: &str = "BehaviorPlanner";
 
-/// A node.
 #[derive(Debug)]
 pub struct Node {
-    /// Its name.
     pub name: &'static str,
-    /// What it does.
     pub kind: Kind,
 }
 
@@ -27,37 +24,20 @@ pub struct Node {
 #[derive(Debug)]
 pub enum Kind {
     /// Publishes periodically.
-    Sensor {
-        /// Its period.
-        period_ms: u64,
-    },
+    Sensor { period_ms: u64 },
     /// Works on each message and passes it on.
-    Transform {
-        /// Its topic.
-        input: &'static str,
-    },
+    Transform { input: &'static str },
     /// Keeps the latest message of both topics; with both it works, publishes, and forgets them.
-    Fusion {
-        /// Its topics.
-        inputs: [&'static str; 2],
-    },
+    Fusion { inputs: [&'static str; 2] },
     /// Works periodically on what has come since, and publishes.
-    Cyclic {
-        /// Its period.
-        period_ms: u64,
-        /// Its topics.
-        inputs: &'static [&'static str],
-    },
+    Cyclic { period_ms: u64, inputs: &'static [&'static str] },
     /// Several transforms.
     Intersection {
         /// The topic that comes in and the one that goes out, of each.
         ways: &'static [(&'static str, &'static str)],
     },
     /// The end of a path.
-    Command {
-        /// Its topic.
-        input: &'static str,
-    },
+    Command { input: &'static str },
 }
 
 const fn sensor(name: &'static str, period_ms: u64) -> Node {
@@ -76,7 +56,6 @@ const fn command(name: &'static str, input: &'static str) -> Node {
     Node { name, kind: Kind::Command { input } }
 }
 
-/// All nodes.
 pub static NODES: [Node; 24] = [
     // Before its neighbour of the same period, with which it is fused: see `system.toml`.
     sensor(REAR_LIDAR, 100),
@@ -131,9 +110,7 @@ pub static NODES: [Node; 24] = [
 pub struct Callback {
     /// Its name: that of its output, or of its node if it has none.
     pub name: &'static str,
-    /// Its node.
     pub node: &'static str,
-    /// When it runs.
     pub trigger: Trigger,
     /// The topics that it hears.
     pub inputs: &'static [&'static str],
@@ -157,7 +134,6 @@ pub enum Trigger {
 }
 
 impl Node {
-    /// Its callbacks.
     pub fn callbacks(&'static self) -> Vec<Callback> {
         let callback = |trigger, inputs, output: Option<&'static str>, works| Callback {
             name: output.unwrap_or(self.name),

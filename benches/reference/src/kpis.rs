@@ -15,7 +15,6 @@ pub struct Kpis {
     pub mode: String,
     /// Whether priorities were set.
     pub realtime: bool,
-    /// How long was measured.
     pub seconds: f64,
     /// Up to where nodes counted primes.
     pub cruncher_limit: u64,
@@ -37,20 +36,16 @@ pub struct Kpis {
     pub hot_path_average_ms: f64,
     /// What 99 % do not exceed.
     pub hot_path_p99_ms: f64,
-    /// The longest.
     pub hot_path_worst_ms: f64,
     /// All of them, in their order.
     pub hot_path_ms: Vec<f64>,
     /// Average time to that end from the begin of the run of whichever lidar came first: also what the front lidar's own run
     /// waited for the rear's is in it.
     pub both_lidars_average_ms: f64,
-    /// The longest.
     pub both_lidars_worst_ms: f64,
-    /// Runs of the BehaviorPlanner.
     pub planner_runs: u64,
     /// Average difference between the time from one of its runs to the next, and its period.
     pub planner_jitter_average_ms: f64,
-    /// The largest.
     pub planner_jitter_worst_ms: f64,
     /// How much later its last run began than it would have, had all periods since the first been exact.
     pub planner_drift_ms: f64,
@@ -63,9 +58,7 @@ pub struct Kpis {
 /// What a callback did.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CallbackKpis {
-    /// Its name.
     pub name: String,
-    /// How often it ran.
     pub runs: u64,
     /// Messages of its inputs that it missed.
     pub dropped: u64,

@@ -8,6 +8,7 @@
 //! As in the original every queue keeps one message ([`DEPTH`]), every node enters itself into the message that it
 //! passes on, and nodes that neither begin nor end a path count primes before they publish ([`number_cruncher`]).
 #![forbid(unsafe_code)]
+#![allow(missing_docs, reason = "many names say it all")]
 
 mod conduct;
 mod cruncher;

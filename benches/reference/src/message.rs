@@ -39,7 +39,6 @@ pub struct Message4kb {
 const _: () = assert!(size_of::<Message4kb>() == 4096);
 
 impl TransmissionStats {
-    /// An entry.
     pub fn new(name: &str, timestamp: u64, sequence_number: u32, dropped_samples: u32) -> Self {
         TransmissionStats { timestamp, sequence_number, dropped_samples, node_name: padded(name) }
     }

@@ -9,19 +9,15 @@ use crate::graph::{self, Callback};
 /// The part of a run that counts, on the monotonic clock.
 #[derive(Clone, Copy, Debug)]
 pub struct Window {
-    /// Its begin.
     pub begin_ns: u64,
-    /// Its end.
     pub end_ns: u64,
 }
 
 impl Window {
-    /// Whether this instant counts.
     pub fn contains(&self, instant_ns: u64) -> bool {
         (self.begin_ns..self.end_ns).contains(&instant_ns)
     }
 
-    /// Its length.
     pub fn length(&self) -> Duration {
         Duration::from_nanos(self.end_ns - self.begin_ns)
     }
@@ -30,7 +26,6 @@ impl Window {
 /// Of all callbacks. Each number has one writer.
 #[derive(Debug)]
 pub struct Records {
-    /// What counts.
     pub window: Window,
     callbacks: Vec<Callback>,
     runs: Box<[AtomicU64]>,

@@ -17,6 +17,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::{CallbackOptions, Node, ParameterReader, Parameters};
+use tautline_benches::rows::extent;
 use tautline_benches::{Distribution, Disturbance, Stage, Turns, machine, print_no_verdict, print_verdict};
 use tautline_rt::CoreSet;
 use tautline_rt::host::steal_ticks;
@@ -311,9 +312,7 @@ fn read_costs(
     for being_set in [false, true] {
         for (case, (what, payload_bytes, _)) in READS.into_iter().enumerate() {
             let of = times.iter().filter(|(set, of, _)| (*set, *of) == (being_set, case));
-            let mut ns: Vec<f64> = of.map(|(.., ns)| *ns).collect();
-            ns.sort_by(f64::total_cmp);
-            let (min_ns, p50_ns, max_ns) = (ns[0], ns[ns.len() / 2], ns[ns.len() - 1]);
+            let [min_ns, p50_ns, max_ns] = extent(of.map(|(.., ns)| *ns).collect());
             reads.push(Read { what, payload_bytes, being_set, rounds, calls, min_ns, p50_ns, max_ns });
         }
     }

@@ -9,6 +9,7 @@ use serde::Serialize;
 use std::hint::black_box;
 use std::process::ExitCode;
 use std::time::Instant;
+use tautline_benches::rows::extent;
 use tautline_benches::{Disturbance, machine};
 use tautline_rt::clock::monotonic_ns;
 use tautline_trace::{MessageId, ObjectId, Recorder, TraceMode};
@@ -88,9 +89,7 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     for recording in [false, true] {
         for (case, (name, _)) in CASES.into_iter().enumerate() {
             let of = times.iter().filter(|(on, of, _)| (*on, *of) == (recording, case));
-            let mut ns: Vec<f64> = of.map(|(.., ns)| *ns).collect();
-            ns.sort_by(f64::total_cmp);
-            let (min_ns, p50_ns, max_ns) = (ns[0], ns[ns.len() / 2], ns[ns.len() - 1]);
+            let [min_ns, p50_ns, max_ns] = extent(of.map(|(.., ns)| *ns).collect());
             let lttng = cfg!(feature = "lttng");
             cases.push(Case { name, recording, lttng, calls, rounds, min_ns, p50_ns, max_ns });
         }

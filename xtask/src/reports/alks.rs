@@ -1,32 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The reports of the automated lane keeping system.
 
-use super::{Kind, Kind::*, check_fields, judge};
+use super::{Fields, Kind::*, check_fields, judge};
 use crate::steps::Outcome;
 use serde_json::Value;
 use std::path::Path;
 
-const REPORT: &[(&str, Kind)] = &[
-    ("system", Text),
-    ("shared", Text),
-    ("realtime", Bool),
-    ("rows", List),
-    ("chain_below_paper", Number),
-    ("lost", List),
-    ("published", Count),
-    ("steal_ticks", Count),
+const REPORT: Fields = &[
+    (Text, "system shared"),
+    (Bool, "realtime"),
+    (List, "rows lost"),
+    (Number, "chain_below_paper"),
+    (Count, "published steal_ticks"),
 ];
 
-const ROW: &[(&str, Kind)] = &[
-    ("span", Text),
-    ("name", Text),
-    ("n", Count),
-    ("p50_ms", Number),
-    ("p99_ms", Number),
-    ("p999_ms", Number),
-    ("max_ms", Number),
-    ("values", List),
-];
+const ROW: Fields =
+    &[(Text, "span name"), (Count, "n"), (Number, "p50_ms p99_ms p999_ms max_ms"), (List, "values")];
 
 /// Each way to share was measured, no message of Tautline's was lost, and the car kept its lane.
 pub fn check_lane(path: &Path) -> Outcome {

@@ -1,21 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The report of the bridge's bench.
 
-use super::{Kind, Kind::*, check_fields, judge};
+use super::{Fields, Kind::*, check_fields, judge};
 use crate::steps::Outcome;
 use serde_json::Value;
 use std::path::Path;
 
-const BRIDGE_CPU: &[(&str, Kind)] = &[
-    ("bridge", Number),
-    ("direct", Number),
-    ("bridged", Number),
-    ("publisher", Number),
-    ("machine", Number),
-];
+const BRIDGE_CPU: Fields = &[(Number, "bridge direct bridged publisher machine")];
 
-const BRIDGE_SUBSCRIBER: &[(&str, Kind)] =
-    &[("messages", Count), ("disordered", Count), ("p50_us", Number), ("p99_us", Number)];
+const BRIDGE_SUBSCRIBER: Fields = &[(Count, "messages disordered"), (Number, "p50_us p99_us")];
 
 /// The bridge's ways: all that was published came through each of them, once and in order, and what it cost is beside r2r's.
 pub fn check_bridge(path: &Path, expected: u64) -> Outcome {

@@ -1,24 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The comparison's report.
 
-use super::{Kind, Kind::*, check_fields, judge};
+use super::{Fields, Kind::*, check_fields, judge};
 use crate::steps::Outcome;
 use serde_json::Value;
 use std::path::Path;
 
 /// Of every row of the comparison; times are numbers where something was measured.
-const COMPARE_ROW: &[(&str, Kind)] = &[
-    ("experiment", Text),
-    ("system", Text),
-    ("mode", Text),
-    ("payload_bytes", Count),
-    ("n", Count),
-    ("lost", Count),
-    ("note", Text),
-];
+const COMPARE_ROW: Fields = &[(Text, "experiment system mode note"), (Count, "payload_bytes n lost")];
 
-/// Its other fields.
-const COMPARE_NUMBERS: [&str; 6] = ["p50_us", "p99_us", "p999_us", "max_us", "cpu_us_per_msg", "rss_mib"];
+/// Its times and costs, and what the ratios are judged by.
+const NUMBERS: [&str; 6] = ["p50_us", "p99_us", "p999_us", "max_us", "cpu_us_per_msg", "rss_mib"];
+const OF_ROUNDS: [&str; 2] = ["rounds", "unfit"];
 
 /// The comparison's rows: exactly the promised fields; each system is there or says why not; Tautline takes part in every
 /// experiment that a rival has, and loses nothing where messages come one by one.
@@ -52,17 +45,15 @@ pub fn check_compare(path: &Path, systems: &[&str]) -> Outcome {
 
 fn check_compare_row(row: &Value) -> Result<(), String> {
     check_fields(row, "a row", COMPARE_ROW)?;
-    // What the ratios are judged by comes on top.
+    let fields = COMPARE_ROW.iter().flat_map(|(_, names)| names.split(' '));
     let known = |name: &str| {
-        COMPARE_ROW.iter().any(|(field, ..)| *field == name)
-            || COMPARE_NUMBERS.contains(&name)
-            || ["rounds", "unfit"].contains(&name)
+        NUMBERS.contains(&name) || OF_ROUNDS.contains(&name) || fields.clone().any(|field| field == name)
     };
     if let Some(name) = row.as_object().and_then(|row| row.keys().find(|name| !known(name))) {
         return Err(format!("a row with a field '{name}': {row}"));
     }
     let is_measured = row["n"] != 0;
-    for name in COMPARE_NUMBERS {
+    for name in NUMBERS {
         let number = row.get(name).ok_or_else(|| format!("a row has no field '{name}': {row}"))?;
         // A start has no cost per message, and few times have no high quantiles.
         let may_lack = !is_measured || !["p50_us", "max_us"].contains(&name);

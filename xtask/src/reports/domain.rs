@@ -1,30 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The domain bench's report.
 
-use super::{Kind, Kind::*, check_fields, check_row, judge};
+use super::{Fields, Kind::*, check_fields, check_row, judge};
 use crate::steps::Outcome;
 use serde_json::Value;
 use std::path::Path;
 
-const DOMAIN: &[(&str, Kind)] = &[
-    ("machine", Text),
-    ("versions", Text),
-    ("open_files", Count),
-    ("disturbance", Text),
-    ("realtime", Bool),
-    ("quick", Bool),
-    ("rows", List),
+const DOMAIN: Fields = &[
+    (Text, "machine versions disturbance"),
+    (Count, "open_files"),
+    (Bool, "realtime quick"),
+    (List, "rows"),
 ];
 
-const DOMAIN_ROW: &[(&str, Kind)] = &[
-    ("experiment", Text),
-    ("size", Count),
-    ("system", Text),
-    ("what", Text),
-    ("unit", Text),
-    ("n", Count),
-    ("p50", Number),
-];
+const DOMAIN_ROW: Fields = &[(Text, "experiment system what unit"), (Count, "size n"), (Number, "p50")];
 
 const EXPERIMENTS: [&str; 8] =
     ["processes", "topics", "storm", "nodes", "crowd", "load", "images", "fan-out"];

@@ -1,25 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The evaluation's report.
 
-use super::{Kind, Kind::*, check_row, judge};
+use super::{Fields, Kind::*, check_row, judge};
 use crate::steps::Outcome;
 use std::path::Path;
 
-const PAPER_ROW: &[(&str, Kind)] = &[
-    ("system", Text),
-    ("variant", Text),
-    ("topic", Text),
-    ("runs", Count),
-    ("n", Count),
-    ("p50_ms", Number),
-    ("p99_ms", Number),
-    ("max_ms", Number),
-    ("p99_std_ms", Number),
-    ("rta_ms", Number),
-    ("deadline_ms", Number),
-    ("misses", Count),
-    ("lost", Count),
-    ("steal_ticks", Count),
+const PAPER_ROW: Fields = &[
+    (Text, "system variant topic"),
+    (Count, "runs n misses lost steal_ticks"),
+    (Number, "p50_ms p99_ms max_ms p99_std_ms rta_ms deadline_ms"),
 ];
 
 /// The evaluation's report: a list of rows, each with measurements; in real time, where one thread serves all topics the

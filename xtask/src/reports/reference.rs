@@ -1,37 +1,26 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The reference system's reports.
 
-use super::{Kind, Kind::*, check_fields, judge};
+use super::{Fields, Kind::*, check_fields, judge};
 use crate::steps::Outcome;
 use serde_json::Value;
 use std::path::Path;
 
 /// Of a run of the reference system.
-const REFERENCE: &[(&str, Kind)] = &[
-    ("system", Text),
-    ("mode", Text),
-    ("realtime", Bool),
-    ("seconds", Number),
-    ("cruncher_limit", Count),
-    ("crunch_ms", Number),
-    ("cpu_percent", Number),
-    ("rss_mib", Number),
-    ("dropped_in_transforms", Count),
-    ("dropped", Count),
-    ("front_lidar_samples", Count),
-    ("front_lidar_without_estimate", Count),
-    ("hot_path_average_ms", Number),
-    ("hot_path_p99_ms", Number),
-    ("hot_path_worst_ms", Number),
-    ("hot_path_ms", List),
-    ("both_lidars_average_ms", Number),
-    ("both_lidars_worst_ms", Number),
-    ("planner_runs", Count),
-    ("planner_jitter_average_ms", Number),
-    ("planner_jitter_worst_ms", Number),
-    ("planner_drift_ms", Number),
-    ("steal_ticks", Count),
-    ("callbacks", List),
+const REFERENCE: Fields = &[
+    (Text, "system mode"),
+    (Bool, "realtime"),
+    (
+        Count,
+        "cruncher_limit dropped_in_transforms dropped front_lidar_samples front_lidar_without_estimate planner_runs",
+    ),
+    (Count, "steal_ticks"),
+    (Number, "seconds crunch_ms cpu_percent rss_mib hot_path_average_ms hot_path_p99_ms hot_path_worst_ms"),
+    (
+        Number,
+        "both_lidars_average_ms both_lidars_worst_ms planner_jitter_average_ms planner_jitter_worst_ms planner_drift_ms",
+    ),
+    (List, "hot_path_ms callbacks"),
 ];
 
 /// How the comparison runs the nodes: each middleware with each way to execute callbacks.

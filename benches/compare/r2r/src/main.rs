@@ -16,7 +16,7 @@ use r2r::geometry_msgs::msg::Inertia;
 use r2r::std_msgs::msg::UInt8MultiArray;
 use r2r::{Context, Node, QosProfile};
 use tautline_exchange::{
-    Exchange, Inlet, Job, Line, Link, Result, Role, Sink, Source, Stamp, drive, say, stop_flag,
+    Exchange, Inlet, Job, Line, Link, Result, Role, Sink, Source, Stamp, play, program, say, stop_flag,
 };
 use tautline_rt::clock::monotonic_ns;
 
@@ -24,14 +24,7 @@ use tautline_rt::clock::monotonic_ns;
 const LOOK: Duration = Duration::from_millis(50);
 
 fn main() -> ExitCode {
-    let job = std::env::args().nth(1).unwrap_or_default();
-    match Job::begin(&job).and_then(|job| run(&job)) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("compare-r2r: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    program("compare-r2r", |job| run(&job))
 }
 
 fn run(job: &Job) -> Result<()> {
@@ -52,32 +45,13 @@ fn round_trips(mut node: Node, job: &Job, stop: &AtomicBool) -> Result<()> {
     let [to, from] = job.topics();
     let (out, input) = (Outlet::new(&mut node, job, &to)?, stamps(&mut node, job, &from)?);
     let mut end = End { node, out, input };
-    match job.role {
-        Role::Near => {
-            if let Some(measured) = drive(job, &mut end)? {
-                say(&Line::Measured(measured));
-            }
-        }
-        Role::Far => {
-            say(&Line::Ready(None));
-            while !stop.load(Ordering::Relaxed) {
-                if let Some(number) = end.receive(LOOK)? {
-                    end.send(number)?;
-                }
-            }
-        }
-    }
-    Ok(())
+    play(job, &mut end, stop, None)
 }
 
 fn send_flow(mut node: Node, job: &Job, stop: Arc<AtomicBool>) -> Result<()> {
     let open = |index| Outlet::new(&mut node, job, &format!("{}/t{index}", job.topic));
     let mut outlets = (0..job.way.topics).map(open).collect::<Result<Vec<_>>>()?;
-    let mut source = Source::new(job, stop);
-    while let Some((topic, stamp)) = source.next() {
-        outlets[topic].send(stamp)?;
-    }
-    say(&Line::Measured(source.measured()));
+    Source::play(job, stop, |topic, stamp| outlets[topic].send(stamp))?;
     // What is under way is repeated from its history.
     std::thread::sleep(LOOK * 2);
     Ok(())

@@ -7,11 +7,11 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use tautline_exchange::{
-    FutexPair, FutexRing, Job, Line, Link, Measured, Result, Role, Sink, Source, Stamp, drive, say, stop_flag,
+    FutexPair, FutexRing, Job, Line, Link, Measured, Result, Role, Sink, Source, Stamp, play, say, stop_flag,
 };
 use tautline_rt::clock::monotonic_ns;
 
-use super::{LOOK, answer};
+use super::LOOK;
 
 /// At least as many bytes are copied between two looks at the clock.
 const COPIED_BYTES: usize = 256 << 10;
@@ -22,18 +22,7 @@ pub fn run(job: &Job) -> Result<()> {
     job.as_application(move || {
         let pair = FutexPair::open(memory(&own)?, own.role, own.payload_bytes)?;
         let mut end = End { pair, whole: own.way.whole };
-        match own.role {
-            Role::Near => {
-                if let Some(measured) = drive(&own, &mut end)? {
-                    say(&Line::Measured(measured));
-                }
-                Ok(())
-            }
-            Role::Far => {
-                say(&Line::Ready(own.endpoint.clone()));
-                answer(&mut end, &stop)
-            }
-        }
+        play(&own, &mut end, &stop, own.endpoint.clone())
     })
 }
 
@@ -49,12 +38,9 @@ pub fn flow(job: &Job) -> Result<()> {
         let mut ring = FutexRing::open(memory(&own)?, own.payload_bytes)?;
         let whole = own.way.whole;
         if own.role == Role::Near {
-            let mut source = Source::new(&own, flag);
-            while let Some((topic, stamp)) = source.next() {
-                ring.send(topic, |out| stamp.write_uninit(out, whole))?;
-            }
-            say(&Line::Measured(source.measured()));
-            return Ok(());
+            return Source::play(&own, flag, |topic, stamp| {
+                Ok(ring.send(topic, |out| stamp.write_uninit(out, whole))?)
+            });
         }
         let sink = Sink::new(&own);
         let inlets = sink.inlets(&own);

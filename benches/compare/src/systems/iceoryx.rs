@@ -14,11 +14,11 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use tautline_exchange::{
-    Exchange, Inlet, Job, Line, Link, Result, Role, Sink, Source, Stamp, drive, say, stop_flag,
+    Exchange, Inlet, Job, Line, Link, Result, Role, Sink, Source, Stamp, play, say, stop_flag,
 };
 use tautline_rt::clock::monotonic_ns;
 
-use super::{LOOK, answer};
+use super::LOOK;
 
 /// Runs one end. The job's endpoint is the directory of its files, whose name starts those in shared memory.
 pub fn run(job: &Job) -> Result<()> {
@@ -46,29 +46,15 @@ fn round_trips(node: &Node<ipc::Service>, job: &Job, stop: &AtomicBool) -> Resul
         _ => None,
     };
     let mut end = End { out, input: &input, waitset: listening.as_ref(), whole: job.way.whole };
-    match job.role {
-        Role::Near => {
-            if let Some(measured) = drive(job, &mut end)? {
-                say(&Line::Measured(measured));
-            }
-        }
-        Role::Far => {
-            say(&Line::Ready(job.endpoint.clone()));
-            answer(&mut end, stop)?;
-        }
-    }
+    let played = play(job, &mut end, stop, job.endpoint.clone());
     drop(guard);
-    Ok(())
+    played
 }
 
 fn send_flow(node: &Node<ipc::Service>, job: &Job, stop: Arc<AtomicBool>) -> Result<()> {
     let open = |index| Outlet::open(node, job, &format!("{}/{index}", job.topic));
     let outlets = (0..job.way.topics).map(open).collect::<Result<Vec<_>>>()?;
-    let mut source = Source::new(job, stop);
-    while let Some((topic, stamp)) = source.next() {
-        outlets[topic].send(stamp, job.way.whole)?;
-    }
-    say(&Line::Measured(source.measured()));
+    Source::play(job, stop, |topic, stamp| outlets[topic].send(stamp, job.way.whole))?;
     // What it sent is read from its memory.
     std::thread::sleep(LOOK);
     Ok(())

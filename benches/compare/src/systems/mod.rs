@@ -5,10 +5,9 @@ mod futex;
 mod iceoryx;
 mod tautline;
 
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use tautline_exchange::{Job, Link, Result};
+use tautline_exchange::{Job, Result};
 
 /// Runs one process of a system.
 pub fn run(system: &str, job: &str) -> Result<()> {
@@ -25,13 +24,3 @@ pub fn run(system: &str, job: &str) -> Result<()> {
 
 /// How often it is looked whether the end has come.
 const LOOK: Duration = Duration::from_millis(50);
-
-/// Answers what comes with its number.
-fn answer(link: &mut dyn Link, stop: &AtomicBool) -> Result<()> {
-    while !stop.load(Ordering::Relaxed) {
-        if let Some(number) = link.receive(LOOK)? {
-            link.send(number)?;
-        }
-    }
-    Ok(())
-}

@@ -10,17 +10,10 @@ use std::process::ExitCode;
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{FilePath, LogLevel, SemanticString, set_log_level};
-use tautline_exchange::{Exchange, Job, Result, Role};
+use tautline_exchange::{Exchange, Job, Result, Role, program};
 
 fn main() -> ExitCode {
-    let job = std::env::args().nth(1).unwrap_or_default();
-    match Job::begin(&job).and_then(|job| run(&job)) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("compare-taktora: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    program("compare-taktora", |job| run(&job))
 }
 
 fn run(job: &Job) -> Result<()> {

@@ -4,12 +4,13 @@
 
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::sync::mpsc;
 use std::time::Duration;
 
 use tautline_exchange::{
-    Error, Exchange, Job, Line, Link, Result, Role, Sink, Source, Stamp, drive, say, stop_flag,
+    Error, Exchange, Job, Line, Link, Result, Role, Sink, Source, Stamp, drive, program, say, stop_flag,
+    wait_for_stop,
 };
 use tautline_rt::clock::monotonic_ns;
 use zenoh::bytes::ZBytes;
@@ -21,18 +22,11 @@ use zenoh::{Config, Session, Wait};
 
 /// Messages that its shared memory has room for.
 const POOL: usize = 16;
-/// How often it is looked whether the end has come.
-const LOOK: Duration = Duration::from_millis(20);
+/// How long what is under way may take to arrive.
+const DRAIN: Duration = Duration::from_millis(100);
 
 fn main() -> ExitCode {
-    let job = std::env::args().nth(1).unwrap_or_default();
-    match Job::begin(&job).and_then(run) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("compare-zenoh: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    program("compare-zenoh", run)
 }
 
 fn run(mut job: Job) -> Result<()> {
@@ -222,7 +216,7 @@ fn answer(session: &Session, job: &Job, stop: &AtomicBool) -> Result<()> {
     let answer = move |stamp: Stamp| drop(out.send(Stamp { sent_ns: monotonic_ns(), ..stamp }));
     let _subscriber = subscribe(session, job, &from, answer)?;
     ready(session);
-    wait(stop);
+    wait_for_stop(stop);
     Ok(())
 }
 
@@ -230,13 +224,9 @@ fn send_flow(session: &Session, job: &Job, stop: Arc<AtomicBool>) -> Result<()> 
     let pool = pool(job)?;
     let open = |index| Outlet::new(session, job, &format!("{}/t{index}", job.topic), pool.clone());
     let outlets = (0..job.way.topics).map(open).collect::<Result<Vec<_>>>()?;
-    let mut source = Source::new(job, stop);
-    while let Some((topic, stamp)) = source.next() {
-        outlets[topic].send(stamp)?;
-    }
-    say(&Line::Measured(source.measured()));
+    Source::play(job, stop, |topic, stamp| outlets[topic].send(stamp))?;
     // What is under way lies in its memory.
-    std::thread::sleep(LOOK * 5);
+    std::thread::sleep(DRAIN);
     Ok(())
 }
 
@@ -248,13 +238,7 @@ fn receive_flow(session: &Session, job: &Job, stop: &AtomicBool) -> Result<()> {
         subscribers.push(subscribe(session, job, &topic, move |stamp| inlet.arrive(stamp))?);
     }
     ready(session);
-    wait(stop);
+    wait_for_stop(stop);
     say(&Line::Measured(sink.measured()));
     Ok(())
-}
-
-fn wait(stop: &AtomicBool) {
-    while !stop.load(Ordering::Relaxed) {
-        std::thread::sleep(LOOK);
-    }
 }

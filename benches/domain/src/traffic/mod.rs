@@ -151,7 +151,7 @@ impl<'a> Bench<'a> {
         let mut fars: Vec<Process<'a, Line>> = Vec::new();
         for _ in 0..flow.processes {
             let mut far = self.start(&self.task(flow, Role::Far, budget)?)?;
-            far.expect(PATIENCE, |line| matches!(line, Line::Ready(_)).then_some(()))?;
+            far.expect(PATIENCE, Line::ready)?;
             fars.push(far);
         }
         let mut near: Process<'a, Line> = self.start(&self.task(flow, Role::Near, budget)?)?;
@@ -161,7 +161,7 @@ impl<'a> Bench<'a> {
         let pids = fars.iter().map(Process::id).chain([near.id()]);
         let pss: u64 = pids.map(|pid| process::memory(pid).pss).sum();
         near.tell("go")?;
-        let sent = measured(&mut near, PATIENCE + budget * 3)?;
+        let sent = near.expect(PATIENCE + budget * 3, Line::measured)?;
         let since = Instant::now();
         for far in &mut fars {
             // Whether the last one has come: what has not is counted as lost.
@@ -173,7 +173,7 @@ impl<'a> Bench<'a> {
         let (mut cpu_ns, mut arrivals) = (sent.cpu_ns, Vec::new());
         for far in &mut fars {
             far.tell("stop")?;
-            let received = measured(far, PATIENCE)?;
+            let received = far.expect(PATIENCE, Line::measured)?;
             far.finish()?;
             cpu_ns += received.cpu_ns;
             found.lost += received.lost;
@@ -212,13 +212,6 @@ impl<'a> Bench<'a> {
         };
         Ok(Task::Flow { system: flow.system, job })
     }
-}
-
-fn measured(process: &mut Process<'_, Line>, patience: Duration) -> Result<Measured> {
-    process.expect(patience, |line| match line {
-        Line::Measured(measured) => Some(measured),
-        _ => None,
-    })
 }
 
 /// One end of a flow.

@@ -30,9 +30,6 @@ pub trait Sampler: Send + 'static {
 }
 
 /// Runs the callbacks, one for each topic of the job, until the run is over; then returns the sampler.
-///
-/// # Errors
-/// [`PaperError`]: a thread or a runtime that cannot be started, or not with its priority.
 pub fn run<S: Sampler>(
     job: &Job,
     subscriber: &mut Subscriber,

@@ -52,7 +52,7 @@ impl<M: CdrSerialize + CdrDeserialize> Rival<M> for Hiroz {
 /// A struct for both. `list` and `array` stand before what is moved at once: numbers, and covariances of 9.
 macro_rules! message {
     ($name:ident { $($field:ident: $($kind:ident)? [$ty:ty]),* $(,)? }) => {
-        #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+        #[derive(Debug, PartialEq, Serialize, Deserialize)]
         pub struct $name {
             $(pub $field: $ty,)*
         }
@@ -138,7 +138,7 @@ message!(PointCloud2 {
 });
 
 /// Bytes that serde moves at once.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, PartialEq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Bytes(#[serde(with = "serde_bytes")] pub Vec<u8>);
 

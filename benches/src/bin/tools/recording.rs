@@ -15,6 +15,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+use tautline_benches::rows::extent;
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_rt::{CoreSet, Policy, set_affinity, set_policy};
 use tautline_transport::{EndpointKind, Limits, Participant, Qos, RawPublisher, TopicType, Visitor};
@@ -412,9 +413,7 @@ pub fn sequential(taut: &Taut, quick: bool) -> Result<(Vec<Sequential>, Vec<Stri
     println!("plain MB/s  recorded MB/s     is x     lost");
     let rounds = (0..rounds).map(|_| Sequential::run(taut, bytes)).collect::<Result<Vec<_>>>()?;
     println!("rosbag2 says of itself: 110 to 120 MB/s (github.com/ros2/rosbag2/issues/1787)");
-    let mut shares: Vec<_> = rounds.iter().map(|round| round.recorded_mb_s / round.bare_mb_s).collect();
-    shares.sort_by(f64::total_cmp);
-    let share = shares[shares.len() / 2];
+    let [_, share, _] = extent(rounds.iter().map(|round| round.recorded_mb_s / round.bare_mb_s).collect());
     let mut broken = Vec::new();
     if !quick && share < SHARE {
         broken.push(format!("taut record writes {share:.2} x of what a plain file gets, in most rounds"));

@@ -4,6 +4,7 @@
 use crate::{DOMAIN, Result, Taut};
 use serde::Serialize;
 use std::process::Stdio;
+use tautline_benches::rows::extent;
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Limits, Participant, Qos, ServiceType, TopicType};
 
@@ -78,9 +79,8 @@ pub fn measure(taut: &Taut, quick: bool) -> Result<(Vec<Start>, Vec<String>)> {
                 return Err(format!("taut {} has failed", verb.join(" ")).into());
             }
         }
-        times.sort_by(f64::total_cmp);
         let verb = if verb[0] == "--" { format!("tab: {}", verb[1..].join(" ")) } else { verb.join(" ") };
-        let (p50_ms, max_ms) = (times[n / 2], times[n - 1]);
+        let [_, p50_ms, max_ms] = extent(times);
         println!("{verb:<32}  {n:>4}  {p50_ms:7.2}  {max_ms:7.2}");
         all.push(Start { verb, n, p50_ms, max_ms });
     }
