@@ -161,14 +161,14 @@ impl Bridge {
         let instance = Instance::bridge(options.domain, context.domain());
         let lock = lock.map_or_else(|| instance.lock(), Ok)?;
         let node = Node::new(&context, &node_name(options.domain), "/")?;
-        let priorities = threads::Priorities::new(options.priority, options.realtime)?;
+        let priorities = threads::Priorities::new(options.priority, options.realtime);
         let rmw_threads = threads::started_since(&before)?;
         priorities.set(&rmw_threads)?;
 
-        let outgoing = Outgoing::start(&participant, priorities.carrying("ros-out"), Ros::new()?)?;
-        let incoming = Incoming::start(&context, priorities.carrying("ros-in"))?;
+        let outgoing = Outgoing::start(&participant, priorities.thread("ros-out"), Ros::new()?)?;
+        let incoming = Incoming::start(&context, priorities.thread("ros-in"))?;
         let services = RosServices::new(&node)?;
-        let services = Services::start(&participant, services, priorities.carrying("ros-services"))?;
+        let services = Services::start(&participant, services, priorities.thread("ros-services"))?;
         let infos = [outgoing.info(), incoming.info(), services.info()];
         let info: Vec<ThreadInfo> = infos.into_iter().flatten().cloned().collect();
         let stats = Stats { domain: options.domain, ros_domain: context.domain(), rmw, ..Stats::default() };
@@ -204,20 +204,20 @@ impl Bridge {
             let (rules, service_rules) = (options.rules, options.services);
             let parts = Parts { participant, far, relay, services, transit, rules, service_rules };
             let control = Control::new(parts);
-            priorities.other("ros-control").spawn(move || move || control.run(&received, &state.stop))?
+            priorities.thread("ros-control").spawn(move || move || control.run(&received, &state.stop))?
         };
         bridge.hold(control);
         let here = {
             let (events, state) = (bridge.events.clone(), bridge.state.clone());
             priorities
-                .other("ros-here")
+                .thread("ros-here")
                 .spawn(move || move || watch_tautline(&participant, &events, &state))?
         };
         bridge.hold(here);
         let there = {
             let (graph, wait_set) = (GraphGuard::of(&node), WaitSet::new(&context)?);
             let (wake, events, state) = (bridge.wake.clone(), bridge.events.clone(), bridge.state.clone());
-            priorities.other("ros-there").spawn(move || {
+            priorities.thread("ros-there").spawn(move || {
                 move || {
                     let ros_events = RosEvents { graph, heard, tables, buffer };
                     watch_ros(ros_events, wait_set, &wake, &events, &state);

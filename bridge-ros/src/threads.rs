@@ -13,8 +13,8 @@ pub(crate) struct Priorities {
 }
 
 impl Priorities {
-    pub(crate) fn new(priority: u8, realtime: Realtime) -> Result<Self, RtError> {
-        Ok(Priorities { highest: priority.max(3), realtime })
+    pub(crate) fn new(priority: u8, realtime: Realtime) -> Self {
+        Priorities { highest: priority.max(3), realtime }
     }
 
     fn policy(&self, below: u8) -> Result<Policy, RtError> {
@@ -24,20 +24,11 @@ impl Priorities {
         }
     }
 
-    /// A thread that carries messages.
-    pub(crate) fn carrying(&self, name: &str) -> ThreadBuilder {
-        self.thread(name, 0)
-    }
-
-    /// A thread that does not.
-    pub(crate) fn other(&self, name: &str) -> ThreadBuilder {
-        self.thread(name, 2)
-    }
-
-    fn thread(&self, name: &str, below: u8) -> ThreadBuilder {
+    /// One of the bridge's own threads.
+    pub(crate) fn thread(&self, name: &str) -> ThreadBuilder {
         // The RMW's calls are deep.
         let thread = ThreadBuilder::new(name).realtime(self.realtime).stack_bytes(2 << 20);
-        match self.policy(below) {
+        match self.policy(own(name).unwrap_or(LOWEST)) {
             Ok(policy) => thread.policy(policy),
             Err(_) => thread,
         }
@@ -55,15 +46,16 @@ impl Priorities {
     }
 }
 
-/// The bridge's own, and how much below the highest each is.
-const OWN: [(&str, u8); 6] = [
-    ("ros-in", 0),
-    ("ros-out", 0),
-    ("ros-services", 0),
-    ("ros-control", 2),
-    ("ros-here", 2),
-    ("ros-there", 2),
-];
+/// How much below the highest one of the bridge's own threads is: those that carry messages, and those that do not.
+fn own(name: &str) -> Option<u8> {
+    match name {
+        "ros-in" | "ros-out" | "ros-services" => Some(0),
+        "ros-control" | "ros-here" | "ros-there" => Some(LOWEST),
+        _ => None,
+    }
+}
+
+const LOWEST: u8 = 2;
 
 impl Priorities {
     /// Watches the bridge's threads and the RMW's, all of which a flood keeps busy: those that it `began` with, and more of Fast DDS's.
@@ -71,8 +63,8 @@ impl Priorities {
         let began: HashSet<(u32, String)> =
             began.iter().map(|thread| (thread.tid, thread.name.clone())).collect();
         let list = move || {
-            let below = |thread: &ThreadInfo| match OWN.iter().find(|(own, _)| *own == thread.name) {
-                Some((_, below)) => Some(*below),
+            let below = |thread: &ThreadInfo| match own(&thread.name) {
+                Some(below) => Some(below),
                 None if thread.name.starts_with("dds.") => Some(1),
                 None => began.contains(&(thread.tid, thread.name.clone())).then_some(1),
             };

@@ -197,9 +197,11 @@ impl Gateway {
                 what: "listening to what ends on other hosts",
                 reason: error.to_string(),
             })?;
+        let zid = format!("{zid:x}");
+        let stats = Stats { domain: options.domain, network_domain, zid, ..Stats::default() };
         let state = Arc::new(GatewayState {
             stop: AtomicBool::new(false),
-            stats: Mutex::new(Stats::new(options.domain, network_domain, format!("{zid:x}"))),
+            stats: Mutex::new(stats),
             remote: Mutex::default(),
         });
         let thread = |name: &str| {

@@ -4,7 +4,7 @@
 
 use crate::origin::origin;
 use crate::remote::{RemoteEntity, entity};
-use crate::wire::{EndpointKind, Malformed, NodeName, Token, TopicKey};
+use crate::wire::{EndpointKind, NodeName, Token, TopicKey};
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::time::{Duration, Instant};
 use tautline_relay::FarGraph;
@@ -30,15 +30,6 @@ impl Default for GraphLimits {
     }
 }
 
-/// How many tokens were refused, by reason.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Refused {
-    /// Over a limit of [`GraphLimits`].
-    pub full: u64,
-    /// Not what rmw_zenoh writes.
-    pub malformed: BTreeMap<Malformed, u64>,
-}
-
 /// Nodes and endpoints of other hosts.
 pub(crate) struct Graph {
     domain: u32,
@@ -49,7 +40,8 @@ pub(crate) struct Graph {
     per_session: HashMap<u128, usize>,
     /// Tags of publishers that have ended by themselves, and since when that is known.
     ended: VecDeque<(Instant, u64)>,
-    refused: Refused,
+    /// How many tokens were refused, by reason.
+    refused: BTreeMap<String, u64>,
     /// Whether a token was refused for lack of room since the last look.
     is_incomplete: bool,
 }
@@ -66,7 +58,7 @@ impl Graph {
         let token = match Token::parse(key) {
             Ok(token) => token,
             Err(reason) => {
-                *self.refused.malformed.entry(reason).or_default() += 1;
+                *self.refused.entry(reason.to_string()).or_default() += 1;
                 return false;
             }
         };
@@ -75,7 +67,7 @@ impl Graph {
         }
         let of_session = self.per_session.get(&token.zid).copied().unwrap_or(0);
         if self.tokens.len() >= self.limits.tokens || of_session >= self.limits.tokens_per_session {
-            self.refused.full += 1;
+            *self.refused.entry("over the limit".into()).or_default() += 1;
             self.is_incomplete = true;
             return false;
         }
@@ -172,8 +164,8 @@ impl Graph {
         self.tokens.keys().map(String::as_str)
     }
 
-    /// How many tokens were refused.
-    pub(crate) fn refused(&self) -> &Refused {
+    /// How many tokens were refused, by reason.
+    pub(crate) fn refused(&self) -> &BTreeMap<String, u64> {
         &self.refused
     }
 }
@@ -181,6 +173,7 @@ impl Graph {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wire::Malformed;
 
     const HASH: &str = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18";
 
@@ -243,8 +236,9 @@ mod tests {
         for n in 0..1000 {
             graph.insert(&format!("@ros2_lv/5/garbage/{n}"));
         }
-        assert_eq!(graph.refused().malformed, BTreeMap::from([(Malformed::Zid, 1000)]));
-        assert_eq!(graph.refused().full, 9_940 + 9_996 - 39); // 0xAA is our own
+        let over = 9_940 + 9_996 - 39; // 0xAA is our own
+        let refused = [(Malformed::Zid.to_string(), 1000), ("over the limit".into(), over)];
+        assert_eq!(graph.refused(), &BTreeMap::from(refused));
 
         assert!(!graph.wants_resync(), "no room yet");
         for n in 0..60 {

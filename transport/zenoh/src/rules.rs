@@ -61,16 +61,9 @@ impl FromStr for Rule {
         let malformed = || RuleError::Form(text.into());
         let (pattern, how) = text.rsplit_once('=').ok_or_else(malformed)?;
         let (name, express) = how.strip_suffix(",express").map_or((how, false), |name| (name, true));
-        let priority = match name {
-            "real_time" => Priority::RealTime,
-            "interactive_high" => Priority::InteractiveHigh,
-            "interactive_low" => Priority::InteractiveLow,
-            "data_high" => Priority::DataHigh,
-            "data" => Priority::Data,
-            "data_low" => Priority::DataLow,
-            "background" => Priority::Background,
-            _ => return Err(malformed()),
-        };
+        let named = LinkPriority::ALL.into_iter().find(|priority| priority.as_str() == name);
+        // Zenoh counts them from 1.
+        let priority = Priority::try_from(named.ok_or_else(malformed)? as u8 + 1).map_err(|_| malformed())?;
         Ok(Rule { topics: pattern.parse()?, urgency: Urgency { priority, express } })
     }
 }

@@ -9,7 +9,7 @@ use crate::locals::{self, wire_node, wire_qos};
 use crate::origin::{ended, ended_tag};
 use crate::outgoing::{Identity, Network, Sender, Writer};
 use crate::services::NetworkServices;
-use crate::stats::{ServiceNames, TopicNames, refused_by_reason};
+use crate::stats::{ServiceNames, TopicNames};
 use crate::tokens::{TokenChange, Tokens};
 use crate::types::Types;
 use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, TypeId, token_wildcard};
@@ -413,7 +413,7 @@ impl FarSide for NetworkSide {
         stats.uptime_s = report.uptime_s;
         stats.remote_nodes = self.graph.tokens().filter(|token| token.endpoint.is_none()).count();
         stats.remote_endpoints = self.graph.tokens().count() - stats.remote_nodes;
-        stats.refused_tokens = refused_by_reason(self.graph.refused());
+        stats.refused_tokens = self.graph.refused().clone();
         stats.type_descriptions = self.descriptions.counts().clone();
         stats.unauthorized = crate::access::refused();
         stats.not_mirrored = report.problems;

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the gateway says of itself.
 
-use crate::graph::Refused;
 use serde::Serialize;
 use std::collections::BTreeMap;
 pub use tautline_relay::Direction;
@@ -27,7 +26,7 @@ impl TopicNames {
 pub type TopicStats = tautline_relay::TopicStats<TopicNames, Direction>;
 
 /// The gateway at one moment.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Stats {
     /// The domain on this host.
     pub domain: u32,
@@ -77,34 +76,4 @@ impl ServiceNames {
     pub(crate) fn of(key: TopicKey) -> Self {
         ServiceNames { service: key.topic, type_name: key.type_name }
     }
-}
-
-impl Stats {
-    pub(crate) fn new(domain: u32, network_domain: u32, zid: String) -> Self {
-        Stats {
-            domain,
-            network_domain,
-            zid,
-            uptime_s: 0.0,
-            links: 0,
-            remote_nodes: 0,
-            remote_endpoints: 0,
-            refused_tokens: BTreeMap::new(),
-            not_mirrored: BTreeMap::new(),
-            type_descriptions: BTreeMap::new(),
-            unauthorized: BTreeMap::new(),
-            throttled: 0,
-            topics: Vec::new(),
-            services: Vec::new(),
-        }
-    }
-}
-
-pub(crate) fn refused_by_reason(refused: &Refused) -> BTreeMap<String, u64> {
-    let mut reasons: BTreeMap<_, _> =
-        refused.malformed.iter().map(|(reason, count)| (reason.to_string(), *count)).collect();
-    if refused.full > 0 {
-        reasons.insert("over the limit".into(), refused.full);
-    }
-    reasons
 }

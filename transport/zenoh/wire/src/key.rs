@@ -50,11 +50,6 @@ impl fmt::Display for TopicKey {
     }
 }
 
-/// Matches every key of `domain`.
-pub fn topic_wildcard(domain: u32) -> String {
-    format!("{domain}/**")
-}
-
 pub(super) fn parse_domain(text: &str) -> Result<u32, Malformed> {
     let domain = decimal(text).and_then(|number| u32::try_from(number).ok());
     domain.filter(|&domain| domain <= MAX_DOMAIN).ok_or(Malformed::Domain)

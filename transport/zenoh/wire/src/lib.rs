@@ -23,7 +23,7 @@ mod token;
 
 pub use attachment::Attachment;
 pub use gid::endpoint_gid;
-pub use key::{TopicKey, topic_wildcard};
+pub use key::TopicKey;
 pub use names::TypeId;
 pub use payload::{ENCAPSULATION, check_encapsulation};
 pub use qos::{WireDuration, WireQos};
@@ -95,30 +95,6 @@ pub enum Malformed {
     /// A payload over the limit that the gateway was given.
     #[error("payload over the size limit")]
     PayloadTooLong,
-}
-
-impl Malformed {
-    /// All reasons, for counters.
-    pub const ALL: [Malformed; 18] = [
-        Malformed::KeyTooLong,
-        Malformed::Parts,
-        Malformed::Admin,
-        Malformed::Domain,
-        Malformed::Zid,
-        Malformed::Id,
-        Malformed::Kind,
-        Malformed::NodeName,
-        Malformed::TopicName,
-        Malformed::TypeName,
-        Malformed::TypeHash,
-        Malformed::Qos,
-        Malformed::Suffix,
-        Malformed::NoAttachment,
-        Malformed::Attachment,
-        Malformed::PayloadTooShort,
-        Malformed::Encapsulation,
-        Malformed::PayloadTooLong,
-    ];
 }
 
 /// A decimal number as the encoder writes it: no sign, no leading zero.
