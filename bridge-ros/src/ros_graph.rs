@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What exists in ROS, without what this bridge made; and the same in Tautline's terms, for its nodes and tools.
 
-use crate::rcl::{Node, RclError, RosEndpoint, RosNode};
+use crate::rcl::{Node, RclError, RosEndpoint};
 use crate::table::{self, Table, Tables};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -23,7 +23,7 @@ pub(crate) const NAME_TIME: Duration = Duration::from_secs(7);
 #[derive(Default)]
 pub(crate) struct RosGraph {
     /// All nodes, bridges' too.
-    pub(crate) nodes: Vec<RosNode>,
+    pub(crate) nodes: Vec<NodeName>,
     /// Publishers and subscriptions: ROS nodes' own, and what other bridges' stand for, with who tells of them; see [`Transit`](tautline_relay::Transit).
     pub(crate) endpoints: Vec<(TopicEndpoint, u128)>,
     /// By topic, all publishers that it is known of what they are.
@@ -31,7 +31,7 @@ pub(crate) struct RosGraph {
     /// Other bridges' tables.
     pub(crate) tables: Vec<Arc<Table>>,
     /// What the gids of nodes' ends begin with.
-    processes: HashMap<RosNode, [u8; 12]>,
+    processes: HashMap<NodeName, [u8; 12]>,
     unknown: HashMap<Gid, Instant>,
 }
 
@@ -96,16 +96,16 @@ impl RosGraph {
     }
 
     /// Nodes but for bridges', what they show, and `own`, with who tells of them.
-    pub(crate) fn others(&self, own: &[RosNode], domain: u64, place: &str) -> Vec<(RemoteNode, u128)> {
+    pub(crate) fn others(&self, own: &[NodeName], domain: u64, place: &str) -> Vec<(RemoteNode, u128)> {
         let mut shown = own.to_vec();
         let mut nodes = Vec::new();
         for table in &self.tables {
             for node in &table.graph.nodes {
-                shown.push(ros_node(&node.name));
+                shown.push(node.name.clone());
                 nodes.push((node.clone(), u128::from(table.bridge)));
             }
         }
-        let mut count = BTreeMap::<&RosNode, usize>::new();
+        let mut count = BTreeMap::<&NodeName, usize>::new();
         for node in self.nodes.iter().filter(|node| !node.name.starts_with(BRIDGE_PREFIX)) {
             // One of each name is a bridge's; another is somebody else's.
             if let Some(at) = shown.iter().position(|shown| shown == node) {
@@ -114,12 +114,14 @@ impl RosGraph {
             }
             let count = count.entry(node).or_default();
             *count += 1;
-            let (name, process) = (node_name(node), self.processes.get(node));
             // Without an end it is not known which process has it: other bridges' word of it is another node then.
-            let of = process.map_or_else(|| format!("{domain:x}"), |process| format!("{process:02x?}"));
-            let tag = Origin::tag_of(&format!("{of} {name} {count}"));
+            let of = self
+                .processes
+                .get(node)
+                .map_or_else(|| format!("{domain:x}"), |process| format!("{process:02x?}"));
+            let tag = Origin::tag_of(&format!("{of} {node} {count}"));
             let origin = Origin { tag, ..Origin::here(Gid::default(), place) };
-            nodes.push((RemoteNode { name, origin }, 0));
+            nodes.push((RemoteNode { name: node.clone(), origin }, 0));
         }
         nodes
     }
@@ -141,21 +143,13 @@ fn endpoint(topic: &str, end: RosEndpoint, place: &str) -> TopicEndpoint {
         },
         gid: end.gid,
         qos: end.qos,
-        node: end.node.as_ref().map(node_name),
+        node: end.node,
         pid: None,
         is_remote: true,
         is_own: false,
         origin: Origin::here(end.gid, place),
         teller: None,
     }
-}
-
-pub(crate) fn ros_node(node: &NodeName) -> RosNode {
-    RosNode { name: node.name.clone(), namespace: node.namespace.clone() }
-}
-
-pub(crate) fn node_name(node: &RosNode) -> NodeName {
-    NodeName { namespace: node.namespace.clone(), name: node.name.clone() }
 }
 
 /// Gives each of ROS's own services and clients what it is known by everywhere: if other bridges have it too, where it takes requests,
@@ -187,8 +181,7 @@ pub(crate) fn identify(ends: &mut Vec<ServiceEndpoint>, service: &str, found: &[
     let (servers, others): (Vec<_>, Vec<_>) = std::mem::take(ends).into_iter().partition(is_server);
     *ends = others;
     for server in servers {
-        let of_node =
-            |end: &&RosEndpoint| end.node.is_some() && end.node.as_ref().map(node_name) == server.node;
+        let of_node = |end: &&RosEndpoint| end.node.is_some() && end.node == server.node;
         let mut gids: Vec<Gid> = found.iter().filter(of_node).map(|end| end.gid).collect();
         if gids.is_empty() {
             gids.push(server.gid);
@@ -200,7 +193,7 @@ pub(crate) fn identify(ends: &mut Vec<ServiceEndpoint>, service: &str, found: &[
 /// The services and clients of `nodes`, but for bridges'. A name that two nodes have is there twice, and so is what they have.
 pub(crate) fn services<'n>(
     node: &Node,
-    nodes: impl Iterator<Item = &'n RosNode>,
+    nodes: impl Iterator<Item = &'n NodeName>,
     place: &str,
 ) -> Vec<ServiceEndpoint> {
     let mut ends = Vec::new();
@@ -215,7 +208,7 @@ pub(crate) fn services<'n>(
                     type_name,
                     type_hash: None,
                     gid: Gid::default(),
-                    node: Some(node_name(of)),
+                    node: Some(of.clone()),
                     pid: None,
                     is_remote: true,
                     origin: Origin::here(Gid::default(), place),
@@ -234,14 +227,14 @@ mod tests {
 
     #[test]
     fn servers_are_told_apart_by_where_they_take_requests() {
-        let node = |name: &str| RosNode { name: name.into(), namespace: "/".into() };
+        let node = |name: &str| NodeName { name: name.into(), namespace: "/".into() };
         let end = |name: &str, kind, of| ServiceEndpoint {
             kind,
             name: name.into(),
             type_name: "a/srv/B".into(),
             type_hash: None,
             gid: Gid::default(),
-            node: Some(node_name(&node(of))),
+            node: Some(node(of)),
             pid: None,
             is_remote: true,
             origin: Origin::default(),

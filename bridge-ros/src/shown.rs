@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Nodes of the domain, for ROS's tools to list.
 
-use crate::rcl::{Node, RosNode};
-use crate::ros_graph;
+use crate::rcl::Node;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Weak};
 use tautline_transport::NodeName;
@@ -43,15 +42,14 @@ impl ShownNodes {
     }
 
     /// Whether a node in ROS bears the name of one of them.
-    pub(crate) fn has(&self, node: &RosNode) -> bool {
-        let name = ros_graph::node_name(node);
-        self.nodes.contains_key(&name) || self.held().any(|held| *held == name)
+    pub(crate) fn has(&self, name: &NodeName) -> bool {
+        self.nodes.contains_key(name) || self.held().any(|held| held == name)
     }
 
     /// What they are in ROS.
-    pub(crate) fn in_ros(&self) -> Vec<RosNode> {
+    pub(crate) fn in_ros(&self) -> Vec<NodeName> {
         let made = self.nodes.iter().filter(|(_, node)| node.is_some()).map(|(name, _)| name);
-        made.chain(self.held()).map(ros_graph::ros_node).collect()
+        made.chain(self.held()).cloned().collect()
     }
 
     /// Nodes that have gone here and stand in ROS until their services have ended.

@@ -7,19 +7,10 @@ use crate::qos::from_ros;
 use r2r_rcl::*;
 use std::collections::BTreeMap;
 use std::ffi::{CStr, c_char};
-use tautline_transport::{EndpointKind, Gid, Qos};
+use tautline_transport::{EndpointKind, Gid, NodeName, Qos};
 
 /// Names of topics or services, each with all types that it has.
 pub type RosTopics = BTreeMap<String, Vec<String>>;
-
-/// A node's name and namespace.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct RosNode {
-    /// Without the namespace.
-    pub name: String,
-    /// Such as `/`.
-    pub namespace: String,
-}
 
 /// A publisher or subscription.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -27,7 +18,7 @@ pub struct RosEndpoint {
     /// Which of both.
     pub kind: EndpointKind,
     /// The node that has it; `None` if that is not known, or if it is no ROS node's.
-    pub node: Option<RosNode>,
+    pub node: Option<NodeName>,
     /// Such as `std_msgs/msg/String`.
     pub type_name: String,
     /// `RIHS01_...`, if it says so.
@@ -57,7 +48,7 @@ impl Node {
     ///
     /// # Errors
     /// [`RclError`]: the node has gone.
-    pub fn services_of(&self, node: &RosNode) -> Result<RosTopics, RclError> {
+    pub fn services_of(&self, node: &NodeName) -> Result<RosTopics, RclError> {
         let (name, namespace) = (text(&node.name)?, text(&node.namespace)?);
         // SAFETY: as in `topics`.
         unsafe {
@@ -79,7 +70,7 @@ impl Node {
     ///
     /// # Errors
     /// [`RclError`]: the node has gone.
-    pub fn clients_of(&self, node: &RosNode) -> Result<RosTopics, RclError> {
+    pub fn clients_of(&self, node: &NodeName) -> Result<RosTopics, RclError> {
         let (name, namespace) = (text(&node.name)?, text(&node.namespace)?);
         // SAFETY: as in `topics`.
         unsafe {
@@ -101,7 +92,7 @@ impl Node {
     ///
     /// # Errors
     /// [`RclError`].
-    pub fn nodes(&self) -> Result<Vec<RosNode>, RclError> {
+    pub fn nodes(&self) -> Result<Vec<NodeName>, RclError> {
         // SAFETY: the node is initialised; both lists are zero before, equally long after, and ended here.
         unsafe {
             let mut names = rcutils_get_zero_initialized_string_array();
@@ -112,7 +103,7 @@ impl Node {
                 let all = strings(names.data, names.size)
                     .into_iter()
                     .zip(strings(namespaces.data, namespaces.size));
-                all.map(|(name, namespace)| RosNode { name, namespace }).collect()
+                all.map(|(name, namespace)| NodeName { name, namespace }).collect()
             });
             let _ = rcutils_string_array_fini(&mut names);
             let _ = rcutils_string_array_fini(&mut namespaces);
@@ -172,7 +163,7 @@ unsafe fn endpoint(kind: EndpointKind, info: &rmw_topic_endpoint_info_t) -> RosE
     let hash = &info.topic_type_hash;
     RosEndpoint {
         kind,
-        node: is_known.then_some(RosNode { name, namespace }),
+        node: is_known.then_some(NodeName { name, namespace }),
         type_name,
         type_hash: hash_text(hash.version, &hash.value),
         gid: gid(&info.endpoint_gid),

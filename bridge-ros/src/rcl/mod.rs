@@ -22,7 +22,7 @@ mod wait;
 
 pub use context::{Context, Node, rmw_implementation};
 pub use error::RclError;
-pub use graph::{RosEndpoint, RosNode};
+pub use graph::RosEndpoint;
 pub use guard::{GraphGuard, GuardCondition};
 pub use publisher::RosPublisher;
 pub use serialized::SerializedMessage;
