@@ -3,6 +3,7 @@
 
 use crate::route::{Egress, Route, Sources};
 use crate::waker::RelayWaker;
+use futures::task::waker;
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex, mpsc};
@@ -103,7 +104,7 @@ impl<O: Egress> Relay<O> {
     fn tell(&self, command: Command<O>) {
         if let Some(commands) = &self.commands {
             let _ = commands.send(command);
-            self.waker.wake();
+            self.waker.ring();
         }
     }
 }
@@ -111,7 +112,7 @@ impl<O: Egress> Relay<O> {
 impl<O: Egress> Drop for Relay<O> {
     fn drop(&mut self) {
         self.commands = None;
-        self.waker.wake();
+        self.waker.ring();
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
@@ -164,7 +165,9 @@ impl<O: Egress> Loop<O> {
                         route.change(subscription, topic, sources, egress);
                         route
                     }
-                    Entry::Vacant(place) => place.insert(Route::new(subscription, topic, self.waker.clone())),
+                    Entry::Vacant(place) => {
+                        place.insert(Route::new(subscription, topic, waker(self.waker.clone())))
+                    }
                 };
                 senders.into_iter().for_each(|(gid, sender)| route.open(gid, sender, egress));
             }

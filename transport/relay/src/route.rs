@@ -4,11 +4,11 @@
 use crate::limiter::Limiter;
 use crate::relay::PassedOver;
 use crate::stats::TopicCounters;
-use crate::waker::{Flag, RelayWaker};
+use crate::waker::Flag;
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::hash::Hash;
 use std::sync::{Arc, MutexGuard, PoisonError};
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, Waker};
 use std::time::{Duration, Instant};
 use tautline_transport::{Gid, MessageInfo, RawSample, RawSubscription};
 
@@ -155,9 +155,9 @@ impl Sources {
 }
 
 impl<O: Egress> Route<O> {
-    pub(crate) fn new(subscription: Box<RawSubscription>, topic: O::Topic, waker: Arc<RelayWaker>) -> Self {
+    pub(crate) fn new(subscription: Box<RawSubscription>, topic: O::Topic, thread: Waker) -> Self {
         let (senders, early) = (HashMap::new(), VecDeque::new());
-        Route { subscription, topic, senders, early, early_bytes: 0, lost: 0, flag: Flag::new(waker) }
+        Route { subscription, topic, senders, early, early_bytes: 0, lost: 0, flag: Flag::new(thread) }
     }
 
     /// Takes by another subscription from now on.

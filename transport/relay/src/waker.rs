@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What ends the relay's sleep, and says which topics it is about.
+//! What ends the sleep of a thread that passes on, and says which topics or services it is about: the others are not looked at.
 
 use futures::task::{ArcWake, waker};
 use std::sync::Arc;
@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::Waker;
 use tautline_transport::{SamplerSeat, Slot};
 
-/// Wakes the relay's thread.
+/// Wakes the relay's thread. As a waker it is for who has set a [`Flag`].
 pub(crate) struct RelayWaker {
     slot: Slot,
     /// Whether the relay takes rings just now, and will look at the flags after that: it need not be rung.
@@ -19,7 +19,8 @@ impl RelayWaker {
         Arc::new(RelayWaker { slot, is_draining: AtomicBool::new(false) })
     }
 
-    pub(crate) fn wake(&self) {
+    /// Whatever the relay does just now: a command is no flag.
+    pub(crate) fn ring(&self) {
         self.slot.ring();
     }
 
@@ -31,19 +32,30 @@ impl RelayWaker {
     }
 }
 
-/// Set when a topic's subscription was rung, or may take again since a sample was given back.
+impl ArcWake for RelayWaker {
+    fn wake_by_ref(relay: &Arc<Self>) {
+        // In one total order with the relay's own two steps, the end of `RelayWaker::drain` and `Flag::take`: either it sees the
+        // flag, or it is rung.
+        if !relay.is_draining.load(Ordering::SeqCst) {
+            relay.ring();
+        }
+    }
+}
+
+/// Set when something happened to a topic or a service here, such as that its subscription was rung. As its waker it sets itself and
+/// wakes the thread.
 pub(crate) struct Flag {
     is_set: AtomicBool,
-    relay: Arc<RelayWaker>,
+    thread: Waker,
 }
 
 impl Flag {
     /// One that is set.
-    pub(crate) fn new(relay: Arc<RelayWaker>) -> Arc<Self> {
-        Arc::new(Flag { is_set: AtomicBool::new(true), relay })
+    pub(crate) fn new(thread: Waker) -> Arc<Self> {
+        Arc::new(Flag { is_set: AtomicBool::new(true), thread })
     }
 
-    /// For the relay's own thread, which looks at it again before it sleeps.
+    /// For the thread itself, which looks at it again before it sleeps.
     pub(crate) fn set(&self) {
         self.is_set.store(true, Ordering::SeqCst);
     }
@@ -52,7 +64,6 @@ impl Flag {
         self.is_set.swap(false, Ordering::SeqCst)
     }
 
-    /// Sets it and ends the relay's sleep.
     pub(crate) fn waker(self: &Arc<Self>) -> Waker {
         waker(self.clone())
     }
@@ -60,11 +71,7 @@ impl Flag {
 
 impl ArcWake for Flag {
     fn wake_by_ref(flag: &Arc<Self>) {
-        // In one total order with the relay's own two steps, the end of `RelayWaker::drain` and `Flag::take`: either it sees the
-        // flag, or it is rung.
         flag.set();
-        if !flag.relay.is_draining.load(Ordering::SeqCst) {
-            flag.relay.wake();
-        }
+        flag.thread.wake_by_ref();
     }
 }

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The thread that carries requests and responses.
 
-use super::flag::Flag;
 use super::offered::{FarServer, Offered};
 use super::routes::{OfferedService, Routes, SoughtService};
 use super::sought::{FarClient, Sought};
 use super::stats::{ServiceStats, ServiceStatsTable};
 use crate::mirror::TopicKey;
 use crate::rules::Direction;
+use crate::waker::Flag;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
@@ -292,7 +292,7 @@ impl<F: FarServices> Exchange<F> {
         for (key, service) in &routes.offered {
             if !self.offered.contains_key(key) {
                 let counters = self.state.stats.counters(key, Direction::Out);
-                let (participant, flag) = (&self.participant, Flag::new(&self.waker));
+                let (participant, flag) = (&self.participant, Flag::new(self.waker.clone()));
                 let offered = self.far.offer(key, service, with).and_then(|(service_type, open)| {
                     Offered::open(key, service_type, participant, counters, flag, open)
                 });
@@ -307,7 +307,7 @@ impl<F: FarServices> Exchange<F> {
                 match self.far.seek(key, service) {
                     Ok((service_type, client)) => {
                         let counters = self.state.stats.counters(key, Direction::In);
-                        let flag = Flag::new(&self.waker);
+                        let flag = Flag::new(self.waker.clone());
                         let sought =
                             Sought::new(key, service_type, client, &self.participant, counters, flag);
                         self.sought.insert(key.clone(), sought);

@@ -10,7 +10,6 @@
 //! far side is a [`FarServices`].
 
 mod exchange;
-mod flag;
 mod offered;
 mod routes;
 mod sought;

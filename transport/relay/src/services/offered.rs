@@ -1,13 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A service of the domain's that the far side may ask.
 
-use super::flag::Flag;
 use super::limits;
 use super::stats::ServiceCounters;
 use crate::mirror::TopicKey;
+use crate::waker::Flag;
 use futures::future::{AbortHandle, Aborted, BoxFuture, abortable};
 use futures::stream::FuturesUnordered;
-use futures::task::waker;
 use futures::{FutureExt, StreamExt};
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
@@ -212,7 +211,7 @@ impl<S: FarServer> Offered<S> {
         if !self.flag.take() && !is_time {
             return;
         }
-        let waker = waker(self.flag.clone());
+        let waker = self.flag.waker();
         let context = &mut Context::from_waker(&waker);
         loop {
             self.pass_on();

@@ -1,13 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A service of the far side's that clients here ask.
 
-use super::flag::Flag;
 use super::limits;
 use super::offered::TURN;
 use super::routes::ServerId;
 use super::stats::ServiceCounters;
 use crate::mirror::TopicKey;
-use futures::task::waker;
+use crate::waker::Flag;
 use std::collections::{BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -153,7 +152,7 @@ impl<C: FarClient> Sought<C> {
         if !self.flag.take() && !is_time {
             return Ok(false);
         }
-        let waker = waker(self.flag.clone());
+        let waker = self.flag.waker();
         let context = &mut Context::from_waker(&waker);
         let is_available = self.far.is_available();
         if !is_available {
