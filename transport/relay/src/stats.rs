@@ -6,7 +6,6 @@ use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tautline_rt::PiMutex;
 use tautline_rt::clock::wall_ns;
@@ -17,20 +16,14 @@ use crate::program::{counted, rate};
 /// Longest difference between two clocks for which the time between them is called a latency.
 const CLOCKS_AGREE_NS: i64 = 10_000_000_000;
 
-/// Counters of one topic in one direction.
+/// Counters of one topic in one direction. Carrying threads share them with one of a lower priority, which reads.
 #[derive(Debug)]
-pub struct TopicCounters {
-    messages: AtomicU64,
-    bytes: AtomicU64,
-    lost: AtomicU64,
-    skewed: AtomicU64,
-    /// Carrying threads share it with one of a lower priority, which reads.
-    slow: PiMutex<Slow>,
-}
+pub struct TopicCounters(PiMutex<Counts>);
 
 #[derive(Debug)]
-struct Slow {
-    dropped: BTreeMap<String, u64>,
+struct Counts {
+    /// Without rates and latency.
+    reading: Reading,
     /// Microseconds, up to the ten seconds for which clocks agree.
     latency_us: Histogram<u64>,
 }
@@ -40,53 +33,43 @@ impl Default for TopicCounters {
         // The bounds are constants that hdrhistogram accepts; `new` alone would grow without a bound.
         let histogram = Histogram::new_with_bounds(1, (CLOCKS_AGREE_NS / 1000) as u64, 2);
         let latency_us = histogram.unwrap_or_else(|_| unreachable!("1 to 10^7 in 2 digits"));
-        let slow = PiMutex::new(Slow { dropped: BTreeMap::new(), latency_us });
-        let zero = AtomicU64::default;
-        TopicCounters { messages: zero(), bytes: zero(), lost: zero(), skewed: zero(), slow }
+        TopicCounters(PiMutex::new(Counts { reading: Reading::default(), latency_us }))
     }
 }
 
 impl TopicCounters {
     /// A message with a body of `bytes` went through, which was published at `source_ns` since 1970.
     pub fn passed(&self, bytes: usize, source_ns: i64) {
-        self.messages.fetch_add(1, Ordering::Relaxed);
-        self.bytes.fetch_add(bytes as u64, Ordering::Relaxed);
         let latency_ns = wall_ns().saturating_sub(source_ns);
+        let Counts { reading, latency_us } = &mut *self.0.lock();
+        reading.messages += 1;
+        reading.bytes += bytes as u64;
         if (0..CLOCKS_AGREE_NS).contains(&latency_ns) {
-            self.slow.lock().latency_us.saturating_record((latency_ns / 1000) as u64);
+            latency_us.saturating_record((latency_ns / 1000) as u64);
         } else {
-            self.skewed.fetch_add(1, Ordering::Relaxed);
+            reading.clocks_differ += 1;
         }
     }
 
     /// Messages were lost before they came this far.
     pub fn lost(&self, messages: u64) {
-        self.lost.fetch_add(messages, Ordering::Relaxed);
+        self.0.lock().reading.lost += messages;
     }
 
     /// A message did not go through. Reasons are few and fixed: errors without numbers or names in them.
     pub fn dropped(&self, reason: impl ToString) {
-        *self.slow.lock().dropped.entry(reason.to_string()).or_default() += 1;
+        *self.0.lock().reading.dropped.entry(reason.to_string()).or_default() += 1;
     }
 
     /// What they say now; rates are left to who knows what they said before.
     pub(crate) fn read(&self) -> Reading {
-        let slow = self.slow.lock();
-        let latency = &slow.latency_us;
-        Reading {
-            messages: self.messages.load(Ordering::Relaxed),
-            bytes: self.bytes.load(Ordering::Relaxed),
-            messages_per_s: 0.0,
-            bytes_per_s: 0.0,
-            lost: self.lost.load(Ordering::Relaxed),
-            dropped: slow.dropped.clone(),
-            latency_us: (!latency.is_empty()).then(|| Latency {
-                p50: latency.value_at_quantile(0.5),
-                p99: latency.value_at_quantile(0.99),
-                max: latency.max(),
-            }),
-            clocks_differ: self.skewed.load(Ordering::Relaxed),
-        }
+        let Counts { reading, latency_us: latency } = &*self.0.lock();
+        let latency_us = (!latency.is_empty()).then(|| Latency {
+            p50: latency.value_at_quantile(0.5),
+            p99: latency.value_at_quantile(0.99),
+            max: latency.max(),
+        });
+        Reading { latency_us, ..reading.clone() }
     }
 }
 

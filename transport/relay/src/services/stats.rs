@@ -5,8 +5,8 @@ use crate::mirror::TopicKey;
 use crate::rules::Direction;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use tautline_rt::PiMutex;
 
 /// Reasons that are told apart; of more, all are one.
 const MOST_REASONS: usize = 16;
@@ -37,17 +37,26 @@ impl<N, D> ServiceStats<N, D> {
     }
 }
 
-/// Counters of one service.
-#[derive(Debug, Default)]
-pub(super) struct ServiceCounters {
-    active: AtomicBool,
-    answered: AtomicU64,
-    failed: Mutex<BTreeMap<String, u64>>,
+/// Counters of one service. The thread that carries shares them with one of a lower priority, which reads.
+#[derive(Debug)]
+pub(super) struct ServiceCounters(PiMutex<Counts>);
+
+#[derive(Clone, Debug, Default)]
+struct Counts {
+    active: bool,
+    answered: u64,
+    failed: BTreeMap<String, u64>,
+}
+
+impl Default for ServiceCounters {
+    fn default() -> Self {
+        ServiceCounters(PiMutex::new(Counts::default()))
+    }
 }
 
 impl ServiceCounters {
     pub(super) fn answered(&self) {
-        self.answered.fetch_add(1, Ordering::Relaxed);
+        self.0.lock().answered += 1;
     }
 
     pub(super) fn failed(&self, reason: impl ToString) {
@@ -58,15 +67,15 @@ impl ServiceCounters {
         if count == 0 {
             return;
         }
-        let mut failed = self.failed.lock().unwrap_or_else(PoisonError::into_inner);
         let reason = reason.to_string();
+        let failed = &mut self.0.lock().failed;
         let is_new = !failed.contains_key(&reason);
         let reason = if is_new && failed.len() >= MOST_REASONS { "other reasons".to_owned() } else { reason };
         *failed.entry(reason).or_default() += count as u64;
     }
 
     pub(super) fn set_active(&self, active: bool) {
-        self.active.store(active, Ordering::Relaxed);
+        self.0.lock().active = active;
     }
 }
 
@@ -78,21 +87,17 @@ impl ServiceStatsTable {
     pub(super) fn counters(&self, key: &TopicKey, direction: Direction) -> Arc<ServiceCounters> {
         let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         if all.len() >= MOST_SERVICES {
-            all.retain(|_, counters| counters.active.load(Ordering::Relaxed));
+            all.retain(|_, counters| counters.0.lock().active);
         }
         all.entry((key.clone(), direction)).or_default().clone()
     }
 
     pub(super) fn read(&self) -> Vec<ServiceStats<TopicKey, Direction>> {
         let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let stats =
-            |((key, direction), counters): (&(TopicKey, Direction), &Arc<ServiceCounters>)| ServiceStats {
-                name: key.clone(),
-                direction: *direction,
-                active: counters.active.load(Ordering::Relaxed),
-                answered: counters.answered.load(Ordering::Relaxed),
-                failed: counters.failed.lock().unwrap_or_else(PoisonError::into_inner).clone(),
-            };
+        let stats = |((key, direction), counters): (&(TopicKey, Direction), &Arc<ServiceCounters>)| {
+            let Counts { active, answered, failed } = counters.0.lock().clone();
+            ServiceStats { name: key.clone(), direction: *direction, active, answered, failed }
+        };
         all.iter().map(stats).collect()
     }
 }
