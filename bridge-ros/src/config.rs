@@ -3,7 +3,6 @@
 
 use crate::rcl::{is_message_type, is_service_type};
 use std::collections::BTreeSet;
-use std::fmt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tautline_relay::{Direction, Filter, Pattern, QosOverride, Rule, Rules};
@@ -27,18 +26,13 @@ pub struct Config {
 }
 
 /// Something that is wrong with a file.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("line {line}: {message}")]
 pub struct Problem {
     /// Counted from 1.
     pub line: usize,
     /// What is wrong, and what to write.
     pub message: String,
-}
-
-impl fmt::Display for Problem {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "line {}: {}", self.line, self.message)
-    }
 }
 
 /// Why a file cannot be used.
@@ -134,10 +128,16 @@ impl<'t> Reader<'t> {
         self.problems.push(Problem { line, message });
     }
 
+    /// Says what is wrong with `value`, of which nothing is taken.
+    fn refuse<T>(&mut self, value: &Value<'_>, message: String) -> Option<T> {
+        self.add(value.span().start, message);
+        None
+    }
+
     fn config(&mut self, root: &'t DeTable<'t>) -> Config {
         let mut root = Section::new(root, "the file");
-        let domain = self.domain(&mut root, "domain");
-        let ros_domain = self.domain(&mut root, "ros_domain");
+        let domain = self.integer(&mut root, "domain", 0, MAX_DOMAIN.into());
+        let ros_domain = self.integer(&mut root, "ros_domain", 0, MAX_DOMAIN.into());
         let auto = self.flag(&mut root, "auto").unwrap_or(false);
         let transit = self.flag(&mut root, "transit");
         let (allow, deny) = (self.patterns(&mut root, "allow"), self.patterns(&mut root, "deny"));
@@ -161,117 +161,76 @@ impl<'t> Reader<'t> {
         read: fn(&mut Self, &'t Value<'t>) -> Option<Rule>,
     ) -> Vec<Rule> {
         let mut rules: Vec<Rule> = Vec::new();
-        match root.get(name).map(|value| (value.span().start, value.get_ref())) {
-            None => {}
-            Some((_, DeValue::Array(tables))) => {
-                for table in tables.iter() {
-                    let rule = read(self, table);
-                    if let Some(rule) = &rule
-                        && rules.iter().any(|before| before.topic == rule.topic)
-                    {
-                        let message = format!(
-                            "`{name}` \"{}\" is spoken of before: only that counts; remove one of both",
-                            rule.topic
-                        );
-                        self.add(table.span().start, message);
-                    }
-                    rules.extend(rule);
-                }
+        let Some(value) = root.get(name) else { return rules };
+        let DeValue::Array(tables) = value.get_ref() else {
+            self.add(value.span().start, format!("`{name}` must be tables: write [[{name}]] above each"));
+            return rules;
+        };
+        for table in tables.iter() {
+            let Some(rule) = read(self, table) else { continue };
+            if rules.iter().any(|before| before.topic == rule.topic) {
+                let topic = &rule.topic;
+                let message =
+                    format!("`{name}` \"{topic}\" is spoken of before: only that counts; remove one of both");
+                self.add(table.span().start, message);
             }
-            Some((at, _)) => self.add(at, format!("`{name}` must be tables: write [[{name}]] above each")),
+            rules.push(rule);
         }
         rules
     }
 
     fn rule(&mut self, value: &'t Value<'t>) -> Option<Rule> {
-        let mut section = self.table(value, "[[topic]]")?;
-        let (topic, ros_topic) = self.names(&mut section, value.span().start, "topic", "ros_topic");
-        let direction = self.direction(&mut section);
-        let type_name = section.get("type").and_then(|value| {
-            let name = self.text_of("type", value)?;
-            let is_one = is_message_type(name);
-            if !is_one {
-                let message = format!("`type` \"{name}\" is no type of messages: write package/msg/Name, such as \"std_msgs/msg/String\"");
-                self.add(value.span().start, message);
-            }
-            is_one.then(|| name.to_owned())
-        });
-        let max_rate_hz = section.get("max_rate_hz").and_then(|value| self.rate(value));
+        let (mut section, rule) = self.entry(value, "[[topic]]", "topic", "ros_topic")?;
+        let what = "messages: write package/msg/Name, such as \"std_msgs/msg/String\"";
+        let type_name = self.type_name(&mut section, is_message_type, what);
+        let max_rate_hz = self.rate(&mut section);
         let qos = self.qos(&mut section);
         self.unknown(&section);
-        Some(Rule {
-            topic: topic?,
-            far_topic: ros_topic,
-            direction,
-            type_name,
-            qos,
-            min_period: max_rate_hz.map(|rate| Duration::from_secs_f64(1.0 / rate)),
-            is_of_actions: false,
-        })
+        let min_period = max_rate_hz.map(|rate| Duration::from_secs_f64(1.0 / rate));
+        Some(Rule { type_name, qos, min_period, ..rule? })
     }
 
     fn service(&mut self, value: &'t Value<'t>) -> Option<Rule> {
-        let mut section = self.table(value, "[[service]]")?;
-        let (service, ros_service) = self.names(&mut section, value.span().start, "service", "ros_service");
-        let direction = self.direction(&mut section);
-        let type_name = section.get("type").and_then(|value| {
-            let name = self.text_of("type", value)?;
-            let is_one = is_service_type(name);
-            if !is_one {
-                let message = format!("`type` \"{name}\" is no type of services: write package/srv/Name, such as \"std_srvs/srv/SetBool\"");
-                self.add(value.span().start, message);
-            }
-            is_one.then(|| name.to_owned())
-        });
+        let (mut section, rule) = self.entry(value, "[[service]]", "service", "ros_service")?;
+        let what = "services: write package/srv/Name, such as \"std_srvs/srv/SetBool\"";
+        let type_name = self.type_name(&mut section, is_service_type, what);
         self.unknown(&section);
-        Some(Rule { far_topic: ros_service, direction, type_name, ..Rule::new(service?) })
+        Some(Rule { type_name, ..rule? })
     }
 
     /// What an action consists of: a rule for its services and its topics alike.
     fn action(&mut self, value: &'t Value<'t>) -> Option<Rule> {
-        let mut section = self.table(value, "[[action]]")?;
-        let (action, ros_action) = self.names(&mut section, value.span().start, "action", "ros_action");
-        let direction = self.direction(&mut section);
+        let (section, rule) = self.entry(value, "[[action]]", "action", "ros_action")?;
         self.unknown(&section);
         let parts = |action: Pattern| match action.exact() {
             Some(name) => format!("{name}/_action/**").parse().ok(),
             None => Some(action),
         };
-        let far_topic = ros_action.and_then(parts);
-        Some(Rule { far_topic, direction, is_of_actions: true, ..Rule::new(action.and_then(parts)?) })
+        let Rule { topic, far_topic, direction, .. } = rule?;
+        let far_topic = far_topic.and_then(parts);
+        Some(Rule { far_topic, direction, is_of_actions: true, ..Rule::new(parts(topic)?) })
     }
 
-    fn table(&mut self, value: &'t Value<'t>, title: &'static str) -> Option<Section<'t>> {
-        if let DeValue::Table(table) = value.get_ref() {
-            return Some(Section::new(table, title));
-        }
-        let message = format!("{title} must be tables, not {}", kind(value.get_ref()));
-        self.add(value.span().start, message);
-        None
-    }
-
-    /// A name or pattern, and what it is called in ROS.
-    fn names(
+    /// What all entries say: names and a direction. `None` as its rule if the name is missing.
+    fn entry(
         &mut self,
-        section: &mut Section<'t>,
-        at: usize,
+        value: &'t Value<'t>,
+        title: &'static str,
         key: &'static str,
         ros_key: &'static str,
-    ) -> (Option<Pattern>, Option<Pattern>) {
+    ) -> Option<(Section<'t>, Option<Rule>)> {
+        let DeValue::Table(table) = value.get_ref() else {
+            return self.refuse(value, format!("{title} must be tables, not {}", kind(value.get_ref())));
+        };
+        let mut section = Section::new(table, title);
         let name = match section.get(key) {
             Some(value) => self.pattern(key, value),
             None => {
-                let title = section.title;
-                self.add(
-                    at,
-                    format!(
-                        "{title} has no `{key}`: add {key} = \"/name\" or a pattern such as \"/camera/**\""
-                    ),
-                );
-                None
+                let example = format!("{key} = \"/name\" or a pattern such as \"/camera/**\"");
+                self.refuse(value, format!("{title} has no `{key}`: add {example}"))
             }
         };
-        let ros_name = section.get(ros_key).and_then(|value| {
+        let far_topic = section.get(ros_key).and_then(|value| {
             let ros_name = self.pattern(ros_key, value)?;
             let name = name.as_ref()?;
             let can_be = match (name.exact(), name.prefix()) {
@@ -279,15 +238,30 @@ impl<'t> Reader<'t> {
                 (_, Some(_)) => ros_name.prefix().is_some(),
                 _ => false,
             };
-            if !can_be {
-                let message = format!(
-                    "`{ros_key}` \"{ros_name}\" does not rename \"{name}\": a name can be renamed to a name, \"/a/**\" to \"/b/**\""
-                );
-                self.add(value.span().start, message);
+            if can_be {
+                return Some(ros_name);
             }
-            can_be.then_some(ros_name)
+            let message = format!(
+                "`{ros_key}` \"{ros_name}\" does not rename \"{name}\": a name can be renamed to a name, \"/a/**\" to \"/b/**\""
+            );
+            self.refuse(value, message)
         });
-        (name, ros_name)
+        let direction = self.direction(&mut section);
+        Some((section, name.map(|name| Rule { far_topic, direction, ..Rule::new(name) })))
+    }
+
+    fn type_name(
+        &mut self,
+        section: &mut Section<'t>,
+        is_one: fn(&str) -> bool,
+        what: &str,
+    ) -> Option<String> {
+        let value = section.get("type")?;
+        let name = self.text_of("type", value)?;
+        if is_one(name) {
+            return Some(name.to_owned());
+        }
+        self.refuse(value, format!("`type` \"{name}\" is no type of {what}"))
     }
 
     fn direction(&mut self, section: &mut Section<'t>) -> Option<Direction> {
@@ -298,10 +272,9 @@ impl<'t> Reader<'t> {
     fn qos(&mut self, section: &mut Section<'t>) -> QosOverride {
         let Some(value) = section.get("qos") else { return QosOverride::default() };
         let DeValue::Table(table) = value.get_ref() else {
-            let message =
-                format!("`qos` must be a table, not {}: write qos = {{ depth = 10 }}", kind(value.get_ref()));
-            self.add(value.span().start, message);
-            return QosOverride::default();
+            let kind = kind(value.get_ref());
+            let message = format!("`qos` must be a table, not {kind}: write qos = {{ depth = 10 }}");
+            return self.refuse(value, message).unwrap_or_default();
         };
         let mut qos = Section::new(table, "`qos`");
         let reliability = [("reliable", Reliability::Reliable), ("best_effort", Reliability::BestEffort)];
@@ -312,16 +285,10 @@ impl<'t> Reader<'t> {
             reliability: self.one_of(&mut qos, "reliability", &reliability),
             durability: self.one_of(&mut qos, "durability", &durability),
             history: self.one_of(&mut qos, "history", &history),
-            depth: self
-                .integer(&mut qos, "depth", 1, Limits::MAX_DEPTH as i64)
-                .and_then(|depth| usize::try_from(depth).ok()),
+            depth: self.integer(&mut qos, "depth", 1, Limits::MAX_DEPTH as i64),
         };
         self.unknown(&qos);
         read
-    }
-
-    fn domain(&mut self, section: &mut Section<'t>, key: &'static str) -> Option<u32> {
-        self.integer(section, key, 0, i64::from(MAX_DOMAIN)).and_then(|domain| u32::try_from(domain).ok())
     }
 
     fn flag(&mut self, section: &mut Section<'t>, key: &'static str) -> Option<bool> {
@@ -329,17 +296,16 @@ impl<'t> Reader<'t> {
         if let DeValue::Boolean(flag) = value.get_ref() {
             return Some(*flag);
         }
-        self.add(value.span().start, format!("`{key}` must be true or false, not {}", kind(value.get_ref())));
-        None
+        self.refuse(value, format!("`{key}` must be true or false, not {}", kind(value.get_ref())))
     }
 
-    fn integer(
+    fn integer<T: TryFrom<i64>>(
         &mut self,
         section: &mut Section<'t>,
         key: &'static str,
         least: i64,
         most: i64,
-    ) -> Option<i64> {
+    ) -> Option<T> {
         let value = section.get(key)?;
         let number = match value.get_ref() {
             DeValue::Integer(number) => {
@@ -348,28 +314,23 @@ impl<'t> Reader<'t> {
             _ => None,
         };
         let number = number.filter(|number| (least..=most).contains(number));
-        if number.is_none() {
+        number.and_then(|number| number.try_into().ok()).or_else(|| {
             let message = format!("`{key}` is {}: write a whole number from {least} to {most}", shown(value));
-            self.add(value.span().start, message);
-        }
-        number
+            self.refuse(value, message)
+        })
     }
 
-    fn rate(&mut self, value: &'t Value<'t>) -> Option<f64> {
+    fn rate(&mut self, section: &mut Section<'t>) -> Option<f64> {
+        let value = section.get("max_rate_hz")?;
         let number: Option<f64> = match value.get_ref() {
             DeValue::Integer(number) => number.as_str().replace('_', "").parse().ok(),
             DeValue::Float(number) => number.as_str().replace('_', "").parse().ok(),
             _ => None,
         };
-        let rate = number.filter(|rate| (1e-3..=1e6).contains(rate));
-        if rate.is_none() {
-            let message = format!(
-                "`max_rate_hz` is {}: write messages per second, from 0.001 to 1000000",
-                shown(value)
-            );
-            self.add(value.span().start, message);
-        }
-        rate
+        number.filter(|rate| (1e-3..=1e6).contains(rate)).or_else(|| {
+            let what = "messages per second, from 0.001 to 1000000";
+            self.refuse(value, format!("`max_rate_hz` is {}: write {what}", shown(value)))
+        })
     }
 
     fn one_of<T: Copy>(
@@ -383,24 +344,18 @@ impl<'t> Reader<'t> {
             DeValue::String(text) => choices.iter().find(|(name, _)| *name == &**text),
             _ => None,
         };
-        if chosen.is_none() {
+        chosen.map(|(_, chosen)| *chosen).or_else(|| {
             let names: Vec<String> = choices.iter().map(|(name, _)| format!("\"{name}\"")).collect();
             let (last, others) = names.split_last()?;
-            let message = format!("`{key}` is {}: write {} or {last}", shown(value), others.join(", "));
-            self.add(value.span().start, message);
-        }
-        chosen.map(|(_, chosen)| *chosen)
+            self.refuse(value, format!("`{key}` is {}: write {} or {last}", shown(value), others.join(", ")))
+        })
     }
 
     fn text_of(&mut self, key: &'static str, value: &'t Value<'t>) -> Option<&'t str> {
         if let DeValue::String(text) = value.get_ref() {
             return Some(text);
         }
-        self.add(
-            value.span().start,
-            format!("`{key}` must be a text in quotes, not {}", kind(value.get_ref())),
-        );
-        None
+        self.refuse(value, format!("`{key}` must be a text in quotes, not {}", kind(value.get_ref())))
     }
 
     fn pattern(&mut self, key: &'static str, value: &'t Value<'t>) -> Option<Pattern> {
@@ -409,12 +364,10 @@ impl<'t> Reader<'t> {
     }
 
     fn patterns(&mut self, section: &mut Section<'t>, key: &'static str) -> Vec<Pattern> {
-        match section.get(key).map(|value| (value, value.get_ref())) {
-            None => Vec::new(),
-            Some((_, DeValue::Array(array))) => {
-                array.iter().filter_map(|value| self.pattern(key, value)).collect()
-            }
-            Some((value, _)) => self.pattern(key, value).into_iter().collect(),
+        let Some(value) = section.get(key) else { return Vec::new() };
+        match value.get_ref() {
+            DeValue::Array(array) => array.iter().filter_map(|value| self.pattern(key, value)).collect(),
+            _ => self.pattern(key, value).into_iter().collect(),
         }
     }
 
