@@ -4,6 +4,7 @@
 use clap::Parser;
 use std::path::PathBuf;
 use tautline_bridge_ros::{Budget, Config, ConfigError, Filter, Options, PatternError};
+use tautline_relay::{DomainError, domain_of};
 use tautline_rt::Realtime;
 use tautline_transport::MAX_DOMAIN;
 
@@ -89,8 +90,8 @@ pub struct Args {
 /// What cannot be meant.
 #[derive(Debug, thiserror::Error)]
 pub enum ArgsError {
-    #[error("{variable}={value} is not understood: a domain is a number from 0 to {MAX_DOMAIN}")]
-    Domain { variable: &'static str, value: String },
+    #[error(transparent)]
+    Domain(#[from] DomainError),
     #[error(transparent)]
     Pattern(#[from] PatternError),
     #[error(transparent)]
@@ -109,11 +110,11 @@ impl Args {
         }
         let domain = match self.domain.or(config.domain) {
             Some(domain) => domain,
-            None => variable("TAUT_DOMAIN")?.or(variable("ROS_DOMAIN_ID")?).unwrap_or(0),
+            None => domain_of(&["TAUT_DOMAIN", "ROS_DOMAIN_ID"])?.unwrap_or(0),
         };
         let ros_domain = match self.ros_domain.or(config.ros_domain) {
             Some(domain) => Some(domain),
-            None => variable("ROS_DOMAIN_ID")?,
+            None => domain_of(&["ROS_DOMAIN_ID"])?,
         };
         let realtime = if self.no_rt { Realtime::Off } else { Realtime::Required };
         let transit = config.transit.unwrap_or(true) && !self.no_transit;
@@ -121,15 +122,6 @@ impl Args {
         let priority = self.priority;
         Ok(Options { domain, ros_domain, rules, services, transit, priority, realtime, budget })
     }
-}
-
-fn variable(variable: &'static str) -> Result<Option<u32>, ArgsError> {
-    let value = std::env::var_os(variable).unwrap_or_default().to_string_lossy().into_owned();
-    if value.is_empty() {
-        return Ok(None);
-    }
-    let domain = value.parse().ok().filter(|&domain| domain <= MAX_DOMAIN);
-    domain.map(Some).ok_or(ArgsError::Domain { variable, value })
 }
 
 #[cfg(test)]

@@ -8,11 +8,12 @@ mod status;
 
 use args::Args;
 use clap::Parser;
+use std::error::Error;
 use std::io::IsTerminal;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tautline_bridge_ros::{Bridge, BridgeError, Instance, Options};
+use tautline_bridge_ros::{Bridge, Instance, Options};
 use tautline_relay::{show_until, stop_on_signals};
 use tautline_rt::Realtime;
 
@@ -38,20 +39,9 @@ fn main() -> ExitCode {
     }
 }
 
-/// Why the program ends.
-#[derive(Debug, thiserror::Error)]
-enum Failure {
-    #[error(transparent)]
-    Args(#[from] args::ArgsError),
-    #[error(transparent)]
-    Bridge(#[from] BridgeError),
-    #[error("signals cannot be handled: {0}")]
-    Signals(#[source] std::io::Error),
-}
-
-fn run(args: &Args) -> Result<(), Failure> {
+fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     let options = args.options()?;
-    let stop = stop_on_signals().map_err(Failure::Signals)?;
+    let stop = stop_on_signals()?;
     let Some(bridge) = start(args, options.clone(), &stop)? else { return Ok(()) };
     introduce(&bridge, &options);
     let interval = Duration::from_secs_f64(args.interval);
@@ -60,13 +50,13 @@ fn run(args: &Args) -> Result<(), Failure> {
 }
 
 /// `None`: a signal came while another bridge was waited for.
-fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Bridge>, Failure> {
+fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Bridge>, Box<dyn Error>> {
     if !args.standby {
         return Ok(Some(Bridge::spawn(options)?));
     }
     // What the environment says is in the options.
     let instance = Instance::bridge(options.domain, options.ros_domain.unwrap_or(0));
-    let lock = instance.wait(|| stop.load(Ordering::Relaxed)).map_err(BridgeError::from)?;
+    let lock = instance.wait(|| stop.load(Ordering::Relaxed))?;
     Ok(lock.map(|lock| Bridge::spawn_in(options, Some(lock))).transpose()?)
 }
 

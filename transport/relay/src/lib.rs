@@ -35,7 +35,9 @@ pub use limiter::Limiter;
 pub use mirror::{InKey, Inward, Side, TopicKey};
 pub use pattern::{Filter, Pattern, PatternError};
 pub use process::process_node;
-pub use program::{counted, parse_interval, show_until, stop_on_signals};
+pub use program::{
+    DomainError, SignalError, counted, domain_of, parse_interval, show_until, stop_on_signals,
+};
 pub use relay::{Relay, RelayError};
 pub use route::{EarlyLimits, Egress, Last, Outbound, Taken};
 pub use rules::{Direction, QosOverride, Rule, Rules};

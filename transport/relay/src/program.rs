@@ -9,13 +9,14 @@ use std::io::{self, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use tautline_transport::MAX_DOMAIN;
 
 /// Becomes true with the first SIGINT or SIGTERM. One that comes later than 200 ms after it ends the program at once, with 128
 /// and the signal's number.
 ///
 /// # Errors
-/// If the signals cannot be handled.
-pub fn stop_on_signals() -> io::Result<Arc<AtomicBool>> {
+/// [`SignalError`].
+pub fn stop_on_signals() -> Result<Arc<AtomicBool>, SignalError> {
     let stop = Arc::new(AtomicBool::new(false));
     let mut signals = Signals::new([SIGINT, SIGTERM])?;
     let asked = stop.clone();
@@ -30,6 +31,11 @@ pub fn stop_on_signals() -> io::Result<Arc<AtomicBool>> {
     })?;
     Ok(stop)
 }
+
+/// Signals cannot be handled.
+#[derive(Debug, thiserror::Error)]
+#[error("signals cannot be handled: {0}")]
+pub struct SignalError(#[from] io::Error);
 
 /// Who stops a program may signal it twice, as a process and in its group: both are one stop.
 const ONE_STOP: Duration = Duration::from_millis(200);
@@ -86,6 +92,29 @@ impl Drop for Bar {
     fn drop(&mut self) {
         self.0.finish_and_clear();
     }
+}
+
+/// The domain that the first of these environment variables says that says anything.
+///
+/// # Errors
+/// [`DomainError`]: it is no domain.
+pub fn domain_of(variables: &[&'static str]) -> Result<Option<u32>, DomainError> {
+    for &variable in variables {
+        let value = std::env::var_os(variable).unwrap_or_default().to_string_lossy().into_owned();
+        if !value.is_empty() {
+            let domain = value.parse().ok().filter(|&domain| domain <= MAX_DOMAIN);
+            return domain.map(Some).ok_or(DomainError { variable, value });
+        }
+    }
+    Ok(None)
+}
+
+/// An environment variable that says what is no domain.
+#[derive(Debug, thiserror::Error)]
+#[error("{variable}={value} is not understood: a domain is a number from 0 to {MAX_DOMAIN}")]
+pub struct DomainError {
+    variable: &'static str,
+    value: String,
 }
 
 /// Seconds between two looks at the numbers, as an argument.

@@ -5,6 +5,7 @@ use clap::{ArgGroup, Parser};
 use std::path::PathBuf;
 use tautline_analysis::file::{FileError, SystemFile};
 use tautline_gateway::{Budget, Filter, GraphLimits, Mode, Network, Options, PatternError, Rule, RuleError};
+use tautline_relay::{DomainError, domain_of};
 use tautline_rt::{CoreSet, Realtime};
 use tautline_transport::MAX_DOMAIN;
 
@@ -104,8 +105,8 @@ pub struct Args {
 /// What cannot be meant.
 #[derive(Debug, thiserror::Error)]
 pub enum ArgsError {
-    #[error("{variable}={value} is not understood: a domain is a number from 0 to {MAX_DOMAIN}")]
-    Domain { variable: &'static str, value: String },
+    #[error(transparent)]
+    Domain(#[from] DomainError),
     #[error(transparent)]
     Pattern(#[from] PatternError),
     #[error(transparent)]
@@ -128,7 +129,10 @@ impl Args {
         };
         let (listen, connect) = (self.listen.clone(), self.connect.clone());
         Ok(Options {
-            domain: self.domain.map_or_else(domain_of_environment, Ok)?,
+            domain: match self.domain {
+                Some(domain) => domain,
+                None => domain_of(&["TAUT_DOMAIN", "ROS_DOMAIN_ID"])?.unwrap_or(0),
+            },
             network_domain: self.network_domain,
             network: Network { mode, listen, connect, file: self.config.clone() },
             filter: Filter::new(&self.allow, &self.deny)?,
@@ -165,17 +169,6 @@ fn cores(list: &[usize]) -> Result<Option<CoreSet>, ArgsError> {
     let set: CoreSet = list.iter().copied().collect();
     set.check()?;
     Ok(Some(set))
-}
-
-fn domain_of_environment() -> Result<u32, ArgsError> {
-    for variable in ["TAUT_DOMAIN", "ROS_DOMAIN_ID"] {
-        let value = std::env::var_os(variable).unwrap_or_default().to_string_lossy().into_owned();
-        if !value.is_empty() {
-            let domain = value.parse().ok().filter(|&domain| domain <= MAX_DOMAIN);
-            return domain.ok_or(ArgsError::Domain { variable, value });
-        }
-    }
-    Ok(0)
 }
 
 fn parse_bytes(text: &str) -> Result<usize, String> {

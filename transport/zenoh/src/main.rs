@@ -8,6 +8,7 @@ mod status;
 
 use args::Args;
 use clap::Parser;
+use std::error::Error;
 use std::io::IsTerminal;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -42,20 +43,9 @@ fn main() -> ExitCode {
     }
 }
 
-/// Why the program ends.
-#[derive(Debug, thiserror::Error)]
-enum Failure {
-    #[error(transparent)]
-    Args(#[from] args::ArgsError),
-    #[error(transparent)]
-    Gateway(#[from] tautline_gateway::GatewayError),
-    #[error("signals cannot be handled: {0}")]
-    Signals(#[source] std::io::Error),
-}
-
-fn run(args: &Args) -> Result<(), Failure> {
+fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     let options = args.options()?;
-    let stop = stop_on_signals().map_err(Failure::Signals)?;
+    let stop = stop_on_signals()?;
     let Some(gateway) = start(args, options.clone(), &stop)? else { return Ok(()) };
     introduce(&gateway, &options);
     let interval = Duration::from_secs_f64(args.interval);
@@ -64,13 +54,11 @@ fn run(args: &Args) -> Result<(), Failure> {
 }
 
 /// `None`: a signal came while another gateway was waited for.
-fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Gateway>, Failure> {
+fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Gateway>, Box<dyn Error>> {
     if !args.standby {
         return Ok(Some(Gateway::spawn(options)?));
     }
-    let stopped = || stop.load(Ordering::Relaxed);
-    let lock = Instance::gateway(options.domain).wait(stopped);
-    let lock = lock.map_err(tautline_gateway::GatewayError::from)?;
+    let lock = Instance::gateway(options.domain).wait(|| stop.load(Ordering::Relaxed))?;
     Ok(lock.map(|lock| Gateway::spawn_in(options, lock)).transpose()?)
 }
 
