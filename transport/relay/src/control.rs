@@ -432,7 +432,7 @@ impl<F: FarSide> Control<F> {
 
     /// What the domain is told of, by its own names. The same graph is the same list.
     fn remote(&self, there: FarGraph) -> RemoteGraph {
-        let rules = self.mirror.rules();
+        let rules = &self.mirror.rules;
         let mut remote = RemoteGraph { ended: there.ended, ..RemoteGraph::default() };
         for (RemoteNode { name, origin }, teller) in there.nodes {
             let told = self.transit.told(&origin, teller);

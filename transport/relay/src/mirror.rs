@@ -54,6 +54,16 @@ pub struct TopicKey {
 }
 
 impl TopicKey {
+    /// That of the domain's `topic`, which is called as `choice` says on the far side.
+    pub(crate) fn of(topic: &str, choice: &Choice, type_name: &str, type_hash: Option<&str>) -> Self {
+        TopicKey {
+            topic: topic.to_owned(),
+            far_topic: choice.far_topic.clone(),
+            type_name: type_name.to_owned(),
+            type_hash: type_hash.map(str::to_owned),
+        }
+    }
+
     /// Whether it is an action's feedback or status. A client may send its first goal, and should be told of it, before its
     /// subscriptions are seen here: these topics go to ROS whether or not it is known that somebody listens.
     pub fn is_of_action(&self) -> bool {
@@ -130,20 +140,21 @@ impl Inward {
 
     /// What runs only grows, for a change costs samples or has them come twice.
     fn grow_from(&mut self, running: &Inward, side: Side) {
-        if side == Side::Network {
-            let (was, is) = (running.offered, self.offered);
-            let is_kept = [was, is].iter().any(|qos| qos.durability == Durability::TransientLocal);
-            let is_reliable = [was, is].iter().any(|qos| qos.reliability == Reliability::Reliable);
-            self.offered.durability = if is_kept { Durability::TransientLocal } else { Durability::Volatile };
-            // Of what is not kept, whoever is already heard stays so without an interruption.
-            self.offered.reliability =
-                if is_kept && is_reliable { Reliability::Reliable } else { was.reliability };
+        let depth = self.offered.depth.max(running.offered.depth);
+        match side {
+            Side::Ros => {
+                self.offered.depth = depth;
+                self.qos.depth = self.qos.depth.max(running.qos.depth);
+            }
+            Side::Network => {
+                let (was, is) = (Class::of(&running.offered), Class::of(&self.offered));
+                let is_kept = was.is_kept || is.is_kept;
+                // Of what is not kept, whoever is already heard stays so without an interruption.
+                let is_reliable = was.is_reliable || (is_kept && is.is_reliable);
+                self.offered = Class { is_reliable, is_kept }.qos(depth);
+                self.qos = self.offered;
+            }
         }
-        self.offered.depth = self.offered.depth.max(running.offered.depth);
-        self.qos = match side {
-            Side::Network => self.offered,
-            Side::Ros => Qos { depth: self.qos.depth.max(running.qos.depth), ..self.qos },
-        };
     }
 }
 
@@ -223,7 +234,7 @@ pub type Far<'e> = (&'e TopicEndpoint, bool);
 /// The state: what is being mirrored.
 pub struct Mirror {
     side: Side,
-    rules: Rules,
+    pub(crate) rules: Rules,
     writers: BTreeMap<(TopicKey, Gid), Qos>,
     out: BTreeMap<TopicKey, Outward>,
     inward: BTreeMap<InKey, Inward>,
@@ -253,11 +264,6 @@ impl Mirror {
     pub fn new(side: Side, rules: Rules) -> Self {
         let (writers, out, inward, forgotten, problems) = Default::default();
         Mirror { side, rules, writers, out, inward, forgotten, problems }
-    }
-
-    /// What the rules say.
-    pub fn rules(&self) -> &Rules {
-        &self.rules
     }
 
     /// Topics that cannot be mirrored, and why.
@@ -341,15 +347,8 @@ impl Mirror {
 
     fn wanted<'e>(&self, here: impl IntoIterator<Item = &'e TopicEndpoint>, there: &[Far<'e>]) -> Wanted {
         let mut wanted = Wanted::default();
-        let mut topics: BTreeMap<&str, Vec<&TopicEndpoint>> = BTreeMap::new();
-        for end in here {
-            topics.entry(&end.topic).or_default().push(end);
-        }
-        let mut far: BTreeMap<&str, Vec<Far>> = BTreeMap::new();
-        for end in there {
-            far.entry(&end.0.topic).or_default().push(*end);
-        }
-        for (topic, ends) in topics {
+        let far = grouped(there.iter().copied(), |(end, _)| &*end.topic);
+        for (topic, ends) in grouped(here, |end| &*end.topic) {
             let Some(choice) = self.rules.choice(topic) else { continue };
             let others = far.get(&*choice.far_topic).map_or(&[][..], |ends| ends);
             let topic_wanted = match self.side {
@@ -403,17 +402,9 @@ impl Wanted {
         there: &[Far],
         choice: &Choice,
     ) -> Result<(), String> {
-        let mut types: BTreeMap<(&str, Option<&str>), Vec<&TopicEndpoint>> = BTreeMap::new();
-        for end in here {
-            types.entry(type_of(end)).or_default().push(end);
-        }
+        let types = grouped(here.iter().copied(), type_of);
         for ((type_name, hash), here) in &types {
-            let key = TopicKey {
-                topic: topic.to_owned(),
-                far_topic: choice.far_topic.clone(),
-                type_name: (*type_name).to_owned(),
-                type_hash: hash.map(str::to_owned),
-            };
+            let key = TopicKey::of(topic, choice, type_name, *hash);
             let same: Vec<Far> =
                 there.iter().copied().filter(|(end, _)| type_of(end) == (type_name, *hash)).collect();
             self.both_ways(Side::Network, &Ends { key: &key, here, there: &same, choice, hash: *hash });
@@ -473,12 +464,7 @@ impl Wanted {
         let hash = definition(&here, &same);
         let (same, changed): (Vec<Far>, Vec<Far>) = same.into_iter().partition(|(end, _)| is_of(end, hash));
         let here: Vec<&TopicEndpoint> = here.into_iter().filter(|end| is_of(end, hash)).collect();
-        let key = TopicKey {
-            topic: topic.to_owned(),
-            far_topic: choice.far_topic.clone(),
-            type_name: type_name.to_owned(),
-            type_hash: None,
-        };
+        let key = TopicKey::of(topic, choice, type_name, None);
         self.both_ways(Side::Ros, &Ends { key: &key, here: &here, there: &same, choice, hash });
         // Of the types that ROS has, this is one: those that nobody has here are none of ours.
         let also = others.iter().map(|end| &*end.topic_type.name).find(is_there);
@@ -613,6 +599,18 @@ impl Wanted {
             self.inward.insert(InKey { topic: key.clone(), class: Some(class) }, inward);
         }
     }
+}
+
+/// In groups, by what `key` says of each.
+pub(crate) fn grouped<T: Copy, K: Ord>(
+    all: impl IntoIterator<Item = T>,
+    key: impl Fn(T) -> K,
+) -> BTreeMap<K, Vec<T>> {
+    let mut groups = BTreeMap::<K, Vec<T>>::new();
+    for one in all {
+        groups.entry(key(one)).or_default().push(one);
+    }
+    groups
 }
 
 /// What all of them keep; `None` is without a limit.

@@ -84,7 +84,7 @@ pub struct Rules {
 }
 
 /// What is said of one topic.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Choice {
     /// What it is called on the far side.
     pub far_topic: String,
@@ -121,13 +121,8 @@ impl Rules {
                 min_period: rule.min_period,
             });
         }
-        (self.auto && self.filter.allows(topic)).then(|| Choice {
-            far_topic: topic.to_owned(),
-            direction: None,
-            type_name: None,
-            qos: QosOverride::default(),
-            min_period: None,
-        })
+        (self.auto && self.filter.allows(topic))
+            .then(|| Choice { far_topic: topic.to_owned(), ..Choice::default() })
     }
 
     /// What the topic `far_topic` of the far side is called here; `None` if it is not mirrored.

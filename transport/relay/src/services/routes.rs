@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which services go which way: decided here from what exists on both sides, done elsewhere.
 
-use crate::mirror::{Side, TopicKey};
-use crate::rules::{Direction, Rules};
+use crate::mirror::{Side, TopicKey, grouped};
+use crate::rules::{Choice, Direction, Rules};
 use std::collections::{BTreeMap, BTreeSet};
 use tautline_transport::{Gid, NodeName, ServiceEndpoint, ServiceKind};
 
@@ -65,11 +65,7 @@ impl Routes {
         announced: impl Fn(&ServiceEndpoint) -> bool,
     ) -> Self {
         let mut routes = Routes::default();
-        let mut services: BTreeMap<&str, Vec<&ServiceEndpoint>> = BTreeMap::new();
-        for end in here {
-            services.entry(&end.name).or_default().push(end);
-        }
-        for (name, ends) in services {
+        for (name, ends) in grouped(here, |end| &*end.name) {
             match side {
                 Side::Ros => routes.of_one_type(rules, name, &ends, there, before, &announced),
                 Side::Network => routes.of_each_type(rules, name, &ends, there, &announced),
@@ -88,23 +84,14 @@ impl Routes {
         announced: &impl Fn(&ServiceEndpoint) -> bool,
     ) {
         let Some(choice) = rules.choice(service) else { return };
-        let mut types: BTreeMap<(&str, Option<&str>), Vec<&ServiceEndpoint>> = BTreeMap::new();
-        let type_of = |end: &ServiceEndpoint| (end.type_name.clone(), end.type_hash.clone());
-        for end in here {
-            types.entry((&end.type_name, end.type_hash.as_deref())).or_default().push(end);
-        }
-        for ((type_name, hash), ends) in types {
-            let type_hash = hash.map(str::to_owned);
-            let (topic, far_topic) = (service.to_owned(), choice.far_topic.clone());
-            let key =
-                TopicKey { topic, far_topic, type_name: type_name.to_owned(), type_hash: type_hash.clone() };
+        for (of_type, ends) in grouped(here.iter().copied(), type_of) {
+            let key = TopicKey::of(service, &choice, of_type.0, of_type.1);
             let servers: Vec<&&ServiceEndpoint> =
                 ends.iter().filter(|end| end.kind == ServiceKind::Server).collect();
-            let same =
-                there.iter().filter(|end| end.kind == ServiceKind::Server && end.name == choice.far_topic);
-            let same: Vec<&ServiceEndpoint> =
-                same.filter(|end| type_of(end) == (key.type_name.clone(), type_hash.clone())).collect();
+            let same = servers_of(there, &choice).filter(|end| type_of(end) == of_type);
+            let same: Vec<&ServiceEndpoint> = same.collect();
             if choice.goes(Direction::Out) && servers.iter().any(|end| announced(end)) {
+                let type_hash = key.type_hash.clone();
                 self.offered.insert(key, OfferedService { type_hash, node: None });
             } else if choice.goes(Direction::In) && servers.is_empty() && !same.is_empty() {
                 // Who is left is a client.
@@ -124,8 +111,7 @@ impl Routes {
         announced: &impl Fn(&ServiceEndpoint) -> bool,
     ) {
         let Some(choice) = rules.choice(service) else { return };
-        let servers =
-            there.iter().filter(|end| end.kind == ServiceKind::Server && end.name == choice.far_topic);
+        let servers = servers_of(there, &choice);
         let all = here.iter().filter(|end| end.kind == ServiceKind::Server);
         let server = all.min_by_key(|end| (!announced(end), !end.origin.is_here()));
         let is_asked = here.iter().any(|end| end.kind == ServiceKind::Client);
@@ -142,12 +128,7 @@ impl Routes {
             );
             return drop(self.problems.insert(service.to_owned(), reason));
         }
-        let key = TopicKey {
-            topic: service.to_owned(),
-            far_topic: choice.far_topic.clone(),
-            type_name: end.type_name.clone(),
-            type_hash: None,
-        };
+        let key = TopicKey::of(service, &choice, &end.type_name, None);
         let (same, other): (Vec<&ServiceEndpoint>, Vec<&ServiceEndpoint>) =
             servers.partition(|server| server.type_name == end.type_name);
         // Of servers of one name ROS's own is nearer than one of another host.
@@ -190,6 +171,18 @@ impl Routes {
         let servers = servers.iter().map(id).collect();
         self.sought.insert(key, SoughtService { type_hash: end.type_hash.clone(), servers });
     }
+}
+
+fn type_of(end: &ServiceEndpoint) -> (&str, Option<&str>) {
+    (&end.type_name, end.type_hash.as_deref())
+}
+
+/// The far side's servers of what `choice` is about.
+fn servers_of<'e>(
+    there: &'e [ServiceEndpoint],
+    choice: &'e Choice,
+) -> impl Iterator<Item = &'e ServiceEndpoint> + Clone {
+    there.iter().filter(|end| end.kind == ServiceKind::Server && end.name == choice.far_topic)
 }
 
 #[cfg(test)]
