@@ -21,6 +21,16 @@ pub(crate) fn check(what: &'static str, code: rcl_ret_t) -> Result<(), RclError>
     if code == RCL_RET_OK as rcl_ret_t { Ok(()) } else { Err(last_error(what, code)) }
 }
 
+/// Whether something was taken: `code` is `nothing` if there is nothing to take.
+pub(crate) fn taken(what: &'static str, code: rcl_ret_t, nothing: u32) -> Result<bool, RclError> {
+    if code == nothing as rcl_ret_t {
+        // SAFETY: forgets what rcl said about that, of this thread.
+        unsafe { rcutils_reset_error() };
+        return Ok(false);
+    }
+    check(what, code).map(|()| true)
+}
+
 fn last_error(what: &'static str, code: rcl_ret_t) -> RclError {
     // SAFETY: both look at state of this thread only; the text is an array within the value that is returned, and ends
     // with a zero, as rcutils writes it.

@@ -29,11 +29,17 @@ pub struct RosEndpoint {
     pub qos: Qos,
 }
 
+/// Lists the names, with their types, of one kind that a node has.
+type ListNames = unsafe extern "C" fn(
+    *const rcl_node_t,
+    *mut rcl_allocator_t,
+    *const c_char,
+    *const c_char,
+    *mut rcl_names_and_types_t,
+) -> rcl_ret_t;
+
 impl Node {
     /// All topics.
-    ///
-    /// # Errors
-    /// [`RclError`].
     pub fn topics(&self) -> Result<RosTopics, RclError> {
         // SAFETY: the node is initialised; the list is zero before, and ended by `collect`.
         unsafe {
@@ -49,21 +55,7 @@ impl Node {
     /// # Errors
     /// [`RclError`]: the node has gone.
     pub fn services_of(&self, node: &NodeName) -> Result<RosTopics, RclError> {
-        let (name, namespace) = (text(&node.name)?, text(&node.namespace)?);
-        // SAFETY: as in `topics`.
-        unsafe {
-            let mut allocator = rcutils_get_default_allocator();
-            let mut list = rmw_get_zero_initialized_names_and_types();
-            let (name, namespace) = (name.as_ptr(), namespace.as_ptr());
-            let code = rcl_get_service_names_and_types_by_node(
-                self.raw(),
-                &mut allocator,
-                name,
-                namespace,
-                &mut list,
-            );
-            collect("listing a node's services", code, list)
-        }
+        self.names_of(node, "listing a node's services", rcl_get_service_names_and_types_by_node)
     }
 
     /// The services that a node requests.
@@ -71,27 +63,27 @@ impl Node {
     /// # Errors
     /// [`RclError`]: the node has gone.
     pub fn clients_of(&self, node: &NodeName) -> Result<RosTopics, RclError> {
+        self.names_of(node, "listing a node's clients", rcl_get_client_names_and_types_by_node)
+    }
+
+    fn names_of(
+        &self,
+        node: &NodeName,
+        what: &'static str,
+        list_names: ListNames,
+    ) -> Result<RosTopics, RclError> {
         let (name, namespace) = (text(&node.name)?, text(&node.namespace)?);
         // SAFETY: as in `topics`.
         unsafe {
             let mut allocator = rcutils_get_default_allocator();
             let mut list = rmw_get_zero_initialized_names_and_types();
             let (name, namespace) = (name.as_ptr(), namespace.as_ptr());
-            let code = rcl_get_client_names_and_types_by_node(
-                self.raw(),
-                &mut allocator,
-                name,
-                namespace,
-                &mut list,
-            );
-            collect("listing a node's clients", code, list)
+            let code = list_names(self.raw(), &mut allocator, name, namespace, &mut list);
+            collect(what, code, list)
         }
     }
 
     /// All nodes; those that have the same name are listed as often as they are there.
-    ///
-    /// # Errors
-    /// [`RclError`].
     pub fn nodes(&self) -> Result<Vec<NodeName>, RclError> {
         // SAFETY: the node is initialised; both lists are zero before, equally long after, and ended here.
         unsafe {
@@ -112,17 +104,11 @@ impl Node {
     }
 
     /// The publishers or subscriptions of `topic`, a fully qualified name, of all types.
-    ///
-    /// # Errors
-    /// [`RclError`].
     pub fn endpoints(&self, topic: &str, kind: EndpointKind) -> Result<Vec<RosEndpoint>, RclError> {
         self.ends_of(topic, kind, false)
     }
 
     /// The servers of `service`, a fully qualified name: where they take requests. Of a DDS; another RMW tells none.
-    ///
-    /// # Errors
-    /// [`RclError`].
     pub fn servers(&self, service: &str) -> Result<Vec<RosEndpoint>, RclError> {
         self.ends_of(&format!("rq{service}Request"), EndpointKind::Subscription, true)
     }

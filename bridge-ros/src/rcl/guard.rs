@@ -19,9 +19,6 @@ unsafe impl Sync for GuardCondition {}
 
 impl GuardCondition {
     /// Makes one.
-    ///
-    /// # Errors
-    /// [`RclError`].
     pub fn new(context: &Arc<Context>) -> Result<Arc<Self>, RclError> {
         // SAFETY: rcl's protocol; boxed, for wait sets keep its address, and freed by `drop`.
         unsafe {

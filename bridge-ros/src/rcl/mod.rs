@@ -7,6 +7,7 @@
 //! done by one thread, which `&mut` says.
 
 mod context;
+mod end;
 mod error;
 mod events;
 mod graph;

@@ -2,6 +2,7 @@
 //! Publishes serialized bytes in ROS.
 
 use super::context::{Node, text};
+use super::end::End;
 use super::error::{RclError, check};
 use super::events::Incompatible;
 use super::serialized::SerializedMessage;
@@ -14,19 +15,18 @@ use tautline_transport::{Gid, Qos, TracedSender};
 
 /// A publisher of bytes.
 pub struct RosPublisher {
-    raw: *mut rcl_publisher_t,
+    end: End<rcl_publisher_t>,
     gid: Gid,
     incompatible: Option<Incompatible>,
     traced: TracedSender,
     /// What went through [`publish_from`](Self::publish_from): the number that the RMW gave the last one.
     sent: AtomicU64,
-    node: Arc<Node>,
     _support: MessageSupport,
 }
 
-// SAFETY: publishing is thread-safe; it is made and destroyed under the node's lock.
+// SAFETY: as an end, and so may its event.
 unsafe impl Send for RosPublisher {}
-// SAFETY: as above.
+// SAFETY: publishing is thread-safe.
 unsafe impl Sync for RosPublisher {}
 
 impl RosPublisher {
@@ -36,27 +36,24 @@ impl RosPublisher {
     /// [`RclError`]: a name or QoS that cannot be one.
     pub fn new(node: &Arc<Node>, topic: &str, support: &MessageSupport, qos: &Qos) -> Result<Self, RclError> {
         let name = text(topic)?;
-        let _making = node.making();
-        // SAFETY: rcl's protocol; the type support lives as long as the publisher; boxed, for the node keeps its address.
+        // SAFETY: rcl's protocol; the type support lives as long as the publisher, and its event ends before it.
         unsafe {
             let mut options = rcl_publisher_get_default_options();
             options.qos = to_ros(qos);
-            let raw = Box::into_raw(Box::new(rcl_get_zero_initialized_publisher()));
-            let made = rcl_publisher_init(raw, node.raw(), support.raw(), name.as_ptr(), &options);
-            if let Err(error) = check("making a publisher", made) {
-                drop(Box::from_raw(raw));
-                return Err(error);
-            }
+            let init = |raw| rcl_publisher_init(raw, node.raw(), support.raw(), name.as_ptr(), &options);
+            let zero = rcl_get_zero_initialized_publisher();
+            let end = End::make("making a publisher", node, zero, init, rcl_publisher_fini)?;
             let mut gid = rmw_gid_t { implementation_identifier: std::ptr::null(), data: [0; 16] };
-            let known = rmw_get_gid_for_publisher(rcl_publisher_get_rmw_handle(raw), &mut gid);
+            let known = rmw_get_gid_for_publisher(rcl_publisher_get_rmw_handle(end.raw()), &mut gid);
             let gid = node.context().publisher(super::graph::gid(&gid.data));
             if check("reading a publisher's gid", known).is_ok() {
                 node.context().learn_own(&gid);
             }
-            let incompatible = Incompatible::of_publisher(raw);
+            let making = node.making();
+            let incompatible = Incompatible::of_publisher(end.raw());
+            drop(making);
             let (traced, sent) = (TracedSender::new(topic, gid), AtomicU64::new(0));
-            let (node, _support) = (node.clone(), support.clone());
-            Ok(RosPublisher { raw, gid, incompatible, traced, sent, node, _support })
+            Ok(RosPublisher { end, gid, incompatible, traced, sent, _support: support.clone() })
         }
     }
 
@@ -67,9 +64,6 @@ impl RosPublisher {
 
     /// Publishes the sample that came through a port of the domain under a number, and tells a trace so. All of a publisher, or
     /// none, go this way, one after another.
-    ///
-    /// # Errors
-    /// [`RclError`].
     pub fn publish_from(&self, from: (Gid, u64), message: &SerializedMessage) -> Result<(), RclError> {
         let number = self.sent.load(Ordering::Relaxed) + 1;
         self.traced.sample(from, number).record();
@@ -80,20 +74,18 @@ impl RosPublisher {
     }
 
     /// Publishes.
-    ///
-    /// # Errors
-    /// [`RclError`].
     pub fn publish(&self, message: &SerializedMessage) -> Result<(), RclError> {
         // SAFETY: both are initialised; without an allocation rmw makes its own.
-        let code = unsafe { rcl_publish_serialized_message(self.raw, message.raw(), std::ptr::null_mut()) };
-        check("publishing", code)
+        check("publishing", unsafe {
+            rcl_publish_serialized_message(self.end.raw(), message.raw(), std::ptr::null_mut())
+        })
     }
 
     /// Subscriptions that have been found and fit.
     pub fn subscription_count(&self) -> usize {
         let mut count = 0;
         // SAFETY: it is initialised until it is dropped.
-        let code = unsafe { rcl_publisher_get_subscription_count(self.raw, &mut count) };
+        let code = unsafe { rcl_publisher_get_subscription_count(self.end.raw(), &mut count) };
         check("counting subscriptions", code).map_or(0, |()| count)
     }
 
@@ -106,12 +98,8 @@ impl RosPublisher {
 
 impl Drop for RosPublisher {
     fn drop(&mut self) {
-        let _making = self.node.making();
+        // Before the publisher that it is an event of.
+        let _making = self.end.node().making();
         self.incompatible = None;
-        // SAFETY: nobody else has it; its event has ended before it, its node lives.
-        unsafe {
-            let _ = rcl_publisher_fini(self.raw, self.node.raw());
-            drop(Box::from_raw(self.raw));
-        }
     }
 }

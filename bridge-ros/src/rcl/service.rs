@@ -2,33 +2,27 @@
 //! Ends of a service in ROS.
 
 use super::context::{Node, text};
-use super::error::{RclError, check};
+use super::end::End;
+use super::error::{RclError, check, taken};
 use super::service_support::{RosStruct, ServiceSupport};
 use r2r_rcl::*;
 use std::sync::Arc;
 
 /// Answers in ROS.
 pub struct RosServer {
-    raw: *mut rcl_service_t,
-    node: Arc<Node>,
+    end: End<rcl_service_t>,
     _support: ServiceSupport,
 }
 
 /// Asks in ROS.
 pub struct RosClient {
-    raw: *mut rcl_client_t,
-    node: Arc<Node>,
+    end: End<rcl_client_t>,
     _support: ServiceSupport,
 }
 
 /// Whom to answer.
 #[derive(Clone, Copy)]
 pub struct RosRequestId(rmw_request_id_t);
-
-// SAFETY: it is used by one thread at a time, made and destroyed under the node's lock.
-unsafe impl Send for RosServer {}
-// SAFETY: as above.
-unsafe impl Send for RosClient {}
 
 impl RosServer {
     /// A server of `service`, a fully qualified name.
@@ -37,37 +31,24 @@ impl RosServer {
     /// [`RclError`]: a name that cannot be one.
     pub fn new(node: &Arc<Node>, service: &str, support: &ServiceSupport) -> Result<Self, RclError> {
         let name = text(service)?;
-        let _making = node.making();
-        // SAFETY: rcl's protocol; the type support lives as long as the service; boxed, for wait sets keep its address.
+        // SAFETY: rcl's protocol; the type support lives as long as the service.
         unsafe {
             let mut options = rcl_service_get_default_options();
             options.qos.depth = DEPTH;
-            let raw = Box::into_raw(Box::new(rcl_get_zero_initialized_service()));
-            let made = rcl_service_init(raw, node.raw(), support.raw(), name.as_ptr(), &options);
-            if let Err(error) = check("making a service", made) {
-                drop(Box::from_raw(raw));
-                return Err(error);
-            }
-            Ok(RosServer { raw, node: node.clone(), _support: support.clone() })
+            let init = |raw| rcl_service_init(raw, node.raw(), support.raw(), name.as_ptr(), &options);
+            let zero = rcl_get_zero_initialized_service();
+            let end = End::make("making a service", node, zero, init, rcl_service_fini)?;
+            Ok(RosServer { end, _support: support.clone() })
         }
     }
 
     /// Takes a request into `request`, a struct of the service's; `None` if there is none.
-    ///
-    /// # Errors
-    /// [`RclError`].
     pub fn take(&mut self, request: &mut RosStruct) -> Result<Option<RosRequestId>, RclError> {
-        const NOTHING: rcl_ret_t = RCL_RET_SERVICE_TAKE_FAILED as rcl_ret_t;
         let mut id = rmw_request_id_t { writer_guid: [0; 16], sequence_number: 0 };
         // SAFETY: the service is initialised; the struct is one of requests.
-        match unsafe { rcl_take_request(self.raw, &mut id, request.raw_mut()) } {
-            NOTHING => {
-                // SAFETY: forgets what rcl said about that, of this thread.
-                unsafe { rcutils_reset_error() };
-                Ok(None)
-            }
-            code => check("taking a request", code).map(|()| Some(RosRequestId(id))),
-        }
+        let code = unsafe { rcl_take_request(self.end.raw(), &mut id, request.raw_mut()) };
+        let is_taken = taken("taking a request", code, RCL_RET_SERVICE_TAKE_FAILED)?;
+        Ok(is_taken.then_some(RosRequestId(id)))
     }
 
     /// Answers a request with `response`, a struct of the service's.
@@ -77,27 +58,16 @@ impl RosServer {
     pub fn respond(&self, id: RosRequestId, response: &mut RosStruct) -> Result<(), RclError> {
         let RosRequestId(mut id) = id;
         // SAFETY: as in `take`; rcl does not change the struct.
-        check("answering", unsafe { rcl_send_response(self.raw, &mut id, response.raw_mut()) })
+        check("answering", unsafe { rcl_send_response(self.end.raw(), &mut id, response.raw_mut()) })
     }
 
     pub(crate) fn raw(&self) -> *const rcl_service_t {
-        self.raw
+        self.end.raw()
     }
 }
 
 /// Requests, or responses, that wait in the RMW.
 const DEPTH: usize = 100;
-
-impl Drop for RosServer {
-    fn drop(&mut self) {
-        let _making = self.node.making();
-        // SAFETY: nobody else has it.
-        unsafe {
-            let _ = rcl_service_fini(self.raw, self.node.raw());
-            drop(Box::from_raw(self.raw));
-        }
-    }
-}
 
 impl RosClient {
     /// A client of `service`, a fully qualified name.
@@ -106,74 +76,47 @@ impl RosClient {
     /// [`RclError`]: a name that cannot be one.
     pub fn new(node: &Arc<Node>, service: &str, support: &ServiceSupport) -> Result<Self, RclError> {
         let name = text(service)?;
-        let _making = node.making();
         // SAFETY: as for a server.
         unsafe {
             let mut options = rcl_client_get_default_options();
             options.qos.depth = DEPTH;
-            let raw = Box::into_raw(Box::new(rcl_get_zero_initialized_client()));
-            let made = rcl_client_init(raw, node.raw(), support.raw(), name.as_ptr(), &options);
-            if let Err(error) = check("making a client", made) {
-                drop(Box::from_raw(raw));
-                return Err(error);
-            }
-            Ok(RosClient { raw, node: node.clone(), _support: support.clone() })
+            let init = |raw| rcl_client_init(raw, node.raw(), support.raw(), name.as_ptr(), &options);
+            let zero = rcl_get_zero_initialized_client();
+            let end = End::make("making a client", node, zero, init, rcl_client_fini)?;
+            Ok(RosClient { end, _support: support.clone() })
         }
     }
 
     /// Whether a server would get a request.
-    ///
-    /// # Errors
-    /// [`RclError`].
     pub fn is_available(&self) -> Result<bool, RclError> {
         let mut is_available = false;
         // SAFETY: both are initialised.
-        let code = unsafe { rcl_service_server_is_available(self.node.raw(), self.raw, &mut is_available) };
+        let code = unsafe {
+            rcl_service_server_is_available(self.end.node().raw(), self.end.raw(), &mut is_available)
+        };
         check("looking for a server", code).map(|()| is_available)
     }
 
     /// Sends a request, a struct of the service's. Returns its number, which the response repeats.
-    ///
-    /// # Errors
-    /// [`RclError`].
     pub fn send(&self, request: &RosStruct) -> Result<i64, RclError> {
         let mut number = 0;
         // SAFETY: the client is initialised; the struct is one of requests.
-        check("asking", unsafe { rcl_send_request(self.raw, request.raw(), &mut number) }).map(|()| number)
+        check("asking", unsafe { rcl_send_request(self.end.raw(), request.raw(), &mut number) })
+            .map(|()| number)
     }
 
     /// Takes a response into `response`, a struct of the service's, and says which request it answers; `None` if there is
     /// none.
-    ///
-    /// # Errors
-    /// [`RclError`].
     pub fn take(&mut self, response: &mut RosStruct) -> Result<Option<i64>, RclError> {
-        const NOTHING: rcl_ret_t = RCL_RET_CLIENT_TAKE_FAILED as rcl_ret_t;
         let mut id = rmw_request_id_t { writer_guid: [0; 16], sequence_number: 0 };
         // SAFETY: the client is initialised; the struct is one of responses.
-        match unsafe { rcl_take_response(self.raw, &mut id, response.raw_mut()) } {
-            NOTHING => {
-                // SAFETY: as in `RosServer::take`.
-                unsafe { rcutils_reset_error() };
-                Ok(None)
-            }
-            code => check("taking a response", code).map(|()| Some(id.sequence_number)),
-        }
+        let code = unsafe { rcl_take_response(self.end.raw(), &mut id, response.raw_mut()) };
+        let is_taken = taken("taking a response", code, RCL_RET_CLIENT_TAKE_FAILED)?;
+        Ok(is_taken.then_some(id.sequence_number))
     }
 
     pub(crate) fn raw(&self) -> *const rcl_client_t {
-        self.raw
-    }
-}
-
-impl Drop for RosClient {
-    fn drop(&mut self) {
-        let _making = self.node.making();
-        // SAFETY: nobody else has it.
-        unsafe {
-            let _ = rcl_client_fini(self.raw, self.node.raw());
-            drop(Box::from_raw(self.raw));
-        }
+        self.end.raw()
     }
 }
 

@@ -4,7 +4,7 @@
 
 use super::error::{RclError, check};
 use super::serialized::SerializedMessage;
-use super::type_support::{self, TypeSupportError};
+use super::type_support::{Found, TypeSupportError, find, load_library, message_handle};
 use libloading::Library;
 use r2r_rcl::*;
 use std::ffi::c_void;
@@ -40,32 +40,21 @@ impl ServiceSupport {
     /// # Errors
     /// [`TypeSupportError`].
     pub fn load(name: &str) -> Result<Self, TypeSupportError> {
-        let of_kind = |kind| type_support::split(name, kind).map(|(package, base)| (package, kind, base));
-        let Some((package, kind, base)) = of_kind("srv").or_else(|| of_kind("action")) else {
-            return Err(TypeSupportError::ServiceName { name: name.to_owned() });
-        };
-        let (support, at) = type_support::load_library(package, "rosidl_typesupport_c")?;
-        let (structs, _) = type_support::load_library(package, "rosidl_generator_c")?;
-        let unknown = || TypeSupportError::Unknown {
-            package: package.to_owned(),
-            kind: "srv",
-            name: base.to_owned(),
-            at: at.clone(),
-        };
+        let Found { package, full, library: support, unknown } = find(name, "srv")?;
+        let (structs, _) = load_library(package, "rosidl_generator_c")?;
         type Get = unsafe extern "C" fn() -> *const rosidl_service_type_support_t;
-        let symbol =
-            format!("rosidl_typesupport_c__get_service_type_support_handle__{package}__{kind}__{base}");
+        let symbol = format!("rosidl_typesupport_c__get_service_type_support_handle__{full}");
         // SAFETY: rosidl generates functions of this name with this type; what they return is constant data of the library.
-        let raw = unsafe { support.get::<Get>(symbol.as_bytes()).map_err(|_| unknown())?() };
+        let raw = unsafe { support.get::<Get>(symbol.as_bytes()).map_err(|_| unknown.clone())?() };
         let part = |part: &str| {
-            let full = format!("{package}__{kind}__{base}_{part}");
+            let full = format!("{full}_{part}");
             // SAFETY: as above, of each of the three names.
-            unsafe { StructSupport::load(&full, &support, &structs) }.ok_or_else(unknown)
+            unsafe { StructSupport::load(&full, &support, &structs) }.ok_or_else(|| unknown.clone())
         };
         let (request, response) = (part("Request")?, part("Response")?);
         // SAFETY: as above; the function is the library's, and wants the handle itself.
         let hash = unsafe {
-            let raw = raw.as_ref().ok_or_else(unknown)?;
+            let raw = raw.as_ref().ok_or(unknown)?;
             let hash = raw.get_type_hash_func.and_then(|get| get(raw).as_ref());
             hash.and_then(|hash| super::graph::hash_text(hash.version, &hash.value))
         };
@@ -102,14 +91,12 @@ impl StructSupport {
     /// # Safety
     /// rosidl generated both libraries for the type `full`.
     unsafe fn load(full: &str, support: &Library, structs: &Library) -> Option<Self> {
-        type Get = unsafe extern "C" fn() -> *const rosidl_message_type_support_t;
-        let get = format!("rosidl_typesupport_c__get_message_type_support_handle__{full}");
         // SAFETY: as the caller says, functions of these names have these types.
         unsafe {
-            let raw = support.get::<Get>(get.as_bytes()).ok()?();
+            let raw = message_handle(support, full)?;
             let create = *structs.get(format!("{full}__create").as_bytes()).ok()?;
             let destroy = *structs.get(format!("{full}__destroy").as_bytes()).ok()?;
-            (!raw.is_null()).then_some(StructSupport { raw, create, destroy })
+            Some(StructSupport { raw, create, destroy })
         }
     }
 }

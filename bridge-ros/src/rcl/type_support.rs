@@ -91,31 +91,13 @@ impl MessageSupport {
     /// # Errors
     /// [`TypeSupportError`].
     pub fn load(name: &str) -> Result<Self, TypeSupportError> {
-        let refuse = || TypeSupportError::Name { name: name.to_owned() };
-        // Those of an action's topics are in its package's folder `action`.
-        let of_kind = |kind| split(name, kind).map(|(package, base)| (package, kind, base));
-        let (package, kind, base) = of_kind("msg").or_else(|| of_kind("action")).ok_or_else(refuse)?;
-        let (library, at) = load_library(package, "rosidl_typesupport_c")?;
-        let symbol =
-            format!("rosidl_typesupport_c__get_message_type_support_handle__{package}__{kind}__{base}");
-        let unknown = || TypeSupportError::Unknown {
-            package: package.to_owned(),
-            kind: "msg",
-            name: base.to_owned(),
-            at: at.clone(),
-        };
-        type Get = unsafe extern "C" fn() -> *const rosidl_message_type_support_t;
-        // SAFETY: rosidl generates functions of this name with this type; what they return is constant data of the library.
-        let raw = unsafe { library.get::<Get>(symbol.as_bytes()).map_err(|_| unknown())?() };
-        if raw.is_null() {
-            return Err(unknown());
-        }
-        // SAFETY: as above; the function is the library's, and wants the handle itself.
+        let Found { full, library, unknown, .. } = find(name, "msg")?;
+        // SAFETY: rosidl generated the library for this type.
+        let raw = unsafe { message_handle(&library, &full) }.ok_or(unknown)?;
+        // SAFETY: constant data of the library; the function is the library's, too, and wants the handle itself.
         let hash = unsafe {
-            (*raw)
-                .get_type_hash_func
-                .and_then(|get| get(raw).as_ref())
-                .and_then(|hash| super::graph::hash_text(hash.version, &hash.value))
+            let hash = (*raw).get_type_hash_func.and_then(|get| get(raw).as_ref());
+            hash.and_then(|hash| super::graph::hash_text(hash.version, &hash.value))
         };
         Ok(MessageSupport { raw, hash, _library: library })
     }
@@ -130,6 +112,48 @@ impl MessageSupport {
     }
 }
 
+/// A type whose package is installed.
+pub(super) struct Found<'n> {
+    pub(super) package: &'n str,
+    /// As it is called in C: `std_msgs__msg__String`.
+    pub(super) full: String,
+    pub(super) library: Arc<Library>,
+    /// The package has no such type.
+    pub(super) unknown: TypeSupportError,
+}
+
+/// Finds the type `name` of a `kind`, `msg` or `srv`.
+pub(super) fn find<'n>(name: &'n str, kind: &'static str) -> Result<Found<'n>, TypeSupportError> {
+    // Those of an action are in its package's folder `action`.
+    let in_folder = |folder| split(name, folder).map(|(package, base)| (package, folder, base));
+    let Some((package, folder, base)) = in_folder(kind).or_else(|| in_folder("action")) else {
+        let name = name.to_owned();
+        return Err(match kind {
+            "msg" => TypeSupportError::Name { name },
+            _ => TypeSupportError::ServiceName { name },
+        });
+    };
+    let (library, at) = load_library(package, "rosidl_typesupport_c")?;
+    let full = format!("{package}__{folder}__{base}");
+    let unknown = TypeSupportError::Unknown { package: package.to_owned(), kind, name: base.to_owned(), at };
+    Ok(Found { package, full, library, unknown })
+}
+
+/// What `library` has for the message `full`.
+///
+/// # Safety
+/// rosidl generated it for this type.
+pub(super) unsafe fn message_handle(
+    library: &Library,
+    full: &str,
+) -> Option<*const rosidl_message_type_support_t> {
+    type Get = unsafe extern "C" fn() -> *const rosidl_message_type_support_t;
+    let symbol = format!("rosidl_typesupport_c__get_message_type_support_handle__{full}");
+    // SAFETY: functions of this name have this type.
+    let raw = unsafe { library.get::<Get>(symbol.as_bytes()).ok()?() };
+    (!raw.is_null()).then_some(raw)
+}
+
 /// Whether `name` is like `std_msgs/msg/String`.
 pub fn is_message_type(name: &str) -> bool {
     split(name, "msg").is_some()
@@ -141,7 +165,7 @@ pub fn is_service_type(name: &str) -> bool {
 }
 
 /// Package and own name of `package/kind/Name`, if it is one.
-pub(crate) fn split<'a>(name: &'a str, kind: &str) -> Option<(&'a str, &'a str)> {
+fn split<'a>(name: &'a str, kind: &str) -> Option<(&'a str, &'a str)> {
     let (package, rest) = name.split_once('/')?;
     let base = rest.strip_prefix(kind)?.strip_prefix('/')?;
     let is_word =
@@ -150,7 +174,7 @@ pub(crate) fn split<'a>(name: &'a str, kind: &str) -> Option<(&'a str, &'a str)>
 }
 
 /// One of the package's libraries for C, and the prefix that the package is in.
-pub(crate) fn load_library(
+pub(super) fn load_library(
     package: &str,
     library: &'static str,
 ) -> Result<(Arc<Library>, PathBuf), TypeSupportError> {

@@ -27,37 +27,12 @@ pub enum Waitable<'a> {
 /// Waits; a thread has one of its own.
 pub struct WaitSet {
     raw: rcl_wait_set_t,
-    sizes: Sizes,
+    /// How many subscriptions, guard conditions, clients and services it has room for.
+    sizes: [usize; 4],
+    /// Where what is waited for is in it, each among its kind.
+    places: Vec<usize>,
     ready: Vec<bool>,
     _context: Arc<Context>,
-}
-
-/// How many of each kind.
-#[derive(Clone, Copy, Default, PartialEq, Eq)]
-struct Sizes {
-    subscriptions: usize,
-    guards: usize,
-    servers: usize,
-    clients: usize,
-}
-
-impl Sizes {
-    fn of(all: &[Waitable<'_>]) -> Self {
-        let mut sizes = Sizes::default();
-        for one in all {
-            *sizes.of_kind(one) += 1;
-        }
-        sizes
-    }
-
-    fn of_kind(&mut self, one: &Waitable<'_>) -> &mut usize {
-        match one {
-            Waitable::Subscription(_) => &mut self.subscriptions,
-            Waitable::Guard(_) | Waitable::Graph(_) => &mut self.guards,
-            Waitable::Server(_) => &mut self.servers,
-            Waitable::Client(_) => &mut self.clients,
-        }
-    }
 }
 
 // SAFETY: it is used by one thread at a time.
@@ -65,9 +40,6 @@ unsafe impl Send for WaitSet {}
 
 impl WaitSet {
     /// Makes one.
-    ///
-    /// # Errors
-    /// [`RclError`].
     pub fn new(context: &Arc<Context>) -> Result<Self, RclError> {
         // SAFETY: rcl's protocol: zero, initialise.
         unsafe {
@@ -75,58 +47,59 @@ impl WaitSet {
             let allocator = rcutils_get_default_allocator();
             let made = rcl_wait_set_init(&mut raw, 0, 0, 0, 0, 0, 0, context.raw(), allocator);
             check("making a wait set", made)?;
-            Ok(WaitSet { raw, sizes: Sizes::default(), ready: Vec::new(), _context: context.clone() })
+            let (sizes, places, ready) = Default::default();
+            Ok(WaitSet { raw, sizes, places, ready, _context: context.clone() })
         }
     }
 
     /// Waits until one of `all` is ready, at most for `timeout` if there is one. Says of each, in their order, whether it
     /// is ready.
-    ///
-    /// # Errors
-    /// [`RclError`].
     pub fn wait(&mut self, all: &[Waitable<'_>], timeout: Option<Duration>) -> Result<&[bool], RclError> {
-        let sizes = Sizes::of(all);
+        let count = |is: fn(&Waitable<'_>) -> bool| all.iter().filter(|one| is(one)).count();
+        let sizes = [
+            count(|one| matches!(one, Waitable::Subscription(_))),
+            count(|one| matches!(one, Waitable::Guard(_) | Waitable::Graph(_))),
+            count(|one| matches!(one, Waitable::Client(_))),
+            count(|one| matches!(one, Waitable::Server(_))),
+        ];
+        self.places.clear();
         self.ready.clear();
         // SAFETY: the set is initialised; what is added to it lives until the wait has returned, for `all` is borrowed
         // so long, and is not looked at afterwards.
         unsafe {
             if sizes != self.sizes {
-                let Sizes { subscriptions, guards, servers, clients } = sizes;
+                let [subscriptions, guards, clients, servers] = sizes;
                 let code = rcl_wait_set_resize(&mut self.raw, subscriptions, guards, 0, clients, servers, 0);
                 check("resizing a wait set", code)?;
                 self.sizes = sizes;
             }
             check("clearing a wait set", rcl_wait_set_clear(&mut self.raw))?;
             for one in all {
-                let nowhere = std::ptr::null_mut();
+                let (set, mut place) = (&mut self.raw, 0);
                 let code = match one {
-                    Waitable::Subscription(it) => {
-                        rcl_wait_set_add_subscription(&mut self.raw, it.raw(), nowhere)
-                    }
-                    Waitable::Guard(it) => rcl_wait_set_add_guard_condition(&mut self.raw, it.raw(), nowhere),
-                    Waitable::Graph(it) => rcl_wait_set_add_guard_condition(&mut self.raw, it.raw(), nowhere),
-                    Waitable::Server(it) => rcl_wait_set_add_service(&mut self.raw, it.raw(), nowhere),
-                    Waitable::Client(it) => rcl_wait_set_add_client(&mut self.raw, it.raw(), nowhere),
+                    Waitable::Subscription(it) => rcl_wait_set_add_subscription(set, it.raw(), &mut place),
+                    Waitable::Guard(it) => rcl_wait_set_add_guard_condition(set, it.raw(), &mut place),
+                    Waitable::Graph(it) => rcl_wait_set_add_guard_condition(set, it.raw(), &mut place),
+                    Waitable::Server(it) => rcl_wait_set_add_service(set, it.raw(), &mut place),
+                    Waitable::Client(it) => rcl_wait_set_add_client(set, it.raw(), &mut place),
                 };
                 check("filling a wait set", code)?;
+                self.places.push(place);
             }
             let timeout = timeout.map_or(-1, |timeout| i64::try_from(timeout.as_nanos()).unwrap_or(-1));
             let code = rcl_wait(&mut self.raw, timeout);
             if code != RCL_RET_TIMEOUT as rcl_ret_t {
                 check("waiting", code)?;
             }
-            let mut seen = Sizes::default();
-            for one in all {
-                let count = seen.of_kind(one);
-                let index = *count;
-                *count += 1;
+            for (one, &place) in all.iter().zip(&self.places) {
+                // What is not ready is null now.
                 let is_ready = match one {
-                    Waitable::Subscription(_) => !(*self.raw.subscriptions.add(index)).is_null(),
+                    Waitable::Subscription(_) => !(*self.raw.subscriptions.add(place)).is_null(),
                     Waitable::Guard(_) | Waitable::Graph(_) => {
-                        !(*self.raw.guard_conditions.add(index)).is_null()
+                        !(*self.raw.guard_conditions.add(place)).is_null()
                     }
-                    Waitable::Server(_) => !(*self.raw.services.add(index)).is_null(),
-                    Waitable::Client(_) => !(*self.raw.clients.add(index)).is_null(),
+                    Waitable::Server(_) => !(*self.raw.services.add(place)).is_null(),
+                    Waitable::Client(_) => !(*self.raw.clients.add(place)).is_null(),
                 };
                 self.ready.push(is_ready && code == RCL_RET_OK as rcl_ret_t);
             }
