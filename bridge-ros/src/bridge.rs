@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bridge itself: joins both domains, and starts the threads that carry.
 
-use crate::incoming::{Incoming, IncomingError};
+use crate::incoming::Incoming;
 use crate::outgoing::{Outgoing, Ros};
 use crate::rcl::{
     Context, GraphGuard, GuardCondition, Node, RclError, RosSubscription, SerializedMessage, WaitSet,
@@ -93,15 +93,6 @@ impl From<RelayError> for BridgeError {
         match error {
             RelayError::Transport(error) => error.into(),
             RelayError::Rt(error) => error.into(),
-        }
-    }
-}
-
-impl From<IncomingError> for BridgeError {
-    fn from(error: IncomingError) -> Self {
-        match error {
-            IncomingError::Rt(error) => error.into(),
-            IncomingError::Rcl(error) => error.into(),
         }
     }
 }

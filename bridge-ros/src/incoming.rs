@@ -4,17 +4,17 @@
 //! So there is one queue, the RMW's, and its depth is the QoS's: between it and the loan is no channel that could
 //! overflow. A message is taken into a buffer of rmw's, checked there, and copied once, into a loan.
 
+use crate::bridge::BridgeError;
 use crate::outgoing::ENCAPSULATION;
 use crate::rcl::{
     Context, GuardCondition, RclError, RosMessageInfo, RosSubscription, SerializedMessage, WaitSet, Waitable,
 };
 use crate::ros_graph::NAME_TIME;
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
-use tautline_relay::{Delivery, EarlyLimits, InKey, Ingress, IngressUpdate, Source};
-use tautline_rt::{JoinHandle, RtError, ThreadBuilder, ThreadInfo};
+use tautline_relay::{Delivery, EarlyLimits, InKey, Ingress, IngressUpdate, Job, Source, Worker, commanded};
+use tautline_rt::{ThreadBuilder, ThreadInfo};
 use tautline_transport::Gid;
 
 /// Messages taken of one topic before the next topic has its turn.
@@ -38,85 +38,44 @@ const RENEWAL_TIME: Duration = Duration::from_secs(3);
 /// Publishers of a topic whose last time is remembered, of an RMW that gives no numbers.
 const MOST_PUBLISHERS: usize = 4096;
 
-enum Command {
-    Start(InKey, Box<(RosSubscription, Ingress)>),
-    Update(InKey, IngressUpdate),
-    Stop(InKey),
-}
-
 /// The thread that takes from ROS; dropping it ends it.
 pub(crate) struct Incoming {
-    commands: Option<mpsc::Sender<Command>>,
-    guard: Arc<GuardCondition>,
-    stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
-}
-
-/// Why the thread did not start.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum IncomingError {
-    #[error(transparent)]
-    Rt(#[from] RtError),
-    #[error(transparent)]
-    Rcl(#[from] RclError),
+    worker: Worker<Job<Loop>>,
 }
 
 impl Incoming {
-    pub(crate) fn start(context: &Arc<Context>, thread: ThreadBuilder) -> Result<Self, IncomingError> {
+    pub(crate) fn start(context: &Arc<Context>, thread: ThreadBuilder) -> Result<Self, BridgeError> {
         let guard = GuardCondition::new(context)?;
-        let stop = Arc::new(AtomicBool::new(false));
-        let (commands, received) = mpsc::channel();
         let (wait_set, buffer) = (WaitSet::new(context)?, SerializedMessage::new()?);
-        let thread = {
-            let (stop, guard) = (stop.clone(), guard.clone());
-            let routes = Vec::new();
-            thread.spawn(move || {
-                move || Loop { commands: received, stop, guard, wait_set, buffer, routes }.run()
-            })?
-        };
-        Ok(Incoming { commands: Some(commands), guard, stop, thread: Some(thread) })
+        let incoming = Loop { guard: guard.clone(), wait_set, buffer, routes: Vec::new() };
+        let worker = Worker::start(thread, move || guard.trigger(), move |jobs| incoming.run(&jobs))?;
+        Ok(Incoming { worker })
     }
 
     /// The thread, as it was read back.
     pub(crate) fn info(&self) -> Option<&ThreadInfo> {
-        self.thread.as_ref().map(JoinHandle::info)
+        self.worker.info()
     }
 
     /// Takes from now on; in place of what the key had.
     pub(crate) fn open(&self, key: InKey, subscription: RosSubscription, ingress: Ingress) {
-        self.tell(Command::Start(key, Box::new((subscription, ingress))));
+        self.worker.tell(Box::new(move |incoming| incoming.open(key, subscription, ingress)));
     }
 
     pub(crate) fn change(&self, key: InKey, change: IngressUpdate) {
-        self.tell(Command::Update(key, change));
+        self.worker.tell(Box::new(move |incoming| {
+            if let Some((_, route)) = incoming.routes.iter_mut().find(|(other, _)| *other == key) {
+                route.ingress.change(change);
+            }
+        }));
     }
 
     pub(crate) fn close(&self, key: InKey) {
-        self.tell(Command::Stop(key));
-    }
-
-    fn tell(&self, command: Command) {
-        if let Some(commands) = &self.commands {
-            let _ = commands.send(command);
-            self.guard.trigger();
-        }
-    }
-}
-
-impl Drop for Incoming {
-    fn drop(&mut self) {
-        self.commands = None;
-        self.stop.store(true, Ordering::Release);
-        self.guard.trigger();
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+        self.worker.tell(Box::new(move |incoming| drop(incoming.end(&key))));
     }
 }
 
 struct Loop {
-    commands: mpsc::Receiver<Command>,
-    stop: Arc<AtomicBool>,
     guard: Arc<GuardCondition>,
     wait_set: WaitSet,
     buffer: SerializedMessage,
@@ -136,11 +95,8 @@ struct Route {
 }
 
 impl Loop {
-    fn run(mut self) {
-        while !self.stop.load(Ordering::Acquire) {
-            while let Ok(command) = self.commands.try_recv() {
-                self.obey(command);
-            }
+    fn run(mut self, jobs: &mpsc::Receiver<Job<Self>>) {
+        while commanded(jobs, |job| job(&mut self)) {
             let is_busy = self.routes.iter().any(|(_, route)| route.has_more);
             let is_waiting =
                 self.routes.iter().any(|(_, route)| route.ingress.is_waiting() || !route.previous.is_empty());
@@ -172,29 +128,13 @@ impl Loop {
         }
     }
 
-    fn obey(&mut self, command: Command) {
-        match command {
-            Command::Start(key, start) => {
-                let (subscription, ingress) = *start;
-                let mut route = Route {
-                    subscription,
-                    ingress,
-                    previous: Vec::new(),
-                    last: HashMap::new(),
-                    has_more: true,
-                };
-                if let Some(old) = self.end(&key) {
-                    route.take_over(old, key.is_kept());
-                }
-                self.routes.push((key, route));
-            }
-            Command::Update(key, change) => {
-                if let Some((_, route)) = self.routes.iter_mut().find(|(other, _)| *other == key) {
-                    route.ingress.change(change);
-                }
-            }
-            Command::Stop(key) => drop(self.end(&key)),
+    fn open(&mut self, key: InKey, subscription: RosSubscription, ingress: Ingress) {
+        let (previous, last) = Default::default();
+        let mut route = Route { subscription, ingress, previous, last, has_more: true };
+        if let Some(old) = self.end(&key) {
+            route.take_over(old, key.is_kept());
         }
+        self.routes.push((key, route));
     }
 
     /// What arrived before still goes through, or is left over.

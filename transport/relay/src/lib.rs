@@ -25,6 +25,7 @@ mod stats;
 mod tests;
 mod transit;
 mod waker;
+mod worker;
 mod writers;
 
 pub use budget::{Budget, Guard, ThreadLister};
@@ -47,4 +48,5 @@ pub use services::{
 };
 pub use stats::{Latency, Reading, TopicCounters, TopicStats, passing};
 pub use transit::Transit;
+pub use worker::{Job, Worker, commanded};
 pub use writers::{FarWriter, Writers};

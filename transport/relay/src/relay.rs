@@ -3,13 +3,14 @@
 
 use crate::route::{Egress, Route, Sources};
 use crate::waker::RelayWaker;
+use crate::worker::{Job, Worker, commanded};
 use futures::task::waker;
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::{Duration, Instant};
 use tautline_rt::clock::monotonic_ns;
-use tautline_rt::{JoinHandle, RtError, ThreadBuilder, ThreadInfo};
+use tautline_rt::{RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::{Gid, Participant, RawSubscription, SamplerSeat, TransportError};
 
 /// Publishers whose samples are not passed on, for somebody else does so.
@@ -17,18 +18,8 @@ pub type PassedOver = Arc<Mutex<HashSet<Gid>>>;
 
 /// The thread that takes samples and gives them to an [`Egress`]; dropping it ends it, and with it the egress.
 pub struct Relay<O: Egress> {
-    commands: Option<mpsc::Sender<Command<O>>>,
-    waker: Arc<RelayWaker>,
+    worker: Worker<Job<Loop<O>>>,
     passed_over: PassedOver,
-    thread: Option<JoinHandle<()>>,
-}
-
-/// What the thread is told.
-enum Command<O: Egress> {
-    Start(O::Key, Box<RawSubscription>, O::Topic, Vec<(Gid, O::Sender)>),
-    Open(O::Key, Gid, O::Sender),
-    Close(O::Key, Gid),
-    Stop(O::Key),
 }
 
 /// Why the thread did not start.
@@ -50,21 +41,16 @@ impl<O: Egress> Relay<O> {
     pub fn start(participant: &Participant, thread: ThreadBuilder, egress: O) -> Result<Self, RelayError> {
         let seat = participant.doorbell().claim_sampler().map_err(TransportError::from)?;
         let waker = RelayWaker::new(participant.claim_slot()?);
-        let (commands, received) = mpsc::channel();
         let sources = Sources { own: participant.id(), passed_over: PassedOver::default() };
         let passed_over = sources.passed_over.clone();
-        let thread = {
-            let (waker, routes) = (waker.clone(), HashMap::new());
-            thread.spawn(move || {
-                move || Loop { seat, commands: received, waker, sources, routes, egress }.run()
-            })?
-        };
-        Ok(Relay { commands: Some(commands), waker, passed_over, thread: Some(thread) })
+        let relay = Loop { seat, waker: waker.clone(), sources, routes: HashMap::new(), egress };
+        let worker = Worker::start(thread, move || waker.ring(), move |jobs| relay.run(&jobs))?;
+        Ok(Relay { worker, passed_over })
     }
 
     /// The thread, as it was read back.
     pub fn info(&self) -> Option<&ThreadInfo> {
-        self.thread.as_ref().map(JoinHandle::info)
+        self.worker.info()
     }
 
     /// Takes this topic's samples from now on; of one that is being taken, by this subscription. What publishers have kept comes at once, so
@@ -76,23 +62,36 @@ impl<O: Egress> Relay<O> {
         topic: O::Topic,
         senders: Vec<(Gid, O::Sender)>,
     ) {
-        self.tell(Command::Start(key, Box::new(subscription), topic, senders));
+        let subscription = Box::new(subscription);
+        self.worker.tell(Box::new(move |relay| relay.start(key, subscription, topic, senders)));
     }
 
     /// What the publisher `gid` sends goes through `sender`: one of this host, or one elsewhere that somebody else's port stands
     /// for.
     pub fn open(&self, key: O::Key, gid: Gid, sender: O::Sender) {
-        self.tell(Command::Open(key, gid, sender));
+        self.worker.tell(Box::new(move |Loop { routes, egress, .. }| {
+            if let Some(route) = routes.get_mut(&key) {
+                route.open(gid, sender, egress);
+            }
+        }));
     }
 
     /// The publisher `gid` has gone.
     pub fn close(&self, key: O::Key, gid: Gid) {
-        self.tell(Command::Close(key, gid));
+        self.worker.tell(Box::new(move |Loop { routes, sources, egress, .. }| {
+            if let Some(route) = routes.get_mut(&key) {
+                route.close(gid, sources, egress);
+            }
+        }));
     }
 
     /// Takes what there is of this topic, and nothing after that.
     pub fn stop_topic(&self, key: O::Key) {
-        self.tell(Command::Stop(key));
+        self.worker.tell(Box::new(move |Loop { routes, sources, egress, .. }| {
+            if let Some(route) = routes.remove(&key) {
+                route.end(sources, egress);
+            }
+        }));
     }
 
     /// Publishers whose samples are not passed on. What comes through a port of this participant is not either: it came from where
@@ -100,28 +99,10 @@ impl<O: Egress> Relay<O> {
     pub fn passed_over(&self) -> &PassedOver {
         &self.passed_over
     }
-
-    fn tell(&self, command: Command<O>) {
-        if let Some(commands) = &self.commands {
-            let _ = commands.send(command);
-            self.waker.ring();
-        }
-    }
-}
-
-impl<O: Egress> Drop for Relay<O> {
-    fn drop(&mut self) {
-        self.commands = None;
-        self.waker.ring();
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
-    }
 }
 
 struct Loop<O: Egress> {
     seat: SamplerSeat,
-    commands: mpsc::Receiver<Command<O>>,
     waker: Arc<RelayWaker>,
     sources: Sources,
     routes: HashMap<O::Key, Route<O>>,
@@ -129,17 +110,13 @@ struct Loop<O: Egress> {
 }
 
 impl<O: Egress> Loop<O> {
-    fn run(mut self) {
+    fn run(mut self, jobs: &mpsc::Receiver<Job<Self>>) {
         const LOOK: Duration = Duration::from_millis(500);
         let mut next_look = Instant::now() + LOOK;
         loop {
             self.waker.drain(&self.seat);
-            loop {
-                match self.commands.try_recv() {
-                    Ok(command) => self.obey(command),
-                    Err(mpsc::TryRecvError::Empty) => break,
-                    Err(mpsc::TryRecvError::Disconnected) => return,
-                }
+            if !commanded(jobs, |job| job(&mut self)) {
+                return;
             }
             let mut is_busy = false;
             for route in self.routes.values_mut() {
@@ -155,37 +132,22 @@ impl<O: Egress> Loop<O> {
         }
     }
 
-    fn obey(&mut self, command: Command<O>) {
+    fn start(
+        &mut self,
+        key: O::Key,
+        subscription: Box<RawSubscription>,
+        topic: O::Topic,
+        senders: Vec<(Gid, O::Sender)>,
+    ) {
         let (sources, egress) = (&self.sources, &mut self.egress);
-        match command {
-            Command::Start(key, subscription, topic, senders) => {
-                let route = match self.routes.entry(key) {
-                    Entry::Occupied(route) => {
-                        let route = route.into_mut();
-                        route.change(subscription, topic, sources, egress);
-                        route
-                    }
-                    Entry::Vacant(place) => {
-                        place.insert(Route::new(subscription, topic, waker(self.waker.clone())))
-                    }
-                };
-                senders.into_iter().for_each(|(gid, sender)| route.open(gid, sender, egress));
+        let route = match self.routes.entry(key) {
+            Entry::Occupied(route) => {
+                let route = route.into_mut();
+                route.change(subscription, topic, sources, egress);
+                route
             }
-            Command::Open(key, gid, sender) => {
-                if let Some(route) = self.routes.get_mut(&key) {
-                    route.open(gid, sender, egress);
-                }
-            }
-            Command::Close(key, gid) => {
-                if let Some(route) = self.routes.get_mut(&key) {
-                    route.close(gid, sources, egress);
-                }
-            }
-            Command::Stop(key) => {
-                if let Some(route) = self.routes.remove(&key) {
-                    route.end(sources, egress);
-                }
-            }
-        }
+            Entry::Vacant(place) => place.insert(Route::new(subscription, topic, waker(self.waker.clone()))),
+        };
+        senders.into_iter().for_each(|(gid, sender)| route.open(gid, sender, egress));
     }
 }

@@ -8,12 +8,12 @@ use super::stats::{ServiceStats, ServiceStatsTable};
 use crate::mirror::TopicKey;
 use crate::rules::Direction;
 use crate::waker::Flag;
+use crate::worker::{Worker, commanded};
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::task::Waker;
 use std::time::{Duration, Instant};
-use tautline_rt::{JoinHandle, RtError, ThreadBuilder, ThreadInfo};
+use tautline_rt::{RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::{Participant, ServiceType};
 
 /// How often it is looked whether a server there is reached.
@@ -80,11 +80,9 @@ pub struct Arrived {
 
 /// The thread; dropping it ends it.
 pub struct Services<F: FarServices> {
-    commands: Option<mpsc::Sender<Command<F>>>,
+    worker: Worker<Command<F>>,
     routes: Routes,
     state: Arc<ExchangeState>,
-    waker: Waker,
-    thread: Option<JoinHandle<()>>,
 }
 
 struct Command<F: FarServices> {
@@ -108,7 +106,6 @@ impl RoutesApplied {
 /// What the thread and its owner both have.
 #[derive(Default)]
 struct ExchangeState {
-    stop: AtomicBool,
     stats: ServiceStatsTable,
     /// Services that could not be opened, and why.
     problems: Mutex<BTreeMap<String, String>>,
@@ -126,11 +123,9 @@ impl<F: FarServices> Services<F> {
     /// # Errors
     /// [`RtError`]: a missing privilege.
     pub fn start(participant: &Participant, far: F, thread: ThreadBuilder) -> Result<Self, RtError> {
-        let (commands, received) = mpsc::channel();
         let (state, waker) = (Arc::<ExchangeState>::default(), far.waker());
         let (offered, sought, refused) = Default::default();
         let exchange = Exchange {
-            commands: received,
             offered,
             sought,
             participant: participant.clone(),
@@ -140,14 +135,14 @@ impl<F: FarServices> Services<F> {
             refused,
             looked: Instant::now(),
         };
-        let thread = thread.spawn(move || move || exchange.run())?;
-        let (commands, thread) = (Some(commands), Some(thread));
-        Ok(Services { commands, routes: Routes::default(), state, waker, thread })
+        let wake = move || waker.wake_by_ref();
+        let worker = Worker::start(thread, wake, move |commands| exchange.run(&commands))?;
+        Ok(Services { worker, routes: Routes::default(), state })
     }
 
     /// The thread, as it was read back.
     pub fn info(&self) -> Option<&ThreadInfo> {
-        self.thread.as_ref().map(JoinHandle::info)
+        self.worker.info()
     }
 
     /// Which services go which way from now on, and what ends there are made with.
@@ -157,11 +152,7 @@ impl<F: FarServices> Services<F> {
         }
         self.routes = routes.clone();
         let (_done, applied) = mpsc::channel();
-        if let Some(commands) = &self.commands {
-            // Ignored: the thread ends when this does.
-            let _ = commands.send(Command { routes, with, _done });
-            self.waker.wake_by_ref();
-        }
+        self.worker.tell(Command { routes, with, _done });
         RoutesApplied(Some(applied))
     }
 
@@ -191,19 +182,7 @@ impl<F: FarServices> Services<F> {
     }
 }
 
-impl<F: FarServices> Drop for Services<F> {
-    fn drop(&mut self) {
-        self.commands = None;
-        self.state.stop.store(true, Ordering::Release);
-        self.waker.wake_by_ref();
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
-    }
-}
-
 struct Exchange<F: FarServices> {
-    commands: mpsc::Receiver<Command<F>>,
     offered: BTreeMap<TopicKey, Offered<F::Server>>,
     sought: BTreeMap<TopicKey, Sought<F::Client>>,
     participant: Participant,
@@ -217,10 +196,14 @@ struct Exchange<F: FarServices> {
 }
 
 impl<F: FarServices> Exchange<F> {
-    fn run(mut self) {
+    fn run(mut self, commands: &mpsc::Receiver<Command<F>>) {
         self.far.begin();
-        while !self.state.stop.load(Ordering::Acquire) {
-            if let Some(command) = self.commands.try_iter().last() {
+        loop {
+            let mut last = None;
+            if !commanded(commands, |command| last = Some(command)) {
+                return;
+            }
+            if let Some(command) = last {
                 self.set_routes(&command.routes, &command.with);
             }
             let is_time = self.next_look().is_some_and(|next| next <= Instant::now());
