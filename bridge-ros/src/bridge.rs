@@ -18,6 +18,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::Duration;
 use tautline_relay::{
     Budget, Control, Event, Guard, Instance, InstanceError, InstanceLock, Parts, RelayError, Rules, Services,
+    watch_domain,
 };
 use tautline_rt::{JoinHandle, Realtime, RtError, ThreadInfo};
 use tautline_transport::{Participant, RemoteGraph, TransportError};
@@ -202,7 +203,7 @@ impl Bridge {
             let (events, state) = (bridge.events.clone(), bridge.state.clone());
             priorities
                 .thread("ros-here")
-                .spawn(move || move || watch_tautline(&participant, &events, &state))?
+                .spawn(move || move || watch_domain(&participant, &events, &state.stop))?
         };
         bridge.hold(here);
         let there = {
@@ -252,20 +253,6 @@ impl Drop for Bridge {
 /// Begins as all bridges' do: what is left of one in ROS after it was killed is known by it.
 fn node_name(domain: u32) -> String {
     format!("{BRIDGE_PREFIX}{domain}_{}", std::process::id())
-}
-
-/// Says when the topics of Tautline's domain changed.
-fn watch_tautline(participant: &Participant, events: &mpsc::SyncSender<Event<()>>, state: &BridgeState) {
-    const PATIENCE: Duration = Duration::from_millis(250);
-    let mut seen = participant.graph_epoch().wrapping_sub(1);
-    while !state.stop.load(Ordering::Acquire) {
-        let epoch = participant.wait_for_graph_change(seen, PATIENCE);
-        if epoch != seen {
-            seen = epoch;
-            // If it is full, there is a look to come.
-            let _ = events.try_send(Event::LocalChange);
-        }
-    }
 }
 
 /// What tells that something changed in ROS.

@@ -23,59 +23,25 @@ unsafe impl Sync for MessageSupport {}
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TypeSupportError {
-    /// Not `package/msg/Name`.
     #[error("'{name}' is no type of messages: write package/msg/Name, such as std_msgs/msg/String")]
-    Name {
-        /// What was given.
-        name: String,
-    },
-    /// Not `package/srv/Name`.
+    Name { name: String },
     #[error("'{name}' is no type of services: write package/srv/Name, such as std_srvs/srv/SetBool")]
-    ServiceName {
-        /// What was given.
-        name: String,
-    },
-    /// No such package.
+    ServiceName { name: String },
     #[error(
         "ROS 2 package '{package}' is not installed in any of AMENT_PREFIX_PATH ({}): install it (apt install \
          ros-$ROS_DISTRO-{}), or source the workspace that has it", prefixes(.searched), package.replace('_', "-")
     )]
-    Package {
-        /// The package.
-        package: String,
-        /// Where it was looked for.
-        searched: Vec<PathBuf>,
-    },
-    /// A package without the library for C.
+    Package { package: String, searched: Vec<PathBuf> },
     #[error(
         "package '{package}' is installed in {}, but its lib{package}__{library}.so cannot be loaded: {reason}; \
          install or build the package with rosidl_default_generators, and source it", at.display()
     )]
-    Library {
-        /// The package.
-        package: String,
-        /// Its prefix.
-        at: PathBuf,
-        /// Which of its libraries.
-        library: &'static str,
-        /// The loader's word for it.
-        reason: String,
-    },
-    /// The package has no such type.
+    Library { package: String, at: PathBuf, library: &'static str, reason: String },
     #[error(
         "package '{package}' in {} has no {kind} '{name}': correct the name, or rebuild the package if the type is new \
          (ros2 interface package {package} lists what it has)", at.display()
     )]
-    Unknown {
-        /// The package.
-        package: String,
-        /// `msg` or `srv`.
-        kind: &'static str,
-        /// The type's own name.
-        name: String,
-        /// The package's prefix.
-        at: PathBuf,
-    },
+    Unknown { package: String, kind: &'static str, name: String, at: PathBuf },
 }
 
 fn prefixes(searched: &[PathBuf]) -> String {
@@ -118,7 +84,6 @@ pub(super) struct Found<'n> {
     /// As it is called in C: `std_msgs__msg__String`.
     pub(super) full: String,
     pub(super) library: Arc<Library>,
-    /// The package has no such type.
     pub(super) unknown: TypeSupportError,
 }
 

@@ -218,6 +218,23 @@ pub enum Event<E> {
     Stop,
 }
 
+/// Tells the control thread when what exists in the domain changed, until `stop`.
+pub fn watch_domain<E>(participant: &Participant, events: &mpsc::SyncSender<Event<E>>, stop: &AtomicBool) {
+    const PATIENCE: Duration = Duration::from_millis(250);
+    let mut seen = participant.graph_epoch().wrapping_sub(1);
+    while !stop.load(Ordering::Acquire) {
+        let epoch = participant.wait_for_graph_change(seen, PATIENCE);
+        if epoch == seen {
+            continue;
+        }
+        match events.try_send(Event::LocalChange) {
+            Ok(()) => seen = epoch,
+            // The control thread has much to do, at this thread's priority: let it.
+            Err(_) => std::thread::sleep(Duration::from_millis(20)),
+        }
+    }
+}
+
 /// How often numbers are read, and what failed is tried again.
 const TICK: Duration = Duration::from_secs(1);
 /// Between two looks at what exists at least: what comes with one another is seen together, and a look costs as much as there is.
@@ -565,21 +582,19 @@ impl<F: FarSide> Control<F> {
                 continue;
             }
             // Made ahead, so that what is kept finds them.
-            let mut made = Vec::new();
-            self.writers.open_of(&key, &mut |_, gid, writer| {
-                made_sender(&mut self.far, &key, gid, writer, &mut made)
-            });
+            let made = self.writers.open(|of| *of == key, |key, writer| sender(&mut self.far, key, writer));
             let made = made.into_iter().map(|(_, gid, sender)| (gid, sender)).collect();
             if let Err(reason) = self.start_out(&key, &outward, made) {
                 self.writers.close(&key);
                 self.failed.note(Action::StartOut(key, outward), reason, None);
             }
         }
-        let (out, mut made) = (&self.out, Vec::new());
-        self.writers.open_taken(|key| out.contains_key(key), &mut |key, gid, writer| {
-            made_sender(&mut self.far, key, gid, writer, &mut made)
-        });
-        made.into_iter().for_each(|(key, gid, sender)| self.relay.open(key, gid, sender));
+        if self.writers.is_opening() {
+            let is_taken = |key: &TopicKey| self.out.contains_key(key);
+            let made = self.writers.open(is_taken, |key, writer| sender(&mut self.far, key, writer));
+            made.into_iter().for_each(|(key, gid, sender)| self.relay.open(key, gid, sender));
+            self.writers.look_later(is_taken);
+        }
     }
 
     fn start_out(
@@ -665,24 +680,16 @@ impl<F: FarSide> Control<F> {
     }
 }
 
-type Made<F> = (TopicKey, Gid, <<F as FarSide>::Egress as Egress>::Sender);
-
-/// Makes what passes on the samples of a writer's publisher. Whether it is possible.
-fn made_sender<F: FarSide>(
+/// What passes on the samples of a writer's publisher, if it can be made.
+fn sender<F: FarSide>(
     far: &mut F,
     key: &TopicKey,
-    gid: Gid,
     writer: &F::Writer,
-    made: &mut Vec<Made<F>>,
-) -> bool {
-    match far.sender(key, writer) {
-        Ok(sender) => made.push((key.clone(), gid, sender)),
-        Err(reason) => {
-            tracing::warn!("topic '{}' is not sent, which is tried again: {reason}", key.topic);
-            return false;
-        }
-    }
-    true
+) -> Option<<F::Egress as Egress>::Sender> {
+    let made = far.sender(key, writer).map_err(|reason| {
+        tracing::warn!("topic '{}' is not sent, which is tried again: {reason}", key.topic);
+    });
+    made.ok()
 }
 
 /// Of the publishers that are known.

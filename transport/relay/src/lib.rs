@@ -29,7 +29,9 @@ mod worker;
 mod writers;
 
 pub use budget::{Budget, Guard, ThreadLister};
-pub use control::{Control, Event, FarGraph, FarSide, FoundType, LocalGraph, Parts, Publisher, Report};
+pub use control::{
+    Control, Event, FarGraph, FarSide, FoundType, LocalGraph, Parts, Publisher, Report, watch_domain,
+};
 pub use ingress::{Body, Delivery, Ingress, IngressUpdate, Source};
 pub use instance::{Instance, InstanceError, InstanceLock};
 pub use limiter::Limiter;

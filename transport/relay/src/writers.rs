@@ -28,20 +28,6 @@ struct Held<W> {
 /// How long after a failure it is tried again.
 const LATER: Duration = Duration::from_secs(1);
 
-type Open<'o, W> = &'o mut dyn FnMut(&TopicKey, Gid, &W) -> bool;
-
-impl<W: FarWriter> Held<W> {
-    /// Once it has found somebody: what was sent before would be lost. One that finds nobody, while others of its topic do, does not keep
-    /// its samples waiting for ever.
-    fn open(&mut self, key: &TopicKey, gid: Gid, now: Instant, open: Open<'_, W>) {
-        let is_due = !self.is_open && self.later.is_none_or(|later| now >= later);
-        if is_due && (self.writer.is_matched() || now >= self.opened + MATCH_TIME) {
-            self.is_open = open(key, gid, &self.writer);
-            self.later = (!self.is_open).then_some(now + LATER);
-        }
-    }
-}
-
 /// What stands for a publisher here.
 pub trait FarWriter: Send {
     /// Whether it has somebody to send to: what is sent before is lost.
@@ -101,25 +87,30 @@ impl<W: FarWriter> Writers<W> {
         self.next.is_some_and(|next| Instant::now() >= next)
     }
 
-    /// Opens those of a topic that have found somebody. `open` says whether that was possible; if not, it is tried again later.
-    pub(crate) fn open_of(&mut self, key: &TopicKey, open: Open<'_, W>) {
-        let now = Instant::now();
-        let of_topic = self.held.iter_mut().filter(|((topic, _), _)| topic == key);
-        of_topic.for_each(|((_, gid), held)| held.open(key, *gid, now, open));
+    /// Opens those of topics that are meant which have found somebody: what was sent before would be lost. One that finds nobody, while
+    /// others of its topic do, does not keep its samples waiting for ever. `make` makes what their samples go through; if it cannot, that
+    /// is tried again later.
+    pub(crate) fn open<S>(
+        &mut self,
+        is_meant: impl Fn(&TopicKey) -> bool,
+        mut make: impl FnMut(&TopicKey, &W) -> Option<S>,
+    ) -> Vec<(TopicKey, Gid, S)> {
+        let (now, mut opened) = (Instant::now(), Vec::new());
+        let closed = self.held.iter_mut().filter(|((key, _), held)| !held.is_open && is_meant(key));
+        for ((key, gid), held) in closed.filter(|(_, held)| held.later.is_none_or(|later| now >= later)) {
+            if held.writer.is_matched() || now >= held.opened + MATCH_TIME {
+                let sender = make(key, &held.writer);
+                held.is_open = sender.is_some();
+                held.later = sender.is_none().then_some(now + LATER);
+                opened.extend(sender.map(|sender| (key.clone(), *gid, sender)));
+            }
+        }
+        opened
     }
 
-    /// The same of all topics that are taken.
-    pub(crate) fn open_taken(&mut self, is_taken: impl Fn(&TopicKey) -> bool, open: Open<'_, W>) {
-        if !self.is_opening() {
-            return;
-        }
-        let now = Instant::now();
-        let of_taken = self.held.iter_mut().filter(|((key, _), held)| !held.is_open && is_taken(key));
-        self.next = of_taken
-            .filter_map(|((key, gid), held)| {
-                held.open(key, *gid, now, open);
-                (!held.is_open).then(|| held.later.unwrap_or(now))
-            })
-            .min();
+    /// Notes when it is to be looked again at those that are not open, of topics that are taken.
+    pub(crate) fn look_later(&mut self, is_taken: impl Fn(&TopicKey) -> bool) {
+        let closed = self.held.iter().filter(|((key, _), held)| !held.is_open && is_taken(key));
+        self.next = closed.map(|(_, held)| held.later.unwrap_or_else(Instant::now)).min();
     }
 }

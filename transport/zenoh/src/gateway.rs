@@ -14,10 +14,9 @@ use crate::stats::Stats;
 use crate::wire::{Token, token_wildcard};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
-use std::time::Duration;
 use tautline_relay::{
     Budget, Control, Event, Filter, Guard, Instance, InstanceError, InstanceLock, Parts, RelayError, Rules,
-    Services,
+    Services, watch_domain,
 };
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 use tautline_schema::SchemaError;
@@ -177,26 +176,22 @@ impl Gateway {
 
         let (events, received) = mpsc::sync_channel(EVENTS);
         let network_domain = options.domain_there();
+        let refused =
+            |what| move |error: zenoh::Error| GatewayError::Zenoh { what, reason: error.to_string() };
         let tokens = session
             .liveliness()
             .declare_subscriber(token_wildcard(network_domain))
             .history(true)
             .callback(tokens_to(events.clone()))
             .wait()
-            .map_err(|error| GatewayError::Zenoh {
-                what: "listening to other hosts",
-                reason: error.to_string(),
-            })?;
+            .map_err(refused("listening to other hosts"))?;
         let zid = u128::from_le_bytes(session.zid().to_le_bytes());
         let ends = session
             .liveliness()
             .declare_subscriber(ended_wildcard(network_domain))
             .callback(ends_to(events.clone(), zid))
             .wait()
-            .map_err(|error| GatewayError::Zenoh {
-                what: "listening to what ends on other hosts",
-                reason: error.to_string(),
-            })?;
+            .map_err(refused("listening to what ends on other hosts"))?;
         let zid = format!("{zid:x}");
         let stats = Stats { domain: options.domain, network_domain, zid, ..Stats::default() };
         let state = Arc::new(GatewayState {
@@ -219,7 +214,7 @@ impl Gateway {
         gateway.watch = {
             let (participant, events) = (participant.clone(), gateway.events.clone());
             let state = gateway.state.clone();
-            Some(thread("gw-watch").spawn(move || move || watch_domain(&participant, &events, &state))?)
+            Some(thread("gw-watch").spawn(move || move || watch_domain(&participant, &events, &state.stop))?)
         };
         gateway.control = {
             let (session, state) = (gateway.session.clone(), gateway.state.clone());
@@ -306,21 +301,4 @@ impl Drop for Gateway {
 fn watched_threads() -> Result<Vec<u32>, RtError> {
     let own = tautline_rt::threads()?.into_iter().filter(|thread| THREADS.contains(&thread.name.as_str()));
     Ok(network_threads()?.into_iter().chain(own).map(|thread| thread.tid).collect())
-}
-
-/// Says when the topics of the domain changed.
-fn watch_domain(participant: &Participant, events: &Events, state: &GatewayState) {
-    const PATIENCE: Duration = Duration::from_millis(250);
-    let mut seen = participant.graph_epoch().wrapping_sub(1);
-    while !state.stop.load(Ordering::Acquire) {
-        let epoch = participant.wait_for_graph_change(seen, PATIENCE);
-        if epoch == seen {
-            continue;
-        }
-        match events.try_send(Event::LocalChange) {
-            Ok(()) => seen = epoch,
-            // The control thread has much to do, at this thread's priority: let it.
-            Err(_) => std::thread::sleep(Duration::from_millis(20)),
-        }
-    }
 }
