@@ -143,9 +143,12 @@ impl SamplerAccount {
     pub fn woke(&self, due_ns: Option<u64>) {
         let now = self.clock.mark();
         let Some(asleep) = self.asleep.get() else { return };
-        note_wait(&self.stats, &asleep, &now, self.least_ns);
-        // A ring came first: it has not slept.
-        let since = if now.sleeps == asleep.sleeps { asleep } else { now };
+        let has_slept = now.sleeps != asleep.sleeps;
+        if has_slept {
+            note_wait(&self.stats, &asleep, &now, self.least_ns);
+        }
+        // If a ring came first, it is awake since it was about to sleep.
+        let since = if has_slept { now } else { asleep };
         let mut used_ns = asleep.used_ns;
         if let Some(from_ns) = due_ns
             && let Some(length_ns) = asleep.woken_late_by(from_ns, &now)
@@ -204,6 +207,18 @@ mod tests {
         let seen = sampler.stats().snapshot().unwrap().moments;
         let seen: Vec<_> = seen.iter().map(|of| (of.kind, of.from_ns, of.to_ns, of.length_ns)).collect();
         assert_eq!(seen, [(MomentKind::Waited, 8_600, 9_000, 400), (MomentKind::Waited, 1_001, 2_000, 400)]);
+    }
+
+    #[test]
+    fn a_wait_is_noted_once_if_a_ring_came_before_the_sampler_slept() {
+        let executor = Executor::new(Realtime::Off).account_core_time(Some(Duration::ZERO));
+        let sampler = executor.sampler_statistics().unwrap().unwrap();
+        let account = sampler.account().unwrap();
+        account.sleeps();
+        account.woke(None);
+        account.sleeps();
+        let moments = sampler.stats().snapshot().unwrap().moments.into_iter();
+        assert_eq!(moments.filter(|of| of.kind == MomentKind::Waited).count(), 1);
     }
 
     #[test]
