@@ -40,8 +40,8 @@ pub enum Seen {
 pub struct Sight {
     /// What was noticed.
     pub taken: Taken,
-    /// By which thread: any number that no other thread has. `None`: by the sampler.
-    pub thread: Option<u64>,
+    /// By which thread: any number that no other thread has.
+    pub thread: u64,
     /// Of that thread; `None`: not known, or it has no real-time priority.
     pub priority: Option<u8>,
 }
@@ -267,11 +267,11 @@ mod tests {
     fn waits_of_several_threads_are_one() {
         use Seen::{Overran, Running, Waited, WokenLate};
         // Two threads waited at once, and a clock was late for 8 more than they; one that waited for nothing spans it and the next wait.
-        let sight = |thread, priority, taken| Sight { taken, thread: Some(thread), priority: Some(priority) };
+        let sight = |thread, priority, taken| Sight { taken, thread, priority: Some(priority) };
         let seen = [
             sight(1, 9, piece(Waited, 100, 160, 40)),
             sight(2, 8, piece(Waited, 110, 170, 50)),
-            Sight { taken: piece(WokenLate, 150, 230, 58), thread: None, priority: None },
+            Sight { taken: piece(WokenLate, 150, 230, 58), thread: 0, priority: None },
             sight(3, 8, piece(Waited, 90, 420, 0)),
             sight(1, 9, piece(Waited, 400, 410, 10)),
             sight(4, 9, piece(Running, 500, 510, 3)),

@@ -13,7 +13,7 @@ use tautline_analysis::taken::{Seen, Taken, TakenTimes};
 /// Of each topic, highest priority first: what may have kept its jobs from the core. `sampler_first`: the subscriber's sampler is above its
 /// callbacks, so it does not wait for them.
 pub fn losses(publisher: &Collected, subscriber: &Measured, sampler_first: bool) -> Vec<TakenTimes> {
-    // Of all waits, the jobs tell.
+    // Waits are looked at by themselves: topics' jobs tell of theirs.
     let taken = |moments: &[Moment]| {
         let taken = moments.iter().filter_map(Moment::taken);
         taken.filter(|piece| piece.seen != Seen::Waited).collect::<Vec<_>>()

@@ -72,8 +72,7 @@ impl<'c> Host<'c> {
                         }
                         _ => taken,
                     };
-                    let thread = u64::from(process.pid) << 32 | u64::from(callback.tid);
-                    let (thread, priority) = (Some(thread), callback.priority);
+                    let (thread, priority) = (thread_of(process, callback.tid), callback.priority);
                     let sight = |taken| Sight { taken: beyond(taken), thread, priority };
                     // What was demoted or slept took nothing from others, and waited by itself.
                     let counts = |of: &&Moment| {
@@ -101,8 +100,9 @@ impl<'c> Host<'c> {
                     Kind::Served => false,
                     _ => true,
                 };
-                let priority = process.sampler_priority;
-                let sight = |taken| Sight { taken: as_seen(taken), thread: None, priority };
+                // A number that no callback has.
+                let (thread, priority) = (thread_of(process, 0), process.sampler_priority);
+                let sight = |taken| Sight { taken: as_seen(taken), thread, priority };
                 note(core, &mut sampler.moments.iter().filter(counts).filter_map(Moment::taken).map(sight));
             }
         }
@@ -199,6 +199,11 @@ impl<'c> Host<'c> {
         };
         self.cores.iter().filter(|(_, times)| !times.host.pieces().is_empty()).map(line).collect()
     }
+}
+
+/// A number of its own for each thread of a host.
+fn thread_of(process: &Process, tid: u32) -> u64 {
+    u64::from(process.pid) << 32 | u64::from(tid)
 }
 
 /// How long a job of a callback may be without the core by analysis; of one that the file lacks, nobody knows.
