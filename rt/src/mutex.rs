@@ -69,6 +69,12 @@ impl<T> PiMutex<T> {
     }
 }
 
+impl<T: Default> Default for PiMutex<T> {
+    fn default() -> Self {
+        PiMutex::new(T::default())
+    }
+}
+
 impl<T> Drop for PiMutex<T> {
     fn drop(&mut self) {
         // SAFETY: initialised, and nobody holds it: guards borrow `self`.

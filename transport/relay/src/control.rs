@@ -16,7 +16,7 @@ use crate::writers::{FarWriter, MATCH_TIME, Writers};
 use failed::Failed;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, PoisonError, mpsc};
+use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 use tautline_schema::Schema;
 use tautline_transport::{
@@ -413,7 +413,7 @@ impl<F: FarSide> Control<F> {
             here.endpoints.iter().map(AsRef::as_ref).partition(|end| is_left(end));
         // Left to somebody else who tells of the same there.
         let mut passed_over: HashSet<Gid> = left.into_iter().map(|end| end.gid).collect();
-        let mut before = self.relay.passed_over().lock().unwrap_or_else(PoisonError::into_inner);
+        let mut before = self.relay.passed_over().lock();
         // What was there before is dropped after the lock: the thread that sends may wait for it.
         std::mem::swap(&mut *before, &mut passed_over);
         drop(before);

@@ -7,14 +7,14 @@ use crate::worker::{Job, Worker, commanded};
 use futures::task::waker;
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
-use std::sync::{Arc, Mutex, mpsc};
+use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 use tautline_rt::clock::monotonic_ns;
-use tautline_rt::{RtError, ThreadBuilder, ThreadInfo};
+use tautline_rt::{PiMutex, RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::{Gid, Participant, RawSubscription, SamplerSeat, TransportError};
 
 /// Publishers whose samples are not passed on, for somebody else does so.
-pub type PassedOver = Arc<Mutex<HashSet<Gid>>>;
+pub type PassedOver = Arc<PiMutex<HashSet<Gid>>>;
 
 /// The thread that takes samples and gives them to an [`Egress`]; dropping it ends it, and with it the egress.
 pub struct Relay<O: Egress> {

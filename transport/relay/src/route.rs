@@ -7,9 +7,10 @@ use crate::stats::TopicCounters;
 use crate::waker::Flag;
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::hash::Hash;
-use std::sync::{Arc, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::task::{Context, Poll, Waker};
 use std::time::{Duration, Instant};
+use tautline_rt::PiGuard;
 use tautline_transport::{Gid, MessageInfo, RawSample, RawSubscription};
 
 /// Where samples go. It is the relay's thread that calls it.
@@ -149,8 +150,8 @@ pub(crate) struct Route<O: Egress> {
 }
 
 impl Sources {
-    fn are_passed_over(&self) -> MutexGuard<'_, HashSet<Gid>> {
-        self.passed_over.lock().unwrap_or_else(PoisonError::into_inner)
+    fn are_passed_over(&self) -> PiGuard<'_, HashSet<Gid>> {
+        self.passed_over.lock()
     }
 }
 

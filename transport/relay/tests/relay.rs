@@ -78,7 +78,7 @@ fn what_came_early_goes_first_and_what_is_a_relays_does_not_go() {
     let relay = Relay::start(&relaying, ThreadBuilder::new("relay"), Log).unwrap();
     let (log, told) = mpsc::channel();
     let next = || told.recv_timeout(Duration::from_secs(30)).expect("waited in vain");
-    relay.passed_over().lock().unwrap().insert(other.gid());
+    relay.passed_over().lock().insert(other.gid());
     relay.open("/x", known.gid(), "a topic that is not taken yet");
     relay.start_topic("/x", subscription, log, Vec::new());
     relay.open("/x", known.gid(), "known");

@@ -10,10 +10,10 @@ use crate::rules::Direction;
 use crate::waker::Flag;
 use crate::worker::{Worker, commanded};
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::sync::{Arc, mpsc};
 use std::task::Waker;
 use std::time::{Duration, Instant};
-use tautline_rt::{RtError, ThreadBuilder, ThreadInfo};
+use tautline_rt::{PiGuard, PiMutex, RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::{Participant, ServiceType};
 
 /// How often it is looked whether a server there is reached.
@@ -108,12 +108,12 @@ impl RoutesApplied {
 struct ExchangeState {
     stats: ServiceStatsTable,
     /// Services that could not be opened, and why.
-    problems: Mutex<BTreeMap<String, String>>,
+    problems: PiMutex<BTreeMap<String, String>>,
 }
 
 impl ExchangeState {
-    fn problems(&self) -> MutexGuard<'_, BTreeMap<String, String>> {
-        self.problems.lock().unwrap_or_else(PoisonError::into_inner)
+    fn problems(&self) -> PiGuard<'_, BTreeMap<String, String>> {
+        self.problems.lock()
     }
 }
 

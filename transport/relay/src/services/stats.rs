@@ -5,7 +5,7 @@ use crate::mirror::TopicKey;
 use crate::rules::Direction;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use tautline_rt::PiMutex;
 
 /// Reasons that are told apart; of more, all are one.
@@ -38,7 +38,7 @@ impl<N, D> ServiceStats<N, D> {
 }
 
 /// Counters of one service. The thread that carries shares them with one of a lower priority, which reads.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct ServiceCounters(PiMutex<Counts>);
 
 #[derive(Clone, Debug, Default)]
@@ -46,12 +46,6 @@ struct Counts {
     active: bool,
     answered: u64,
     failed: BTreeMap<String, u64>,
-}
-
-impl Default for ServiceCounters {
-    fn default() -> Self {
-        ServiceCounters(PiMutex::new(Counts::default()))
-    }
 }
 
 impl ServiceCounters {
@@ -81,11 +75,11 @@ impl ServiceCounters {
 
 /// The counters of all services.
 #[derive(Debug, Default)]
-pub(super) struct ServiceStatsTable(Mutex<BTreeMap<(TopicKey, Direction), Arc<ServiceCounters>>>);
+pub(super) struct ServiceStatsTable(PiMutex<BTreeMap<(TopicKey, Direction), Arc<ServiceCounters>>>);
 
 impl ServiceStatsTable {
     pub(super) fn counters(&self, key: &TopicKey, direction: Direction) -> Arc<ServiceCounters> {
-        let mut all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut all = self.0.lock();
         if all.len() >= MOST_SERVICES {
             all.retain(|_, counters| counters.0.lock().active);
         }
@@ -93,7 +87,7 @@ impl ServiceStatsTable {
     }
 
     pub(super) fn read(&self) -> Vec<ServiceStats<TopicKey, Direction>> {
-        let all = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let all = self.0.lock();
         let stats = |((key, direction), counters): (&(TopicKey, Direction), &Arc<ServiceCounters>)| {
             let Counts { active, answered, failed } = counters.0.lock().clone();
             ServiceStats { name: key.clone(), direction: *direction, active, answered, failed }
