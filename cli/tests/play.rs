@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut play`: what is in a bag is published again, in its order, when it was and as it was.
 
+mod child;
+
 use rustix::pty;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -94,6 +96,7 @@ impl Place {
         command.args(["play", "bag"]).args(budget).args(args);
         command.env("TAUT_DOMAIN", self.domain.to_string()).env_remove("RUST_LOG").stdin(Stdio::null());
         command.current_dir(self.folder.path()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        child::ends_with_test(&mut command);
         command
     }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut record` and `taut bag`: what is published is in the bag, or counted as lost; what others read of it; what a kill leaves.
 
+mod child;
 #[path = "../../msgs/schema/tests/support/peer.rs"]
 mod peer;
 #[path = "../../msgs/schema/tests/support/mod.rs"]
@@ -69,6 +70,7 @@ impl Place {
         let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
         command.args(args).env("TAUT_DOMAIN", self.domain.to_string()).env_remove("RUST_LOG");
         command.current_dir(self.folder.path()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        child::ends_with_test(&mut command);
         command
     }
 
