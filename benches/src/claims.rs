@@ -12,15 +12,6 @@ use crate::table::{bytes_of, short};
 
 const FILE: &str = include_str!("../claims.toml");
 
-/// A bench whose rows are judged.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Bench {
-    Compare,
-    Network,
-    Services,
-    Wake,
-}
-
 /// What must hold, and what was found. `holds` is `None` where that cannot be judged; `found` says why.
 #[derive(Clone, Debug, Serialize)]
 pub struct Verdict {
@@ -57,16 +48,14 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// Judges all claims about a bench that has these experiments.
+/// Judges the claims about what was measured, or was to be: those that name an experiment and systems of these rows. `experiments` are
+/// all that there are.
 ///
 /// # Errors
 /// The file says what cannot be judged.
-pub fn verdicts(
-    bench: Bench,
-    experiments: &BTreeSet<String>,
-    rows: &[Row],
-) -> Result<Vec<Verdict>, BadClaims> {
-    Ok(read(FILE, bench, experiments)?.iter().map(|claim| claim.judge(rows)).collect())
+pub fn verdicts(experiments: &BTreeSet<String>, rows: &[Row]) -> Result<Vec<Verdict>, BadClaims> {
+    let claims = read(FILE, experiments)?;
+    Ok(claims.iter().filter(|claim| claim.is_about(rows)).map(|claim| claim.judge(rows)).collect())
 }
 
 /// What is wrong with the file: where, and what would be right.
@@ -81,14 +70,10 @@ impl fmt::Display for BadClaims {
 
 impl std::error::Error for BadClaims {}
 
-/// The claims of each bench.
-#[derive(Default, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
 struct File {
-    compare: Vec<Spanned<Entry>>,
-    network: Vec<Spanned<Entry>>,
-    services: Vec<Spanned<Entry>>,
-    wake: Vec<Spanned<Entry>>,
+    claim: Vec<Spanned<Entry>>,
 }
 
 /// A claim as it is written.
@@ -175,27 +160,16 @@ struct Claim {
     reason: Option<String>,
 }
 
-fn read(text: &str, bench: Bench, experiments: &BTreeSet<String>) -> Result<Vec<Claim>, BadClaims> {
+fn read(text: &str, experiments: &BTreeSet<String>) -> Result<Vec<Claim>, BadClaims> {
     let file: File = toml::from_str(text).map_err(|error| BadClaims(error.to_string()))?;
     let mut claims = Vec::new();
-    for (of, entries) in [
-        (Bench::Compare, &file.compare),
-        (Bench::Network, &file.network),
-        (Bench::Services, &file.services),
-        (Bench::Wake, &file.wake),
-    ] {
-        // Of the others the experiments are not known, but all else is.
-        let experiments = (of == bench).then_some(experiments);
-        for entry in entries {
-            let line = 1 + text[..entry.span().start].matches('\n').count();
-            let entry = entry.get_ref();
-            let bad = |(field, what): Bad| {
-                BadClaims(format!("line {line}, '{field}' of \"{}\": {what}", entry.words))
-            };
-            for text in entry.texts().map_err(bad)? {
-                let claim = entry.claim(&text, experiments).map_err(bad)?;
-                claims.extend(experiments.map(|_| claim));
-            }
+    for entry in &file.claim {
+        let line = 1 + text[..entry.span().start].matches('\n').count();
+        let entry = entry.get_ref();
+        let bad =
+            |(field, what): Bad| BadClaims(format!("line {line}, '{field}' of \"{}\": {what}", entry.words));
+        for text in entry.texts().map_err(bad)? {
+            claims.push(entry.claim(&text, experiments).map_err(bad)?);
         }
     }
     Ok(claims)
@@ -217,7 +191,7 @@ impl Entry {
         }
     }
 
-    fn claim(&self, text: &str, experiments: Option<&BTreeSet<String>>) -> Result<Claim, Bad> {
+    fn claim(&self, text: &str, experiments: &BTreeSet<String>) -> Result<Claim, Bad> {
         let rows = |side: &Side| -> Result<Rows, Bad> {
             let put = |words: &String| words.replace("{}", text);
             let names = side.experiment.as_ref().or(self.experiment.as_ref());
@@ -225,11 +199,9 @@ impl Entry {
             let names =
                 names.ok_or(("experiment", "missing: name it for the claim or for each side".to_owned()))?;
             let names: Vec<String> = names.of().iter().map(put).collect();
-            if let Some(all) = experiments
-                && let Some(name) = names.iter().find(|name| !all.contains(*name))
-            {
-                let all: Vec<_> = all.iter().map(String::as_str).collect();
-                return Err(("experiment", format!("the bench has no '{name}'; it has {}", all.join(", "))));
+            if let Some(name) = names.iter().find(|name| !experiments.contains(*name)) {
+                let all: Vec<_> = experiments.iter().map(String::as_str).collect();
+                return Err(("experiment", format!("there is no '{name}'; there are {}", all.join(", "))));
             }
             let size = side.bytes.as_ref().or(self.bytes.as_ref());
             let size = size.ok_or(("bytes", "missing: say it for the claim or for each side".to_owned()))?;
@@ -292,6 +264,17 @@ impl Rows {
 }
 
 impl Claim {
+    /// Whether rows say something about it, be it that they do not.
+    fn is_about(&self, rows: &[Row]) -> bool {
+        let is_ours = |row: &Row| {
+            row.system == self.ours.system
+                && row.payload_bytes == self.ours.bytes
+                && self.ours.experiments.contains(&row.experiment)
+        };
+        let has_theirs = |(theirs, _): &(Rows, By)| rows.iter().any(|row| row.system == theirs.system);
+        rows.iter().any(is_ours) && self.theirs.as_ref().is_none_or(has_theirs)
+    }
+
     fn judge(&self, rows: &[Row]) -> Verdict {
         let ours = self.ours.of(rows);
         let (mut found, holds) = match &self.theirs {

@@ -66,9 +66,9 @@ impl<'a> Gateways<'a> {
         Ok(Gateways { both })
     }
 
-    /// What the gateway of `host` (0 or 1) said last.
-    pub fn stats(&mut self, host: usize) -> serde_json::Value {
-        self.both[host].latest().unwrap_or_default()
+    /// How often the gateway of `host` (0 or 1) had used up its budget when it last said so.
+    pub fn throttled(&mut self, host: usize) -> u64 {
+        self.both[host].latest().unwrap_or_default()["throttled"].as_u64().unwrap_or(0)
     }
 }
 

@@ -7,10 +7,7 @@
 //! | `messages` | what writing, publishing and reading a message costs, beside a plain buffer and other encoders |
 //! | `parameters` | what reading a parameter costs a callback, and whether a thread that sets parameters disturbs it |
 //! | `paper` | do the response times of an ECRTS 2025 paper hold, with Tautline and with r2r, and only for the structure that it proposes |
-//! | `compare` | Tautline beside Fast DDS, iceoryx2 and others: latency, load, fan-out, throughput, start-up; in a package of its own |
-//! | `network` | what the gateways cost beside plain Zenoh; in a package of its own, for it builds Zenoh |
-//! | `services` | what a request and its answer cost, beside topics, iceoryx2's request-response and r2r |
-//! | `wake` | how long from `send` in one process to the receiver's code in another, beside a bare futex and iceoryx2 |
+//! | `compare` | Tautline beside other middleware: latency, load, fan-out, throughput, start-up; wake-ups, requests, gateways; in a package of its own |
 //! | `tools` | whether a publisher notices that `taut` looks at its topic |
 //! | `trace` | what a trace event costs, recorded and not |
 //!
@@ -25,7 +22,6 @@ mod distribution;
 mod gateways;
 mod machine;
 pub mod page;
-pub mod pair;
 mod process;
 mod program;
 pub mod rows;

@@ -6,7 +6,6 @@
 use serde::{Deserialize, Serialize};
 
 use crate::Distribution;
-use crate::pair::Measured;
 use crate::table::short;
 
 /// A line of the result. Times are `None` where nothing was measured; the note says why.
@@ -101,14 +100,6 @@ impl Tally {
         self.rounds.push(Round { round, n: times.len(), p50_us, p99_us, p999_us, ..Round::default() });
         let last = self.rounds.len() - 1;
         &mut self.rounds[last]
-    }
-
-    /// Adds what a pair of processes measured in a round.
-    pub fn add_measured(&mut self, round: u32, measured: &Measured) {
-        let mut times = Distribution::new();
-        times.add(&measured.counts);
-        self.add(round, &times);
-        self.lost += measured.lost;
     }
 
     /// The row of all rounds.

@@ -12,30 +12,6 @@ pub const ALKS: &str = "alks-r2r";
 
 #[derive(clap::Args, Default)]
 #[command(after_help = "Examples:
-  cargo xtask bench services --quick               some seconds
-  cargo xtask bench services --json services.json  some minutes
-  cargo xtask bench services -- --no-rt            without real-time priorities
-
-r2r's side is built with the ROS 2 that is sourced, else with one from PyPI under target/ros.")]
-pub struct Services {
-    #[command(flatten)]
-    pub bench: Options,
-    /// Leave r2r out
-    #[arg(long)]
-    pub no_r2r: bool,
-}
-
-impl Services {
-    pub fn command(&self) -> Command {
-        let mut command = self.bench.build.program("tautline-benches", "services");
-        r2r::join(&mut command, "services-r2r", self.no_r2r);
-        self.bench.pass_on(&mut command, &["--quick"]);
-        command
-    }
-}
-
-#[derive(clap::Args, Default)]
-#[command(after_help = "Examples:
   cargo xtask bench paper --quick                              some minutes: two runs of three seconds
   cargo xtask bench paper --json paper.json --html paper.html  two hours: ten runs of twenty seconds, as in the paper
   cargo xtask bench paper --results paper.runs --minutes 30    half an hour of it; the same once more goes on
@@ -179,9 +155,6 @@ mod tests {
             "--without-r2r=as --no-r2r says --runs 3 --seconds 0.5 --minutes 30 --results paper.runs --html paper.html \
              --json x.json --core 0"
         );
-        let services = Services { bench: bench("--no-rt"), no_r2r: true };
-        let expected = "--without-r2r=as --no-r2r says --quick --json x.json --no-rt";
-        assert_eq!(told(&services.command()), expected);
         let reference = Reference {
             bench: bench("--rounds 1"),
             no_r2r: true,

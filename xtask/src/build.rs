@@ -20,14 +20,8 @@ pub enum Build {
 pub const WHOLE: &str = "--workspace --features tautline-r2r/ros_all,tautline/type_description_interfaces";
 
 /// What `cargo xtask test` leaves to `cargo xtask ci`: Zenoh and iceoryx2 take minutes to build, and benches are for a quiet machine.
-pub const LATER: [&str; 6] = [
-    "tautline-bench-domain",
-    "tautline-bench-network",
-    "tautline-benches",
-    "tautline-compare",
-    "tautline-gateway",
-    "tautline-kills",
-];
+pub const LATER: [&str; 5] =
+    ["tautline-bench-domain", "tautline-benches", "tautline-compare", "tautline-gateway", "tautline-kills"];
 
 /// What is tested with the gateway, in nextest's words.
 pub const WITH_GATEWAY: &str = "package(tautline-gateway)|(package(taut)&binary(hops))";

@@ -4,13 +4,13 @@
 //! build.
 
 use crate::bench::Options;
-use crate::beside_r2r::{ALKS, Paper, REFERENCE, Services};
+use crate::beside_r2r::{ALKS, Paper, REFERENCE};
 use crate::build::{Build, LATER, WHOLE, WITH_GATEWAY, WITH_ROS};
 use crate::compare::Compare;
 use crate::machine::{self, Scope};
 use crate::reports::{
-    check_compare, check_domain, check_lane, check_messages, check_network, check_paper, check_reference,
-    check_reference_beside, check_wake,
+    check_compare, check_domain, check_lane, check_messages, check_paper, check_reference,
+    check_reference_beside,
 };
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::test::{self, nextest};
@@ -66,11 +66,8 @@ fn of_the_build(steps: &mut Steps) {
     stress_kills(steps, Build::Tests, KILLS, None, false);
     domain(steps);
     plain_benches(steps);
-    wake(steps);
     messages(steps);
-    services(steps);
-    network(steps);
-    compare(steps);
+    comparisons(steps);
     paper(steps);
 }
 
@@ -82,8 +79,7 @@ fn ros(steps: &mut Steps) {
 /// All that is no part of [`mod@test`]: other workspaces, and packages that take long to build.
 fn lints(steps: &mut Steps) {
     // Workspaces of their own, which need a ROS 2 for more than this; what they use of ours may have got dependencies.
-    let sources =
-        ["src/main.rs", "src/bin/alks-r2r.rs", "src/bin/reference-r2r.rs", "src/bin/services-r2r.rs"];
+    let sources = ["src/main.rs", "src/bin/alks-r2r.rs", "src/bin/reference-r2r.rs"];
     for (name, folder) in [("paper-r2r", "benches/paper-r2r"), ("compare-r2r", "benches/compare/r2r")] {
         let r2r = machine::root().join(folder);
         let mut format = Command::new("rustfmt");
@@ -94,7 +90,7 @@ fn lints(steps: &mut Steps) {
         steps.command(&format!("lock: {name}"), lock.arg(r2r.join("Cargo.toml")));
     }
     for (name, folder) in [
-        ("network-hiroz", "benches/network-hiroz"),
+        ("compare-hiroz", "benches/compare/hiroz"),
         ("compare-taktora", "benches/compare/taktora"),
         ("compare-zenoh", "benches/compare/zenoh"),
         ("r2r-programs", "node/r2r"),
@@ -273,49 +269,38 @@ fn permitted() -> Vec<String> {
     machine::no_rt().map(str::to_owned).into_iter().collect()
 }
 
-/// A quick run of the wake bench.
-fn wake(steps: &mut Steps) {
-    let command = |options| Options { arguments: permitted(), ..options }.command("wake");
-    bench(steps, "wake", command, check_wake);
-}
-
 /// A quick run of the messages bench: every encoder writes the same bytes.
 fn messages(steps: &mut Steps) {
     bench(steps, "messages", |options| options.command("messages"), check_messages);
 }
 
-/// A round of each measurement without hiroz, and of a debug build, for a release build of Zenoh takes minutes: the numbers mean
-/// nothing.
-fn network(steps: &mut Steps) {
-    let command = |options: Options| {
-        let mut command = Command::new(Build::Tests.folder().join("network"));
-        command.args(["--rounds", "1", "--without-hiroz=a debug build", "--taut"]);
-        command.arg(Build::Tests.folder().join("taut")).args(permitted());
-        options.pass_on(&mut command, &["--quick"]);
-        command
-    };
-    bench(steps, "network", command, check_network);
-}
-
-/// A minute of the comparison with what is built in seconds: its page is drawn, too.
-fn compare(steps: &mut Steps) {
-    const SYSTEMS: [&str; 4] = ["floor", "tautline", "iceoryx2", "fastdds"];
-    let command = |options| {
-        let arguments = [vec!["--smoke".to_owned()], permitted()].concat();
-        let compare = Compare {
-            bench: Options { quick: false, arguments, ..options },
-            systems: SYSTEMS.map(str::to_owned).into(),
-            html: Some(machine::target_dir().join("compare.html")),
+/// A round of each bench of the comparison with what is built in seconds: the numbers mean nothing, but all is measured, the page is drawn,
+/// and the tables are written.
+fn comparisons(steps: &mut Steps) {
+    const OURS: &[&str] = &["floor", "tautline", "iceoryx2"];
+    for (name, systems, experiments) in [
+        ("wake", OURS, &["latency"][..]),
+        ("services", &["tautline", "iceoryx2"], &["request"]),
+        ("network", &["tautline"], &["latency", "window", "callbacks"]),
+        (
+            "compare",
+            &["floor", "tautline", "iceoryx2", "fastdds"],
+            &["latency", "open-loop", "fan-out", "robot", "throughput", "start-up"],
+        ),
+    ] {
+        let target = machine::target_dir();
+        let command = |options| {
+            let arguments = [vec!["--smoke".to_owned()], permitted()].concat();
+            let compare = Compare {
+                bench: Options { quick: false, arguments, ..options },
+                systems: systems.iter().map(|&system| system.to_owned()).collect(),
+                html: Some(target.join(format!("{name}.html"))),
+                markdown: Some(target.join(format!("{name}.md"))),
+            };
+            compare.command(name)
         };
-        compare.command()
-    };
-    bench(steps, "compare", command, |json| check_compare(json, &SYSTEMS));
-}
-
-/// It runs, without r2r, which takes a minute to build; what it says belongs to the machine.
-fn services(steps: &mut Steps) {
-    let bench = Options { arguments: permitted(), ..Options::of_tests() };
-    steps.command("bench: services", &mut Services { bench, no_r2r: true }.command());
+        bench(steps, name, command, |json| check_compare(json, systems, experiments));
+    }
 }
 
 /// They run; what they say belongs to the machine.

@@ -1,22 +1,27 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The comparison with other middleware: builds the rivals, those that it can, and runs all.
+//! Tautline beside other middleware: builds the rivals, those that it can, and runs all.
 
 use crate::bench::{Options, pass};
 use crate::build::{Build, RELEASE, apart, build};
 use crate::steps::{self, execute};
-use crate::{machine, network, r2r};
+use crate::{machine, r2r};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{fs, io};
 
+// Without a text for users: it would stand in place of each bench's own.
 #[derive(clap::Args, Default)]
 #[command(after_help = "Examples:
   cargo xtask bench compare --quick                                   under five minutes, once it is built
   cargo xtask bench compare --json compare.json --html compare.html   under half an hour
   cargo xtask bench compare --systems tautline,iceoryx2,fastdds -- --only latency
+  cargo xtask bench wake --quick                                      under a minute
+  cargo xtask bench services --json services.json                     three minutes
+  cargo xtask bench network --quick                                   two minutes; nine without --quick
+  cargo xtask bench network --systems tautline -- --only callbacks
 
-A rival that cannot be built here is named in the report, with the reason.")]
+A rival that cannot be built here is named in the report, with the reason. Zenoh and hiroz take minutes to build.")]
 pub struct Compare {
     #[command(flatten)]
     pub bench: Options,
@@ -26,36 +31,40 @@ pub struct Compare {
     /// Write the report with its pictures to FILE
     #[arg(long, value_name = "FILE")]
     pub html: Option<PathBuf>,
+    /// Write the tables of the documents to FILE
+    #[arg(long, value_name = "FILE")]
+    pub markdown: Option<PathBuf>,
 }
 
-/// A system, a program that is not in this workspace or not always built with it, and what makes that.
-type Rival = (&'static str, &'static str, fn() -> Result<PathBuf, String>);
+/// The benches that need it, its system, a program that is not in this workspace or not always built with it, and what makes that.
+type Rival = (&'static [&'static str], &'static str, &'static str, fn(Build) -> Result<PathBuf, String>);
 
+const COMPARE: &[&str] = &["compare"];
+const NETWORK: &[&str] = &["compare", "network"];
 /// Those after the first six are what some ways of a system need beside its own program.
-const RIVALS: [Rival; 8] = [
-    ("taktora", "taktora", build_taktora),
-    ("fastdds", "fastdds", build_fastdds),
-    ("cyclonedds", "cyclonedds", build_cyclonedds),
-    ("r2r", "r2r", build_r2r),
-    ("zenoh", "zenoh", build_zenoh),
-    ("hiroz", "hiroz", network::build_hiroz),
-    ("tautline", "gateway", build_gateway),
-    ("cyclonedds", "roudi", write_roudi),
+const RIVALS: [Rival; 9] = [
+    (COMPARE, "taktora", "taktora", build_taktora),
+    (COMPARE, "fastdds", "fastdds", build_fastdds),
+    (COMPARE, "cyclonedds", "cyclonedds", build_cyclonedds),
+    (&["compare", "services"], "r2r", "r2r", build_r2r),
+    (NETWORK, "zenoh", "zenoh", build_zenoh),
+    (NETWORK, "hiroz", "hiroz", build_hiroz),
+    (NETWORK, "tautline", "gateway", build_gateway),
+    (&["network"], "tautline", "taut", build_taut),
+    (COMPARE, "cyclonedds", "roudi", write_roudi),
 ];
 
 impl Compare {
     /// Builds the rivals, and makes the command that measures.
-    pub fn command(&self) -> Command {
+    pub fn command(&self, bench: &str) -> Command {
         let mut command = self.bench.build.program("tautline-compare", "compare");
+        command.arg(format!("--bench={bench}"));
         let is_wanted =
             |name: &str| self.systems.is_empty() || self.systems.iter().any(|system| system == name);
-        for (_, name, build) in RIVALS.iter().filter(|(system, ..)| is_wanted(system)) {
-            let built = match *name {
-                "gateway" if self.bench.build == Build::Tests => {
-                    Ok(Build::Tests.folder().join("taut-gateway"))
-                }
-                _ => build(),
-            };
+        let rivals =
+            RIVALS.iter().filter(|(benches, system, ..)| benches.contains(&bench) && is_wanted(system));
+        for (_, _, name, build) in rivals {
+            let built = build(self.bench.build);
             match built {
                 Ok(program) => command.arg(format!("--program={name}={}", program.display())),
                 Err(reason) => command.arg(format!("--without={name}={reason}")),
@@ -65,19 +74,20 @@ impl Compare {
             command.arg(format!("--systems={}", self.systems.join(",")));
         }
         pass(&mut command, "--html", self.html.as_ref());
+        pass(&mut command, "--markdown", self.markdown.as_ref());
         self.bench.pass_on(&mut command, &["--quick"]);
         command
     }
 }
 
 /// With the Fast DDS of the ROS 2 that is sourced, else with that of the wheels; some seconds.
-fn build_fastdds() -> Result<PathBuf, String> {
+fn build_fastdds(build: Build) -> Result<PathBuf, String> {
     let prefix = r2r::prefix()?;
-    let mut gcc = cpp("fastdds")?;
+    let mut gcc = cpp("fastdds", build)?;
     gcc.command.arg("-isystem").arg(prefix.join("include")).arg("-L").arg(prefix.join("lib"));
     // RPATH, for RUNPATH does not reach what the libraries themselves need.
     let rpath = format!("-Wl,--disable-new-dtags,-rpath,{}/lib", prefix.display());
-    gcc.command.args(["-lfastrtps", "-lfastcdr", "-lpthread", &rpath]);
+    gcc.command.args(["-lfastrtps", "-lfastcdr", "-lpthread", "-ldl", "-lm", &rpath]);
     gcc.finish()
 }
 
@@ -96,10 +106,10 @@ const CYCLONEDDS: [&str; 10] = [
 ];
 
 /// With Debian's packages, unpacked under the target directory: nothing is installed.
-fn build_cyclonedds() -> Result<PathBuf, String> {
+fn build_cyclonedds(build: Build) -> Result<PathBuf, String> {
     let (root, lib) = cyclonedds_root()?;
     let include = root.join("usr/include");
-    let mut gcc = cpp("cyclonedds")?;
+    let mut gcc = cpp("cyclonedds", build)?;
     let by_machine = include.join(lib.file_name().unwrap_or_default());
     gcc.command.arg("-isystem").arg(&include).arg("-isystem").arg(by_machine);
     // All of them by name: the library's own RUNPATH hides ours from what it needs.
@@ -108,7 +118,7 @@ fn build_cyclonedds() -> Result<PathBuf, String> {
         gcc.command.arg(format!("-l:libiceoryx_{name}.so.2"));
     }
     let rpath = format!("-Wl,--disable-new-dtags,-rpath,{}", lib.display());
-    gcc.command.args(["-lpthread", &rpath]);
+    gcc.command.args(["-lpthread", "-ldl", "-lm", &rpath]);
     gcc.finish()
 }
 
@@ -135,7 +145,7 @@ const CHUNKS: [(usize, usize); 6] = [
 ];
 
 /// A script that runs the daemon with room for these payloads, by the packages' libraries.
-fn write_roudi() -> Result<PathBuf, String> {
+fn write_roudi(_: Build) -> Result<PathBuf, String> {
     let (root, lib) = cyclonedds_root()?;
     let folder = machine::target_dir().join("compare");
     let (program, config) = (folder.join("roudi"), folder.join("roudi.toml"));
@@ -156,9 +166,20 @@ fn write_roudi() -> Result<PathBuf, String> {
 }
 
 /// The gateway of this workspace: a minute from cold, for it has a Zenoh.
-fn build_gateway() -> Result<PathBuf, String> {
-    build(&mut steps::cargo("build --release -p tautline-gateway --bins"))?;
-    Ok(Build::Release.folder().join("taut-gateway"))
+fn build_gateway(build: Build) -> Result<PathBuf, String> {
+    Ok(folder_with(build, "tautline-gateway --bins")?.join("taut-gateway"))
+}
+
+fn build_taut(build: Build) -> Result<PathBuf, String> {
+    Ok(folder_with(build, "taut")?.join("taut"))
+}
+
+/// Where a package of this workspace is built; that of the tests has all of them.
+fn folder_with(of: Build, package: &str) -> Result<PathBuf, String> {
+    if of == Build::Release {
+        build(&mut steps::cargo(&format!("build --release -p {package}")))?;
+    }
+    Ok(of.folder())
 }
 
 /// Fetches packages and unpacks them to a folder.
@@ -181,37 +202,45 @@ fn unpack(root: &Path, packages: &[&str]) -> Result<(), String> {
 }
 
 /// A minute from cold; what it uses is built where `bench paper` has it.
-fn build_r2r() -> Result<PathBuf, String> {
+fn build_r2r(_: Build) -> Result<PathBuf, String> {
     r2r::build("benches/compare/r2r", "compare-r2r")
 }
 
 /// Half a minute from cold: its iceoryx2 is not ours.
-fn build_taktora() -> Result<PathBuf, String> {
+fn build_taktora(_: Build) -> Result<PathBuf, String> {
     apart(&mut steps::cargo(RELEASE), "benches/compare/taktora", "compare/taktora-build", "compare-taktora")
 }
 
 /// Minutes from cold: a Zenoh with shared memory, which the gateway's has not.
-fn build_zenoh() -> Result<PathBuf, String> {
+fn build_zenoh(_: Build) -> Result<PathBuf, String> {
     apart(&mut steps::cargo(RELEASE), "benches/compare/zenoh", "compare/zenoh-build", "compare-zenoh")
+}
+
+/// Minutes from cold: a Zenoh with all its transports.
+fn build_hiroz(_: Build) -> Result<PathBuf, String> {
+    apart(&mut steps::cargo(RELEASE), "benches/compare/hiroz", "compare/hiroz-build", "compare-hiroz")
 }
 
 /// A program of one C++ file in the making.
 struct Cpp {
     program: PathBuf,
     command: Command,
-    sources: [PathBuf; 2],
+    sources: [PathBuf; 3],
 }
 
-fn cpp(name: &str) -> Result<Cpp, String> {
+/// With the Rust library that measures.
+fn cpp(name: &str, of: Build) -> Result<Cpp, String> {
+    let library = folder_with(of, "tautline-compare-cpp")?.join("libcompare_cpp.a");
     let folder = machine::root().join("benches/compare/cpp");
     let source = folder.join(format!("{name}.cpp"));
     let target = machine::target_dir().join("compare");
     fs::create_dir_all(&target).map_err(|error| format!("{}: {error}", target.display()))?;
     let program = target.join(name);
     let mut command = Command::new("g++");
-    // As cargo's release profile: the loops over payloads become vectors in both.
+    // As cargo's release profile.
     command.args(["-std=c++17", "-O3", "-Wall", "-Wextra", "-Werror"]).arg(&source).arg("-o").arg(&program);
-    Ok(Cpp { program, command, sources: [source, folder.join("exchange.hpp")] })
+    command.arg(&library);
+    Ok(Cpp { program, command, sources: [source, folder.join("exchange.hpp"), library] })
 }
 
 impl Cpp {

@@ -18,8 +18,7 @@
 //! | `fuzz` | inputs made up by libFuzzer |
 //! | `lttng` | LTTng's packages, and the test that needs them |
 //! | `reports` | checks that the JSON of the demo and of the benches keeps its promises |
-//! | `compare` | the comparison with other middleware: builds the rivals, and runs all |
-//! | `network` | the bench of the gateways: builds Zenoh's and hiroz's sides, and runs all |
+//! | `compare` | Tautline beside other middleware: builds the rivals, and runs all |
 //! | `readme` | the README's tables and picture, and the domain's in its ADR, made from a run |
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |
 //! | `programs` | runs the programs of a test of the node on r2r |
@@ -43,7 +42,6 @@ mod examples;
 mod fuzz;
 mod lttng;
 mod machine;
-mod network;
 mod packages;
 mod peers;
 mod programs;
@@ -169,15 +167,15 @@ enum Bench {
     /// What a trace event costs, recorded and not; a second with --quick
     Trace(Options),
     /// The wake-up from one process to another, beside a bare futex and iceoryx2; under a minute with --quick
-    Wake(Options),
+    Wake(compare::Compare),
     /// Writing, publishing and reading messages, beside a plain buffer and other encoders; some seconds with --quick
     Messages(Options),
     /// Tautline beside Fast DDS, iceoryx2 and others: latency, load, fan-out, throughput, start-up
     Compare(compare::Compare),
     /// Topics over two gateways beside plain Zenoh and hiroz, and what a flood from the network costs local callbacks
-    Network(network::Network),
+    Network(compare::Compare),
     /// A request and its response, beside a topic each way, iceoryx2's request-response and, if there is a ROS 2, r2r's services
-    Services(beside_r2r::Services),
+    Services(compare::Compare),
     /// The bridge to ROS 2 at 20 topics of 1 kHz, each way, beside r2r's own subscriber; some minutes to build
     Bridge(bridge::Bridge),
     /// Round trips, CPU time and start-up on rmw_tautline and on Fast DDS's RMW
@@ -204,11 +202,11 @@ impl Bench {
                 options.command("tools")
             }
             Bench::Trace(options) => options.command("trace"),
-            Bench::Wake(options) => options.command("wake"),
+            Bench::Wake(compare) => compare.command("wake"),
             Bench::Messages(options) => options.command("messages"),
-            Bench::Compare(compare) => compare.command(),
-            Bench::Network(network) => network.command()?,
-            Bench::Services(services) => services.command(),
+            Bench::Compare(compare) => compare.command("compare"),
+            Bench::Network(compare) => compare.command("network"),
+            Bench::Services(compare) => compare.command("services"),
             Bench::Bridge(bridge) => bridge.command()?,
             Bench::Rmw(rmw) => rmw.command()?,
             Bench::Paper(paper) => paper.command(),

@@ -2,22 +2,17 @@
 //! The tables and pictures of the README and of the documents that it leads to, made from a run on this machine: no number in them
 //! is typed.
 
-mod compare;
 mod demo;
 mod domain;
 mod figures;
 mod messages;
-mod network;
 mod paper;
 mod parameters;
-mod services;
-mod wake;
 
 use crate::bench::Options;
-use crate::beside_r2r::{Paper, Services};
+use crate::beside_r2r::Paper;
 use crate::compare::Compare;
 use crate::machine::target_dir;
-use crate::network::Network;
 use crate::steps;
 use clap::ValueEnum;
 use serde_json::Value;
@@ -79,13 +74,14 @@ impl Part {
                 demo.arg(PICTURE).arg("--json").arg(json);
                 demo
             }
-            Part::Wake | Part::Messages | Part::Parameters => bench.command(self.mark()),
-            Part::Services => Services { bench, ..Services::default() }.command(),
+            Part::Messages | Part::Parameters => bench.command(self.mark()),
             Part::Domain => bench.domain(),
-            Part::Network => Network { bench, ..Network::default() }.command()?,
-            Part::Compare => {
-                let arguments = vec!["--svg".to_owned(), COMPARISON.to_owned()];
-                Compare { bench: Options { arguments, ..bench }, html, ..Compare::default() }.command()
+            Part::Wake | Part::Services | Part::Network | Part::Compare => {
+                let is_drawn = self == Part::Compare;
+                let picture = ["--svg", COMPARISON].map(str::to_owned).into_iter().filter(|_| is_drawn);
+                let bench = Options { arguments: picture.collect(), ..bench };
+                let markdown = Some(json.with_extension("md"));
+                Compare { bench, html, markdown, ..Compare::default() }.command(self.mark())
             }
             Part::Paper => {
                 // The whole evaluation takes two hours: what was begun is gone on with.
@@ -96,18 +92,21 @@ impl Part {
         })
     }
 
-    fn table(self, run: &Value) -> String {
-        match self {
-            Part::Demo => demo::table(run),
-            Part::Wake => wake::table(run),
-            Part::Messages => messages::table(run),
-            Part::Services => services::table(run),
-            Part::Parameters => parameters::table(run),
-            Part::Network => network::table(run),
-            Part::Paper => paper::table(run),
-            Part::Compare => compare::table(run),
-            Part::Domain => domain::tables(run),
-        }
+    /// The tables of a run that wrote `json`.
+    fn tables(self, json: &Path) -> Result<String, String> {
+        let table: fn(&Value) -> String = match self {
+            // They write their tables themselves.
+            Part::Wake | Part::Services | Part::Network | Part::Compare => {
+                return read(&json.with_extension("md"));
+            }
+            Part::Demo => demo::table,
+            Part::Messages => messages::table,
+            Part::Parameters => parameters::table,
+            Part::Paper => paper::table,
+            Part::Domain => domain::tables,
+        };
+        let run = serde_json::from_str(&read(json)?);
+        Ok(table(&run.map_err(|error| format!("{}: {error}", json.display()))?))
     }
 }
 
@@ -139,17 +138,14 @@ pub fn run(quick: bool, minutes: Option<u64>, parts: &[Part]) -> ExitCode {
     }
 }
 
-/// Puts the tables of a run, as JSON, between their marks in `document`.
+/// Puts the tables of a run between their marks in `document`.
 fn update(document: &Path, part: Part, json: &Path) -> Result<(), String> {
-    let run = read_json(json)?;
-    let text = fs::read_to_string(document).map_err(|error| format!("{}: {error}", document.display()))?;
-    let text = replace(&text, part.mark(), &part.table(&run))?;
+    let text = replace(&read(document)?, part.mark(), &part.tables(json)?)?;
     fs::write(document, text).map_err(|error| format!("{}: {error}", document.display()))
 }
 
-fn read_json(path: &Path) -> Result<Value, String> {
-    let text = fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
-    serde_json::from_str(&text).map_err(|error| format!("{}: {error}", path.display()))
+fn read(path: &Path) -> Result<String, String> {
+    fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))
 }
 
 /// Replaces what stands between `<!-- mark:begin -->` and `<!-- mark:end -->`.

@@ -9,8 +9,6 @@
 #include <dds/ddsc/dds_loan_api.h>
 #include <dds/version.h>
 
-#include <functional>
-
 using exchange::Job;
 using exchange::Stamp;
 
@@ -21,12 +19,12 @@ dds_entity_t made(dds_entity_t entity, const char* what) {
     return entity;
 }
 
-bool is_shared(const Job& job) { return job.mode == "shared-memory"; }
+bool is_shared(const Job& job) { return job.has_mode("shared-memory"); }
 
 class Participant {
   public:
     explicit Participant(const Job& job) : job_(job) {
-        const char* config = job.mode == "tuned"
+        const char* config = job.has_mode("tuned")
             ? "<General><Interfaces><NetworkInterface name=\"lo\" multicast=\"true\"/></Interfaces>"
               "<MaxMessageSize>65500B</MaxMessageSize></General>"
               "<Internal><SocketReceiveBufferSize min=\"default\" max=\"16MB\"/></Internal>"
@@ -53,11 +51,11 @@ class Participant {
         std::unique_ptr<dds_qos_t, void (*)(dds_qos_t*)> qos(dds_create_qos(), dds_delete_qos);
         dds_qset_reliability(qos.get(), DDS_RELIABILITY_RELIABLE, DDS_SECS(1));
         // Through iceoryx it has no more than keep last.
-        if (job_.is_stream() && !is_shared(job_)) {
+        if (job_.is_stream && !is_shared(job_)) {
             dds_qset_history(qos.get(), DDS_HISTORY_KEEP_ALL, 0);
-            dds_qset_resource_limits(qos.get(), job_.depth(), 1, job_.depth());
+            dds_qset_resource_limits(qos.get(), job_.depth, 1, job_.depth);
         } else {
-            dds_qset_history(qos.get(), DDS_HISTORY_KEEP_LAST, job_.depth());
+            dds_qset_history(qos.get(), DDS_HISTORY_KEEP_LAST, job_.depth);
         }
         return qos;
     }
@@ -85,7 +83,7 @@ class Outlet {
     bool send(Stamp stamp) {
         void* sample = sample_.data();
         if (is_shared(job_)) made(dds_loan_sample(writer_, &sample), "loan");
-        stamp.write(sample, job_.payload_bytes, job_.whole);
+        exchange::exchange_write(stamp, sample, job_.payload_bytes, job_.whole);
         return dds_write(writer_, sample) == DDS_RETCODE_OK;
     }
 
@@ -114,9 +112,10 @@ class Input {
             int32_t count = dds_take(reader, sample, info, 1, 1);
             if (count <= 0) return;
             bool is_valid = info[0].valid_data;
-            Stamp stamp;
-            if (is_valid) stamp = Stamp::read(sample[0], job_.payload_bytes, job_.whole);
+            Stamp stamp{};
+            bool is_whole = is_valid && exchange::exchange_read(sample[0], job_.payload_bytes, job_.whole, &stamp);
             dds_return_loan(reader, sample, count);
+            if (is_valid && !is_whole) exchange::damaged(stamp.number);
             if (is_valid) then_(stamp);
         }
     }
@@ -127,6 +126,6 @@ class Input {
 
 }  // namespace
 
-int main(int argc, char** argv) {
-    return exchange::play<Participant, Outlet, Input>(argc, argv, "cyclonedds", "Cyclone DDS " DDS_VERSION);
+int main() {
+    return exchange::play<Participant, Outlet, Input>("cyclonedds", "Cyclone DDS " DDS_VERSION);
 }

@@ -18,8 +18,6 @@
 #include <fastdds/dds/topic/TypeSupport.hpp>
 #include <fastdds/rtps/transport/shared_mem/SharedMemTransportDescriptor.h>
 
-#include <functional>
-
 namespace fdds = eprosima::fastdds::dds;
 namespace rtps = eprosima::fastrtps::rtps;
 using eprosima::fastdds::rtps::SharedMemTransportDescriptor;
@@ -73,10 +71,10 @@ T* there(T* made, const char* what) {
 
 class Participant {
   public:
-    explicit Participant(const Job& job) : job_(job), loans_(job.mode == "data-sharing") {
+    explicit Participant(const Job& job) : job_(job), loans_(job.has_mode("data-sharing")) {
         auto* factory = fdds::DomainParticipantFactory::get_instance();
         fdds::DomainParticipantQos qos;
-        if (job.mode != "default") {
+        if (!job.has_mode("default")) {
             qos.transport().use_builtin_transports = false;
             auto memory = std::make_shared<SharedMemTransportDescriptor>();
             // The manual: a segment that has room for several messages, and messages that need no fragments.
@@ -120,8 +118,8 @@ class Participant {
 
   private:
     void set_history(fdds::HistoryQosPolicy& history, fdds::ResourceLimitsQosPolicy& limits) {
-        int32_t depth = job_.depth();
-        history.kind = job_.is_stream() ? fdds::KEEP_ALL_HISTORY_QOS : fdds::KEEP_LAST_HISTORY_QOS;
+        int32_t depth = job_.depth;
+        history.kind = job_.is_stream ? fdds::KEEP_ALL_HISTORY_QOS : fdds::KEEP_LAST_HISTORY_QOS;
         history.depth = depth;
         limits.max_samples = depth;
         limits.max_instances = 1;
@@ -151,16 +149,16 @@ class Outlet {
         : job_(job), writer_(participant.writer(topic)), sample_(job.payload_bytes) {}
     bool send(Stamp stamp) {
         void* sample = sample_.data();
-        if (job_.mode == "data-sharing") {
+        if (job_.has_mode("data-sharing")) {
             // Refused while every sample of the history is out.
             while (writer_->loan_sample(sample) != eprosima::fastrtps::types::ReturnCode_t::RETCODE_OK) {
-                if (exchange::stop_flag() && job_.is_round_trips()) return false;
+                if (exchange::exchange_stopped() && job_.is_round_trips) return false;
                 sched_yield();
             }
         }
-        stamp.write(sample, job_.payload_bytes, job_.whole);
+        exchange::exchange_write(stamp, sample, job_.payload_bytes, job_.whole);
         if (writer_->write(sample)) return true;
-        if (job_.mode == "data-sharing") writer_->discard_loan(sample);
+        if (job_.has_mode("data-sharing")) writer_->discard_loan(sample);
         return false;
     }
 
@@ -177,14 +175,14 @@ class Input : public fdds::DataReaderListener {
         : job_(job), then_(std::move(then)), sample_(job.payload_bytes), reader_(participant.reader(topic, this)) {}
     void close() { reader_->set_listener(nullptr); }
     void on_data_available(fdds::DataReader* reader) override {
-        if (job_.mode == "data-sharing") {
+        if (job_.has_mode("data-sharing")) {
             fdds::LoanableSequence<uint8_t> samples;
             fdds::SampleInfoSeq infos;
             // One at a time: what is taken counts as read, and its memory may be written again.
             while (reader->take(samples, infos, 1) == eprosima::fastrtps::types::ReturnCode_t::RETCODE_OK) {
-                Stamp stamp;
+                Stamp stamp{};
                 bool is_valid = infos[0].valid_data;
-                bool is_whole = is_valid && stamp.take(&samples[0], job_.payload_bytes, job_.whole);
+                bool is_whole = is_valid && exchange::exchange_read(&samples[0], job_.payload_bytes, job_.whole, &stamp);
                 // What was written over meanwhile is a loss: its number never arrives.
                 is_valid = is_valid && reader->is_sample_valid(&samples[0], &infos[0]);
                 reader->return_loan(samples, infos);
@@ -195,7 +193,11 @@ class Input : public fdds::DataReaderListener {
             fdds::SampleInfo info;
             while (reader->take_next_sample(sample_.data(), &info) ==
                    eprosima::fastrtps::types::ReturnCode_t::RETCODE_OK) {
-                if (info.valid_data) then_(Stamp::read(sample_.data(), job_.payload_bytes, job_.whole));
+                Stamp stamp{};
+                if (!info.valid_data) continue;
+                if (!exchange::exchange_read(sample_.data(), job_.payload_bytes, job_.whole, &stamp))
+                    exchange::damaged(stamp.number);
+                then_(stamp);
             }
         }
     }
@@ -210,6 +212,6 @@ class Input : public fdds::DataReaderListener {
 
 }  // namespace
 
-int main(int argc, char** argv) {
-    return exchange::play<Participant, Outlet, Input>(argc, argv, "fastdds", "Fast DDS " FASTRTPS_VERSION_STR);
+int main() {
+    return exchange::play<Participant, Outlet, Input>("fastdds", "Fast DDS " FASTRTPS_VERSION_STR);
 }

@@ -17,6 +17,7 @@ use crate::plan::{Case, Task};
 impl Setup<'_> {
     /// Measures messages that are sent one way.
     pub fn flow(&self, case: &Case, topic: &str) -> Result<Found> {
+        let is_stream = matches!(case.task, Task::Stream { .. });
         let (processes, is_loaded) = match case.task {
             Task::Paced { processes, is_loaded, .. } => (processes, is_loaded),
             _ => (1, false),
@@ -29,14 +30,14 @@ impl Setup<'_> {
         let load = if is_loaded { Some(Load::start(self.plan.cores)?) } else { None };
         near.tell("go")?;
         let mut before = None;
-        if case.task != Task::Stream {
+        if !is_stream {
             let is_warm = |line| matches!(line, Line::Warm).then_some(());
             // Without one nothing arrives, which is said below.
             let warm = fars.0[0].wait_for(case.budget + DRAIN, is_warm)?;
             before = warm.and_then(|()| waits(&fars.0[0]));
         }
         let sent = near.expect(PATIENCE + case.budget * 3, Line::measured)?;
-        if case.task != Task::Stream {
+        if !is_stream {
             let since = Instant::now();
             for far in &mut fars.0 {
                 let is_last = |line| matches!(line, Line::Complete { .. }).then_some(());
@@ -65,7 +66,7 @@ impl Setup<'_> {
             let received = received(far)?;
             found.cpu_ns += received.cpu_ns;
             found.lost += received.lost;
-            if case.task == Task::Stream {
+            if is_stream {
                 (found.messages, found.seconds) = (received.messages, received.seconds);
             }
             if processes > 1 {

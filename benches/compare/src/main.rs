@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What does a user get who chooses Tautline, and what who chooses something else? One run of all of them.
+//! Tautline beside other middleware: all systems in one run. Four benches: `compare` asks what a user gets who chooses one of
+//! them, `wake` what a wake-up costs, `services` what a request does, `network` what gateways do.
 //!
 //! The same messages, payloads, priorities and cores for every system; every system runs in every round, directly after its
 //! rivals. The measuring processes are this binary again, started with `--child`, and the rivals' programs, which
-//! `cargo xtask bench compare` builds: a job on the command line, lines of JSON back, as `tautline-exchange` has them.
+//! `cargo xtask bench` builds: a job on the command line, lines of JSON back, as `tautline-exchange` has them.
 //!
 //! | module | holds |
 //! |---|---|
@@ -12,15 +13,19 @@
 //! | `rounds` | the parent: rounds to and fro, and what became of each case |
 //! | `pair`, `flow` | one measurement: round trips, or one way |
 //! | `load` | what disturbs the measurement under load |
+//! | `callbacks` | real-time callbacks, with and without a flood from the network |
 //! | `systems` | the systems that this binary runs itself |
 //! | `report` | the tables, the JSON |
 //! | `slower` | where a rival is ahead and why |
 //! | `html`, `figures` | the page |
+//! | `markdown` | the tables of the documents |
 
+mod callbacks;
 mod figures;
 mod flow;
 mod html;
 mod load;
+mod markdown;
 mod modes;
 mod pair;
 mod plan;
@@ -34,9 +39,10 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use modes::Programs;
-use plan::{Experiment, Plan};
+use pair::Setup;
+use plan::{Bench, Experiment, Plan};
 use report::Report;
-use tautline_benches::{Disturbance, exit, interrupted, two_cores, write, write_json};
+use tautline_benches::{Disturbance, Scratch, exit, interrupted, two_cores, write, write_json};
 use tautline_exchange::APPLICATION_PRIORITY;
 use tautline_rt::permission;
 
@@ -50,6 +56,9 @@ type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
   cargo xtask bench compare --json compare.json --html compare.html   under half an hour
   cargo xtask bench compare --systems tautline,fastdds -- --only latency,robot")]
 struct Options {
+    /// What is asked
+    #[arg(long, value_name = "BENCH", value_enum, default_value = "compare")]
+    bench: Bench,
     /// Fewer payloads, fewer and shorter rounds
     #[arg(long)]
     quick: bool,
@@ -65,7 +74,10 @@ struct Options {
     /// Draw the latencies by size to FILE
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
-    /// Take the numbers of an earlier run from FILE instead of measuring: for --svg and the ratios
+    /// Write the tables of the documents to FILE
+    #[arg(long, value_name = "FILE")]
+    markdown: Option<PathBuf>,
+    /// Take the numbers of an earlier run from FILE instead of measuring: for --svg, --markdown and the ratios
     #[arg(long, value_name = "FILE", conflicts_with_all = ["json", "html"])]
     from: Option<PathBuf>,
     /// How often each is measured
@@ -112,16 +124,19 @@ fn measure(options: &Options) -> Result<()> {
             .map_err(|error| format!("{error} (or measure without: --no-rt)"))?;
     }
     let programs = Programs::new(&options.program, &options.without)?;
-    let plan = Plan::new(options, two_cores(options.cores.as_deref())?, programs);
+    let plan = Plan::new(options, two_cores(options.cores.as_deref())?, programs)?;
     let interrupted = interrupted()?;
     // Before minutes are spent on what cannot be written.
-    for path in [&options.json, &options.html, &options.svg].into_iter().flatten() {
+    for path in [&options.json, &options.html, &options.svg, &options.markdown].into_iter().flatten() {
         let file = std::fs::File::options().create(true).append(true).open(path);
         file.map_err(|error| format!("cannot write {}: {error}", path.display()))?;
     }
     let disturbance = Disturbance::start();
-    let cells = rounds::run(&plan, &interrupted)?;
-    let report = Report::new(&plan, cells, disturbance.report())?;
+    let scratch = Scratch::new("compare")?;
+    let setup = Setup { plan: &plan, scratch: &scratch, interrupted: &interrupted };
+    let cells = rounds::run(&setup)?;
+    let more = callbacks::run(&setup)?;
+    let report = Report::new(&plan, cells, more, disturbance.report())?;
     report.print();
     if let Some(path) = &options.json {
         write_json(path, &report.rows)?;
@@ -143,6 +158,9 @@ fn show(options: &Options, path: &std::path::Path) -> Result<()> {
 }
 
 fn draw(options: &Options, report: &Report) -> Result<()> {
+    if let Some(path) = &options.markdown {
+        write(path, &markdown::tables(options.bench, &report.rows))?;
+    }
     let Some(path) = &options.svg else { return Ok(()) };
     let picture = figures::latency_by_size(&report.rows, "latency/whole/held-off")?;
     write(path, &picture.ok_or("latencies of several sizes are needed for a picture")?)

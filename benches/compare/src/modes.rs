@@ -29,12 +29,10 @@ pub enum Program {
     Own,
     /// This one, with a gateway for each end.
     Gateways,
-    /// As `Words`, beside a daemon: a program of the second name.
-    Daemon(&'static str, &'static str),
-    /// A program of this name that takes its job as JSON.
+    /// A program of this name, which takes its job as JSON.
     Json(&'static str),
-    /// A program of this name that takes its job as words `key=value`.
-    Words(&'static str),
+    /// The same beside a daemon: a program of the second name.
+    Daemon(&'static str, &'static str),
 }
 
 /// What a mode takes part in.
@@ -54,6 +52,10 @@ pub enum Part {
     Small,
     /// Flows of many topics.
     Topics,
+    /// Requests and their responses.
+    Requests,
+    /// The same of 64 B.
+    SmallRequests,
 }
 
 /// A way of a system.
@@ -85,10 +87,6 @@ const fn own(system: &'static str, mode: &'static str, part: Part, settings: &'s
     Mode { system, mode, program: Program::Own, one_core: false, part, settings }
 }
 
-const fn words(system: &'static str, mode: &'static str, settings: &'static str) -> Mode {
-    Mode { system, mode, program: Program::Words(system), one_core: false, part: Part::All, settings }
-}
-
 const fn json(system: &'static str, mode: &'static str, part: Part, settings: &'static str) -> Mode {
     Mode { system, mode, program: Program::Json(system), one_core: false, part, settings }
 }
@@ -109,6 +107,10 @@ pub const MODES: &[Mode] = &[
         Part::Topics,
         "memory that both processes map, with room for 64 messages of any topic; one futex wake for each; one thread receives all",
     ),
+    Mode {
+        one_core: true,
+        ..own("floor", "one-core", Part::RoundTrips, "as futex, with both processes on one core")
+    },
     own("floor", "memcpy", Part::Copy, "a copy of the payload from one buffer to another within a process"),
     own(
         "tautline",
@@ -145,6 +147,12 @@ pub const MODES: &[Mode] = &[
     },
     own(
         "tautline",
+        "two-cores",
+        Part::RoundTrips,
+        "as blocking, but the sampler of each process is on the core of the other",
+    ),
+    own(
+        "tautline",
         "busy-poll",
         Part::RoundTrips,
         "as blocking, but the callback thread polls: CallbackOptions::busy_poll",
@@ -171,44 +179,73 @@ pub const MODES: &[Mode] = &[
         )
     },
     own(
+        "tautline",
+        "topics",
+        Part::Requests,
+        "as blocking: a message each way on two topics, the answer of 64 B, as all responses",
+    ),
+    own(
+        "tautline",
+        "service",
+        Part::Requests,
+        "requests and responses loaned and read in place: nothing is copied",
+    ),
+    own("tautline", "service-owned", Part::SmallRequests, "as service, with owned messages"),
+    own(
         "iceoryx2",
         "waitset",
         Part::All,
         "loan_slice_uninit, an event per message, a WaitSet, one listener for all subscribers of a process; safe overflow; greatest event id 1, which makes collecting cheap",
     ),
     own("iceoryx2", "busy-poll", Part::RoundTrips, "as waitset, but the receiver asks again and again"),
+    own(
+        "iceoryx2",
+        "request-response",
+        Part::Requests,
+        "its request-response, which wakes nobody, with an event each way; greatest event id 1",
+    ),
     json(
         "taktora",
         "items",
         Part::RoundTrips,
         "taktora-executor 0.6.0 on iceoryx2 0.9: items that their subscriber triggers, run in the executor's own thread (worker_threads 0), a loan per message (Publisher::loan); its channels collect no events, so that an executor which was triggered once does not sleep again: it polls; greatest event id 255; a buffer of 10 by a file of iceoryx2's; its executor at FIFO 50 polls without end and leaves its core to nobody, so only round trips are measured",
     ),
-    words(
+    json(
         "fastdds",
         "default",
+        Part::All,
         "listener; builtin transports as they come (shared memory with a segment of 512 KiB, and UDP); data sharing off, as in ROS 2; synchronous publishing; reliable, volatile",
     ),
-    words(
+    json(
         "fastdds",
         "tuned",
+        Part::All,
         "as default, with shared memory alone: segment of 64 MiB, messages of up to 16 MiB without fragments",
     ),
-    words(
+    json(
         "fastdds",
         "data-sharing",
+        Part::All,
         "as tuned, with a plain type, data sharing and loans on both sides: loan_sample, take of one at a time without a copy, is_sample_valid after it was read (what was written over meanwhile counts as lost), as many extra_samples as the queue has",
     ),
-    words("cyclonedds", "default", "C interface, an array of octets, listener; UDP as it comes; reliable"),
-    words(
+    json(
+        "cyclonedds",
+        "default",
+        Part::All,
+        "C interface, an array of octets, listener; UDP as it comes; reliable",
+    ),
+    json(
         "cyclonedds",
         "tuned",
+        Part::All,
         "as default, on the loopback interface alone, with packets of up to 64 KiB and socket buffers of up to 16 MB",
     ),
     Mode {
         program: Program::Daemon("cyclonedds", ROUDI),
-        ..words(
+        ..json(
             "cyclonedds",
             "shared-memory",
+            Part::All,
             "as default, its payloads through iceoryx 2.0.3 with loans on both sides (dds_loan_sample, dds_take); its daemon iox-roudi runs without a priority on any core and is not counted; through iceoryx there is no keep all: throughput is with keep last 10",
         )
     },
@@ -229,6 +266,12 @@ pub const MODES: &[Mode] = &[
         "loaned",
         Part::Small,
         "as typed, with a message that rmw_fastrtps lends for each (borrow_loaned_message, ROS_DISABLE_LOANED_MESSAGES=0): geometry_msgs/msg/Inertia, 80 bytes, the first 64 of which are written and read; only types of a fixed size are lent, and those of ROS 2's packages are small",
+    ),
+    json(
+        "r2r",
+        "service",
+        Part::Requests,
+        "as typed: test_msgs/srv/BasicTypes, whose text makes the request as long as is asked for and the response 64 B, and is copied",
     ),
     json("zenoh", "tcp", Part::All, ZENOH),
     json(
@@ -297,8 +340,10 @@ pub fn strengths(system: &str) -> &'static str {
     }
 }
 
-/// Names of programs that are no system: the gateway, and iceoryx's daemon.
+/// Names of programs that are no system: the gateway, the one with the demo, and iceoryx's daemon.
 pub const GATEWAY: &str = "gateway";
+/// See [`GATEWAY`].
+pub const TAUT: &str = "taut";
 /// See [`GATEWAY`].
 pub const ROUDI: &str = "roudi";
 
@@ -313,8 +358,10 @@ impl Programs {
     pub fn new(programs: &[String], without: &[String]) -> Result<Self> {
         let split = |text: &String| -> Result<(String, String)> {
             let (name, rest) = text.split_once('=').ok_or_else(|| format!("{text}: not NAME=..."))?;
-            if ![GATEWAY, ROUDI].contains(&name) && !SYSTEMS.contains(&name) {
-                return Err(format!("{name} is none of {}, {GATEWAY}, {ROUDI}", SYSTEMS.join(", ")).into());
+            let others = [GATEWAY, TAUT, ROUDI];
+            if !others.contains(&name) && !SYSTEMS.contains(&name) {
+                let names = [&SYSTEMS[..], &others].concat().join(", ");
+                return Err(format!("{name} is none of {names}").into());
             }
             Ok((name.to_owned(), rest.to_owned()))
         };
@@ -331,7 +378,7 @@ impl Programs {
         path.ok_or_else(|| self.missing.get(name).cloned().unwrap_or_else(|| NOT_BUILT.to_owned()))
     }
 
-    /// What a program of C++ says that it was built with.
+    /// What a program says that it was built with.
     pub fn version(&self, name: &str) -> Option<String> {
         let output = Command::new(self.paths.get(name)?).arg("version").output().ok()?;
         let text = String::from_utf8(output.stdout).ok()?;
@@ -339,4 +386,4 @@ impl Programs {
     }
 }
 
-const NOT_BUILT: &str = "its program was not named: cargo xtask bench compare builds it";
+const NOT_BUILT: &str = "its program was not named: cargo xtask bench builds it";

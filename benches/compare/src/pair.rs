@@ -9,23 +9,23 @@ use std::time::Duration;
 
 use tautline_benches::rows::Wakes;
 use tautline_benches::{Gateways, Host, Process, Scratch};
-use tautline_exchange::{Exchange, FutexPair, FutexRing, Job, Line, Memory, PEERS, Role, Way};
+use tautline_exchange::{Exchange, FutexPair, FutexRing, Job, Line, Measured, Memory, PEERS, Role, Way};
 
 use crate::Result;
 use crate::modes::{GATEWAY, Program};
-use crate::plan::{Case, Plan, Task};
+use crate::plan::{Case, Plan, Task, WINDOW_BYTES};
 
 /// How long a process may take to set itself up.
 pub const PATIENCE: Duration = Duration::from_secs(15);
 /// Tautline's and the rivals' domain, where they have one. Nobody else measures there, and no test runs there.
 const DOMAIN: u32 = 89;
 /// The far end's over gateways, and the one in which they meet.
-const FAR_DOMAIN: u32 = 90;
+pub const FAR_DOMAIN: u32 = 90;
 const NETWORK_DOMAIN: u32 = 91;
 
 /// Processes beside the ends; they end with it.
 pub struct Around<'a> {
-    _gateways: Option<Gateways<'a>>,
+    gateways: Option<Gateways<'a>>,
     daemon: Option<Process<'a, Line>>,
 }
 
@@ -33,6 +33,12 @@ impl Around<'_> {
     /// Whether what ran beside a measurement is still there: without it the ends would have used somebody else's.
     pub fn still_runs(&mut self) -> Result<()> {
         self.daemon.as_mut().map_or(Ok(()), Process::still_runs)
+    }
+
+    /// How often a gateway used up its budget.
+    pub fn throttled(&mut self) -> Option<u64> {
+        let gateways = self.gateways.as_mut()?;
+        [0, 1].into_iter().map(|host| gateways.throttled(host)).max()
     }
 }
 
@@ -82,6 +88,8 @@ pub struct Found {
     pub refused: u64,
     /// Of a receiver.
     pub wakes: Option<Wakes>,
+    /// How often a gateway used up its budget.
+    pub throttled: Option<u64>,
 }
 
 impl Setup<'_> {
@@ -89,10 +97,15 @@ impl Setup<'_> {
     pub fn job(&self, case: &Case, role: Role, topic: &str) -> Job {
         let (exchange, whole, topics, subscribers) = match case.task {
             Task::RoundTrips { whole } => (Exchange::RoundTrips, whole, 1, 1),
+            Task::Requests => (Exchange::RoundTrips, false, 1, 1),
             Task::Paced { rate, topics, subscribers, .. } => {
                 (Exchange::Paced { rate }, true, topics, subscribers)
             }
-            Task::Stream => (Exchange::Stream { window: None }, true, 1, 1),
+            Task::Stream { whole } => (Exchange::Stream { window: None }, whole, 1, 1),
+            Task::Window => {
+                let window = Some((WINDOW_BYTES / case.payload_bytes) as u64);
+                (Exchange::Stream { window }, false, 1, 1)
+            }
             // Messages until there is an answer: often enough to see when, not so often that they hold it up.
             Task::Start { topics, .. } => {
                 let rounds_per_s = 1000.0 / topics.div_ceil(10) as f64;
@@ -101,12 +114,13 @@ impl Setup<'_> {
         };
         let at_once = matches!(case.task, Task::Paced { at_once: true, .. });
         let [near, far] = self.plan.cores;
+        let is_at_near = role == Role::Near && !case.mode.one_core;
         Job {
             role,
             exchange,
             payload_bytes: case.payload_bytes,
             budget: case.budget,
-            core: Some(if role == Role::Near && !case.mode.one_core { near } else { far }),
+            core: Some(if is_at_near { near } else { far }),
             realtime: self.plan.realtime,
             domain: match case.mode.program {
                 Program::Gateways if role == Role::Far => FAR_DOMAIN,
@@ -114,28 +128,30 @@ impl Setup<'_> {
             },
             topic: topic.to_owned(),
             endpoint: None,
-            way: Way { mode: case.mode.mode.to_owned(), whole, topics, subscribers, at_once },
+            way: Way {
+                mode: case.mode.mode.to_owned(),
+                whole,
+                topics,
+                subscribers,
+                at_once,
+                other_core: Some(if is_at_near { far } else { near }),
+            },
         }
     }
 
     /// Starts one end, which reads the memory of its `peers`, too.
-    fn start(&self, case: &Case, job: &Job, peers: &str) -> Result<Process<'_, Line>> {
+    pub fn start(&self, case: &Case, job: &Job, peers: &str) -> Result<Process<'_, Line>> {
         let mut command = match case.mode.program {
             Program::Own | Program::Gateways => {
                 let mut command = Command::new(std::env::current_exe()?);
                 command.args(["--child", case.mode.system, &serde_json::to_string(job)?]);
                 command
             }
-            Program::Json(name) => {
+            Program::Json(name) | Program::Daemon(name, _) => {
                 let mut command = Command::new(std::path::absolute(self.plan.programs.find(name)?)?);
                 command.arg(serde_json::to_string(job)?);
                 // What r2r's loans need; it takes effect for types that can be lent alone.
                 command.env("ROS_DISABLE_LOANED_MESSAGES", "0");
-                command
-            }
-            Program::Words(name) | Program::Daemon(name, _) => {
-                let mut command = Command::new(std::path::absolute(self.plan.programs.find(name)?)?);
-                command.args(words(job));
                 command
             }
         };
@@ -154,7 +170,7 @@ impl Setup<'_> {
     /// What a system's processes find each other by, if they need it.
     fn meeting_place(&self, case: &Case) -> Result<Option<String>> {
         Ok(match (case.mode.system, case.mode.mode) {
-            ("floor", mode @ ("futex" | "ring")) => {
+            ("floor", mode @ ("futex" | "one-core" | "ring")) => {
                 let path = PathBuf::from("/dev/shm").join(format!("{}{mode}", self.scratch.prefix()));
                 let file = File::options().create(true).truncate(true).read(true).write(true).open(&path)?;
                 let bytes = match mode {
@@ -171,23 +187,26 @@ impl Setup<'_> {
 
     /// Starts what the ends of a case need beside them.
     pub fn around(&self, case: &Case) -> Result<Around<'_>> {
-        let mut around = Around { _gateways: None, daemon: None };
+        let mut around = Around { gateways: None, daemon: None };
         match case.mode.program {
             Program::Gateways => {
-                let [near, far] = self.plan.cores;
-                let host = |domain, core| Host { domain, core: Some(core), realtime: self.plan.realtime };
-                let hosts = [host(DOMAIN, near), host(FAR_DOMAIN, far)];
-                let program = self.plan.programs.find(GATEWAY)?;
-                around._gateways = Some(Gateways::start(program, hosts, NETWORK_DOMAIN, self.interrupted)?);
+                around.gateways = Some(self.gateways(self.plan.cores.map(Some), [self.plan.realtime; 2])?);
             }
             Program::Daemon(_, name) => {
                 // The ends wait for it.
                 let mut command = Command::new(self.plan.programs.find(name)?);
                 around.daemon = Some(Process::start(&mut command, name, self.interrupted)?);
             }
-            Program::Own | Program::Json(_) | Program::Words(_) => {}
+            Program::Own | Program::Json(_) => {}
         }
         Ok(around)
+    }
+
+    /// The gateways of both hosts.
+    pub fn gateways(&self, cores: [Option<usize>; 2], realtime: [bool; 2]) -> Result<Gateways<'_>> {
+        let host = |at: usize, domain| Host { domain, core: cores[at], realtime: realtime[at] };
+        let hosts = [host(0, DOMAIN), host(1, FAR_DOMAIN)];
+        Gateways::start(self.plan.programs.find(GATEWAY)?, hosts, NETWORK_DOMAIN, self.interrupted)
     }
 
     /// The far end, before it is ready. One that comes late is told where the others are.
@@ -231,6 +250,27 @@ impl Setup<'_> {
         if let Some(far) = &mut far {
             far.finish()?;
         }
+        let mut found = Found::of(measured)?;
+        if case.task == Task::Requests {
+            found.times_ns.iter_mut().for_each(|time_ns| *time_ns *= 2);
+        }
+        Ok(found)
+    }
+
+    /// Measures a stream whose messages are confirmed.
+    pub fn window(&self, case: &Case, topic: &str) -> Result<Found> {
+        let (mut far, endpoint) = self.start_far(case, topic)?;
+        let mut near = self.start_near(case, topic, endpoint, std::slice::from_ref(&far))?;
+        let measured = far.expect(PATIENCE + case.budget * 3, Line::measured)?;
+        near.finish()?;
+        far.finish()?;
+        Found::of(measured)
+    }
+}
+
+impl Found {
+    /// What one end measured of both.
+    fn of(measured: Measured) -> Result<Self> {
         if measured.times_ns.is_empty() {
             return Err("nothing arrived".into());
         }
@@ -238,35 +278,11 @@ impl Setup<'_> {
             messages: measured.times_ns.len() as u64,
             times_ns: measured.times_ns,
             lost: measured.lost,
+            late: measured.late,
             cpu_ns: measured.cpu_ns,
             seconds: measured.seconds,
             memory: measured.memory,
             ..Found::default()
         })
     }
-}
-
-/// A job for a program that does not read JSON.
-fn words(job: &Job) -> Vec<String> {
-    let (kind, rate) = match job.exchange {
-        Exchange::RoundTrips => ("round-trips", 0.0),
-        Exchange::Paced { rate } => ("paced", rate),
-        Exchange::Stream { .. } => ("stream", 0.0),
-    };
-    vec![
-        format!("role={}", if job.role == Role::Near { "near" } else { "far" }),
-        format!("kind={kind}"),
-        format!("rate={rate}"),
-        format!("payload_bytes={}", job.payload_bytes),
-        format!("budget_ns={}", job.budget.as_nanos()),
-        format!("core={}", job.core.map_or(String::new(), |core| core.to_string())),
-        format!("realtime={}", u8::from(job.realtime)),
-        format!("domain={}", job.domain),
-        format!("topic={}", job.topic.trim_start_matches('/')),
-        format!("mode={}", job.way.mode),
-        format!("whole={}", u8::from(job.way.whole)),
-        format!("topics={}", job.way.topics),
-        format!("subscribers={}", job.way.subscribers),
-        format!("at_once={}", u8::from(job.way.at_once)),
-    ]
 }

@@ -6,8 +6,52 @@ use std::time::Duration;
 
 use clap::ValueEnum;
 
-use crate::Options;
 use crate::modes::{GATEWAY, MODES, Mode, Part, Program, Programs};
+use crate::{Options, Result};
+
+/// Questions that are asked together, with payloads, rounds and systems of their own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Bench {
+    /// Tautline beside other middleware
+    Compare,
+    /// The wake-up from one process to another, beside a bare futex and iceoryx2
+    Wake,
+    /// A request and its response, beside a topic each way, iceoryx2's request-response and r2r's services
+    Services,
+    /// Topics over two gateways, beside plain Zenoh and hiroz, and what a flood from the network costs local callbacks
+    Network,
+}
+
+impl Bench {
+    /// What it measures.
+    fn experiments(self) -> &'static [Experiment] {
+        use Experiment::*;
+        match self {
+            Bench::Compare => &[Latency, OpenLoop, FanOut, Robot, Throughput, StartUp],
+            Bench::Wake => &[Latency],
+            Bench::Services => &[Request],
+            Bench::Network => &[Latency, Window, Throughput, Callbacks],
+        }
+    }
+
+    /// Whether it measures a way of a system.
+    fn has(self, mode: &Mode) -> bool {
+        let is_request = matches!(mode.part, Part::Requests | Part::SmallRequests);
+        match (self, mode.system, mode.mode) {
+            (Bench::Compare, ..) => !is_request,
+            (Bench::Services, ..) => is_request,
+            (Bench::Wake, "floor", mode) => ["futex", "one-core"].contains(&mode),
+            (Bench::Wake, "tautline", mode) => {
+                ["blocking", "two-cores", "one-core", "busy-poll"].contains(&mode)
+            }
+            (Bench::Wake, "iceoryx2", mode) => ["waitset", "busy-poll"].contains(&mode),
+            (Bench::Network, "tautline", mode) => mode == GATEWAY,
+            (Bench::Network, "zenoh", mode) => mode != "shm",
+            (Bench::Network, system, _) => system == "hiroz",
+            (Bench::Wake, ..) => false,
+        }
+    }
+}
 
 /// A question.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -24,6 +68,12 @@ pub enum Experiment {
     Throughput,
     /// From the start of a process to its first message
     StartUp,
+    /// Round trips of a request and its response
+    Request,
+    /// As many messages as go through with 4 MiB under way
+    Window,
+    /// Response times of local callbacks while a flood arrives from the network
+    Callbacks,
 }
 
 /// What the cores may do while they wait.
@@ -45,8 +95,15 @@ pub enum Task {
     },
     /// One way at a rate over all topics, with a disturbance or without.
     Paced { rate: f64, topics: usize, processes: usize, subscribers: usize, is_loaded: bool, at_once: bool },
+    /// Whole round trips of a request and its response.
+    Requests,
     /// One way, as fast as the receiver lets it.
-    Stream,
+    Stream {
+        /// The payload is written and read whole.
+        whole: bool,
+    },
+    /// One way, as fast as it goes with [`WINDOW_BYTES`] that are not confirmed.
+    Window,
     /// From the start of the sender, or of the receiver, to its messages on all topics.
     Start { topics: usize, is_late_joiner: bool },
 }
@@ -75,6 +132,13 @@ impl Case {
     }
 }
 
+/// Bytes of a stream that may be under way.
+pub const WINDOW_BYTES: usize = 4 << 20;
+
+/// Callbacks, without and with a flood.
+pub const QUIET: &str = "callbacks/quiet";
+pub const FLOOD: &str = "callbacks/flood";
+
 fn name(experiment: Experiment, task: Task, idle: Idle) -> String {
     let idle = match idle {
         Idle::AsShipped => "as-shipped",
@@ -95,7 +159,10 @@ fn name(experiment: Experiment, task: Task, idle: Idle) -> String {
             let how = if at_once { "/at-once" } else { "" };
             format!("robot/{topics}x{}Hz{how}/{idle}", rate / topics as f64)
         }
-        Task::Stream => format!("throughput/{idle}"),
+        Task::Requests => format!("request/{idle}"),
+        Task::Stream { whole: true } => format!("throughput/{idle}"),
+        Task::Stream { whole: false } => format!("throughput/untouched/{idle}"),
+        Task::Window => format!("window/{idle}"),
         Task::Start { is_late_joiner: true, .. } => format!("start-up/late-joiner/{idle}"),
         Task::Start { topics: 1, .. } => format!("start-up/first-message/{idle}"),
         Task::Start { topics, .. } => format!("start-up/{topics}-topics/{idle}"),
@@ -104,26 +171,29 @@ fn name(experiment: Experiment, task: Task, idle: Idle) -> String {
 
 /// The names of all experiments, whatever is chosen of them.
 pub fn experiments() -> BTreeSet<String> {
-    let extents = [Extent::Smoke, Extent::Quick, Extent::Full];
-    let of_experiment = |experiment: &Experiment| {
-        let of_setting = |setting: Setting| name(*experiment, setting.task, setting.idle);
-        extents
-            .into_iter()
-            .flat_map(|extent| settings(*experiment, extent))
-            .map(of_setting)
-            .collect::<Vec<_>>()
-    };
-    Experiment::value_variants().iter().flat_map(of_experiment).collect()
+    let mut names: BTreeSet<String> = [QUIET, FLOOD].map(str::to_owned).into();
+    for bench in Bench::value_variants() {
+        for &experiment in bench.experiments() {
+            for extent in [Extent::Smoke, Extent::Quick, Extent::Full] {
+                let settings = settings(*bench, experiment, extent).into_iter();
+                names.extend(settings.map(|setting| name(experiment, setting.task, setting.idle)));
+            }
+        }
+    }
+    names
 }
 
 /// Everything that is measured.
 pub struct Plan {
+    pub bench: Bench,
     pub realtime: bool,
     /// The sender's and the receiver's.
     pub cores: [usize; 2],
     pub cases: Vec<Case>,
     /// The most rounds of a case.
     pub rounds: u32,
+    /// Rounds of the experiment with callbacks, and the length of each in seconds.
+    pub callbacks: (u32, u64),
     pub programs: Programs,
     /// Modes that would have taken part, and why they do not.
     pub missing: Vec<(&'static Mode, String)>,
@@ -141,19 +211,20 @@ enum Extent {
 }
 
 impl Plan {
-    pub fn new(options: &Options, cores: [usize; 2], programs: Programs) -> Self {
+    pub fn new(options: &Options, cores: [usize; 2], programs: Programs) -> Result<Self> {
         let extent = match options {
             Options { smoke: true, .. } => Extent::Smoke,
             Options { quick: true, .. } => Extent::Quick,
             _ => Extent::Full,
         };
-        let is_wanted = |mode: &&Mode| is_among(&options.systems, mode.system);
+        let bench = options.bench;
+        let is_wanted = |mode: &&Mode| bench.has(mode) && is_among(&options.systems, mode.system);
         let (mut modes, mut missing) = (Vec::new(), Vec::new());
         for mode in MODES.iter().filter(is_wanted) {
             let program = match mode.program {
                 Program::Own => Ok(()),
                 Program::Gateways => programs.find(GATEWAY).map(drop),
-                Program::Json(name) | Program::Words(name) => programs.find(name).map(drop),
+                Program::Json(name) => programs.find(name).map(drop),
                 Program::Daemon(name, daemon) => programs.find(name).and(programs.find(daemon)).map(drop),
             };
             match program {
@@ -161,19 +232,44 @@ impl Plan {
                 Err(reason) => missing.push((mode, reason)),
             }
         }
-        let mut cases = Vec::new();
-        for experiment in Experiment::value_variants() {
-            if options.only.is_empty() || options.only.contains(experiment) {
-                cases.extend(of_experiment(*experiment, extent, &modes));
-            }
+        let experiments = bench.experiments().iter();
+        let chosen: Vec<Experiment> = experiments
+            .filter(|experiment| options.only.is_empty() || options.only.contains(experiment))
+            .copied()
+            .collect();
+        if chosen.is_empty() {
+            let names: Vec<String> = bench.experiments().iter().map(|it| value(*it)).collect();
+            return Err(format!("--only: this bench has {}", names.join(", ")).into());
         }
+        let mut cases = Vec::new();
+        for &experiment in &chosen {
+            cases.extend(of_experiment(bench, experiment, extent, &modes));
+        }
+        let gateway = is_among(&options.systems, "tautline") && chosen.contains(&Experiment::Callbacks);
+        let callbacks = match (extent, gateway) {
+            (_, false) => (0, 0),
+            (Extent::Smoke, _) => (1, 2),
+            (Extent::Quick, _) => (1, 4),
+            (Extent::Full, _) => (5, 10),
+        };
         if let Some(rounds) = options.rounds {
             cases.iter_mut().for_each(|case| case.rounds = rounds);
         }
         let rounds = cases.iter().map(|case| case.rounds).max().unwrap_or(0);
         let quick = extent != Extent::Full;
         let systems = options.systems.clone();
-        Plan { realtime: !options.no_rt, cores, cases, rounds, programs, missing, systems, quick }
+        Ok(Plan {
+            bench,
+            realtime: !options.no_rt,
+            cores,
+            cases,
+            rounds,
+            callbacks,
+            programs,
+            missing,
+            systems,
+            quick,
+        })
     }
 
     /// Whether a system was asked for.
@@ -185,6 +281,11 @@ impl Plan {
     pub fn runs(&self) -> u64 {
         self.cases.iter().map(|case| u64::from(case.rounds)).sum()
     }
+}
+
+/// An experiment as it is written on the command line.
+fn value(experiment: Experiment) -> String {
+    experiment.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
 }
 
 fn is_among(systems: &[String], system: &str) -> bool {
@@ -201,18 +302,25 @@ struct Setting {
     rounds: u32,
 }
 
-fn settings(experiment: Experiment, extent: Extent) -> Vec<Setting> {
-    match experiment {
-        Experiment::Latency => latency(extent),
-        Experiment::OpenLoop => open_loop(extent),
-        Experiment::FanOut => fan_out(extent),
-        Experiment::Robot => robot(extent),
-        Experiment::Throughput => throughput(extent),
-        Experiment::StartUp => start_up(extent),
+fn settings(bench: Bench, experiment: Experiment, extent: Extent) -> Vec<Setting> {
+    match (bench, experiment) {
+        (Bench::Wake, _) => wake(extent),
+        (Bench::Network, Experiment::Latency) => over_gateways(extent),
+        (_, Experiment::Latency) => latency(extent),
+        (_, Experiment::OpenLoop) => open_loop(extent),
+        (_, Experiment::FanOut) => fan_out(extent),
+        (_, Experiment::Robot) => robot(extent),
+        (Bench::Network, Experiment::Throughput) => streams(Task::Stream { whole: false }, extent),
+        (_, Experiment::Throughput) => throughput(extent),
+        (_, Experiment::StartUp) => start_up(extent),
+        (_, Experiment::Request) => requests(extent),
+        (_, Experiment::Window) => streams(Task::Window, extent),
+        // Of which the ends are none of the systems': see `callbacks`.
+        (_, Experiment::Callbacks) => Vec::new(),
     }
 }
 
-fn of_experiment(experiment: Experiment, extent: Extent, modes: &[&'static Mode]) -> Vec<Case> {
+fn of_experiment(bench: Bench, experiment: Experiment, extent: Extent, modes: &[&'static Mode]) -> Vec<Case> {
     let case = |setting: &Setting, mode| Case {
         experiment,
         task: setting.task,
@@ -223,13 +331,17 @@ fn of_experiment(experiment: Experiment, extent: Extent, modes: &[&'static Mode]
         rounds: setting.rounds,
     };
     let of_setting = |setting: &Setting| -> Vec<Case> {
-        modes.iter().filter(|mode| takes_part(mode, setting)).map(|mode| case(setting, mode)).collect()
+        let modes = modes.iter().filter(|mode| takes_part(bench, mode, setting));
+        modes.map(|mode| case(setting, mode)).collect()
     };
-    settings(experiment, extent).iter().flat_map(of_setting).collect()
+    settings(bench, experiment, extent).iter().flat_map(of_setting).collect()
 }
 
-fn takes_part(mode: &Mode, setting: &Setting) -> bool {
+fn takes_part(bench: Bench, mode: &Mode, setting: &Setting) -> bool {
     match (mode.part, setting.task) {
+        // Of whom no other holds its sender back without a window.
+        (_, Task::Stream { .. }) if bench == Bench::Network => mode.system == "zenoh",
+        (_, Task::RoundTrips { .. } | Task::Window) if bench == Bench::Network => true,
         (Part::All, _) => true,
         (Part::RoundTrips, Task::RoundTrips { .. }) => true,
         (Part::AsShipped, Task::RoundTrips { .. }) => setting.idle == Idle::AsShipped,
@@ -237,8 +349,77 @@ fn takes_part(mode: &Mode, setting: &Setting) -> bool {
         (Part::Topics, Task::Paced { topics, .. }) => topics > 1,
         (Part::Copy, Task::RoundTrips { whole }) => whole && setting.idle == Idle::HeldOff,
         (Part::Whole, Task::RoundTrips { whole }) => whole,
+        (Part::Requests, Task::Requests) => true,
+        (Part::SmallRequests, Task::Requests) => setting.payload_bytes == 64,
         _ => false,
     }
+}
+
+/// Each size untouched and whole, with both idle states.
+fn wake(extent: Extent) -> Vec<Setting> {
+    let (payloads, budget_ms, rounds): (&[(usize, bool)], _, _) = match extent {
+        Extent::Smoke => (&[(64, false), (1 << 20, true)], 60, 1),
+        Extent::Quick => (&[(64, false), (1 << 20, true), (8 << 20, false)], 150, 3),
+        Extent::Full => (
+            &[
+                (64, false),
+                (64, true),
+                (4 << 10, false),
+                (4 << 10, true),
+                (1 << 20, false),
+                (1 << 20, true),
+                (8 << 20, false),
+                (8 << 20, true),
+            ],
+            350,
+            5,
+        ),
+    };
+    let of_idle = |idle| {
+        let setting = move |&(payload_bytes, whole)| Setting {
+            task: Task::RoundTrips { whole },
+            payload_bytes,
+            idle,
+            budget_ms,
+            rounds,
+        };
+        payloads.iter().map(setting)
+    };
+    of_idle(Idle::AsShipped).chain(of_idle(Idle::HeldOff)).collect()
+}
+
+fn requests(extent: Extent) -> Vec<Setting> {
+    let (budget_ms, rounds) = match extent {
+        Extent::Smoke => (60, 1),
+        Extent::Quick => (200, 3),
+        Extent::Full => (1000, 7),
+    };
+    let setting = |payload_bytes| Setting {
+        task: Task::Requests,
+        payload_bytes,
+        idle: Idle::HeldOff,
+        budget_ms,
+        rounds,
+    };
+    [64, 4 << 10, 1 << 20].map(setting).into()
+}
+
+fn of_network(task: Task, sizes: &[usize], extent: Extent) -> Vec<Setting> {
+    let (budget_ms, rounds) = match extent {
+        Extent::Smoke => (200, 1),
+        Extent::Quick => (500, 2),
+        Extent::Full => (1500, 7),
+    };
+    let setting = |&payload_bytes| Setting { task, payload_bytes, idle: Idle::AsShipped, budget_ms, rounds };
+    sizes.iter().map(setting).collect()
+}
+
+fn over_gateways(extent: Extent) -> Vec<Setting> {
+    of_network(Task::RoundTrips { whole: false }, &[64, 4 << 10, 1 << 20], extent)
+}
+
+fn streams(task: Task, extent: Extent) -> Vec<Setting> {
+    of_network(task, &[64 << 10, 1 << 20], extent)
 }
 
 /// Powers of 8, and the two sizes of which ratios are promised.
@@ -363,7 +544,7 @@ fn robot(extent: Extent) -> Vec<Setting> {
 
 fn throughput(extent: Extent) -> Vec<Setting> {
     let setting = |payload_bytes, idle, budget_ms, rounds| Setting {
-        task: Task::Stream,
+        task: Task::Stream { whole: true },
         payload_bytes,
         idle,
         budget_ms,

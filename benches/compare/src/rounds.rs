@@ -3,17 +3,17 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 use tautline_benches::rows::{Tally, rounded};
-use tautline_benches::{Distribution, Scratch, progress_bar};
+use tautline_benches::{Distribution, progress_bar};
 use tautline_rt::IdleHold;
 use tautline_rt::host::steal_ticks;
 
 use crate::Result;
 use crate::modes::Part;
 use crate::pair::{Found, Setup};
-use crate::plan::{Case, Idle, Plan, Task};
+use crate::plan::{Case, Idle, Task};
 
 /// A case and what was found.
 pub struct Cell {
@@ -60,13 +60,13 @@ impl Cell {
         total.late += found.late;
         total.refused += found.refused;
         total.wakes = found.wakes.or(total.wakes);
+        total.throttled = total.throttled.max(found.throttled);
     }
 }
 
 /// Measures all cases. One that fails does not end the run: it says so in its row.
-pub fn run(plan: &Plan, interrupted: &AtomicBool) -> Result<Vec<Cell>> {
-    let scratch = Scratch::new("compare")?;
-    let setup = Setup { plan, scratch: &scratch, interrupted };
+pub fn run(setup: &Setup<'_>) -> Result<Vec<Cell>> {
+    let Setup { plan, interrupted, .. } = *setup;
     let mut cells: Vec<Cell> = plan.cases.iter().map(|&case| Cell::new(case)).collect();
     let mut order: Vec<usize> = (0..cells.len()).collect();
     let progress = progress_bar(plan.runs());
@@ -80,12 +80,7 @@ pub fn run(plan: &Plan, interrupted: &AtomicBool) -> Result<Vec<Cell>> {
             }
             progress.set_message(format!("round {round}: {}", cell.case.name()));
             let failures = cell.failures.len();
-            measure(
-                &setup,
-                cell,
-                round,
-                &format!("/compare/run_{}/case_{round}_{index}", std::process::id()),
-            );
+            measure(setup, cell, round, &format!("/compare/run_{}/case_{round}_{index}", std::process::id()));
             if interrupted.load(Ordering::Relaxed) {
                 return Err("interrupted".into());
             }
@@ -119,11 +114,13 @@ fn measure(setup: &Setup<'_>, cell: &mut Cell, round: u32, topic: &str) {
     let steal = steal_ticks(None);
     let found = setup.around(&cell.case).and_then(|mut around| {
         let found = match cell.case.task {
-            Task::RoundTrips { .. } => setup.round_trips(&cell.case, topic),
-            Task::Paced { .. } | Task::Stream => setup.flow(&cell.case, topic),
+            Task::RoundTrips { .. } | Task::Requests => setup.round_trips(&cell.case, topic),
+            Task::Window => setup.window(&cell.case, topic),
+            Task::Paced { .. } | Task::Stream { .. } => setup.flow(&cell.case, topic),
             Task::Start { .. } => setup.start_up(&cell.case, topic),
         };
-        around.still_runs().and(found)
+        around.still_runs()?;
+        Ok(Found { throttled: around.throttled(), ..found? })
     });
     drop(hold);
     cell.steal_ticks += steal_ticks(None).saturating_sub(steal);

@@ -94,7 +94,9 @@ fn figures(experiment: &str) -> &'static [Metric] {
         Some("robot") => &[P50, CpuTime, Memory],
         Some("throughput") => &[Interval],
         Some("fan-out") => &[P50, CpuTime],
-        _ => &[Start],
+        Some("start-up") => &[Start],
+        // Of which Tautline has no way that it has by default.
+        _ => &[],
     }
 }
 

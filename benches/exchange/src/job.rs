@@ -83,6 +83,9 @@ pub struct Way {
     /// Of a flow at a rate: all topics get their message one after the other at the same instant, as from one loop, instead of
     /// evenly over the period.
     pub at_once: bool,
+    /// The core of the other end, for what may run there.
+    #[serde(default)]
+    pub other_core: Option<usize>,
 }
 
 impl Job {
@@ -108,9 +111,10 @@ impl Job {
         }
     }
 
-    /// Messages that a queue has room for, whatever the system: 10, of a stream of small ones 100.
+    /// Messages that a queue has room for, whatever the system: 10, of a stream of small ones 100, of one with a window twice that.
     pub fn depth(&self) -> usize {
         match self.exchange {
+            Exchange::Stream { window: Some(window) } => window as usize * 2,
             Exchange::Stream { .. } if self.payload_bytes <= SMALL_BYTES => 100,
             _ => 10,
         }
@@ -221,7 +225,7 @@ pub struct Measured {
     /// Messages of a flow that were sent, or arrived.
     #[serde(default)]
     pub messages: u64,
-    /// Messages of a flow at a rate that were due before the one before was sent.
+    /// Messages of a flow at a rate that were due before the one before was sent; round trips of [`LATE`](crate::LATE) or more.
     #[serde(default)]
     pub late: u64,
     /// Messages of a flow that the system did not take.

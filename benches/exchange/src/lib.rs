@@ -25,7 +25,7 @@ pub use job::{
     APPLICATION_PRIORITY, Exchange, Job, Line, Measured, Memory, NETWORK_PRIORITY, PEERS, Role, Way,
     on_network_thread, on_stop, program, say, stop_flag, wait_for_stop,
 };
-pub use near::{Link, PATIENCE, RoundTrips, Window, drive, play};
+pub use near::{LATE, Link, PATIENCE, RoundTrips, Window, drive, play};
 pub use payload::Stamp;
 
 /// What nobody handles but the person who reads it.

@@ -9,6 +9,8 @@ use tautline_rt::clock::{monotonic_ns, nanoseconds, process_cpu_ns};
 use crate::job::{Exchange, Job, Line, Measured, Memory, Role, say};
 use crate::{Arrivals, Result};
 
+/// A round trip that takes this long lost a wake-up, which a clean-up made good later, or the machine stood still.
+pub const LATE: Duration = Duration::from_millis(100);
 /// How long an answer is waited for.
 pub const PATIENCE: Duration = Duration::from_millis(500);
 /// The same until the first one has come: there may be no connection yet.
@@ -105,6 +107,7 @@ fn stream(window: &mut Window, link: &mut dyn Link) -> Result<()> {
 pub struct RoundTrips {
     times_ns: Vec<u64>,
     lost: u64,
+    late: u64,
     number: u64,
     started_ns: u64,
     budget_ns: u64,
@@ -123,6 +126,7 @@ impl RoundTrips {
         RoundTrips {
             times_ns: Vec::with_capacity(ROOM),
             lost: 0,
+            late: 0,
             number: 0,
             started_ns: 0,
             budget_ns: nanoseconds(job.budget),
@@ -165,7 +169,9 @@ impl RoundTrips {
         self.answers += 1;
         self.connected_ns.get_or_insert(now);
         if self.measuring_since_ns.is_some() {
-            self.times_ns.push((now - self.started_ns) / 2);
+            let round_trip_ns = now - self.started_ns;
+            self.late += u64::from(round_trip_ns >= nanoseconds(LATE));
+            self.times_ns.push(round_trip_ns / 2);
         }
         true
     }
@@ -195,8 +201,8 @@ impl RoundTrips {
         let seconds = self.measuring_since_ns.map_or(0.0, |since| (monotonic_ns() - since) as f64 / 1e9);
         let cpu_ns = process_cpu_ns() - self.cpu_ns;
         let (messages, memory) = (self.times_ns.len() as u64, Memory::of_exchange());
-        let (times_ns, lost) = (self.times_ns, self.lost);
-        Measured { times_ns, lost, seconds, cpu_ns, messages, memory, ..Measured::default() }
+        let RoundTrips { times_ns, lost, late, .. } = self;
+        Measured { times_ns, lost, late, seconds, cpu_ns, messages, memory, ..Measured::default() }
     }
 }
 

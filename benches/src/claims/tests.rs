@@ -28,17 +28,17 @@ fn experiments() -> BTreeSet<String> {
 /// A claim about rows of 64 B, with these lines more.
 fn claim(lines: &str) -> String {
     format!(
-        "[[wake]]\nwords = 'it is fast'\nexperiment = '{HELD}'\nbytes = '64 B'\nours = {{ system = 'tautline' }}\n\
+        "[[claim]]\nwords = 'it is fast'\nexperiment = '{HELD}'\nbytes = '64 B'\nours = {{ system = 'tautline' }}\n\
          {lines}\n"
     )
 }
 
 fn judge_claim(lines: &str, rows: &[Row]) -> Verdict {
-    read(&claim(lines), Bench::Wake, &experiments()).unwrap()[0].judge(rows)
+    read(&claim(lines), &experiments()).unwrap()[0].judge(rows)
 }
 
 fn refusal(text: &str) -> String {
-    read(text, Bench::Wake, &experiments()).err().unwrap().to_string()
+    read(text, &experiments()).err().unwrap().to_string()
 }
 
 const FASTER: &str = "metric = 'p50'\ntheirs = { system = 'rival' }\nat-most = { times = 1.0 }";
@@ -116,13 +116,16 @@ fn one_entry_is_a_claim_for_each_text() {
     let lines =
         "each = ['rival', 'other']\nmetric = 'p50'\ntheirs = { system = '{}' }\nat-most = { times = 1 }";
     let text = claim(lines).replace("it is fast", "faster than {}");
-    let claims = read(&text, Bench::Wake, &experiments()).unwrap();
+    let claims = read(&text, &experiments()).unwrap();
     assert_eq!(
         claims.iter().map(|claim| claim.words.as_str()).collect::<Vec<_>>(),
         ["faster than rival", "faster than other"]
     );
     assert_eq!(claims[1].judge(&[ours(&[1.0]), row("rival", "x", &[2.0])]).found, "theirs not measured");
-    assert!(read(&text, Bench::Network, &BTreeSet::new()).unwrap().is_empty(), "claims of another bench");
+    let is_about = |rows: &[Row]| claims[1].is_about(rows);
+    assert!(is_about(&[ours(&[1.0]), row("other", "x", &[])]), "also if nothing was measured of the other");
+    assert!(!is_about(&[ours(&[1.0]), row("rival", "x", &[2.0])]), "a system that takes no part");
+    assert!(!is_about(&[Row { experiment: "else".into(), ..ours(&[1.0]) }, row("other", "x", &[2.0])]));
 }
 
 #[test]
@@ -145,7 +148,7 @@ fn a_bad_file_says_where_and_what_would_be_right() {
     let unknown = refusal(&format!("{whole}{}", whole.replace(HELD, "latency/hole")));
     assert!(
         unknown.contains(
-            "line 9, 'experiment' of \"it is fast\": the bench has no 'latency/hole'; it has latency/whole"
+            "line 9, 'experiment' of \"it is fast\": there is no 'latency/hole'; there are latency/whole"
         ),
         "{unknown}"
     );
@@ -156,5 +159,5 @@ fn a_bad_file_says_where_and_what_would_be_right() {
     let nowhere = whole.replace(&format!("'{HELD}'"), "[]");
     assert!(refusal(&nowhere).contains("'experiment' of \"it is fast\": missing"));
     assert!(refusal(&whole.replace("it is fast", "as {}")).contains("no 'each' says"));
-    assert!(refusal(&whole.replace("[wake]", "[wape]")).contains("unknown field `wape`"));
+    assert!(refusal(&whole.replace("[claim]", "[clame]")).contains("unknown field `clame`"));
 }

@@ -9,16 +9,24 @@ use std::path::Path;
 /// Of every row of the comparison; times are numbers where something was measured.
 const COMPARE_ROW: Fields = &[(Text, "experiment system mode note"), (Count, "payload_bytes n lost")];
 
-/// Its times and costs, and what the ratios are judged by.
+/// Its times and costs, and what is not in all rows.
 const NUMBERS: [&str; 6] = ["p50_us", "p99_us", "p999_us", "max_us", "cpu_us_per_msg", "rss_mib"];
-const OF_ROUNDS: [&str; 2] = ["rounds", "unfit"];
+const OF_SOME: [&str; 4] = ["rounds", "unfit", "mb_per_s", "throttled"];
 
-/// The comparison's rows: exactly the promised fields; each system is there or says why not; Tautline takes part in every
+/// The comparison's rows: exactly the promised fields; each of these experiments is there, and each system; Tautline takes part in every
 /// experiment that a rival has, and loses nothing where messages come one by one.
-pub fn check_compare(path: &Path, systems: &[&str]) -> Outcome {
+pub fn check_compare(path: &Path, systems: &[&str], experiments: &[&str]) -> Outcome {
     judge(path, |report| {
         let rows = report.as_array().ok_or("it is not a list")?;
         rows.iter().try_for_each(check_compare_row)?;
+        let is_of = |row: &Value, kind: &str| {
+            row["experiment"].as_str().is_some_and(|name| name.split('/').next() == Some(kind))
+        };
+        for kind in experiments {
+            if !rows.iter().any(|row| is_of(row, kind) && row["n"] != 0) {
+                return Err(format!("nothing was measured of {kind}"));
+            }
+        }
         for system in systems {
             if !rows.iter().any(|row| row["system"] == *system && row["n"] != 0) {
                 return Err(format!("nothing was measured of {system}"));
@@ -34,9 +42,8 @@ pub fn check_compare(path: &Path, systems: &[&str]) -> Outcome {
                 return Err(format!("tautline has no row beside this one: {row}"));
             }
         }
-        let latency =
-            |row: &&Value| row["experiment"].as_str().is_some_and(|name| name.starts_with("latency/"));
-        match rows.iter().filter(latency).find(|row| row["system"] == "tautline" && row["lost"] != 0) {
+        let one_by_one = |row: &&Value| is_of(row, "latency") || is_of(row, "request");
+        match rows.iter().filter(one_by_one).find(|row| row["system"] == "tautline" && row["lost"] != 0) {
             Some(row) => Err(format!("tautline lost messages: {row}")),
             None => Ok(()),
         }
@@ -47,7 +54,7 @@ fn check_compare_row(row: &Value) -> Result<(), String> {
     check_fields(row, "a row", COMPARE_ROW)?;
     let fields = COMPARE_ROW.iter().flat_map(|(_, names)| names.split(' '));
     let known = |name: &str| {
-        NUMBERS.contains(&name) || OF_ROUNDS.contains(&name) || fields.clone().any(|field| field == name)
+        NUMBERS.contains(&name) || OF_SOME.contains(&name) || fields.clone().any(|field| field == name)
     };
     if let Some(name) = row.as_object().and_then(|row| row.keys().find(|name| !known(name))) {
         return Err(format!("a row with a field '{name}': {row}"));
@@ -83,9 +90,13 @@ mod tests {
                 "rss_mib": null, "note": "",
             })
         };
-        let judged = |rows: &[Value]| refusal(|path| check_compare(path, &["tautline"]), &Value::from(rows));
+        let judged = |rows: &[Value]| {
+            refusal(|path| check_compare(path, &["tautline"], &["latency"]), &Value::from(rows))
+        };
         assert_eq!(judged(&[row("tautline", 1), row("fastdds", 1)]), "");
         assert!(judged(&[row("fastdds", 1)]).contains("nothing was measured of tautline"));
+        assert!(judged(&[row("tautline", 0)]).contains("nothing says why"));
+        assert!(judged(&[]).contains("nothing was measured of latency"));
         assert!(judged(&[row("tautline", 1), row("zenoh", 0)]).contains("nothing says why"));
         let changed = |name: &str, value: Value| {
             let mut ours = row("tautline", 1);

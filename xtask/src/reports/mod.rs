@@ -6,7 +6,6 @@ mod bridge;
 mod compare;
 mod demo;
 mod domain;
-mod network;
 mod paper;
 mod reference;
 
@@ -19,7 +18,6 @@ pub use bridge::check_bridge;
 pub use compare::check_compare;
 pub use demo::{check_ablation, check_demo};
 pub use domain::check_domain;
-pub use network::check_network;
 pub use paper::check_paper;
 pub use reference::{check_reference, check_reference_beside};
 
@@ -36,20 +34,8 @@ use Kind::{Bool, Count, List, Number, Text};
 /// Promised fields, by their type.
 type Fields = &'static [(Kind, &'static str)];
 
-/// Of every row of a bench that has measured something.
-const ROW: Fields = &[
-    (Text, "experiment system mode"),
-    (Count, "payload_bytes n lost"),
-    (Number, "p50_us p99_us p999_us max_us"),
-];
-
 const MESSAGES_ROW: Fields =
     &[(Text, "case implementation"), (Count, "bytes n"), (Number, "p50_us p99_us ratio_to_plain_buffer")];
-
-/// The wake bench's report: a list of rows, each with measurements.
-pub fn check_wake(path: &Path) -> Outcome {
-    check_rows(path, ROW)
-}
 
 /// The messages bench's rows.
 pub fn check_messages(path: &Path) -> Outcome {
@@ -109,23 +95,23 @@ mod tests {
     }
 
     fn row() -> Value {
-        json!({"experiment": "held-off/whole", "system": "futex", "mode": "blocking", "payload_bytes": 64, "n": 9,
-               "p50_us": 1.0, "p99_us": 2, "p999_us": 3.0, "max_us": 4.0, "lost": 0})
+        json!({"case": "Image", "implementation": "plain buffer", "bytes": 64, "n": 9, "p50_us": 1.0, "p99_us": 2,
+               "ratio_to_plain_buffer": 1.0})
     }
 
     #[test]
     fn what_is_missing_or_of_another_type_is_named() {
-        assert_eq!(check_row(&row(), ROW), Ok(()));
+        assert_eq!(check_row(&row(), MESSAGES_ROW), Ok(()));
         let refused = |name: &str, value: Value| {
             let mut row = row();
             row[name] = value;
-            check_row(&row, ROW).unwrap_err()
+            check_row(&row, MESSAGES_ROW).unwrap_err()
         };
-        assert!(refused("lost", json!(-1)).starts_with("'lost' of"));
+        assert!(refused("bytes", json!(-1)).starts_with("'bytes' of"));
         assert!(refused("p50_us", Value::Null).contains("should be a number, not null"));
         assert!(refused("n", json!(0)).starts_with("nothing was measured"));
         let mut row = row();
-        row.as_object_mut().unwrap().remove("mode");
-        assert!(check_row(&row, ROW).unwrap_err().ends_with("has no field 'mode'"));
+        row.as_object_mut().unwrap().remove("case");
+        assert!(check_row(&row, MESSAGES_ROW).unwrap_err().ends_with("has no field 'case'"));
     }
 }

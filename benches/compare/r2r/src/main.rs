@@ -3,18 +3,21 @@
 //!
 //! `typed`: messages are Rust structs. `native`: messages are the middleware's C structs, made once and written and read in
 //! place. `loaned`: a new one for each message, lent by the middleware, which does so for types of a fixed size alone:
-//! `geometry_msgs/msg/Inertia`, ten numbers of 8 bytes, of which the first eight carry 64 B.
+//! `geometry_msgs/msg/Inertia`, ten numbers of 8 bytes, of which the first eight carry 64 B. `service`: `test_msgs/srv/BasicTypes`,
+//! numbers, one of which counts, and a text that makes the request as long as the job says and the response 64 bytes.
 
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use futures::future::LocalBoxFuture;
 use futures::stream::LocalBoxStream;
-use futures::{FutureExt, StreamExt};
+use futures::{FutureExt, Stream, StreamExt};
 use r2r::geometry_msgs::msg::Inertia;
 use r2r::std_msgs::msg::UInt8MultiArray;
-use r2r::{Context, Node, QosProfile};
+use r2r::test_msgs::srv::BasicTypes;
+use r2r::{Client, Context, Node, QosProfile, ServiceRequest};
 use tautline_exchange::{
     Exchange, Inlet, Job, Line, Link, Result, Role, Sink, Source, Stamp, play, program, say, stop_flag,
 };
@@ -23,7 +26,17 @@ use tautline_rt::clock::monotonic_ns;
 /// How often it is looked whether the end has come.
 const LOOK: Duration = Duration::from_millis(50);
 
+#[path = "../../../paper-r2r/src/version.rs"]
+mod version;
+
+/// What of a request is no text, in CDR.
+const NUMBERS_BYTES: usize = 61;
+
 fn main() -> ExitCode {
+    if std::env::args().nth(1).as_deref() == Some("version") {
+        println!("{}", version::version().unwrap_or_default());
+        return ExitCode::SUCCESS;
+    }
     program("compare-r2r", |job| run(&job))
 }
 
@@ -34,6 +47,12 @@ fn run(job: &Job) -> Result<()> {
         let name = if own.role == Role::Near { "near" } else { "far" };
         let node = Node::create(Context::create()?, name, "")?;
         match (own.exchange, own.role) {
+            (Exchange::RoundTrips, Role::Near) if own.way.mode == "service" => {
+                play(&own, &mut Asking::new(node, &own)?, &stop, None)
+            }
+            (Exchange::RoundTrips, Role::Far) if own.way.mode == "service" => {
+                play(&own, &mut Answering::new(node, &own)?, &stop, None)
+            }
             (Exchange::RoundTrips, _) => round_trips(node, &own, &stop),
             (_, Role::Near) => send_flow(node, &own, stop),
             (_, Role::Far) => receive_flow(node, &own, &stop),
@@ -95,17 +114,83 @@ impl Link for End {
     }
 
     fn receive(&mut self, patience: Duration) -> Result<Option<u64>> {
-        let end_ns = monotonic_ns() + patience.as_nanos() as u64;
-        loop {
-            if let Some(Some(stamp)) = self.input.next().now_or_never() {
-                return Ok(Some(stamp?.number));
-            }
-            let now = monotonic_ns();
-            if now >= end_ns {
-                return Ok(None);
-            }
-            self.node.spin_once(Duration::from_nanos(end_ns - now));
+        let stamp = spin_until(&mut self.node, patience, || self.input.next().now_or_never().flatten());
+        Ok(stamp.transpose()?.map(|stamp| stamp.number))
+    }
+}
+
+/// Spins until there is something, at most so long.
+fn spin_until<T>(node: &mut Node, patience: Duration, mut look: impl FnMut() -> Option<T>) -> Option<T> {
+    let end_ns = monotonic_ns() + patience.as_nanos() as u64;
+    loop {
+        let (found, now) = (look(), monotonic_ns());
+        if found.is_some() || now >= end_ns {
+            return found;
         }
+        node.spin_once(Duration::from_nanos(end_ns - now));
+    }
+}
+
+fn text(message_bytes: usize) -> String {
+    "x".repeat(message_bytes.saturating_sub(NUMBERS_BYTES))
+}
+
+struct Asking {
+    node: Node,
+    client: Client<BasicTypes::Service>,
+    request: BasicTypes::Request,
+    response: Option<LocalBoxFuture<'static, r2r::Result<BasicTypes::Response>>>,
+}
+
+impl Asking {
+    fn new(mut node: Node, job: &Job) -> Result<Self> {
+        let client = node.create_client::<BasicTypes::Service>(&job.topic, QosProfile::default())?;
+        let request = BasicTypes::Request { string_value: text(job.payload_bytes), ..Default::default() };
+        Ok(Asking { node, client, request, response: None })
+    }
+}
+
+impl Link for Asking {
+    fn send(&mut self, number: u64) -> Result<()> {
+        self.request.uint64_value = number;
+        self.response = Some(self.client.request(&self.request)?.boxed_local());
+        Ok(())
+    }
+
+    fn receive(&mut self, patience: Duration) -> Result<Option<u64>> {
+        let response = self.response.as_mut().ok_or("nothing was asked")?;
+        let answer = spin_until(&mut self.node, patience, || response.now_or_never());
+        Ok(answer.transpose()?.map(|answer| answer.uint64_value))
+    }
+}
+
+type Request = ServiceRequest<BasicTypes::Service>;
+
+struct Answering {
+    node: Node,
+    requests: Box<dyn Stream<Item = Request> + Unpin>,
+    request: Option<Request>,
+}
+
+impl Answering {
+    fn new(mut node: Node, job: &Job) -> Result<Self> {
+        let requests = node.create_service::<BasicTypes::Service>(&job.topic, QosProfile::default())?;
+        Ok(Answering { node, requests: Box::new(requests), request: None })
+    }
+}
+
+impl Link for Answering {
+    fn send(&mut self, number: u64) -> Result<()> {
+        let request = self.request.take().ok_or("nobody has asked")?;
+        let response =
+            BasicTypes::Response { uint64_value: number, string_value: text(64), ..Default::default() };
+        Ok(request.respond(response)?)
+    }
+
+    fn receive(&mut self, patience: Duration) -> Result<Option<u64>> {
+        let Answering { node, requests, .. } = self;
+        self.request = spin_until(node, patience, || requests.next().now_or_never().flatten());
+        Ok(self.request.as_ref().map(|request| request.message.uint64_value))
     }
 }
 

@@ -8,9 +8,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use iceoryx2::active_request::ActiveRequest;
+use iceoryx2::pending_response::PendingResponse;
+use iceoryx2::port::client::Client;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::server::Server;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
 use tautline_exchange::{
@@ -27,6 +31,10 @@ pub fn run(job: &Job) -> Result<()> {
     job.as_application(move || {
         let node = node(&own)?;
         match (own.exchange, own.role) {
+            (Exchange::RoundTrips, role) if own.way.mode == "request-response" => match role {
+                Role::Near => play(&own, &mut Asking::open(&node, &own)?, &stop, None),
+                Role::Far => play(&own, &mut Answering::open(&node, &own)?, &stop, own.endpoint.clone()),
+            },
             (Exchange::RoundTrips, _) => round_trips(&node, &own, &stop),
             (_, Role::Near) => send_flow(&node, &own, stop),
             (_, Role::Far) => receive_flow(&node, &own, &stop),
@@ -182,6 +190,106 @@ impl Link for End<'_> {
                 return Ok(None);
             }
         }
+    }
+}
+
+type Service = ipc::Service;
+/// The first word of a request and of its response is its number.
+type Response = [u64; 8];
+
+/// Its request-response wakes nobody: an event service each way does.
+struct Bells {
+    notifier: Notifier<Service>,
+    listener: Listener<Service>,
+}
+
+impl Bells {
+    fn open(node: &Node<Service>, job: &Job) -> Result<Self> {
+        let [to, from] = job.topics();
+        let notifier = node.event(job, &to)?.notifier_builder().create()?;
+        Ok(Bells { notifier, listener: node.event(job, &from)?.listener_builder().create()? })
+    }
+
+    /// Waits until `look` finds something, at most so long.
+    fn wait<T>(&self, patience: Duration, mut look: impl FnMut() -> Result<Option<T>>) -> Result<Option<T>> {
+        let end_ns = monotonic_ns() + patience.as_nanos() as u64;
+        loop {
+            let found = look()?;
+            if found.is_some() || monotonic_ns() > end_ns {
+                return Ok(found);
+            }
+            self.listener.timed_wait(|_| {}, patience)?;
+            while self.listener.try_wait(|_| {})? > 0 {}
+        }
+    }
+}
+
+type Requests =
+    iceoryx2::service::port_factory::request_response::PortFactory<Service, [u64], (), Response, ()>;
+
+fn requests(node: &Node<Service>, job: &Job) -> Result<Requests> {
+    let service = node.service_builder(&ServiceName::new(&format!("{}/ask", job.topic))?);
+    let service = service.request_response::<[u64], Response>().max_clients(1).max_servers(1);
+    Ok(service.open_or_create()?)
+}
+
+struct Asking {
+    client: Client<Service, [u64], (), Response, ()>,
+    pending: Option<PendingResponse<Service, [u64], (), Response, ()>>,
+    bells: Bells,
+    words: usize,
+}
+
+impl Asking {
+    fn open(node: &Node<Service>, job: &Job) -> Result<Self> {
+        let words = job.payload_bytes / 8;
+        let requests = requests(node, job)?;
+        let client = requests.client_builder().initial_max_slice_len(words);
+        let client = client.allocation_strategy(AllocationStrategy::Static).create()?;
+        Ok(Asking { client, pending: None, bells: Bells::open(node, job)?, words })
+    }
+}
+
+impl Link for Asking {
+    fn send(&mut self, number: u64) -> Result<()> {
+        let mut request = self.client.loan_slice_uninit(self.words)?;
+        request.payload_mut()[0].write(number);
+        // SAFETY: zeroed by the kernel, or written before.
+        self.pending = Some(unsafe { request.assume_init() }.send()?);
+        Ok(self.bells.notifier.notify().map(drop)?)
+    }
+
+    fn receive(&mut self, patience: Duration) -> Result<Option<u64>> {
+        let pending = self.pending.as_ref().ok_or("nothing was asked")?;
+        self.bells.wait(patience, || Ok(pending.receive()?.map(|response| response[0])))
+    }
+}
+
+struct Answering {
+    server: Server<Service, [u64], (), Response, ()>,
+    request: Option<ActiveRequest<Service, [u64], (), Response, ()>>,
+    bells: Bells,
+}
+
+impl Answering {
+    fn open(node: &Node<Service>, job: &Job) -> Result<Self> {
+        let server = requests(node, job)?.server_builder().create()?;
+        Ok(Answering { server, request: None, bells: Bells::open(node, job)? })
+    }
+}
+
+impl Link for Answering {
+    fn send(&mut self, number: u64) -> Result<()> {
+        let request = self.request.take().ok_or("nobody has asked")?;
+        let mut answer = Response::default();
+        answer[0] = number;
+        request.loan_uninit()?.write_payload(answer).send()?;
+        Ok(self.bells.notifier.notify().map(drop)?)
+    }
+
+    fn receive(&mut self, patience: Duration) -> Result<Option<u64>> {
+        self.request = self.bells.wait(patience, || Ok(self.server.receive()?))?;
+        Ok(self.request.as_ref().map(|request| request[0]))
     }
 }
 

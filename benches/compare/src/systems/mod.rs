@@ -3,6 +3,7 @@
 
 mod futex;
 mod iceoryx;
+mod service;
 mod tautline;
 
 use std::time::Duration;
@@ -17,6 +18,7 @@ pub fn run(system: &str, job: &str) -> Result<()> {
         ("floor", "ring") => futex::flow(&job),
         ("floor", _) => futex::run(&job),
         ("iceoryx2", _) => iceoryx::run(&job),
+        ("tautline", "topics" | "service" | "service-owned") => service::run(&job),
         ("tautline", _) => tautline::run(&job),
         _ => Err(format!("this program does not run {system}").into()),
     }

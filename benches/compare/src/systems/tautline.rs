@@ -4,38 +4,61 @@
 //! A plain message is bytes of a fixed number; one of variable size is a `sensor_msgs/msg/Image`. Both are written in the loan
 //! and read in place.
 
+use std::marker::PhantomData;
 use std::pin::pin;
 use std::sync::mpsc;
 use std::time::Duration;
 
 use ::tautline::{
-    CallbackOptions, Context, Limits, Loan, Message, Node, PublishError, Publisher, Qos, Realtime, Sample,
-    SendError, Subscription, Timer,
+    CallbackOptions, Context, Limits, Loan, Message, Node, Plain, PublishError, Publisher, Qos, Realtime,
+    Sample, SendError, Subscription, Timer,
 };
 use futures::future::{Either, select};
 use futures::stream::FuturesUnordered;
 use futures::{StreamExt, TryStreamExt};
 use tautline_exchange::{
-    APPLICATION_PRIORITY, Exchange, Inlet, Job, Line, Measured, PATIENCE, Result, Role, RoundTrips, Sink,
-    Source, Stamp, on_stop, say, stop_flag,
+    APPLICATION_PRIORITY, Arrivals, Exchange, Inlet, Job, Line, Measured, PATIENCE, Result, Role, RoundTrips,
+    Sink, Source, Stamp, Window, on_stop, say, stop_flag,
 };
 use tautline_ros_msgs::sensor_msgs::msg::{Image, ImageSizes};
 use tautline_ros_msgs::std_msgs::msg::HeaderSizes;
 use tautline_rt::clock::monotonic_ns;
 
+use super::LOOK;
+
 /// The sampler's priority: above the callbacks'.
 const SAMPLER_PRIORITY: u8 = APPLICATION_PRIORITY + 10;
 /// How long an answer to the first question is waited for.
 const GREETING: Duration = Duration::from_millis(20);
-
 /// Of the mode `direct-spin`: about what falling asleep and being woken costs.
 const SPIN: Duration = Duration::from_micros(5);
+/// Messages to a gateway that are written whole, whatever is asked for: more than a publisher has buffers. Memory that never was
+/// written is one page of zeroes, which costs less to read.
+const WRITTEN: u64 = 300;
 
 /// What is measured of a message.
-trait Payload: Message {
-    /// Writes and publishes one.
-    fn send(publisher: &Publisher<Self>, job: &Job, stamp: Stamp) -> Result<()>;
+pub trait Payload: Message {
+    /// Writes and publishes one of so many bytes.
+    fn send(publisher: &Publisher<Self>, bytes: usize, stamp: Stamp, whole: bool) -> Result<()>;
     fn bytes(sample: &Sample<Self>) -> &[u8];
+}
+
+/// A message of a fixed number of bytes.
+pub trait Frame: Message + Plain {
+    fn bytes(&self) -> &[u8];
+    fn bytes_mut(&mut self) -> &mut [u8];
+}
+
+impl<T: Frame> Payload for T {
+    fn send(publisher: &Publisher<Self>, _bytes: usize, stamp: Stamp, whole: bool) -> Result<()> {
+        let mut loan = publisher.loan()?;
+        stamp.write(loan.bytes_mut(), whole);
+        publish(loan)
+    }
+
+    fn bytes(sample: &Sample<Self>) -> &[u8] {
+        Frame::bytes(&**sample)
+    }
 }
 
 macro_rules! frames {
@@ -44,26 +67,24 @@ macro_rules! frames {
             #[derive(Message, Clone, Copy)]
             #[repr(C)]
             #[message(name = $ros_name)]
-            struct $name {
-                bytes: [u8; $bytes],
+            pub struct $name {
+                pub bytes: [u8; $bytes],
             }
 
-            impl Payload for $name {
-                fn send(publisher: &Publisher<Self>, job: &Job, stamp: Stamp) -> Result<()> {
-                    let mut loan = publisher.loan()?;
-                    stamp.write(&mut loan.bytes, job.way.whole);
-                    publish(loan)
+            impl Frame for $name {
+                fn bytes(&self) -> &[u8] {
+                    &self.bytes
                 }
 
-                fn bytes(sample: &Sample<Self>) -> &[u8] {
-                    &sample.bytes
+                fn bytes_mut(&mut self) -> &mut [u8] {
+                    &mut self.bytes
                 }
             }
         )*
 
         fn run_plain(job: &Job) -> Result<()> {
             match job.payload_bytes {
-                $($bytes => play::<$name>(job),)*
+                $($bytes => play::<$name, $name>(job),)*
                 bytes => Err(format!("there is no frame of {bytes} bytes").into()),
             }
         }
@@ -83,15 +104,15 @@ frames! {
 }
 
 impl Payload for Image {
-    fn send(publisher: &Publisher<Self>, job: &Job, stamp: Stamp) -> Result<()> {
-        let sizes = ImageSizes { header: HeaderSizes { frame_id: 6 }, encoding: 5, data: job.payload_bytes };
+    fn send(publisher: &Publisher<Self>, bytes: usize, stamp: Stamp, whole: bool) -> Result<()> {
+        let sizes = ImageSizes { header: HeaderSizes { frame_id: 6 }, encoding: 5, data: bytes };
         let loan = publisher.loan_with(sizes)?.write(|image| {
             image.header.frame_id.set("camera")?;
             image.encoding.set("mono8")?;
             image.height.set(1);
-            image.width.set(job.payload_bytes as u32);
-            image.step.set(job.payload_bytes as u32);
-            stamp.write(image.data.slice_mut(), job.way.whole);
+            image.width.set(bytes as u32);
+            image.step.set(bytes as u32);
+            stamp.write(image.data.slice_mut(), whole);
             image.default_rest();
             Ok(())
         })?;
@@ -119,71 +140,111 @@ fn publish<T: Message>(mut loan: Loan<'_, T>) -> Result<()> {
 pub fn run(job: &Job) -> Result<()> {
     match job.way.mode.as_str() {
         // Gateways tell each other a type by its hash, which the bundled messages have.
-        "image" | "gateway" => play::<Image>(job),
+        "image" | GATEWAY => play::<Image, Image>(job),
         _ => run_plain(job),
     }
 }
 
-fn play<T: Payload>(job: &Job) -> Result<()> {
-    let context = Context::builder()
-        .domain(job.domain)
-        .realtime(if job.realtime { Realtime::Required } else { Realtime::Off })
-        .sampler_priority(SAMPLER_PRIORITY)
-        .hold_idle(job.way.mode.ends_with("default"));
-    let context = match job.core {
-        Some(core) => context.sampler_core(core),
-        None => context,
-    };
-    let context = context.build()?;
-    let mut end = End::<T> {
-        node: Node::create(context.clone(), if job.role == Role::Near { "near" } else { "far" }, "")?,
-        context,
-        job: job.clone(),
-        kind: std::marker::PhantomData,
-    };
-    match (job.exchange, job.role) {
-        (Exchange::RoundTrips, Role::Near) => end.ask(),
-        (Exchange::RoundTrips, Role::Far) => end.answer(),
-        (_, Role::Near) => end.send_flow(),
-        (_, Role::Far) => end.receive_flow(),
+const GATEWAY: &str = "gateway";
+
+/// Plays an end: the near one sends `Q`, the far one `A`.
+pub fn play<Q: Payload, A: Payload>(job: &Job) -> Result<()> {
+    match (job.role, job.exchange) {
+        (Role::Near, Exchange::RoundTrips) => End::<Q, A>::new(job)?.ask(),
+        (Role::Near, Exchange::Stream { window: Some(_) }) => End::<Q, A>::new(job)?.pour(),
+        (Role::Near, _) => End::<Q, A>::new(job)?.send_flow(),
+        (Role::Far, Exchange::RoundTrips) => End::<A, Q>::new(job)?.answer(),
+        (Role::Far, Exchange::Stream { window: Some(_) }) => End::<A, Q>::new(job)?.gather(),
+        (Role::Far, _) => End::<A, Q>::new(job)?.receive_flow(),
     }
 }
 
-struct End<T> {
+/// One end, and what it sends and receives.
+pub struct End<Out, In> {
+    pub node: Node,
     context: Context,
-    node: Node,
     job: Job,
-    kind: std::marker::PhantomData<T>,
+    kinds: PhantomData<(Out, In)>,
 }
 
-impl<T: Payload> End<T> {
+impl<Out: Payload, In: Payload> End<Out, In> {
+    pub fn new(job: &Job) -> Result<Self> {
+        let context = Context::builder()
+            .domain(job.domain)
+            .realtime(if job.realtime { Realtime::Required } else { Realtime::Off })
+            .sampler_priority(SAMPLER_PRIORITY)
+            .hold_idle(job.way.mode.ends_with("default"));
+        let sampler_core = if job.way.mode == "two-cores" { job.way.other_core } else { job.core };
+        let context = match sampler_core {
+            Some(core) => context.sampler_core(core),
+            None => context,
+        };
+        let context = context.build()?;
+        let name = if job.role == Role::Near { "near" } else { "far" };
+        let node = Node::create(context.clone(), name, "")?;
+        Ok(End { node, context, job: job.clone(), kinds: PhantomData })
+    }
+
     fn ask(&mut self) -> Result<()> {
+        let (publisher, answers) = self.both()?;
+        let (greeting, patience) = (self.node.create_wall_timer(GREETING)?, self.patience()?);
+        let own = self.job.clone();
+        self.measure(async move { ask(&own, publisher, answers, greeting, patience).await })
+    }
+
+    fn answer(&mut self) -> Result<()> {
+        let (publisher, questions) = self.both()?;
+        let own = self.job.clone();
+        self.serve(async move { answer(&own, publisher, questions).await })
+    }
+
+    fn pour(&mut self) -> Result<()> {
+        let (publisher, confirmations) = self.both()?;
+        let (own, look) = (self.job.clone(), self.node.create_wall_timer(LOOK)?);
+        self.until(async move { pour(&own, publisher, confirmations, look).await })
+    }
+
+    fn gather(&mut self) -> Result<()> {
+        let (publisher, messages) = self.both()?;
+        let own = self.job.clone();
+        self.serve(async move { gather(Arrivals::new(&own), publisher, messages).await })
+    }
+
+    fn both(&mut self) -> Result<(Publisher<Out>, Subscription<In>)> {
         let [to, from] = self.job.topics();
-        let (publisher, answers) = (self.publisher(&to)?, self.subscription(&from)?);
-        let timers = [GREETING, PATIENCE].map(|period| self.node.create_wall_timer(period));
-        let [greeting, patience] = timers;
-        let (greeting, patience) = (greeting?, patience?);
-        let (own, context) = (self.job.clone(), self.context.clone());
+        Ok((self.publisher(&to)?, self.subscription(&from)?))
+    }
+
+    /// Ticks when it may be that an answer does not come.
+    pub fn patience(&mut self) -> Result<Timer> {
+        Ok(self.node.create_wall_timer(PATIENCE)?)
+    }
+
+    /// Runs a callback until its end.
+    fn until<T: Send + 'static>(&self, work: impl Future<Output = Result<T>> + Send + 'static) -> Result<T> {
         let (sender, outcome) = mpsc::channel();
+        let context = self.context.clone();
         let callback = self.node.spawn_callback(self.options(), async move {
-            let asked = ask(&own, publisher, answers, greeting, patience).await;
-            let _ = sender.send(asked);
+            let _ = sender.send(work.await);
             context.shutdown();
         })?;
         self.node.spin()?;
         callback.join()?;
-        say(&Line::Measured(outcome.recv()??));
+        outcome.recv()?
+    }
+
+    /// Runs a callback until its end, and says what it measured.
+    pub fn measure(&self, work: impl Future<Output = Result<Measured>> + Send + 'static) -> Result<()> {
+        say(&Line::Measured(self.until(work)?));
         Ok(())
     }
 
-    fn answer(&mut self) -> Result<()> {
-        let [to, from] = self.job.topics();
-        let (publisher, questions) = (self.publisher(&to)?, self.subscription(&from)?);
-        let (own, context) = (self.job.clone(), self.context.clone());
+    /// Says that it is ready, and runs a callback until it is told to stop.
+    pub fn serve(&self, work: impl Future<Output = Result<()>> + Send + 'static) -> Result<()> {
         let (sender, outcome) = mpsc::channel();
+        let context = self.context.clone();
         let _callback = self.node.spawn_callback(self.options(), async move {
-            let answered = answer(&own, publisher, questions).await;
-            let _ = sender.send(answered);
+            let _ = sender.send(work.await);
             context.shutdown();
         })?;
         self.shutdown_on_stop();
@@ -194,22 +255,15 @@ impl<T: Payload> End<T> {
     }
 
     fn send_flow(&mut self) -> Result<()> {
-        let publishers = (0..self.job.way.topics)
+        let publishers = (0..self.job.way.topics.max(1))
             .map(|index| self.publisher(&format!("{}/t{index}", self.job.topic)))
             .collect::<Result<Vec<_>>>()?;
-        let (own, context) = (self.job.clone(), self.context.clone());
-        let (sender, outcome) = mpsc::channel();
-        let callback = self.node.spawn_callback(self.options(), async move {
-            let sent = send_flow(&own, &publishers);
-            let _ = sender.send(sent.map(|measured| (measured, publishers)));
-            context.shutdown();
-        })?;
-        self.node.spin()?;
-        callback.join()?;
-        let (measured, publishers) = outcome.recv()??;
+        let own = self.job.clone();
+        let sent = async move { send_flow(&own, &publishers).map(|measured| (measured, publishers)) };
+        let (measured, publishers) = self.until(sent)?;
         say(&Line::Measured(measured));
         // What it sent is read from its memory, and that a publisher goes wakes subscriptions once more.
-        std::thread::sleep(super::LOOK);
+        std::thread::sleep(LOOK);
         drop(publishers);
         Ok(())
     }
@@ -262,19 +316,19 @@ impl<T: Payload> End<T> {
         }
     }
 
-    fn qos(&self) -> Qos {
+    pub fn qos(&self) -> Qos {
         match self.job.exchange {
-            Exchange::Stream { .. } => Qos::keep_all(self.job.depth()),
+            Exchange::Stream { window: None } => Qos::keep_all(self.job.depth()),
             _ => Qos::keep_last(self.job.depth()),
         }
     }
 
-    fn publisher(&mut self, topic: &str) -> Result<Publisher<T>> {
+    fn publisher(&mut self, topic: &str) -> Result<Publisher<Out>> {
         self.limit(topic)?;
         Ok(self.node.create_publisher(topic, self.qos())?)
     }
 
-    fn subscription(&mut self, topic: &str) -> Result<Subscription<T>> {
+    fn subscription(&mut self, topic: &str) -> Result<Subscription<In>> {
         self.limit(topic)?;
         Ok(self.node.subscribe(topic, self.qos())?)
     }
@@ -286,17 +340,29 @@ impl<T: Payload> End<T> {
     }
 }
 
-async fn ask<T: Payload>(
+/// Sends a message to the other end.
+fn send<T: Payload>(job: &Job, publisher: &Publisher<T>, number: u64) -> Result<()> {
+    let whole = job.way.whole || job.way.mode == GATEWAY && number <= WRITTEN;
+    T::send(publisher, job.payload_bytes, Stamp { number, sent_ns: monotonic_ns() }, whole)
+}
+
+async fn ask<Q: Payload, A: Payload>(
     job: &Job,
-    publisher: Publisher<T>,
-    mut answers: Subscription<T>,
-    greeting: Timer,
+    publisher: Publisher<Q>,
+    mut answers: Subscription<A>,
+    mut greeting: Timer,
     mut patience: Timer,
 ) -> Result<Measured> {
-    let publisher = greet(job, publisher, &mut answers, greeting).await?;
+    // Until one is answered: gateways tell each other of topics, and some are sent before they did.
+    loop {
+        send(job, &publisher, 0)?;
+        if let Either::Left(_) = select(answers.next(), pin!(greeting.tick())).await {
+            break;
+        }
+    }
     let mut trips = RoundTrips::new(job);
     while let Some(number) = trips.start() {
-        T::send(&publisher, job, Stamp { number, sent_ns: monotonic_ns() })?;
+        send(job, &publisher, number)?;
         loop {
             match select(answers.next(), pin!(patience.tick())).await {
                 Either::Left((Some(answer), _)) => {
@@ -318,30 +384,62 @@ async fn ask<T: Payload>(
     Ok(trips.measured())
 }
 
-/// Sends messages of number 0 until one is answered: gateways tell each other of topics, and some are sent before they did.
-async fn greet<T: Payload>(
+async fn answer<A: Payload, Q: Payload>(
     job: &Job,
-    publisher: Publisher<T>,
-    answers: &mut Subscription<T>,
-    mut timer: Timer,
-) -> Result<Publisher<T>> {
-    loop {
-        T::send(&publisher, job, Stamp { number: 0, sent_ns: monotonic_ns() })?;
-        if let Either::Left(_) = select(answers.next(), pin!(timer.tick())).await {
-            return Ok(publisher);
-        }
-    }
-}
-
-async fn answer<T: Payload>(
-    job: &Job,
-    publisher: Publisher<T>,
-    mut questions: Subscription<T>,
+    publisher: Publisher<A>,
+    mut questions: Subscription<Q>,
 ) -> Result<()> {
     while let Some(question) = questions.next().await {
         let number = read(&question, job)?.number;
         drop(question);
-        T::send(&publisher, job, Stamp { number, sent_ns: monotonic_ns() })?;
+        send(job, &publisher, number)?;
+    }
+    Ok(())
+}
+
+/// Sends as many messages as the window allows until enough were confirmed.
+async fn pour<Q: Payload, A: Payload>(
+    job: &Job,
+    publisher: Publisher<Q>,
+    mut confirmations: Subscription<A>,
+    mut look: Timer,
+) -> Result<()> {
+    let Exchange::Stream { window } = job.exchange else { return Err("a stream is poured".into()) };
+    let (mut window, mut silent) = (Window::new(window), Duration::ZERO);
+    while !window.is_done() {
+        while let Some(number) = window.next() {
+            send(job, &publisher, number)?;
+        }
+        match select(confirmations.next(), pin!(look.tick())).await {
+            Either::Left((Some(confirmed), _)) => {
+                silent = Duration::ZERO;
+                window.confirm(Stamp::read(A::bytes(&confirmed), false)?.number);
+            }
+            Either::Left((None, _)) => return Err("the subscription ended".into()),
+            Either::Right(_) => {
+                silent += LOOK;
+                if silent >= window.patience() {
+                    window.give_up()?;
+                    silent = Duration::ZERO;
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Confirms what arrives of a stream.
+async fn gather<A: Payload, Q: Payload>(
+    mut arrivals: Arrivals,
+    publisher: Publisher<A>,
+    mut messages: Subscription<Q>,
+) -> Result<()> {
+    while let Some(message) = messages.next().await {
+        let stamp = Stamp::read(Q::bytes(&message), false)?;
+        drop(message);
+        if let Some(number) = arrivals.arrive(stamp.number) {
+            A::send(&publisher, Stamp::BYTES, Stamp { number, ..stamp }, false)?;
+        }
     }
     Ok(())
 }
@@ -349,7 +447,7 @@ async fn answer<T: Payload>(
 fn send_flow<T: Payload>(job: &Job, publishers: &[Publisher<T>]) -> Result<Measured> {
     let mut source = Source::new(job, stop_flag());
     while let Some((topic, stamp)) = source.next() {
-        T::send(&publishers[topic], job, stamp)?;
+        T::send(&publishers[topic], job.payload_bytes, stamp, job.way.whole)?;
     }
     Ok(source.measured())
 }

@@ -9,8 +9,8 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use tautline_exchange::{
-    Error, Exchange, Job, Line, Link, Result, Role, Sink, Source, Stamp, drive, program, say, stop_flag,
-    wait_for_stop,
+    Arrivals, Error, Exchange, Job, Line, Link, Result, Role, Sink, Source, Stamp, drive, program, say,
+    stop_flag, wait_for_stop,
 };
 use tautline_rt::clock::monotonic_ns;
 use zenoh::bytes::ZBytes;
@@ -37,10 +37,14 @@ fn run(mut job: Job) -> Result<()> {
     job.as_application(move || {
         let session = zenoh::open(config(&own)?).wait().map_err(text)?;
         match (own.exchange, own.role) {
-            (Exchange::RoundTrips, Role::Near) => ask(&session, &own),
-            (Exchange::RoundTrips, Role::Far) => answer(&session, &own, &stop),
-            (_, Role::Near) => send_flow(&session, &own, stop),
-            (_, Role::Far) => receive_flow(&session, &own, &stop),
+            (Exchange::Stream { window: None } | Exchange::Paced { .. }, Role::Near) => {
+                send_flow(&session, &own, stop)
+            }
+            (Exchange::Stream { window: None } | Exchange::Paced { .. }, Role::Far) => {
+                receive_flow(&session, &own, &stop)
+            }
+            (_, Role::Near) => ask(&session, &own),
+            (_, Role::Far) => answer(&session, &own, &stop),
         }
     })
 }
@@ -209,11 +213,20 @@ fn ask(session: &Session, job: &Job) -> Result<()> {
     Ok(())
 }
 
+/// Answers each message, or confirms those of a stream.
 fn answer(session: &Session, job: &Job, stop: &AtomicBool) -> Result<()> {
     let [to, from] = job.topics();
-    let out = Outlet::new(session, job, &to, pool(job)?)?;
-    // Ignored: the other end counts what it misses.
-    let answer = move |stamp: Stamp| drop(out.send(Stamp { sent_ns: monotonic_ns(), ..stamp }));
+    let mut arrivals = (job.exchange != Exchange::RoundTrips).then(|| Arrivals::new(job));
+    let payload_bytes = if arrivals.is_some() { Stamp::BYTES } else { job.payload_bytes };
+    let out = Outlet::new(session, &Job { payload_bytes, ..job.clone() }, &to, pool(job)?)?;
+    let answer = move |stamp: Stamp| {
+        let number = match &mut arrivals {
+            Some(arrivals) => arrivals.arrive(stamp.number),
+            None => Some(stamp.number),
+        };
+        // Ignored: the other end counts what it misses.
+        number.map(|number| out.send(Stamp { number, sent_ns: monotonic_ns() }));
+    };
     let _subscriber = subscribe(session, job, &from, answer)?;
     ready(session);
     wait_for_stop(stop);

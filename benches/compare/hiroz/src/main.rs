@@ -21,7 +21,7 @@ use zenoh_buffers::ZSlice;
 use zenoh_buffers::buffer::SplitBuffer;
 
 fn main() -> ExitCode {
-    program("network-hiroz", |job| run(&job))
+    program("compare-hiroz", |job| run(&job))
 }
 
 fn run(job: &Job) -> Result<()> {
@@ -142,7 +142,7 @@ fn read(message: &ByteMultiArray) -> u64 {
     match Stamp::read(&message.data.0.contiguous(), true) {
         Ok(stamp) => stamp.number,
         Err(error) => {
-            eprintln!("network-hiroz: {error}");
+            eprintln!("compare-hiroz: {error}");
             std::process::exit(1);
         }
     }
