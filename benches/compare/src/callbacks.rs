@@ -17,6 +17,7 @@ use crate::Result;
 use crate::modes::{GATEWAY, MODES, Mode, TAUT};
 use crate::pair::{FAR_DOMAIN, PATIENCE, Setup};
 use crate::plan::{Case, Experiment, FLOOD, Idle, QUIET, Task};
+use crate::report::missing;
 
 /// 500 MB a second.
 const MESSAGE_BYTES: usize = 1 << 20;
@@ -25,6 +26,13 @@ const RATE: f64 = 500e6 / MESSAGE_BYTES as f64;
 /// Measures both, in turn: a row for each topic of the demo.
 pub fn run(setup: &Setup<'_>) -> Result<Vec<Row>> {
     let (rounds, seconds) = setup.plan.callbacks;
+    if rounds == 0 {
+        return Ok(Vec::new());
+    }
+    let programs = &setup.plan.programs;
+    if let Err(reason) = programs.find(GATEWAY).and_then(|_| programs.find(TAUT)) {
+        return Ok(vec![missing("tautline", "callbacks", &reason)]);
+    }
     let progress = progress_bar(u64::from(rounds) * 2);
     let (mut quiet, mut flooded, mut arrived, mut throttled) = (Vec::new(), Vec::new(), Vec::new(), 0);
     for round in 1..=rounds {
@@ -46,20 +54,17 @@ pub fn run(setup: &Setup<'_>) -> Result<Vec<Row>> {
         }
     }
     progress.finish_and_clear();
-    let mut all = rows(QUIET, &quiet);
-    if !arrived.is_empty() {
-        let [_, mb_per_s, _] = extent(arrived);
-        let sent = RATE * MESSAGE_BYTES as f64 / 1e6;
-        let flood = |row| Row {
-            payload_bytes: MESSAGE_BYTES,
-            mb_per_s: Some(mb_per_s),
-            throttled: Some(throttled),
-            note: format!("flood: {sent:.0} MB/s sent, {mb_per_s:.0} MB/s arrived (median round)"),
-            ..row
-        };
-        all.extend(rows(FLOOD, &flooded).into_iter().map(flood));
-    }
-    Ok(all)
+    let [_, mb_per_s, _] = extent(arrived);
+    let sent = RATE * MESSAGE_BYTES as f64 / 1e6;
+    let flood = |row| Row {
+        payload_bytes: MESSAGE_BYTES,
+        mb_per_s: Some(mb_per_s),
+        throttled: Some(throttled),
+        note: format!("flood: {sent:.0} MB/s sent, {mb_per_s:.0} MB/s arrived (median round)"),
+        ..row
+    };
+    let of_flood = rows(FLOOD, &flooded).into_iter().map(flood);
+    Ok(rows(QUIET, &quiet).into_iter().chain(of_flood).collect())
 }
 
 /// From one host to the other, whatever becomes of it.

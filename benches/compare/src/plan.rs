@@ -246,14 +246,17 @@ impl Plan {
             cases.extend(of_experiment(bench, experiment, extent, &modes));
         }
         let gateway = is_among(&options.systems, "tautline") && chosen.contains(&Experiment::Callbacks);
-        let callbacks = match (extent, gateway) {
-            (_, false) => (0, 0),
-            (Extent::Smoke, _) => (1, 2),
-            (Extent::Quick, _) => (1, 4),
-            (Extent::Full, _) => (5, 10),
+        let mut callbacks = match extent {
+            Extent::Smoke => (1, 2),
+            Extent::Quick => (1, 4),
+            Extent::Full => (5, 10),
         };
         if let Some(rounds) = options.rounds {
             cases.iter_mut().for_each(|case| case.rounds = rounds);
+            callbacks.0 = rounds;
+        }
+        if !gateway {
+            callbacks = (0, 0);
         }
         let rounds = cases.iter().map(|case| case.rounds).max().unwrap_or(0);
         let quick = extent != Extent::Full;
@@ -357,35 +360,19 @@ fn takes_part(bench: Bench, mode: &Mode, setting: &Setting) -> bool {
 
 /// Each size untouched and whole, with both idle states.
 fn wake(extent: Extent) -> Vec<Setting> {
-    let (payloads, budget_ms, rounds): (&[(usize, bool)], _, _) = match extent {
-        Extent::Smoke => (&[(64, false), (1 << 20, true)], 60, 1),
-        Extent::Quick => (&[(64, false), (1 << 20, true), (8 << 20, false)], 150, 3),
-        Extent::Full => (
-            &[
-                (64, false),
-                (64, true),
-                (4 << 10, false),
-                (4 << 10, true),
-                (1 << 20, false),
-                (1 << 20, true),
-                (8 << 20, false),
-                (8 << 20, true),
-            ],
-            350,
-            5,
-        ),
+    let both = |bytes| [(bytes, false), (bytes, true)];
+    let (payloads, budget_ms, rounds) = match extent {
+        Extent::Smoke => (vec![(64, false), (1 << 20, true)], 60, 1),
+        Extent::Quick => (vec![(64, false), (1 << 20, true), (8 << 20, false)], 150, 3),
+        Extent::Full => ([64, 4 << 10, 1 << 20, 8 << 20].map(both).concat(), 350, 5),
     };
-    let of_idle = |idle| {
-        let setting = move |&(payload_bytes, whole)| Setting {
-            task: Task::RoundTrips { whole },
-            payload_bytes,
-            idle,
-            budget_ms,
-            rounds,
-        };
-        payloads.iter().map(setting)
-    };
-    of_idle(Idle::AsShipped).chain(of_idle(Idle::HeldOff)).collect()
+    let mut settings = Vec::new();
+    for idle in [Idle::AsShipped, Idle::HeldOff] {
+        for &(payload_bytes, whole) in &payloads {
+            settings.push(Setting { task: Task::RoundTrips { whole }, payload_bytes, idle, budget_ms, rounds });
+        }
+    }
+    settings
 }
 
 fn requests(extent: Extent) -> Vec<Setting> {

@@ -100,7 +100,8 @@ impl Report {
     }
 }
 
-fn missing(system: &str, mode: &str, reason: &str) -> Row {
+/// What was not measured.
+pub fn missing(system: &str, mode: &str, reason: &str) -> Row {
     let note = format!("not measured: {reason}");
     Row { note, ..Tally::default().row("-", system, mode, 0) }
 }
