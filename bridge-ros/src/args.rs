@@ -10,46 +10,46 @@ use tautline_transport::MAX_DOMAIN;
 
 /// Joins Tautline's topics, services and actions with those of a ROS 2 graph.
 ///
-/// Whatever one side publishes and the other subscribes to is passed on, as CDR, with the publishers' QoS; ROS's tools see
-/// Tautline's nodes and topics, and Tautline's tools those of ROS. Services of Tautline are offered in ROS, those of ROS to the
-/// clients that Tautline has; actions and parameters consist of services and topics. Types are found in the ROS 2 that is
-/// sourced (AMENT_PREFIX_PATH). Without --config everything is bridged.
+/// Forwards messages that one side publishes and the other subscribes to, as CDR, with the publishers' QoS. ROS's tools list
+/// Tautline's nodes and topics, and Tautline's tools those of ROS. Clients on each side reach the services of the other; actions
+/// and parameters consist of services and topics. Types come from the sourced ROS 2 (AMENT_PREFIX_PATH). Without --config
+/// everything is bridged.
 #[derive(Parser, Debug)]
 #[command(name = "taut-bridge-ros", version)]
 #[command(after_help = "Examples:
   taut bridge-ros                                   every topic, by discovery
-  taut bridge-ros --deny '/camera/**'               but for these
+  taut bridge-ros --deny '/camera/**'               except these
   taut bridge-ros --allow /cmd_vel --allow /tf      only these
-  taut bridge-ros --config bridge.toml              what the file says: names, directions, QoS, rates
-  taut bridge-ros --config bridge.toml --auto       and every topic that it does not speak of
+  taut bridge-ros --config bridge.toml              the topics of a file, with names, directions, QoS, rates
+  taut bridge-ros --config bridge.toml --auto       and all topics that it does not mention
   taut bridge-ros --domain 5 --ros-domain 0         Tautline's domain 5 and ROS's domain 0
-  taut bridge-ros --standby                         takes over when the one that runs ends or dies
+  taut bridge-ros --standby                         takes over when the running bridge ends or is killed
   taut bridge-ros --json | jq .topics
   taut bridge-ros --json | jq .services
 
 A file:
   [[topic]]
   topic = \"/robot/**\"            # Tautline's names; * is a part, ** any number of parts
-  ros_topic = \"/r1/**\"           # what they are called in ROS
-  direction = \"to_ros\"           # or \"from_ros\"; both ways without it
-  type = \"nav_msgs/msg/Odometry\" # what is expected
+  ros_topic = \"/r1/**\"           # their names in ROS
+  direction = \"to_ros\"           # or \"from_ros\"; default: both
+  type = \"nav_msgs/msg/Odometry\" # the expected type
   qos = { reliability = \"best_effort\", durability = \"volatile\", depth = 5 }
   max_rate_hz = 10.0
   [[service]]
   service = \"/set_mode\"
-  ros_service = \"/r1/set_mode\"  # what it is called in ROS
-  direction = \"to_ros\"           # Tautline has the server; \"from_ros\": ROS has it
+  ros_service = \"/r1/set_mode\"  # its name in ROS
+  direction = \"to_ros\"           # the server is in Tautline; \"from_ros\": in ROS
   type = \"std_srvs/srv/SetBool\"
   [[action]]
-  action = \"/dock\"               # its services and its topics; ros_action, direction as above")]
+  action = \"/dock\"               # its services and topics; also ros_action, direction")]
 pub struct Args {
-    /// A file that says which topics are bridged, and how
+    /// File that lists the topics to bridge, and how
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Also bridge what the file does not speak of
+    /// Also bridge what the file does not mention
     #[arg(long)]
     auto: bool,
-    /// By discovery, bridge only topics and services that match; may be given several times
+    /// Of the discovered topics and services, bridge only those that match; may be given several times
     #[arg(long, value_name = "PATTERN")]
     allow: Vec<String>,
     /// Do not bridge topics and services that match; may be given several times
@@ -61,10 +61,10 @@ pub struct Args {
     /// ROS's domain [default: ROS_DOMAIN_ID, else 0]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_DOMAIN)))]
     ros_domain: Option<u32>,
-    /// SCHED_FIFO priority of the threads that carry messages; the RMW's have the one below it
+    /// SCHED_FIFO priority of the threads that carry messages; the RMW's threads run one below
     #[arg(long, value_name = "N", default_value_t = Options::PRIORITY, value_parser = clap::value_parser!(u8).range(3..=98))]
     priority: u8,
-    /// Put into ROS what is of this host alone, not what gateways and other bridges tell of here
+    /// Put into ROS only this domain's own endpoints, not those that gateways and other bridges announce in it
     #[arg(long)]
     no_transit: bool,
     /// Run without real-time priorities
@@ -73,21 +73,21 @@ pub struct Args {
     /// Processor time that the bridge may use at its priority, in percent of one core
     #[arg(long, value_name = "PERCENT", default_value_t = Options::BUDGET.percent, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     budget: u32,
-    /// No such limit: a flood can starve callbacks
+    /// No processor budget: a flood can starve callbacks
     #[arg(long, conflicts_with = "budget")]
     no_budget: bool,
-    /// If these domains have a bridge already, wait and take over when it ends or dies
+    /// If these domains already have a bridge, wait and take over when it ends or is killed
     #[arg(long)]
     pub standby: bool,
-    /// Print the numbers as JSON, one object a line
+    /// Print statistics as JSON, one object per line
     #[arg(long)]
     pub json: bool,
-    /// Seconds between two looks at the numbers
+    /// Seconds between two prints of the statistics
     #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = tautline_relay::parse_interval)]
     pub interval: f64,
 }
 
-/// What cannot be meant.
+/// Invalid arguments.
 #[derive(Debug, thiserror::Error)]
 pub enum ArgsError {
     #[error(transparent)]
@@ -149,7 +149,7 @@ mod tests {
         let examples = help.lines().filter_map(|line| line.trim_start().strip_prefix("taut bridge-ros "));
         let mut count = 0;
         for example in examples {
-            // What it means is said behind it.
+            // The explanation follows after two spaces.
             let command = example.split("  ").next().unwrap().split(" |").next().unwrap().replace('\'', "");
             let args =
                 Args::try_parse_from(["taut-bridge-ros"].into_iter().chain(command.split_whitespace()))

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The bridge itself: joins both domains, and starts the threads that carry.
+//! The bridge: joins both domains and starts its threads.
 
 use crate::incoming::Incoming;
 use crate::outgoing::{Outgoing, Ros};
@@ -23,25 +23,25 @@ use tautline_relay::{
 use tautline_rt::{JoinHandle, Realtime, RtError, ThreadInfo};
 use tautline_transport::{Participant, RemoteGraph, TransportError};
 
-/// What a bridge is to do. Every field has a default.
+/// Options of a bridge. Every field has a default.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// Tautline's domain.
     pub domain: u32,
-    /// ROS's domain; `None`: as `ROS_DOMAIN_ID` says, else 0.
+    /// ROS's domain; `None`: `ROS_DOMAIN_ID`, else 0.
     pub ros_domain: Option<u32>,
-    /// Which topics.
+    /// The topics to bridge.
     pub rules: Rules,
-    /// Which services.
+    /// The services to bridge.
     pub services: Rules,
-    /// Whether what gateways and other bridges tell of here is put into ROS too.
+    /// Whether endpoints that gateways and other bridges announce in the domain are mirrored into ROS.
     pub transit: bool,
-    /// `SCHED_FIFO` priority of the threads that carry messages, at least 3: the RMW's threads have the one below it, the
-    /// bridge's other threads the one below that. Below the sampler's (90), above the callbacks'.
+    /// `SCHED_FIFO` priority of the threads that carry messages, at least 3. The RMW's threads run one below, the bridge's
+    /// other threads two below. It must be below the sampler's (90) and above the callbacks'.
     pub priority: u8,
-    /// Whether that is required.
+    /// Whether real-time priorities are required.
     pub realtime: Realtime,
-    /// Processor time at these priorities; `None` is without a limit.
+    /// Processor budget at these priorities; `None`: no limit.
     pub budget: Option<Budget>,
 }
 
@@ -68,23 +68,23 @@ impl Default for Options {
     }
 }
 
-/// Why there is no bridge.
+/// Why a bridge could not start.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum BridgeError {
-    /// There is one, which carries what this one would, or its lock cannot be had.
+    /// Another bridge already joins these domains, or the lock file failed.
     #[error(transparent)]
     Instance(#[from] InstanceError),
-    /// What bridges of one ROS domain tell each other cannot be made.
-    #[error("bridges cannot tell each other what they carry: {0}")]
+    /// The type support for the table that bridges exchange could not be loaded.
+    #[error("bridges cannot announce their endpoints to each other: {0}")]
     Table(String),
-    /// ROS.
-    #[error("{0}; is ROS 2 sourced, and RMW_IMPLEMENTATION unset or one that is installed?")]
+    /// rcl or the RMW failed.
+    #[error("{0}; source ROS 2, and unset RMW_IMPLEMENTATION or set it to an installed RMW")]
     Ros(#[from] RclError),
-    /// The domain's shared memory.
+    /// Shared memory of the domain failed.
     #[error(transparent)]
     Transport(#[from] TransportError),
-    /// A thread.
+    /// A thread could not start.
     #[error(transparent)]
     Threads(#[from] RtError),
 }
@@ -98,7 +98,7 @@ impl From<RelayError> for BridgeError {
     }
 }
 
-/// A running bridge. Dropping it takes everything back: endpoints, nodes, threads.
+/// A running bridge. Dropping it removes its endpoints and nodes and ends its threads.
 pub struct Bridge {
     events: mpsc::SyncSender<Event<()>>,
     state: Arc<BridgeState>,
@@ -106,12 +106,12 @@ pub struct Bridge {
     threads: Vec<JoinHandle<()>>,
     info: Vec<ThreadInfo>,
     guard: Option<Guard>,
-    // Before the participant, whose end removes the folder that the lock's file is in.
+    // Dropped before the participant, which removes the folder of the lock file.
     _lock: InstanceLock,
     _participant: Participant,
 }
 
-/// What is read from outside.
+/// State that [`Bridge`] reads.
 pub(crate) struct BridgeState {
     pub(crate) stop: AtomicBool,
     stats: Mutex<Stats>,
@@ -123,12 +123,12 @@ impl BridgeState {
     }
 }
 
-/// Changes that wait to be looked at; more are the same look.
+/// Capacity of the event queue. If it is full, the graphs are read anyway.
 const EVENTS: usize = 64;
 
 impl Bridge {
-    /// Starts a bridge in this process: six threads of its own and the RMW's, none of which the caller's own real-time
-    /// threads wait for.
+    /// Starts a bridge in this process: six threads of its own and the RMW's. The caller's real-time threads wait for none of
+    /// them.
     ///
     /// # Real-time
     /// Setup only.
@@ -139,14 +139,14 @@ impl Bridge {
         Self::spawn_in(options, None)
     }
 
-    /// As [`spawn`](Self::spawn), with a lock that was waited for, if it was.
+    /// Like [`spawn`](Self::spawn), with a lock from [`Instance::wait`], if given.
     ///
     /// # Errors
     /// [`BridgeError`].
     pub fn spawn_in(options: Options, lock: Option<InstanceLock>) -> Result<Self, BridgeError> {
         let rmw = rmw_implementation();
         let participant = Participant::new(options.domain)?;
-        // From the first port on it is known that they stand for others.
+        // Marks the participant as one that mirrors others, before its first port appears.
         participant.set_remote(&RemoteGraph::default())?;
         let before = tautline_rt::threads()?;
         let context = Context::new(options.ros_domain)?;
@@ -172,7 +172,7 @@ impl Bridge {
         let (tables, heard) = (Tables::default(), table::subscription(&node, &support)?);
         let buffer = SerializedMessage::new()?;
         let threads = Vec::new();
-        // From here on what was started ends if something fails.
+        // From here on, an error ends the threads that have started.
         let guard = match (options.realtime, options.budget) {
             (Realtime::Required, Some(budget)) => Some(priorities.watch(budget, &rmw_threads)?),
             _ => None,
@@ -225,13 +225,13 @@ impl Bridge {
         self.threads.push(thread);
     }
 
-    /// What went through and what did not. Rates are those of the second before.
+    /// Statistics. Rates are those of the last second.
     pub fn stats(&self) -> Stats {
         let throttled = self.guard.as_ref().map_or(0, Guard::demotions);
         Stats { throttled, ..self.state.stats().clone() }
     }
 
-    /// The bridge's own threads, as they were read back when they started.
+    /// The bridge's own threads, with the policies read back at start.
     pub fn threads(&self) -> &[ThreadInfo] {
         &self.info
     }
@@ -241,7 +241,7 @@ impl Drop for Bridge {
     fn drop(&mut self) {
         self.guard = None;
         self.state.stop.store(true, Ordering::Release);
-        // If it does not fit, the control thread has something to look at and will see the flag.
+        // If the queue is full, the control thread wakes anyway and sees the flag.
         let _ = self.events.try_send(Event::Stop);
         self.wake.trigger();
         for thread in self.threads.drain(..) {
@@ -250,12 +250,12 @@ impl Drop for Bridge {
     }
 }
 
-/// Begins as all bridges' do: what is left of one in ROS after it was killed is known by it.
+/// All bridges' node names have this prefix, which identifies leftovers of a killed bridge in ROS.
 fn node_name(domain: u32) -> String {
     format!("{BRIDGE_PREFIX}{domain}_{}", std::process::id())
 }
 
-/// What tells that something changed in ROS.
+/// Sources of changes in ROS.
 struct RosEvents {
     graph: GraphGuard,
     /// Other bridges' tables.
@@ -264,7 +264,7 @@ struct RosEvents {
     buffer: SerializedMessage,
 }
 
-/// Says when ROS's graph changed, or what other bridges tell.
+/// Wakes the control thread when ROS's graph or another bridge's table changed.
 fn watch_ros(
     mut ros_events: RosEvents,
     mut wait_set: WaitSet,
@@ -282,7 +282,7 @@ fn watch_ros(
         match woken.and_then(|()| ros_events.tables.take(&mut ros_events.heard, &mut ros_events.buffer)) {
             Ok(()) => drop(events.try_send(Event::FarChange(()))),
             Err(error) => {
-                tracing::error!("changes in ROS are not seen: {error}");
+                tracing::error!("changes of the ROS graph are not seen, retrying in 1 s: {error}");
                 std::thread::sleep(Duration::from_secs(1));
             }
         }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The file that says which topics are bridged, and how. All that is wrong with it is said at once, with its line.
+//! The configuration file: which topics are bridged, and how. All errors are reported at once, with their lines.
 
 use crate::rcl::{is_message_type, is_service_type};
 use std::collections::BTreeSet;
@@ -10,28 +10,28 @@ use tautline_transport::{Durability, History, Limits, MAX_DOMAIN, Reliability};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// What a file says.
+/// The content of a configuration file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Config {
     /// Tautline's domain.
     pub domain: Option<u32>,
     /// ROS's domain.
     pub ros_domain: Option<u32>,
-    /// Which topics.
+    /// Rules for topics.
     pub rules: Rules,
-    /// Which services.
+    /// Rules for services.
     pub services: Rules,
-    /// Whether what others tell of in Tautline's domain is put into ROS too: it is, unless it says otherwise.
+    /// Whether endpoints that gateways and other bridges announce in Tautline's domain are mirrored into ROS; `None`: yes.
     pub transit: Option<bool>,
 }
 
-/// Something that is wrong with a file.
+/// An error in a file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: {message}")]
 pub struct Problem {
     /// Counted from 1.
     pub line: usize,
-    /// What is wrong, and what to write.
+    /// The error and the fix.
     pub message: String,
 }
 
@@ -46,7 +46,7 @@ pub enum ConfigError {
         /// Why.
         source: std::io::Error,
     },
-    /// It says what cannot be meant.
+    /// Its content is invalid.
     #[error("{} has {} problem(s):\n{}", path.display(), problems.len(), listed(problems))]
     Content {
         /// The file.
@@ -64,7 +64,7 @@ impl Config {
     /// Reads a file.
     ///
     /// # Errors
-    /// [`ConfigError`], with all that is wrong with it.
+    /// [`ConfigError`], with all errors of the file.
     pub fn read(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
         let path = path.as_ref().to_owned();
         match std::fs::read_to_string(&path) {
@@ -83,7 +83,7 @@ impl Config {
     /// ```
     ///
     /// # Errors
-    /// All that is wrong with it, in the order of the lines.
+    /// All errors of the file, in the order of the lines.
     pub fn parse(text: &str) -> Result<Self, Vec<Problem>> {
         let (root, broken) = DeTable::parse_recoverable(text);
         let mut reader = Reader { text, problems: Vec::new() };
@@ -104,7 +104,7 @@ struct Reader<'t> {
     problems: Vec<Problem>,
 }
 
-/// A table whose keys are asked for one by one; what nobody asked for is unknown.
+/// A table that records which keys were read; the others are unknown.
 struct Section<'t> {
     table: &'t DeTable<'t>,
     title: &'static str,
@@ -128,7 +128,7 @@ impl<'t> Reader<'t> {
         self.problems.push(Problem { line, message });
     }
 
-    /// Says what is wrong with `value`, of which nothing is taken.
+    /// Reports an error of `value`, which is not used.
     fn refuse<T>(&mut self, value: &Value<'_>, message: String) -> Option<T> {
         self.add(value.span().start, message);
         None
@@ -171,7 +171,7 @@ impl<'t> Reader<'t> {
             if rules.iter().any(|before| before.topic == rule.topic) {
                 let topic = &rule.topic;
                 let message =
-                    format!("`{name}` \"{topic}\" is spoken of before: only that counts; remove one of both");
+                    format!("`{name}` \"{topic}\" is listed twice: the first one counts; remove the other");
                 self.add(table.span().start, message);
             }
             rules.push(rule);
@@ -198,7 +198,7 @@ impl<'t> Reader<'t> {
         Some(Rule { type_name, ..rule? })
     }
 
-    /// What an action consists of: a rule for its services and its topics alike.
+    /// One rule for the services and topics of an action.
     fn action(&mut self, value: &'t Value<'t>) -> Option<Rule> {
         let (section, rule) = self.entry(value, "[[action]]", "action", "ros_action")?;
         self.unknown(&section);
@@ -211,7 +211,7 @@ impl<'t> Reader<'t> {
         Some(Rule { far_topic, direction, is_of_actions: true, ..Rule::new(parts(topic)?) })
     }
 
-    /// What all entries say: names and a direction. `None` as its rule if the name is missing.
+    /// The common keys of all entries: names and a direction. The rule is `None` if the name is missing.
     fn entry(
         &mut self,
         value: &'t Value<'t>,
@@ -261,7 +261,7 @@ impl<'t> Reader<'t> {
         if is_one(name) {
             return Some(name.to_owned());
         }
-        self.refuse(value, format!("`type` \"{name}\" is no type of {what}"))
+        self.refuse(value, format!("`type` \"{name}\" is not a type of {what}"))
     }
 
     fn direction(&mut self, section: &mut Section<'t>) -> Option<Direction> {
@@ -355,7 +355,7 @@ impl<'t> Reader<'t> {
         if let DeValue::String(text) = value.get_ref() {
             return Some(text);
         }
-        self.refuse(value, format!("`{key}` must be a text in quotes, not {}", kind(value.get_ref())))
+        self.refuse(value, format!("`{key}` must be a string in quotes, not {}", kind(value.get_ref())))
     }
 
     fn pattern(&mut self, key: &'static str, value: &'t Value<'t>) -> Option<Pattern> {
@@ -394,7 +394,7 @@ fn shown(value: &Value<'_>) -> String {
 
 fn kind(value: &DeValue<'_>) -> &'static str {
     match value {
-        DeValue::String(_) => "a text",
+        DeValue::String(_) => "a string",
         DeValue::Integer(_) => "a number",
         DeValue::Float(_) => "a number with a fraction",
         DeValue::Boolean(_) => "true or false",
@@ -461,7 +461,7 @@ mod tests {
                 (&*arm.far_topic, arm.direction),
                 ("/ros_arm/left/_action/status", Some(Direction::Out))
             );
-            // No action's: as if nothing were said of it.
+            // Not of an action: as if there were no rule.
             let other = rules.choice("/arm/joint_states").unwrap();
             assert_eq!((&*other.far_topic, other.direction), ("/arm/joint_states", None));
             assert_eq!(
@@ -506,19 +506,19 @@ direction = 7
         let said = problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");
         for part in [
             "`domain` is 233: write a whole number from 0 to 232",
-            "`auto` must be true or false, not a text",
-            "'camera' is no pattern",
+            "`auto` must be true or false, not a string",
+            "'camera' is not a pattern",
             "the file has no `colour`: it can have action, allow, auto, deny, domain, ros_domain, service, topic, transit",
             "[[topic]] has no `topic`",
             "`ros_topic` \"/b\" does not rename \"/*/a\"",
             "`direction` is \"out\": write \"to_ros\", \"from_ros\" or \"both\"",
-            "`type` \"String\" is no type",
+            "`type` \"String\" is not a type",
             "`max_rate_hz` is 0",
             "`depth` is 0",
             "`reliability` is \"yes\": write \"reliable\" or \"best_effort\"",
             "`qos` has no `deadline`: it can have depth, durability, history, reliability",
-            "\"/same\" is spoken of before",
-            "`type` \"std_srvs/msg/SetBool\" is no type of services",
+            "\"/same\" is listed twice",
+            "`type` \"std_srvs/msg/SetBool\" is not a type of services",
             "[[action]] has no `action`",
             "`direction` is 7",
         ] {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! From ROS to shared memory: one thread waits for all subscriptions and takes from each until it is empty.
 //!
-//! So there is one queue, the RMW's, and its depth is the QoS's: between it and the loan is no channel that could
-//! overflow. A message is taken into a buffer of rmw's, checked there, and copied once, into a loan.
+//! The RMW's queue is the only one, with the depth of the QoS: there is no second queue before the loan that could overflow. A
+//! message is taken into a buffer of rmw's, validated there, and copied once, into a loan.
 
 use crate::bridge::BridgeError;
 use crate::outgoing::ENCAPSULATION;
@@ -17,10 +17,10 @@ use tautline_relay::{Delivery, EarlyLimits, InKey, Ingress, IngressUpdate, Job, 
 use tautline_rt::{ThreadBuilder, ThreadInfo};
 use tautline_transport::Gid;
 
-/// Messages taken of one topic before the next topic has its turn.
+/// Messages taken from one topic before the next topic's turn.
 const TURN: usize = 64;
-/// How messages come. Those of publishers that are not known yet are waited for longer than it takes to give up the name of a
-/// publisher's node, and the next look at the graph.
+/// Messages of publishers that are not discovered yet are held for longer than the time-out for the name of a publisher's node
+/// plus the next read of the graph.
 pub(crate) const DELIVERY: Delivery = Delivery {
     early: Some(EarlyLimits {
         samples: 1000,
@@ -29,16 +29,16 @@ pub(crate) const DELIVERY: Delivery = Delivery {
     }),
     is_ordered: true,
 };
-/// How often it is looked whether something has waited long enough.
+/// Interval of the check for expired waits.
 const LOOK: Duration = Duration::from_secs(1);
 
-/// How long a subscription is kept beside the one that replaces it: publishers have found that by then, which they tell nobody.
+/// How long a replaced subscription is kept. By then publishers have discovered the new one; DDS does not signal that.
 const RENEWAL_TIME: Duration = Duration::from_secs(3);
 
-/// Publishers of a topic whose last time is remembered, of an RMW that gives no numbers.
+/// Maximum of publishers per topic whose last time stamp is stored, for an RMW without sequence numbers.
 const MOST_PUBLISHERS: usize = 4096;
 
-/// The thread that takes from ROS; dropping it ends it.
+/// The thread that takes from ROS; dropping this ends it.
 pub(crate) struct Incoming {
     worker: Worker<Job<Loop>>,
 }
@@ -52,12 +52,12 @@ impl Incoming {
         Ok(Incoming { worker })
     }
 
-    /// The thread, as it was read back.
+    /// The thread, as read back at start.
     pub(crate) fn info(&self) -> Option<&ThreadInfo> {
         self.worker.info()
     }
 
-    /// Takes from now on; in place of what the key had.
+    /// Takes from `subscription` from now on, in place of the key's previous route.
     pub(crate) fn open(&self, key: InKey, subscription: RosSubscription, ingress: Ingress) {
         self.worker.tell(Box::new(move |incoming| incoming.open(key, subscription, ingress)));
     }
@@ -85,10 +85,10 @@ struct Loop {
 struct Route {
     subscription: RosSubscription,
     ingress: Ingress,
-    /// Subscriptions before this one, the oldest first, and until when they are taken from: who keeps nothing for late joiners
-    /// does not send to the new one before they have found each other.
+    /// Replaced subscriptions, the oldest first, and until when each is still taken from: a volatile publisher does not send to
+    /// the new one before both have matched.
     previous: Vec<(RosSubscription, Instant)>,
-    /// Of an RMW that gives no numbers: when each publisher's last message was published.
+    /// For an RMW without sequence numbers: the source time stamp of each publisher's last message.
     last: HashMap<Gid, i64>,
     /// Whether a turn ended before the queue was empty.
     has_more: bool,
@@ -111,8 +111,8 @@ impl Loop {
             let mut ready = match self.wait_set.wait(&all, timeout) {
                 Ok(ready) => ready.iter(),
                 Err(error) => {
-                    // What was said once is enough; a thread of this priority must not spin.
-                    tracing::error!("nothing comes from ROS: {error}");
+                    // One log line is enough, and a thread of this priority must not spin.
+                    tracing::error!("no messages are taken from ROS, retrying in 1 s: {error}");
                     std::thread::sleep(Duration::from_secs(1));
                     continue;
                 }
@@ -137,11 +137,11 @@ impl Loop {
         self.routes.push((key, route));
     }
 
-    /// What arrived before still goes through, or is left over.
+    /// Messages that have arrived are still forwarded or dropped.
     fn end(&mut self, key: &InKey) -> Option<Route> {
         let at = self.routes.iter().position(|(other, _)| other == key)?;
         let (_, mut route) = self.routes.swap_remove(at);
-        // Bounded, for a publisher could be faster than this.
+        // Bounded, because a publisher could be faster.
         for _ in 0..64 {
             route.serve(&mut self.buffer);
             if !route.has_more {
@@ -153,12 +153,12 @@ impl Loop {
 }
 
 impl Route {
-    /// In the order in which they are taken from.
+    /// In the order in which messages are taken.
     fn subscriptions(&self) -> impl Iterator<Item = &RosSubscription> {
         self.previous.iter().map(|(subscription, _)| subscription).chain([&self.subscription])
     }
 
-    /// Goes on where the other ended.
+    /// Continues where the old route ended.
     fn take_over(&mut self, old: Route, is_kept: bool) {
         if !is_kept {
             self.previous = old.previous;
@@ -168,7 +168,7 @@ impl Route {
         self.ingress.take_over(old.ingress, is_kept);
     }
 
-    /// Takes and passes on what is there, at most a turn of it.
+    /// Takes and forwards what has arrived, at most one turn.
     fn serve(&mut self, buffer: &mut SerializedMessage) {
         for _ in 0..TURN {
             match self.take(buffer) {
@@ -183,8 +183,8 @@ impl Route {
         self.has_more = true;
     }
 
-    /// From previous subscriptions first: what the new one has follows on it. What both get is told by its number, or by when it was
-    /// published if the RMW gives none.
+    /// Takes from replaced subscriptions first, because the new one continues after them. Duplicates are found by sequence
+    /// number, or by source time stamp if the RMW has none.
     fn take(&mut self, buffer: &mut SerializedMessage) -> Result<Option<RosMessageInfo>, RclError> {
         for (previous, _) in &mut self.previous {
             if let Some(info) = previous.take(buffer)? {
@@ -199,7 +199,7 @@ impl Route {
             return;
         }
         if info.sequence_number.is_none() {
-            // Of publishers that have gone, most of them.
+            // Most of them belong to publishers that have ended.
             if self.last.len() >= MOST_PUBLISHERS {
                 self.last.clear();
             }
@@ -221,9 +221,9 @@ impl Route {
         }
     }
 
-    /// What has waited long enough goes.
+    /// Ends expired waits.
     fn look(&mut self) {
-        // Not before it was empty.
+        // Not before the queue was empty.
         if !self.has_more {
             self.previous.retain(|(_, until)| Instant::now() < *until);
         }
@@ -242,9 +242,9 @@ enum Dropped {
     Encapsulation,
 }
 
-/// The body, if it is one that can be read in place.
+/// The body, if it can be read in place.
 fn body(bytes: &[u8]) -> Result<&[u8], Dropped> {
-    // The last two bytes are options, which say how much padding follows.
+    // The last two bytes are options: the length of the padding.
     match bytes {
         [kind, encoding, _, _, body @ ..] if [*kind, *encoding] == ENCAPSULATION[..2] => Ok(body),
         [0, 0, _, _, ..] => Err(Dropped::BigEndian),

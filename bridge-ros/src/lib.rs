@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bridge: topics and services joined with a ROS 2 graph, as raw CDR.
 //!
-//! [`Bridge::spawn`] joins a domain of Tautline's with one of ROS's and carries messages until it is dropped; [`Options`] says
-//! which, and [`Bridge::stats`] what went through and what did not, and why. A message's bytes are passed on as they are: from shared memory
-//! into the RMW, and back. Types are found at run time, in the ROS 2 that is sourced.
+//! [`Bridge::spawn`] joins a domain of Tautline with one of ROS and carries messages until it is dropped. [`Options`] selects the
+//! topics and services; [`Bridge::stats`] counts what was forwarded, lost and dropped, and why. Bodies are forwarded unchanged
+//! between shared memory and the RMW. Types are found at run time, in the sourced ROS 2.
 //!
-//! `ros-in` and `ros-out` take messages from ROS and publish them there, `ros-services` carries requests and responses, all at
-//! `SCHED_FIFO` 80 unless [`Options`] say otherwise; the RMW's threads are one below, and `ros-control`, `ros-here` and `ros-there`,
-//! which follow both graphs, two. The program around it is `taut-bridge-ros`; `docs/bridge.md` and `docs/bridge-services.md` say how
-//! it is used, and what it does with QoS, late joiners and losses.
+//! `ros-in` takes messages from ROS, `ros-out` publishes there, `ros-services` carries requests and responses, all at
+//! `SCHED_FIFO` 80 unless [`Options`] set another priority. The RMW's threads run one below; `ros-control`, `ros-here` and
+//! `ros-there`, which follow both graphs, two below. The program is `taut-bridge-ros`; `docs/bridge.md` and
+//! `docs/bridge-services.md` describe its use, QoS, late joiners and losses.
 
 mod bridge;
 mod config;

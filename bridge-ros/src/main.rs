@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut-bridge-ros`: what `taut bridge-ros` runs.
+//! `taut-bridge-ros`, the program behind `taut bridge-ros`.
 #![forbid(unsafe_code)]
-#![allow(rustdoc::broken_intra_doc_links, reason = "what args.rs says is text for a terminal")]
+#![allow(rustdoc::broken_intra_doc_links, reason = "the doc comments of args.rs are help texts")]
 
 mod args;
 mod status;
@@ -19,7 +19,7 @@ use tautline_rt::Realtime;
 
 fn main() -> ExitCode {
     let args = Args::parse();
-    // That a message needs a larger segment is none of the user's doing here.
+    // Users cannot change the size of messages from ROS, so no warning about growing segments.
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| {
         tracing_subscriber::EnvFilter::new("warn,tautline_transport::topic::publisher=error")
     });
@@ -49,38 +49,38 @@ fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// `None`: a signal came while another bridge was waited for.
+/// `None`: a signal ended the wait for another bridge.
 fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Bridge>, Box<dyn Error>> {
     if !args.standby {
         return Ok(Some(Bridge::spawn(options)?));
     }
-    // What the environment says is in the options.
+    // `ROS_DOMAIN_ID` is already in the options.
     let instance = Instance::bridge(options.domain, options.ros_domain.unwrap_or(0));
     let lock = instance.wait(|| stop.load(Ordering::Relaxed))?;
     Ok(lock.map(|lock| Bridge::spawn_in(options, Some(lock))).transpose()?)
 }
 
-/// What it does: once, to standard error.
+/// Prints the bridge's configuration once, to standard error.
 fn introduce(bridge: &Bridge, options: &Options) {
     let stats = bridge.stats();
     eprintln!("bridge of domain {} and ROS domain {} ({})", stats.domain, stats.ros_domain, stats.rmw);
     let rules = &options.rules;
     match (rules.auto, rules.rules.len()) {
-        (true, 0) => eprintln!("every topic that one side publishes and the other subscribes to"),
-        (true, n) => eprintln!("{n} topics or patterns of the file, and every other topic"),
+        (true, 0) => eprintln!("all topics that one side publishes and the other subscribes to"),
+        (true, n) => eprintln!("{n} topics or patterns of the file, and all other topics"),
         (false, n) => eprintln!("{n} topics or patterns of the file, nothing else (--auto bridges the rest)"),
     }
     match options.realtime {
-        Realtime::Off => eprintln!("without real-time priorities: callbacks and the bridge compete"),
+        Realtime::Off => eprintln!("without real-time priorities: the bridge competes with callbacks"),
         Realtime::Required => {
             for thread in bridge.threads() {
                 eprintln!("thread {}: {}", thread.name, thread.policy);
             }
             match options.budget {
                 Some(budget) => {
-                    eprintln!("at most {} % of a core, beyond that as ordinary threads", budget.percent);
+                    eprintln!("budget: {} % of a core; above it, threads run as SCHED_OTHER", budget.percent);
                 }
-                None => eprintln!("without a budget: a flood can starve callbacks"),
+                None => eprintln!("no budget: a flood can starve callbacks"),
             }
         }
     }

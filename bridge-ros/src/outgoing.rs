@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! From shared memory to ROS: one thread takes the samples of all topics and publishes them.
 //!
-//! A body is copied once, from shared memory behind the encapsulation in a buffer of rmw's, which ROS then has.
+//! A body is copied once, from shared memory into rmw's buffer behind the encapsulation.
 
 use crate::rcl::{RclError, RosPublisher, SerializedMessage};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,19 +12,19 @@ use tautline_rt::clock::monotonic_ns;
 /// XCDR1, little endian.
 pub(crate) const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
-/// The thread that publishes in ROS; dropping it ends it.
+/// The thread that publishes in ROS; dropping this ends it.
 pub(crate) type Outgoing = Relay<Ros>;
 
-/// What becomes of samples that were taken.
+/// Publishes samples in ROS.
 pub(crate) struct Ros {
     buffer: SerializedMessage,
 }
 
-/// A publisher in ROS that stands for one here.
+/// A publisher in ROS that mirrors one of the domain.
 #[derive(Clone)]
 pub(crate) struct Writer {
     pub(crate) publisher: Arc<RosPublisher>,
-    /// Lives as long as the publisher in ROS, which has what was passed on. The relay's thread alone uses it.
+    /// Has the lifetime of the publisher in ROS, and is used by the relay's thread only.
     pub(crate) last: Arc<Mutex<Last>>,
 }
 
@@ -39,7 +39,7 @@ impl Egress for Ros {
     type Topic = Outbound;
     type Sender = Writer;
 
-    // Until a publisher in ROS has found its subscriptions.
+    // Until a publisher in ROS has matched its subscriptions.
     const EARLY: EarlyLimits = EarlyLimits { samples: 1000, bytes: 64 << 20, time: Duration::from_secs(3) };
 
     fn pass(&mut self, topic: &mut Outbound, writer: &mut Writer, sample: Taken) {

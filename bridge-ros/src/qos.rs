@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Quality of service in both words.
+//! Converts QoS between Tautline and ROS.
 
 use r2r_rcl::*;
 use std::time::Duration;
 use tautline_transport::{Durability, History, Liveliness, Qos, Reliability};
 
-/// Depth of what keeps all, or of what nobody knows the depth of.
+/// Depth for keep-all, and where the RMW does not know the depth.
 pub const UNKNOWN_DEPTH: usize = 10;
 
-/// As ROS has it.
+/// Tautline's QoS as a ROS profile.
 pub(crate) fn to_ros(qos: &Qos) -> rmw_qos_profile_t {
     use rmw_qos_durability_policy_e::*;
     use rmw_qos_history_policy_e::*;
@@ -39,7 +39,7 @@ pub(crate) fn to_ros(qos: &Qos) -> rmw_qos_profile_t {
     }
 }
 
-/// As Tautline has it. What the RMW does not know is as little as there can be.
+/// A ROS profile as Tautline's QoS. A policy that the RMW does not know becomes the weakest one.
 pub(crate) fn from_ros(profile: &rmw_qos_profile_t) -> Qos {
     use rmw_qos_durability_policy_e::RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL;
     use rmw_qos_history_policy_e::RMW_QOS_POLICY_HISTORY_KEEP_ALL;
@@ -71,13 +71,13 @@ pub(crate) fn from_ros(profile: &rmw_qos_profile_t) -> Qos {
     }
 }
 
-/// Zero is what ROS calls unspecified.
+/// Zero is ROS's value for unspecified.
 fn time(duration: Option<Duration>) -> rmw_time_t {
     let (sec, nsec) = duration.map_or((0, 0), |time| (time.as_secs(), u64::from(time.subsec_nanos())));
     rmw_time_t { sec, nsec }
 }
 
-/// DDS calls no limit a time that never ends; each RMW writes it in its own way.
+/// DDS represents no limit as an infinite time, which each RMW writes differently.
 fn duration(time: rmw_time_t) -> Option<Duration> {
     const FOREVER_S: u64 = i32::MAX as u64;
     let duration = Duration::from_secs(time.sec).saturating_add(Duration::from_nanos(time.nsec));
@@ -109,7 +109,7 @@ mod tests {
 
     #[test]
     fn what_is_not_known_is_not_promised() {
-        // SAFETY: plain numbers, of which zero is one that each enum has.
+        // SAFETY: plain numbers; zero is a valid value of each enum.
         let mut profile: rmw_qos_profile_t = unsafe { std::mem::zeroed() };
         profile.deadline = rmw_time_t { sec: 9_223_372_036, nsec: 854_775_807 };
         profile.lifespan = rmw_time_t { sec: 0x7fff_ffff, nsec: 0xffff_ffff };

@@ -23,7 +23,7 @@ use tautline_transport::{
     ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType, TransportError,
 };
 
-/// Nodes of elsewhere that are shown in ROS: a network can claim to have many.
+/// Maximum of nodes of other hosts that are shown in ROS: a network can announce any number.
 const MOST_SHOWN: usize = 1024;
 
 pub(crate) struct RosSide {
@@ -39,12 +39,12 @@ pub(crate) struct RosSide {
     endpoint_count: usize,
     tables: Tables,
     own_table: OwnTable,
-    /// What the ROS domain is called where people read it.
+    /// The ROS domain's name for people.
     place: String,
     shown: ShownNodes,
 }
 
-/// A publisher in ROS that stands for one here.
+/// A publisher in ROS that mirrors one of the domain.
 pub(crate) struct ProxyPublisher {
     writer: Writer,
     incompatible: Option<Incompatible>,
@@ -56,7 +56,7 @@ impl FarWriter for ProxyPublisher {
     }
 }
 
-/// Ends in ROS that do not fit a publisher's QoS.
+/// Endpoints in ROS that are QoS-incompatible with a publisher.
 #[derive(Clone, Copy)]
 struct Incompatible {
     count: u64,
@@ -65,7 +65,7 @@ struct Incompatible {
 }
 
 impl RosSide {
-    /// And how word goes between both sides.
+    /// Creates the side, and the transit between both sides.
     pub(crate) fn new(
         options: &Options,
         participant: &Participant,
@@ -96,7 +96,7 @@ impl RosSide {
         (side, transit)
     }
 
-    /// Those of ROS, but for this bridge's, with who tells of them.
+    /// Services and clients in ROS, without this bridge's, each with its announcer.
     fn read_services(&mut self, here: &LocalGraph) -> Vec<(ServiceEndpoint, u128)> {
         let others = self.graph.nodes.iter().filter(|node| !self.shown.has(node));
         let mut ends = ros_graph::services(&self.node, others, &self.place);
@@ -105,14 +105,14 @@ impl RosSide {
             let of = |table: &Arc<Table>| u128::from(table.bridge);
             tables.iter().flat_map(move |table| table.graph.services.iter().map(move |end| (end, of(table))))
         };
-        // Servers of other bridges bear the names of the nodes that they stand for.
+        // Servers of other bridges have the names of the nodes that they mirror.
         let servers = told().filter(|(end, _)| end.kind == ServiceKind::Server);
         let servers: BTreeSet<_> = servers.map(|(end, _)| (&*end.name, end.node.as_ref())).collect();
         ends.retain(|end| !servers.contains(&(&*end.name, end.node.as_ref())));
         let names: BTreeSet<String> = match tables.is_empty() {
-            // Other bridges know a server by where it takes requests.
+            // Other bridges identify a server by the GID of its request endpoint.
             false => ends.iter().map(|end| end.name.clone()).collect(),
-            // And without it one is known by its node's name alone.
+            // Without other bridges, the node's name identifies a server.
             true => {
                 let asked = here.services.iter().filter(|end| end.kind == ServiceKind::Client);
                 let asked = asked.filter_map(|end| Some(self.service_rules.choice(&end.name)?.far_topic));
@@ -131,7 +131,7 @@ impl RosSide {
         ends.into_iter().map(|end| (end, 0)).chain(told).collect()
     }
 
-    /// Other bridges of the ROS domain are told what this one's ends stand for.
+    /// Announces to other bridges of the ROS domain what this bridge's endpoints mirror.
     fn tell_bridges(&mut self, here: &LocalGraph, transit: &Transit, writers: &Writers<ProxyPublisher>) {
         let announced = |origin| transit.announced(origin);
         let mut processes = HashMap::new();
@@ -168,7 +168,7 @@ impl RosSide {
             graph.services.push(ServiceEndpoint { name, node, origin, ..(**end).clone() });
         }
         if let Err(reason) = self.own_table.say(Table { bridge: here.own, graph }) {
-            tracing::warn!("other bridges of this ROS domain are not told what this one carries: {reason}");
+            tracing::warn!("endpoints are not announced to other bridges of the ROS domain: {reason}");
         }
     }
 }
@@ -244,7 +244,7 @@ impl FarSide for RosSide {
         topic_type: &TopicType,
         offered: Qos,
     ) -> Result<RawPublisher, TransportError> {
-        // How long other messages are is not known before they come: what would be claimed ahead is a guess.
+        // Messages of other types have no known length before they arrive, so memory claimed ahead would be a guess.
         let claim = if topic_type.body_bytes.is_some() { Claim::Ahead } else { Claim::OnUse };
         participant.create_raw_publisher(topic, topic_type, offered, Limits { claim, ..Limits::default() })
     }
@@ -285,12 +285,12 @@ impl FarSide for RosSide {
     }
 }
 
-/// As ROS does: an event for each end that does not fit, which is counted and said.
+/// ROS raises an event for each QoS-incompatible endpoint: stores it and logs it.
 fn look_for_incompatible(writers: &mut Writers<ProxyPublisher>) {
     for (key, proxy) in writers.iter_mut() {
         let Some((count, policy)) = proxy.writer.publisher.incompatible() else { continue };
         tracing::warn!(
-            "topic '{}': an end in ROS does not fit the QoS of one here (last policy: {policy}): no messages go between them; \
+            "topic '{}': QoS-incompatible endpoints in ROS and Tautline (last policy: {policy}) exchange no messages: \
              change one of them, or set qos.{policy} of the topic in the configuration",
             key.far_topic
         );
@@ -299,7 +299,7 @@ fn look_for_incompatible(writers: &mut Writers<ProxyPublisher>) {
     }
 }
 
-/// Those of all publishers of a topic that are there now.
+/// Sums up the incompatible endpoints of all present publishers of a topic.
 fn by_topic<'t>(ends: impl Iterator<Item = (&'t str, Incompatible)>) -> BTreeMap<String, IncompatibleQos> {
     let mut topics: BTreeMap<&str, Incompatible> = BTreeMap::new();
     for (topic, end) in ends {

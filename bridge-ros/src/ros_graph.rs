@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What exists in ROS, without what this bridge made; and the same in Tautline's terms, for its nodes and tools.
+//! The ROS graph without this bridge's endpoints, also in Tautline's terms, for nodes and tools.
 
 use crate::rcl::{Node, RclError, RosEndpoint};
 use crate::table::{self, Table, Tables};
@@ -11,32 +11,32 @@ use tautline_transport::{
     TopicType,
 };
 
-/// How the names of bridges' nodes begin: what these nodes have stands for others' ends.
+/// Prefix of bridges' node names: the endpoints of such a node mirror others.
 pub const BRIDGE_PREFIX: &str = "taut_bridge_";
 
-/// Whose node an endpoint is comes later than the endpoint; what stays without one for so long is no ROS node's. Longer than two
-/// heartbeats of Fast DDS (3 s), after which it sends again what got lost: another bridge's end must not be taken for a node's. As long
-/// is another bridge's word waited for of what its ends stand for.
+/// DDS announces the node of an endpoint later than the endpoint; without a node for this long, it belongs to no ROS node. Longer
+/// than two heartbeats of Fast DDS (3 s), after which it retransmits, so that another bridge's endpoint is not taken for a
+/// node's. Also the time-out for another bridge's announcement of what its endpoint mirrors.
 pub(crate) const NAME_TIME: Duration = Duration::from_secs(7);
 
-/// What exists in ROS.
+/// The ROS graph.
 #[derive(Default)]
 pub(crate) struct RosGraph {
-    /// All nodes, bridges' too.
+    /// All nodes, including bridges'.
     pub(crate) nodes: Vec<NodeName>,
-    /// Publishers and subscriptions: ROS nodes' own, and what other bridges' stand for, with who tells of them; see [`Transit`](tautline_relay::Transit).
+    /// ROS nodes' publishers and subscriptions, and those that other bridges mirror, each with its announcer; see [`Transit`](tautline_relay::Transit).
     pub(crate) endpoints: Vec<(TopicEndpoint, u128)>,
-    /// By topic, all publishers that it is known of what they are.
+    /// By topic, all publishers that are identified.
     pub(crate) publishers: HashMap<String, BTreeSet<Gid>>,
     /// Other bridges' tables.
     pub(crate) tables: Vec<Arc<Table>>,
-    /// What the gids of nodes' ends begin with.
+    /// GID prefixes of nodes' endpoints.
     processes: HashMap<NodeName, [u8; 12]>,
     unknown: HashMap<Gid, Instant>,
 }
 
 impl RosGraph {
-    /// Reads it anew. `place` is what the ROS domain is called where people read it.
+    /// Reads the graph. `place` is the ROS domain's name for people.
     pub(crate) fn read(&mut self, node: &Node, place: &str, tables: &Tables) -> Result<(), RclError> {
         let (mut endpoints, mut publishers) = (Vec::new(), HashMap::<String, BTreeSet<Gid>>::new());
         let before = std::mem::take(&mut self.unknown);
@@ -79,7 +79,7 @@ impl RosGraph {
                             endpoints.push((endpoint(&topic, end, place), 0));
                         }
                         (true, Some((told, bridge))) => {
-                            // ROS knows best how it is called, and whom it fits.
+                            // ROS has the current topic name and the QoS that decides about matching.
                             let qos = Qos { depth: told.qos.depth, history: told.qos.history, ..end.qos };
                             let told = TopicEndpoint { topic: topic.clone(), qos, ..(*told).clone() };
                             endpoints.push((told, *bridge));
@@ -95,7 +95,7 @@ impl RosGraph {
         Ok(())
     }
 
-    /// Nodes but for bridges', what they show, and `own`, with who tells of them.
+    /// Nodes without bridges', those that bridges show, and `own`, each with its announcer.
     pub(crate) fn others(&self, own: &[NodeName], domain: u64, place: &str) -> Vec<(RemoteNode, u128)> {
         let mut shown = own.to_vec();
         let mut nodes = Vec::new();
@@ -107,14 +107,14 @@ impl RosGraph {
         }
         let mut count = BTreeMap::<&NodeName, usize>::new();
         for node in self.nodes.iter().filter(|node| !node.name.starts_with(BRIDGE_PREFIX)) {
-            // One of each name is a bridge's; another is somebody else's.
+            // One node per name is a bridge's; any other is a ROS node.
             if let Some(at) = shown.iter().position(|shown| shown == node) {
                 shown.swap_remove(at);
                 continue;
             }
             let count = count.entry(node).or_default();
             *count += 1;
-            // Without an end it is not known which process has it: other bridges' word of it is another node then.
+            // Without an endpoint its process is unknown, and another bridge announces it as a different node.
             let of = self
                 .processes
                 .get(node)
@@ -126,7 +126,7 @@ impl RosGraph {
         nodes
     }
 
-    /// Whether there are endpoints whose node is waited for.
+    /// Whether endpoints still wait for the name of their node.
     pub(crate) fn has_unknown(&self) -> bool {
         self.unknown.values().any(|since| since.elapsed() < 2 * NAME_TIME)
     }
@@ -152,8 +152,8 @@ fn endpoint(topic: &str, end: RosEndpoint, place: &str) -> TopicEndpoint {
     }
 }
 
-/// Gives each of ROS's own services and clients what it is known by everywhere: if other bridges have it too, where it takes requests,
-/// as far as that is told; or else something of this `domain`, which is the same whether or not somebody asks.
+/// Sets the tag of each of ROS's own services and clients. With other bridges it is the GID of the request endpoint, where the
+/// RMW announces it; otherwise it is derived from this `domain`, whether or not there are clients.
 pub(crate) fn mark(ends: &mut [ServiceEndpoint], domain: u64, is_alone: bool) {
     let mut count = HashMap::<String, usize>::new();
     for end in ends {
@@ -168,14 +168,13 @@ pub(crate) fn mark(ends: &mut [ServiceEndpoint], domain: u64, is_alone: bool) {
     }
 }
 
-/// The gid by which the domain is told of a service's end that has this tag.
+/// The GID that announces the service or client with this tag in the domain.
 pub(crate) fn told_gid(tag: u64) -> Gid {
     let halves = ["a", "b"].map(|half| Origin::tag_of(&format!("{half} {tag:x}")).to_le_bytes());
     Gid(std::array::from_fn(|at| halves[at / 8][at % 8]))
 }
 
-/// Says in `ends` which servers of `service` there are, as far as `found` tells: a node that was started anew has the name of the
-/// one before.
+/// Replaces the servers of `service` in `ends` by those in `found`: a restarted node has the name of the previous one.
 pub(crate) fn identify(ends: &mut Vec<ServiceEndpoint>, service: &str, found: &[RosEndpoint]) {
     let is_server = |end: &ServiceEndpoint| end.kind == ServiceKind::Server && end.name == service;
     let (servers, others): (Vec<_>, Vec<_>) = std::mem::take(ends).into_iter().partition(is_server);
@@ -190,7 +189,7 @@ pub(crate) fn identify(ends: &mut Vec<ServiceEndpoint>, service: &str, found: &[
     }
 }
 
-/// The services and clients of `nodes`, but for bridges'. A name that two nodes have is there twice, and so is what they have.
+/// The services and clients of `nodes`, without bridges'. For a name that two nodes have, they are listed twice.
 pub(crate) fn services<'n>(
     node: &Node,
     nodes: impl Iterator<Item = &'n NodeName>,
@@ -200,7 +199,7 @@ pub(crate) fn services<'n>(
     for of in nodes.filter(|node| !node.name.starts_with(BRIDGE_PREFIX)) {
         let lists = [(ServiceKind::Server, node.services_of(of)), (ServiceKind::Client, node.clients_of(of))];
         for (kind, list) in lists {
-            // What a node that has just gone had is nothing.
+            // A node that has just ended has no services.
             for (name, types) in list.unwrap_or_default() {
                 ends.extend(types.into_iter().map(|type_name| ServiceEndpoint {
                     kind,
@@ -254,7 +253,7 @@ mod tests {
             end("/x", ServiceKind::Server, "two"),
             end("/y", ServiceKind::Server, "one"),
         ];
-        // A bridge's is none of ours; that of `two` is not told yet.
+        // A bridge's server is ignored; that of `two` is not announced yet.
         identify(&mut ends, "/x", &[found("one", 1), found("taut_bridge_1", 3)]);
         let told = |end: &ServiceEndpoint| (end.name.clone(), end.node.clone().unwrap().name, end.gid.0[0]);
         let servers = ends.iter().filter(|end| end.kind == ServiceKind::Server).map(told);

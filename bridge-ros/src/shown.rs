@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Nodes of the domain, for ROS's tools to list.
+//! Nodes of the domain that ROS's tools list.
 
 use crate::rcl::Node;
 use std::collections::{BTreeMap, BTreeSet};
@@ -8,14 +8,14 @@ use tautline_transport::NodeName;
 
 #[derive(Default)]
 pub(crate) struct ShownNodes {
-    /// Those that could not be made in ROS too, which is said once.
+    /// `None`: the node could not be created in ROS, which is logged once.
     nodes: BTreeMap<NodeName, Option<Arc<Node>>>,
-    /// Those of nodes that have gone, as long as a service holds them.
+    /// Nodes that have ended here but are still held by a service.
     gone: Vec<(NodeName, Weak<Node>)>,
 }
 
 impl ShownNodes {
-    /// Shows these nodes, and no others any longer than their services last. `own` is the bridge's.
+    /// Shows the `wanted` nodes, and others only while services hold them. `own` is the bridge's node.
     pub(crate) fn update<'n>(&mut self, own: &Node, wanted: impl Iterator<Item = &'n NodeName>) {
         let wanted: BTreeSet<&NodeName> = wanted.collect();
         self.gone.retain(|(_, node)| node.strong_count() > 0);
@@ -36,23 +36,23 @@ impl ShownNodes {
         }
     }
 
-    /// Those that stand in ROS for Tautline's that are there.
+    /// The nodes in ROS that mirror present nodes of Tautline.
     pub(crate) fn by_name(&self) -> BTreeMap<NodeName, Arc<Node>> {
         self.nodes.iter().filter_map(|(name, node)| Some((name.clone(), node.clone()?))).collect()
     }
 
-    /// Whether a node in ROS bears the name of one of them.
+    /// Whether one of these nodes has this name in ROS.
     pub(crate) fn has(&self, name: &NodeName) -> bool {
         self.nodes.contains_key(name) || self.held().any(|held| held == name)
     }
 
-    /// What they are in ROS.
+    /// The names of all these nodes in ROS.
     pub(crate) fn in_ros(&self) -> Vec<NodeName> {
         let made = self.nodes.iter().filter(|(_, node)| node.is_some()).map(|(name, _)| name);
         made.chain(self.held()).cloned().collect()
     }
 
-    /// Nodes that have gone here and stand in ROS until their services have ended.
+    /// Nodes that have ended here and remain in ROS until their services have ended.
     fn held(&self) -> impl Iterator<Item = &NodeName> {
         self.gone.iter().filter(|(_, node)| node.strong_count() > 0).map(|(name, _)| name)
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the bridge says of itself.
+//! Statistics of the bridge.
 
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -8,14 +8,14 @@ use tautline_relay::TopicKey;
 /// A topic in one direction.
 pub type TopicStats = tautline_relay::TopicStats<TopicNames, Direction>;
 
-/// What a topic is called.
+/// The names of a topic.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct TopicNames {
-    /// Tautline's name of it.
+    /// Its name in Tautline.
     pub topic: String,
-    /// ROS's name of it.
+    /// Its name in ROS.
     pub ros_topic: String,
-    /// What it carries.
+    /// Its type.
     #[serde(rename = "type")]
     pub type_name: String,
 }
@@ -26,15 +26,15 @@ impl TopicNames {
     }
 }
 
-/// A service, of which the bridge stands for the server.
+/// A service whose server the bridge mirrors.
 pub type ServiceStats = tautline_relay::ServiceStats<ServiceNames, Direction>;
 
-/// What a service is called.
+/// The names of a service.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct ServiceNames {
-    /// Tautline's name of it.
+    /// Its name in Tautline.
     pub service: String,
-    /// ROS's name of it.
+    /// Its name in ROS.
     pub ros_service: String,
     /// Its type.
     #[serde(rename = "type")]
@@ -47,7 +47,7 @@ impl ServiceNames {
     }
 }
 
-/// Which way messages go, or to whom a service is offered.
+/// Direction of messages, or of a service: from server to client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Direction {
@@ -66,16 +66,16 @@ impl From<tautline_relay::Direction> for Direction {
     }
 }
 
-/// Ends that do not fit a bridge's, as ROS counts them.
+/// Endpoints that are QoS-incompatible with the bridge's, as counted by ROS.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct IncompatibleQos {
     /// How many.
     pub count: u64,
-    /// Why the last one does not.
+    /// Policy of the last incompatible endpoint.
     pub last_policy: String,
 }
 
-/// The bridge at one moment.
+/// A snapshot of the bridge.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Stats {
     /// Tautline's domain.
@@ -84,17 +84,17 @@ pub struct Stats {
     pub ros_domain: u32,
     /// The RMW, such as `rmw_fastrtps_cpp`.
     pub rmw: String,
-    /// Since it started.
+    /// Seconds since start.
     pub uptime_s: f64,
-    /// How often the processor budget of the bridge's threads was used up.
+    /// How often the threads exceeded the processor budget.
     pub throttled: u64,
     /// Nodes in ROS.
     pub ros_nodes: usize,
-    /// Publishers and subscriptions in ROS, but for bridges'.
+    /// Publishers and subscriptions in ROS, without those of bridges.
     pub ros_endpoints: usize,
     /// Topics that cannot be bridged, and why.
     pub not_bridged: BTreeMap<String, String>,
-    /// Topics with ends in ROS whose QoS does not fit.
+    /// Topics with QoS-incompatible endpoints in ROS.
     pub incompatible_qos: BTreeMap<String, IncompatibleQos>,
     /// Every topic that is or was bridged.
     pub topics: Vec<TopicStats>,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What bridges of one ROS domain tell each other: what each of their ends in ROS stands for, and where that was first. ROS's graph
-//! has no room for it, so each bridge publishes one table on a hidden topic, kept for bridges that come later.
+//! The tables that bridges of one ROS domain exchange: what each of their endpoints in ROS mirrors, and its origin. ROS's graph
+//! cannot carry this, so each bridge publishes one table on a hidden transient-local topic.
 
 use crate::bridge::BridgeError;
 use crate::outgoing::ENCAPSULATION;
@@ -13,35 +13,35 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 use tautline_transport::{Gid, Qos, RemoteGraph};
 
-/// Hidden from ROS's tools by its underscore.
+/// The underscore hides it from ROS's tools.
 pub(crate) const TOPIC: &str = "/_tautline/ends";
 const TYPE: &str = "std_msgs/msg/String";
-/// Longer ones are not read.
+/// Longer tables are refused.
 const MAX_BYTES: usize = 4 << 20;
-/// Nodes, ends of topics and ends of services of one table that are looked at.
+/// Maximum of nodes, of topic endpoints and of service endpoints in one table.
 const MAX_ENDS: usize = 8192;
-/// Bridges of one ROS domain that are listened to.
+/// Maximum of bridges per ROS domain.
 const MAX_TABLES: usize = 64;
-/// Tables taken before the next look at the graph.
+/// Tables taken before the graph is read again.
 const TURN: usize = 16;
 
 /// One bridge's table.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Table {
-    /// By which equals are told apart.
+    /// The bridge's identifier.
     pub(crate) bridge: u64,
-    /// The nodes that it shows in ROS, and what its ends stand for: by ROS's names, and publishers with the gids of those in ROS.
+    /// The nodes that it shows in ROS and what its endpoints mirror, with names in ROS, and publishers with their GIDs in ROS.
     pub(crate) graph: RemoteGraph,
 }
 
-/// Others' tables, by who publishes them.
+/// Other bridges' tables, by publisher.
 #[derive(Clone, Default)]
 pub(crate) struct Tables(Arc<Mutex<BTreeMap<Gid, Heard>>>);
 
 struct Heard {
-    /// `None`: it was not understood, which is said once.
+    /// `None`: it could not be parsed, which is logged once.
     table: Option<Arc<Table>>,
-    /// Whether its publisher was seen in ROS's graph: it may be heard before, or last after it has gone.
+    /// Whether its publisher was seen in ROS's graph: a table may arrive before that, or after the publisher has ended.
     is_seen: bool,
     since: Instant,
 }
@@ -51,7 +51,7 @@ impl Tables {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes what came, at most a turn of it: what is left wakes the wait again.
+    /// Takes what has arrived, at most one turn: the rest wakes the wait again.
     pub(crate) fn take(
         &self,
         from: &mut RosSubscription,
@@ -67,7 +67,7 @@ impl Tables {
             let known = all.get(&info.gid);
             if table.is_none() && known.is_none_or(|heard| heard.table.is_some()) {
                 tracing::warn!(
-                    "what another bridge tells on {TOPIC} is not understood: run the same version of Tautline for all bridges of a ROS \
+                    "the table of another bridge on {TOPIC} is not understood: run the same version of Tautline for all bridges of a ROS \
                      domain"
                 );
             }
@@ -79,7 +79,7 @@ impl Tables {
         Ok(())
     }
 
-    /// Those whose publishers are there, of all that are on the topic now.
+    /// The tables of `publishers`, which are all present publishers of the topic.
     pub(crate) fn of(&self, publishers: &BTreeSet<Gid>) -> Vec<Arc<Table>> {
         let mut all = self.all();
         all.retain(|gid, heard| {
@@ -92,7 +92,7 @@ impl Tables {
     }
 }
 
-/// The text in a message; a claim.
+/// Parses a message, which is untrusted.
 fn parse(bytes: &[u8]) -> Option<Table> {
     let (head, body) = bytes.split_at_checked(ENCAPSULATION.len())?;
     let (len, text) = body.split_at_checked(4)?;
@@ -118,7 +118,7 @@ fn qos() -> Qos {
     Qos::keep_last(1).transient_local()
 }
 
-/// What tables are written in.
+/// The type support of tables.
 pub(crate) fn support() -> Result<MessageSupport, BridgeError> {
     let found = Types::new().find(TYPE, None);
     Ok(found.map_err(|error| BridgeError::Table(error.to_string()))?.support)
@@ -130,21 +130,21 @@ impl OwnTable {
         Ok(OwnTable { publisher, buffer: SerializedMessage::new()?, said: None })
     }
 
-    /// Publishes what is otherwise than before.
+    /// Publishes the table if it changed.
     ///
     /// # Errors
-    /// Why that is not possible, said once.
+    /// Why that failed; an oversized table is reported once.
     pub(crate) fn say(&mut self, table: Table) -> Result<(), String> {
         if self.said.as_ref() == Some(&table) {
             return Ok(());
         }
         let text = serde_json::to_vec(&table).map_err(|error| error.to_string())?;
-        // Not again as long as nothing else changes.
+        // Not retried until something else changes.
         let graph = &self.said.insert(table).graph;
         let ends = graph.nodes.len().max(graph.endpoints.len()).max(graph.services.len());
         if text.len() >= MAX_BYTES || ends > MAX_ENDS {
             return Err(format!(
-                "{ends} ends in {} bytes are more than the {MAX_ENDS} and {MAX_BYTES} that a table can have: leave some out (--deny)",
+                "{ends} endpoints in {} bytes exceed the limits of a table, {MAX_ENDS} and {MAX_BYTES}: exclude topics (--deny)",
                 text.len()
             ));
         }
@@ -159,9 +159,9 @@ impl OwnTable {
     }
 }
 
-/// By which others' tables are heard.
+/// The subscription to other bridges' tables.
 pub(crate) fn subscription(node: &Arc<Node>, support: &MessageSupport) -> Result<RosSubscription, RclError> {
-    // Of each of them the last.
+    // Room for the last table of each bridge.
     RosSubscription::new(node, TOPIC, support, &Qos { depth: 100, ..qos() })
 }
 
@@ -198,7 +198,7 @@ mod tests {
         assert_eq!(tables.of(&none).len(), 1, "heard before it is seen");
         assert_eq!(tables.of(&BTreeSet::from([gid])).len(), 1);
         assert_eq!(tables.of(&none).len(), 0);
-        // Its last word may come after it has gone.
+        // Its last table may arrive after it has ended.
         hear(Instant::now().checked_sub(NAME_TIME).unwrap());
         assert_eq!(tables.of(&none).len(), 0);
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Priorities: the threads that carry, below them the RMW's, below these the bridge's others.
+//! Priorities: the threads that carry messages are highest, the RMW's one below, the bridge's other threads two below.
 
 use std::collections::HashSet;
 use tautline_relay::{Budget, Guard};
@@ -26,7 +26,7 @@ impl Priorities {
 
     /// One of the bridge's own threads.
     pub(crate) fn thread(&self, name: &str) -> ThreadBuilder {
-        // The RMW's calls are deep.
+        // Calls into the RMW need a deep stack.
         let thread = ThreadBuilder::new(name).realtime(self.realtime).stack_bytes(2 << 20);
         match self.policy(own(name).unwrap_or(LOWEST)) {
             Ok(policy) => thread.policy(policy),
@@ -34,7 +34,7 @@ impl Priorities {
         }
     }
 
-    /// Sets the RMW's threads, and reads them back.
+    /// Sets the policy of the RMW's threads and reads it back.
     pub(crate) fn set(&self, threads: &[ThreadInfo]) -> Result<(), RtError> {
         if self.realtime == Realtime::Required {
             let policy = self.policy(1)?;
@@ -46,7 +46,7 @@ impl Priorities {
     }
 }
 
-/// How much below the highest one of the bridge's own threads is: those that carry messages, and those that do not.
+/// Priority levels of the bridge's own threads below the highest.
 fn own(name: &str) -> Option<u8> {
     match name {
         "ros-in" | "ros-out" | "ros-services" => Some(0),
@@ -58,7 +58,7 @@ fn own(name: &str) -> Option<u8> {
 const LOWEST: u8 = 2;
 
 impl Priorities {
-    /// Watches the bridge's threads and the RMW's, all of which a flood keeps busy: those that it `began` with, and more of Fast DDS's.
+    /// Watches all threads that a flood keeps busy: the bridge's, those that it `began` with, and later ones of Fast DDS.
     pub(crate) fn watch(self, budget: Budget, began: &[ThreadInfo]) -> Result<Guard, RtError> {
         let began: HashSet<(u32, String)> =
             began.iter().map(|thread| (thread.tid, thread.name.clone())).collect();
@@ -75,7 +75,7 @@ impl Priorities {
     }
 }
 
-/// The threads of this process that were not there `before`.
+/// The threads of this process that are not in `before`.
 pub(crate) fn started_since(before: &[ThreadInfo]) -> Result<Vec<ThreadInfo>, RtError> {
     let old: HashSet<u32> = before.iter().map(|thread| thread.tid).collect();
     let mut threads = tautline_rt::threads()?;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is known of the types of topics: ROS's type support, and the definition, which what arrives is checked against.
+//! Types of topics: ROS's type support, and the definition that validates messages from ROS.
 
 use crate::rcl::{MessageSupport, TypeSupportError};
 use std::collections::HashMap;
@@ -20,17 +20,17 @@ pub(crate) enum TypeError {
     #[error(transparent)]
     Support(#[from] TypeSupportError),
     #[error(
-        "no definition of {name} is found: install the package's .msg files (share/<package>/msg in AMENT_PREFIX_PATH): {reason}"
+        "the definition of {name} is not installed: install the package's .msg files (share/<package>/msg in AMENT_PREFIX_PATH): {reason}"
     )]
     Definition { name: String, reason: String },
     #[error(
-        "{name} has another definition in the ROS 2 that this bridge runs with ({installed}) than in this topic ({stated}): \
-         source the one that the topic's nodes were built with, or rebuild them"
+        "the definition of {name} in the sourced ROS 2 ({installed}) differs from the topic's ({stated}): \
+         source the ROS 2 that the topic's nodes were built with, or rebuild them"
     )]
     Hash { name: String, installed: String, stated: String },
 }
 
-/// Finds types; those found are remembered.
+/// Finds types and caches them.
 pub(crate) struct Types {
     store: SchemaStore,
     packages: Packages,
@@ -44,7 +44,7 @@ impl Types {
         Types { store: SchemaStore::of_user(), packages: Packages::from_env(), found, services }
     }
 
-    /// The type `name`, if its hash is the one that the topic states.
+    /// The type `name`, if its hash matches the topic's.
     pub(crate) fn find(&mut self, name: &str, stated: Option<&str>) -> Result<BridgedType, TypeError> {
         let found = match self.found.get(name) {
             Some(found) => found.clone(),
@@ -76,19 +76,19 @@ impl Types {
         hash
     }
 
-    /// The definition that ROS's type support was made from.
+    /// The definition whose hash is that of ROS's type support.
     fn schema(&mut self, name: &str, support: &MessageSupport) -> Result<Arc<Schema>, TypeError> {
         let refuse = |reason: String| TypeError::Definition { name: name.into(), reason };
-        let type_name: TypeName = name.parse().map_err(|_| refuse("it is no type name".into()))?;
+        let type_name: TypeName = name.parse().map_err(|_| refuse("this is not a type name".into()))?;
         let is_it = |schema: &Schema| support.hash().is_none_or(|hash| schema.hash().to_string() == hash);
         let reason = match self.packages.schema(&type_name) {
             Ok(schema) if is_it(&schema) => return Ok(schema.into()),
             Ok(schema) => {
-                format!("the one that is installed has the hash {}, not the library's", schema.hash())
+                format!("the installed one has the hash {}, not the type support library's", schema.hash())
             }
             Err(error) => error.to_string(),
         };
-        // What is kept is a claim.
+        // The stored definition is untrusted.
         let kept = support.hash().and_then(|hash| self.store.read(hash).ok().flatten());
         let kept = kept.and_then(|claimed| Schema::from_text(&type_name, &claimed.text).ok());
         kept.filter(is_it).map(Arc::new).ok_or_else(|| refuse(reason))
@@ -96,7 +96,7 @@ impl Types {
 }
 
 impl BridgedType {
-    /// As a topic of Tautline's states it.
+    /// The type as a topic in Tautline states it.
     pub(crate) fn topic_type(&self) -> TopicType {
         let topic_type = TopicType::new(self.schema.name().to_string())
             .with_hash(self.schema.hash().to_string())

@@ -54,7 +54,7 @@ fn types_that_ros_does_not_have_are_named_and_the_rest_goes_on() {
         ("/no_library", "rosidl_default_generators"),
         ("/no_type", "has no msg 'Sting'"),
         ("/no_name", "write package/msg/Name"),
-        ("/changed", "another definition"),
+        ("/changed", "differs from the topic"),
     ];
     for (topic, part) in expected {
         bridge.wait_for(topic, |stats| {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Membership of a ROS domain, and its nodes.
+//! A participant of a ROS domain, and its nodes.
 
 use super::error::{RclError, check};
 use super::publications::{self, Publications};
@@ -9,33 +9,33 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use tautline_rt::PiMutex;
 use tautline_transport::Gid;
 
-/// Membership of a ROS domain. With Fast DDS: one participant, whose threads start here.
+/// A participant of a ROS domain. With Fast DDS its threads start here.
 pub struct Context {
     raw: *mut rcl_context_t,
     domain: u32,
-    /// What the gids of its participant begin with, once it has a publisher.
+    /// The GID prefix of its participant, once it has a publisher.
     own: OnceLock<[u8; PREFIX]>,
-    /// For an RMW whose messages do not tell their publishers' gids.
+    /// For an RMW whose messages do not carry their publishers' GIDs.
     publications: OnceLock<PiMutex<Publications>>,
 }
 
-/// Bytes of a DDS gid that are the participant's.
+/// Length of the participant's prefix of a DDS GID.
 const PREFIX: usize = 12;
 
 fn prefix(gid: &Gid) -> [u8; PREFIX] {
     std::array::from_fn(|index| gid.0[index])
 }
 
-// SAFETY: rcl reads a context from many threads; it is changed by `new` and `drop` alone, which have it for themselves.
+// SAFETY: rcl reads a context from many threads; only `new` and `drop` change it, with exclusive access.
 unsafe impl Send for Context {}
 // SAFETY: as above.
 unsafe impl Sync for Context {}
 
 impl Context {
-    /// Joins `domain`, or the one that `ROS_DOMAIN_ID` says.
+    /// Joins `domain`; `None`: `ROS_DOMAIN_ID`.
     ///
     /// # Errors
-    /// [`RclError`], of the RMW most likely.
+    /// [`RclError`], usually of the RMW.
     pub fn new(domain: Option<u32>) -> Result<Arc<Self>, RclError> {
         // SAFETY: rcl's protocol: zero, initialise, use, end. The options live until `rcl_init` has copied them. The
         // context is boxed, for nodes keep its address, and freed by `drop`.
@@ -70,17 +70,17 @@ impl Context {
         self.domain
     }
 
-    /// Learns by one of its publishers what the context's gids begin with.
+    /// Learns the context's GID prefix from one of its publishers.
     pub(super) fn learn_own(&self, publisher: &Gid) {
         let _ = self.own.set(prefix(publisher));
     }
 
-    /// Whether it is the gid of one of its publishers.
+    /// Whether the GID is of one of its publishers.
     pub(crate) fn is_own(&self, publisher: &Gid) -> bool {
         self.own.get() == Some(&prefix(publisher))
     }
 
-    /// The gid of a message's publisher, from what the RMW says of it.
+    /// The GID of a message's publisher, from the GID that the RMW gives.
     ///
     /// # Real-time
     /// With Cyclone DDS [`Publications::gid`] under a lock that inherits priority.
@@ -89,14 +89,14 @@ impl Context {
         self.publications.get().map_or(said, |all| all.lock().gid(u64::from_ne_bytes(handle)))
     }
 
-    /// Takes what changed of what that is found by.
+    /// Reads changes of the list of publications.
     pub(crate) fn refresh(&self) {
         if let Some(publications) = self.publications.get() {
             publications.lock().refresh();
         }
     }
 
-    /// What that is found by, once there is a node: the first one makes the RMW's participant.
+    /// Opens the list of publications, if needed. Call it when there is a node: the first one creates the RMW's participant.
     fn find_publications(&self) -> Result<(), RclError> {
         if self.publications.get().is_none() && rmw_implementation() == publications::RMW {
             let _ = self.publications.set(PiMutex::new(Publications::new(self.domain)?));
@@ -111,9 +111,9 @@ impl Context {
 
 impl Drop for Context {
     fn drop(&mut self) {
-        // Before the RMW's own participant.
+        // Before the RMW's participant ends.
         drop(self.publications.take());
-        // SAFETY: nobody else has it: what uses it holds an `Arc` of it.
+        // SAFETY: exclusive: users hold an `Arc` of it.
         unsafe {
             let _ = rcl_shutdown(self.raw);
             let _ = rcl_context_fini(self.raw);
@@ -131,24 +131,24 @@ pub fn rmw_implementation() -> String {
 /// A node of the ROS graph.
 pub struct Node {
     raw: *mut rcl_node_t,
-    /// Held while something of the node is made or destroyed, which rcl does not do twice at once.
+    /// Held while an entity of the node is created or destroyed, which rcl does not support concurrently.
     making: Mutex<()>,
     context: Arc<Context>,
 }
 
-// SAFETY: rcl looks at the graph from many threads; what changes the node holds `making`.
+// SAFETY: rcl reads the graph from many threads; changes of the node hold `making`.
 unsafe impl Send for Node {}
 // SAFETY: as above.
 unsafe impl Sync for Node {}
 
-/// Nodes are made and destroyed one at a time: rcl's list of loggers is the process's.
+/// Nodes are created and destroyed one at a time: rcl's list of loggers is per process.
 static NODES: Mutex<()> = Mutex::new(());
 
 impl Node {
-    /// Makes a node, without a publisher of `/rosout`.
+    /// Creates a node, without a publisher of `/rosout`.
     ///
     /// # Errors
-    /// [`RclError`]: a name that cannot be one.
+    /// [`RclError`]: an invalid name.
     pub fn new(context: &Arc<Context>, name: &str, namespace: &str) -> Result<Arc<Self>, RclError> {
         let (c_name, c_namespace) = (text(name)?, text(namespace)?);
         let node = Self::make(context, &c_name, &c_namespace)?;
@@ -183,7 +183,7 @@ impl Node {
         self.raw
     }
 
-    /// To be held while something of the node is made or destroyed.
+    /// Hold this while an entity of the node is created or destroyed.
     pub(crate) fn making(&self) -> MutexGuard<'_, ()> {
         self.making.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -192,7 +192,7 @@ impl Node {
 impl Drop for Node {
     fn drop(&mut self) {
         let _making = NODES.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: nobody else has it: what uses it holds an `Arc` of it.
+        // SAFETY: exclusive: users hold an `Arc` of it.
         unsafe {
             let _ = rcl_node_fini(self.raw);
             drop(Box::from_raw(self.raw));
@@ -200,8 +200,8 @@ impl Drop for Node {
     }
 }
 
-/// As C has it.
+/// As a C string.
 pub(crate) fn text(text: &str) -> Result<CString, RclError> {
     let what = "reading a name";
-    CString::new(text).map_err(|_| RclError { what, code: 0, reason: format!("{text:?} contains a zero") })
+    CString::new(text).map_err(|_| RclError { what, code: 0, reason: format!("{text:?} contains a NUL") })
 }

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a node has in common of its ends of topics and services.
+//! What publishers, subscriptions, servers and clients have in common.
 
 use super::context::Node;
 use super::error::{RclError, check};
 use r2r_rcl::*;
 use std::sync::Arc;
 
-/// rcl's object for one end. It is boxed, for nodes and wait sets keep its address.
+/// rcl's object of one entity, boxed because nodes and wait sets keep its address.
 pub(super) struct End<T> {
     raw: *mut T,
     fini: Fini<T>,
@@ -15,15 +15,15 @@ pub(super) struct End<T> {
 
 type Fini<T> = unsafe extern "C" fn(*mut T, *mut rcl_node_t) -> rcl_ret_t;
 
-// SAFETY: rcl's objects may go from thread to thread; they are made and destroyed under the node's lock.
+// SAFETY: rcl's objects may move between threads; they are created and destroyed under the node's lock.
 unsafe impl<T> Send for End<T> {}
 
 impl<T> End<T> {
-    /// Makes one with `init`, of what rcl calls `zero`. `what` says so in an error.
+    /// Initialises `zero` with `init`. `what` names the step in an error.
     ///
     /// # Safety
-    /// `init` initialises what it is given if it returns no error, as an end of `node` that `fini` ends. What it refers to lives as long
-    /// as this.
+    /// If `init` returns no error, it has initialised its argument as an entity of `node` that `fini` ends. What the entity
+    /// refers to outlives it.
     pub(super) unsafe fn make(
         what: &'static str,
         node: &Arc<Node>,
@@ -34,7 +34,7 @@ impl<T> End<T> {
         let _making = node.making();
         let raw = Box::into_raw(Box::new(zero));
         if let Err(error) = check(what, init(raw)) {
-            // SAFETY: the box above, of which rcl has nothing after an error.
+            // SAFETY: the box above, to which rcl keeps no pointer after an error.
             drop(unsafe { Box::from_raw(raw) });
             return Err(error);
         }
@@ -54,7 +54,7 @@ impl<T> End<T> {
 impl<T> Drop for End<T> {
     fn drop(&mut self) {
         let _making = self.node.making();
-        // SAFETY: initialised as `make` says, and nobody else has it; its node lives.
+        // SAFETY: initialised by `make`, exclusive, and its node lives.
         unsafe {
             let _ = (self.fini)(self.raw, self.node.raw());
             drop(Box::from_raw(self.raw));

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The event that an end of the other side does not fit, as ROS counts it.
+//! The QoS-incompatible event of rcl.
 
 use super::error::check;
 use r2r_rcl::*;
 
-/// Offered incompatible QoS. Dropped before the publisher that it is an event of.
+/// Offered incompatible QoS. Must be dropped before its publisher.
 pub(super) struct Incompatible {
     raw: Box<rcl_event_t>,
 }
@@ -15,7 +15,7 @@ impl Incompatible {
     /// # Safety
     /// The publisher is initialised, and lives longer than this.
     pub(super) unsafe fn of_publisher(publisher: *const rcl_publisher_t) -> Option<Self> {
-        // SAFETY: rcl's protocol; the caller says the rest.
+        // SAFETY: rcl's protocol; the caller guarantees the rest.
         unsafe {
             let mut raw = Box::new(rcl_get_zero_initialized_event());
             let kind = rcl_publisher_event_type_e::RCL_PUBLISHER_OFFERED_INCOMPATIBLE_QOS;
@@ -24,14 +24,14 @@ impl Incompatible {
         }
     }
 
-    /// How many in all, and the policy of the last one, if there are new ones.
+    /// The total count and the last policy, if the count has grown.
     pub(super) fn take(&self) -> Option<(u64, &'static str)> {
         let mut status = rmw_qos_incompatible_event_status_t {
             total_count: 0,
             total_count_change: 0,
             last_policy_kind: rmw_qos_policy_kind_e::RMW_QOS_POLICY_INVALID,
         };
-        // SAFETY: the event has a status of this type.
+        // SAFETY: this is the event's status type.
         let code = unsafe { rcl_take_event(&*self.raw, (&raw mut status).cast()) };
         check("taking an event", code).ok()?;
         let total = u64::try_from(status.total_count).unwrap_or(0);
@@ -41,7 +41,7 @@ impl Incompatible {
 
 impl Drop for Incompatible {
     fn drop(&mut self) {
-        // SAFETY: initialised, and nobody else has it.
+        // SAFETY: initialised and exclusive.
         let _ = unsafe { rcl_event_fini(&mut *self.raw) };
     }
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Listing the ROS graph: rcl's own functions, for r2r's one ends the process when a topic has two types (0.9.7).
+//! Reads the ROS graph with rcl's functions, because r2r's function ends the process when a topic has two types (0.9.7).
 
 use super::context::{Node, text};
 use super::error::{RclError, check};
@@ -9,27 +9,27 @@ use std::collections::BTreeMap;
 use std::ffi::{CStr, c_char};
 use tautline_transport::{EndpointKind, Gid, NodeName, Qos};
 
-/// Names of topics or services, each with all types that it has.
+/// Names of topics or services, each with all its types.
 pub type RosTopics = BTreeMap<String, Vec<String>>;
 
 /// A publisher or subscription.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RosEndpoint {
-    /// Which of both.
+    /// Publisher or subscription.
     pub kind: EndpointKind,
-    /// The node that has it; `None` if that is not known, or if it is no ROS node's.
+    /// Its node; `None` if that is unknown, or it belongs to no ROS node.
     pub node: Option<NodeName>,
     /// Such as `std_msgs/msg/String`.
     pub type_name: String,
-    /// `RIHS01_...`, if it says so.
+    /// `RIHS01_...`, if announced.
     pub type_hash: Option<String>,
     /// Its identifier.
     pub gid: Gid,
-    /// As far as the RMW knows it: not the depth, with DDS.
+    /// As far as the RMW knows it: DDS does not announce the depth.
     pub qos: Qos,
 }
 
-/// Lists the names, with their types, of one kind that a node has.
+/// Lists names and types of one kind at a node.
 type ListNames = unsafe extern "C" fn(
     *const rcl_node_t,
     *mut rcl_allocator_t,
@@ -41,7 +41,7 @@ type ListNames = unsafe extern "C" fn(
 impl Node {
     /// All topics.
     pub fn topics(&self) -> Result<RosTopics, RclError> {
-        // SAFETY: the node is initialised; the list is zero before, and ended by `collect`.
+        // SAFETY: the node is initialised; the list starts zero, and `collect` ends it.
         unsafe {
             let mut allocator = rcutils_get_default_allocator();
             let mut list = rmw_get_zero_initialized_names_and_types();
@@ -50,18 +50,18 @@ impl Node {
         }
     }
 
-    /// The services that a node answers.
+    /// The services that a node offers.
     ///
     /// # Errors
-    /// [`RclError`]: the node has gone.
+    /// [`RclError`]: the node has ended.
     pub fn services_of(&self, node: &NodeName) -> Result<RosTopics, RclError> {
         self.names_of(node, "listing a node's services", rcl_get_service_names_and_types_by_node)
     }
 
-    /// The services that a node requests.
+    /// The services that a node calls.
     ///
     /// # Errors
-    /// [`RclError`]: the node has gone.
+    /// [`RclError`]: the node has ended.
     pub fn clients_of(&self, node: &NodeName) -> Result<RosTopics, RclError> {
         self.names_of(node, "listing a node's clients", rcl_get_client_names_and_types_by_node)
     }
@@ -83,9 +83,9 @@ impl Node {
         }
     }
 
-    /// All nodes; those that have the same name are listed as often as they are there.
+    /// All nodes; a name is listed once per node.
     pub fn nodes(&self) -> Result<Vec<NodeName>, RclError> {
-        // SAFETY: the node is initialised; both lists are zero before, equally long after, and ended here.
+        // SAFETY: the node is initialised; both lists start zero, get the same length, and end here.
         unsafe {
             let mut names = rcutils_get_zero_initialized_string_array();
             let mut namespaces = rcutils_get_zero_initialized_string_array();
@@ -108,7 +108,7 @@ impl Node {
         self.ends_of(topic, kind, false)
     }
 
-    /// The servers of `service`, a fully qualified name: where they take requests. Of a DDS; another RMW tells none.
+    /// The servers of `service`, a fully qualified name, by their request endpoints. With DDS only: other RMWs list none.
     pub fn servers(&self, service: &str) -> Result<Vec<RosEndpoint>, RclError> {
         self.ends_of(&format!("rq{service}Request"), EndpointKind::Subscription, true)
     }
@@ -116,7 +116,7 @@ impl Node {
     /// `is_raw`: the name is the RMW's own.
     fn ends_of(&self, topic: &str, kind: EndpointKind, is_raw: bool) -> Result<Vec<RosEndpoint>, RclError> {
         let name = text(topic)?;
-        // SAFETY: the node is initialised; the list is zero before, and ended here; its texts are copied before.
+        // SAFETY: the node is initialised; the list starts zero and ends here, after its strings are copied.
         unsafe {
             let mut list = rmw_get_zero_initialized_topic_endpoint_info_array();
             let mut allocator = rcutils_get_default_allocator();
@@ -139,12 +139,12 @@ impl Node {
 }
 
 /// # Safety
-/// The info is one that rmw wrote.
+/// `info` was written by rmw.
 unsafe fn endpoint(kind: EndpointKind, info: &rmw_topic_endpoint_info_t) -> RosEndpoint {
-    // SAFETY: rmw's texts end with a zero, or are null.
+    // SAFETY: rmw's strings are NUL-terminated or null.
     let (name, namespace, type_name) =
         unsafe { (string(info.node_name), string(info.node_namespace), string(info.topic_type)) };
-    // As rmw calls what has not been told yet.
+    // rmw's placeholder for a name that is not announced yet.
     let is_known = !name.is_empty() && !name.contains("_UNKNOWN_");
     let hash = &info.topic_type_hash;
     RosEndpoint {
@@ -157,13 +157,13 @@ unsafe fn endpoint(kind: EndpointKind, info: &rmw_topic_endpoint_info_t) -> RosE
     }
 }
 
-/// `RIHS01_` and its digits; `None` if it is not set.
+/// `RIHS01_` and the digits; `None` if it is not set.
 pub(super) fn hash_text(version: u8, value: &[u8; 32]) -> Option<String> {
     let digits = || value.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
     (version == 1).then(|| format!("RIHS01_{}", digits()))
 }
 
-/// The 16 bytes that matter.
+/// The first 16 bytes.
 pub(super) fn gid(data: &[u8]) -> Gid {
     let mut gid = Gid::default();
     for (to, from) in gid.0.iter_mut().zip(data) {
@@ -173,13 +173,13 @@ pub(super) fn gid(data: &[u8]) -> Gid {
 }
 
 /// # Safety
-/// `list` is what the call that returned `code` wrote.
+/// The call that returned `code` wrote `list`.
 unsafe fn collect(
     what: &'static str,
     code: rcl_ret_t,
     mut list: rcl_names_and_types_t,
 ) -> Result<RosTopics, RclError> {
-    // SAFETY: as many lists of types as names, as rmw writes them.
+    // SAFETY: rmw writes one list of types per name.
     unsafe {
         let listed = check(what, code).map(|()| {
             let names = strings(list.names.data, list.names.size);
@@ -195,18 +195,18 @@ unsafe fn collect(
 }
 
 /// # Safety
-/// `size` texts, each of which ends with a zero.
+/// `size` NUL-terminated strings.
 unsafe fn strings(data: *mut *mut c_char, size: usize) -> Vec<String> {
-    // SAFETY: as the caller says.
+    // SAFETY: the caller guarantees it.
     (0..size).map(|at| unsafe { string(*data.add(at)) }).collect()
 }
 
 /// # Safety
-/// A text that ends with a zero, or null.
+/// A NUL-terminated string, or null.
 unsafe fn string(text: *const c_char) -> String {
     if text.is_null() {
         return String::new();
     }
-    // SAFETY: as the caller says.
+    // SAFETY: the caller guarantees it.
     unsafe { CStr::from_ptr(text) }.to_string_lossy().into_owned()
 }

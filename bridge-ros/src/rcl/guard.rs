@@ -1,26 +1,26 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What ends a wait: one's own word, or a change of the graph.
+//! Ends a wait, on a trigger or a change of the graph.
 
 use super::context::{Context, Node};
 use super::error::{RclError, check};
 use r2r_rcl::*;
 use std::sync::Arc;
 
-/// Ends the wait of a thread, from any other.
+/// Ends a thread's wait, from any other thread.
 pub struct GuardCondition {
     raw: *mut rcl_guard_condition_t,
     _context: Arc<Context>,
 }
 
-// SAFETY: triggering is thread-safe, and all that is done to it until it is dropped.
+// SAFETY: triggering is thread-safe, and the only use before it is dropped.
 unsafe impl Send for GuardCondition {}
 // SAFETY: as above.
 unsafe impl Sync for GuardCondition {}
 
 impl GuardCondition {
-    /// Makes one.
+    /// Creates a guard condition.
     pub fn new(context: &Arc<Context>) -> Result<Arc<Self>, RclError> {
-        // SAFETY: rcl's protocol; boxed, for wait sets keep its address, and freed by `drop`.
+        // SAFETY: rcl's protocol; boxed, because wait sets keep its address, and freed by `drop`.
         unsafe {
             let raw = Box::into_raw(Box::new(rcl_get_zero_initialized_guard_condition()));
             let options = rcl_guard_condition_get_default_options();
@@ -34,7 +34,7 @@ impl GuardCondition {
         }
     }
 
-    /// Ends the wait that goes on, or else the next one.
+    /// Ends the current wait, or else the next one.
     pub fn trigger(&self) {
         // SAFETY: it is initialised until it is dropped.
         let _ = check("triggering", unsafe { rcl_trigger_guard_condition(self.raw) });
@@ -47,7 +47,7 @@ impl GuardCondition {
 
 impl Drop for GuardCondition {
     fn drop(&mut self) {
-        // SAFETY: nobody else has it.
+        // SAFETY: exclusive.
         unsafe {
             let _ = rcl_guard_condition_fini(self.raw);
             drop(Box::from_raw(self.raw));
@@ -55,7 +55,7 @@ impl Drop for GuardCondition {
     }
 }
 
-/// A node's graph changed: what ROS triggers by itself.
+/// A change of the graph of a node, which ROS triggers.
 pub struct GraphGuard {
     node: Arc<Node>,
 }

@@ -1,10 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A thin, safe layer over rcl, through the bindings of r2r: what carries bytes, and what lists a graph. All of the
-//! crate's `unsafe` is here.
+//! A thin, safe layer over rcl, through r2r's bindings: carries bytes and reads the graph. All `unsafe` of the crate is here.
 //!
-//! rcl's objects are made and destroyed by one thread at a time ([`Node`] has a lock for that), and may be used by
-//! several afterwards: publishing and looking at the graph are thread-safe; taking, and waiting with one wait set, are
-//! done by one thread, which `&mut` says.
+//! rcl's objects are created and destroyed by one thread at a time ([`Node`] has the lock). Publishing and reading the graph are
+//! thread-safe; taking, and waiting with one wait set, need one thread at a time, hence `&mut`.
 
 mod context;
 mod end;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whose a message is, as Cyclone DDS tells it: by an instance handle of this process, where ROS's graph has identifiers. Both are in
-//! its list of publications, a topic that every participant has.
+//! The publisher of a message with Cyclone DDS, which gives an instance handle of this process where ROS's graph has GIDs. Its
+//! list of publications, a built-in topic of every participant, has both.
 
 use super::error::RclError;
 use libloading::Library;
@@ -10,14 +10,14 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 use tautline_transport::Gid;
 
-/// The RMW whose messages are told apart so.
+/// The RMW that needs this.
 pub(crate) const RMW: &str = "rmw_cyclonedds_cpp";
-/// Through which its DDS is found, whatever version of it.
+/// The library that leads to its DDS, whatever the version.
 const LIBRARY: &str = "librmw_cyclonedds_cpp.so";
 
 /// `dds_entity_t`.
 type Entity = i32;
-/// `DDS_BUILTIN_TOPIC_DCPSPUBLICATION`, and what it is called.
+/// `DDS_BUILTIN_TOPIC_DCPSPUBLICATION`, and its name.
 const PUBLICATIONS: Entity = 0x7fff_0003;
 const TOPIC: &[u8] = b"DCPSPublication\0";
 /// `DDS_ALIVE_INSTANCE_STATE`.
@@ -41,7 +41,7 @@ struct SampleInfo {
     absolute_generation_rank: u32,
 }
 
-/// What is used of Cyclone DDS.
+/// The functions of Cyclone DDS that are used.
 struct Dds {
     create_participant: unsafe extern "C" fn(u32, *const c_void, *const c_void) -> Entity,
     create_reader: unsafe extern "C" fn(Entity, Entity, *const c_void, *const c_void) -> Entity,
@@ -55,7 +55,7 @@ struct Dds {
 
 impl Dds {
     fn load(library: &Path) -> Result<Self, libloading::Error> {
-        // SAFETY: rcl has it loaded already. The functions are those of dds.h, of these signatures in all versions since 0.9.
+        // SAFETY: rcl has already loaded it. dds.h has these signatures in all versions since 0.9.
         unsafe {
             let library = Library::new(library)?;
             Ok(Dds {
@@ -72,9 +72,9 @@ impl Dds {
     }
 }
 
-/// How long a publisher that has gone is known: its last messages may be taken after that.
+/// How long an ended publisher is remembered: its last messages may be taken later.
 const GONE_TIME: Duration = Duration::from_secs(60);
-/// Changes of the list that are taken at once.
+/// Changes of the list taken at once.
 const TURN: usize = 64;
 
 /// The list of publications of a domain.
@@ -82,12 +82,12 @@ pub(super) struct Publications {
     dds: Dds,
     participant: Entity,
     reader: Entity,
-    /// By handle, each with when it was seen that it has gone.
+    /// By handle, with the time when its end was seen.
     known: HashMap<u64, (Gid, Option<Instant>)>,
 }
 
 impl Publications {
-    /// Of `domain`, in which the RMW has a participant already: it knows best how the domain is configured.
+    /// Of `domain`, in which the RMW already has a participant and has configured DDS.
     pub(super) fn new(domain: u32) -> Result<Self, RclError> {
         Self::of(domain, Path::new(LIBRARY))
     }
@@ -97,7 +97,7 @@ impl Publications {
             |code, reason| RclError { what: "reading Cyclone DDS's list of publications", code, reason };
         let dds = Dds::load(library).map_err(|reason| error(0, reason.to_string()))?;
         let none = std::ptr::null();
-        // SAFETY: DDS's protocol; no QoS and no listener are the default. The name is written into the array, and ends there.
+        // SAFETY: DDS's protocol; null means default QoS and no listener. The name is written into the array, and fits.
         let (participant, reader, name) = unsafe {
             let participant = (dds.create_participant)(domain, none, none);
             let reader = (dds.create_reader)(participant, PUBLICATIONS, none, none);
@@ -107,15 +107,13 @@ impl Publications {
         };
         let publications = Publications { dds, participant, reader, known: HashMap::new() };
         match (reader, name == TOPIC) {
-            (..0, _) => Err(error(reader, "it gives no reader of it".to_owned())),
-            (_, false) => {
-                Err(error(0, "another topic has its place: this version of it is not known".to_owned()))
-            }
+            (..0, _) => Err(error(reader, "Cyclone DDS returned no reader".to_owned())),
+            (_, false) => Err(error(0, "unknown topic number: use Cyclone DDS 0.9 to 11".to_owned())),
             (_, true) => Ok(publications),
         }
     }
 
-    /// The identifier of a message's publisher; the default one, which nobody has, if the list has none of that handle.
+    /// The GID of a message's publisher; the default GID, which no publisher has, for an unknown handle.
     ///
     /// # Real-time
     /// A look-up. Before the first message of a publisher: O(changes of the list), and allocates.
@@ -124,30 +122,30 @@ impl Publications {
         self.known.get(&handle).map(|(gid, _)| *gid).unwrap_or_default()
     }
 
-    /// Takes what changed, and forgets who went long ago.
+    /// Reads all changes, and forgets publishers that ended long ago.
     pub(super) fn refresh(&mut self) {
         while self.read() == TURN {}
         self.known.retain(|_, (_, gone)| gone.is_none_or(|since| since.elapsed() < GONE_TIME));
     }
 
-    /// Takes a turn of what changed. Returns how many changes that were.
+    /// Takes at most one turn of changes. Returns their number.
     fn read(&mut self) -> usize {
         let mut samples = [std::ptr::null_mut::<c_void>(); TURN];
         let mut infos = [SampleInfo::default(); TURN];
-        // SAFETY: as many as said; of null pointers DDS lends the samples, until they are given back below.
+        // SAFETY: both arrays have this length; with null pointers DDS lends the samples until they are returned below.
         let lent = unsafe {
             (self.dds.take)(self.reader, samples.as_mut_ptr(), infos.as_mut_ptr(), TURN, TURN as u32)
         };
-        // An error is less than none.
+        // An error is negative.
         let count = usize::try_from(lent).unwrap_or(0);
         for (sample, info) in samples.iter().zip(&infos).take(count) {
-            // SAFETY: `dds_builtintopic_endpoint_t` begins with the identifier, and has it also when nothing else is valid.
+            // SAFETY: `dds_builtintopic_endpoint_t` begins with the GID, which is set even if nothing else is valid.
             let gid = Gid(unsafe { sample.cast::<[u8; 16]>().read_unaligned() });
             let gone = (info.instance_state != ALIVE).then(Instant::now);
             self.known.insert(info.instance_handle, (gid, gone));
         }
         if count > 0 {
-            // SAFETY: what was lent.
+            // SAFETY: returns the loan.
             unsafe { (self.dds.return_loan)(self.reader, samples.as_mut_ptr(), lent) };
         }
         count
@@ -156,7 +154,7 @@ impl Publications {
 
 impl Drop for Publications {
     fn drop(&mut self) {
-        // SAFETY: its own, with the reader; an error if it is none.
+        // SAFETY: its own participant, with the reader; an invalid one is an error.
         unsafe { (self.dds.delete)(self.participant) };
     }
 }
@@ -169,7 +167,7 @@ mod tests {
     use std::process::{Command, Stdio};
 
     const DOMAIN: u32 = 77;
-    /// Nobody but this host.
+    /// On this host only.
     const CONFIG: &CStr = c"<General><AllowMulticast>false</AllowMulticast><Interfaces><NetworkInterface name='lo'/></Interfaces></General>\
         <Discovery><LeaseDuration>1s</LeaseDuration><ParticipantIndex>auto</ParticipantIndex><Peers><Peer address='127.0.0.1'/></Peers></Discovery>";
     const WRITER: &str = "
@@ -203,7 +201,7 @@ sys.stdin.read()
         }
     }
 
-    /// With the Cyclone DDS of a Python package: an RMW on it is not to be had so.
+    /// With the Cyclone DDS of a Python package, because PyPI has no RMW for it.
     #[test]
     fn a_writer_of_another_process_is_listed_until_after_its_end() {
         let target = std::env::var_os("CARGO_TARGET_DIR")

@@ -19,12 +19,12 @@ pub struct RosPublisher {
     gid: Gid,
     incompatible: Option<Incompatible>,
     traced: TracedSender,
-    /// What went through [`publish_from`](Self::publish_from): the number that the RMW gave the last one.
+    /// The sequence number of the last message through [`publish_from`](Self::publish_from), as counted by the RMW.
     sent: AtomicU64,
     _support: MessageSupport,
 }
 
-// SAFETY: as an end, and so may its event.
+// SAFETY: like `End`, and so is its event.
 unsafe impl Send for RosPublisher {}
 // SAFETY: publishing is thread-safe.
 unsafe impl Sync for RosPublisher {}
@@ -33,10 +33,10 @@ impl RosPublisher {
     /// A publisher of `topic`, a fully qualified name.
     ///
     /// # Errors
-    /// [`RclError`]: a name or QoS that cannot be one.
+    /// [`RclError`]: an invalid name or QoS.
     pub fn new(node: &Arc<Node>, topic: &str, support: &MessageSupport, qos: &Qos) -> Result<Self, RclError> {
         let name = text(topic)?;
-        // SAFETY: rcl's protocol; the type support lives as long as the publisher, and its event ends before it.
+        // SAFETY: rcl's protocol; the type support lives as long as the publisher, and its event is dropped before it.
         unsafe {
             let mut options = rcl_publisher_get_default_options();
             options.qos = to_ros(qos);
@@ -57,31 +57,31 @@ impl RosPublisher {
         }
     }
 
-    /// By which others know it.
+    /// The GID that others see.
     pub fn gid(&self) -> Gid {
         self.gid
     }
 
-    /// Publishes the sample that came through a port of the domain under a number, and tells a trace so. All of a publisher, or
-    /// none, go this way, one after another.
+    /// Publishes a sample that came through a port of the domain with a number, and records this in traces. A publisher uses this
+    /// for all messages or for none, one after another.
     pub fn publish_from(&self, from: (Gid, u64), message: &SerializedMessage) -> Result<(), RclError> {
         let number = self.sent.load(Ordering::Relaxed) + 1;
         self.traced.sample(from, number).record();
         self.publish(message)?;
-        // RMWs count from 1 what they have taken on.
+        // RMWs count accepted messages from 1.
         self.sent.store(number, Ordering::Relaxed);
         Ok(())
     }
 
     /// Publishes.
     pub fn publish(&self, message: &SerializedMessage) -> Result<(), RclError> {
-        // SAFETY: both are initialised; without an allocation rmw makes its own.
+        // SAFETY: both are initialised; with a null allocation rmw makes its own.
         check("publishing", unsafe {
             rcl_publish_serialized_message(self.end.raw(), message.raw(), std::ptr::null_mut())
         })
     }
 
-    /// Subscriptions that have been found and fit.
+    /// Matched subscriptions.
     pub fn subscription_count(&self) -> usize {
         let mut count = 0;
         // SAFETY: it is initialised until it is dropped.
@@ -89,8 +89,7 @@ impl RosPublisher {
         check("counting subscriptions", code).map_or(0, |()| count)
     }
 
-    /// If subscriptions have appeared since the last call that request what this publisher does not offer: how many in
-    /// all, and which policy it was last.
+    /// If QoS-incompatible subscriptions have appeared since the last call: the total count and the last policy.
     pub fn incompatible(&self) -> Option<(u64, &'static str)> {
         self.incompatible.as_ref()?.take()
     }
@@ -98,7 +97,7 @@ impl RosPublisher {
 
 impl Drop for RosPublisher {
     fn drop(&mut self) {
-        // Before the publisher that it is an event of.
+        // Before its publisher.
         let _making = self.end.node().making();
         self.incompatible = None;
     }

@@ -1,22 +1,22 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A buffer of serialized bytes: the 4 bytes of encapsulation, then the CDR.
+//! A buffer of serialized bytes: 4 bytes of encapsulation, then CDR.
 
 use super::error::{RclError, check};
 use r2r_rcl::*;
 
-/// Grows with what is put into it, and is used again.
+/// Grows with its content, and is reused.
 pub struct SerializedMessage {
     raw: rcl_serialized_message_t,
 }
 
-// SAFETY: it owns its memory, which is of the default allocator.
+// SAFETY: it owns its memory, from the default allocator.
 unsafe impl Send for SerializedMessage {}
 
 impl SerializedMessage {
-    /// An empty one.
+    /// An empty buffer.
     ///
     /// # Errors
-    /// [`RclError`]: no memory.
+    /// [`RclError`]: out of memory.
     pub fn new() -> Result<Self, RclError> {
         // SAFETY: rcutils' protocol: zero, initialise.
         unsafe {
@@ -32,21 +32,21 @@ impl SerializedMessage {
         if self.raw.buffer.is_null() {
             return &[];
         }
-        // SAFETY: rcutils and rmw keep `buffer_length` bytes written in a buffer that has at least as many.
+        // SAFETY: rcutils and rmw keep `buffer_length` initialised bytes in the buffer.
         unsafe { std::slice::from_raw_parts(self.raw.buffer, self.raw.buffer_length) }
     }
 
-    /// Puts `head` and `body` into it, in one piece.
+    /// Stores `head` and `body`, one after the other.
     ///
     /// # Errors
-    /// [`RclError`]: no memory.
+    /// [`RclError`]: out of memory.
     pub fn assign(&mut self, head: &[u8], body: &[u8]) -> Result<(), RclError> {
         let len = head.len() + body.len();
         if self.raw.buffer_capacity < len {
             // SAFETY: the array is initialised.
             check("growing a buffer", unsafe { rcutils_uint8_array_resize(&mut self.raw, len) })?;
         }
-        // SAFETY: the buffer has at least `len` bytes, and is nobody else's.
+        // SAFETY: the buffer has at least `len` bytes, and is exclusive.
         unsafe {
             std::ptr::copy_nonoverlapping(head.as_ptr(), self.raw.buffer, head.len());
             std::ptr::copy_nonoverlapping(body.as_ptr(), self.raw.buffer.add(head.len()), body.len());
@@ -66,7 +66,7 @@ impl SerializedMessage {
 
 impl Drop for SerializedMessage {
     fn drop(&mut self) {
-        // SAFETY: initialised, and nobody else has it.
+        // SAFETY: initialised and exclusive.
         let _ = unsafe { rcutils_uint8_array_fini(&mut self.raw) };
     }
 }

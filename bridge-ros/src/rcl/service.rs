@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Ends of a service in ROS.
+//! Servers and clients in ROS.
 
 use super::context::{Node, text};
 use super::end::End;
@@ -8,19 +8,19 @@ use super::service_support::{RosStruct, ServiceSupport};
 use r2r_rcl::*;
 use std::sync::Arc;
 
-/// Answers in ROS.
+/// A server in ROS.
 pub struct RosServer {
     end: End<rcl_service_t>,
     _support: ServiceSupport,
 }
 
-/// Asks in ROS.
+/// A client in ROS.
 pub struct RosClient {
     end: End<rcl_client_t>,
     _support: ServiceSupport,
 }
 
-/// Whom to answer.
+/// Identifies a request at its server.
 #[derive(Clone, Copy)]
 pub struct RosRequestId(rmw_request_id_t);
 
@@ -28,7 +28,7 @@ impl RosServer {
     /// A server of `service`, a fully qualified name.
     ///
     /// # Errors
-    /// [`RclError`]: a name that cannot be one.
+    /// [`RclError`]: an invalid name.
     pub fn new(node: &Arc<Node>, service: &str, support: &ServiceSupport) -> Result<Self, RclError> {
         let name = text(service)?;
         // SAFETY: rcl's protocol; the type support lives as long as the service.
@@ -42,19 +42,19 @@ impl RosServer {
         }
     }
 
-    /// Takes a request into `request`, a struct of the service's; `None` if there is none.
+    /// Takes a request into `request`, a request struct of this service; `None` if there is none.
     pub fn take(&mut self, request: &mut RosStruct) -> Result<Option<RosRequestId>, RclError> {
         let mut id = rmw_request_id_t { writer_guid: [0; 16], sequence_number: 0 };
-        // SAFETY: the service is initialised; the struct is one of requests.
+        // SAFETY: the service is initialised; the struct is a request.
         let code = unsafe { rcl_take_request(self.end.raw(), &mut id, request.raw_mut()) };
         let is_taken = taken("taking a request", code, RCL_RET_SERVICE_TAKE_FAILED)?;
         Ok(is_taken.then_some(RosRequestId(id)))
     }
 
-    /// Answers a request with `response`, a struct of the service's.
+    /// Sends `response`, a response struct of this service.
     ///
     /// # Errors
-    /// [`RclError`]: the client has gone, perhaps.
+    /// [`RclError`]: for example, the client has ended.
     pub fn respond(&self, id: RosRequestId, response: &mut RosStruct) -> Result<(), RclError> {
         let RosRequestId(mut id) = id;
         // SAFETY: as in `take`; rcl does not change the struct.
@@ -66,14 +66,14 @@ impl RosServer {
     }
 }
 
-/// Requests, or responses, that wait in the RMW.
+/// Queue depth of requests, and of responses, in the RMW.
 const DEPTH: usize = 100;
 
 impl RosClient {
     /// A client of `service`, a fully qualified name.
     ///
     /// # Errors
-    /// [`RclError`]: a name that cannot be one.
+    /// [`RclError`]: an invalid name.
     pub fn new(node: &Arc<Node>, service: &str, support: &ServiceSupport) -> Result<Self, RclError> {
         let name = text(service)?;
         // SAFETY: as for a server.
@@ -87,7 +87,7 @@ impl RosClient {
         }
     }
 
-    /// Whether a server would get a request.
+    /// Whether a server is matched.
     pub fn is_available(&self) -> Result<bool, RclError> {
         let mut is_available = false;
         // SAFETY: both are initialised.
@@ -97,19 +97,19 @@ impl RosClient {
         check("looking for a server", code).map(|()| is_available)
     }
 
-    /// Sends a request, a struct of the service's. Returns its number, which the response repeats.
+    /// Sends a request struct of this service. Returns its sequence number, which the response repeats.
     pub fn send(&self, request: &RosStruct) -> Result<i64, RclError> {
         let mut number = 0;
-        // SAFETY: the client is initialised; the struct is one of requests.
+        // SAFETY: the client is initialised; the struct is a request.
         check("asking", unsafe { rcl_send_request(self.end.raw(), request.raw(), &mut number) })
             .map(|()| number)
     }
 
-    /// Takes a response into `response`, a struct of the service's, and says which request it answers; `None` if there is
-    /// none.
+    /// Takes a response into `response`, a response struct of this service. Returns the request's sequence number; `None` if
+    /// there is no response.
     pub fn take(&mut self, response: &mut RosStruct) -> Result<Option<i64>, RclError> {
         let mut id = rmw_request_id_t { writer_guid: [0; 16], sequence_number: 0 };
-        // SAFETY: the client is initialised; the struct is one of responses.
+        // SAFETY: the client is initialised; the struct is a response.
         let code = unsafe { rcl_take_response(self.end.raw(), &mut id, response.raw_mut()) };
         let is_taken = taken("taking a response", code, RCL_RET_CLIENT_TAKE_FAILED)?;
         Ok(is_taken.then_some(id.sequence_number))

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Types of services, found at run time. rmw carries services as C structs only, not as bytes: so a struct is made by
-//! the package's own functions, and rmw converts between it and CDR. No type is compiled in.
+//! Types of services, found at run time. rmw carries services as C structs, not as bytes. The package's own functions create the
+//! structs, and rmw converts between them and CDR. No type is compiled in.
 
 use super::error::{RclError, check};
 use super::serialized::SerializedMessage;
@@ -10,7 +10,7 @@ use r2r_rcl::*;
 use std::ffi::c_void;
 use std::sync::Arc;
 
-/// What ROS needs to know of a service to carry it. A clone is the same.
+/// The type support of a service. Clones share it.
 #[derive(Clone)]
 pub struct ServiceSupport {
     raw: *const rosidl_service_type_support_t,
@@ -20,7 +20,7 @@ pub struct ServiceSupport {
     _libraries: [Arc<Library>; 2],
 }
 
-/// Of one of the two messages.
+/// Support of the request or the response.
 #[derive(Clone, Copy)]
 struct StructSupport {
     raw: *const rosidl_message_type_support_t,
@@ -34,8 +34,7 @@ unsafe impl Send for ServiceSupport {}
 unsafe impl Sync for ServiceSupport {}
 
 impl ServiceSupport {
-    /// Finds the service `name`, `std_srvs/srv/SetBool` or `test_msgs/action/Fibonacci_SendGoal`, in what
-    /// `AMENT_PREFIX_PATH` names.
+    /// Finds the service `name`, such as `std_srvs/srv/SetBool` or `test_msgs/action/Fibonacci_SendGoal`, in `AMENT_PREFIX_PATH`.
     ///
     /// # Errors
     /// [`TypeSupportError`].
@@ -44,15 +43,15 @@ impl ServiceSupport {
         let (structs, _) = load_library(package, "rosidl_generator_c")?;
         type Get = unsafe extern "C" fn() -> *const rosidl_service_type_support_t;
         let symbol = format!("rosidl_typesupport_c__get_service_type_support_handle__{full}");
-        // SAFETY: rosidl generates functions of this name with this type; what they return is constant data of the library.
+        // SAFETY: rosidl generates functions of this name and type; they return constant data of the library.
         let raw = unsafe { support.get::<Get>(symbol.as_bytes()).map_err(|_| unknown.clone())?() };
         let part = |part: &str| {
             let full = format!("{full}_{part}");
-            // SAFETY: as above, of each of the three names.
+            // SAFETY: as above, for each of the three names.
             unsafe { StructSupport::load(&full, &support, &structs) }.ok_or_else(|| unknown.clone())
         };
         let (request, response) = (part("Request")?, part("Response")?);
-        // SAFETY: as above; the function is the library's, and wants the handle itself.
+        // SAFETY: as above; the library's function takes the handle itself.
         let hash = unsafe {
             let raw = raw.as_ref().ok_or(unknown)?;
             let hash = raw.get_type_hash_func.and_then(|get| get(raw).as_ref());
@@ -61,23 +60,23 @@ impl ServiceSupport {
         Ok(ServiceSupport { raw, request, response, hash, _libraries: [support, structs] })
     }
 
-    /// `RIHS01_...`, of the definition that is installed here.
+    /// `RIHS01_...`, of the installed definition.
     pub fn hash(&self) -> Option<&str> {
         self.hash.as_deref()
     }
 
-    /// A request, to be filled.
+    /// A request, to be filled in.
     ///
     /// # Errors
-    /// [`RclError`]: no memory.
+    /// [`RclError`]: out of memory.
     pub fn new_request(&self) -> Result<RosStruct, RclError> {
         RosStruct::new(self.request, self)
     }
 
-    /// A response, to be filled.
+    /// A response, to be filled in.
     ///
     /// # Errors
-    /// [`RclError`]: no memory.
+    /// [`RclError`]: out of memory.
     pub fn new_response(&self) -> Result<RosStruct, RclError> {
         RosStruct::new(self.response, self)
     }
@@ -91,7 +90,7 @@ impl StructSupport {
     /// # Safety
     /// rosidl generated both libraries for the type `full`.
     unsafe fn load(full: &str, support: &Library, structs: &Library) -> Option<Self> {
-        // SAFETY: as the caller says, functions of these names have these types.
+        // SAFETY: the caller guarantees that functions of these names have these types.
         unsafe {
             let raw = message_handle(support, full)?;
             let create = *structs.get(format!("{full}__create").as_bytes()).ok()?;
@@ -101,19 +100,19 @@ impl StructSupport {
     }
 }
 
-/// A request or a response as the struct that C programs have.
+/// A request or response as a C struct.
 pub struct RosStruct {
     raw: *mut c_void,
     support: StructSupport,
     _service: ServiceSupport,
 }
 
-// SAFETY: it owns its memory, which is of the default allocator.
+// SAFETY: it owns its memory, from the default allocator.
 unsafe impl Send for RosStruct {}
 
 impl RosStruct {
     fn new(support: StructSupport, service: &ServiceSupport) -> Result<Self, RclError> {
-        // SAFETY: makes an initialised struct, or null.
+        // SAFETY: returns an initialised struct, or null.
         let raw = unsafe { (support.create)() };
         if raw.is_null() {
             let (what, reason) = ("making a struct", "out of memory".to_owned());
@@ -122,19 +121,19 @@ impl RosStruct {
         Ok(RosStruct { raw, support, _service: service.clone() })
     }
 
-    /// Reads it from CDR, with its encapsulation.
+    /// Reads it from CDR with encapsulation.
     ///
     /// # Errors
-    /// [`RclError`]: the bytes are none of the type. The struct is valid then, too.
+    /// [`RclError`]: the bytes are not valid for the type. The struct is valid nevertheless.
     pub fn deserialize(&mut self, bytes: &SerializedMessage) -> Result<(), RclError> {
-        // SAFETY: the struct is one of the type that the support is for; rmw reads the bytes.
+        // SAFETY: the struct has the type of the support; rmw reads the bytes.
         check("reading a message", unsafe { rmw_deserialize(bytes.raw(), self.support.raw, self.raw) })
     }
 
-    /// Writes it as CDR, with its encapsulation.
+    /// Writes it as CDR with encapsulation.
     ///
     /// # Errors
-    /// [`RclError`]: no memory.
+    /// [`RclError`]: out of memory.
     pub fn serialize(&self, bytes: &mut SerializedMessage) -> Result<(), RclError> {
         // SAFETY: as above; rmw grows the buffer with its own allocator.
         check("writing a message", unsafe { rmw_serialize(self.raw, self.support.raw, bytes.raw_mut()) })
@@ -151,7 +150,7 @@ impl RosStruct {
 
 impl Drop for RosStruct {
     fn drop(&mut self) {
-        // SAFETY: made by `create`, and nobody else has it.
+        // SAFETY: created by `create`, and exclusive.
         unsafe { (self.support.destroy)(self.raw) }
     }
 }
@@ -191,7 +190,7 @@ mod tests {
         let support = ServiceSupport::load("std_srvs/srv/SetBool").unwrap();
         let mut response = support.new_response().unwrap();
         let mut bytes = SerializedMessage::new().unwrap();
-        // success, padding, a text of 3 with its zero
+        // success, padding, a string of 3 with its NUL
         let body = [1, 0, 0, 0, 4, 0, 0, 0, b'y', b'e', b's', 0];
         bytes.assign(&[0, 1, 0, 0], &body).unwrap();
         response.deserialize(&bytes).unwrap();
@@ -199,7 +198,7 @@ mod tests {
         response.serialize(&mut again).unwrap();
         let again = &again.bytes()[4..];
         assert_eq!((again[0], &again[4..12]), (1, &body[4..]));
-        // Cut off, and a length that is a lie.
+        // Truncated, and with a false length.
         for body in [&body[..9], &[1, 0, 0, 0, 255, 255, 255, 127, b'y']] {
             bytes.assign(&[0, 1, 0, 0], body).unwrap();
             assert!(response.deserialize(&bytes).is_err());

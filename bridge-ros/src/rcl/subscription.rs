@@ -17,17 +17,17 @@ pub struct RosSubscription {
     _support: MessageSupport,
 }
 
-/// Where a message came from, as the RMW tells it.
+/// The origin of a message, from the RMW.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct RosMessageInfo {
     /// When it was published: nanoseconds since 1970.
     pub source_timestamp_ns: i64,
-    /// Counts the publisher's messages, from 1; `None` if the RMW does not count.
+    /// The publisher's sequence number, from 1; `None` if the RMW has none.
     pub sequence_number: Option<u64>,
     /// Its publisher.
     pub gid: Gid,
-    /// Whether that is of the same context. (The RMW's own filter is not used: as rmw_fastrtps 8.4.3 takes serialized bytes,
-    /// the message behind one that is passed over is lost.)
+    /// Whether the publisher is of the same context. (The RMW's own filter is not used: when rmw_fastrtps 8.4.3 takes serialized
+    /// bytes, it loses the message behind a filtered one.)
     pub is_own: bool,
 }
 
@@ -35,7 +35,7 @@ impl RosSubscription {
     /// A subscription to `topic`, a fully qualified name.
     ///
     /// # Errors
-    /// [`RclError`]: a name or QoS that cannot be one.
+    /// [`RclError`]: an invalid name or QoS.
     pub fn new(node: &Arc<Node>, topic: &str, support: &MessageSupport, qos: &Qos) -> Result<Self, RclError> {
         let name = text(topic)?;
         // SAFETY: rcl's protocol; the type support lives as long as the subscription.

@@ -6,7 +6,7 @@ use r2r_rcl::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What ROS needs to know of a type to carry its bytes. A clone is the same.
+/// The type support of a message type, to carry its bytes. Clones share it.
 #[derive(Clone)]
 pub struct MessageSupport {
     raw: *const rosidl_message_type_support_t,
@@ -19,13 +19,13 @@ unsafe impl Send for MessageSupport {}
 // SAFETY: as above.
 unsafe impl Sync for MessageSupport {}
 
-/// Why a type cannot be carried. Each says what to do.
+/// Why a type cannot be carried, with the fix.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum TypeSupportError {
-    #[error("'{name}' is no type of messages: write package/msg/Name, such as std_msgs/msg/String")]
+    #[error("'{name}' is not a type of messages: write package/msg/Name, such as std_msgs/msg/String")]
     Name { name: String },
-    #[error("'{name}' is no type of services: write package/srv/Name, such as std_srvs/srv/SetBool")]
+    #[error("'{name}' is not a type of services: write package/srv/Name, such as std_srvs/srv/SetBool")]
     ServiceName { name: String },
     #[error(
         "ROS 2 package '{package}' is not installed in any of AMENT_PREFIX_PATH ({}): install it (apt install \
@@ -39,7 +39,7 @@ pub enum TypeSupportError {
     Library { package: String, at: PathBuf, library: &'static str, reason: String },
     #[error(
         "package '{package}' in {} has no {kind} '{name}': correct the name, or rebuild the package if the type is new \
-         (ros2 interface package {package} lists what it has)", at.display()
+         (ros2 interface package {package} lists its interfaces)", at.display()
     )]
     Unknown { package: String, kind: &'static str, name: String, at: PathBuf },
 }
@@ -52,7 +52,7 @@ fn prefixes(searched: &[PathBuf]) -> String {
 }
 
 impl MessageSupport {
-    /// Finds the type `name`, such as `std_msgs/msg/String`, in what `AMENT_PREFIX_PATH` names.
+    /// Finds the type `name`, such as `std_msgs/msg/String`, in `AMENT_PREFIX_PATH`.
     ///
     /// # Errors
     /// [`TypeSupportError`].
@@ -60,7 +60,7 @@ impl MessageSupport {
         let Found { full, library, unknown, .. } = find(name, "msg")?;
         // SAFETY: rosidl generated the library for this type.
         let raw = unsafe { message_handle(&library, &full) }.ok_or(unknown)?;
-        // SAFETY: constant data of the library; the function is the library's, too, and wants the handle itself.
+        // SAFETY: constant data of the library; the library's function takes the handle itself.
         let hash = unsafe {
             let hash = (*raw).get_type_hash_func.and_then(|get| get(raw).as_ref());
             hash.and_then(|hash| super::graph::hash_text(hash.version, &hash.value))
@@ -68,7 +68,7 @@ impl MessageSupport {
         Ok(MessageSupport { raw, hash, _library: library })
     }
 
-    /// `RIHS01_...`, of the definition that is installed here.
+    /// `RIHS01_...`, of the installed definition.
     pub fn hash(&self) -> Option<&str> {
         self.hash.as_deref()
     }
@@ -81,7 +81,7 @@ impl MessageSupport {
 /// A type whose package is installed.
 pub(super) struct Found<'n> {
     pub(super) package: &'n str,
-    /// As it is called in C: `std_msgs__msg__String`.
+    /// Its name in C: `std_msgs__msg__String`.
     pub(super) full: String,
     pub(super) library: Arc<Library>,
     pub(super) unknown: TypeSupportError,
@@ -89,7 +89,7 @@ pub(super) struct Found<'n> {
 
 /// Finds the type `name` of a `kind`, `msg` or `srv`.
 pub(super) fn find<'n>(name: &'n str, kind: &'static str) -> Result<Found<'n>, TypeSupportError> {
-    // Those of an action are in its package's folder `action`.
+    // Messages and services of an action are in its package's folder `action`.
     let in_folder = |folder| split(name, folder).map(|(package, base)| (package, folder, base));
     let Some((package, folder, base)) = in_folder(kind).or_else(|| in_folder("action")) else {
         let name = name.to_owned();
@@ -104,17 +104,17 @@ pub(super) fn find<'n>(name: &'n str, kind: &'static str) -> Result<Found<'n>, T
     Ok(Found { package, full, library, unknown })
 }
 
-/// What `library` has for the message `full`.
+/// The type support of the message `full` in `library`.
 ///
 /// # Safety
-/// rosidl generated it for this type.
+/// rosidl generated the library for this type.
 pub(super) unsafe fn message_handle(
     library: &Library,
     full: &str,
 ) -> Option<*const rosidl_message_type_support_t> {
     type Get = unsafe extern "C" fn() -> *const rosidl_message_type_support_t;
     let symbol = format!("rosidl_typesupport_c__get_message_type_support_handle__{full}");
-    // SAFETY: functions of this name have this type.
+    // SAFETY: rosidl generates functions of this name and type.
     let raw = unsafe { library.get::<Get>(symbol.as_bytes()).ok()?() };
     (!raw.is_null()).then_some(raw)
 }
@@ -129,7 +129,7 @@ pub fn is_service_type(name: &str) -> bool {
     split(name, "srv").is_some()
 }
 
-/// Package and own name of `package/kind/Name`, if it is one.
+/// Package and base name of `package/kind/Name`.
 fn split<'a>(name: &'a str, kind: &str) -> Option<(&'a str, &'a str)> {
     let (package, rest) = name.split_once('/')?;
     let base = rest.strip_prefix(kind)?.strip_prefix('/')?;
@@ -138,7 +138,7 @@ fn split<'a>(name: &'a str, kind: &str) -> Option<(&'a str, &'a str)> {
     (is_word(package) && is_word(base)).then_some((package, base))
 }
 
-/// One of the package's libraries for C, and the prefix that the package is in.
+/// One of the package's C libraries, and the prefix where the package is installed.
 pub(super) fn load_library(
     package: &str,
     library: &'static str,
@@ -153,7 +153,7 @@ pub(super) fn load_library(
     let file = format!("lib{package}__{library}.so");
     let beside = at.join("lib").join(&file);
     let path = if beside.exists() { beside.as_path() } else { Path::new(&file) };
-    // SAFETY: a library of generated code, whose initialisers register types.
+    // SAFETY: generated code, whose initialisers register types.
     let loaded = unsafe { Library::new(path) };
     let loaded = loaded.map_err(|error| TypeSupportError::Library {
         package: package.to_owned(),
@@ -184,7 +184,7 @@ mod tests {
         );
         let unknown = message("std_msgs/msg/Sting");
         assert!(unknown.contains("no msg 'Sting'") && unknown.contains("'std_msgs'"), "{unknown}");
-        // A package with nothing that can be loaded.
+        // A package without a library to load.
         let unloadable = message("rclpy/msg/A");
         assert!(unloadable.contains("rosidl_default_generators"), "{unloadable}");
     }

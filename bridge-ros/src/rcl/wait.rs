@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Waiting for several things at once.
+//! The wait set.
 
 use super::context::Context;
 use super::error::{RclError, check};
@@ -10,7 +10,7 @@ use r2r_rcl::*;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// What can be waited for.
+/// An entity to wait for.
 pub enum Waitable<'a> {
     /// A message can be taken.
     Subscription(&'a RosSubscription),
@@ -24,12 +24,12 @@ pub enum Waitable<'a> {
     Client(&'a RosClient),
 }
 
-/// Waits; a thread has one of its own.
+/// A wait set; each thread has its own.
 pub struct WaitSet {
     raw: rcl_wait_set_t,
-    /// How many subscriptions, guard conditions, clients and services it has room for.
+    /// Capacity for subscriptions, guard conditions, clients and services.
     sizes: [usize; 4],
-    /// Where what is waited for is in it, each among its kind.
+    /// The index of each entity in the set, among its kind.
     places: Vec<usize>,
     ready: Vec<bool>,
     _context: Arc<Context>,
@@ -39,7 +39,7 @@ pub struct WaitSet {
 unsafe impl Send for WaitSet {}
 
 impl WaitSet {
-    /// Makes one.
+    /// Creates a wait set.
     pub fn new(context: &Arc<Context>) -> Result<Self, RclError> {
         // SAFETY: rcl's protocol: zero, initialise.
         unsafe {
@@ -52,8 +52,7 @@ impl WaitSet {
         }
     }
 
-    /// Waits until one of `all` is ready, at most for `timeout` if there is one. Says of each, in their order, whether it
-    /// is ready.
+    /// Waits until one of `all` is ready, at most for `timeout` if given. Returns for each, in order, whether it is ready.
     pub fn wait(&mut self, all: &[Waitable<'_>], timeout: Option<Duration>) -> Result<&[bool], RclError> {
         let count = |is: fn(&Waitable<'_>) -> bool| all.iter().filter(|one| is(one)).count();
         let sizes = [
@@ -64,8 +63,8 @@ impl WaitSet {
         ];
         self.places.clear();
         self.ready.clear();
-        // SAFETY: the set is initialised; what is added to it lives until the wait has returned, for `all` is borrowed
-        // so long, and is not looked at afterwards.
+        // SAFETY: the set is initialised; entities in it live until the wait returns, because `all` is borrowed for that time,
+        // and are not accessed afterwards.
         unsafe {
             if sizes != self.sizes {
                 let [subscriptions, guards, clients, servers] = sizes;
@@ -92,7 +91,7 @@ impl WaitSet {
                 check("waiting", code)?;
             }
             for (one, &place) in all.iter().zip(&self.places) {
-                // What is not ready is null now.
+                // Entities that are not ready are null now.
                 let is_ready = match one {
                     Waitable::Subscription(_) => !(*self.raw.subscriptions.add(place)).is_null(),
                     Waitable::Guard(_) | Waitable::Graph(_) => {
@@ -110,7 +109,7 @@ impl WaitSet {
 
 impl Drop for WaitSet {
     fn drop(&mut self) {
-        // SAFETY: initialised, and nobody else has it.
+        // SAFETY: initialised and exclusive.
         let _ = unsafe { rcl_wait_set_fini(&mut self.raw) };
     }
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! ROS's part in services: servers and clients of rcl's, which speak in structs; here bodies are made of them.
+//! The ROS side of services: rcl's servers and clients, which exchange structs, and their conversion to bodies.
 //!
-//! The thread is woken by both sides: rcl wakes it for requests and responses in ROS; for those here a guard condition of rcl's does.
+//! Both sides wake the thread: rcl for requests and responses in ROS, a guard condition for those in the domain.
 
 mod pending;
 mod types;
@@ -22,13 +22,13 @@ use tautline_relay::{
 use tautline_transport::{Gid, NodeName, RawSample, RequestId, ServiceType};
 use types::{BridgedService, ServiceTypes, from_body, to_body};
 
-/// Requests that ROS has not answered: what the queue of a server in ROS holds by default, which forgets the oldest of more. With
-/// as many none is taken: what waits here fills its queue, and who asks then is told so.
+/// Maximum of pending requests to ROS: the default queue depth of a server in ROS, which overwrites the oldest. At this limit no
+/// request is taken: they wait in the queue here, and clients get an error when it is full.
 const MOST_PENDING: usize = 10;
-/// The same of what an action's server answers when a goal has ended: it takes them at once.
+/// The same for an action's get_result requests, which the server takes at once and answers when the goal has ended.
 const MOST_PENDING_RESULTS: usize = 1024;
 
-/// The nodes that stand in ROS for Tautline's: what these offer is theirs.
+/// The nodes in ROS that mirror Tautline's: mirrored services belong to them.
 pub(crate) type Nodes = BTreeMap<NodeName, Arc<Node>>;
 
 pub(crate) struct RosServices {
@@ -38,7 +38,7 @@ pub(crate) struct RosServices {
     wait_set: WaitSet,
 }
 
-/// Wakes the thread for what happens in Tautline.
+/// Wakes the thread for events in the domain.
 struct GuardWaker(Arc<GuardCondition>);
 
 impl ArcWake for GuardWaker {
@@ -48,7 +48,7 @@ impl ArcWake for GuardWaker {
 }
 
 impl RosServices {
-    /// Of `node` where no other stands for a service's.
+    /// `node` has the services that belong to no mirrored node.
     pub(crate) fn new(node: &Arc<Node>) -> Result<Self, RclError> {
         let (guard, wait_set) = (GuardCondition::new(node.context())?, WaitSet::new(node.context())?);
         Ok(RosServices { node: node.clone(), types: ServiceTypes::new(), guard, wait_set })
@@ -102,7 +102,7 @@ impl FarServices for RosServices {
     }
 }
 
-/// In ROS, for a server here.
+/// The server in ROS that mirrors one of the domain.
 pub(crate) struct Server {
     server: RosServer,
     types: BridgedService,
@@ -132,7 +132,7 @@ impl FarServer for Server {
         }
     }
 
-    /// ROS has no word for an answer that does not come.
+    /// ROS cannot report that a response will not come.
     fn answer(&mut self, id: RosRequestId, answer: Result<&[u8], &str>) -> Result<(), String> {
         let Ok(body) = answer else { return Ok(()) };
         from_body(body, &self.types.response, &mut self.response, &mut self.buffer)
@@ -141,7 +141,7 @@ impl FarServer for Server {
     }
 }
 
-/// In ROS, for clients here.
+/// The client in ROS for clients of the domain.
 pub(crate) struct Client {
     client: RosClient,
     types: BridgedService,
@@ -149,7 +149,7 @@ pub(crate) struct Client {
     response: RosStruct,
     buffer: SerializedMessage,
     pending: Pending,
-    /// What ROS has.
+    /// The servers in ROS.
     servers: BTreeSet<ServerId>,
 }
 
@@ -178,7 +178,7 @@ impl FarClient for Client {
         self.pending.set_servers(servers)
     }
 
-    /// Whose client has gone makes way, and in the end the oldest, whose answer may have been lost.
+    /// Drops requests of ended clients, then the oldest after a time-out, because its response may be lost.
     fn make_room(&mut self, is_waited_for: &dyn Fn(Gid) -> bool) -> (bool, Option<RequestId>) {
         if self.pending.is_full() {
             self.pending.retain(|id| is_waited_for(id.client));
@@ -207,7 +207,7 @@ impl FarClient for Client {
                     });
                 }
                 Ok(None) => return None,
-                // Which request it answered is not told: that one makes way when its place is needed.
+                // Its request is unknown, and is dropped when room is needed.
                 Err(error) => return Some(Response::Wrong(error.reason)),
             }
         }

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Requests that a service of ROS's has not answered: which of its servers may still do so.
+//! Pending requests to a service in ROS, and which servers may still answer each.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 use tautline_relay::ServerId;
 use tautline_transport::RequestId;
 
-/// After so long a request that is not answered makes way for another that has no place.
+/// After this time a pending request may be dropped to make room.
 pub(super) const SILENT_TIME: Duration = Duration::from_secs(30);
 
-/// By the number that ROS has of them, which counts up.
+/// By ROS's sequence number, which increases.
 pub(super) struct Pending {
     asked: BTreeMap<i64, Asked>,
     most: usize,
@@ -17,13 +17,13 @@ pub(super) struct Pending {
 
 struct Asked {
     id: RequestId,
-    /// Those that got it and may still be there.
+    /// Servers that received it and may still exist.
     servers: BTreeSet<ServerId>,
     since: Instant,
 }
 
 impl Pending {
-    /// With places for so many.
+    /// With room for `most` requests.
     pub(super) fn new(most: usize) -> Self {
         Pending { asked: BTreeMap::new(), most }
     }
@@ -40,7 +40,7 @@ impl Pending {
         self.asked.insert(number, Asked { id, servers, since });
     }
 
-    /// It is answered. Of several servers, the first one's answer counts.
+    /// Removes an answered request. Of several servers, the first response counts.
     pub(super) fn remove(&mut self, number: i64) -> Option<RequestId> {
         self.asked.remove(&number).map(|asked| asked.id)
     }
@@ -49,12 +49,12 @@ impl Pending {
         self.asked.clear();
     }
 
-    /// Only those that somebody waits for.
+    /// Keeps only requests that a client waits for.
     pub(super) fn retain(&mut self, is_waiting: impl Fn(RequestId) -> bool) {
         self.asked.retain(|_, asked| is_waiting(asked.id));
     }
 
-    /// ROS has these servers now. Removes and returns those that nobody can answer any more.
+    /// Sets the present servers. Removes and returns requests that no server can answer any more.
     pub(super) fn set_servers(&mut self, servers: &BTreeSet<ServerId>) -> Vec<RequestId> {
         let mut lost = Vec::new();
         self.asked.retain(|_, asked| {
@@ -68,7 +68,7 @@ impl Pending {
         lost
     }
 
-    /// The oldest one, if it is not answered for so long that it makes way.
+    /// Removes the oldest request, if it is older than the time-out.
     pub(super) fn take_silent(&mut self, now: Instant) -> Option<RequestId> {
         let oldest = self.asked.first_entry()?;
         (now.saturating_duration_since(oldest.get().since) >= SILENT_TIME).then(|| oldest.remove().id)
@@ -95,7 +95,7 @@ mod tests {
         pending.add(1, id(1), [server(1)].into(), now);
         pending.add(2, id(2), [server(1), server(2)].into(), now);
         assert!(pending.set_servers(&[server(1), server(2)].into()).is_empty());
-        // As many as before, but others; the second may answer yet.
+        // As many as before, but different ones; the second may still answer.
         assert_eq!(pending.set_servers(&[server(2), server(3)].into()), [id(1)]);
         assert_eq!(pending.remove(2), Some(id(2)));
         assert_eq!(pending.len(), 0);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is known of the types of services: ROS's type support, and the definitions that what passes is checked against.
+//! Types of services: ROS's type support, and the definitions that validate requests and responses.
 
 use crate::outgoing::ENCAPSULATION;
 use crate::rcl::{RclError, RosStruct, SerializedMessage, ServiceSupport, TypeSupportError};
@@ -8,7 +8,7 @@ use std::sync::Arc;
 use tautline_schema::{DynamicMessage, Endian, Packages, Schema, SchemaError};
 use tautline_transport::ServiceType;
 
-/// A type that both sides can carry. A clone is the same.
+/// A type that both sides can carry. Clones share it.
 #[derive(Clone)]
 pub(super) struct BridgedService {
     pub(super) support: ServiceSupport,
@@ -23,16 +23,16 @@ pub(super) struct BridgedService {
 pub(super) enum NotBridged {
     #[error(transparent)]
     Support(#[from] TypeSupportError),
-    #[error("no definition is found, install the package's .srv or .action files: {0}")]
+    #[error("its definition is not installed: install the package's .srv or .action files: {0}")]
     Definition(#[from] SchemaError),
     #[error(
-        "{name} has another definition in the ROS 2 that this bridge runs with ({installed}) than in Tautline's nodes ({stated}): \
-         source the one that they were built with, or rebuild them"
+        "the definition of {name} in the sourced ROS 2 ({installed}) differs from Tautline's nodes ({stated}): \
+         source the ROS 2 that they were built with, or rebuild them"
     )]
     Hash { name: String, installed: String, stated: String },
 }
 
-/// Why a request or response does not go on.
+/// Why a request or response is not forwarded.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum NotCarried {
     #[error("not a message of its type")]
@@ -41,7 +41,7 @@ pub(super) enum NotCarried {
     Rcl(#[from] RclError),
 }
 
-/// Finds types; those found are remembered.
+/// Finds types and caches them.
 pub(super) struct ServiceTypes {
     packages: Packages,
     found: HashMap<String, BridgedService>,
@@ -52,7 +52,7 @@ impl ServiceTypes {
         ServiceTypes { packages: Packages::from_env(), found: HashMap::new() }
     }
 
-    /// The type `name`, if its hash is the one that is stated.
+    /// The type `name`, if its hash matches `stated`.
     pub(super) fn find(&mut self, name: &str, stated: Option<&str>) -> Result<BridgedService, NotBridged> {
         let found = match self.found.get(name) {
             Some(found) => found.clone(),
@@ -91,13 +91,13 @@ impl ServiceTypes {
 }
 
 impl BridgedService {
-    /// As a service of Tautline's states it.
+    /// The type as a service in Tautline states it.
     pub(super) fn service_type(&self) -> ServiceType {
         ServiceType::new(&self.name, Some(&self.hash))
     }
 }
 
-/// The struct as a body. What follows the last field is nobody's.
+/// The struct as a body, without bytes after the last field.
 pub(super) fn to_body<'b>(
     from: &RosStruct,
     schema: &Schema,
@@ -113,7 +113,7 @@ pub(super) fn to_body<'b>(
     Ok(body.get(..body.len().saturating_sub(trailing)).unwrap_or_default())
 }
 
-/// The struct of a body from shared memory, which is a claim.
+/// The struct of a body from shared memory, which is untrusted.
 pub(super) fn from_body(
     body: &[u8],
     schema: &Schema,
