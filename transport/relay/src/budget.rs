@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A processor budget for what carries messages from elsewhere: its threads have real-time priority only while they use little.
+//! A processor budget for the threads that carry messages: they keep real-time priority only while they use little time.
 //!
-//! They run above the callbacks, for what arrives is to be there when a callback starts. A flood, wanted or hostile,
-//! would then starve the callbacks. So their time is summed up: once they have used more than the budget in a window,
-//! they are ordinary threads until several windows in a row show that less is wanted. What is wanted counts the time that
-//! they wait for a processor, too: an ordinary thread that uses little may only get little. What a callback can lose to the
-//! others is thus the budget of one window and what is used until the next look, once for each time that a flood begins;
-//! of a flood that comes and goes, ever more rarely.
+//! They run above the callbacks, so that messages have arrived when a callback starts. A flood, intended or hostile, would then
+//! starve the callbacks. So the threads' processor time is summed up: once it exceeds the budget in a window, they run as
+//! SCHED_OTHER until several windows in a row show less demand. Demand includes the time that they wait for a processor, because
+//! a SCHED_OTHER thread may use little only because it gets little. So a callback loses at most the budget of one window plus the
+//! time until the next check, once per flood; recurring floods cause this ever more rarely.
 
 use std::fs;
 use std::sync::Arc;
@@ -14,10 +13,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 use tautline_rt::{JoinHandle, Policy, Realtime, RtError, ThreadBuilder};
 
-/// How much processor time the threads of a gateway or a bridge may use at real-time priority.
+/// Processor time that the threads of a gateway or bridge may use at real-time priority.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Budget {
-    /// Of one core, in percent; may be above 100 on several.
+    /// In percent of one core; may exceed 100.
     pub percent: u32,
 }
 
@@ -31,12 +30,12 @@ impl Default for Budget {
 const WINDOW: Duration = Duration::from_millis(40);
 const LOOKS_PER_WINDOW: u32 = 8;
 
-/// Windows in a row that must show calm before the priority comes back.
+/// Calm windows in a row before the priority is restored.
 const CALM_WINDOWS: u32 = 5;
-/// The same at most: it doubles when a flood is back within so many windows, which are 10 s.
+/// Maximum of these: they double when a flood returns within this many windows (10 s).
 const MOST_CALM_WINDOWS: u32 = 250;
 
-/// What is to be done after a look.
+/// The decision after a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Verdict {
     Keep,
@@ -44,16 +43,16 @@ enum Verdict {
     Promote,
 }
 
-/// Processor time of threads, in nanoseconds, ever since they started.
+/// Processor time of threads since their start, in nanoseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Spent {
     used_ns: u64,
-    /// Runnable, without a processor.
+    /// Runnable, but waiting for a processor.
     waited_ns: u64,
 }
 
 impl Spent {
-    /// Sums may go below zero meanwhile: see [`BudgetedThreads::renew`].
+    /// Sums may wrap below zero in between: see [`BudgetedThreads::renew`].
     fn plus(self, other: Spent) -> Spent {
         Spent {
             used_ns: self.used_ns.wrapping_add(other.used_ns),
@@ -69,15 +68,15 @@ impl Spent {
     }
 }
 
-/// Decides from the sums alone.
+/// Decides from the sums only.
 struct Meter {
     budget_ns: u64,
     looks: u32,
     at_start: Spent,
     is_demoted: bool,
-    /// Windows since the priority came back.
+    /// Windows since the priority was restored.
     since_promotion: u32,
-    /// While demoted: windows in a row that were calm, and how many are asked for.
+    /// While demoted: calm windows in a row, and how many are needed.
     calm: u32,
     asked: u32,
 }
@@ -97,7 +96,7 @@ impl Meter {
         }
     }
 
-    /// `spent` is all that was ever spent.
+    /// `spent` is the total since start.
     fn look(&mut self, spent: Spent) -> Verdict {
         self.looks += 1;
         let Spent { used_ns, waited_ns } = spent.minus(self.at_start);
@@ -107,7 +106,7 @@ impl Meter {
             true => used_ns.saturating_add(waited_ns) > self.budget_ns,
         };
         if is_end || is_over {
-            // What follows is judged by a window of its own.
+            // The next window starts here.
             (self.looks, self.at_start) = (0, spent);
         }
         match (self.is_demoted, is_over) {
@@ -137,7 +136,7 @@ impl Meter {
     }
 }
 
-/// The thread that looks; dropping it ends it.
+/// The budget thread; dropping this ends it.
 pub struct Guard {
     stop: Arc<AtomicBool>,
     demotions: Arc<AtomicU64>,
@@ -145,14 +144,14 @@ pub struct Guard {
 }
 
 impl Guard {
-    /// Watches the threads that `list` finds, each with the policy that it has within the budget, of which `highest` is the highest, from
-    /// a thread called `name`.
+    /// Starts a thread `name` that watches the threads in `list`, each with its policy within the budget; `highest` is the
+    /// highest of these.
     ///
     /// # Errors
     /// [`RtError`]: a missing privilege.
     pub fn start(name: &str, budget: Budget, highest: Policy, list: ThreadLister) -> Result<Self, RtError> {
         let (stop, demotions) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
-        // Above what it watches, or it would not come to look.
+        // Above the watched threads, or they could starve it.
         let above = match highest {
             Policy::Fifo(priority) | Policy::RoundRobin(priority) => Policy::Fifo((priority + 1).min(99)),
             other => other,
@@ -165,7 +164,7 @@ impl Guard {
         Ok(Guard { stop, demotions, thread: Some(thread) })
     }
 
-    /// How often the budget was used up.
+    /// How often the budget was exceeded.
     pub fn demotions(&self) -> u64 {
         self.demotions.load(Ordering::Relaxed)
     }
@@ -180,7 +179,7 @@ impl Drop for Guard {
     }
 }
 
-/// Finds the threads whose budget is watched: which they are, and the policy of each within the budget.
+/// Lists the watched threads, each with its policy within the budget.
 pub type ThreadLister = Box<dyn Fn() -> Result<Vec<(u32, Policy)>, RtError> + Send>;
 
 fn watch(budget: Budget, list: ThreadLister, stop: &AtomicBool, demotions: &AtomicU64) {
@@ -206,7 +205,7 @@ fn watch(budget: Budget, list: ThreadLister, stop: &AtomicBool, demotions: &Atom
     threads.set(|policy| policy);
 }
 
-/// Threads and the time that those which ended had spent.
+/// The watched threads, and the time of those that have ended.
 struct BudgetedThreads {
     list: ThreadLister,
     threads: Vec<(u32, Policy, Spent)>,
@@ -226,7 +225,7 @@ impl BudgetedThreads {
             let spent = spent_by(tid);
             let known = self.threads.iter().find(|(known, ..)| *known == tid).map(|(.., spent)| *spent);
             if known.is_none() {
-                // Keeps the sum where it was: what it spent before is taken off what the ended ones had.
+                // Keeps the sum unchanged: its earlier time is subtracted from the ended threads'.
                 self.ended = self.ended.minus(spent.unwrap_or_default());
             }
             threads.push((tid, policy, spent.or(known).unwrap_or_default()));
@@ -241,20 +240,20 @@ impl BudgetedThreads {
         self.threads.iter().fold(self.ended, |sum, (.., spent)| sum.plus(*spent))
     }
 
-    /// Each the policy that follows from the one that it has within the budget.
+    /// Gives each thread `policy_of` its policy within the budget.
     fn set(&mut self, policy_of: impl Fn(Policy) -> Policy) {
         self.renew();
         for (tid, policy, _) in &self.threads {
             if let Err(error) = tautline_rt::set_policy_of(*tid, policy_of(*policy))
                 && !matches!(error, RtError::NoSuchThread { .. })
             {
-                tracing::warn!("a thread keeps its priority: {error}");
+                tracing::warn!("the priority of a thread is not changed: {error}");
             }
         }
     }
 }
 
-/// Of a thread of this process.
+/// Reads the time of a thread of this process.
 fn spent_by(tid: u32) -> Option<Spent> {
     let text = fs::read_to_string(format!("/proc/self/task/{tid}/schedstat")).ok()?;
     let mut numbers = text.split(' ').map_while(|number| number.parse().ok());
@@ -267,7 +266,7 @@ mod tests {
 
     const LOOK_NS: u64 = 5_000_000;
 
-    /// A meter and what was spent.
+    /// A meter and the time spent so far.
     struct Trial(Meter, Spent);
 
     impl Trial {
@@ -276,7 +275,7 @@ mod tests {
             Trial(Meter::new(Budget { percent: 25 }, start), start)
         }
 
-        /// Verdicts other than `Keep` of so many looks, each with the percentage of the time used and waited.
+        /// Verdicts other than `Keep` of `count` checks, with the percentages of time used and waited in each.
         fn looks(&mut self, count: u32, used: u64, waited: u64) -> Vec<(u32, Verdict)> {
             let mut verdicts = Vec::new();
             for look in 0..count {
@@ -292,13 +291,13 @@ mod tests {
     #[test]
     fn over_the_budget_is_demoted_until_it_is_calm() {
         let mut trial = Trial::new();
-        assert_eq!(trial.looks(100, 25, 0), [], "what is in the budget");
-        assert_eq!(trial.looks(100, 20, 70), [], "at its priority only what is used counts");
-        // A flood: over the budget at the third look at the latest, of a window that may have begun with less.
+        assert_eq!(trial.looks(100, 25, 0), [], "within the budget");
+        assert_eq!(trial.looks(100, 20, 70), [], "at real-time priority only used time counts");
+        // A flood exceeds the budget at the third check at the latest, even if the window began with less.
         let flood = trial.looks(3, 100, 0);
         assert!(matches!(flood[..], [(0..=2, Verdict::Demote)]), "{flood:?}");
         assert_eq!(trial.looks(100, 100, 0), [], "as long as it lasts");
-        assert_eq!(trial.looks(1000, 5, 40), [], "that it gets little says nothing");
+        assert_eq!(trial.looks(1000, 5, 40), [], "little used time alone does not mean calm");
         let calm = trial.looks(100, 10, 5);
         let windows = LOOKS_PER_WINDOW * CALM_WINDOWS;
         assert!(
@@ -316,7 +315,7 @@ mod tests {
             let back = trial.looks(3000, 10, 0);
             calm_looks.push(back[0].0 / LOOKS_PER_WINDOW);
             assert_eq!(back.len(), 1);
-            // As if it were back at once.
+            // As if it returned at once.
             trial.0.since_promotion = 0;
         }
         assert_eq!(calm_looks, [4, 9, 19, 39, 79, 159, 249, 249]);

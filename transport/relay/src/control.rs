@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Does what the mirror decides: one thread, told when either side changes, that makes and ends everything.
+//! Executes the mirror's actions: one thread, woken by changes on either side, creates and ends everything.
 
 mod failed;
 
@@ -24,76 +24,76 @@ use tautline_transport::{
     RawSubscription, RemoteGraph, RemoteNode, ServiceEndpoint, TopicEndpoint, TopicType, TransportError,
 };
 
-/// What a mirror mirrors a domain with: a network, or a ROS 2 graph. [`Control`] calls it, from one thread.
+/// The far side of a mirror: a network or a ROS 2 graph. [`Control`] calls it from one thread.
 pub trait FarSide: Sized {
-    /// What it is.
+    /// Its kind.
     const SIDE: Side;
-    /// What is known of the order of its messages, and of their publishers.
+    /// Order of its messages, and whether their publishers are announced.
     const DELIVERY: Delivery;
-    /// What it is told of by others than this thread.
+    /// Events from other threads.
     type Event: Send;
-    /// What takes samples from here.
+    /// Forwards samples of the domain.
     type Egress: Egress<Key = TopicKey, Topic = Outbound>;
-    /// What stands there for a publisher here.
+    /// Mirrors a publisher of the domain.
     type Writer: FarWriter;
-    /// Its part in services.
+    /// Its services.
     type Services: FarServices;
-    /// How long others are told of nothing new until services can be asked; `None`: clients there look for them anyway.
+    /// How long an announcement waits until services can be called; `None`: clients there wait for them anyway.
     const PATIENCE: Option<Duration>;
 
-    /// Something happened. Whether what exists there is otherwise.
+    /// Handles an event. Returns whether the far graph changed.
     fn hear(&mut self, event: Self::Event) -> bool;
 
-    /// What exists there, but for what this one made; `here` exists in the domain. An error is said, and tried again.
+    /// Reads the far graph, without this mirror's endpoints; `here` is the domain's. An error is logged and retried.
     ///
     /// # Errors
-    /// Why that is not known.
+    /// Why the graph cannot be read.
     fn look(&mut self, here: &LocalGraph) -> Result<FarGraph, String>;
 
-    /// Before anything is done: `here` is in terms of the domain, and some of it can perhaps not be told there.
+    /// Called first: `here` is in terms of the domain; removes from it what cannot be announced there.
     fn prepare(&mut self, here: &mut LocalGraph, transit: &Transit);
 
-    /// After topics are in line with what exists: what services are made with there.
+    /// Called after topics are mirrored: returns the context for services there.
     fn show(&mut self, here: &LocalGraph, transit: &Transit) -> <Self::Services as FarServices>::With;
 
-    /// The same again, as it was last.
+    /// The same context again, as last returned.
     fn shown(&self) -> <Self::Services as FarServices>::With;
 
-    /// After services, too: others there are told of what is here.
+    /// Called after services are routed: announces `here` there.
     fn tell(&mut self, here: &LocalGraph, transit: &Transit, writers: &Writers<Self::Writer>);
 
-    /// A second has gone by. Whether it is to be looked anew what exists.
+    /// Called each second. Returns whether the far graph must be read again.
     fn tick(&mut self, writers: &mut Writers<Self::Writer>) -> bool;
 
-    /// What is known of a topic's type, for messages that come in.
+    /// The type of an incoming topic.
     ///
     /// # Errors
     /// Why it cannot be mirrored.
     fn find_type(&mut self, key: &TopicKey, hash: Option<&str>) -> Result<FoundType, String>;
 
-    /// Makes what stands there for a publisher.
+    /// Creates the writer that mirrors a publisher.
     ///
     /// # Errors
-    /// Why that is not possible.
+    /// Why that failed.
     fn open_writer(&mut self, key: &TopicKey, publisher: &Publisher) -> Result<Self::Writer, String>;
 
-    /// Whether this is what stands there for it now: if not, another one is made.
+    /// Whether the writer is up to date; if not, it is replaced.
     fn is_current(&self, publisher: &Gid, writer: &Self::Writer) -> bool {
         let _ = (publisher, writer);
         true
     }
 
-    /// What passes a publisher's samples on.
+    /// Creates the sender for a publisher's samples.
     ///
     /// # Errors
-    /// Why that is not possible.
+    /// Why that failed.
     fn sender(
         &mut self,
         key: &TopicKey,
         writer: &Self::Writer,
     ) -> Result<<Self::Egress as Egress>::Sender, String>;
 
-    /// A port of the domain for messages from there.
+    /// Creates a port of the domain for messages from the far side.
     ///
     /// # Errors
     /// As [`Participant::create_raw_publisher`].
@@ -104,52 +104,52 @@ pub trait FarSide: Sized {
         offered: Qos,
     ) -> Result<RawPublisher, TransportError>;
 
-    /// Takes messages of a class from now on; in place of what takes them, if there is such.
+    /// Takes messages of a class from now on, in place of its previous ingress.
     ///
     /// # Errors
-    /// Why that is not possible.
+    /// Why that failed.
     fn start_in(&mut self, key: &InKey, inward: &Inward, ingress: Ingress) -> Result<(), String>;
 
-    /// Whether messages of a class are being taken: one that could not be begun anew may have ended.
+    /// Whether messages of a class are being taken; a failed restart may have ended that.
     fn takes(&self, key: &InKey) -> bool {
         let _ = key;
         true
     }
 
-    /// What is otherwise with one that is being taken.
+    /// Updates the ingress of a class.
     fn change_in(&mut self, key: &InKey, change: IngressUpdate);
 
-    /// No longer.
+    /// Stops taking messages of a class.
     fn stop_in(&mut self, key: &InKey);
 
-    /// By which the domain is told of a service's end there.
+    /// The GID that announces a far service or client in the domain.
     fn told_gid(end: &ServiceEndpoint) -> Gid {
         end.gid
     }
 
-    /// What there is to be known now, for whoever asks.
+    /// Publishes the statistics.
     fn report(&mut self, report: Report, writers: &Writers<Self::Writer>);
 }
 
-/// A publisher of the domain, for which something is to stand elsewhere.
+/// A publisher of the domain, to be mirrored.
 pub struct Publisher {
-    /// Its gid here.
+    /// Its GID here.
     pub gid: Gid,
-    /// What it offers.
+    /// The offered QoS.
     pub qos: Qos,
-    /// What the topic says of its type.
+    /// The type hash that the topic states.
     pub type_hash: Option<String>,
 }
 
-/// What is known of a type.
+/// A type that was found.
 pub struct FoundType {
     /// As topics state it.
     pub topic_type: TopicType,
-    /// The definition, which what comes in is checked against.
+    /// The definition that validates messages from the far side.
     pub schema: Option<Arc<Schema>>,
 }
 
-/// What the domain has, but for what this mirror tells it of.
+/// The domain's graph, without this mirror's announcements.
 #[derive(Default)]
 pub struct LocalGraph {
     /// The mirror's participant.
@@ -160,9 +160,9 @@ pub struct LocalGraph {
     pub endpoints: Vec<Arc<TopicEndpoint>>,
     /// Services and clients.
     pub services: Vec<Arc<ServiceEndpoint>>,
-    /// The tags of the publishers that have ended by themselves, the last few of them.
+    /// Tags of the latest publishers that ended normally.
     pub ended: Vec<u64>,
-    /// Topics and services that cannot be told there, and why.
+    /// Topics and services that cannot be announced there, and why.
     pub problems: BTreeMap<String, String>,
 }
 
@@ -179,7 +179,7 @@ impl LocalGraph {
     }
 }
 
-/// What exists on the far side, each with who tells of it there; see [`Transit`].
+/// The far side's graph, each entity with its announcer; see [`Transit`].
 #[derive(Default)]
 pub struct FarGraph {
     /// Nodes.
@@ -188,15 +188,15 @@ pub struct FarGraph {
     pub endpoints: Vec<(TopicEndpoint, u128)>,
     /// Services and clients.
     pub services: Vec<(ServiceEndpoint, u128)>,
-    /// By topic, all publishers that it is known of what they are.
+    /// By topic, all publishers that are identified.
     pub publishers: HashMap<String, BTreeSet<Gid>>,
-    /// The tags of publishers that have ended by themselves, as far as that is told.
+    /// Tags of publishers that ended normally, where that is announced.
     pub ended: BTreeSet<u64>,
 }
 
-/// What there is to be known of a mirror.
+/// Statistics of a mirror.
 pub struct Report {
-    /// Since it started.
+    /// Seconds since start.
     pub uptime_s: f64,
     /// Topics that cannot be mirrored, and why.
     pub problems: BTreeMap<String, String>,
@@ -208,17 +208,17 @@ pub struct Report {
     pub services: Vec<ServiceStats<TopicKey, Direction>>,
 }
 
-/// What the control thread is told.
+/// Events for the control thread.
 pub enum Event<E> {
-    /// What exists in the domain changed.
+    /// The domain's graph changed.
     LocalChange,
     /// Something happened on the far side.
     FarChange(E),
-    /// The end.
+    /// Stop.
     Stop,
 }
 
-/// Tells the control thread when what exists in the domain changed, until `stop`.
+/// Wakes the control thread when the domain's graph changes, until `stop`.
 pub fn watch_domain<E>(participant: &Participant, events: &mpsc::SyncSender<Event<E>>, stop: &AtomicBool) {
     const PATIENCE: Duration = Duration::from_millis(250);
     let mut seen = participant.graph_epoch().wrapping_sub(1);
@@ -229,42 +229,42 @@ pub fn watch_domain<E>(participant: &Participant, events: &mpsc::SyncSender<Even
         }
         match events.try_send(Event::LocalChange) {
             Ok(()) => seen = epoch,
-            // The control thread has much to do, at this thread's priority: let it.
+            // The queue is full: gives way to the control thread, which has this thread's priority.
             Err(_) => std::thread::sleep(Duration::from_millis(20)),
         }
     }
 }
 
-/// How often numbers are read, and what failed is tried again.
+/// Interval of statistics and retries.
 const TICK: Duration = Duration::from_secs(1);
-/// Between two looks at what exists at least: what comes with one another is seen together, and a look costs as much as there is.
+/// Minimum pause between two updates: changes are batched, because an update costs time in proportion to the graph.
 const PAUSE: Duration = Duration::from_millis(2);
-/// The same for each time that a look took: however much changes, most of the time is left to others.
+/// Further pause, as a multiple of the update's time: leaves most of the time to other threads during constant change.
 const PAUSE_PER_LOOK: u32 = 4;
-/// Events that are heard before anything else has its turn.
+/// Maximum of events handled in a row.
 const EVENTS_AT_ONCE: usize = 1024;
-/// Between two looks whether a writer has found its subscriptions.
+/// Interval of the check whether a writer has matched.
 const MATCH_LOOK: Duration = Duration::from_millis(2);
 
-/// What a mirror consists of.
+/// The parts of a mirror.
 pub struct Parts<F: FarSide> {
     /// The domain.
     pub participant: Participant,
-    /// The other side.
+    /// The far side.
     pub far: F,
     /// The thread that takes samples.
     pub relay: Relay<F::Egress>,
     /// The thread that carries requests and responses.
     pub services: Services<F::Services>,
-    /// What is told and carried.
+    /// Decides which endpoints are announced and carried.
     pub transit: Transit,
-    /// Which topics.
+    /// Rules for topics.
     pub rules: Rules,
-    /// Which services.
+    /// Rules for services.
     pub service_rules: Rules,
 }
 
-/// Keeps both sides of a mirror in line.
+/// Keeps both sides of a mirror in step.
 pub struct Control<F: FarSide> {
     services: Services<F::Services>,
     relay: Relay<F::Egress>,
@@ -274,31 +274,31 @@ pub struct Control<F: FarSide> {
     transit: Transit,
     mirror: Mirror,
     service_rules: Rules,
-    /// Whether the last look at what exists failed.
+    /// Whether the last read of the graphs failed.
     is_stale: bool,
     stats: TopicStatsTable<TopicKey, Direction>,
     out: BTreeMap<TopicKey, Outward>,
-    /// Topics whose samples are not taken before their writers have found somebody.
+    /// Topics whose samples are not taken until a writer has matched.
     waiting: BTreeMap<TopicKey, (Outward, Instant)>,
     inward: BTreeMap<InKey, Taken>,
     failed: Failed,
-    /// As they were told last.
+    /// As last read.
     publishers: HashMap<String, BTreeSet<Gid>>,
     problems: BTreeMap<String, String>,
     started: Instant,
 }
 
-/// A class that is being taken.
+/// A class that is taken.
 struct Taken {
     inward: Inward,
-    /// Whether there is a port, which offers what `inward` says: once there is somebody who sends.
+    /// Whether it has a port that offers `inward.offered`: as soon as there is a publisher.
     has_port: bool,
-    /// As who takes was told.
+    /// As last given to the ingress.
     senders: Senders,
 }
 
 impl<F: FarSide> Control<F> {
-    /// Of these parts; nothing is done yet.
+    /// From its parts; starts nothing.
     pub fn new(parts: Parts<F>) -> Self {
         let Parts { participant, far, relay, services, transit, rules, service_rules } = parts;
         let (stats, out, waiting, inward) = Default::default();
@@ -324,7 +324,7 @@ impl<F: FarSide> Control<F> {
         }
     }
 
-    /// Until it is told to stop.
+    /// Runs until stopped.
     pub fn run(mut self, events: &mpsc::Receiver<Event<F::Event>>, stop: &AtomicBool) {
         let (mut last_tick, mut next_update) = (Instant::now(), Instant::now());
         let mut is_changed = true;
@@ -340,7 +340,7 @@ impl<F: FarSide> Control<F> {
             if matches!(first, Err(mpsc::RecvTimeoutError::Disconnected)) {
                 break;
             }
-            // One look for all that changed at once.
+            // One update for all changes at once.
             for event in first.into_iter().chain(events.try_iter()).take(EVENTS_AT_ONCE) {
                 is_changed |= match event {
                     Event::LocalChange => true,
@@ -348,7 +348,7 @@ impl<F: FarSide> Control<F> {
                     Event::Stop => false,
                 };
             }
-            // One, however long an update took.
+            // One tick, however long an update took.
             let elapsed = last_tick.elapsed();
             if elapsed >= TICK {
                 last_tick += elapsed;
@@ -368,21 +368,21 @@ impl<F: FarSide> Control<F> {
         if is_changed {
             self.update();
         }
-        // What was published still goes out.
+        // Samples that are already published are still sent.
         self.out.keys().for_each(|key| self.relay.stop_topic(key.clone()));
     }
 
-    /// Brings everything in line with what exists.
+    /// Brings both sides in step with the graphs.
     fn update(&mut self) {
         let seen = self.participant.graph().map_err(|error| error.to_string()).and_then(|snapshot| {
             let here = LocalGraph::of(self.participant.id(), &snapshot);
             Ok((self.far.look(&here)?, here, snapshot))
         });
-        // Looked at again with the next tick.
+        // Retried with the next tick.
         self.is_stale = seen.is_err();
         let (there, mut here, snapshot) = match seen {
             Ok(seen) => seen,
-            Err(error) => return tracing::warn!("what exists is not known: {error}"),
+            Err(error) => return tracing::warn!("the graph cannot be read, retrying: {error}"),
         };
         let transit = &mut self.transit;
         transit.look_anew(&snapshot.rivals);
@@ -396,11 +396,11 @@ impl<F: FarSide> Control<F> {
             self.writers.remove(&key, gid);
         }
         self.mirror_topics(&here, &there);
-        // After the topics: an action's feedback has its way before goals have.
+        // After the topics: an action's feedback must have a path before its goals.
         self.route_services(&here, &there);
         self.far.tell(&here, &self.transit, &self.writers);
         if let Err(error) = self.participant.set_remote(&self.remote(there)) {
-            tracing::warn!("nodes and tools of this host do not see what is elsewhere: {error}");
+            tracing::warn!("remote endpoints are not announced to nodes and tools of this host: {error}");
         }
         self.problems = here.problems;
     }
@@ -411,10 +411,10 @@ impl<F: FarSide> Control<F> {
         let is_left = |end: &TopicEndpoint| is_publisher(end) && transit.announced(&end.origin).is_none();
         let (left, told): (Vec<&TopicEndpoint>, Vec<&TopicEndpoint>) =
             here.endpoints.iter().map(AsRef::as_ref).partition(|end| is_left(end));
-        // Left to somebody else who tells of the same there.
+        // Left to another announcer.
         let mut passed_over: HashSet<Gid> = left.into_iter().map(|end| end.gid).collect();
         let mut before = self.relay.passed_over().lock();
-        // What was there before is dropped after the lock: the thread that sends may wait for it.
+        // The old set is dropped after the lock, for which the sending thread may wait.
         std::mem::swap(&mut *before, &mut passed_over);
         drop(before);
         let far = there.endpoints.iter().filter_map(|(end, teller)| match end.kind {
@@ -441,13 +441,13 @@ impl<F: FarSide> Control<F> {
         let (ends, before) = (here.services.iter().map(AsRef::as_ref), self.services.routes());
         let routes = Routes::of(F::SIDE, &self.service_rules, ends, &there, before, announced);
         let applied = self.services.set_routes(routes, with);
-        // Who hears of a service may ask at once.
+        // A client may call a service as soon as it is announced.
         if F::PATIENCE.is_some_and(|patience| !applied.wait(patience)) {
-            tracing::warn!("services change slowly: some are announced before they can be asked");
+            tracing::warn!("services change slowly: some are announced before they can be called");
         }
     }
 
-    /// What the domain is told of, by its own names. The same graph is the same list.
+    /// The graph to announce in the domain, in its names, sorted, so that equal graphs are equal lists.
     fn remote(&self, there: FarGraph) -> RemoteGraph {
         let rules = &self.mirror.rules;
         let mut remote = RemoteGraph { ended: there.ended, ..RemoteGraph::default() };
@@ -457,7 +457,7 @@ impl<F: FarSide> Control<F> {
         }
         for (end, teller) in there.endpoints {
             let Some(topic) = rules.here_name(&end.topic) else { continue };
-            // What is not let through is not told: somebody else may have a way.
+            // Endpoints that the rules exclude are not announced: another relay may carry them.
             let way = match end.kind {
                 EndpointKind::Publisher => Direction::In,
                 EndpointKind::Subscription => Direction::Out,
@@ -480,10 +480,10 @@ impl<F: FarSide> Control<F> {
         remote
     }
 
-    /// Publishers there come and go that a subscription gets messages of though they are none of its class.
+    /// Updates senders: a subscription also gets messages of publishers outside its class, which come and go.
     fn renew_senders(&mut self) {
         for (key, taken) in &mut self.inward {
-            // Also of one that goes on as it was, for it could not be begun anew.
+            // Also for a class whose restart failed.
             let Some(publishers) = self.mirror.publishers(key) else { continue };
             let senders = senders(&self.publishers, key, publishers, taken.has_port);
             if senders != taken.senders {
@@ -494,7 +494,7 @@ impl<F: FarSide> Control<F> {
         }
     }
 
-    /// What failed may be possible now: there is memory, a package was installed.
+    /// Retries failed actions: memory may be free, or a package installed by now.
     fn try_again(&mut self) {
         for (action, before) in self.failed.take() {
             if let Err(reason) = self.act(&action) {
@@ -529,7 +529,7 @@ impl<F: FarSide> Control<F> {
                 self.relay.stop_topic(key.clone());
             }
             Action::StartIn(key, inward) => {
-                // The type may be the one that is known whatever the topic stated before and states now.
+                // The installed type may satisfy both the old and the new hash.
                 let is_same = |taken: &Taken| {
                     taken.inward.qos == inward.qos
                         && (!taken.has_port || taken.inward.offered == inward.offered)
@@ -568,20 +568,20 @@ impl<F: FarSide> Control<F> {
         Ok(())
     }
 
-    /// Whether writers are about to find their subscriptions.
+    /// Whether writers are about to match.
     fn is_matching(&self) -> bool {
         let now = Instant::now();
         self.waiting.values().any(|(_, since)| now < *since + MATCH_TIME) || self.writers.is_opening()
     }
 
-    /// Samples are taken once a writer has somebody to send them to.
+    /// Starts taking samples once a writer has matched.
     fn look_for_matches(&mut self) {
         for (key, (outward, since)) in std::mem::take(&mut self.waiting) {
             if !self.writers.is_matched(&key) {
                 self.waiting.insert(key, (outward, since));
                 continue;
             }
-            // Made ahead, so that what is kept finds them.
+            // Created first, so that kept samples find them.
             let made = self.writers.open(|of| *of == key, |key, writer| sender(&mut self.far, key, writer));
             let made = made.into_iter().map(|(_, gid, sender)| (gid, sender)).collect();
             if let Err(reason) = self.start_out(&key, &outward, made) {
@@ -622,7 +622,7 @@ impl<F: FarSide> Control<F> {
     }
 
     fn start_in(&mut self, key: &InKey, inward: &Inward) -> Result<(), String> {
-        // What the port keeps for late joiners is not to be lost without need.
+        // Keep the port's samples for late joiners if possible.
         let has_same = |taken: &Taken| taken.has_port && taken.inward.offered == inward.offered;
         let keeps_port = self.inward.get(key).is_some_and(has_same);
         let (port, schema) = match keeps_port {
@@ -642,7 +642,7 @@ impl<F: FarSide> Control<F> {
         let ingress = Ingress::new(port, schema, counters, limiter, senders.clone(), F::DELIVERY);
         if let Err(reason) = self.far.start_in(key, inward, ingress) {
             if !self.far.takes(key) {
-                // Begun without what it had, the next time.
+                // The next attempt starts from scratch.
                 self.inward.remove(key);
             }
             return Err(reason);
@@ -651,7 +651,7 @@ impl<F: FarSide> Control<F> {
         Ok(())
     }
 
-    /// The port that messages of the class come through here, once there is somebody who sends them; and their definition.
+    /// The class's port, as soon as there is a publisher, and the type's definition.
     fn port(
         &mut self,
         key: &InKey,
@@ -680,19 +680,19 @@ impl<F: FarSide> Control<F> {
     }
 }
 
-/// What passes on the samples of a writer's publisher, if it can be made.
+/// The sender for a writer's publisher, if it can be created.
 fn sender<F: FarSide>(
     far: &mut F,
     key: &TopicKey,
     writer: &F::Writer,
 ) -> Option<<F::Egress as Egress>::Sender> {
     let made = far.sender(key, writer).map_err(|reason| {
-        tracing::warn!("topic '{}' is not sent, which is tried again: {reason}", key.topic);
+        tracing::warn!("topic '{}' is not sent, retrying: {reason}", key.topic);
     });
     made.ok()
 }
 
-/// Of the publishers that are known.
+/// The senders among known publishers.
 fn senders(
     known: &HashMap<String, BTreeSet<Gid>>,
     key: &InKey,

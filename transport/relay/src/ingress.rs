@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What comes in of a topic: whose messages, of which form, through which port of the domain.
+//! The path of a topic's incoming messages: from which publishers, of which type, through which port of the domain.
 
 use crate::limiter::Limiter;
 use crate::route::EarlyLimits;
@@ -14,17 +14,17 @@ use tautline_transport::{Gid, LoanError, MessageInfo, PublishError, RawPublisher
 /// Fast CDR appends up to this many bytes after the last field.
 const TRAILING_BYTES: usize = 8;
 
-/// What messages come through here.
+/// The port for incoming messages.
 pub enum Port {
-    /// There is nobody who sends.
+    /// There is no publisher.
     None,
-    /// Through the one that the key has: what it keeps for late joiners stays.
+    /// The key's existing port, with its samples for late joiners.
     Same,
-    /// Through this one.
+    /// A new port.
     New(Box<RawPublisher>),
 }
 
-/// Whose messages an ingress passes on: it may get others, which come another way.
+/// The publishers whose messages an ingress forwards; others' messages come another way.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Senders {
     /// Each with its lifespan.
@@ -32,18 +32,18 @@ pub struct Senders {
     others: BTreeSet<Gid>,
 }
 
-/// What a message's publisher is to an ingress.
+/// The role of a message's publisher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Sender {
     Wanted(Option<Duration>),
     Other,
-    /// Not known yet: its message waits.
+    /// Not known yet: its messages are held.
     Unknown,
 }
 
 impl Senders {
-    /// Of all publishers of the topic that are `known`, `publishers` are those that count, each with its lifespan. Without a port for
-    /// them their messages wait.
+    /// Of all `known` publishers of the topic, `publishers` (each with its lifespan) are forwarded. Without a port their messages
+    /// are held.
     pub fn of(known: &BTreeSet<Gid>, publishers: &BTreeMap<Gid, Option<Duration>>, has_port: bool) -> Self {
         Senders {
             wanted: if has_port { publishers.clone() } else { BTreeMap::new() },
@@ -60,13 +60,13 @@ impl Senders {
     }
 }
 
-/// A message's bytes, without encapsulation, in one piece or several.
+/// A message's bytes without encapsulation, in one or more slices.
 pub trait Body {
-    /// How many.
+    /// Number of bytes.
     fn len_bytes(&self) -> usize;
-    /// All of them, if they are in one piece.
+    /// All bytes, if they are one slice.
     fn whole(&self) -> Option<&[u8]>;
-    /// The first ones, as many as `to` has room for; what is missing is zero.
+    /// Copies the first bytes, as many as `to` holds; the rest of `to` becomes zero.
     fn copy_to(&self, to: &mut [u8]);
 }
 
@@ -86,56 +86,56 @@ impl Body for [u8] {
     }
 }
 
-/// What is said of a message elsewhere.
+/// Metadata of a message from the far side.
 #[derive(Clone, Copy, Debug)]
 pub struct Source {
     /// Its publisher.
     pub publisher: Gid,
-    /// Its number there, if that is told.
+    /// Its sequence number, if known.
     pub number: Option<u64>,
-    /// Whether a gap in these numbers is a loss.
+    /// Whether a gap in the sequence numbers is a loss.
     pub are_numbers_whole: bool,
-    /// When it was published there, since 1970.
+    /// Source time stamp, since 1970.
     pub timestamp_ns: i64,
 }
 
-/// Why a message from elsewhere was dropped.
+/// Why a message from the far side was dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Refused {
-    /// It came sooner than the rules allow.
+    /// It came sooner than the rate limit permits.
     #[error("rate limit")]
     Rate,
-    /// Nobody told in time whose it is, or too many of these waited.
+    /// Its publisher was not discovered in time, or too many such messages were held.
     #[error("publisher not known yet")]
     Unknown,
     /// By the clocks of both hosts.
     #[error("older than its publisher's lifespan")]
     Expired,
-    /// Of a type whose messages all have one.
+    /// Of a fixed-size type.
     #[error("length differs from the type's")]
     Length,
-    /// What it says does not fit its type.
+    /// Its content is not valid for its type.
     #[error("not a message of its type")]
     Invalid,
-    /// No room in shared memory.
+    /// Shared memory is exhausted.
     #[error(transparent)]
     Loan(#[from] LoanError),
-    /// Not published.
+    /// Publishing failed.
     #[error("{0}")]
     Publish(PublishError),
 }
 
-/// A message of a publisher that is not known yet.
+/// A message of an unknown publisher.
 struct Early {
     body: Vec<u8>,
     source: Source,
     since: Instant,
 }
 
-/// Where the messages of a topic, or of a class of it, come into the domain.
+/// Where messages of a topic, or of a class of it, enter the domain.
 pub struct Ingress {
     port: Port,
-    /// Of a type whose definition is known.
+    /// `None`: the definition is not known.
     schema: Option<Arc<Schema>>,
     counters: Arc<TopicCounters>,
     limiter: Limiter,
@@ -146,17 +146,17 @@ pub struct Ingress {
     delivery: Delivery,
 }
 
-/// How messages come to an ingress.
+/// How messages arrive at an ingress.
 #[derive(Clone, Copy, Debug)]
 pub struct Delivery {
-    /// How much waits until it is known whose it is; `None`: what nobody tells of passes.
+    /// How many messages of unknown publishers are held; `None`: they are forwarded.
     pub early: Option<EarlyLimits>,
-    /// Whether a publisher's messages come in its order, so that one whose number has been came twice.
+    /// Whether a publisher's messages arrive in order, so that an earlier sequence number is a duplicate.
     pub is_ordered: bool,
 }
 
 impl Ingress {
-    /// One that nothing came through yet.
+    /// A new ingress.
     pub fn new(
         port: Port,
         schema: Option<Arc<Schema>>,
@@ -169,8 +169,8 @@ impl Ingress {
         Ingress { port, schema, counters, limiter, senders, numbers, early, early_bytes, delivery }
     }
 
-    /// Goes on where the other ended: both may get the same, which its numbers tell. But what a new port is to keep for late joiners
-    /// must come through it, so who listens already gets it once more.
+    /// Continues where the old one ended: sequence numbers reveal duplicates. But samples that a new port must keep for late
+    /// joiners have to pass through it, so existing subscriptions get them again.
     pub fn take_over(&mut self, old: Ingress, is_kept: bool) {
         let is_same_port = matches!(self.port, Port::Same);
         if is_same_port {
@@ -183,7 +183,7 @@ impl Ingress {
         self.settle();
     }
 
-    /// These are its senders from now on, and this the rate; through `port` if there was none.
+    /// Sets senders and rate, and the port if there was none.
     pub fn change(&mut self, IngressUpdate { senders, limiter, port }: IngressUpdate) {
         if limiter.period_ns() != self.limiter.period_ns() {
             self.limiter = limiter;
@@ -195,26 +195,26 @@ impl Ingress {
         self.settle();
     }
 
-    /// What comes of it is counted here.
+    /// The counters of its messages.
     pub fn counters(&self) -> &Arc<TopicCounters> {
         &self.counters
     }
 
-    /// Whether messages wait until it is known whose they are.
+    /// Whether messages of unknown publishers are held.
     pub fn is_waiting(&self) -> bool {
         !self.early.is_empty()
     }
 
-    /// Whether this publisher's messages are left to others.
+    /// Whether this publisher's messages come another way.
     pub fn leaves(&self, publisher: &Gid) -> bool {
         self.senders.find(publisher) == Sender::Other
     }
 
-    /// A message came: it is passed on, waits, or is left to others.
+    /// Forwards a message, holds it, or ignores it if it comes another way.
     ///
     /// # Real-time
-    /// One look-up, one loan, one copy; a check in the length of the body if its type's definition is known. Of a publisher that is not
-    /// known yet the body is copied to the heap.
+    /// One look-up, one loan, one copy; validation in time linear in the body if the definition is known. The body of an unknown
+    /// publisher is copied to the heap.
     pub fn receive<B: Body + ?Sized>(&mut self, body: &B, source: Source) {
         match self.senders.find(&source.publisher) {
             Sender::Wanted(lifespan) => self.pass(body, source, lifespan),
@@ -240,7 +240,7 @@ impl Ingress {
         }
     }
 
-    /// Checks a message and publishes it here. Returns its length.
+    /// Validates a message and publishes it. Returns its length.
     fn publish<B: Body + ?Sized>(
         &mut self,
         body: &B,
@@ -262,7 +262,7 @@ impl Ingress {
         let valid = |schema: &Schema, bytes: &[u8]| {
             DynamicMessage::validate(schema, bytes, Endian::Little).map_err(|_| Refused::Invalid)
         };
-        // What follows the last field is nobody's.
+        // Bytes after the last field are dropped.
         let (len_bytes, is_checked) = match (port.topic_type().body_bytes, &self.schema, body.whole()) {
             (Some(fixed), ..) if (fixed..=fixed + TRAILING_BYTES).contains(&body.len_bytes()) => {
                 (fixed, false)
@@ -295,7 +295,7 @@ impl Ingress {
         self.early.push(Early { body: copied, source, since: Instant::now() });
     }
 
-    /// The senders changed: what waited for that goes on, in order.
+    /// Applies changed senders to held messages, in order.
     fn settle(&mut self) {
         self.early_bytes = 0;
         for early in std::mem::take(&mut self.early) {
@@ -308,12 +308,12 @@ impl Ingress {
                 }
             }
         }
-        // Another one may come with the same gid, and begin anew.
+        // A new publisher may have the same GID and count anew.
         let wanted = &self.senders.wanted;
         self.numbers.forget(|gid| !wanted.contains_key(gid));
     }
 
-    /// What has waited long enough goes. To be called now and then.
+    /// Drops messages that were held too long. Call it now and then.
     pub fn look(&mut self) {
         let Some(EarlyLimits { time, .. }) = self.delivery.early else { return };
         let is_late = |early: &Early| early.since.elapsed() >= time;
@@ -331,17 +331,17 @@ impl Ingress {
     }
 }
 
-/// What changes at an ingress that runs.
+/// A change of an ingress.
 pub struct IngressUpdate {
-    /// Whose messages pass.
+    /// The senders.
     pub senders: Senders,
-    /// How often.
+    /// The rate limit.
     pub limiter: Limiter,
-    /// Through this port, if there was none.
+    /// The port, if there was none.
     pub port: Option<Box<RawPublisher>>,
 }
 
-/// How long a message is still to be delivered: by the clocks of both hosts. One that is ahead of this host's clock is new.
+/// Remaining lifespan of a message, by the clocks of both hosts. A time stamp in the future counts as now.
 fn left(lifespan: Duration, timestamp_ns: i64) -> Result<Duration, Refused> {
     let age_ns = wall_ns().saturating_sub(timestamp_ns).max(0).unsigned_abs();
     match nanoseconds(lifespan).saturating_sub(age_ns) {
@@ -365,7 +365,7 @@ mod tests {
         Source { publisher, number: Some(number), are_numbers_whole: true, timestamp_ns: wall_ns() }
     }
 
-    /// A message in two pieces.
+    /// A message in slices.
     struct Pieces<'b>(&'b [u8]);
 
     impl Body for Pieces<'_> {
@@ -393,7 +393,7 @@ mod tests {
         use Sender::{Other, Unknown, Wanted};
         assert_eq!(found(&[wanted, other], true), [Wanted(None), Other, Unknown]);
         assert_eq!(found(&[wanted, other, new], true), [Wanted(None), Other, Other]);
-        // Whose port could not be made: its messages wait for the next try.
+        // Its port failed: its messages are held for the retry.
         assert_eq!(found(&[wanted, other], false), [Unknown, Other, Unknown]);
     }
 
@@ -439,7 +439,7 @@ mod tests {
         assert_eq!([take(), take(), take()], [Some(text.to_vec()), Some(text.to_vec()), None]);
         assert_eq!(counters.read().lost, 2);
 
-        // Not known yet: they wait, as many as there is room for.
+        // Not known yet: held, as far as there is room.
         for number in 1..=3 {
             ingress.receive(&text[..], source(new, number));
         }
@@ -452,12 +452,12 @@ mod tests {
         ingress.change(change(&[(new, None)]));
         assert_eq!([take().is_some(), take().is_some(), take().is_some()], [true, true, false]);
 
-        // Where that is not told of everybody, they pass.
+        // Where not all publishers are announced, they are forwarded.
         ingress.delivery.early = None;
         ingress.receive(&text[..], source(Gid([9; 16]), 1));
         assert_eq!([take().is_some(), take().is_some()], [true, false]);
 
-        // An hour is over, or not, by the stamp of the other host.
+        // Older than an hour, or not, by the other host's stamp.
         const HOUR: Duration = Duration::from_secs(3600);
         let hour_ns = HOUR.as_nanos() as i64;
         ingress.change(change(&[(one, Some(HOUR))]));
@@ -466,7 +466,7 @@ mod tests {
             ingress.receive(&text[..], source);
         }
         assert_eq!((std::iter::from_fn(take).count(), dropped(Refused::Expired)), (2, 1));
-        // One that is queued longer than it has left is passed over when it is to be taken.
+        // A message that expires in the queue is skipped at take.
         const SHORT: Duration = Duration::from_millis(3);
         ingress.change(change(&[(one, Some(SHORT))]));
         for number in 10.. {
@@ -474,7 +474,7 @@ mod tests {
             let over_ns = monotonic_ns() + nanoseconds(SHORT);
             while monotonic_ns() < over_ns {}
             assert_eq!(take(), None);
-            // On a busy machine it may have been too late before it was queued.
+            // On a busy machine it may have expired before it was queued.
             if heard.counters().expired() > 0 {
                 break;
             }

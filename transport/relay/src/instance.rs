@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One gateway, and one bridge to each ROS domain, per host, domain, user and scope: a lock file sees to it. The kernel
-//! releases the lock of one that dies, however it dies, so that the next can take over at once.
+//! One gateway, and one bridge per ROS domain, for each host, domain, user and scope, ensured by a lock file. The kernel releases
+//! the lock of a killed process, so that the next can take over at once.
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -8,21 +8,21 @@ use std::time::Duration;
 use tautline_rt::domain::shared_folder;
 use tautline_rt::shm::{self, PeerFile};
 
-/// Held by the one instance; dropping it makes room for another.
+/// The instance's lock; dropping it releases it.
 #[derive(Debug)]
 pub struct InstanceLock {
     lock: Option<tautline_rt::LockFile>,
     folder: PathBuf,
 }
 
-/// A program of which a domain has one.
+/// A program that a domain has once.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Instance {
-    /// Of which domain.
+    /// Its domain.
     pub domain: u32,
-    /// Its file, in the folder of the domain's shared memory, whose warden removes it when who had it has died.
+    /// Its lock file, in the folder of the domain's shared memory, whose warden removes it when its holder was killed.
     pub file: String,
-    /// What people call it: `gateway`.
+    /// Its name for people: `gateway`.
     pub name: String,
 }
 
@@ -30,33 +30,33 @@ pub struct Instance {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum InstanceError {
-    /// Another one runs.
+    /// Another one holds it.
     #[error(
-        "domain {} of this host has a {} already{}: stop that one, or wait for its end with --standby",
+        "domain {} of this host has a {} already{}: stop it, or use --standby to take over when it ends",
         instance.domain,
         instance.name,
         holder(*.pid)
     )]
     Taken {
-        /// Of what.
+        /// The instance.
         instance: Instance,
-        /// Process id of the other, if it wrote it.
+        /// Process id of the holder, if it wrote it.
         pid: Option<u32>,
     },
-    /// The folder cannot be made.
-    #[error("the {}'s lock: {source}", instance.name)]
+    /// The folder cannot be created.
+    #[error("lock of the {}: {source}", instance.name)]
     Folder {
-        /// Whose.
+        /// The instance.
         instance: Instance,
-        /// Why.
+        /// The cause.
         source: shm::ShmError,
     },
-    /// The file cannot be made or locked.
-    #[error("the {}'s lock: {source}", instance.name)]
+    /// The file cannot be created or locked.
+    #[error("lock of the {}: {source}", instance.name)]
     File {
-        /// Whose.
+        /// The instance.
         instance: Instance,
-        /// Why.
+        /// The cause.
         source: tautline_rt::LockFileError,
     },
 }
@@ -81,10 +81,10 @@ impl Instance {
         format!("{}/{}", shared_folder(self.domain), self.file)
     }
 
-    /// Becomes it.
+    /// Takes the lock.
     ///
     /// # Errors
-    /// [`InstanceError::Taken`] while another lives.
+    /// [`InstanceError::Taken`] while another holds it.
     pub fn lock(&self) -> Result<InstanceLock, InstanceError> {
         let folder = shared_folder(self.domain);
         loop {
@@ -100,7 +100,7 @@ impl Instance {
                 Err(tautline_rt::LockFileError::Locked { pid, .. }) => {
                     return Err(InstanceError::Taken { instance: self.clone(), pid });
                 }
-                // The last process of the domain removed the folder just now.
+                // The domain's last process has just removed the folder.
                 Err(tautline_rt::LockFileError::File { source, .. })
                     if source.kind() == ErrorKind::NotFound => {}
                 Err(source) => return Err(InstanceError::File { instance: self.clone(), source }),
@@ -108,10 +108,10 @@ impl Instance {
         }
     }
 
-    /// Becomes it as soon as there is no other; `None` if `stop` says so first.
+    /// Takes the lock as soon as it is free; `None` if `stop` is true first.
     ///
     /// # Errors
-    /// As [`lock`](Self::lock), but for [`InstanceError::Taken`].
+    /// As [`lock`](Self::lock), except [`InstanceError::Taken`].
     pub fn wait(&self, stop: impl Fn() -> bool) -> Result<Option<InstanceLock>, InstanceError> {
         const PERIOD: Duration = Duration::from_millis(50);
         let path = Path::new(shm::DIRECTORY).join(self.file());
@@ -120,7 +120,7 @@ impl Instance {
                 Err(InstanceError::Taken { .. }) => {}
                 outcome => return outcome.map(Some),
             }
-            // By the same open file: each attempt to take the lock wakes the domain's warden.
+            // Polls the open file, because each attempt to lock wakes the domain's warden.
             let holder = PeerFile::open(path.clone(), false);
             std::thread::sleep(PERIOD);
             while holder.as_ref().is_ok_and(PeerFile::is_owned) && !stop() {
@@ -134,7 +134,7 @@ impl Instance {
 impl Drop for InstanceLock {
     fn drop(&mut self) {
         self.lock = None;
-        // If it was the last file of the domain.
+        // Succeeds if it was the domain's last file.
         let _ = std::fs::remove_dir(&self.folder);
     }
 }
@@ -173,7 +173,7 @@ mod tests {
         }
     }
 
-    /// Who has the lock has it whatever comes and goes in the domain. The file of who died goes with its warden.
+    /// The holder keeps the lock while participants start and end. A killed holder's file is removed by the warden.
     #[test]
     fn the_domains_warden_leaves_it_alone_until_it_is_free() {
         isolated();
@@ -184,7 +184,7 @@ mod tests {
         let path = Path::new(shm::DIRECTORY).join(Instance::gateway(179).file());
         assert!(path.exists());
         drop(lock);
-        // As one that was killed leaves it.
+        // As a killed holder leaves it.
         std::fs::write(&path, "1").unwrap();
         let since = std::time::Instant::now();
         while path.exists() {

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the gateway and the bridge to ROS 2 are: mirrors between a domain and what is on the other side, a [`FarSide`].
+//! The common part of the gateway and the ROS 2 bridge: mirrors between a domain and a [`FarSide`].
 //!
-//! The mirror decides what is mirrored from what exists on both sides, [`Transit`] what is told and carried, so that nothing comes twice
-//! or goes in circles: both are pure. [`Control`] is the thread that does it. A [`Relay`] is the thread that takes the samples of all
-//! topics, waiting on the doorbell as a sampler does, and gives each to an [`Egress`]; what a publisher sent before its counterpart
-//! elsewhere was known waits for it. What comes from elsewhere goes through an [`Ingress`]. A local publisher notices nothing of it.
-//! [`show_until`] is what such a program does meanwhile.
+//! The mirror decides from both graphs what is mirrored, and [`Transit`] which endpoints are announced and carried, so that no
+//! message arrives twice or loops; both are pure. [`Control`] is the thread that executes their decisions. A [`Relay`] is the
+//! thread that takes samples of all topics, waiting on the doorbell like a sampler, and gives each to an [`Egress`]; samples are
+//! held until their publisher's counterpart exists. Messages from the far side pass an [`Ingress`]. Local publishers are not
+//! affected. [`show_until`] is the main loop of such a program.
 
 mod budget;
 mod control;

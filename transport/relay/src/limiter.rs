@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-/// Admits a message if the last one is long enough ago.
+/// Admits a message if enough time has passed since the last one.
 #[derive(Clone, Copy, Debug)]
 pub struct Limiter {
     period_ns: u64,
@@ -11,18 +11,18 @@ pub struct Limiter {
 }
 
 impl Limiter {
-    /// At least so long between two; `None` is without a limit.
+    /// Minimum time between two messages; `None`: no limit.
     pub fn new(min_period: Option<Duration>) -> Self {
         let period_ns = min_period.map_or(0, |period| u64::try_from(period.as_nanos()).unwrap_or(u64::MAX));
         Limiter { period_ns, next_ns: 0 }
     }
 
-    /// 0 is without a limit.
+    /// 0: no limit.
     pub fn period_ns(&self) -> u64 {
         self.period_ns
     }
 
-    /// Whether a message may pass at `now_ns`. What comes a little late does not delay those after it.
+    /// Whether a message may pass at `now_ns`. A slightly late message does not delay later ones.
     pub fn admits(&mut self, now_ns: u64) -> bool {
         if self.period_ns == 0 {
             return true;

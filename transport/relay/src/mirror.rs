@@ -1,19 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is to be mirrored between a domain and what is on the other side, a network or a ROS 2 graph: decided here from what exists on
-//! both sides, done elsewhere.
+//! Decides from both graphs what is mirrored between a domain and a network or ROS 2 graph. [`Control`](crate::Control) executes
+//! it.
 //!
-//! A pure state machine: what exists goes in, the [`Action`]s that follow from it come out, in the order in which they
-//! are to be done.
+//! A pure state machine: graphs go in, [`Action`]s come out, in the order of execution.
 //!
-//! - *Out.* Each publisher here has a writer of its own there, with its QoS. Samples are taken from shared memory while there is a
-//!   subscription there; of publishers that keep samples for late joiners a network is given those ahead, for it keeps them.
-//! - *In.* Messages come in while a subscription is here and a publisher there. In ROS, ends are matched by their QoS: publishers there
-//!   are told apart by what they offer ([`Class`]), each class has a subscription that requests just that, and a port here that offers
-//!   just that. So every subscription here gets what it would get in ROS. While there are no publishers, a subscription of the default
-//!   class shows in ROS that somebody listens. On a network everybody gets everything, through one port.
+//! - *Out.* Each publisher here has a writer there, with its QoS. Samples are taken from shared memory while there is a
+//!   subscription there; those of transient-local publishers always go to a network, because Zenoh keeps them.
+//! - *In.* Messages come in while there are a subscription here and a publisher there. ROS matches endpoints by QoS, so
+//!   publishers there are grouped by what they offer ([`Class`]); each class has a subscription that requests exactly that and a
+//!   port here that offers exactly that. So each subscription here gets what it would get in ROS. Without publishers, a
+//!   subscription of the default class shows in ROS that there is a subscription here. A network has one port for all publishers.
 //!
-//! **Nothing goes in circles, or twice.** What this mirror itself tells of on either side is not looked at; what others tell of is, with
-//! where it was first, and whoever calls [`Mirror::update`] says what comes another way: see [`Transit`](crate::Transit).
+//! **No loops, no duplicates.** The input excludes this mirror's own announcements. It includes others', with their origins, and
+//! the caller of [`Mirror::update`] marks messages that come another way: see [`Transit`](crate::Transit).
 
 use crate::rules::{Choice, Direction, Rules};
 use crate::transit::RELAYED_DEPTH;
@@ -21,12 +20,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tautline_transport::{Durability, EndpointKind, Gid, History, Limits, Qos, Reliability, TopicEndpoint};
 
-/// What is on the other side.
+/// The kind of far side.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Side {
-    /// A ROS 2 graph: of a topic a process there has one type, and ends are matched by their QoS.
+    /// A ROS 2 graph: a process has one type per topic, and endpoints match by QoS.
     Ros,
-    /// A network of rmw_zenoh's kind: each type of a topic, by name and definition, is a topic of its own, and publishers reach every
+    /// A network like rmw_zenoh's: each type of a topic, by name and hash, is a separate topic, and publishers reach every
     /// subscription.
     Network,
 }
@@ -43,18 +42,18 @@ impl Side {
 /// A topic on both sides.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicKey {
-    /// The domain's name of it.
+    /// Its name in the domain.
     pub topic: String,
-    /// The far side's name of it.
+    /// Its name on the far side.
     pub far_topic: String,
-    /// What it carries.
+    /// Its type.
     pub type_name: String,
-    /// The hash of that definition, on a network.
+    /// The type's hash, on a network.
     pub type_hash: Option<String>,
 }
 
 impl TopicKey {
-    /// That of the domain's `topic`, which is called as `choice` says on the far side.
+    /// The key of the domain's `topic`, with its far name from `choice`.
     pub(crate) fn of(topic: &str, choice: &Choice, type_name: &str, type_hash: Option<&str>) -> Self {
         TopicKey {
             topic: topic.to_owned(),
@@ -64,24 +63,24 @@ impl TopicKey {
         }
     }
 
-    /// Whether it is an action's feedback or status. A client may send its first goal, and should be told of it, before its
-    /// subscriptions are seen here: these topics go to ROS whether or not it is known that somebody listens.
+    /// Whether it is an action's feedback or status. A client may send its first goal before its subscriptions are discovered
+    /// here, so these topics go to ROS even without a known subscription.
     pub fn is_of_action(&self) -> bool {
         self.topic.contains("/_action/")
     }
 }
 
-/// What publishers in ROS offer, as far as it decides who gets their messages.
+/// The QoS of publishers in ROS, as far as it decides about matching.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Class {
-    /// Whether reliable.
+    /// Reliable.
     pub is_reliable: bool,
-    /// Whether late joiners are served.
+    /// Transient local.
     pub is_kept: bool,
 }
 
 impl Class {
-    /// That of a publisher that offers `qos`.
+    /// The class of a publisher that offers `qos`.
     pub fn of(qos: &Qos) -> Self {
         Class {
             is_reliable: qos.reliability == Reliability::Reliable,
@@ -98,17 +97,17 @@ impl Class {
     }
 }
 
-/// A topic that comes in, of publishers of one class.
+/// An incoming topic, from publishers of one class.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct InKey {
     /// The topic.
     pub topic: TopicKey,
-    /// The class; `None`: of all publishers, whatever they offer.
+    /// The class; `None`: all publishers.
     pub class: Option<Class>,
 }
 
 impl InKey {
-    /// Whether publishers serve late joiners: their samples come again to who asks anew.
+    /// Whether the class is transient local: new subscriptions get kept samples again.
     pub fn is_kept(&self) -> bool {
         self.class.is_some_and(|class| class.is_kept)
     }
@@ -117,28 +116,28 @@ impl InKey {
 /// How messages of a class come in.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Inward {
-    /// What the subscription there requests.
+    /// Requested there.
     pub qos: Qos,
-    /// What the port here offers.
+    /// Offered by the port here.
     pub offered: Qos,
-    /// The publishers of the class whose messages come in here, each with its lifespan: what others send is left to others. None yet,
-    /// if the subscription is there for ROS to see.
+    /// The publishers of the class that this mirror carries, each with its lifespan; others are left to other relays. Empty if
+    /// the subscription only shows in ROS.
     pub publishers: BTreeMap<Gid, Option<Duration>>,
-    /// Publishers of the class whose messages come into the domain another way.
+    /// Publishers of the class whose messages come another way.
     pub passed_over: BTreeSet<Gid>,
     /// See [`Rule::min_period`](crate::Rule::min_period).
     pub min_period: Option<Duration>,
-    /// What the topic says of its type.
+    /// The type hash that the topic states.
     pub type_hash: Option<String>,
 }
 
 impl Inward {
-    /// What may change while it runs.
+    /// Whether only what may change without a restart differs.
     fn is_same_subscription(&self, other: &Inward) -> bool {
         (self.qos, self.offered, &self.type_hash) == (other.qos, other.offered, &other.type_hash)
     }
 
-    /// What runs only grows, for a change costs samples or has them come twice.
+    /// Values only grow, because a restart loses or repeats samples.
     fn grow_from(&mut self, running: &Inward, side: Side) {
         let depth = self.offered.depth.max(running.offered.depth);
         match side {
@@ -149,7 +148,7 @@ impl Inward {
             Side::Network => {
                 let (was, is) = (Class::of(&running.offered), Class::of(&self.offered));
                 let is_kept = was.is_kept || is.is_kept;
-                // Of what is not kept, whoever is already heard stays so without an interruption.
+                // A volatile port is not upgraded to reliable: the restart would interrupt publishers already heard.
                 let is_reliable = was.is_reliable || (is_kept && is.is_reliable);
                 self.offered = Class { is_reliable, is_kept }.qos(depth);
                 self.qos = self.offered;
@@ -158,43 +157,42 @@ impl Inward {
     }
 }
 
-/// How messages are taken from shared memory.
+/// How samples are taken from shared memory.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outward {
-    /// Length of the queue, per publisher.
+    /// Queue depth, per publisher.
     pub depth: usize,
-    /// Whether any publisher serves late joiners.
+    /// Whether any publisher is transient local.
     pub is_kept: bool,
     /// See [`Rule::min_period`](crate::Rule::min_period).
     pub min_period: Option<Duration>,
-    /// What the topic says of its type.
+    /// The type hash that the topic states.
     pub type_hash: Option<String>,
 }
 
-/// Something to do.
+/// An action to execute.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Action {
-    /// Make a writer there that stands for this publisher.
+    /// Create the writer there that mirrors this publisher.
     OpenWriter(TopicKey, Gid, Qos, Option<String>),
-    /// It has gone.
+    /// End it.
     CloseWriter(TopicKey, Gid),
-    /// Begin to take a topic's samples from shared memory; of one that is being taken, do so with more from now on, or anew: what is
-    /// kept comes again.
+    /// Start taking a topic's samples from shared memory, or restart with changed values: kept samples come again.
     StartOut(TopicKey, Outward),
-    /// Stop it.
+    /// End that.
     StopOut(TopicKey),
-    /// Begin to take a class's messages from there; of one that is being taken, begin anew.
+    /// Start or restart taking a class's messages.
     StartIn(InKey, Inward),
-    /// Begin anew though all is as it was: what publishers keep that came another way so far comes again.
+    /// Restart unchanged: kept samples that came another way so far come again.
     AskAgain(InKey, Inward),
-    /// These are its publishers now, and this the rate.
+    /// Change the publishers and the rate of a class.
     ChangeIn(InKey, Inward),
-    /// Stop it.
+    /// End it.
     StopIn(InKey),
 }
 
 impl Action {
-    /// Whether `failed`, which could not be done before, is not to be tried again after this: it would undo it.
+    /// Whether a retry of `failed` after this action would undo it.
     pub(crate) fn replaces(&self, failed: &Action) -> bool {
         use Action::*;
         match (self, failed) {
@@ -211,7 +209,7 @@ impl Action {
         }
     }
 
-    /// Which topic it is about.
+    /// Its topic.
     pub(crate) fn topic(&self) -> &TopicKey {
         match self {
             Action::OpenWriter(key, ..) | Action::CloseWriter(key, _) => key,
@@ -222,28 +220,28 @@ impl Action {
     }
 }
 
-/// Depth of the RMW's queue of what comes from ROS at least: publishers there do not tell theirs.
+/// Minimum depth of the RMW's queue from ROS: DDS does not announce publishers' depth.
 pub const MIN_DEPTH_IN: usize = 1000;
-/// What is kept of a class from ROS for late joiners at least; more is twice as much, and so on. A change costs those who listen
-/// already what they get twice, so a few publishers more must not be one.
+/// Minimum of kept samples of a class from ROS; the number doubles as needed. A change repeats samples for existing
+/// subscriptions, so few publishers more must not cause one.
 pub const MIN_KEPT: usize = 32;
 
-/// An end there, and, of a publisher, whether its messages come into the domain through this mirror.
+/// An endpoint there, and for a publisher whether this mirror carries its messages.
 pub type Far<'e> = (&'e TopicEndpoint, bool);
 
-/// The state: what is being mirrored.
+/// The state: everything mirrored now.
 pub struct Mirror {
     side: Side,
     pub(crate) rules: Rules,
     writers: BTreeMap<(TopicKey, Gid), Qos>,
     out: BTreeMap<TopicKey, Outward>,
     inward: BTreeMap<InKey, Inward>,
-    /// Topics of which a writer was ended from outside: what it kept has gone with it.
+    /// Topics whose writer was ended from outside, with the samples that it kept.
     forgotten: BTreeSet<TopicKey>,
     problems: BTreeMap<String, String>,
 }
 
-/// What there should be.
+/// Everything to be mirrored.
 #[derive(Default)]
 struct Wanted {
     writers: BTreeMap<(TopicKey, Gid), WantedWriter>,
@@ -255,12 +253,12 @@ struct Wanted {
 struct WantedWriter {
     qos: Qos,
     hash: Option<String>,
-    /// Whether it stands for a publisher of this host.
+    /// Whether it mirrors a publisher of this host.
     is_here: bool,
 }
 
 impl Mirror {
-    /// Nothing exists yet.
+    /// An empty mirror.
     pub fn new(side: Side, rules: Rules) -> Self {
         let (writers, out, inward, forgotten, problems) = Default::default();
         Mirror { side, rules, writers, out, inward, forgotten, problems }
@@ -271,7 +269,7 @@ impl Mirror {
         &self.problems
     }
 
-    /// What exists now, on both sides, without what this mirror made, and of publishers `here` those alone that it announces.
+    /// Takes both graphs, without this mirror's endpoints; of publishers `here`, only those that it announces.
     pub fn update<'e>(
         &mut self,
         here: impl IntoIterator<Item = &'e TopicEndpoint>,
@@ -279,7 +277,7 @@ impl Mirror {
     ) -> Vec<Action> {
         let wanted = self.wanted(here, there);
         let mut actions = Vec::new();
-        // Ends before beginnings.
+        // Ends come before starts.
         for key in self.out.keys().filter(|key| !wanted.out.contains_key(*key)) {
             actions.push(Action::StopOut(key.clone()));
         }
@@ -289,7 +287,7 @@ impl Mirror {
         for key in self.inward.keys().filter(|key| !wanted.inward.contains_key(*key)) {
             actions.push(Action::StopIn(key.clone()));
         }
-        // Topics with a publisher that keeps samples which were passed over, maybe, for it is elsewhere, or went with its writer.
+        // Topics with a transient-local publisher that was passed over before, perhaps, or whose samples went with its writer.
         let mut regained = BTreeSet::new();
         let forgotten = std::mem::take(&mut self.forgotten);
         for (writer, WantedWriter { qos, hash, is_here }) in &wanted.writers {
@@ -310,7 +308,7 @@ impl Mirror {
         for (key, mut outward) in wanted.out {
             let running = self.out.get(&key);
             if let Some(running) = running {
-                // What runs only grows, for a change costs samples or has them come twice.
+                // Values only grow, because a restart loses or repeats samples.
                 outward.depth = outward.depth.max(running.depth);
                 outward.is_kept |= running.is_kept;
             }
@@ -325,7 +323,7 @@ impl Mirror {
                 None => actions.push(Action::StartIn(key.clone(), now.clone())),
                 Some(running) => {
                     now.grow_from(running, self.side);
-                    // What is kept by a publisher that comes in here from now on is asked for.
+                    // Samples kept by a publisher that this mirror now carries are requested again.
                     let is_regained = now.offered.durability == Durability::TransientLocal
                         && now.publishers.keys().any(|gid| running.passed_over.contains(gid));
                     if !now.is_same_subscription(running) {
@@ -365,36 +363,36 @@ impl Mirror {
         wanted
     }
 
-    /// What stands for this publisher has been ended: it is made anew, if it is still wanted.
+    /// A writer has ended: it is created again, if still needed.
     pub fn forget_writer(&mut self, key: &TopicKey, gid: Gid) {
         self.writers.remove(&(key.clone(), gid));
         self.forgotten.insert(key.clone());
     }
 
-    /// The publishers of a class whose messages come in here, each with its lifespan.
+    /// The publishers of a class that this mirror carries, each with its lifespan.
     pub fn publishers(&self, key: &InKey) -> Option<&BTreeMap<Gid, Option<Duration>>> {
         self.inward.get(key).map(|inward| &inward.publishers)
     }
 
-    /// Whether a topic exists in ROS for the ends here with this type.
+    /// Whether a topic with this type is already mirrored into ROS.
     fn is_bridged(&self, topic: &str, type_name: &str) -> bool {
         let keys = self.writers.keys().map(|(key, _)| key).chain(self.inward.keys().map(|key| &key.topic));
         keys.filter(|key| key.topic == topic).any(|key| key.type_name == type_name)
     }
 }
 
-/// The ends of one type of a topic, on both sides.
+/// The endpoints of one type of a topic, on both sides.
 struct Ends<'e> {
     key: &'e TopicKey,
     here: &'e [&'e TopicEndpoint],
     there: &'e [Far<'e>],
     choice: &'e Choice,
-    /// Of the definition that they go by, if one is stated.
+    /// The hash of their definition, if stated.
     hash: Option<&'e str>,
 }
 
 impl Wanted {
-    /// Adds what is to be done of a topic, of which `here` and `there` are the ends and each type is one of its own.
+    /// Adds a topic with endpoints `here` and `there`, where each type is a separate topic.
     fn of_each_type(
         &mut self,
         topic: &str,
@@ -416,9 +414,12 @@ impl Wanted {
         let place = Side::Network.place();
         Err(match here == &there {
             true => {
-                format!("{place} {there} has another definition (hash {})", their_hash.unwrap_or("unknown"))
+                let hash = their_hash.unwrap_or("unknown");
+                format!(
+                    "{there} is defined differently {place} (hash {hash}): rebuild one side with the other's definition"
+                )
             }
-            false => format!("it carries {here}, {place} {there}"),
+            false => format!("its type is {here}, {place} {there}: rename one topic, or use the same type"),
         })
     }
 
@@ -434,7 +435,7 @@ impl Wanted {
         }
     }
 
-    /// Adds what is to be done of a topic, of which `here` and `there` are the ends and one type counts.
+    /// Adds a topic with endpoints `here` and `there`, of which one type is mirrored.
     fn of_one_type(
         &mut self,
         topic: &str,
@@ -446,13 +447,13 @@ impl Wanted {
         let types: BTreeSet<&str> = here.iter().map(|end| &*end.topic_type.name).collect();
         let place = Side::Ros.place();
         let is_there = |name: &&str| there.iter().any(|(end, _)| end.topic_type.name == **name);
-        // A process has one type of a topic in ROS: of several here it is one that is there too, and stays the same.
+        // ROS has one type per topic and process: of several types here, prefer one that is there, then the current one.
         let rank = |name: &&str| (types.len() > 1).then(|| (is_there(name), is_bridged(name)));
         let is_allowed = |name: &&str| choice.type_name.as_deref().is_none_or(|expected| expected == *name);
         let allowed = types.iter().copied().filter(is_allowed);
         let Some(type_name) = allowed.max_by_key(rank) else {
             return Err(format!(
-                "it carries {}, but the configuration says {}: correct 'type', or leave it out",
+                "its type is {}, but the configuration says {}: correct or remove 'type'",
                 types.into_iter().collect::<Vec<_>>().join(" and "),
                 choice.type_name.as_deref().unwrap_or_default()
             ));
@@ -466,22 +467,22 @@ impl Wanted {
         let here: Vec<&TopicEndpoint> = here.into_iter().filter(|end| is_of(end, hash)).collect();
         let key = TopicKey::of(topic, choice, type_name, None);
         self.both_ways(Side::Ros, &Ends { key: &key, here: &here, there: &same, choice, hash });
-        // Of the types that ROS has, this is one: those that nobody has here are none of ours.
+        // Types that exist only there are of no concern.
         let also = others.iter().map(|end| &*end.topic_type.name).find(is_there);
         match (same.is_empty(), changed.first(), other.first()) {
             (true, Some((changed, _)), _) => Err(format!(
-                "{type_name} is defined differently {place} ({}) and here ({}): rebuild one of them with the other's definition",
+                "{type_name} is defined differently {place} ({}) and here ({}): rebuild one side with the other's definition",
                 changed.topic_type.hash.as_deref().unwrap_or("no hash"),
                 hash.unwrap_or("no hash"),
             )),
             (true, None, Some((other, _))) => Err(format!(
-                "it carries {type_name}, {place} {}: rename one of them, or use the same type",
+                "its type is {type_name}, {place} {}: rename one topic, or use the same type",
                 other.topic_type.name
             )),
             _ => also.map_or(Ok(()), |also| {
                 Err(format!(
-                    "both sides have it with {type_name}, which is bridged, and with {also}, which is not: a process has one type of a \
-                     topic in ROS, so rename one of them"
+                    "both sides have types {type_name}, which is bridged, and {also}, which is not: ROS permits one type of a topic per \
+                     process, so rename one of them"
                 ))
             }),
         }
@@ -493,7 +494,7 @@ impl Wanted {
         let writers = || here.iter().filter(|end| end.kind == EndpointKind::Publisher);
         for end in writers() {
             let qos = choice.qos.applied_to(Qos {
-                // Its lease is renewed by means that are not seen here.
+                // The mirror cannot see assertions of liveliness.
                 liveliness: tautline_transport::Liveliness::Automatic,
                 liveliness_lease_duration: None,
                 ..end.qos
@@ -515,7 +516,7 @@ impl Wanted {
         }
     }
 
-    /// Of all publishers, whatever they offer.
+    /// One class for all publishers.
     fn all_in_one(&mut self, ends: &Ends) {
         let Ends { key, here, there, choice, hash } = *ends;
         let publishers = || there.iter().filter(|(end, _)| end.kind == EndpointKind::Publisher);
@@ -525,8 +526,8 @@ impl Wanted {
             return;
         }
         let is_kept = |end: &&&TopicEndpoint| end.qos.durability == Durability::TransientLocal;
-        // None of the subscriptions here gets more than its depth, whatever others claim to keep; and what others keep together comes and
-        // goes, while a change of the port costs who listens what it gets twice. What others elsewhere ask for is a claim, too.
+        // No subscription gets more than its depth, whatever publishers claim to keep. Publishers come and go, and a change of
+        // the port repeats samples, so their sum does not count. Depths of other hosts are bounded, because they are untrusted.
         let most = |end: &TopicEndpoint| if end.origin.is_here() { usize::MAX } else { RELAYED_DEPTH };
         let asked = readers.filter(is_kept).map(|end| end.qos.depth.min(most(end))).max();
         let kept = asked.filter(|_| carried().any(|end| is_kept(&&end)));
@@ -544,7 +545,7 @@ impl Wanted {
         self.inward.insert(InKey { topic: key.clone(), class: None }, inward);
     }
 
-    /// Of the publishers of each class.
+    /// One entry per class of publishers.
     fn by_class(&mut self, ends: &Ends) {
         let Ends { key, here, there, choice, hash } = *ends;
         let readers = || here.iter().filter(|end| end.kind == EndpointKind::Subscription);
@@ -558,14 +559,13 @@ impl Wanted {
                 false => drop(passed_over.entry(class).or_default().insert(end.gid)),
             }
         }
-        // A publisher that is yet to come finds somebody at once, if it offers the default. One that offers less would be told
-        // that it does not fit.
+        // So a future publisher with default QoS matches at once. A reliable request would warn weaker publishers.
         if classes.is_empty() && readers().any(|end| end.qos.reliability == Reliability::Reliable) {
             let default = Class { is_reliable: true, is_kept: false };
             classes.insert(Class::of(&choice.qos.applied_to(default.qos(1))), Vec::new());
         }
         for (class, publishers) in classes {
-            // What others elsewhere ask for is a claim.
+            // Depths requested on other hosts are untrusted.
             let late = readers().filter(|end| end.origin.is_here());
             let late = late.filter(|end| end.qos.durability == Durability::TransientLocal);
             let kept = publishers.iter().map(|end| kept_there(&end.qos)).fold(0, usize::saturating_add);
@@ -583,16 +583,16 @@ impl Wanted {
                         false => 1,
                     })
                 },
-                // ROS itself lets go of what is too old.
+                // ROS itself drops expired messages.
                 publishers: publishers.iter().map(|end| (end.gid, None)).collect(),
                 passed_over: passed_over.remove(&class).unwrap_or_default(),
                 min_period: choice.min_period,
                 type_hash: hash.map(str::to_owned),
             };
-            // Only what the configuration says can ask for more than there is.
+            // Only a `qos` of the configuration can cause this.
             if let Some(policy) = publishers.iter().find_map(|end| end.qos.incompatibility(&qos)) {
                 let reason = format!(
-                    "a publisher in ROS does not offer what `qos` requests ({policy:?}): leave that out of the configuration"
+                    "a publisher in ROS is QoS-incompatible with `qos` of the configuration ({policy:?}): remove that policy"
                 );
                 self.problems.insert(key.topic.clone(), reason);
             }
@@ -601,7 +601,7 @@ impl Wanted {
     }
 }
 
-/// In groups, by what `key` says of each.
+/// Groups by `key`.
 pub(crate) fn grouped<T: Copy, K: Ord>(
     all: impl IntoIterator<Item = T>,
     key: impl Fn(T) -> K,
@@ -613,12 +613,12 @@ pub(crate) fn grouped<T: Copy, K: Ord>(
     groups
 }
 
-/// What all of them keep; `None` is without a limit.
+/// The longest time; `None`: no limit.
 fn longest(times: impl Iterator<Item = Option<Duration>>) -> Option<Duration> {
     times.reduce(|one, other| Some(one?.max(other?))).flatten()
 }
 
-/// The hash of the definition that the ends of a type go by, of those that are stated: one that both sides have, if there is one.
+/// The hash that the endpoints of a type use: preferably one stated on both sides.
 fn definition<'e>(here: &[&'e TopicEndpoint], there: &[Far]) -> Option<&'e str> {
     let mut stated = here.iter().filter_map(|end| end.topic_type.hash.as_deref());
     let is_there = |hash: &&str| there.iter().any(|(end, _)| end.topic_type.hash.as_deref() == Some(hash));
@@ -629,7 +629,7 @@ fn type_of(end: &TopicEndpoint) -> (&str, Option<&str>) {
     (&end.topic_type.name, end.topic_type.hash.as_deref())
 }
 
-/// What is not known agrees with everything.
+/// An unknown hash matches any.
 fn is_of(end: &TopicEndpoint, hash: Option<&str>) -> bool {
     end.topic_type.hash.as_deref().is_none_or(|stated| hash.is_none_or(|hash| hash == stated))
 }
@@ -639,7 +639,7 @@ fn kept_depth(wanted: usize) -> usize {
     depth.min(Limits::MAX_DEPTH)
 }
 
-/// Samples that a publisher there keeps; keep-all has no number and gets a large one.
+/// Number of samples that a publisher there keeps; keep-all counts as a large number.
 fn kept_there(qos: &Qos) -> usize {
     const KEEP_ALL: usize = 1000;
     if qos.history == History::KeepAll { qos.depth.max(KEEP_ALL) } else { qos.depth.max(1) }

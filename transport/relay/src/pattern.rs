@@ -1,31 +1,31 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Patterns of topic names: `*` stands for what is between two slashes, `**` for any number of such parts.
+//! Patterns of topic names: `*` matches one part between slashes, `**` any number of parts.
 
 use std::fmt;
 use std::str::FromStr;
 
-/// A fully qualified name, in which `*` and `**` may stand for parts.
+/// A fully qualified name that may contain `*` and `**`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Pattern(String);
 
-/// A pattern that cannot be one.
+/// An invalid pattern.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("'{pattern}' is no pattern of topic names: {reason}; write like /chatter, /camera/** or /*/odom")]
+#[error("'{pattern}' is not a pattern of topic names: {reason}; write like /chatter, /camera/** or /*/odom")]
 pub struct PatternError {
     /// What was given.
     pub pattern: String,
-    /// Why not.
+    /// The reason.
     pub reason: &'static str,
 }
 
 impl Pattern {
-    /// Whether `name`, a fully qualified name, is one of these.
+    /// Whether `name`, a fully qualified name, matches.
     pub fn matches(&self, name: &str) -> bool {
         fn parts(text: &str) -> Vec<&str> {
             text.split('/').skip(1).collect()
         }
         let (pattern, name) = (parts(&self.0), parts(name));
-        // Of each part of the name so far: whether the pattern so far can end there.
+        // For each part of the name: whether the pattern so far can end there.
         let mut ends = vec![false; name.len() + 1];
         ends[0] = true;
         for part in pattern {
@@ -42,7 +42,7 @@ impl Pattern {
         ends[name.len()]
     }
 
-    /// The one name that it stands for, if it is one.
+    /// The name, if there is no wildcard.
     pub fn exact(&self) -> Option<&str> {
         (!self.0.contains('*')).then_some(&*self.0)
     }
@@ -60,14 +60,14 @@ impl FromStr for Pattern {
         let refuse = |reason| Err(PatternError { pattern: text.to_owned(), reason });
         let Some(rest) = text.strip_prefix('/') else { return refuse("it does not begin with '/'") };
         for part in rest.split('/') {
-            // What a topic may be called, but for what has a meaning in patterns, here or in Zenoh.
+            // Characters of topic names, without those with a meaning in patterns or Zenoh's key expressions.
             let is_plain = |c: char| !c.is_control() && !c.is_whitespace() && !":*$?#".contains(c);
             let is_word = part.chars().all(is_plain);
             if part.is_empty() {
                 return refuse("a part of it is empty");
             }
             if !matches!(part, "*" | "**") && !is_word {
-                return refuse("a part is a word without ' ', ':', '*', '$', '?' and '#', or '*', or '**'");
+                return refuse("a part must be '*', '**', or a word without ' ', ':', '*', '$', '?' and '#'");
             }
         }
         Ok(Pattern(text.to_owned()))
@@ -80,31 +80,31 @@ impl fmt::Display for Pattern {
     }
 }
 
-/// Which names are meant.
+/// Selects names.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Filter {
-    /// These alone, if there are any.
+    /// If not empty, only these.
     pub allow: Vec<Pattern>,
     /// None of these.
     pub deny: Vec<Pattern>,
 }
 
 impl Filter {
-    /// Of the patterns that these texts are.
+    /// Parses patterns.
     ///
     /// # Errors
-    /// The first text that is no pattern.
+    /// The first invalid pattern.
     pub fn new(allow: &[String], deny: &[String]) -> Result<Self, PatternError> {
         let all = |texts: &[String]| texts.iter().map(|text| text.parse()).collect::<Result<_, _>>();
         Ok(Filter { allow: all(allow)?, deny: all(deny)? })
     }
 
-    /// Whether `name`, a fully qualified one, is left out by name.
+    /// Whether `name`, a fully qualified name, is denied.
     pub fn denies(&self, name: &str) -> bool {
         self.deny.iter().any(|pattern| pattern.matches(name))
     }
 
-    /// Whether `name`, a fully qualified one, is meant.
+    /// Whether `name`, a fully qualified name, is selected.
     pub fn allows(&self, name: &str) -> bool {
         let is_allowed = || self.allow.is_empty() || self.allow.iter().any(|pattern| pattern.matches(name));
         !self.denies(name) && is_allowed()

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How others are told of what belongs to no node.
+//! The announced node of endpoints without a node.
 
 use tautline_transport::NodeName;
 
-/// A node for what is nobody's node's: its process, which is called by its own name.
+/// A node named after the process, for endpoints without a node.
 pub fn process_node(pid: Option<u32>) -> NodeName {
     let node = |name: String| NodeName { namespace: "/".into(), name };
     let name = pid.and_then(|pid| Some((pid, std::fs::read_to_string(format!("/proc/{pid}/comm")).ok()?)));

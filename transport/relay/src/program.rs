@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The program around a relay: it shows numbers until a signal ends it.
+//! The program around a relay: shows statistics until a signal ends it.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
@@ -11,8 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tautline_transport::MAX_DOMAIN;
 
-/// Becomes true with the first SIGINT or SIGTERM. One that comes later than 200 ms after it ends the program at once, with 128
-/// and the signal's number.
+/// True after the first SIGINT or SIGTERM. A second one more than 200 ms later exits at once, with 128 plus the signal number.
 ///
 /// # Errors
 /// [`SignalError`].
@@ -32,16 +31,16 @@ pub fn stop_on_signals() -> Result<Arc<AtomicBool>, SignalError> {
     Ok(stop)
 }
 
-/// Signals cannot be handled.
+/// Signal handlers cannot be installed.
 #[derive(Debug, thiserror::Error)]
-#[error("signals cannot be handled: {0}")]
+#[error("signal handlers cannot be installed: {0}")]
 pub struct SignalError(#[from] io::Error);
 
-/// Who stops a program may signal it twice, as a process and in its group: both are one stop.
+/// Shells may signal a program twice, as a process and in its group; both are one stop.
 const ONE_STOP: Duration = Duration::from_millis(200);
 
-/// Reads `stats` with every `interval` until `stop`, and shows them: as `line` puts them, on a terminal and renewing itself, or
-/// each as a line of JSON. Ends, too, when whoever read the output has gone.
+/// Reads `stats` at every `interval` until `stop`, and shows them: as a status line `line` on a terminal, or as lines of JSON.
+/// Also ends when the reader of the output has exited.
 pub fn show_until<S: Serialize>(
     stop: &AtomicBool,
     interval: Duration,
@@ -75,13 +74,13 @@ fn print(stats: &impl Serialize) -> io::Result<()> {
     out.flush()
 }
 
-/// Draws on a terminal only.
+/// Draws only on a terminal.
 struct Bar(ProgressBar);
 
 impl Bar {
     fn new(is_hidden: bool) -> Self {
         let bar = if is_hidden { ProgressBar::hidden() } else { ProgressBar::new_spinner() };
-        // A template without placeholders that could fail.
+        // A template without fallible placeholders.
         let style = ProgressStyle::with_template("{wide_msg}");
         bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
         Bar(bar)
@@ -94,10 +93,10 @@ impl Drop for Bar {
     }
 }
 
-/// The domain that the first of these environment variables says that says anything.
+/// The domain from the first of these environment variables that is set.
 ///
 /// # Errors
-/// [`DomainError`]: it is no domain.
+/// [`DomainError`]: not a domain.
 pub fn domain_of(variables: &[&'static str]) -> Result<Option<u32>, DomainError> {
     for &variable in variables {
         let value = std::env::var_os(variable).unwrap_or_default().to_string_lossy().into_owned();
@@ -109,18 +108,18 @@ pub fn domain_of(variables: &[&'static str]) -> Result<Option<u32>, DomainError>
     Ok(None)
 }
 
-/// An environment variable that says what is no domain.
+/// An environment variable with an invalid domain.
 #[derive(Debug, thiserror::Error)]
-#[error("{variable}={value} is not understood: a domain is a number from 0 to {MAX_DOMAIN}")]
+#[error("{variable}={value} is not a domain: set it to a number from 0 to {MAX_DOMAIN}")]
 pub struct DomainError {
     variable: &'static str,
     value: String,
 }
 
-/// Seconds between two looks at the numbers, as an argument.
+/// Parses the seconds between two prints of the statistics.
 ///
 /// # Errors
-/// For what is no such number.
+/// Not a number in range.
 pub fn parse_interval(text: &str) -> Result<f64, String> {
     let seconds = text.parse().ok().filter(|seconds| (0.1..=3600.0).contains(seconds));
     seconds.ok_or_else(|| "from 0.1 to 3600 seconds".into())

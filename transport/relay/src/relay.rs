@@ -13,10 +13,10 @@ use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{PiMutex, RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::{Gid, Participant, RawSubscription, SamplerSeat, TransportError};
 
-/// Publishers whose samples are not passed on, for somebody else does so.
+/// Publishers whose samples are not forwarded, because another relay carries them.
 pub type PassedOver = Arc<PiMutex<HashSet<Gid>>>;
 
-/// The thread that takes samples and gives them to an [`Egress`]; dropping it ends it, and with it the egress.
+/// The thread that takes samples and gives them to an [`Egress`]; dropping this ends both.
 pub struct Relay<O: Egress> {
     worker: Worker<Job<Loop<O>>>,
     passed_over: PassedOver,
@@ -25,10 +25,10 @@ pub struct Relay<O: Egress> {
 /// Why the thread did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum RelayError {
-    /// The doorbell.
+    /// The doorbell failed.
     #[error(transparent)]
     Transport(#[from] TransportError),
-    /// The thread.
+    /// The thread could not start.
     #[error(transparent)]
     Rt(#[from] RtError),
 }
@@ -48,13 +48,13 @@ impl<O: Egress> Relay<O> {
         Ok(Relay { worker, passed_over })
     }
 
-    /// The thread, as it was read back.
+    /// The thread, as read back at start.
     pub fn info(&self) -> Option<&ThreadInfo> {
         self.worker.info()
     }
 
-    /// Takes this topic's samples from now on; of one that is being taken, by this subscription. What publishers have kept comes at once, so
-    /// the senders that there are by now come along: see [`open`](Self::open).
+    /// Takes this topic's samples through `subscription` from now on, in place of an earlier one. Kept samples arrive at once, so
+    /// pass the existing senders along: see [`open`](Self::open).
     pub fn start_topic(
         &self,
         key: O::Key,
@@ -66,8 +66,8 @@ impl<O: Egress> Relay<O> {
         self.worker.tell(Box::new(move |relay| relay.start(key, subscription, topic, senders)));
     }
 
-    /// What the publisher `gid` sends goes through `sender`: one of this host, or one elsewhere that somebody else's port stands
-    /// for.
+    /// Forwards samples of the publisher `gid` through `sender`. The publisher may be of this host, or mirrored by another
+    /// participant's port.
     pub fn open(&self, key: O::Key, gid: Gid, sender: O::Sender) {
         self.worker.tell(Box::new(move |Loop { routes, egress, .. }| {
             if let Some(route) = routes.get_mut(&key) {
@@ -76,7 +76,7 @@ impl<O: Egress> Relay<O> {
         }));
     }
 
-    /// The publisher `gid` has gone.
+    /// The publisher `gid` has ended.
     pub fn close(&self, key: O::Key, gid: Gid) {
         self.worker.tell(Box::new(move |Loop { routes, sources, egress, .. }| {
             if let Some(route) = routes.get_mut(&key) {
@@ -85,7 +85,7 @@ impl<O: Egress> Relay<O> {
         }));
     }
 
-    /// Takes what there is of this topic, and nothing after that.
+    /// Takes the topic's remaining samples, then stops.
     pub fn stop_topic(&self, key: O::Key) {
         self.worker.tell(Box::new(move |Loop { routes, sources, egress, .. }| {
             if let Some(route) = routes.remove(&key) {
@@ -94,8 +94,8 @@ impl<O: Egress> Relay<O> {
         }));
     }
 
-    /// Publishers whose samples are not passed on. What comes through a port of this participant is not either: it came from where
-    /// the relay's samples go.
+    /// Publishers whose samples are not forwarded. Samples from ports of this participant are not either: they came from the side
+    /// where the relay's samples go.
     pub fn passed_over(&self) -> &PassedOver {
         &self.passed_over
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One topic's way: from its subscription, and from what waited, to the counterparts of its publishers.
+//! The path of one topic: from its subscription, and from held samples, to the counterparts of its publishers.
 
 use crate::limiter::Limiter;
 use crate::relay::PassedOver;
@@ -13,56 +13,56 @@ use std::time::{Duration, Instant};
 use tautline_rt::PiGuard;
 use tautline_transport::{Gid, MessageInfo, RawSample, RawSubscription};
 
-/// Where samples go. It is the relay's thread that calls it.
+/// Forwards samples. Called by the relay's thread.
 pub trait Egress: Send + 'static {
-    /// Names a topic.
+    /// Identifies a topic.
     type Key: Eq + Hash + Send;
-    /// What is kept for a topic: its counters.
+    /// State of a topic: its counters.
     type Topic: Send;
-    /// A local publisher's counterpart.
+    /// The counterpart of a local publisher.
     type Sender: Send;
 
-    /// How much waits for a counterpart.
+    /// Limits of samples held for a counterpart.
     const EARLY: EarlyLimits;
 
-    /// Passes a sample on. When another subscription or another port takes over, samples come a second time: see [`Last`].
+    /// Forwards a sample. After a change of subscription or port, samples come again: see [`Last`].
     fn pass(&mut self, topic: &mut Self::Topic, sender: &mut Self::Sender, sample: Taken);
 
-    /// A sample's publisher did not get a counterpart in time, or too many samples wait.
+    /// A sample was dropped: its publisher got no counterpart in time, or too many samples were held.
     fn dropped(topic: &Self::Topic);
 
-    /// So many samples more were overwritten before they were taken.
+    /// `samples` more were overwritten before they were taken.
     fn lost(topic: &Self::Topic, samples: u64);
 }
 
-/// What is kept for a topic of a mirror.
+/// State of a topic of a mirror.
 pub struct Outbound {
-    /// What goes through, and what does not.
+    /// Counters.
     pub counters: Arc<TopicCounters>,
-    /// How often.
+    /// The rate limit.
     pub limiter: Limiter,
 }
 
-/// Samples of publishers whose counterpart is not known yet: so many wait per topic.
+/// Limits, per topic, of samples held for publishers without a counterpart.
 #[derive(Clone, Copy, Debug)]
 pub struct EarlyLimits {
     /// Their number.
     pub samples: usize,
-    /// Their bodies together.
+    /// Total bytes of their bodies.
     pub bytes: usize,
-    /// Each of them so long.
+    /// Time-out of each.
     pub time: Duration,
 }
 
-/// A sample that was taken.
+/// A sample to forward.
 pub enum Taken {
-    /// As it lies in shared memory.
+    /// Still in shared memory.
     Now(RawSample),
-    /// It waited for its publisher's counterpart.
+    /// A copy, held for its publisher's counterpart.
     Early(Early),
 }
 
-/// A copy of a sample that waits.
+/// A held copy of a sample.
 pub struct Early {
     port: Gid,
     number: u64,
@@ -72,7 +72,7 @@ pub struct Early {
 }
 
 impl Taken {
-    /// The port that it came through, and its number there, from 1.
+    /// Its port, and its sequence number there, from 1.
     pub fn port(&self) -> (Gid, u64) {
         match self {
             Taken::Now(sample) => (sample.port_gid(), sample.port_sequence_number()),
@@ -80,7 +80,7 @@ impl Taken {
         }
     }
 
-    /// What its header says.
+    /// The message info of its header.
     pub fn info(&self) -> MessageInfo {
         match self {
             Taken::Now(sample) => sample.info(),
@@ -97,20 +97,19 @@ impl Taken {
     }
 }
 
-/// The last sample of a publisher that was passed on: what has been is told by it.
+/// The last forwarded sample of a publisher, to recognize duplicates.
 #[derive(Clone, Debug, Default)]
 pub struct Last {
     port: Gid,
     number: u64,
-    /// By the publisher's own count, which not everybody tells: 0.
+    /// The publisher's own sequence number; 0 if it has none.
     source: u64,
-    /// What came through former ports.
+    /// The last number from earlier ports.
     former: u64,
 }
 
 impl Last {
-    /// Whether it has not been passed on; it has from now on. Numbers of a port grow, and a port that takes over from another one may
-    /// begin with what came through that one.
+    /// Whether it is new; marks it as forwarded. A port's numbers increase; a port that replaces another may repeat its samples.
     pub fn admits(&mut self, sample: &Taken) -> bool {
         let (port, number) = sample.port();
         self.admits_numbers(port, number, sample.info().sequence_number)
@@ -128,14 +127,14 @@ impl Last {
     }
 }
 
-/// Whose samples are passed on.
+/// Which samples are forwarded.
 pub(crate) struct Sources {
-    /// The relay's own participant: what comes through its ports came from elsewhere.
+    /// The relay's own participant: samples from its ports came from the far side.
     pub(crate) own: u64,
     pub(crate) passed_over: PassedOver,
 }
 
-/// Samples taken of one topic before the next topic has its turn.
+/// Samples taken from one topic before the next topic's turn.
 const TURN: usize = 16;
 
 pub(crate) struct Route<O: Egress> {
@@ -144,7 +143,7 @@ pub(crate) struct Route<O: Egress> {
     senders: HashMap<Gid, O::Sender>,
     early: VecDeque<Early>,
     early_bytes: usize,
-    /// Samples that the subscription has said are lost.
+    /// Losses that the subscription has reported so far.
     lost: u64,
     flag: Arc<Flag>,
 }
@@ -161,7 +160,7 @@ impl<O: Egress> Route<O> {
         Route { subscription, topic, senders, early, early_bytes: 0, lost: 0, flag: Flag::new(thread) }
     }
 
-    /// Takes by another subscription from now on.
+    /// Takes from another subscription from now on.
     pub(crate) fn change(
         &mut self,
         subscription: Box<RawSubscription>,
@@ -169,14 +168,14 @@ impl<O: Egress> Route<O> {
         sources: &Sources,
         egress: &mut O,
     ) {
-        // The new one has been there for a while: first what came before, then what came to both once.
+        // The new one has existed for a while: first older samples, then common ones once.
         self.serve_all(sources, egress);
         self.look(sources);
         (self.subscription, self.topic, self.lost) = (subscription, topic, 0);
         self.flag.set();
     }
 
-    /// Passes on what is there if there may be something, at most a turn of it. Says whether there may be more.
+    /// If rung, forwards at most one turn of samples. Returns whether there may be more.
     pub(crate) fn serve_if_rung(&mut self, sources: &Sources, egress: &mut O) -> bool {
         self.flag.take() && self.serve(sources, egress)
     }
@@ -194,12 +193,12 @@ impl<O: Egress> Route<O> {
         true
     }
 
-    /// All that was there: bounded by what fits in, for a publisher could be faster than this.
+    /// Forwards all queued samples: at most the queue's capacity, because a publisher could be faster.
     fn serve_all(&mut self, sources: &Sources, egress: &mut O) {
-        // Those that are there, those that have gone and are not closed yet, and one that nobody heard of.
+        // Present publishers, ended ones that are not closed yet, and one undiscovered.
         let publishers = self.subscription.publisher_count() + self.senders.len() + 1;
         for _ in 0..turns(self.subscription.qos().depth, publishers) {
-            // After a turn of samples that were passed over it is woken at once for what is behind them.
+            // After a turn of skipped samples the flag is set at once for those behind them.
             if !self.serve(sources, egress) && !self.flag.take() {
                 break;
             }
@@ -231,7 +230,7 @@ impl<O: Egress> Route<O> {
         self.early.push_back(Early { port, number, info, body, since: Instant::now() });
     }
 
-    /// A publisher has its counterpart: what it sent before goes first.
+    /// A publisher has got its counterpart: forwards its held samples first.
     pub(crate) fn open(&mut self, gid: Gid, mut sender: O::Sender, egress: &mut O) {
         for early in std::mem::take(&mut self.early) {
             if early.info.publisher_gid == gid {
@@ -244,20 +243,20 @@ impl<O: Egress> Route<O> {
         self.senders.insert(gid, sender);
     }
 
-    /// A publisher has gone: what it published before goes first.
+    /// A publisher has ended: forwards its queued samples first.
     pub(crate) fn close(&mut self, gid: Gid, sources: &Sources, egress: &mut O) {
         self.serve_all(sources, egress);
         self.senders.remove(&gid);
     }
 
-    /// The last that is done.
+    /// Forwards what is queued, and drops held samples.
     pub(crate) fn end(mut self, sources: &Sources, egress: &mut O) {
         self.serve_all(sources, egress);
         self.look(sources);
         self.early.iter().for_each(|_| O::dropped(&self.topic));
     }
 
-    /// For samples of publishers that never became known, and for what a subscription counts by itself.
+    /// Drops held samples after the time-out, and reads the subscription's losses.
     pub(crate) fn look(&mut self, sources: &Sources) {
         let (topic, bytes) = (&self.topic, &mut self.early_bytes);
         if !self.early.is_empty() {
@@ -280,7 +279,7 @@ impl<O: Egress> Route<O> {
     }
 }
 
-/// Turns that empty a queue as deep as this for each of so many publishers.
+/// Turns that empty queues of this depth for `publishers` publishers.
 fn turns(depth: usize, publishers: usize) -> usize {
     depth.saturating_mul(publishers).div_ceil(TURN) + 1
 }
@@ -296,13 +295,10 @@ mod tests {
         let mut admits = |port, number, source| last.admits_numbers(port, number, source);
         assert!([1, 2, 5].into_iter().all(|number| admits(one, number, number)));
         assert!(![2, 5].into_iter().any(|number| admits(one, number, number)), "another subscription");
-        // Another port, which begins with what it keeps, in its own numbers.
+        // Another port, which begins with its kept samples, numbered anew.
         assert!(![(1, 4), (2, 5)].into_iter().any(|(number, source)| admits(other, number, source)));
-        assert!(
-            admits(other, 3, 6) && admits(other, 4, 8) && admits(other, 5, 7),
-            "in whatever order they came"
-        );
-        // Where nobody counts for the publisher, its port does.
+        assert!(admits(other, 3, 6) && admits(other, 4, 8) && admits(other, 5, 7), "in any order");
+        // Without the publisher's numbers, the port's count.
         assert!(admits(one, 1, 0) && admits(one, 2, 0) && !admits(one, 2, 0));
     }
 

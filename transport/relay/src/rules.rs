@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which topics and services are mirrored, which way, and how: what the configuration and the command line say.
+//! Rules of the configuration and the command line: which topics and services are mirrored, in which direction, and how.
 
 use crate::pattern::{Filter, Pattern};
 use serde::Serialize;
 use std::time::Duration;
 use tautline_transport::{Durability, History, Qos, Reliability};
 
-/// Which way messages go.
+/// Direction of messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Direction {
@@ -16,27 +16,27 @@ pub enum Direction {
     In,
 }
 
-/// What is said of the topics that match.
+/// A rule for matching topics.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Rule {
-    /// The domain's names.
+    /// The names in the domain.
     pub topic: Pattern,
-    /// What they are called on the far side, if not the same: a name for a name, `/b/**` for `/a/**`.
+    /// The names on the far side, if different: a name for a name, `/b/**` for `/a/**`.
     pub far_topic: Option<Pattern>,
-    /// One way only.
+    /// `None`: both.
     pub direction: Option<Direction>,
-    /// The type that is expected.
+    /// The expected type.
     pub type_name: Option<String>,
-    /// What the end on the far side offers or requests in place of what is there.
+    /// QoS overrides of the endpoint on the far side.
     pub qos: QosOverride,
-    /// Shortest time between two messages; what comes sooner is dropped and counted.
+    /// Shortest time between two messages; earlier ones are dropped and counted.
     pub min_period: Option<Duration>,
-    /// Only what actions consist of: what is below `_action`.
+    /// Matches only names below `_action`.
     pub is_of_actions: bool,
 }
 
 impl Rule {
-    /// Everything of `topic`, as it is there.
+    /// Mirrors `topic` unchanged.
     pub fn new(topic: Pattern) -> Self {
         let (far_topic, direction, type_name, min_period) = (None, None, None, None);
         let qos = QosOverride::default();
@@ -48,9 +48,9 @@ impl Rule {
     }
 }
 
-/// Fields of a QoS that are set in place of what is there.
+/// QoS policies to override.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[allow(missing_docs, reason = "as those of Qos")]
+#[allow(missing_docs, reason = "like those of Qos")]
 pub struct QosOverride {
     pub reliability: Option<Reliability>,
     pub durability: Option<Durability>,
@@ -59,7 +59,7 @@ pub struct QosOverride {
 }
 
 impl QosOverride {
-    /// `qos` with what is set here.
+    /// `qos` with these overrides.
     #[must_use = "it returns the changed QoS"]
     pub fn applied_to(&self, qos: Qos) -> Qos {
         Qos {
@@ -72,21 +72,21 @@ impl QosOverride {
     }
 }
 
-/// All that is said of all topics.
+/// All rules.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Rules {
-    /// The first one that matches counts.
+    /// The first match counts.
     pub rules: Vec<Rule>,
-    /// Whether topics that no rule speaks of are mirrored too.
+    /// Whether topics without a rule are mirrored too.
     pub auto: bool,
-    /// Of those, which; what it denies is not mirrored whatever a rule says.
+    /// Selects among these; topics that it denies are never mirrored, whatever a rule says.
     pub filter: Filter,
 }
 
-/// What is said of one topic.
+/// How one topic is mirrored.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Choice {
-    /// What it is called on the far side.
+    /// Its name on the far side.
     pub far_topic: String,
     /// See [`Rule::direction`].
     pub direction: Option<Direction>,
@@ -99,14 +99,14 @@ pub struct Choice {
 }
 
 impl Choice {
-    /// Whether messages go this way.
+    /// Whether messages go in this direction.
     pub fn goes(&self, direction: Direction) -> bool {
         self.direction.is_none_or(|only| only == direction)
     }
 }
 
 impl Rules {
-    /// What is said of the domain's `topic`; `None` if it is not mirrored.
+    /// How the domain's `topic` is mirrored; `None`: not at all.
     pub fn choice(&self, topic: &str) -> Option<Choice> {
         if self.filter.denies(topic) {
             return None;
@@ -125,7 +125,7 @@ impl Rules {
             .then(|| Choice { far_topic: topic.to_owned(), ..Choice::default() })
     }
 
-    /// What the topic `far_topic` of the far side is called here; `None` if it is not mirrored.
+    /// The domain's name for the topic `far_topic`; `None` if it is not mirrored.
     pub fn here_name(&self, far_topic: &str) -> Option<String> {
         let renamed = self.rules.iter().find_map(|rule| {
             let topic = translated(far_topic, rule.far_topic.as_ref()?, &rule.topic)?;

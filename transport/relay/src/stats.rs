@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What passed and what did not, per topic and direction: counted where it happens, read by whoever asks.
+//! Statistics per topic and direction: counted by the carrying threads, read by others.
 
 use hdrhistogram::Histogram;
 use serde::Serialize;
@@ -13,10 +13,10 @@ use tautline_transport::Gid;
 
 use crate::program::{counted, rate};
 
-/// Longest difference between two clocks for which the time between them is called a latency.
+/// Largest difference of time stamps that counts as a latency.
 const CLOCKS_AGREE_NS: i64 = 10_000_000_000;
 
-/// Counters of one topic in one direction. Carrying threads share them with one of a lower priority, which reads.
+/// Counters of one topic in one direction, shared by carrying threads and a reader of lower priority.
 #[derive(Debug)]
 pub struct TopicCounters(PiMutex<Counts>);
 
@@ -24,13 +24,13 @@ pub struct TopicCounters(PiMutex<Counts>);
 struct Counts {
     /// Without rates and latency.
     reading: Reading,
-    /// Microseconds, up to the ten seconds for which clocks agree.
+    /// In microseconds, up to the 10 s of `CLOCKS_AGREE_NS`.
     latency_us: Histogram<u64>,
 }
 
 impl Default for TopicCounters {
     fn default() -> Self {
-        // The bounds are constants that hdrhistogram accepts; `new` alone would grow without a bound.
+        // hdrhistogram accepts these constant bounds; `new` alone would grow without bound.
         let histogram = Histogram::new_with_bounds(1, (CLOCKS_AGREE_NS / 1000) as u64, 2);
         let latency_us = histogram.unwrap_or_else(|_| unreachable!("1 to 10^7 in 2 digits"));
         TopicCounters(PiMutex::new(Counts { reading: Reading::default(), latency_us }))
@@ -38,7 +38,7 @@ impl Default for TopicCounters {
 }
 
 impl TopicCounters {
-    /// A message with a body of `bytes` went through, which was published at `source_ns` since 1970.
+    /// Counts a forwarded message with a body of `bytes`, published at `source_ns` since 1970.
     pub fn passed(&self, bytes: usize, source_ns: i64) {
         let latency_ns = wall_ns().saturating_sub(source_ns);
         let Counts { reading, latency_us } = &mut *self.0.lock();
@@ -51,17 +51,17 @@ impl TopicCounters {
         }
     }
 
-    /// Messages were lost before they came this far.
+    /// Counts messages that were lost before they arrived here.
     pub fn lost(&self, messages: u64) {
         self.0.lock().reading.lost += messages;
     }
 
-    /// A message did not go through. Reasons are few and fixed: errors without numbers or names in them.
+    /// Counts a dropped message. Use few, fixed reasons: errors without numbers or names.
     pub fn dropped(&self, reason: impl ToString) {
         *self.0.lock().reading.dropped.entry(reason.to_string()).or_default() += 1;
     }
 
-    /// What they say now; rates are left to who knows what they said before.
+    /// Reads the counters, without rates, which need the previous reading.
     pub(crate) fn read(&self) -> Reading {
         let Counts { reading, latency_us: latency } = &*self.0.lock();
         let latency_us = (!latency.is_empty()).then(|| Latency {
@@ -73,17 +73,17 @@ impl TopicCounters {
     }
 }
 
-/// Follows the numbers of a topic's publishers: a gap is what was lost on the way.
+/// Tracks the sequence numbers of a topic's publishers: gaps are losses.
 #[derive(Debug, Default)]
 pub struct Numbers(HashMap<Gid, u64>);
 
 impl Numbers {
-    /// Publishers whose numbers are followed; of more, which a hostile peer can claim to be there, all are forgotten.
+    /// Maximum of publishers; beyond it, which a hostile peer can cause, all are forgotten.
     const MOST: usize = 1024;
-    /// Longer gaps are none, and such numbers are not followed: they can be anything.
+    /// Longer gaps are not counted, and such numbers are ignored.
     const LONGEST: u64 = 1 << 32;
 
-    /// How many of this publisher's messages are missing before this one; `None` if it was there before.
+    /// Number of this publisher's messages missing before this one; `None` for a repeated number.
     pub fn missing(&mut self, gid: Gid, number: u64) -> Option<u64> {
         if self.0.len() >= Self::MOST && !self.0.contains_key(&gid) {
             self.0.clear();
@@ -100,75 +100,75 @@ impl Numbers {
         Some(missing)
     }
 
-    /// Publishers have gone.
+    /// Forgets ended publishers.
     pub fn forget(&mut self, gone: impl Fn(&Gid) -> bool) {
         self.0.retain(|gid, _| !gone(gid));
     }
 }
 
-/// What passed and what did not.
+/// Counters of a topic in one direction.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Reading {
-    /// Messages that went through.
+    /// Forwarded messages.
     pub messages: u64,
-    /// Their bodies.
+    /// Bytes of their bodies.
     pub bytes: u64,
-    /// In the second before.
+    /// In the last second.
     pub messages_per_s: f64,
-    /// In the second before.
+    /// In the last second.
     pub bytes_per_s: f64,
-    /// Messages that were lost before they came this far: gaps in the publishers' numbers, or overwritten in a queue.
+    /// Messages lost before they arrived here: gaps in sequence numbers, or overwritten in a queue.
     pub lost: u64,
-    /// Messages that came and were dropped here, by reason.
+    /// Messages dropped here, by reason.
     pub dropped: BTreeMap<String, u64>,
-    /// From the publisher's clock to this host's: what the way so far took, if the clocks agree. `None`: they do not, or nothing came.
+    /// From the publisher's time stamp until forwarding, if the clocks agree. `None`: they do not, or there was no message.
     pub latency_us: Option<Latency>,
-    /// Messages whose time stamp is in the future, or more than 10 s old: the clocks differ, or they were kept for late joiners.
+    /// Messages with a time stamp in the future or over 10 s old: the clocks differ, or they were kept for late joiners.
     pub clocks_differ: u64,
 }
 
-/// Microseconds since the program started.
+/// Microseconds, since the program started.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Latency {
-    /// Half took less.
+    /// Median.
     pub p50: u64,
-    /// 1 of 100 took more.
+    /// 99th percentile.
     pub p99: u64,
-    /// The longest.
+    /// Maximum.
     pub max: u64,
 }
 
 /// A topic in one direction.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TopicStats<N, D> {
-    /// Which topic.
+    /// Its names.
     #[serde(flatten)]
     pub name: N,
-    /// Which way.
+    /// Its direction.
     pub direction: D,
-    /// Whether messages are passed on now.
+    /// Whether messages are forwarded now.
     pub active: bool,
-    /// The numbers.
+    /// Its counters.
     #[serde(flatten)]
     pub reading: Reading,
 }
 
 impl<N, D> TopicStats<N, D> {
-    /// In other words.
+    /// Converts names and directions.
     pub fn named<M, E>(self, name: impl Fn(N) -> M, direction: impl Fn(D) -> E) -> TopicStats<M, E> {
         let TopicStats { name: named, direction: way, active, reading } = self;
         TopicStats { name: name(named), direction: direction(way), active, reading }
     }
 }
 
-/// The counters of all topics, by what they are called and which way they go.
+/// The counters of all topics, by name and direction.
 #[derive(Debug)]
 pub struct TopicStatsTable<N, D>(BTreeMap<(N, D), Counted>);
 
 #[derive(Debug, Default)]
 struct Counted {
     counters: Arc<TopicCounters>,
-    /// Messages and bytes when they were read last.
+    /// Messages and bytes at the last reading.
     before: (u64, u64),
 }
 
@@ -179,10 +179,10 @@ impl<N, D> Default for TopicStatsTable<N, D> {
 }
 
 impl<N: Clone + Ord, D: Copy + Ord> TopicStatsTable<N, D> {
-    /// Topics that are counted; of more, those that are not passed on any more are forgotten.
+    /// Maximum of topics; beyond it, inactive ones are forgotten.
     const MOST: usize = 4096;
 
-    /// Those of a topic, from now on or as they were: it is passed on as long as somebody has them.
+    /// The counters of a topic, new or existing. The topic is active as long as the result is held.
     pub fn counters(&mut self, name: N, direction: D) -> Arc<TopicCounters> {
         if self.0.len() >= Self::MOST {
             self.0.retain(|_, counted| counted.is_active());
@@ -190,7 +190,7 @@ impl<N: Clone + Ord, D: Copy + Ord> TopicStatsTable<N, D> {
         self.0.entry((name, direction)).or_default().counters.clone()
     }
 
-    /// What all of them say, with rates since the last time, which is so long ago.
+    /// Reads all counters, with rates over `elapsed`, the time since the last call.
     pub fn read(&mut self, elapsed: Duration) -> Vec<TopicStats<N, D>> {
         let read = |((name, direction), counted): (&(N, D), &mut Counted)| {
             let mut reading = counted.counters.read();
@@ -212,7 +212,7 @@ impl Counted {
     }
 }
 
-/// `out 4 topics 1.2 MB/s 100/s | in 1 topic 80 kB/s 10/s | lost 0, dropped 0`, by what the directions are called.
+/// `out 4 topics 1.2 MB/s 100/s | in 1 topic 80 kB/s 10/s | lost 0, dropped 0`, with the names of the directions.
 pub fn passing<N, D: Copy + PartialEq>(
     topics: &[TopicStats<N, D>],
     ways: [(D, &str); 2],
@@ -246,7 +246,7 @@ mod tests {
             [(a, 1), (a, 2), (b, 100), (a, 5), (b, 101), (a, 5), (a, 4), (a, 6), (b, u64::MAX), (b, 102)];
         let missing = all.map(|(gid, number)| numbers.missing(gid, number));
         let expected = [0, 0, 0, 2, 0, 9, 9, 0, 0, 0].map(|missing| Some(missing).filter(|n| *n != 9));
-        assert_eq!(missing, expected, "9: it was there before");
+        assert_eq!(missing, expected, "9: repeated");
         numbers.forget(|gid| *gid == a);
         assert_eq!(numbers.missing(a, 100), Some(0));
         for n in 0..10_000u32 {

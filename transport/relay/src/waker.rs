@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What ends the sleep of a thread that passes on, and says which topics or services it is about: the others are not looked at.
+//! Wakes a forwarding thread, and flags the topics or services concerned: only these are served.
 
 use futures::task::{ArcWake, waker};
 use std::sync::Arc;
@@ -7,10 +7,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::task::Waker;
 use tautline_transport::{SamplerSeat, Slot};
 
-/// Wakes the relay's thread. As a waker it is for who has set a [`Flag`].
+/// Wakes the relay's thread. As a waker, for use after setting a [`Flag`].
 pub(crate) struct RelayWaker {
     slot: Slot,
-    /// Whether the relay takes rings just now, and will look at the flags after that: it need not be rung.
+    /// Whether the relay is draining rings and will read the flags afterwards: no ring is needed.
     is_draining: AtomicBool,
 }
 
@@ -19,12 +19,12 @@ impl RelayWaker {
         Arc::new(RelayWaker { slot, is_draining: AtomicBool::new(false) })
     }
 
-    /// Whatever the relay does just now: a command is no flag.
+    /// Always rings, because a command sets no flag.
     pub(crate) fn ring(&self) {
         self.slot.ring();
     }
 
-    /// Takes the rings that are pending, which sets flags. They are to be looked at afterwards.
+    /// Takes pending rings, which sets flags. Read the flags afterwards.
     pub(crate) fn drain(&self, seat: &SamplerSeat) {
         self.is_draining.store(true, Ordering::SeqCst);
         seat.drain(|_| {});
@@ -34,28 +34,27 @@ impl RelayWaker {
 
 impl ArcWake for RelayWaker {
     fn wake_by_ref(relay: &Arc<Self>) {
-        // In one total order with the relay's own two steps, the end of `RelayWaker::drain` and `Flag::take`: either it sees the
-        // flag, or it is rung.
+        // In one total order with the relay's two steps, the end of `RelayWaker::drain` and `Flag::take`: either the relay sees
+        // the flag, or it is rung.
         if !relay.is_draining.load(Ordering::SeqCst) {
             relay.ring();
         }
     }
 }
 
-/// Set when something happened to a topic or a service here, such as that its subscription was rung. As its waker it sets itself and
-/// wakes the thread.
+/// Set when a topic or service needs serving, for example when its subscription is rung. Its waker sets it and wakes the thread.
 pub(crate) struct Flag {
     is_set: AtomicBool,
     thread: Waker,
 }
 
 impl Flag {
-    /// One that is set.
+    /// A new flag, set.
     pub(crate) fn new(thread: Waker) -> Arc<Self> {
         Arc::new(Flag { is_set: AtomicBool::new(true), thread })
     }
 
-    /// For the thread itself, which looks at it again before it sleeps.
+    /// For the thread itself, which reads it again before it sleeps.
     pub(crate) fn set(&self) {
         self.is_set.store(true, Ordering::SeqCst);
     }

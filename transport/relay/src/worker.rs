@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A thread that carries, and is told what besides.
+//! A forwarding thread that takes commands.
 
 use std::sync::mpsc::{self, TryRecvError};
 use tautline_rt::{JoinHandle, RtError, ThreadBuilder, ThreadInfo};
@@ -11,11 +11,11 @@ pub struct Worker<C> {
     thread: Option<JoinHandle<()>>,
 }
 
-/// A command that does itself, with what the thread has.
+/// A command as a closure over the thread's state.
 pub type Job<T> = Box<dyn FnOnce(&mut T) + Send>;
 
 impl<C: Send + 'static> Worker<C> {
-    /// Starts the thread: it runs `run`, which returns when there will be no more commands. `wake` ends its wait, or else the next one.
+    /// Starts the thread with `run`, which returns when no more commands can come. `wake` ends its current or next wait.
     ///
     /// # Errors
     /// [`RtError`]: a missing privilege.
@@ -29,15 +29,15 @@ impl<C: Send + 'static> Worker<C> {
         Ok(Worker { commands: Some(commands), wake: Box::new(wake), thread: Some(thread) })
     }
 
-    /// The thread, as it was read back.
+    /// The thread, as read back at start.
     pub fn info(&self) -> Option<&ThreadInfo> {
         self.thread.as_ref().map(JoinHandle::info)
     }
 
-    /// Leaves it a command.
+    /// Sends a command.
     pub fn tell(&self, command: C) {
         if let Some(commands) = &self.commands {
-            // Ignored: the thread ends when this does.
+            // Ignored: the thread ends only when this is dropped.
             let _ = commands.send(command);
             (self.wake)();
         }
@@ -54,7 +54,7 @@ impl<C> Drop for Worker<C> {
     }
 }
 
-/// Gives `obey` the commands that are there. Whether there may be more.
+/// Passes all pending commands to `obey`. Returns whether more may come.
 pub fn commanded<C>(commands: &mpsc::Receiver<C>, mut obey: impl FnMut(C)) -> bool {
     loop {
         match commands.try_recv() {

@@ -1,36 +1,36 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What stands on the far side for publishers here: whether it has found somebody.
+//! The writers that mirror publishers on the far side, and whether they have matched.
 
 use crate::mirror::TopicKey;
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
 use tautline_transport::Gid;
 
-/// How long it is looked often whether a writer has found its subscriptions; afterwards, with each tick.
+/// How long a new writer is polled often for matches; later, with each tick.
 pub(crate) const MATCH_TIME: Duration = Duration::from_secs(3);
 
-/// By the publisher here that each stands for.
+/// Writers by topic and mirrored publisher.
 pub struct Writers<W> {
     held: HashMap<(TopicKey, Gid), Held<W>>,
-    /// When it is to be looked whether some can be opened.
+    /// Next check for writers to open.
     next: Option<Instant>,
 }
 
 struct Held<W> {
     writer: W,
     opened: Instant,
-    /// Whether samples go through it.
+    /// Whether samples are sent through it.
     is_open: bool,
-    /// If they cannot: when that is tried again.
+    /// After a failure: when it is retried.
     later: Option<Instant>,
 }
 
-/// How long after a failure it is tried again.
+/// Delay of a retry.
 const LATER: Duration = Duration::from_secs(1);
 
-/// What stands for a publisher here.
+/// Mirrors a publisher of the domain.
 pub trait FarWriter: Send {
-    /// Whether it has somebody to send to: what is sent before is lost.
+    /// Whether it has matched: samples sent before are lost.
     fn is_matched(&self) -> bool;
 }
 
@@ -50,29 +50,29 @@ impl<W: FarWriter> Writers<W> {
         self.held.remove(&(key.clone(), gid));
     }
 
-    /// Those that are not as they should be.
+    /// Writers that `is_right` rejects.
     pub(crate) fn others(&self, is_right: impl Fn(&Gid, &W) -> bool) -> Vec<(TopicKey, Gid)> {
         let others = self.held.iter().filter(|((_, gid), held)| !is_right(gid, &held.writer));
         others.map(|(of, _)| of.clone()).collect()
     }
 
-    /// All of them, each with the publisher that it stands for.
+    /// All writers, each with its publisher.
     pub fn iter(&self) -> impl Iterator<Item = (&TopicKey, Gid, &W)> {
         self.held.iter().map(|((key, gid), held)| (key, *gid, &held.writer))
     }
 
-    /// As [`iter`](Self::iter).
+    /// Like [`iter`](Self::iter).
     pub fn iter_mut(&mut self) -> impl Iterator<Item = (&TopicKey, &mut W)> {
         self.held.iter_mut().map(|((key, _), held)| (key, &mut held.writer))
     }
 
-    /// The topic's samples are not taken any more.
+    /// The topic's samples are no longer taken.
     pub(crate) fn close(&mut self, key: &TopicKey) {
         let of_topic = self.held.iter_mut().filter(|((topic, _), _)| topic == key);
         of_topic.for_each(|(_, held)| held.is_open = false);
     }
 
-    /// Whether one of the topic's has somebody to send to.
+    /// Whether one of the topic's writers has matched.
     pub(crate) fn is_matched(&self, key: &TopicKey) -> bool {
         self.held.iter().any(|((topic, _), held)| topic == key && held.writer.is_matched())
     }
@@ -82,14 +82,14 @@ impl<W: FarWriter> Writers<W> {
         self.next = Some(Instant::now());
     }
 
-    /// Whether samples are to go through one soon, of topics that are taken.
+    /// Whether a check for writers to open is due.
     pub(crate) fn is_opening(&self) -> bool {
         self.next.is_some_and(|next| Instant::now() >= next)
     }
 
-    /// Opens those of topics that are meant which have found somebody: what was sent before would be lost. One that finds nobody, while
-    /// others of its topic do, does not keep its samples waiting for ever. `make` makes what their samples go through; if it cannot, that
-    /// is tried again later.
+    /// Opens matched writers of topics for which `is_meant`: samples sent before a match would be lost. A writer without a match
+    /// opens after `MATCH_TIME`, so that it does not hold its samples forever. `make` creates the sender; if that fails, it is
+    /// retried later.
     pub(crate) fn open<S>(
         &mut self,
         is_meant: impl Fn(&TopicKey) -> bool,
@@ -108,7 +108,7 @@ impl<W: FarWriter> Writers<W> {
         opened
     }
 
-    /// Notes when it is to be looked again at those that are not open, of topics that are taken.
+    /// Sets the time of the next check, for topics that are taken.
     pub(crate) fn look_later(&mut self, is_taken: impl Fn(&TopicKey) -> bool) {
         let closed = self.held.iter().filter(|((key, _), held)| !held.is_open && is_taken(key));
         self.next = closed.map(|(_, held)| held.later.unwrap_or_else(Instant::now)).min();

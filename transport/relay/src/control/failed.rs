@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What could not be done, and why: it is tried again.
+//! Failed actions, with their reasons, which are retried.
 
 use crate::mirror::{Action, InKey, Inward};
 
@@ -7,7 +7,7 @@ use crate::mirror::{Action, InKey, Inward};
 pub(super) struct Failed(Vec<(Action, String)>);
 
 impl Failed {
-    /// It failed, again if there was a reason `before`: what is new about it is said.
+    /// Stores a failed action, and logs a reason that differs from the one `before`.
     pub(super) fn note(&mut self, action: Action, reason: String, before: Option<&str>) {
         if before != Some(&reason) {
             tracing::warn!("topic '{}' is not mirrored: {reason}", action.topic().topic);
@@ -15,12 +15,12 @@ impl Failed {
         self.0.push((action, reason));
     }
 
-    /// What is not wanted any more is not tried again.
+    /// Drops retries that `by` makes obsolete.
     pub(super) fn forget_replaced(&mut self, by: &Action) {
         self.0.retain(|(failed, _)| !by.replaces(failed));
     }
 
-    /// If the class could not be started, it is started as `inward` says the next time. Returns whether that is so.
+    /// If a start of the class has failed, its retry uses `inward`. Returns whether that is so.
     pub(super) fn change_start(&mut self, key: &InKey, inward: &Inward) -> bool {
         for (failed, _) in &mut self.0 {
             if let Action::StartIn(other, wanted) | Action::AskAgain(other, wanted) = failed
@@ -33,12 +33,12 @@ impl Failed {
         false
     }
 
-    /// All of it, to be tried again.
+    /// Takes all actions, for a retry.
     pub(super) fn take(&mut self) -> Vec<(Action, String)> {
         std::mem::take(&mut self.0)
     }
 
-    /// By topic.
+    /// The reasons, by topic.
     pub(super) fn reasons(&self) -> impl Iterator<Item = (String, String)> {
         self.0.iter().map(|(action, reason)| (action.topic().topic.clone(), reason.clone()))
     }

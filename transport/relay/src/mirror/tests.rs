@@ -29,7 +29,7 @@ fn subscription(topic: &str, id: u8) -> TopicEndpoint {
     end(EndpointKind::Subscription, topic, id, Qos::default())
 }
 
-/// What exists in ROS, all of which comes in here.
+/// The ROS graph, all of which comes in through this mirror.
 impl Mirror {
     fn look(&mut self, here: &[TopicEndpoint], there: &[TopicEndpoint]) -> Vec<Action> {
         self.update(here, &there.iter().map(|end| (end, true)).collect::<Vec<_>>())
@@ -48,7 +48,7 @@ fn rule(topic: &str) -> Rule {
     Rule::new(topic.parse().unwrap())
 }
 
-/// What is done, in short: `open /x 1`.
+/// Actions in short: `open /x 1`.
 fn told(actions: &[Action]) -> Vec<String> {
     let class = |class: Option<Class>| match class.map(|class| (class.is_reliable, class.is_kept)) {
         None => "all",
@@ -116,7 +116,7 @@ fn publishers_keep_their_qos_but_for_what_nobody_can_keep() {
     let kept =
         Qos { deadline: second, lifespan: second, ..Qos::keep_last(3).transient_local().best_effort() };
     assert_eq!(*opened, kept);
-    // Another QoS is another publisher.
+    // A changed QoS is a new publisher.
     let actions = mirror.look(&[publisher("/x", 1)], &[]);
     assert_eq!(told(&actions), ["close /x 1", "open /x 1"]);
 }
@@ -162,14 +162,14 @@ fn queues_and_what_is_kept_are_as_deep_as_the_deepest_asks() {
     let Action::StartIn(_, inward) = &actions[0] else { panic!("{actions:?}") };
     assert_eq!((inward.qos.depth, inward.offered.depth), (5000, 8192));
     assert_eq!((inward.offered.durability, inward.offered.deadline), (Durability::TransientLocal, second));
-    // The deadline of one that has none is kept by nobody.
+    // With a publisher without a deadline, none is offered.
     let actions = mirror.look(
         &here,
         &[there[0].clone(), end(EndpointKind::Publisher, "/x", 9, Qos::default().transient_local())],
     );
     let Action::StartIn(_, inward) = &actions[0] else { panic!("{actions:?}") };
     assert_eq!(inward.offered.deadline, None);
-    // Of a class that keeps nothing.
+    // Of a volatile class.
     let actions = mirror.look(&[subscription("/y", 1)], &[publisher("/y", 7)]);
     let Some(Action::StartIn(_, inward)) = actions.last() else { panic!("{actions:?}") };
     assert_eq!((inward.qos.depth, inward.offered.depth), (MIN_DEPTH_IN, 1));
@@ -206,7 +206,7 @@ fn what_failed_is_not_tried_again_after_what_came_later() {
     assert_eq!(replaced(close), ["open /x 1"]);
     assert_eq!(replaced(out), ["take /x 10"]);
     assert_eq!(replaced(stop_out), ["take /x 10"]);
-    // A change of what could not be begun is that beginning's.
+    // A change of a class that could not be started belongs to that start.
     assert_eq!(replaced(change), ["change /x default [7, 9]"]);
     assert_eq!(replaced(start), ["in /x default [7]", "change /x default [7, 9]"]);
     assert_eq!(replaced(stop_in), ["in /x default [7]", "change /x default [7, 9]"]);
@@ -255,7 +255,7 @@ fn types_that_differ_are_told_and_the_rest_goes_on() {
     assert_eq!(actions, ["in /fine default [8]", "in /x default []"]);
     let said = &mirror.problems()["/x"];
     assert!(said.contains("std_msgs/msg/Int32") && said.contains(STRING), "{said}");
-    // A topic with two types: the one that is the same.
+    // A topic with two types: the common one.
     assert_eq!(
         told(&mirror.look(&here, &[int, publisher("/x", 9), publisher("/fine", 8)])),
         ["change /x default [9]"]
@@ -265,7 +265,7 @@ fn types_that_differ_are_told_and_the_rest_goes_on() {
     let mut mirror = auto();
     mirror.look(&[hashed(subscription("/x", 1), "1")], &[hashed(publisher("/x", 7), "2")]);
     assert!(mirror.problems()["/x"].contains("defined differently"), "{:?}", mirror.problems());
-    // Of two types here the one that ROS has, and of two definitions of that.
+    // Of two types here, the one in ROS, with the definition there.
     let mut mirror = auto();
     let int = |end| typed(end, "std_msgs/msg/Int32");
     let here = [hashed(publisher("/x", 1), "1"), hashed(publisher("/x", 2), "2"), int(publisher("/x", 3))];
@@ -285,7 +285,7 @@ fn types_that_differ_are_told_and_the_rest_goes_on() {
     assert!(expecting.problems()["/x"].contains("the configuration says a/msg/B"));
 }
 
-/// Of a network, of which a topic's ends state their type's hash.
+/// A network, where endpoints state their type's hash.
 struct Net {
     mirror: Mirror,
     here: Vec<TopicEndpoint>,
@@ -303,13 +303,13 @@ impl Net {
         Net { mirror: Mirror::new(Side::Network, rules), here: Vec::new(), there: Vec::new() }
     }
 
-    /// These ends are here now.
+    /// Sets the endpoints here.
     fn here(&mut self, ends: &[TopicEndpoint]) -> Vec<String> {
         self.here = ends.iter().cloned().map(stated).collect();
         self.look()
     }
 
-    /// These are there, and come in here but for those passed over.
+    /// Sets the endpoints there; all come in here except those passed over.
     fn there(&mut self, ends: &[TopicEndpoint], passed_over: &[u8]) -> Vec<String> {
         let comes_in = |end: &TopicEndpoint| !passed_over.contains(&end.gid.0[0]);
         self.there = ends.iter().map(|end| (stated(end.clone()), comes_in(end))).collect();
@@ -341,13 +341,13 @@ fn to_a_network_while_both_ends_exist() {
     assert_eq!(net.here(&[publisher("/x", 1)]), ["open /x 1"]);
     assert_eq!(net.there(&[subscription("/x", 7)], &[]), ["take /x 10"]);
     let both = [subscription("/x", 7), subscription("/x", 8), publisher("/x", 9)];
-    assert_eq!(net.there(&both, &[]), NOTHING, "one serves both, and nobody here listens");
+    assert_eq!(net.there(&both, &[]), NOTHING, "one route serves both, and there is no subscription here");
     let deeper = end(EndpointKind::Publisher, "/x", 2, Qos::keep_last(50));
     assert_eq!(net.here(&[publisher("/x", 1), deeper.clone()]), ["open /x 2", "take /x 50"]);
     assert_eq!(net.here(&[publisher("/x", 1)]), ["close /x 2"]);
     assert_eq!(net.here(&[publisher("/x", 1), deeper]), ["open /x 2"], "the queue stays as long");
     assert_eq!(net.there(&[], &[]), ["stop /x"]);
-    // Whose samples came from elsewhere gather on the way.
+    // Samples of remote publishers arrive in bursts.
     let mut net = Net::new();
     net.there(&[subscription("/x", 7)], &[]);
     let origin = tautline_transport::Origin { tag: 7, path: vec![3], ..Default::default() };
@@ -361,11 +361,11 @@ fn a_network_is_given_what_is_kept_before_anybody_listens() {
     let map = kept(publisher("/map", 1), 10);
     assert_eq!(net.here(std::slice::from_ref(&map)), ["open /map 1", "take /map 10, kept"]);
     assert_eq!(net.there(&[subscription("/map", 7)], &[]), NOTHING);
-    // A volatile one that also publishes changes nothing, nor that it alone is left.
+    // Another, volatile publisher changes nothing, even if only that remains.
     assert_eq!(net.here(&[map.clone(), publisher("/map", 2)]), ["open /map 2"]);
     assert_eq!(net.here(&[publisher("/map", 2)]), ["close /map 1"]);
     assert_eq!(net.there(&[], &[]), ["stop /map"]);
-    // One of elsewhere that was left to others until now has what it keeps taken again.
+    // A remote publisher that was passed over until now: its kept samples are taken again.
     net.here(std::slice::from_ref(&map));
     let origin = tautline_transport::Origin { tag: 7, path: vec![3], ..Default::default() };
     let far = TopicEndpoint { origin, ..kept(publisher("/map", 3), 1) };
@@ -374,7 +374,7 @@ fn a_network_is_given_what_is_kept_before_anybody_listens() {
     assert_eq!(net.here(std::slice::from_ref(&map)), ["close /map 3"]);
     let again = format!("take /map {depth}, kept");
     assert_eq!(net.here(&[map.clone(), far]), ["open /map 3", &again]);
-    // And one whose writer was ended, with what that kept.
+    // The same after its writer was ended, with the samples that it kept.
     let key = net.mirror.out.keys().next().unwrap().clone();
     net.mirror.forget_writer(&key, map.gid);
     assert_eq!(net.look(), ["open /map 1", &again]);
@@ -391,7 +391,7 @@ fn from_a_network_while_both_ends_exist_and_through_one_port() {
     assert_eq!(net.there(&[publisher("/x", 7), best_effort.clone()], &[]), ["change /x all [7, 8]"]);
     assert_eq!(net.there(&[best_effort], &[]), ["change /x all [8]"], "without an interruption");
     assert_eq!(net.here(&[]), ["end /x all"]);
-    // What comes another way is passed over; what only that has is not taken.
+    // Publishers whose messages come another way are passed over; a class with only these is not taken.
     net.here(&two);
     let three = [publisher("/x", 7), publisher("/x", 8)];
     assert_eq!(net.there(&three, &[7]), ["change /x all [8]"]);
@@ -407,12 +407,12 @@ fn what_a_network_keeps_is_asked_for_if_both_ends_are_transient_local() {
     assert_eq!(net.there(std::slice::from_ref(&few), &[]), ["in /map all [7] 10, kept"]);
     assert_eq!(net.there(&[few.clone(), more.clone()], &[]), ["change /map all [7, 8]"]);
     assert_eq!(net.there(std::slice::from_ref(&few), &[]), ["change /map all [7]"]);
-    // One that came another way has not been heard here.
+    // Kept samples of one that came another way have not been received here.
     assert_eq!(net.there(&[few.clone(), more.clone()], &[8]), ["change /map all [7]"]);
     assert_eq!(net.there(&[few, more], &[]), ["again /map all [7, 8]"]);
     assert_eq!(net.here(&[subscription("/map", 1)]), NOTHING, "what runs does not shrink");
     assert_eq!(net.here(&[kept(subscription("/map", 1), 20)]), ["in /map all [7, 8] 20, kept"]);
-    // None gets more than its depth, whatever others claim to keep; and nobody is asked who keeps nothing.
+    // No subscription gets more than its depth, whatever publishers claim to keep; volatile publishers are not asked.
     let mut net = Net::new();
     net.here(&[kept(subscription("/few", 1), 10), kept(subscription("/none", 2), 10)]);
     let there = [kept(publisher("/few", 7), usize::MAX), publisher("/none", 8)];
@@ -434,7 +434,7 @@ fn on_a_network_each_definition_of_a_topic_is_one_of_its_own() {
     net.there = vec![(bool, true)];
     assert_eq!(net.look(), NOTHING);
     assert!(net.mirror.problems()["/x"].contains("std_msgs/msg/Bool"), "{:?}", net.mirror.problems());
-    // Unless there is an end of that type here, too.
+    // Unless there is also an endpoint of that type here.
     net.here.push(changed(publisher("/x", 3)));
     net.there = vec![(changed(subscription("/x", 7)), false)];
     assert_eq!(net.look(), ["open /x 3", "take /x 10"]);

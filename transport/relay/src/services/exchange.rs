@@ -16,25 +16,25 @@ use std::time::{Duration, Instant};
 use tautline_rt::{PiGuard, PiMutex, RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::{Participant, ServiceType};
 
-/// How often it is looked whether a server there is reached.
+/// Interval of checks whether a server there is available.
 const SEEK_PERIOD: Duration = Duration::from_millis(20);
-/// How often it is looked whether one that is reached still is, and whether requests have waited long enough.
+/// Interval of checks whether it still is, and of time-outs of requests.
 const LOOK_PERIOD: Duration = Duration::from_millis(500);
 
-/// The far side's part in services, which the thread has.
+/// The far side's part in services, owned by the thread.
 pub trait FarServices: Send + Sized + 'static {
-    /// What takes requests there.
+    /// Receives requests there.
     type Server: FarServer;
-    /// What asks there.
+    /// Sends requests there.
     type Client: FarClient;
-    /// What ends there are made with.
+    /// Context for creating servers and clients there.
     type With: Send;
 
-    /// Finds the type of a service of the domain's, and makes what takes requests for it with the function returned.
+    /// Finds the type of a service of the domain, and returns a function that creates its server there.
     ///
     /// # Errors
     /// Why it cannot be offered.
-    #[allow(clippy::type_complexity, reason = "named nowhere else")]
+    #[allow(clippy::type_complexity, reason = "used once")]
     fn offer<'a>(
         &'a mut self,
         key: &'a TopicKey,
@@ -42,26 +42,26 @@ pub trait FarServices: Send + Sized + 'static {
         with: &'a Self::With,
     ) -> Result<(ServiceType, Box<dyn FnOnce() -> Result<Self::Server, String> + 'a>), String>;
 
-    /// Makes what asks a service there.
+    /// Creates a client of a service there.
     ///
     /// # Errors
-    /// Why it cannot be asked.
+    /// Why it cannot be called.
     fn seek(
         &mut self,
         key: &TopicKey,
         service: &SoughtService,
     ) -> Result<(ServiceType, Self::Client), String>;
 
-    /// Ends the thread's [`wait`](Self::wait), or else the next one.
+    /// Ends the current [`wait`](Self::wait) of the thread, or else the next one.
     fn waker(&self) -> Waker;
 
-    /// Before anything else, in the thread.
+    /// Called first, in the thread.
     fn begin(&mut self) {}
 
-    /// Waits until something comes there, or the waker woke, at most for `timeout` if there is one.
+    /// Waits for requests and responses there, or the waker, at most for `timeout` if given.
     ///
     /// # Errors
-    /// Why that is not possible.
+    /// Why the wait failed.
     fn wait(
         &mut self,
         servers: &[&Self::Server],
@@ -70,7 +70,7 @@ pub trait FarServices: Send + Sized + 'static {
     ) -> Result<Arrived, String>;
 }
 
-/// Which of the servers and clients have something to take, in their order.
+/// Which servers and clients have something to take, in their order.
 pub struct Arrived {
     /// Servers.
     pub requests: Vec<bool>,
@@ -78,7 +78,7 @@ pub struct Arrived {
     pub responses: Vec<bool>,
 }
 
-/// The thread; dropping it ends it.
+/// The services thread; dropping this ends it.
 pub struct Services<F: FarServices> {
     worker: Worker<Command<F>>,
     routes: Routes,
@@ -88,22 +88,22 @@ pub struct Services<F: FarServices> {
 struct Command<F: FarServices> {
     routes: Routes,
     with: F::With,
-    /// Dropped when it was applied.
+    /// Dropped when the command is executed.
     _done: mpsc::Sender<()>,
 }
 
-/// Tells when services are offered as was said.
+/// Signals when routes are applied.
 pub struct RoutesApplied(Option<mpsc::Receiver<()>>);
 
 impl RoutesApplied {
-    /// Waits until then, at most so long. Whether it is so.
+    /// Waits for that, at most for `timeout`. Returns whether it happened.
     pub fn wait(self, timeout: Duration) -> bool {
         let timed_out = Err(mpsc::RecvTimeoutError::Timeout);
         self.0.is_none_or(|done| done.recv_timeout(timeout) != timed_out)
     }
 }
 
-/// What the thread and its owner both have.
+/// State shared by the thread and its owner.
 #[derive(Default)]
 struct ExchangeState {
     stats: ServiceStatsTable,
@@ -118,7 +118,7 @@ impl ExchangeState {
 }
 
 impl<F: FarServices> Services<F> {
-    /// Starts the thread. The participant's sampler, another thread, wakes it.
+    /// Starts the thread. The participant's sampler (another thread) wakes it.
     ///
     /// # Errors
     /// [`RtError`]: a missing privilege.
@@ -140,12 +140,12 @@ impl<F: FarServices> Services<F> {
         Ok(Services { worker, routes: Routes::default(), state })
     }
 
-    /// The thread, as it was read back.
+    /// The thread, as read back at start.
     pub fn info(&self) -> Option<&ThreadInfo> {
         self.worker.info()
     }
 
-    /// Which services go which way from now on, and what ends there are made with.
+    /// Sets the routes, and the context for servers and clients there.
     pub fn set_routes(&mut self, routes: Routes, with: F::With) -> RoutesApplied {
         if routes == self.routes {
             return RoutesApplied(None);
@@ -156,7 +156,7 @@ impl<F: FarServices> Services<F> {
         RoutesApplied(Some(applied))
     }
 
-    /// As they were set last.
+    /// The current routes.
     pub fn routes(&self) -> &Routes {
         &self.routes
     }
@@ -168,7 +168,7 @@ impl<F: FarServices> Services<F> {
         problems
     }
 
-    /// What could not be opened may be possible now: there is memory, a package was installed.
+    /// Retries failed services: memory may be free, or a package installed by now.
     pub fn try_again(&mut self, with: impl FnOnce() -> F::With) {
         if !self.state.problems().is_empty() {
             let routes = std::mem::take(&mut self.routes);
@@ -176,7 +176,7 @@ impl<F: FarServices> Services<F> {
         }
     }
 
-    /// What was answered and what was not.
+    /// Statistics of all services.
     pub fn read(&self) -> Vec<ServiceStats<TopicKey, Direction>> {
         self.state.stats.read()
     }
@@ -189,9 +189,9 @@ struct Exchange<F: FarServices> {
     far: F,
     waker: Waker,
     state: Arc<ExchangeState>,
-    /// Why those that are wanted could not be opened last.
+    /// Last errors of routes that could not be opened.
     refused: BTreeMap<TopicKey, String>,
-    /// When all were looked at last, whether or not something happened to them.
+    /// When all services were last checked.
     looked: Instant,
 }
 
@@ -209,14 +209,14 @@ impl<F: FarServices> Exchange<F> {
             let is_time = self.next_look().is_some_and(|next| next <= Instant::now());
             let is_busy = self.poll(is_time);
             if let Err(error) = self.wait(is_busy) {
-                // What was said once is enough; a thread of this priority must not spin.
-                tracing::error!("services are not mirrored: {error}");
+                // One log line is enough, and a thread of this priority must not spin.
+                tracing::error!("no requests or responses are carried, retrying in 1 s: {error}");
                 std::thread::sleep(Duration::from_secs(1));
             }
         }
     }
 
-    /// When it is to be looked at what nothing tells of.
+    /// When to check for changes that nothing signals.
     fn next_look(&self) -> Option<Instant> {
         let is_seeking = self.sought.values().any(Sought::is_seeking);
         let is_waiting = || {
@@ -228,7 +228,7 @@ impl<F: FarServices> Exchange<F> {
         Some(self.looked + period?)
     }
 
-    /// What happened in the domain. Says whether there may be more.
+    /// Handles events of the domain. Returns whether there may be more.
     fn poll(&mut self, is_time: bool) -> bool {
         if is_time {
             self.looked = Instant::now();
@@ -249,7 +249,7 @@ impl<F: FarServices> Exchange<F> {
         is_busy
     }
 
-    /// Waits, and takes what came there.
+    /// Waits, and takes requests and responses there.
     fn wait(&mut self, is_busy: bool) -> Result<(), String> {
         let timeout = match is_busy {
             true => Some(Duration::ZERO),
@@ -304,7 +304,7 @@ impl<F: FarServices> Exchange<F> {
         }
     }
 
-    /// It is tried again now and then, and said when it is another reason.
+    /// Stores the error, which is retried, and logs it if it changed.
     fn refuse(&mut self, key: &TopicKey, reason: String) {
         if self.refused.get(key) != Some(&reason) {
             tracing::warn!("service '{}' is not mirrored: {reason}", key.topic);

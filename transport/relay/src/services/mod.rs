@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Services of both sides, and with them actions and parameters, which consist of services and topics.
+//! Services of both sides, and thereby actions and parameters, which consist of services and topics.
 //!
-//! - *Of the domain's servers* each has one on the far side, whether or not anybody asks: clients there look for it before they ask. A
-//!   request goes on as one of a client here.
-//! - *Of the far side's servers* each that a client here waits for has one here, while requests reach the one there: with it what it was
-//!   asked ends with an error.
+//! - *Each of the domain's servers* has a server on the far side, even without clients, because clients there wait for it first.
+//!   Requests are forwarded as those of a client here.
+//! - *Each of the far side's servers* that a client here needs has a server here while the far one is available. When that ends,
+//!   pending requests end with an error.
 //!
-//! One thread does both, and is woken by both. It decides nothing: [`Routes`] says which services go which way. What is particular to the
-//! far side is a [`FarServices`].
+//! One thread carries both, and both wake it. [`Routes`] decides which services are carried; [`FarServices`] is the far side's
+//! part.
 
 mod exchange;
 mod offered;
@@ -23,7 +23,7 @@ pub use stats::ServiceStats;
 
 use tautline_transport::{Claim, Limits};
 
-/// Of an end here: most services are asked seldom, and how long requests and responses are is not known before they come.
+/// Limits here: most services are called rarely, and the length of messages is unknown before they arrive.
 fn limits() -> Limits {
     Limits { claim: Claim::OnUse, ..Limits::default() }
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A service of the domain's that the far side may ask.
+//! A service of the domain, offered on the far side.
 
 use super::limits;
 use super::stats::ServiceCounters;
@@ -17,31 +17,31 @@ use tautline_transport::{
     ServiceType,
 };
 
-/// Requests taken of one service before the next one has its turn.
+/// Requests taken from one service before the next one's turn.
 pub(super) const TURN: usize = 16;
-/// Requests of a service that wait for room at its server, or for the server; more are refused and counted.
+/// Maximum of requests that wait for the server or for room in its queue; more are refused and counted.
 const MOST_WAITING: usize = 1024;
 const MOST_WAITING_BYTES: usize = 16 << 20;
-/// How long requests wait for a server.
+/// Time-out for a server.
 const SERVER_TIME: Duration = Duration::from_secs(10);
-/// Clients here of one service on behalf of the far side, when each has as many requests pending as it can.
+/// Maximum of clients here per service, used when each has its maximum of pending requests.
 const MOST_CLIENTS: usize = 16;
 
-/// By which an answer finds who asked, and the body; or why it cannot be passed on.
+/// A request's handle for its response, and its body; or why it cannot be forwarded.
 pub type TakenRequest<R> = Result<(R, Vec<u8>), String>;
 
-/// What takes requests on the far side for a service of the domain. Dropped when there is no such service any more.
+/// The server on the far side of a service of the domain. Dropped when that service ends.
 pub trait FarServer: Send {
-    /// By which an answer finds who asked.
+    /// Identifies a request for its response.
     type Request: Send + 'static;
 
-    /// A request, with its body; `None`: there is none.
+    /// Takes a request with its body; `None` if there is none.
     ///
     /// # Errors
-    /// One came that cannot be passed on, and why.
+    /// Why a received request cannot be forwarded.
     fn take(&mut self) -> Option<TakenRequest<Self::Request>>;
 
-    /// The answer to a request, or why there is none.
+    /// Sends the response, or the reason why there is none.
     ///
     /// # Errors
     /// Why it is not sent.
@@ -49,20 +49,20 @@ pub trait FarServer: Send {
 }
 
 pub(super) struct Offered<S: FarServer> {
-    /// One, and more while many requests wait for answers.
+    /// One client, and more while many requests are pending.
     clients: Vec<RawClient>,
     far: S,
     flag: Arc<Flag>,
     key: TopicKey,
     service_type: ServiceType,
     participant: Participant,
-    /// Bodies that are not passed on yet, for want of a server or of room at it.
+    /// Requests not sent yet, for lack of a server or of room in its queue.
     waiting: VecDeque<(S::Request, Vec<u8>, Instant)>,
     waiting_bytes: usize,
-    /// For a server here: who tells of one, another mirror, makes it when somebody asks.
+    /// Waits for a server here: another mirror that announces one creates it when there is a client.
     availability: Option<Availability>,
     pending: FuturesUnordered<BoxFuture<'static, Answer<S::Request>>>,
-    /// Requests, the oldest first, with what lives as long as they are pending.
+    /// Pending requests, the oldest first, each with a token that lives until its response.
     asked: VecDeque<(AbortHandle, Weak<()>)>,
     counters: Arc<ServiceCounters>,
 }
@@ -70,7 +70,7 @@ pub(super) struct Offered<S: FarServer> {
 type Answer<R> = (R, Result<Result<RawSample, ServiceError>, Aborted>);
 
 impl<S: FarServer> Offered<S> {
-    /// `open` makes the far end: last, for it is asked from then on.
+    /// `open` creates the far server, last, because requests arrive from then on.
     pub(super) fn open(
         key: &TopicKey,
         service_type: ServiceType,
@@ -101,7 +101,7 @@ impl<S: FarServer> Offered<S> {
         })
     }
 
-    /// Whether requests wait for a server here, or for room at it.
+    /// Whether requests wait for a server here or for room in its queue.
     pub(super) fn is_waiting(&self) -> bool {
         !self.waiting.is_empty()
     }
@@ -110,7 +110,7 @@ impl<S: FarServer> Offered<S> {
         &self.far
     }
 
-    /// The far side has requests: takes them, at most a turn of them. What is left ends the next wait.
+    /// Takes requests from the far side, at most one turn. The rest ends the next wait.
     pub(super) fn serve(&mut self) {
         self.flag.set();
         for _ in 0..TURN {
@@ -132,11 +132,11 @@ impl<S: FarServer> Offered<S> {
 
     fn refuse(&mut self, request: S::Request, reason: &str) {
         self.counters.failed(reason);
-        // Ignored: whoever asked has gone.
+        // Ignored: the client has ended.
         let _ = self.far.answer(request, Err(reason));
     }
 
-    /// Asks here what was asked there, in order, as long as there is room for it.
+    /// Sends the waiting requests here, in order, as long as there is room.
     fn pass_on(&mut self) {
         while let Some((_, body, since)) = self.waiting.front() {
             let refused = match send(&self.clients, body) {
@@ -154,19 +154,19 @@ impl<S: FarServer> Offered<S> {
                     if self.clients.len() < MOST_CLIENTS {
                         match make() {
                             Ok(client) => self.clients.push(client),
-                            // Until something is answered.
+                            // Until a response arrives.
                             Err(_) => return,
                         }
                         continue;
                     }
-                    // The oldest makes way, whose asker may have gone long ago; until it has, it has its place.
+                    // Aborts the oldest, whose client may have ended long ago; its place is free once it is dropped.
                     self.asked.retain(|(_, life)| life.strong_count() != 0);
                     if let Some((oldest, _)) = self.asked.pop_front() {
                         oldest.abort();
                     }
                     return;
                 }
-                // Until something is answered.
+                // Until a response arrives.
                 ServiceError::RequestsFull { .. } if !self.pending.is_empty() => return,
                 ServiceError::NoServer { .. } if since.elapsed() < SERVER_TIME => {
                     if self.availability.is_none() {
@@ -185,9 +185,9 @@ impl<S: FarServer> Offered<S> {
         self.availability = None;
     }
 
-    /// The oldest that waits; there is one.
+    /// The oldest waiting request, which must exist.
     fn next(&mut self) -> (S::Request, Vec<u8>, Instant) {
-        let next = self.waiting.pop_front().unwrap_or_else(|| unreachable!("it was looked at"));
+        let next = self.waiting.pop_front().unwrap_or_else(|| unreachable!("the caller has checked it"));
         self.waiting_bytes -= next.1.len();
         next
     }
@@ -206,7 +206,7 @@ impl<S: FarServer> Offered<S> {
         self.pending.push(answer.boxed());
     }
 
-    /// Carries on with what happened here, if something did or it is time to look: answers go to whoever asked there.
+    /// Handles events of this side if the flag is set or `is_time`: sends responses to their clients there.
     pub(super) fn poll(&mut self, is_time: bool) {
         if !self.flag.take() && !is_time {
             return;
@@ -234,7 +234,7 @@ impl<S: FarServer> Offered<S> {
     }
 }
 
-/// Sends a request through the first client that has room for one more.
+/// Sends a request through the first client with room for it.
 fn send(clients: &[RawClient], body: &[u8]) -> Result<RawPending, ServiceError> {
     let mut refused = None;
     for client in clients {
@@ -248,7 +248,7 @@ fn send(clients: &[RawClient], body: &[u8]) -> Result<RawPending, ServiceError> 
             Err(unsent) => return Err(unsent.error),
         }
     }
-    // There is one at least.
+    // There is at least one client.
     Err(refused.unwrap_or(ServiceError::NoServer { service: "".into() }))
 }
 

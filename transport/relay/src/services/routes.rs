@@ -1,26 +1,26 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which services go which way: decided here from what exists on both sides, done elsewhere.
+//! Decides from both graphs which services are carried in which direction. The services thread executes it.
 
 use crate::mirror::{Side, TopicKey, grouped};
 use crate::rules::{Choice, Direction, Rules};
 use std::collections::{BTreeMap, BTreeSet};
 use tautline_transport::{Gid, NodeName, ServiceEndpoint, ServiceKind};
 
-/// A service that the domain has.
+/// A service of the domain.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OfferedService {
-    /// What its server says of its type.
+    /// The type hash that its server states.
     pub type_hash: Option<String>,
     /// The server's node.
     pub node: Option<NodeName>,
 }
 
-/// A service that the far side has.
+/// A service of the far side.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SoughtService {
-    /// What clients here say of its type.
+    /// The type hash that clients here state.
     pub type_hash: Option<String>,
-    /// Its servers there.
+    /// Its servers.
     pub servers: BTreeSet<ServerId>,
 }
 
@@ -29,33 +29,33 @@ pub struct SoughtService {
 pub struct ServerId {
     /// Its node.
     pub node: Option<NodeName>,
-    /// Where it takes requests; zero if that is not known (yet): not every RMW tells.
+    /// The GID of its request endpoint; zero if unknown: not every RMW announces it.
     pub gid: Gid,
 }
 
 impl ServerId {
-    /// Whether both may be the same one.
+    /// Whether both may be the same server.
     pub fn is(&self, other: &ServerId) -> bool {
         let is_unknown = [self.gid, other.gid].contains(&Gid::default());
         self.node == other.node && (is_unknown || self.gid == other.gid)
     }
 }
 
-/// Which services go which way.
+/// Which services are carried, by direction.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Routes {
-    /// The domain's: the far side may ask.
+    /// Of the domain: offered on the far side.
     pub offered: BTreeMap<TopicKey, OfferedService>,
-    /// Those that only the far side has, with clients here.
+    /// Only on the far side, with clients here.
     pub sought: BTreeMap<TopicKey, SoughtService>,
     /// Services that cannot be mirrored, and why.
     pub problems: BTreeMap<String, String>,
 }
 
 impl Routes {
-    /// What follows from what exists: `here` in the domain, `there` on the far side, both without what this mirror made. A server here that
-    /// is not `announced` is left to somebody else. What was offered `before` stays so though ROS gets a server of it: two would make
-    /// way for each other for ever.
+    /// Routes for the graphs `here` and `there`, both without this mirror's endpoints. Servers here that are not `announced` are
+    /// left to another relay. A service offered `before` stays offered even if ROS gets a server of it: otherwise two bridges
+    /// would give way to each other forever.
     pub fn of<'e>(
         side: Side,
         rules: &Rules,
@@ -74,7 +74,7 @@ impl Routes {
         routes
     }
 
-    /// Each type of a service is one of its own, and servers of one name on several hosts are nobody's trouble.
+    /// Each type of a service is separate, and several hosts may have servers of one name.
     fn of_each_type(
         &mut self,
         rules: &Rules,
@@ -94,13 +94,13 @@ impl Routes {
                 let type_hash = key.type_hash.clone();
                 self.offered.insert(key, OfferedService { type_hash, node: None });
             } else if choice.goes(Direction::In) && servers.is_empty() && !same.is_empty() {
-                // Who is left is a client.
+                // The rest are clients.
                 self.seek(key, ends[0], &same);
             }
         }
     }
 
-    /// A service has one type, and one server.
+    /// A service has one type and one server.
     fn of_one_type(
         &mut self,
         rules: &Rules,
@@ -115,7 +115,7 @@ impl Routes {
         let all = here.iter().filter(|end| end.kind == ServiceKind::Server);
         let server = all.min_by_key(|end| (!announced(end), !end.origin.is_here()));
         let is_asked = here.iter().any(|end| end.kind == ServiceKind::Client);
-        // Of clients that ask for different types, those go on that ROS can answer.
+        // Of clients with different types, prefers those that ROS can serve.
         let is_there =
             |end: &&&ServiceEndpoint| servers.clone().any(|server| server.type_name == end.type_name);
         let Some(end) = server.or_else(|| here.iter().find(is_there)).or_else(|| here.first()) else {
@@ -123,7 +123,7 @@ impl Routes {
         };
         if let Some(expected) = choice.type_name.as_ref().filter(|expected| **expected != end.type_name) {
             let reason = format!(
-                "it is a {}, but the configuration says {expected}: correct 'type', or leave it out",
+                "its type is {}, but the configuration says {expected}: correct or remove 'type'",
                 end.type_name
             );
             return drop(self.problems.insert(service.to_owned(), reason));
@@ -131,7 +131,7 @@ impl Routes {
         let key = TopicKey::of(service, &choice, &end.type_name, None);
         let (same, other): (Vec<&ServiceEndpoint>, Vec<&ServiceEndpoint>) =
             servers.partition(|server| server.type_name == end.type_name);
-        // Of servers of one name ROS's own is nearer than one of another host.
+        // Of servers with one name, ROS's own is preferred over one of another host.
         let is_nearer = !same.is_empty() && server.is_some_and(|server| !server.origin.is_here());
         match (server, other.first()) {
             (Some(server), _) if !announced(server) => {}
@@ -142,7 +142,7 @@ impl Routes {
             (Some(server), _) if choice.goes(Direction::Out) => {
                 let is_alone = same.is_empty() && other.is_empty();
                 if !is_alone {
-                    // Who asks in ROS would get two answers.
+                    // Clients in ROS would get two responses.
                     let reason = "both Tautline and ROS have a server of it: stop or rename one of them";
                     self.problems.insert(service.to_owned(), reason.to_owned());
                 }
@@ -156,7 +156,7 @@ impl Routes {
             }
             (None, Some(other)) => {
                 let reason = format!(
-                    "clients here ask for a {}, in ROS it is a {}: rename one of them, or use the same type",
+                    "clients here call it as {}, in ROS its type is {}: rename one of them, or use the same type",
                     end.type_name, other.type_name
                 );
                 self.problems.insert(service.to_owned(), reason);
@@ -165,7 +165,7 @@ impl Routes {
         }
     }
 
-    /// For who asks as `end` does.
+    /// For clients like `end`.
     fn seek(&mut self, key: TopicKey, end: &ServiceEndpoint, servers: &[&ServiceEndpoint]) {
         let id = |server: &&ServiceEndpoint| ServerId { node: server.node.clone(), gid: server.gid };
         let servers = servers.iter().map(id).collect();
@@ -177,7 +177,7 @@ fn type_of(end: &ServiceEndpoint) -> (&str, Option<&str>) {
     (&end.type_name, end.type_hash.as_deref())
 }
 
-/// The far side's servers of what `choice` is about.
+/// The far side's servers of `choice`.
 fn servers_of<'e>(
     there: &'e [ServiceEndpoint],
     choice: &'e Choice,
@@ -239,7 +239,7 @@ mod tests {
         assert_eq!(of(&Rules::default(), &here, &there), Routes::default());
     }
 
-    /// Two servers have one name, in ROS and on another host: clients here have ROS's, and neither goes on to the other.
+    /// Two servers of one name, in ROS and on another host: clients here use ROS's, and neither is announced to the other side.
     #[test]
     fn of_two_servers_of_one_name_none_is_nobodys() {
         let rules = Rules { auto: true, ..Rules::default() };
@@ -308,7 +308,7 @@ mod tests {
             one(client("/two")),
             typed(server("/three"), "2"),
             one(client("/three")),
-            // Somebody else announces what this domain has too.
+            // Another relay also announces this domain's server.
             one(server("/four")),
             one(client("/four")),
             one(client("/nowhere")),

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A service of the far side's that clients here ask.
+//! A service of the far side, with clients here.
 
 use super::limits;
 use super::offered::TURN;
@@ -14,59 +14,59 @@ use tautline_transport::{
     Gid, Participant, RawSample, RawServer, RequestId, ServiceError, ServiceType, TransportError,
 };
 
-/// Requests of one client here that wait to be passed on.
+/// Queue depth of requests, per client here.
 const DEPTH: usize = 100;
 
-/// Clients of one service that wait to be told that there is no answer.
+/// Maximum of pending error responses per service.
 const MOST_UNTOLD: usize = 1024;
 
 const SERVER_GONE: &str = "its server has gone";
 
-/// What asks on the far side for clients here.
+/// The client on the far side, for clients here.
 pub trait FarClient: Send {
-    /// Whether requests reach a server there.
+    /// Whether a server there is available.
     fn is_available(&mut self) -> bool;
 
-    /// Whether nothing tells when that changes, so that it has to be looked now and then.
+    /// Whether changes of that are not signalled, and must be polled.
     const IS_LOOKED_AT: bool;
 
-    /// These are the servers there. Returns the requests that nobody can answer any more.
+    /// Sets the present servers. Returns the requests that no server can answer any more.
     fn set_servers(&mut self, servers: &BTreeSet<ServerId>) -> Vec<RequestId>;
 
-    /// Whether one more request can be passed on; and one that made way for it. `is_waited_for` says whether a client is still there.
+    /// Whether one more request can be sent, and one dropped for it. `is_waited_for` tells whether a client still exists.
     fn make_room(&mut self, is_waited_for: &dyn Fn(Gid) -> bool) -> (bool, Option<RequestId>);
 
-    /// Passes a request on.
+    /// Sends a request.
     ///
     /// # Errors
-    /// Why that is not possible.
+    /// Why that failed.
     fn ask(&mut self, id: RequestId, request: &RawSample) -> Result<(), String>;
 
-    /// A response; `None`: there is none.
+    /// Takes a response; `None` if there is none.
     fn take(&mut self) -> Option<Response>;
 
-    /// Nobody waits for answers any more. How many did.
+    /// Drops all pending requests. Returns their number.
     fn forget(&mut self) -> usize;
 }
 
-/// What came of a request.
+/// The outcome of a request.
 pub enum Response {
-    /// Its answer's body.
+    /// The response's body.
     Answer(RequestId, Vec<u8>),
-    /// There is none, and why.
+    /// No response, and why.
     None(RequestId, String),
-    /// Something is wrong, nobody knows with which; and what.
+    /// An error of an unknown request.
     Wrong(String),
 }
 
 pub(super) struct Sought<C: FarClient> {
     far: C,
     flag: Arc<Flag>,
-    /// While requests reach the one there.
+    /// Exists while the far server is available.
     server: Option<RawServer>,
-    /// A request that has no place there yet.
+    /// A request that waits for room there.
     next: Option<RawSample>,
-    /// Clients that could not be told yet that there is no answer.
+    /// Requests whose error response could not be sent yet.
     untold: VecDeque<RequestId>,
     service: String,
     service_type: ServiceType,
@@ -101,19 +101,19 @@ impl<C: FarClient> Sought<C> {
         &self.far
     }
 
-    /// Whether the server there is not reached yet.
+    /// Whether the server there is not available yet.
     pub(super) fn is_seeking(&self) -> bool {
         self.server.is_none()
     }
 
-    /// There are these servers there now. A request that only those got who have gone will not be answered.
+    /// Sets the present servers there. Requests that only ended servers received get an error.
     pub(super) fn set_servers(&mut self, servers: &BTreeSet<ServerId>) {
         for id in self.far.set_servers(servers) {
             self.refuse(id, SERVER_GONE);
         }
     }
 
-    /// Who asked gets an error instead of an answer.
+    /// Answers the client with an error.
     fn refuse(&mut self, id: RequestId, reason: impl ToString) {
         self.counters.failed(reason);
         self.tell(id);
@@ -123,19 +123,19 @@ impl<C: FarClient> Sought<C> {
         let Some(server) = &self.server else { return };
         match server.refuse(id) {
             Ok(()) | Err(ServiceError::ClientGone { .. }) => {}
-            // Its queue is full, or there is no memory: later.
+            // Its queue is full, or memory is exhausted: retried later.
             Err(_) if self.untold.len() < MOST_UNTOLD => self.untold.push_back(id),
-            // With its server it ends in any case.
+            // Ending the server ends its requests.
             Err(_) => self.let_go(),
         }
     }
 
-    /// Whether clients wait to be told.
+    /// Whether error responses wait to be sent.
     pub(super) fn is_waiting(&self) -> bool {
         !self.untold.is_empty()
     }
 
-    /// Whoever waits for an answer gets an error: its server here has gone.
+    /// Ends the server here, so that all pending requests get an error.
     fn let_go(&mut self) {
         self.counters.set_active(false);
         self.counters.failed_times(self.far.forget(), SERVER_GONE);
@@ -143,11 +143,10 @@ impl<C: FarClient> Sought<C> {
         self.untold.clear();
     }
 
-    /// Passes requests of clients here on, at most a turn of them, if something happened or it is time to look. Says whether there may be
-    /// more.
+    /// If the flag is set or `is_time`, sends requests of clients here, at most one turn. Returns whether there may be more.
     ///
     /// # Errors
-    /// The server here cannot be made.
+    /// The server here cannot be created.
     pub(super) fn poll(&mut self, is_time: bool) -> Result<bool, TransportError> {
         if !self.flag.take() && !is_time {
             return Ok(false);
@@ -199,9 +198,9 @@ impl<C: FarClient> Sought<C> {
         has_room
     }
 
-    /// The far side has responses: passes them on, at most a turn of them. What is left ends the next wait.
+    /// Takes responses from the far side, at most one turn. The rest ends the next wait.
     pub(super) fn serve(&mut self) {
-        // There may be room for requests.
+        // There may be room for requests now.
         self.flag.set();
         for _ in 0..TURN {
             match self.far.take() {

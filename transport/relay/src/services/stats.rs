@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What was answered through a mirror and what was not, per service.
+//! Statistics per service.
 
 use crate::mirror::TopicKey;
 use crate::rules::Direction;
@@ -8,36 +8,36 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use tautline_rt::PiMutex;
 
-/// Reasons that are told apart; of more, all are one.
+/// Maximum of distinct reasons; more are counted together.
 const MOST_REASONS: usize = 16;
-/// Services that are counted; of more, those that are not mirrored any more are forgotten.
+/// Maximum of services; beyond it, inactive ones are forgotten.
 const MOST_SERVICES: usize = 1024;
 
-/// A service, of which the mirror stands for the server.
+/// A mirrored service.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct ServiceStats<N, D> {
-    /// Which service.
+    /// Its names.
     #[serde(flatten)]
     pub name: N,
-    /// To whom it is offered: out is one of the domain's.
+    /// Direction: out is a service of the domain.
     pub direction: D,
     /// Whether it is offered now.
     pub active: bool,
-    /// Requests that were answered.
+    /// Answered requests.
     pub answered: u64,
-    /// Requests that were not, by reason.
+    /// Failed requests, by reason.
     pub failed: BTreeMap<String, u64>,
 }
 
 impl<N, D> ServiceStats<N, D> {
-    /// In other words.
+    /// Converts names and directions.
     pub fn named<M, E>(self, named: impl Fn(N) -> M, way: impl Fn(D) -> E) -> ServiceStats<M, E> {
         let ServiceStats { name, direction, active, answered, failed } = self;
         ServiceStats { name: named(name), direction: way(direction), active, answered, failed }
     }
 }
 
-/// Counters of one service. The thread that carries shares them with one of a lower priority, which reads.
+/// Counters of one service, shared by the carrying thread and a reader of lower priority.
 #[derive(Debug, Default)]
 pub(super) struct ServiceCounters(PiMutex<Counts>);
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Gateways and bridges in any arrangement, which look in any order.
+//! Gateways and bridges in any arrangement, which update in any order.
 
 use super::*;
 use crate::mirror::{Action, Far, InKey, Mirror as Decider, Side};
@@ -9,22 +9,22 @@ use rand::{RngExt, SeedableRng};
 use std::collections::{BTreeMap, BTreeSet};
 use tautline_transport::{EndpointKind, Qos, TopicEndpoint, TopicType};
 
-/// Of a domain and another space, and whether that is ROS.
+/// A domain, another space, and whether that is ROS.
 type Link = (usize, usize, bool);
 
-/// A domain, a network or a ROS 2 graph: what is there, and what is told there by whom.
+/// A domain, a network or a ROS 2 graph: its own endpoints, and announcements by announcer.
 #[derive(Default)]
 struct Space {
     natives: BTreeMap<u64, Origin>,
     told: BTreeMap<(usize, u64), Origin>,
 }
 
-/// Whether a native is a publisher; else it is a subscription of the same topic.
+/// Whether a native is a publisher; otherwise it is a subscription to the same topic.
 fn is_publisher(tag: u64) -> bool {
     tag % 2 == 1
 }
 
-/// By which an end is known in a space, as `teller` tells of it there.
+/// An endpoint's GID in a space, as announced by `teller`.
 fn gid(space: usize, teller: u128, tag: u64) -> Gid {
     let mut gid = [0; 16];
     gid[..8].copy_from_slice(&tag.to_le_bytes());
@@ -48,7 +48,7 @@ fn end(space: usize, teller: u128, origin: &Origin) -> TopicEndpoint {
     }
 }
 
-/// Between the domain and the other space. What it does as of its last look.
+/// Between a domain and another space, with its state of the last update.
 struct Mirror {
     domain: usize,
     far: usize,
@@ -63,7 +63,7 @@ struct Mirror {
 }
 
 impl Mirror {
-    /// One that has just begun.
+    /// A mirror that has just started.
     fn new(domain: usize, far: usize, is_bridge: bool) -> Self {
         let side = if is_bridge { Side::Ros } else { Side::Network };
         let decider = Decider::new(side, Rules { auto: true, ..Rules::default() });
@@ -87,7 +87,7 @@ impl Mirror {
         }
     }
 
-    /// Whether a message that is in a space as this end's goes on from there, and where to.
+    /// Whether a message under this endpoint's GID in a space is forwarded, and where to.
     fn passes_on(&self, space: usize, gid: &Gid) -> Option<usize> {
         let goes_out = self.domain == space && self.is_taking && self.writers.contains(gid);
         let comes_in = self.far == space && self.inward.values().any(|class| class.contains(gid));
@@ -115,7 +115,7 @@ impl World {
         tag
     }
 
-    /// A mirror looks at both sides, and says what follows. Whether anything is otherwise than before.
+    /// A mirror reads both sides and updates its announcements. Returns whether anything changed.
     fn look(&mut self, at: usize) -> bool {
         let Mirror { domain, far, is_bridge, .. } = self.mirrors[at];
         let id = at as u128 + 1;
@@ -123,7 +123,7 @@ impl World {
             true => Transit::to_ros(domain as u64, id as u64, id, ""),
             false => Transit::to_network(domain as u64, id as u64, id, ""),
         };
-        // Everything on a side, but for what this one says there.
+        // Everything on a side, without this mirror's announcements.
         let seen = |space: &Space| -> Vec<(Origin, u128)> {
             let natives = space.natives.values().map(|origin| (origin.clone(), 0));
             let told = space.told.iter().filter(|((by, _), _)| *by != at);
@@ -145,7 +145,7 @@ impl World {
             .filter(|(origin, teller)| transit.carries(origin, *teller))
             .map(|(origin, _)| origin.tag)
             .collect();
-        // What counts in the domain, if it is not this one that tells it.
+        // The best announcements in the domain, if they are not this mirror's.
         let mut best = BTreeMap::<u64, (Rank, Origin)>::new();
         for (origin, teller) in &here {
             let rank = origin.rank(*teller);
@@ -177,7 +177,7 @@ impl World {
         changed | self.spaces[far].say(at, announced)
     }
 
-    /// Everybody looks, in any order, until nothing changes any more.
+    /// All mirrors update, in any order, until nothing changes.
     fn settle(&mut self, random: &mut SmallRng) {
         for _ in 0..10_000 {
             for _ in 0..self.mirrors.len() {
@@ -199,7 +199,7 @@ impl World {
         self.spaces.iter_mut().for_each(|space| space.told.retain(|(by, _), _| *by != at));
     }
 
-    /// How often a message comes into each space, by mirrors as they are.
+    /// How often a message arrives in each space, with the present mirrors.
     fn arrivals(&self, tag: u64) -> Vec<usize> {
         let home = self.spaces.iter().position(|space| space.natives.contains_key(&tag));
         let mut arrived = vec![0; self.spaces.len()];
@@ -215,7 +215,7 @@ impl World {
         arrived
     }
 
-    /// The spaces that word and messages can come to.
+    /// The spaces that announcements and messages can reach.
     fn reached(&self, from: usize) -> BTreeSet<usize> {
         let mut reached = BTreeSet::from([from]);
         loop {
@@ -261,7 +261,7 @@ impl World {
 }
 
 impl Space {
-    /// `by` tells this now. Whether that is otherwise than before.
+    /// Replaces the announcements by `by`. Returns whether anything changed.
     fn say(&mut self, by: usize, told: BTreeMap<u64, Origin>) -> bool {
         let before = self.told.len();
         let mut changed = false;
@@ -356,7 +356,7 @@ fn what_does_not_go_on_stops_at_its_domain() {
     assert!(transit.told(&elsewhere, 9).is_some() && transit.carries(&elsewhere, 9));
 }
 
-/// A claim with another's tag and no way behind it.
+/// An announcement with another's tag and no path.
 #[test]
 fn nobody_tells_better_of_what_is_here() {
     let mut transit = Transit::to_network(1, 2, 3, "host");
