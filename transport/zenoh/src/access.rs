@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What Zenoh's access control refused. Zenoh says so in its trace events only: here they are counted.
+//! Counts refusals by Zenoh's access control, which only its trace events report.
 
 use crate::origin::ENDED;
 use crate::wire::TopicKey;
@@ -13,17 +13,17 @@ use tracing_subscriber::filter::filter_fn;
 use tracing_subscriber::layer::Context;
 use tracing_subscriber::registry::LookupSpan;
 
-/// Where Zenoh decides.
+/// Zenoh's access control.
 const TARGET: &str = "zenoh::net::routing::interceptor::access_control";
-/// Kinds of refusals that are told apart; a hostile peer may try any key.
+/// Maximum of distinct refusals; a hostile peer may try any key.
 const MAX_REFUSALS: usize = 256;
-/// Longest event that is looked at: a key and an address.
+/// Longest event to parse: a key and an address.
 const MAX_EVENT_BYTES: usize = 4096;
 
 static REFUSED: Mutex<BTreeMap<String, u64>> = Mutex::new(BTreeMap::new());
 
-/// A layer for the process's `tracing` subscriber, without which [`Stats::unauthorized`](crate::Stats::unauthorized) stays
-/// empty. It switches the events of Zenoh's access control on for itself alone.
+/// A layer for the process's `tracing` subscriber; without it [`Stats::unauthorized`](crate::Stats::unauthorized) stays empty. It
+/// enables the events of Zenoh's access control for itself only.
 ///
 /// ```
 /// use tracing_subscriber::layer::SubscriberExt;
@@ -35,7 +35,7 @@ pub fn access_layer<S: Subscriber + for<'span> LookupSpan<'span>>() -> impl Laye
     Refusals.with_filter(filter_fn(|event| event.target() == TARGET))
 }
 
-/// What was refused in this process so far, such as `Put (ingress) on /secret`, and how often.
+/// Refusals in this process, such as `Put (ingress) on /secret`, with their counts.
 pub(crate) fn refused() -> BTreeMap<String, u64> {
     REFUSED.lock().unwrap_or_else(PoisonError::into_inner).clone()
 }
@@ -54,7 +54,7 @@ impl<S: Subscriber> Layer<S> for Refusals {
     }
 }
 
-/// What an event says, cut off where no honest one ends.
+/// The text of an event, truncated at the limit.
 #[derive(Default)]
 struct Text(String);
 
@@ -76,11 +76,11 @@ impl Write for Text {
     }
 }
 
-/// `[..] is unauthorized to Put (ingress) on 0/secret/type/hash`: what was to be done, and the topic or the key.
+/// `[..] is unauthorized to Put (ingress) on 0/secret/type/hash`: the action, and the topic or key.
 fn refusal(event: &str) -> Option<String> {
     let (_, refused) = event.split_once(" is unauthorized to ")?;
     let (action, key) = refused.split_once(" on ")?;
-    // Who may not see a node does not see its tokens either: the topic's own refusals say enough.
+    // A peer that may not see a node does not see its tokens either: the topic's own refusals suffice.
     if key.contains("@ros2_lv/") || key.contains(ENDED) {
         return None;
     }

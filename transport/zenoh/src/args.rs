@@ -9,15 +9,15 @@ use tautline_relay::{DomainError, domain_of};
 use tautline_rt::{CoreSet, Realtime};
 use tautline_transport::MAX_DOMAIN;
 
-/// Mirrors this host's topics over the network: one gateway per host and domain.
+/// Mirrors this host's topics and services over the network: one gateway per host and domain.
 ///
-/// Publishers and subscriptions of this host are announced to other hosts, and theirs are found; samples travel only
-/// while both ends exist. Other hosts run a gateway too, or ROS 2 nodes with rmw_zenoh (Jazzy or later). By default it
-/// looks for a router on this host (tcp/localhost:7447), as rmw_zenoh does, and listens on loopback only.
+/// Announces publishers and subscriptions of this host to other hosts, and discovers theirs; samples travel only while both
+/// exist. Other hosts run a gateway too, or ROS 2 nodes with rmw_zenoh (Jazzy or later). By default the gateway connects to a
+/// router on this host (tcp/localhost:7447), like rmw_zenoh, and listens on loopback only.
 ///
-/// Zenoh's configuration is taken from --config, else from the file that ZENOH_SESSION_CONFIG_URI names (with --router:
-/// ZENOH_ROUTER_CONFIG_URI), else from defaults; then ZENOH_CONFIG_OVERRIDE (key=json5;key=json5) changes it, then the
-/// options below do.
+/// Zenoh's configuration comes from --config, else from the file in ZENOH_SESSION_CONFIG_URI (with --router:
+/// ZENOH_ROUTER_CONFIG_URI), else from defaults. ZENOH_CONFIG_OVERRIDE (key=json5;key=json5) changes it, and the options below
+/// change the result.
 #[derive(Parser, Debug)]
 #[command(name = "taut-gateway", version)]
 #[command(group = ArgGroup::new("mode").args(["peer", "client", "router"]))]
@@ -26,7 +26,7 @@ use tautline_transport::MAX_DOMAIN;
   taut gateway --connect tcp/first-host:7447        on the second
   taut gateway --router --listen tcp/0.0.0.0:7447   forwards between all hosts that connect to it
   taut gateway --deny '/camera/**' --urgency '/cmd_vel=real_time'
-  taut gateway --system system.toml                 the file's topics say which of them go first
+  taut gateway --system system.toml                 with the priorities of the file's topics
   taut gateway --config zenoh.json5 --json | jq .topics
   taut gateway --domain 5 --network-domain 0        topics of domain 5 appear in domain 0 elsewhere")]
 pub struct Args {
@@ -42,16 +42,16 @@ pub struct Args {
     /// Link to every peer that can be reached, and to routers [default]
     #[arg(long)]
     peer: bool,
-    /// Have one link, to a router or peer that forwards
+    /// Have one link, to a router or a peer that forwards
     #[arg(long)]
     client: bool,
-    /// Forward between all that link to this gateway
+    /// Forward between all that connect to this gateway
     #[arg(long)]
     router: bool,
     /// Domain of this host's topics [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_DOMAIN)))]
     domain: Option<u32>,
-    /// Domain on the network, if it is to be another
+    /// Domain on the network, if different
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_DOMAIN)))]
     network_domain: Option<u32>,
     /// Mirror only topics that match; may be given several times
@@ -60,17 +60,17 @@ pub struct Args {
     /// Do not mirror topics that match; may be given several times
     #[arg(long, value_name = "PATTERN")]
     deny: Vec<String>,
-    /// Order on a busy link, PATTERN=PRIORITY[,express]: real_time, interactive_high, interactive_low, data_high, data,
+    /// Priority on a busy link, PATTERN=PRIORITY[,express]: real_time, interactive_high, interactive_low, data_high, data,
     /// data_low, background [default: the smaller the sooner]
     #[arg(long, value_name = "RULE")]
     urgency: Vec<String>,
-    /// Take the order of what --urgency does not speak of from a system file: `priority` and `express` of its topics
+    /// Take priorities that --urgency does not set from a system file: `priority` and `express` of its topics
     #[arg(long, value_name = "FILE")]
     system: Option<PathBuf>,
     /// SCHED_FIFO priority of the network's threads: below the sampler's (90), above the callbacks'
     #[arg(long, value_name = "N", default_value_t = Options::PRIORITY, value_parser = clap::value_parser!(u8).range(1..=98))]
     priority: u8,
-    /// Announce what is of this host alone, not what bridges tell of here
+    /// Announce only this domain's own endpoints, not those that bridges announce in it
     #[arg(long)]
     no_transit: bool,
     /// Run without real-time priorities
@@ -82,27 +82,27 @@ pub struct Args {
     /// Processor time that the network may use at its priority, in percent of one core
     #[arg(long, value_name = "PERCENT", default_value_t = Budget::default().percent, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     budget: u32,
-    /// No such limit: a flood can starve callbacks
+    /// No processor budget: a flood can starve callbacks
     #[arg(long, conflicts_with = "budget")]
     no_budget: bool,
-    /// Longest message that is taken from the network, in bytes
+    /// Longest message accepted from the network, in bytes
     #[arg(long, value_name = "BYTES", default_value_t = tautline_gateway::MAX_MESSAGE_BYTES, value_parser = parse_bytes)]
     max_message: usize,
-    /// Most nodes and endpoints of other hosts that are kept
+    /// Maximum of nodes and endpoints of other hosts
     #[arg(long, value_name = "N", default_value_t = GraphLimits::default().tokens)]
     max_tokens: usize,
-    /// If the domain has a gateway already, wait and take over when it ends or dies
+    /// If the domain already has a gateway, wait and take over when it ends or is killed
     #[arg(long)]
     pub standby: bool,
-    /// Print the numbers as JSON, one object a line
+    /// Print statistics as JSON, one object per line
     #[arg(long)]
     pub json: bool,
-    /// Seconds between two looks at the numbers
+    /// Seconds between two prints of the statistics
     #[arg(long, value_name = "SECONDS", default_value_t = 1.0, value_parser = tautline_relay::parse_interval)]
     pub interval: f64,
 }
 
-/// What cannot be meant.
+/// Invalid arguments.
 #[derive(Debug, thiserror::Error)]
 pub enum ArgsError {
     #[error(transparent)]
@@ -115,7 +115,7 @@ pub enum ArgsError {
     System(#[from] FileError),
     #[error("--cores: {0}")]
     Cores(#[from] tautline_rt::RtError),
-    #[error("--cores {core}: cores are numbered from 0 to 1023")]
+    #[error("--cores {core}: write core numbers from 0 to 1023")]
     Core { core: usize },
 }
 
@@ -149,7 +149,7 @@ impl Args {
 }
 
 impl Args {
-    /// The first that speaks of a topic counts: the command line's, then the system file's.
+    /// The first match counts: the command line's rules, then the system file's.
     fn rules(&self) -> Result<Vec<Rule>, ArgsError> {
         let mut rules = self.urgency.iter().map(|text| text.parse()).collect::<Result<Vec<Rule>, _>>()?;
         if let Some(path) = &self.system {
@@ -180,9 +180,9 @@ fn parse_bytes(text: &str) -> Result<usize, String> {
         .find_map(|(letter, unit)| Some((number.strip_suffix(*letter)?, *unit)))
         .unwrap_or((text, 1));
     let bytes = digits.parse().ok().and_then(|number: usize| number.checked_mul(unit));
-    bytes.filter(|bytes| (1024..=MOST).contains(bytes)).ok_or_else(|| {
-        "from 1024 to 1073741824 (1 GiB, what Zenoh takes at most); K, M, G are powers of 1024".into()
-    })
+    bytes
+        .filter(|bytes| (1024..=MOST).contains(bytes))
+        .ok_or_else(|| "from 1024 to 1073741824 (1 GiB, Zenoh's maximum); K, M, G are powers of 1024".into())
 }
 
 #[cfg(test)]

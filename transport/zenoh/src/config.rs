@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Zenoh's configuration: rmw_zenoh's defaults, files, environment variables, options of the command line.
+//! Zenoh's configuration: rmw_zenoh's defaults, files, environment variables, command line options.
 
 use std::path::{Path, PathBuf};
 use zenoh::Config;
 
-/// Part that a session plays among the others.
+/// The session's role on the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum Mode {
-    /// Links to every other peer that it learns of, and to routers.
+    /// Links to every peer that it discovers, and to routers.
     #[default]
     Peer,
-    /// One link, to a router or a peer that forwards for it.
+    /// Has one link, to a router or a peer that forwards.
     Client,
-    /// Forwards between all that link to it.
+    /// Forwards between all that connect to it.
     Router,
 }
 
@@ -26,31 +26,31 @@ impl Mode {
     }
 }
 
-/// What the gateway is told about the network. Every field may stay at its default.
+/// Network options. Every field has a default.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Network {
-    /// `None`: as the file says, else peer.
+    /// `None`: the file's, else peer.
     pub mode: Option<Mode>,
-    /// Endpoints to accept links at, such as `tcp/0.0.0.0:7447`. Empty: as the file says, else loopback only.
+    /// Endpoints to listen on, such as `tcp/0.0.0.0:7447`. Empty: the file's, else loopback only.
     pub listen: Vec<String>,
-    /// Endpoints to link to, such as `tcp/host:7447`. Empty: as the file says, else a router on this host.
+    /// Endpoints to connect to, such as `tcp/host:7447`. Empty: the file's, else a router on this host.
     pub connect: Vec<String>,
-    /// A Zenoh configuration file, JSON5 or YAML. `None`: as the environment says.
+    /// A Zenoh configuration file, JSON5 or YAML. `None`: the environment's.
     pub file: Option<PathBuf>,
 }
 
-/// Longest message, encapsulation included, that is taken from the network unless told otherwise: 64 MiB.
+/// Default maximum of a message from the network, encapsulation included: 64 MiB.
 pub const MAX_MESSAGE_BYTES: usize = 64 << 20;
 
-/// A configuration that Zenoh can open, and what to tell the user of it.
+/// A configuration for Zenoh, and its description for the user.
 #[derive(Clone, Debug)]
 pub struct SessionConfig {
     pub(crate) zenoh: Config,
-    /// Where it comes from.
+    /// Its source.
     pub source: String,
-    /// Endpoints at which links are accepted.
+    /// Endpoints that it listens on.
     pub listen: Vec<String>,
-    /// Endpoints that are linked to.
+    /// Endpoints that it connects to.
     pub connect: Vec<String>,
 }
 
@@ -58,14 +58,14 @@ pub struct SessionConfig {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConfigError {
-    /// A file that cannot be read or is no configuration.
-    #[error("{} (from {origin}) is no Zenoh configuration: {reason}", path.display())]
+    /// A file that cannot be read or is invalid.
+    #[error("{} (from {origin}) is not a valid Zenoh configuration: {reason}", path.display())]
     File {
         /// The file.
         path: PathBuf,
         /// The option or variable that names it.
         origin: &'static str,
-        /// Zenoh's word for it.
+        /// Zenoh's error.
         reason: String,
     },
     /// A part of `ZENOH_CONFIG_OVERRIDE`.
@@ -75,27 +75,27 @@ pub enum ConfigError {
     Override {
         /// The part.
         part: String,
-        /// Why not.
+        /// The reason.
         reason: String,
     },
-    /// An endpoint or another option that Zenoh refuses.
-    #[error("{option} {value}: {reason}; an endpoint is written like tcp/192.168.1.2:7447")]
+    /// An endpoint or another option that Zenoh rejects.
+    #[error("{option} {value}: {reason}; write endpoints like tcp/192.168.1.2:7447")]
     Option {
         /// The option.
         option: &'static str,
-        /// What was given.
+        /// Its value.
         value: String,
-        /// Zenoh's word for it.
+        /// Zenoh's error.
         reason: String,
     },
 }
 
 impl Network {
-    /// Makes the configuration: the file or rmw_zenoh's defaults, then `ZENOH_CONFIG_OVERRIDE`, then the options.
-    /// `variable` reads the environment.
+    /// Builds the configuration: the file or rmw_zenoh's defaults, then `ZENOH_CONFIG_OVERRIDE`, then the options. `variable`
+    /// reads the environment.
     ///
     /// # Errors
-    /// [`ConfigError`] names the file, variable or option and what is wrong with it.
+    /// [`ConfigError`] names the file, variable or option, and the error.
     pub fn session_config(
         &self,
         variable: impl Fn(&str) -> Option<String>,
@@ -122,7 +122,7 @@ impl Network {
                 set(option, key, serde_json::json!(endpoints).to_string())?;
             }
         }
-        // Late joiners are told apart by time stamps.
+        // Serving late joiners needs time stamps.
         set("timestamping", "timestamping/enabled", "true".into())?;
         let (listen, connect) = (endpoints(&config, "listen"), endpoints(&config, "connect"));
         Ok(SessionConfig { zenoh: config, source, listen, connect })
@@ -154,7 +154,7 @@ impl SessionConfig {
         self.listen.iter().any(|endpoint| !is_loopback(endpoint))
     }
 
-    /// Whether every link that is opened or accepted stays on this host.
+    /// Whether all links stay on this host.
     pub fn stays_on_host(&self) -> bool {
         !self.is_reachable() && self.connect.iter().all(|endpoint| is_loopback(endpoint))
     }
@@ -168,17 +168,16 @@ fn read_file(path: &Path, origin: &'static str) -> Result<Config, ConfigError> {
     })
 }
 
-/// rmw_zenoh's, where they matter to it: a peer without multicast that looks for a router on its own host. Other than
-/// rmw_zenoh's are: only loopback is listened on by a router too, nothing gives up connecting, a silent link is given
-/// up after 10 s, and what one peer can make us hold in memory is bounded. Queues are long enough for a link that
-/// stalls for a moment.
+/// rmw_zenoh's defaults: a peer without multicast that connects to a router on its own host. Different from rmw_zenoh: a router
+/// too listens on loopback only, connecting never gives up, a silent link is closed after 10 s, and the memory per peer is
+/// bounded. Queues are long enough for short stalls of a link.
 fn defaults(mode: Mode, max_message_bytes: usize) -> Result<Config, ConfigError> {
     let (listen, connect) = match mode {
         Mode::Peer => (r#"["tcp/localhost:0"]"#, r#"["tcp/localhost:7447"]"#),
         Mode::Client => ("[]", r#"["tcp/localhost:7447"]"#),
         Mode::Router => (r#"["tcp/localhost:7447"]"#, "[]"),
     };
-    // A message's limit is the body's; its headers and attachment come on top.
+    // The limit is for bodies; headers and attachment come on top.
     let max_message_bytes = max_message_bytes.saturating_add(64 << 10);
     let text = format!(
         r#"{{
@@ -222,20 +221,20 @@ fn defaults(mode: Mode, max_message_bytes: usize) -> Result<Config, ConfigError>
 fn apply_overrides(config: &mut Config, text: &str) -> Result<(), ConfigError> {
     for part in text.split(';').map(str::trim).filter(|part| !part.is_empty()) {
         let refuse = |reason: String| ConfigError::Override { part: part.into(), reason };
-        let (key, value) = part.split_once('=').ok_or_else(|| refuse("there is no '='".into()))?;
+        let (key, value) = part.split_once('=').ok_or_else(|| refuse("it has no '='".into()))?;
         config.insert_json5(key.trim(), value.trim()).map_err(|error| refuse(error.to_string()))?;
     }
     Ok(())
 }
 
-/// The endpoints of the mode that is configured.
+/// The endpoints of the configured mode.
 fn endpoints(config: &Config, which: &str) -> Vec<String> {
     let json = |key: &str| config.get_json(key).ok().and_then(|text| serde_json::from_str(&text).ok());
     let mode: String =
         json("mode").and_then(|mode: serde_json::Value| Some(mode.as_str()?.into())).unwrap_or_default();
     let value: serde_json::Value = json(&format!("{which}/endpoints")).unwrap_or_default();
     let list = value.get(&mode).unwrap_or(&value).as_array().cloned().unwrap_or_default();
-    // An endpoint may be split into its parts: alternatives are an array in the array.
+    // An endpoint with alternatives is a nested array.
     let text =
         |endpoint: serde_json::Value| endpoint.as_str().map_or_else(|| endpoint.to_string(), String::from);
     list.into_iter().map(text).collect()

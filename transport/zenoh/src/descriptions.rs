@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How hosts tell each other types: ROS 2's service `~/get_type_description`, asked of the nodes elsewhere that publish what
-//! is unknown here, and answered for the nodes here out of the [`SchemaStore`].
+//! Exchanges types with other hosts through ROS 2's service `~/get_type_description`: requests unknown types from nodes there
+//! that publish them, and serves nodes here from the [`SchemaStore`].
 //!
-//! What comes is a claim. It is bounded before it is kept, and kept only if the hash computed from it is the one asked for.
+//! Responses are untrusted: bounded before they are stored, and stored only if their computed hash is the requested one.
 
 use crate::graph::Graph;
 use crate::side::{Events, NetworkEvent};
@@ -26,13 +26,13 @@ use zenoh::{Session, Wait};
 
 const SERVICE: &str = "type_description_interfaces/srv/GetTypeDescription";
 const SUFFIX: &str = "/get_type_description";
-/// How long a node is waited for.
+/// Time-out of a request.
 const TIMEOUT: Duration = Duration::from_secs(3);
-/// Most questions on their way.
+/// Maximum of pending requests.
 const MAX_PENDING: usize = 64;
-/// Nodes that were asked in vain are remembered, this many.
+/// Maximum of remembered requests that were not successful.
 const MAX_ASKED: usize = 4096;
-/// Longest request that is looked at: names and a hash.
+/// Longest request to parse: names and a hash.
 const MAX_REQUEST_BYTES: usize = 4096;
 
 macro_rules! definitions {
@@ -44,7 +44,7 @@ macro_rules! definitions {
     };
 }
 
-/// Of the package that defines the service.
+/// The definitions of the service's package.
 const DEFINITIONS: [(&str, &str); 7] = definitions!(
     "msg/Field.msg",
     "msg/FieldType.msg",
@@ -55,7 +55,7 @@ const DEFINITIONS: [(&str, &str); 7] = definitions!(
     "srv/GetTypeDescription.srv"
 );
 
-/// Why a description was not kept, or a question not answered with one.
+/// Why a response or request was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, thiserror::Error)]
 pub(crate) enum Refused {
     #[error("a description that is too long")]
@@ -78,16 +78,16 @@ pub(crate) enum Refused {
     Unknown,
 }
 
-/// The service, from both ends.
+/// The client and server of the service.
 pub(crate) struct Descriptions {
     id: TypeId,
     request: Arc<Schema>,
     response: Arc<Schema>,
     store: SchemaStore,
     events: Events,
-    /// What is on its way, and when it was asked for.
+    /// Pending requests, and when each was sent.
     pending: HashMap<TypeId, Instant>,
-    /// Services that were asked, and for what.
+    /// Requests sent so far, by type and service.
     asked: HashSet<(TypeId, String)>,
     answering: BTreeMap<String, Queryable<()>>,
     counts: BTreeMap<String, u64>,
@@ -117,7 +117,7 @@ impl Descriptions {
         })
     }
 
-    /// How often what happened.
+    /// Counts, by outcome.
     pub(crate) fn counts(&self) -> &BTreeMap<String, u64> {
         &self.counts
     }
@@ -126,7 +126,7 @@ impl Descriptions {
         *self.counts.entry(what.to_string()).or_default() += 1;
     }
 
-    /// Asks one of the nodes elsewhere that publish the topic for its type, unless one is being asked or all were.
+    /// Requests the topic's type from one of its publishers' nodes there, unless a request is pending or all nodes were asked.
     pub(crate) fn ask(&mut self, session: &Session, key: &TopicKey, graph: &Graph) {
         let id = &key.type_id;
         if self.pending.get(id).is_some_and(|since| since.elapsed() < TIMEOUT) {
@@ -152,12 +152,12 @@ impl Descriptions {
         }
         self.asked.insert((id.clone(), service.clone()));
         if let Err(error) = self.get(session, key.domain, service, id) {
-            return tracing::warn!("the type of topic '{}' cannot be asked for: {error}", key.topic);
+            return tracing::warn!("the type of topic '{}' cannot be requested: {error}", key.topic);
         }
         self.pending.insert(id.clone(), Instant::now());
     }
 
-    /// Nobody here wants the type any more. Who does later has all asked anew.
+    /// The type is no longer needed. A later need starts over.
     pub(crate) fn forget(&mut self, id: &TypeId) {
         self.asked.retain(|(asked, _)| asked != id);
     }
@@ -175,7 +175,7 @@ impl Descriptions {
         let answer = move |reply: Reply| {
             let Ok(sample) = reply.result() else { return };
             let payload = sample.payload();
-            // What is too long is refused for that, without being copied.
+            // Oversized responses are refused without being copied.
             let bytes = (payload.len() <= MAX_SCHEMA_BYTES).then(|| payload.to_bytes().into_owned());
             let _ = events.try_send(Event::FarChange(NetworkEvent::Described(asked.clone(), bytes)));
         };
@@ -189,9 +189,9 @@ impl Descriptions {
             .wait()
     }
 
-    /// A node answered. What it says is kept if it is what was asked for.
+    /// Handles a response, and stores a valid one.
     pub(crate) fn learn(&mut self, id: &TypeId, payload: Option<&[u8]>) {
-        // Once for each question, however many answers come.
+        // Once per request, however many responses arrive.
         if self.pending.remove(id).is_none() {
             return;
         }
@@ -234,7 +234,7 @@ impl Descriptions {
             let topic = service_of(node);
             let (kind, qos) = (EndpointKind::Service, WireQos { depth: 10, ..WireQos::default() });
             let (node, type_id) = (node.clone(), self.id.clone());
-            // A number that no other has: the hash of what is said of it.
+            // A unique GID: the hash of its token.
             let (name, suffix) = (topic.clone(), String::new());
             let said = Endpoint { id: 0, kind, name, type_id: type_id.clone(), qos, suffix };
             let said = Token { domain: 0, zid: 0, node_id: 0, node: node.clone(), endpoint: Some(said) };
@@ -244,7 +244,7 @@ impl Descriptions {
         nodes.into_iter().map(offer).filter(|end| !is_own(&end.topic)).collect()
     }
 
-    /// The same of a server as the domain has it.
+    /// The same for a server of the domain.
     pub(crate) fn answers_for(&self, end: &ServiceEndpoint) -> bool {
         let is_of_node = |node: &tautline_transport::NodeName| {
             end.name.strip_suffix(SUFFIX).is_some_and(|name| name == node.full_name())
@@ -254,12 +254,12 @@ impl Descriptions {
             && end.node.as_ref().is_some_and(is_of_node)
     }
 
-    /// Whether it is a node's own server of types.
+    /// Whether it is a node's own type description server.
     pub(crate) fn is_theirs(&self, end: &LocalEndpoint) -> bool {
         end.kind == EndpointKind::Service && end.type_id == self.id && end.topic == service_of(&end.node)
     }
 
-    /// Answers at these services from now on, and at no others.
+    /// Serves exactly these services.
     pub(crate) fn answer_at(&mut self, session: &Session, domain: u32, services: BTreeSet<String>) {
         self.answering.retain(|name, _| services.contains(name));
         for name in services {
@@ -270,17 +270,17 @@ impl Descriptions {
             let key = TopicKey { domain, topic: name.clone(), type_id: self.id.clone() };
             let declared = (session.declare_queryable(key.to_string()).complete(true))
                 .allowed_origin(Locality::Remote)
-                // Who finds no room has its question dropped, and asks again.
+                // If the queue is full, the query is dropped, and its client retries.
                 .callback(move |query| drop(events.try_send(Event::FarChange(NetworkEvent::Asked(query)))))
                 .wait();
             match declared {
                 Ok(queryable) => drop(self.answering.insert(name, queryable)),
-                Err(error) => tracing::warn!("{name} does not answer: {error}"),
+                Err(error) => tracing::warn!("service {name} is not served: {error}"),
             }
         }
     }
 
-    /// Answers a question.
+    /// Answers a query.
     pub(crate) fn answer(&mut self, query: &Query, types: &mut Types) {
         match self.reply(query.payload(), types) {
             Err(reason) => self.count(reason),
@@ -383,7 +383,7 @@ mod tests {
         assert_eq!(outcome, "answered");
 
         asker.learn(&id, Some(&reply));
-        assert!(asker.counts().is_empty(), "nobody asked");
+        assert!(asker.counts().is_empty(), "no request");
         asker.pending.insert(id.clone(), Instant::now());
         asker.learn(&id, Some(&reply));
         asker.learn(&id, Some(&reply));
@@ -391,7 +391,7 @@ mod tests {
         let learned = types(here.path()).schema(&id).unwrap();
         assert_eq!((learned.hash(), learned.referenced().count()), (pose.hash(), 1));
 
-        // The other does not know it, and says so.
+        // The other host does not know it, and says so.
         let (reply, _) =
             asker.reply(Some(&question), &mut types(tempfile::tempdir().unwrap().path())).unwrap();
         assert_eq!(asker.check(&id, Some(&reply)).unwrap_err(), Refused::Unsuccessful);
@@ -436,7 +436,7 @@ mod tests {
         {
             assert_eq!(descriptions.reply(request.as_ref(), &mut types).unwrap_err(), Refused::Request);
         }
-        // Whatever the bytes are: the type asked for, or refused.
+        // Any bytes: the requested type, or refused.
         let seed = rand::random();
         println!("seed {seed}");
         let mut random = rand::rngs::SmallRng::seed_from_u64(seed);

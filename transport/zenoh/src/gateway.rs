@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The gateway itself: joins the domain and the network, and does what the mirror decides.
+//! The gateway: joins the domain and the network, and starts its threads.
 
 use crate::config::{ConfigError, MAX_MESSAGE_BYTES, Network, SessionConfig};
 use crate::descriptions::Descriptions;
@@ -23,32 +23,32 @@ use tautline_schema::SchemaError;
 use tautline_transport::{Participant, RemoteGraph, SchemaStore, TransportError};
 use zenoh::{Session, Wait};
 
-/// What a gateway is to do. Every field has a default that works on one host.
+/// Options of a gateway. Every field has a default that works on one host.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The domain of this host's topics.
+    /// The domain on this host.
     pub domain: u32,
-    /// The domain on the network, if it is to be another one.
+    /// The domain on the network, if different.
     pub network_domain: Option<u32>,
-    /// Endpoints and configuration of Zenoh.
+    /// Network options.
     pub network: Network,
-    /// Topics that are mirrored: all.
+    /// Topics to mirror: all by default.
     pub filter: Filter,
-    /// Order on a busy link; what no rule speaks of goes by size.
+    /// Priorities on a busy link; topics without a rule go by size.
     pub rules: Vec<Rule>,
-    /// Whether what bridges tell of here is announced too.
+    /// Whether endpoints that bridges announce in the domain are announced too.
     pub transit: bool,
     /// `SCHED_FIFO` priority of the network's threads: below the sampler's (90), above the callbacks'.
     pub priority: u8,
-    /// Whether that is required.
+    /// Whether real-time priorities are required.
     pub realtime: Realtime,
     /// Cores of the network's threads.
     pub cores: Option<CoreSet>,
-    /// Processor time at that priority; `None` is without a limit.
+    /// Processor budget at that priority; `None`: no limit.
     pub budget: Option<Budget>,
-    /// Longest body that is taken from the network.
+    /// Longest body accepted from the network.
     pub max_message_bytes: usize,
-    /// How much of other hosts is kept.
+    /// Limits of what is stored about other hosts.
     pub limits: GraphLimits,
 }
 
@@ -80,34 +80,34 @@ impl Default for Options {
     }
 }
 
-/// Why there is no gateway.
+/// Why a gateway could not start.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum GatewayError {
-    /// There is one, or its lock cannot be had.
+    /// Another gateway runs, or the lock file failed.
     #[error(transparent)]
     Instance(#[from] InstanceError),
-    /// Zenoh's configuration.
+    /// Invalid configuration.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// Zenoh.
+    /// Zenoh could not start.
     #[error(transparent)]
     Session(#[from] SessionError),
-    /// The domain's shared memory.
+    /// Shared memory of the domain failed.
     #[error(transparent)]
     Transport(#[from] TransportError),
-    /// A thread.
+    /// A thread could not start.
     #[error(transparent)]
     Threads(#[from] RtError),
-    /// The definition of the service that tells types.
-    #[error("the definitions that this program was built with are no valid ones: {0}")]
+    /// The built-in definition of the type description service is invalid.
+    #[error("built-in type definitions are invalid, build again from a clean checkout: {0}")]
     Definitions(Box<SchemaError>),
-    /// Zenoh refused something that every session has.
+    /// A Zenoh call failed.
     #[error("{what} failed in Zenoh: {reason}")]
     Zenoh {
-        /// Which step.
+        /// The step.
         what: &'static str,
-        /// Zenoh's word for it.
+        /// Zenoh's error.
         reason: String,
     },
 }
@@ -121,7 +121,7 @@ impl From<RelayError> for GatewayError {
     }
 }
 
-/// A running gateway. Dropping it takes everything back: tokens, links, threads, the lock.
+/// A running gateway. Dropping it withdraws tokens, closes links, ends threads and releases the lock.
 pub struct Gateway {
     events: Events,
     state: Arc<GatewayState>,
@@ -133,7 +133,7 @@ pub struct Gateway {
     _lock: InstanceLock,
 }
 
-/// What is read from outside.
+/// State that [`Gateway`] reads.
 pub(crate) struct GatewayState {
     pub(crate) stop: AtomicBool,
     pub(crate) stats: Mutex<Stats>,
@@ -141,23 +141,23 @@ pub(crate) struct GatewayState {
     pub(crate) remote: Mutex<Arc<Vec<Token>>>,
 }
 
-/// Most tokens and changes that wait to be looked at; of more, all are asked for again.
+/// Capacity of the event queue; on overflow all tokens are requested again.
 const EVENTS: usize = 16_384;
 
 impl Gateway {
-    /// Starts a gateway in this process: about eight threads, none of which the caller's own real-time threads wait for.
+    /// Starts a gateway in this process: about eight threads. The caller's real-time threads wait for none of them.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
-    /// [`GatewayError`]: another gateway of the domain, a configuration, a missing privilege.
+    /// [`GatewayError`]: another gateway of the domain, an invalid configuration, a missing privilege.
     pub fn spawn(options: Options) -> Result<Self, GatewayError> {
         let lock = Instance::gateway(options.domain).lock()?;
         Self::spawn_in(options, lock)
     }
 
-    /// As [`spawn`](Self::spawn), with a lock that was waited for.
+    /// Like [`spawn`](Self::spawn), with a lock from [`Instance::wait`].
     ///
     /// # Errors
     /// [`GatewayError`].
@@ -165,7 +165,7 @@ impl Gateway {
         let config =
             options.network.session_config(|name| std::env::var(name).ok(), options.max_message_bytes)?;
         let participant = Participant::new(options.domain)?;
-        // From the first port on it is known that they stand for others.
+        // Marks the participant as one that mirrors others, before its first port appears.
         participant.set_remote(&RemoteGraph::default())?;
         let policy = match options.realtime {
             Realtime::Required => Policy::Fifo(options.priority),
@@ -184,14 +184,14 @@ impl Gateway {
             .history(true)
             .callback(tokens_to(events.clone()))
             .wait()
-            .map_err(refused("listening to other hosts"))?;
+            .map_err(refused("subscribing to liveliness tokens"))?;
         let zid = u128::from_le_bytes(session.zid().to_le_bytes());
         let ends = session
             .liveliness()
             .declare_subscriber(ended_wildcard(network_domain))
             .callback(ends_to(events.clone(), zid))
             .wait()
-            .map_err(refused("listening to what ends on other hosts"))?;
+            .map_err(refused("subscribing to the ends of publishers"))?;
         let zid = format!("{zid:x}");
         let stats = Stats { domain: options.domain, network_domain, zid, ..Stats::default() };
         let state = Arc::new(GatewayState {
@@ -201,14 +201,14 @@ impl Gateway {
         });
         let thread = |name: &str| {
             let builder = ThreadBuilder { cores: options.cores, ..ThreadBuilder::new(name) };
-            // Zenoh's calls are deep.
+            // Calls into Zenoh need a deep stack.
             builder.policy(policy).realtime(options.realtime).stack_bytes(2 << 20)
         };
         let services = NetworkServices::new(&session, network_domain, options.max_message_bytes);
         let services = Services::start(&participant, services, thread("gw-services"))?;
         let descriptions = Descriptions::new(SchemaStore::of_user(), events.clone())
             .map_err(|error| GatewayError::Definitions(error.into()))?;
-        // From here on whatever fails ends what was started.
+        // From here on, an error ends everything that has started.
         let (control, watch, guard) = (None, None, None);
         let mut gateway = Gateway { events, state, control, watch, guard, config, session, _lock: lock };
         gateway.watch = {
@@ -241,10 +241,10 @@ impl Gateway {
         Ok(gateway)
     }
 
-    /// Reads back what the kernel says of Zenoh's threads.
+    /// Reads back the policies of Zenoh's threads, and corrects them.
     fn check_threads(&self, asked: Policy) -> Result<(), RtError> {
         for thread in network_threads()? {
-            // With a budget a thread may be an ordinary one at this moment.
+            // With a budget a thread may be demoted at this moment.
             if thread.policy != asked && self.guard.as_ref().is_none_or(|guard| guard.demotions() == 0) {
                 tautline_rt::set_policy_of(thread.tid, asked)?;
             }
@@ -252,17 +252,17 @@ impl Gateway {
         Ok(())
     }
 
-    /// The configuration that Zenoh was opened with.
+    /// The configuration of the Zenoh session.
     pub fn config(&self) -> &SessionConfig {
         &self.config
     }
 
-    /// Addresses at which links are accepted, such as `tcp/127.0.0.1:41234`.
+    /// Listening addresses, such as `tcp/127.0.0.1:41234`.
     pub fn locators(&self) -> Vec<String> {
         self.session.info().locators().wait().iter().map(ToString::to_string).collect()
     }
 
-    /// Zenoh's threads, as the kernel reports them.
+    /// Zenoh's threads, as reported by the kernel.
     ///
     /// # Errors
     /// [`RtError`] if `/proc` cannot be read.
@@ -270,7 +270,7 @@ impl Gateway {
         network_threads()
     }
 
-    /// What went through and what did not. Rates are those of the second before.
+    /// Statistics. Rates are those of the last second.
     pub fn stats(&self) -> Stats {
         let mut stats = self.state.stats.lock().unwrap_or_else(PoisonError::into_inner).clone();
         stats.links = self.session.info().transports().wait().count();
@@ -288,7 +288,7 @@ impl Drop for Gateway {
     fn drop(&mut self) {
         self.guard = None;
         self.state.stop.store(true, Ordering::Release);
-        // If it does not fit, the control thread has much to read and will see the flag.
+        // If the queue is full, the control thread wakes anyway and sees the flag.
         let _ = self.events.try_send(Event::Stop);
         for thread in [self.control.take(), self.watch.take()].into_iter().flatten() {
             let _ = thread.join();
@@ -297,7 +297,7 @@ impl Drop for Gateway {
     }
 }
 
-/// The threads of Zenoh and the gateway's own.
+/// Zenoh's threads and the gateway's own.
 fn watched_threads() -> Result<Vec<u32>, RtError> {
     let own = tautline_rt::threads()?.into_iter().filter(|thread| THREADS.contains(&thread.name.as_str()));
     Ok(network_threads()?.into_iter().chain(own).map(|thread| thread.tid).collect())

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is known of other hosts: their nodes and endpoints, from their liveliness tokens. Bounded, however many tokens
-//! a hostile peer declares.
+//! The nodes and endpoints of other hosts, from their liveliness tokens. Bounded, however many tokens a hostile peer declares.
 
 use crate::origin::origin;
 use crate::remote::{RemoteEntity, entity};
@@ -11,16 +10,16 @@ use tautline_relay::FarGraph;
 use tautline_schema::{TypeHash, TypeName};
 use tautline_transport::{EndpointKind::Publisher, RemoteNode};
 
-/// How long, and of how many publishers, it is known that they have ended.
+/// How long, and for how many publishers, a normal end is remembered.
 const ENDED_TIME: Duration = Duration::from_secs(10);
 const MOST_ENDED: usize = 4096;
 
-/// Limits of what is kept of other hosts.
+/// Limits of what is stored about other hosts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct GraphLimits {
-    /// Most tokens in all: nodes and endpoints. 8192 by default.
+    /// Maximum of tokens: nodes and endpoints. 8192 by default.
     pub tokens: usize,
-    /// Most tokens of one session, as far as tokens can be believed about whose they are. 4096 by default.
+    /// Maximum of tokens per session, as far as their session ids are true. 4096 by default.
     pub tokens_per_session: usize,
 }
 
@@ -35,25 +34,25 @@ pub(crate) struct Graph {
     domain: u32,
     own_zid: u128,
     limits: GraphLimits,
-    /// By the token's text as it came, which is how its end is announced; and what it stands for.
+    /// By key expression, by which its end is announced; with the entity.
     tokens: HashMap<String, (Token, RemoteEntity)>,
     per_session: HashMap<u128, usize>,
-    /// Tags of publishers that have ended by themselves, and since when that is known.
+    /// Tags of publishers that ended normally, and when that was announced.
     ended: VecDeque<(Instant, u64)>,
-    /// How many tokens were refused, by reason.
+    /// Refused tokens, by reason.
     refused: BTreeMap<String, u64>,
-    /// Whether a token was refused for lack of room since the last look.
+    /// Whether a token was refused for lack of room.
     is_incomplete: bool,
 }
 
 impl Graph {
-    /// An empty graph of `domain`, seen from the session `own_zid`.
+    /// An empty graph of `domain`, for the session `own_zid`.
     pub(crate) fn new(domain: u32, own_zid: u128, limits: GraphLimits) -> Self {
         let (tokens, per_session, ended, refused) = Default::default();
         Graph { domain, own_zid, limits, tokens, per_session, ended, refused, is_incomplete: false }
     }
 
-    /// A token appeared. Whether it says anything new.
+    /// A token appeared. Returns whether the graph changed.
     pub(crate) fn insert(&mut self, key: &str) -> bool {
         let token = match Token::parse(key) {
             Ok(token) => token,
@@ -77,7 +76,7 @@ impl Graph {
         true
     }
 
-    /// A token is gone. Whether it was there.
+    /// A token disappeared. Returns whether the graph changed.
     pub(crate) fn remove(&mut self, key: &str) -> bool {
         let Some((token, _)) = self.tokens.remove(key) else { return false };
         if let Some(count) = self.per_session.get_mut(&token.zid) {
@@ -89,7 +88,7 @@ impl Graph {
         true
     }
 
-    /// What there is, for a mirror.
+    /// The graph, for a mirror.
     pub(crate) fn there(&self) -> FarGraph {
         let mut there = FarGraph { ended: self.ended(), ..FarGraph::default() };
         for (token, entity) in self.tokens.values() {
@@ -110,7 +109,7 @@ impl Graph {
         there
     }
 
-    /// A gateway says that a publisher has ended by itself, whose token goes next.
+    /// A gateway announces that a publisher ended normally; its token disappears next.
     pub(crate) fn note_ended(&mut self, tag: u64) {
         if self.ended.len() >= MOST_ENDED {
             self.ended.pop_front();
@@ -118,13 +117,13 @@ impl Graph {
         self.ended.push_back((Instant::now(), tag));
     }
 
-    /// The tags of publishers that have ended by themselves, as far as that is said and not long ago.
+    /// Tags of publishers with a recent announcement of a normal end.
     pub(crate) fn ended(&self) -> BTreeSet<u64> {
         let recent = self.ended.iter().filter(|(since, _)| since.elapsed() < ENDED_TIME);
         recent.map(|(_, tag)| *tag).collect()
     }
 
-    /// Whether tokens were refused for lack of room, and there is room now: time to ask for all tokens again.
+    /// Whether tokens were refused for lack of room, and there is room now: request all tokens again.
     pub(crate) fn wants_resync(&mut self) -> bool {
         let wants = self.is_incomplete && self.tokens.len() < self.limits.tokens / 4 * 3;
         self.is_incomplete &= !wants;
@@ -142,7 +141,7 @@ impl Graph {
             .map(|token| &token.node)
     }
 
-    /// The hash that other hosts state for a type on a topic.
+    /// The hash that other hosts state for a topic's type.
     pub(crate) fn hash_of(&self, topic: &str, name: &TypeName) -> Option<TypeHash> {
         let ends = self.tokens().filter_map(|token| token.endpoint.as_ref());
         let mut hashes = ends
@@ -150,7 +149,7 @@ impl Graph {
             .filter(|end| end.name == topic && end.type_id.name == *name)
             .map(|end| end.type_id.hash);
         let hash = hashes.next()?;
-        // Of two that differ, neither can be believed.
+        // If they differ, none is reliable.
         hashes.all(|other| other == hash).then_some(hash)
     }
 
@@ -159,12 +158,12 @@ impl Graph {
         self.tokens.values().map(|(token, _)| token)
     }
 
-    /// The texts of all tokens that are kept.
+    /// The key expressions of all stored tokens.
     pub(crate) fn keys(&self) -> impl Iterator<Item = &str> {
         self.tokens.keys().map(String::as_str)
     }
 
-    /// How many tokens were refused, by reason.
+    /// Refused tokens, by reason.
     pub(crate) fn refused(&self) -> &BTreeMap<String, u64> {
         &self.refused
     }

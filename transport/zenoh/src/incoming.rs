@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! From the network to shared memory: the claim is checked, the body is copied once, from the network's slices into a
-//! loan, for all subscriptions of the host.
+//! From the network to shared memory: a sample is checked, and its body copied once, from Zenoh's slices into a loan, for all
+//! subscriptions of the host.
 //!
-//! It is done in Zenoh's own thread, as soon as the sample is there. Nothing in it waits: a subscription that is slow
-//! loses its oldest samples.
+//! This runs in Zenoh's thread and never waits: a slow subscription loses its oldest samples.
 
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
 use std::sync::Arc;
@@ -17,12 +16,12 @@ use zenoh::sample::{Locality, Sample, SampleKind};
 use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig, RecoveryConfig};
 
-/// How messages come: from several links, and again those that are kept. Other implementations of the wire write gids that their tokens
-/// do not tell (hiroz, zenoh-ros2-sdk).
+/// Messages arrive over several links, and kept ones again. Other implementations of the wire write GIDs that their tokens do not
+/// announce (hiroz, zenoh-ros2-sdk).
 pub(crate) const DELIVERY: Delivery = Delivery { early: None, is_ordered: false };
-/// A time stamp further ahead of this host's clock is no time.
+/// A time stamp further ahead of this host's clock is invalid.
 const FUTURE_NS: i64 = 3_600_000_000_000;
-/// How long a publisher is waited for that was asked for what it keeps.
+/// Time-out of a request for kept samples.
 const HISTORY_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Why a sample from the network was dropped.
@@ -38,11 +37,11 @@ pub(crate) enum Dropped {
     Time,
 }
 
-/// A topic that comes in. Dropping it ends the subscription on the network.
+/// An incoming topic. Dropping it ends the subscription on the network.
 pub(crate) struct Incoming {
     ingress: Arc<Gate>,
     _subscriber: Subscriber,
-    /// Where newer publishers of images and the like put them.
+    /// Newer publishers of images and the like use this key.
     _cpu_group: zenoh::pubsub::Subscriber<()>,
 }
 
@@ -63,7 +62,7 @@ impl Incoming {
         let ingress = Arc::new(Gate { ingress: PiMutex::new(Some(ingress)), counters, max_bytes });
         let (of_group, receiving) = (ingress.clone(), ingress.clone());
         let cpu_group = session.declare_subscriber(key.cpu_group()).allowed_origin(Locality::Remote);
-        // Their numbers count what goes to others, too: gaps in them are no losses.
+        // Their sequence numbers also count samples to other subscriptions: gaps are not losses.
         let cpu_group = cpu_group.callback(move |sample| of_group.take(&sample, false)).wait()?;
         let incoming = |subscriber| Incoming { ingress, _subscriber: subscriber, _cpu_group: cpu_group };
         let subscriber = session.declare_subscriber(key.to_string()).allowed_origin(Locality::Remote);
@@ -86,13 +85,13 @@ impl Incoming {
         self.ingress.with(|ingress| ingress.change(change));
     }
 
-    /// What another one goes on with; nothing comes in here any more.
+    /// Ends this one and returns its ingress for the next.
     pub(crate) fn end(self) -> Option<Ingress> {
         self.ingress.ingress.lock().take()
     }
 }
 
-/// Where samples of one topic go, which come from several links' threads; `None` when another one takes them.
+/// Receives samples of one topic from the threads of several links; `None` after another one took over.
 struct Gate {
     ingress: PiMutex<Option<Ingress>>,
     counters: Arc<TopicCounters>,
@@ -116,7 +115,7 @@ impl Gate {
         }
     }
 
-    /// What is said of a sample, once its frame has been checked.
+    /// The metadata of a sample, after checking its frame.
     fn check(&self, sample: &Sample) -> Result<Source, Dropped> {
         if sample.kind() != SampleKind::Put {
             return Err(Dropped::Deletion);
@@ -138,7 +137,7 @@ impl Gate {
     }
 }
 
-/// What follows the encapsulation, which was checked.
+/// The body behind the encapsulation, which was checked.
 struct Payload<'p>(&'p ZBytes);
 
 impl Body for Payload<'_> {
@@ -154,7 +153,7 @@ impl Body for Payload<'_> {
 
     fn copy_to(&self, to: &mut [u8]) {
         let copied = copy(self.0.slices(), ENCAPSULATION.len(), to);
-        // The slices are what they are, whatever length they claim.
+        // The slices may be shorter than the length that they claim.
         to[copied..].fill(0);
     }
 }
@@ -169,7 +168,7 @@ fn parse_attachment(attachment: Option<&ZBytes>) -> Result<Attachment, Malformed
     Attachment::parse(&bytes)
 }
 
-/// Copies what follows the first `skip` bytes of `slices` to `to`, as much as fits. Returns how much that was.
+/// Copies `slices` without the first `skip` bytes to `to`, as far as it fits. Returns the number of bytes.
 fn copy<'a>(slices: impl Iterator<Item = &'a [u8]>, mut skip: usize, to: &mut [u8]) -> usize {
     let mut at = 0;
     for slice in slices {

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The gateway: topics of a host mirrored over Zenoh, on the rmw_zenoh wire.
 //!
-//! [`Gateway`] joins a domain and a Zenoh network. It announces the host's nodes and endpoints there, and those of other hosts here;
-//! samples travel while both ends of a topic exist. [`Options`] says where it listens, what it mirrors and what goes first on a
-//! busy link, [`Gateway::stats`] what went through and what did not, and why.
+//! [`Gateway`] joins a domain and a Zenoh network. It announces the host's nodes and endpoints there, and those of other hosts
+//! here; samples travel while a topic has endpoints on both sides. [`Options`] sets endpoints, topics and priorities;
+//! [`Gateway::stats`] counts what was forwarded, lost and dropped, and why.
 //!
-//! `gw-out` takes the host's samples and gives them to Zenoh, `gw-wait` and `gw-bulk` those that may wait for a link; `gw-services`
-//! carries requests and responses; `gw-control` and `gw-watch` follow what comes and goes. They and Zenoh's own threads start at
-//! `SCHED_FIFO` 80 unless [`Options`] say otherwise; a [`Budget`] bounds the processor time of all of them. No default
-//! build touches Zenoh. The program around it is `taut-gateway`; `docs/deployment.md` says how it is used.
+//! `gw-out` takes the host's samples and puts them on Zenoh; `gw-wait` and `gw-bulk` put those that may wait for a link;
+//! `gw-services` carries requests and responses; `gw-control` and `gw-watch` follow both graphs. They and Zenoh's own threads run
+//! at `SCHED_FIFO` 80 unless [`Options`] set another priority, within the processor [`Budget`]. No default build uses Zenoh. The
+//! program is `taut-gateway`; `docs/deployment.md` describes its use.
 
 mod access;
 mod config;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What exists in the domain, in the network's terms: on this host, and what bridges and other gateways tell of here.
+//! The domain's endpoints in terms of the network, including those that bridges and other gateways announce in it.
 
 use crate::tokens::LocalEndpoint;
 use crate::wire::{EndpointKind, NodeName, TypeId, WireDuration, WireQos};
@@ -10,7 +10,7 @@ use tautline_schema::{TypeHash, TypeName};
 use tautline_transport::{Gid, Liveliness, Origin, Qos, ServiceEndpoint, ServiceKind, TopicEndpoint};
 use zenoh::key_expr::keyexpr;
 
-/// An end of a topic or a service, as the graph has it.
+/// An endpoint of a topic or service, from the graph.
 struct End<'a> {
     kind: EndpointKind,
     name: &'a str,
@@ -51,7 +51,7 @@ impl<'a> End<'a> {
             type_name: &end.type_name,
             hash: end.type_hash.as_deref(),
             gid: end.gid,
-            // As ROS 2's services have it.
+            // ROS 2's default for services.
             qos: wire_qos(&Qos::keep_last(10)),
             node: end.node.as_ref(),
             pid: end.pid,
@@ -60,8 +60,8 @@ impl<'a> End<'a> {
     }
 }
 
-/// What is here in the network's terms, and of what cannot be mirrored the reason. What is left `here` states the hash of its type.
-/// `hash_of` finds that of a type that no end of its topic here states, from its topic's and type's name.
+/// The endpoints in terms of the network; `here.problems` gets the reasons for those that cannot be mirrored, and the rest of
+/// `here` gets type hashes. `hash_of` finds the hash, by topic and type, where no endpoint here states it.
 pub(crate) fn list(
     here: &mut LocalGraph,
     mut hash_of: impl FnMut(&str, &TypeName) -> Option<TypeHash>,
@@ -71,13 +71,13 @@ pub(crate) fn list(
     let mut stated = HashMap::new();
     for end in &ends {
         if let Some(hash) = end.hash {
-            // Of two that differ, neither can be believed.
+            // If they differ, none is reliable.
             let known = stated.entry((end.name, end.type_name)).or_insert(Some(hash));
             *known = known.filter(|known| *known == hash);
         }
     }
     let (mut processes, mut problems) = (HashMap::new(), BTreeMap::new());
-    // Once for all ends of a topic: it is a long look.
+    // Once per topic: the look-up is slow.
     let mut found = HashMap::<(String, TypeName), Option<TypeHash>>::new();
     let mut hash_of = |topic: &str, name: &TypeName| {
         *found.entry((topic.to_owned(), name.clone())).or_insert_with(|| hash_of(topic, name))
@@ -128,15 +128,15 @@ fn type_id(
     hash_of: &mut impl FnMut(&str, &TypeName) -> Option<TypeHash>,
 ) -> Result<TypeId, String> {
     if !keyexpr::new(topic.trim_start_matches('/')).is_ok_and(|key| !key.is_wild()) {
-        return Err("its name is no key of Zenoh's: leave '*', '$', '?', '#' and empty parts out".to_owned());
+        return Err("its name is not a Zenoh key: remove '*', '$', '?', '#' and empty parts".to_owned());
     }
-    let name: TypeName = name.parse().map_err(|_| format!("'{name}' is no ROS 2 type name"))?;
+    let name: TypeName = name.parse().map_err(|_| format!("'{name}' is not a ROS 2 type name"))?;
     let hash = match hash {
         Some(text) => text.parse().ok(),
         None => hash_of(topic, &name),
     };
     let hash = hash.ok_or_else(|| {
-        format!("no hash is known of type {name}: give the type one, or set AMENT_PREFIX_PATH to where it is defined")
+        format!("no hash is known for type {name}: declare the type with one, or add its definition to AMENT_PREFIX_PATH")
     })?;
     Ok(TypeId { name, hash })
 }
@@ -181,7 +181,7 @@ mod tests {
         assert_eq!(wire_qos(&listed.publishers[0].qos), wire_qos(&manual));
     }
 
-    /// One end states the hash of the type, the other does not know it; of another topic two differ.
+    /// One endpoint states the hash of the type, another does not; on another topic two hashes differ.
     #[test]
     fn a_hash_is_the_whole_topics() {
         crate::tests::isolated();

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut-gateway`: what `taut gateway` runs.
+//! `taut-gateway`, the program behind `taut gateway`.
 #![forbid(unsafe_code)]
-#![allow(rustdoc::broken_intra_doc_links, reason = "what args.rs says is text for a terminal")]
+#![allow(rustdoc::broken_intra_doc_links, reason = "the doc comments of args.rs are help texts")]
 
 mod args;
 mod status;
@@ -22,10 +22,10 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 fn main() -> ExitCode {
     let args = Args::parse();
-    // Before there are threads. Zenoh frees and allocates some MB for every large message: a third of its rate, if the heap
-    // shrinks and grows again each time.
+    // Before threads start. Zenoh allocates and frees some MB for each large message, which costs a third of its rate if the heap
+    // shrinks and grows each time.
     tautline_rt::keep_freed_memory();
-    // Zenoh says much that is no concern of ours; what it drops or loses is counted. RUST_LOG changes what is shown.
+    // Zenoh's warnings are noise here; samples that it drops or loses are counted. RUST_LOG overrides the filter.
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,zenoh=error,zenoh_ext=error"));
     let colours = std::io::stderr().is_terminal();
@@ -53,7 +53,7 @@ fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// `None`: a signal came while another gateway was waited for.
+/// `None`: a signal ended the wait for another gateway.
 fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Gateway>, Box<dyn Error>> {
     if !args.standby {
         return Ok(Some(Gateway::spawn(options)?));
@@ -62,7 +62,7 @@ fn start(args: &Args, options: Options, stop: &AtomicBool) -> Result<Option<Gate
     Ok(lock.map(|lock| Gateway::spawn_in(options, lock)).transpose()?)
 }
 
-/// What it does and where it listens: once, to standard error.
+/// Prints the gateway's configuration and addresses once, to standard error.
 fn introduce(gateway: &Gateway, options: &Options) {
     let (config, stats) = (gateway.config(), gateway.stats());
     let other = options.network_domain.filter(|domain| *domain != options.domain);
@@ -84,11 +84,11 @@ fn introduce(gateway: &Gateway, options: &Options) {
         eprintln!("connecting to {}", config.connect.join(" "));
     }
     match (options.realtime, gateway.threads()) {
-        (Realtime::Off, _) => eprintln!("without real-time priorities: callbacks and the network compete"),
+        (Realtime::Off, _) => eprintln!("without real-time priorities: the network competes with callbacks"),
         (Realtime::Required, Ok(threads)) => {
             let budget = options.budget.map_or_else(
-                || "without a budget: a flood can starve callbacks".into(),
-                |budget| format!("at most {} % of a core, beyond that as ordinary threads", budget.percent),
+                || "no budget: a flood can starve callbacks".into(),
+                |budget| format!("budget {} % of a core; above it, they run as SCHED_OTHER", budget.percent),
             );
             eprintln!(
                 "{} threads of the network at SCHED_FIFO {}, {budget}",

@@ -1,25 +1,25 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where ends and nodes were first, as tokens say it: in their enclave, which is free text to rmw_zenoh and part of what gids are
-//! computed from. `/tautline/<tag>/<times over ROS>/<place>/<domain>/<domain>...`, numbers in hexadecimal.
+//! Origins of endpoints and nodes in tokens: in the enclave, which rmw_zenoh treats as free text and hashes into GIDs.
+//! `/tautline/<tag>/<times over ROS>/<place>/<domain>/<domain>...`, numbers in hexadecimal.
 
 use crate::wire::{NodeName, Token, endpoint_gid};
 use tautline_transport::{Gid, Origin};
 
-/// Below it gateways say which publishers have ended by themselves, for a while, as tokens, which come in the order in which they are
-/// declared: `@tautline_ended/<domain>/<zid>/<tag>`. What ends without that word has died. No other program listens.
+/// Prefix of announcements that a publisher ended normally, kept for a while as liveliness tokens, which arrive in order:
+/// `@tautline_ended/<domain>/<zid>/<tag>`. A publisher that ends without one has died. Only gateways subscribe to them.
 pub(crate) const ENDED: &str = "@tautline_ended";
 
-/// The word that a publisher has ended.
+/// The announcement that a publisher ended normally.
 pub(crate) fn ended(domain: u32, zid: u128, tag: u64) -> String {
     format!("{ENDED}/{domain}/{zid:x}/{tag:016x}")
 }
 
-/// All such words of a domain.
+/// All such announcements of a domain.
 pub(crate) fn ended_wildcard(domain: u32) -> String {
     format!("{ENDED}/{domain}/**")
 }
 
-/// Whose word that is, and the tag of the publisher that it is about; a claim.
+/// The announcing session, and the publisher's tag; untrusted.
 pub(crate) fn ended_tag(key: &str) -> Option<(u128, u64)> {
     let mut parts = key.strip_prefix(ENDED)?.split('/').skip(2);
     let (zid, tag) = (parts.next()?, parts.next()?);
@@ -28,19 +28,19 @@ pub(crate) fn ended_tag(key: &str) -> Option<(u128, u64)> {
 }
 
 const OURS: &str = "/tautline/";
-/// What is no gateway's token's is on the network itself.
+/// The place of entities whose token no gateway declared.
 const PLACE: &str = "zenoh";
 
-/// A node's names with where it, or its end, was first.
+/// A node's names with an origin.
 pub(crate) fn named(node: &NodeName, origin: &Origin) -> NodeName {
     let Origin { tag, path, ros, place } = origin;
-    // A part of a name is not empty.
+    // No part may be empty.
     let place = if place.is_empty() { "_" } else { place };
     let path: String = path.iter().map(|domain| format!("/{domain:016x}")).collect();
     NodeName { enclave: format!("{OURS}{tag:016x}/{ros:x}/{place}{path}"), ..node.clone() }
 }
 
-/// Where what a token stands for was first: as it says, or, if it is no gateway's, where it is.
+/// The origin that a token states, or the entity's own, if no gateway declared it.
 pub(crate) fn origin(token: &Token) -> Origin {
     said(&token.node.enclave).unwrap_or_else(|| {
         let gid = match token.endpoint {
@@ -51,7 +51,7 @@ pub(crate) fn origin(token: &Token) -> Origin {
     })
 }
 
-/// What an enclave says; it is a claim.
+/// Parses an enclave, which is untrusted.
 fn said(enclave: &str) -> Option<Origin> {
     let mut parts = enclave.strip_prefix(OURS)?.split('/');
     let number = |text: &str| u64::from_str_radix(text, 16).ok();

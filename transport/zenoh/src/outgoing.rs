@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! From shared memory to the network: one thread takes the samples of all topics and puts them on Zenoh.
 //!
-//! What it takes never waits for the network for long: on a link that is busy a sample is dropped, and its number missed at
-//! the other end. Two kinds of samples may wait longer, and have a thread each to do so: large ones, whose fragments fill the
-//! link's queue, and those of publishers that keep samples for late joiners or are reliable and keep all. When too many of
-//! these wait, they are dropped too, and counted. A local publisher never notices any of it.
+//! It never waits long for the network: on a busy link a sample is dropped, and the receiver counts the gap in sequence numbers.
+//! Two kinds of samples may wait longer, each in its own thread: large ones, whose fragments fill the link's queue, and those of
+//! publishers that are transient local, or reliable and keep all. If too many of these wait, they are dropped too, and counted.
+//! Local publishers are not affected.
 
 use crate::rules::{BULK_BYTES, Rule, Urgency, ruled};
 use crate::wire::{Attachment, ENCAPSULATION, TopicKey, WireQos};
@@ -27,21 +27,21 @@ use zenoh::sample::Locality;
 use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
-/// Bodies from this on go to Zenoh as they lie in shared memory; smaller ones are copied behind their header.
+/// Bodies of at least this size go to Zenoh without a copy; smaller ones are copied behind their header.
 const IN_PLACE_BYTES: usize = 4096;
-/// Samples that wait for a link, of publishers that keep samples for late joiners or are reliable and keep all.
+/// Queue of samples from publishers that are transient local, or reliable and keep all.
 const WAITING_SAMPLES: usize = 256;
-/// Large samples that wait for their turn.
+/// Queue of large samples.
 const WAITING_BULK: usize = 8;
-/// As rmw_zenoh's.
+/// As in rmw_zenoh.
 const HEARTBEAT: Duration = Duration::from_millis(500);
 
-/// The gateway's own threads: those that send, and those that hear of changes. A flood, of samples, requests or tokens,
-/// keeps them busy; so the budget is for all of them.
+/// The gateway's own threads: those that send, and those that follow changes. Floods of samples, requests or tokens keep them
+/// busy, so all have the budget.
 pub(crate) const THREADS: [&str; 6] =
     ["gw-out", "gw-wait", "gw-bulk", "gw-services", "gw-control", "gw-watch"];
 
-/// The threads that send; dropping it ends them.
+/// The threads that send; dropping this ends them.
 pub(crate) type Outgoing = Relay<Network>;
 
 pub(crate) fn start(
@@ -56,25 +56,25 @@ pub(crate) fn start(
     Relay::start(participant, thread(THREADS[0]), Network { patient, bulk })
 }
 
-/// A publisher whose samples go out.
+/// The identity of an outgoing publisher.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Identity {
-    /// Its gid on the network.
+    /// Its GID on the network.
     pub(crate) wire_gid: Gid,
     /// Quality of service.
     pub(crate) qos: WireQos,
 }
 
-/// What stands for it.
+/// Mirrors a publisher on the network.
 pub(crate) struct Writer {
     pub(crate) identity: Identity,
     session: Session,
     key: TopicKey,
-    /// Declared when its samples are wanted: as long as it is there Zenoh knows who listens to the key. And since when.
+    /// Declared when its samples are first needed, with the time: while it exists, Zenoh knows the key's subscribers.
     scout: OnceLock<(Option<Publisher<'static>>, Instant)>,
 }
 
-/// So long Zenoh has to find who listens; a token may tell of somebody who never does.
+/// Time-out for Zenoh to find subscribers; a token may announce one that never subscribes.
 const FIND_TIME: Duration = Duration::from_secs(1);
 
 impl Writer {
@@ -85,14 +85,14 @@ impl Writer {
     fn scout(&self) -> (Option<Publisher<'static>>, Instant) {
         let scout = self.session.declare_publisher(self.key.to_string());
         let scout = scout.allowed_destination(Locality::Remote).wait();
-        // A failure is said where samples are to be sent.
+        // The sender logs this failure.
         (scout.ok(), Instant::now())
     }
 }
 
 impl FarWriter for Writer {
-    /// Zenoh asks the others who listens to a key when a publisher of it is declared; what is put before they answered goes nowhere. What
-    /// is kept is asked for by those who come.
+    /// Declaring a publisher makes Zenoh look for subscribers of the key; samples put before that are lost. Late joiners request
+    /// kept samples.
     fn is_matched(&self) -> bool {
         if is_keeping(&self.identity) {
             return true;
@@ -104,7 +104,7 @@ impl FarWriter for Writer {
     }
 }
 
-/// What becomes of samples that were taken.
+/// Puts samples on Zenoh.
 pub(crate) struct Network {
     patient: Queue,
     bulk: Queue,
@@ -115,7 +115,7 @@ impl Egress for Network {
     type Topic = Outbound;
     type Sender = Sender;
 
-    // Until the control thread has seen the publisher.
+    // Until the control thread has discovered the publisher.
     const EARLY: EarlyLimits = EarlyLimits { samples: 64, bytes: 4 << 20, time: Duration::from_secs(2) };
 
     fn pass(&mut self, topic: &mut Outbound, sender: &mut Sender, sample: Taken) {
@@ -129,7 +129,7 @@ impl Egress for Network {
         sender.settle(len_bytes);
         let traced = sender.traced.sample(sample.port(), info.sequence_number);
         let payload = match sample {
-            // What may outlive the put is copied: a subscription can lend few samples.
+            // Samples that may outlive the put are copied: a subscription has few samples to lend.
             Taken::Now(sample) if !sender.may_wait() && len_bytes >= IN_PLACE_BYTES => in_place(sample),
             sample => copied(sample.body()),
         };
@@ -176,9 +176,9 @@ pub(crate) struct Sender {
     writer: Identity,
     publisher: Arc<AnyPublisher>,
     urgency: Urgency,
-    /// Whether that is a guess, which the first sample's size decides.
+    /// Whether the priority is a guess until the first sample.
     is_guess: bool,
-    /// Whether a large sample has come: all later ones follow it, to keep their order.
+    /// Whether a large sample has come: all later ones use its queue, to stay in order.
     is_bulk: bool,
     last: Last,
     traced: TracedSender,
@@ -186,7 +186,7 @@ pub(crate) struct Sender {
 
 enum AnyPublisher {
     Plain(Publisher<'static>),
-    /// Keeps samples for late joiners.
+    /// Transient local.
     Keeping(AdvancedPublisher<'static>),
 }
 
@@ -207,14 +207,14 @@ impl Sender {
         Ok(Sender { session, key, writer, publisher, urgency, is_guess, is_bulk, last, traced })
     }
 
-    /// Samples tell how large they are.
+    /// Adapts the priority to the size of samples.
     fn settle(&mut self, bytes: usize) {
         let is_bulk = self.is_bulk || bytes >= BULK_BYTES;
         let guessed = std::mem::take(&mut self.is_guess);
         let urgency = if guessed { Urgency::by_size(bytes) } else { self.urgency };
-        // What is kept for late joiners belongs to one publisher, which cannot be changed.
+        // Kept samples belong to one publisher, which cannot be replaced.
         if (urgency, is_bulk) != (self.urgency, self.is_bulk) && !is_keeping(&self.writer) {
-            // The new one is there before the old one goes, so that those who listen stay known.
+            // The new publisher exists before the old one ends, so that subscribers stay matched.
             match declare(&self.session, &self.key, &self.writer, urgency, is_bulk) {
                 Ok(publisher) => (self.publisher, self.urgency) = (Arc::new(publisher), urgency),
                 Err(error) => tracing::warn!("topic '{}' keeps its priority: {error}", self.key.topic),
@@ -251,8 +251,8 @@ fn declare(
 ) -> zenoh::Result<AnyPublisher> {
     let qos = &writer.qos;
     let is_reliable = qos.reliability == Reliability::Reliable;
-    // Where a thread of its own may wait, its queue is where samples are dropped: there they are counted, and a message
-    // that Zenoh gives up in the middle of its fragments can leave the priority's queue blocked (1.10.2).
+    // Where a thread may wait, its own queue drops samples, because there drops are counted, and a message that Zenoh drops
+    // between fragments can block its priority's queue (1.10.2).
     let congestion = match (is_reliable, qos.history) {
         (true, History::KeepAll) => CongestionControl::Block,
         _ if is_bulk || is_keeping(writer) => CongestionControl::Block,
@@ -289,7 +289,7 @@ impl AnyPublisher {
     }
 }
 
-/// Samples that may wait, and the thread that does.
+/// A queue of samples that may wait, and its thread.
 struct Queue {
     samples: Option<mpsc::SyncSender<Waiting>>,
     thread: Option<JoinHandle<()>>,
@@ -313,7 +313,7 @@ impl Queue {
 }
 
 impl Drop for Queue {
-    /// What waits is sent.
+    /// Sends the waiting samples.
     fn drop(&mut self) {
         self.samples = None;
         if let Some(thread) = self.thread.take() {
@@ -345,7 +345,7 @@ fn sent(counters: &TopicCounters, outcome: zenoh::Result<()>, len_bytes: usize, 
     }
 }
 
-/// The encapsulation and a copy of the body, in one piece.
+/// The encapsulation and a copy of the body, in one slice.
 fn copied(body: &[u8]) -> ZBytes {
     let mut payload = Vec::with_capacity(ENCAPSULATION.len() + body.len());
     payload.extend_from_slice(&ENCAPSULATION);
@@ -353,8 +353,7 @@ fn copied(body: &[u8]) -> ZBytes {
     payload.into()
 }
 
-/// The encapsulation and the body where it lies: Zenoh copies it into its packets before `put` returns, and then lets
-/// go of it.
+/// The encapsulation and the body in shared memory: Zenoh copies it into packets before `put` returns, then drops it.
 fn in_place(sample: RawSample) -> ZBytes {
     let mut payload = ZBuf::default();
     payload.push_zslice(ZSlice::from(ENCAPSULATION));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What other hosts have, in this host's terms: for the nodes and tools here.
+//! Endpoints of other hosts in terms of the domain, for nodes and tools here.
 
 use crate::origin::origin;
 use crate::wire::{Endpoint, EndpointKind, NodeName, Token, WireQos, endpoint_gid};
@@ -8,7 +8,7 @@ use tautline_transport::{
     Limits, Liveliness, Qos, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicType,
 };
 
-/// What a token stands for.
+/// The entity of a token.
 #[derive(Clone, Debug)]
 pub(crate) enum RemoteEntity {
     Node(tautline_transport::NodeName),
@@ -16,7 +16,7 @@ pub(crate) enum RemoteEntity {
     Service(ServiceEndpoint),
 }
 
-/// As the domain has it.
+/// Its entity, in terms of the domain.
 pub(crate) fn entity(token: &Token) -> RemoteEntity {
     let Some(end) = &token.endpoint else { return RemoteEntity::Node(node(&token.node)) };
     match end.kind {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! In which order samples go over a link that is busy: a rule for the topic, else by size. Small ones go first, so that
-//! an image never delays a command.
+//! Priorities on a busy link: by a rule for the topic, else by size. Small samples go first, so that images do not delay
+//! commands.
 
 use std::str::FromStr;
 use tautline_analysis::file::{LinkPriority, SystemFile, TopicEntry};
@@ -10,22 +10,22 @@ use zenoh::qos::Priority;
 /// How a topic's samples are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Urgency {
-    /// Zenoh's priority: what waits in a higher one goes first.
+    /// Zenoh's priority: samples of a higher one go first.
     pub priority: Priority,
-    /// Sent at once instead of together with what follows within a millisecond.
+    /// Sent at once, not batched with samples of the next millisecond.
     pub express: bool,
 }
 
-/// Bodies up to this are small: they fit into one packet with their headers.
+/// Bodies up to this size are small: they fit into one packet with their headers.
 pub const SMALL_BYTES: usize = 1024;
-/// Bodies from this on are bulk: they are split into fragments.
+/// Bodies from this size on are bulk: they are split into fragments.
 pub const BULK_BYTES: usize = 64 << 10;
 
 impl Urgency {
     /// By the size of a body.
     pub fn by_size(bytes: usize) -> Self {
         match bytes {
-            // Not express: an idle link sends at once anyway, and a busy one holds more of what is sent together.
+            // Not express: an idle link sends at once anyway, and batches use a busy one better.
             0..=SMALL_BYTES => Urgency { priority: Priority::InteractiveHigh, express: false },
             BULK_BYTES.. => Urgency { priority: Priority::DataLow, express: false },
             _ => Urgency { priority: Priority::Data, express: false },
@@ -33,23 +33,23 @@ impl Urgency {
     }
 }
 
-/// `PATTERN=PRIORITY[,express]`: topics of the pattern are sent so, whatever their size.
+/// `PATTERN=PRIORITY[,express]`: the priority of matching topics, whatever their size.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rule {
     topics: Pattern,
     urgency: Urgency,
 }
 
-/// A rule that cannot be one.
+/// An invalid rule.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RuleError {
-    /// No `=`, or no such priority.
+    /// No `=`, or an unknown priority.
     #[error(
-        "'{0}' is no rule: write PATTERN=PRIORITY or PATTERN=PRIORITY,express with real_time, interactive_high, interactive_low, data_high, data, data_low or background"
+        "'{0}' is not a rule: write PATTERN=PRIORITY or PATTERN=PRIORITY,express with real_time, interactive_high, interactive_low, data_high, data, data_low or background"
     )]
     Form(String),
-    /// The pattern.
+    /// An invalid pattern.
     #[error(transparent)]
     Pattern(#[from] PatternError),
 }
@@ -62,17 +62,17 @@ impl FromStr for Rule {
         let (pattern, how) = text.rsplit_once('=').ok_or_else(malformed)?;
         let (name, express) = how.strip_suffix(",express").map_or((how, false), |name| (name, true));
         let named = LinkPriority::ALL.into_iter().find(|priority| priority.as_str() == name);
-        // Zenoh counts them from 1.
+        // Zenoh's priorities start at 1.
         let priority = Priority::try_from(named.ok_or_else(malformed)? as u8 + 1).map_err(|_| malformed())?;
         Ok(Rule { topics: pattern.parse()?, urgency: Urgency { priority, express } })
     }
 }
 
 impl Rule {
-    /// The rules that a system file states, in its order: a topic's `priority` and `express`.
+    /// The rules of a system file, in its order: `priority` and `express` of topics.
     ///
     /// # Errors
-    /// A topic's name that is none.
+    /// An invalid topic name.
     pub fn of_system(file: &SystemFile) -> Result<Vec<Rule>, RuleError> {
         let stated = file.topics().iter().filter_map(|topic| Some((topic, topic.priority?)));
         let rule = |(topic, priority): (&TopicEntry, LinkPriority)| {
@@ -83,7 +83,7 @@ impl Rule {
     }
 }
 
-/// The first rule that speaks of `topic`.
+/// The first rule that matches `topic`.
 pub(crate) fn ruled(rules: &[Rule], topic: &str) -> Option<Urgency> {
     rules.iter().find(|rule| rule.topics.matches(topic)).map(|rule| rule.urgency)
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The network's part in services, in rmw_zenoh's form: a queryable for each service of this host; and for services that only other hosts
-//! have, requests as queries.
+//! Services on the network, in rmw_zenoh's form: a queryable for each service of this host, and queries as requests to services
+//! that only other hosts have.
 
 use crate::wire::{Attachment, ENCAPSULATION, TopicKey, check_encapsulation};
 use futures::task::{ArcWake, waker};
@@ -20,9 +20,9 @@ use zenoh::bytes::ZBytes;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable, Reply};
 use zenoh::{Session, Wait};
 
-/// Queries and answers that wait for the thread: of more, each ends without an answer.
+/// Maximum of queries and replies that wait for the thread; further ones end without a response.
 const MOST_WAITING: usize = 4096;
-/// When Zenoh gives up: a client's own limit comes before. An action's result may take as long as it likes.
+/// Zenoh's time-out; clients' own are shorter. An action's result may take any time.
 const TIMEOUT: Duration = Duration::from_secs(7 * 24 * 3600);
 
 pub(crate) struct NetworkServices {
@@ -37,15 +37,15 @@ pub(crate) struct NetworkServices {
 struct ThreadWaker {
     thread: OnceLock<Thread>,
     is_woken: AtomicBool,
-    /// Queries and answers of all services that wait for the thread.
+    /// Queries and replies of all services that wait for the thread.
     waiting: AtomicUsize,
 }
 
 impl ThreadWaker {
-    /// Until it was woken, at most so long.
+    /// Sleeps until woken, at most for `timeout`.
     fn sleep(&self, timeout: Option<Duration>) {
         let end = timeout.map(|timeout| Instant::now() + timeout);
-        // Whatever else the thread calls may have taken what unparks it.
+        // Other calls in the thread may have consumed the unpark token.
         while !self.is_woken.swap(false, Ordering::SeqCst) {
             match end.map(|end| end.saturating_duration_since(Instant::now())) {
                 Some(Duration::ZERO) => return,
@@ -59,14 +59,14 @@ impl ThreadWaker {
 impl ArcWake for ThreadWaker {
     fn wake_by_ref(waker: &Arc<Self>) {
         waker.is_woken.store(true, Ordering::SeqCst);
-        // Before it has begun it waits for nothing.
+        // Before it starts it does not wait.
         if let Some(thread) = waker.thread.get() {
             thread.unpark();
         }
     }
 }
 
-/// What Zenoh's threads leave to the thread.
+/// Queue from Zenoh's threads to the services thread.
 struct Inbox<T> {
     waiting: PiMutex<VecDeque<T>>,
     waker: Arc<ThreadWaker>,
@@ -77,7 +77,7 @@ impl<T> Inbox<T> {
         Arc::new(Inbox { waiting: PiMutex::new(VecDeque::new()), waker: waker.clone() })
     }
 
-    /// Whether there is room for it.
+    /// Returns whether there was room.
     fn push(&self, item: T, most: usize) -> bool {
         let room = |waiting: usize| (waiting < most).then_some(waiting + 1);
         let has_room = self.waker.waiting.fetch_update(Ordering::Relaxed, Ordering::Relaxed, room).is_ok();
@@ -181,14 +181,14 @@ impl FarServices for NetworkServices {
     }
 }
 
-/// On the network, for a server of this host.
+/// The server on the network of a service of this host.
 pub(crate) struct Server {
     queries: Arc<Inbox<Query>>,
     max_bytes: usize,
     _queryable: Queryable<()>,
 }
 
-/// Who asked, and what its answer says of the request.
+/// A query, and the attachment that its reply repeats.
 pub(crate) struct Request {
     query: Query,
     asked: Attachment,
@@ -231,13 +231,13 @@ impl FarServer for Server {
     }
 }
 
-/// Says why there is no answer.
+/// Replies with an error.
 fn refuse(query: &Query, reason: &str) {
-    // Ignored: whoever asked has gone.
+    // Ignored: the client has ended.
     let _ = query.reply_err(reason).wait();
 }
 
-/// On the network, for clients of this host.
+/// The client on the network for clients of this host.
 pub(crate) struct Client {
     session: Session,
     key: String,
@@ -246,13 +246,13 @@ pub(crate) struct Client {
 }
 
 enum Outcome {
-    /// As much of it as is one.
+    /// A reply, not validated yet.
     Reply(RequestId, ZBytes),
-    /// No more answers come, and none has come.
+    /// The query has ended without a reply.
     Unanswered(RequestId),
 }
 
-/// A request that others were asked. Dropped with the query, when no more answers come.
+/// A pending query. Dropped with it, when no more replies come.
 struct Asked {
     outcomes: Arc<Inbox<Outcome>>,
     key: String,
@@ -270,7 +270,7 @@ impl Asked {
             }
             Err(error) => {
                 let reason = error.payload().try_to_string().unwrap_or_default();
-                tracing::warn!("{}: another host does not answer: {reason:.200}", self.key);
+                tracing::warn!("{}: another host replied with an error: {reason:.200}", self.key);
             }
         }
     }
@@ -279,7 +279,7 @@ impl Asked {
 impl Drop for Asked {
     fn drop(&mut self) {
         if !self.is_answered.load(Ordering::Relaxed) {
-            // Never too much: there is one for each request that was passed on.
+            // Bounded: one per sent request.
             self.outcomes.push(Outcome::Unanswered(self.id), usize::MAX);
         }
     }
@@ -288,12 +288,12 @@ impl Drop for Asked {
 impl FarClient for Client {
     const IS_LOOKED_AT: bool = false;
 
-    /// It is sought while another host has it.
+    /// The relay creates it only while another host has a server.
     fn is_available(&mut self) -> bool {
         true
     }
 
-    /// Zenoh ends the queries of those that have gone.
+    /// Zenoh ends the queries of servers that have ended.
     fn set_servers(&mut self, _: &BTreeSet<ServerId>) -> Vec<RequestId> {
         Vec::new()
     }
@@ -320,8 +320,8 @@ impl FarClient for Client {
             .timeout(TIMEOUT)
             .callback(move |reply| asked.hear(&reply));
         if let Err(error) = query.wait() {
-            // With its callback it ends as unanswered.
-            tracing::warn!("{}: a request is not passed on: {error}", self.key);
+            // Dropping its callback ends it as unanswered.
+            tracing::warn!("{}: a request is not sent: {error}", self.key);
         }
         Ok(())
     }
@@ -336,7 +336,7 @@ impl FarClient for Client {
         })
     }
 
-    /// What comes yet finds nobody.
+    /// Later replies are dropped.
     fn forget(&mut self) -> usize {
         0
     }

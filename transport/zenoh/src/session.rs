@@ -1,24 +1,24 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Opening Zenoh with threads of the priority asked for. Zenoh has no setting for it: its threads inherit the policy of
-//! the one that starts them, so the session is opened from a thread of that policy, and what came of it is read back.
+//! Opens Zenoh with threads of the required priority. Zenoh has no setting for that: its threads inherit the policy of the thread
+//! that starts them. So a thread of that policy opens the session, and policies are read back.
 
 use crate::config::SessionConfig;
 use tautline_rt::{CoreSet, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 use zenoh::{Session, Wait};
 
-/// Why there is no session.
+/// Why the session could not open.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SessionError {
-    /// The thread that opens it could not get its priority.
-    #[error("the network's threads: {0}")]
+    /// The opening thread could not get its priority.
+    #[error("threads of the network: {0}")]
     Threads(#[from] RtError),
-    /// Zenoh refused.
+    /// Zenoh failed.
     #[error("Zenoh does not start: {reason}; listening on {listen:?}")]
     Open {
-        /// Zenoh's word for it.
+        /// Zenoh's error.
         reason: String,
-        /// Where it was to listen.
+        /// The endpoints to listen on.
         listen: Vec<String>,
     },
 }
@@ -39,7 +39,7 @@ pub(crate) fn open(
             .wait()
             .map_err(|error| SessionError::Open { reason: error.to_string(), listen })
     };
-    // Zenoh's builders are deep.
+    // Zenoh's builders need a deep stack.
     let builder = ThreadBuilder { cores, ..ThreadBuilder::new("gw-open") }
         .policy(policy)
         .realtime(realtime)
@@ -47,7 +47,7 @@ pub(crate) fn open(
     builder.spawn(move || open)?.join()?
 }
 
-/// The threads of Zenoh in this process, as the kernel reports them.
+/// Zenoh's threads in this process, as reported by the kernel.
 ///
 /// # Errors
 /// [`RtError`] if `/proc` cannot be read.
@@ -82,7 +82,7 @@ mod tests {
         assert!(!["app", "rx-", "rx-x", "gw-open", "main"].into_iter().any(is_network_thread));
     }
 
-    /// The pool is the process's: one test for all that is to be known of it.
+    /// The thread pool is per process: one test for all its properties.
     #[test]
     fn threads_have_the_policy_asked_for() {
         if let Err(error) = tautline_rt::permission::realtime_permitted(40) {

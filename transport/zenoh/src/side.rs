@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The network as the other side of a mirror.
+//! The network as the far side of a mirror.
 
 use crate::descriptions::Descriptions;
 use crate::gateway::{GatewayState, Options};
@@ -30,23 +30,22 @@ use zenoh::query::{Query, Reply};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
 
-/// What comes from the network.
+/// Events from the network.
 pub(crate) enum NetworkEvent {
     TokenUp(String),
     TokenDown(String),
-    /// A publisher of another host has ended by itself.
+    /// A publisher of another host ended normally.
     Ended(u64),
-    /// A node elsewhere answered what this type is; `None` if it says too much.
+    /// A node there answered with this type's description; `None` if it is too long.
     Described(TypeId, Option<Vec<u8>>),
-    /// A node elsewhere asks a node here for a type.
+    /// A node there requests a type from a node here.
     Asked(Query),
 }
 
-/// Where that goes.
+/// The queue of these events.
 pub(crate) type Events = mpsc::SyncSender<Event<NetworkEvent>>;
 
-/// Takes tokens in Zenoh's thread and leaves them to the control thread. What does not fit makes room for nothing: all
-/// tokens are asked for again later.
+/// Passes tokens from Zenoh's thread to the control thread. On overflow, all tokens are requested again later.
 pub(crate) fn tokens_to(events: Events) -> impl Fn(Sample) + Send + Sync + 'static {
     move |sample| {
         let key = cut(sample.key_expr().as_str());
@@ -60,18 +59,18 @@ pub(crate) fn tokens_to(events: Events) -> impl Fn(Sample) + Send + Sync + 'stat
     }
 }
 
-/// The same for the words that publishers have ended, but for those of this session.
+/// The same for announcements of publishers' ends, except those of this session.
 pub(crate) fn ends_to(events: Events, own_zid: u128) -> impl Fn(Sample) + Send + Sync + 'static {
     move |sample| {
         let said = ended_tag(sample.key_expr().as_str()).filter(|_| sample.kind() == SampleKind::Put);
         if let Some((_, tag)) = said.filter(|(zid, _)| *zid != own_zid) {
-            // What does not fit is taken for a death.
+            // On overflow it counts as a death.
             let _ = events.try_send(Event::FarChange(NetworkEvent::Ended(tag)));
         }
     }
 }
 
-/// What is too long for any honest key is cut, so that it is refused for its length without being kept.
+/// Truncates overlong keys, which are then refused without being stored.
 fn cut(key: &str) -> String {
     let mut end = key.len().min(MAX_KEY_BYTES + 1);
     while !key.is_char_boundary(end) {
@@ -80,39 +79,39 @@ fn cut(key: &str) -> String {
     key[..end].to_owned()
 }
 
-/// Whether an event found no room. Of whichever gateway of the process: looking once too often does no harm.
+/// Whether an event was dropped, at any gateway of the process: one resync too many does no harm.
 static MISSED: AtomicBool = AtomicBool::new(false);
 
-/// How long others are waited for when all tokens are asked for.
+/// Time-out of a request for all tokens.
 const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// How long it is said that a publisher has ended, and of how many.
+/// How long, and for how many publishers, a normal end is announced.
 const ENDED_TIME: Duration = Duration::from_secs(10);
 const MOST_ENDED: usize = 4096;
 
 pub(crate) struct NetworkSide {
     incoming: BTreeMap<InKey, Incoming>,
     declared: HashMap<String, LivelinessToken>,
-    /// The words that publishers have ended, for as long as it takes until they are heard everywhere.
+    /// Announcements of publishers' ends, kept until other hosts have received them.
     ended: VecDeque<(Instant, LivelinessToken)>,
     options: Options,
     participant: Participant,
     session: Session,
     state: Arc<GatewayState>,
     graph: Graph,
-    /// Whether the graph is otherwise than it was shown.
+    /// Whether the graph differs from the published one.
     is_unseen: bool,
     tokens: Tokens,
-    /// What is said next.
+    /// The token changes to make next.
     changes: Vec<TokenChange>,
     types: Types,
     descriptions: Descriptions,
-    /// Topics that come in and whose type is not known here.
+    /// Incoming topics whose type is unknown here.
     undescribed: BTreeSet<TopicKey>,
 }
 
 impl NetworkSide {
-    /// And how word goes between both sides.
+    /// Creates the side, and the transit between both sides.
     pub(crate) fn new(
         options: Options,
         participant: Participant,
@@ -155,7 +154,7 @@ impl NetworkSide {
                 let text = token.to_string();
                 match self.session.liveliness().declare_token(text.clone()).wait() {
                     Ok(declared) => drop(self.declared.insert(text, declared)),
-                    Err(error) => tracing::warn!("{text} is not announced: {error}"),
+                    Err(error) => tracing::warn!("token {text} is not declared: {error}"),
                 }
             }
             TokenChange::Withdraw(token) => drop(self.declared.remove(&token.to_string())),
@@ -166,13 +165,13 @@ impl NetworkSide {
                 let zid = u128::from_le_bytes(self.session.zid().to_le_bytes());
                 let key = ended(self.options.domain_there(), zid, tag);
                 let token = self.session.liveliness().declare_token(key).wait();
-                // Without it the end is taken for a death.
+                // Without it the end counts as a death.
                 self.ended.extend(token.ok().map(|token| (Instant::now(), token)));
             }
         }
     }
 
-    /// The types of topics that come in and are not known here, of whoever has not been asked yet.
+    /// Requests unknown types of incoming topics from nodes that were not asked yet.
     fn ask_for_types(&mut self) {
         let types = &mut self.types;
         self.undescribed.retain(|key| types.schema(&key.type_id).is_none());
@@ -181,12 +180,11 @@ impl NetworkSide {
         }
     }
 
-    /// Asks for all tokens, for some were missed or refused.
+    /// Requests all tokens again, after some were dropped or refused.
     fn resync(&mut self) {
         let wildcard = token_wildcard(self.options.domain_there());
-        // This session's own, and twice as many as the graph can hold: most of the rest would be refused. Not Zenoh's own
-        // queue, which is short and would have the answers that this session gives itself wait for their reader, who is
-        // still asking.
+        // Room for this session's tokens and twice the graph's capacity: most of the rest would be refused. Zenoh's own queue is
+        // short, and this session's own replies would wait for a reader that is still sending the request.
         let (answers, keys) = mpsc::channel();
         let most = self.options.limits.tokens.saturating_mul(2).saturating_add(self.declared.len());
         let room = Arc::new(AtomicUsize::new(most));
@@ -202,11 +200,11 @@ impl NetworkSide {
         };
         let get = self.session.liveliness().get(wildcard).timeout(RESYNC_TIMEOUT).callback(answer);
         if let Err(error) = get.wait() {
-            return tracing::warn!("other hosts cannot be asked what they have: {error}");
+            return tracing::warn!("the tokens of other hosts cannot be requested: {error}");
         }
-        // Ends when Zenoh lets go of the other end, after the timeout at the latest.
+        // Ends when Zenoh drops the sender, at the latest after the time-out.
         let there: BTreeSet<String> = keys.iter().collect();
-        // In a flood an honest peer's may be among those without room: nothing of what is known is taken for gone then.
+        // In a flood, honest peers' tokens may be missing here for lack of room: then none is removed.
         let is_complete = room.load(Ordering::Relaxed) > 0;
         let gone = self.graph.keys().filter(|key| is_complete && !there.contains(*key));
         for key in gone.map(String::from).collect::<Vec<_>>() {
@@ -219,11 +217,11 @@ impl NetworkSide {
     }
 }
 
-/// A topic or a service as the network of `domain` calls it.
+/// The key of a topic or service on the network.
 pub(crate) fn wire_key(domain: u32, key: &tautline_relay::TopicKey) -> Result<TopicKey, String> {
     let type_id =
         || Some(TypeId { name: key.type_name.parse().ok()?, hash: key.type_hash.as_ref()?.parse().ok()? });
-    let type_id = type_id().ok_or_else(|| format!("'{}' is no ROS 2 type name", key.type_name))?;
+    let type_id = type_id().ok_or_else(|| format!("'{}' is not a ROS 2 type name", key.type_name))?;
     Ok(TopicKey { domain, topic: key.far_topic.clone(), type_id })
 }
 
@@ -242,7 +240,7 @@ impl FarSide for NetworkSide {
             NetworkEvent::TokenDown(key) => {
                 let was_there = self.graph.remove(&key);
                 if self.graph.wants_resync() {
-                    // With the next tick: it takes a while.
+                    // With the next tick, because it takes a while.
                     MISSED.store(true, Ordering::Relaxed);
                 }
                 was_there
@@ -270,7 +268,7 @@ impl FarSide for NetworkSide {
             *self.state.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);
         }
         let mut there = self.graph.there();
-        // What comes back some way is left where it is.
+        // The gateway's own announcements are left alone if they return.
         for (topic, gid) in self.tokens.publishers() {
             if let Some(publishers) = there.publishers.get_mut(topic) {
                 publishers.insert(gid);
@@ -283,8 +281,8 @@ impl FarSide for NetworkSide {
         let (graph, types) = (&self.graph, &mut self.types);
         let hash_of = |topic: &str, name: &_| types.hash_of(name).or_else(|| graph.hash_of(topic, name));
         let mut ends = locals::list(here, hash_of);
-        // What the gateway itself answers: for nodes of this host that do not, and for those elsewhere, who would be asked in vain, for
-        // nobody here does.
+        // The gateway itself serves type descriptions: for nodes of this host that do not, and for nodes elsewhere, because no
+        // client here would use theirs.
         let descriptions = &self.descriptions;
         ends.retain(|end| end.origin.is_here() || !descriptions.is_theirs(end));
         here.services.retain(|end| end.origin.is_here() || !descriptions.answers_for(end));
@@ -346,7 +344,7 @@ impl FarSide for NetworkSide {
         publisher: &Publisher,
     ) -> Result<Writer, String> {
         let wire_gid = self.tokens.wire_gid(&publisher.gid);
-        let wire_gid = wire_gid.ok_or("its publisher is not announced")?;
+        let wire_gid = wire_gid.ok_or("its publisher is not announced yet")?;
         let identity = Identity { wire_gid, qos: wire_qos(&publisher.qos) };
         Ok(Writer::new(identity, &self.session, self.wire_key(key)?))
     }
@@ -367,7 +365,7 @@ impl FarSide for NetworkSide {
         topic_type: &TopicType,
         offered: Qos,
     ) -> Result<RawPublisher, TransportError> {
-        // What is kept is as much as comes, not as much as somebody may ask for.
+        // Claimed as samples come, not as much as anyone may request.
         let is_kept = offered.durability == Durability::TransientLocal;
         let claim = if is_kept { Claim::OnUse } else { Claim::Ahead };
         participant.create_relay_publisher(topic, topic_type, offered, Limits { claim, ..Limits::default() })
@@ -375,7 +373,7 @@ impl FarSide for NetworkSide {
 
     fn start_in(&mut self, key: &InKey, inward: &Inward, mut ingress: Ingress) -> Result<(), String> {
         let wire_key = self.wire_key(&key.topic)?;
-        // Of one that runs: what is kept is asked for again, so that the new port has it for late joiners on this host.
+        // After a restart, kept samples are requested again, so that the new port has them for late joiners here.
         if let Some(old) = self.incoming.remove(key).and_then(Incoming::end) {
             ingress.take_over(old, key.is_kept());
         }

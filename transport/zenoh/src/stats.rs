@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the gateway says of itself.
+//! Statistics of the gateway.
 
 use serde::Serialize;
 use std::collections::BTreeMap;
 pub use tautline_relay::Direction;
 use tautline_relay::TopicKey;
 
-/// What a topic is called.
+/// The names of a topic.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct TopicNames {
     /// The topic.
@@ -25,18 +25,18 @@ impl TopicNames {
 /// One topic in one direction.
 pub type TopicStats = tautline_relay::TopicStats<TopicNames, Direction>;
 
-/// The gateway at one moment.
+/// A snapshot of the gateway.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Stats {
     /// The domain on this host.
     pub domain: u32,
     /// The domain on the network.
     pub network_domain: u32,
-    /// Zenoh's id of the session.
+    /// Session id in Zenoh.
     pub zid: String,
-    /// Since it started.
+    /// Seconds since start.
     pub uptime_s: f64,
-    /// Zenoh peers and routers that are linked to.
+    /// Connected Zenoh peers and routers.
     pub links: usize,
     /// Nodes of other hosts.
     pub remote_nodes: usize,
@@ -46,12 +46,12 @@ pub struct Stats {
     pub refused_tokens: BTreeMap<String, u64>,
     /// Topics of this host that cannot be mirrored, and why.
     pub not_mirrored: BTreeMap<String, String>,
-    /// How often types were asked for of other hosts or by them, by outcome.
+    /// Requests for type descriptions from and to other hosts, by outcome.
     pub type_descriptions: BTreeMap<String, u64>,
-    /// What access control refused in this process, if [`access_layer`](crate::access_layer) is installed, such as
-    /// `Put (ingress) on /secret`.
+    /// Refusals of access control in this process, such as `Put (ingress) on /secret`, if [`access_layer`](crate::access_layer)
+    /// is installed.
     pub unauthorized: BTreeMap<String, u64>,
-    /// How often the processor budget of the network's threads was used up.
+    /// How often the network's threads exceeded the processor budget.
     pub throttled: u64,
     /// Every topic that is or was mirrored.
     pub topics: Vec<TopicStats>,
@@ -59,10 +59,10 @@ pub struct Stats {
     pub services: Vec<ServiceStats>,
 }
 
-/// A service, of which the gateway stands for the server.
+/// A service whose server the gateway mirrors.
 pub type ServiceStats = tautline_relay::ServiceStats<ServiceNames, Direction>;
 
-/// What a service is called.
+/// The names of a service.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub struct ServiceNames {
     /// The service.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The line that is shown while it runs.
+//! The status line.
 
 use tautline_gateway::{Direction, Stats};
 use tautline_relay::{counted, passing};

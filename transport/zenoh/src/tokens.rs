@@ -1,42 +1,42 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the network is told of the domain: a liveliness token for each node and each end. Decided here, declared elsewhere.
+//! The domain's liveliness tokens on the network: one for each node and endpoint. Decided here, declared elsewhere.
 
 use crate::origin::named;
 use crate::wire::{CPU_BACKEND, Endpoint, EndpointKind, NodeName, Token, TypeId, WireQos, endpoint_gid};
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use tautline_transport::{Durability, Gid, Origin};
 
-/// A publisher, subscription, service or client on this host, or one that others tell of here.
+/// A publisher, subscription, server or client of this host, or one that a bridge announces here.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct LocalEndpoint {
-    /// Identifies it on this host; of a publisher, the gid in its samples.
+    /// Identifies it on this host; for a publisher, the GID in its samples.
     pub(crate) gid: Gid,
-    /// Which of these.
+    /// Its kind.
     pub(crate) kind: EndpointKind,
     /// Fully qualified name.
     pub(crate) topic: String,
-    /// What it carries.
+    /// Type and hash.
     pub(crate) type_id: TypeId,
     /// Quality of service.
     pub(crate) qos: WireQos,
     /// The node it belongs to.
     pub(crate) node: NodeName,
-    /// Where it was first, as the network is told of it.
+    /// Its origin, as announced on the network.
     pub(crate) origin: Origin,
 }
 
-/// What the network is to be told, in this order.
+/// A change to make on the network, in this order.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum TokenChange {
     /// Declare a liveliness token.
     Declare(Token),
     /// Withdraw it.
     Withdraw(Token),
-    /// The publisher with this tag has ended by itself; its token is withdrawn next.
+    /// The publisher with this tag ended normally; its token is withdrawn next.
     Ended(u64),
 }
 
-/// The tokens that are declared.
+/// The declared tokens.
 pub(crate) struct Tokens {
     zid: u128,
     domain: u32,
@@ -51,7 +51,7 @@ struct DeclaredEndpoint {
     wire_gid: Gid,
 }
 
-/// By which an end finds its node's token: the full name, and where both were first and how word of them came, without a tag.
+/// Finds an endpoint's node token: the node's full name, and the origin of both, without its tag.
 type NodeKey = (String, Origin);
 
 fn node_key(name: &NodeName, origin: &Origin) -> NodeKey {
@@ -59,24 +59,23 @@ fn node_key(name: &NodeName, origin: &Origin) -> NodeKey {
 }
 
 impl Tokens {
-    /// Nothing is said yet.
+    /// No tokens yet.
     pub(crate) fn new(domain: u32, zid: u128) -> Self {
         Tokens { zid, domain, next_id: 0, nodes: BTreeMap::new(), ends: BTreeMap::new() }
     }
 
-    /// How the network knows this publisher, if it does.
+    /// The publisher's GID on the network, if announced.
     pub(crate) fn wire_gid(&self, gid: &Gid) -> Option<Gid> {
         self.ends.get(gid).map(|declared| declared.wire_gid)
     }
 
-    /// The publishers that the network knows: their topics and gids there.
+    /// The announced publishers: their topics and GIDs on the network.
     pub(crate) fn publishers(&self) -> impl Iterator<Item = (&str, Gid)> {
         let publishers = self.ends.values().filter(|declared| declared.end.kind == EndpointKind::Publisher);
         publishers.map(|declared| (&*declared.end.topic, declared.wire_gid))
     }
 
-    /// The network is to be told of these nodes and ends, and no others; of the publishers with the tags in `ended` that they have ended
-    /// by themselves.
+    /// Announces exactly these nodes and endpoints; also that publishers with tags in `ended` ended normally.
     pub(crate) fn tell(
         &mut self,
         nodes: &[(NodeName, Origin)],
@@ -84,7 +83,7 @@ impl Tokens {
         ended: &HashSet<u64>,
     ) -> Vec<TokenChange> {
         let mut changes = Vec::new();
-        // By name, and by how word of them came: ends say of their nodes no more.
+        // By name and path: endpoints identify their nodes no further.
         let mut named_nodes = BTreeMap::<NodeKey, BTreeSet<NodeName>>::new();
         for (name, origin) in nodes {
             named_nodes.entry(node_key(name, origin)).or_default().insert(named(name, origin));
@@ -104,7 +103,7 @@ impl Tokens {
                 self.nodes.insert(node.clone(), token);
             }
         }
-        // Of several it is the oldest that has them.
+        // Of several nodes, the oldest gets the endpoints.
         let oldest = |names: &BTreeSet<NodeName>| {
             names.iter().filter_map(|name| self.nodes.get(name)).map(|token| token.node_id).min()
         };
@@ -112,7 +111,7 @@ impl Tokens {
             named_nodes.iter().filter_map(|(key, names)| Some((key.clone(), oldest(names)?))).collect();
         let node_of = |end: &LocalEndpoint| node_ids.get(&node_key(&end.node, &end.origin)).copied();
         let now: BTreeMap<Gid, LocalEndpoint> = ends.into_iter().map(|end| (end.gid, end)).collect();
-        // An end that changed is one that ended and one that began. But its former token goes last, so that others have it all the time.
+        // A changed endpoint gets a new token. Its old one is withdrawn last, so that others always see one.
         let mut replaced = Vec::new();
         self.ends.retain(|gid, declared| match now.get(gid) {
             Some(end) if *end == declared.end && node_of(end) == Some(declared.token.node_id) => true,
@@ -143,7 +142,7 @@ impl Tokens {
         changes
     }
 
-    /// One that was not used before.
+    /// An unused id.
     fn id(&mut self) -> u64 {
         self.next_id += 1;
         self.next_id - 1
@@ -151,7 +150,7 @@ impl Tokens {
 
     fn token(&mut self, end: &LocalEndpoint, node_id: u64) -> Token {
         let LocalEndpoint { kind, topic, type_id, qos, node, origin, .. } = end.clone();
-        // So newer nodes know on which key to send: see `TopicKey::cpu_group`.
+        // Newer nodes then know the key to send on: see `TopicKey::cpu_group`.
         let is_volatile = kind == EndpointKind::Subscription && qos.durability == Durability::Volatile;
         let suffix = if is_volatile { CPU_BACKEND.to_owned() } else { String::new() };
         let endpoint = Endpoint { id: self.id(), kind, name: topic, type_id, qos, suffix };
@@ -184,7 +183,7 @@ mod tests {
         end(gid, EndpointKind::Publisher, "x")
     }
 
-    /// What is said, in short: `+ Publisher /x`.
+    /// Changes in short: `+ Publisher /x`.
     fn declared(changes: &[TokenChange]) -> Vec<String> {
         let token = |token: &Token| match &token.endpoint {
             None => format!("node {}", token.node.full_name()),
@@ -213,7 +212,7 @@ mod tests {
         assert_eq!(tell(&mut tokens, &all), NONE);
         assert_eq!(tell(&mut tokens, &[client]), ["- Service /add"]);
         assert_eq!(tell(&mut tokens, &[]), ["- Client /add", "- node /n"]);
-        // A node without ends.
+        // A node without endpoints.
         let node = [(NodeName::new("/a", "m"), Origin { tag: 99, ..Origin::default() })];
         let mut changes = |ends| declared(&tokens.tell(&node, ends, &HashSet::new()));
         assert_eq!(changes(vec![]), ["+ node /a/m"]);
@@ -225,7 +224,7 @@ mod tests {
     fn of_a_publisher_that_ended_that_is_said_before_its_token_goes() {
         let mut tokens = Tokens::new(5, 1);
         tell(&mut tokens, &[publisher(1), publisher(2), end(3, EndpointKind::Subscription, "x")]);
-        // Its tag is its gid's here, and of what is no publisher nobody says it.
+        // Its tag is its GID's here; only publishers' ends are announced.
         let changes = tokens.tell(&[], vec![], &HashSet::from([1, 3, 9]));
         let expected = ["ended 1", "- Publisher /x", "- Publisher /x", "- Subscription /x", "- node /n"];
         assert_eq!(declared(&changes), expected);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Types that this host has definitions of: what the nodes that opened a topic have kept of its type, and those of a sourced
-//! ROS 2 (`AMENT_PREFIX_PATH`). Nothing needs one; a topic that states no hash gets one of the latter, and what arrives for a
-//! topic is checked against its definition.
+//! Type definitions on this host: those stored by nodes that opened a topic, and those of a sourced ROS 2 (`AMENT_PREFIX_PATH`).
+//! They are optional: a topic that states no hash gets one of the latter, and incoming messages are validated against the
+//! definition.
 
 use crate::wire::TypeId;
 use std::collections::HashMap;
@@ -12,7 +12,7 @@ use tautline_transport::SchemaStore;
 pub(crate) struct Types {
     store: SchemaStore,
     packages: Packages,
-    /// What was looked for: names of types that local topics have.
+    /// Cached look-ups, by type names of local topics.
     found: HashMap<TypeName, Option<Arc<Schema>>>,
 }
 
@@ -26,10 +26,10 @@ impl Types {
         self.find(name).map(|schema| schema.hash())
     }
 
-    /// The definition of this type; one of that name with another hash is another type.
+    /// The definition of this type, with the same name and hash.
     pub(crate) fn schema(&mut self, id: &TypeId) -> Option<Arc<Schema>> {
         let is_it = |schema: &Arc<Schema>| schema.hash() == id.hash;
-        // What is kept is a claim. Not remembered: it is read only when a topic begins to come in.
+        // The stored definition is untrusted. Not cached: it is read only when a topic starts to come in.
         let kept = self.store.read(&id.hash.to_string()).ok().flatten();
         let kept = kept.and_then(|claimed| Schema::from_text(&id.name, &claimed.text).ok()).map(Arc::new);
         kept.filter(is_it).or_else(|| self.find(&id.name).filter(is_it))
@@ -65,7 +65,7 @@ mod tests {
         assert!(types.schema(&TypeId { name, hash: other }).is_none());
         assert_eq!(types.hash_of(&"no/msg/Such".parse().unwrap()), None);
 
-        // Kept by a node, without a package. What is kept under a false name is not taken.
+        // Stored by a node, without a package. A definition stored under a wrong hash is not used.
         let mut types = Types::new(SchemaStore::at(store.path()), Packages::new());
         let id = TypeId { name: "std_msgs/msg/String".parse().unwrap(), hash };
         assert!(types.schema(&id).is_none());

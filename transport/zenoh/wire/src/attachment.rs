@@ -4,14 +4,14 @@
 use super::Malformed;
 use tautline_transport::Gid;
 
-/// Sequence number, time stamp and publisher of a sample; of a request, number and client, which the reply repeats.
+/// Sequence number, time stamp and publisher of a sample; for a request, number and client, which the reply repeats.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Attachment {
-    /// Counts the publisher's samples; rmw_zenoh begins with 1, other peers with 0.
+    /// Counts the publisher's samples; rmw_zenoh starts with 1, other peers with 0.
     pub sequence_number: i64,
     /// When the sample was published, by the sender's clock: nanoseconds since 1970.
     pub source_timestamp_ns: i64,
-    /// Who published it.
+    /// The publisher.
     pub gid: Gid,
 }
 
@@ -29,7 +29,7 @@ impl Attachment {
         bytes
     }
 
-    /// Reads what a peer sent.
+    /// Parses an attachment from a peer.
     ///
     /// # Errors
     /// [`Malformed::Attachment`].

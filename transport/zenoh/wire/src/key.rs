@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `0/chatter/std_msgs::msg::dds_::String_/RIHS01_df66...`: where a topic's samples and a service's requests go.
+//! `0/chatter/std_msgs::msg::dds_::String_/RIHS01_df66...`: the key of a topic's samples and a service's requests.
 
 use super::names::{TypeId, is_absolute};
 use super::{MAX_KEY_BYTES, Malformed, decimal};
 use std::fmt;
 use tautline_transport::MAX_DOMAIN;
 
-/// A topic as it is on the network. Its `Display` is the key expression.
+/// A topic on the network. Its `Display` is the key expression.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicKey {
     /// ROS domain, 0 to 232.
@@ -18,7 +18,7 @@ pub struct TopicKey {
 }
 
 impl TopicKey {
-    /// Reads a key expression.
+    /// Parses a key expression.
     ///
     /// # Errors
     /// [`Malformed`].
@@ -36,8 +36,8 @@ impl TopicKey {
         Ok(TopicKey { domain: parse_domain(domain)?, topic, type_id: TypeId::parse(name, hash)? })
     }
 
-    /// Where publishers of rmw_zenoh 0.10.5 or newer put samples instead, in the same encoding, for subscriptions whose
-    /// tokens end in [`CPU_BACKEND`](super::CPU_BACKEND).
+    /// The key on which publishers of rmw_zenoh 0.10.5 or newer put samples instead, in the same encoding, for subscriptions
+    /// whose tokens end in [`CPU_BACKEND`](super::CPU_BACKEND).
     pub fn cpu_group(&self) -> String {
         format!("{self}/_buf_cpu")
     }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The wire of rmw_zenoh (ROS 2 Jazzy and later), as text and bytes: no input or output, no Zenoh.
+//! The wire format of rmw_zenoh (ROS 2 Jazzy and later), as text and bytes: no I/O, no Zenoh.
 //!
-//! Everything that is parsed here came over the network: a claim until checked. Each parser is bounded by the limits
-//! below, allocates no more than its input is long, never panics, and says in [`Malformed`] what is wrong.
+//! All parsed input comes from the network and is untrusted. Each parser is bounded by the limits below, allocates at most the
+//! length of its input, never panics, and returns the reason as [`Malformed`].
 //!
 //! | module | holds |
 //! |---|---|
@@ -11,7 +11,7 @@
 //! | `qos` | [`WireQos`]: the thirteenth part of an endpoint's token |
 //! | `attachment` | [`Attachment`]: the 33 bytes beside each sample |
 //! | `payload` | the 4 bytes before each body |
-//! | `gid` | [`endpoint_gid`]: an endpoint's identifier, from its token |
+//! | `gid` | [`endpoint_gid`]: an endpoint's GID, from its token |
 
 mod attachment;
 mod gid;
@@ -29,19 +29,18 @@ pub use payload::{ENCAPSULATION, check_encapsulation};
 pub use qos::{WireDuration, WireQos};
 pub use token::{CPU_BACKEND, Endpoint, EndpointKind, NodeName, Token, token_wildcard};
 
-/// Longest key expression that is looked at, in bytes. The longest that ROS 2's limits for names allow is shorter; what
-/// is left is for a token's suffix.
+/// Longest key expression to parse, in bytes. ROS 2's limits of names permit less; the rest is for a token's suffix.
 pub const MAX_KEY_BYTES: usize = 2048;
 /// Longest name of a topic, a service, a namespace or a node, in bytes: ROS 2's limit.
 pub const MAX_NAME_BYTES: usize = 255;
-/// Greatest depth taken from a token; what claims more is malformed.
+/// Maximum depth in a token; more is malformed.
 pub const MAX_DEPTH: u64 = 1 << 32;
 
 /// Why bytes from the network were refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, thiserror::Error)]
 #[non_exhaustive]
 pub enum Malformed {
-    /// Longer than any honest one.
+    /// Longer than any valid key.
     #[error("key longer than {MAX_KEY_BYTES} bytes")]
     KeyTooLong,
     /// Too few or too many parts between slashes.
@@ -77,22 +76,22 @@ pub enum Malformed {
     /// The QoS of a token.
     #[error("malformed QoS")]
     Qos,
-    /// What follows an endpoint's QoS, or a node's name: a wildcard or an empty part.
+    /// The part after an endpoint's QoS, or a node's name: a wildcard or an empty part.
     #[error("malformed suffix of a token")]
     Suffix,
     /// No attachment: not from rmw_zenoh.
     #[error("no attachment")]
     NoAttachment,
-    /// An attachment that is not 33 bytes with a gid of 16.
+    /// Not 33 bytes with a GID of 16.
     #[error("malformed attachment")]
     Attachment,
-    /// A payload shorter than the encapsulation's 4 bytes.
+    /// Shorter than the 4 bytes of encapsulation.
     #[error("payload shorter than its encapsulation")]
     PayloadTooShort,
-    /// An encapsulation other than XCDR1 little-endian.
+    /// Not XCDR1 little-endian.
     #[error("encapsulation other than XCDR1 little-endian")]
     Encapsulation,
-    /// A payload over the limit that the gateway was given.
+    /// Over the gateway's limit.
     #[error("payload over the size limit")]
     PayloadTooLong,
 }

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Names as the wire writes them: ROS names with `/` as `%`, type names as DDS mangles them.
+//! Names on the wire: ROS names with `/` as `%`, type names as mangled by DDS.
 
 use super::{MAX_NAME_BYTES, Malformed};
 use std::fmt;
 use tautline_schema::{Kind, TypeHash, TypeName};
 
-/// What a topic carries: the type's name and its hash. Topics meet only if both are equal.
+/// A type's name and hash. Topics match only if both are equal.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TypeId {
     /// `std_msgs/msg/String`; for a service, the service's name.
@@ -59,12 +59,12 @@ impl fmt::Display for Mangled<'_> {
     }
 }
 
-/// A namespace or an enclave: `%` when it is empty or `/`, as rmw_zenoh writes both.
+/// A namespace or enclave: `%` when it is empty or `/`, as in rmw_zenoh.
 pub(super) fn mangled_namespace(namespace: &str) -> Mangled<'_> {
     if namespace.is_empty() { Mangled("/") } else { Mangled(namespace) }
 }
 
-/// Reads what [`mangled_namespace`] wrote; empty and `/` are the same: `/`.
+/// Parses the output of [`mangled_namespace`]; empty and `/` are both `/`.
 pub(super) fn namespace(mangled: &str) -> Result<String, Malformed> {
     if mangled == "%" {
         return Ok("/".into());
@@ -73,19 +73,19 @@ pub(super) fn namespace(mangled: &str) -> Result<String, Malformed> {
     if is_absolute(&name) { Ok(name) } else { Err(Malformed::NodeName) }
 }
 
-/// Reads a fully qualified topic or service name.
+/// Parses a fully qualified topic or service name.
 pub(super) fn topic(mangled: &str) -> Result<String, Malformed> {
     let name = mangled.replace('%', "/");
     if is_absolute(&name) { Ok(name) } else { Err(Malformed::TopicName) }
 }
 
-/// Whether this is `/a/b`, of ROS tokens.
+/// Whether this is a name like `/a/b`, of ROS tokens.
 pub(super) fn is_absolute(name: &str) -> bool {
     name.len() <= MAX_NAME_BYTES && name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_token))
 }
 
-/// Letters, digits and underscores. ROS 2 lets no token begin with a digit, but peers that do not check it exist
-/// (hidden names of actions and services have none); nothing here depends on it, so a digit is let through.
+/// Letters, digits and underscores. ROS 2 forbids a leading digit, but some peers do not check it (hidden names of actions and
+/// services have none), and nothing here depends on it, so it is accepted.
 pub(super) fn is_token(token: &str) -> bool {
     !token.is_empty() && token.bytes().all(|byte| byte.is_ascii_alphanumeric() || byte == b'_')
 }

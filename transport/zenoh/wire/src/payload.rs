@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The encapsulation before a body: which CDR it is. In shared memory bodies have none.
+//! The encapsulation before a body, which identifies the CDR encoding. Bodies in shared memory have none.
 
 use super::Malformed;
 
-/// XCDR1, little-endian, no options: what goes before every body that is sent.
+/// XCDR1, little-endian, no options: sent before every body.
 pub const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 
-/// Checks the first bytes of a payload. The options, its last two bytes, may be anything: DDS says in them how many
-/// bytes of padding follow the body.
+/// Checks the first bytes of a payload. The options, its last two bytes, are ignored: DDS puts the length of the padding after
+/// the body there.
 ///
 /// # Errors
 /// [`Malformed::PayloadTooShort`], or [`Malformed::Encapsulation`] for big-endian, XCDR2 and parameter lists.

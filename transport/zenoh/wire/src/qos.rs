@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! QoS in a token: `rel:dur:hist,depth:deadline:lifespan:liveliness,lease`, each number left out if it is the default.
+//! QoS in a token: `rel:dur:hist,depth:deadline:lifespan:liveliness,lease`; each number is omitted if it is the default.
 
 use super::{MAX_DEPTH, Malformed, decimal};
 use std::fmt;
 use std::time::Duration;
 use tautline_transport::{Durability, History, Reliability};
 
-/// A duration of the wire, in seconds and nanoseconds: each is left out on its own.
+/// A duration on the wire, in seconds and nanoseconds, each omitted separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct WireDuration {
     /// Whole seconds.
     pub sec: u64,
-    /// The rest; below one second in an honest peer's, any number in a claim.
+    /// Nanoseconds; below one second from correct peers, unchecked.
     pub nsec: u64,
 }
 
@@ -19,7 +19,7 @@ impl WireDuration {
     /// ROS 2's infinity: the greatest `i64` of nanoseconds.
     pub const INFINITE: WireDuration = WireDuration { sec: 9_223_372_036, nsec: 854_775_807 };
 
-    /// `None` is infinite; so is what is longer than ROS 2 can say.
+    /// `None` is infinite, and so are times beyond ROS 2's range.
     pub fn from_duration(duration: Option<Duration>) -> Self {
         let exact = |d: Duration| WireDuration { sec: d.as_secs(), nsec: d.subsec_nanos().into() };
         let longest = Duration::from_nanos(i64::MAX as u64);
@@ -48,8 +48,7 @@ impl fmt::Display for WireDuration {
     }
 }
 
-/// Quality of service as a token states it. Its `Display` is the canonical text: a receiver hashes what it would write
-/// itself.
+/// QoS in a token. Its `Display` is the canonical text: receivers hash their own spelling of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct WireQos {
     /// Reliable or best effort.
@@ -58,13 +57,13 @@ pub struct WireQos {
     pub durability: Durability,
     /// Keep last or keep all.
     pub history: History,
-    /// Depth, in samples. 42 where a peer left it out; 0 is possible with keep-all.
+    /// Depth, in samples. 42 if a peer omits it; 0 is possible with keep-all.
     pub depth: u64,
     /// Longest time between samples.
     pub deadline: WireDuration,
     /// Age at which a sample is no longer delivered.
     pub lifespan: WireDuration,
-    /// Whether liveliness is asserted by hand, per topic.
+    /// Whether liveliness is manual by topic.
     pub manual_liveliness: bool,
     /// Liveliness lease.
     pub lease: WireDuration,
@@ -73,7 +72,7 @@ pub struct WireQos {
 const DEFAULT_DEPTH: u64 = 42;
 
 impl WireQos {
-    /// Reads the part of a token that follows the type's hash.
+    /// Parses the part of a token after the type's hash.
     ///
     /// # Errors
     /// [`Malformed::Qos`].
@@ -127,7 +126,7 @@ impl WireQos {
 }
 
 impl Default for WireQos {
-    /// Reliable, volatile, keep last 42: what `::,:,:,:,,` says.
+    /// Reliable, volatile, keep last 42: `::,:,:,:,,`.
     fn default() -> Self {
         WireQos {
             reliability: Reliability::Reliable,

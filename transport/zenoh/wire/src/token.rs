@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Liveliness tokens: what a session says of its nodes, publishers, subscriptions, services and clients.
+//! Liveliness tokens: a session's announcements of its nodes, publishers, subscriptions, services and clients.
 
 use super::key::parse_domain;
 use super::names::{Mangled, TypeId, is_token, mangled_namespace, namespace, topic};
@@ -8,12 +8,12 @@ use std::fmt;
 
 const ADMIN: &str = "@ros2_lv";
 
-/// Parts of a node's token, and of an endpoint's without its suffix.
+/// Number of parts of a node's token, and of an endpoint's without its suffix.
 const NODE_PARTS: usize = 9;
 const ENDPOINT_PARTS: usize = 13;
 
-/// The suffix of a volatile subscription that takes plain samples only. From rmw_zenoh 0.10.5 on, volatile publishers
-/// whose type has an unbounded `uint8[]` serve it on [`TopicKey::cpu_group`](super::TopicKey::cpu_group).
+/// The suffix of a volatile subscription that takes plain samples only. From rmw_zenoh 0.10.5 on, volatile publishers of types
+/// with an unbounded `uint8[]` serve it on [`TopicKey::cpu_group`](super::TopicKey::cpu_group).
 pub const CPU_BACKEND: &str = "backends:cpu:";
 
 /// A node's names.
@@ -39,7 +39,7 @@ impl NodeName {
     }
 }
 
-/// Which end of what.
+/// The kind of an endpoint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum EndpointKind {
     /// `MP`
@@ -63,12 +63,12 @@ impl EndpointKind {
     }
 }
 
-/// What a token says of an endpoint.
+/// An endpoint in a token.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Endpoint {
     /// Number among the session's nodes and endpoints.
     pub id: u64,
-    /// Which end of what.
+    /// Publisher, subscription, service or client.
     pub kind: EndpointKind,
     /// The topic's or the service's fully qualified name.
     pub name: String,
@@ -76,30 +76,30 @@ pub struct Endpoint {
     pub type_id: TypeId,
     /// Quality of service.
     pub qos: WireQos,
-    /// What follows: nothing up to rmw_zenoh 0.10.4, then an endpoint's buffer backends, such as [`CPU_BACKEND`]. Kept
-    /// as it came, since the gid is computed from it too. Parts that are valid in a key, with `/` between them only.
+    /// The rest: empty up to rmw_zenoh 0.10.4, later an endpoint's buffer backends, such as [`CPU_BACKEND`]. Stored unchanged,
+    /// because the GID is computed from it too. Its parts are valid in a key and separated by `/`.
     pub suffix: String,
 }
 
-/// A node, or an endpoint and the node it belongs to. Its `Display` is the token's key expression, in the canonical
-/// form that gids are computed from.
+/// A node, or an endpoint and its node. Its `Display` is the token's key expression, in the canonical form from which GIDs are
+/// computed.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Token {
     /// ROS domain.
     pub domain: u32,
-    /// Zenoh's session id: a claim, whoever declares a token can write any.
+    /// Zenoh's session id, untrusted: a token may contain any.
     pub zid: u128,
-    /// Number of the node among those of the session.
+    /// Number of the node in the session.
     pub node_id: u64,
     /// The node's names.
     pub node: NodeName,
-    /// `None`: the token is the node's own.
+    /// `None`: the token is a node's.
     pub endpoint: Option<Endpoint>,
 }
 
 impl Token {
-    /// Reads a token's key expression. What follows the known parts is kept of an endpoint's token; of a node's it is
-    /// forgotten, as rmw_zenoh forgets it.
+    /// Parses a token's key expression. Further parts are kept for an endpoint's token, and dropped for a node's, as in
+    /// rmw_zenoh.
     ///
     /// # Errors
     /// [`Malformed`].
@@ -168,7 +168,7 @@ pub fn token_wildcard(domain: u32) -> String {
     format!("{ADMIN}/{domain}/**")
 }
 
-/// What follows the first `known` parts of a key: nothing, or parts that a key without wildcards may have.
+/// The key after its first `known` parts: empty, or parts that are valid in a key without wildcards.
 fn suffix(key: &str, known: usize) -> Result<&str, Malformed> {
     let Some(text) = key.splitn(known + 1, '/').nth(known) else { return Ok("") };
     if text.contains(['*', '$', '?', '#']) || text.split('/').any(str::is_empty) {
@@ -177,7 +177,7 @@ fn suffix(key: &str, known: usize) -> Result<&str, Malformed> {
     Ok(text)
 }
 
-/// As Zenoh writes it: lower case, no leading zero.
+/// In Zenoh's form: lower case, no leading zero.
 fn parse_zid(text: &str) -> Result<u128, Malformed> {
     let hex = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
     if !(1..=32).contains(&text.len()) || text.starts_with('0') || !text.bytes().all(hex) {
