@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! ROS 2's headers, as bindgen reads them. Enums are numbers: what comes from C may be any.
+//! ROS 2's headers, read by bindgen. Enums are numbers, because C may pass any value.
 #![allow(
     missing_docs,
     dead_code,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Callbacks of ROS's, called outside of every lock, for they may do anything; and not any more once they were taken back.
+//! Callbacks of ROS, called without any lock held, because they may do anything, and never after they were removed.
 
 use std::cell::Cell;
 use std::ffi::c_void;
@@ -7,22 +7,22 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
-/// `rmw_event_callback_t` and what it is called with; `None` takes a callback back.
+/// `rmw_event_callback_t` and its argument; `None` removes a callback.
 pub(crate) type Function = Option<(unsafe extern "C" fn(*const c_void, usize), *const c_void)>;
 
-/// A place for a callback.
+/// Holds a callback.
 #[derive(Default)]
 pub(crate) struct Callback {
     function: Mutex<Sent>,
     is_set: AtomicBool,
-    /// Calls that have not returned.
+    /// Calls in progress.
     calls: AtomicU32,
 }
 
 #[derive(Clone, Copy, Default)]
 struct Sent(Function);
 
-// SAFETY: rmw's word: callbacks are called in any thread.
+// SAFETY: rmw's contract: callbacks may be called in any thread.
 unsafe impl Send for Sent {}
 
 thread_local! {
@@ -30,17 +30,17 @@ thread_local! {
     static IS_CALLED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// How often it is looked whether a call has returned.
+/// Interval of the check whether a call has returned.
 const LOOK: Duration = Duration::from_micros(50);
 
 impl Callback {
-    /// Sets the callback. The one before may be running; see [`settle`](Self::settle).
+    /// Sets the callback. The previous one may still be running; see [`settle`](Self::settle).
     pub(crate) fn replace(&self, function: Function) {
         self.is_set.store(function.is_some(), Ordering::Release);
         *self.function.lock().unwrap_or_else(PoisonError::into_inner) = Sent(function);
     }
 
-    /// Waits until calls that began before have returned, without a lock of theirs; but not in a callback.
+    /// Waits until calls in progress have returned, unless called from a callback. The caller must hold no lock that they need.
     pub(crate) fn settle(&self) {
         while self.calls.load(Ordering::Acquire) != 0 && !IS_CALLED.get() {
             std::thread::sleep(LOOK);
@@ -53,7 +53,7 @@ impl Callback {
         self.is_set.load(Ordering::Acquire)
     }
 
-    /// Begins a call, if there is a callback: with the lock of what is counted, which [`Call::run`] is called without.
+    /// Begins a call if a callback is set. Call this with the counters locked, and [`Call::run`] unlocked.
     pub(crate) fn begin(&self) -> Option<Call<'_>> {
         let function = self.function.lock().unwrap_or_else(PoisonError::into_inner);
         let function = function.0?;
@@ -62,19 +62,19 @@ impl Callback {
     }
 }
 
-/// A call that has begun: the callback is not given up before it has returned.
+/// A call in progress: [`Callback::settle`] waits for it.
 pub(crate) struct Call<'c> {
     callback: &'c Callback,
     function: (unsafe extern "C" fn(*const c_void, usize), *const c_void),
 }
 
 impl Call<'_> {
-    /// Calls with how many things happened, if some did.
+    /// Calls the callback with the number of events, unless it is 0.
     pub(crate) fn run(self, count: usize) {
         if count > 0 {
             let is_called = IS_CALLED.replace(true);
             let (function, data) = self.function;
-            // SAFETY: rmw's word: it can be called until another one is set, which waits for this.
+            // SAFETY: rmw's contract: it may be called until another one is set, which waits for this.
             unsafe { function(data, count) };
             IS_CALLED.set(is_called);
         }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// The callbacks that rosidl's generators for Fast CDR make of each type, callable from Rust: no exception leaves this file. Bodies are
+// The Fast CDR callbacks that rosidl generates for each type, callable from Rust: no exception leaves this file. Bodies are
 // CDR without the four bytes of encapsulation, little-endian, as they lie in shared memory.
 
 #include <cstdint>
@@ -20,7 +20,7 @@ const message_type_support_callbacks_t & of(const void * callbacks)
   return *static_cast<const message_type_support_callbacks_t *>(callbacks);
 }
 
-// Runs `body`, which answers whether it succeeded; what it throws is written to `reason`.
+// Runs `body`, which returns whether it succeeded; the text of an exception is written to `reason`.
 template<typename Body>
 bool guarded(char * reason, size_t reason_bytes, Body body) noexcept
 {
@@ -33,7 +33,7 @@ bool guarded(char * reason, size_t reason_bytes, Body body) noexcept
     std::strncpy(reason, error.what(), reason_bytes - 1);
     return false;
   } catch (...) {
-    text = "its type support threw something that is no exception";
+    text = "its type support threw an unknown exception";
   }
   std::strncpy(reason, text, reason_bytes - 1);
   return false;
@@ -56,7 +56,7 @@ struct Plain
 
 extern "C"
 {
-// The longest body of a type, and whether there is one: `bounds` as rosidl_typesupport_fastrtps_cpp has it.
+// The longest body of a type, and whether it is bounded: `bounds` as in rosidl_typesupport_fastrtps_cpp.
 size_t taut_cdr_longest(const void * callbacks, uint8_t * bounds) noexcept
 {
   char said = 0;
@@ -65,7 +65,7 @@ size_t taut_cdr_longest(const void * callbacks, uint8_t * bounds) noexcept
   return longest;
 }
 
-// At least the length of a message's body.
+// Upper bound of the length of a message's body.
 bool taut_cdr_estimate(
   const void * callbacks, const void * message, size_t * estimate, char * reason, size_t reason_bytes) noexcept
 {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A type's callbacks of Fast CDR: its structs of C or C++ to a body of CDR and back. `cdr.cpp` is the other half.
+//! A type's Fast CDR callbacks, between C or C++ structs and CDR bodies. `cdr.cpp` is the other half.
 
 use crate::error::{Error, Result};
 use std::ffi::{CStr, c_char, c_void};
@@ -39,10 +39,10 @@ const BOUNDED: u8 = 1;
 
 const REASON_BYTES: usize = 256;
 
-/// How long bodies of a type can be.
+/// The length of bodies of a type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Length {
-    /// All are as long as this, and what a struct's memory begins with.
+    /// All have this length, and the same bytes as the begin of the struct in memory.
     Plain(usize),
     AtMost(usize),
     Any,
@@ -52,21 +52,21 @@ pub(crate) enum Length {
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Callbacks(*const c_void);
 
-// SAFETY: constants of a library that nobody unloads while it has a type in use; the functions behind them have no state.
+// SAFETY: constants of a library that stays loaded while a type of it is in use; the functions are stateless.
 unsafe impl Send for Callbacks {}
 // SAFETY: as above.
 unsafe impl Sync for Callbacks {}
 
 impl Callbacks {
     /// # Safety
-    /// `data` is that of a type support for Fast CDR, which outlives this.
+    /// `data` is of a type support for Fast CDR that outlives this.
     pub(crate) unsafe fn new(data: *const c_void) -> Self {
         Callbacks(data)
     }
 
     pub(crate) fn length(self) -> Length {
         let mut bounds = 0;
-        // SAFETY: the callbacks are such.
+        // SAFETY: valid callbacks.
         let longest = unsafe { taut_cdr_longest(self.0, &mut bounds) };
         match bounds {
             PLAIN => Length::Plain(longest),
@@ -75,40 +75,40 @@ impl Callbacks {
         }
     }
 
-    /// At least the length of a message's body: Fast CDR counts some padding that it then does not write.
+    /// Upper bound of the length of a message's body: Fast CDR also counts padding that it does not write.
     ///
     /// # Safety
     /// `message` is a message of this type.
     pub(crate) unsafe fn estimate(self, message: *const c_void) -> Result<usize> {
         let (mut estimate, mut reason) = (0, [0; REASON_BYTES]);
-        // SAFETY: the caller's word; the places are valid.
+        // SAFETY: the caller's contract; the pointers are valid.
         let is_done =
             unsafe { taut_cdr_estimate(self.0, message, &mut estimate, reason.as_mut_ptr(), REASON_BYTES) };
         if is_done { Ok(estimate) } else { Err(refused("measured", &reason)) }
     }
 
-    /// Writes a message's body to the begin of `to`, which nobody has written before, maybe. Returns how long it is.
+    /// Writes a message's body to `to`, whose bytes may be uninitialised. Returns its length.
     ///
     /// # Safety
     /// `message` is a message of this type.
     pub(crate) unsafe fn write(self, message: *const c_void, to: &mut [u8]) -> Result<usize> {
         let (mut written, mut reason) = (0, [0; REASON_BYTES]);
         let (bytes, capacity) = (to.as_mut_ptr(), to.len());
-        // SAFETY: the caller's word; Fast CDR writes nothing beyond `capacity`.
+        // SAFETY: the caller's contract; Fast CDR writes nothing beyond `capacity`.
         let is_done = unsafe {
             taut_cdr_write(self.0, message, bytes, capacity, &mut written, reason.as_mut_ptr(), REASON_BYTES)
         };
         if is_done { Ok(written.min(capacity)) } else { Err(refused("written", &reason)) }
     }
 
-    /// Reads a body into a message. What is in the message after an error is a message still, of whatever was read.
+    /// Reads a body into a message. After an error the message is still valid, with unspecified content.
     ///
     /// # Safety
     /// `message` is a message of this type, initialised.
     pub(crate) unsafe fn read(self, from: &[u8], is_little: bool, message: *mut c_void) -> Result {
         let mut reason = [0; REASON_BYTES];
         let (bytes, size) = (from.as_ptr(), from.len());
-        // SAFETY: the caller's word; Fast CDR reads nothing beyond `size`.
+        // SAFETY: the caller's contract; Fast CDR reads nothing beyond `size`.
         let is_done = unsafe {
             taut_cdr_read(self.0, bytes, size, is_little, message, reason.as_mut_ptr(), REASON_BYTES)
         };
@@ -117,7 +117,7 @@ impl Callbacks {
 }
 
 fn refused(what: &str, reason: &[c_char; REASON_BYTES]) -> Error {
-    // SAFETY: zeros, of which the shim leaves the last.
+    // SAFETY: zero-initialised; the shim keeps the last zero.
     let reason = unsafe { CStr::from_ptr(reason.as_ptr()) };
     Error::other(format!("the message cannot be {what}: {}", reason.to_string_lossy()))
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Clients of services. What is asked before there is a server waits for one.
+//! Clients of services. Requests without a server wait for one.
 
 use crate::bindings::*;
 use crate::context::Watchers;
@@ -28,11 +28,11 @@ pub(crate) struct Client {
 
 pub(crate) struct Asking {
     raw: QueuedClient,
-    /// Requests by their numbers, that no server had room for, or that there was no server for.
+    /// Requests with their sequence numbers, which found no server or a full queue.
     unsent: VecDeque<(u64, Vec<u8>)>,
 }
 
-/// Requests of one client that wait for a server. What is asked beyond that is refused.
+/// Maximum of requests per client that wait for a server; more are refused.
 const MOST_UNSENT: usize = Depth::ROOM;
 
 impl Port for Asking {
@@ -49,13 +49,13 @@ impl Drop for Client {
     }
 }
 
-/// Whether a request that was not sent waits for another time.
+/// Whether an unsent request should wait.
 fn is_to_wait(error: &ServiceError) -> bool {
     matches!(error, ServiceError::NoServer { .. } | ServiceError::RequestsFull { .. })
 }
 
 impl Asking {
-    /// Sends what waits, in the order of the numbers, as far as there is a server with room for it.
+    /// Sends waiting requests in order, as far as servers have room.
     fn flush(&mut self) -> Result {
         while let Some((number, body)) = self.unsent.front() {
             let mut loan = self.raw.loan(body.len())?;
@@ -70,13 +70,13 @@ impl Asking {
         Ok(())
     }
 
-    /// Sends the request that `write` writes, of at most `len_bytes`, or has it wait. Returns its number.
+    /// Sends or queues a request of at most `len_bytes`, written by `write`. Returns its sequence number.
     fn ask(&mut self, len_bytes: usize, write: impl FnOnce(&mut [u8]) -> Result<usize>) -> Result<u64> {
         self.flush()?;
         if self.unsent.len() >= MOST_UNSENT {
             let service = self.raw.service();
             return Err(Error::other(format!(
-                "service '{service}': {MOST_UNSENT} requests wait for a server already, which is the limit"
+                "service '{service}': {MOST_UNSENT} requests already wait for a server, the limit: start the server, or send fewer"
             )));
         }
         let mut loan = self.raw.loan(len_bytes)?;
@@ -104,17 +104,17 @@ impl Asking {
 
 impl Client {
     fn node(&self) -> &Node {
-        // SAFETY: rmw's word: a node lives longer than what is its.
+        // SAFETY: rmw's contract: a node outlives its endpoints.
         unsafe { &*self.node }
     }
 
-    /// The end, whose responses wake who waits.
+    /// The endpoint, whose responses wake wait sets.
     pub(crate) fn end(&self) -> &End<Asking> {
         &self.end
     }
 }
 
-/// Sends what waits when a server appears or has room, and tells who waits for one, until the client has gone.
+/// Sends waiting requests when a server appears or has room, and signals new servers, until the client is destroyed.
 async fn serve(end: Weak<End<Asking>>, watchers: Arc<Watchers>) {
     let mut servers = 0;
     poll_fn(|context| {
@@ -124,9 +124,9 @@ async fn serve(end: Weak<End<Asking>>, watchers: Arc<Watchers>) {
             (asking.flush(), asking.raw.server_count())
         });
         if let Err(error) = flushed {
-            tracing::warn!("a request waits on: {error:?}");
+            tracing::warn!("a request was not sent, retrying: {error:?}");
         }
-        // The graph had it before: only now it can be asked.
+        // The graph showed the server earlier, but only now it can be called.
         if std::mem::replace(&mut servers, found) != found {
             watchers.trigger();
         }
@@ -136,7 +136,7 @@ async fn serve(end: Weak<End<Asking>>, watchers: Arc<Watchers>) {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_create_client(
     node: *const rmw_node_t,
@@ -145,13 +145,13 @@ pub unsafe extern "C" fn rmw_create_client(
     profile: *const rmw_qos_profile_t,
 ) -> *mut rmw_client_t {
     made(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (node, of, name) = unsafe {
             let node = behind(node)?;
             (node, ServiceSupport::of(support)?, name_of(name, profile)?)
         };
         let wanted = profile_of(profile)?;
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (limits, depth) = unsafe { (of.request.limits(), Depth::of(profile, &wanted)) };
         let raw = node.participant.create_queued_client(name, &of.service_type, depth.room, limits)?;
         let gid = raw.gid();
@@ -160,7 +160,7 @@ pub unsafe extern "C" fn rmw_create_client(
         node.context().helper.run(move || serve(served, watchers));
         let client = Client { node, of, qos: qos::to_ros(&wanted, false), depth, gid, end };
         let service_name = copy_text(name)?;
-        // SAFETY: rmw's own memory, written before anybody sees it.
+        // SAFETY: rmw's own memory, written before anyone can see it.
         unsafe {
             let handle = rmw_client_allocate();
             if handle.is_null() {
@@ -178,11 +178,11 @@ pub unsafe extern "C" fn rmw_create_client(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_destroy_client(node: *mut rmw_node_t, handle: *mut rmw_client_t) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word; checked to be ours, so made above.
+        // SAFETY: rmw's contract; checked to be ours, so created above.
         unsafe {
             behind(node)?;
             behind(handle)?;
@@ -195,7 +195,7 @@ pub unsafe extern "C" fn rmw_destroy_client(node: *mut rmw_node_t, handle: *mut 
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_send_request(
     handle: *const rmw_client_t,
@@ -203,13 +203,13 @@ pub unsafe extern "C" fn rmw_send_request(
     number: *mut i64,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (client, number) = unsafe { (behind(handle)?, place(number, "the sequence number")?) };
         if request.is_null() {
             return Err(Error::null("the request"));
         }
         let callbacks = client.of.request.callbacks;
-        // SAFETY: rmw's word: a request of this type.
+        // SAFETY: rmw's contract: a request of this type.
         let estimate = unsafe { callbacks.estimate(request)? };
         let write = |body: &mut [u8]| {
             // SAFETY: as above.
@@ -222,7 +222,7 @@ pub unsafe extern "C" fn rmw_send_request(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_take_response(
     handle: *const rmw_client_t,
@@ -231,18 +231,18 @@ pub unsafe extern "C" fn rmw_take_response(
     taken: *mut bool,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (client, header, taken) =
             unsafe { (behind(handle)?, place(header, "the header")?, place(taken, "taken")?) };
         if response.is_null() {
             return Err(Error::null("the response"));
         }
         *taken = false;
-        // Too many held: the threads that are in a take make room.
+        // At the limit of held samples: the threads that are in a take will release some.
         let oldest = client.end.take(|asking| {
             let late = |response: RawSample| {
                 tracing::warn!(
-                    "the response to request {} of service '{}' was dropped, for newer ones wait than its client's depth has room for",
+                    "the response to request {} of service '{}' was dropped: newer ones fill its client's depth",
                     response.info().sequence_number,
                     asking.raw.service()
                 );
@@ -250,11 +250,11 @@ pub unsafe extern "C" fn rmw_take_response(
             client.depth.take(asking.raw.responses(), || asking.raw.try_take(), late)
         });
         let Ok(Some(sample)) = oldest else { return Ok(()) };
-        // SAFETY: rmw's word: a response of this type.
+        // SAFETY: rmw's contract: a response of this type.
         if let Err(error) = unsafe { client.of.response.callbacks.read(sample.body(), true, response) } {
-            // Not an error of the caller's: executors end by those.
+            // Not an error for the caller: executors would end.
             tracing::warn!(
-                "a response was dropped, for it is none of {}: {error:?}",
+                "a response was dropped, because it is not a valid {}: {error:?}",
                 client.of.response.name()
             );
             return Ok(());
@@ -267,7 +267,7 @@ pub unsafe extern "C" fn rmw_take_response(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_service_server_is_available(
     node: *const rmw_node_t,
@@ -275,11 +275,11 @@ pub unsafe extern "C" fn rmw_service_server_is_available(
     is_available: *mut bool,
 ) -> rmw_ret_t {
     answer(|| {
-        // As rmw's own tests want it.
+        // As rmw's own tests require.
         if node.is_null() || handle.is_null() || is_available.is_null() {
-            return Err(Error::other("the node, the client or the place for the answer is null"));
+            return Err(Error::other("the node, the client or the result pointer is null"));
         }
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (client, is_available) = unsafe {
             behind(node)?;
             (behind(handle)?, place(is_available, "the answer")?)
@@ -290,14 +290,14 @@ pub unsafe extern "C" fn rmw_service_server_is_available(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_get_gid_for_client(
     handle: *const rmw_client_t,
     gid: *mut rmw_gid_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (client, gid) = unsafe { (behind(handle)?, place(gid, "the gid")?) };
         *gid = rmw_gid_t { implementation_identifier: IDENTIFIER.as_ptr(), data: client.gid.0 };
         Ok(())
@@ -305,10 +305,10 @@ pub unsafe extern "C" fn rmw_get_gid_for_client(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 unsafe fn actual_qos(handle: *const rmw_client_t, profile: *mut rmw_qos_profile_t) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (client, profile) = unsafe { (behind(handle)?, place(profile, "the QoS profile")?) };
         *profile = client.qos;
         Ok(())
@@ -316,29 +316,29 @@ unsafe fn actual_qos(handle: *const rmw_client_t, profile: *mut rmw_qos_profile_
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_client_request_publisher_get_actual_qos(
     handle: *const rmw_client_t,
     profile: *mut rmw_qos_profile_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe { actual_qos(handle, profile) }
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_client_response_subscription_get_actual_qos(
     handle: *const rmw_client_t,
     profile: *mut rmw_qos_profile_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe { actual_qos(handle, profile) }
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_client_set_on_new_response_callback(
     handle: *mut rmw_client_t,
@@ -346,7 +346,7 @@ pub unsafe extern "C" fn rmw_client_set_on_new_response_callback(
     data: *const c_void,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let client = unsafe { behind(handle)? };
         let helper = &client.node().context().helper;
         client.end.set_on_new(helper, callback.map(|function| (function, data)));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A context: one membership of a domain, its helper thread, and what its wait sets sleep on.
+//! A context: a participant of a domain, its helper thread, and the waiters of its wait sets.
 
 use crate::bindings::*;
 use crate::error::{Error, Result, answer};
@@ -19,23 +19,23 @@ use tautline_trace::SamplerObject;
 use tautline_transport::{GraphEvents, Participant, Slot};
 
 pub(crate) struct Context {
-    // Dropped in this order: what the helper serves is the participant's, and the last participant removes the domain's folder, in which
-    // nothing may be left by then.
+    // Dropped in this order: the helper serves the participant, and the last participant removes the domain's folder, which must
+    // be empty by then.
     pub(crate) helper: Helper,
     pub(crate) system: System,
     pub(crate) participant: Participant,
-    /// Of its nodes.
+    /// The enclave of its nodes.
     pub(crate) enclave: String,
     is_shut_down: AtomicBool,
-    /// Nodes that live.
+    /// Existing nodes.
     pub(crate) nodes: AtomicUsize,
     watchers: Arc<Watchers>,
     pub(crate) waiters: Arc<Waiters>,
-    /// Its waits, as events speak of them.
+    /// Its waits, for trace events.
     pub(crate) waits: Arc<SamplerObject>,
 }
 
-/// What is triggered when the graph changes.
+/// Signals to set when the graph changes.
 #[derive(Default)]
 pub(crate) struct Watchers(Mutex<Vec<Weak<Signal>>>);
 
@@ -51,8 +51,8 @@ impl Watchers {
     }
 }
 
-/// What wait sets sleep on, when they are not in use. None is dropped before its context and the wait sets of it: who triggers a guard
-/// condition may be on the way to it.
+/// Waiters that no wait set uses. None is dropped before its context and that context's wait sets, because a trigger of a guard
+/// condition may still use it.
 #[derive(Default)]
 pub(crate) struct Waiters(Mutex<Vec<Arc<Waiter>>>);
 
@@ -61,7 +61,7 @@ impl Waiters {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Something to sleep on, for one wait set until it [gives it back](Self::give_back).
+    /// A waiter for one wait set, until it is [given back](Self::give_back).
     pub(crate) fn claim(&self, participant: &Participant) -> Arc<Waiter> {
         let mut free = self.free();
         if let Some(at) = free.iter().rposition(|waiter| matches!(**waiter, Waiter::Bell(_))) {
@@ -69,7 +69,7 @@ impl Waiters {
         }
         match participant.doorbell().claim_thread_bell() {
             Ok(bell) => Arc::new(Waiter::Bell(bell)),
-            // Without a bell it is slower, but nothing is missed.
+            // Slower without a bell, but nothing is missed.
             Err(_) => free.pop().unwrap_or_else(|| Arc::new(Waiter::Word(FutexWord::new(0)))),
         }
     }
@@ -82,7 +82,7 @@ impl Waiters {
 impl Context {
     fn join(domain: u32, enclave: &str) -> Result<Self> {
         let participant = Participant::new(domain)?;
-        // In the domain's folder.
+        // Its file is in the domain's folder.
         let system = System::of_environment(domain)?;
         let waits = Arc::new(tautline_trace::sampler_init(participant.trace_id(), "rmw_wait"));
         let helper = Helper::start(&participant)?;
@@ -104,17 +104,17 @@ impl Context {
         })
     }
 
-    /// For who knows of a change before the graph tells.
+    /// For changes that are known before the graph shows them.
     pub(crate) fn watchers(&self) -> &Arc<Watchers> {
         &self.watchers
     }
 
-    /// Has a signal set when the graph changes, as long as it lives.
+    /// Sets `signal` when the graph changes, as long as it exists.
     pub(crate) fn watch_graph(&self, signal: &Arc<Signal>) {
         self.watchers.0.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::downgrade(signal));
     }
 
-    /// Whether it is still to be used: an error if it was shut down.
+    /// An error if the context was shut down.
     pub(crate) fn check(&self) -> Result {
         match self.is_shut_down.load(Ordering::Acquire) {
             false => Ok(()),
@@ -124,7 +124,7 @@ impl Context {
 }
 
 async fn tell_of_changes(mut events: GraphEvents, slot: Arc<Slot>, watchers: Arc<Watchers>) {
-    // The graph's thread wakes by a ring what sleeps on the doorbell.
+    // The graph's thread wakes tasks on the doorbell with a ring.
     let ring = Waker::from(Arc::new(Ring(slot.clone())));
     loop {
         let event = poll_fn(|context| {
@@ -139,14 +139,14 @@ async fn tell_of_changes(mut events: GraphEvents, slot: Arc<Slot>, watchers: Arc
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_init(
     options: *const rmw_init_options_t,
     context: *mut rmw_context_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word: both are null or valid.
+        // SAFETY: rmw's contract: each is null or valid.
         let (options, context) = unsafe {
             let options = options.as_ref().ok_or_else(|| Error::null("the options"))?;
             (options, context.as_mut().ok_or_else(|| Error::null("the context"))?)
@@ -160,7 +160,7 @@ pub unsafe extern "C" fn rmw_init(
         }
         log::start();
         let domain = options::check(options)?;
-        // SAFETY: rmw's word; checked not to be null.
+        // SAFETY: rmw's contract; checked not to be null.
         let made = Context::join(domain, unsafe { text(options.enclave, "the enclave")? })?;
         context.instance_id = options.instance_id;
         context.actual_domain_id = domain as usize;
@@ -173,31 +173,31 @@ pub unsafe extern "C" fn rmw_init(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_shutdown(context: *mut rmw_context_t) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         unsafe { behind_context(context)? }.is_shut_down.store(true, Ordering::Release);
         Ok(())
     })
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_context_fini(context: *mut rmw_context_t) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let behind = unsafe { behind_context(context)? };
         if !behind.is_shut_down.load(Ordering::Acquire) {
             return Err(Error::invalid("the context is not shut down"));
         }
         let nodes = behind.nodes.load(Ordering::Acquire);
         if nodes != 0 {
-            return Err(Error::other(format!("the context has {nodes} nodes still: destroy them first")));
+            return Err(Error::other(format!("the context still has {nodes} nodes: destroy them first")));
         }
-        // SAFETY: rmw's word: nobody uses it any more. It was made by `rmw_init`.
+        // SAFETY: rmw's contract: no longer used, and created by `rmw_init`.
         unsafe {
             drop(take_back::<Context>((*context).impl_.cast()));
             let finished = rmw_init_options_fini(&mut (*context).options);

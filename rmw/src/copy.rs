@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Copies of large messages into shared memory.
 
-/// From so many bytes on.
+/// Minimum size for streaming stores.
 const LARGE_BYTES: usize = 256 << 10;
 
-/// Makes `to` a copy of `from`, which is as long.
+/// Copies `from` to `to`, which has the same length.
 ///
-/// A large one goes past the caches. The core of the last reader has this memory in its cache, and an ordinary store to a line waits
-/// until it has given that up; asking for lines ahead does not help. Half a round trip of 1 MiB between cores 155 ns apart took 330 to
-/// 450 µs, and takes 110 to 145. Between cores 30 ns apart it took 70 to 90 µs, and takes 110 to 170: the price of a bound that does not
-/// depend on where the cores are. From 4 MiB on it is shorter in both.
+/// A large copy bypasses the caches. The core of the last reader has this memory in its cache, and a normal store waits until
+/// that core gives up the line; prefetching does not help. Half a round trip of 1 MiB between cores 155 ns apart took 330 to 450
+/// µs, and takes 110 to 145. Between cores 30 ns apart it took 70 to 90 µs, and takes 110 to 170: the price of a bound that does
+/// not depend on the cores. From 4 MiB on it is shorter for both.
 pub(crate) fn copy(to: &mut [u8], from: &[u8]) {
     #[cfg(target_arch = "x86_64")]
     if from.len() >= LARGE_BYTES && to.len() == from.len() {
@@ -21,17 +21,17 @@ pub(crate) fn copy(to: &mut [u8], from: &[u8]) {
 #[cfg(target_arch = "x86_64")]
 fn stream(to: &mut [u8], from: &[u8]) {
     use std::arch::x86_64::{__m128i, _mm_loadu_si128, _mm_sfence, _mm_stream_si128};
-    // SAFETY: any bytes are a number of 128 bits.
+    // SAFETY: any bytes are valid as 128 bits.
     let (head, words, tail) = unsafe { to.align_to_mut::<__m128i>() };
     let (first, rest) = from.split_at(head.len());
     let (middle, last) = rest.split_at(size_of_val(words));
     head.copy_from_slice(first);
     tail.copy_from_slice(last);
     for (word, bytes) in words.iter_mut().zip(middle.chunks_exact(size_of::<__m128i>())) {
-        // SAFETY: as many bytes; `word` is aligned; every x86-64 has these instructions.
+        // SAFETY: equal lengths; `word` is aligned; every x86-64 has these instructions.
         unsafe { _mm_stream_si128(word, _mm_loadu_si128(bytes.as_ptr().cast())) };
     }
-    // SAFETY: as above. Nobody sees that the message is there before its bytes.
+    // SAFETY: as above. Readers see the message only after its bytes.
     unsafe { _mm_sfence() };
 }
 

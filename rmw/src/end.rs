@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! An end that messages come to: used by one thread at a time, and whom its publishers wake.
+//! A receiving endpoint: used by one thread at a time, and woken by its publishers.
 
 use crate::callback::{Callback, Function};
 use crate::error::Result;
@@ -14,9 +14,9 @@ use std::task::{Poll, Waker};
 use tautline_rt::PiMutex;
 use tautline_transport::{MessageInfo, RawSample, RawSubscription, TakeError, Wakeable};
 
-/// What has a queue of messages.
+/// An endpoint with a queue of messages.
 pub(crate) trait Port: Send + 'static {
-    /// Whether it is a topic's, not a service's.
+    /// Whether it belongs to a topic, not to a service.
     const IS_TOPIC: bool;
 
     fn subscription(&self) -> &RawSubscription;
@@ -30,23 +30,23 @@ impl Port for RawSubscription {
     }
 }
 
-/// A port of ROS's, which several threads use in turn.
+/// A port that several ROS threads use in turn.
 pub(crate) struct End<P> {
     side: PiMutex<(P, Route)>,
     jobs: Arc<Jobs>,
-    /// For new messages.
+    /// Called for new messages.
     callback: Callback,
-    /// The helper has a task that calls it.
+    /// Whether the helper has a task that calls it.
     is_served: AtomicBool,
 }
 
-/// Where the rings of a port go.
+/// Where a port's rings go.
 #[derive(Default)]
 struct Route {
     to: Option<Arc<Waiter>>,
-    /// The helper's task that calls for new messages.
+    /// The helper's task for new messages.
     task: Option<Waker>,
-    /// How many messages the callback was called for, since the end was made.
+    /// Messages for which the callback was called so far.
     told: u64,
 }
 
@@ -60,7 +60,7 @@ impl<P: Port> End<P> {
     /// Uses the port.
     ///
     /// # Real-time
-    /// Waits for who uses it right now, and lends it this thread's priority.
+    /// Waits for another thread in it, which inherits this thread's priority.
     pub(crate) fn with<T>(&self, using: impl FnOnce(&mut P) -> T) -> T {
         using(&mut self.side.lock().0)
     }
@@ -71,10 +71,10 @@ impl<P: Port> End<P> {
         self.with(|port| port.subscription().has_samples())
     }
 
-    /// Has `waiter` woken by what comes, once; the caller looks into the queue after this.
+    /// Lets new messages wake `waiter`, once; the caller checks the queue afterwards.
     ///
-    /// Publishers wake the waiter's thread themselves, if its bell has a place for them. What is no publisher's ring is the sampler's in
-    /// any case, whose place the helper has: when a publisher is connected that has sent something before, a new segment is mapped.
+    /// Publishers wake the waiter's thread directly, if its bell has room. All other rings go through the sampler, which is the
+    /// helper here: for example, when a publisher with earlier messages connects, a new segment is mapped.
     ///
     /// # Real-time
     /// As [`with`](Self::with); O(subscriptions of the wait set) the first time; no allocation; no syscall.
@@ -86,14 +86,14 @@ impl<P: Port> End<P> {
                 Waiter::Bell(bell) => subscription.wake_thread(Some(bell)),
                 Waiter::Word(_) => subscription.wake_thread(None),
             };
-            // Without a place it is tried again at the next wait.
+            // Without room it is retried at the next wait.
             route.to = is_direct.then(|| waiter.clone());
         }
         subscription.wake_once(&Waker::from(waiter.clone()));
     }
 
-    /// After a wait: the helper calls for what comes from here on, if it is to. Else rings go on to the waiter, where the next wait sees
-    /// them.
+    /// After a wait: from here on the helper calls the callback for new messages, if one is set. Otherwise rings still go to the
+    /// waiter, and the next wait sees them.
     ///
     /// # Real-time
     /// One load without a callback; else as [`with`](Self::with), and one futex wake.
@@ -103,7 +103,7 @@ impl<P: Port> End<P> {
         }
     }
 
-    /// Leads the rings to the helper's task, and has that look.
+    /// Routes the rings to the helper's task, and wakes it.
     fn go_home(&self) {
         let (port, route) = &mut *self.side.lock();
         if let Some(task) = route.task.clone() {
@@ -112,7 +112,7 @@ impl<P: Port> End<P> {
         }
     }
 
-    /// Wakes who waits, for something else than a message.
+    /// Wakes the waiting thread for another reason than a message.
     pub(crate) fn wake(&self) {
         let (port, route) = &*self.side.lock();
         match &route.to {
@@ -121,7 +121,7 @@ impl<P: Port> End<P> {
         }
     }
 
-    /// Takes a message; what the thread did with the one before is done.
+    /// Takes a message, which ends this thread's previous job.
     ///
     /// # Real-time
     /// As `take`, as [`with`](Self::with), and as [`job::end`].
@@ -133,14 +133,14 @@ impl<P: Port> End<P> {
         let (port, route) = &mut *self.side.lock();
         let taken = take(port);
         if matches!(taken, Ok(None) | Err(TakeError::TooManyHeld)) && port.subscription().waiting() > 0 {
-            // On its way, or for later: whoever was called for it is called again when it can be taken.
+            // Not available yet: the callback must be called again when it is.
             route.told = route.told.saturating_sub(1);
         }
         taken
     }
 
-    /// The message that was taken is given to who asked for it. Executors that are called for messages do not wait here, so nobody
-    /// sees when they are done with one.
+    /// Starts a job for the taken message. Executors that use callbacks for new messages do not wait here, so the end of their
+    /// jobs is unknown.
     ///
     /// # Real-time
     /// As [`Jobs::begin`].
@@ -150,8 +150,8 @@ impl<P: Port> End<P> {
         }
     }
 
-    /// Sets the callback for new messages, or takes it back. It is called here for what waits and nobody was called for before, as
-    /// other RMWs do it; after that the helper calls it.
+    /// Sets or removes the callback for new messages. It is called here for messages not reported before, like other RMWs do;
+    /// later the helper calls it.
     pub(crate) fn set_on_new(self: &Arc<Self>, helper: &Helper, function: Function) {
         self.callback.replace(function);
         self.callback.settle();
@@ -166,14 +166,14 @@ impl<P: Port> End<P> {
         helper.run(move || Self::serve(end));
     }
 
-    /// Nobody is called any more: ROS destroys it.
+    /// Removes the callback: ROS destroys the endpoint.
     pub(crate) fn close(&self) {
         self.jobs.close();
         self.callback.replace(None);
         self.callback.settle();
     }
 
-    /// Calls for what comes, until the end has gone.
+    /// Calls the callback for new messages, until the endpoint is destroyed.
     async fn serve(end: Weak<Self>) {
         poll_fn(|context| match end.upgrade() {
             None => Poll::Ready(()),
@@ -185,7 +185,7 @@ impl<P: Port> End<P> {
         .await;
     }
 
-    /// Calls for what nobody was called for; the helper's task hears of what comes after that.
+    /// Calls the callback for unreported messages, and registers the helper's task for later ones.
     fn tell(&self, task: Option<&Waker>) {
         let (call, new) = {
             let (port, route) = &mut *self.side.lock();
@@ -198,7 +198,7 @@ impl<P: Port> End<P> {
             let counters = subscription.counters();
             let past = counters.received() + counters.lost() + counters.expired() + counters.invalid();
             let all = past.saturating_add(subscription.waiting());
-            // What was taken before anybody was told of it is no news.
+            // Messages that were taken before they were reported do not count.
             let told = std::mem::replace(&mut route.told, all).max(past);
             (call, all.saturating_sub(told))
         };
@@ -207,7 +207,7 @@ impl<P: Port> End<P> {
 }
 
 impl Route {
-    /// Leads the rings to the helper.
+    /// Routes the rings to the helper.
     fn hear(&mut self, subscription: &RawSubscription, task: &Waker) {
         if self.to.take().is_some() {
             subscription.wake_thread(None);
@@ -216,7 +216,7 @@ impl Route {
     }
 }
 
-/// Has whoever waits look, by the sampler's bell: one that was never quiet is rung, and nothing else.
+/// Rings the sampler's bell; the subscription was never quiet, so this does nothing else.
 fn ring(subscription: &RawSubscription) {
     subscription.set_quiet(false);
 }

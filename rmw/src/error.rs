@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a function of an RMW answers: a code, and a text that rcutils keeps for who asks.
+//! Results of an RMW's functions: a code, and a text that rcutils stores.
 
 use crate::bindings::*;
 use std::any::Any;
@@ -39,7 +39,7 @@ impl Error {
 
     fn set(&self) {
         let text = CString::new(self.text.replace('\0', " ")).unwrap_or_default();
-        // SAFETY: texts that end with a zero and live through the call, which copies them.
+        // SAFETY: NUL-terminated texts that outlive the call, which copies them.
         unsafe {
             rcutils_reset_error();
             rcutils_set_error_state(text.as_ptr(), c"rmw_tautline".as_ptr(), 0);
@@ -80,20 +80,20 @@ impl From<ServiceError> for Error {
     }
 }
 
-/// Runs a function's body. A panic of ours is an error of the caller's, not its end.
+/// Runs a function's body. A panic becomes an error.
 fn guarded<T>(body: impl FnOnce() -> Result<T>) -> Result<T> {
     catch_unwind(AssertUnwindSafe(body)).unwrap_or_else(|panic| Err(Error::other(said(&*panic))))
 }
 
-/// What is said of a panic.
+/// The text for a panic.
 pub(crate) fn said(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().copied();
     let text =
-        text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("no reason is told");
+        text.or_else(|| panic.downcast_ref::<String>().map(String::as_str)).unwrap_or("no reason given");
     format!("rmw_tautline has a defect, please report it: {text}")
 }
 
-/// What a function answers whose answer is a code.
+/// Runs a function that returns a code.
 pub(crate) fn answer(body: impl FnOnce() -> Result) -> rmw_ret_t {
     match guarded(body) {
         Ok(()) => RET_OK,
@@ -104,7 +104,7 @@ pub(crate) fn answer(body: impl FnOnce() -> Result) -> rmw_ret_t {
     }
 }
 
-/// What a function answers that makes something; null if it could not.
+/// Runs a function that creates something; null if that failed.
 pub(crate) fn made<T>(body: impl FnOnce() -> Result<*mut T>) -> *mut T {
     guarded(body).unwrap_or_else(|error| {
         error.set();
@@ -112,7 +112,7 @@ pub(crate) fn made<T>(body: impl FnOnce() -> Result<*mut T>) -> *mut T {
     })
 }
 
-/// Runs what may fail on the way to a success. Its texts are nobody's, but one that was there before is kept.
+/// Runs code whose errors do not fail the call: resets their texts, but keeps an earlier one.
 pub(crate) fn without_text<T>(body: impl FnOnce() -> T) -> T {
     // SAFETY: no conditions.
     let was_set = unsafe { rcutils_error_is_set() };
@@ -124,7 +124,7 @@ pub(crate) fn without_text<T>(body: impl FnOnce() -> T) -> T {
     done
 }
 
-/// What librmw and librcutils answer, which keep a text themselves.
+/// Checks a code of librmw or librcutils, which set the text themselves.
 pub(crate) fn checked(code: rmw_ret_t, what: &str) -> Result {
     if code == RET_OK { Ok(()) } else { Err(Error::new(code, format!("{what} failed"))) }
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! QoS events: the helper hears what happens to an end, adds it up, and wakes who waits or calls who asked to be called.
+//! QoS events: the helper receives an endpoint's events, adds them up, and wakes waits or calls callbacks.
 
 use crate::bindings::*;
 use crate::callback::{Call, Callback, Function};
@@ -16,10 +16,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use tautline_rt::PiMutex;
 use tautline_sampler::{PublisherEvent, SubscriptionEvent};
 
-/// Of both kinds of ends: `rmw_event_type_t` counts them from 0.
+/// Kinds of events of both kinds of endpoints: `rmw_event_type_t` counts from 0.
 const KINDS: usize = RMW_EVENT_INVALID as usize;
 
-/// What happened to one end, by the number of each kind of event.
+/// The events of one endpoint, by kind.
 #[derive(Default)]
 pub(crate) struct Happened {
     kinds: [Kind; KINDS],
@@ -27,7 +27,7 @@ pub(crate) struct Happened {
 }
 
 struct Kind {
-    /// Set while something was not taken.
+    /// Set while there is an event to take.
     signal: Signal,
     state: PiMutex<State>,
     callback: Callback,
@@ -43,13 +43,13 @@ impl Default for Kind {
 #[derive(Default)]
 struct State {
     counts: Counts,
-    /// Since the last take, which nobody was called for.
+    /// Events since the last take for which no callback was called.
     untold: usize,
-    /// Something happened since the last take.
+    /// Whether there was an event since the last take.
     is_untaken: bool,
 }
 
-/// The numbers of an event of any kind, so far and since the last take.
+/// Counts of an event of any kind: totals, and changes since the last take.
 #[derive(Clone, Copy, Default)]
 struct Counts {
     total: u64,
@@ -61,14 +61,14 @@ struct Counts {
     policy: rmw_qos_policy_kind_t,
 }
 
-/// What an `rmw_event_t` points to: of an end that lives as long.
+/// The target of an `rmw_event_t`; its endpoint keeps it alive.
 pub(crate) struct Source {
     happened: Arc<Happened>,
     kind: usize,
 }
 
 impl Happened {
-    /// Has the helper listen to `events`, once: an end whose events nobody asks for costs nothing.
+    /// Makes the helper receive `events`, once: without this an endpoint's events cost nothing.
     pub(crate) fn listen<S, E>(
         self: &Arc<Self>,
         helper: &Helper,
@@ -92,7 +92,7 @@ impl Happened {
         Ok(())
     }
 
-    /// Nobody is called any more: ROS destroys the end.
+    /// Removes all callbacks: ROS destroys the endpoint.
     pub(crate) fn close(&self) {
         self.kinds.iter().for_each(|kind| kind.set_callback(None));
     }
@@ -112,7 +112,7 @@ impl Happened {
             state.is_untaken = true;
             kind.begin(&mut state)
         };
-        // First: who takes it has been called for it.
+        // The callback comes first: a thread that takes the event has then been called for it.
         if let Some((call, count)) = call {
             call.run(count);
         }
@@ -124,13 +124,13 @@ impl Happened {
 }
 
 impl Kind {
-    /// Begins a call for what nobody was called for, if somebody asked to be called.
+    /// Begins a call for unreported events, if a callback is set.
     fn begin(&self, state: &mut State) -> Option<(Call<'_>, usize)> {
         let call = self.callback.begin()?;
         Some((call, std::mem::take(&mut state.untold)))
     }
 
-    /// Sets the callback, or takes it back, and calls it for what happened before.
+    /// Sets or removes the callback, and calls it for earlier events.
     fn set_callback(&self, function: Function) {
         self.callback.replace(function);
         self.callback.settle();
@@ -141,7 +141,7 @@ impl Kind {
     }
 }
 
-/// An event of either end, as rmw counts them.
+/// An event of either kind of endpoint, with rmw's counts.
 pub(crate) struct Event {
     kind: rmw_event_type_t,
     counts: Counts,
@@ -228,14 +228,14 @@ impl Event {
     }
 }
 
-/// The flag of an event that is waited for.
+/// The flag of an event in a wait set.
 pub(crate) fn signal_of(event: &rmw_event_t) -> Option<&Signal> {
-    // SAFETY: null, or what `init` put there, which its end keeps.
+    // SAFETY: null, or set by `init`; the endpoint keeps the target alive.
     let source = unsafe { event.data.cast::<Source>().as_ref() }?;
     source.happened.kinds.get(source.kind).map(|kind| &kind.signal)
 }
 
-/// What its events point to, one of each kind: an end keeps them, for rmw frees no event.
+/// The targets of its events, one per kind: the endpoint owns them, because rmw does not free events.
 pub(crate) struct Sources(Vec<Source>);
 
 impl Sources {
@@ -244,21 +244,21 @@ impl Sources {
     }
 }
 
-/// Makes `event` one of those of an end; `kinds` can happen to it.
+/// Initialises `event` as one of an endpoint that supports `kinds`.
 fn init(
     event: *mut rmw_event_t,
     sources: &Sources,
     kind: rmw_event_type_t,
     kinds: std::ops::RangeInclusive<rmw_event_type_t>,
 ) -> Result {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     let event = unsafe { place(event, "the event")? };
     if !event.implementation_identifier.is_null() {
         return Err(Error::invalid("the event is initialised already"));
     }
     let source = sources.0.get(kind as usize).filter(|_| kinds.contains(&kind));
     let source = source.ok_or_else(|| {
-        Error::unsupported(format!("event type {kind} does not happen to this kind of end"))
+        Error::unsupported(format!("event type {kind} is not supported by this kind of endpoint"))
     })?;
     *event = rmw_event_t {
         implementation_identifier: IDENTIFIER.as_ptr(),
@@ -269,7 +269,7 @@ fn init(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_publisher_event_init(
     event: *mut rmw_event_t,
@@ -277,7 +277,7 @@ pub unsafe extern "C" fn rmw_publisher_event_init(
     kind: rmw_event_type_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let publisher = unsafe { behind(publisher)? };
         publisher.listen()?;
         init(event, &publisher.events, kind, RMW_EVENT_LIVELINESS_LOST..=RMW_EVENT_PUBLICATION_MATCHED)
@@ -285,7 +285,7 @@ pub unsafe extern "C" fn rmw_publisher_event_init(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_subscription_event_init(
     event: *mut rmw_event_t,
@@ -293,7 +293,7 @@ pub unsafe extern "C" fn rmw_subscription_event_init(
     kind: rmw_event_type_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let subscription = unsafe { behind(subscription)? };
         subscription.listen()?;
         init(event, &subscription.events, kind, RMW_EVENT_LIVELINESS_CHANGED..=RMW_EVENT_SUBSCRIPTION_MATCHED)
@@ -301,14 +301,14 @@ pub unsafe extern "C" fn rmw_subscription_event_init(
 }
 
 #[unsafe(no_mangle)]
-/// Whether there are events of this kind.
+/// Whether this kind of event is supported.
 pub extern "C" fn rmw_event_type_is_supported(kind: rmw_event_type_t) -> bool {
     (kind as usize) < KINDS
 }
 
-/// The source of an event that is given.
+/// The source of an event.
 unsafe fn source_of<'s>(event: *const rmw_event_t) -> Result<&'s Source> {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     let event = unsafe { event.as_ref() }.ok_or_else(|| Error::null("the event"))?;
     check_identifier(event.implementation_identifier, "the event")?;
     // SAFETY: it is ours.
@@ -316,7 +316,7 @@ unsafe fn source_of<'s>(event: *const rmw_event_t) -> Result<&'s Source> {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_take_event(
     event: *const rmw_event_t,
@@ -324,14 +324,14 @@ pub unsafe extern "C" fn rmw_take_event(
     taken: *mut bool,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (source, taken) = unsafe { (source_of(event)?, place(taken, "taken")?) };
         *taken = false;
         if info.is_null() {
             return Err(Error::null("the event's information"));
         }
         let Some(kind) = source.happened.kinds.get(source.kind) else {
-            return Err(Error::invalid("there is no such kind of event"));
+            return Err(Error::invalid("unknown kind of event"));
         };
         let mut state = kind.state.lock();
         kind.signal.take();
@@ -339,7 +339,7 @@ pub unsafe extern "C" fn rmw_take_event(
         (state.counts.total_change, state.counts.current_change, state.counts.not_alive_change) = (0, 0, 0);
         (state.untold, state.is_untaken) = (0, false);
         drop(state);
-        // SAFETY: rmw's word: it is the struct of this kind of event.
+        // SAFETY: rmw's contract: the struct of this kind of event.
         unsafe { write(source.kind as rmw_event_type_t, &counts, info) };
         *taken = true;
         Ok(())
@@ -347,12 +347,12 @@ pub unsafe extern "C" fn rmw_take_event(
 }
 
 /// # Safety
-/// `info` is valid for the struct that `kind` has.
+/// `info` is valid for the struct of `kind`.
 unsafe fn write(kind: rmw_event_type_t, counts: &Counts, info: *mut c_void) {
     let number = |count: u64| i32::try_from(count).unwrap_or(i32::MAX);
     let change = |change: i64| i32::try_from(change).unwrap_or(i32::MAX);
     let (total_count, total_count_change) = (number(counts.total), number(counts.total_change));
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     unsafe {
         match kind {
             RMW_EVENT_LIVELINESS_CHANGED => {
@@ -386,7 +386,7 @@ unsafe fn write(kind: rmw_event_type_t, counts: &Counts, info: *mut c_void) {
                     total_count_change: counts.total_change as usize,
                 })
             }
-            // The structs of the rest are alike.
+            // The remaining structs have equal fields.
             _ => info
                 .cast::<rmw_liveliness_lost_status_t>()
                 .write(rmw_liveliness_lost_status_t { total_count, total_count_change }),
@@ -395,7 +395,7 @@ unsafe fn write(kind: rmw_event_type_t, counts: &Counts, info: *mut c_void) {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_event_set_callback(
     event: *mut rmw_event_t,
@@ -403,10 +403,10 @@ pub unsafe extern "C" fn rmw_event_set_callback(
     data: *const c_void,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let source = unsafe { source_of(event)? };
         let Some(kind) = source.happened.kinds.get(source.kind) else {
-            return Err(Error::invalid("there is no such kind of event"));
+            return Err(Error::invalid("unknown kind of event"));
         };
         kind.set_callback(callback.map(|function| (function, data)));
         Ok(())

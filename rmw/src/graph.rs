@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Who is there: Tautline's picture of the domain, in ROS's structs.
+//! The graph of the domain, in ROS's structs.
 
 use crate::bindings::*;
 use crate::error::{Error, Result, answer, checked};
@@ -18,33 +18,33 @@ fn c_string(text: &str) -> CString {
     CString::new(text).unwrap_or_default()
 }
 
-/// The picture that a node's participant has now.
+/// The current graph of a node's participant.
 ///
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 unsafe fn graph(node: *const rmw_node_t) -> Result<Arc<GraphSnapshot>> {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     Ok(unsafe { behind(node)? }.participant.graph()?)
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 unsafe fn allocator<'a>(allocator: *mut rcutils_allocator_t) -> Result<&'a mut rcutils_allocator_t> {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     let allocator = unsafe { place(allocator, "the allocator")? };
     if allocator.allocate.is_none() || allocator.deallocate.is_none() || allocator.zero_allocate.is_none() {
-        return Err(Error::invalid("the allocator is none"));
+        return Err(Error::invalid("the allocator is not initialised"));
     }
     Ok(allocator)
 }
 
-/// Fills an array of texts that is zero.
+/// Fills a zero array of strings.
 fn fill<'t>(
     array: &mut rcutils_string_array_t,
     texts: impl ExactSizeIterator<Item = &'t str>,
     allocator: &rcutils_allocator_t,
 ) -> Result {
-    // SAFETY: zero, as was checked or as it was just made; as many places as are asked for.
+    // SAFETY: zero, as checked or just created; indices are within the requested size.
     unsafe {
         if rcutils_string_array_init(array, texts.len(), allocator) != RET_OK {
             return Err(Error::new(RET_BAD_ALLOC, "no memory for names"));
@@ -61,7 +61,7 @@ fn fill<'t>(
     Ok(())
 }
 
-/// Fills a list of names with their types that is zero.
+/// Fills a zero list of names with their types.
 fn fill_names(
     place: &mut rmw_names_and_types_t,
     names: &Names,
@@ -70,7 +70,7 @@ fn fill_names(
     if names.is_empty() {
         return Ok(());
     }
-    // SAFETY: zero, as was checked; as many places as are asked for.
+    // SAFETY: zero, as checked; indices are within the requested size.
     unsafe {
         checked(rmw_names_and_types_init(place, names.len(), allocator), "making a list of names")?;
         for (index, (name, types)) in names.iter().enumerate() {
@@ -90,9 +90,9 @@ fn fill_names(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 unsafe fn zero_names<'n>(names: *mut rmw_names_and_types_t) -> Result<&'n mut rmw_names_and_types_t> {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     unsafe {
         let names = place(names, "the list of names")?;
         if rmw_names_and_types_check_zero(names) != RET_OK {
@@ -103,12 +103,12 @@ unsafe fn zero_names<'n>(names: *mut rmw_names_and_types_t) -> Result<&'n mut rm
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 unsafe fn zero_array<'a>(
     array: *mut rcutils_string_array_t,
     what: &str,
 ) -> Result<&'a mut rcutils_string_array_t> {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     let array = unsafe { place(array, what)? };
     match array.size == 0 && array.data.is_null() {
         true => Ok(array),
@@ -117,14 +117,14 @@ unsafe fn zero_array<'a>(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 unsafe fn node_names(
     node: *const rmw_node_t,
     names: *mut rcutils_string_array_t,
     namespaces: *mut rcutils_string_array_t,
     enclaves: Option<*mut rcutils_string_array_t>,
 ) -> Result {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     let (graph, names, namespaces, enclaves) = unsafe {
         let graph = graph(node)?;
         let (names, namespaces) =
@@ -137,8 +137,8 @@ unsafe fn node_names(
     fill(names, nodes.iter().map(|node| node.name.name.as_str()), &allocator)?;
     let mut filled = fill(namespaces, nodes.iter().map(|node| node.name.namespace.as_str()), &allocator);
     if let (Ok(()), Some(enclaves)) = (&filled, enclaves) {
-        // The graph has none: those of other processes are in the root.
-        // SAFETY: rmw's word.
+        // The graph has no enclaves: nodes of other processes get the root.
+        // SAFETY: rmw's contract.
         let own = &unsafe { behind(node)? }.context().enclave;
         let pid = Some(std::process::id());
         let enclave = |node: &Arc<NodeInfo>| if node.pid == pid { own.clone() } else { "/".to_owned() };
@@ -157,19 +157,19 @@ unsafe fn node_names(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_get_node_names(
     node: *const rmw_node_t,
     names: *mut rcutils_string_array_t,
     namespaces: *mut rcutils_string_array_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     answer(|| unsafe { node_names(node, names, namespaces, None) })
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_get_node_names_with_enclaves(
     node: *const rmw_node_t,
@@ -177,7 +177,7 @@ pub unsafe extern "C" fn rmw_get_node_names_with_enclaves(
     namespaces: *mut rcutils_string_array_t,
     enclaves: *mut rcutils_string_array_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     answer(|| unsafe { node_names(node, names, namespaces, Some(enclaves)) })
 }
 
@@ -202,7 +202,7 @@ fn services<'g>(graph: &'g GraphSnapshot, kind: Option<ServiceKind>, node: Optio
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_get_topic_names_and_types(
     node: *const rmw_node_t,
@@ -211,7 +211,7 @@ pub unsafe extern "C" fn rmw_get_topic_names_and_types(
     names: *mut rmw_names_and_types_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (graph, allocator, names) =
             unsafe { (graph(node)?, allocator(allocator_given)?, zero_names(names)?) };
         fill_names(names, &topics(&graph, |_| true), allocator)
@@ -219,7 +219,7 @@ pub unsafe extern "C" fn rmw_get_topic_names_and_types(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_get_service_names_and_types(
     node: *const rmw_node_t,
@@ -227,17 +227,17 @@ pub unsafe extern "C" fn rmw_get_service_names_and_types(
     names: *mut rmw_names_and_types_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (graph, allocator, names) =
             unsafe { (graph(node)?, allocator(allocator_given)?, zero_names(names)?) };
         fill_names(names, &services(&graph, None, None), allocator)
     })
 }
 
-/// What one node has, as `of` finds it.
+/// The names that `of` finds for one node.
 ///
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 unsafe fn by_node(
     node: *const rmw_node_t,
     allocator_given: *mut rcutils_allocator_t,
@@ -247,7 +247,7 @@ unsafe fn by_node(
     of: for<'g> fn(&'g GraphSnapshot, &NodeName) -> Names<'g>,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         let (graph, allocator, names, wanted) = unsafe {
             let (graph, allocator) = (graph(node)?, allocator(allocator_given)?);
             check_node_name(name)?;
@@ -257,14 +257,14 @@ unsafe fn by_node(
             (graph, allocator, names, NodeName { namespace: namespace.to_owned(), name: name.to_owned() })
         };
         if !graph.nodes.iter().any(|node| node.name == wanted) {
-            return Err(Error::new(RET_NODE_NAME_NON_EXISTENT, format!("there is no node {wanted}")));
+            return Err(Error::new(RET_NODE_NAME_NON_EXISTENT, format!("node {wanted} does not exist")));
         }
         fill_names(names, &of(&graph, &wanted), allocator)
     })
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_get_publisher_names_and_types_by_node(
     node: *const rmw_node_t,
@@ -274,7 +274,7 @@ pub unsafe extern "C" fn rmw_get_publisher_names_and_types_by_node(
     _no_demangle: bool,
     names: *mut rmw_names_and_types_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe {
         by_node(node, allocator, name, namespace, names, |graph, node| {
             topics(graph, |end| end.kind == EndpointKind::Publisher && end.node.as_ref() == Some(node))
@@ -283,7 +283,7 @@ pub unsafe extern "C" fn rmw_get_publisher_names_and_types_by_node(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_get_subscriber_names_and_types_by_node(
     node: *const rmw_node_t,
@@ -293,7 +293,7 @@ pub unsafe extern "C" fn rmw_get_subscriber_names_and_types_by_node(
     _no_demangle: bool,
     names: *mut rmw_names_and_types_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe {
         by_node(node, allocator, name, namespace, names, |graph, node| {
             topics(graph, |end| end.kind == EndpointKind::Subscription && end.node.as_ref() == Some(node))
@@ -302,7 +302,7 @@ pub unsafe extern "C" fn rmw_get_subscriber_names_and_types_by_node(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_get_service_names_and_types_by_node(
     node: *const rmw_node_t,
@@ -311,7 +311,7 @@ pub unsafe extern "C" fn rmw_get_service_names_and_types_by_node(
     namespace: *const c_char,
     names: *mut rmw_names_and_types_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe {
         by_node(node, allocator, name, namespace, names, |graph, node| {
             services(graph, Some(ServiceKind::Server), Some(node))
@@ -320,7 +320,7 @@ pub unsafe extern "C" fn rmw_get_service_names_and_types_by_node(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_get_client_names_and_types_by_node(
     node: *const rmw_node_t,
@@ -329,7 +329,7 @@ pub unsafe extern "C" fn rmw_get_client_names_and_types_by_node(
     namespace: *const c_char,
     names: *mut rmw_names_and_types_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe {
         by_node(node, allocator, name, namespace, names, |graph, node| {
             services(graph, Some(ServiceKind::Client), Some(node))
@@ -337,10 +337,10 @@ pub unsafe extern "C" fn rmw_get_client_names_and_types_by_node(
     }
 }
 
-/// The ends of one kind of a topic.
+/// The endpoints of one kind on a topic.
 ///
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 unsafe fn info_by_topic(
     node: *const rmw_node_t,
     allocator_given: *mut rcutils_allocator_t,
@@ -349,7 +349,7 @@ unsafe fn info_by_topic(
     kind: EndpointKind,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         let (graph, allocator, topic, infos) = unsafe {
             let (graph, allocator) = (graph(node)?, allocator(allocator_given)?);
             let (topic, infos) = (text(topic, "the topic's name")?, place(infos, "the information")?);
@@ -360,10 +360,10 @@ unsafe fn info_by_topic(
         };
         let ends: Vec<_> =
             graph.endpoints.iter().filter(|end| end.kind == kind && end.topic == topic).collect();
-        // SAFETY: zero, as was checked; as many places as are asked for.
+        // SAFETY: zero, as checked; indices are within the requested size.
         unsafe {
             let made = rmw_topic_endpoint_info_array_init_with_size(infos, ends.len(), allocator);
-            checked(made, "making room for information of ends")?;
+            checked(made, "allocating endpoint information")?;
             for (index, end) in ends.into_iter().enumerate() {
                 if let Err(error) = write_info(&mut *infos.info_array.add(index), end, allocator) {
                     let _ = rmw_topic_endpoint_info_array_fini(infos, allocator);
@@ -382,7 +382,7 @@ fn write_info(
 ) -> Result {
     // SAFETY: no conditions.
     *info = unsafe { rmw_get_zero_initialized_topic_endpoint_info() };
-    // As rmw_fastrtps calls an end that is no node's.
+    // rmw_fastrtps's names for an endpoint without a node.
     let (name, namespace) = end
         .node
         .as_ref()
@@ -394,7 +394,7 @@ fn write_info(
         EndpointKind::Publisher => (RMW_ENDPOINT_PUBLISHER, qos::to_ros(&end.qos, false)),
         EndpointKind::Subscription => (RMW_ENDPOINT_SUBSCRIPTION, qos::to_ros(&end.qos, false)),
     };
-    // SAFETY: texts that live through the calls, which copy them.
+    // SAFETY: texts that outlive the calls, which copy them.
     unsafe {
         for code in [
             rmw_topic_endpoint_info_set_node_name(info, name.as_ptr(), allocator),
@@ -405,13 +405,13 @@ fn write_info(
             rmw_topic_endpoint_info_set_gid(info, end.gid.0.as_ptr(), end.gid.0.len()),
             rmw_topic_endpoint_info_set_qos_profile(info, &profile),
         ] {
-            checked(code, "writing information of an end")?;
+            checked(code, "writing endpoint information")?;
         }
     }
     Ok(())
 }
 
-/// A hash as bytes; of version 0, which is none, if it is not known.
+/// A hash as bytes; version 0 (unset) if unknown.
 fn type_hash(hash: Option<&str>) -> rosidl_type_hash_t {
     let digits = hash.and_then(|hash| hash.strip_prefix("RIHS01_")).unwrap_or_default();
     let mut found = rosidl_type_hash_t { version: 0, value: [0; 32] };
@@ -424,7 +424,7 @@ fn type_hash(hash: Option<&str>) -> rosidl_type_hash_t {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_get_publishers_info_by_topic(
     node: *const rmw_node_t,
@@ -433,12 +433,12 @@ pub unsafe extern "C" fn rmw_get_publishers_info_by_topic(
     _no_mangle: bool,
     infos: *mut rmw_topic_endpoint_info_array_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe { info_by_topic(node, allocator, topic, infos, EndpointKind::Publisher) }
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_get_subscriptions_info_by_topic(
     node: *const rmw_node_t,
@@ -447,14 +447,14 @@ pub unsafe extern "C" fn rmw_get_subscriptions_info_by_topic(
     _no_mangle: bool,
     infos: *mut rmw_topic_endpoint_info_array_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe { info_by_topic(node, allocator, topic, infos, EndpointKind::Subscription) }
 }
 
-/// How many there are of a name, as `of` counts.
+/// The number that `of` counts for a name.
 ///
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 unsafe fn count(
     node: *const rmw_node_t,
     name: *const c_char,
@@ -462,7 +462,7 @@ unsafe fn count(
     of: fn(&GraphSnapshot, &str) -> usize,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         let (graph, name, counted) = unsafe {
             let graph = graph(node)?;
             check_full_name(name, "the name")?;
@@ -482,49 +482,49 @@ fn services_of(graph: &GraphSnapshot, name: &str, kind: ServiceKind) -> usize {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_count_publishers(
     node: *const rmw_node_t,
     topic: *const c_char,
     counted: *mut usize,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe { count(node, topic, counted, |graph, name| ends_of(graph, name, EndpointKind::Publisher)) }
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_count_subscribers(
     node: *const rmw_node_t,
     topic: *const c_char,
     counted: *mut usize,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe { count(node, topic, counted, |graph, name| ends_of(graph, name, EndpointKind::Subscription)) }
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_count_clients(
     node: *const rmw_node_t,
     service: *const c_char,
     counted: *mut usize,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe { count(node, service, counted, |graph, name| services_of(graph, name, ServiceKind::Client)) }
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_count_services(
     node: *const rmw_node_t,
     service: *const c_char,
     counted: *mut usize,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe { count(node, service, counted, |graph, name| services_of(graph, name, ServiceKind::Server)) }
 }

@@ -7,14 +7,14 @@ use crate::handle::{IDENTIFIER, behind, behind_context, take_back};
 use crate::signal::Signal;
 use std::sync::Arc;
 
-/// A flag that any thread sets, and a wait set waits for.
+/// A flag that any thread sets and wait sets wait for.
 pub(crate) struct GuardCondition {
     pub(crate) signal: Arc<Signal>,
 }
 
-/// A guard condition that ROS sees.
+/// Creates a guard condition for ROS.
 pub(crate) fn create(context: *mut rmw_context_t, signal: Arc<Signal>) -> Result<*mut rmw_guard_condition_t> {
-    // SAFETY: rmw's own memory, written before anybody sees it.
+    // SAFETY: rmw's own memory, written before anyone can see it.
     unsafe {
         let handle = rmw_guard_condition_allocate();
         if handle.is_null() {
@@ -27,9 +27,9 @@ pub(crate) fn create(context: *mut rmw_context_t, signal: Arc<Signal>) -> Result
 }
 
 /// # Safety
-/// Made by [`create`], and not used any more.
+/// Created by [`create`], and no longer used.
 pub(crate) unsafe fn destroy(handle: *mut rmw_guard_condition_t) {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     unsafe {
         drop(take_back::<GuardCondition>((*handle).data));
         rmw_guard_condition_free(handle);
@@ -37,24 +37,24 @@ pub(crate) unsafe fn destroy(handle: *mut rmw_guard_condition_t) {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_create_guard_condition(
     context: *mut rmw_context_t,
 ) -> *mut rmw_guard_condition_t {
     made(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         unsafe { behind_context(context)? };
         create(context, Arc::default())
     })
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_destroy_guard_condition(handle: *mut rmw_guard_condition_t) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word; checked to be ours.
+        // SAFETY: rmw's contract; checked to be ours.
         unsafe {
             behind(handle)?;
             destroy(handle);
@@ -64,11 +64,11 @@ pub unsafe extern "C" fn rmw_destroy_guard_condition(handle: *mut rmw_guard_cond
 }
 
 /// # Safety
-/// As rmw says. Without an error: may be called in a signal handler.
+/// As documented by rmw. Without an error it may be called in a signal handler.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_trigger_guard_condition(handle: *const rmw_guard_condition_t) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         unsafe { behind(handle)? }.signal.set();
         Ok(())
     })

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What ROS holds of ours: structs of librmw with a pointer to what is behind them.
+//! Handles in ROS's hands: structs of librmw with a pointer to our data.
 
 use crate::bindings::*;
 use crate::client::Client;
@@ -16,9 +16,9 @@ use std::ffi::{CStr, c_char, c_void};
 /// `rmw_get_implementation_identifier`.
 pub(crate) const IDENTIFIER: &CStr = c"rmw_tautline";
 
-/// Whether something was made by this implementation.
+/// Checks that this implementation created something.
 pub(crate) fn check_identifier(identifier: *const c_char, what: &str) -> Result {
-    // SAFETY: null, or a text of the implementation that made it.
+    // SAFETY: null, or a text of its implementation.
     let found = (!identifier.is_null()).then(|| unsafe { CStr::from_ptr(identifier) });
     if found == Some(IDENTIFIER) {
         return Ok(());
@@ -28,7 +28,7 @@ pub(crate) fn check_identifier(identifier: *const c_char, what: &str) -> Result 
     Err(Error::new(RET_INCORRECT_RMW_IMPLEMENTATION, text))
 }
 
-/// A struct of librmw behind whose `data` is a `Data` of ours.
+/// A struct of librmw whose `data` points to a `Data`.
 pub(crate) trait Handle {
     type Data: 'static;
     const WHAT: &'static str;
@@ -61,70 +61,70 @@ handles! {
     rmw_wait_set_t, WaitSet, "the wait set";
 }
 
-/// What is behind a handle.
+/// The data of a handle.
 ///
 /// # Safety
-/// `handle` is null, or points to what was made by an RMW and not destroyed.
+/// `handle` is null, or points to an entity that an RMW created and has not destroyed.
 pub(crate) unsafe fn behind<'h, H: Handle>(handle: *const H) -> Result<&'h H::Data> {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     let handle = unsafe { handle.as_ref() }.ok_or_else(|| Error::null(H::WHAT))?;
     check_identifier(handle.identifier(), H::WHAT)?;
-    // SAFETY: it is ours, so behind it is what we made.
+    // SAFETY: it is ours, so the data has our type.
     unsafe { handle.data().cast::<H::Data>().as_ref() }.ok_or_else(|| Error::null(H::WHAT))
 }
 
-/// What is behind a context.
+/// The data of a context.
 ///
 /// # Safety
 /// As [`behind`].
 pub(crate) unsafe fn behind_context<'h>(context: *const rmw_context_t) -> Result<&'h Context> {
     let what = "the context";
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     let context = unsafe { context.as_ref() }.ok_or_else(|| Error::null(what))?;
     let is_none = || Error::invalid("the context has not been initialised, or was finalised");
     if context.implementation_identifier.is_null() {
         return Err(is_none());
     }
     check_identifier(context.implementation_identifier, what)?;
-    // SAFETY: it is ours, so behind it is what we made.
+    // SAFETY: it is ours, so the data has our type.
     unsafe { context.impl_.cast::<Context>().as_ref() }.ok_or_else(is_none)
 }
 
-/// Takes the data back that a handle of ours points to.
+/// Takes back the data of our handle.
 ///
 /// # Safety
-/// It was made with `Box::into_raw`, and nobody uses it any more.
+/// It was created with `Box::into_raw`, and is no longer used.
 pub(crate) unsafe fn take_back<T>(data: *mut c_void) -> Box<T> {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     unsafe { Box::from_raw(data.cast()) }
 }
 
-/// A place to write an answer to.
+/// A pointer for a result.
 ///
 /// # Safety
 /// `place` is null or valid for writes.
 pub(crate) unsafe fn place<'p, T>(place: *mut T, what: &str) -> Result<&'p mut T> {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     unsafe { place.as_mut() }.ok_or_else(|| Error::null(what))
 }
 
-/// A text that is given.
+/// A text argument.
 ///
 /// # Safety
-/// `text` is null, or ends with a zero and lives as long as it is used.
+/// `text` is null, or NUL-terminated and lives as long as it is used.
 pub(crate) unsafe fn text<'t>(text: *const c_char, what: &str) -> Result<&'t str> {
     if text.is_null() {
         return Err(Error::null(what));
     }
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     let text = unsafe { CStr::from_ptr(text) };
-    text.to_str().map_err(|_| Error::invalid(format!("{what} is no UTF-8")))
+    text.to_str().map_err(|_| Error::invalid(format!("{what} is not UTF-8")))
 }
 
-/// A copy of a text in memory of rmw's, which [`free_text`] gives back.
+/// A copy of a text in rmw's memory, to be freed with [`free_text`].
 pub(crate) fn copy_text(text: &str) -> Result<*const c_char> {
     let bytes = text.len();
-    // SAFETY: as long as is written below; `text` has no zero, for it comes from one that ended there.
+    // SAFETY: room for the bytes below; `text` has no NUL, because it was NUL-terminated.
     unsafe {
         let copy = rmw_allocate(bytes + 1).cast::<u8>();
         if copy.is_null() {
@@ -137,8 +137,8 @@ pub(crate) fn copy_text(text: &str) -> Result<*const c_char> {
 }
 
 /// # Safety
-/// It was made by [`copy_text`], and is not used any more.
+/// Created by [`copy_text`], and no longer used.
 pub(crate) unsafe fn free_text(text: *const c_char) {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     unsafe { rmw_free(text.cast_mut().cast()) };
 }

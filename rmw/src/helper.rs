@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A context's helper thread: at the sampler's place, it serves what is not data. QoS events, changes of the graph, requests that wait
-//! for a server and callbacks for new messages are tasks of its pool.
+//! A context's helper thread: in place of the sampler, it serves everything except data. QoS events, graph changes, requests that
+//! wait for a server, and callbacks for new messages are tasks of its pool.
 
 use crate::error::{self, Error, Result};
 use futures::FutureExt;
@@ -19,16 +19,16 @@ use tautline_transport::{Participant, Slot};
 
 type Task = Box<dyn FnOnce() -> LocalBoxFuture<'static, ()> + Send>;
 
-/// The thread, and what others give it.
+/// The thread, and its queue of tasks.
 pub(crate) struct Helper {
     events: Events,
     tasks: Mutex<Sender<Task>>,
-    /// Rung when there is a task.
+    /// Rung for new tasks.
     door: Arc<Slot>,
     thread: Option<JoinHandle<()>>,
 }
 
-/// Wakes a task of the helper's from any thread: by a ring, for the thread sleeps on the doorbell alone.
+/// Wakes a task of the helper from any thread, with a ring, because the thread sleeps only on the doorbell.
 pub(crate) struct Ring(pub(crate) Arc<Slot>);
 
 impl Wake for Ring {
@@ -42,7 +42,7 @@ impl Wake for Ring {
 }
 
 impl Helper {
-    /// Starts the thread, an ordinary one.
+    /// Starts the thread, as SCHED_OTHER.
     pub(crate) fn start(participant: &Participant) -> Result<Self> {
         let sampler = Sampler::new(participant)?;
         let (events, door) = (sampler.events().clone(), Arc::new(participant.claim_slot()?));
@@ -52,21 +52,21 @@ impl Helper {
         Ok(Helper { events, tasks: Mutex::new(tasks), door, thread: Some(thread) })
     }
 
-    /// What its tasks are woken by.
+    /// Wakes its tasks.
     pub(crate) fn events(&self) -> &Events {
         &self.events
     }
 
-    /// Has the thread make a task, and run it.
+    /// Creates a task in the thread, and runs it.
     pub(crate) fn run<F: Future<Output = ()> + 'static>(&self, make: impl FnOnce() -> F + Send + 'static) {
-        // What panics ends alone: others need the thread.
+        // A panic ends only its task: the thread is needed by others.
         let task: Task = Box::new(move || {
             let task = AssertUnwindSafe(async move { make().await }).catch_unwind();
             let said = |panic: Box<dyn Any + Send>| tracing::error!("{}", error::said(&*panic));
             Box::pin(task.map(move |ended| ended.unwrap_or_else(said)))
         });
         let tasks = self.tasks.lock().unwrap_or_else(PoisonError::into_inner);
-        // Nobody receives it once the thread has ended, and then nothing is to be served any more.
+        // Fails only after the thread has ended, when nothing needs service any more.
         let _ = tasks.send(task);
         self.door.ring();
     }

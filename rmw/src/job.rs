@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Callbacks, as far as an RMW sees them: what a thread does from a take until it takes again, or waits.
+//! Callbacks as an RMW sees them: a thread's work from a take until it takes again or waits.
 
 use crate::error::Result;
 use crate::node::Node;
@@ -11,20 +11,20 @@ use tautline_executor::{ForeignCallback, foreign};
 use tautline_trace::{Object, SamplerObject};
 use tautline_transport::{RawSubscription, SubscriptionCounters};
 
-/// Those of one end.
+/// The jobs of one endpoint.
 pub(crate) struct Jobs {
     traced: Object,
     measured: Option<Arc<ForeignCallback>>,
     counters: Arc<SubscriptionCounters>,
     depth: u64,
-    /// Of the messages lost.
+    /// Lost messages reported so far.
     noted: AtomicU64,
 }
 
 thread_local! {
-    /// What this thread does with a message, and when that was released.
+    /// This thread's job, and when its message was released.
     static RUNNING: RefCell<Option<(Arc<Jobs>, u64)>> = const { RefCell::new(None) };
-    /// Whether it woke, as events tell.
+    /// Whether this thread's wake was traced.
     static IS_AWAKE: Cell<bool> = const { Cell::new(false) };
 }
 
@@ -38,7 +38,7 @@ impl Jobs {
         Ok(Arc::new(Jobs { traced, measured, counters, depth: subscription.qos().depth as u64, noted }))
     }
 
-    /// This thread has a message, released at `released_ns`, and runs the callback.
+    /// This thread has taken a message, released at `released_ns`, and runs the callback.
     ///
     /// # Real-time
     /// A load if nobody traces or measures; else as [`ForeignCallback::begin`].
@@ -54,13 +54,13 @@ impl Jobs {
             measured.begin(released_ns);
         }
         tautline_trace::callback_start(self.traced.id(), released_ns);
-        // A thread that is going down has no place for it.
+        // A thread in shutdown has no thread-locals.
         let _ = RUNNING.try_with(|running| running.replace(Some((self.clone(), released_ns))));
     }
 }
 
 impl Jobs {
-    /// The end has gone: what this thread did with its last message is done.
+    /// The endpoint is destroyed, which ends this thread's job with it.
     pub(crate) fn close(self: &Arc<Self>) {
         let is_mine = |running: &Option<(Arc<Jobs>, u64)>| {
             running.as_ref().is_some_and(|(jobs, _)| Arc::ptr_eq(jobs, self))
@@ -71,7 +71,7 @@ impl Jobs {
     }
 }
 
-/// The thread takes or waits: what it did with the message before is done. Returns whether there was one.
+/// The thread takes or waits, which ends its job. Returns whether there was one.
 ///
 /// # Real-time
 /// A load if nothing runs; else as [`ForeignCallback::end`].
@@ -85,7 +85,7 @@ pub(crate) fn end() -> bool {
     true
 }
 
-/// The thread waits, until `deadline_ns` at most.
+/// The thread waits, at most until `deadline_ns`.
 ///
 /// # Real-time
 /// As [`end`]; one syscall more where callbacks are measured, if none has run.
@@ -99,7 +99,7 @@ pub(crate) fn wait(waits: &SamplerObject, deadline_ns: Option<u64>, is_measured:
     tautline_trace::spin_start(waits, deadline_ns);
 }
 
-/// The wait is over: something is ready, or the time is up.
+/// The wait has ended: something is ready, or it timed out.
 ///
 /// # Real-time
 /// Two loads if nobody traces; else an event.

@@ -1,38 +1,38 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whether a type's structs lie in memory as its CDR does.
+//! Checks whether a type's structs have the same layout in memory as in CDR.
 
 use std::ops::Range;
 use tautline_schema::{Base, Definition, Primitive, Schema, Shape};
 
-/// Messages that lie in memory as their CDR does.
+/// A type with the same layout in memory and in CDR.
 pub(crate) struct Same {
     pub(crate) len_bytes: usize,
-    /// Where their bools are.
+    /// The positions of bools.
     pub(crate) bools: Vec<Range<usize>>,
 }
 
-/// Whether every field is at the same place in a struct of C's and in CDR; `None` if one is not, or if there are none.
+/// Whether every field has the same position in C's struct and in CDR; `None` if not, or without fields.
 pub(crate) fn same_in_memory(schema: &Schema) -> Option<Same> {
     let mut walk = Walk { schema, cdr: 0, bools: Vec::new() };
     let end = walk.message(schema.definition(), 0)?;
     (end.last > 0 && walk.cdr == end.last).then_some(Same { len_bytes: walk.cdr, bools: walk.bools })
 }
 
-/// Where the next field is in CDR.
+/// The position of the next field in CDR.
 struct Walk<'s> {
     schema: &'s Schema,
     cdr: usize,
     bools: Vec<Range<usize>>,
 }
 
-/// The end of a struct: that of its last field, and with what follows it for its alignment.
+/// The end of a struct: of its last field, and including padding.
 struct StructEnd {
     last: usize,
     whole: usize,
 }
 
 impl Walk<'_> {
-    /// A message whose struct begins at `start`.
+    /// Visits a message whose struct starts at `start`.
     fn message(&mut self, definition: &Definition, start: usize) -> Option<StructEnd> {
         let mut last = start;
         for field in &definition.fields {
@@ -59,7 +59,7 @@ impl Walk<'_> {
         Some(StructEnd { last, whole: last.next_multiple_of(alignment) })
     }
 
-    /// So many of `size` bytes that come after `end` in memory. Where they end there.
+    /// Visits `count` numbers of `size` bytes after `end` in memory. Returns their end.
     fn numbers(&mut self, size: usize, count: usize, end: usize) -> Option<usize> {
         let place = end.next_multiple_of(size);
         self.cdr = self.cdr.next_multiple_of(size);
@@ -68,7 +68,7 @@ impl Walk<'_> {
         is_same.then_some(place + size * count)
     }
 
-    /// A message that comes after `end` in memory. Where it ends there.
+    /// Visits a message after `end` in memory. Returns its end.
     fn nested(&mut self, base: &Base, end: usize) -> Option<usize> {
         let Base::Nested(name) = base else { return None };
         let schema = self.schema;
@@ -77,7 +77,7 @@ impl Walk<'_> {
         Some(self.message(definition, start)?.whole)
     }
 
-    /// That of a struct: the greatest of its fields'.
+    /// A struct's alignment: the greatest of its fields'.
     fn alignment(&self, definition: &Definition) -> Option<usize> {
         let of = |base: &Base| match base {
             Base::Primitive(primitive) => Some(primitive.size()),
@@ -86,7 +86,7 @@ impl Walk<'_> {
             }
             _ => None,
         };
-        // One without fields has a byte that CDR has, too, but no alignment of its own.
+        // A struct without fields has one byte, also in CDR, but no alignment.
         definition.fields.iter().try_fold(1, |most, field| Some(most.max(of(&field.ty.base)?)))
     }
 }
@@ -107,13 +107,9 @@ mod tests {
         assert_eq!(length("uint8 a\nuint16[3] b\nint64 c"), Some(16));
         assert_eq!(length("string s"), None);
         assert_eq!(length("uint8[] s"), None);
-        // The last field is where it is in CDR, and the one before it is not.
+        // The last field has the same position, the one before it has not.
         assert_eq!(nested("C c\nuint8[4] e\nfloat64 d"), None);
         assert_eq!(nested("C[2] c"), None);
-        assert_eq!(
-            nested("float32 x\nC c"),
-            None,
-            "what follows the last struct for its alignment is not sent"
-        );
+        assert_eq!(nested("float32 x\nC c"), None, "padding after the last struct is not sent");
     }
 }

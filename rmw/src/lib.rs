@@ -1,20 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `rmw_tautline`: what ROS 2's client libraries call their middleware, on Tautline's transport. rclcpp, rclpy and what else stands on
-//! rcl run on it unchanged.
+//! `rmw_tautline`: the middleware interface of ROS 2's client libraries, on Tautline's transport. rclcpp, rclpy and other clients
+//! of rcl run on it unchanged.
 //!
-//! Each function checks what it is given, does it, and answers a code; no panic leaves it ([`error`]).
+//! Each function checks its arguments, executes, and returns a code; no panic leaves it ([`error`]).
 //!
 //! | module | one idea |
 //! |---|---|
-//! | `context` | a membership of a domain; `options`: what it is to be like |
-//! | `node`, `publisher`, `subscription`, `service`, `client` | what ROS makes of each; `topic`: what ends of topics are asked for by |
-//! | `wait` | wait sets, on `signal`: what they sleep on; `end`: whom publishers wake; `guard`: flags that any thread sets |
-//! | `event` | QoS events, heard by the `helper`, a thread at the sampler's place; `callback`: who wants to be called |
-//! | `graph` | who is there |
-//! | `types` | type supports; `cdr`: their callbacks; `layout`: what lies in memory as it is sent; `serialization`: messages as bytes; `qos`: profiles |
-//! | `handle` | what ROS holds of ours |
-//! | `unsupported` | what there is not |
-//! | `log` | ROS's log, for what Tautline says |
+//! | `context` | a participant of a domain; `options`: its options |
+//! | `node`, `publisher`, `subscription`, `service`, `client` | ROS's entities; `topic`: arguments for creating topic endpoints |
+//! | `wait` | wait sets; `signal`: what they sleep on; `end`: receiving endpoints, woken by publishers; `guard`: flags that any thread sets |
+//! | `event` | QoS events, received by the `helper`, a thread in place of the sampler; `callback`: callbacks of ROS |
+//! | `graph` | the graph |
+//! | `types` | type supports; `cdr`: their callbacks; `layout`: types with equal layout in memory and CDR; `serialization`: messages as bytes; `qos`: profiles |
+//! | `handle` | ROS's handles |
+//! | `unsupported` | unsupported functions |
+//! | `log` | forwards Tautline's log to ROS's |
 
 mod bindings;
 mod callback;
@@ -53,19 +53,19 @@ use error::{Error, answer};
 use handle::{IDENTIFIER, check_identifier, place};
 use std::ffi::c_char;
 
-/// The name by which RMW_IMPLEMENTATION chooses it.
+/// The name for RMW_IMPLEMENTATION.
 #[unsafe(no_mangle)]
 pub extern "C" fn rmw_get_implementation_identifier() -> *const c_char {
     IDENTIFIER.as_ptr()
 }
 
-/// How serialized messages are encoded.
+/// The encoding of serialized messages.
 #[unsafe(no_mangle)]
 pub extern "C" fn rmw_get_serialization_format() -> *const c_char {
     c"cdr".as_ptr()
 }
 
-/// Messages have both of their numbers.
+/// Messages have both sequence numbers.
 #[unsafe(no_mangle)]
 pub extern "C" fn rmw_feature_supported(feature: rmw_feature_t) -> bool {
     matches!(
@@ -76,7 +76,7 @@ pub extern "C" fn rmw_feature_supported(feature: rmw_feature_t) -> bool {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_compare_gids_equal(
     one: *const rmw_gid_t,
@@ -84,7 +84,7 @@ pub unsafe extern "C" fn rmw_compare_gids_equal(
     is_equal: *mut bool,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (one, other, is_equal) = unsafe {
             let null = || Error::null("the gid");
             let (one, other) = (one.as_ref().ok_or_else(null)?, other.as_ref().ok_or_else(null)?);

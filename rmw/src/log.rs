@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What Tautline logs goes to ROS's own log, as logger `rmw_tautline`.
+//! Forwards Tautline's log to ROS's log, as logger `rmw_tautline`.
 
 use crate::bindings::*;
 use crate::error::answer;
@@ -13,14 +13,14 @@ use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
 
-/// The least severity that is passed on.
+/// Lowest severity to forward.
 static LEAST: AtomicU32 = AtomicU32::new(RMW_LOG_SEVERITY_INFO);
 
-/// Lines that wait to be passed on; more are counted.
+/// Queue of lines; more are counted.
 const LINES: usize = 256;
 
-/// Passes on what is logged from now on, unless the process has somebody who takes it. A thread of its own does it: who takes ROS's
-/// log may hold a lock of his own while he publishes, and what is said here may be said with a lock of ours.
+/// Forwards log lines from now on, unless the process has a `tracing` subscriber. A separate thread does it, because a handler of
+/// ROS's log may hold its own lock while publishing, and Tautline may log while holding one of its locks.
 pub(crate) fn start() {
     static STARTED: Once = Once::new();
     STARTED.call_once(|| {
@@ -39,7 +39,7 @@ struct ToRos {
 
 fn pass_on(lines: &Receiver<(u32, CString)>) {
     for (severity, text) in lines {
-        // SAFETY: texts that end with a zero and live through the call; the format takes one.
+        // SAFETY: NUL-terminated texts that outlive the call; the format takes one.
         unsafe {
             let (name, format) = (c"rmw_tautline".as_ptr(), c"%s".as_ptr());
             rcutils_log(std::ptr::null(), severity as i32, name, format, text.as_ptr());
@@ -66,7 +66,7 @@ impl Subscriber for ToRos {
         event.record(&mut line);
         let left_out = self.left_out.swap(0, Ordering::Relaxed);
         if left_out > 0 {
-            line.0 += &format!(" ({left_out} lines before it were left out)");
+            line.0 += &format!(" ({left_out} earlier lines were dropped)");
         }
         let text = CString::new(line.0.replace('\0', " ")).unwrap_or_default();
         if self.lines.try_send((severity(event.metadata().level()), text)).is_err() {
@@ -84,13 +84,13 @@ impl Subscriber for ToRos {
     fn exit(&self, _: &Id) {}
 }
 
-/// An event's text, and its fields after it.
+/// An event's text, followed by its fields.
 #[derive(Default)]
 struct Line(String);
 
 impl Visit for Line {
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
-        // Writing to a string does not fail.
+        // Writing to a string cannot fail.
         let _ = match field.name() {
             "message" => write!(self.0, "{value:?}"),
             name => write!(self.0, " {name}={value:?}"),
@@ -99,12 +99,12 @@ impl Visit for Line {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_set_log_severity(severity: rmw_log_severity_t) -> rmw_ret_t {
     answer(|| {
         if !(RMW_LOG_SEVERITY_DEBUG..=RMW_LOG_SEVERITY_FATAL).contains(&severity) {
-            return Err(crate::error::Error::invalid(format!("{severity} is no severity of rmw's")));
+            return Err(crate::error::Error::invalid(format!("{severity} is not a severity of rmw")));
         }
         LEAST.store(severity, Ordering::Relaxed);
         tracing::callsite::rebuild_interest_cache();

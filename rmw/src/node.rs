@@ -14,16 +14,16 @@ use tautline_transport::{NodeHandle, Participant};
 
 pub(crate) struct Node {
     context: *const Context,
-    /// With its namespace.
+    /// Including its namespace.
     pub(crate) full_name: String,
-    /// Makes what is the node's.
+    /// Creates the node's entities.
     pub(crate) participant: Participant,
     _handle: NodeHandle,
     graph_guard: *mut rmw_guard_condition_t,
 }
 
 impl Node {
-    /// Its context, which lives as long as a node of it.
+    /// Its context, which outlives its nodes.
     pub(crate) fn context(&self) -> &Context {
         // SAFETY: `rmw_context_fini` refuses to end a context that has nodes.
         unsafe { &*self.context }
@@ -33,23 +33,23 @@ impl Node {
 type Validate = unsafe extern "C" fn(*const c_char, *mut c_int, *mut usize) -> rmw_ret_t;
 type Explain = unsafe extern "C" fn(c_int) -> *const c_char;
 
-/// Whether a name keeps the rules of its kind.
+/// Checks a name against the rules of its kind.
 ///
 /// # Safety
-/// `name` is null, or ends with a zero.
+/// `name` is null or NUL-terminated.
 unsafe fn check_name(name: *const c_char, what: &str, validate: Validate, explain: Explain) -> Result {
     if name.is_null() {
         return Err(Error::null(what));
     }
     let (mut found, mut at) = (0, 0);
-    // SAFETY: the caller's word; the places are valid; what is wrong is explained by a constant, null if nothing is.
+    // SAFETY: the caller's contract; the pointers are valid; the explanation is a constant, or null.
     let explained = unsafe {
         checked(validate(name, &mut found, &mut at), "checking a name")?;
         let explained = explain(found);
         (!explained.is_null()).then(|| CStr::from_ptr(explained).to_string_lossy())
     };
     match explained {
-        // Zero is a valid name.
+        // Zero means valid.
         Some(reason) if found != 0 => Err(Error::invalid(format!("{what}: {reason} (at byte {at})"))),
         _ => Ok(()),
     }
@@ -58,7 +58,7 @@ unsafe fn check_name(name: *const c_char, what: &str, validate: Validate, explai
 /// # Safety
 /// As [`check_name`].
 pub(crate) unsafe fn check_node_name(name: *const c_char) -> Result {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     unsafe {
         check_name(name, "the node's name", rmw_validate_node_name, rmw_node_name_validation_result_string)
     }
@@ -67,25 +67,25 @@ pub(crate) unsafe fn check_node_name(name: *const c_char) -> Result {
 /// # Safety
 /// As [`check_name`].
 pub(crate) unsafe fn check_namespace(name: *const c_char) -> Result {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     unsafe {
         check_name(name, "the namespace", rmw_validate_namespace, rmw_namespace_validation_result_string)
     }
 }
 
-/// Of a topic or a service.
+/// Checks the name of a topic or service.
 ///
 /// # Safety
 /// As [`check_name`].
 pub(crate) unsafe fn check_full_name(name: *const c_char, what: &str) -> Result {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     unsafe {
         check_name(name, what, rmw_validate_full_topic_name, rmw_full_topic_name_validation_result_string)
     }
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_create_node(
     context: *mut rmw_context_t,
@@ -93,7 +93,7 @@ pub unsafe extern "C" fn rmw_create_node(
     namespace: *const c_char,
 ) -> *mut rmw_node_t {
     made(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (behind, name, namespace) = unsafe {
             let behind = behind_context(context)?;
             behind.check()?;
@@ -108,7 +108,7 @@ pub unsafe extern "C" fn rmw_create_node(
         let graph_guard = guard::create(context, signal)?;
         let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
         let node = Node { context: behind, full_name, participant, _handle: handle, graph_guard };
-        // SAFETY: rmw's own memory, written before anybody sees it.
+        // SAFETY: rmw's own memory, written before anyone can see it.
         unsafe {
             let handle = rmw_node_allocate();
             if handle.is_null() {
@@ -130,11 +130,11 @@ pub unsafe extern "C" fn rmw_create_node(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_destroy_node(handle: *mut rmw_node_t) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word; checked to be ours, so made above.
+        // SAFETY: rmw's contract; checked to be ours, so created above.
         unsafe {
             behind(handle)?;
             let node = take_back::<Node>((*handle).data);
@@ -150,11 +150,11 @@ pub unsafe extern "C" fn rmw_destroy_node(handle: *mut rmw_node_t) -> rmw_ret_t 
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_node_get_graph_guard_condition(
     handle: *const rmw_node_t,
 ) -> *const rmw_guard_condition_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     made(|| Ok(unsafe { behind(handle)? }.graph_guard))
 }

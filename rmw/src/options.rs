@@ -1,35 +1,35 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a context is to be like.
+//! The options of a context.
 
 use crate::bindings::*;
 use crate::error::{Error, Result, answer, checked, without_text};
 use crate::handle::{IDENTIFIER, check_identifier, place};
 use tautline_transport::MAX_DOMAIN;
 
-/// `RMW_DEFAULT_DOMAIN_ID`: rcl reads ROS_DOMAIN_ID before it comes here.
+/// `RMW_DEFAULT_DOMAIN_ID`: rcl reads ROS_DOMAIN_ID before it calls this.
 const DEFAULT_DOMAIN: usize = usize::MAX;
 
-/// What can be done of what the options ask for. Returns the domain.
+/// Checks whether the options can be met. Returns the domain.
 pub(crate) fn check(options: &rmw_init_options_t) -> Result<u32> {
     if options.enclave.is_null() {
         return Err(Error::invalid("the options have no enclave"));
     }
     if options.security_options.enforce_security == RMW_SECURITY_ENFORCEMENT_ENFORCE {
         return Err(Error::unsupported(
-            "ROS_SECURITY_STRATEGY=Enforce: rmw_tautline has no SROS 2. On one host /dev/shm's files are this user's alone; between \
+            "ROS_SECURITY_STRATEGY=Enforce: rmw_tautline has no SROS 2. Files in /dev/shm are private to this user; between \
              hosts `taut gateway` has TLS. Unset ROS_SECURITY_ENABLE, or use another RMW",
         ));
     }
     let discovery = &options.discovery_options;
     if discovery.automatic_discovery_range == RMW_AUTOMATIC_DISCOVERY_RANGE_OFF {
         return Err(Error::unsupported(
-            "ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: rmw_tautline has no context that nobody sees. Set TAUT_SCOPE to a name of your own, \
+            "ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: rmw_tautline cannot hide a context. Set TAUT_SCOPE to a private name, \
              or use another domain",
         ));
     }
     if discovery.static_peers_count != 0 {
         tracing::warn!(
-            "ROS_STATIC_PEERS reaches nobody: rmw_tautline reaches other hosts by `taut gateway --connect tcp/HOST:PORT`"
+            "ROS_STATIC_PEERS has no effect: use `taut gateway --connect tcp/HOST:PORT` to reach other hosts"
         );
     }
     match options.domain_id {
@@ -40,7 +40,7 @@ pub(crate) fn check(options: &rmw_init_options_t) -> Result<u32> {
     }
 }
 
-/// What copying or finalising options answered, which have set the error's text.
+/// Checks the code of copying or finalising options, which set the error text.
 pub(crate) fn copied(code: rmw_ret_t) -> Result {
     checked(code, "copying the options")
 }
@@ -53,17 +53,17 @@ fn is_valid(allocator: &rcutils_allocator_t) -> bool {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_init_options_init(
     options: *mut rmw_init_options_t,
     allocator: rcutils_allocator_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let options = unsafe { place(options, "the options")? };
         if !is_valid(&allocator) {
-            return Err(Error::invalid("the allocator is none"));
+            return Err(Error::invalid("the allocator is not initialised"));
         }
         if !options.implementation_identifier.is_null() {
             return Err(Error::invalid("the options are initialised already"));
@@ -88,14 +88,14 @@ pub unsafe extern "C" fn rmw_init_options_init(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_init_options_copy(
     source: *const rmw_init_options_t,
     destination: *mut rmw_init_options_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (source, destination) = unsafe {
             let source = source.as_ref().ok_or_else(|| Error::null("the source"))?;
             (source, place(destination, "the destination")?)
@@ -108,7 +108,7 @@ pub unsafe extern "C" fn rmw_init_options_copy(
             return Err(Error::invalid("the destination is initialised already"));
         }
         let mut allocator = source.allocator;
-        // SAFETY: what is copied is initialised; what is copied to is zero.
+        // SAFETY: the source is initialised; the destination is zero.
         unsafe {
             let mut copy = rmw_init_options_t {
                 enclave: std::ptr::null_mut(),
@@ -143,13 +143,13 @@ pub unsafe extern "C" fn rmw_init_options_copy(
     })
 }
 
-/// Gives back what options own.
+/// Frees the memory of options.
 ///
 /// # Safety
 /// They are initialised.
 unsafe fn finish(options: &mut rmw_init_options_t) {
     let allocator = options.allocator;
-    // SAFETY: the caller's word: each is initialised or zero.
+    // SAFETY: the caller's contract: each is initialised or zero.
     unsafe {
         if let Some(deallocate) = allocator.deallocate
             && !options.enclave.is_null()
@@ -165,18 +165,18 @@ unsafe fn finish(options: &mut rmw_init_options_t) {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_init_options_fini(options: *mut rmw_init_options_t) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let options = unsafe { place(options, "the options")? };
         if options.implementation_identifier.is_null() {
             return Err(Error::invalid("the options are not initialised"));
         }
         check_identifier(options.implementation_identifier, "the options")?;
         if !is_valid(&options.allocator) {
-            return Err(Error::invalid("the allocator is none"));
+            return Err(Error::invalid("the allocator is not initialised"));
         }
         // SAFETY: initialised.
         unsafe { finish(options) };

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Publishers: ROS's struct is written into shared memory, once; or it lies there from the start, as a loan.
+//! Publishers: ROS's struct is written into shared memory once, or loaned there from the start.
 
 use crate::bindings::*;
 use crate::cdr::{Callbacks, Length};
@@ -33,17 +33,17 @@ pub(crate) struct Publisher {
 }
 
 struct Publishing {
-    /// Messages that ROS writes in place, of `raw`: dropped before it, and by who has the lock.
+    /// Loans of `raw` that ROS writes in place; dropped before it, under the lock.
     loans: Vec<RawLoan<'static>>,
-    /// Boxed: it does not move while there are loans.
+    /// Boxed, so that it does not move while loans exist.
     raw: Box<RawPublisher>,
 }
 
-// SAFETY: a loan is not Send, for it refers to its publisher, which one thread at a time may use. They go together.
+// SAFETY: a loan is not Send, because it refers to its publisher, which one thread at a time may use. They move together.
 unsafe impl Send for Publishing {}
 
 impl Publishing {
-    /// Takes the loan back whose memory ROS has at `message`.
+    /// Takes back the loan at `message`.
     fn take_back(&mut self, message: *const c_void) -> Result<RawLoan<'static>> {
         let at = self.loans.iter().position(|loan| loan.as_ptr().cast() == message);
         let at = at.ok_or_else(|| Error::invalid("the message is not on loan from this publisher"))?;
@@ -51,9 +51,9 @@ impl Publishing {
     }
 }
 
-/// How long a publisher that keeps all waits for room, as one of DDS does.
+/// How long a keep-all publisher waits for room, as with DDS.
 const FULL_NS: u64 = 100_000_000;
-/// How often who waits looks again.
+/// Interval of retries.
 const LOOK: Duration = Duration::from_micros(200);
 
 impl Drop for Publisher {
@@ -64,7 +64,7 @@ impl Drop for Publisher {
 
 impl Publisher {
     fn node(&self) -> &Node {
-        // SAFETY: rmw's word: a node lives longer than what is its.
+        // SAFETY: rmw's contract: a node outlives its endpoints.
         unsafe { &*self.node }
     }
 
@@ -74,23 +74,23 @@ impl Publisher {
         self.happened.listen(helper, events)
     }
 
-    /// Publishes what `write` writes: at most `len_bytes`, and as many as it says.
+    /// Publishes a message of at most `len_bytes`, whose length `write` returns.
     ///
     /// # Real-time
-    /// As [`RawPublisher::loan`] of a publisher that claims memory on use, and [`RawLoan::publish`]: once as many samples have been
-    /// in flight as ever are, no allocation and no syscall but futex wakes. Waits for who publishes here right now, and lends it this
-    /// thread's priority. One that keeps all waits up to 100 ms for room, and others may publish meanwhile.
+    /// Like [`RawPublisher::loan`] of a publisher that claims memory on use, and [`RawLoan::publish`]: once the maximum of
+    /// samples has been in flight, no allocation and no syscall except futex wakes. Waits for another thread in this publisher,
+    /// which inherits this thread's priority. A keep-all publisher waits up to 100 ms for room; others may publish meanwhile.
     fn publish(&self, len_bytes: usize, write: impl FnOnce(&mut [u8]) -> Result<usize>) -> Result {
         let side = self.side.lock();
         let mut loan = side.raw.loan(len_bytes)?;
         let written = write(&mut loan)?;
         loan.truncate(written);
-        // SAFETY: with the lock of this publisher.
+        // SAFETY: used under the lock of this publisher.
         let loan = unsafe { detached(loan) };
         self.publish_loan(side, loan)
     }
 
-    /// Publishes a loan, and waits for room if the publisher keeps all. Others may use the publisher meanwhile.
+    /// Publishes a loan; a keep-all publisher waits for room. Others may use the publisher meanwhile.
     fn publish_loan<'p>(&'p self, mut side: PiGuard<'p, Publishing>, loan: RawLoan<'static>) -> Result {
         let mut unpublished = match loan.publish() {
             Ok(()) => return Ok(()),
@@ -108,55 +108,55 @@ impl Publisher {
         }
         let code = if matches!(unpublished.error, PublishError::Full) { RET_TIMEOUT } else { RET_BAD_ALLOC };
         let error = Error::new(code, unpublished.to_string());
-        // Given back with the lock.
+        // Returned under the lock.
         drop(unpublished);
         drop(side);
         Err(error)
     }
 
-    /// Lends ROS the memory of a message to write in place.
+    /// Lends ROS memory for a message to write in place.
     fn lend(&self) -> Result<*mut c_void> {
         let Length::Plain(len_bytes) = self.message_type.length else {
-            return Err(Error::unsupported("messages of this type are not in memory as they are sent"));
+            return Err(Error::unsupported("this type cannot be loaned: its layout differs from CDR"));
         };
         let mut side = self.side.lock();
-        // What it holds is zeros or an earlier message of this publisher, hence a message of this type: to clear it would take as long
-        // as to copy one.
+        // The memory holds zeros or an earlier message of this publisher, so a valid message of this type: clearing it would take
+        // as long as a copy.
         let mut loan = side.raw.loan(len_bytes)?;
         let message = loan.as_mut_ptr().cast();
-        // SAFETY: it is kept beside its publisher, behind the lock.
+        // SAFETY: it is stored beside its publisher, under the lock.
         let loan = unsafe { detached(loan) };
         side.loans.push(loan);
         Ok(message)
     }
 }
 
-/// A loan that lives apart from its publisher's lock.
+/// Detaches a loan from its publisher's lifetime.
 ///
 /// # Safety
-/// It is used and dropped with the lock of its publisher, which is boxed, and lives until then: see [`Publishing`].
+/// It is used and dropped under the lock of its publisher, which is boxed and outlives it: see [`Publishing`].
 unsafe fn detached(loan: RawLoan<'_>) -> RawLoan<'static> {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     unsafe { std::mem::transmute::<RawLoan<'_>, RawLoan<'static>>(loan) }
 }
 
-/// Whether a loan is asked for by what it can be asked for.
+/// Checks that a loan is requested with the topic's type.
 ///
 /// # Safety
 /// `support` is null or a type support.
 unsafe fn check_support(support: *const rosidl_message_type_support_t, publisher: &Publisher) -> Result {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     match unsafe { Callbacks::find(support)? } == publisher.message_type.callbacks {
         true => Ok(()),
         false => Err(Error::invalid(format!(
-            "the type is not {}, that of the topic",
+            "the type is not {}, the topic's type",
             publisher.message_type.name()
         ))),
     }
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_borrow_loaned_message(
     handle: *const rmw_publisher_t,
@@ -164,12 +164,12 @@ pub unsafe extern "C" fn rmw_borrow_loaned_message(
     message: *mut *mut c_void,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (publisher, message) = unsafe { (behind(handle)?, place(message, "the message")?) };
         if !message.is_null() {
             return Err(Error::invalid("the message is not null"));
         }
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         unsafe { check_support(support, publisher)? };
         *message = publisher.lend()?;
         Ok(())
@@ -177,14 +177,14 @@ pub unsafe extern "C" fn rmw_borrow_loaned_message(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_return_loaned_message_from_publisher(
     handle: *const rmw_publisher_t,
     message: *mut c_void,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let publisher = unsafe { behind(handle)? };
         if message.is_null() {
             return Err(Error::null("the message"));
@@ -194,7 +194,7 @@ pub unsafe extern "C" fn rmw_return_loaned_message_from_publisher(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_publish_loaned_message(
     handle: *const rmw_publisher_t,
@@ -202,7 +202,7 @@ pub unsafe extern "C" fn rmw_publish_loaned_message(
     _allocation: *mut rmw_publisher_allocation_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let publisher = unsafe { behind(handle)? };
         if message.is_null() {
             return Err(Error::null("the message"));
@@ -215,7 +215,7 @@ pub unsafe extern "C" fn rmw_publish_loaned_message(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_create_publisher(
     node: *const rmw_node_t,
@@ -225,7 +225,7 @@ pub unsafe extern "C" fn rmw_create_publisher(
     options: *const rmw_publisher_options_t,
 ) -> *mut rmw_publisher_t {
     made(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (options, asked) = unsafe {
             let options = options.as_ref().ok_or_else(|| Error::null("the options"))?;
             let flows = options.require_unique_network_flow_endpoints;
@@ -252,7 +252,7 @@ pub unsafe extern "C" fn rmw_create_publisher(
         };
         let can_loan_messages = publisher.message_type.is_plain();
         let topic_name = copy_text(name)?;
-        // SAFETY: rmw's own memory, written before anybody sees it.
+        // SAFETY: rmw's own memory, written before anyone can see it.
         unsafe {
             let handle = rmw_publisher_allocate();
             if handle.is_null() {
@@ -272,14 +272,14 @@ pub unsafe extern "C" fn rmw_create_publisher(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_destroy_publisher(
     node: *mut rmw_node_t,
     handle: *mut rmw_publisher_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word; checked to be ours, so made above.
+        // SAFETY: rmw's contract; checked to be ours, so created above.
         unsafe {
             behind(node)?;
             behind(handle)?;
@@ -292,7 +292,7 @@ pub unsafe extern "C" fn rmw_destroy_publisher(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_publish(
     handle: *const rmw_publisher_t,
@@ -300,7 +300,7 @@ pub unsafe extern "C" fn rmw_publish(
     _allocation: *mut rmw_publisher_allocation_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let publisher = unsafe { behind(handle)? };
         if message.is_null() {
             return Err(Error::null("the message"));
@@ -308,13 +308,13 @@ pub unsafe extern "C" fn rmw_publish(
         let MessageType { callbacks, length, .. } = publisher.message_type;
         if let Length::Plain(len_bytes) = length {
             return publisher.publish(len_bytes, |body| {
-                // SAFETY: rmw's word: a message of this type, whose struct begins with its body.
+                // SAFETY: rmw's contract: a message of this type, whose struct begins with its body.
                 unsafe { body.as_mut_ptr().copy_from_nonoverlapping(message.cast(), body.len()) };
                 publisher.message_type.tidy(body);
                 Ok(body.len())
             });
         }
-        // SAFETY: rmw's word: a message of this type.
+        // SAFETY: rmw's contract: a message of this type.
         let estimate = unsafe { callbacks.estimate(message)? };
         // SAFETY: as above.
         publisher.publish(estimate, |body| unsafe { callbacks.write(message, body) })
@@ -322,7 +322,7 @@ pub unsafe extern "C" fn rmw_publish(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_publish_serialized_message(
     handle: *const rmw_publisher_t,
@@ -330,12 +330,12 @@ pub unsafe extern "C" fn rmw_publish_serialized_message(
     _allocation: *mut rmw_publisher_allocation_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (publisher, message) = unsafe {
             let message = message.as_ref().ok_or_else(|| Error::null("the serialized message"))?;
             (behind(handle)?, message)
         };
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let body = unsafe { little_body(message, &publisher.message_type)? };
         publisher.publish(body.len(), |loan| {
             copy(loan, &body);
@@ -345,14 +345,14 @@ pub unsafe extern "C" fn rmw_publish_serialized_message(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_publisher_count_matched_subscriptions(
     handle: *const rmw_publisher_t,
     count: *mut usize,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (publisher, count) = unsafe { (behind(handle)?, place(count, "the count")?) };
         *count = publisher.matched.get();
         Ok(())
@@ -360,14 +360,14 @@ pub unsafe extern "C" fn rmw_publisher_count_matched_subscriptions(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_publisher_get_actual_qos(
     handle: *const rmw_publisher_t,
     profile: *mut rmw_qos_profile_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (publisher, profile) = unsafe { (behind(handle)?, place(profile, "the QoS profile")?) };
         *profile = publisher.qos;
         Ok(())
@@ -375,37 +375,37 @@ pub unsafe extern "C" fn rmw_publisher_get_actual_qos(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_publisher_assert_liveliness(handle: *const rmw_publisher_t) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         unsafe { behind(handle)? }.side.lock().raw.assert_liveliness();
         Ok(())
     })
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_publisher_wait_for_all_acked(
     handle: *const rmw_publisher_t,
     _timeout: rmw_time_t,
 ) -> rmw_ret_t {
-    // What is published is in the queues of its subscriptions when `rmw_publish` returns.
-    // SAFETY: rmw's word.
+    // Messages are in the queues of subscriptions when `rmw_publish` returns.
+    // SAFETY: rmw's contract.
     answer(|| unsafe { behind(handle) }.map(drop))
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_get_gid_for_publisher(
     handle: *const rmw_publisher_t,
     gid: *mut rmw_gid_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (publisher, gid) = unsafe { (behind(handle)?, place(gid, "the gid")?) };
         *gid = rmw_gid_t { implementation_identifier: IDENTIFIER.as_ptr(), data: publisher.gid.0 };
         Ok(())

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Quality of service: ROS's profile, what it leaves open filled in, and Tautline's.
+//! QoS: ROS's profile, with defaults for open policies, and Tautline's.
 
 use crate::bindings::*;
 use crate::error::{Error, Result, answer};
@@ -10,14 +10,14 @@ use tautline_transport::{
     Durability, EndpointKind, History, Limits, Liveliness, Qos, QosPolicyKind, Reliability, TopicEndpoint,
 };
 
-/// `RMW_DURATION_INFINITE`, and `RMW_QOS_DEADLINE_BEST_AVAILABLE`, which are of the same seconds.
+/// `RMW_DURATION_INFINITE`, and `RMW_QOS_DEADLINE_BEST_AVAILABLE`, which has the same seconds.
 const ENDLESS_SECONDS: u64 = 9_223_372_036;
 const BEST_AVAILABLE_NANOSECONDS: u64 = 854_775_806;
 
-/// What an end that keeps all can have waiting; Fast DDS has room for as many.
+/// Queue depth of a keep-all endpoint; Fast DDS has the same.
 const ALL: usize = 5_000;
 
-/// For whom a profile is.
+/// The kind of endpoint of a profile.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Role {
     Publisher,
@@ -27,7 +27,7 @@ pub(crate) enum Role {
 
 fn refuse<T>(policy: &str, value: u32) -> Result<T> {
     Err(Error::invalid(format!(
-        "the QoS profile's {policy} is {value}, which is no value of a profile to be kept"
+        "the QoS profile's {policy} is {value}, which is not supported: use another value of rmw/types.h"
     )))
 }
 
@@ -38,7 +38,7 @@ fn duration(time: &rmw_time_s) -> Option<Duration> {
 }
 
 fn time(duration: Option<Duration>) -> rmw_time_s {
-    // What is not limited is said as DDS says it: nodes compare it.
+    // No limit is DDS's infinite time, because nodes compare it.
     duration.map_or(rmw_time_s { sec: ENDLESS_SECONDS, nsec: 854_775_807 }, |length| rmw_time_s {
         sec: length.as_secs(),
         nsec: length.subsec_nanos().into(),
@@ -49,14 +49,14 @@ fn is_best_available(time: &rmw_time_s) -> bool {
     (time.sec, time.nsec) == (ENDLESS_SECONDS, BEST_AVAILABLE_NANOSECONDS)
 }
 
-/// Tautline's of ROS's: what the profile leaves to the system is reliable, volatile, keep last 1, as Fast DDS has it. What it
-/// wants as good as available follows from the ends that there are, as rmw_dds_common has it: `others` of the topic.
+/// Tautline's QoS from ROS's. System defaults are reliable, volatile, keep last 1, as in Fast DDS. Best-available policies follow
+/// from `others`, the topic's endpoints, as in rmw_dds_common.
 pub(crate) fn from_ros<'e>(
     profile: &rmw_qos_profile_t,
     role: Role,
     others: impl Iterator<Item = &'e TopicEndpoint> + Clone,
 ) -> Result<Qos> {
-    // A subscription adapts to the publishers there are; a publisher offers the most; a service is as services are.
+    // A subscription adapts to existing publishers; a publisher offers the most; a service uses the service defaults.
     let publishers = others.filter(|end| end.kind == EndpointKind::Publisher && role == Role::Subscription);
     let all = |fits: fn(&TopicEndpoint) -> bool| publishers.clone().all(fits);
     let reliability = match profile.reliability {
@@ -105,7 +105,7 @@ pub(crate) fn from_ros<'e>(
         RMW_QOS_POLICY_HISTORY_KEEP_ALL => (History::KeepAll, ALL),
         other => return refuse("history", other),
     };
-    // The longest of the publishers', none if one has none.
+    // The longest of the publishers'; none if one has none.
     let longest = |of: fn(&TopicEndpoint) -> Option<Duration>| {
         publishers.clone().map(of).try_fold(Duration::ZERO, |longest, one| Some(longest.max(one?)))
     };
@@ -127,7 +127,7 @@ pub(crate) fn from_ros<'e>(
     })
 }
 
-/// ROS's of Tautline's: nothing is left open.
+/// ROS's profile from Tautline's, with no open policy.
 pub(crate) fn to_ros(qos: &Qos, avoid_ros_namespace_conventions: bool) -> rmw_qos_profile_t {
     rmw_qos_profile_t {
         history: match qos.history {
@@ -159,12 +159,12 @@ pub(crate) fn policy_to_ros(policy: QosPolicyKind) -> rmw_qos_policy_kind_t {
         QosPolicyKind::Reliability => RMW_QOS_POLICY_RELIABILITY,
         QosPolicyKind::Durability => RMW_QOS_POLICY_DURABILITY,
         QosPolicyKind::Deadline => RMW_QOS_POLICY_DEADLINE,
-        // DDS has one policy of both.
+        // DDS has one policy for both.
         QosPolicyKind::Liveliness | QosPolicyKind::LivelinessLeaseDuration => RMW_QOS_POLICY_LIVELINESS,
     }
 }
 
-/// Values of each policy that leave it open.
+/// Open values of each policy.
 const OPEN_RELIABILITY: [u32; 3] = [
     RMW_QOS_POLICY_RELIABILITY_SYSTEM_DEFAULT,
     RMW_QOS_POLICY_RELIABILITY_UNKNOWN,
@@ -181,14 +181,14 @@ const OPEN_LIVELINESS: [u32; 3] = [
     RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE,
 ];
 
-/// Whether a policy is left open, by which nobody can tell whether it fits.
+/// Whether a policy is open, so that compatibility is unknown.
 fn is_open(profile: &rmw_qos_profile_t) -> bool {
     OPEN_RELIABILITY.contains(&profile.reliability)
         || OPEN_DURABILITY.contains(&profile.durability)
         || OPEN_LIVELINESS.contains(&profile.liveliness)
 }
 
-/// The profile with what is open as if it fitted whatever it meets.
+/// The profile, with open policies set to compatible values.
 fn settled(profile: &rmw_qos_profile_t, other: &rmw_qos_profile_t) -> rmw_qos_profile_t {
     let pick = |value: u32, open: [u32; 3], other: u32, else_: u32| match open.contains(&value) {
         false => value,
@@ -220,7 +220,7 @@ fn settled(profile: &rmw_qos_profile_t, other: &rmw_qos_profile_t) -> rmw_qos_pr
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_qos_profile_check_compatible(
     publisher: rmw_qos_profile_t,
@@ -230,7 +230,7 @@ pub unsafe extern "C" fn rmw_qos_profile_check_compatible(
     reason_size: usize,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let compatibility = unsafe { place(compatibility, "compatibility")? };
         if reason.is_null() && reason_size != 0 {
             return Err(Error::invalid("reason is null, and its size is not zero"));
@@ -245,7 +245,7 @@ pub unsafe extern "C" fn rmw_qos_profile_check_compatible(
             }
             None if is_open(&publisher) || is_open(&subscription) => {
                 *compatibility = RMW_QOS_COMPATIBILITY_WARNING;
-                "WARNING: a policy is left to the system, and may not fit;".to_owned()
+                "WARNING: a policy is a system default, and may be incompatible;".to_owned()
             }
             None => {
                 *compatibility = RMW_QOS_COMPATIBILITY_OK;
@@ -254,7 +254,7 @@ pub unsafe extern "C" fn rmw_qos_profile_check_compatible(
         };
         if reason_size > 0 {
             let length = text.len().min(reason_size - 1);
-            // SAFETY: rmw's word: as long as it says.
+            // SAFETY: rmw's contract: of this size.
             unsafe {
                 reason.cast::<u8>().copy_from_nonoverlapping(text.as_ptr(), length);
                 reason.add(length).write(0);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Serialized messages: a body of CDR behind the four bytes that say how it is encoded.
+//! Serialized messages: a CDR body behind four bytes of encapsulation.
 
 use crate::bindings::*;
 use crate::error::{Error, Result, answer};
@@ -11,30 +11,30 @@ use tautline_schema::{DynamicMessage, Endian};
 
 /// Plain CDR, little-endian.
 const LITTLE: [u8; 4] = [0, 1, 0, 0];
-/// Bytes of the encapsulation.
+/// Length of the encapsulation.
 const HEADER_BYTES: usize = LITTLE.len();
 
-/// What a serialized message has.
+/// The bytes of a serialized message.
 ///
 /// # Safety
 /// It is initialised.
 unsafe fn bytes(message: &rmw_serialized_message_t) -> &[u8] {
     match message.buffer.is_null() {
         true => &[],
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         false => unsafe { std::slice::from_raw_parts(message.buffer, message.buffer_length) },
     }
 }
 
 /// The body, and whether it is little-endian.
 fn body<'b>(bytes: &'b [u8]) -> Result<(&'b [u8], bool)> {
-    // Some writers say in the last bits of the header how many bytes they added to the end.
+    // Some writers put the length of trailing padding into the last bits of the header.
     let cut = |body: &'b [u8], added: u8| &body[..body.len().saturating_sub((added & 3).into())];
     match bytes {
         [0, 1, _, added, body @ ..] => Ok((cut(body, *added), true)),
         [0, 0, _, added, body @ ..] => Ok((cut(body, *added), false)),
         _ => Err(Error::other(
-            "the serialized message does not begin as plain CDR does: 00 00 or 00 01, and two bytes",
+            "the serialized message is not plain CDR: it must begin with 00 00 or 00 01, and two bytes",
         )),
     }
 }
@@ -47,7 +47,7 @@ pub(crate) unsafe fn little_body<'m>(
     message: &'m rmw_serialized_message_t,
     of: &MessageType,
 ) -> Result<Cow<'m, [u8]>> {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     let (body, is_little) = body(unsafe { bytes(message) })?;
     if is_little {
         return Ok(Cow::Borrowed(body));
@@ -56,10 +56,10 @@ pub(crate) unsafe fn little_body<'m>(
     Ok(Cow::Owned(message.to_body()))
 }
 
-/// Makes room for as many bytes, the header included.
+/// Makes room for `len_bytes`, including the header.
 fn resize(message: &mut rmw_serialized_message_t, len_bytes: usize) -> Result {
     if message.buffer_capacity < len_bytes {
-        // SAFETY: rmw's word: initialised.
+        // SAFETY: rmw's contract: initialised.
         if unsafe { rcutils_uint8_array_resize(message, len_bytes) } != RET_OK {
             return Err(Error::new(
                 RET_BAD_ALLOC,
@@ -83,7 +83,7 @@ pub(crate) fn write_serialized(body: &[u8], message: &mut rmw_serialized_message
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_serialize(
     message: *const c_void,
@@ -94,13 +94,13 @@ pub unsafe extern "C" fn rmw_serialize(
         if message.is_null() {
             return Err(Error::null("the message"));
         }
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         unsafe {
             let of = MessageType::of(support)?;
             let serialized = place(serialized, "the serialized message")?;
             let estimate = of.callbacks.estimate(message)?;
             resize(serialized, HEADER_BYTES + estimate)?;
-            // Memory that nobody has written yet is no slice.
+            // Uninitialised memory must not become a slice.
             serialized.buffer.write_bytes(0, HEADER_BYTES + estimate);
             let all = std::slice::from_raw_parts_mut(serialized.buffer, HEADER_BYTES + estimate);
             let (header, body) = all.split_at_mut(HEADER_BYTES);
@@ -112,7 +112,7 @@ pub unsafe extern "C" fn rmw_serialize(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_deserialize(
     serialized: *const rmw_serialized_message_t,
@@ -123,7 +123,7 @@ pub unsafe extern "C" fn rmw_deserialize(
         if message.is_null() {
             return Err(Error::null("the message"));
         }
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         unsafe {
             let of = MessageType::of(support)?;
             let serialized = serialized.as_ref().ok_or_else(|| Error::null("the serialized message"))?;

@@ -39,79 +39,78 @@ impl Drop for Service {
 
 impl Service {
     fn node(&self) -> &Node {
-        // SAFETY: rmw's word: a node lives longer than what is its.
+        // SAFETY: rmw's contract: a node outlives its endpoints.
         unsafe { &*self.node }
     }
 
-    /// The end, whose requests wake who waits.
+    /// The endpoint, whose requests wake wait sets.
     pub(crate) fn end(&self) -> &End<RawServer> {
         &self.end
     }
 
-    /// Tells the client that there is no answer. One of rmw_tautline's has nothing to do with it.
+    /// Tells the client that there is no response. Clients of rmw_tautline ignore this.
     fn refuse(&self, raw: &RawServer, request: &RawSample, reason: &str) {
         let refused = raw.refuse(RequestId::of(request.info()));
         let failure = refused.map_or_else(|error| format!("; {error}"), |()| String::new());
-        tracing::warn!("a request to service '{}' was refused, for {reason}{failure}", raw.service());
+        tracing::warn!("a request to service '{}' was refused: {reason}{failure}", raw.service());
     }
 }
 
-/// What services and clients agree on.
+/// The QoS of a service or client.
 pub(crate) fn profile_of(profile: *const rmw_qos_profile_t) -> Result<Qos> {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     let profile = unsafe { profile.as_ref() }.ok_or_else(|| Error::null("the QoS profile"))?;
     qos::from_ros(profile, Role::Service, std::iter::empty())
 }
 
-/// A service's name, which keeps the rules unless the profile says that it need not.
+/// A service's name, checked against ROS's rules unless the profile disables that.
 ///
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 pub(crate) unsafe fn name_of<'n>(name: *const c_char, profile: *const rmw_qos_profile_t) -> Result<&'n str> {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     let (read, profile) = unsafe { (text(name, "the service's name")?, profile.as_ref()) };
     if read.is_empty() {
         return Err(Error::invalid("the service's name is empty"));
     }
     if !profile.is_some_and(|profile| profile.avoid_ros_namespace_conventions) {
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         unsafe { check_full_name(name, "the service's name")? };
     }
     Ok(read)
 }
 
-/// What is kept of requests or responses that come faster than they are taken.
+/// Queue limits for requests or responses that arrive faster than they are taken.
 #[derive(Clone, Copy)]
 pub(crate) struct Depth {
-    /// How many can be in the queue, from each client or server.
+    /// Queue depth, per client or server.
     pub(crate) room: usize,
-    /// How many of all are still there for who takes, if the profile says so.
+    /// How many in total are kept at a take, if the profile limits that.
     kept: u64,
 }
 
 impl Depth {
-    /// Room for a burst, which costs nothing before it is used.
+    /// Room for a burst; costs nothing until used.
     pub(crate) const ROOM: usize = 1_000;
-    /// What services and clients ask for whose programmer did not say: of the clients of a service, that many would lose requests.
+    /// The default depth of services and clients: as a limit over all clients it would lose requests.
     const DEFAULT: usize = 10;
 
-    /// Of an end with this profile, which has been checked, and what was made of it. Fewer than by default is a wish; as many, or more,
-    /// is the least that are kept.
+    /// For an endpoint with this checked profile and its QoS. A depth below the default is a limit; otherwise it is a minimum.
     ///
     /// # Safety
-    /// As rmw says.
+    /// As documented by rmw.
     pub(crate) unsafe fn of(profile: *const rmw_qos_profile_t, qos: &Qos) -> Self {
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         let is_wish =
             unsafe { profile.as_ref() }.is_some_and(|asked| (1..Self::DEFAULT).contains(&asked.depth));
         let kept = if is_wish && qos.history == History::KeepLast { qos.depth as u64 } else { u64::MAX };
         Depth { room: qos.depth.max(Self::ROOM), kept }
     }
 
-    /// Takes the oldest that is kept. `lose` gets those before it.
+    /// Takes the oldest kept message. `lose` gets those before it.
     ///
     /// # Real-time
-    /// As `take`, at most as often as something waited.
+    /// Like `take`, at most once per waiting message.
     pub(crate) fn take(
         self,
         queue: &RawSubscription,
@@ -130,7 +129,7 @@ impl Depth {
     }
 }
 
-/// What tells a request or a response apart.
+/// Identifies a request or response.
 pub(crate) fn info_of(info: MessageInfo) -> rmw_service_info_t {
     rmw_service_info_t {
         source_timestamp: info.source_timestamp_ns,
@@ -143,7 +142,7 @@ pub(crate) fn info_of(info: MessageInfo) -> rmw_service_info_t {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_create_service(
     node: *const rmw_node_t,
@@ -152,20 +151,20 @@ pub unsafe extern "C" fn rmw_create_service(
     profile: *const rmw_qos_profile_t,
 ) -> *mut rmw_service_t {
     made(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (node, of, name) = unsafe {
             let node = behind(node)?;
             (node, ServiceSupport::of(support)?, name_of(name, profile)?)
         };
         let wanted = profile_of(profile)?;
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let depth = unsafe { Depth::of(profile, &wanted) };
         let raw =
             node.participant.create_raw_server(name, &of.service_type, depth.room, of.response.limits())?;
         let service =
             Service { node, of, qos: qos::to_ros(&wanted, false), depth, end: End::new(node, raw)? };
         let service_name = copy_text(name)?;
-        // SAFETY: rmw's own memory, written before anybody sees it.
+        // SAFETY: rmw's own memory, written before anyone can see it.
         unsafe {
             let handle = rmw_service_allocate();
             if handle.is_null() {
@@ -183,11 +182,11 @@ pub unsafe extern "C" fn rmw_create_service(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_destroy_service(node: *mut rmw_node_t, handle: *mut rmw_service_t) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word; checked to be ours, so made above.
+        // SAFETY: rmw's contract; checked to be ours, so created above.
         unsafe {
             behind(node)?;
             behind(handle)?;
@@ -200,7 +199,7 @@ pub unsafe extern "C" fn rmw_destroy_service(node: *mut rmw_node_t, handle: *mut
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_take_request(
     handle: *const rmw_service_t,
@@ -209,24 +208,22 @@ pub unsafe extern "C" fn rmw_take_request(
     taken: *mut bool,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (service, header, taken) =
             unsafe { (behind(handle)?, place(header, "the header")?, place(taken, "taken")?) };
         if request.is_null() {
             return Err(Error::null("the request"));
         }
         *taken = false;
-        // Too many held: the threads that are in a take make room.
+        // At the limit of held samples: the threads that are in a take will release some.
         let oldest = service.end.take(|raw| {
-            let late = |request: RawSample| {
-                service.refuse(raw, &request, "newer ones wait than its depth has room for")
-            };
+            let late = |request: RawSample| service.refuse(raw, &request, "newer ones fill its depth");
             service.depth.take(raw.requests(), || raw.try_take(), late)
         });
         let Ok(Some(sample)) = oldest else { return Ok(()) };
-        // SAFETY: rmw's word: a request of this type.
+        // SAFETY: rmw's contract: a request of this type.
         if let Err(error) = unsafe { service.of.request.callbacks.read(sample.body(), true, request) } {
-            let reason = format!("it is none of {}: {error:?}", service.of.service_type.request.name);
+            let reason = format!("it is not a valid {}: {error:?}", service.of.service_type.request.name);
             service.end.with(|raw| service.refuse(raw, &sample, &reason));
             return Ok(());
         }
@@ -238,7 +235,7 @@ pub unsafe extern "C" fn rmw_take_request(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_send_response(
     handle: *const rmw_service_t,
@@ -246,16 +243,16 @@ pub unsafe extern "C" fn rmw_send_response(
     response: *mut c_void,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (service, header) = unsafe { (behind(handle)?, place(header, "the header")?) };
         if response.is_null() {
             return Err(Error::null("the response"));
         }
         let sequence_number = u64::try_from(header.sequence_number)
-            .map_err(|_| Error::invalid("the request's number is below zero"))?;
+            .map_err(|_| Error::invalid("the request's sequence number is negative"))?;
         let id = RequestId { client: Gid(header.writer_guid), sequence_number };
         let callbacks = service.of.response.callbacks;
-        // SAFETY: rmw's word: a response of this type.
+        // SAFETY: rmw's contract: a response of this type.
         let estimate = unsafe { callbacks.estimate(response)? };
         let sent = service.end.with(|raw| {
             let mut loan = raw.loan(id, estimate)?;
@@ -265,7 +262,7 @@ pub unsafe extern "C" fn rmw_send_response(
             loan.send().map_err(|unsent| Failed::from(unsent.error))
         });
         match sent {
-            // Who asked has gone: that is no error of the server's.
+            // The client has ended: not an error of the server.
             Ok(()) | Err(Failed::Send(ServiceError::ClientGone { .. })) => Ok(()),
             Err(Failed::Send(
                 error @ (ServiceError::ClientUnreachable { .. } | ServiceError::ResponsesFull { .. }),
@@ -289,10 +286,10 @@ impl From<ServiceError> for Failed {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 unsafe fn actual_qos(handle: *const rmw_service_t, profile: *mut rmw_qos_profile_t) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (service, profile) = unsafe { (behind(handle)?, place(profile, "the QoS profile")?) };
         *profile = service.qos;
         Ok(())
@@ -300,29 +297,29 @@ unsafe fn actual_qos(handle: *const rmw_service_t, profile: *mut rmw_qos_profile
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_service_request_subscription_get_actual_qos(
     handle: *const rmw_service_t,
     profile: *mut rmw_qos_profile_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe { actual_qos(handle, profile) }
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_service_response_publisher_get_actual_qos(
     handle: *const rmw_service_t,
     profile: *mut rmw_qos_profile_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     unsafe { actual_qos(handle, profile) }
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_service_set_on_new_request_callback(
     handle: *mut rmw_service_t,
@@ -330,7 +327,7 @@ pub unsafe extern "C" fn rmw_service_set_on_new_request_callback(
     data: *const c_void,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let service = unsafe { behind(handle)? };
         let helper = &service.node().context().helper;
         service.end.set_on_new(helper, callback.map(|function| (function, data)));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a wait set sleeps on, and flags that wake it.
+//! What wait sets sleep on, and the flags that wake them.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -11,11 +11,11 @@ use tautline_transport::{ThreadBell, Wakeable};
 /// A flag that wakes wait sets.
 pub(crate) type Signal = tautline_transport::Signal<Waiter>;
 
-/// What one thread at a time sleeps on.
+/// One thread at a time sleeps on this.
 pub(crate) enum Waiter {
-    /// Which publishers ring themselves.
+    /// Rung by publishers directly.
     Bell(Arc<ThreadBell>),
-    /// Which the helper wakes, when a context's bells are all taken: it counts wakes.
+    /// Woken by the helper, when a context's bells are all in use; counts wakes.
     Word(FutexWord),
 }
 
@@ -32,7 +32,7 @@ impl Wakeable for Waiter {
 }
 
 impl Waiter {
-    /// To be asked before the look after which it sleeps.
+    /// Read this before the check that precedes the sleep.
     pub(crate) fn count(&self) -> u32 {
         match self {
             Waiter::Bell(_) => 0,
@@ -40,10 +40,10 @@ impl Waiter {
         }
     }
 
-    /// Sleeps until it was woken since `count` was asked for, or until the `CLOCK_MONOTONIC` time `deadline_ns`. May return early.
+    /// Sleeps until woken since `count` was read, or until the `CLOCK_MONOTONIC` time `deadline_ns`. May return early.
     ///
     /// # Real-time
-    /// One syscall, none if it was woken; no allocation; no lock.
+    /// One syscall, none if already woken; no allocation; no lock.
     pub(crate) fn sleep(&self, count: u32, deadline_ns: Option<u64>) {
         match self {
             Waiter::Bell(bell) => {
@@ -64,7 +64,7 @@ impl Wake for Waiter {
     }
 }
 
-/// The `CLOCK_MONOTONIC` time after which a wait of this length is over.
+/// The `CLOCK_MONOTONIC` time at which a wait of this length ends.
 pub(crate) fn deadline_ns(sec: u64, nsec: u64) -> u64 {
     monotonic_ns().saturating_add(sec.saturating_mul(1_000_000_000).saturating_add(nsec))
 }

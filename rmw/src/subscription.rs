@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Subscriptions: what is taken is read from shared memory into ROS's struct, once.
+//! Subscriptions: messages are read from shared memory into ROS's struct, once.
 
 use crate::bindings::*;
 use crate::cdr::Length;
@@ -30,14 +30,14 @@ pub(crate) struct Subscription {
     /// The participant whose publications are ignored.
     ignored_participant: Option<u64>,
     matched: MatchedCount,
-    /// Counts what was taken.
+    /// Counts taken messages.
     received: AtomicU64,
-    /// Messages that ROS reads in place.
+    /// Loans that ROS reads in place.
     loans: PiMutex<Vec<RawSample>>,
     end: Arc<End<RawSubscription>>,
 }
 
-/// Invalid samples, and ignored ones, that one take passes over: the queue has more, and is ready still.
+/// Maximum of invalid or ignored samples that one take skips; the subscription stays ready for the rest.
 const PASSED_OVER: usize = 16;
 
 impl Drop for Subscription {
@@ -49,16 +49,16 @@ impl Drop for Subscription {
 
 impl Subscription {
     fn node(&self) -> &Node {
-        // SAFETY: rmw's word: a node lives longer than what is its.
+        // SAFETY: rmw's contract: a node outlives its endpoints.
         unsafe { &*self.node }
     }
 
-    /// The end, whose messages wake who waits.
+    /// The endpoint, whose messages wake wait sets.
     pub(crate) fn end(&self) -> &End<RawSubscription> {
         &self.end
     }
 
-    /// Whether there is something to take, and room for it.
+    /// Whether there is a message to take, and room to hold it.
     pub(crate) fn has_data(&self) -> bool {
         self.loans.lock().len() < HELD && self.end.has_data()
     }
@@ -69,7 +69,7 @@ impl Subscription {
         self.happened.listen(helper, events)
     }
 
-    /// Takes the next sample, and its message with `read`. What is no message of this type is passed over, and said.
+    /// Takes the next sample, and its message with `read`. Invalid messages are skipped and logged.
     fn take<T>(
         &self,
         mut read: impl FnMut(RawSample) -> Result<T>,
@@ -78,7 +78,7 @@ impl Subscription {
             let taken = self.end.take(RawSubscription::try_take);
             let sample = match taken {
                 Ok(Some(sample)) => sample,
-                // With as many threads in a take as samples can be held: one of them makes room.
+                // At the limit of held samples, the threads in a take will release some.
                 Ok(None) | Err(TakeError::TooManyHeld) => return Ok(None),
                 Err(TakeError::Invalid(error)) => {
                     self.warn(&error.to_string());
@@ -94,7 +94,7 @@ impl Subscription {
                     self.end.begin(&info);
                     return Ok(Some((message, self.info(info))));
                 }
-                // Not an error of the caller's: executors end by those, and anybody can publish.
+                // Not an error for the caller: executors would end, and any process can publish.
                 Err(error) if error.code == RET_ERROR => self.warn(&format!("{error:?}")),
                 Err(error) => return Err(error),
             }
@@ -104,7 +104,7 @@ impl Subscription {
 
     fn warn(&self, reason: &str) {
         let name = self.message_type.name();
-        tracing::warn!("a message of a topic was dropped, for it is none of {name}: {reason}");
+        tracing::warn!("a message was dropped, because it is not a valid {name}: {reason}");
     }
 
     fn info(&self, info: MessageInfo) -> rmw_message_info_t {
@@ -131,34 +131,34 @@ impl Subscription {
         let taken = self.take(|sample| {
             let body = sample.body();
             let Length::Plain(len_bytes) = length else {
-                // SAFETY: the caller's word.
+                // SAFETY: the caller's contract.
                 return unsafe { callbacks.read(body, true, message) };
             };
             self.check_plain(body, len_bytes)?;
-            // SAFETY: the caller's word: a struct of this type, which begins with so many bytes of the body.
+            // SAFETY: the caller's contract: a struct of this type, which begins with this many bytes of the body.
             unsafe { message.cast::<u8>().copy_from_nonoverlapping(body.as_ptr(), len_bytes) };
             Ok(())
         })?;
         Ok(taken.map(|((), info)| info))
     }
 
-    /// Whether a body can be a struct in memory: it is long enough, and a byte that is to be a bool is one of C's.
+    /// Checks that a body is a valid struct in memory: long enough, and with valid bools.
     fn check_plain(&self, body: &[u8], len_bytes: usize) -> Result {
         if body.len() < len_bytes {
             return Err(Error::other(format!("it has {} bytes, not {len_bytes}", body.len())));
         }
         if !self.message_type.is_tidy(body) {
-            // It says which.
+            // This names the field.
             DynamicMessage::validate(&self.message_type.schema, body, Endian::Little)
                 .map_err(Error::other)?;
         }
         Ok(())
     }
 
-    /// Takes a message that ROS reads where it lies.
+    /// Takes a message that ROS reads in shared memory.
     fn take_loan(&self) -> Result<Option<(*mut c_void, rmw_message_info_t)>> {
         let Length::Plain(len_bytes) = self.message_type.length else {
-            return Err(Error::unsupported("messages of this type are not in memory as they are sent"));
+            return Err(Error::unsupported("this type cannot be loaned: its layout differs from CDR"));
         };
         self.take(|sample| {
             let body = sample.body();
@@ -171,13 +171,13 @@ impl Subscription {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 unsafe fn take_loaned(
     handle: *const rmw_subscription_t,
     message: *mut *mut c_void,
     taken: *mut bool,
 ) -> Result<Option<rmw_message_info_t>> {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     let (subscription, message, taken) =
         unsafe { (behind(handle)?, place(message, "the message")?, place(taken, "taken")?) };
     if !message.is_null() {
@@ -192,7 +192,7 @@ unsafe fn take_loaned(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_take_loaned_message(
     handle: *const rmw_subscription_t,
@@ -200,12 +200,12 @@ pub unsafe extern "C" fn rmw_take_loaned_message(
     taken: *mut bool,
     _allocation: *mut rmw_subscription_allocation_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     answer(|| unsafe { take_loaned(handle, message, taken) }.map(drop))
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_take_loaned_message_with_info(
     handle: *const rmw_subscription_t,
@@ -215,9 +215,9 @@ pub unsafe extern "C" fn rmw_take_loaned_message_with_info(
     _allocation: *mut rmw_subscription_allocation_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let info = unsafe { place(info, "the information")? };
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         if let Some(found) = unsafe { take_loaned(handle, message, taken)? } {
             *info = found;
         }
@@ -226,14 +226,14 @@ pub unsafe extern "C" fn rmw_take_loaned_message_with_info(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_return_loaned_message_from_subscription(
     handle: *const rmw_subscription_t,
     message: *mut c_void,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let subscription = unsafe { behind(handle)? };
         if message.is_null() {
             return Err(Error::null("the message"));
@@ -251,14 +251,14 @@ pub unsafe extern "C" fn rmw_return_loaned_message_from_subscription(
     })
 }
 
-/// When it appeared on this host, by the system's clock, in nanoseconds.
+/// When the message appeared on this host, by the system clock, in nanoseconds.
 pub(crate) fn received_ns(info: &MessageInfo) -> i64 {
     let age_ns = monotonic_ns().saturating_sub(info.released_ns);
     wall_ns().saturating_sub(i64::try_from(age_ns).unwrap_or(0))
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_create_subscription(
     node: *const rmw_node_t,
@@ -268,7 +268,7 @@ pub unsafe extern "C" fn rmw_create_subscription(
     options: *const rmw_subscription_options_t,
 ) -> *mut rmw_subscription_t {
     made(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (options, asked) = unsafe {
             let options = options.as_ref().ok_or_else(|| Error::null("the options"))?;
             let flows = options.require_unique_network_flow_endpoints;
@@ -299,7 +299,7 @@ pub unsafe extern "C" fn rmw_create_subscription(
             end: End::new(node, raw)?,
         };
         let topic_name = copy_text(name)?;
-        // SAFETY: rmw's own memory, written before anybody sees it.
+        // SAFETY: rmw's own memory, written before anyone can see it.
         unsafe {
             let handle = rmw_subscription_allocate();
             if handle.is_null() {
@@ -320,14 +320,14 @@ pub unsafe extern "C" fn rmw_create_subscription(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_destroy_subscription(
     node: *mut rmw_node_t,
     handle: *mut rmw_subscription_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word; checked to be ours, so made above.
+        // SAFETY: rmw's contract; checked to be ours, so created above.
         unsafe {
             behind(node)?;
             behind(handle)?;
@@ -340,14 +340,14 @@ pub unsafe extern "C" fn rmw_destroy_subscription(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_subscription_count_matched_publishers(
     handle: *const rmw_subscription_t,
     count: *mut usize,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (subscription, count) = unsafe { (behind(handle)?, place(count, "the count")?) };
         *count = subscription.matched.get();
         Ok(())
@@ -355,14 +355,14 @@ pub unsafe extern "C" fn rmw_subscription_count_matched_publishers(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_subscription_get_actual_qos(
     handle: *const rmw_subscription_t,
     profile: *mut rmw_qos_profile_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (subscription, profile) = unsafe { (behind(handle)?, place(profile, "the QoS profile")?) };
         *profile = subscription.qos;
         Ok(())
@@ -370,7 +370,7 @@ pub unsafe extern "C" fn rmw_subscription_get_actual_qos(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_take(
     handle: *const rmw_subscription_t,
@@ -379,16 +379,16 @@ pub unsafe extern "C" fn rmw_take(
     _allocation: *mut rmw_subscription_allocation_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (subscription, taken) = unsafe { (behind(handle)?, place(taken, "taken")?) };
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         *taken = unsafe { subscription.take_message(message)? }.is_some();
         Ok(())
     })
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_take_with_info(
     handle: *const rmw_subscription_t,
@@ -398,10 +398,10 @@ pub unsafe extern "C" fn rmw_take_with_info(
     _allocation: *mut rmw_subscription_allocation_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (subscription, taken, info) =
             unsafe { (behind(handle)?, place(taken, "taken")?, place(info, "the information")?) };
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let found = unsafe { subscription.take_message(message)? };
         *taken = found.is_some();
         if let Some(found) = found {
@@ -412,7 +412,7 @@ pub unsafe extern "C" fn rmw_take_with_info(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_take_sequence(
     handle: *const rmw_subscription_t,
@@ -423,7 +423,7 @@ pub unsafe extern "C" fn rmw_take_sequence(
     _allocation: *mut rmw_subscription_allocation_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let (subscription, messages, infos, taken) = unsafe {
             let subscription = behind(handle)?;
             let (messages, infos) = (place(messages, "the messages")?, place(infos, "the information")?);
@@ -431,18 +431,18 @@ pub unsafe extern "C" fn rmw_take_sequence(
         };
         if count == 0 || count > messages.capacity || count > infos.capacity {
             return Err(Error::invalid(format!(
-                "{count} messages are asked for, with room for {} and for the information of {}",
+                "{count} messages requested, room for {} messages and {} infos: request at least 1, at most the room",
                 messages.capacity, infos.capacity
             )));
         }
         *taken = 0;
         while *taken < count {
-            // SAFETY: rmw's word: as much room as it says, with messages of this type.
+            // SAFETY: rmw's contract: it has this capacity, and messages of this type.
             let found = unsafe { subscription.take_message(*messages.data.add(*taken)) };
             let info = match found {
                 Ok(Some(info)) => info,
                 Ok(None) => break,
-                // What was taken before is not lost by it.
+                // Earlier messages of this call are kept.
                 Err(_) if *taken > 0 => break,
                 Err(error) => return Err(error),
             };
@@ -456,13 +456,13 @@ pub unsafe extern "C" fn rmw_take_sequence(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 unsafe fn take_serialized(
     handle: *const rmw_subscription_t,
     message: *mut rmw_serialized_message_t,
     taken: *mut bool,
 ) -> Result<Option<rmw_message_info_t>> {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     let (subscription, message, taken) =
         unsafe { (behind(handle)?, place(message, "the message")?, place(taken, "taken")?) };
     let found = subscription.take(|sample| write_serialized(sample.body(), message))?;
@@ -471,7 +471,7 @@ unsafe fn take_serialized(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_take_serialized_message(
     handle: *const rmw_subscription_t,
@@ -479,12 +479,12 @@ pub unsafe extern "C" fn rmw_take_serialized_message(
     taken: *mut bool,
     _allocation: *mut rmw_subscription_allocation_t,
 ) -> rmw_ret_t {
-    // SAFETY: rmw's word.
+    // SAFETY: rmw's contract.
     answer(|| unsafe { take_serialized(handle, message, taken) }.map(drop))
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_take_serialized_message_with_info(
     handle: *const rmw_subscription_t,
@@ -494,9 +494,9 @@ pub unsafe extern "C" fn rmw_take_serialized_message_with_info(
     _allocation: *mut rmw_subscription_allocation_t,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let info = unsafe { place(info, "the information")? };
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         if let Some(found) = unsafe { take_serialized(handle, message, taken)? } {
             *info = found;
         }
@@ -505,7 +505,7 @@ pub unsafe extern "C" fn rmw_take_serialized_message_with_info(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_subscription_set_on_new_message_callback(
     handle: *mut rmw_subscription_t,
@@ -513,7 +513,7 @@ pub unsafe extern "C" fn rmw_subscription_set_on_new_message_callback(
     data: *const c_void,
 ) -> rmw_ret_t {
     answer(|| {
-        // SAFETY: rmw's word.
+        // SAFETY: rmw's contract.
         let subscription = unsafe { behind(handle)? };
         let helper = &subscription.node().context().helper;
         subscription.end.set_on_new(helper, callback.map(|function| (function, data)));

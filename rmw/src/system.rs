@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The statistics of this process's callbacks, and what the system file that `TAUT_SYSTEM` names says of them.
+//! Statistics of this process's callbacks, and their entries in the system file of `TAUT_SYSTEM`.
 
 use crate::error::{Error, Result};
 use std::collections::BTreeMap;
@@ -9,19 +9,19 @@ use std::time::Duration;
 use tautline_analysis::file::{CheckedCallback, Client, SystemFile};
 use tautline_executor::{CallbackOptions, ForeignCallback, ProcessInfo, StatisticsFile};
 
-/// What a system file says of one host's nodes of ROS, nothing without one, and the statistics of this process's callbacks.
+/// A system file's entries for the ROS nodes of one host, if there is a file, and this process's callback statistics.
 pub(crate) struct System {
     callbacks: Vec<CheckedCallback>,
-    /// There is a file, and processor time is compared with it.
+    /// Whether there is a file, so that processor time is measured.
     is_named: bool,
-    /// `None`: the system refused, and there is no file to compare with.
+    /// `None`: it could not be created, and there is no file.
     statistics: Option<StatisticsFile>,
-    /// By their names.
+    /// By name.
     made: Mutex<BTreeMap<String, Weak<ForeignCallback>>>,
 }
 
 impl System {
-    /// Of the environment.
+    /// From the environment.
     pub(crate) fn of_environment(domain: u32) -> Result<Self> {
         let path = std::env::var_os("TAUT_SYSTEM").filter(|path| !path.is_empty());
         let named = path.map(|path| Self::read(std::path::absolute(&path).unwrap_or_else(|_| path.into())));
@@ -33,7 +33,7 @@ impl System {
         let statistics = match StatisticsFile::create(&StatisticsFile::prefix(domain), &about) {
             Ok(file) => Some(file),
             Err(error) if is_named => {
-                return Err(Error::other(format!("the statistics in /dev/shm: {error}")));
+                return Err(Error::other(format!("statistics in /dev/shm: {error}")));
             }
             Err(error) => {
                 tracing::warn!("`taut top` will not show this process's callbacks: /dev/shm: {error}");
@@ -43,7 +43,7 @@ impl System {
         Ok(System { is_named, callbacks, statistics, made: Mutex::default() })
     }
 
-    /// This host's callbacks of ROS in a system file; `None` if there are none.
+    /// This host's ROS callbacks in a system file; `None` if there are none.
     fn read(path: PathBuf) -> Result<Option<(Vec<CheckedCallback>, ProcessInfo)>> {
         let refuse = |reason: String| Error::other(format!("TAUT_SYSTEM: {reason}"));
         let file = SystemFile::read(&path).map_err(|error| refuse(error.to_string()))?;
@@ -75,16 +75,16 @@ impl System {
         Ok(Some((callbacks, about)))
     }
 
-    /// Whether the processor time of callbacks is measured, which costs a system call for each.
+    /// Whether processor time of callbacks is measured, which costs a system call for each.
     pub(crate) fn measures_execution(&self) -> bool {
         self.is_named
     }
 
-    /// The statistics of what `node`, a full name, does with messages of `topic`: under the name that the file has for it. What has one
-    /// name there is one callback, however many topics trigger it.
+    /// The statistics of what `node`, a full name, does with messages of `topic`, under its name in the file. Equal names there
+    /// are one callback, even with several topics.
     ///
-    /// Without a file those of services and clients are not measured, for they take memory and most nodes have seven that nobody asks;
-    /// and nothing fails for want of it.
+    /// Without a file, services and clients are not measured, because that takes memory and most nodes have seven unused ones;
+    /// and failures to measure are not errors.
     pub(crate) fn callback(
         &self,
         node: &str,
@@ -121,7 +121,7 @@ impl System {
         let callback = match ForeignCallback::new(statistics, &options) {
             Ok(callback) => Arc::new(callback),
             Err(error) if self.is_named => {
-                return Err(Error::other(format!("the statistics of '{}': {error}", options.name)));
+                return Err(Error::other(format!("statistics of '{}': {error}", options.name)));
             }
             Err(error) => {
                 tracing::warn!("`taut top` will not show '{}': /dev/shm: {error}", options.name);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What an RMW promises, asked as rcl asks it: with structs of C and the type supports of ROS's packages.
+//! Tests of the RMW's contract, called as by rcl: with C structs and type supports of ROS's packages.
 
 use crate::bindings::*;
 use crate::{
@@ -13,7 +13,7 @@ use std::ptr::{null, null_mut};
 use std::sync::Barrier;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Counts what a thread allocates.
+/// Counts a thread's allocations.
 struct Counting;
 
 thread_local! {
@@ -24,12 +24,12 @@ thread_local! {
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         let _ = ALLOCATIONS.try_with(|count| count.set(count.get() + 1));
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         unsafe { System.dealloc(memory, layout) }
     }
 }
@@ -73,7 +73,7 @@ fn service_support(package: &str, name: &str) -> *const rosidl_service_type_supp
     }
 }
 
-/// The error's text, which is then forgotten.
+/// The error text, which is then reset.
 fn said() -> String {
     // SAFETY: no conditions; the struct has a text that ends with a zero.
     unsafe {
@@ -84,7 +84,7 @@ fn said() -> String {
     }
 }
 
-/// A node in a domain of its own, as long as this lives.
+/// A node in a domain of its own.
 struct World {
     domain: u32,
     context: Box<rmw_context_t>,
@@ -178,7 +178,7 @@ fn profile(depth: usize) -> rmw_qos_profile_t {
     }
 }
 
-/// Waits for one subscription and some guard conditions. Which of them are ready.
+/// Waits for one subscription and some guard conditions. Returns which are ready.
 unsafe fn wait_for(
     set: *mut rmw_wait_set_t,
     subscription: *mut c_void,
@@ -347,7 +347,7 @@ fn messages_are_written_and_read_in_place() {
     }
 }
 
-/// Bytes that are no message of the topic's type, and a byte that is no bool, are dropped; what follows is taken.
+/// Invalid messages, also with an invalid bool, are dropped; later ones are taken.
 #[test]
 fn what_is_no_message_is_dropped_and_ends_nobody() {
     let world = World::new(71);
@@ -473,7 +473,7 @@ fn a_wait_ends_by_what_is_ready_by_a_trigger_from_elsewhere_or_by_its_time() {
     }
 }
 
-/// C's structs need not have been filled in: what is no bool is sent as one, as Fast CDR does it.
+/// C's structs may be uninitialised: invalid bools are sent as true, as Fast CDR does.
 #[test]
 fn a_bool_that_is_none_is_sent_as_true() {
     let world = World::new(83);
@@ -504,8 +504,8 @@ fn a_bool_that_is_none_is_sent_as_true() {
     }
 }
 
-/// Sends five requests through a client and a server with these depths; which the server takes, and of the responses to those, the
-/// client.
+/// Sends five requests through a client and a server with these depths. Returns which requests the server takes, and which
+/// responses the client.
 fn taken_of_five(domain: usize, server_depth: usize, client_depth: usize) -> (Vec<i64>, Vec<i64>) {
     let world = World::new(domain);
     let of = service_support("std_srvs", "Empty");
@@ -545,7 +545,7 @@ fn taken_of_five(domain: usize, server_depth: usize, client_depth: usize) -> (Ve
     }
 }
 
-/// A depth below ROS's default is what is kept; else what comes in a burst is.
+/// A depth below ROS's default is a limit; otherwise bursts are kept.
 #[test]
 fn services_and_clients_keep_as_much_as_they_are_asked_to() {
     assert_eq!(taken_of_five(80, 2, 10), (vec![4, 5], vec![4, 5]));
@@ -553,7 +553,7 @@ fn services_and_clients_keep_as_much_as_they_are_asked_to() {
     assert_eq!(taken_of_five(82, 0, 0), (vec![1, 2, 3, 4, 5], vec![1, 2, 3, 4, 5]));
 }
 
-/// More wait sets than a context has bells for threads: the last ones are woken by the helper, and miss nothing.
+/// More wait sets than a context has thread bells: the helper wakes the last ones, and nothing is missed.
 #[test]
 fn wait_sets_have_no_limit() {
     let mut world = World::new(73);
@@ -596,7 +596,7 @@ fn wait_sets_have_no_limit() {
     }
 }
 
-/// Once memory has been claimed: what is published, waited for and taken allocates nothing.
+/// After memory has been claimed, publishing, waiting and taking allocate nothing.
 #[test]
 fn nothing_is_allocated_on_a_messages_way() {
     let mut world = World::new(74);
@@ -635,7 +635,7 @@ fn nothing_is_allocated_on_a_messages_way() {
                 subscription::rmw_return_loaned_message_from_subscription(subscription, message),
                 RET_OK
             );
-            // Nothing is there: all of the ways into sleep, and out of it by a flag.
+            // Nothing is ready: all paths into sleep, and out of it by a flag.
             guard::rmw_trigger_guard_condition(guard);
             assert_eq!(wait_for(set, (*subscription).data, &mut [(*guard).data], &PATIENCE), (RET_OK, false));
             let time = rmw_time_t { sec: 0, nsec: 1000 };
@@ -655,7 +655,7 @@ fn nothing_is_allocated_on_a_messages_way() {
     }
 }
 
-/// What a callback is told of: how often it was called, and for how many messages in all.
+/// How often the callback was called, and for how many messages in total.
 #[derive(Default)]
 struct Called {
     times: AtomicUsize,
@@ -669,8 +669,8 @@ unsafe extern "C" fn note(called: *const c_void, count: usize) {
     called.times.fetch_add(1, Ordering::SeqCst);
 }
 
-/// Each message is told of once, also what was there before, and after a wait for the same subscription; nobody is called once the callback
-/// was taken back, or the subscription destroyed.
+/// Each message is reported once, including earlier ones, also after a wait for the same subscription; never after the callback
+/// was removed or the subscription destroyed.
 #[test]
 fn callbacks_are_told_of_each_message_once() {
     let mut world = World::new(75);
@@ -710,7 +710,7 @@ fn callbacks_are_told_of_each_message_once() {
         publish(3);
         assert_eq!(set_callback(subscription, Some(note), data.cast()), RET_OK);
         assert_eq!(called.messages.load(Ordering::SeqCst), 3, "for what waits at once");
-        // As Fast DDS has it: nobody is called twice for a message.
+        // As with Fast DDS: each message is reported once.
         assert_eq!(set_callback(subscription, Some(note), data.cast()), RET_OK);
         publish(5);
         told(8);
@@ -718,7 +718,7 @@ fn callbacks_are_told_of_each_message_once() {
         publish(1);
         told(9);
         take_all();
-        // A wait for it, which sleeps: callbacks come again after that.
+        // A wait that sleeps; the callback is called again after it.
         let time = rmw_time_t { sec: 0, nsec: 1_000_000 };
         assert_eq!(wait_for(set, (*subscription).data, &mut [], &time), (RET_TIMEOUT, false));
         publish(2);

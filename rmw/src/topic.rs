@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What publishers and subscriptions are asked for by.
+//! Arguments for creating publishers and subscriptions.
 
 use crate::bindings::*;
 use crate::error::{Error, Result};
@@ -8,7 +8,7 @@ use crate::node::{Node, check_full_name};
 use crate::types::MessageType;
 use std::ffi::c_char;
 
-/// An end of a topic that is to be made, checked.
+/// Checked arguments for creating a topic endpoint.
 pub(crate) struct Asked<'a> {
     pub(crate) node: &'a Node,
     pub(crate) message_type: MessageType,
@@ -18,7 +18,7 @@ pub(crate) struct Asked<'a> {
 
 impl Asked<'_> {
     /// # Safety
-    /// As rmw says of both functions that make ends.
+    /// As documented by rmw for both functions that create endpoints.
     pub(crate) unsafe fn new(
         node: *const rmw_node_t,
         support: *const rosidl_message_type_support_t,
@@ -26,7 +26,7 @@ impl Asked<'_> {
         profile: *const rmw_qos_profile_t,
         flows: rmw_unique_network_flow_endpoints_requirement_t,
     ) -> Result<Self> {
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         let (node, message_type, name, profile) = unsafe {
             let (node, message_type) = (behind(node)?, MessageType::of(support)?);
             let name = text(topic, "the topic's name")?;
@@ -36,7 +36,7 @@ impl Asked<'_> {
             return Err(Error::invalid("the topic's name is empty"));
         }
         if !profile.avoid_ros_namespace_conventions {
-            // SAFETY: the caller's word.
+            // SAFETY: the caller's contract.
             unsafe { check_full_name(topic, "the topic's name")? };
         }
         if flows == RMW_UNIQUE_NETWORK_FLOW_ENDPOINTS_STRICTLY_REQUIRED {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Type supports: what ROS gives of a type, as what Tautline wants to know of it.
+//! Type supports: ROS's information about a type, converted for Tautline.
 
 use crate::bindings::*;
 use crate::cdr::{Callbacks, Length};
@@ -14,24 +14,24 @@ use tautline_schema::{
 };
 use tautline_transport::{Claim, Limits, ServiceType, TopicType};
 
-/// The type supports whose callbacks are of Fast CDR: that for structs of C, and that for those of C++.
+/// The type supports with Fast CDR callbacks, for C and C++ structs.
 const SUPPORTS: [&CStr; 2] = [c"rosidl_typesupport_fastrtps_c", c"rosidl_typesupport_fastrtps_cpp"];
 
 /// `ROSIDL_TYPE_HASH_VERSION_1`.
 const HASH_VERSION: u8 = 1;
 
-/// A type of messages.
+/// A message type.
 pub(crate) struct MessageType {
     pub(crate) callbacks: Callbacks,
     pub(crate) length: Length,
     pub(crate) topic_type: TopicType,
-    /// For bytes of another order.
+    /// For big-endian bodies.
     pub(crate) schema: Arc<Schema>,
-    /// Of a plain type: where its bools are.
+    /// Positions of bools, for a plain type.
     bools: Vec<Range<usize>>,
 }
 
-/// A type of services.
+/// A service type.
 pub(crate) struct ServiceSupport {
     pub(crate) request: MessageType,
     pub(crate) response: MessageType,
@@ -42,22 +42,22 @@ impl MessageType {
     /// # Safety
     /// `support` is null or a type support.
     pub(crate) unsafe fn of(support: *const rosidl_message_type_support_t) -> Result<Self> {
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         let found = unsafe { find(support)? };
         let (Some(hash), Some(description)) = (found.get_type_hash_func, found.get_type_description_func)
         else {
             return Err(no_support());
         };
-        // SAFETY: both give constants of the library that the type support is in.
+        // SAFETY: both return constants of the type support's library.
         let (hash, description) = unsafe { (hash(found).as_ref(), description(found).as_ref()) };
         let (hash, description) = hash.zip(description).ok_or_else(no_support)?;
-        // SAFETY: the callbacks of a type support of this name.
+        // SAFETY: callbacks of a type support of this name.
         let callbacks = unsafe { Callbacks::new(found.data) };
-        // SAFETY: a description that its generator made.
+        // SAFETY: a description from its generator.
         let known = unsafe { known(hash, description)? };
         let topic_type = TopicType::new(known.schema.name().to_string()).with_hash(known.hash);
         let topic_type = topic_type.with_definition(known.definition);
-        // Its generator calls a type plain whose last field alone is where it is in CDR.
+        // The generator calls a type plain if only its last field has the same position in CDR.
         let (length, bools) = match (callbacks.length(), layout::same_in_memory(&known.schema)) {
             (Length::Plain(bytes), Some(same)) if same.len_bytes == bytes => {
                 (Length::Plain(bytes), same.bools)
@@ -68,7 +68,7 @@ impl MessageType {
         Ok(MessageType { callbacks, length, topic_type, schema: known.schema, bools })
     }
 
-    /// What is written for a bool is 0 or 1, whatever is in memory: C's structs may not have been filled in.
+    /// Writes bools as 0 or 1, whatever is in memory: C's structs may be uninitialised.
     ///
     /// # Real-time
     /// O(bools); no allocation; no syscall.
@@ -79,7 +79,7 @@ impl MessageType {
         }
     }
 
-    /// Whether each bool of a body is one.
+    /// Whether each bool of a body is 0 or 1.
     ///
     /// # Real-time
     /// As [`tidy`](Self::tidy).
@@ -88,7 +88,7 @@ impl MessageType {
         all.all(|bytes| bytes.iter().all(|byte| *byte <= 1))
     }
 
-    /// What an end has room for: memory is claimed when it is first needed, and grows with what is sent.
+    /// An endpoint's limits: memory is claimed on first use, and grows with messages.
     pub(crate) fn limits(&self) -> Limits {
         let message_bytes = match self.length {
             Length::Plain(bytes) | Length::AtMost(bytes) => bytes.clamp(1, LARGE_BYTES),
@@ -97,7 +97,7 @@ impl MessageType {
         Limits { held: HELD, loans: HELD, message_bytes, claim: Claim::OnUse, ..Limits::default() }
     }
 
-    /// Whether messages lie in memory as they are sent, and can be lent.
+    /// Whether messages have the same layout in memory and in CDR, and can be loaned.
     pub(crate) fn is_plain(&self) -> bool {
         matches!(self.length, Length::Plain(_))
     }
@@ -107,7 +107,7 @@ impl MessageType {
     }
 }
 
-/// The support whose callbacks are of Fast CDR.
+/// The support with Fast CDR callbacks.
 ///
 /// # Safety
 /// `support` is null or a type support.
@@ -117,25 +117,25 @@ unsafe fn find<'s>(
     if support.is_null() {
         return Err(Error::null("the type support"));
     }
-    // SAFETY: a type support finds the one that is asked for, or null.
+    // SAFETY: a type support finds the requested one, or null.
     let find = |name: &CStr| unsafe { get_message_typesupport_handle(support, name.as_ptr()).as_ref() };
     without_text(|| SUPPORTS.into_iter().find_map(find)).ok_or_else(no_support)
 }
 
 impl Callbacks {
-    /// Those of a type support.
+    /// The callbacks of a type support.
     ///
     /// # Safety
     /// `support` is null or a type support.
     pub(crate) unsafe fn find(support: *const rosidl_message_type_support_t) -> Result<Self> {
-        // SAFETY: the caller's word; the support has this name.
+        // SAFETY: the caller's contract; the support has this name.
         Ok(unsafe { Callbacks::new(find(support)?.data) })
     }
 }
 
-/// A bound that nobody reaches is not to be provided for.
+/// Larger bounds are not reserved in advance.
 const LARGE_BYTES: usize = 1 << 20;
-/// Threads that may take from one end at once, and messages that may be out as loans.
+/// Maximum of threads in a take at one endpoint, and of loaned messages.
 pub(crate) const HELD: usize = 64;
 
 impl ServiceSupport {
@@ -145,17 +145,17 @@ impl ServiceSupport {
         if support.is_null() {
             return Err(Error::null("the type support"));
         }
-        // SAFETY: a type support finds the one that is asked for, or null.
+        // SAFETY: a type support finds the requested one, or null.
         let find = |name: &CStr| unsafe { get_service_typesupport_handle(support, name.as_ptr()).as_ref() };
         let found = without_text(|| SUPPORTS.into_iter().find_map(find)).ok_or_else(no_support)?;
         let (Some(hash), Some(description)) = (found.get_type_hash_func, found.get_type_description_func)
         else {
             return Err(no_support());
         };
-        // SAFETY: both give constants of the library that the type support is in.
+        // SAFETY: both return constants of the type support's library.
         let (hash, description) = unsafe { (hash(found).as_ref(), description(found).as_ref()) };
         let (hash, description) = hash.zip(description).ok_or_else(no_support)?;
-        // SAFETY: a description that its generator made; a service's messages have type supports.
+        // SAFETY: a description from its generator; a service's messages have type supports.
         let (known, request, response) = unsafe {
             let request = MessageType::of(found.request_typesupport)?;
             (known(hash, description)?, request, MessageType::of(found.response_typesupport)?)
@@ -171,12 +171,12 @@ impl ServiceSupport {
 
 fn no_support() -> Error {
     Error::invalid(
-        "the type has no support that rmw_tautline can use, which is rosidl_typesupport_fastrtps_c or _cpp with a type hash: \
+        "the type has no support of rosidl_typesupport_fastrtps_c or _cpp with a type hash, which rmw_tautline needs: \
          build its package with ROS 2 Jazzy or later",
     )
 }
 
-/// What is known of a type besides its structs.
+/// A type's information besides its structs.
 #[derive(Clone)]
 struct Known {
     hash: String,
@@ -184,11 +184,11 @@ struct Known {
     definition: String,
 }
 
-/// Types that were met before.
+/// Types found before.
 static KNOWN: Mutex<Option<HashMap<String, Known>>> = Mutex::new(None);
 
 /// # Safety
-/// `description` is as its generator made it.
+/// `description` comes from its generator.
 unsafe fn known(
     hash: &rosidl_type_hash_t,
     description: &rosidl_runtime_c__type_description__TypeDescription,
@@ -203,13 +203,13 @@ unsafe fn known(
     if let Some(known) = types.get(&hash) {
         return Ok(known.clone());
     }
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     let description = unsafe { described(description) };
     let schema = Schema::from_description(&description).map_err(Error::other)?;
     if schema.hash().to_string() != hash {
         let name = schema.name();
         return Err(Error::other(format!(
-            "{name} is described as another type than its hash says: rebuild its package"
+            "the description of {name} does not match its hash: rebuild its package"
         )));
     }
     let known = Known { definition: schema.to_text(), schema: Arc::new(schema), hash: hash.clone() };
@@ -218,10 +218,10 @@ unsafe fn known(
 }
 
 /// # Safety
-/// The description is as its generator made it.
+/// The description comes from its generator.
 unsafe fn described(description: &rosidl_runtime_c__type_description__TypeDescription) -> TypeDescription {
     let referenced = &description.referenced_type_descriptions;
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     unsafe {
         TypeDescription {
             type_description: individual(&description.type_description),
@@ -239,19 +239,19 @@ unsafe fn individual(
     one: &rosidl_runtime_c__type_description__IndividualTypeDescription,
 ) -> IndividualTypeDescription {
     let field = |field: &rosidl_runtime_c__type_description__Field| FieldDescription {
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         name: unsafe { string(&field.name) },
         ty: FieldTypeDescription {
             type_id: field.type_.type_id,
             capacity: field.type_.capacity,
             string_capacity: field.type_.string_capacity,
-            // SAFETY: the caller's word.
+            // SAFETY: the caller's contract.
             nested_type_name: unsafe { string(&field.type_.nested_type_name) },
         },
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         default_value: unsafe { string(&field.default_value) },
     };
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     unsafe {
         IndividualTypeDescription {
             type_name: string(&one.type_name),
@@ -261,15 +261,15 @@ unsafe fn individual(
 }
 
 /// # Safety
-/// `data` is null, or has `size` elements.
+/// `data` is null or has `size` elements.
 unsafe fn all<'d, T>(data: *const T, size: usize) -> &'d [T] {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     if data.is_null() { &[] } else { unsafe { std::slice::from_raw_parts(data, size) } }
 }
 
 /// # Safety
 /// As [`described`].
 unsafe fn string(text: &rosidl_runtime_c__String) -> String {
-    // SAFETY: the caller's word.
+    // SAFETY: the caller's contract.
     String::from_utf8_lossy(unsafe { all(text.data.cast::<u8>(), text.size) }).into_owned()
 }

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What an RMW may answer RMW_RET_UNSUPPORTED to, and this one does: memory ahead for bounded messages, sizes of messages that are not
-//! there, content filters, dynamic messages, network flows.
+//! Functions for which rmw permits RMW_RET_UNSUPPORTED: preallocation for bounded messages, sizes of future messages, content
+//! filters, dynamic messages, network flows.
 
 use crate::bindings::*;
 use crate::error::{Error, answer};
 use std::ffi::c_void;
 
-/// Functions that answer so, whatever they are given.
+/// Functions that return this for any arguments.
 macro_rules! unsupported {
     ($($name:ident($($argument:ty),*): $reason:literal;)*) => {$(
         #[unsafe(no_mangle)]
@@ -21,7 +21,7 @@ type TypeSupport = *const rosidl_message_type_support_t;
 type Bounds = *const rosidl_runtime_c__Sequence__bound;
 type PublisherAllocation = *mut rmw_publisher_allocation_t;
 type SubscriptionAllocation = *mut rmw_subscription_allocation_t;
-/// `rosidl_dynamic_typesupport_dynamic_data_t` and the like, which nobody looks into.
+/// `rosidl_dynamic_typesupport_dynamic_data_t` and similar, which are not accessed.
 type Opaque = *mut c_void;
 
 unsupported! {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Wait sets: `rmw_wait` looks at everything, sleeps until something rings, and looks at everything again.
+//! Wait sets: `rmw_wait` checks everything, sleeps until it is rung, and checks everything again.
 
 use crate::bindings::*;
 use crate::client::Client;
@@ -22,19 +22,19 @@ pub(crate) struct WaitSet {
     waiters: Arc<Waiters>,
     waiter: Arc<Waiter>,
     waits: Arc<SamplerObject>,
-    /// Whether callbacks' processor time is.
+    /// Whether callbacks' processor time is measured.
     is_measured: bool,
     in_use: AtomicBool,
 }
 
-/// A thread's use of a wait set, however it ends.
+/// A thread's use of a wait set, until dropped.
 struct Turn<'a>(&'a AtomicBool);
 
 impl<'a> Turn<'a> {
     fn of(wait_set: &'a WaitSet) -> Result<Self> {
         match wait_set.in_use.swap(true, Ordering::Acquire) {
             false => Ok(Turn(&wait_set.in_use)),
-            true => Err(Error::other("two threads wait with one wait set")),
+            true => Err(Error::other("two threads wait with one wait set: use one per thread")),
         }
     }
 }
@@ -45,31 +45,31 @@ impl Drop for Turn<'_> {
     }
 }
 
-/// Pointers that rmw_wait is given, which it makes null where nothing is ready.
+/// Pointers given to rmw_wait, which sets those that are not ready to null.
 struct Array<'a>(&'a mut [*mut c_void]);
 
 impl Array<'_> {
     /// # Safety
-    /// `data` is null or has `count` elements, which nobody else uses meanwhile.
+    /// `data` is null or has `count` elements, which nothing else uses meanwhile.
     unsafe fn new(data: *mut *mut c_void, count: usize) -> Self {
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         Array(if data.is_null() { &mut [] } else { unsafe { std::slice::from_raw_parts_mut(data, count) } })
     }
 
     /// # Safety
-    /// Each is null or a `T` that lives.
+    /// Each is null or points to a live `T`.
     unsafe fn all<'t, T: 't>(&self) -> impl Iterator<Item = &'t T> {
-        // SAFETY: the caller's word.
+        // SAFETY: the caller's contract.
         self.0.iter().filter_map(|one| unsafe { one.cast::<T>().as_ref() })
     }
 
-    /// Makes those null that are not ready.
+    /// Sets entities that are not ready to null.
     ///
     /// # Safety
     /// As [`all`](Self::all).
     unsafe fn keep<T>(&mut self, is_ready: impl Fn(&T) -> bool) {
         for one in &mut *self.0 {
-            // SAFETY: the caller's word.
+            // SAFETY: the caller's contract.
             if !unsafe { one.cast::<T>().as_ref() }.is_some_and(&is_ready) {
                 *one = std::ptr::null_mut();
             }
@@ -77,7 +77,7 @@ impl Array<'_> {
     }
 }
 
-/// What is waited for.
+/// The entities to wait for.
 struct Wanted<'a> {
     subscriptions: Array<'a>,
     guards: Array<'a>,
@@ -88,7 +88,7 @@ struct Wanted<'a> {
 
 impl Wanted<'_> {
     fn subscriptions(&self) -> impl Iterator<Item = &Subscription> {
-        // SAFETY: rmw's word, as it came to `rmw_wait`: what it gives is what we put behind such handles, and lives. Also below.
+        // SAFETY: rmw's contract of `rmw_wait`: the pointers are our data of such handles, and live. Also below.
         unsafe { self.subscriptions.all() }
     }
 
@@ -108,14 +108,14 @@ impl Wanted<'_> {
     }
 
     fn signals(&self) -> impl Iterator<Item = &Signal> {
-        // SAFETY: as above; of events the handles themselves are given.
+        // SAFETY: as above; for events, the pointers are the handles.
         let events = unsafe { self.events.all::<rmw_event_t>() }.filter_map(event::signal_of);
         self.guards().map(|guard| &*guard.signal).chain(events)
     }
 
     /// # Real-time
-    /// O(what is waited for); no allocation; no syscall, except one futex wake for memory that is not mapped here yet. Waits for whoever takes from, or publishes on, one of these right now, and
-    /// lends it this thread's priority.
+    /// O(entities); no allocation; no syscall, except one futex wake for memory that is not mapped here yet. Waits for threads
+    /// that take from or publish on one of them, which inherit this thread's priority.
     fn is_something_ready(&self) -> bool {
         self.signals().any(Signal::is_set)
             || self.subscriptions().any(Subscription::has_data)
@@ -123,20 +123,20 @@ impl Wanted<'_> {
             || self.clients().any(|client| client.end().has_data())
     }
 
-    /// Has flags wake `waiter`, until it is detached.
+    /// Lets flags wake `waiter`, until it is detached.
     fn attach_signals(&self, waiter: &Waiter) -> Result {
         for signal in self.signals() {
-            // SAFETY: a waiter lives as long as its context, which lives as long as its guard conditions and ends are used.
+            // SAFETY: a waiter lives as long as its context, which outlives uses of its guard conditions and endpoints.
             if !unsafe { signal.attach(waiter) } {
                 return Err(Error::other(
-                    "a guard condition or an event is waited for in 8 wait sets at once, which is the limit",
+                    "a guard condition or an event is already in 8 waiting wait sets, the limit: use fewer",
                 ));
             }
         }
         Ok(())
     }
 
-    /// Has data wake `waiter`, once.
+    /// Lets new messages wake `waiter`, once.
     ///
     /// # Real-time
     /// As [`End::attach`](crate::end::End::attach), for each.
@@ -146,7 +146,7 @@ impl Wanted<'_> {
         self.clients().for_each(|client| client.end().attach(waiter));
     }
 
-    /// After the wait.
+    /// Detaches everything after the wait.
     fn detach(&self, waiter: &Waiter) {
         self.signals().for_each(|signal| signal.detach(waiter));
         self.subscriptions().for_each(|subscription| subscription.end().detach());
@@ -170,7 +170,7 @@ impl Wanted<'_> {
         }
     }
 
-    /// Leaves what is ready; guard conditions are reset by that. Returns whether something was left.
+    /// Keeps ready entities, which resets guard conditions. Returns whether there are any.
     fn report(&mut self) -> bool {
         // SAFETY: as above.
         unsafe {
@@ -185,7 +185,7 @@ impl Wanted<'_> {
     }
 }
 
-/// What wakes a waiter until this ends, however it ends.
+/// Detaches the waiter when dropped.
 struct Attached<'a> {
     wanted: &'a Wanted<'a>,
     waiter: &'a Arc<Waiter>,
@@ -198,14 +198,14 @@ impl Drop for Attached<'_> {
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_create_wait_set(
     context: *mut rmw_context_t,
     _max_conditions: usize,
 ) -> *mut rmw_wait_set_t {
     made(|| {
-        // SAFETY: rmw's word; its own memory, written before anybody sees it.
+        // SAFETY: rmw's contract; rmw's memory, written before anyone can see it.
         unsafe {
             let context = behind_context(context)?;
             let handle = rmw_wait_set_allocate();
@@ -227,15 +227,15 @@ pub unsafe extern "C" fn rmw_create_wait_set(
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_destroy_wait_set(handle: *mut rmw_wait_set_t) -> rmw_ret_t {
     answer(|| {
-        // As rmw's own tests want it.
+        // As rmw's own tests require.
         if handle.is_null() {
             return Err(Error::other("the wait set is null"));
         }
-        // SAFETY: rmw's word; checked to be ours.
+        // SAFETY: rmw's contract; checked to be ours.
         unsafe {
             behind(handle)?;
             let wait_set = take_back::<WaitSet>((*handle).data);
@@ -247,7 +247,7 @@ pub unsafe extern "C" fn rmw_destroy_wait_set(handle: *mut rmw_wait_set_t) -> rm
 }
 
 /// # Safety
-/// As rmw says.
+/// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_wait(
     subscriptions: *mut rmw_subscriptions_t,
@@ -260,7 +260,7 @@ pub unsafe extern "C" fn rmw_wait(
 ) -> rmw_ret_t {
     let mut is_over = false;
     let answered = answer(|| {
-        // SAFETY: rmw's word: each is null or valid.
+        // SAFETY: rmw's contract: each is null or valid.
         let (wait_set, timeout, mut wanted) = unsafe {
             let none = || (std::ptr::null_mut(), 0);
             let array = |(data, count)| Array::new(data, count);
@@ -283,7 +283,7 @@ pub unsafe extern "C" fn rmw_wait(
         let deadline = timeout.map(|time| deadline_ns(time.sec, time.nsec));
         job::wait(&wait_set.waits, deadline, wait_set.is_measured);
         let is_look_only = timeout.is_some_and(|time| (time.sec, time.nsec) == (0, 0));
-        // Mostly something is there already, and nothing has to be attached for it.
+        // Usually something is already ready, and nothing has to be attached.
         let waited = if wanted.is_something_ready() || is_look_only {
             Ok(())
         } else {
@@ -294,7 +294,7 @@ pub unsafe extern "C" fn rmw_wait(
         waited?;
         let is_ready = wanted.report();
         job::wake(&wait_set.waits, is_ready);
-        // Somebody else may have taken what was there; without a time limit that is nothing's end.
+        // Another thread may have taken it; without a time limit this does not end the wait.
         is_over = !is_ready && timeout.is_some();
         Ok(())
     });
