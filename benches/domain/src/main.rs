@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What does a domain of many processes and topics cost?
+//! Measures the cost of a domain with many processes and topics.
 //!
-//! The processes are this binary again, started with `--child`, in a scope of their own: nobody else's processes are in the way,
-//! and none is disturbed but by the load.
+//! The processes are this binary, started with `--child`, in their own scope: processes of others do not interfere, and are
+//! disturbed only by the load.
 //!
 //! | module | holds |
 //! |---|---|
-//! | `job` | what a process is told, and what it says |
+//! | `job` | a process's job and output |
 //! | `place` | the scope, its files, a gate at which processes wait for each other |
-//! | `process` | what the kernel says of processes: time, memory, descriptors |
-//! | `ros_node` | a node with the ten endpoints that every ROS 2 node has |
-//! | `population` | 1 to 300 processes with such a node: idle, looked at, joined, killed |
+//! | `process` | the kernel's statistics of processes: time, memory, descriptors |
+//! | `ros_node` | a node with the ten endpoints of every ROS 2 node |
+//! | `population` | 1 to 300 processes with such a node: idle, read, joined, killed |
 //! | `topics` | 10 to 10,000 topics between two processes |
-//! | `storm` | 100 processes that start at once; one with 100 nodes; 1,000 publishers and as many subscriptions of a topic |
+//! | `storm` | 100 processes that start at once; one with 100 nodes; 1,000 publishers and subscriptions of a topic |
 //! | `traffic` | messages at a rate: 200 topics beside iceoryx2, images to many subscriptions, many subscriptions of a topic |
 //! | `report` | the table, the JSON, the aims |
 
@@ -37,10 +37,10 @@ use tautline_benches::Disturbance;
 use tautline_exchange::APPLICATION_PRIORITY;
 use tautline_rt::{host, permission};
 
-/// What nobody handles but the person who reads it.
+/// An error for people only.
 type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
-/// Measures what a domain of many processes and topics costs.
+/// Measures the cost of a domain with many processes and topics.
 #[derive(Parser)]
 #[command(after_help = "Examples:
   cargo xtask bench domain --quick                 under 90 s
@@ -91,7 +91,7 @@ enum Experiment {
     FanOut,
 }
 
-/// What every experiment needs.
+/// State of all experiments.
 struct Bench<'a> {
     place: &'a Place,
     quick: bool,
@@ -112,7 +112,7 @@ fn main() -> ExitCode {
 
 fn measure(options: &Options) -> Result<()> {
     let interrupted = tautline_benches::interrupted()?;
-    // Three pipes for each process.
+    // Three pipes per process.
     let open_files = host::raise_open_files();
     let disturbance = Disturbance::start();
     let place = Place::new()?;

@@ -11,13 +11,13 @@ use tautline_rt::domain::shared_path;
 
 use crate::job::DOMAIN;
 
-/// A scope that nobody else is in, and what lies in it.
+/// A scope of its own, with its files.
 pub struct Place {
     scratch: Scratch,
 }
 
 impl Place {
-    /// Puts this process into a new scope.
+    /// Moves this process into a new scope.
     pub fn new() -> Result<Self> {
         Ok(Place { scratch: Scratch::new("bench_domain")? })
     }
@@ -38,7 +38,7 @@ impl Place {
         files.filter_map(|file| file.metadata().ok()).map(|file| file.blocks() * 512).sum()
     }
 
-    /// Files that the processes of an experiment, which have all ended, have left in shared memory.
+    /// Counts files in shared memory left by the processes of an experiment, which have all ended.
     pub fn left_behind(&self, experiment: Experiment) -> Result<Row> {
         let files = match fs::read_dir(self.folder()) {
             Ok(files) => files.collect::<std::io::Result<Vec<_>>>()?,
@@ -53,7 +53,7 @@ impl Place {
         Ok(Row::of(experiment, 0, "files left in /dev/shm", "files").value(names.len() as f64).at_most(0.0))
     }
 
-    /// A gate that is closed.
+    /// A closed gate.
     pub fn gate(&self) -> Result<Gate> {
         let path = self.scratch.directory().join("gate");
         let file = File::create(&path)?;
@@ -62,7 +62,7 @@ impl Place {
     }
 }
 
-/// Where processes wait until all of them are there.
+/// Processes wait here for each other.
 pub struct Gate {
     path: PathBuf,
     file: File,
@@ -73,7 +73,7 @@ impl Gate {
         &self.path
     }
 
-    /// Lets all of them through.
+    /// Opens it.
     pub fn open(self) -> Result<()> {
         Ok(self.file.unlock()?)
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Processes with a node each: what they cost when nothing happens, what it costs to look at them and to come to them, and how soon
-//! they are buried.
+//! Processes with a node each: their cost when idle, the cost of reading the graph and of joining them, and the time until a
+//! killed one is cleaned up.
 
 use crate::job::{DOMAIN, Job, Said, say, wait_for_end, wait_until};
 use crate::place::Gate;
@@ -20,14 +20,14 @@ use tautline_benches::Distribution;
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription, graph_of};
 
-/// How long a process may take to do its job.
+/// Time-out of a process's job.
 pub const PATIENCE: Duration = Duration::from_secs(180);
-/// How long something that takes microseconds may take.
+/// Time-out of steps that take microseconds.
 const SHORT: Duration = Duration::from_secs(10);
-/// Until nothing happens any more.
+/// Until the domain is idle.
 const SETTLING: Duration = Duration::from_secs(1);
 const MIB: f64 = 1048576.0;
-/// What the aims of a look are about.
+/// Processes and ports for the aims of reading the graph.
 const LOOKED_AT: [usize; 2] = [64, 20];
 
 fn row(size: usize, what: impl Into<String>, unit: &'static str) -> Row {
@@ -86,7 +86,7 @@ fn population(bench: &Bench<'_>, size: usize) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// What a number of processes takes.
+/// The memory of a number of processes.
 pub fn memory_of(bench: &Bench<'_>, experiment: Experiment, size: usize, pids: &[u32]) -> Vec<Row> {
     let memory: Vec<_> = pids.iter().map(|&pid| process::memory(pid)).collect();
     let row = |what: &str, bytes: f64| Row::of(experiment, size, what, "MiB").value(bytes / MIB);
@@ -106,7 +106,7 @@ pub fn made(process: &mut Process<'_, Said>) -> Result<u64> {
     process.expect(PATIENCE, |said| if let Said::Made { ns } = said { Some(ns) } else { None })
 }
 
-/// The times that a process took, by what they are of.
+/// The times that a process measured, by kind.
 pub fn times(process: &mut Process<'_, Said>) -> Result<Vec<(String, Distribution)>> {
     let times =
         process.expect(PATIENCE, |said| if let Said::Times(times) = said { Some(times) } else { None })?;
@@ -118,7 +118,7 @@ pub fn times(process: &mut Process<'_, Said>) -> Result<Vec<(String, Distributio
     Ok(times.into_iter().map(|(what, counts)| (what, distribution(counts))).collect())
 }
 
-/// Kills processes one by one, at last the warden.
+/// Kills processes one by one, finally the warden.
 fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>) -> Result<Vec<Row>> {
     let rounds = if bench.quick { 3 } else { 20 };
     let participant = Participant::new(DOMAIN)?;
@@ -144,7 +144,7 @@ fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>
         for _ in 0..3 {
             let folder = bench.place.folder();
             let mut index = None;
-            // Who becomes it after one was killed does so when it is scheduled.
+            // After a kill, the next warden takes over when it is scheduled.
             look_until("there is a warden", || {
                 index = processes.iter().position(|process| process::is_warden(process.id(), &folder));
                 Ok(index.is_some() || process::is_warden(std::process::id(), &folder))
@@ -176,14 +176,14 @@ fn rows_of(size: usize, who: &str, deaths: &[Death]) -> Vec<Row> {
     ]
 }
 
-/// How long it took after a kill, in nanoseconds.
+/// Times after a kill, in nanoseconds.
 #[derive(Clone, Copy, Debug)]
 struct Death {
-    /// Until the graph is without it.
+    /// Until it has left the graph.
     graph: u64,
-    /// Until a peer's publisher does not count its subscription any more.
+    /// Until a peer's publisher no longer counts its subscription.
     peer: u64,
-    /// Until its files have gone.
+    /// Until its files are removed.
     files: u64,
 }
 
@@ -233,12 +233,12 @@ fn death(
     Ok(Death { graph, peer, files })
 }
 
-/// Looks every 100 µs.
+/// Polls every 100 µs.
 fn look_until(what: &str, is_so: impl FnMut() -> Result<bool>) -> Result<()> {
     wait_until(what, SHORT, || sleep(Duration::from_micros(100)), is_so)
 }
 
-/// The domain that the aims of a look are about.
+/// The domain for the aims of reading the graph.
 fn looked_at(bench: &Bench<'_>) -> Result<Vec<Row>> {
     let [processes, ports] = LOOKED_AT;
     let start = |index| bench.start(&Job::Ports { index, pairs: ports / 2 });
@@ -267,7 +267,7 @@ fn looked_at(bench: &Bench<'_>) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-// What the processes do.
+// The jobs of the processes.
 
 pub fn node(index: usize, gate: Option<PathBuf>, processes: Option<usize>) -> Result<()> {
     if let Some(gate) = gate {
@@ -346,7 +346,7 @@ fn timed<T>(times: &mut Distribution, what: impl FnOnce() -> T) -> T {
     result
 }
 
-/// Times of looks at the domain.
+/// Times of reading the graph.
 pub fn looks(quick: bool) -> Result<Times> {
     let rounds = if quick { 100 } else { 1000 };
     let mut all = Times::new();
@@ -356,7 +356,7 @@ pub fn looks(quick: bool) -> Result<Times> {
     }
     add(&mut all, FRESH, &fresh);
     let (looking, changing) = (Participant::new(DOMAIN)?, Participant::new(DOMAIN)?);
-    // What comes with the two is over.
+    // Changes that come with the two are over.
     sleep(Duration::from_millis(100));
     let (mut unchanged, mut changed) = (Distribution::new(), Distribution::new());
     looking.graph()?;
@@ -409,7 +409,7 @@ pub fn probe(processes: usize, quick: bool) -> Result<()> {
     for index in 0..rounds / 4 {
         let context = ros_node::context()?;
         let made = timed(&mut nodes, || RosNode::create(&context, &format!("probe_{index}")))?;
-        // Until the next one comes it is gone for all.
+        // Until the next one comes, it has ended everywhere.
         drop(made);
     }
     add(&mut all, format!("making a node with its {ENDPOINTS} endpoints"), &nodes);
@@ -422,7 +422,7 @@ fn spin_until(what: &str, mut is_so: impl FnMut() -> bool) -> Result<()> {
     wait_until(what, SHORT, yield_now, || Ok(is_so()))
 }
 
-/// How long it takes until a new subscription has its publisher, and until a new publisher's first message is taken.
+/// Time until a new subscription has its publisher, and until a new publisher's first message is taken.
 fn echoed(participant: &Participant, rounds: usize) -> Result<(Distribution, Distribution)> {
     let (qos, limits) = (Qos::default(), Limits::default());
     let (mut matched, mut taken) = (Distribution::new(), Distribution::new());
@@ -449,7 +449,7 @@ fn echoed(participant: &Participant, rounds: usize) -> Result<(Distribution, Dis
     Ok((matched, taken))
 }
 
-/// How long it takes to make ends that are matched with all processes.
+/// Time to create endpoints that are matched with all processes.
 fn in_the_crowd(
     participant: &Participant,
     processes: usize,

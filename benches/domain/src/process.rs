@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the kernel says of processes.
+//! The kernel's statistics of processes.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use tautline_rt::clock::monotonic_ns;
 
 pub use tautline_benches::Process;
 
-/// CPU time of a process, exactly: what its threads have had, which the clock ticks of `/proc/PID/stat` round down.
+/// Exact CPU time of a process, from its threads; the clock ticks of `/proc/PID/stat` round it down.
 pub fn cpu_ns(pid: u32) -> u64 {
     let tasks = fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
     let of_task = |path: PathBuf| {
@@ -17,13 +17,13 @@ pub fn cpu_ns(pid: u32) -> u64 {
     tasks.map(|task| of_task(task.path())).sum()
 }
 
-/// CPU time of all these processes in so long, as a percentage of one core.
+/// CPU time of all these processes over this time, as a percentage of one core.
 pub fn cpu_percent(pids: &[u32], duration: std::time::Duration) -> f64 {
     let all = || -> Vec<u64> { pids.iter().map(|&pid| cpu_ns(pid)).collect() };
     let (before, start) = (all(), monotonic_ns());
     std::thread::sleep(duration);
     let (after, end) = (all(), monotonic_ns());
-    // Of a process that has ended meanwhile nothing is known.
+    // A process that has ended meanwhile has no statistics.
     let used: u64 = after.iter().zip(before).map(|(after, before)| after.saturating_sub(before)).sum();
     100.0 * used as f64 / (end - start) as f64
 }
@@ -31,11 +31,11 @@ pub fn cpu_percent(pids: &[u32], duration: std::time::Duration) -> f64 {
 /// Memory of a process in bytes.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Memory {
-    /// Resident: what it shares counts whole.
+    /// Resident, with shared pages in full.
     pub rss: u64,
-    /// What it shares counts in part.
+    /// With shared pages in proportion.
     pub pss: u64,
-    /// Resident and shared with nobody by being in `/dev/shm`: code, heap, stacks.
+    /// Resident, without pages in `/dev/shm`: code, heap, stacks.
     pub rss_without_shared: u64,
 }
 
@@ -50,7 +50,7 @@ pub fn memory(pid: u32) -> Memory {
     Memory { rss, pss: field("smaps_rollup", "Pss:"), rss_without_shared }
 }
 
-/// The files that a process has open, but for its standard input, output and error.
+/// A process's open files, except standard input, output and error.
 pub fn descriptors(pid: u32) -> Vec<(PathBuf, PathBuf)> {
     let links = fs::read_dir(format!("/proc/{pid}/fd")).into_iter().flatten().flatten();
     let links = links.filter_map(|link| Some((link.path(), fs::read_link(link.path()).ok()?)));
@@ -58,12 +58,12 @@ pub fn descriptors(pid: u32) -> Vec<(PathBuf, PathBuf)> {
     links.filter(|(link, _)| !is_standard(link)).collect()
 }
 
-/// The parts of its address space, of which the kernel allows 65,530 if nobody set it otherwise.
+/// Mappings of its address space; the kernel's default limit is 65,530.
 pub fn mappings(pid: u32) -> usize {
     fs::read_to_string(format!("/proc/{pid}/maps")).map_or(0, |maps| maps.lines().count())
 }
 
-/// The files of the participants of a process. A participant has its own locked, and others' only open, and only while it looks.
+/// Files of a process's participants. A participant locks its own, and opens others' only while it reads them.
 pub fn records(pid: u32, folder: &Path) -> Vec<PathBuf> {
     let is_record = |(link, path): &(PathBuf, PathBuf)| {
         let name = path.file_name().and_then(|name| name.to_str());
@@ -74,13 +74,13 @@ pub fn records(pid: u32, folder: &Path) -> Vec<PathBuf> {
     descriptors(pid).into_iter().filter(is_record).map(|(_, file)| file).collect()
 }
 
-/// What the kernel says of a descriptor; nothing once it is closed.
+/// The kernel's information about a descriptor; empty once it is closed.
 fn about(pid: u32, link: &Path) -> String {
     let number = link.file_name().unwrap_or_default().to_string_lossy();
     fs::read_to_string(format!("/proc/{pid}/fdinfo/{number}")).unwrap_or_default()
 }
 
-/// Whether a process is the domain's warden: it alone has the warden's pipe open for writing.
+/// Whether a process is the domain's warden: only the warden has its pipe open for writing.
 pub fn is_warden(pid: u32, folder: &Path) -> bool {
     let has_for_writing = |link: &Path| {
         let about = about(pid, link);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The table, the JSON, and whether aims are met. A miss is printed, never an error: the machine has its part in it.
+//! The table, the JSON, and whether aims are met. A missed aim is printed, not an error, because it depends on the machine.
 
 use crate::Experiment;
 use clap::ValueEnum;
@@ -9,17 +9,17 @@ use tautline_benches::table::Column::{Number, Words};
 use tautline_benches::table::{Cell, Table};
 use tautline_benches::{Distribution, Disturbance, machine, version_of};
 
-/// One thing that was measured at one size.
+/// One measurement at one size.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
     pub experiment: String,
-    /// Processes, topics or subscriptions, as the experiment has them; 0: of the experiment as a whole.
+    /// Processes, topics or subscriptions, depending on the experiment; 0: the experiment as a whole.
     pub size: u64,
     pub system: &'static str,
     pub what: String,
     pub unit: &'static str,
     pub n: u64,
-    /// The median, or the value if it is one.
+    /// The median, or a single value.
     pub p50: f64,
     pub p99: Option<f64>,
     pub p999: Option<f64>,
@@ -27,11 +27,11 @@ pub struct Row {
     pub aim: Option<Aim>,
 }
 
-/// What a number is to be at most.
+/// An upper bound.
 #[derive(Clone, Debug, Serialize)]
 pub struct Aim {
     pub at_most: f64,
-    /// The column that is judged.
+    /// The judged column.
     pub of: &'static str,
     pub is_met: bool,
 }
@@ -64,7 +64,7 @@ impl Row {
         self
     }
 
-    /// Times, in units of so many µs.
+    /// Times, in units of the given number of µs.
     pub fn times_in(mut self, times: &Distribution, unit_us: f64) -> Self {
         self.n = times.len();
         let enough_for =
@@ -79,13 +79,13 @@ impl Row {
         self.times_in(times, 1.0)
     }
 
-    /// A value, or a median, that is to be at most so much.
+    /// Sets an upper bound of the value or median.
     pub fn at_most(self, at_most: f64) -> Self {
         let p50 = self.p50;
         self.judged("p50", Some(p50), at_most)
     }
 
-    /// The 99th percentile, of fewer than 100 times the longest.
+    /// Sets an upper bound of the 99th percentile, or of the maximum below 100 times.
     pub fn p99_at_most(self, at_most: f64) -> Self {
         let (p99, max) = (self.p99, self.max);
         match p99 {
@@ -110,7 +110,7 @@ impl Row {
 pub struct Report {
     machine: String,
     versions: String,
-    /// The limit of each process.
+    /// The limit per process.
     open_files: u64,
     disturbance: String,
     realtime: bool,
@@ -189,7 +189,7 @@ fn table(rows: &[&Row]) -> Table {
     table
 }
 
-/// With as many digits as say something.
+/// With significant digits only.
 fn shown(number: f64) -> String {
     match number.abs() {
         size if size == 0.0 || size >= 1000.0 => format!("{number:.0}"),

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Many that come at once: processes, nodes of a process, ends of a topic.
+//! Many that start at once: processes, nodes of a process, endpoints of a topic.
 
 use crate::job::{DOMAIN, Job, Said, say, wait_for_end, wait_until};
 use crate::place::Gate;
@@ -20,7 +20,7 @@ const MIB: f64 = 1048576.0;
 /// Time for processes to reach the gate.
 const GATHERING: Duration = Duration::from_millis(500);
 
-/// Processes with a node each that begin at the same instant.
+/// Processes with a node each that start at the same instant.
 pub fn start_at_once(bench: &Bench<'_>) -> Result<Vec<Row>> {
     let (size, rounds) = if bench.quick { (20, 1) } else { (100, 5) };
     let (mut all, mut each) = (Distribution::new(), Distribution::new());
@@ -122,7 +122,7 @@ pub fn crowd(bench: &Bench<'_>) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-// What the processes do.
+// The jobs of the processes.
 
 pub fn nodes(nodes: usize) -> Result<()> {
     let start_ns = monotonic_ns();

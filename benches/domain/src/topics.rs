@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Many topics between two processes: what publishing costs as they grow in number, and what making and looking at them does.
+//! Many topics between two processes: the cost of publishing, creating and reading as their number grows.
 
 use crate::job::{DOMAIN, Job, Said, say, wait_for_end, wait_until};
 use crate::population::{PATIENCE, looks, made, memory_of, times};
@@ -13,7 +13,7 @@ use tautline_benches::Distribution;
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Limits, Participant, Publisher, Qos};
 
-/// Topics that are published on, however many there are.
+/// Topics that are published on, whatever the total.
 const BUSY: usize = 10;
 const ON_BUSY: &str = "publishing on 10 of them";
 const ON_ALL: &str = "publishing on each in turn (caches are cold)";
@@ -94,7 +94,7 @@ pub fn talk(topics: usize, quick: bool) -> Result<()> {
     )?;
     say(&Said::Made { ns: monotonic_ns() - begin_ns })?;
     let mut all = vec![("making a publisher that another process listens to".to_owned(), making.counts())];
-    // Until the other process's janitor is done.
+    // Until the other process's janitor has finished.
     sleep(Duration::from_millis(500));
     let rounds = if quick { 20_000 } else { 100_000 };
     // Spread over all, and the same topics in every round.
@@ -108,7 +108,7 @@ pub fn talk(topics: usize, quick: bool) -> Result<()> {
     Ok(())
 }
 
-/// The time of each of so many rounds, for one message.
+/// The time per message, of each of `rounds` rounds.
 fn publish(rounds: usize, publishers: &[&Publisher<UInt64>]) -> Result<Distribution> {
     let mut times = Distribution::new();
     for round in 0..rounds {
@@ -119,7 +119,7 @@ fn publish(rounds: usize, publishers: &[&Publisher<UInt64>]) -> Result<Distribut
                 publisher.publish(&UInt64 { data: round as u64 })?;
             }
             let time_ns = (monotonic_ns() - start_ns) / publishers.len() as u64;
-            // The first rounds bring in what was never used.
+            // The first rounds load what was never used.
             if round >= rounds / 10 {
                 times.record(time_ns);
             }

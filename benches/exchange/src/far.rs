@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The end that answers.
+//! The far endpoint, which answers.
 
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 
 use crate::job::{Exchange, Job, Line, Measured, say};
 use crate::near::WARM_UP_SHARE;
 
-/// What arrives of a stream.
+/// The received messages of a stream.
 #[derive(Debug)]
 pub struct Arrivals {
     budget_ns: u64,
-    /// Every so many messages are confirmed.
+    /// A confirmation is sent after this many messages.
     stride: u64,
     unconfirmed: u64,
     first_ns: Option<u64>,
@@ -44,7 +44,7 @@ impl Arrivals {
         }
     }
 
-    /// Message `number` has arrived: what is answered, if anything is. Says what was measured once that is enough.
+    /// Handles message `number`. Returns the answer, if one is due. Prints the results once enough is measured.
     pub fn arrive(&mut self, number: u64) -> Option<u64> {
         let was_complete = self.is_complete;
         let answer = self.arrive_at(number, monotonic_ns());
@@ -72,7 +72,7 @@ impl Arrivals {
         }
         (self.last_ns, self.last_number) = (now, number);
         self.unconfirmed += 1;
-        // The first ones come one by one: see `Window`.
+        // The first messages come one at a time: see `Window`.
         if self.unconfirmed >= self.stride || self.measuring_since_ns.is_none() && number < 1000 {
             self.unconfirmed = 0;
             return Some(number);
@@ -103,7 +103,7 @@ mod tests {
         };
         let mut arrivals = Arrivals::new(&job);
         assert_eq!(arrivals.arrive_at(1, 1000), Some(1));
-        assert_eq!(arrivals.arrive_at(5, 1050), Some(5), "a gap while it warms up is none");
+        assert_eq!(arrivals.arrive_at(5, 1050), Some(5), "a gap during the warm-up does not count");
         assert_eq!(arrivals.arrive_at(6, 1100), None, "warm");
         assert_eq!(arrivals.arrive_at(7, 1200), Some(7), "every second of a window of 8");
         assert_eq!(arrivals.arrive_at(10, 1300), None);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One way, from one process to subscriptions in others, whatever becomes of the messages: at a rate, or as fast as it goes.
+//! A flow: one way, from one process to subscriptions in others, without confirmations, at a rate or at full speed.
 //!
-//! The near end sends messages of number 0 until it is told to go; by then every subscription has had one. Numbers are
-//! counted for each topic; those of the first ninth are the warm-up.
+//! The near endpoint sends messages of number 0 until it is told to start; by then every subscription has received one. Messages
+//! are numbered per topic; the first ninth is the warm-up.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,23 +13,22 @@ use crate::job::{Exchange, Job, Line, Measured, Memory, say};
 use crate::near::WARM_UP_SHARE;
 use crate::{Result, Stamp};
 
-/// Of what goes as fast as it can, between two messages of number 0, and for each of their bytes: no system is flooded before it
-/// is measured.
+/// Period of messages of number 0 at full speed, and an addition per byte, so that no system is flooded before it is measured.
 const GREETING_NS: u64 = 1_000_000;
 const GREETING_NS_PER_BYTE: u64 = 20;
-/// Of messages that come as fast as they go, one in so many is timed.
+/// At full speed, one in this many messages is timed.
 const SAMPLED: u64 = 16;
-/// Times that are kept of each subscription.
+/// Maximum of times stored per subscription.
 const ROOM: usize = 1 << 16;
 
-/// Numbers of a flow.
+/// The message numbers of a flow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Numbers {
-    /// The last one that is not measured.
+    /// The last one of the warm-up.
     warm: u64,
-    /// The last one of a flow at a rate.
+    /// The last one, for a flow at a rate.
     last: Option<u64>,
-    /// Between two messages, whichever their topic.
+    /// Between two messages of any topics.
     period_ns: u64,
 }
 
@@ -51,28 +50,28 @@ fn topics(job: &Job) -> usize {
     job.way.topics.max(1)
 }
 
-/// The near end: says which topic gets which message when.
+/// The near endpoint: decides which topic gets which message, and when.
 #[derive(Debug)]
 pub struct Source {
     numbers: Numbers,
     topics: usize,
     at_once: bool,
     go: Arc<AtomicBool>,
-    /// Between two rounds of messages of number 0: those of a rate keep it.
+    /// Period of messages of number 0 at full speed; flows at a rate use theirs.
     greeting_ns: u64,
-    /// Messages so far, of number 0 or, since `started_ns`, of others.
+    /// Messages sent so far: of number 0 or, since `started_ns`, of others.
     sent: u64,
     started_ns: Option<u64>,
     warm_up_ns: u64,
     budget_ns: u64,
-    /// CPU time, clock and messages when the warm-up ended.
+    /// CPU time, clock and messages at the end of the warm-up.
     warm: Option<(u64, u64, u64)>,
-    /// Of those measured at a rate, how many were due before the one before was sent.
+    /// At a rate: measured messages that were due before the previous one was sent.
     late: u64,
 }
 
 impl Source {
-    /// Before the first message; `go` as by [`stop_flag`](crate::stop_flag).
+    /// Before the first message; `go` is the flag of [`stop_flag`](crate::stop_flag).
     pub fn new(job: &Job, go: Arc<AtomicBool>) -> Self {
         let (numbers, budget_ns) = (Numbers::of(job), nanoseconds(job.budget));
         Source {
@@ -93,10 +92,10 @@ impl Source {
         }
     }
 
-    /// Plays the near end, whose `send` has a topic's stamp sent, and says what it took.
+    /// Runs the near endpoint, whose `send` sends a stamp on a topic, and returns the results.
     ///
     /// # Errors
-    /// What `send` says.
+    /// Those of `send`.
     pub fn play(
         job: &Job,
         go: Arc<AtomicBool>,
@@ -110,15 +109,14 @@ impl Source {
         Ok(())
     }
 
-    /// Sleeps until a message is due; returns its topic and its stamp, or `None` at the end. One that was due while the one
-    /// before was still being sent is stamped with the time at which it was due: a system that blocks its sender does not shorten
-    /// its own latencies.
+    /// Sleeps until a message is due; returns its topic and stamp, or `None` at the end. If it was due while the previous one was
+    /// being sent, the stamp has the due time, so that a system that blocks its sender does not shorten its own latencies.
     #[expect(clippy::should_implement_trait, reason = "it sleeps")]
     pub fn next(&mut self) -> Option<(usize, Stamp)> {
         let topic = (self.sent % self.topics as u64) as usize;
         let Some(started) = self.started_ns else { return Some(self.greet(topic)) };
         let number = self.sent / self.topics as u64 + 1;
-        // Of those that are sent at once, the first.
+        // The first of those that are sent at once.
         let turn = if self.at_once { self.sent - topic as u64 } else { self.sent };
         let due = self.numbers.last.map(|_| started + turn * self.numbers.period_ns);
         let follows = self.at_once && topic != 0;
@@ -161,7 +159,7 @@ impl Source {
         (topic, Stamp { number: 0, sent_ns: monotonic_ns() })
     }
 
-    /// What it took.
+    /// The results.
     pub fn measured(&self) -> Measured {
         let (cpu_ns, since_ns, before) = self.warm.unwrap_or_default();
         Measured {
@@ -175,7 +173,7 @@ impl Source {
     }
 }
 
-/// The far end: what arrives at all subscriptions of the process.
+/// The far endpoint: what arrives at all subscriptions of the process.
 #[derive(Debug)]
 pub struct Sink {
     numbers: Numbers,
@@ -188,14 +186,14 @@ pub struct Sink {
 struct SinkState {
     inlets: usize,
     connected: AtomicUsize,
-    /// When the first measured message came.
+    /// When the first measured message arrived.
     warm_cpu_ns: AtomicU64,
-    /// Subscriptions that have had the last message of a flow at a rate, and when all had.
+    /// At a rate: subscriptions that have received the last message, and when all had.
     complete: AtomicUsize,
     complete_cpu_ns: AtomicU64,
 }
 
-/// One subscription's end of a [`Sink`].
+/// The part of a [`Sink`] for one subscription.
 #[derive(Clone, Debug)]
 pub struct Inlet {
     numbers: Numbers,
@@ -207,12 +205,12 @@ pub struct Inlet {
 #[derive(Debug, Default)]
 struct Counts {
     is_connected: bool,
-    /// Number and latency; or of every sampled message the mean time since the one before.
+    /// Number and latency; at full speed, for each sampled message the mean time since the previous sample.
     times_ns: Vec<(u64, u64)>,
     received: u64,
     lost: u64,
     last_number: u64,
-    /// When the first message of a stream came, and when measuring began.
+    /// When the first message of a stream arrived, and when measuring began.
     first_ns: Option<u64>,
     since_ns: Option<u64>,
     sampled_ns: u64,
@@ -232,7 +230,7 @@ impl Sink {
         }
     }
 
-    /// The end of each subscription and its topic's index.
+    /// The part of each subscription, with its topic's index.
     pub fn inlets(&self, job: &Job) -> Vec<(usize, Inlet)> {
         let inlet = |(index, counts): (usize, &Arc<Mutex<Counts>>)| {
             let inlet = Inlet {
@@ -246,7 +244,7 @@ impl Sink {
         self.inlets.iter().enumerate().map(inlet).collect()
     }
 
-    /// What has arrived. Of several subscriptions to one topic: when it had arrived at all of them.
+    /// The results. With several subscriptions to a topic: the time when a message had arrived at all of them.
     pub fn measured(&self) -> Measured {
         let end_cpu_ns = match self.state.complete_cpu_ns.load(Ordering::Relaxed) {
             0 => process_cpu_ns(),
@@ -265,7 +263,7 @@ impl Sink {
             let seconds = counts.since_ns.map_or(0.0, |since| (counts.last_ns - since) as f64 / 1e9);
             measured.seconds = measured.seconds.max(seconds);
             match (self.numbers.last, counts.since_ns) {
-                // So few of a stream that none was sampled.
+                // Too few of a stream for a sample.
                 (None, Some(since)) if counts.times_ns.is_empty() && counts.received > 0 => {
                     arrivals.push((counts.last_number, (counts.last_ns - since) / counts.received));
                 }
@@ -291,10 +289,10 @@ pub fn to_the_last(mut arrivals: Vec<(u64, u64)>, receivers: usize) -> Vec<(u64,
 }
 
 impl Inlet {
-    /// A message has arrived.
+    /// Handles a message.
     pub fn arrive(&self, stamp: Stamp) {
         let now = monotonic_ns();
-        // Nobody else holds it before the end.
+        // Nothing else holds it before the end.
         let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
         if !counts.is_connected {
             counts.is_connected = true;
@@ -402,7 +400,7 @@ mod tests {
 
     #[test]
     fn what_was_due_while_the_message_before_was_sent_is_stamped_so() {
-        // A message is due every nanosecond: no sender is as fast.
+        // A message is due every nanosecond: faster than any sender.
         let job = Job { budget: Duration::from_nanos(8), ..job(Exchange::Paced { rate: 1e9 }, 1, 1) };
         let mut source = Source::new(&job, Arc::new(AtomicBool::new(true)));
         let stamps: Vec<Stamp> = std::iter::from_fn(|| source.next().map(|(_, stamp)| stamp)).collect();

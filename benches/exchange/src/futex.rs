@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The floors: one futex wake each way, or one for each message that goes one way, and nothing else.
+//! The lower bounds: only one futex wake per direction, or per message of a one-way flow.
 
 use std::mem::MaybeUninit;
 use std::os::fd::AsFd;
@@ -14,14 +14,14 @@ use rustix::thread::futex::{self, Flags, Timespec};
 use crate::job::Role;
 
 const PAGE: usize = 4096;
-/// Apart from each other by more than the lines that processors fetch together.
+/// Farther apart than the cache lines that processors prefetch together.
 const WORDS: [usize; 2] = [0, 1024];
-/// Messages that a ring has room for.
+/// Capacity of a ring.
 const RING: u32 = 64;
 /// Bytes before a message in a ring: its topic.
 const TOPIC_BYTES: usize = 8;
 
-/// Memory that two processes share: a page with two words, then areas of the same size.
+/// Memory shared by two processes: a page with two words, then areas of equal size.
 #[derive(Debug)]
 struct SharedMemory {
     memory: NonNull<u8>,
@@ -37,7 +37,7 @@ impl SharedMemory {
     fn open(file: impl AsFd, area_bytes: usize, areas: usize) -> rustix::io::Result<Self> {
         let (access, share) = (ProtFlags::READ | ProtFlags::WRITE, MapFlags::SHARED);
         let bytes = Self::bytes(area_bytes, areas);
-        // SAFETY: a new mapping at an address of the kernel's choice, of a file that the caller made as long as this.
+        // SAFETY: a new mapping at an address of the kernel's choice, of a file of this length.
         let memory = unsafe { mmap(ptr::null_mut(), bytes, access, share, file, 0)? };
         let memory = NonNull::new(memory.cast()).ok_or(Errno::NOMEM)?;
         Ok(Self { memory, area_bytes, areas })
@@ -55,14 +55,14 @@ impl SharedMemory {
         unsafe { self.memory.add(offset).as_ptr() }
     }
 
-    /// Waits at most so long until a word is not `seen`; returns whether it is.
+    /// Waits until a word is not `seen`, at most for the given time; returns whether it is.
     fn wait(&self, index: usize, seen: u32, patience: Duration) -> rustix::io::Result<bool> {
         let word = self.word(index);
         let timeout = Timespec {
             tv_sec: i64::try_from(patience.as_secs()).unwrap_or(i64::MAX),
             tv_nsec: patience.subsec_nanos().into(),
         };
-        // Acquire: what was written before the word can be read; pairs with the Release in `count`.
+        // Acquire: writes before the word are visible; pairs with the Release in `count`.
         while word.load(Ordering::Acquire) == seen {
             match futex::wait(word, Flags::empty(), seen, Some(&timeout)) {
                 Ok(()) | Err(Errno::AGAIN | Errno::INTR) => {}
@@ -73,7 +73,7 @@ impl SharedMemory {
         Ok(true)
     }
 
-    /// Counts a message in a word, and wakes who waits for it.
+    /// Counts a message in a word, and wakes its waiter.
     fn count(&self, index: usize) -> rustix::io::Result<()> {
         let word = self.word(index);
         // Release: the message is written; pairs with the Acquire in `wait`.
@@ -85,13 +85,13 @@ impl SharedMemory {
 impl Drop for SharedMemory {
     fn drop(&mut self) {
         let bytes = Self::bytes(self.area_bytes, self.areas);
-        // SAFETY: mapped in `open` with this length; nothing borrows it any more.
-        // Ignored: it fails only for addresses that are not the mapping's.
+        // SAFETY: mapped in `open` with this length; nothing borrows it now.
+        // Ignored: fails only for addresses outside the mapping.
         let _ = unsafe { munmap(self.memory.as_ptr().cast(), bytes) };
     }
 }
 
-/// One end of memory with a word and an area for either direction. A message is sent only when the one before was answered.
+/// One side of memory with a word and an area per direction. A message is sent only after the previous one was answered.
 #[derive(Debug)]
 pub struct FutexPair {
     shared: SharedMemory,
@@ -103,7 +103,7 @@ pub struct FutexPair {
 }
 
 impl FutexPair {
-    /// How long the file must be.
+    /// Required length of the file.
     pub fn memory_bytes(payload_bytes: usize) -> usize {
         SharedMemory::bytes(payload_bytes, 2)
     }
@@ -114,15 +114,15 @@ impl FutexPair {
         Ok(Self { shared: SharedMemory::open(file, payload_bytes, 2)?, outgoing, incoming, received: 0 })
     }
 
-    /// Has `fill` write a message, and wakes the other end.
+    /// Writes a message with `fill`, and wakes the other side.
     pub fn send(&mut self, fill: impl FnOnce(&mut [MaybeUninit<u8>])) -> rustix::io::Result<()> {
         let area = self.shared.area(self.outgoing).cast::<MaybeUninit<u8>>();
-        // SAFETY: as long as an area; the peer reads it only between the wake below and its own next message.
+        // SAFETY: the length of an area; the peer reads it only between the wake below and its own next message.
         fill(unsafe { std::slice::from_raw_parts_mut(area, self.shared.area_bytes) });
         self.shared.count(self.outgoing)
     }
 
-    /// Waits at most so long for a message and has it read.
+    /// Waits for a message, at most for the given time, and reads it.
     pub fn receive<T>(
         &mut self,
         patience: Duration,
@@ -133,16 +133,16 @@ impl FutexPair {
         }
         self.received = self.received.wrapping_add(1);
         let area = self.shared.area(self.incoming);
-        // SAFETY: as long as an area; the peer writes it again only after our next message.
+        // SAFETY: the length of an area; the peer writes it again only after our next message.
         Ok(Some(read(unsafe { std::slice::from_raw_parts(area, self.shared.area_bytes) })))
     }
 }
 
-/// One end of memory through which messages go one way, of any topic: a word counts those sent, the other those received.
+/// One side of memory for a one-way flow of any topics: one word counts sent messages, the other received ones.
 #[derive(Debug)]
 pub struct FutexRing {
     shared: SharedMemory,
-    /// Messages sent or received by this end, modulo 2^32.
+    /// Messages sent or received by this side, modulo 2^32.
     count: u32,
 }
 
@@ -150,7 +150,7 @@ const SENT: usize = 0;
 const RECEIVED: usize = 1;
 
 impl FutexRing {
-    /// How long the file must be.
+    /// Required length of the file.
     pub fn memory_bytes(payload_bytes: usize) -> usize {
         SharedMemory::bytes(TOPIC_BYTES + payload_bytes, RING as usize)
     }
@@ -160,18 +160,18 @@ impl FutexRing {
         Ok(Self { shared: SharedMemory::open(file, TOPIC_BYTES + payload_bytes, RING as usize)?, count: 0 })
     }
 
-    /// Has `fill` write a message of a topic once there is room for it, and wakes the other end. For the near end alone.
+    /// Writes a message of a topic with `fill` when there is room, and wakes the other side. For the near endpoint only.
     pub fn send(
         &mut self,
         topic: usize,
         fill: impl FnOnce(&mut [MaybeUninit<u8>]),
     ) -> rustix::io::Result<()> {
-        // Acquire: the reader is done with the area; pairs with the Release in `count`.
+        // Acquire: the reader has finished with the area; pairs with the Release in `count`.
         while self.count.wrapping_sub(self.shared.word(RECEIVED).load(Ordering::Acquire)) >= RING {
             std::thread::sleep(Duration::from_micros(100));
         }
         let area = self.shared.area(self.count as usize).cast::<MaybeUninit<u8>>();
-        // SAFETY: as long as an area; the peer has counted the message that was there, and reads the next one after the wake.
+        // SAFETY: the length of an area; the peer has counted the previous message, and reads the next one after the wake.
         let area = unsafe { std::slice::from_raw_parts_mut(area, self.shared.area_bytes) };
         let (before, payload) = area.split_at_mut(TOPIC_BYTES);
         before.copy_from_slice(&(topic as u64).to_ne_bytes().map(MaybeUninit::new));
@@ -180,7 +180,7 @@ impl FutexRing {
         self.shared.count(SENT)
     }
 
-    /// Waits at most so long for a message and has it read; also its topic, as the other end says. For the far end alone.
+    /// Waits for a message, at most for the given time, and reads it and its topic. For the far endpoint only.
     pub fn receive<T>(
         &mut self,
         patience: Duration,
@@ -190,13 +190,13 @@ impl FutexRing {
             return Ok(None);
         }
         let area = self.shared.area(self.count as usize);
-        // SAFETY: as long as an area; the peer writes it again only after it was counted below.
+        // SAFETY: the length of an area; the peer writes it again only after the count below.
         let area = unsafe { std::slice::from_raw_parts(area, self.shared.area_bytes) };
         let (before, payload) = area.split_at(TOPIC_BYTES);
         let topic = before.try_into().map_or(u64::MAX, u64::from_ne_bytes);
         let received = (topic as usize, read(payload));
         self.count = self.count.wrapping_add(1);
-        // Release: the area may be written again. Nobody sleeps on this word.
+        // Release: the area may be written again. No thread sleeps on this word.
         self.shared.word(RECEIVED).store(self.count, Ordering::Release);
         Ok(Some(received))
     }

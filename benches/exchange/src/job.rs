@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a process is told, as JSON on its command line, and what it says: a line of JSON each, on standard output.
+//! A process's job, as JSON on its command line, and its output: one line of JSON each, on standard output.
 
 use std::io::{Read, Write, stdin, stdout};
 use std::process::ExitCode;
@@ -13,86 +13,86 @@ use tautline_rt::{CoreSet, MemoryLock, Policy, Realtime, ThreadBuilder, set_affi
 
 use crate::Result;
 
-/// `SCHED_FIFO` priority of the network's threads: that of the gateway.
+/// `SCHED_FIFO` priority of the network's threads: the gateway's.
 pub const NETWORK_PRIORITY: u8 = 80;
-/// The environment variable that tells the near end the numbers of the far processes, with commas.
+/// Environment variable with the far processes' ids, separated by commas, for the near endpoint.
 pub const PEERS: &str = "TAUTLINE_EXCHANGE_PEERS";
-/// Payloads up to this count as small.
+/// Payloads up to this size are small.
 const SMALL_BYTES: usize = 64 << 10;
-/// `SCHED_FIFO` priority of the thread that sends or is called back.
+/// `SCHED_FIFO` priority of the thread that sends or runs callbacks.
 pub const APPLICATION_PRIORITY: u8 = 50;
 
-/// Which end of an exchange.
+/// The endpoint of an exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Role {
-    /// Sends first; holds the clock of round trips.
+    /// Sends first; measures round trips.
     Near,
     /// Answers, or receives a stream.
     Far,
 }
 
-/// What is exchanged.
+/// The kind of exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Exchange {
-    /// One message to and fro.
+    /// One message in each direction.
     RoundTrips,
-    /// One way, as fast as it goes with so many messages under way; `None`: as the system itself holds the sender back.
+    /// One way, at full speed with a bounded number of unconfirmed messages; `None`: with the system's own flow control.
     Stream {
-        /// Most messages that were sent and not yet confirmed.
+        /// Maximum of messages sent and not yet confirmed.
         window: Option<u64>,
     },
-    /// One way, so many messages a second, whatever becomes of them.
+    /// One way, at this many messages per second, without confirmations.
     Paced { rate: f64 },
 }
 
-/// What a process is told.
+/// A process's job.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Job {
     pub role: Role,
     pub exchange: Exchange,
     /// Length of the messages' data.
     pub payload_bytes: usize,
-    /// How long is measured, after a warm-up of an eighth of it.
+    /// The measuring time, after a warm-up of an eighth of it.
     pub budget: Duration,
-    /// The core of all threads of the process; `None`: any.
+    /// The core of all threads; `None`: any.
     pub core: Option<usize>,
-    /// Whether the threads have their real-time priorities.
+    /// Whether the threads have real-time priorities.
     pub realtime: bool,
-    /// Tautline's domain; hiroz's.
+    /// The domain of Tautline and hiroz.
     pub domain: u32,
-    /// Different for each exchange of a run.
+    /// Unique for each exchange of a run.
     pub topic: String,
-    /// Where the near end finds the far one, if they link directly.
+    /// Where the near endpoint connects to the far one, for a direct link.
     pub endpoint: Option<String>,
-    /// How, where a system has several ways.
+    /// The variant, where a system has several.
     #[serde(default)]
     pub way: Way,
 }
 
-/// How a system does it.
+/// The variant of a system.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Way {
-    /// The system's word for it.
+    /// The system's name for it.
     pub mode: String,
-    /// Whether payloads are written and read whole; else only their [`Stamp`](crate::Stamp).
+    /// Whether payloads are written and read completely; otherwise only their [`Stamp`](crate::Stamp).
     pub whole: bool,
     /// Topics of a flow.
     pub topics: usize,
     /// Subscriptions of each topic in this process.
     pub subscribers: usize,
-    /// Of a flow at a rate: all topics get their message one after the other at the same instant, as from one loop, instead of
+    /// For a flow at a rate: all topics get their message at the same instant, one after the other, as from one loop, instead of
     /// evenly over the period.
     pub at_once: bool,
-    /// The core of the other end, for what may run there.
+    /// The core of the other endpoint, for threads that may run there.
     #[serde(default)]
     pub other_core: Option<usize>,
 }
 
 impl Job {
-    /// The job given as JSON. From here on the process ends with the one that started it, and runs on its core.
+    /// Parses the job. From here on the process ends with its parent, and runs on its core.
     ///
     /// # Errors
-    /// Text that is no job; a core that there is not.
+    /// Text that is not a job; a core that does not exist.
     pub fn begin(text: &str) -> Result<Job> {
         set_parent_process_death_signal(Some(Signal::KILL))?;
         let job: Job = serde_json::from_str(text)?;
@@ -102,7 +102,7 @@ impl Job {
         Ok(job)
     }
 
-    /// Topics on which this end sends and receives.
+    /// The topics on which this endpoint sends and receives.
     pub fn topics(&self) -> [String; 2] {
         let (there, back) = (format!("{}/there", self.topic), format!("{}/back", self.topic));
         match self.role {
@@ -111,7 +111,7 @@ impl Job {
         }
     }
 
-    /// Messages that a queue has room for, whatever the system: 10, of a stream of small ones 100, of one with a window twice that.
+    /// Queue depth, the same for all systems: 10, for a stream of small messages 100, with a window twice the window.
     pub fn depth(&self) -> usize {
         match self.exchange {
             Exchange::Stream { window: Some(window) } => window as usize * 2,
@@ -120,18 +120,18 @@ impl Job {
         }
     }
 
-    /// Runs `work` in a thread with the application's priority, in a process whose memory is locked and kept as that of Tautline's
-    /// contexts is.
+    /// Runs `work` in a thread with the application's priority, in a process with locked memory that keeps freed memory, as in
+    /// Tautline's contexts.
     ///
     /// # Errors
-    /// A priority or locked memory that is refused, and what `work` says.
+    /// A refused priority or memory lock, and errors of `work`.
     pub fn as_application<T: Send + 'static>(
         &self,
         work: impl FnOnce() -> Result<T> + Send + 'static,
     ) -> Result<T> {
         tautline_rt::keep_freed_memory();
         let locked = tautline_rt::lock_memory(MemoryLock::OnFault);
-        // Ignored without priorities: who may not have them may not lock memory either.
+        // Ignored without priorities: a process without them may not lock memory either.
         if self.realtime {
             locked?;
         }
@@ -148,12 +148,12 @@ impl Job {
             true => ThreadBuilder::new(name).policy(Policy::Fifo(priority)).realtime(Realtime::Required),
             false => ThreadBuilder::new(name).realtime(Realtime::Off),
         };
-        // Zenoh's builders are deep.
+        // Zenoh's builders need a deep stack.
         builder.stack_bytes(4 << 20).spawn(move || work)?.join()?
     }
 }
 
-/// The whole program of a system's ends, whose job is its first argument.
+/// The whole program of a system's endpoints; its job is the first argument.
 pub fn program(name: &str, run: impl FnOnce(Job) -> Result<()>) -> ExitCode {
     let job = std::env::args().nth(1).unwrap_or_default();
     match Job::begin(&job).and_then(run) {
@@ -165,10 +165,10 @@ pub fn program(name: &str, run: impl FnOnce(Job) -> Result<()>) -> ExitCode {
     }
 }
 
-/// Opens a session, whose threads inherit the priority of this one: as the gateway does it.
+/// Opens a session whose threads inherit the priority of this one, as in the gateway.
 ///
 /// # Errors
-/// A priority that is refused, and what `open` says.
+/// A refused priority, and errors of `open`.
 pub fn on_network_thread<T: Send + 'static>(
     job: &Job,
     open: impl FnOnce() -> Result<T> + Send + 'static,
@@ -176,29 +176,29 @@ pub fn on_network_thread<T: Send + 'static>(
     job.with_priority("open", NETWORK_PRIORITY, open)
 }
 
-/// A line of a process.
+/// A line of a process's output.
 #[derive(Debug, Serialize, Deserialize)]
 pub enum Line {
-    /// The far end can receive, here if the near one is to link to it.
+    /// The far endpoint can receive, here if the near one must connect to it.
     Ready(Option<String>),
-    /// The far end of a flow has had a message on each of its subscriptions.
+    /// Every subscription of the far endpoint of a flow has received a message.
     Connected {
         /// When all had (`CLOCK_MONOTONIC`).
         all_ns: u64,
     },
-    /// The far end of a flow has had the first message that is measured.
+    /// The far endpoint of a flow has received the first measured message.
     Warm,
-    /// The far end of a flow at a rate has had the last message on each of its subscriptions.
+    /// Every subscription of the far endpoint of a flow at a rate has received the last message.
     Complete {
         /// When (`CLOCK_MONOTONIC`).
         last_ns: u64,
     },
-    /// The end: of round trips from the near end, of a stream from the far one.
+    /// The results: of round trips from the near endpoint, of a stream from the far one.
     Measured(Measured),
 }
 
 impl Line {
-    /// Where the far end is linked to.
+    /// The address of the far endpoint.
     pub fn ready(self) -> Option<Option<String>> {
         if let Line::Ready(endpoint) = self { Some(endpoint) } else { None }
     }
@@ -208,35 +208,35 @@ impl Line {
     }
 }
 
-/// What one end measured.
+/// The results of one endpoint.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Measured {
     /// Half round trips, or times between two arrivals of a stream.
     pub times_ns: Vec<u64>,
-    /// Questions without an answer, or messages of a stream that did not arrive.
+    /// Requests without an answer, or messages of a stream that did not arrive.
     pub lost: u64,
     pub seconds: f64,
-    /// CPU time of this process meanwhile.
+    /// CPU time of this process while measuring.
     #[serde(default)]
     pub cpu_ns: u64,
-    /// Of both ends, when the near one was done.
+    /// Of both endpoints, when the near one had finished.
     #[serde(default)]
     pub memory: Memory,
-    /// Messages of a flow that were sent, or arrived.
+    /// Messages of a flow that were sent, or that arrived.
     #[serde(default)]
     pub messages: u64,
-    /// Messages of a flow at a rate that were due before the one before was sent; round trips of [`LATE`](crate::LATE) or more.
+    /// Messages of a flow at a rate that were due before the previous one was sent; round trips of [`LATE`](crate::LATE) or more.
     #[serde(default)]
     pub late: u64,
-    /// Messages of a flow that the system did not take.
+    /// Messages of a flow that the system refused.
     #[serde(default)]
     pub refused: u64,
-    /// The number of the message that each of `times_ns` belongs to, of a flow with one topic.
+    /// The message number of each of `times_ns`, for a flow with one topic.
     #[serde(default)]
     pub numbers: Vec<u64>,
 }
 
-/// Says a line. Nobody listening means that the starter died.
+/// Prints a line. A closed output means that the parent has ended.
 pub fn say(line: &Line) {
     if let Ok(text) = serde_json::to_string(line) {
         let mut out = stdout().lock();
@@ -244,7 +244,7 @@ pub fn say(line: &Line) {
     }
 }
 
-/// Set when standard input is closed: the starter needs this process no more.
+/// Set when standard input is closed: the parent no longer needs this process.
 pub fn stop_flag() -> Arc<AtomicBool> {
     let flag = Arc::new(AtomicBool::new(false));
     let stop = flag.clone();
@@ -252,34 +252,34 @@ pub fn stop_flag() -> Arc<AtomicBool> {
     flag
 }
 
-/// Until the flag of [`stop_flag`] is set.
+/// Waits for the flag of [`stop_flag`].
 pub fn wait_for_stop(flag: &AtomicBool) {
     while !flag.load(Ordering::Relaxed) {
         std::thread::sleep(Duration::from_millis(20));
     }
 }
 
-/// Runs `then` when standard input is closed, however busy threads are that are started later.
+/// Runs `then` when standard input is closed, even if threads that start later are busy.
 pub fn on_stop(then: impl FnOnce() + Send + 'static) {
     std::thread::spawn(move || {
-        // Ignored: who may not have this priority has no threads of the application's either.
+        // Ignored: a process without this priority has no application threads with it either.
         let _ = set_policy(Policy::Fifo(APPLICATION_PRIORITY + 1));
         let _ = stdin().read_to_end(&mut Vec::new());
         then();
     });
 }
 
-/// Resident memory: what several processes have mapped counts in part for each.
+/// Resident memory; pages shared by several processes count proportionally.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Memory {
     /// All of it.
     pub kib: u64,
-    /// Of it, shared memory (`/dev/shm` and the like).
+    /// The part in shared memory (`/dev/shm` and the like).
     pub shared_kib: u64,
 }
 
 impl Memory {
-    /// A process's share; 0 if the kernel does not say.
+    /// A process's share; 0 if the kernel does not report it.
     pub fn of(process: &str) -> Self {
         let text = std::fs::read_to_string(format!("/proc/{process}/smaps_rollup")).unwrap_or_default();
         let number = |name: &str| {
@@ -289,7 +289,7 @@ impl Memory {
         Memory { kib: number("Pss:"), shared_kib: number("Pss_Shmem:") }
     }
 
-    /// Of this process and of its [`PEERS`], now: later, when one of them has gone, what they shared would count for the others.
+    /// Of this process and its [`PEERS`], now: after one of them has ended, their shared pages would count for the others.
     pub(crate) fn of_exchange() -> Self {
         let peers = std::env::var(PEERS).unwrap_or_default();
         let others = peers.split(',').filter(|peer| !peer.is_empty()).map(Memory::of);

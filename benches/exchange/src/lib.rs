@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Two processes exchange messages: round trips, a stream, or a flow. What both ends of any middleware have in common.
+//! Two processes exchange messages: round trips, a stream, or a flow. The part common to all middleware.
 //!
 //! | module | holds |
 //! |---|---|
-//! | `job` | what a process is told, and what it says |
-//! | `near` | the end that sends first: the clock of round trips, the window of a stream |
-//! | `far` | the end that answers: what arrived of a stream |
-//! | `flow` | both ends of what is sent one way, at a rate or as fast as it goes, to any number of subscriptions |
-//! | `payload` | what a message contains |
-//! | `futex` | the floors below all of them: memory that two processes share, and a futex wake for each message |
-#![allow(missing_docs, reason = "many names say it all")]
+//! | `job` | a process's job and output |
+//! | `near` | the endpoint that sends first: measures round trips, bounds a stream |
+//! | `far` | the endpoint that answers: the received messages of a stream |
+//! | `flow` | both endpoints of a one-way flow, at a rate or at full speed, to any number of subscriptions |
+//! | `payload` | the content of messages |
+//! | `futex` | the lower bounds for all: memory shared by two processes, and one futex wake per message |
+#![allow(missing_docs, reason = "most names are self-explanatory")]
 
 mod far;
 mod flow;
@@ -28,7 +28,7 @@ pub use job::{
 pub use near::{LATE, Link, PATIENCE, RoundTrips, Window, drive, play};
 pub use payload::Stamp;
 
-/// What nobody handles but the person who reads it.
+/// An error for people only.
 pub type Error = Box<dyn std::error::Error + Send + Sync>;
 /// With an [`Error`].
 pub type Result<T> = std::result::Result<T, Error>;

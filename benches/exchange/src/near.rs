@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The end that sends first.
+//! The near endpoint, which sends first.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -9,34 +9,34 @@ use tautline_rt::clock::{monotonic_ns, nanoseconds, process_cpu_ns};
 use crate::job::{Exchange, Job, Line, Measured, Memory, Role, say};
 use crate::{Arrivals, Result};
 
-/// A round trip that takes this long lost a wake-up, which a clean-up made good later, or the machine stood still.
+/// A round trip of this length lost a wake-up, which a clean-up repaired later, or the machine stood still.
 pub const LATE: Duration = Duration::from_millis(100);
-/// How long an answer is waited for.
+/// Time-out of an answer.
 pub const PATIENCE: Duration = Duration::from_millis(500);
-/// The same until the first one has come: there may be no connection yet.
+/// The same before the first one: there may be no connection yet.
 const CONNECTING: Duration = Duration::from_millis(50);
-/// What was never answered in this time is not connected.
+/// Without any answer for this long, there is no connection.
 const NEVER: Duration = Duration::from_secs(20);
 /// The warm-up lasts this fraction (1/8) of the measuring time.
 pub(crate) const WARM_UP_SHARE: u32 = 8;
-/// The fewest round trips of the warm-up.
+/// Minimum of round trips of the warm-up.
 const WARM_UP: u64 = 30;
-/// Times that are kept without growing.
+/// Capacity for times.
 const ROOM: usize = 1 << 18;
 
-/// One end of a system whose user waits for the next message.
+/// One endpoint of a system whose user waits for the next message.
 pub trait Link {
-    /// Sends a message that begins with `number`.
+    /// Sends a message that starts with `number`.
     fn send(&mut self, number: u64) -> Result<()>;
 
-    /// Waits for a message at most so long; returns the number that it begins with.
+    /// Waits for a message, at most for the given time; returns its number.
     fn receive(&mut self, patience: Duration) -> Result<Option<u64>>;
 }
 
-/// Plays the near end over a link. Nothing is measured here of a stream.
+/// Runs the near endpoint over a link. A stream is not measured here.
 ///
 /// # Errors
-/// The link's; nothing was ever answered.
+/// Errors of the link; no answer ever came.
 pub fn drive(job: &Job, link: &mut dyn Link) -> Result<Option<Measured>> {
     match job.exchange {
         Exchange::RoundTrips => round_trips(job, link).map(Some),
@@ -45,11 +45,11 @@ pub fn drive(job: &Job, link: &mut dyn Link) -> Result<Option<Measured>> {
     }
 }
 
-/// Plays an end of round trips over a link, and says what it has to say: the far one, which the near one finds at `endpoint`, answers
-/// until it is to stop.
+/// Runs an endpoint of round trips over a link, and prints its results: the far one, at `endpoint`, answers until it is told to
+/// stop.
 ///
 /// # Errors
-/// The link's; nothing was ever answered.
+/// Errors of the link; no answer ever came.
 pub fn play(job: &Job, link: &mut dyn Link, stop: &AtomicBool, endpoint: Option<String>) -> Result<()> {
     if job.role == Role::Near {
         if let Some(measured) = drive(job, link)? {
@@ -102,7 +102,7 @@ fn stream(window: &mut Window, link: &mut dyn Link) -> Result<()> {
     Ok(())
 }
 
-/// The clock of the round trips: says when there is another and records how long each took.
+/// Times the round trips: decides whether there is another, and records each.
 #[derive(Debug)]
 pub struct RoundTrips {
     times_ns: Vec<u64>,
@@ -121,7 +121,7 @@ pub struct RoundTrips {
 }
 
 impl RoundTrips {
-    /// Before the first.
+    /// Before the first round trip.
     pub fn new(job: &Job) -> Self {
         RoundTrips {
             times_ns: Vec::with_capacity(ROOM),
@@ -138,14 +138,14 @@ impl RoundTrips {
         }
     }
 
-    /// Starts the clock; returns the number to send, or `None` when enough was measured.
+    /// Starts a round trip; returns the number to send, or `None` when enough is measured.
     pub fn start(&mut self) -> Option<u64> {
         let now = monotonic_ns();
         match (self.measuring_since_ns, self.connected_ns) {
             (Some(since), _) if now - since >= self.budget_ns => return None,
             (None, Some(connected)) => {
                 let warming_ns = now - connected;
-                // One that loses most of its messages warms up for ever.
+                // A system that loses most of its messages never finishes its warm-up.
                 let is_warm = warming_ns >= self.budget_ns / u64::from(WARM_UP_SHARE)
                     && (self.answers >= WARM_UP || warming_ns >= self.budget_ns * 2);
                 if is_warm {
@@ -160,7 +160,7 @@ impl RoundTrips {
         Some(self.number)
     }
 
-    /// Stops the clock, unless the answer is one to an earlier question.
+    /// Ends a round trip, unless the answer is to an earlier request.
     pub fn end(&mut self, answer: u64) -> bool {
         let now = monotonic_ns();
         if answer != self.number {
@@ -181,15 +181,15 @@ impl RoundTrips {
         if self.connected_ns.is_some() { PATIENCE } else { CONNECTING }
     }
 
-    /// Whether the answer has not come in that time.
+    /// Whether the answer timed out.
     pub fn is_overdue(&self) -> bool {
         monotonic_ns() - self.started_ns >= nanoseconds(self.patience())
     }
 
-    /// No answer came.
+    /// Counts a missing answer.
     ///
     /// # Errors
-    /// None ever did.
+    /// No answer ever came.
     pub fn give_up(&mut self) -> Result<()> {
         if self.measuring_since_ns.is_some() {
             self.lost += 1;
@@ -206,7 +206,7 @@ impl RoundTrips {
     }
 }
 
-/// How much of a stream is under way.
+/// The window of a stream.
 #[derive(Debug)]
 pub struct Window {
     size: Option<u64>,
@@ -230,8 +230,8 @@ impl Window {
         }
     }
 
-    /// The number of the message to send now, if there is room for one. Until something was confirmed, one at a time.
-    #[expect(clippy::should_implement_trait, reason = "it goes on after None")]
+    /// The number of the message to send now, if there is room. Before the first confirmation, one at a time.
+    #[expect(clippy::should_implement_trait, reason = "it continues after None")]
     pub fn next(&mut self) -> Option<u64> {
         let under_way = self.sent - self.confirmed;
         let room = match self.size {
@@ -245,14 +245,14 @@ impl Window {
         })
     }
 
-    /// The far end has all up to this number, or enough.
+    /// The far endpoint has received all up to this number, or enough.
     pub fn confirm(&mut self, number: u64) {
         self.is_connected = true;
         self.is_done |= number == Arrivals::DONE;
         self.confirmed = self.confirmed.max(number.min(self.sent));
     }
 
-    /// Whether the far end has enough.
+    /// Whether the far endpoint has received enough.
     pub fn is_done(&self) -> bool {
         self.is_done
     }
@@ -262,10 +262,10 @@ impl Window {
         if self.is_connected { PATIENCE } else { CONNECTING }
     }
 
-    /// No confirmation came: what is under way is lost, which the far end counts.
+    /// No confirmation came: messages in flight are lost, which the far endpoint counts.
     ///
     /// # Errors
-    /// None ever did.
+    /// No confirmation ever came.
     pub fn give_up(&mut self) -> Result<()> {
         self.confirmed = self.sent;
         never(self.is_connected, self.created_ns)
@@ -274,7 +274,7 @@ impl Window {
 
 fn never(is_connected: bool, since_ns: u64) -> Result<()> {
     if !is_connected && monotonic_ns() - since_ns > nanoseconds(NEVER) {
-        return Err(format!("the other end did not answer in {} s", NEVER.as_secs()).into());
+        return Err(format!("the other process did not answer within {} s", NEVER.as_secs()).into());
     }
     Ok(())
 }
@@ -286,7 +286,7 @@ mod tests {
     #[test]
     fn a_window_is_not_exceeded_and_goes_on_after_a_loss() {
         let mut window = Window::new(Some(3));
-        assert_eq!([window.next(), window.next()], [Some(1), None], "one until the other end is there");
+        assert_eq!([window.next(), window.next()], [Some(1), None], "one until the far endpoint answers");
         window.give_up().unwrap();
         assert_eq!([window.next(), window.next()], [Some(2), None]);
         window.confirm(2);

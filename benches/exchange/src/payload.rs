@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a message contains: its number and when it was sent, and the number again in each further 8 bytes of a payload that
-//! is written whole.
+//! The content of a message: its number and send time, and the number again in each further 8 bytes of a payload that is written
+//! completely.
 
 use std::mem::MaybeUninit;
 
@@ -11,41 +11,41 @@ use crate::Result;
 pub struct Stamp {
     /// From 1; 0 while a flow waits for its receivers.
     pub number: u64,
-    /// `CLOCK_MONOTONIC`, before the message was asked for memory.
+    /// `CLOCK_MONOTONIC`, before memory for the message is requested.
     pub sent_ns: u64,
 }
 
 impl Stamp {
-    /// How many bytes it takes.
+    /// Its length.
     pub const BYTES: usize = 16;
 
-    /// Writes it, and what follows if the payload is written whole.
+    /// Writes it, and the rest if the payload is written completely.
     ///
     /// # Panics
-    /// Of less than [`BYTES`](Self::BYTES).
+    /// If there are fewer than [`BYTES`](Self::BYTES).
     pub fn write(self, out: &mut [u8], whole: bool) {
         let (words, _) = out.as_chunks_mut::<8>();
         self.write_words(words, whole, |word| word);
     }
 
-    /// As [`write`](Self::write), to memory of which nobody knows what it holds.
+    /// Like [`write`](Self::write), to uninitialised memory.
     ///
     /// # Panics
-    /// Of less than [`BYTES`](Self::BYTES).
+    /// If there are fewer than [`BYTES`](Self::BYTES).
     pub fn write_uninit(self, out: &mut [MaybeUninit<u8>], whole: bool) {
         let (words, _) = out.as_chunks_mut::<8>();
         self.write_words(words, whole, |word| word.map(MaybeUninit::new));
     }
 
-    /// A message that is written whole, each byte once.
+    /// A completely written message, each byte once.
     ///
     /// # Panics
-    /// Of less than [`BYTES`](Self::BYTES), or of a number that is no multiple of 8.
+    /// If `bytes` is less than [`BYTES`](Self::BYTES) or not a multiple of 8.
     pub fn written(self, bytes: usize) -> Vec<u8> {
         assert!(bytes >= Self::BYTES && bytes.is_multiple_of(8), "a message of {bytes} bytes");
         let mut message = Vec::with_capacity(bytes);
         self.write_uninit(&mut message.spare_capacity_mut()[..bytes], true);
-        // SAFETY: whole words, all of which were written.
+        // SAFETY: whole words, all written.
         unsafe { message.set_len(bytes) };
         message
     }
@@ -58,10 +58,10 @@ impl Stamp {
         words[1] = word(self.sent_ns.to_ne_bytes());
     }
 
-    /// Reads it, going through all of a payload that is read whole.
+    /// Reads it, and all of a payload that is read completely.
     ///
     /// # Errors
-    /// A message that is too short, or damaged.
+    /// A message that is too short or damaged.
     pub fn read(bytes: &[u8], whole: bool) -> Result<Stamp> {
         let (words, _) = bytes.as_chunks::<8>();
         let [number, sent_ns, rest @ ..] = words else {
@@ -94,7 +94,7 @@ mod tests {
     fn damage_is_seen_where_the_payload_is_read_whole() {
         for whole in [false, true] {
             let stamp = Stamp { number: 7, sent_ns: 8 };
-            // Not where words begin.
+            // Not aligned to words.
             let mut memory = [0; 65];
             stamp.write(&mut memory[1..], whole);
             assert_eq!(Stamp::read(&memory[1..], whole).unwrap(), stamp);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Messages at a rate, from one process to others: what publishing costs, how late they come, what it takes of the processor.
+//! Messages at a rate, from one process to others: the cost of publishing, the latency, the processor time.
 //!
-//! With real-time priorities the sender has a core, and all receivers another one.
+//! With real-time priorities the sender has one core, and all receivers another.
 
 mod iceoryx;
 mod tautline;
@@ -16,20 +16,20 @@ use tautline_benches::Distribution;
 use tautline_exchange::{Exchange, Job, Line, Measured, Role, Way, to_the_last};
 use tautline_rt::{CoreSet, set_affinity};
 
-/// How long a process may take to set itself up.
+/// Time-out of a process's setup.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// How long what is under way may take to arrive.
+/// Time for messages in flight to arrive.
 const DRAIN: Duration = Duration::from_millis(500);
 const SMALL_BYTES: usize = 64;
 const IMAGE_BYTES: usize = 8 << 20;
 const MIB: f64 = 1048576.0;
 
-/// By which messages go.
+/// The system that carries the messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum System {
-    /// Its callbacks are woken by the sampler.
+    /// The sampler wakes its callbacks.
     Tautline,
-    /// Its callback's thread is woken by the publisher.
+    /// The publisher wakes its callback thread.
     TautlineDirect,
     Iceoryx,
 }
@@ -44,23 +44,23 @@ impl System {
     }
 }
 
-/// What is sent.
+/// The load.
 #[derive(Clone, Copy)]
 struct Flow {
     system: System,
     payload_bytes: usize,
     topics: usize,
-    /// Of each topic.
+    /// Per topic.
     rate_hz: f64,
     processes: usize,
-    /// Of each topic in each receiving process.
+    /// Per topic and receiving process.
     subscribers: usize,
 }
 
 #[derive(Default)]
 struct Found {
     publishing: Distribution,
-    /// Of one topic: until the last subscription had it.
+    /// For one topic: until the last subscription had it.
     latency: Distribution,
     cpu_percent: f64,
     pss_mib: f64,
@@ -86,7 +86,7 @@ pub fn load(bench: &Bench<'_>) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-/// Images that nobody copies.
+/// Images without copies.
 pub fn images(bench: &Bench<'_>) -> Result<Vec<Row>> {
     let sizes: &[usize] = if bench.quick { &[1, 8, 32] } else { &[1, 2, 4, 8, 16, 32] };
     let mut rows = Vec::new();
@@ -164,7 +164,7 @@ impl<'a> Bench<'a> {
         let sent = near.expect(PATIENCE + budget * 3, Line::measured)?;
         let since = Instant::now();
         for far in &mut fars {
-            // Whether the last one has come: what has not is counted as lost.
+            // Whether the last message has arrived; missing ones count as lost.
             let is_last = |line| matches!(line, Line::Complete { .. }).then_some(());
             let _ = far.wait_for(DRAIN.saturating_sub(since.elapsed()), is_last)?;
         }
@@ -214,7 +214,7 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// One end of a flow.
+/// One endpoint of a flow.
 pub fn run(system: System, job: &Job) -> Result<()> {
     if let Some(core) = job.core {
         set_affinity(CoreSet::one(core))?;
@@ -227,7 +227,7 @@ pub fn run(system: System, job: &Job) -> Result<()> {
     ran.map_err(|error| error as Box<dyn std::error::Error>)
 }
 
-/// Times of publishing, of the messages that are measured: at the end as many as were counted.
+/// Publishing times of measured messages, truncated at the end to those that were counted.
 #[derive(Default)]
 struct Publishing {
     times_ns: Vec<u64>,
@@ -236,7 +236,7 @@ struct Publishing {
 impl Publishing {
     fn of(job: &Job) -> Self {
         let Exchange::Paced { rate } = job.exchange else { return Publishing::default() };
-        // With the warm-up, and some before.
+        // Including the warm-up, and some before it.
         Publishing {
             times_ns: Vec::with_capacity((rate * job.budget.as_secs_f64() * 1.5) as usize + 100_000),
         }
@@ -254,5 +254,5 @@ impl Publishing {
     }
 }
 
-/// So often it is looked whether it is over.
+/// Interval of checks whether it is over.
 const LOOK: Duration = Duration::from_millis(100);

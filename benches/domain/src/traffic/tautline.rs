@@ -15,7 +15,7 @@ use tautline_exchange::{
 };
 use tautline_rt::clock::monotonic_ns;
 
-/// The sampler's: above the callbacks'.
+/// The sampler's priority: above the callbacks'.
 const SAMPLER_PRIORITY: u8 = APPLICATION_PRIORITY + 10;
 
 #[derive(Message, Clone, Copy)]
@@ -96,7 +96,7 @@ fn send<T: Frame>(job: &Job, context: &Context, mut node: Node, options: Callbac
     callback.join()?;
     let (measured, publishers) = outcome.recv()??;
     say(&Line::Measured(measured));
-    // That a publisher goes wakes subscriptions once more.
+    // The end of a publisher wakes subscriptions once more.
     std::thread::sleep(LOOK);
     drop(publishers);
     Ok(())
@@ -123,10 +123,10 @@ fn receive<T: Frame>(job: &Job, context: &Context, mut node: Node, options: Call
         ends.push((node.subscribe(&topic, Qos::keep_last(job.depth()))?, inlet));
     }
     let (sender, outcome) = mpsc::channel();
-    // A callback that had the context would keep it alive.
+    // A callback that held the context would keep it alive.
     let end = context.events().clone();
     let _callback = node.spawn_callback(options, async move {
-        // Those alone that were woken are looked at.
+        // Only woken ones are checked.
         let all = ends.into_iter().map(|(messages, inlet)| take_all(messages, inlet));
         if let Err(error) = all.collect::<FuturesUnordered<_>>().try_collect::<()>().await {
             let _ = sender.send(error);
@@ -147,7 +147,7 @@ fn receive<T: Frame>(job: &Job, context: &Context, mut node: Node, options: Call
 async fn take_all<T: Frame>(mut messages: Subscription<T>, inlet: Inlet) -> Result<()> {
     while let Some(message) = messages.next().await {
         let stamp = Stamp::read(message.bytes(), false)?;
-        // A message has arrived when its memory is back.
+        // A message has arrived when its memory is returned.
         drop(message);
         inlet.arrive(stamp);
     }
