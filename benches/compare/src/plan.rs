@@ -369,7 +369,13 @@ fn wake(extent: Extent) -> Vec<Setting> {
     let mut settings = Vec::new();
     for idle in [Idle::AsShipped, Idle::HeldOff] {
         for &(payload_bytes, whole) in &payloads {
-            settings.push(Setting { task: Task::RoundTrips { whole }, payload_bytes, idle, budget_ms, rounds });
+            settings.push(Setting {
+                task: Task::RoundTrips { whole },
+                payload_bytes,
+                idle,
+                budget_ms,
+                rounds,
+            });
         }
     }
     settings
