@@ -40,28 +40,21 @@ pub mod priorities {
     pub const WORKER: u8 = 20;
 }
 
-/// What can go wrong in one of the processes.
+impl PaperError {
+    fn start(what: &'static str) -> impl FnOnce(std::io::Error) -> PaperError {
+        move |source| PaperError::Start { what, source }
+    }
+}
+
 #[derive(Debug, thiserror::Error)]
 pub enum PaperError {
     /// The system refuses a real-time setting; the message names the fix.
     #[error(transparent)]
     Realtime(#[from] tautline_rt::RtError),
-    /// A thread or a runtime cannot be started.
     #[error("cannot start {what}: {source}")]
-    Start {
-        /// What was to be started.
-        what: &'static str,
-        source: std::io::Error,
-    },
-    /// The thread that spins has panicked.
+    Start { what: &'static str, source: std::io::Error },
     #[error("the sampler's thread has panicked")]
     Panicked,
-    /// An unknown variant was asked for.
     #[error("there is no variant '{name}'; there are: {known}")]
-    UnknownVariant {
-        /// What was asked for.
-        name: String,
-        /// What there is.
-        known: String,
-    },
+    UnknownVariant { name: String, known: String },
 }

@@ -8,7 +8,6 @@ use std::io::{Write, stdout};
 
 use serde::{Deserialize, Serialize};
 
-/// A line of a process.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Line {
     /// The subscriber can receive.
@@ -19,7 +18,6 @@ pub enum Line {
     Measured(Measured),
 }
 
-/// What the publisher did.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Published {
     /// Messages of each topic.
@@ -30,16 +28,13 @@ pub struct Published {
     pub cpu_ns: u64,
 }
 
-/// What the subscriber measured.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Measured {
     /// CPU time of the process beyond the callbacks' own.
     pub overhead_cpu_ns: u64,
-    /// One for each topic.
     pub topics: Vec<TopicMeasured>,
 }
 
-/// What was measured on one topic.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TopicMeasured {
     /// From scheduled release to end of callback, in the order of the callbacks.

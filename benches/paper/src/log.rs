@@ -11,7 +11,6 @@ pub struct Log {
 }
 
 impl Log {
-    /// Room for the messages that the job releases.
     pub fn new(job: &Job, topic: &Topic) -> Self {
         // A value that is not zero touches the memory.
         let entries = (0..job.releases(topic)).map(|_| AtomicU64::new(u64::MAX)).collect();
@@ -39,7 +38,6 @@ impl Log {
         self.len() == 0
     }
 
-    /// All of them, in the order in which they came.
     pub fn latencies_ns(&self) -> Vec<u64> {
         self.entries[..self.len()].iter().map(|entry| entry.load(Ordering::Relaxed)).collect()
     }

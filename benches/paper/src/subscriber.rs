@@ -16,7 +16,6 @@ use crate::{Job, Line, Log, Measured, PaperError, Scheduling, TopicMeasured, pri
 const STALLED: Duration = Duration::from_millis(1_500);
 /// How long a backlog may take, at most.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// How often the end is looked for.
 const GLANCE: Duration = Duration::from_millis(50);
 
 /// The subscriber's process: its core, its priority, its logs, its end.
@@ -28,7 +27,6 @@ pub struct Subscriber {
     wcets_ns: Vec<u64>,
 }
 
-/// What is called when the run is over.
 type Hook = Arc<Mutex<Option<Box<dyn FnOnce() + Send>>>>;
 
 impl Subscriber {
@@ -54,12 +52,10 @@ impl Subscriber {
         Ok(Subscriber { logs, over, when_over, cpu_before_ns: 0, wcets_ns })
     }
 
-    /// One log for each topic of the job.
     pub fn logs(&self) -> &[Arc<Log>] {
         &self.logs
     }
 
-    /// Becomes true when the run is over.
     pub fn over(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.over)
     }
@@ -105,7 +101,7 @@ pub fn set_up_publisher(job: &Job) -> Result<(), PaperError> {
 /// Everything runs on one core and ends with the parent, of which nothing would be left to stop it.
 fn bind(job: &Job) -> Result<(), PaperError> {
     let with_parent = set_parent_process_death_signal(Some(Signal::KILL));
-    with_parent.map_err(|error| PaperError::Start { what: "a process", source: error.into() })?;
+    with_parent.map_err(|error| PaperError::start("a process")(error.into()))?;
     Ok(set_affinity(CoreSet::one(job.core))?)
 }
 
@@ -123,7 +119,7 @@ fn wait_for_end(logs: Vec<Arc<Log>>, over: Arc<AtomicBool>, when_over: Hook) -> 
         }
     };
     let started = thread::Builder::new().name("end".into()).spawn(wait);
-    started.map(drop).map_err(|source| PaperError::Start { what: "a thread", source })
+    started.map(drop).map_err(PaperError::start("a thread"))
 }
 
 fn wait_until_handled(logs: &[Arc<Log>], published: &[u64]) {
