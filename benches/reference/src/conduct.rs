@@ -15,32 +15,26 @@ use crate::Window;
 const WARM_UP: Duration = Duration::from_secs(1);
 /// After that what still comes from a lidar sample comes late enough to be called missing.
 const COOL_DOWN: Duration = Duration::from_millis(500);
-/// How often progress is told.
 const TELL: Duration = Duration::from_millis(200);
 
 /// What a process is asked to run. JSON on the command line of a process that another one starts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Job {
     pub seconds: f64,
-    /// Up to where nodes count primes.
     pub cruncher_limit: u64,
-    /// Whether priorities are set.
     pub realtime: bool,
     /// Who runs where, for a middleware that has such files.
     pub system_file: Option<PathBuf>,
-    /// The same for another, in the order of [`callbacks`](crate::graph::callbacks): a thread for each. Empty: one thread.
+    /// The same for another, in the order of [`CALLBACKS`](crate::graph::CALLBACKS): a thread for each. Empty: one thread.
     pub placements: Vec<Placement>,
 }
 
-/// A thread's place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Placement {
     pub core: usize,
-    /// Its `SCHED_FIFO` priority.
     pub priority: u8,
 }
 
-/// What the process used in the window.
 #[derive(Clone, Copy, Debug)]
 pub struct Usage {
     pub cpu_ns: u64,
@@ -50,7 +44,6 @@ pub struct Usage {
     pub steal_ticks: u64,
 }
 
-/// The window of a run that starts now.
 pub fn window(job: &Job) -> Window {
     let begin_ns = monotonic_ns() + WARM_UP.as_nanos() as u64;
     Window { begin_ns, end_ns: begin_ns + (job.seconds * 1e9) as u64 }

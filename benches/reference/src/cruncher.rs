@@ -6,11 +6,10 @@ use std::time::Duration;
 
 use tautline_rt::clock::thread_cpu_ns;
 
-use crate::graph;
+use crate::graph::{CALLBACKS, rate_hz};
 
 /// Up to where primes are counted, in the original: there are 564.
 pub const CRUNCHER_LIMIT: u64 = 4096;
-/// How often the work is measured.
 const TRIALS: usize = 9;
 /// How much of a processor the graph should ask for at most: the rest of the system has to run as well.
 const SENSIBLE_SHARE: f64 = 0.8;
@@ -24,7 +23,6 @@ pub fn number_cruncher(limit: u64) -> u64 {
     (2..=limit).filter(|&candidate| black_box(is_prime(candidate))).count() as u64
 }
 
-/// What the graph asks of the processor.
 #[derive(Clone, Copy, Debug)]
 pub struct Load {
     /// Up to where primes are counted.
@@ -53,10 +51,8 @@ impl Load {
     }
 
     fn of(cruncher_limit: u64, crunch: Duration, cores: usize) -> Load {
-        let all = graph::callbacks();
-        let runs =
-            all.iter().filter(|callback| callback.works).map(|callback| graph::rate_hz(callback, &all));
-        let cores_needed = runs.sum::<f64>() * crunch.as_secs_f64();
+        let rates = CALLBACKS.iter().filter(|callback| callback.works).map(rate_hz);
+        let cores_needed = rates.sum::<f64>() * crunch.as_secs_f64();
         Load { cruncher_limit, crunch, cores_needed, cores }
     }
 

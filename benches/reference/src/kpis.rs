@@ -3,17 +3,15 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::graph::{self, FRONT_LIDAR, PLANNER, Trigger};
+use crate::graph::{CALLBACKS, FRONT_LIDAR, PLANNER, Trigger};
 use crate::{Job, Load, Records, Usage};
 
 /// The key performance indicators of one run, or of several.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Kpis {
-    /// The middleware.
     pub system: String,
     /// How it executes the callbacks.
     pub mode: String,
-    /// Whether priorities were set.
     pub realtime: bool,
     pub seconds: f64,
     /// Up to where nodes counted primes.
@@ -28,16 +26,13 @@ pub struct Kpis {
     pub dropped_in_transforms: u64,
     /// Messages that any callback missed, also those that a fusion replaced by newer ones.
     pub dropped: u64,
-    /// Samples of the front lidar.
     pub front_lidar_samples: u64,
     /// Of these, the ones that no run of the ObjectCollisionEstimator used.
     pub front_lidar_without_estimate: u64,
     /// Average time from the begin of the FrontLidarDriver's run to the end of the ObjectCollisionEstimator's.
     pub hot_path_average_ms: f64,
-    /// What 99 % do not exceed.
     pub hot_path_p99_ms: f64,
     pub hot_path_worst_ms: f64,
-    /// All of them, in their order.
     pub hot_path_ms: Vec<f64>,
     /// Average time to that end from the begin of the run of whichever lidar came first: also what the front lidar's own run
     /// waited for the rear's is in it.
@@ -51,11 +46,9 @@ pub struct Kpis {
     pub planner_drift_ms: f64,
     /// What the hypervisor gave to others, in ticks of 10 ms.
     pub steal_ticks: u64,
-    /// Each callback.
     pub callbacks: Vec<CallbackKpis>,
 }
 
-/// What a callback did.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct CallbackKpis {
     pub name: String,
@@ -65,10 +58,8 @@ pub struct CallbackKpis {
 }
 
 impl Kpis {
-    /// Of a run that is over.
     pub fn new(system: &str, mode: &str, job: &Job, load: &Load, records: &Records, usage: &Usage) -> Kpis {
-        let with_counts =
-            || records.callbacks().iter().enumerate().map(|(index, it)| (it, records.counts(index)));
+        let with_counts = || CALLBACKS.iter().enumerate().map(|(index, it)| (it, records.counts(index)));
         let dropped = |only_transforms: bool| {
             let counted = with_counts().filter(|(callback, _)| callback.is_transform || !only_transforms);
             counted.map(|(_, (_, dropped))| dropped).sum()
@@ -149,9 +140,7 @@ impl Kpis {
 }
 
 fn planner_period_ns() -> u64 {
-    let period =
-        graph::callbacks().into_iter().find(|callback| callback.name == PLANNER).map(|it| it.trigger);
-    match period {
+    match CALLBACKS.iter().find(|callback| callback.name == PLANNER).map(|it| it.trigger) {
         Some(Trigger::Period(period)) => period.as_nanos() as u64,
         _ => unreachable!("the planner is cyclic"),
     }
@@ -202,7 +191,7 @@ mod tests {
 
     fn kpis(latencies_ns: &[u64]) -> Kpis {
         let records = Records::new(Window { begin_ns: 0, end_ns: 1_000_000_000 });
-        let index = |name| records.callbacks().iter().position(|callback| callback.name == name).unwrap();
+        let index = |name| CALLBACKS.iter().position(|callback| callback.name == name).unwrap();
         (0..10).for_each(|_| records.note_run(index(FRONT_LIDAR), 0));
         records.note_run(index("RayGroundFilter"), 2);
         records.note_run(index("NDTLocalizer"), 3);

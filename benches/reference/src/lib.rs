@@ -2,7 +2,7 @@
 //! The Autoware reference system of the ROS real-time working group (`ros-realtime/reference-system`), for any middleware:
 //! 24 nodes in one process, which do artificial work, and what is measured of them.
 //!
-//! The nodes are a table, [`graph::NODES`]. What a node does with its messages is here ([`run`]); a middleware adds its
+//! The nodes are a table, [`graph::CALLBACKS`]. What a node does with its messages is here ([`run`]); a middleware adds its
 //! [`Input`], its [`Output`] and its timers, and decides which thread runs what. What comes of a run are its [`Kpis`].
 //!
 //! As in the original every queue keeps one message ([`DEPTH`]), every node enters itself into the message that it
@@ -26,5 +26,4 @@ pub use message::{Message4kb, STATS_CAPACITY, TransmissionStats};
 pub use node::{Input, Output, run};
 pub use records::{Records, Window};
 
-/// Messages that a queue keeps.
 pub const DEPTH: usize = 1;

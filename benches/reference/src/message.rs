@@ -3,7 +3,6 @@
 
 use tautline_msgs::Message;
 
-/// How many nodes a message can pass.
 pub const STATS_CAPACITY: usize = 63;
 /// The longest name is one byte shorter, for it ends with a zero.
 const NAME_BYTES: usize = 48;
@@ -23,12 +22,10 @@ pub struct TransmissionStats {
     pub node_name: [u8; NAME_BYTES],
 }
 
-/// The only message of the system.
 #[derive(Message, Clone, Copy, Debug)]
 #[message(name = "reference_interfaces/msg/Message4kb", crate = "tautline_msgs")]
 #[repr(C)]
 pub struct Message4kb {
-    /// How many entries there are.
     pub size: u64,
     /// The entries; what is behind them means nothing.
     pub stats: [TransmissionStats; STATS_CAPACITY],
@@ -53,7 +50,6 @@ fn padded(name: &str) -> [u8; NAME_BYTES] {
 }
 
 impl Message4kb {
-    /// One that has passed no node.
     pub const EMPTY: Message4kb = Message4kb {
         size: 0,
         stats: [TransmissionStats {
@@ -70,7 +66,6 @@ impl Message4kb {
         &self.stats[..usize::try_from(self.size).map_or(STATS_CAPACITY, |size| size.min(STATS_CAPACITY))]
     }
 
-    /// Forgets all entries.
     pub fn clear(&mut self) {
         self.size = 0;
         self.data = [0; 7];
@@ -94,7 +89,6 @@ impl Message4kb {
         }
     }
 
-    /// The entry of the node `name`.
     pub fn entry_of(&self, name: &str) -> Option<&TransmissionStats> {
         let name = padded(name);
         self.entries().iter().find(|entry| entry.node_name == name)

@@ -10,7 +10,7 @@ use std::task::Poll;
 use futures::{Stream, StreamExt};
 use tautline_rt::clock::monotonic_ns;
 
-use crate::graph::{Callback, ESTIMATOR, FRONT_LIDAR, PLANNER, REAR_LIDAR, Trigger};
+use crate::graph::{CALLBACKS, Callback, ESTIMATOR, FRONT_LIDAR, PLANNER, REAR_LIDAR, Trigger};
 use crate::{Message4kb, Records, TransmissionStats, number_cruncher};
 
 /// A subscription: a stream of messages.
@@ -19,13 +19,12 @@ pub trait Input: Stream<Item: Deref<Target = Message4kb>> + Unpin {
     fn latest(&mut self) -> Option<Self::Item>;
 }
 
-/// A publisher.
 pub trait Output {
     /// Publishes what `fill` writes into a message. What was there before means nothing.
     fn publish(&mut self, fill: impl FnOnce(&mut Message4kb));
 }
 
-/// Runs callback `index` of `records` for ever. It counts primes up to `cruncher_limit` each time. A callback with a period
+/// Runs callback `index` of [`CALLBACKS`] for ever. It counts primes up to `cruncher_limit` each time. A callback with a period
 /// has a `timer`, and runs until that ends.
 pub async fn run<I: Input, O: Output>(
     index: usize,
@@ -59,7 +58,6 @@ pub async fn run<I: Input, O: Output>(
     }
 }
 
-/// The next message of any input, and which input that is.
 async fn next_of<I: Input>(inputs: &mut [I]) -> (usize, I::Item) {
     poll_fn(|context| {
         for (index, input) in inputs.iter_mut().enumerate() {
@@ -72,7 +70,6 @@ async fn next_of<I: Input>(inputs: &mut [I]) -> (usize, I::Item) {
     .await
 }
 
-/// What a callback keeps from run to run.
 struct Worker {
     index: usize,
     callback: Callback,
@@ -85,7 +82,7 @@ struct Worker {
 
 impl Worker {
     fn new(index: usize, cruncher_limit: u64, records: Arc<Records>) -> Self {
-        let callback = records.callbacks()[index];
+        let callback = CALLBACKS[index];
         let seen = vec![None; callback.inputs.len()];
         Worker { index, callback, cruncher_limit, records, sequence_number: 0, seen }
     }
@@ -181,8 +178,8 @@ mod tests {
         fn of(name: &str) -> Bench {
             let records =
                 Arc::new(Records::new(Window { begin_ns: 0, end_ns: monotonic_ns() + 60_000_000_000 }));
-            let index = records.callbacks().iter().position(|callback| callback.name == name).unwrap();
-            let (inputs, receivers) = records.callbacks()[index].inputs.iter().map(|_| unbounded()).unzip();
+            let index = CALLBACKS.iter().position(|callback| callback.name == name).unwrap();
+            let (inputs, receivers) = CALLBACKS[index].inputs.iter().map(|_| unbounded()).unzip();
             let (timer, ticks) = unbounded();
             let (out, output) = unbounded();
             let pool = LocalPool::new();
@@ -294,7 +291,7 @@ mod tests {
     fn a_sensor_needs_its_timer_only() {
         let records = Arc::new(Records::new(Window { begin_ns: 0, end_ns: 1 }));
         let (out, mut output) = unbounded();
-        let index = records.callbacks().iter().position(|callback| callback.name == FRONT_LIDAR).unwrap();
+        let index = CALLBACKS.iter().position(|callback| callback.name == FRONT_LIDAR).unwrap();
         let ticks = stream::iter([(), ()]);
         let none: Vec<UnboundedReceiver<Box<Message4kb>>> = Vec::new();
         futures::executor::block_on(run(index, 10, records.clone(), Some(ticks), none, Some(out)));

@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
 
-use crate::graph::{self, Callback};
+use crate::graph::CALLBACKS;
 
 /// The part of a run that counts, on the monotonic clock.
 #[derive(Clone, Copy, Debug)]
@@ -23,11 +23,10 @@ impl Window {
     }
 }
 
-/// Of all callbacks. Each number has one writer.
+/// Of all callbacks, by their index in [`CALLBACKS`]. Each number has one writer.
 #[derive(Debug)]
 pub struct Records {
     pub window: Window,
-    callbacks: Vec<Callback>,
     runs: Box<[AtomicU64]>,
     dropped: Box<[AtomicU64]>,
     pub(crate) hot_path_ns: Series,
@@ -38,18 +37,12 @@ pub struct Records {
 impl Records {
     /// Room for what happens in `window`.
     pub fn new(window: Window) -> Records {
-        let callbacks = graph::callbacks();
-        let zeroes = || callbacks.iter().map(|_| AtomicU64::new(0)).collect();
+        let zeroes = || CALLBACKS.iter().map(|_| AtomicU64::new(0)).collect();
         let (runs, dropped) = (zeroes(), zeroes());
         // Twice what is expected: lidars and planner have 100 ms.
         let series = || Series::new(window.length().as_millis() as usize / 50 + 16);
         let (hot_path_ns, both_lidars_ns, planner_starts_ns) = (series(), series(), series());
-        Records { window, callbacks, runs, dropped, hot_path_ns, both_lidars_ns, planner_starts_ns }
-    }
-
-    /// The callbacks, by the index that the others take.
-    pub fn callbacks(&self) -> &[Callback] {
-        &self.callbacks
+        Records { window, runs, dropped, hot_path_ns, both_lidars_ns, planner_starts_ns }
     }
 
     pub(crate) fn note_run(&self, index: usize, dropped: u32) {
@@ -57,7 +50,6 @@ impl Records {
         self.dropped[index].fetch_add(dropped.into(), Ordering::Relaxed);
     }
 
-    /// How often the callback ran, and how many messages of its inputs it missed.
     pub(crate) fn counts(&self, index: usize) -> (u64, u64) {
         (self.runs[index].load(Ordering::Relaxed), self.dropped[index].load(Ordering::Relaxed))
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::Duration;
 use tautline_analysis::file::SystemFile;
 use tautline_reference::Placement;
-use tautline_reference::graph::{self, PLANNER};
+use tautline_reference::graph::{CALLBACKS, Callback, PLANNER};
 
 use crate::Result;
 
@@ -31,7 +31,7 @@ impl Bounds {
             checked.chains.iter().find(|chain| chain.name == HOT_PATH).and_then(|it| it.latency_ns);
         let of = |name| checked.callbacks.iter().find(|callback| callback.entry.name == name);
         let planner = of(PLANNER).and_then(|callback| callback.response_overhead_ns);
-        let workers = graph::callbacks().into_iter().filter(|callback| callback.works);
+        let workers = CALLBACKS.iter().filter(|callback| callback.works);
         let wcets_ns = workers.filter_map(|callback| of(callback.name)).map(|callback| callback.wcet_ns);
         let wcet = Duration::from_nanos(wcets_ns.min().unwrap_or(0));
         let (hot_path, planner) = (hot_path.map(Duration::from_nanos), planner.map(Duration::from_nanos));
@@ -46,11 +46,11 @@ pub fn placements(system_file: &Path) -> Result<Vec<Placement>> {
         let found = checked.callbacks.iter().find(|callback| callback.entry.name == name);
         found.map(|it| Placement { core: it.core, priority: it.entry.priority })
     };
-    let of = |callback: graph::Callback| {
+    let of = |callback: &Callback| {
         placement(callback.name)
             .ok_or_else(|| format!("{} lacks {}", system_file.display(), callback.name).into())
     };
-    graph::callbacks().into_iter().map(of).collect()
+    CALLBACKS.iter().map(of).collect()
 }
 
 #[cfg(test)]
@@ -65,9 +65,8 @@ mod tests {
         for name in ["system.toml", "flat.toml"] {
             let text = std::fs::read_to_string(own_file(name)).unwrap();
             let checked = SystemFile::parse(&text).unwrap().check();
-            let all = graph::callbacks();
-            assert_eq!(checked.callbacks.len(), all.len(), "{name}");
-            for callback in all {
+            assert_eq!(checked.callbacks.len(), CALLBACKS.len(), "{name}");
+            for callback in CALLBACKS {
                 let found = checked.callbacks.iter().find(|it| it.entry.name == callback.name);
                 let found = found.unwrap_or_else(|| panic!("{name} lacks {}", callback.name));
                 match callback.trigger {
@@ -102,8 +101,7 @@ mod tests {
     #[test]
     fn seats_are_in_the_order_of_the_callbacks() {
         let placements = placements(&own_file("system.toml")).unwrap();
-        let of =
-            |name| placements[graph::callbacks().iter().position(|callback| callback.name == name).unwrap()];
+        let of = |name| placements[CALLBACKS.iter().position(|callback| callback.name == name).unwrap()];
         assert_eq!(placements.len(), 25);
         assert_eq!(of(PLANNER), Placement { core: 1, priority: 60 });
         assert_eq!(of("RearLidarDriver"), Placement { core: 0, priority: 70 });

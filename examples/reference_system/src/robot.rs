@@ -11,7 +11,7 @@ use tautline::rt::clock::monotonic_ns;
 use tautline::{
     Admission, Context, ContextBuilder, Node, Publisher, Qos, Realtime, Sample, Subscription, Timer,
 };
-use tautline_reference::graph::{Callback, NODES, Trigger};
+use tautline_reference::graph::{CALLBACKS, Callback, Trigger};
 use tautline_reference::{DEPTH, Input, Job, Kpis, Load, Message4kb, Output, Records, conduct, window};
 
 use crate::Result;
@@ -39,11 +39,10 @@ pub fn run(
     let records = Arc::new(Records::new(window));
     let first_ns = monotonic_ns() + LEAD_NS;
     let (mut nodes, mut callbacks) = (Vec::new(), Vec::new());
-    for spec in &NODES {
-        let mut node = Node::create(context.clone(), spec.name, "")?;
-        for callback in spec.callbacks() {
-            let ends = Ends::open(&mut node, &callback, first_ns)?;
-            // Callbacks are numbered in the order of the nodes.
+    for of_node in CALLBACKS.chunk_by(|a, b| a.node == b.node) {
+        let mut node = Node::create(context.clone(), of_node[0].node, "")?;
+        for callback in of_node {
+            let ends = Ends::open(&mut node, callback, first_ns)?;
             let (index, limit, records) = (callbacks.len(), job.cruncher_limit, Arc::clone(&records));
             let run = tautline_reference::run(index, limit, records, ends.timer, ends.inputs, ends.output);
             callbacks.push(node.spawn_callback(context.callback(callback.name)?, run)?);

@@ -28,7 +28,7 @@ use r2r::std_msgs::msg::UInt8MultiArray;
 use r2r::{Context, Node, Publisher, QosProfile};
 use rustix::process::{Signal, set_parent_process_death_signal};
 use tautline_msgs::{from_bytes, write_cdr};
-use tautline_reference::graph::{Callback, Trigger};
+use tautline_reference::graph::{CALLBACKS, Callback, Trigger};
 use tautline_reference::{
     DEPTH, Input, Job, Kpis, Load, Message4kb, Output, Placement, Records, conduct, run as run_callback,
     window,
@@ -88,9 +88,9 @@ fn run(job: &Job) -> Result<Kpis> {
     }
     let mut node = Node::create(Context::create()?, "reference_system", "")?;
     let mut pool = LocalPool::new();
-    for index in 0..records.callbacks().len() {
+    for (index, callback) in CALLBACKS.iter().enumerate() {
         let (ends, limit, records) =
-            (Ends::open(&mut node, &records.callbacks()[index])?, job.cruncher_limit, Arc::clone(&records));
+            (Ends::open(&mut node, callback)?, job.cruncher_limit, Arc::clone(&records));
         let callback = run_callback(index, limit, records, ends.timer, ends.inputs, ends.output);
         match job.placements.get(index) {
             None => pool.spawner().spawn_local(callback)?,
