@@ -22,7 +22,6 @@ const COMING_MPS: f64 = 0.4;
 /// Nearer than this many seconds to a collision the plan is not waited for.
 const EMERGENCY_S: f64 = 2.5;
 
-/// What the system does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Mode {
@@ -63,13 +62,10 @@ impl Pid {
     }
 }
 
-/// What a call of the controller says.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Output {
     pub command: Command,
-    /// For whoever looks.
     pub state: State,
-    /// Whether the planner ran in this call.
     pub planned: bool,
 }
 
@@ -136,7 +132,6 @@ impl Controller {
         Output { command, state: self.state(-lane.coefficients[0], inputs, ahead), planned: plans }
     }
 
-    /// The plan that is followed.
     pub fn trajectory(&self) -> Option<&Trajectory> {
         self.plan.as_ref()
     }

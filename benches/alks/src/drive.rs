@@ -16,25 +16,20 @@ const KEEP_EVERY: usize = 5;
 /// What is not counted, in s: the car finds its lane and its speed.
 const WARM_UP_S: f64 = 5.0;
 
-/// What a drive was.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Drive {
-    /// What it was made from.
     pub seed: u64,
     pub seconds: f64,
     pub kilometres: f64,
     /// Distance from the lane's centre: largest and root mean square, in m.
     pub lateral_max_m: f64,
     pub lateral_rms_m: f64,
-    /// Mean speed, in km/h.
     pub mean_kmh: f64,
     /// Share of the time in curves, 0 to 1.
     pub in_curves: f64,
-    /// How often another car cut in.
     pub cut_ins: u32,
     /// Smallest distance to the one ahead, bumper to bumper, in m.
     pub gap_min_m: Option<f64>,
-    /// How often the car touched another one.
     pub collisions: u32,
     /// How often the planner ran, and how often it found nothing.
     pub plans: u32,
@@ -66,7 +61,6 @@ impl Logbook {
         Logbook { drive, ..Logbook::default() }
     }
 
-    /// One step more.
     pub fn note(&mut self, truth: &Truth) {
         if self.steps.is_multiple_of(KEEP_EVERY) && self.drive.course.len() < self.drive.course.capacity() {
             self.drive.course.push(*truth);
@@ -84,7 +78,6 @@ impl Logbook {
         self.drive.gap_min_m = self.drive.gap_min_m.into_iter().chain(truth.gap_m).min_by(f64::total_cmp);
     }
 
-    /// What it was.
     pub fn close(self) -> Drive {
         let seconds = self.steps as f64 * STEP_S;
         let counted = self.counted.max(1) as f64;

@@ -10,14 +10,13 @@ pub struct Inputs {
     /// Of the road wheels, in rad.
     pub steering_rad: f64,
     pub gps: Gps,
-    /// Absolute: see [`absolute`].
+    /// On the map: what comes is relative to the start.
     pub odometry: Pose,
     pub imu: Imu,
     /// By the wheels' speeds, in m/s: the mean.
     pub wheel_speed_mps: f64,
     /// Throttle and brake, 0 to 1.
     pub pedals: [f64; 2],
-    /// See [`Fast::status`].
     pub status: u32,
     pub driver: Driver,
     pub vehicles: Vehicles,
@@ -31,14 +30,8 @@ pub fn road_wheels(steering_wheel_rad: f64) -> f64 {
     steering_wheel_rad / crate::vehicle::STEERING_RATIO
 }
 
-/// The speed that the wheels have, in m/s.
 pub fn wheel_speed(wheels_radps: &[f64; 4]) -> f64 {
     wheels_radps.iter().sum::<f64>() / 4.0 * crate::vehicle::WHEEL_M
-}
-
-/// Where the car is on the map, of where it has come since its start.
-pub fn absolute(relative: Pose, start: Pose) -> Pose {
-    relative.from(start)
 }
 
 impl Inputs {
@@ -47,7 +40,7 @@ impl Inputs {
         self.speed_mps = fast.speed_mps;
         self.steering_rad = road_wheels(fast.steering_wheel_rad);
         self.gps = fast.gps;
-        self.odometry = absolute(fast.odometry, start);
+        self.odometry = fast.odometry.from(start);
         self.imu = fast.imu;
         self.wheel_speed_mps = wheel_speed(&fast.wheels_radps);
         self.pedals = fast.pedals;
@@ -55,7 +48,6 @@ impl Inputs {
         self.driver = fast.driver;
     }
 
-    /// The same of the slow topics, which came at `now_s`.
     pub fn take_slow(&mut self, slow: &Slow, now_s: f64) {
         self.vehicles = slow.vehicles;
         self.lines = slow.lines;

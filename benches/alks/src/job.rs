@@ -16,7 +16,6 @@ use crate::records::Part;
 pub enum Role {
     /// In place of the car and its FlexRay bus.
     Adapter,
-    /// The system.
     Alks,
     /// What makes markers.
     Visualizer,
@@ -36,7 +35,6 @@ pub enum Shared {
 impl Shared {
     pub const ALL: [Shared; 3] = [Shared::Latest, Shared::Inherit, Shared::Mutex];
 
-    /// For people and command lines.
     pub const fn as_str(self) -> &'static str {
         match self {
             Shared::Latest => "latest",
@@ -54,9 +52,7 @@ pub struct Job {
     pub seconds: f64,
     /// Of road, traffic and noise.
     pub seed: u64,
-    /// Whether priorities are set.
     pub realtime: bool,
-    /// How the ALKS node shares its inputs.
     pub shared: Shared,
     /// Who runs where, for a middleware that has such files.
     pub system_file: Option<PathBuf>,
@@ -71,7 +67,6 @@ impl Job {
         first_ns + WARM_UP_NS + (self.seconds * 1e9) as u64
     }
 
-    /// The length of the drive, in minutes.
     pub fn minutes(&self) -> f64 {
         (self.seconds + 2.0) / 60.0
     }
@@ -80,7 +75,6 @@ impl Job {
 /// What a process prints once it hears.
 pub const READY: &str = "ready";
 
-/// Says that this process hears its topics.
 pub fn ready() {
     // Who does not listen has gone, and ends this process by that.
     let _ = writeln!(stdout(), "{READY}").and_then(|()| stdout().flush());
@@ -91,7 +85,6 @@ pub fn until_told() {
     let _ = stdin().read_to_end(&mut Vec::new());
 }
 
-/// Tells what was noted.
 pub fn tell(part: &Part) -> std::io::Result<()> {
     let mut out = stdout().lock();
     serde_json::to_writer(&mut out, part)?;

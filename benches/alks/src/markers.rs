@@ -6,11 +6,8 @@ use crate::mpc::PLAN_STEP_S;
 use crate::signals::{LINES, MAX_VEHICLES, PLAN_POINTS, Pose, Trajectory};
 use crate::vehicle::LENGTH_M;
 
-/// Most points of a marker.
-pub const MAX_POINTS: usize = PLAN_POINTS;
 /// Markers of a scene: the car, its trajectory, lines, vehicles.
 pub const MARKERS: usize = 2 + LINES + MAX_VEHICLES;
-/// Points of a line.
 const LINE_POINTS: usize = 28;
 
 /// What a marker is; the numbers are those of `visualization_msgs/msg/Marker`.
@@ -24,7 +21,6 @@ pub enum Kind {
     LineStrip = 4,
 }
 
-/// One thing to draw.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Marker {
     pub kind: Kind,
@@ -32,16 +28,14 @@ pub struct Marker {
     pub is_shown: bool,
     pub namespace: &'static str,
     pub id: i32,
-    /// Of a box.
     pub pose: Pose,
     /// In m.
     pub scale: [f64; 3],
     /// Red, green, blue, opacity: 0 to 1.
     pub colour: [f32; 4],
-    /// How many of `points` there are.
     pub count: usize,
     /// In the map, on the ground.
-    pub points: [[f64; 2]; MAX_POINTS],
+    pub points: [[f64; 2]; PLAN_POINTS],
 }
 
 const EMPTY: Marker = Marker {
@@ -53,7 +47,7 @@ const EMPTY: Marker = Marker {
     scale: [0.0; 3],
     colour: [0.0; 4],
     count: 0,
-    points: [[0.0; 2]; MAX_POINTS],
+    points: [[0.0; 2]; PLAN_POINTS],
 };
 
 /// All markers, always as many, each at its place.
@@ -114,7 +108,6 @@ impl Marker {
     }
 }
 
-/// The ego lane's centre.
 fn centre(inputs: &Inputs) -> impl Fn(f64) -> f64 + use<> {
     let (right, left) = (inputs.lines.of[1], inputs.lines.of[2]);
     move |x| (right.y(x) + left.y(x)) / 2.0

@@ -37,7 +37,7 @@ macro_rules! messages {
         /// What each of the eleven subscriptions keeps of its message, in the order of the topics; the odometry's is absolute then.
         pub mod keep {
             use super::*;
-            use $crate::inputs::{Inputs, absolute, road_wheels, wheel_speed};
+            use $crate::inputs::{Inputs, road_wheels, wheel_speed};
 
             pub fn speed(inputs: &mut Inputs, message: &std_msg::Float64) {
                 inputs.speed_mps = message.data;
@@ -52,7 +52,7 @@ macro_rules! messages {
             }
 
             pub fn odometry(inputs: &mut Inputs, message: &Odometry) {
-                inputs.odometry = absolute(from_odometry(message), $crate::START);
+                inputs.odometry = from_odometry(message).from($crate::START);
             }
 
             pub fn imu(inputs: &mut Inputs, message: &sensor::Imu) {

@@ -21,7 +21,6 @@ use crate::signals::{PLAN_POINTS, Trajectory};
 pub const HORIZON: usize = 60;
 /// Between two of them, in s.
 pub const PLAN_STEP_S: f64 = 0.05;
-/// Most iterations of the solver.
 pub const ITERATIONS: u32 = 40;
 /// Across the lane, in m/s² and m/s³.
 const MAX_LATERAL: f64 = 3.0;
@@ -42,7 +41,6 @@ const ACCELERATION: f64 = 1.0;
 const JERKING: f64 = 20.0;
 const SLACK: f64 = 50.0;
 
-/// What the planner starts from.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Problem {
     /// To the left of the lane's centre, in m.
@@ -55,7 +53,6 @@ pub struct Problem {
     pub lane: [f64; HORIZON],
     pub speed_mps: f64,
     pub acceleration_mps2: f64,
-    /// What is wanted, in m/s.
     pub target_mps: f64,
     /// Of the vehicle ahead: bumper to bumper in m, and its speed in m/s.
     pub ahead: Option<(f64, f64)>,
@@ -86,28 +83,15 @@ impl Rows {
     }
 }
 
-/// The variables of step k; states are those after it.
-const fn e(k: usize) -> usize {
-    k
+/// The variables of step k, by their place; states are those after it.
+macro_rules! variables {
+    ($($name:ident = $place:literal),*) => {
+        $(const fn $name(k: usize) -> usize {
+            $place * HORIZON + k
+        })*
+    };
 }
-const fn p(k: usize) -> usize {
-    HORIZON + k
-}
-const fn u(k: usize) -> usize {
-    2 * HORIZON + k
-}
-const fn v(k: usize) -> usize {
-    3 * HORIZON + k
-}
-const fn s(k: usize) -> usize {
-    4 * HORIZON + k
-}
-const fn a(k: usize) -> usize {
-    5 * HORIZON + k
-}
-const fn slack(k: usize) -> usize {
-    6 * HORIZON + k
-}
+variables!(e = 0, p = 1, u = 2, v = 3, s = 4, a = 5, slack = 6);
 const VARIABLES: usize = 7 * HORIZON;
 
 /// The best trajectory; `None` if the solver found none within its iterations.

@@ -22,7 +22,6 @@ const LIMIT: RGBColor = RGBColor(204, 32, 38);
 /// Where the car's side is over the line.
 const MARGIN_M: f64 = (LANE_M - 1.95) / 2.0;
 
-/// What one panel shows.
 struct Panel {
     label: &'static str,
     range: std::ops::Range<f64>,

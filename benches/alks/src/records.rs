@@ -11,7 +11,6 @@ use tautline_rt::clock::monotonic_ns;
 
 use crate::drive::Drive;
 
-/// What is timed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Span {
     /// The odometry chain, from the release of the IMU's callback to the end of the visualizer's.
@@ -20,7 +19,6 @@ pub enum Span {
     Imu,
     /// The adapter's callback of vehicles and lines, with the curve fit.
     Perception,
-    /// The callback of the odometry in the ALKS node.
     Odometry,
     /// Any of the eleven callbacks of the ALKS node.
     Subscriber,
@@ -32,55 +30,38 @@ pub enum Span {
     Timer,
     /// Those that plan.
     Planning,
-    /// The callback of the odometry in the visualizer.
     ShowOdometry,
     /// The visualizer's timer that draws.
     Draw,
 }
 
 impl Span {
-    /// All, in the order of reports.
-    pub const ALL: [Span; 11] = [
-        Span::Chain,
-        Span::Imu,
-        Span::Perception,
-        Span::Odometry,
-        Span::Subscriber,
-        Span::Waited,
-        Span::Stalled,
-        Span::Timer,
-        Span::Planning,
-        Span::ShowOdometry,
-        Span::Draw,
+    /// All, in the order of reports, each with its name for people.
+    const ALL: [(Span, &'static str); 11] = [
+        (Span::Chain, "odometry chain, end to end"),
+        (Span::Imu, "adapter: IMU callback"),
+        (Span::Perception, "adapter: vehicles and lines"),
+        (Span::Odometry, "ALKS: odometry callback"),
+        (Span::Subscriber, "ALKS: all subscribers"),
+        (Span::Waited, "ALKS: of that waiting for the timer"),
+        (Span::Stalled, "ALKS: run_until_stalled"),
+        (Span::Timer, "ALKS: timer without planning"),
+        (Span::Planning, "ALKS: timer with planning"),
+        (Span::ShowOdometry, "visualizer: odometry callback"),
+        (Span::Draw, "visualizer: markers"),
     ];
-
-    /// For people.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Span::Chain => "odometry chain, end to end",
-            Span::Imu => "adapter: IMU callback",
-            Span::Perception => "adapter: vehicles and lines",
-            Span::Odometry => "ALKS: odometry callback",
-            Span::Subscriber => "ALKS: all subscribers",
-            Span::Waited => "ALKS: of that waiting for the timer",
-            Span::Stalled => "ALKS: run_until_stalled",
-            Span::Timer => "ALKS: timer without planning",
-            Span::Planning => "ALKS: timer with planning",
-            Span::ShowOdometry => "visualizer: odometry callback",
-            Span::Draw => "visualizer: markers",
-        }
-    }
 }
 
-/// Times of one kind, up to a minute, to three digits.
-#[derive(Debug)]
-struct Times(Mutex<Histogram<u64>>);
+/// For times of one kind, up to a minute, to three digits.
+fn histogram() -> Histogram<u64> {
+    Histogram::new_with_bounds(1, 60_000_000_000, 3).expect("bounds that it can have")
+}
 
 /// What a process has to tell. Each span is one thread's at a time: its lock is free.
 #[derive(Debug)]
 pub struct Records {
     begin_ns: u64,
-    times: Vec<Times>,
+    times: Vec<Mutex<Histogram<u64>>>,
     sent: Vec<AtomicU64>,
     received: Vec<AtomicU64>,
     /// As the subscription counts.
@@ -109,12 +90,7 @@ pub const TOPICS: [&str; 15] = [
 impl Records {
     /// Times from `begin_ns` on count, on `CLOCK_MONOTONIC`; messages always do.
     pub fn new(begin_ns: u64) -> Records {
-        let times = || {
-            Times(Mutex::new(
-                Histogram::new_with_bounds(1, 60_000_000_000, 3).expect("bounds that it can have"),
-            ))
-        };
-        let times = Span::ALL.iter().map(|_| times()).collect();
+        let times = Span::ALL.iter().map(|_| Mutex::new(histogram())).collect();
         let zeroes = || TOPICS.iter().map(|_| AtomicU64::new(0)).collect();
         let lost = TOPICS.iter().map(|_| OnceLock::new()).collect();
         Records { begin_ns, times, sent: zeroes(), received: zeroes(), lost }
@@ -128,11 +104,10 @@ impl Records {
         if now_ns >= self.begin_ns
             && let Some(times) = self.times.get(span as usize)
         {
-            times.0.lock().unwrap_or_else(PoisonError::into_inner).saturating_record(ns);
+            times.lock().unwrap_or_else(PoisonError::into_inner).saturating_record(ns);
         }
     }
 
-    /// Does it, and notes how long it took.
     pub fn timed<R>(&self, span: Span, work: impl FnOnce() -> R) -> R {
         let begin_ns = monotonic_ns();
         let result = work();
@@ -154,14 +129,11 @@ impl Records {
         }
     }
 
-    /// What has been noted so far.
     pub fn part(&self, drive: Option<Drive>) -> Part {
         let counts = |of: &[AtomicU64]| of.iter().map(|count| count.load(Ordering::Relaxed)).collect();
-        let times = Span::ALL.iter().zip(&self.times).filter_map(|(span, times)| {
-            let times = times.0.lock().unwrap_or_else(PoisonError::into_inner);
-            let values =
-                times.iter_recorded().map(|value| (value.value_iterated_to(), value.count_at_value()));
-            (!times.is_empty()).then(|| Told { span: *span, values: values.collect(), max_ns: times.max() })
+        let times = Span::ALL.iter().zip(&self.times).filter_map(|((span, _), times)| {
+            let times = times.lock().unwrap_or_else(PoisonError::into_inner);
+            (!times.is_empty()).then(|| (*span, counts_of(&times)))
         });
         let lost = self.lost.iter().map(|lost| lost.get().map(|count| count.load(Ordering::Relaxed)));
         let (times, lost) = (times.collect(), lost.collect());
@@ -172,30 +144,24 @@ impl Records {
 /// What one process tells the one that started it.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Part {
-    times: Vec<Told>,
+    /// Of each span the values in ns with their counts, ascending.
+    times: Vec<(Span, Vec<(u64, u64)>)>,
     sent: Vec<u64>,
     received: Vec<u64>,
     lost: Vec<Option<u64>>,
-    /// The adapter's.
     pub drive: Option<Drive>,
 }
 
-/// Of a span the values with their counts, ascending, and the largest one.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct Told {
-    span: Span,
-    values: Vec<(u64, u64)>,
-    max_ns: u64,
+fn counts_of(times: &Histogram<u64>) -> Vec<(u64, u64)> {
+    times.iter_recorded().map(|value| (value.value_iterated_to(), value.count_at_value())).collect()
 }
 
 /// Times of one span: in ms.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     pub span: Span,
-    /// For people.
     pub name: String,
     pub n: u64,
-    /// Quantiles and the largest.
     pub p50_ms: f64,
     pub p99_ms: f64,
     pub p999_ms: f64,
@@ -214,33 +180,21 @@ impl Summary {
 
 /// Summaries of all that several processes, or several runs, have told.
 pub fn summaries<'p>(parts: impl Iterator<Item = &'p Part> + Clone) -> Vec<Summary> {
-    let of_span = |span: &Span| {
-        let mut values = std::collections::BTreeMap::new();
-        let mut max_ns = 0;
-        for told in parts.clone().flat_map(|part| &part.times).filter(|told| told.span == *span) {
-            told.values.iter().for_each(|(value, count)| *values.entry(*value).or_insert(0) += count);
-            max_ns = max_ns.max(told.max_ns);
+    let of_span = |(span, name): &(Span, &str)| {
+        let mut all = histogram();
+        for (_, values) in parts.clone().flat_map(|part| &part.times).filter(|(of, _)| of == span) {
+            values.iter().for_each(|(value, count)| all.saturating_record_n(*value, *count));
         }
-        let values: Vec<(u64, u64)> = values.into_iter().collect();
-        let n: u64 = values.iter().map(|(_, count)| count).sum();
-        let quantile = |share: f64| {
-            let rank = ((n as f64 * share).ceil() as u64).max(1);
-            let mut seen = 0;
-            let found = values.iter().find(|(_, count)| {
-                seen += count;
-                seen >= rank
-            });
-            found.map_or(0, |(value, _)| *value).min(max_ns) as f64 / 1e6
-        };
-        (n > 0).then(|| Summary {
+        let quantile_ms = |share: f64| all.value_at_quantile(share) as f64 / 1e6;
+        (!all.is_empty()).then(|| Summary {
             span: *span,
-            name: span.as_str().to_owned(),
-            n,
-            p50_ms: quantile(0.5),
-            p99_ms: quantile(0.99),
-            p999_ms: quantile(0.999),
-            max_ms: max_ns as f64 / 1e6,
-            values: values.clone(),
+            name: (*name).to_owned(),
+            n: all.len(),
+            p50_ms: quantile_ms(0.5),
+            p99_ms: quantile_ms(0.99),
+            p999_ms: quantile_ms(0.999),
+            max_ms: all.max() as f64 / 1e6,
+            values: counts_of(&all),
         })
     };
     Span::ALL.iter().filter_map(of_span).collect()
@@ -262,7 +216,6 @@ pub fn losses(parts: &[Part]) -> Vec<(String, u64, u64)> {
     TOPICS.iter().enumerate().filter_map(of_topic).collect()
 }
 
-/// Messages that were published in all.
 pub fn published(parts: &[Part]) -> u64 {
     parts.iter().flat_map(|part| &part.sent).sum()
 }

@@ -27,7 +27,6 @@ const DEGREE_M: f64 = 111_320.0;
 const LATITUDE_DEG: f64 = 50.08;
 const LONGITUDE_DEG: f64 = 14.42;
 
-/// The sensors and their noise.
 #[derive(Debug)]
 pub struct Sensors {
     rng: StdRng,
@@ -35,12 +34,10 @@ pub struct Sensors {
 }
 
 impl Sensors {
-    /// Of a car that starts there.
     pub fn new(seed: u64, start: Pose) -> Sensors {
         Sensors { rng: StdRng::seed_from_u64(seed), start }
     }
 
-    /// Of each step.
     pub fn fast(&mut self, car: &Car) -> Fast {
         let speed_mps = car.speed_mps + self.noise(SPEED_NOISE);
         let wheel = |side: f64| (car.speed_mps - side * TRACK_M * car.yaw_rate_radps) / WHEEL_M;

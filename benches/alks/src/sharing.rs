@@ -25,7 +25,6 @@ pub enum View {
     Mutex(Arc<Mutex<Inputs>>),
 }
 
-/// Both sides.
 pub fn share(shared: Shared) -> (Store, View) {
     match shared {
         Shared::Latest => {

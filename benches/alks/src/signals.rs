@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is exchanged: plain data of a fixed size.
 
-/// Most vehicles in a message.
 pub const MAX_VEHICLES: usize = 8;
 /// Lines in a message: the ego lane's two and the next ones on either side.
 pub const LINES: usize = 4;
-/// Points of a trajectory.
 pub const PLAN_POINTS: usize = crate::mpc::HORIZON;
 
 /// What the topics of 50 Hz say of one step.
@@ -28,14 +26,12 @@ pub struct Fast {
     pub driver: Driver,
 }
 
-/// A position by satellite.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Gps {
     pub latitude_deg: f64,
     pub longitude_deg: f64,
 }
 
-/// A place in the plane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Pose {
     pub x: f64,
@@ -71,7 +67,6 @@ pub fn wrap(angle: f64) -> f64 {
     angle - turn * (angle / turn).round()
 }
 
-/// An inertial measurement.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Imu {
     /// Ahead, in m/s².
@@ -81,7 +76,6 @@ pub struct Imu {
     pub yaw_rate_radps: f64,
 }
 
-/// What the driver wants.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Driver {
     pub set_speed_mps: f64,
@@ -96,17 +90,14 @@ pub struct Slow {
     pub lines: Lines,
 }
 
-/// The nearest vehicles.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Vehicles {
     /// How many of `of` there are.
     pub count: usize,
-    /// In no particular order.
     pub of: [Vehicle; MAX_VEHICLES],
 }
 
 impl Vehicles {
-    /// Those that there are.
     pub fn as_slice(&self) -> &[Vehicle] {
         &self.of[..self.count.min(MAX_VEHICLES)]
     }
@@ -141,7 +132,6 @@ pub struct Line {
 }
 
 impl Line {
-    /// Its y at x.
     pub fn y(&self, x: f64) -> f64 {
         self.coefficients.iter().rev().fold(0.0, |sum, c| sum * x + c)
     }
@@ -152,7 +142,6 @@ impl Line {
     }
 }
 
-/// What the car is told.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Command {
     pub acceleration_mps2: f64,
@@ -160,18 +149,15 @@ pub struct Command {
     pub steering_rad: f64,
 }
 
-/// What the controller is doing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct State {
     /// See [`Mode`](crate::control::Mode): its number.
     pub mode: u8,
     /// Distance from the lane's centre as perceived, in m; positive: the car is left of it.
     pub lateral_m: f64,
-    /// What is wanted, in m/s.
     pub target_mps: f64,
     /// To the vehicle ahead in the lane, in m; infinite: none.
     pub gap_m: f64,
-    /// How often the planner found no solution.
     pub unsolved: u32,
 }
 
@@ -182,9 +168,7 @@ pub struct Trajectory {
     pub lateral_m: [f64; PLAN_POINTS],
     /// Curvature to drive, in 1/m.
     pub curvature: [f64; PLAN_POINTS],
-    /// Speed, in m/s.
     pub speed_mps: [f64; PLAN_POINTS],
-    /// Acceleration, in m/s².
     pub acceleration_mps2: [f64; PLAN_POINTS],
 }
 
@@ -209,12 +193,5 @@ mod tests {
             assert!((a - b).abs() < 1e-12);
         }
         assert!((wrap(4.0) - (4.0 - std::f64::consts::TAU)).abs() < 1e-12);
-    }
-
-    #[test]
-    fn a_line_is_its_cubic() {
-        let line = Line { coefficients: [1.0, 0.5, 0.25, -0.125], range_m: 10.0 };
-        assert_eq!(line.y(2.0), 1.0 + 1.0 + 1.0 - 1.0);
-        assert_eq!(line.curvature(1.0), 0.5 - 0.75);
     }
 }

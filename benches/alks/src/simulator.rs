@@ -13,7 +13,6 @@ use crate::{CRUISE_MPS, SLOW_EVERY, START, STEP_S};
 /// The wind's push, in m/s², and the length of a gust and its pause, in s.
 const GUST: f64 = 0.25;
 const GUST_S: f64 = 7.0;
-/// Of a car, in m.
 const WIDTH_M: f64 = 1.95;
 
 /// All that is outside of the controller.
@@ -34,7 +33,6 @@ pub struct Simulator {
 /// What is true of a step, whatever the sensors say.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Truth {
-    /// Since the start, in s.
     pub time_s: f64,
     /// To the left of the lane's centre, in m.
     pub lateral_m: f64,
@@ -45,9 +43,7 @@ pub struct Truth {
     pub gap_m: Option<f64>,
     /// Whether a car that has cut in is ahead.
     pub cut_in: bool,
-    /// How often one has cut in so far.
     pub cut_ins: u32,
-    /// How often the car has touched another one so far.
     pub collisions: u32,
 }
 
@@ -91,17 +87,14 @@ impl Simulator {
         self.steps.is_multiple_of(SLOW_EVERY)
     }
 
-    /// What they say.
     pub fn slow(&mut self) -> Slow {
         self.sensors.slow(&self.car, &self.road, self.s, self.traffic.cars())
     }
 
-    /// Time since the start, in s.
     pub fn time_s(&self) -> f64 {
         self.steps as f64 * STEP_S
     }
 
-    /// What is true now.
     pub fn truth(&self) -> Truth {
         let ahead = self
             .traffic

@@ -13,7 +13,6 @@ use crate::vehicle::LENGTH_M;
 const CARS: usize = MAX_VEHICLES;
 /// Of the neighbourhood, ahead and behind, in m.
 const NEAR_M: f64 = 200.0;
-/// How long a change of lane takes, in s.
 const CHANGE_S: f64 = 4.0;
 /// Between two cut-ins, in s.
 const CALM_S: std::ops::Range<f64> = 15.0..35.0;
@@ -27,7 +26,6 @@ pub struct Other {
     pub s: f64,
     /// To the left of the middle lane's centre, in m.
     pub across: f64,
-    /// Along the road, in m/s.
     pub speed_mps: f64,
     /// To the left, in m/s.
     pub across_mps: f64,
@@ -37,7 +35,6 @@ pub struct Other {
     change: Option<(f64, f64)>,
 }
 
-/// All of them.
 #[derive(Debug)]
 pub struct Traffic {
     rng: StdRng,
@@ -49,7 +46,6 @@ pub struct Traffic {
 }
 
 impl Traffic {
-    /// Around a car at `s`.
     pub fn new(seed: u64, s: f64, speed_mps: f64) -> Traffic {
         let mut rng = StdRng::seed_from_u64(seed);
         let spacing = 2.0 * NEAR_M / CARS as f64;
@@ -133,7 +129,6 @@ impl Traffic {
         &self.cars
     }
 
-    /// How often one has cut in.
     pub fn cut_ins(&self) -> u32 {
         self.cut_ins
     }

@@ -10,7 +10,6 @@
 use crate::STEP_S;
 use crate::signals::{Command, Pose, wrap};
 
-/// In kg.
 const MASS_KG: f64 = 2_200.0;
 /// About the vertical axis, in kg m².
 const INERTIA: f64 = 3_900.0;
@@ -20,18 +19,15 @@ const REAR_M: f64 = 1.48;
 /// Cornering stiffness of the front and of the rear axle, in N/rad.
 const FRONT_STIFFNESS: f64 = 150_000.0;
 const REAR_STIFFNESS: f64 = 190_000.0;
-/// Between the axles, in m.
-pub const WHEELBASE_M: f64 = FRONT_M + REAR_M;
+const WHEELBASE_M: f64 = FRONT_M + REAR_M;
 /// Of a wheel, in m.
 pub const WHEEL_M: f64 = 0.36;
-/// Of the car, in m.
 pub const LENGTH_M: f64 = 4.9;
 /// Turns of the steering wheel for one of the road wheels.
 pub const STEERING_RATIO: f64 = 14.0;
 /// Of the road wheels, in rad and rad/s.
-pub const MAX_STEERING: f64 = 0.5;
+const MAX_STEERING: f64 = 0.5;
 const MAX_STEERING_RATE: f64 = 0.35;
-/// In m/s².
 pub const MAX_BRAKING: f64 = 8.0;
 const MAX_ACCELERATION: f64 = 2.5;
 /// Time constants of the actuators, in s.
@@ -42,12 +38,10 @@ const SLOWEST: f64 = 3.0;
 /// Integration steps within a step of the simulation.
 const SUBSTEPS: u32 = 20;
 
-/// The car and what moves it.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Car {
     /// Of its centre of gravity.
     pub pose: Pose,
-    /// Ahead, in m/s.
     pub speed_mps: f64,
     /// To the left, in m/s.
     pub lateral_mps: f64,
@@ -61,14 +55,7 @@ pub struct Car {
 impl Car {
     /// One that drives straight ahead.
     pub fn new(pose: Pose, speed_mps: f64) -> Car {
-        Car {
-            pose,
-            speed_mps,
-            lateral_mps: 0.0,
-            yaw_rate_radps: 0.0,
-            acceleration_mps2: 0.0,
-            steering_rad: 0.0,
-        }
+        Car { pose, speed_mps, ..Car::default() }
     }
 
     /// What a step of 20 ms makes of it, with `push` m/s² of wind from the right.
