@@ -3,13 +3,14 @@
 
 use crate::Result;
 use crate::place::entries;
+use crate::process::lock;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::mem::MaybeUninit;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -58,7 +59,6 @@ fn files(domain: u32) -> impl Iterator<Item = PathBuf> {
     entries(&shared_path(domain)).into_iter().filter(is_owned)
 }
 
-/// The process that is the domain's warden.
 pub fn warden(domain: u32) -> Option<u32> {
     let inode = std::fs::metadata(shared_path(domain).join("warden")).ok()?.ino();
     locks().get(&inode).copied()
@@ -80,10 +80,13 @@ pub fn of_none(domain: u32, pids: &[u32]) -> Vec<PathBuf> {
     files(domain).filter(|path| owner(path).is_none_or(|pid| !pids.contains(&pid))).collect()
 }
 
-/// Whether a file is a dead process's still.
+fn lives(pid: u32) -> bool {
+    Path::new(&format!("/proc/{pid}")).exists()
+}
+
 fn is_of_living(path: &Path) -> bool {
     match owner(path) {
-        Some(pid) => Path::new(&format!("/proc/{pid}")).exists(),
+        Some(pid) => lives(pid),
         None => std::fs::metadata(path).is_ok_and(|data| locks().contains_key(&data.ino())),
     }
 }
@@ -98,8 +101,7 @@ pub fn listing(domain: u32) -> String {
         let Ok(data) = std::fs::symlink_metadata(&path) else { continue };
         let lock = locks.get(&data.ino()).map_or("not locked".to_owned(), |pid| format!("locked by {pid}"));
         let owner = owner(&path).map_or("says nothing".to_owned(), |pid| {
-            let lives = if Path::new(&format!("/proc/{pid}")).exists() { "lives" } else { "dead" };
-            format!("of {pid}, {lives}")
+            format!("of {pid}, {}", if lives(pid) { "lives" } else { "dead" })
         });
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         text += &format!("  {name} {} bytes, mode {:o}, {lock}, {owner}\n", data.len(), data.mode());
@@ -112,10 +114,8 @@ pub fn stolen() -> Duration {
     Duration::from_millis(10 * steal_ticks(None))
 }
 
-/// How long files of the dead stayed.
 #[derive(Clone, Debug, Default)]
 pub struct Stay {
-    /// The longest.
     pub worst: Duration,
     pub files: usize,
     /// Those that stayed longer than they may.
@@ -172,7 +172,6 @@ impl Watch {
         }
     }
 
-    /// Looks for files that hang.
     pub fn check(&self, patience: Duration) -> Result<()> {
         let mut state = lock(&self.state);
         let limit = self.limit;
@@ -198,7 +197,6 @@ impl Watch {
         Err(format!("files of dead processes stay: {hanging:?}").into())
     }
 
-    /// Whether no file of the dead is known.
     pub fn is_clean(&self) -> bool {
         lock(&self.state).dead.is_empty()
     }
@@ -219,10 +217,6 @@ impl State {
             self.stay.late.push((path.to_owned(), stayed));
         }
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Drop for Watch {

@@ -2,7 +2,7 @@
 //! Looks at the domain as a newcomer does: asks for the graph, joins, makes topics, gets what was kept.
 
 use crate::Result;
-use crate::process::{PATIENCE, Said, say, told};
+use crate::process::{PATIENCE, Said, answer, say, told};
 use crate::survivors::{KEPT, KEPT_DEPTH, KEPT_PERIOD, PING, PONG};
 use serde::{Deserialize, Serialize};
 use std::thread;
@@ -49,18 +49,20 @@ pub fn play() -> Result<()> {
     say(&Said::Ready);
     for command in told() {
         let (what, argument) = command.split_once(' ').unwrap_or((&command, ""));
-        let answer = match what {
-            "graph" => graph(domain, argument.parse().unwrap_or(0)),
-            "meet" => meet(domain),
-            "late" => late(domain),
+        let answered = match what {
+            "graph" => graph(domain, argument.parse().unwrap_or(0)).map(|graph| answer(&graph)),
+            "meet" => meet(domain).map(|met| answer(&met)),
+            "late" => late(domain).map(|late| answer(&late)),
             _ => Err(format!("it is told '{command}'").into()),
         };
-        say(&answer.unwrap_or_else(|error| Said::Failed(error.to_string())));
+        if let Err(error) = answered {
+            say(&Said::Failed(error.to_string()));
+        }
     }
     Ok(())
 }
 
-fn graph(domain: u32, pid: u32) -> Result<Said> {
+fn graph(domain: u32, pid: u32) -> Result<Graph> {
     let start = Instant::now();
     let graph = graph_of(domain)?;
     let took = start.elapsed();
@@ -69,10 +71,10 @@ fn graph(domain: u32, pid: u32) -> Result<Said> {
         + graph.endpoints.iter().map(|end| is_of(end.pid)).sum::<usize>()
         + graph.services.iter().map(|end| is_of(end.pid)).sum::<usize>();
     let ends = graph.endpoints.len() + graph.services.len();
-    Ok(Said::Graph(Graph { took, nodes: graph.nodes.len(), ends, of_process }))
+    Ok(Graph { took, nodes: graph.nodes.len(), ends, of_process })
 }
 
-fn meet(domain: u32) -> Result<Said> {
+fn meet(domain: u32) -> Result<Met> {
     let (start, mut met) = (Instant::now(), Met::default());
     let participant = Participant::new(domain)?;
     met.joined = start.elapsed();
@@ -86,7 +88,7 @@ fn meet(domain: u32) -> Result<Said> {
         while let Some(pong) = pongs.try_take()? {
             if pong.data == token {
                 met.answered = start.elapsed();
-                return Ok(Said::Met(met));
+                return Ok(met);
             }
         }
         if pings.subscription_count() > 0 {
@@ -111,7 +113,7 @@ fn meet(domain: u32) -> Result<Said> {
     }
 }
 
-fn late(domain: u32) -> Result<Said> {
+fn late(domain: u32) -> Result<Late> {
     let participant = Participant::new(domain)?;
     let (start, start_ns) = (Instant::now(), monotonic_ns());
     let qos = Qos::keep_last(1000).transient_local();
@@ -127,7 +129,7 @@ fn late(domain: u32) -> Result<Said> {
                 let connecting = took.as_nanos() as u64 / KEPT_PERIOD.as_nanos() as u64;
                 let expected = (KEPT_DEPTH as u64).saturating_sub(meanwhile.max(connecting) + 1) as usize;
                 let lost = subscription.counters().lost();
-                return Ok(Said::Late(Late { took, kept, expected, lost, missing }));
+                return Ok(Late { took, kept, expected, lost, missing });
             }
             kept += 1;
             let number = info.sequence_number;

@@ -55,7 +55,17 @@ enum Verb {
     Part(Part),
 }
 
-/// A process of this program's.
+/// What both verbs are told.
+#[derive(Args, Debug)]
+struct Common {
+    /// What is random goes by this [default: random]
+    #[arg(long, value_name = "S")]
+    seed: Option<u64>,
+    /// Measure times, and do not judge them: other programs run
+    #[arg(long)]
+    no_limits: bool,
+}
+
 #[derive(Args, Clone, Debug)]
 struct Part {
     /// Which

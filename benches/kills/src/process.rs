@@ -2,7 +2,9 @@
 //! A part's process, as whoever started it sees it; and what the part says.
 
 use crate::Result;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, from_value};
 use std::collections::{BTreeSet, VecDeque};
 use std::io::{BufRead, BufReader, PipeWriter, Write};
 use std::path::Path;
@@ -15,6 +17,8 @@ use tautline_rt::domain::scope;
 
 /// Longest time that anything is waited for: what takes longer hangs.
 pub const PATIENCE: Duration = Duration::from_secs(20);
+/// An end that nobody uses keeps what it saw last: so many files of processes that have died since then.
+pub const HELD_BY_IDLE: usize = 32;
 /// How much of what all parts complain about is kept.
 const LINES: usize = 200;
 
@@ -42,14 +46,17 @@ impl Complaints {
         Ok(Complaints { lines, pipe: Arc::new(writer) })
     }
 
+    /// For whoever looks for the cause of a failure.
     pub fn text(&self) -> String {
         // What was written a moment ago.
         thread::sleep(Duration::from_millis(50));
-        lock(&self.lines).iter().fold(String::new(), |text, line| text + "  " + line + "\n")
+        let heading = "what the processes said last:\n".to_owned();
+        lock(&self.lines).iter().fold(heading, |text, line| text + "  " + line + "\n")
     }
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+/// Also if whoever had it panicked.
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -61,7 +68,6 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// How to start a part.
     pub fn command(&self, part: &str, seed: u64) -> Result<Command> {
         let mut command = Command::new(std::env::current_exe()?);
         command.args(["part", part, "--seed", &seed.to_string()]).stderr(self.complaints.pipe.try_clone()?);
@@ -70,7 +76,6 @@ impl Stage {
         Ok(command)
     }
 
-    /// Starts a part, and waits until it is ready.
     pub fn start(&self, part: &str) -> Result<Process> {
         let mut process = self.start_without_waiting(part)?;
         process.expect_ready()?;
@@ -118,7 +123,6 @@ impl Process {
             .map_err(|error| format!("the {} is told '{line}': {error}", self.name).into())
     }
 
-    /// The next line that it says.
     pub fn hear(&mut self) -> Result<Said> {
         let line = self.lines.recv_timeout(PATIENCE);
         let line = line.map_err(|error| self.silence(&error.to_string()))?;
@@ -129,15 +133,9 @@ impl Process {
         }
     }
 
-    /// The next line that it says, if it has said one.
-    pub fn overhear(&mut self) -> Option<Said> {
-        let line = self.lines.try_recv().ok()?;
-        serde_json::from_str(&line).ok()
-    }
-
-    /// The next line that it says, unless it ends before.
-    pub fn hear_or_end(&mut self) -> Option<Said> {
-        let line = self.lines.recv_timeout(2 * PATIENCE).ok()?;
+    /// The next line that it says in so long, unless it ends before.
+    pub fn hear_within(&mut self, patience: Duration) -> Option<Said> {
+        let line = self.lines.recv_timeout(patience).ok()?;
         serde_json::from_str(&line).ok()
     }
 
@@ -148,9 +146,18 @@ impl Process {
         }
     }
 
-    pub fn ask(&mut self, question: &str) -> Result<Said> {
+    /// Tells it what to do, and waits until that is done.
+    pub fn order(&mut self, what: &str) -> Result<()> {
+        self.tell(what)?;
+        self.expect_ready()
+    }
+
+    pub fn ask<T: DeserializeOwned>(&mut self, question: &str) -> Result<T> {
         self.tell(question)?;
-        self.hear()
+        match self.hear()? {
+            Said::Answer(answer) => Ok(from_value(answer)?),
+            other => Err(format!("the {} is asked '{question}' and says {other:?}", self.name).into()),
+        }
     }
 
     /// Why it says nothing: what its threads do.
@@ -193,7 +200,6 @@ impl Process {
         self.is_reaped = true;
     }
 
-    /// What it holds.
     pub fn holdings(&self) -> Holdings {
         let process = Path::new("/proc").join(self.id().to_string());
         let maps = std::fs::read_to_string(process.join("maps")).unwrap_or_default();
@@ -208,10 +214,8 @@ impl Process {
     }
 }
 
-/// What a process holds.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Holdings {
-    /// How many files it has open.
     pub files: usize,
     /// What it has mapped of files that were removed.
     pub removed: BTreeSet<String>,
@@ -244,19 +248,11 @@ pub fn threads(pid: u32) -> String {
     text
 }
 
-/// What parts say.
 #[derive(Debug, Serialize, Deserialize)]
 pub enum Said {
     Ready,
     Failed(String),
-    /// How many messages were sent: of each topic.
-    Sent(crate::survivors::Sent),
-    Received(crate::survivors::Received),
-    Asked(crate::survivors::Asked),
-    Graph(crate::inspector::Graph),
-    Met(crate::inspector::Met),
-    Late(crate::inspector::Late),
-    Friend(crate::scenes::Friend),
+    Answer(Value),
     /// A step of a scene has been reached.
     At(String),
 }
@@ -267,24 +263,30 @@ pub fn say(said: &Said) {
     println!("{line}");
 }
 
+/// For a part: answers a question.
+pub fn answer(answer: &impl Serialize) {
+    say(&match serde_json::to_value(answer) {
+        Ok(answer) => Said::Answer(answer),
+        Err(error) => Said::Failed(error.to_string()),
+    });
+}
+
 /// For a part: what it is told, until whoever started it has gone or wants it to end.
 pub fn told() -> impl Iterator<Item = String> {
     std::io::stdin().lines().map_while(std::io::Result::ok)
 }
 
-/// Waits until something is so, and looks meanwhile whether something is wrong.
-pub fn wait(
-    what: &str,
-    mut is_so: impl FnMut() -> Result<bool>,
-    mut check: impl FnMut() -> Result<()>,
-) -> Result<()> {
+pub fn wait(what: &str, patience: Duration, mut is_so: impl FnMut() -> Result<bool>) -> Result<()> {
     let start = Instant::now();
     while !is_so()? {
-        check()?;
-        if start.elapsed() > PATIENCE {
-            return Err(format!("waited {PATIENCE:?} for {what}").into());
+        if start.elapsed() > patience {
+            return Err(format!("waited {patience:?} for {what}").into());
         }
-        thread::sleep(Duration::from_millis(2));
+        thread::sleep(Duration::from_millis(1));
     }
     Ok(())
+}
+
+pub fn ms(time: Duration) -> String {
+    format!("{:.1} ms", time.as_secs_f64() * 1e3)
 }

@@ -2,20 +2,19 @@
 //! Processes with every kind of end, each killed at a random instant and replaced. Most of the time survivors run beside them, and
 //! count; in between nobody does who is safe, and whoever is the warden is killed.
 
-use crate::Result;
 use crate::actors::{self, Role};
 use crate::folder::{self, Watch};
 use crate::inspector::{Graph, Late, Met};
 use crate::place::Place;
-use crate::process::{Complaints, Holdings, PATIENCE, Process, Said, Stage, kill, wait};
+use crate::process::{Complaints, HELD_BY_IDLE, Holdings, PATIENCE, Process, Stage, kill, ms, wait};
 use crate::survivors::{ACTORS_ADD, ACTORS_FIBONACCI, ADD, Asked, FULL, OF_SERVERS_THAT_GO, Received, Sent};
-use clap::Args;
+use crate::{Common, Result};
+use clap::{Args, ValueEnum};
 use rand::rngs::SmallRng;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use std::process::{Child, Stdio};
-use std::sync::mpsc::{Receiver, Sender, channel};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 use tautline_rt::domain::shared_path;
 
@@ -36,20 +35,13 @@ const CHECKS_WITH_SURVIVORS: usize = 4;
 /// Processes that live until they are the warden, when there are no survivors.
 const IDLE: usize = 2;
 
-/// An end that nobody uses keeps what it saw last: so many files of processes that have died since then.
-const HELD_BY_IDLE: usize = 32;
-
 #[derive(Args, Debug)]
 pub struct Options {
     /// How many processes are killed
     #[arg(long, value_name = "N", default_value_t = 1000)]
     kills: usize,
-    /// What is random goes by this [default: random]
-    #[arg(long, value_name = "S")]
-    seed: Option<u64>,
-    /// Measure times, and do not judge them: other programs run
-    #[arg(long)]
-    no_limits: bool,
+    #[command(flatten)]
+    common: Common,
     /// How many processes there are at once that are killed
     #[arg(long, value_name = "N", default_value_t = 8)]
     actors: usize,
@@ -57,7 +49,7 @@ pub struct Options {
 
 pub fn run(options: &Options) -> Result<()> {
     actors::check()?;
-    let seed = options.seed.unwrap_or_else(rand::random);
+    let seed = options.common.seed.unwrap_or_else(rand::random);
     println!("{} kills of {} processes, seed {seed}", options.kills, options.actors);
     let place = Place::new()?;
     let stage = Stage { domain: DOMAIN, complaints: Complaints::collect()? };
@@ -67,18 +59,15 @@ pub fn run(options: &Options) -> Result<()> {
         random: SmallRng::seed_from_u64(seed),
         actors: Vec::new(),
         wanted: options.actors,
-        has_limits: !options.no_limits,
+        has_limits: !options.common.no_limits,
         killed: 0,
         worst: Worst::default(),
     };
     let result = run.run(options.kills);
     let (killed, worst) = (run.killed, run.worst);
     let result = result.map_err(|error| {
-        let listing = folder::listing(DOMAIN);
-        format!(
-            "{error}\nafter {killed} kills, seed {seed}\n{listing}what the processes said last:\n{}",
-            stage.complaints.text()
-        )
+        let (listing, said) = (folder::listing(DOMAIN), stage.complaints.text());
+        format!("{error}\nafter {killed} kills, seed {seed}\n{listing}{said}")
     });
     drop(run);
     result?;
@@ -93,14 +82,10 @@ pub fn run(options: &Options) -> Result<()> {
         worst.late,
         worst.files,
     );
-    if !options.no_limits && 100 * worst.late > worst.files {
+    if !options.common.no_limits && 100 * worst.late > worst.files {
         return Err(format!("more than 1 of 100 files of the dead stayed longer than {STAY:?}").into());
     }
     Ok(())
-}
-
-fn ms(time: Duration) -> String {
-    format!("{:.1} ms", time.as_secs_f64() * 1e3)
 }
 
 #[derive(Clone, Copy, Default)]
@@ -127,6 +112,16 @@ struct Actor {
     seed: u64,
     child: Child,
     due: Instant,
+}
+
+impl Actor {
+    /// Kills it, and what it leaves is watched from now on.
+    fn kill(mut self, watch: &Watch) -> Result<()> {
+        self.child.kill()?;
+        self.child.wait()?;
+        watch.died(self.child.id());
+        Ok(())
+    }
 }
 
 impl Drop for Actor {
@@ -156,7 +151,7 @@ impl Run {
     }
 
     fn start_actor(&mut self) -> Result<Actor> {
-        let role = *Role::ALL.choose(&mut self.random).expect("there are roles");
+        let role = *Role::value_variants().choose(&mut self.random).expect("there are roles");
         let seed = self.random.random();
         let mut command = self.stage.command(&role.part(), seed)?;
         let child = command.stdin(Stdio::null()).stdout(Stdio::null()).spawn()?;
@@ -177,8 +172,8 @@ impl Run {
         let before = survivors.all().map(Process::holdings);
         let watch = Watch::start(DOMAIN, STAY)?;
         self.kill(kills, &watch, true, &mut [])?;
-        self.end_actors(&watch)?;
-        wait("files of the dead to go", || Ok(watch.is_clean()), || watch.check(PATIENCE))?;
+        std::mem::take(&mut self.actors).into_iter().try_for_each(|actor| actor.kill(&watch))?;
+        wait("files of the dead to go", PATIENCE, || watch.check(PATIENCE).map(|()| watch.is_clean()))?;
         let mut after: [Holdings; 4] = Default::default();
         let is_as_before = || {
             after = survivors.all().map(Process::holdings);
@@ -187,7 +182,7 @@ impl Run {
             };
             Ok(after.iter().zip(&before).all(is_as_before))
         };
-        let released = wait("survivors to have what they had", is_as_before, || Ok(()));
+        let released = wait("survivors to have what they had", PATIENCE, is_as_before);
         released.map_err(|error| format!("{error}: before {before:?}, after {after:#?}"))?;
         survivors.check_messages()?;
         survivors.check_answers()?;
@@ -210,7 +205,7 @@ impl Run {
         idle.clear();
         let mut next = self.stage.start(ECHO)?;
         let is_clean = || Ok(folder::of_none(DOMAIN, &[next.id()]).is_empty());
-        wait("the next one to clean up", is_clean, || Ok(()))?;
+        wait("the next one to clean up", PATIENCE, is_clean)?;
         next.finish()
     }
 
@@ -220,36 +215,26 @@ impl Run {
             let actor = self.start_actor()?;
             self.actors.push(actor);
         }
-        let mut inspector = self.stage.start("inspector")?;
-        let (questions, asked) = channel::<usize>();
-        let (told, answers) = channel();
-        thread::scope(|scope| {
-            scope.spawn(|| inspect(&mut inspector, asked, told, has_survivors));
-            let mut is_asked = false;
-            for kill in 1..=kills {
-                match self.is_warden(idle) {
-                    Some(index) => self.replace_idle(&mut idle[index], watch)?,
-                    None => self.kill_next(watch)?,
-                }
-                self.killed += 1;
-                if kill % CHECK_EVERY == 0 || kill == kills {
-                    if is_asked {
-                        self.note(&answers, watch)?;
-                    }
-                    is_asked = questions.send(self.killed).is_ok();
-                }
+        let inspector = self.stage.start("inspector")?;
+        let mut looking: Looking = thread::spawn(move || Ok((inspector, None)));
+        for kill in 1..=kills {
+            match self.is_warden(idle) {
+                Some(index) => self.replace_idle(&mut idle[index], watch)?,
+                None => self.kill_next(watch)?,
             }
-            let noted = if is_asked { self.note(&answers, watch) } else { Ok(()) };
-            drop(questions);
-            noted
-        })?;
-        inspector.finish()
+            self.killed += 1;
+            if kill % CHECK_EVERY == 0 || kill == kills {
+                let (inspector, killed) = (self.note(looking, watch)?, self.killed);
+                looking = thread::spawn(move || look(inspector, killed, has_survivors));
+            }
+        }
+        self.note(looking, watch)?.finish()
     }
 
     /// The idle process that is the warden, if the others can take its place.
     fn is_warden(&mut self, idle: &mut [Idle]) -> Option<usize> {
         for idle in idle.iter_mut().filter(|idle| !idle.is_ready) {
-            idle.is_ready = idle.process.overhear().is_some();
+            idle.is_ready = idle.process.hear_within(Duration::ZERO).is_some();
         }
         if idle.iter().any(|idle| !idle.is_ready) || self.random.random_bool(0.5) {
             return None;
@@ -276,29 +261,19 @@ impl Run {
         watch.check(PATIENCE)?;
         let mut actor = self.actors.swap_remove(index);
         if let Some(status) = actor.child.try_wait()? {
-            let Actor { role, seed, .. } = actor;
+            let Actor { role, seed, .. } = &actor;
             return Err(format!("an actor ended by itself, {status}: {role:?} of seed {seed}").into());
         }
-        actor.child.kill()?;
-        actor.child.wait()?;
-        watch.died(actor.child.id());
+        actor.kill(watch)?;
         let next = self.start_actor()?;
         self.actors.push(next);
         Ok(())
     }
 
-    fn end_actors(&mut self, watch: &Watch) -> Result<()> {
-        for mut actor in std::mem::take(&mut self.actors) {
-            actor.child.kill()?;
-            actor.child.wait()?;
-            watch.died(actor.child.id());
-        }
-        Ok(())
-    }
-
-    /// Judges what the inspector found.
-    fn note(&mut self, answers: &Receiver<Result<Hundred>>, watch: &Watch) -> Result<()> {
-        let hundred = answers.recv().map_err(|_| "the inspector says nothing")??;
+    /// Judges what the inspector found, once it has; it can look again then.
+    fn note(&mut self, looking: Looking, watch: &Watch) -> Result<Process> {
+        let (inspector, hundred) = looking.join().map_err(|_| "the inspection panicked")??;
+        let Some(hundred) = hundred else { return Ok(inspector) };
         let stay = watch.take();
         let Hundred { kills, graph, met, late, stolen } = &hundred;
         let text = late.as_ref().map_or(String::new(), |late| {
@@ -334,20 +309,17 @@ impl Run {
             Some(late) if late.kept < late.expected || late.lost + late.missing > 0 => {
                 Err(format!("a late joiner lacks messages that were kept: {late:?}").into())
             }
-            _ => Ok(()),
+            _ => Ok(inspector),
         }
     }
 }
 
-/// Lives until it is the warden.
 struct Idle {
     process: Process,
     is_ready: bool,
 }
 
-/// What the inspector found after a hundred kills.
 struct Hundred {
-    /// How many processes had been killed.
     kills: usize,
     graph: Graph,
     met: Met,
@@ -356,34 +328,15 @@ struct Hundred {
     stolen: Duration,
 }
 
-/// Has the inspector look each time that it is asked to.
-fn inspect(
-    inspector: &mut Process,
-    asked: Receiver<usize>,
-    told: Sender<Result<Hundred>>,
-    has_survivors: bool,
-) {
-    let mut look = |kills| -> Result<Hundred> {
-        let before = folder::stolen();
-        let Said::Graph(graph) = inspector.ask("graph")? else { return Err("that is no graph".into()) };
-        let Said::Met(met) = inspector.ask("meet")? else { return Err("that is no meeting".into()) };
-        let stolen = folder::stolen().saturating_sub(before);
-        let late = match has_survivors {
-            false => None,
-            true => {
-                let Said::Late(late) = inspector.ask("late")? else {
-                    return Err("that is no late joiner".into());
-                };
-                Some(late)
-            }
-        };
-        Ok(Hundred { kills, graph, met, late, stolen })
-    };
-    for kills in asked {
-        if told.send(look(kills)).is_err() {
-            return;
-        }
-    }
+/// The inspector looks while others are killed.
+type Looking = JoinHandle<Result<(Process, Option<Hundred>)>>;
+
+fn look(mut inspector: Process, kills: usize, has_survivors: bool) -> Result<(Process, Option<Hundred>)> {
+    let before = folder::stolen();
+    let (graph, met) = (inspector.ask("graph")?, inspector.ask("meet")?);
+    let stolen = folder::stolen().saturating_sub(before);
+    let late = if has_survivors { Some(inspector.ask("late")?) } else { None };
+    Ok((inspector, Some(Hundred { kills, graph, met, late, stolen })))
 }
 
 struct Survivors {
@@ -400,16 +353,15 @@ impl Survivors {
 
     /// What was sent has come, or is counted.
     fn check_messages(&mut self) -> Result<()> {
-        let Said::Sent(sent) = self.publisher.ask("stop")? else { return Err("what was sent?".into()) };
+        let sent: Sent = self.publisher.ask("stop")?;
         let mut received = Received::default();
         let subscription = &mut self.subscription;
         let all_came = || {
-            let Said::Received(counts) = subscription.ask("report")? else { return Err("what came?".into()) };
-            received = counts;
+            received = subscription.ask("report")?;
             let Received { numbers, all, .. } = &received;
             Ok(numbers.received + numbers.lost == sent.numbers && all.received == sent.all)
         };
-        let came = wait("what was sent to come or be counted", all_came, || Ok(()));
+        let came = wait("what was sent to come or be counted", PATIENCE, all_came);
         let Received { numbers, shared, all } = &received;
         let Sent { longest_full_ms, .. } = sent;
         let sums = format!(
@@ -436,7 +388,7 @@ impl Survivors {
 
     /// What was asked has been answered, or ended with an error.
     fn check_answers(&mut self) -> Result<()> {
-        let Said::Asked(asked) = self.client.ask("stop")? else { return Err("what was asked?".into()) };
+        let asked: Asked = self.client.ask("stop")?;
         for (name, answers) in &asked {
             println!(
                 "       {name}: {} asked, {} answered, errors {:?}, at most {} ms",

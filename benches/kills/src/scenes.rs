@@ -3,10 +3,10 @@
 
 use crate::Result;
 use crate::inspector::Met;
-use crate::process::{PATIENCE, Said, say, told};
+use crate::process::{PATIENCE, Said, answer, say, told, wait};
 use crate::survivors::{PING, PONG};
+use clap::ValueEnum;
 use futures::FutureExt;
-use serde::{Deserialize, Serialize};
 use std::sync::mpsc::{TryRecvError, channel};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -25,8 +25,7 @@ const NUMBERS: &str = "/killed/numbers";
 const KEPT: &str = "/killed/kept";
 const ADD: &str = "/killed/add";
 
-/// How a scene is played.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Scene {
     /// A process has every kind of end, uses each, ends.
     Ends,
@@ -37,22 +36,9 @@ pub enum Scene {
 }
 
 impl Scene {
-    pub const ALL: [Scene; 3] = [Scene::Ends, Scene::Attach, Scene::Warden];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Scene::Ends => "ends",
-            Scene::Attach => "attach",
-            Scene::Warden => "warden",
-        }
+    pub fn name(self) -> String {
+        self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
     }
-}
-
-/// What the friend says of itself.
-#[derive(Debug, Serialize, Deserialize)]
-pub struct Friend {
-    /// How long a subscription that takes nothing any more has kept it from publishing.
-    pub full: Duration,
 }
 
 pub fn play(name: &str) -> Result<()> {
@@ -75,15 +61,8 @@ pub fn play(name: &str) -> Result<()> {
 }
 
 /// Waits for what another process does; not for ever.
-fn until(what: &str, mut is_so: impl FnMut() -> Result<bool>) -> Result<()> {
-    let start = Instant::now();
-    while !is_so()? {
-        if start.elapsed() > PATIENCE / 2 {
-            return Err(format!("waited in vain for {what}").into());
-        }
-        thread::sleep(Duration::from_millis(1));
-    }
-    Ok(())
+fn until(what: &str, is_so: impl FnMut() -> Result<bool>) -> Result<()> {
+    wait(what, PATIENCE / 2, is_so)
 }
 
 fn publisher(participant: &Participant, topic: &str, qos: Qos) -> Result<Publisher<UInt64>> {
@@ -196,15 +175,14 @@ fn warden(domain: u32, mut commands: impl Iterator<Item = String>) -> Result<()>
 
 /// Joins when it is told to, sends something to the warden, and is killed.
 fn be_victim(domain: u32) -> Result<()> {
-    let mut ends = Vec::new();
-    for _ in told() {
-        let participant = Participant::new(domain)?;
-        let numbers = publisher(&participant, NUMBERS, Qos::keep_last(100))?;
-        let kept = subscription(&participant, KEPT, kept_qos())?;
-        (0..10).try_for_each(|data| numbers.publish(&UInt64 { data }))?;
-        ends.push((participant, numbers, kept));
-        say(&Said::At("joined".into()));
-    }
+    let mut commands = told();
+    commands.next();
+    let participant = Participant::new(domain)?;
+    let numbers = publisher(&participant, NUMBERS, Qos::keep_last(100))?;
+    let _kept = subscription(&participant, KEPT, kept_qos())?;
+    (0..10).try_for_each(|data| numbers.publish(&UInt64 { data }))?;
+    say(&Said::Ready);
+    commands.for_each(drop);
     Ok(())
 }
 
@@ -299,13 +277,12 @@ fn be_friend(domain: u32) -> Result<()> {
                 ends = None;
                 say(&Said::Ready);
             }
-            Ok("is_there") => {
-                say(&Said::At(if ends.is_some() { "there" } else { "left" }.into()));
-            }
-            Ok("meet") => say(&Said::Met(ends.as_ref().ok_or("it has not joined")?.meet()?)),
-            Ok("report") => {
-                let full = ends.as_ref().and_then(|ends| ends.full_since);
-                say(&Said::Friend(Friend { full: full.map_or(Duration::ZERO, |since| since.elapsed()) }));
+            Ok("has_joined") => answer(&ends.is_some()),
+            Ok("meet") => answer(&ends.as_ref().ok_or("it has not joined")?.meet()?),
+            // How long a subscription that takes nothing any more has kept it from publishing.
+            Ok("full") => {
+                let full_since = ends.as_ref().and_then(|ends| ends.full_since);
+                answer(&full_since.map_or(Duration::ZERO, |since| since.elapsed()));
             }
             Ok(other) => return Err(format!("the friend is told '{other}'").into()),
             Err(TryRecvError::Disconnected) => return Ok(()),

@@ -3,13 +3,13 @@
 //! answered, or ends with an error.
 
 use crate::Result;
-use crate::process::{Said, say, told};
+use crate::process::{Said, answer, lock, say, told, wait};
 use futures::executor::block_on;
 use futures::{FutureExt, StreamExt};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 use tautline::example_interfaces::action::Fibonacci;
@@ -58,7 +58,6 @@ pub const fn kept_qos() -> Qos {
     Qos::keep_last(KEPT_DEPTH).transient_local()
 }
 
-/// How many messages the publisher has sent.
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub struct Sent {
     pub numbers: u64,
@@ -68,7 +67,6 @@ pub struct Sent {
     pub longest_full_ms: u64,
 }
 
-/// What became of them.
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub struct Received {
     pub numbers: Count,
@@ -76,7 +74,7 @@ pub struct Received {
     pub all: Count,
 }
 
-#[derive(Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Count {
     pub received: u64,
     pub lost: u64,
@@ -137,7 +135,6 @@ impl Drop for Spinning {
     }
 }
 
-/// Answers what newcomers say.
 fn answer_pings(node: &mut Node) -> Result<()> {
     let pings = node.subscribe::<UInt64>(PING, Qos::default())?;
     let pongs = node.create_publisher::<UInt64>(PONG, Qos::default())?;
@@ -149,7 +146,6 @@ fn answer_pings(node: &mut Node) -> Result<()> {
     Ok(())
 }
 
-/// Does nothing but answer newcomers.
 fn echo(context: &Context) -> Result<()> {
     let mut node = Node::create(context.clone(), "echo", "")?;
     answer_pings(&mut node)?;
@@ -175,14 +171,9 @@ fn publisher(context: &Context) -> Result<()> {
     let publish = {
         let stop = stop.clone();
         move || -> Result<Sent> {
-            let start = Instant::now();
             for (name, publisher) in [("numbers", &numbers), ("shared", &shared), ("all", &all)] {
-                while publisher.subscription_count() == 0 {
-                    if start.elapsed() > PATIENCE {
-                        return Err(format!("no subscription of {name} in {PATIENCE:?}").into());
-                    }
-                    thread::sleep(Duration::from_millis(1));
-                }
+                let is_matched = || Ok(publisher.subscription_count() > 0);
+                wait(&format!("a subscription of {name}"), PATIENCE, is_matched)?;
             }
             let (mut sent, mut kept_next, mut full_since) = (Sent::default(), Instant::now(), None);
             while !stop.load(Ordering::Acquire) {
@@ -224,7 +215,7 @@ fn publisher(context: &Context) -> Result<()> {
     commands.next();
     stop.store(true, Ordering::Release);
     match publishing.join() {
-        Ok(Ok(sent)) => say(&Said::Sent(sent)),
+        Ok(Ok(sent)) => answer(&sent),
         Ok(Err(error)) => say(&Said::Failed(error.to_string())),
         Err(_) => say(&Said::Failed("it panicked".into())),
     }
@@ -234,18 +225,13 @@ fn publisher(context: &Context) -> Result<()> {
 
 /// A queue is full for so long that no actor's can be it. Whose?
 fn full(publisher: &Publisher<UInt64>) -> String {
-    let ends = Context::domain_of_environment().map_err(|error| error.to_string());
-    let ends = ends.and_then(|domain| graph_of(domain).map_err(|error| error.to_string()));
-    let ends = ends.map_or_else(
-        |error| vec![error],
-        |graph| {
-            let ends = graph
-                .endpoints
-                .iter()
-                .filter(|end| end.topic == ALL && end.kind == EndpointKind::Subscription);
-            ends.map(|end| format!("{:?} of {:?} ({:?})", end.gid, end.pid, end.node)).collect()
-        },
-    );
+    let ends = || -> Result<Vec<String>> {
+        let graph = graph_of(Context::domain_of_environment()?)?;
+        let ends = graph.endpoints.iter();
+        let ends = ends.filter(|end| end.topic == ALL && end.kind == EndpointKind::Subscription);
+        Ok(ends.map(|end| format!("{:?} of {:?} ({:?})", end.gid, end.pid, end.node)).collect())
+    };
+    let ends = ends().unwrap_or_else(|error| vec![error.to_string()]);
     format!(
         "a queue is full for {PATIENCE:?}; {} subscriptions match; there are {ends:?}",
         publisher.subscription_count()
@@ -256,21 +242,19 @@ fn full(publisher: &Publisher<UInt64>) -> String {
 #[derive(Default)]
 struct Tally {
     last: HashMap<Gid, u64>,
-    received: u64,
-    missing: u64,
-    disordered: u64,
+    count: Count,
 }
 
 impl Tally {
     fn add(&mut self, publisher: Gid, number: u64) {
-        self.received += 1;
+        self.count.received += 1;
         let last = self.last.entry(publisher).or_insert(number.saturating_sub(1));
         match number.checked_sub(*last + 1) {
             Some(missing) => {
-                self.missing += missing;
+                self.count.missing += missing;
                 *last = number;
             }
-            None => self.disordered += 1,
+            None => self.count.disordered += 1,
         }
     }
 }
@@ -284,7 +268,7 @@ fn subscription(context: &Context) -> Result<()> {
         tallies.push((counters, tally.clone()));
         let count = subscription.for_each(move |sample| {
             let info = sample.info();
-            let mut tally = tally.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut tally = lock(&tally);
             tally.add(info.publisher_gid, info.sequence_number);
             async {}
         });
@@ -293,13 +277,10 @@ fn subscription(context: &Context) -> Result<()> {
     let _spinning = spin(context);
     say(&Said::Ready);
     for _ in told() {
-        let mut counts = tallies.iter().map(|(counters, tally)| {
-            let tally = tally.lock().unwrap_or_else(PoisonError::into_inner);
-            let Tally { received, missing, disordered, .. } = *tally;
-            Count { received, lost: counters.lost(), missing, disordered }
-        });
+        let mut counts =
+            tallies.iter().map(|(counters, tally)| Count { lost: counters.lost(), ..lock(tally).count });
         let mut next = || counts.next().unwrap_or_default();
-        say(&Said::Received(Received { numbers: next(), shared: next(), all: next() }));
+        answer(&Received { numbers: next(), shared: next(), all: next() });
     }
     Ok(())
 }
@@ -331,16 +312,14 @@ fn ask(
     name: &'static str,
     asked: &Arc<Mutex<Asked>>,
     stop: &Arc<AtomicBool>,
-    in_flight: &Arc<AtomicU64>,
     mut ask: impl FnMut() -> std::result::Result<bool, Error> + Send + 'static,
-) {
-    let (asked, stop, in_flight) = (asked.clone(), stop.clone(), in_flight.clone());
-    in_flight.fetch_add(1, Ordering::SeqCst);
+) -> JoinHandle<()> {
+    let (asked, stop) = (asked.clone(), stop.clone());
     thread::spawn(move || {
         while !stop.load(Ordering::SeqCst) {
             let start = Instant::now();
             let answer = ask();
-            let mut asked = asked.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut asked = lock(&asked);
             let answers = asked.entry(name.to_owned()).or_default();
             answers.asked += 1;
             answers.slowest_ms = answers.slowest_ms.max(start.elapsed().as_millis() as u64);
@@ -353,8 +332,7 @@ fn ask(
             drop(asked);
             thread::sleep(Duration::from_millis(2));
         }
-        in_flight.fetch_sub(1, Ordering::SeqCst);
-    });
+    })
 }
 
 /// What a server's queue of requests is when it takes none.
@@ -378,7 +356,7 @@ fn kind(error: &Error) -> String {
 
 fn client(context: &Context) -> Result<()> {
     let mut node = Node::create(context.clone(), "survivor_client", "")?;
-    let (asked, stop, in_flight) = (Arc::default(), Arc::default(), Arc::default());
+    let (asked, stop): (Arc<Mutex<Asked>>, Arc<AtomicBool>) = Default::default();
     let mut clients = Vec::new();
     for name in [ADD, ACTORS_ADD] {
         clients.push((name, node.create_client::<AddTwoInts::Service>(name)?));
@@ -388,15 +366,16 @@ fn client(context: &Context) -> Result<()> {
     say(&Said::Ready);
     let mut commands = told();
     commands.next();
+    let mut asking = Vec::new();
     for (name, client) in clients {
-        ask(name, &asked, &stop, &in_flight, move || {
+        asking.push(ask(name, &asked, &stop, move || {
             let response = block_on(client.request_timeout(&AddTwoInts::Request { a: 2, b: 3 }, PATIENCE)?)?;
             Ok(response.sum == 5)
-        });
+        }));
     }
     // Each step of a goal by itself: it has no limit of its own.
     let clock = node.context().events().clone();
-    ask(ACTORS_FIBONACCI, &asked, &stop, &in_flight, move || {
+    asking.push(ask(ACTORS_FIBONACCI, &asked, &stop, move || {
         let mut alarm = clock.alarm()?;
         let limit = tautline_rt::clock::monotonic_ns() + PATIENCE.as_nanos() as u64;
         alarm.set(Some(limit));
@@ -414,19 +393,16 @@ fn client(context: &Context) -> Result<()> {
                 () = late.fuse() => Err(Error::ServiceTimeout { service: ACTORS_FIBONACCI.into(), timeout: PATIENCE }),
             }
         })
-    });
+    }));
     for command in commands {
         if command == "stop" {
             stop.store(true, Ordering::SeqCst);
-            let start = Instant::now();
-            while in_flight.load(Ordering::SeqCst) != 0 && start.elapsed() < 2 * PATIENCE {
-                thread::sleep(Duration::from_millis(1));
-            }
-            if in_flight.load(Ordering::SeqCst) != 0 {
+            let have_ended = || Ok(asking.iter().all(JoinHandle::is_finished));
+            if wait("the last answers", 2 * PATIENCE, have_ended).is_err() {
                 say(&Said::Failed("a request neither ends nor fails".into()));
             }
         }
-        say(&Said::Asked(asked.lock().unwrap_or_else(PoisonError::into_inner).clone()));
+        answer(&*lock(&asked));
     }
     Ok(())
 }

@@ -2,18 +2,19 @@
 //! Each scene again and again, and each time the process in question is killed at another of its system calls: before it, after it, or
 //! a moment later. Then its friend must go on, a newcomer must find everything as it should be, and nothing of it may be left.
 
-use crate::Result;
 use crate::folder::{listing, of_dead, stolen};
-use crate::inspector::Graph;
+use crate::inspector::{Graph, Met};
 use crate::place::Place;
-use crate::process::{Complaints, PATIENCE, Process, Said, Stage, kill, threads, wait};
-use crate::scenes::{Friend, Scene};
+use crate::process::{Complaints, HELD_BY_IDLE, PATIENCE, Process, Stage, kill, lock, ms, threads, wait};
+use crate::scenes::Scene;
 use crate::tracer::{self, End, Point, When};
-use clap::Args;
+use crate::{Common, Result};
+use clap::{Args, ValueEnum};
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
+use std::collections::BTreeMap;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 use tautline_rt::domain::shared_path;
@@ -24,8 +25,6 @@ const ANSWER: Duration = Duration::from_millis(100);
 const STAY: Duration = Duration::from_millis(50);
 /// Each with a domain of its own, at the same time.
 const LANES: u32 = 2;
-/// Of a friend that has seen thousands die: see `random`.
-const HELD_BY_IDLE: usize = 32;
 
 #[derive(Args, Debug)]
 pub struct Options {
@@ -35,18 +34,13 @@ pub struct Options {
     /// At all points
     #[arg(long)]
     all: bool,
-    /// What is random goes by this [default: random]
-    #[arg(long, value_name = "S")]
-    seed: Option<u64>,
-    /// Measure times, and do not judge them: other programs run
-    #[arg(long)]
-    no_limits: bool,
+    #[command(flatten)]
+    common: Common,
     /// At one point, 20 times: the scene, the number of the call, and before, after or soon
     #[arg(long, value_name = "SCENE:CALL:WHEN", value_parser = parse)]
     at: Option<Job>,
 }
 
-/// A point of a scene.
 #[derive(Clone, Copy, Debug)]
 struct Job {
     scene: Scene,
@@ -67,7 +61,6 @@ impl std::fmt::Display for Job {
 fn parse(text: &str) -> std::result::Result<Job, String> {
     let parts: Vec<_> = text.split(':').collect();
     let [scene, call, when] = parts[..] else { return Err("it is SCENE:CALL:WHEN".into()) };
-    let named = Scene::ALL.into_iter().find(|named| named.name() == scene);
     let when = match when {
         "before" => When::Before,
         "after" => When::After,
@@ -75,38 +68,33 @@ fn parse(text: &str) -> std::result::Result<Job, String> {
         _ => return Err(format!("'{when}' is not before, after or soon")),
     };
     let call = call.parse().map_err(|_| format!("'{call}' is no number"))?;
-    Ok(Job {
-        scene: named.ok_or_else(|| format!("there is no scene '{scene}'"))?,
-        point: Point { call, when },
-    })
+    Ok(Job { scene: Scene::from_str(scene, false)?, point: Point { call, when } })
 }
 
-/// The worst of what was measured.
-#[derive(Clone, Copy, Debug, Default)]
-struct Worst {
+/// What came of the points of a scene.
+#[derive(Clone, Debug, Default)]
+struct Outcome {
     killed: usize,
     survived: usize,
-    stay: Duration,
-    graph: Duration,
-    own: Duration,
-    newcomer: Duration,
-    full: Duration,
+    /// The longest times, by what took them.
+    longest: BTreeMap<&'static str, Duration>,
 }
 
-impl Worst {
-    fn join(&mut self, other: &Worst) {
+impl Outcome {
+    fn note(&mut self, what: &'static str, time: Duration) {
+        let longest = self.longest.entry(what).or_default();
+        *longest = time.max(*longest);
+    }
+
+    fn join(&mut self, other: &Outcome) {
         self.killed += other.killed;
         self.survived += other.survived;
-        self.stay = self.stay.max(other.stay);
-        self.graph = self.graph.max(other.graph);
-        self.own = self.own.max(other.own);
-        self.newcomer = self.newcomer.max(other.newcomer);
-        self.full = self.full.max(other.full);
+        other.longest.iter().for_each(|(what, time)| self.note(what, *time));
     }
 }
 
 pub fn run(options: &Options) -> Result<()> {
-    let seed = options.seed.unwrap_or_else(rand::random);
+    let seed = options.common.seed.unwrap_or_else(rand::random);
     let mut random = SmallRng::seed_from_u64(seed);
     let place = Place::new()?;
     let stage = Stage { domain: 1, complaints: Complaints::collect()? };
@@ -116,7 +104,7 @@ pub fn run(options: &Options) -> Result<()> {
         None => plan(options, &stage, &mut random)?,
     };
     println!("{} points, seed {seed}", jobs.len());
-    for scene in Scene::ALL {
+    for &scene in Scene::value_variants() {
         let mut jobs: Vec<Job> = jobs.iter().filter(|job| job.scene == scene).copied().collect();
         for job in jobs.iter_mut().filter(|job| matches!(job.point.when, When::Soon(_))) {
             job.point.when = Point::soon(&mut random);
@@ -124,18 +112,13 @@ pub fn run(options: &Options) -> Result<()> {
         if jobs.is_empty() {
             continue;
         }
-        let worst = play(scene, &jobs, options, &stage).map_err(|error| format!("{error}; seed {seed}"))?;
+        let outcome = play(scene, &jobs, options, &stage).map_err(|error| format!("{error}; seed {seed}"))?;
+        let Outcome { killed, survived, longest } = outcome;
+        let longest: Vec<_> = longest.iter().map(|(what, time)| format!("{what} {}", ms(*time))).collect();
         println!(
-            "{:>6}: killed at {} points ({} more were beyond its end); at most: files of the dead {}, graph {}, the friend's own message {}, a \
-             newcomer's {}, a publisher held up {}",
+            "{:>6}: killed at {killed} points ({survived} more were beyond its end); at most: {}",
             scene.name(),
-            worst.killed,
-            worst.survived,
-            ms(worst.stay),
-            ms(worst.graph),
-            ms(worst.own),
-            ms(worst.newcomer),
-            ms(worst.full),
+            longest.join(", ")
         );
     }
     place.check()?;
@@ -143,14 +126,10 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-fn ms(time: Duration) -> String {
-    format!("{:.1} ms", time.as_secs_f64() * 1e3)
-}
-
 /// Which points: each call of each scene, in each way, or so many of them.
 fn plan(options: &Options, stage: &Stage, random: &mut SmallRng) -> Result<Vec<Job>> {
     let mut all = Vec::new();
-    for scene in Scene::ALL {
+    for &scene in Scene::value_variants() {
         let mut lane = Lane::start(scene, stage.clone())?;
         let mut calls = 0;
         for _ in 0..3 {
@@ -177,17 +156,16 @@ fn plan(options: &Options, stage: &Stage, random: &mut SmallRng) -> Result<Vec<J
     Ok(chosen.collect())
 }
 
-/// All points of a scene, by several lanes.
-fn play(scene: Scene, jobs: &[Job], options: &Options, stage: &Stage) -> Result<Worst> {
-    let (next, worst) = (AtomicUsize::new(0), Mutex::new(Worst::default()));
+fn play(scene: Scene, jobs: &[Job], options: &Options, stage: &Stage) -> Result<Outcome> {
+    let (next, outcome) = (AtomicUsize::new(0), Mutex::new(Outcome::default()));
     let play = |domain: u32| -> Result<()> {
         let mut lane = Lane::start(scene, Stage { domain, ..stage.clone() })?;
-        lane.has_limits = !options.no_limits;
+        lane.has_limits = !options.common.no_limits;
         while let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
             lane.at = job.to_string();
             let result = lane.play(Some(job.point)).and_then(|end| {
-                lane.worst.killed += usize::from(end.is_killed);
-                lane.worst.survived += usize::from(!end.is_killed);
+                lane.outcome.killed += usize::from(end.is_killed);
+                lane.outcome.survived += usize::from(!end.is_killed);
                 match end.code {
                     Some(code) if code != 0 => Err(format!("it ended by itself with {code}").into()),
                     _ => Ok(()),
@@ -196,21 +174,18 @@ fn play(scene: Scene, jobs: &[Job], options: &Options, stage: &Stage) -> Result<
             if let Err(error) = result {
                 // The others need not go on.
                 next.store(jobs.len(), Ordering::Relaxed);
-                let (listing, said) = (listing(domain), stage.complaints.text());
-                let at = &lane.at;
-                return Err(
-                    format!("{error}\nat {at}\n{listing}what the processes said last:\n{said}").into()
-                );
+                let (listing, said, at) = (listing(domain), stage.complaints.text(), &lane.at);
+                return Err(format!("{error}\nat {at}\n{listing}{said}").into());
             }
         }
-        worst.lock().unwrap_or_else(PoisonError::into_inner).join(&lane.worst);
+        lock(&outcome).join(&lane.outcome);
         lane.finish()
     };
     thread::scope(|scope| {
         let lanes: Vec<_> = (1..=LANES).map(|domain| scope.spawn(move || play(domain))).collect();
         lanes.into_iter().try_for_each(|lane| lane.join().unwrap_or_else(|_| Err("a lane panicked".into())))
     })?;
-    Ok(worst.into_inner().unwrap_or_else(PoisonError::into_inner))
+    Ok(lock(&outcome).clone())
 }
 
 /// A domain in which a scene is played over and over.
@@ -221,10 +196,8 @@ struct Lane {
     /// Files that it had open at the start.
     friends_files: usize,
     inspector: Process,
-    victim: Option<Process>,
-    worst: Worst,
+    outcome: Outcome,
     has_limits: bool,
-    /// Where in the scene.
     at: String,
 }
 
@@ -232,12 +205,11 @@ impl Lane {
     fn start(scene: Scene, stage: Stage) -> Result<Self> {
         let (mut friend, inspector) = (stage.start("scene-friend")?, stage.start("inspector")?);
         if scene != Scene::Warden {
-            friend.tell("join")?;
-            friend.expect_ready()?;
+            friend.order("join")?;
         }
         let friends_files = friend.holdings().files;
-        let (victim, worst, has_limits, at) = Default::default();
-        Ok(Lane { scene, stage, friend, friends_files, inspector, victim, worst, has_limits, at })
+        let (outcome, has_limits, at) = Default::default();
+        Ok(Lane { scene, stage, friend, friends_files, inspector, outcome, has_limits, at })
     }
 
     /// Plays the scene once, and looks what it left.
@@ -274,25 +246,20 @@ impl Lane {
 
     /// The others' parts while the warden plays; returns the victim, if it has died, and when.
     fn direct(&mut self, warden: &mut Process) -> Result<Option<(u32, Instant)>> {
-        if warden.hear_or_end().is_none() {
+        if warden.hear_within(2 * PATIENCE).is_none() {
             return Ok(None);
         }
-        self.friend.tell("join")?;
-        self.friend.expect_ready()?;
-        let mut victim = match self.victim.take() {
-            Some(victim) => victim,
-            None => self.stage.start("scene-victim")?,
-        };
-        victim.ask("join")?;
+        self.friend.order("join")?;
+        let mut victim = self.stage.start("scene-victim")?;
+        victim.order("join")?;
         victim.kill()?;
         let died = Some((victim.id(), Instant::now()));
         // It may have been killed meanwhile.
         let _ = warden.tell("next");
-        if warden.hear_or_end().is_some() {
-            self.friend.tell("leave")?;
-            self.friend.expect_ready()?;
+        if warden.hear_within(2 * PATIENCE).is_some() {
+            self.friend.order("leave")?;
             let _ = warden.tell("end");
-            while warden.hear_or_end().is_some() {}
+            while warden.hear_within(2 * PATIENCE).is_some() {}
         }
         Ok(died)
     }
@@ -303,51 +270,37 @@ impl Lane {
             if end.code.is_some() && shared_path(self.stage.domain).exists() {
                 return Err("all have left, and the folder stays".into());
             }
-            if end.code.is_some() || victim.is_none() || self.friend_has_left()? {
-                self.friend.tell("join")?;
-                self.friend.expect_ready()?;
+            if end.code.is_some() || victim.is_none() || !self.friend.ask::<bool>("has_joined")? {
+                self.friend.order("join")?;
             }
         }
         for (pid, died) in [Some((pid, end.at)), victim].into_iter().flatten() {
             // Whoever cleans up may have come later.
             let since = if self.scene == Scene::Warden { start.max(died) } else { died };
-            loop {
-                let left = of_dead(self.stage.domain, pid);
-                if left.is_empty() {
-                    break;
-                }
+            let mut left = of_dead(self.stage.domain, pid);
+            while !left.is_empty() {
                 if since.elapsed() > PATIENCE / 4 {
                     return Err(format!("files of {pid}, which is dead, stay: {left:?}").into());
                 }
                 thread::sleep(Duration::from_micros(200));
+                left = of_dead(self.stage.domain, pid);
             }
-            self.worst.stay = self.worst.stay.max(since.elapsed());
-            self.within(STAY, since.elapsed(), before, "the files of the dead stayed")?;
+            self.within(STAY, since.elapsed(), before, "files of the dead")?;
         }
-        let Said::Met(own) = self.friend.ask("meet")? else { return Err("the friend says nothing".into()) };
-        let Said::Graph(graph) = self.inspector.ask(&format!("graph {pid}"))? else {
-            return Err("no graph".into());
-        };
-        let Said::Met(met) = self.inspector.ask("meet")? else { return Err("no meeting".into()) };
-        let Said::Friend(Friend { full }) = self.friend.ask("report")? else {
-            return Err("no report".into());
-        };
-        let Graph { took, of_process, .. } = graph;
+        let own: Met = self.friend.ask("meet")?;
+        let Graph { took, of_process, .. } = self.inspector.ask(&format!("graph {pid}"))?;
+        let met: Met = self.inspector.ask("meet")?;
+        let full: Duration = self.friend.ask("full")?;
         if of_process > 0 {
             return Err(format!("the graph has {of_process} things of a process that is dead").into());
         }
-        let worst = &mut self.worst;
-        worst.graph = worst.graph.max(took);
-        worst.own = worst.own.max(own.answered);
-        worst.newcomer = worst.newcomer.max(met.answered);
-        worst.full = worst.full.max(full);
-        self.within(ANSWER, took, before, "the graph took")?;
-        self.within(ANSWER, own.answered, before, "the friend's new ends took")?;
-        self.within(ANSWER, met.answered, before, &format!("a newcomer ({met:?}) took"))?;
-        self.within(ANSWER, full, before, "a publisher was held up")?;
+        self.within(ANSWER, took, before, "graph")?;
+        self.within(ANSWER, own.answered, before, "the friend's own message")?;
+        let newcomer = self.within(ANSWER, met.answered, before, "a newcomer's message");
+        newcomer.map_err(|error| format!("{error}: {met:?}"))?;
+        self.within(ANSWER, full, before, "a publisher held up")?;
         if self.scene == Scene::Warden {
-            self.friend.tell("leave")?;
-            self.friend.expect_ready()?;
+            self.friend.order("leave")?;
             if shared_path(self.stage.domain).exists() {
                 return Err("all have left or died, and the folder stays".into());
             }
@@ -355,22 +308,24 @@ impl Lane {
         Ok(())
     }
 
-    /// Whether a time is within its limit and what was stolen.
-    fn within(&self, limit: Duration, time: Duration, stolen_before: Duration, what: &str) -> Result<()> {
+    /// Notes a time, which is to be within its limit and what was stolen.
+    fn within(
+        &mut self,
+        limit: Duration,
+        time: Duration,
+        stolen_before: Duration,
+        what: &'static str,
+    ) -> Result<()> {
+        self.outcome.note(what, time);
         if time <= limit || time <= limit + stolen().saturating_sub(stolen_before) {
             return Ok(());
         }
-        let late = format!("{what} {}, more than {}", ms(time), ms(limit));
+        let late = format!("{what}: {}, more than {}", ms(time), ms(limit));
         if self.has_limits {
             return Err(late.into());
         }
         println!("       {late}, at {}", self.at);
         Ok(())
-    }
-
-    /// Whether the scene has come to where the friend leaves.
-    fn friend_has_left(&mut self) -> Result<bool> {
-        Ok(matches!(self.friend.ask("is_there")?, Said::At(place) if place == "left"))
     }
 
     fn finish(mut self) -> Result<()> {
@@ -380,7 +335,7 @@ impl Lane {
             holdings = self.friend.holdings();
             Ok(holdings.files == self.friends_files && holdings.removed.len() <= HELD_BY_IDLE)
         };
-        let released = wait("the friend to have what it had", is_as_before, || Ok(()));
+        let released = wait("the friend to have what it had", PATIENCE, is_as_before);
         released.map_err(|error| format!("{error}: {} files, and {holdings:?}", self.friends_files))?;
         self.inspector.finish()?;
         self.friend.finish()

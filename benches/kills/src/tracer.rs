@@ -74,7 +74,6 @@ pub fn follow(pid: u32, point: Option<Point>, started: &Sender<()>) -> Result<En
             continue;
         }
         let (signal, event) = (libc::WSTOPSIG(status), status >> 16);
-        let mut forwarded = 0;
         if signal == libc::SIGTRAP | 0x80 {
             let is_entry = within.insert(thread);
             if is_entry {
@@ -83,15 +82,12 @@ pub fn follow(pid: u32, point: Option<Point>, started: &Sender<()>) -> Result<En
                 within.remove(&thread);
             }
             // What follows on the last one's end is found there, whichever thread makes the next one.
-            let Some(point) = point.filter(|point| point.call == end.calls) else {
+            let is_there =
+                |point: &Point| point.call == end.calls && is_entry == (point.when == When::Before);
+            let Some(point) = point.filter(is_there) else {
                 resume(thread, 0)?;
                 continue;
             };
-            let is_there = is_entry == (point.when == When::Before);
-            if !is_there {
-                resume(thread, 0)?;
-                continue;
-            }
             end.number = number(thread);
             if let When::Soon(time) = point.when {
                 resume(thread, 0)?;
@@ -105,11 +101,8 @@ pub fn follow(pid: u32, point: Option<Point>, started: &Sender<()>) -> Result<En
             unsafe { libc::kill(pid, libc::SIGKILL) };
             continue;
         }
-        if event == 0 {
-            // A signal for the process itself.
-            forwarded = signal;
-        }
-        resume(thread, forwarded)?;
+        // Without an event it is a signal for the process itself.
+        resume(thread, if event == 0 { signal } else { 0 })?;
     }
 }
 

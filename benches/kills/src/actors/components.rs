@@ -29,7 +29,6 @@ pub fn check() -> Result<()> {
     [CONTAINER, LIBRARY].iter().try_for_each(|name| beside(name).map(drop))
 }
 
-/// Becomes a container.
 pub fn contain() -> Result<()> {
     let library = beside(LIBRARY)?;
     let loads = COMPONENTS.map(|component| format!("{}:{component}", library.display()));
@@ -54,16 +53,11 @@ pub fn load(actor: &mut Actor) -> Result<()> {
                 node_namespace: "/actors".into(),
                 ..Default::default()
             };
-            if let Ok(response) = load.request_timeout(&request, limit) {
-                let loaded = block_on(response);
-                if let Some(LoadNode::Response { unique_id, .. }) =
-                    loaded.ok().filter(|loaded| loaded.success)
-                {
-                    let request = UnloadNode::Request { unique_id };
-                    if let Ok(response) = unload.request_timeout(&request, limit) {
-                        let _ = block_on(response);
-                    }
-                }
+            if let Ok(response) = load.request_timeout(&request, limit)
+                && let Ok(LoadNode::Response { success: true, unique_id, .. }) = block_on(response)
+                && let Ok(response) = unload.request_timeout(&UnloadNode::Request { unique_id }, limit)
+            {
+                let _ = block_on(response);
             }
             actor.rest();
         }

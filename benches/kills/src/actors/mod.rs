@@ -9,6 +9,7 @@ mod topics;
 pub use components::check;
 
 use crate::{Result, survivors};
+use clap::ValueEnum;
 use rand::rngs::SmallRng;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -16,8 +17,7 @@ use std::thread;
 use std::time::Duration;
 use tautline::{Context, Node, Realtime};
 
-/// What an actor does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Role {
     Topics,
     Services,
@@ -26,29 +26,17 @@ pub enum Role {
     Lifecycle,
     /// `taut-container` with two components.
     Container,
-    /// Loads and unloads components of containers.
     Loader,
 }
 
 impl Role {
-    pub const ALL: [Role; 7] = [
-        Role::Topics,
-        Role::Services,
-        Role::Actions,
-        Role::Parameters,
-        Role::Lifecycle,
-        Role::Container,
-        Role::Loader,
-    ];
-
     pub fn part(self) -> String {
-        format!("actor-{self:?}")
+        format!("actor-{}", format!("{self:?}").to_lowercase())
     }
 }
 
 pub fn play(name: &str, seed: u64) -> Result<()> {
-    let role = Role::ALL.into_iter().find(|role| format!("{role:?}") == name);
-    let role = role.ok_or_else(|| format!("no actor {name}"))?;
+    let role = Role::from_str(name, false)?;
     if role == Role::Container {
         return components::contain();
     }
@@ -65,7 +53,6 @@ pub fn play(name: &str, seed: u64) -> Result<()> {
     }
 }
 
-/// What all actors have.
 struct Actor {
     context: Context,
     random: SmallRng,

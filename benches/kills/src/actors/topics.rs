@@ -3,8 +3,9 @@
 
 use super::Actor;
 use crate::Result;
+use crate::process::lock;
 use crate::survivors::{ALL, KEPT, NUMBERS, SHARED, all_qos, kept_qos, numbers_qos};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use tautline::lifecycle::CallbackReturn;
 use tautline::std_msgs::msg::{String as Text, UInt64};
 use tautline::{
@@ -111,11 +112,11 @@ struct Managed {
 
 impl Managed {
     fn set(&self, publisher: Option<Publisher<Text>>) {
-        *self.publisher.lock().unwrap_or_else(PoisonError::into_inner) = publisher;
+        *lock(&self.publisher) = publisher;
     }
 
     fn publish(&self) {
-        if let Some(publisher) = &*self.publisher.lock().unwrap_or_else(PoisonError::into_inner) {
+        if let Some(publisher) = &*lock(&self.publisher) {
             let _ = publisher.publish(&Text { data: "managed".into() });
         }
     }
