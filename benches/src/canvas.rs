@@ -6,7 +6,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
+use crate::Result;
 
 /// Text and axes.
 pub const INK: RGBColor = RGBColor(34, 40, 49);
@@ -52,32 +52,29 @@ impl<'a> Canvas<'a> {
         Ok(canvas)
     }
 
-    /// Completes the document.
-    pub fn finish(self) -> Result<()> {
+    pub fn finish(self) -> Result {
         self.0.present().map_err(failed)
     }
 
-    /// A filled one.
-    pub fn rectangle(&self, from: (i32, i32), to: (i32, i32), colour: RGBColor) -> Result<()> {
+    pub fn rectangle(&self, from: (i32, i32), to: (i32, i32), colour: RGBColor) -> Result {
         self.0.draw(&Rectangle::new([from, to], colour.filled())).map_err(failed)
     }
 
-    pub fn line(&self, from: (i32, i32), to: (i32, i32), colour: RGBColor, width: u32) -> Result<()> {
+    pub fn line(&self, from: (i32, i32), to: (i32, i32), colour: RGBColor, width: u32) -> Result {
         self.0.draw(&PathElement::new([from, to], colour.stroke_width(width))).map_err(failed)
     }
 
     /// A deadline: vertical and dashed.
-    pub fn deadline(&self, x: i32, top: i32, bottom: i32) -> Result<()> {
+    pub fn deadline(&self, x: i32, top: i32, bottom: i32) -> Result {
         (top..bottom).step_by(8).try_for_each(|y| self.line((x, y), (x, (y + 5).min(bottom)), DEADLINE, 2))
     }
 
     /// A bar that goes on beyond the picture ends in this: a triangle that points to the right.
-    pub fn beyond(&self, x: i32, y: i32, colour: RGBColor) -> Result<()> {
+    pub fn beyond(&self, x: i32, y: i32, colour: RGBColor) -> Result {
         self.0.draw(&Polygon::new([(x, y - 5), (x, y + 5), (x + 6, y)], colour)).map_err(failed)
     }
 
-    /// A text at a point.
-    pub fn text(&self, text: &str, at: (i32, i32), words: Words) -> Result<()> {
+    pub fn text(&self, text: &str, at: (i32, i32), words: Words) -> Result {
         // The SVG backend divides sizes by 1.24.
         let style = if words.bold { FontStyle::Bold } else { FontStyle::Normal };
         let font = FontDesc::new(FontFamily::SansSerif, f64::from(words.pixels) * 1.24, style);

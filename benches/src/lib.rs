@@ -16,6 +16,7 @@
 //! measured, `claims.toml` what must hold, `claims` judges it, `table` and `page` show it.
 #![allow(missing_docs, reason = "many names say it all")]
 
+mod beside;
 pub mod canvas;
 pub mod claims;
 mod distribution;
@@ -25,16 +26,28 @@ pub mod page;
 mod process;
 mod program;
 pub mod rows;
+mod run;
 mod scratch;
 mod stage;
 pub mod table;
 mod turns;
 
+pub use beside::Beside;
 pub use distribution::Distribution;
 pub use gateways::{Gateways, Host};
 pub use machine::{Disturbance, machine, version_of};
 pub use process::Process;
 pub use program::{exit, interrupted, progress_bar, two_cores, write, write_json};
+pub use run::{Run, one_core};
 pub use scratch::Scratch;
 pub use stage::Stage;
-pub use turns::{Turns, print_no_verdict, print_verdict};
+pub use turns::{TurnRow, Turns};
+
+/// What nobody handles but the person who reads it.
+pub type Result<T = ()> = std::result::Result<T, Box<dyn std::error::Error>>;
+
+/// The cells of a table's row.
+#[macro_export]
+macro_rules! cells {
+    ($($cell:expr),* $(,)?) => { [$($crate::table::Cell::from($cell)),*] };
+}

@@ -5,7 +5,6 @@ use std::fmt::{self, Write};
 
 use crate::claims::Verdict;
 
-/// Their looks.
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;color:#222831;max-width:1120px;margin:2em auto;padding:0 1em}\
 h1{font-size:26px;margin-bottom:.2em}h2{font-size:19px;margin:2em 0 .4em}p,li{max-width:68em}\
 figure{margin:1em 0;overflow-x:auto}figcaption{color:#666e7a;font-size:14px;max-width:68em}\
@@ -18,7 +17,6 @@ th{background:#f4f6f8;position:sticky;top:0}.l{text-align:left}.w{white-space:no
 .verdicts b{display:inline-block;width:5.6em;text-indent:0;margin-right:.6em}\
 .yes{color:#1a7f37}.no{color:#cc2026}.unknown{color:#666e7a}";
 
-/// What ends one.
 pub const END: &str = "</body></html>\n";
 
 /// Begins one: what the window is called, the heading, and what is said below it, which may have marks.
@@ -49,6 +47,11 @@ pub fn verdicts(out: &mut String, heading: &str, verdicts: &[Verdict]) -> fmt::R
     Ok(())
 }
 
+/// A picture and what it shows.
+pub fn figure(out: &mut String, svg: &str, caption: &str) -> fmt::Result {
+    writeln!(out, "<figure>\n{svg}\n<figcaption>{caption}</figcaption></figure>")
+}
+
 /// A heading and a list of lines.
 pub fn list(out: &mut String, title: &str, lines: &[String]) -> fmt::Result {
     writeln!(out, "<h2>{title}</h2>\n<ul>")?;
@@ -59,7 +62,6 @@ pub fn list(out: &mut String, title: &str, lines: &[String]) -> fmt::Result {
     Ok(())
 }
 
-/// As text of a page.
 pub fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }

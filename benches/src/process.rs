@@ -14,7 +14,7 @@ use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal
 use serde::de::DeserializeOwned;
 use tautline_rt::domain::scope;
 
-type Result<T> = std::result::Result<T, Box<dyn Error>>;
+use crate::Result;
 
 /// How long a process may take to end.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -105,10 +105,7 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
                 Ok(Err(error)) => return Err(format!("the {} is not understood: {error}", self.name).into()),
                 Err(RecvTimeoutError::Timeout) if left.is_zero() => return Ok(None),
                 Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => {
-                    let words = self.last_words();
-                    return Err(format!("the {} ended early: {words}", self.name).into());
-                }
+                Err(RecvTimeoutError::Disconnected) => return Err(self.ended_early()),
             }
         }
     }
@@ -119,17 +116,13 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
     }
 
     /// Writes a line to its standard input, and closes it.
-    pub fn tell(&mut self, line: &str) -> Result<()> {
+    pub fn tell(&mut self, line: &str) -> Result {
         let mut input = self.child.stdin.take().ok_or("the input of the child is a pipe")?;
-        if writeln!(input, "{line}").is_err() {
-            let words = self.last_words();
-            return Err(format!("the {} ended early: {words}", self.name).into());
-        }
-        Ok(())
+        writeln!(input, "{line}").map_err(|_| self.ended_early())
     }
 
     /// Closes its standard input and waits for the end, which must be a success.
-    pub fn finish(&mut self) -> Result<()> {
+    pub fn finish(&mut self) -> Result {
         drop(self.child.stdin.take());
         let since = Instant::now();
         loop {
@@ -148,14 +141,16 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
     }
 
     /// Says whether it still runs.
-    pub fn still_runs(&mut self) -> Result<()> {
+    pub fn still_runs(&mut self) -> Result {
         match self.child.try_wait()? {
             None => Ok(()),
-            Some(_) => {
-                let words = self.last_words();
-                Err(format!("the {} ended early: {words}", self.name).into())
-            }
+            Some(_) => Err(self.ended_early()),
         }
+    }
+
+    fn ended_early(&mut self) -> Box<dyn Error> {
+        let words = self.last_words();
+        format!("the {} ended early: {words}", self.name).into()
     }
 
     /// Asks it to end, as a terminal does, and kills it if it does not within a second.

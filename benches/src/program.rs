@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What every bench's program does.
 
-use std::error::Error;
 use std::fmt::Display;
 use std::path::Path;
 use std::process::ExitCode;
@@ -13,7 +12,7 @@ use serde::Serialize;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tautline_rt::CoreSet;
 
-type Result<T> = std::result::Result<T, Box<dyn Error>>;
+use crate::Result;
 
 /// Says why a program failed.
 pub fn exit(name: &str, result: std::result::Result<(), impl Display>) -> ExitCode {
@@ -56,11 +55,11 @@ pub fn progress_bar(steps: u64) -> ProgressBar {
     ProgressBar::new(steps).with_style(style)
 }
 
-pub fn write(path: &Path, text: &str) -> Result<()> {
+pub fn write(path: &Path, text: &str) -> Result {
     std::fs::write(path, text).map_err(|error| format!("cannot write {}: {error}", path.display()).into())
 }
 
 /// Writes the numbers of a run.
-pub fn write_json(path: &Path, numbers: &(impl Serialize + ?Sized)) -> Result<()> {
+pub fn write_json(path: &Path, numbers: &(impl Serialize + ?Sized)) -> Result {
     write(path, &(serde_json::to_string_pretty(numbers)? + "\n"))
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use tautline_rt::domain::set_scope;
 use tempfile::TempDir;
 
-type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
+use crate::Result;
 
 /// Where the systems of one run keep their files, Tautline's in a scope that nobody else is in; all of them are removed on drop, also
 /// those of killed processes.

@@ -14,7 +14,7 @@ use futures::StreamExt;
 use serde::Serialize;
 use std::process::ExitCode;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tautline::rt::clock::{burn_cpu, monotonic_ns};
 use tautline::{
@@ -22,7 +22,10 @@ use tautline::{
 };
 use tautline_analysis::taken::{self, Sight, Taken, TakenTimes};
 use tautline_analysis::{Response, Task, response_times};
-use tautline_benches::{Disturbance, Stage, machine, print_no_verdict, print_verdict};
+use tautline_benches::claims::Verdict;
+use tautline_benches::table::Column::{Number, Words};
+use tautline_benches::table::Table;
+use tautline_benches::{Beside, Disturbance, Result, Run, Stage, cells, machine};
 use tautline_rt::CoreSet;
 
 /// Periods in ms, which are the deadlines.
@@ -35,12 +38,8 @@ const PRIORITY: u8 = 40;
 /// Measures what overruns of one callback do to the deadlines of others.
 #[derive(Parser)]
 struct Options {
-    /// A twentieth of the runs: half a minute
-    #[arg(long)]
-    quick: bool,
-    /// Write the numbers to FILE as well
-    #[arg(long, value_name = "FILE")]
-    json: Option<std::path::PathBuf>,
+    #[command(flatten)]
+    run: Run,
     /// Repeat the choices of a run that printed this seed
     #[arg(long)]
     seed: Option<u64>,
@@ -65,10 +64,11 @@ impl Part {
     }
 }
 
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct Row {
     part: &'static str,
     runs: u64,
+    /// In which others missed deadlines.
     runs_with_misses: u64,
     /// Of these runs: those in which what the host took from the core explains each late job.
     runs_explained: u64,
@@ -89,8 +89,8 @@ fn main() -> ExitCode {
     tautline_benches::exit("budgets", measure(&Options::parse()))
 }
 
-fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
-    let runs = if options.quick { 50 } else { 1_000 };
+fn measure(options: &Options) -> Result {
+    let runs = if options.run.quick { 50 } else { 1_000 };
     let seed = options.seed.unwrap_or_else(tautline::rt::clock::monotonic_ns);
     println!("seed {seed}");
     let (machine, mut rows) = (machine(), Vec::new());
@@ -103,7 +103,7 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     report(&rows, options, &machine)
 }
 
-fn measure_part(part: Part, runs: u64, seed: u64) -> Result<Row, Box<dyn std::error::Error>> {
+fn measure_part(part: Part, runs: u64, seed: u64) -> Result<Row> {
     let stage = Stage::with(Context::builder().account_core_time(Some(ContextBuilder::CORE_TIME_PIECE)))?;
     let disturbance = Disturbance::start();
     let mut node = Node::create(stage.context.clone(), "budgets_bench", "")?;
@@ -132,49 +132,28 @@ fn measure_part(part: Part, runs: u64, seed: u64) -> Result<Row, Box<dyn std::er
     let watch = Watch { callbacks: &watched, tasks, bounds, sampler };
     let begin_ns = monotonic_ns();
     let seen = stage.spin_while(callbacks, || run(part, runs, seed, stage.core, &more, &watch))?;
-    let pieces = || seen.taken.iter();
     let sum = |of: fn(&CallbackHandle) -> u64| watched.iter().map(of).sum();
     Ok(Row {
         part: part.name(),
         runs,
-        runs_with_misses: seen.runs,
-        runs_explained: seen.explained,
-        runs_waited: seen.waited,
         minutes: (monotonic_ns() - begin_ns) as f64 / 60e9,
-        taken_ms: pieces().sum::<u64>() as f64 / 1e6,
-        longest_taken_ms: pieces().max().copied().unwrap_or(0) as f64 / 1e6,
-        misses: seen.misses,
         overruns: sum(|callback| callback.stats().overruns()),
         demotions: sum(|callback| callback.stats().demotions()),
         realtime: stage.is_fit(),
         disturbance: disturbance.report(),
+        ..seen
     })
 }
 
-/// What others missed.
-#[derive(Default)]
-struct Seen {
-    runs: u64,
-    explained: u64,
-    waited: u64,
-    misses: u64,
-    /// The pieces that the host took, in ns.
-    taken: Vec<u64>,
-}
-
-/// One overrun after the other. In how many runs others missed deadlines, and how many.
-fn run(part: Part, runs: u64, seed: u64, core: usize, more: &[Arc<AtomicU64>], watch: &Watch) -> Seen {
+/// One overrun after the other: what others missed.
+fn run(part: Part, runs: u64, seed: u64, core: usize, more: &[Arc<AtomicU64>], watch: &Watch) -> Row {
     let callbacks = watch.callbacks;
     let longest = Duration::from_millis(PERIODS_MS[PERIODS_MS.len() - 1]);
-    let stop = Arc::new(AtomicBool::new(part != Part::None));
     // A core that computes is one from which a hypervisor takes time: so it does while something overruns.
-    let computing = std::thread::spawn({
-        let stop = stop.clone();
-        move || {
-            let bound = tautline_rt::set_affinity(CoreSet::one(core));
-            while bound.is_ok() && !stop.load(Ordering::Relaxed) {
-                std::hint::spin_loop();
-            }
+    let computing = Beside::start(move |stop| {
+        let bound = tautline_rt::set_affinity(CoreSet::one(core));
+        while part == Part::None && bound.is_ok() && !stop.load(Ordering::Relaxed) {
+            std::hint::spin_loop();
         }
     });
     std::thread::sleep(2 * longest);
@@ -186,7 +165,7 @@ fn run(part: Part, runs: u64, seed: u64, core: usize, more: &[Arc<AtomicU64>], w
         random ^= random << 17;
         random % limit
     };
-    let mut seen = Seen::default();
+    let mut seen = Row::default();
     for _ in 0..runs {
         let (who, times) = (below(callbacks.len() as u64) as usize, 2 + below(99));
         let missed = || callbacks.iter().map(Missed::so_far).collect::<Vec<_>>();
@@ -206,14 +185,16 @@ fn run(part: Part, runs: u64, seed: u64, core: usize, more: &[Arc<AtomicU64>], w
             others.map(|(_, (now, before))| now.late + now.passed - before.late - before.passed).sum::<u64>();
         let (cause, taken) = watch.cause(who, begin_ns, &before);
         seen.misses += now;
-        seen.runs += u64::from(now > 0);
-        seen.explained += u64::from(now > 0 && cause == Cause::Host);
-        seen.waited += u64::from(now > 0 && cause == Cause::Waits);
-        seen.taken.extend(taken.pieces().iter().map(|piece| piece.length_ns));
+        seen.runs_with_misses += u64::from(now > 0);
+        seen.runs_explained += u64::from(now > 0 && cause == Cause::Host);
+        seen.runs_waited += u64::from(now > 0 && cause == Cause::Waits);
+        for piece in taken.pieces() {
+            let taken_ms = piece.length_ns as f64 / 1e6;
+            seen.taken_ms += taken_ms;
+            seen.longest_taken_ms = seen.longest_taken_ms.max(taken_ms);
+        }
     }
-    stop.store(true, Ordering::Relaxed);
-    // It only computes.
-    let _ = computing.join();
+    computing.end();
     seen
 }
 
@@ -233,7 +214,6 @@ impl Missed {
     }
 }
 
-/// Why deadlines were missed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Cause {
     Host,
@@ -270,7 +250,6 @@ impl Late {
     }
 }
 
-/// Who is asked what it saw.
 struct Watch<'a> {
     callbacks: &'a [CallbackHandle],
     tasks: Vec<Task>,
@@ -306,7 +285,7 @@ impl Watch<'_> {
                     }
                     _ => continue,
                 };
-                sights.push(Sight { taken: piece(&moment, seen, length_ns), thread: i as u64, priority });
+                sights.push(sight(&moment, seen, length_ns, i as u64, priority));
             }
         }
         let sampler = self.sampler.and_then(|sampler| sampler.snapshot());
@@ -317,8 +296,7 @@ impl Watch<'_> {
                 MomentKind::Waited => taken::Seen::Waited,
                 _ => continue,
             };
-            let taken = piece(&moment, seen, moment.length_ns);
-            sights.push(Sight { taken, thread: u64::MAX, priority: Some(u8::MAX) });
+            sights.push(sight(&moment, seen, moment.length_ns, u64::MAX, Some(u8::MAX)));
         }
         let pieces = sights.iter().map(|sight| sight.taken);
         let known = TakenTimes::new(pieces.filter(|piece| piece.seen != taken::Seen::Waited));
@@ -333,69 +311,54 @@ impl Watch<'_> {
     }
 }
 
-fn piece(moment: &Moment, seen: taken::Seen, length_ns: u64) -> Taken {
-    Taken { from_ns: moment.from_ns, to_ns: moment.to_ns, length_ns, seen }
+fn sight(moment: &Moment, seen: taken::Seen, length_ns: u64, thread: u64, priority: Option<u8>) -> Sight {
+    let taken = Taken { from_ns: moment.from_ns, to_ns: moment.to_ns, length_ns, seen };
+    Sight { taken, thread, priority }
 }
 
-fn report(rows: &[Row], options: &Options, machine: &str) -> Result<(), Box<dyn std::error::Error>> {
+fn report(rows: &[Row], options: &Options, machine: &str) -> Result {
     println!("\nmissed deadlines of the others, while a callback does 2 to 100 times its work\n");
-    println!(
-        "{:<22}  {:>5}  {:>7}  {:>9}  {:>9}  {:>6}  {:>7}  {:>9}  {:>9}",
-        "", "runs", "minutes", "with some", "explained", "waited", "misses", "overruns", "held"
-    );
+    let numbers = ["runs", "minutes", "with some", "explained", "waited", "misses", "overruns", "held"];
+    let columns = [Words("")].into_iter().chain(numbers.map(Number)).collect::<Vec<_>>();
+    let mut table = Table::new(0, columns);
     for row in rows {
-        println!(
-            "{:<22}  {:>5}  {:>7.1}  {:>9}  {:>9}  {:>6}  {:>7}  {:>9}  {:>9}",
+        table.add(cells![
             row.part,
             row.runs,
-            row.minutes,
+            format!("{:.1}", row.minutes),
             row.runs_with_misses,
             row.runs_explained,
             row.runs_waited,
             row.misses,
             row.overruns,
             row.demotions
-        );
+        ]);
     }
-    println!("\n{machine}");
+    println!("{table}\n\n{machine}");
     for row in rows {
         println!(
             "{}: the host took {:.1} ms of the core, at most {:.1} ms at once; {}",
             row.part, row.taken_ms, row.longest_taken_ms, row.disturbance
         );
     }
-    println!();
-    if let Some(path) = &options.json {
-        tautline_benches::write_json(path, rows)?;
-    }
+    options.run.write(rows)?;
     let [none, counted, demoted, suspended] = rows else { return Err("a part is missing".into()) };
-    if !(demoted.realtime && suspended.realtime) {
-        print_no_verdict();
-        return Ok(());
-    }
     // What the machine does by itself may happen a little more often or less.
     let unexplained = |row: &Row| row.runs_with_misses - row.runs_explained;
     let most = |row: &Row| 2.0 * unexplained(none) as f64 * row.minutes / none.minutes + 1.0;
     let is_kept = |row: &Row| unexplained(row) as f64 <= most(row);
-    print_verdict(
-        // Overruns that nothing holds are seen: else nothing would be proven.
-        is_kept(demoted) && is_kept(suspended) && !is_kept(counted),
-        &format!(
-            "a held overrun costs no other callback its deadline: some was missed that nothing taken from the core explains in {} of {} runs with \
-             demotion ({:.1} minutes) and {} of {} with suspension ({:.1} minutes), in {} of {} while nobody overran \
-             ({:.1} minutes), and in {} of {} where overruns were only counted",
-            unexplained(demoted),
-            demoted.runs,
-            demoted.minutes,
-            unexplained(suspended),
-            suspended.runs,
-            suspended.minutes,
-            unexplained(none),
-            none.runs,
-            none.minutes,
-            unexplained(counted),
-            counted.runs
-        ),
+    // Overruns that nothing holds are seen: else nothing would be proven.
+    let holds = is_kept(demoted) && is_kept(suspended) && !is_kept(counted);
+    let part = |row: &Row| format!("{} of {} runs ({:.1} minutes)", unexplained(row), row.runs, row.minutes);
+    let found = format!(
+        "some was missed that nothing taken from the core explains in {} with demotion and {} with suspension, in {} \
+         while nobody overran, and in {} where overruns were only counted",
+        part(demoted),
+        part(suspended),
+        part(none),
+        part(counted)
     );
+    let judged = (demoted.realtime && suspended.realtime).then_some(holds);
+    println!("\n{}", Verdict::new("a held overrun costs no other callback its deadline", found, judged));
     Ok(())
 }

@@ -9,7 +9,6 @@
 
 use clap::Parser;
 use futures::StreamExt;
-use serde::Serialize;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -17,7 +16,9 @@ use std::time::Duration;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::std_msgs::msg::UInt64;
 use tautline::{CallbackOptions, ContextBuilder, Node, Publisher, Qos, SubscriptionEvent};
-use tautline_benches::{Distribution, Disturbance, Stage, Turns, machine, print_no_verdict, print_verdict};
+use tautline_benches::claims::Verdict;
+use tautline_benches::table::of_rows;
+use tautline_benches::{Beside, Distribution, Disturbance, Result, Run, Stage, TurnRow, Turns, machine};
 use tautline_rt::{CoreSet, Policy};
 
 const TOPICS: u64 = 200;
@@ -34,15 +35,10 @@ const RATIO_LIMIT: f64 = 2.0;
 /// Measures how late events of missed deadlines are.
 #[derive(Parser)]
 struct Options {
-    /// Fewer and shorter rounds: some seconds
-    #[arg(long)]
-    quick: bool,
-    /// Write the numbers to FILE as well
-    #[arg(long, value_name = "FILE")]
-    json: Option<std::path::PathBuf>,
+    #[command(flatten)]
+    run: Run,
 }
 
-/// What is due in this part of the run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
     BareSleep,
@@ -62,32 +58,6 @@ impl Part {
     }
 }
 
-/// How late things were in one part of all rounds.
-struct Lateness {
-    part: Part,
-    turns: Turns,
-    /// Missed deadlines of which no event came.
-    lost: u64,
-}
-
-#[derive(Serialize)]
-struct Row {
-    experiment: &'static str,
-    system: &'static str,
-    mode: &'static str,
-    payload_bytes: usize,
-    n: u64,
-    p50_us: f64,
-    p99_us: f64,
-    p999_us: f64,
-    max_us: f64,
-    lost: u64,
-    /// Of the 99th percentile to that of the bare sleeps: the median of the rounds, the least and the greatest.
-    ratio: [f64; 3],
-    realtime: bool,
-    disturbance: String,
-}
-
 /// Where the part that is measured now records.
 #[derive(Default)]
 struct Recorder {
@@ -96,7 +66,6 @@ struct Recorder {
     now: Mutex<Distribution>,
     told: AtomicU64,
     left_out: AtomicU64,
-    stop: AtomicBool,
 }
 
 impl Recorder {
@@ -118,9 +87,9 @@ fn main() -> ExitCode {
     tautline_benches::exit("deadlines", measure(&Options::parse()))
 }
 
-fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
+fn measure(options: &Options) -> Result {
     let (rounds, part) =
-        if options.quick { (3, Duration::from_secs(1)) } else { (15, Duration::from_secs(3)) };
+        if options.run.quick { (3, Duration::from_secs(1)) } else { (15, Duration::from_secs(3)) };
     let (machine, disturbance) = (machine(), Disturbance::start());
     let stage = Stage::new()?;
     let (core, publishing_core) = (stage.core, stage.other_core);
@@ -155,23 +124,35 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     callbacks.push(node.spawn_callback(options_of("timer"), tick)?);
     let policy = |priority: u8| stage.realtime.then_some(Policy::Fifo(priority));
     let measured = stage.spin_while(callbacks, || {
-        let publishing = std::thread::spawn({
-            // As a driver: what it leaves out is what is missed, and no more.
-            let (recorder, policy) = (recorder.clone(), policy(ContextBuilder::SAMPLER_PRIORITY - 1));
-            move || publish(&publishers, &recorder, publishing_core, policy)
-        });
-        let sleeping = std::thread::spawn({
-            let (recorder, policy) = (recorder.clone(), policy(ContextBuilder::SAMPLER_PRIORITY));
-            move || sleep(&recorder, core, policy)
-        });
+        // As a driver: what it leaves out is what is missed, and no more.
+        let (to, below) = (recorder.clone(), policy(ContextBuilder::SAMPLER_PRIORITY - 1));
+        let publishing = Beside::start(move |stop| publish(&publishers, &to, publishing_core, below, stop));
+        let (to, same) = (recorder.clone(), policy(ContextBuilder::SAMPLER_PRIORITY));
+        let sleeping = Beside::start(move |stop| sleep(&to, core, same, stop));
         let measured = run(&recorder, rounds, part);
-        recorder.stop.store(true, Ordering::Relaxed);
-        publishing.join().map_err(|_| "the publishing thread panicked")??;
-        sleeping.join().map_err(|_| "the sleeping thread panicked")??;
+        publishing.end()?;
+        sleeping.end()?;
         measured
     })?;
     drop(subscriptions);
-    report(&measured?, options, stage.is_fit(), &machine, &disturbance.report())
+    let (mut rows, disturbance) = (measured?, disturbance.report());
+    for row in &mut rows {
+        (row.realtime, row.disturbance) = (stage.is_fit(), disturbance.clone());
+    }
+    println!("µs after the time that it was due, while {TOPICS} topics of 100 Hz are published\n");
+    println!("{}\n\n{machine}\n{disturbance}\n", of_rows(rows.iter().map(|row| &row.row)));
+    options.run.write(&rows)?;
+    let of_event = rows.last().ok_or("nothing was measured")?;
+    let ratio = of_event.ratio.map_or(f64::NAN, |[median, ..]| median);
+    let (lost, judged) = (of_event.row.lost, |holds: bool| stage.is_fit().then_some(holds));
+    let claim = "an event comes at most one resolution of this machine's timers after an exact one would";
+    let found = format!("p99 {ratio:.2} x that of a bare sleep (median of rounds), at most {RATIO_LIMIT}");
+    println!("{}", Verdict::new(claim, found, judged(ratio <= RATIO_LIMIT)));
+    println!(
+        "{}",
+        Verdict::new("every missed deadline is told", format!("{lost} were not"), judged(lost == 0))
+    );
+    Ok(())
 }
 
 /// All topics, one after the other, in each period; while deadlines are measured some messages are left out.
@@ -180,13 +161,14 @@ fn publish(
     recorder: &Recorder,
     core: usize,
     policy: Option<Policy>,
-) -> Result<(), tautline_rt::RtError> {
+    stop: &AtomicBool,
+) -> std::result::Result<(), tautline_rt::RtError> {
     tautline_rt::set_affinity(CoreSet::one(core))?;
     policy.map_or(Ok(()), tautline_rt::set_policy)?;
     let start_ns = monotonic_ns() + PERIOD_NS;
     for round in 0.. {
         for (index, publisher) in (0..).zip(publishers) {
-            if recorder.stop.load(Ordering::Relaxed) {
+            if stop.load(Ordering::Relaxed) {
                 return Ok(());
             }
             sleep_until_monotonic(start_ns + round * PERIOD_NS + index * (PERIOD_NS / TOPICS));
@@ -201,11 +183,16 @@ fn publish(
     Ok(())
 }
 
-fn sleep(recorder: &Recorder, core: usize, policy: Option<Policy>) -> Result<(), tautline_rt::RtError> {
+fn sleep(
+    recorder: &Recorder,
+    core: usize,
+    policy: Option<Policy>,
+    stop: &AtomicBool,
+) -> std::result::Result<(), tautline_rt::RtError> {
     tautline_rt::set_affinity(CoreSet::one(core))?;
     policy.map_or(Ok(()), tautline_rt::set_policy)?;
     let mut due_ns = monotonic_ns();
-    while !recorder.stop.load(Ordering::Relaxed) {
+    while !stop.load(Ordering::Relaxed) {
         // While others are measured it is not in their way.
         let period_ns = if recorder.is_on(Part::BareSleep) { OTHER_PERIOD_NS } else { 10 * PERIOD_NS };
         due_ns = (due_ns + period_ns).max(monotonic_ns());
@@ -215,11 +202,8 @@ fn sleep(recorder: &Recorder, core: usize, policy: Option<Policy>) -> Result<(),
     Ok(())
 }
 
-fn run(
-    recorder: &Recorder,
-    rounds: usize,
-    part: Duration,
-) -> Result<Vec<Lateness>, Box<dyn std::error::Error>> {
+/// How late things were in each part of all rounds.
+fn run(recorder: &Recorder, rounds: u32, part: Duration) -> Result<Vec<TurnRow>> {
     // Until what was left out before, or is left out last, has been told: some deadlines.
     let pause = Duration::from_nanos(10 * DEADLINE_NS);
     std::thread::sleep(pause);
@@ -241,64 +225,12 @@ fn run(
         let mut now = recorder.now.lock().map_err(|_| "a callback panicked")?;
         Ok::<_, &str>(std::mem::take(&mut *now))
     })?;
-    let of_part = |((part, turns), lost)| Lateness { part, turns, lost };
+    let of_part = |((part, turns), lost): ((Part, Turns), u64)| {
+        let system = if part == Part::BareSleep { "linux" } else { "tautline" };
+        let mut row = turns.row("lateness", system, part.name(), "bare sleep");
+        // Missed deadlines of which no event came.
+        (row.row.payload_bytes, row.row.lost) = (size_of::<u64>(), lost);
+        row
+    };
     Ok(Part::ALL.into_iter().zip(turns).zip(lost).map(of_part).collect())
-}
-
-fn report(
-    results: &[Lateness],
-    options: &Options,
-    is_judged: bool,
-    machine: &str,
-    disturbance: &str,
-) -> Result<(), Box<dyn std::error::Error>> {
-    let row = |of: &Lateness| {
-        let times = &of.turns.of_all;
-        Row {
-            experiment: "lateness",
-            system: if of.part == Part::BareSleep { "linux" } else { "tautline" },
-            mode: of.part.name(),
-            payload_bytes: size_of::<u64>(),
-            n: times.len(),
-            p50_us: times.quantile_us(0.5),
-            p99_us: times.quantile_us(0.99),
-            p999_us: times.quantile_us(0.999),
-            max_us: times.max_us(),
-            lost: of.lost,
-            ratio: of.turns.ratio(),
-            realtime: is_judged,
-            disturbance: disturbance.to_owned(),
-        }
-    };
-    let rows: Vec<Row> = results.iter().map(row).collect();
-    println!("µs after the time that it was due, while {TOPICS} topics of 100 Hz are published\n");
-    println!(
-        "{:<30}  {:>6}  {:>7}  {:>7}  {:>7}  {:>7}  {:>5}  p99 to the bare sleep's",
-        "what", "n", "p50", "p99", "p99.9", "max", "lost"
-    );
-    for Row { mode, n, p50_us, p99_us, p999_us, max_us, lost, ratio, .. } in &rows {
-        let [median, least, greatest] = ratio;
-        println!(
-            "{mode:<30}  {n:>6}  {p50_us:7.1}  {p99_us:7.1}  {p999_us:7.1}  {max_us:7.1}  {lost:>5}  {median:.2} ({least:.2} to \
-             {greatest:.2})"
-        );
-    }
-    println!("\n{machine}\n{disturbance}\n");
-    if let Some(path) = &options.json {
-        tautline_benches::write_json(path, &rows)?;
-    }
-    let Some(of_event) = rows.last().filter(|_| is_judged) else {
-        print_no_verdict();
-        return Ok(());
-    };
-    let ratio = of_event.ratio[0];
-    print_verdict(
-        ratio <= RATIO_LIMIT,
-        &format!(
-            "an event comes at most one resolution of this machine's timers after an exact one would: p99 {ratio:.2} times that of a \
-             bare sleep (median of rounds), limit {RATIO_LIMIT}"
-        ),
-    );
-    print_verdict(of_event.lost == 0, &format!("every missed deadline is told: {} were not", of_event.lost));
-    Ok(())
 }

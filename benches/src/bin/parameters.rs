@@ -9,7 +9,6 @@
 
 use clap::Parser;
 use futures::StreamExt;
-use serde::Serialize;
 use std::hint::black_box;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,8 +16,13 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::{CallbackOptions, Node, ParameterReader, Parameters};
-use tautline_benches::rows::extent;
-use tautline_benches::{Distribution, Disturbance, Stage, Turns, machine, print_no_verdict, print_verdict};
+use tautline_benches::claims::Verdict;
+use tautline_benches::rows::{Row, extent};
+use tautline_benches::table::Column::{Number, Words};
+use tautline_benches::table::{Table, of_rows};
+use tautline_benches::{
+    Beside, Distribution, Disturbance, Result, Run, Stage, TurnRow, Turns, cells, machine,
+};
 use tautline_rt::CoreSet;
 use tautline_rt::host::steal_ticks;
 
@@ -34,37 +38,10 @@ const P99_RATIO_LIMIT: f64 = 1.1;
 /// Measures reading parameters beside a thread that sets them.
 #[derive(Parser)]
 struct Options {
-    /// Fewer rounds: some seconds
-    #[arg(long)]
-    quick: bool,
-    /// Write the numbers to FILE as well
-    #[arg(long, value_name = "FILE")]
-    json: Option<std::path::PathBuf>,
+    #[command(flatten)]
+    run: Run,
 }
 
-struct Report {
-    machine: String,
-    disturbance: String,
-    realtime: bool,
-    /// The callback's core, and that of the thread that sets.
-    cores: [usize; 2],
-    reads: Vec<Read>,
-    callback: Vec<Callback>,
-}
-
-/// Nanoseconds per read, of each round.
-struct Read {
-    what: &'static str,
-    payload_bytes: usize,
-    being_set: bool,
-    rounds: usize,
-    calls: u64,
-    min_ns: f64,
-    p50_ns: f64,
-    max_ns: f64,
-}
-
-/// What the other thread does meanwhile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Meanwhile {
     Nothing,
@@ -81,102 +58,6 @@ impl Meanwhile {
             Meanwhile::Wakes => "a thread wakes",
             Meanwhile::Sets => "a thread sets",
         }
-    }
-}
-
-/// Response times of the callback's jobs: from the release of the timer to the end of the job.
-struct Callback {
-    meanwhile: Meanwhile,
-    jobs: Turns,
-    missed: u64,
-    sets: u64,
-    steal_ticks: u64,
-}
-
-/// A line of the JSON, as other measurements have it.
-#[derive(Serialize)]
-struct Row {
-    experiment: &'static str,
-    system: &'static str,
-    mode: String,
-    payload_bytes: usize,
-    n: u64,
-    p50_us: f64,
-    p99_us: Option<f64>,
-    p999_us: Option<f64>,
-    max_us: f64,
-    lost: u64,
-    /// Of the callback's 99th percentile to the quiet one: the median of the rounds, the least and the greatest.
-    ratio: Option<[f64; 3]>,
-    steal_ticks: Option<u64>,
-    realtime: bool,
-    disturbance: String,
-}
-
-impl Report {
-    fn rows(&self) -> Vec<Row> {
-        let reads = self.reads.iter().map(|read| Row {
-            experiment: "read",
-            system: if read.what.contains("r2r") { "r2r's way" } else { "tautline" },
-            mode: format!("{}, {}", read.what, if read.being_set { "being set" } else { "not being set" }),
-            payload_bytes: read.payload_bytes,
-            n: read.rounds as u64 * read.calls,
-            p50_us: read.p50_ns / 1e3,
-            // Only each round as a whole is measured.
-            p99_us: None,
-            p999_us: None,
-            max_us: read.max_ns / 1e3,
-            lost: 0,
-            ratio: None,
-            steal_ticks: None,
-            realtime: false,
-            disturbance: self.disturbance.clone(),
-        });
-        let callback = self.callback.iter().map(|of| Row {
-            experiment: "callback",
-            system: "tautline",
-            mode: of.meanwhile.name().to_owned(),
-            payload_bytes: 0,
-            n: of.jobs.of_all.len(),
-            p50_us: of.jobs.of_all.quantile_us(0.5),
-            p99_us: Some(of.jobs.of_all.quantile_us(0.99)),
-            p999_us: Some(of.jobs.of_all.quantile_us(0.999)),
-            max_us: of.jobs.of_all.max_us(),
-            lost: of.missed,
-            ratio: Some(of.jobs.ratio()),
-            steal_ticks: Some(of.steal_ticks),
-            realtime: self.realtime,
-            disturbance: self.disturbance.clone(),
-        });
-        reads.chain(callback).collect()
-    }
-
-    /// What was asked for, and whether it is so.
-    fn verdicts(&self) -> Vec<(bool, String)> {
-        let slowest = self.reads.iter().filter(|read| read.is_of_reader());
-        let slowest = slowest.map(|read| read.p50_ns).fold(0.0, f64::max);
-        let sets = self.callback.iter().find(|of| of.meanwhile == Meanwhile::Sets);
-        let ratio = sets.map_or(f64::NAN, |of| of.jobs.ratio()[0]);
-        vec![
-            (
-                slowest < READ_LIMIT_NS,
-                format!("a read costs {slowest:.0} ns at most (median of rounds), limit {READ_LIMIT_NS} ns"),
-            ),
-            (
-                ratio <= P99_RATIO_LIMIT,
-                format!(
-                    "the callback's p99 beside {SETS_PER_SECOND} sets/s is {ratio:.2} times the quiet one (median of rounds), \
-                     limit {P99_RATIO_LIMIT}"
-                ),
-            ),
-        ]
-    }
-}
-
-impl Read {
-    /// Those through a `ParameterReader`, as a callback should.
-    fn is_of_reader(&self) -> bool {
-        READS[..3].iter().any(|(what, ..)| *what == self.what)
     }
 }
 
@@ -200,123 +81,129 @@ impl Readers {
     }
 }
 
-fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
-    let (rounds, reads, parts, part) = match options.quick {
+fn measure(options: &Options) -> Result {
+    let (rounds, reads, parts, part) = match options.run.quick {
         true => (5, 100_000, 3, Duration::from_millis(500)),
         false => (21, 1_000_000, 15, Duration::from_secs(4)),
     };
     // Before this program confines itself to cores.
     let (machine, disturbance) = (machine(), Disturbance::start());
     let stage = Stage::new()?;
-    let (cores, realtime) = ([stage.core, stage.other_core], stage.realtime);
     let mut node = Node::create(stage.context.clone(), "parameters_bench", "")?;
     node.declare_parameter("gain", 1.5)?;
     node.declare_parameter("gains", vec![0.5; 16])?;
     node.declare_parameter("frame", "base_link".to_owned())?;
 
-    let reads = read_costs(&node, rounds, reads, cores)?;
+    let mut rows = read_costs(&stage, &node, rounds, reads)?;
+    let slowest_us =
+        rows.iter().filter(|read| read.row.system == "tautline").filter_map(|read| read.row.p50_us);
+    let slowest_ns = slowest_us.fold(0.0, f64::max) * 1e3;
     let callback = disturbance_of_callback(&stage, &node, parts, part)?;
-    let report = Report { machine, disturbance: disturbance.report(), realtime, cores, reads, callback };
-    print(&report);
-    if let Some(path) = &options.json {
-        tautline_benches::write_json(path, &report.rows())?;
-    }
-    if !stage.is_fit() {
-        print_no_verdict();
-        return Ok(());
-    }
-    for (holds, what) in report.verdicts() {
-        print_verdict(holds, &what);
-    }
+    let ratio = callback.last().and_then(|sets| sets.ratio).map_or(f64::NAN, |[median, ..]| median);
+
+    let policy = if stage.realtime { "SCHED_FIFO" } else { "no real-time priority" };
+    let (core, other_core) = (stage.core, stage.other_core);
+    println!(
+        "\nµs from release to end of a 1 kHz timer's job of {READS_PER_JOB} x 3 reads, {policy} on core {core}, the other thread \
+         on core {other_core}\n{}",
+        of_rows(callback.iter().map(|row| &row.row))
+    );
+    let disturbance = disturbance.report();
+    println!("\n{machine}\n{disturbance}\n");
+    rows.extend(callback);
+    rows.iter_mut().for_each(|row| row.disturbance = disturbance.clone());
+    options.run.write(&rows)?;
+    let judged = |holds: bool| stage.is_fit().then_some(holds);
+    let claim = format!("a read costs less than {READ_LIMIT_NS} ns");
+    let found = format!("{slowest_ns:.0} ns at most (median of rounds)");
+    println!("{}", Verdict::new(claim, found, judged(slowest_ns < READ_LIMIT_NS)));
+    let claim = format!(
+        "the callback's p99 beside {SETS_PER_SECOND} sets/s is at most {P99_RATIO_LIMIT} x the quiet one"
+    );
+    println!(
+        "{}",
+        Verdict::new(claim, format!("{ratio:.2} x (median of rounds)"), judged(ratio <= P99_RATIO_LIMIT))
+    );
     Ok(())
 }
 
-/// Sets the parameters, one after the other, until it is dropped.
-struct Setter {
-    stop: Arc<AtomicBool>,
-    thread: Option<std::thread::JoinHandle<u64>>,
+/// Sets the parameters, one after the other, or only wakes as often; returns how often.
+fn set_beside(parameters: Parameters, core: usize, sets_any: bool) -> Beside<u64> {
+    Beside::start(move |stop| {
+        // Where the measured thread does not run, if there is another core.
+        let _ = tautline_rt::set_affinity(CoreSet::one(core));
+        let (start_ns, mut sets) = (monotonic_ns(), 0);
+        while !stop.load(Ordering::Relaxed) {
+            let value = sets as f64;
+            let set = match sets % 3 {
+                _ if !sets_any => Ok(()),
+                0 => parameters.set("gain", value),
+                1 => parameters.set("gains", vec![value; 16]),
+                _ => parameters.set("frame", format!("frame {sets}")),
+            };
+            set.expect("any such value may be set");
+            sets += 1;
+            sleep_until_monotonic(start_ns + sets * (1_000_000_000 / SETS_PER_SECOND));
+        }
+        sets
+    })
 }
 
-impl Setter {
-    fn start(parameters: Parameters, core: usize, sets_any: bool) -> Setter {
-        let stop = Arc::new(AtomicBool::new(false));
-        let stopped = stop.clone();
-        let thread = std::thread::spawn(move || {
-            // Where the measured thread does not run, if there is another core.
-            let _ = tautline_rt::set_affinity(CoreSet::one(core));
-            let (start_ns, mut sets) = (monotonic_ns(), 0);
-            while !stopped.load(Ordering::Relaxed) {
-                let value = sets as f64;
-                let set = match sets % 3 {
-                    _ if !sets_any => Ok(()),
-                    0 => parameters.set("gain", value),
-                    1 => parameters.set("gains", vec![value; 16]),
-                    _ => parameters.set("frame", format!("frame {sets}")),
-                };
-                set.expect("any such value may be set");
-                sets += 1;
-                sleep_until_monotonic(start_ns + sets * (1_000_000_000 / SETS_PER_SECOND));
-            }
-            sets
-        });
-        Setter { stop, thread: Some(thread) }
-    }
+type Work = fn(&mut Readers, &Parameters);
 
-    fn stop(mut self) -> u64 {
-        self.stop.store(true, Ordering::Relaxed);
-        self.thread.take().map_or(0, |thread| thread.join().expect("the setter does not panic"))
-    }
-}
-
-type Work = fn(&mut Readers, &Parameters, &Node);
-
-/// What, its size, and the read. The first three are a callback's.
-const READS: [(&str, usize, Work); 4] = [
-    ("f64", 8, |readers, _, _| {
+/// What, whose way, its size, and the read.
+const READS: [(&str, &str, usize, Work); 4] = [
+    ("f64", "tautline", 8, |readers, _| {
         black_box(readers.gain.get());
     }),
-    ("16 f64", 128, |readers, _, _| {
+    ("16 f64", "tautline", 128, |readers, _| {
         black_box(readers.gains.read().iter().sum::<f64>());
     }),
-    ("string", 9, |readers, _, _| {
+    ("string", "tautline", 9, |readers, _| {
         black_box(readers.frame.read().len());
     }),
-    ("f64 by name, cloned from a locked map", 8, |_, parameters, _| {
+    ("f64 by name, cloned from a locked map", "r2r's way", 8, |_, parameters| {
         black_box(parameters.get::<f64>("gain").ok());
     }),
 ];
 
-fn read_costs(
-    node: &Node,
-    rounds: usize,
-    calls: u64,
-    [core, setter_core]: [usize; 2],
-) -> Result<Vec<Read>, Box<dyn std::error::Error>> {
+/// Measures the reads and prints what they cost.
+fn read_costs(stage: &Stage, node: &Node, rounds: usize, calls: u64) -> Result<Vec<TurnRow>> {
     let former = tautline_rt::current_affinity()?;
-    tautline_rt::set_affinity(CoreSet::one(core))?;
+    tautline_rt::set_affinity(CoreSet::one(stage.core))?;
     let (mut readers, parameters) = (Readers::of(node)?, node.parameters().clone());
-    let mut times: Vec<(bool, usize, f64)> = Vec::new();
+    // µs per read of each round; first those while nobody sets.
+    let mut times_us: [[Vec<f64>; READS.len()]; 2] = Default::default();
     for _ in 0..rounds {
-        for being_set in [false, true] {
-            let setter = being_set.then(|| Setter::start(parameters.clone(), setter_core, true));
-            for (case, (.., work)) in READS.iter().enumerate() {
+        for (is_set, times_us) in [false, true].into_iter().zip(&mut times_us) {
+            let setter = is_set.then(|| set_beside(parameters.clone(), stage.other_core, true));
+            for (times_us, (.., work)) in times_us.iter_mut().zip(READS) {
                 let start = Instant::now();
-                (0..calls).for_each(|_| work(&mut readers, &parameters, node));
-                times.push((being_set, case, start.elapsed().as_nanos() as f64 / calls as f64));
+                (0..calls).for_each(|_| work(&mut readers, &parameters));
+                times_us.push(start.elapsed().as_secs_f64() * 1e6 / calls as f64);
             }
-            setter.map(Setter::stop);
+            setter.map(Beside::end);
         }
     }
     tautline_rt::set_affinity(former)?;
-    let mut reads = Vec::new();
-    for being_set in [false, true] {
-        for (case, (what, payload_bytes, _)) in READS.into_iter().enumerate() {
-            let of = times.iter().filter(|(set, of, _)| (*set, *of) == (being_set, case));
-            let [min_ns, p50_ns, max_ns] = extent(of.map(|(.., ns)| *ns).collect());
-            reads.push(Read { what, payload_bytes, being_set, rounds, calls, min_ns, p50_ns, max_ns });
+    println!("ns per read (least, median and greatest of {rounds} rounds)\n");
+    let mut table = Table::new(0, [Words("read"), Number("min"), Number("p50"), Number("max")]);
+    let mut rows = Vec::new();
+    for (when, times_us) in ["not being set", "being set"].into_iter().zip(times_us) {
+        for ((what, system, payload_bytes, _), times_us) in READS.into_iter().zip(times_us) {
+            let extent_us = extent(times_us);
+            let (mode, n) = (format!("{what}, {when}"), rounds as u64 * calls);
+            let [min, p50, max] = extent_us.map(|us| format!("{:.1}", us * 1e3));
+            table.add(cells![&mode, min, p50, max]);
+            // Only each round as a whole is measured.
+            let [_, p50_us, max_us] = extent_us.map(Some);
+            let (experiment, system) = ("read".to_owned(), system.to_owned());
+            let row = Row { experiment, system, mode, payload_bytes, n, p50_us, max_us, ..Row::default() };
+            rows.push(TurnRow { row, ..TurnRow::default() });
         }
     }
-    Ok(reads)
+    println!("{table}");
+    Ok(rows)
 }
 
 /// What the callback's jobs of now are recorded to.
@@ -326,12 +213,7 @@ struct Recording {
     missed: u64,
 }
 
-fn disturbance_of_callback(
-    stage: &Stage,
-    node: &Node,
-    rounds: usize,
-    part: Duration,
-) -> Result<Vec<Callback>, Box<dyn std::error::Error>> {
+fn disturbance_of_callback(stage: &Stage, node: &Node, rounds: u32, part: Duration) -> Result<Vec<TurnRow>> {
     static RECORDED: AtomicBool = AtomicBool::new(false);
     let recording = Arc::new(Mutex::new(Recording::default()));
     // What a node has made ends with it.
@@ -362,9 +244,9 @@ fn disturbance_of_callback(
     let turns: [Turns; Meanwhile::ALL.len()] = stage.spin_while(vec![callback], || {
         Turns::take(rounds, |index| {
             let meanwhile = Meanwhile::ALL[index];
-            let setter = (meanwhile != Meanwhile::Nothing).then(|| {
-                Setter::start(node.parameters().clone(), stage.other_core, meanwhile == Meanwhile::Sets)
-            });
+            let sets_any = meanwhile == Meanwhile::Sets;
+            let setter = (meanwhile != Meanwhile::Nothing)
+                .then(|| set_beside(node.parameters().clone(), stage.other_core, sets_any));
             std::thread::sleep(pause);
             let steal = steal_ticks(None);
             RECORDED.store(true, Ordering::Release);
@@ -373,57 +255,20 @@ fn disturbance_of_callback(
             let (missed, sets, ticks) = &mut counts[index];
             *ticks += steal_ticks(None).saturating_sub(steal);
             std::thread::sleep(pause);
-            let wakes = setter.map_or(0, Setter::stop);
-            *sets += if meanwhile == Meanwhile::Sets { wakes } else { 0 };
+            let wakes = setter.map_or(0, Beside::end);
+            *sets += if sets_any { wakes } else { 0 };
             let mut recording = recording.lock().map_err(|_| "the callback panicked")?;
             let Recording { jobs, missed: now } = std::mem::take(&mut *recording);
             *missed += now;
             Ok::<_, &str>(jobs)
         })
     })??;
-    let of = |((meanwhile, jobs), (missed, sets, steal_ticks))| Callback {
-        meanwhile,
-        jobs,
-        missed,
-        sets,
-        steal_ticks,
+    let of = |((meanwhile, turns), (missed, sets, steal)): ((Meanwhile, Turns), (u64, u64, u64))| {
+        let mut of = turns.row("callback", "tautline", meanwhile.name(), "quiet one");
+        of.row.lost = missed;
+        of.row.note += &format!("; {sets} sets, steal {steal} ticks");
+        (of.steal_ticks, of.realtime) = (Some(steal), stage.realtime);
+        of
     };
     Ok(Meanwhile::ALL.into_iter().zip(turns).zip(counts).map(of).collect())
-}
-
-fn print(report: &Report) {
-    let rounds = report.reads[0].rounds;
-    println!("ns per read (least, median and greatest of {rounds} rounds)\n");
-    println!("{:<38}  {:<9}  {:>7}  {:>7}  {:>7}", "what", "being set", "min", "p50", "max");
-    let yes = |yes| if yes { "yes" } else { "no" };
-    for read in &report.reads {
-        let Read { what, being_set, min_ns, p50_ns, max_ns, .. } = read;
-        println!("{what:<38}  {:<9}  {min_ns:7.1}  {p50_ns:7.1}  {max_ns:7.1}", yes(*being_set));
-    }
-    let policy = if report.realtime { "SCHED_FIFO" } else { "no real-time priority" };
-    let [core, setter_core] = report.cores;
-    println!(
-        "\nµs from release to end of a 1 kHz timer's job of {READS_PER_JOB} x 3 reads, {policy} on core {core}, the other thread \
-         on core {setter_core}\n"
-    );
-    println!(
-        "{:<15}  {:>7}  {:>7}  {:>6}  {:>7}  {:>7}  {:>7}  {:>7}  {:>6}  p99 to the quiet one's",
-        "meanwhile", "jobs", "sets", "missed", "p50", "p99", "p99.9", "max", "steal"
-    );
-    for of in &report.callback {
-        let ([ratio, least, greatest], jobs) = (of.jobs.ratio(), &of.jobs.of_all);
-        println!(
-            "{:<15}  {:>7}  {:>7}  {:>6}  {:7.1}  {:7.1}  {:7.1}  {:7.1}  {:>6}  {ratio:.2} ({least:.2} to {greatest:.2})",
-            of.meanwhile.name(),
-            jobs.len(),
-            of.sets,
-            of.missed,
-            jobs.quantile_us(0.5),
-            jobs.quantile_us(0.99),
-            jobs.quantile_us(0.999),
-            jobs.max_us(),
-            of.steal_ticks,
-        );
-    }
-    println!("\n{}\n{}\n", report.machine, report.disturbance);
 }

@@ -10,7 +10,9 @@ use std::hint::black_box;
 use std::process::ExitCode;
 use std::time::Instant;
 use tautline_benches::rows::extent;
-use tautline_benches::{Disturbance, machine};
+use tautline_benches::table::Column::{Number, Words};
+use tautline_benches::table::Table;
+use tautline_benches::{Disturbance, Result, Run, cells, machine};
 use tautline_rt::clock::monotonic_ns;
 use tautline_trace::{MessageId, ObjectId, Recorder, TraceMode};
 
@@ -20,12 +22,8 @@ const DOMAIN: u32 = 1300;
 /// Measures what a trace event costs.
 #[derive(Parser)]
 struct Options {
-    /// Fewer rounds: a second
-    #[arg(long)]
-    quick: bool,
-    /// Write the numbers to FILE as well
-    #[arg(long, value_name = "FILE")]
-    json: Option<std::path::PathBuf>,
+    #[command(flatten)]
+    run: Run,
 }
 
 /// One case: nanoseconds per call, of each round.
@@ -61,8 +59,8 @@ fn main() -> ExitCode {
     tautline_benches::exit("trace", measure(&Options::parse()))
 }
 
-fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
-    let (rounds, calls) = if options.quick { (5, 200_000) } else { (21, 5_000_000) };
+fn measure(options: &Options) -> Result {
+    let (rounds, calls) = if options.run.quick { (5, 200_000) } else { (21, 5_000_000) };
     // Before this program confines itself to one core.
     let (machine, disturbance) = (machine(), Disturbance::start());
     if let Some(core) = tautline_rt::CoreSet::allowed()?.iter().last() {
@@ -96,10 +94,7 @@ fn measure(options: &Options) -> Result<(), Box<dyn std::error::Error>> {
     }
     print(&cases);
     println!("\n{machine}\n{}", disturbance.report());
-    if let Some(path) = &options.json {
-        tautline_benches::write_json(path, &cases)?;
-    }
-    Ok(())
+    options.run.write(&cases)
 }
 
 fn print(cases: &[Case]) {
@@ -108,12 +103,12 @@ fn print(cases: &[Case]) {
         "ns per call (least, median and greatest of {} rounds of {} calls{lttng})\n",
         cases[0].rounds, cases[0].calls
     );
-    println!("{:<24}  {:<10}  {:>7}  {:>7}  {:>7}", "what", "recording", "min", "p50", "max");
+    let mut table =
+        Table::new(0, [Words("what"), Words("recording"), Number("min"), Number("p50"), Number("max")]);
     for case in cases {
         let recording = if case.recording { "yes" } else { "no" };
-        println!(
-            "{:<24}  {recording:<10}  {:7.2}  {:7.2}  {:7.2}",
-            case.name, case.min_ns, case.p50_ns, case.max_ns
-        );
+        let [min, p50, max] = [case.min_ns, case.p50_ns, case.max_ns].map(|ns| format!("{ns:.2}"));
+        table.add(cells![case.name, recording, min, p50, max]);
     }
+    println!("{table}");
 }
