@@ -6,15 +6,15 @@
 //! often it lost its core. What a recorder adds to p99.9 is judged in `recording`, where there are enough publications for that:
 //! here two equal cases differ by more. That an observer costs no system call is a test (`transport/tests/syscalls.rs`).
 
-use crate::{DOMAIN, Looking, Result, Taut};
-use hdrhistogram::Histogram;
+use crate::{DOMAIN, Looking, Result, Taut, as_robot};
 use serde::Serialize;
-use std::error::Error;
 use std::time::Duration;
 use tautline::geometry_msgs::msg::Point;
-use tautline_benches::rows;
+use tautline_benches::table::Column::{Number, Words};
+use tautline_benches::table::Table;
+use tautline_benches::{Distribution, cells, rows};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
-use tautline_rt::{CoreSet, MemoryLock, Policy, lock_memory, set_affinity, set_policy};
+use tautline_rt::{CoreSet, MemoryLock, lock_memory};
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription};
 
 const PERIOD_NS: u64 = 1_000_000;
@@ -51,8 +51,15 @@ pub struct Case {
     faulted_rounds: u64,
 }
 
-/// Times, and the p99.9 of each round; page faults and how often the core was lost; rounds with page faults.
-type Counted = ((Histogram<u64>, Vec<u64>), [u64; 2], u64);
+/// What was measured of a case in its rounds so far.
+#[derive(Clone, Default)]
+struct Tally {
+    times: Distribution,
+    p999_us: Vec<f64>,
+    page_faults: u64,
+    preempted: u64,
+    faulted_rounds: u64,
+}
 
 /// Page faults and involuntary changes of the thread on the core, so far.
 fn counted() -> Result<[u64; 2]> {
@@ -69,7 +76,7 @@ fn round(
     publisher: &Publisher<Point>,
     subscription: &Subscription<Point>,
     messages: u64,
-    times: &mut Histogram<u64>,
+    times: &mut Distribution,
 ) {
     let start_ns = monotonic_ns();
     for n in 0..messages {
@@ -79,13 +86,13 @@ fn round(
             loan.x = n as f64;
             let _ = loan.publish();
         }
-        times.saturating_record(monotonic_ns() - before_ns);
+        times.record(monotonic_ns() - before_ns);
         while let Ok(Some(_)) = subscription.try_take() {}
     }
 }
 
-/// Prints the cases; the second value is what does not hold.
-pub fn measure(taut: &Taut, quick: bool) -> Result<(Vec<Case>, Vec<String>)> {
+/// Prints the cases, and adds what does not hold to `broken`.
+pub fn measure(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Vec<Case>> {
     let (rounds, messages) = if quick { (2, 500) } else { (10, 3000) };
     let taut = taut.clone();
     let participant = Participant::new(DOMAIN)?;
@@ -96,110 +103,72 @@ pub fn measure(taut: &Taut, quick: bool) -> Result<(Vec<Case>, Vec<String>)> {
     let cores: Vec<_> = CoreSet::allowed()?.iter().map(|core| core.to_string()).collect();
     // On a machine of one core they are on it.
     let others = cores[..cores.len().saturating_sub(1).max(1)].join(",");
-    let mut all = Vec::new();
-    for _ in CASES {
-        all.push(((Histogram::new_with_bounds(1, 1_000_000_000, 3)?, Vec::new()), [0, 0], 0));
-    }
+    let mut all = vec![Tally::default(); CASES.len()];
     // As in processes with real-time threads.
     if let Err(error) = lock_memory(MemoryLock::OnFault) {
         println!("memory is not locked: {error}");
     }
-    let worker = std::thread::spawn(move || -> std::result::Result<_, String> {
-        let refuse = |error: Box<dyn Error>| error.to_string();
-        if let Some(core) = CoreSet::allowed().ok().and_then(|cores| cores.iter().last()) {
-            set_affinity(CoreSet::one(core)).map_err(|error| refuse(error.into()))?;
-        }
-        if let Err(error) = set_policy(Policy::Fifo(80)) {
-            println!("without a real-time priority: {error}");
-        }
+    let worker = std::thread::spawn(move || -> Result<_> {
+        as_robot(80)?;
         // Pages and caches are there.
-        round(&publisher, &subscription, 200, &mut Histogram::new(3).map_err(|error| refuse(error.into()))?);
+        round(&publisher, &subscription, 200, &mut Distribution::new());
         for _ in 0..rounds {
-            for ((_, arguments, _), ((times, tails), counts, faulted)) in CASES.iter().zip(&mut all) {
-                let looking = match arguments.is_empty() {
-                    true => None,
-                    false => {
-                        let argument = |argument: &&str| match *argument {
-                            OTHERS => others.clone(),
-                            other => other.to_owned(),
-                        };
-                        let arguments: Vec<_> = arguments.iter().map(argument).collect();
-                        Some(Looking::start(&taut, &arguments).map_err(refuse)?)
-                    }
-                };
+            for ((_, arguments, _), tally) in CASES.iter().zip(&mut all) {
+                let argument =
+                    |argument: &&'static str| if *argument == OTHERS { others.as_str() } else { *argument };
+                let arguments: Vec<&str> = arguments.iter().map(argument).collect();
+                let is_looked_at = !arguments.is_empty();
+                let looking = is_looked_at.then(|| Looking::start(&taut, &arguments)).transpose()?;
                 // It has begun to look, and who is taken from has been set up for it.
                 std::thread::sleep(Duration::from_millis(400));
-                round(
-                    &publisher,
-                    &subscription,
-                    100,
-                    &mut Histogram::new(3).map_err(|error| refuse(error.into()))?,
-                );
-                let before = counted().map_err(refuse)?;
-                let mut of_round =
-                    Histogram::new_with_bounds(1, 1_000_000_000, 3).map_err(|error| refuse(error.into()))?;
-                round(&publisher, &subscription, messages, &mut of_round);
-                let after = counted().map_err(refuse)?;
-                times.add(&of_round).map_err(|error| refuse(error.into()))?;
-                tails.push(of_round.value_at_quantile(0.999));
-                for (count, (after, before)) in counts.iter_mut().zip(after.into_iter().zip(before)) {
-                    *count += after - before;
-                }
-                *faulted += u64::from(after[0] > before[0]);
+                round(&publisher, &subscription, 100, &mut Distribution::new());
+                let [faults_before, preempted_before] = counted()?;
+                let mut times = Distribution::new();
+                round(&publisher, &subscription, messages, &mut times);
+                let [faults, preempted] = counted()?;
+                tally.times.add(&times.counts());
+                tally.p999_us.push(times.quantile_us(0.999));
+                tally.page_faults += faults - faults_before;
+                tally.preempted += preempted - preempted_before;
+                tally.faulted_rounds += u64::from(faults > faults_before);
                 drop(looking);
             }
         }
         Ok(all)
     });
     let all = worker.join().map_err(|_| "the publishing thread panicked")??;
-    let case = |((name, ..), ((times, tails), [page_faults, preempted], faulted_rounds)): (
-        &(&'static str, _, _),
-        &Counted,
-    )| {
-        let us = |q: f64| times.value_at_quantile(q) as f64 / 1e3;
-        let (messages, max_us) = (times.len(), times.max() as f64 / 1e3);
-        let (page_faults, preempted, faulted_rounds) = (*page_faults, *preempted, *faulted_rounds);
-        Case {
-            name,
-            messages,
-            p50_us: us(0.5),
-            p99_us: us(0.99),
-            p999_us: rows::median(tails.iter().map(|&ns| ns as f64).collect()).unwrap_or(0.0) / 1e3,
-            max_us,
-            page_faults,
-            preempted,
-            faulted_rounds,
-        }
+    let case = |((name, ..), tally): (&(&'static str, _, _), Tally)| Case {
+        name,
+        messages: tally.times.len(),
+        p50_us: tally.times.quantile_us(0.5),
+        p99_us: tally.times.quantile_us(0.99),
+        p999_us: rows::median(tally.p999_us).unwrap_or(0.0),
+        max_us: tally.times.max_us(),
+        page_faults: tally.page_faults,
+        preempted: tally.preempted,
+        faulted_rounds: tally.faulted_rounds,
     };
-    let cases: Vec<Case> = CASES.iter().zip(&all).map(case).collect();
+    let cases: Vec<Case> = CASES.iter().zip(all).map(case).collect();
     print(&cases);
-    let faulted =
-        cases.iter().zip(CASES).filter(|(case, (.., is_free))| *is_free && case.faulted_rounds == rounds);
-    let fault = |case: &Case| {
-        format!("{}: {} page faults of the publisher, some in every round", case.name, case.page_faults)
-    };
-    let broken = faulted.map(|(case, _)| fault(case)).collect();
-    Ok((cases, broken))
+    for (Case { name, page_faults, faulted_rounds, .. }, (.., is_free)) in cases.iter().zip(CASES) {
+        if is_free && *faulted_rounds == rounds {
+            broken.push(format!("{name}: {page_faults} page faults of the publisher, some in every round"));
+        }
+    }
+    Ok(cases)
 }
 
 fn print(cases: &[Case]) {
     println!("a publication at 1 kHz, in us, and what the kernel counts of its thread\n");
-    println!(
-        "{:<22}  {:>8}  {:>7}  {:>7}  {:>7}  {:>8}  {:>11}  {:>9}  {:>10}",
-        "who looks", "n", "p50", "p99", "p99.9", "max", "page faults", "preempted", "p99.9 is x"
-    );
+    let numbers = ["n", "p50", "p99", "p99.9", "max", "page faults", "preempted", "p99.9 is x"];
+    let columns = [Words("who looks")].into_iter().chain(numbers.map(Number));
+    let mut table = Table::new(0, columns.collect::<Vec<_>>());
     for case in cases {
-        println!(
-            "{:<22}  {:>8}  {:7.2}  {:7.2}  {:7.2}  {:8.2}  {:>11}  {:>9}  {:>10.2}",
-            case.name,
-            case.messages,
-            case.p50_us,
-            case.p99_us,
-            case.p999_us,
-            case.max_us,
-            case.page_faults,
-            case.preempted,
-            case.p999_us / cases[0].p999_us
-        );
+        let times = [case.p50_us, case.p99_us, case.p999_us, case.max_us];
+        let [p50, p99, p999, max] = times.map(|us| format!("{us:.2}"));
+        let ratio = format!("{:.2}", case.p999_us / cases[0].p999_us);
+        let (faults, preempted) = (case.page_faults, case.preempted);
+        table.add(cells![case.name, case.messages, p50, p99, p999, max, faults, preempted, ratio]);
     }
+    println!("{table}");
 }

@@ -9,15 +9,15 @@ mod start;
 
 use clap::{Parser, ValueEnum};
 use rustix::process::{Pid, Signal, kill_process};
-use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::{json, to_value};
 use std::error::Error;
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitCode, Stdio};
-use tautline_benches::{Disturbance, machine};
+use tautline_benches::{Disturbance, Run, machine};
+use tautline_rt::{CoreSet, Policy, set_affinity, set_policy};
 use tempfile::TempDir;
 
-type Result<T = ()> = std::result::Result<T, Box<dyn Error>>;
+type Result<T = ()> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
 
 /// None of ROS 2's own.
 const DOMAIN: u32 = 146;
@@ -25,21 +25,16 @@ const DOMAIN: u32 = 146;
 /// Measures the command line's tools.
 #[derive(Parser)]
 struct Options {
-    /// Fewer rounds: half a minute
-    #[arg(long)]
-    quick: bool,
+    #[command(flatten)]
+    run: Run,
     /// Only this part of it, and each further one that is named
     #[arg(long, value_enum, value_name = "PART")]
     only: Vec<Part>,
-    /// Write the numbers to FILE as well
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
     /// The command [default: taut, beside this program]
     #[arg(long, value_name = "FILE")]
     taut: Option<PathBuf>,
 }
 
-/// One question each.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Part {
     /// What a publisher notices of who looks
@@ -56,9 +51,8 @@ enum Part {
     Memory,
 }
 
-/// The command that is measured.
 #[derive(Clone)]
-pub struct Taut(PathBuf);
+struct Taut(PathBuf);
 
 impl Taut {
     /// With these arguments, in the domain of the measurement.
@@ -70,18 +64,16 @@ impl Taut {
 }
 
 /// A tool that runs until this is dropped.
-pub struct Looking {
+struct Looking {
     child: Child,
     _folder: TempDir,
 }
 
 impl Looking {
-    /// Starts the command with these arguments.
-    pub fn start(taut: &Taut, arguments: &[String]) -> Result<Self> {
+    pub fn start(taut: &Taut, arguments: &[&str]) -> Result<Self> {
         // For what it writes.
         let folder = tempfile::tempdir()?;
-        let mut command = taut.command(&[]);
-        let child = command.args(arguments).current_dir(folder.path()).stdout(Stdio::null()).spawn();
+        let child = taut.command(arguments).current_dir(folder.path()).stdout(Stdio::null()).spawn();
         let child = child.map_err(|error| format!("{}: {error}", taut.0.display()))?;
         Ok(Looking { child, _folder: folder })
     }
@@ -89,57 +81,60 @@ impl Looking {
 
 impl Drop for Looking {
     fn drop(&mut self) {
-        if let Some(pid) = i32::try_from(self.child.id()).ok().and_then(Pid::from_raw) {
-            let _ = kill_process(pid, Signal::INT);
-        }
+        let _ = interrupt(&self.child);
         let _ = self.child.wait();
     }
 }
 
-fn main() -> ExitCode {
-    match measure(&Options::parse()) {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::FAILURE,
-        Err(error) => {
-            eprintln!("tools: {error}");
-            ExitCode::FAILURE
-        }
+/// Asks a tool to end, as Ctrl-C does.
+fn interrupt(child: &Child) -> Result {
+    let pid = Pid::from_raw(child.id().cast_signed()).ok_or("no process")?;
+    Ok(kill_process(pid, Signal::INT)?)
+}
+
+/// Moves this thread to the last core allowed and gives it a priority, if it may have one.
+fn as_robot(priority: u8) -> Result {
+    if let Some(core) = CoreSet::allowed()?.iter().last() {
+        set_affinity(CoreSet::one(core))?;
     }
+    if let Err(error) = set_policy(Policy::Fifo(priority)) {
+        println!("without a real-time priority: {error}");
+    }
+    Ok(())
 }
 
-/// What was measured, to be written, and what does not hold.
-fn of<T: Serialize>(measured: Result<(T, Vec<String>)>) -> Result<(Value, Vec<String>)> {
-    let (measured, broken) = measured?;
-    Ok((serde_json::to_value(measured)?, broken))
+fn main() -> ExitCode {
+    let broken = measure(&Options::parse()).and_then(|broken| match broken.is_empty() {
+        true => Ok(()),
+        false => Err(format!("does not hold: {}", broken.join("\ndoes not hold: ")).into()),
+    });
+    tautline_benches::exit("tools", broken)
 }
 
-fn measure(options: &Options) -> Result<bool> {
+/// Measures the parts; returns what does not hold.
+fn measure(options: &Options) -> Result<Vec<String>> {
     let beside = || Some(std::env::current_exe().ok()?.with_file_name("taut"));
     let taut = Taut(options.taut.clone().or_else(beside).ok_or("where is taut? Say it with --taut FILE")?);
     // Before this program confines itself to one core.
     let (machine, watched) = (machine(), Disturbance::start());
     let (mut report, mut broken) = (serde_json::Map::new(), Vec::new());
-    let quick = options.quick;
+    let quick = options.run.quick;
     for part in Part::value_variants() {
         if !options.only.is_empty() && !options.only.contains(part) {
             continue;
         }
-        let (key, (measured, wrong)) = match part {
-            Part::Disturbance => ("disturbance", of(disturbance::measure(&taut, quick))?),
-            Part::Rates => ("rates", of(rates::measure(&taut, quick))?),
-            Part::Start => ("start", of(start::measure(&taut, quick))?),
-            Part::Flight => ("flight", of(recording::flight(&taut, quick))?),
-            Part::Sequential => ("sequential", of(recording::sequential(&taut, quick))?),
-            Part::Memory => ("memory", of(recording::memory(&taut, quick))?),
+        let (key, measured) = match part {
+            Part::Disturbance => ("disturbance", to_value(disturbance::measure(&taut, quick, &mut broken)?)?),
+            Part::Rates => ("rates", to_value(rates::measure(&taut, quick, &mut broken)?)?),
+            Part::Start => ("start", to_value(start::measure(&taut, quick, &mut broken)?)?),
+            Part::Flight => ("flight", to_value(recording::flight(&taut, quick, &mut broken)?)?),
+            Part::Sequential => ("sequential", to_value(recording::sequential(&taut, quick, &mut broken)?)?),
+            Part::Memory => ("memory", to_value(recording::memory(&taut, quick, &mut broken)?)?),
         };
         report.insert(key.to_owned(), measured);
-        broken.extend(wrong);
     }
     println!("\n{machine}\n{}", watched.report());
-    if let Some(path) = &options.json {
-        report.insert("broken".to_owned(), json!(broken));
-        tautline_benches::write_json(path, &report)?;
-    }
-    broken.iter().for_each(|broken| println!("does not hold: {broken}"));
-    Ok(broken.is_empty())
+    report.insert("broken".to_owned(), json!(broken));
+    options.run.write(&report).map_err(|error| error.to_string())?;
+    Ok(broken)
 }

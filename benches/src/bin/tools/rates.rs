@@ -4,8 +4,10 @@
 use crate::{Result, Taut};
 use serde::Serialize;
 use serde_json::Value;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use tautline_benches::table::Column::Number;
+use tautline_benches::table::Table;
+use tautline_benches::{Beside, cells};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{Limits, Participant, Qos, RawPublisher, TopicType};
 
@@ -37,42 +39,32 @@ fn send(publisher: &RawPublisher, hz: f64, bytes: usize, stop: &AtomicBool) -> R
     }
 }
 
-/// Prints the rates; the second value is what does not hold.
-pub fn measure(taut: &Taut, quick: bool) -> Result<(Vec<Rate>, Vec<String>)> {
+/// Prints the rates, and adds what does not hold to `broken`.
+pub fn measure(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Vec<Rate>> {
     let participant = Participant::new(crate::DOMAIN)?;
     let mut rates = Vec::new();
     println!("\nrates: what the publisher has kept, and what taut topic hz prints\n");
-    println!("{:>10}  {:>9}  {:>11}  {:>11}  {:>8}", "wanted Hz", "bytes", "sent Hz", "printed Hz", "is x");
+    let mut table = Table::new(0, ["wanted Hz", "bytes", "sent Hz", "printed Hz", "is x"].map(Number));
     for (wanted_hz, bytes, seconds) in FLOWS {
         let limits = Limits { message_bytes: bytes.max(1024), ..Limits::default() };
         let topic_type = TopicType::new("bench_msgs/msg/Bytes");
         let publisher = participant.create_raw_publisher("/flow", &topic_type, Qos::keep_last(2), limits)?;
-        let stop = Arc::new(AtomicBool::new(false));
-        let sender = {
-            let stop = Arc::clone(&stop);
-            std::thread::spawn(move || {
-                send(&publisher, wanted_hz, bytes, &stop).map_err(|error| error.to_string())
-            })
-        };
+        let sender = Beside::start(move |stop| send(&publisher, wanted_hz, bytes, stop));
         let timeout = format!("{}s", if quick { seconds } else { 2 * seconds });
         let output = taut.command(&["topic", "hz", "/flow", "--json", "--timeout", &timeout]).output()?;
-        stop.store(true, Ordering::Relaxed);
-        let sent_hz = sender.join().map_err(|_| "the publisher panicked")??;
+        let sent_hz = sender.end()?;
         let text = String::from_utf8(output.stdout)?;
         let report: Value = serde_json::from_str(text.lines().last().ok_or("hz prints nothing")?)?;
         let printed_hz = report["rate_hz"].as_f64().ok_or("hz prints no rate")?;
-        println!(
-            "{wanted_hz:>10}  {bytes:>9}  {sent_hz:11.3}  {printed_hz:11.3}  {:8.4}",
-            printed_hz / sent_hz
-        );
+        let [sent, printed] = [sent_hz, printed_hz].map(|hz| format!("{hz:.3}"));
+        table.add(cells![wanted_hz, bytes, sent, printed, format!("{:.4}", printed_hz / sent_hz)]);
+        // A publisher that could not keep its rate has another one in each moment.
+        let is_kept = (sent_hz / wanted_hz - 1.0).abs() < TOLERANCE;
+        if is_kept && (printed_hz / wanted_hz - 1.0).abs() > TOLERANCE {
+            broken.push(format!("{wanted_hz} Hz of {bytes} B: hz prints {printed_hz}"));
+        }
         rates.push(Rate { wanted_hz, bytes, sent_hz, printed_hz });
     }
-    // A publisher that could not keep its rate has another one in each moment.
-    let kept = |rate: &&Rate| (rate.sent_hz / rate.wanted_hz - 1.0).abs() < TOLERANCE;
-    let is_wrong = |rate: &&Rate| (rate.printed_hz / rate.wanted_hz - 1.0).abs() > TOLERANCE;
-    let wrong = rates.iter().filter(kept).filter(is_wrong);
-    let wrong =
-        wrong.map(|rate| format!("{} Hz of {} B: hz prints {}", rate.wanted_hz, rate.bytes, rate.printed_hz));
-    let wrong = wrong.collect();
-    Ok((rates, wrong))
+    println!("{table}");
+    Ok(rates)
 }

@@ -4,7 +4,10 @@
 use crate::{DOMAIN, Result, Taut};
 use serde::Serialize;
 use std::process::Stdio;
+use tautline_benches::cells;
 use tautline_benches::rows::extent;
+use tautline_benches::table::Column::{Number, Words};
+use tautline_benches::table::Table;
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Limits, Participant, Qos, ServiceType, TopicType};
 
@@ -41,8 +44,8 @@ pub struct Start {
     max_ms: f64,
 }
 
-/// Prints the times; the second value is what does not hold.
-pub fn measure(taut: &Taut, quick: bool) -> Result<(Vec<Start>, Vec<String>)> {
+/// Prints the times, and adds what does not hold to `broken`.
+pub fn measure(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Vec<Start>> {
     let participant = Participant::new(DOMAIN)?;
     let (small, topic_type) =
         (Limits { message_bytes: 64, ..Limits::default() }, TopicType::new("bench_msgs/msg/Small"));
@@ -62,7 +65,7 @@ pub fn measure(taut: &Taut, quick: bool) -> Result<(Vec<Start>, Vec<String>)> {
         servers.push(of_node.create_raw_server(&format!("/bench/{name}/ask"), &service_type, 1, small)?);
     }
     println!("\nfrom start to end of a verb, in ms: {TOPICS} topics, {NODES} nodes, {NODES} services\n");
-    println!("{:<32}  {:>4}  {:>7}  {:>7}", "taut", "n", "p50", "max");
+    let mut table = Table::new(0, [Words("taut"), Number("n"), Number("p50"), Number("max")]);
     let mut all = Vec::new();
     for verb in VERBS.into_iter().chain(COMPLETED) {
         let n = if quick { 20 } else { 200 };
@@ -81,16 +84,17 @@ pub fn measure(taut: &Taut, quick: bool) -> Result<(Vec<Start>, Vec<String>)> {
         }
         let verb = if verb[0] == "--" { format!("tab: {}", verb[1..].join(" ")) } else { verb.join(" ") };
         let [_, p50_ms, max_ms] = extent(times);
-        println!("{verb:<32}  {n:>4}  {p50_ms:7.2}  {max_ms:7.2}");
+        table.add(cells![&verb, n, format!("{p50_ms:.2}"), format!("{max_ms:.2}")]);
         all.push(Start { verb, n, p50_ms, max_ms });
     }
+    println!("{table}");
     let lists = all[..VERBS.len() - 1].iter().map(|start| (start, MOST_MS));
     let completed = all[VERBS.len()..].iter().map(|start| (start, MOST_COMPLETED_MS));
-    // What is not optimised says nothing of how long verbs take.
-    let judged = !cfg!(debug_assertions);
-    let slow = lists.chain(completed).filter(|(start, most)| judged && start.p50_ms > *most);
-    let slow =
-        slow.map(|(start, most)| format!("taut {} takes {:.1} ms, {most} at most", start.verb, start.p50_ms));
-    let slow = slow.collect();
-    Ok((all, slow))
+    for (Start { verb, p50_ms, .. }, most) in lists.chain(completed) {
+        // What is not optimised says nothing of how long verbs take.
+        if !cfg!(debug_assertions) && *p50_ms > most {
+            broken.push(format!("taut {verb} takes {p50_ms:.1} ms, {most} at most"));
+        }
+    }
+    Ok(all)
 }
