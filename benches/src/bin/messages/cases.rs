@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The messages and, for each, the ways to handle it.
 
+use std::hint::black_box;
+use std::rc::Rc;
+
 use tautline::msgs::cdr::{Endian, Fill, WriteError};
 use tautline::msgs::{Message, Plain};
 use tautline_ros_msgs::geometry_msgs::msg::{TransformStamped, TransformStampedSizes, Twist, Vector3};
@@ -24,6 +27,8 @@ pub const PUBLISHED_ONLY: &str = "tautline in place, payload untouched";
 /// Encoding an owned message and decoding it again.
 pub const OWNED: &str = "tautline owned, encoded and decoded";
 
+type Written = std::result::Result<(), WriteError>;
+
 /// A message and the ways to handle it, the floor first.
 pub struct Case {
     pub name: &'static str,
@@ -43,7 +48,6 @@ impl Way {
     }
 }
 
-/// Every case.
 pub fn all() -> Result<Vec<Case>> {
     Ok(vec![image()?, point_cloud()?, twist()?, imu()?, joint_state()?, tf()?])
 }
@@ -62,7 +66,7 @@ where
     let floor = Way::new(FLOOR, move || {
         byte = byte.wrapping_add(1);
         buffer.fill(byte);
-        Ok(sum(std::hint::black_box(&buffer)))
+        Ok(sum(black_box(&buffer)))
     });
     let mut ways = vec![floor];
     ways.extend(in_place);
@@ -72,29 +76,29 @@ where
     ways.push(Way::new(OWNED, {
         let mut body = body.clone();
         move || {
-            let len = std::hint::black_box(&ours).encode(&mut body)?;
-            let again = T::decode(std::hint::black_box(&body[..len]), Endian::Little)?;
-            std::hint::black_box(&again);
+            let len = black_box(&ours).encode(&mut body)?;
+            let again = T::decode(black_box(&body[..len]), Endian::Little)?;
+            black_box(&again);
             Ok(len as u64)
         }
     }));
-    let theirs: std::rc::Rc<R> = std::rc::Rc::new(CdrEncoding::decode(&body)?);
+    let theirs: Rc<R> = Rc::new(CdrEncoding::decode(&body)?);
     ways.push(rival::<CdrEncoding, R>(theirs.clone(), &body)?);
     ways.push(rival::<Hiroz, R>(theirs, &body)?);
     Ok(Case { name, bytes, ways })
 }
 
 /// Encodes and decodes with another encoder, which must give the same bytes.
-fn rival<E: Rival<R>, R: PartialEq + 'static>(message: std::rc::Rc<R>, body: &[u8]) -> Result<Way> {
+fn rival<E: Rival<R>, R: PartialEq + 'static>(message: Rc<R>, body: &[u8]) -> Result<Way> {
     let mut buffer = Vec::with_capacity(body.len());
     E::encode(&message, &mut buffer)?;
     if buffer != body || E::decode(&buffer)? != *message {
         return Err(format!("{} encodes another message", E::NAME).into());
     }
     Ok(Way::new(E::NAME, move || {
-        E::encode(std::hint::black_box(&message), &mut buffer)?;
-        let again = E::decode(std::hint::black_box(&buffer))?;
-        std::hint::black_box(&again);
+        E::encode(black_box(&message), &mut buffer)?;
+        let again = E::decode(black_box(&buffer))?;
+        black_box(&again);
         Ok(buffer.len() as u64)
     }))
 }
@@ -103,8 +107,7 @@ fn rival<E: Rival<R>, R: PartialEq + 'static>(message: std::rc::Rc<R>, body: &[u
 fn in_place<T: Message + Fill>(
     implementation: &'static str,
     sizes: T::Sizes<'static>,
-    mut write: impl for<'a> FnMut(u8, &mut T::Writer<'a, 'static>) -> std::result::Result<(), WriteError>
-    + 'static,
+    mut write: impl for<'a> FnMut(u8, &mut T::Writer<'a, 'static>) -> Written + 'static,
     mut read: impl for<'a> FnMut(T::View<'a>) -> u64 + 'static,
 ) -> Result<Way> {
     let topic = Topic::<T>::open()?;
@@ -116,19 +119,39 @@ fn in_place<T: Message + Fill>(
     }))
 }
 
-/// A plain message through a topic.
+/// A long message through a topic: with its payload filled and read, and with it untouched.
+fn in_place_and_untouched<T: Message + Fill>(
+    sizes: T::Sizes<'static>,
+    write: for<'a> fn(u8, &mut T::Writer<'a, 'static>, bool) -> Written,
+    data: for<'v, 'a> fn(&'v T::View<'a>) -> &'v [u8],
+) -> Result<Vec<Way>> {
+    Ok(vec![
+        in_place::<T>(
+            IN_PLACE,
+            sizes,
+            move |byte, message| write(byte, message, true),
+            move |view| sum(data(&view)),
+        )?,
+        in_place::<T>(
+            PUBLISHED_ONLY,
+            sizes,
+            move |byte, message| write(byte, message, false),
+            move |view| data(&view).len() as u64,
+        )?,
+    ])
+}
+
 fn plain<T: Message + Plain>(message: T) -> Result<Way> {
     let topic = Topic::<T>::open()?;
     Ok(Way::new(IN_PLACE, move || {
         topic.write_plain(&message)?;
         topic.read(|sample| {
-            std::hint::black_box(&**sample);
+            black_box(&**sample);
             sample.info().sequence_number
         })
     }))
 }
 
-/// Reads every byte.
 fn sum(bytes: &[u8]) -> u64 {
     let (words, rest) = bytes.as_chunks::<8>();
     let words = words.iter().fold(0u64, |sum, word| sum.wrapping_add(u64::from_le_bytes(*word)));
@@ -141,10 +164,7 @@ fn header() -> Header {
 
 const HEADER: HeaderSizes = HeaderSizes { frame_id: 9 };
 
-fn write_header(
-    header: &mut <Header as Fill>::Writer<'_, '_>,
-    nanosec: u8,
-) -> std::result::Result<(), WriteError> {
+fn write_header(header: &mut <Header as Fill>::Writer<'_, '_>, nanosec: u8) -> Written {
     header.stamp.value_mut().nanosec = nanosec.into();
     header.frame_id.set("base_link")
 }
@@ -153,11 +173,7 @@ fn write_header(
 fn image() -> Result<Case> {
     const DATA: usize = 8 << 20;
     const SIZES: ImageSizes = ImageSizes { header: HEADER, encoding: 4, data: DATA };
-    fn write(
-        byte: u8,
-        image: &mut <Image as Fill>::Writer<'_, '_>,
-        fill: bool,
-    ) -> std::result::Result<(), WriteError> {
+    fn write(byte: u8, image: &mut <Image as Fill>::Writer<'_, 'static>, fill: bool) -> Written {
         write_header(&mut image.header, byte)?;
         image.height.set(2048);
         image.width.set(1365);
@@ -179,20 +195,7 @@ fn image() -> Result<Case> {
         data: vec![7; DATA],
         ..Image::default()
     };
-    let ways = vec![
-        in_place::<Image>(
-            IN_PLACE,
-            SIZES,
-            |byte, image| write(byte, image, true),
-            |image| sum(image.data()),
-        )?,
-        in_place::<Image>(
-            PUBLISHED_ONLY,
-            SIZES,
-            |byte, image| write(byte, image, false),
-            |image| image.data().len() as u64,
-        )?,
-    ];
+    let ways = in_place_and_untouched::<Image>(SIZES, write, |image| image.data())?;
     case::<_, rivals::Image>("Image, 8 MiB", ours, ways)
 }
 
@@ -209,11 +212,7 @@ fn point_cloud() -> Result<Case> {
     ];
     const SIZES: PointCloud2Sizes<'static> =
         PointCloud2Sizes { header: HEADER, fields: &FIELDS, data: POINTS * STEP };
-    fn write(
-        byte: u8,
-        cloud: &mut <PointCloud2 as Fill>::Writer<'_, 'static>,
-        fill: bool,
-    ) -> std::result::Result<(), WriteError> {
+    fn write(byte: u8, cloud: &mut <PointCloud2 as Fill>::Writer<'_, 'static>, fill: bool) -> Written {
         write_header(&mut cloud.header, byte)?;
         cloud.height.set(1);
         cloud.width.set(POINTS as u32);
@@ -251,20 +250,7 @@ fn point_cloud() -> Result<Case> {
         data: vec![7; POINTS * STEP],
         is_dense: true,
     };
-    let ways = vec![
-        in_place::<PointCloud2>(
-            IN_PLACE,
-            SIZES,
-            |byte, cloud| write(byte, cloud, true),
-            |cloud| sum(cloud.data()),
-        )?,
-        in_place::<PointCloud2>(
-            PUBLISHED_ONLY,
-            SIZES,
-            |byte, cloud| write(byte, cloud, false),
-            |cloud| cloud.data().len() as u64,
-        )?,
-    ];
+    let ways = in_place_and_untouched::<PointCloud2>(SIZES, write, |cloud| cloud.data())?;
     case::<_, rivals::PointCloud2>("PointCloud2, 100,000 points", ours, ways)
 }
 

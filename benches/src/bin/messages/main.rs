@@ -19,14 +19,11 @@ mod rivals;
 mod rounds;
 mod topic;
 
-use std::error::Error;
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
-
-/// What nobody handles but the person who reads it.
-pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
+use tautline_benches::{Result, Run, one_core};
+use tautline_rt::CoreSet;
 
 /// Measures messages: in place through a topic, owned, and with other encoders.
 #[derive(Parser)]
@@ -34,12 +31,8 @@ pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
     after_help = "Examples:\n  cargo xtask bench messages --quick\n  cargo xtask bench messages --json messages.json"
 )]
 struct Options {
-    /// Fewer rounds: some seconds
-    #[arg(long)]
-    quick: bool,
-    /// Write the numbers to FILE as well
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
+    #[command(flatten)]
+    run: Run,
     /// The core to run on [default: the last one allowed]
     #[arg(long, value_name = "CORE")]
     core: Option<usize>,
@@ -50,12 +43,10 @@ fn main() -> ExitCode {
 }
 
 fn measure(options: &Options) -> Result<()> {
-    let core = rounds::pin(options.core)?;
+    let core = one_core(options.core)?;
+    tautline_rt::set_affinity(CoreSet::one(core))?;
     let disturbance = tautline_benches::Disturbance::start();
-    let rows = rounds::run(&mut cases::all()?, options.quick)?;
+    let rows = rounds::run(&mut cases::all()?, options.run.quick)?;
     report::print(&rows, core, &disturbance.report());
-    match &options.json {
-        Some(path) => tautline_benches::write_json(path, &rows),
-        None => Ok(()),
-    }
+    options.run.write(&rows)
 }

@@ -5,12 +5,11 @@ use serde::Serialize;
 use tautline_benches::claims::Verdict;
 use tautline_benches::table::Column::{Number, Words};
 use tautline_benches::table::Table;
-use tautline_benches::{machine, version_of};
+use tautline_benches::{cells, machine, version_of};
 
 use crate::cases::{FLOOR, IN_PLACE, OWNED, PUBLISHED_ONLY};
 use crate::rounds::median_ratio;
 
-/// One way to handle one message.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
     pub case: &'static str,
@@ -26,7 +25,6 @@ pub struct Row {
     pub rounds_ns: Vec<f64>,
 }
 
-/// Prints the machine, the table and what must hold.
 pub fn print(rows: &[Row], core: usize, disturbance: &str) {
     let version = |package| version_of(package).unwrap_or("?");
     println!("{}", machine());
@@ -46,10 +44,9 @@ fn table(rows: &[Row]) -> Table {
     let numbers = ["n", "p50", "p99", "ratio"].map(Number);
     let mut table = Table::new(2, [&words[..], &numbers].concat());
     for row in rows {
-        let numbers = [format!("{:.3}", row.p50_us), format!("{:.3}", row.p99_us)];
-        let ratio = format!("{:.2}", row.ratio_to_plain_buffer).into();
-        let words = [row.case.into(), row.bytes.into(), row.implementation.into(), row.n.into()];
-        table.add(words.into_iter().chain(numbers.map(Into::into)).chain([ratio]));
+        let [p50, p99] = [row.p50_us, row.p99_us].map(|us| format!("{us:.3}"));
+        let ratio = format!("{:.2}", row.ratio_to_plain_buffer);
+        table.add(cells![row.case, row.bytes, row.implementation, row.n, p50, p99, ratio]);
     }
     table
 }
@@ -62,7 +59,7 @@ fn verdicts(rows: &[Row]) -> Vec<Verdict> {
     for case in cases {
         let find =
             |implementation| rows.iter().find(|row| (row.case, row.implementation) == (case, implementation));
-        let rivals = || rows.iter().filter(|row| row.case == case && row.implementation.contains("cdr"));
+        let rivals = rows.iter().filter(|row| row.case == case && row.implementation.contains("cdr"));
         let large = find(PUBLISHED_ONLY).is_some();
         let mut judge = |claim: String, measured: f64, most: f64| {
             let found = format!("{measured:.3}, at most {most:.3}");
@@ -73,7 +70,7 @@ fn verdicts(rows: &[Row]) -> Vec<Verdict> {
         }
         let (ours, most) = if large { (PUBLISHED_ONLY, 0.2) } else { (OWNED, 1.0) };
         let Some(row) = find(ours) else { continue };
-        for rival in rivals() {
+        for rival in rivals {
             let ratio = median_ratio(&row.rounds_ns, &rival.rounds_ns);
             judge(format!("{ours} / {}", rival.implementation), ratio, most);
         }

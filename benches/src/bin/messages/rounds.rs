@@ -4,9 +4,7 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use indicatif::ProgressBar;
-use tautline_benches::{Distribution, rows};
-use tautline_rt::CoreSet;
+use tautline_benches::{Distribution, progress_bar, rows};
 
 use crate::Result;
 use crate::cases::{Case, Way};
@@ -16,18 +14,10 @@ use crate::report::Row;
 const BATCH: u32 = 100;
 const SMALL: usize = 16 << 10;
 
-/// Moves this thread to `core`, by default the last one allowed.
-pub fn pin(core: Option<usize>) -> Result<usize> {
-    let allowed = CoreSet::allowed()?;
-    let core = core.or_else(|| allowed.iter().last()).ok_or("no core is allowed")?;
-    tautline_rt::set_affinity(CoreSet::one(core))?;
-    Ok(core)
-}
-
 /// Alternates between the ways of each case; the first round is not counted.
 pub fn run(cases: &mut [Case], quick: bool) -> Result<Vec<Row>> {
     let (rounds, samples) = if quick { (7, 30) } else { (41, 100) };
-    let progress = ProgressBar::new((cases.len() * (rounds + 1)) as u64);
+    let progress = progress_bar((cases.len() * (rounds + 1)) as u64);
     let mut rows = Vec::new();
     for case in cases {
         progress.set_message(case.name);
@@ -79,7 +69,6 @@ fn batch(bytes: usize) -> u32 {
     if bytes < SMALL { BATCH } else { 1 }
 }
 
-/// Times in ns, each of one message.
 fn time(way: &mut Way, bytes: usize, samples: usize) -> Result<Vec<f64>> {
     let batch = batch(bytes);
     let mut times = Vec::with_capacity(samples);

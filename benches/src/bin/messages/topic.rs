@@ -30,7 +30,6 @@ impl<T: Message> Topic<T> {
         Ok(Self { publisher, subscription, _participant: participant })
     }
 
-    /// Writes a message in place and publishes it.
     pub fn write<'s>(
         &self,
         sizes: T::Sizes<'s>,
@@ -42,7 +41,6 @@ impl<T: Message> Topic<T> {
         sent(self.publisher.loan_with(sizes)?.write(write)?.publish())
     }
 
-    /// Writes a plain message in place and publishes it.
     pub fn write_plain(&self, message: &T) -> Result<()>
     where
         T: Plain,
