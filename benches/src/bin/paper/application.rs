@@ -20,11 +20,8 @@ pub struct Application {
     pub rta_ns: Vec<Option<u64>>,
 }
 
-/// The five topics of the paper.
 pub fn paper() -> Result<Application> {
-    let callbacks = SystemFile::parse(PAPER)?.check().callbacks;
-    let rta_ns = callbacks.iter().map(|callback| callback.response_ns).collect();
-    Ok(Application { topics: callbacks.iter().map(|callback| topic(callback, DEPTH)).collect(), rta_ns })
+    application(PAPER, |_| Some(DEPTH))
 }
 
 /// The capacity experiment: a queue that, as computed, must hold more than r2r's channels do.
@@ -37,21 +34,31 @@ pub struct Capacity {
 }
 
 pub fn capacity() -> Result<Capacity> {
-    let callbacks = SystemFile::parse(CAPACITY)?.check().callbacks;
-    let mut topics = Vec::new();
-    for callback in &callbacks {
-        let name = &callback.entry.name;
-        let capacity = callback.capacity.ok_or_else(|| format!("{name} has no bound"))?;
-        topics.push(topic(callback, capacity));
-    }
-    let lowest = topics.iter().enumerate().min_by_key(|(_, topic)| topic.priority);
+    let application = application(CAPACITY, |callback| callback.capacity)?;
+    let lowest = application.topics.iter().enumerate().min_by_key(|(_, topic)| topic.priority);
     let deep = lowest.ok_or("the system has no callbacks")?.0;
+    Ok(Capacity { application, deep })
+}
+
+/// The callbacks of a file, with queues of this depth.
+fn application(file: &str, depth: fn(&CheckedCallback) -> Option<usize>) -> Result<Application> {
+    let callbacks = SystemFile::parse(file)?.check().callbacks;
+    let topic = |callback: &CheckedCallback| {
+        let name = callback.entry.topics.first().unwrap_or(&callback.entry.name);
+        Ok(Topic {
+            name: name.clone(),
+            period_ns: callback.period_ns,
+            wcet_ns: callback.wcet_ns,
+            priority: callback.entry.priority,
+            deadline_ns: callback.entry.deadline_ns,
+            depth: depth(callback).ok_or_else(|| format!("{name} has no bound"))?,
+        })
+    };
     let rta_ns = callbacks.iter().map(|callback| callback.response_ns).collect();
-    Ok(Capacity { application: Application { topics, rta_ns }, deep })
+    Ok(Application { topics: callbacks.iter().map(topic).collect::<Result<_>>()?, rta_ns })
 }
 
 impl Capacity {
-    /// The depth that the analysis asks for.
     pub fn computed(&self) -> usize {
         self.application.topics[self.deep].depth
     }
@@ -64,37 +71,9 @@ impl Capacity {
     }
 }
 
-fn topic(callback: &CheckedCallback, depth: usize) -> Topic {
-    let name = callback.entry.topics.first().unwrap_or(&callback.entry.name);
-    Topic {
-        name: name.clone(),
-        period_ns: callback.period_ns,
-        wcet_ns: callback.wcet_ns,
-        priority: callback.entry.priority,
-        deadline_ns: callback.entry.deadline_ns,
-        depth,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_papers_table_and_its_response_times() {
-        let paper = paper().unwrap();
-        let ms = |ns: u64| ns / 1_000_000;
-        let rows: Vec<_> = paper
-            .topics
-            .iter()
-            .map(|t| (ms(t.period_ns), ms(t.wcet_ns), t.priority, ms(t.deadline_ns)))
-            .collect();
-        let expected =
-            [(10, 2, 20, 10), (20, 4, 19, 20), (50, 5, 18, 50), (100, 15, 17, 100), (200, 50, 16, 200)];
-        assert_eq!(rows, expected);
-        assert_eq!(paper.rta_ns, [2, 6, 13, 36, 170].map(|ms| Some(ms * 1_000_000)));
-        assert_eq!(paper.topics[0].name, "topic1");
-    }
 
     #[test]
     fn one_queue_must_be_deeper_than_r2rs_channels() {

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The report as one page that needs nothing else.
 
-use tautline_benches::page::{END, begin, list, verdicts};
+use tautline_benches::cells;
+use tautline_benches::page::{END, begin, figure, list, verdicts};
 use tautline_benches::table::Column::{Number, Words};
 use tautline_benches::table::{Cell, Table};
 use tautline_paper::Variant;
@@ -12,13 +13,10 @@ use crate::plan::Experiment;
 use crate::report::{Report, table, time};
 use crate::stats::Row;
 
-/// The page.
 pub fn page(report: &Report) -> Result<String> {
-    let variants = variants(&report.rows);
-    let ablation: Vec<String> =
-        variants.iter().filter(|(_, v)| is_of_ablation(*v)).map(|(n, _)| n.clone()).collect();
-    let others: Vec<String> =
-        variants.iter().filter(|(_, v)| !v.is_ablation()).map(|(n, _)| n.clone()).collect();
+    let is_of_ablation = |variant: Variant| variant.is_ablation() || variant == Variant::FUTURES_RT;
+    let ablation = variants(&report.rows, is_of_ablation);
+    let others = variants(&report.rows, |variant| !variant.is_ablation());
     let mut out = String::new();
     begin(
         &mut out,
@@ -29,24 +27,18 @@ pub fn page(report: &Report) -> Result<String> {
     )?;
     verdicts(&mut out, "What holds", &report.verdicts)?;
     if !others.is_empty() {
-        out.push_str("<h2>Response times of all variants</h2>\n<figure>\n");
-        out.push_str(&p99_bars(&report.rows, &others)?);
-        out.push_str(
-            "\n<figcaption>99th percentile of the response time, from scheduled release to end of callback, in ms. A bar that \
-             ends in a triangle is longer than the scale.</figcaption></figure>\n",
-        );
+        out.push_str("<h2>Response times of all variants</h2>\n");
+        let caption = "99th percentile of the response time, from scheduled release to end of callback, in ms. A bar that ends in \
+                       a triangle is longer than the scale.";
+        figure(&mut out, &p99_bars(&report.rows, &others)?, caption)?;
     }
     if ablation.len() > 1 {
-        out.push_str("<h2>The middleware's priority</h2>\n<figure>\n");
-        out.push_str(&ablation_histograms(&report.rows, &ablation)?);
-        out.push_str(
-            "\n<figcaption>futures-rt with sampler and middleware above the callbacks (21), below them (15), and without a \
-             real-time priority: response times of topic 1, whose deadline is dashed.</figcaption></figure>\n<figure>\n",
-        );
-        out.push_str(&p99_bars(&report.rows, &ablation)?);
-        out.push_str(
-            "\n<figcaption>The same: 99th percentiles of all topics, in ms.</figcaption></figure>\n",
-        );
+        out.push_str("<h2>The middleware's priority</h2>\n");
+        let caption = "futures-rt with sampler and middleware above the callbacks (21), below them (15), and without a \
+                       real-time priority: response times of topic 1, whose deadline is dashed.";
+        figure(&mut out, &ablation_histograms(&report.rows, &ablation)?, caption)?;
+        let caption = "The same: 99th percentiles of all topics, in ms.";
+        figure(&mut out, &p99_bars(&report.rows, &ablation)?, caption)?;
     }
     write_capacity(&mut out, report)?;
     out.push_str(
@@ -60,21 +52,18 @@ pub fn page(report: &Report) -> Result<String> {
     Ok(out)
 }
 
-/// What was measured of the paper's variants, in the order of the rows.
-fn variants(rows: &[Row]) -> Vec<(String, Variant)> {
-    let mut found: Vec<(String, Variant)> = Vec::new();
+/// The names of the paper's variants that were measured and are wanted, in the order of the rows.
+fn variants(rows: &[Row], is_wanted: impl Fn(Variant) -> bool) -> Vec<String> {
+    let mut found: Vec<String> = Vec::new();
     for row in rows {
         if let Experiment::Paper(variant) = row.cell.experiment
-            && !found.iter().any(|(_, other)| *other == variant)
+            && is_wanted(variant)
+            && !found.contains(&row.variant)
         {
-            found.push((row.variant.clone(), variant));
+            found.push(row.variant.clone());
         }
     }
     found
-}
-
-fn is_of_ablation(variant: Variant) -> bool {
-    variant.is_ablation() || variant == Variant::FUTURES_RT
 }
 
 fn write_capacity(out: &mut String, report: &Report) -> Result<()> {
@@ -87,13 +76,13 @@ fn write_capacity(out: &mut String, report: &Report) -> Result<()> {
         "<h2>Queue capacity</h2>\n<p>While <i>goal</i>'s callback computes, <i>scan</i> waits: its queue needs the computed \
          capacity, the larger number here. r2r is asked for as much.</p>\n",
     );
-    let words = ["system", "queue", "topic"].map(Words).into_iter();
+    let words = ["system", "queue", "topic"].map(Words);
     let numbers = ["runs", "published", "handled", "lost", "max ms", "RTA ms"].map(Number);
-    let mut table = Table::new(0, words.chain(numbers).collect::<Vec<_>>());
+    let mut table = Table::new(0, [&words[..], &numbers].concat());
     for row in rows {
-        let words: [Cell; 3] = [row.system.into(), (&row.variant).into(), (&row.topic).into()];
-        let counts = [row.runs.into(), row.published.into(), row.n.into(), Cell::bad(row.lost)];
-        table.add(words.into_iter().chain(counts).chain([row.max_ms, row.rta_ms].map(|ms| time(ms).into())));
+        let [max, rta] = [row.max_ms, row.rta_ms].map(time);
+        let cells = cells![row.system, &row.variant, &row.topic, row.runs, row.published, row.n];
+        table.add(cells.into_iter().chain([Cell::bad(row.lost), max.into(), rta.into()]));
     }
     Ok(table.html(out)?)
 }
@@ -104,26 +93,13 @@ fn write_disturbed(out: &mut String, report: &Report) -> Result<()> {
         out.push_str("<p>The hypervisor took the core from no run.</p>\n");
         return Ok(());
     }
-    let columns = [
-        Words("variant"),
-        Number("run"),
-        Number("steal ticks"),
-        Number("releases missed"),
-        Words("then"),
-        Words("p99 of each topic, ms"),
-    ];
-    let mut table = Table::new(0, columns);
+    let numbers = ["run", "steal ticks", "releases missed"].map(Number);
+    let words = ["then", "p99 of each topic, ms"].map(Words);
+    let mut table = Table::new(0, [&[Words("variant")][..], &numbers, &words].concat());
     for run in &report.disturbed {
         let p99: Vec<_> = run.p99_ms.iter().map(|ms| format!("{ms:.2}")).collect();
-        let (steal, missed) = (run.steal_ticks.into(), run.missed_releases.into());
-        table.add([
-            (&run.cell).into(),
-            run.run.into(),
-            steal,
-            missed,
-            run.fate().into(),
-            p99.join(", ").into(),
-        ]);
+        let (steal, missed) = (run.steal_ticks, run.missed_releases);
+        table.add(cells![&run.cell, run.run, steal, missed, run.fate(), p99.join(", ")]);
     }
     Ok(table.html(out)?)
 }

@@ -19,7 +19,7 @@ use crate::process::{Run, version};
 
 /// What must be the same for runs to be counted together.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Conditions {
+pub struct Conditions {
     seconds: f64,
     core: usize,
     realtime: bool,
@@ -29,7 +29,6 @@ struct Conditions {
     r2r: Option<String>,
 }
 
-/// One start of the bench.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Session {
     /// What the machine took from the core before its runs: window, count, total, longest regular, longest (ns, but for the count).
@@ -45,12 +44,19 @@ pub struct Session {
 }
 
 #[derive(Debug, Serialize, Deserialize)]
-enum Entry {
+pub enum Entry {
     Conditions(Conditions),
     Session(Session),
-    Run { cell: String, at_s: f64, run: Run },
+    /// A run of `cell` ended, `at_s` seconds after the session's start.
+    Run {
+        cell: String,
+        at_s: f64,
+        run: Run,
+    },
     Failed(String),
-    End { disturbance: String },
+    End {
+        disturbance: String,
+    },
 }
 
 /// Everything that was measured under the same conditions, in this session and in those before it.
@@ -141,30 +147,15 @@ impl Ledger {
         Ok(())
     }
 
-    fn add(&mut self, entry: Entry) -> Result<()> {
+    pub fn add(&mut self, entry: Entry) -> Result<()> {
         self.write(&entry)?;
         self.take(entry);
         Ok(())
     }
 
-    /// A session begins.
     pub fn begin(&mut self, seen: &Interruptions) -> Result<()> {
         let interruptions = [seen.window_ns, seen.count, seen.total_ns, seen.regular_ns, seen.longest_ns];
         self.add(Entry::Session(Session { interruptions, build: build()?, ..Session::default() }))
-    }
-
-    /// A run of `cell` ended, `at_s` seconds after the session's start.
-    pub fn keep(&mut self, cell: String, at_s: f64, run: Run) -> Result<()> {
-        self.add(Entry::Run { cell, at_s, run })
-    }
-
-    pub fn failed(&mut self, reason: String) -> Result<()> {
-        self.add(Entry::Failed(reason))
-    }
-
-    /// The session ends.
-    pub fn end(&mut self, disturbance: String) -> Result<()> {
-        self.add(Entry::End { disturbance })
     }
 
     pub fn path(&self) -> Option<&Path> {
@@ -207,28 +198,26 @@ fn conditions(plan: &Plan) -> Result<Conditions> {
 
 /// Whether runs of both can be counted together; else what differs.
 fn agree(before: &Conditions, now: &Conditions) -> std::result::Result<(), String> {
-    let differs = |what: &str, before: &dyn std::fmt::Display, now: &dyn std::fmt::Display| {
-        Err(format!("{what} was `{before}` and is `{now}`"))
+    let texts = |of: &Conditions| -> [String; 6] {
+        let Conditions { seconds, core, realtime, machine, tautline, r2r } = of;
+        let r2r = r2r.clone().unwrap_or("left out".to_owned());
+        let (seconds, realtime) = (seconds.to_string(), realtime.to_string());
+        [machine.clone(), core.to_string(), seconds, realtime, tautline.clone(), r2r]
     };
-    if before.machine != now.machine {
-        return differs("the machine", &before.machine, &now.machine);
-    }
-    if before.core != now.core {
-        return differs("the core (--core)", &before.core, &now.core);
-    }
-    if before.seconds.to_bits() != now.seconds.to_bits() {
-        return differs("the length of a run (--seconds)", &before.seconds, &now.seconds);
-    }
-    if before.realtime != now.realtime {
-        return differs("the use of real-time priorities (--no-rt)", &before.realtime, &now.realtime);
-    }
-    if before.tautline != now.tautline {
-        return differs("Tautline's version", &before.tautline, &now.tautline);
-    }
-    match (&before.r2r, &now.r2r) {
-        (Some(before), Some(now)) if before != now => differs("r2r", before, now),
-        (None, Some(now)) => differs("r2r", &"left out", now),
-        _ => Ok(()),
+    let names = [
+        "the machine",
+        "the core (--core)",
+        "the length of a run (--seconds)",
+        "the use of real-time priorities (--no-rt)",
+        "Tautline's version",
+        "r2r",
+    ];
+    // What is left out now changes nothing of what was measured.
+    let known = if now.r2r.is_some() { names.len() } else { names.len() - 1 };
+    let both = texts(before).into_iter().zip(texts(now)).zip(names).take(known);
+    match both.into_iter().find(|((before, now), _)| before != now) {
+        Some(((before, now), what)) => Err(format!("{what} was `{before}` and is `{now}`")),
+        None => Ok(()),
     }
 }
 
@@ -242,10 +231,13 @@ fn build() -> Result<u64> {
 mod tests {
     use super::*;
     use crate::report::tests::plan;
-    use tautline_paper::{Measured, Published};
+
+    fn entry(cell: &str, at_s: f64, run: Run) -> Entry {
+        Entry::Run { cell: cell.to_owned(), at_s, run }
+    }
 
     fn run(steal_ticks: u64) -> Run {
-        Run { published: Published::default(), measured: Measured::default(), steal_ticks, repetition: false }
+        Run { steal_ticks, ..Run::default() }
     }
 
     fn seen(window_ns: u64, longest_ns: u64) -> Interruptions {
@@ -258,8 +250,8 @@ mod tests {
         let path = folder.path().join("results");
         let mut first = Ledger::open(Some(&path), &plan()).unwrap();
         first.begin(&seen(10, 7)).unwrap();
-        first.keep("tautline futures".into(), 1.5, run(4)).unwrap();
-        first.failed("a reason".into()).unwrap();
+        first.add(entry("tautline futures", 1.5, run(4))).unwrap();
+        first.add(Entry::Failed("a reason".into())).unwrap();
         drop(first);
         let whole = std::fs::read(&path).unwrap();
         for cut in [&b"{\"Run\":{\"cell\":\"tau"[..], b"{", b""] {
@@ -269,8 +261,8 @@ mod tests {
             assert_eq!((second.sessions[0].took_s, &second.sessions[0].disturbance), (1.5, &None));
             assert_eq!(second.failed, ["a reason"]);
             second.begin(&seen(20, 5)).unwrap();
-            second.keep("r2r futures".into(), 2.0, run(0)).unwrap();
-            second.end("quiet".into()).unwrap();
+            second.add(entry("r2r futures", 2.0, run(0))).unwrap();
+            second.add(Entry::End { disturbance: "quiet".into() }).unwrap();
             drop(second);
             let third = Ledger::open(Some(&path), &plan()).unwrap();
             let cells: Vec<_> = third.runs.iter().map(|(cell, _)| cell.as_str()).collect();

@@ -31,18 +31,14 @@ mod stats;
 mod tautline;
 mod verdict;
 
-use std::error::Error;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use tautline_benches::{write, write_json};
+use tautline_benches::{Result, Run, one_core, write};
 use tautline_paper::{Variant, priorities};
-use tautline_rt::{CoreSet, permission};
-
-/// What nobody handles but the person who reads it.
-pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
+use tautline_rt::permission;
 
 /// Runs the evaluation of an ECRTS 2025 paper on Tautline and, beside it, on r2r over Fast DDS.
 #[derive(Parser)]
@@ -52,14 +48,13 @@ pub type Result<T> = std::result::Result<T, Box<dyn Error>>;
   cargo xtask bench paper --results paper.runs --minutes 30    half an hour of it; the same once more goes on
   cargo xtask bench paper --runs 3 -- --variants futures-rt,tokio,nort-tokio")]
 struct Options {
-    /// Two runs of three seconds
-    #[arg(long, conflicts_with_all = ["runs", "seconds"])]
-    quick: bool,
+    #[command(flatten)]
+    run: Run,
     /// Runs of each variant
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, conflicts_with = "quick", value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]
     runs: u32,
     /// Length of a run
-    #[arg(long, value_name = "S", default_value_t = 20.0, value_parser = seconds)]
+    #[arg(long, conflicts_with = "quick", value_name = "S", default_value_t = 20.0, value_parser = seconds)]
     seconds: f64,
     /// How often a variant may be run once more because the core was taken away [default: half of the runs]
     #[arg(long, value_name = "N")]
@@ -70,9 +65,6 @@ struct Options {
     /// Stop after so many minutes; the same command goes on later
     #[arg(long, value_name = "N", requires = "results", value_parser = clap::value_parser!(u64).range(1..=10_000))]
     minutes: Option<u64>,
-    /// Write the numbers to FILE as well
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
     /// Write the report with its pictures to FILE
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
@@ -115,26 +107,15 @@ fn measure(options: &Options) -> Result<()> {
         permission::realtime_permitted(priorities::PUBLISHER + 1)
             .map_err(|error| format!("{error} (or measure without: --no-rt)"))?;
     }
-    let plan = plan::Plan::new(options, core(options)?)?;
+    let plan = plan::Plan::new(options, one_core(options.core)?)?;
     let limit = options.minutes.map(|minutes| Duration::from_secs(60 * minutes));
     let results = rounds::run(&plan, options.results.as_deref(), limit)?;
     let report = report::Report::new(&plan, &results)?;
     report::print(&report);
-    if let Some(path) = &options.json {
-        write_json(path, &report.rows)?;
-    }
+    options.run.write(&report.rows)?;
     if let Some(path) = &options.html {
         write(path, &html::page(&report)?)?;
         println!("Report: {}", path.display());
     }
     Ok(())
-}
-
-fn core(options: &Options) -> Result<usize> {
-    let allowed = CoreSet::allowed()?;
-    match options.core {
-        Some(core) if allowed.iter().any(|other| other == core) => Ok(core),
-        Some(core) => Err(format!("core {core} is not among those this process may use: {allowed:?}").into()),
-        None => allowed.iter().last().ok_or_else(|| "no core may be used".into()),
-    }
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! One run: a subscriber and a publisher process, and what they say.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
@@ -17,14 +17,12 @@ use crate::plan::{Cell, Plan, System};
 /// How long a process may take to set itself up.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What one run of a cell gave.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Run {
     pub published: Published,
     pub measured: Measured,
     /// Ticks of 10 ms that the hypervisor took from the core during the run.
     pub steal_ticks: u64,
-    /// It repeats a run that was disturbed.
     pub repetition: bool,
 }
 
@@ -42,10 +40,12 @@ pub fn version(program: &Path) -> Result<String> {
     Ok(String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }
 
-/// Runs the cell once.
 pub fn run(plan: &Plan, cell: Cell, namespace: String, interrupted: &AtomicBool) -> Result<Run> {
     let job = plan.job(cell, namespace);
-    let program = program(plan, cell.system)?;
+    let program = match cell.system {
+        System::Tautline => std::env::current_exe()?,
+        System::R2r => plan.r2r.clone()?,
+    };
     let mut subscriber = start(&program, &Job { role: Role::Subscriber, ..job.clone() }, interrupted)?;
     subscriber.expect(PATIENCE, |line| matches!(line, Line::Ready).then_some(()))?;
     let steal_before = steal_ticks(Some(plan.core));
@@ -64,13 +64,6 @@ pub fn run(plan: &Plan, cell: Cell, namespace: String, interrupted: &AtomicBool)
     subscriber.finish()?;
     publisher.finish()?;
     Ok(Run { published, measured, steal_ticks, repetition: false })
-}
-
-fn program(plan: &Plan, system: System) -> Result<PathBuf> {
-    match system {
-        System::Tautline => Ok(std::env::current_exe()?),
-        System::R2r => Ok(plan.r2r.clone()?),
-    }
 }
 
 fn start<'a>(program: &Path, job: &Job, interrupted: &'a AtomicBool) -> Result<Process<'a, Line>> {

@@ -1,18 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! All runs, rivals next to each other, and again those in which the core was taken away.
 
-use std::io::IsTerminal;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
-use tautline_benches::Disturbance;
+use indicatif::{HumanDuration, ProgressBar};
+use tautline_benches::{Disturbance, progress_bar};
 use tautline_paper::priorities;
 use tautline_rt::{CoreSet, IdleHold, Interruptions, Policy, Realtime, ThreadBuilder};
 
 use crate::Result;
-use crate::ledger::Ledger;
+use crate::ledger::{Entry, Ledger};
 use crate::plan::{Cell, Plan};
 use crate::process::{self, Run};
 
@@ -22,7 +21,6 @@ const NOISE_WINDOW: Duration = Duration::from_millis(500);
 /// How often a run may fail, as when its processes do not find each other, before hours of others are given up.
 const ATTEMPTS: u32 = 3;
 
-/// Everything that was measured.
 pub struct Results {
     pub cells: Vec<CellRuns>,
     /// Sessions, failures, what the machine itself took.
@@ -44,7 +42,6 @@ pub struct CellRuns {
 }
 
 impl CellRuns {
-    /// Runs that are no repetitions.
     fn planned(&self) -> usize {
         self.runs.iter().filter(|run| !run.repetition).count()
     }
@@ -96,12 +93,12 @@ fn measure(
     // For both systems alike. Ignored: where it is refused, all wake-ups are slower by the same.
     let _idle = IdleHold::new();
 
-    let mut progress = Progress::new(plan, results);
+    let bar = start_bar(plan, results);
     let time_is_up = || limit.is_some_and(|limit| started.elapsed() >= limit);
-    let measured = all(plan, results, &mut progress, started, time_is_up, interrupted);
-    progress.end();
+    let measured = all(plan, results, &bar, started, time_is_up, interrupted);
+    bar.finish_and_clear();
     // Also of a session that was interrupted.
-    results.ledger.end(disturbance.report())?;
+    results.ledger.add(Entry::End { disturbance: disturbance.report() })?;
     measured
 }
 
@@ -109,7 +106,7 @@ fn measure(
 fn all(
     plan: &Plan,
     results: &mut Results,
-    progress: &mut Progress,
+    bar: &ProgressBar,
     started: Instant,
     time_is_up: impl Fn() -> bool,
     interrupted: &AtomicBool,
@@ -125,7 +122,8 @@ fn all(
                 Ok(run) => {
                     let run = Run { repetition, ..run };
                     cell.runs.push(run.clone());
-                    return ledger.keep(cell.cell.to_string(), started.elapsed().as_secs_f64(), run);
+                    let (cell, at_s) = (cell.cell.to_string(), started.elapsed().as_secs_f64());
+                    return ledger.add(Entry::Run { cell, at_s, run });
                 }
                 Err(error) => format!("{}: {error}", cell.cell),
             };
@@ -133,7 +131,7 @@ fn all(
                 return Err(error.into());
             }
             eprintln!("{error}; once more");
-            ledger.failed(error)?;
+            ledger.add(Entry::Failed(error))?;
         }
     };
     for round in 1..=plan.runs {
@@ -145,17 +143,22 @@ fn all(
             if time_is_up() {
                 return Ok(());
             }
-            progress.next(&format!("run {round} of {}: {}", plan.runs, cell.cell));
+            bar.set_message(format!("run {round} of {}: {}", plan.runs, cell.cell));
+            bar.inc(1);
             once(cell, false)?;
         }
-        progress.round(&format!("run {round} of {} is done", plan.runs));
+        tell(bar, &format!("run {round} of {} is done", plan.runs));
     }
     for repeat in 1..=plan.repeats {
         for cell in cells.iter_mut().filter(|cell| cell.wants_repetition(plan)) {
             if time_is_up() {
                 return Ok(());
             }
-            progress.more(&format!("repetition {repeat}: {}", cell.cell));
+            let what = format!("repetition {repeat}: {}", cell.cell);
+            tell(bar, &what);
+            bar.set_message(what);
+            bar.inc_length(1);
+            bar.inc(1);
             once(cell, true)?;
         }
     }
@@ -175,47 +178,21 @@ fn watch_core(plan: &Plan) -> Result<Interruptions> {
     Ok(thread.join()?)
 }
 
-/// A bar on a terminal, else a line for each round.
-struct Progress {
-    bar: ProgressBar,
-    terminal: bool,
-    started: Instant,
+/// A bar on a terminal, else a line for each round: see [`tell`].
+fn start_bar(plan: &Plan, results: &Results) -> ProgressBar {
+    let all = plan.cells.len() * plan.runs as usize;
+    let runs = results.missing(plan);
+    let expected = Duration::from_secs_f64(plan.expected_seconds() * runs as f64 / all.max(1) as f64);
+    let rest = if runs < all { format!(", the rest of {all}") } else { String::new() };
+    eprintln!("{runs} runs on core {}{rest}, about {}", plan.core, HumanDuration(expected));
+    let bar = progress_bar(runs as u64);
+    bar.enable_steady_tick(Duration::from_secs(1));
+    bar
 }
 
-impl Progress {
-    fn new(plan: &Plan, results: &Results) -> Self {
-        let all = plan.cells.len() * plan.runs as usize;
-        let runs = results.missing(plan);
-        let expected = Duration::from_secs_f64(plan.expected_seconds() * runs as f64 / all.max(1) as f64);
-        let terminal = std::io::stderr().is_terminal();
-        let rest = if runs < all { format!(", the rest of {all}") } else { String::new() };
-        eprintln!("{runs} runs on core {}{rest}, about {}", plan.core, HumanDuration(expected));
-        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} {elapsed}, {eta} left  {msg}");
-        let style = style.unwrap_or_else(|_| ProgressStyle::default_bar());
-        let bar = ProgressBar::new(runs as u64).with_style(style);
-        bar.enable_steady_tick(Duration::from_secs(1));
-        Progress { bar, terminal, started: Instant::now() }
-    }
-
-    fn next(&self, what: &str) {
-        self.bar.set_message(what.to_owned());
-        self.bar.inc(1);
-    }
-
-    fn more(&mut self, what: &str) {
-        self.bar.inc_length(1);
-        self.next(what);
-        self.round(what);
-    }
-
-    fn round(&mut self, what: &str) {
-        if !self.terminal {
-            eprintln!("{what}, {} s so far", self.started.elapsed().as_secs());
-        }
-    }
-
-    fn end(&self) {
-        self.bar.finish_and_clear();
+fn tell(bar: &ProgressBar, what: &str) {
+    if bar.is_hidden() {
+        eprintln!("{what}, {} s so far", bar.elapsed().as_secs());
     }
 }
 
@@ -223,25 +200,15 @@ impl Progress {
 mod tests {
     use super::*;
     use crate::plan::{Experiment, System};
-    use tautline_paper::{Measured, Published, Variant};
+    use tautline_paper::Variant;
 
     fn run(steal_ticks: u64, repetition: bool) -> Run {
-        Run { published: Published::default(), measured: Measured::default(), steal_ticks, repetition }
+        Run { steal_ticks, repetition, ..Run::default() }
     }
 
     #[test]
     fn disturbed_runs_are_repeated_but_not_for_ever() {
-        let plan = Plan {
-            runs: 2,
-            seconds: 1.0,
-            repeats: 2,
-            core: 0,
-            realtime: true,
-            r2r: Err("a test".into()),
-            paper: crate::application::paper().unwrap(),
-            capacity: crate::application::capacity().unwrap(),
-            cells: Vec::new(),
-        };
+        let plan = Plan { repeats: 2, ..crate::report::tests::plan() };
         let cell = Cell { system: System::Tautline, experiment: Experiment::Paper(Variant::FUTURES_RT) };
         let wants = |runs: &[Run]| CellRuns { cell, runs: runs.to_vec() }.wants_repetition(&plan);
         assert!(!wants(&[run(0, false), run(0, false)]));

@@ -15,7 +15,6 @@ pub struct Row {
     pub system: System,
     pub variant: String,
     pub topic: String,
-    /// Runs that the row is made of.
     pub runs: usize,
     /// Messages whose callback ended.
     pub n: u64,
@@ -28,7 +27,6 @@ pub struct Row {
     /// Classical response-time analysis, on a machine that costs nothing.
     pub rta_ms: Option<f64>,
     pub deadline_ms: f64,
-    /// Response times past the deadline.
     pub misses: u64,
     /// Messages published whose callback never ran.
     pub lost: u64,
@@ -39,7 +37,6 @@ pub struct Row {
     pub mean_ms: Option<f64>,
     /// Response-time analysis with the overhead that was measured; null where it does not apply.
     pub rta_overhead_ms: Option<f64>,
-    /// Runs that were disturbed and replaced by a repetition.
     pub replaced_runs: usize,
     pub published: u64,
     /// Releases of any topic that the publisher missed in these runs; never published, so not lost.
@@ -68,7 +65,6 @@ pub fn counted(runs: &[Run], wanted: usize) -> Vec<&Run> {
     runs
 }
 
-/// One row for each topic of the cell.
 pub fn rows(plan: &Plan, cell: &CellRuns) -> Vec<Row> {
     let counted = counted(&cell.runs, plan.runs as usize);
     let topics = plan.job(cell.cell, String::new()).topics;
@@ -129,19 +125,21 @@ pub fn overhead_ns(runs: &[&Run]) -> u64 {
 }
 
 /// The value that `percent` of the sorted values do not exceed (nearest rank); `None` if there are none.
-pub fn percentile(sorted: &[u64], percent: usize) -> Option<u64> {
+fn percentile(sorted: &[u64], percent: usize) -> Option<u64> {
     let rank = (sorted.len() * percent).div_ceil(100);
     sorted.get(rank.max(1) - 1).copied()
 }
 
+/// The 99th percentile of times in any order.
+pub fn p99_ms(latencies_ns: &[u64]) -> Option<f64> {
+    let mut sorted = latencies_ns.to_vec();
+    sorted.sort_unstable();
+    percentile(&sorted, 99).map(ms)
+}
+
 /// Sample standard deviation of the runs' 99th percentiles; 0 for one run, `None` without any.
 fn p99_deviation_ms(runs: &[&[u64]]) -> Option<f64> {
-    let p99 = |run: &&[u64]| {
-        let mut sorted = run.to_vec();
-        sorted.sort_unstable();
-        percentile(&sorted, 99).map(ms)
-    };
-    let values: Vec<f64> = runs.iter().filter_map(p99).collect();
+    let values: Vec<f64> = runs.iter().filter_map(|run| p99_ms(run)).collect();
     let mean = mean(values.iter().copied())?;
     let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
     Some((squares / (values.len().max(2) - 1) as f64).sqrt())

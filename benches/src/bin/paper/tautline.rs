@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Both processes on Tautline.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use ::tautline::{CallbackOptions, Context, Message, Node, Publisher, Qos, Realtime, Timer};
@@ -27,7 +26,6 @@ struct Release {
 /// Time between set-up and the first release, which all topics have in common: the critical instant.
 const LEAD: Duration = Duration::from_millis(200);
 
-/// Runs the job given as JSON.
 pub fn run(job: &str) -> Result<()> {
     let job: Job = serde_json::from_str(job)?;
     match job.role {
@@ -38,10 +36,6 @@ pub fn run(job: &str) -> Result<()> {
 
 fn realtime(job: &Job) -> Realtime {
     if job.realtime { Realtime::Required } else { Realtime::Off }
-}
-
-fn qos(depth: usize) -> Qos {
-    Qos::keep_last(depth)
 }
 
 /// A subscriber: five subscriptions of one node, executed as the variant says.
@@ -59,7 +53,7 @@ fn subscribe(job: &Job) -> Result<()> {
     let mut node = Node::create(context.clone(), "subscriber", &job.namespace)?;
     let (mut callbacks, mut counters) = (Vec::new(), Vec::new());
     for (topic, log) in job.topics.iter().zip(subscriber.logs()) {
-        let messages = node.subscribe::<Release>(&topic.name, qos(topic.depth))?;
+        let messages = node.subscribe::<Release>(&topic.name, Qos::keep_last(topic.depth))?;
         counters.push(messages.counters());
         callbacks.push(callback(topic, Arc::clone(log), messages, |message| message.data));
     }
@@ -119,30 +113,22 @@ fn publish(job: &Job) -> Result<()> {
     let first_ns = clock::monotonic_ns() + LEAD.as_nanos() as u64;
     let end_ns = first_ns + job.duration_ns();
     let mut tasks = Vec::new();
-    let counts: Arc<Vec<AtomicU64>> = Arc::new(job.topics.iter().map(|_| AtomicU64::new(0)).collect());
-    let missed = Arc::new(AtomicU64::new(0));
-    for (index, topic) in job.topics.iter().enumerate() {
-        let publisher = node.create_publisher::<Release>(&topic.name, qos(topic.depth))?;
-        let timer = node.create_wall_timer_at(first_ns, topic.period())?;
-        let (counts, missed) = (Arc::clone(&counts), Arc::clone(&missed));
-        tasks.push(async move {
-            let (sent, missed_here) = publish_until(publisher, timer, end_ns).await;
-            counts[index].store(sent, Ordering::Relaxed);
-            missed.fetch_add(missed_here, Ordering::Relaxed);
-        });
+    for topic in &job.topics {
+        let publisher = node.create_publisher::<Release>(&topic.name, Qos::keep_last(topic.depth))?;
+        tasks.push(publish_until(publisher, node.create_wall_timer_at(first_ns, topic.period())?, end_ns));
     }
-    let events = context.events().clone();
+    let (events, (sender, counts)) = (context.events().clone(), mpsc::channel());
     let options = CallbackOptions::fifo(priorities::PUBLISHER_WORKER).name("publish").execution_time(false);
     let worker = node.spawn_callback(options, async move {
-        join_all(tasks).await;
+        let _ = sender.send(join_all(tasks).await);
         events.stop();
     })?;
     let cpu_before_ns = clock::process_cpu_ns();
     node.spin()?;
     let cpu_ns = clock::process_cpu_ns() - cpu_before_ns;
     worker.join()?;
-    let messages = counts.iter().map(|count| count.load(Ordering::Relaxed)).collect();
-    say(&Line::Published(Published { messages, missed: missed.load(Ordering::Relaxed), cpu_ns }));
+    let (messages, missed): (_, Vec<u64>) = counts.recv()?.into_iter().unzip();
+    say(&Line::Published(Published { messages, missed: missed.iter().sum(), cpu_ns }));
     Ok(())
 }
 

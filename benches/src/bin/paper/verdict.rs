@@ -16,22 +16,21 @@ const MARGIN_MS: f64 = 0.2;
 
 /// All verdicts, in the order in which they are promised. `capacity` is the depth that the analysis asks for.
 pub fn verdicts(rows: &[Row], capacity: usize) -> Vec<Verdict> {
+    const SYSTEMS: [System; 2] = [System::Tautline, System::R2r];
     let mut verdicts = Vec::new();
-    for system in [System::Tautline, System::R2r] {
-        verdicts.push(only_futures_rt(rows, system));
-        verdicts.push(others_fail(rows, system));
+    for system in SYSTEMS {
+        verdicts.extend([only_futures_rt(rows, system), others_fail(rows, system)]);
     }
     verdicts.push(no_slower_than_r2r(rows));
-    for system in [System::Tautline, System::R2r] {
-        verdicts.push(as_predicted(rows, system));
+    verdicts.extend(SYSTEMS.map(|system| as_predicted(rows, system)));
+    for system in SYSTEMS {
+        verdicts.extend([ablation(rows, system), nort_tokio(rows, system)]);
     }
-    for system in [System::Tautline, System::R2r] {
-        verdicts.push(ablation(rows, system));
-        verdicts.push(nort_tokio(rows, system));
-    }
-    verdicts.push(computed_capacity(rows, capacity));
-    verdicts.push(one_less(rows, capacity));
-    verdicts.push(fixed_channel(rows, capacity));
+    verdicts.extend([
+        computed_capacity(rows, capacity),
+        one_less(rows, capacity),
+        fixed_channel(rows, capacity),
+    ]);
     verdicts
 }
 
@@ -129,17 +128,9 @@ fn no_slower_than_r2r(rows: &[Row]) -> Verdict {
     let claim =
         format!("futures-rt: Tautline's p99 is at most {FACTOR} x r2r's + {SLACK_MS} ms on every topic");
     let of = |system| rows_of(rows, system, Experiment::Paper(Variant::FUTURES_RT));
-    let (ours, theirs) = (of(System::Tautline), of(System::R2r));
-    if ours.is_empty() || theirs.is_empty() {
-        return unmeasured(claim);
-    }
-    let (mut holds, mut texts) = (true, Vec::new());
-    for (ours, theirs) in ours.iter().zip(theirs) {
-        let pair = ours.p99_ms.zip(theirs.p99_ms);
-        holds &= pair.is_some_and(|(ours, theirs)| ours <= theirs * FACTOR + SLACK_MS);
-        texts.push(format!("{} {} / {}", ours.topic, number(ours.p99_ms), number(theirs.p99_ms)));
-    }
-    Verdict::new(claim, format!("{} ms", texts.join(", ")), Some(holds))
+    let pairs = of(System::Tautline).into_iter().zip(of(System::R2r));
+    let pairs = pairs.map(|(ours, theirs)| (ours, theirs.p99_ms));
+    each_topic(claim, pairs, |ours, theirs| ours <= theirs * FACTOR + SLACK_MS)
 }
 
 fn as_predicted(rows: &[Row], system: System) -> Verdict {
@@ -148,17 +139,25 @@ fn as_predicted(rows: &[Row], system: System) -> Verdict {
         SHARE * 100.0
     );
     let rows = rows_of(rows, system, Experiment::Paper(Variant::FUTURES_RT));
-    if rows.is_empty() {
-        return unmeasured(claim);
-    }
+    let pairs = rows.into_iter().take(4).map(|row| (row, row.rta_overhead_ms));
+    each_topic(claim, pairs, |p99, predicted| (p99 - predicted).abs() <= predicted * SHARE + MARGIN_MS)
+}
+
+/// Whether each topic's p99 is to the other number as it should be.
+fn each_topic<'r>(
+    claim: String,
+    pairs: impl Iterator<Item = (&'r Row, Option<f64>)>,
+    is_right: fn(f64, f64) -> bool,
+) -> Verdict {
     let (mut holds, mut texts) = (true, Vec::new());
-    for row in rows.iter().take(4) {
-        let pair = row.p99_ms.zip(row.rta_overhead_ms);
-        holds &=
-            pair.is_some_and(|(p99, predicted)| (p99 - predicted).abs() <= predicted * SHARE + MARGIN_MS);
-        texts.push(format!("{} {} / {}", row.topic, number(row.p99_ms), number(row.rta_overhead_ms)));
+    for (row, other) in pairs {
+        holds &= row.p99_ms.zip(other).is_some_and(|(p99, other)| is_right(p99, other));
+        texts.push(format!("{} {} / {}", row.topic, number(row.p99_ms), number(other)));
     }
-    Verdict::new(claim, format!("{} ms", texts.join(", ")), Some(holds))
+    match texts.is_empty() {
+        true => unmeasured(claim),
+        false => Verdict::new(claim, format!("{} ms", texts.join(", ")), Some(holds)),
+    }
 }
 
 fn ablation(rows: &[Row], system: System) -> Verdict {
@@ -224,9 +223,6 @@ fn fixed_channel(rows: &[Row], capacity: usize) -> Verdict {
 }
 
 fn lossless(rows: Vec<&Row>, claim: String, wanted: bool) -> Verdict {
-    if rows.is_empty() {
-        return unmeasured(claim);
-    }
     let lost: u64 = rows.iter().map(|row| row.lost).sum();
     let published: u64 = rows.iter().map(|row| row.published).sum();
     if published == 0 {

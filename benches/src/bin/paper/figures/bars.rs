@@ -5,7 +5,7 @@ use plotters::style::{RGBColor, WHITE};
 use tautline_benches::canvas::{Align, Canvas, FAINT, GRID, INK, Words};
 use tautline_benches::table::short;
 
-use super::{BOUND, colour, label, on_bar};
+use super::{BOUND, colour, label, on_bar, systems, ticks};
 use crate::Result;
 use crate::plan::System;
 use crate::stats::Row;
@@ -24,8 +24,7 @@ const WHISKER: RGBColor = RGBColor(20, 20, 20);
 /// The scale of a topic ends where its longest bar of a real-time variant does; those that are longer end in a triangle.
 pub fn p99_bars(rows: &[Row], variants: &[String]) -> Result<String> {
     let rows: Vec<&Row> = rows.iter().filter(|row| variants.contains(&row.variant)).collect();
-    let mut systems = vec![System::Tautline, System::R2r];
-    systems.retain(|system| rows.iter().any(|row| row.system == *system));
+    let systems = systems(&rows);
     let topics: Vec<&Row> =
         rows.iter().filter(|row| row.variant == variants[0] && row.system == systems[0]).copied().collect();
     let step = BAR * systems.len() as i32 + BETWEEN;
@@ -61,7 +60,6 @@ pub fn p99_bars(rows: &[Row], variants: &[String]) -> Result<String> {
     Ok(svg)
 }
 
-/// Where a topic's scale ends.
 fn end_ms(rows: &[&Row], topic: &Row) -> f64 {
     let realtime = rows.iter().filter(|row| row.index == topic.index && !row.variant.starts_with("nort-"));
     let longest = realtime.filter_map(|row| row.p99_ms).fold(0.0, f64::max);
@@ -84,9 +82,7 @@ impl Column {
         let period = format!("deadline {} ms", topic.deadline_ms);
         let words = Words { align: Align::Right, ..Words::SMALL };
         canvas.text(&period, (self.left + COLUMN, TOP - 30), words)?;
-        let step = round_step(self.end_ms / 4.0);
-        for tick in 0..=(self.end_ms / step) as u32 {
-            let ms = f64::from(tick) * step;
+        for ms in ticks(self.end_ms, 4.0) {
             canvas.line((self.x(ms), TOP - 12), (self.x(ms), self.bottom), GRID, 1)?;
             canvas.text(&format!("{ms}"), (self.x(ms), self.bottom + 10), Words::SMALL)?;
         }
@@ -101,9 +97,7 @@ impl Column {
             return canvas.beyond(end, middle, colour(row.system));
         }
         let Some(deviation) = row.p99_std_ms.filter(|deviation| *deviation > 0.0) else { return Ok(()) };
-        let (from, to) = (self.x(p99 - deviation), self.x(p99 + deviation));
-        canvas.line((from, middle), (to, middle), WHISKER, 1)?;
-        [from, to].into_iter().try_for_each(|x| canvas.line((x, middle - 3), (x, middle + 3), WHISKER, 1))
+        draw_whisker(canvas, [self.x(p99 - deviation), self.x(p99 + deviation)], middle)
     }
 
     /// The bar's number: beside the bar and its whisker if there is room, else within it; over lines that pass there.
@@ -137,6 +131,11 @@ impl Column {
     }
 }
 
+fn draw_whisker(canvas: &Canvas, ends: [i32; 2], y: i32) -> Result<()> {
+    canvas.line((ends[0], y), (ends[1], y), WHISKER, 1)?;
+    ends.into_iter().try_for_each(|x| canvas.line((x, y - 3), (x, y + 3), WHISKER, 1))
+}
+
 fn legend(canvas: &Canvas, systems: &[System]) -> Result<()> {
     let y = 18;
     let mut x = LABELS;
@@ -145,22 +144,12 @@ fn legend(canvas: &Canvas, systems: &[System]) -> Result<()> {
         canvas.text(label(*system), (x + 18, y), Words::PLAIN)?;
         x += 44 + 7 * label(*system).len() as i32;
     }
-    canvas.line((x, y), (x + 20, y), WHISKER, 1)?;
-    for end in [x, x + 20] {
-        canvas.line((end, y - 3), (end, y + 3), WHISKER, 1)?;
-    }
+    draw_whisker(canvas, [x, x + 20], y)?;
     canvas.text("standard deviation of the runs", (x + 28, y), Words::PLAIN)?;
     canvas.line((x + 232, y - 8), (x + 232, y + 8), BOUND, 1)?;
     canvas.text("response-time analysis", (x + 240, y), Words::PLAIN)?;
     canvas.deadline(x + 396, y - 8, y + 8)?;
     canvas.text("deadline (ms)", (x + 404, y), Words::PLAIN)
-}
-
-/// The largest of 1, 2, 5, 10, ... (or their decimal parts) that does not exceed the wish by half.
-pub fn round_step(wish: f64) -> f64 {
-    let decade = 10_f64.powf(wish.log10().floor());
-    let factor = [10.0, 5.0, 2.0, 1.0].into_iter().find(|factor| factor * decade <= wish * 1.5);
-    factor.unwrap_or(1.0) * decade
 }
 
 #[cfg(test)]

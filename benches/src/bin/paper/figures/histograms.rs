@@ -4,10 +4,8 @@
 
 use tautline_benches::canvas::{Align, Canvas, DEADLINE, FAINT, GRID, Words};
 
-use super::bars::round_step;
-use super::{colour, label};
+use super::{colour, label, systems, ticks};
 use crate::Result;
-use crate::plan::System;
 use crate::stats::Row;
 
 const LEFT: i32 = 52;
@@ -26,8 +24,7 @@ const LONGEST_MS: f64 = 120.0;
 pub fn ablation_histograms(rows: &[Row], variants: &[String]) -> Result<String> {
     let rows: Vec<&Row> =
         rows.iter().filter(|row| row.index == 0 && variants.contains(&row.variant)).collect();
-    let mut systems = vec![System::Tautline, System::R2r];
-    systems.retain(|system| rows.iter().any(|row| row.system == *system));
+    let systems = systems(&rows);
     let longest = rows.iter().filter_map(|row| row.max_ms).fold(0.0, f64::max);
     let deadline_ms = rows.iter().map(|row| row.deadline_ms).fold(0.0, f64::max);
     let end_ms = (longest * 1.05).min(LONGEST_MS).max(deadline_ms * 1.2);
@@ -74,9 +71,7 @@ fn draw(canvas: &Canvas, row: &Row, (left, top): (i32, i32), end_ms: f64) -> Res
         canvas.text(&count.to_string(), (left - 6, y(count)), words)?;
     }
     let x = |ms: f64| left + (ms / end_ms * f64::from(BIN * BINS as i32)).round() as i32;
-    let step = round_step(end_ms / 8.0);
-    for tick in 0..=(end_ms / step) as u32 {
-        let ms = f64::from(tick) * step;
+    for ms in ticks(end_ms, 8.0) {
         canvas.text(&format!("{ms}"), (x(ms), bottom + 10), Words::SMALL)?;
     }
     for (bin, count) in counts.iter().enumerate().filter(|(_, count)| **count > 0) {
@@ -100,6 +95,7 @@ fn bins(latencies_ns: &[u64], end_ms: f64) -> Vec<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::plan::System;
     use crate::report::tests::row;
 
     #[test]
