@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A process's job, as JSON on its command line, and its output: lines of JSON on standard output.
+//! What a process is told, as JSON on its command line, and what it says: lines of JSON on standard output.
 
 use crate::process::Process;
 use crate::traffic::System;
@@ -14,50 +14,66 @@ use tautline_rt::clock::monotonic_ns;
 /// The domain of all processes, in a scope of their own.
 pub const DOMAIN: u32 = 0;
 
-/// A process's job.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub enum Job {
-    /// Create a node with the endpoints of every ROS 2 process, until standard input is closed.
+    /// Have a node as every ROS 2 process has, until standard input is closed.
     Node {
         index: usize,
-        /// Wait here first.
+        /// Wait here before.
         gate: Option<PathBuf>,
-        /// Report when it is matched with this many processes, itself included.
+        /// Say when it is matched with so many processes, this one included.
         processes: Option<usize>,
     },
-    /// Create this many publishers and as many subscriptions, each with its own topic.
-    Ports { index: usize, pairs: usize },
-    /// Send back when each message was taken.
+    /// Have so many publishers and as many subscriptions, each of a topic of its own.
+    Ports {
+        index: usize,
+        pairs: usize,
+    },
+    /// Send back when what came was taken.
     Echo,
-    /// Read the graph of a domain with this many processes with a node, and create ports in it.
-    Probe { processes: usize, quick: bool },
-    /// Only read the graph.
-    Look { quick: bool },
-    /// Subscribe to this many topics.
-    Listen { topics: usize },
-    /// Publish on this many topics.
-    Talk { topics: usize, quick: bool },
-    /// Create this many nodes, as rclcpp does.
-    Nodes { nodes: usize },
-    /// Create endpoints of one topic, until all are matched.
-    Crowd { publishers: usize, subscriptions: usize, of: usize, gate: PathBuf },
-    /// Send or receive at a rate.
-    Flow { system: System, job: tautline_exchange::Job },
+    /// Look at a domain with so many processes that have a node, and make ports in it.
+    Probe {
+        processes: usize,
+        quick: bool,
+    },
+    Look {
+        quick: bool,
+    },
+    Listen {
+        topics: usize,
+    },
+    Talk {
+        topics: usize,
+        quick: bool,
+    },
+    /// Have so many nodes as rclcpp makes them.
+    Nodes {
+        nodes: usize,
+    },
+    /// Have ends of one topic, until all of it are matched.
+    Crowd {
+        publishers: usize,
+        subscriptions: usize,
+        of: usize,
+        gate: PathBuf,
+    },
+    Flow {
+        system: System,
+        job: tautline_exchange::Job,
+    },
 }
 
-/// A process's output.
 #[derive(Debug, Serialize, Deserialize)]
 pub enum Said {
-    /// It has finished creating, after this many nanoseconds.
+    /// It has made what it was to make, in so many nanoseconds.
     Made { ns: u64 },
-    /// All its endpoints were matched at this time (`CLOCK_MONOTONIC`).
+    /// All its ends were matched at this time (`CLOCK_MONOTONIC`).
     Matched { at_ns: u64 },
-    /// Times of several kinds, in nanoseconds, with their counts.
+    /// Times of several kinds, in nanoseconds, and how often each occurred.
     Times(Vec<(String, Vec<(u64, u64)>)>),
 }
 
 impl Job {
-    /// Runs the job, in the child process.
     pub fn run(text: &str) -> Result<()> {
         match serde_json::from_str(text)? {
             Job::Node { index, gate, processes } => population::node(index, gate, processes),
@@ -82,7 +98,7 @@ impl Job {
 }
 
 impl<'a> Bench<'a> {
-    /// Starts a process for a job with output `L`.
+    /// Starts a process for a job; `L` is what it says.
     pub fn start<L: serde::de::DeserializeOwned + Send + 'static>(
         &self,
         job: &Job,
@@ -93,14 +109,21 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// Sends a line to the parent process.
 pub fn say(said: &Said) -> Result<()> {
     let mut out = stdout().lock();
     writeln!(out, "{}", serde_json::to_string(said)?)?;
     Ok(out.flush()?)
 }
 
-/// Polls a condition, with a pause after each check.
+/// Says something, and stays until the process that started this one closes its standard input.
+pub fn say_and_stay(said: &Said) -> Result<()> {
+    say(said)?;
+    // An error is an end, too.
+    let _ = stdin().read_to_end(&mut Vec::new());
+    Ok(())
+}
+
+/// Looks until it is so, with a rest after each look.
 pub fn wait_until(
     what: &str,
     patience: Duration,
@@ -115,10 +138,4 @@ pub fn wait_until(
         rest();
     }
     Ok(())
-}
-
-/// Waits until the parent closes standard input.
-pub fn wait_for_end() {
-    // An error also ends the wait.
-    let _ = stdin().read_to_end(&mut Vec::new());
 }

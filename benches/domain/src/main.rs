@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Measures the cost of a domain with many processes and topics.
+//! What does a domain of many processes and topics cost?
 //!
-//! The processes are this binary, started with `--child`, in their own scope: processes of others do not interfere, and are
-//! disturbed only by the load.
+//! The processes are this binary again, started with `--child`, in a scope of their own: nobody else's processes are in the way,
+//! and none is disturbed but by the load.
 //!
 //! | module | holds |
 //! |---|---|
-//! | `job` | a process's job and output |
-//! | `place` | the scope, its files, a gate at which processes wait for each other |
-//! | `process` | the kernel's statistics of processes: time, memory, descriptors |
-//! | `ros_node` | a node with the ten endpoints of every ROS 2 node |
-//! | `population` | 1 to 300 processes with such a node: idle, read, joined, killed |
+//! | `job` | what a process is told, and what it says |
+//! | `place` | the domain's files, a gate at which processes wait for each other |
+//! | `process` | what the kernel says of processes: time, memory, descriptors |
+//! | `stopwatch` | times of several kinds, which a process tells the bench |
+//! | `ros_node` | a node with the ten endpoints that every ROS 2 node has |
+//! | `population` | 1 to 300 processes with such a node: idle, looked at, joined, killed |
 //! | `topics` | 10 to 10,000 topics between two processes |
-//! | `storm` | 100 processes that start at once; one with 100 nodes; 1,000 publishers and subscriptions of a topic |
+//! | `storm` | 100 processes that start at once; one with 100 nodes; 1,000 publishers and as many subscriptions of a topic |
 //! | `traffic` | messages at a rate: 200 topics beside iceoryx2, images to many subscriptions, many subscriptions of a topic |
 //! | `report` | the table, the JSON, the aims |
 
@@ -22,37 +23,29 @@ mod population;
 mod process;
 mod report;
 mod ros_node;
+mod stopwatch;
 mod storm;
 mod topics;
 mod traffic;
 
 use clap::{Parser, ValueEnum};
 use job::Job;
-use place::Place;
 use report::Report;
-use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
-use tautline_benches::Disturbance;
+use tautline_benches::{Disturbance, Result, Run, Scratch};
 use tautline_exchange::APPLICATION_PRIORITY;
 use tautline_rt::{host, permission};
 
-/// An error for people only.
-type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
-
-/// Measures the cost of a domain with many processes and topics.
+/// Measures what a domain of many processes and topics costs.
 #[derive(Parser)]
 #[command(after_help = "Examples:
   cargo xtask bench domain --quick                 under 90 s
   cargo xtask bench domain --json domain.json      some ten minutes
   cargo xtask bench domain -- --only processes,storm")]
 struct Options {
-    /// Fewer processes and topics, shorter rounds
-    #[arg(long)]
-    quick: bool,
-    /// Write the numbers to FILE as well
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
+    #[command(flatten)]
+    run: Run,
     /// Only these experiments [default: all]
     #[arg(long, value_name = "EXPERIMENT,...", value_delimiter = ',', value_enum)]
     only: Vec<Experiment>,
@@ -91,9 +84,9 @@ enum Experiment {
     FanOut,
 }
 
-/// State of all experiments.
 struct Bench<'a> {
-    place: &'a Place,
+    /// In a scope that nobody else is in.
+    scratch: &'a Scratch,
     quick: bool,
     realtime: bool,
     processes: Vec<usize>,
@@ -112,32 +105,29 @@ fn main() -> ExitCode {
 
 fn measure(options: &Options) -> Result<()> {
     let interrupted = tautline_benches::interrupted()?;
-    // Three pipes per process.
+    // Three pipes for each process.
     let open_files = host::raise_open_files();
     let disturbance = Disturbance::start();
-    let place = Place::new()?;
-    let sizes = |full: &[usize], quick: &[usize]| if options.quick { quick } else { full }.to_vec();
+    let scratch = Scratch::new("bench_domain")?;
+    let sizes = |full: &[usize], quick: &[usize]| if options.run.quick { quick } else { full }.to_vec();
     let bench = Bench {
-        place: &place,
-        quick: options.quick,
+        scratch: &scratch,
+        quick: options.run.quick,
         realtime: !options.no_rt && permission::realtime_permitted(APPLICATION_PRIORITY + 10).is_ok(),
         processes: options.processes.clone().unwrap_or_else(|| sizes(&[1, 10, 60, 300], &[1, 10, 60])),
         topics: options.topics.clone().unwrap_or_else(|| sizes(&[10, 100, 1000, 10_000], &[10, 100, 1000])),
         interrupted: &interrupted,
     };
-    let mut report = Report::new(options.quick, bench.realtime, open_files);
+    let mut report = Report::new(options.run.quick, bench.realtime, open_files);
     let is_chosen = |experiment: &Experiment| options.only.is_empty() || options.only.contains(experiment);
     for &experiment in Experiment::value_variants().iter().filter(|experiment| is_chosen(experiment)) {
         let rows = bench.run(experiment).map_err(|error| format!("{}: {error}", experiment.name()))?;
-        report.add(rows);
-        report.add(vec![place.left_behind(experiment)?]);
+        report.rows.extend(rows);
+        report.rows.push(place::left_behind(experiment)?);
     }
-    report.finish(&disturbance);
+    report.disturbance = disturbance.report();
     report.print();
-    match &options.json {
-        Some(path) => tautline_benches::write_json(path, &report),
-        None => Ok(()),
-    }
+    options.run.write(&report)
 }
 
 impl Bench<'_> {

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Processes with a node each: their cost when idle, the cost of reading the graph and of joining them, and the time until a
-//! killed one is cleaned up.
+//! Processes with a node each: what they cost when nothing happens, what it costs to look at them and to come to them, and how soon
+//! they are buried.
 
-use crate::job::{DOMAIN, Job, Said, say, wait_for_end, wait_until};
-use crate::place::Gate;
+use crate::job::{DOMAIN, Job, Said, say, say_and_stay, wait_until};
+use crate::place::{Gate, shared_bytes};
 use crate::process::{self, Process};
 use crate::report::Row;
 use crate::ros_node::{self, ENDPOINTS, RosNode, seldom};
+use crate::stopwatch::Stopwatch;
 use crate::{Bench, Experiment, Result};
 use futures::StreamExt;
 use std::hint::black_box;
@@ -18,16 +19,17 @@ use tautline::std_msgs::msg::UInt64;
 use tautline::{CallbackOptions, Node};
 use tautline_benches::Distribution;
 use tautline_rt::clock::monotonic_ns;
+use tautline_rt::domain::shared_path;
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription, graph_of};
 
-/// Time-out of a process's job.
+/// How long a process may take to do its job.
 pub const PATIENCE: Duration = Duration::from_secs(180);
-/// Time-out of steps that take microseconds.
+/// How long something that takes microseconds may take.
 const SHORT: Duration = Duration::from_secs(10);
-/// Until the domain is idle.
+/// Until nothing happens any more.
 const SETTLING: Duration = Duration::from_secs(1);
 const MIB: f64 = 1048576.0;
-/// Processes and ports for the aims of reading the graph.
+/// What the aims of a look are about.
 const LOOKED_AT: [usize; 2] = [64, 20];
 
 fn row(size: usize, what: impl Into<String>, unit: &'static str) -> Row {
@@ -49,11 +51,7 @@ fn population(bench: &Bench<'_>, size: usize) -> Result<Vec<Row>> {
     let node = |index, processes| Job::Node { index, gate: None, processes };
     let mut processes: Vec<Process<'_, Said>> =
         (0..size).map(|index| bench.start(&node(index, Some(size)))).collect::<Result<_>>()?;
-    let mut matched_ns = start_ns;
-    for process in &mut processes {
-        matched_ns = matched_ns.max(matched(process)?);
-    }
-    let started = (matched_ns - start_ns) as f64 / 1e9;
+    let started = (all_matched(&mut processes)? - start_ns) as f64 / 1e9;
     rows.push(row(size, "from the first process's start until all are matched", "s").value(started));
 
     sleep(SETTLING);
@@ -65,7 +63,7 @@ fn population(bench: &Bench<'_>, size: usize) -> Result<Vec<Row>> {
         300 => idle.at_most(3.0),
         _ => idle,
     });
-    rows.extend(memory_of(bench, Experiment::Processes, size, &pids));
+    rows.extend(memory_of(Experiment::Processes, size, &pids));
     let descriptors = pids.iter().map(|&pid| process::descriptors(pid).len()).max().unwrap_or(0);
     rows.push(
         row(size, format!("descriptors of a process with {ENDPOINTS} endpoints, at most"), "files")
@@ -80,21 +78,18 @@ fn population(bench: &Bench<'_>, size: usize) -> Result<Vec<Row>> {
     echo.finish()?;
 
     rows.extend(deaths(bench, size, &mut processes)?);
-    for process in &mut processes {
-        process.finish()?;
-    }
+    processes.iter_mut().try_for_each(Process::finish)?;
     Ok(rows)
 }
 
-/// The memory of a number of processes.
-pub fn memory_of(bench: &Bench<'_>, experiment: Experiment, size: usize, pids: &[u32]) -> Vec<Row> {
+pub fn memory_of(experiment: Experiment, size: usize, pids: &[u32]) -> Vec<Row> {
     let memory: Vec<_> = pids.iter().map(|&pid| process::memory(pid)).collect();
     let row = |what: &str, bytes: f64| Row::of(experiment, size, what, "MiB").value(bytes / MIB);
     let sum = |of: fn(&process::Memory) -> u64| memory.iter().map(of).sum::<u64>() as f64;
     vec![
         row("resident memory of a process (RSS), mean", sum(|memory| memory.rss) / pids.len() as f64),
         row("memory of all processes (PSS), shared parts counted once", sum(|memory| memory.pss)),
-        row("of it in /dev/shm, whether it is mapped or not", bench.place.shared_bytes() as f64),
+        row("of it in /dev/shm, whether it is mapped or not", shared_bytes() as f64),
     ]
 }
 
@@ -102,11 +97,15 @@ pub fn matched(process: &mut Process<'_, Said>) -> Result<u64> {
     process.expect(PATIENCE, |said| if let Said::Matched { at_ns } = said { Some(at_ns) } else { None })
 }
 
+pub fn all_matched(processes: &mut [Process<'_, Said>]) -> Result<u64> {
+    processes.iter_mut().try_fold(0, |last_ns, process| Ok(last_ns.max(matched(process)?)))
+}
+
 pub fn made(process: &mut Process<'_, Said>) -> Result<u64> {
     process.expect(PATIENCE, |said| if let Said::Made { ns } = said { Some(ns) } else { None })
 }
 
-/// The times that a process measured, by kind.
+/// The times that a process took, by what they are of.
 pub fn times(process: &mut Process<'_, Said>) -> Result<Vec<(String, Distribution)>> {
     let times =
         process.expect(PATIENCE, |said| if let Said::Times(times) = said { Some(times) } else { None })?;
@@ -118,7 +117,7 @@ pub fn times(process: &mut Process<'_, Said>) -> Result<Vec<(String, Distributio
     Ok(times.into_iter().map(|(what, counts)| (what, distribution(counts))).collect())
 }
 
-/// Kills processes one by one, finally the warden.
+/// Kills processes one by one, at last the warden.
 fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>) -> Result<Vec<Row>> {
     let rounds = if bench.quick { 3 } else { 20 };
     let participant = Participant::new(DOMAIN)?;
@@ -136,15 +135,15 @@ fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>
         let mut victim = bench.start(&Job::Node { index: size + index, gate: None, processes: None })?;
         made(&mut victim)?;
         survivors(processes.len() + 1)?;
-        deaths.push(death(bench, &participant, &publisher, &mut victim)?);
+        deaths.push(death(&participant, &publisher, &mut victim)?);
     }
     let mut rows = rows_of(size, "a killed process", &deaths);
     if processes.len() > 3 {
         let mut of_wardens = Vec::new();
         for _ in 0..3 {
-            let folder = bench.place.folder();
+            let folder = shared_path(DOMAIN);
             let mut index = None;
-            // After a kill, the next warden takes over when it is scheduled.
+            // Who becomes it after one was killed does so when it is scheduled.
             look_until("there is a warden", || {
                 index = processes.iter().position(|process| process::is_warden(process.id(), &folder));
                 Ok(index.is_some() || process::is_warden(std::process::id(), &folder))
@@ -152,93 +151,75 @@ fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>
             // It may be this one.
             let Some(index) = index else { break };
             let mut victim = processes.swap_remove(index);
-            of_wardens.push(death(bench, &participant, &publisher, &mut victim)?);
+            of_wardens.push(death(&participant, &publisher, &mut victim)?);
         }
         rows.extend(rows_of(size, "a killed warden, which buries the others,", &of_wardens));
     }
     Ok(rows)
 }
 
-fn rows_of(size: usize, who: &str, deaths: &[Death]) -> Vec<Row> {
+/// What is to go of a killed process.
+const TRACES: [&str; 3] = ["a node in the graph", "a subscription that a peer counts", "a file"];
+const HAVE_GONE: [&str; 3] = ["is out of the graph", "is counted by no peer", "has no files"];
+
+fn rows_of(size: usize, who: &str, deaths: &[[u64; TRACES.len()]]) -> Vec<Row> {
     if deaths.is_empty() {
         return Vec::new();
     }
-    let times = |what: &str, of: fn(&Death) -> u64| {
+    let times = |what: &str, of: &dyn Fn(&[u64; TRACES.len()]) -> u64| {
         let mut times = Distribution::new();
         deaths.iter().for_each(|death| times.record(of(death)));
         row(size, format!("{who} {what}"), "ms").times_in(&times, 1000.0)
     };
-    vec![
-        times("is out of the graph", |death| death.graph),
-        times("is counted by no peer", |death| death.peer),
-        times("has no files", |death| death.files),
-        times("is cleaned up: all of that", |death| death.all()).max_at_most(50.0),
-    ]
+    let of_trace = |(trace, what)| times(what, &|death| death[trace]);
+    let mut rows: Vec<Row> = HAVE_GONE.into_iter().enumerate().map(of_trace).collect();
+    let last = |death: &[u64; TRACES.len()]| death.iter().copied().max().unwrap_or(0);
+    rows.push(times("is cleaned up: all of that", &last).max_at_most(50.0));
+    rows
 }
 
-/// Times after a kill, in nanoseconds.
-#[derive(Clone, Copy, Debug)]
-struct Death {
-    /// Until it has left the graph.
-    graph: u64,
-    /// Until a peer's publisher no longer counts its subscription.
-    peer: u64,
-    /// Until its files are removed.
-    files: u64,
-}
-
-impl Death {
-    fn all(self) -> u64 {
-        self.graph.max(self.peer).max(self.files)
-    }
-}
-
-/// Kills a process and waits until nothing of it is left.
+/// Kills a process and waits until nothing of it is left: how long that took for each trace, in nanoseconds.
 fn death(
-    bench: &Bench<'_>,
     participant: &Participant,
     publisher: &Publisher<ParameterEvent>,
     victim: &mut Process<'_, Said>,
-) -> Result<Death> {
-    let files = process::records(victim.id(), &bench.place.folder());
+) -> Result<[u64; TRACES.len()]> {
+    let files = process::records(victim.id(), &shared_path(DOMAIN));
     if files.is_empty() {
         return Err("the process to be killed has no file in shared memory".into());
     }
     let (pid, before) = (victim.id(), publisher.subscription_count());
-    let mut death = [None; 3];
+    let mut death = [None; TRACES.len()];
     let start_ns = monotonic_ns();
     victim.kill();
     let buried = look_until("a killed process is buried", || {
-        let is_so = |part: usize| -> Result<bool> {
-            Ok(match part {
+        let has_gone = |trace: usize| -> Result<bool> {
+            Ok(match trace {
                 0 => !participant.graph()?.nodes.iter().any(|node| node.pid == Some(pid)),
                 1 => publisher.subscription_count() < before,
                 _ => !files.iter().any(|file| file.exists()),
             })
         };
-        for (part, at) in death.iter_mut().enumerate() {
-            if at.is_none() && is_so(part)? {
+        for (trace, at) in death.iter_mut().enumerate() {
+            if at.is_none() && has_gone(trace)? {
                 *at = Some(monotonic_ns() - start_ns);
             }
         }
         Ok(death.iter().all(Option::is_some))
     });
     if let Err(error) = buried {
-        let left =
-            std::iter::zip(["a node in the graph", "a subscription that a peer counts", "a file"], death);
-        let left: Vec<&str> = left.filter(|(_, at)| at.is_none()).map(|(what, _)| what).collect();
+        let left = std::iter::zip(TRACES, death).filter(|(_, at)| at.is_none());
+        let left: Vec<&str> = left.map(|(what, _)| what).collect();
         return Err(format!("{error}: what is left of it is {}", left.join(", ")).into());
     }
-    let [graph, peer, files] = death.map(Option::unwrap_or_default);
-    Ok(Death { graph, peer, files })
+    Ok(death.map(Option::unwrap_or_default))
 }
 
-/// Polls every 100 µs.
 fn look_until(what: &str, is_so: impl FnMut() -> Result<bool>) -> Result<()> {
     wait_until(what, SHORT, || sleep(Duration::from_micros(100)), is_so)
 }
 
-/// The domain for the aims of reading the graph.
+/// The domain that the aims of a look are about.
 fn looked_at(bench: &Bench<'_>) -> Result<Vec<Row>> {
     let [processes, ports] = LOOKED_AT;
     let start = |index| bench.start(&Job::Ports { index, pairs: ports / 2 });
@@ -261,13 +242,11 @@ fn looked_at(bench: &Bench<'_>) -> Result<Vec<Row>> {
     });
     let rows = rows.collect();
     look.finish()?;
-    for process in &mut all {
-        process.finish()?;
-    }
+    all.iter_mut().try_for_each(Process::finish)?;
     Ok(rows)
 }
 
-// The jobs of the processes.
+// What the processes do.
 
 pub fn node(index: usize, gate: Option<PathBuf>, processes: Option<usize>) -> Result<()> {
     if let Some(gate) = gate {
@@ -278,12 +257,10 @@ pub fn node(index: usize, gate: Option<PathBuf>, processes: Option<usize>) -> Re
     let (node, answers) = RosNode::create(&context, &format!("node_{index}"))?;
     let _callback = node.serve(answers)?;
     ros_node::spin_while(&context, || {
-        say(&Said::Made { ns: monotonic_ns() - start_ns })?;
-        if let Some(processes) = processes {
-            say(&Said::Matched { at_ns: node.wait_until_matched(processes)? })?;
-        }
-        wait_for_end();
-        Ok(())
+        let made = Said::Made { ns: monotonic_ns() - start_ns };
+        let Some(processes) = processes else { return say_and_stay(&made) };
+        say(&made)?;
+        say_and_stay(&Said::Matched { at_ns: node.wait_until_matched(processes)? })
     })
 }
 
@@ -298,8 +275,7 @@ pub fn ports(index: usize, pairs: usize) -> Result<()> {
         participant.create_subscription::<UInt64>(&name("in", pair), Qos::default(), Limits::default())
     };
     let subscriptions: Vec<_> = (0..pairs).map(subscription).collect::<std::result::Result<_, _>>()?;
-    say(&Said::Made { ns: monotonic_ns() - start_ns })?;
-    wait_for_end();
+    say_and_stay(&Said::Made { ns: monotonic_ns() - start_ns })?;
     drop((publishers, subscriptions));
     Ok(())
 }
@@ -322,116 +298,81 @@ pub fn echo() -> Result<()> {
             }
         }
     })?;
-    ros_node::spin_while(&context, || {
-        say(&Said::Made { ns: 0 })?;
-        wait_for_end();
-        Ok(())
-    })
+    ros_node::spin_while(&context, || say_and_stay(&Said::Made { ns: 0 }))
 }
 
 const FRESH: &str = "a look by who has not looked before";
 const UNCHANGED: &str = "a look when nothing has changed";
 const CHANGED: &str = "a look after one change";
 
-type Times = Vec<(String, Vec<(u64, u64)>)>;
-
-fn add(all: &mut Times, what: impl Into<String>, times: &Distribution) {
-    all.push((what.into(), times.counts()));
-}
-
-fn timed<T>(times: &mut Distribution, what: impl FnOnce() -> T) -> T {
-    let start_ns = monotonic_ns();
-    let result = what();
-    times.record(monotonic_ns() - start_ns);
-    result
-}
-
-/// Times of reading the graph.
-pub fn looks(quick: bool) -> Result<Times> {
+pub fn time_looks(times: &mut Stopwatch, quick: bool) -> Result<()> {
     let rounds = if quick { 100 } else { 1000 };
-    let mut all = Times::new();
-    let mut fresh = Distribution::new();
     for _ in 0..rounds / 5 {
-        black_box(timed(&mut fresh, || graph_of(DOMAIN))?);
+        black_box(times.time(FRESH, || graph_of(DOMAIN))?);
     }
-    add(&mut all, FRESH, &fresh);
     let (looking, changing) = (Participant::new(DOMAIN)?, Participant::new(DOMAIN)?);
-    // Changes that come with the two are over.
+    // What comes with the two is over.
     sleep(Duration::from_millis(100));
-    let (mut unchanged, mut changed) = (Distribution::new(), Distribution::new());
     looking.graph()?;
     for _ in 0..rounds * 10 {
-        black_box(timed(&mut unchanged, || looking.graph())?);
+        black_box(times.time(UNCHANGED, || looking.graph())?);
     }
     for _ in 0..rounds / 2 {
         let port = changing.create_publisher::<UInt64>("/look", Qos::default(), Limits::default())?;
-        let graph = timed(&mut changed, || looking.graph())?;
+        let graph = times.time(CHANGED, || looking.graph())?;
         if !graph.endpoints.iter().any(|end| end.topic == "/look") {
             return Err("a new port is not in the graph".into());
         }
         drop((graph, port));
-        black_box(timed(&mut changed, || looking.graph())?);
+        black_box(times.time(CHANGED, || looking.graph())?);
     }
-    add(&mut all, UNCHANGED, &unchanged);
-    add(&mut all, CHANGED, &changed);
-    Ok(all)
+    Ok(())
 }
 
 pub fn look(quick: bool) -> Result<()> {
-    say(&Said::Times(looks(quick)?))?;
-    wait_for_end();
-    Ok(())
+    let mut times = Stopwatch::default();
+    time_looks(&mut times, quick)?;
+    times.say_and_stay()
 }
 
 pub fn probe(processes: usize, quick: bool) -> Result<()> {
     let rounds = if quick { 20 } else { 200 };
-    let mut all = looks(quick)?;
+    let mut times = Stopwatch::default();
+    time_looks(&mut times, quick)?;
     let participant = Participant::new(DOMAIN)?;
-    let limits = Limits::default();
-    let (mut publishers, mut subscriptions) = (Distribution::new(), Distribution::new());
+    let (qos, limits) = (Qos::default(), Limits::default());
     for _ in 0..rounds {
-        drop(timed(&mut publishers, || {
-            participant.create_publisher::<UInt64>("/alone", Qos::default(), limits)
-        })?);
-        drop(timed(&mut subscriptions, || {
-            participant.create_subscription::<UInt64>("/alone", Qos::default(), limits)
-        })?);
+        let publisher = || participant.create_publisher::<UInt64>("/alone", qos, limits);
+        drop(times.time("making a publisher that nobody listens to", publisher)?);
+        let subscription = || participant.create_subscription::<UInt64>("/alone", qos, limits);
+        drop(times.time("making a subscription that nobody publishes to", subscription)?);
     }
-    add(&mut all, "making a publisher that nobody listens to", &publishers);
-    add(&mut all, "making a subscription that nobody publishes to", &subscriptions);
-    let (matched, answered) = echoed(&participant, rounds)?;
-    add(&mut all, "making a subscription and matching it with one in another process", &matched);
-    add(&mut all, "making a publisher and having its first message taken in another process", &answered);
-    let (publishers, subscriptions) = in_the_crowd(&participant, processes, rounds / 5)?;
-    add(&mut all, "making a publisher of /parameter_events, connected to all", &publishers);
-    add(&mut all, "making a subscription of /parameter_events, connected to all", &subscriptions);
-    let mut nodes = Distribution::new();
+    time_echoes(&mut times, &participant, rounds)?;
+    time_the_crowd(&mut times, &participant, processes, rounds / 5)?;
     for index in 0..rounds / 4 {
         let context = ros_node::context()?;
-        let made = timed(&mut nodes, || RosNode::create(&context, &format!("probe_{index}")))?;
-        // Until the next one comes, it has ended everywhere.
-        drop(made);
+        let node = || RosNode::create(&context, &format!("probe_{index}"));
+        // Until the next one comes it is gone for all.
+        drop(times.time(&format!("making a node with its {ENDPOINTS} endpoints"), node)?);
     }
-    add(&mut all, format!("making a node with its {ENDPOINTS} endpoints"), &nodes);
-    say(&Said::Times(all))?;
-    wait_for_end();
-    Ok(())
+    times.say_and_stay()
 }
 
 fn spin_until(what: &str, mut is_so: impl FnMut() -> bool) -> Result<()> {
     wait_until(what, SHORT, yield_now, || Ok(is_so()))
 }
 
-/// Time until a new subscription has its publisher, and until a new publisher's first message is taken.
-fn echoed(participant: &Participant, rounds: usize) -> Result<(Distribution, Distribution)> {
+/// How long it takes until a new subscription has its publisher, and until a new publisher's first message is taken.
+fn time_echoes(times: &mut Stopwatch, participant: &Participant, rounds: usize) -> Result<()> {
     let (qos, limits) = (Qos::default(), Limits::default());
-    let (mut matched, mut taken) = (Distribution::new(), Distribution::new());
     for _ in 0..rounds {
-        let subscription: Subscription<UInt64> = timed(&mut matched, || {
+        let matched = || -> Result<Subscription<UInt64>> {
             let subscription = participant.create_subscription(FROM, qos, limits)?;
             spin_until("a subscription is matched", || subscription.publisher_count() == 1)?;
-            Ok::<_, Box<dyn std::error::Error>>(subscription)
-        })?;
+            Ok(subscription)
+        };
+        let what = "making a subscription and matching it with one in another process";
+        let subscription = times.time(what, matched)?;
         let start_ns = monotonic_ns();
         let publisher = participant.create_publisher::<UInt64>(TO, qos, limits)?;
         spin_until("a publisher is matched", || publisher.subscription_count() == 1)?;
@@ -444,32 +385,33 @@ fn echoed(participant: &Participant, rounds: usize) -> Result<(Distribution, Dis
                 true
             })
         })?;
-        taken.record(taken_ns.saturating_sub(start_ns));
+        let what = "making a publisher and having its first message taken in another process";
+        times.note(what, taken_ns.saturating_sub(start_ns));
     }
-    Ok((matched, taken))
+    Ok(())
 }
 
-/// Time to create endpoints that are matched with all processes.
-fn in_the_crowd(
+/// How long it takes to make ends that are matched with all processes.
+fn time_the_crowd(
+    times: &mut Stopwatch,
     participant: &Participant,
     processes: usize,
     rounds: usize,
-) -> Result<(Distribution, Distribution)> {
+) -> Result<()> {
     let qos = Qos::keep_last(Qos::parameter_events().depth);
-    let (mut publishers, mut subscriptions) = (Distribution::new(), Distribution::new());
     for _ in 0..rounds {
-        let publisher: Publisher<ParameterEvent> = timed(&mut publishers, || {
+        let publisher = || -> Result<Publisher<ParameterEvent>> {
             let publisher = participant.create_publisher("/parameter_events", qos, seldom())?;
             spin_until("a publisher is matched with all", || publisher.subscription_count() >= processes)?;
-            Ok::<_, Box<dyn std::error::Error>>(publisher)
-        })?;
-        drop(publisher);
-        let subscription: Subscription<ParameterEvent> = timed(&mut subscriptions, || {
+            Ok(publisher)
+        };
+        drop(times.time("making a publisher of /parameter_events, connected to all", publisher)?);
+        let subscription = || -> Result<Subscription<ParameterEvent>> {
             let subscription = participant.create_subscription("/parameter_events", qos, seldom())?;
             spin_until("a subscription is matched with all", || subscription.publisher_count() >= processes)?;
-            Ok::<_, Box<dyn std::error::Error>>(subscription)
-        })?;
-        drop(subscription);
+            Ok(subscription)
+        };
+        drop(times.time("making a subscription of /parameter_events, connected to all", subscription)?);
     }
-    Ok((publishers, subscriptions))
+    Ok(())
 }

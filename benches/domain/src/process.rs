@@ -28,7 +28,6 @@ pub fn cpu_percent(pids: &[u32], duration: std::time::Duration) -> f64 {
     100.0 * used as f64 / (end - start) as f64
 }
 
-/// Memory of a process in bytes.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Memory {
     /// Resident, with shared pages in full.

@@ -1,25 +1,25 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The table, the JSON, and whether aims are met. A missed aim is printed, not an error, because it depends on the machine.
+//! The table, the JSON, and whether aims are met. A miss is printed, never an error: the machine has its part in it.
 
 use crate::Experiment;
 use clap::ValueEnum;
 use serde::Serialize;
 use tautline_benches::claims::Verdict;
 use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::{Cell, Table};
-use tautline_benches::{Distribution, Disturbance, machine, version_of};
+use tautline_benches::table::Table;
+use tautline_benches::{Distribution, cells, machine, version_of};
 
-/// One measurement at one size.
+/// One thing that was measured at one size.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
     pub experiment: String,
-    /// Processes, topics or subscriptions, depending on the experiment; 0: the experiment as a whole.
+    /// Processes, topics or subscriptions, as the experiment has them; 0: of the experiment as a whole.
     pub size: u64,
     pub system: &'static str,
     pub what: String,
     pub unit: &'static str,
     pub n: u64,
-    /// The median, or a single value.
+    /// The median, or the value if it is one.
     pub p50: f64,
     pub p99: Option<f64>,
     pub p999: Option<f64>,
@@ -27,13 +27,14 @@ pub struct Row {
     pub aim: Option<Aim>,
 }
 
-/// An upper bound.
 #[derive(Clone, Debug, Serialize)]
 pub struct Aim {
     pub at_most: f64,
-    /// The judged column.
+    /// The column that is judged.
     pub of: &'static str,
     pub is_met: bool,
+    #[serde(skip)]
+    number: Option<f64>,
 }
 
 impl Row {
@@ -58,13 +59,12 @@ impl Row {
         self
     }
 
-    /// A single number.
     pub fn value(mut self, value: f64) -> Self {
         self.p50 = value;
         self
     }
 
-    /// Times, in units of the given number of µs.
+    /// Times, in units of so many µs.
     pub fn times_in(mut self, times: &Distribution, unit_us: f64) -> Self {
         self.n = times.len();
         let enough_for =
@@ -74,23 +74,21 @@ impl Row {
         self
     }
 
-    /// Times in µs.
     pub fn times(self, times: &Distribution) -> Self {
         self.times_in(times, 1.0)
     }
 
-    /// Sets an upper bound of the value or median.
+    /// A value, or a median, that is to be at most so much.
     pub fn at_most(self, at_most: f64) -> Self {
-        let p50 = self.p50;
-        self.judged("p50", Some(p50), at_most)
+        let p50 = Some(self.p50);
+        self.judged("p50", p50, at_most)
     }
 
-    /// Sets an upper bound of the 99th percentile, or of the maximum below 100 times.
+    /// The 99th percentile, of fewer than 100 times the longest.
     pub fn p99_at_most(self, at_most: f64) -> Self {
-        let (p99, max) = (self.p99, self.max);
-        match p99 {
-            Some(_) => self.judged("p99", p99, at_most),
-            None => self.judged("max", max, at_most),
+        match self.p99 {
+            None => self.max_at_most(at_most),
+            p99 => self.judged("p99", p99, at_most),
         }
     }
 
@@ -100,22 +98,22 @@ impl Row {
     }
 
     fn judged(mut self, of: &'static str, number: Option<f64>, at_most: f64) -> Self {
-        self.aim = Some(Aim { at_most, of, is_met: number.is_some_and(|number| number <= at_most) });
+        let is_met = number.is_some_and(|number| number <= at_most);
+        self.aim = Some(Aim { at_most, of, is_met, number });
         self
     }
 }
 
-/// The result of a run.
 #[derive(Serialize)]
 pub struct Report {
     machine: String,
     versions: String,
-    /// The limit per process.
+    /// The limit of each process.
     open_files: u64,
-    disturbance: String,
+    pub disturbance: String,
     realtime: bool,
     quick: bool,
-    rows: Vec<Row>,
+    pub rows: Vec<Row>,
 }
 
 impl Report {
@@ -124,14 +122,6 @@ impl Report {
         let versions = format!("tautline {}, iceoryx2 {}", version("tautline"), version("iceoryx2"));
         let disturbance = String::new();
         Report { machine: machine(), versions, open_files, disturbance, realtime, quick, rows: Vec::new() }
-    }
-
-    pub fn add(&mut self, rows: Vec<Row>) {
-        self.rows.extend(rows);
-    }
-
-    pub fn finish(&mut self, disturbance: &Disturbance) {
-        self.disturbance = disturbance.report();
     }
 
     pub fn print(&self) {
@@ -153,14 +143,11 @@ impl Report {
         println!();
         for row in &self.rows {
             if let Some(aim) = &row.aim {
-                let number = match aim.of {
-                    "p99" => row.p99.unwrap_or(f64::NAN),
-                    "max" => row.max.unwrap_or(f64::NAN),
-                    _ => row.p50,
-                };
+                let number = aim.number.unwrap_or(f64::NAN);
                 let size = if row.size == 0 { String::new() } else { format!(" {}", row.size) };
                 let claim = format!("{}{size}: {}", row.experiment, row.what);
-                let found = format!("{} {}, at most {}", shown(number), row.unit, shown(aim.at_most));
+                let found =
+                    format!("{} {} {}, at most {}", aim.of, shown(number), row.unit, shown(aim.at_most));
                 println!("{}", Verdict::new(claim, found, Some(aim.is_met)));
             }
         }
@@ -175,21 +162,16 @@ fn title(experiment: Experiment) -> String {
 fn table(rows: &[&Row]) -> Table {
     let words = [Number("size"), Words("system"), Words("what"), Words("unit")];
     let numbers = ["n", "p50 / value", "p99", "p99.9", "max"].map(Number);
-    let mut table = Table::new(1, [&words[..], &numbers, &[Words("aim")]].concat());
+    let mut table = Table::new(1, [&words[..], &numbers].concat());
     for row in rows {
-        let words: [Cell; 5] =
-            [row.size.into(), row.system.into(), (&row.what).into(), row.unit.into(), row.n.into()];
         let numbers = [Some(row.p50), row.p99, row.p999, row.max];
-        let numbers = numbers.map(|number| number.map_or(String::new(), shown).into());
-        let aim = row.aim.as_ref().map_or(String::new(), |aim| {
-            format!("{} <= {} {}", aim.of, shown(aim.at_most), if aim.is_met { "holds" } else { "MISSED" })
-        });
-        table.add(words.into_iter().chain(numbers).chain([aim.into()]));
+        let [p50, p99, p999, max] = numbers.map(|number| number.map_or(String::new(), shown));
+        table.add(cells![row.size, row.system, &row.what, row.unit, row.n, p50, p99, p999, max]);
     }
     table
 }
 
-/// With significant digits only.
+/// With as many digits as say something.
 fn shown(number: f64) -> String {
     match number.abs() {
         size if size == 0.0 || size >= 1000.0 => format!("{number:.0}"),

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A node with the endpoints of every rclcpp node: a publisher of /rosout, a publisher and a subscription of /parameter_events,
-//! six services for parameters and one for type descriptions.
+//! A node with the endpoints that every node of rclcpp has: a publisher of /rosout, a publisher and a subscription of
+//! /parameter_events, six services for its parameters and one that describes types.
 
 use crate::Result;
 use crate::job::{DOMAIN, wait_until};
@@ -16,11 +16,11 @@ use tautline::{
 };
 use tautline_rt::clock::monotonic_ns;
 
-/// Number of endpoints, a service counted as one.
+/// How many endpoints that is, a service counted as one.
 pub const ENDPOINTS: usize = 10;
-/// Time-out until all are matched.
+/// How long all of them may take to be matched.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// Interval of checks whether they are: long enough not to interfere.
+/// How often it is looked whether they are: not so often that it is in the way.
 const GLANCE: Duration = Duration::from_millis(10);
 
 pub struct RosNode {
@@ -31,7 +31,7 @@ pub struct RosNode {
     node: Node,
 }
 
-/// Rarely used, and by no real-time thread.
+/// Seldom used, and by no real-time thread.
 pub fn seldom() -> Limits {
     Limits { claim: Claim::OnUse, ..Limits::default() }
 }
@@ -40,7 +40,6 @@ pub fn context() -> Result<Context> {
     Ok(Context::builder().domain(DOMAIN).realtime(Realtime::Off).hold_idle(false).build()?)
 }
 
-/// Spins in a thread while `work` runs.
 pub fn spin_while(context: &Context, work: impl FnOnce() -> Result<()>) -> Result<()> {
     let spinning = context.clone();
     let sampler = std::thread::spawn(move || spinning.spin());
@@ -50,7 +49,7 @@ pub fn spin_while(context: &Context, work: impl FnOnce() -> Result<()>) -> Resul
 }
 
 impl RosNode {
-    /// The node, and the server of its parameters.
+    /// The node, and what answers the requests for its parameters.
     pub fn create(context: &Context, name: &str) -> Result<(Self, BoxFuture<'static, ()>)> {
         let mut node = Node::create(context.clone(), name, "")?;
         for topic in ["/rosout", "/parameter_events"] {
@@ -68,18 +67,17 @@ impl RosNode {
         Ok((RosNode { _rosout: rosout, changes, changes_of_all, _description: description, node }, answers))
     }
 
-    /// Runs the parameter server in a thread.
     pub fn serve(&self, answers: BoxFuture<'static, ()>) -> Result<CallbackHandle> {
         let options = CallbackOptions::fifo(tautline_exchange::APPLICATION_PRIORITY).name("parameters");
         Ok(self.node.spawn_callback(options, answers)?)
     }
 
-    /// Whether it is matched with the nodes of this many processes, itself included.
+    /// Whether it is matched with the nodes of so many processes, this one included.
     pub fn is_matched(&self, nodes: usize) -> bool {
         self.changes.subscription_count() >= nodes && self.changes_of_all.publisher_count() >= nodes
     }
 
-    /// Waits for that, and returns the time at which it was seen.
+    /// Waits until it is, and says when that was seen.
     pub fn wait_until_matched(&self, nodes: usize) -> Result<u64> {
         let is_matched = || Ok(self.is_matched(nodes));
         let waited = wait_until("a node is matched", PATIENCE, || sleep(GLANCE), is_matched);

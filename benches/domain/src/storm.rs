@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Many that start at once: processes, nodes of a process, endpoints of a topic.
 
-use crate::job::{DOMAIN, Job, Said, say, wait_for_end, wait_until};
-use crate::place::Gate;
-use crate::population::{PATIENCE, made, matched, memory_of};
+use crate::job::{DOMAIN, Job, Said, say, say_and_stay, wait_until};
+use crate::place::{Gate, shared_bytes};
+use crate::population::{PATIENCE, all_matched, made, matched, memory_of};
 use crate::process::{self, Process};
 use crate::report::Row;
 use crate::ros_node::{self, ENDPOINTS, RosNode};
@@ -25,7 +25,7 @@ pub fn start_at_once(bench: &Bench<'_>) -> Result<Vec<Row>> {
     let (size, rounds) = if bench.quick { (20, 1) } else { (100, 5) };
     let (mut all, mut each) = (Distribution::new(), Distribution::new());
     for _ in 0..rounds {
-        let gate = bench.place.gate()?;
+        let gate = Gate::closed(bench.scratch)?;
         let start = |index| {
             bench.start(&Job::Node { index, gate: Some(gate.path().to_owned()), processes: Some(size) })
         };
@@ -40,9 +40,7 @@ pub fn start_at_once(bench: &Bench<'_>) -> Result<Vec<Row>> {
             last_ns = last_ns.max(at_ns);
         }
         all.record(last_ns - start_ns);
-        for process in &mut processes {
-            process.finish()?;
-        }
+        processes.iter_mut().try_for_each(Process::finish)?;
     }
     let row = |what: &str| Row::of(Experiment::Storm, size, what, "ms");
     Ok(vec![
@@ -51,7 +49,6 @@ pub fn start_at_once(bench: &Bench<'_>) -> Result<Vec<Row>> {
     ])
 }
 
-/// A process with many nodes.
 pub fn many_nodes(bench: &Bench<'_>) -> Result<Vec<Row>> {
     let size = 100;
     let mut process = bench.start(&Job::Nodes { nodes: size })?;
@@ -60,7 +57,7 @@ pub fn many_nodes(bench: &Bench<'_>) -> Result<Vec<Row>> {
     let matched_ns = matched(&mut process)?;
     sleep(GATHERING);
     let (pid, memory) = (process.id(), process::memory(process.id()));
-    let shared = bench.place.shared_bytes();
+    let shared = shared_bytes();
     let idle = process::cpu_percent(&[pid], Duration::from_secs(if bench.quick { 1 } else { 5 }));
     let all = (memory.rss_without_shared + shared) as f64 / MIB;
     let rows = vec![
@@ -81,7 +78,7 @@ pub fn many_nodes(bench: &Bench<'_>) -> Result<Vec<Row>> {
 /// Publishers and subscriptions of one topic in several processes.
 pub fn crowd(bench: &Bench<'_>) -> Result<Vec<Row>> {
     let (size, processes) = if bench.quick { (100, 5) } else { (1000, 10) };
-    let gate = bench.place.gate()?;
+    let gate = Gate::closed(bench.scratch)?;
     let per_process = size / processes;
     let start = |publishers, subscriptions| {
         bench.start(&Job::Crowd { publishers, subscriptions, of: size, gate: gate.path().to_owned() })
@@ -94,31 +91,24 @@ pub fn crowd(bench: &Bench<'_>) -> Result<Vec<Row>> {
     sleep(GATHERING);
     let start_ns = monotonic_ns();
     gate.open()?;
-    let mut last_ns = start_ns;
-    for process in &mut all {
-        last_ns = last_ns.max(matched(process)?);
-    }
+    let matched_ms = (all_matched(&mut all)? - start_ns) as f64 / 1e6;
     sleep(GATHERING);
     let pids: Vec<u32> = all.iter().map(Process::id).collect();
     let row = |what: &str, unit| Row::of(Experiment::Crowd, size, what, unit);
     let descriptors = pids.iter().map(|&pid| process::descriptors(pid).len()).max().unwrap_or(0);
     let mut rows = vec![
-        row(&format!("until all are matched, {} pairs", size * size), "ms")
-            .value((last_ns - start_ns) as f64 / 1e6),
+        row(&format!("until all are matched, {} pairs", size * size), "ms").value(matched_ms),
         row("descriptors of a process for each of its ends, at most", "files")
             .value(descriptors as f64 / per_process as f64)
             .at_most(1.0),
         row("parts of a process's address space, at most", "mappings")
             .value(pids.iter().map(|&pid| process::mappings(pid)).max().unwrap_or(0) as f64),
     ];
-    rows.extend(memory_of(bench, Experiment::Crowd, size, &pids));
+    rows.extend(memory_of(Experiment::Crowd, size, &pids));
     let start_ns = monotonic_ns();
-    for process in &mut all {
-        process.finish()?;
-    }
-    rows.push(
-        row("until all have gone, one after the other", "ms").value((monotonic_ns() - start_ns) as f64 / 1e6),
-    );
+    all.iter_mut().try_for_each(Process::finish)?;
+    let gone_ms = (monotonic_ns() - start_ns) as f64 / 1e6;
+    rows.push(row("until all have gone, one after the other", "ms").value(gone_ms));
     Ok(rows)
 }
 
@@ -142,9 +132,7 @@ pub fn nodes(nodes: usize) -> Result<()> {
         for node in &all {
             matched_ns = matched_ns.max(node.wait_until_matched(nodes)?);
         }
-        say(&Said::Matched { at_ns: matched_ns - start_ns })?;
-        wait_for_end();
-        Ok(())
+        say_and_stay(&Said::Matched { at_ns: matched_ns - start_ns })
     })
 }
 
@@ -166,7 +154,5 @@ pub fn join_crowd(publishers: usize, subscriptions: usize, of: usize, gate: &Pat
                 && subscriptions.iter().all(|subscription| subscription.publisher_count() == of))
         },
     )?;
-    say(&Said::Matched { at_ns: monotonic_ns() })?;
-    wait_for_end();
-    Ok(())
+    say_and_stay(&Said::Matched { at_ns: monotonic_ns() })
 }

@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Many topics between two processes: the cost of publishing, creating and reading as their number grows.
+//! Many topics between two processes: what publishing costs as they grow in number, and what making and looking at them does.
 
-use crate::job::{DOMAIN, Job, Said, say, wait_for_end, wait_until};
-use crate::population::{PATIENCE, looks, made, memory_of, times};
+use crate::job::{DOMAIN, Job, Said, say, wait_until};
+use crate::population::{PATIENCE, made, memory_of, time_looks, times};
 use crate::process;
 use crate::report::Row;
+use crate::stopwatch::Stopwatch;
 use crate::{Bench, Experiment, Result};
 use std::thread::sleep;
 use std::time::Duration;
 use tautline::std_msgs::msg::UInt64;
-use tautline_benches::Distribution;
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Limits, Participant, Publisher, Qos};
 
-/// Topics that are published on, whatever the total.
+/// Topics that are published on, however many there are.
 const BUSY: usize = 10;
 const ON_BUSY: &str = "publishing on 10 of them";
 const ON_ALL: &str = "publishing on each in turn (caches are cold)";
@@ -38,7 +38,7 @@ pub fn measure(bench: &Bench<'_>) -> Result<Vec<Row>> {
             }
         }
         let pids = [listener.id(), talker.id()];
-        rows.extend(memory_of(bench, Experiment::Topics, topics, &pids));
+        rows.extend(memory_of(Experiment::Topics, topics, &pids));
         for (pid, what) in pids.into_iter().zip(["subscribing", "publishing"]) {
             let count = |what: &str, unit, count: usize| row(what, unit).value(count as f64);
             let descriptors = process::descriptors(pid).len();
@@ -58,33 +58,28 @@ fn name(topic: usize) -> String {
 
 pub fn listen(topics: usize) -> Result<()> {
     let participant = Participant::new(DOMAIN)?;
-    let mut making = Distribution::new();
+    let mut times = Stopwatch::default();
     let mut subscriptions = Vec::new();
     let begin_ns = monotonic_ns();
     for topic in 0..topics {
-        let start_ns = monotonic_ns();
-        subscriptions.push(participant.create_subscription::<UInt64>(
-            &name(topic),
-            Qos::default(),
-            Limits::default(),
-        )?);
-        making.record(monotonic_ns() - start_ns);
+        let name = name(topic);
+        let subscription =
+            || participant.create_subscription::<UInt64>(&name, Qos::default(), Limits::default());
+        subscriptions.push(times.time("making a subscription", subscription)?);
     }
     say(&Said::Made { ns: monotonic_ns() - begin_ns })?;
-    say(&Said::Times(vec![("making a subscription".to_owned(), making.counts())]))?;
-    wait_for_end();
-    Ok(())
+    times.say_and_stay()
 }
 
 pub fn talk(topics: usize, quick: bool) -> Result<()> {
     let participant = Participant::new(DOMAIN)?;
-    let mut making = Distribution::new();
+    let mut times = Stopwatch::default();
     let mut publishers: Vec<Publisher<UInt64>> = Vec::new();
     let begin_ns = monotonic_ns();
     for topic in 0..topics {
-        let start_ns = monotonic_ns();
-        publishers.push(participant.create_publisher(&name(topic), Qos::default(), Limits::default())?);
-        making.record(monotonic_ns() - start_ns);
+        let name = name(topic);
+        let publisher = || participant.create_publisher(&name, Qos::default(), Limits::default());
+        publishers.push(times.time("making a publisher that another process listens to", publisher)?);
     }
     wait_until(
         "all publishers are matched",
@@ -93,24 +88,25 @@ pub fn talk(topics: usize, quick: bool) -> Result<()> {
         || Ok(publishers.iter().all(|publisher| publisher.subscription_count() == 1)),
     )?;
     say(&Said::Made { ns: monotonic_ns() - begin_ns })?;
-    let mut all = vec![("making a publisher that another process listens to".to_owned(), making.counts())];
-    // Until the other process's janitor has finished.
+    // Until the other process's janitor is done.
     sleep(Duration::from_millis(500));
     let rounds = if quick { 20_000 } else { 100_000 };
     // Spread over all, and the same topics in every round.
     let busy: Vec<_> = publishers.iter().step_by(topics.div_ceil(BUSY)).collect();
-    all.push((ON_BUSY.to_owned(), publish(rounds, &busy)?.counts()));
+    publish(&mut times, ON_BUSY, rounds, &busy)?;
     let each: Vec<_> = publishers.iter().collect();
-    all.push((ON_ALL.to_owned(), publish((rounds * BUSY).div_ceil(topics).max(3), &each)?.counts()));
-    all.extend(looks(quick)?);
-    say(&Said::Times(all))?;
-    wait_for_end();
-    Ok(())
+    publish(&mut times, ON_ALL, (rounds * BUSY).div_ceil(topics).max(3), &each)?;
+    time_looks(&mut times, quick)?;
+    times.say_and_stay()
 }
 
-/// The time per message, of each of `rounds` rounds.
-fn publish(rounds: usize, publishers: &[&Publisher<UInt64>]) -> Result<Distribution> {
-    let mut times = Distribution::new();
+/// Notes the time of each of so many rounds, for one message.
+fn publish(
+    times: &mut Stopwatch,
+    what: &str,
+    rounds: usize,
+    publishers: &[&Publisher<UInt64>],
+) -> Result<()> {
     for round in 0..rounds {
         // Ten at a time: the clock's own cost is a tenth.
         for publishers in publishers.chunks(BUSY) {
@@ -119,11 +115,11 @@ fn publish(rounds: usize, publishers: &[&Publisher<UInt64>]) -> Result<Distribut
                 publisher.publish(&UInt64 { data: round as u64 })?;
             }
             let time_ns = (monotonic_ns() - start_ns) / publishers.len() as u64;
-            // The first rounds load what was never used.
+            // The first rounds bring in what was never used.
             if round >= rounds / 10 {
-                times.record(time_ns);
+                times.note(what, time_ns);
             }
         }
     }
-    Ok(times)
+    Ok(())
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! iceoryx2 as its users write it: a publish-subscribe service and an event service per topic, and one `WaitSet` per process.
+//! iceoryx2 as its users write it: a publish-subscribe service and an event service for each topic, and one `WaitSet` for all of a
+//! process.
 
 use super::{LOOK, Publishing};
 use iceoryx2::port::listener::Listener;
@@ -14,7 +15,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use tautline_exchange::{Inlet, Job, Line, Result, Role, Sink, Source, Stamp, say, stop_flag};
 use tautline_rt::clock::monotonic_ns;
 
-/// Per topic.
 const MOST_SUBSCRIBERS: usize = 16;
 
 pub fn run(job: &Job) -> Result<()> {
@@ -56,13 +56,13 @@ fn send(node: &Node<ipc::Service>, job: &Job, go: Arc<AtomicBool>) -> Result<()>
         let Outlet { publisher, notifier } = &outlets[topic];
         let mut loan = publisher.loan_slice_uninit(job.payload_bytes)?;
         stamp.write_uninit(loan.payload_mut(), false);
-        // SAFETY: shared memory that the kernel zeroed on creation; receivers read only the stamp, which is written.
+        // SAFETY: shared memory that the kernel zeroed when it was made; receivers read the stamp, which is written.
         unsafe { loan.assume_init() }.send()?;
         notifier.notify()?;
         publishing.add(monotonic_ns() - start_ns);
     }
     say(&Line::Measured(publishing.into(source.measured())));
-    // Sent messages are read from its memory.
+    // What it sent is read from its memory.
     std::thread::sleep(LOOK);
     Ok(())
 }
@@ -105,7 +105,7 @@ fn receive(node: &Node<ipc::Service>, job: &Job, stop: &AtomicBool) -> Result<()
 
 impl Inbox {
     fn take_all(&self) -> Result<()> {
-        // Until the queue is empty: iceoryx2 0.10 stops waking a listener that collects once per wake-up.
+        // Until none is left: iceoryx2 0.10 stops waking a listener that collects once per wake-up.
         while self.listener.try_wait(|_| {})? > 0 {}
         while let Some(sample) = self.subscriber.receive()? {
             let stamp = Stamp::read(sample.payload(), false)?;
@@ -126,7 +126,7 @@ fn data(node: &Node<ipc::Service>, job: &Job, topic: usize) -> Result<Data> {
 
 fn event(node: &Node<ipc::Service>, job: &Job, topic: usize) -> Result<Event> {
     let name = ServiceName::new(&format!("{}/{topic}/event", job.topic))?;
-    // Collecting events costs time in proportion to the greatest id.
+    // Collecting events costs in proportion to the greatest id.
     let event = node.service_builder(&name).event().event_id_max_value(1);
     Ok(event.max_notifiers(1).max_listeners(MOST_SUBSCRIBERS).open_or_create()?)
 }

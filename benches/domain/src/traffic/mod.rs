@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Messages at a rate, from one process to others: the cost of publishing, the latency, the processor time.
+//! Messages at a rate, from one process to others: what publishing costs, how late they come, what it takes of the processor.
 //!
-//! With real-time priorities the sender has one core, and all receivers another.
+//! With real-time priorities the sender has a core, and all receivers another one.
 
 mod iceoryx;
 mod tautline;
@@ -16,20 +16,19 @@ use tautline_benches::Distribution;
 use tautline_exchange::{Exchange, Job, Line, Measured, Role, Way, to_the_last};
 use tautline_rt::{CoreSet, set_affinity};
 
-/// Time-out of a process's setup.
+/// How long a process may take to set itself up.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// Time for messages in flight to arrive.
+/// How long what is under way may take to arrive.
 const DRAIN: Duration = Duration::from_millis(500);
 const SMALL_BYTES: usize = 64;
 const IMAGE_BYTES: usize = 8 << 20;
 const MIB: f64 = 1048576.0;
 
-/// The system that carries the messages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum System {
-    /// The sampler wakes its callbacks.
+    /// Its callbacks are woken by the sampler.
     Tautline,
-    /// The publisher wakes its callback thread.
+    /// Its callback's thread is woken by the publisher.
     TautlineDirect,
     Iceoryx,
 }
@@ -44,110 +43,63 @@ impl System {
     }
 }
 
-/// The load.
 #[derive(Clone, Copy)]
 struct Flow {
     system: System,
     payload_bytes: usize,
     topics: usize,
-    /// Per topic.
+    /// Of each topic.
     rate_hz: f64,
     processes: usize,
-    /// Per topic and receiving process.
+    /// Of each topic in each receiving process.
     subscribers: usize,
 }
 
-#[derive(Default)]
-struct Found {
-    publishing: Distribution,
-    /// For one topic: until the last subscription had it.
-    latency: Distribution,
-    cpu_percent: f64,
-    pss_mib: f64,
-    lost: u64,
-    late: u64,
-}
+const SMALL: Flow = Flow {
+    system: System::Tautline,
+    payload_bytes: SMALL_BYTES,
+    topics: 1,
+    rate_hz: 100.0,
+    processes: 1,
+    subscribers: 1,
+};
 
 /// 200 topics with two subscriptions each, in two processes.
 pub fn load(bench: &Bench<'_>) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for system in [System::Tautline, System::TautlineDirect, System::Iceoryx] {
-        let flow = Flow {
-            system,
-            payload_bytes: SMALL_BYTES,
-            topics: 200,
-            rate_hz: 100.0,
-            processes: 2,
-            subscribers: 1,
-        };
-        let found = bench.flow(flow, seconds(bench, 1, 10))?;
-        rows.extend(rows_of(Experiment::Load, flow.topics, system, &found));
+        let flow = Flow { system, topics: 200, processes: 2, ..SMALL };
+        rows.extend(bench.flow(Experiment::Load, flow.topics, flow)?);
     }
     Ok(rows)
 }
 
-/// Images without copies.
+/// Images that nobody copies.
 pub fn images(bench: &Bench<'_>) -> Result<Vec<Row>> {
     let sizes: &[usize] = if bench.quick { &[1, 8, 32] } else { &[1, 2, 4, 8, 16, 32] };
     let mut rows = Vec::new();
-    for &subscriptions in sizes {
-        let processes = subscriptions.min(4);
-        let flow = Flow {
-            system: System::Tautline,
-            payload_bytes: IMAGE_BYTES,
-            topics: 1,
-            rate_hz: 30.0,
-            processes,
-            subscribers: subscriptions / processes,
-        };
-        let found = bench.flow(flow, seconds(bench, 1, 10))?;
-        rows.extend(rows_of(Experiment::Images, subscriptions, flow.system, &found));
+    for &size in sizes {
+        let processes = size.min(4);
+        let image = Flow { payload_bytes: IMAGE_BYTES, rate_hz: 30.0, ..SMALL };
+        let flow = Flow { processes, subscribers: size / processes, ..image };
+        rows.extend(bench.flow(Experiment::Images, size, flow)?);
     }
     Ok(rows)
 }
 
-/// One topic, many subscriptions.
 pub fn fan_out(bench: &Bench<'_>) -> Result<Vec<Row>> {
     let sizes: &[usize] = if bench.quick { &[10, 50] } else { &[10, 20, 50, 100, 200] };
     let mut rows = Vec::new();
-    for &subscriptions in sizes {
-        let processes = 10;
-        let flow = Flow {
-            system: System::Tautline,
-            payload_bytes: SMALL_BYTES,
-            topics: 1,
-            rate_hz: 100.0,
-            processes,
-            subscribers: subscriptions / processes,
-        };
-        let found = bench.flow(flow, seconds(bench, 1, 10))?;
-        rows.extend(rows_of(Experiment::FanOut, subscriptions, flow.system, &found));
+    for &size in sizes {
+        let flow = Flow { processes: 10, subscribers: size / 10, ..SMALL };
+        rows.extend(bench.flow(Experiment::FanOut, size, flow)?);
     }
     Ok(rows)
 }
 
-fn seconds(bench: &Bench<'_>, quick: u64, full: u64) -> Duration {
-    Duration::from_secs(if bench.quick { quick } else { full })
-}
-
-fn rows_of(experiment: Experiment, size: usize, system: System, found: &Found) -> Vec<Row> {
-    let row = |what: &str, unit| Row::of(experiment, size, what, unit).system(system.name());
-    let latency = match experiment {
-        Experiment::Load => "from before the loan until a subscription has read it",
-        _ => "from before the loan until the last subscription has read it",
-    };
-    vec![
-        row("publishing: loan, write a stamp, publish, wake", "µs").times(&found.publishing),
-        row(latency, "µs").times(&found.latency),
-        row("CPU of all processes", "% of a core").value(found.cpu_percent),
-        row("memory of all processes (PSS)", "MiB").value(found.pss_mib),
-        row("messages lost", "messages").value(found.lost as f64).at_most(0.0),
-        row("messages that were due before the one before was sent", "messages").value(found.late as f64),
-    ]
-}
-
 impl<'a> Bench<'a> {
-    fn flow(&self, flow: Flow, budget: Duration) -> Result<Found> {
+    fn flow(&self, experiment: Experiment, size: usize, flow: Flow) -> Result<Vec<Row>> {
+        let budget = Duration::from_secs(if self.quick { 1 } else { 10 });
         let mut fars: Vec<Process<'a, Line>> = Vec::new();
         for _ in 0..flow.processes {
             let mut far = self.start(&self.task(flow, Role::Far, budget)?)?;
@@ -164,31 +116,44 @@ impl<'a> Bench<'a> {
         let sent = near.expect(PATIENCE + budget * 3, Line::measured)?;
         let since = Instant::now();
         for far in &mut fars {
-            // Whether the last message has arrived; missing ones count as lost.
+            // Whether the last one has come: what has not is counted as lost.
             let is_last = |line| matches!(line, Line::Complete { .. }).then_some(());
             let _ = far.wait_for(DRAIN.saturating_sub(since.elapsed()), is_last)?;
         }
-        let mut found = Found { pss_mib: pss as f64 / MIB, late: sent.late, ..Found::default() };
-        sent.times_ns.iter().for_each(|&time_ns| found.publishing.record(time_ns));
-        let (mut cpu_ns, mut arrivals) = (sent.cpu_ns, Vec::new());
+        // Of one topic: until the last subscription had it.
+        let (mut publishing, mut latency) = (Distribution::new(), Distribution::new());
+        sent.times_ns.iter().for_each(|&time_ns| publishing.record(time_ns));
+        let (mut cpu_ns, mut lost, mut arrivals) = (sent.cpu_ns, 0, Vec::new());
         for far in &mut fars {
             far.tell("stop")?;
             let received = far.expect(PATIENCE, Line::measured)?;
             far.finish()?;
             cpu_ns += received.cpu_ns;
-            found.lost += received.lost;
+            lost += received.lost;
             match flow.topics {
                 1 => arrivals.extend(received.numbers.into_iter().zip(received.times_ns)),
-                _ => received.times_ns.iter().for_each(|&time_ns| found.latency.record(time_ns)),
+                _ => received.times_ns.iter().for_each(|&time_ns| latency.record(time_ns)),
             }
         }
         near.finish()?;
-        to_the_last(arrivals, flow.processes).iter().for_each(|(_, time_ns)| found.latency.record(*time_ns));
-        found.cpu_percent = 100.0 * cpu_ns as f64 / 1e9 / sent.seconds;
-        if found.latency.is_empty() {
-            return Err(format!("no message arrived everywhere; {} were lost", found.lost).into());
+        to_the_last(arrivals, flow.processes).iter().for_each(|(_, time_ns)| latency.record(*time_ns));
+        if latency.is_empty() {
+            return Err(format!("no message arrived everywhere; {lost} were lost").into());
         }
-        Ok(found)
+        let row = |what: &str, unit| Row::of(experiment, size, what, unit).system(flow.system.name());
+        let of_latency = match experiment {
+            Experiment::Load => "from before the loan until a subscription has read it",
+            _ => "from before the loan until the last subscription has read it",
+        };
+        let cpu_percent = 100.0 * cpu_ns as f64 / 1e9 / sent.seconds;
+        Ok(vec![
+            row("publishing: loan, write a stamp, publish, wake", "µs").times(&publishing),
+            row(of_latency, "µs").times(&latency),
+            row("CPU of all processes", "% of a core").value(cpu_percent),
+            row("memory of all processes (PSS)", "MiB").value(pss as f64 / MIB),
+            row("messages lost", "messages").value(lost as f64).at_most(0.0),
+            row("messages that were due before the one before was sent", "messages").value(sent.late as f64),
+        ])
     }
 
     fn task(&self, flow: Flow, role: Role, budget: Duration) -> Result<Task> {
@@ -207,14 +172,13 @@ impl<'a> Bench<'a> {
             realtime: self.realtime,
             domain: crate::job::DOMAIN,
             topic: "/flow".to_owned(),
-            endpoint: Some(self.place.scratch().directory().to_string_lossy().into_owned()),
+            endpoint: Some(self.scratch.directory().to_string_lossy().into_owned()),
             way: Way { topics: flow.topics, subscribers: flow.subscribers, ..Way::default() },
         };
         Ok(Task::Flow { system: flow.system, job })
     }
 }
 
-/// One endpoint of a flow.
 pub fn run(system: System, job: &Job) -> Result<()> {
     if let Some(core) = job.core {
         set_affinity(CoreSet::one(core))?;
@@ -227,7 +191,7 @@ pub fn run(system: System, job: &Job) -> Result<()> {
     ran.map_err(|error| error as Box<dyn std::error::Error>)
 }
 
-/// Publishing times of measured messages, truncated at the end to those that were counted.
+/// Times of publishing, of the messages that are measured: at the end as many as were counted.
 #[derive(Default)]
 struct Publishing {
     times_ns: Vec<u64>,
@@ -236,7 +200,7 @@ struct Publishing {
 impl Publishing {
     fn of(job: &Job) -> Self {
         let Exchange::Paced { rate } = job.exchange else { return Publishing::default() };
-        // Including the warm-up, and some before it.
+        // With the warm-up, and some before.
         Publishing {
             times_ns: Vec::with_capacity((rate * job.budget.as_secs_f64() * 1.5) as usize + 100_000),
         }
@@ -254,5 +218,5 @@ impl Publishing {
     }
 }
 
-/// Interval of checks whether it is over.
+/// So often it is looked whether it is over.
 const LOOK: Duration = Duration::from_millis(100);
