@@ -18,28 +18,24 @@ pub(super) fn table(rows: &Value) -> String {
             topics.push((&row["topic"], row["deadline_ms"].as_f64().unwrap_or(f64::NAN)));
         }
     }
-    let mut out = String::from("| variant |");
-    for (topic, deadline) in &topics {
-        let _ = write!(out, " {} ({deadline}) |", topic.as_str().unwrap_or("?"));
-    }
-    out.push_str("\n|---|");
-    topics.iter().for_each(|_| out.push_str("--:|"));
-    out.push('\n');
+    let text = |value: &Value| value.as_str().unwrap_or("?").to_owned();
+    let heads: Vec<String> =
+        topics.iter().map(|(topic, deadline)| format!("{} ({deadline})", text(topic))).collect();
+    let mut out = format!("| variant | {} |\n|---|{}\n", heads.join(" | "), "--:|".repeat(heads.len()));
     for variant in &variants {
-        let _ = write!(out, "| {} |", variant.as_str().unwrap_or("?"));
-        for (topic, _) in &topics {
-            let cell = |system: &str| {
-                let wanted = |row: &&&Value| {
-                    row["system"] == system && row["variant"] == **variant && row["topic"] == **topic
-                };
-                let row = rows.iter().find(wanted)?;
-                let mark = if row["misses"] == 0 && row["lost"] == 0 { "" } else { "*" };
-                Some(format!("{}{mark}", us(row, "p99_ms")))
+        let number = |system: &str, topic: &Value| {
+            let wanted = |row: &&&Value| {
+                row["system"] == system && row["variant"] == **variant && row["topic"] == *topic
             };
-            let cells: Vec<_> = ["tautline", "r2r"].into_iter().filter_map(cell).collect();
-            let _ = write!(out, " {} |", cells.join(" / "));
-        }
-        out.push('\n');
+            let row = rows.iter().find(wanted)?;
+            let mark = if row["misses"] == 0 && row["lost"] == 0 { "" } else { "*" };
+            Some(format!("{}{mark}", us(row, "p99_ms")))
+        };
+        let cells = topics.iter().map(|(topic, _)| {
+            let numbers = ["tautline", "r2r"].into_iter().filter_map(|system| number(system, topic));
+            numbers.collect::<Vec<_>>().join(" / ")
+        });
+        let _ = writeln!(out, "| {} | {} |", text(variant), cells.collect::<Vec<_>>().join(" | "));
     }
     let counts = |key: &'static str| rows.iter().filter_map(move |row| row[key].as_u64());
     let (least_runs, most_ticks) = (counts("runs").min(), counts("steal_ticks").max());
