@@ -364,7 +364,7 @@ fn wake(extent: Extent) -> Vec<Setting> {
     let (payloads, budget_ms, rounds) = match extent {
         Extent::Smoke => (vec![(64, false), (1 << 20, true)], 60, 1),
         Extent::Quick => (vec![(64, false), (1 << 20, true), (8 << 20, false)], 150, 3),
-        Extent::Full => ([64, 4 << 10, 1 << 20, 8 << 20].map(both).concat(), 350, 5),
+        Extent::Full => ([64, 4 << 10, 1 << 20, 8 << 20].map(both).concat(), 200, 5),
     };
     let mut settings = Vec::new();
     for idle in [Idle::AsShipped, Idle::HeldOff] {
