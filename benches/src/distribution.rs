@@ -82,4 +82,10 @@ mod tests {
         assert!((parent.quantile_us(0.5) / 500.0 - 1.0).abs() < 0.002);
         assert!((parent.max_us() / 1000.0 - 1.0).abs() < 0.002);
     }
+
+    #[test]
+    fn an_empty_one_has_zeroes() {
+        let empty = Distribution::new();
+        assert_eq!((empty.is_empty(), empty.quantile_us(0.99), empty.max_us()), (true, 0.0, 0.0));
+    }
 }

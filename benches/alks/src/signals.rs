@@ -194,4 +194,11 @@ mod tests {
         }
         assert!((wrap(4.0) - (4.0 - std::f64::consts::TAU)).abs() < 1e-12);
     }
+
+    #[test]
+    fn a_line_is_its_cubic() {
+        let line = Line { coefficients: [1.0, 0.5, 0.25, -0.125], range_m: 10.0 };
+        assert_eq!(line.y(2.0), 1.0 + 1.0 + 1.0 - 1.0);
+        assert_eq!(line.curvature(1.0), 0.5 - 0.75);
+    }
 }

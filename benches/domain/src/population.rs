@@ -51,7 +51,7 @@ fn population(bench: &Bench<'_>, size: usize) -> Result<Vec<Row>> {
     let node = |index, processes| Job::Node { index, gate: None, processes };
     let mut processes: Vec<Process<'_, Said>> =
         (0..size).map(|index| bench.start(&node(index, Some(size)))).collect::<Result<_>>()?;
-    let started = (all_matched(&mut processes)? - start_ns) as f64 / 1e9;
+    let started = all_matched(&mut processes)?.saturating_sub(start_ns) as f64 / 1e9;
     rows.push(row(size, "from the first process's start until all are matched", "s").value(started));
 
     sleep(SETTLING);

@@ -146,8 +146,9 @@ impl Report {
                 let number = aim.number.unwrap_or(f64::NAN);
                 let size = if row.size == 0 { String::new() } else { format!(" {}", row.size) };
                 let claim = format!("{}{size}: {}", row.experiment, row.what);
-                let found =
-                    format!("{} {} {}, at most {}", aim.of, shown(number), row.unit, shown(aim.at_most));
+                // A number by itself is no percentile.
+                let of = if row.n > 0 { format!("{} ", aim.of) } else { String::new() };
+                let found = format!("{of}{} {}, at most {}", shown(number), row.unit, shown(aim.at_most));
                 println!("{}", Verdict::new(claim, found, Some(aim.is_met)));
             }
         }

@@ -91,7 +91,7 @@ pub fn crowd(bench: &Bench<'_>) -> Result<Vec<Row>> {
     sleep(GATHERING);
     let start_ns = monotonic_ns();
     gate.open()?;
-    let matched_ms = (all_matched(&mut all)? - start_ns) as f64 / 1e6;
+    let matched_ms = all_matched(&mut all)?.saturating_sub(start_ns) as f64 / 1e6;
     sleep(GATHERING);
     let pids: Vec<u32> = all.iter().map(Process::id).collect();
     let row = |what: &str, unit| Row::of(Experiment::Crowd, size, what, unit);

@@ -218,9 +218,14 @@ impl Run {
         let inspector = self.stage.start("inspector")?;
         let mut looking: Looking = thread::spawn(move || Ok((inspector, None)));
         for kill in 1..=kills {
-            match self.is_warden(idle) {
-                Some(index) => self.replace_idle(&mut idle[index], watch)?,
-                None => self.kill_next(watch)?,
+            let killed = match self.is_warden(idle) {
+                Some(index) => self.replace_idle(&mut idle[index], watch),
+                None => self.kill_next(watch),
+            };
+            if killed.is_err() {
+                // The inspector ends with what it returns, before its folder does.
+                drop(looking.join());
+                return killed;
             }
             self.killed += 1;
             if kill % CHECK_EVERY == 0 || kill == kills {

@@ -176,7 +176,9 @@ fn warden(domain: u32, mut commands: impl Iterator<Item = String>) -> Result<()>
 /// Joins when it is told to, sends something to the warden, and is killed.
 fn be_victim(domain: u32) -> Result<()> {
     let mut commands = told();
-    commands.next();
+    if commands.next().is_none() {
+        return Ok(());
+    }
     let participant = Participant::new(domain)?;
     let numbers = publisher(&participant, NUMBERS, Qos::keep_last(100))?;
     let _kept = subscription(&participant, KEPT, kept_qos())?;

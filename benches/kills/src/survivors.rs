@@ -400,6 +400,8 @@ fn client(context: &Context) -> Result<()> {
             let have_ended = || Ok(asking.iter().all(JoinHandle::is_finished));
             if wait("the last answers", 2 * PATIENCE, have_ended).is_err() {
                 say(&Said::Failed("a request neither ends nor fails".into()));
+            } else if asking.drain(..).any(|thread| thread.join().is_err()) {
+                say(&Said::Failed("a thread that asks panicked".into()));
             }
         }
         answer(&*lock(&asked));

@@ -70,3 +70,34 @@ impl Job {
         self.duration_ns().div_ceil(topic.period_ns)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_job_reaches_another_process_unchanged() {
+        let topic = Topic {
+            name: "topic1".into(),
+            period_ns: 10_000_000,
+            wcet_ns: 2_000_000,
+            priority: 20,
+            deadline_ns: 10_000_000,
+            depth: 100,
+        };
+        let job = Job {
+            role: Role::Subscriber,
+            variant: Variant::FUTURES_RT,
+            topics: vec![topic],
+            core: 1,
+            seconds: 0.025,
+            namespace: "/run1".into(),
+            realtime: true,
+        };
+        let text = serde_json::to_string(&job).unwrap();
+        assert!(text.contains(r#""variant":"futures-rt""#), "{text}");
+        assert_eq!(serde_json::from_str::<Job>(&text).unwrap(), job);
+        assert_eq!(job.topics[0].full_name(&job), "/run1/topic1");
+        assert_eq!(job.releases(&job.topics[0]), 3, "at 0, 10 and 20 ms");
+    }
+}

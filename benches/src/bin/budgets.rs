@@ -358,7 +358,11 @@ fn report(rows: &[Row], options: &Options, machine: &str) -> Result {
         part(none),
         part(counted)
     );
-    let judged = (demoted.realtime && suspended.realtime).then_some(holds);
-    println!("\n{}", Verdict::new("a held overrun costs no other callback its deadline", found, judged));
+    let is_fit = demoted.realtime && suspended.realtime;
+    let found = found + if is_fit { "" } else { "; it takes real-time priorities and two cores" };
+    println!(
+        "\n{}",
+        Verdict::new("a held overrun costs no other callback its deadline", found, is_fit.then_some(holds))
+    );
     Ok(())
 }

@@ -16,7 +16,6 @@ use std::time::Duration;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::std_msgs::msg::UInt64;
 use tautline::{CallbackOptions, ContextBuilder, Node, Publisher, Qos, SubscriptionEvent};
-use tautline_benches::claims::Verdict;
 use tautline_benches::table::of_rows;
 use tautline_benches::{Beside, Distribution, Disturbance, Result, Run, Stage, TurnRow, Turns, machine};
 use tautline_rt::{CoreSet, Policy};
@@ -130,8 +129,9 @@ fn measure(options: &Options) -> Result {
         let (to, same) = (recorder.clone(), policy(ContextBuilder::SAMPLER_PRIORITY));
         let sleeping = Beside::start(move |stop| sleep(&to, core, same, stop));
         let measured = run(&recorder, rounds, part);
-        publishing.end()?;
-        sleeping.end()?;
+        let (published, slept) = (publishing.end(), sleeping.end());
+        published?;
+        slept?;
         measured
     })?;
     drop(subscriptions);
@@ -144,14 +144,11 @@ fn measure(options: &Options) -> Result {
     options.run.write(&rows)?;
     let of_event = rows.last().ok_or("nothing was measured")?;
     let ratio = of_event.ratio.map_or(f64::NAN, |[median, ..]| median);
-    let (lost, judged) = (of_event.row.lost, |holds: bool| stage.is_fit().then_some(holds));
+    let lost = of_event.row.lost;
     let claim = "an event comes at most one resolution of this machine's timers after an exact one would";
     let found = format!("p99 {ratio:.2} x that of a bare sleep (median of rounds), at most {RATIO_LIMIT}");
-    println!("{}", Verdict::new(claim, found, judged(ratio <= RATIO_LIMIT)));
-    println!(
-        "{}",
-        Verdict::new("every missed deadline is told", format!("{lost} were not"), judged(lost == 0))
-    );
+    println!("{}", stage.judge(claim, found, ratio <= RATIO_LIMIT));
+    println!("{}", stage.judge("every missed deadline is told", format!("{lost} were not"), lost == 0));
     Ok(())
 }
 

@@ -16,7 +16,6 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::{CallbackOptions, Node, ParameterReader, Parameters};
-use tautline_benches::claims::Verdict;
 use tautline_benches::rows::{Row, extent};
 use tautline_benches::table::Column::{Number, Words};
 use tautline_benches::table::{Table, of_rows};
@@ -113,17 +112,13 @@ fn measure(options: &Options) -> Result {
     rows.extend(callback);
     rows.iter_mut().for_each(|row| row.disturbance = disturbance.clone());
     options.run.write(&rows)?;
-    let judged = |holds: bool| stage.is_fit().then_some(holds);
     let claim = format!("a read costs less than {READ_LIMIT_NS} ns");
     let found = format!("{slowest_ns:.0} ns at most (median of rounds)");
-    println!("{}", Verdict::new(claim, found, judged(slowest_ns < READ_LIMIT_NS)));
+    println!("{}", stage.judge(claim, found, slowest_ns < READ_LIMIT_NS));
     let claim = format!(
         "the callback's p99 beside {SETS_PER_SECOND} sets/s is at most {P99_RATIO_LIMIT} x the quiet one"
     );
-    println!(
-        "{}",
-        Verdict::new(claim, format!("{ratio:.2} x (median of rounds)"), judged(ratio <= P99_RATIO_LIMIT))
-    );
+    println!("{}", stage.judge(claim, format!("{ratio:.2} x (median of rounds)"), ratio <= P99_RATIO_LIMIT));
     Ok(())
 }
 

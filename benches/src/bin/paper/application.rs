@@ -76,6 +76,22 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_papers_table_and_its_response_times() {
+        let paper = paper().unwrap();
+        let ms = |ns: u64| ns / 1_000_000;
+        let rows: Vec<_> = paper
+            .topics
+            .iter()
+            .map(|t| (ms(t.period_ns), ms(t.wcet_ns), t.priority, ms(t.deadline_ns)))
+            .collect();
+        let expected =
+            [(10, 2, 20, 10), (20, 4, 19, 20), (50, 5, 18, 50), (100, 15, 17, 100), (200, 50, 16, 200)];
+        assert_eq!(rows, expected);
+        assert_eq!(paper.rta_ns, [2, 6, 13, 36, 170].map(|ms| Some(ms * 1_000_000)));
+        assert_eq!(paper.topics[0].name, "topic1");
+    }
+
+    #[test]
     fn one_queue_must_be_deeper_than_r2rs_channels() {
         let capacity = capacity().unwrap();
         assert_eq!((capacity.deep, capacity.computed()), (1, 16));

@@ -147,6 +147,8 @@ mod tests {
         let variants = Variant::all();
         let both = cells(&variants, true, 16);
         let distinct: BTreeSet<_> = both.iter().map(Cell::to_string).collect();
+        let is_on = |system: &str, variant: &Variant| distinct.contains(&format!("{system} {variant}"));
+        assert!(variants.iter().all(|variant| is_on("tautline", variant) && is_on("r2r", variant)));
         assert_eq!((both.len(), distinct.len()), (2 * variants.len() + 3, both.len()));
         let names: Vec<_> = both[both.len() - 3..].iter().map(Cell::to_string).collect();
         assert_eq!(names, ["tautline capacity-16", "tautline capacity-15", "r2r capacity-16"]);

@@ -305,7 +305,7 @@ pub fn flight(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Flig
 fn check_recorded(messages: u64, lost: u64, seconds: u64, broken: &mut Vec<String>) {
     let wanted = seconds * (SMALL_TOPICS as u64 * 1000 + 30);
     if lost > 0 || messages != wanted {
-        broken.push(format!("taut record: {messages} of {wanted} messages are in the bag, {lost} lost"));
+        broken.push(format!("taut record: {messages} of {wanted} messages were recorded, {lost} lost"));
     }
 }
 
