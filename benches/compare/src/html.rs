@@ -247,6 +247,8 @@ fn method() -> Vec<String> {
         "One way: the sender stamps the message with CLOCK_MONOTONIC before it asks for memory; the receiver reads the clock when it has read it and given its memory back. The sender keeps its rate whatever becomes of the messages; a message that was due while the one before was still being sent is stamped with the time at which it was due. What is under way at the end has 500 ms to arrive.",
         "CPU time: of latency that of one end, which sends and receives one message per round trip; else that of all processes, by their own clocks, from the end of the warm-up to the last message, per message that was sent; of throughput, per message that was received.",
         "Throughput: as fast as the receiver lets the sender: keep all and reliable, or what a system has of it; times are those between arrivals, means of 16.",
+        "Requests: whole round trips, both ends blocking; the response has 64 bytes.",
+        "A window: the sender goes on while 4 MiB are not confirmed by the receiver, which confirms each quarter of it.",
         "Start-up: from before the process is started to its message in the receiver; includes loading the program. The sender tries every millisecond, with 100 topics a round of them every 10 ms.",
         "A message is lost if its number never arrives at a subscription, counted after the warm-up; of throughput, if a later one arrives: what is still queued when the measurement ends counts as neither received nor lost.",
     ]

@@ -39,7 +39,7 @@ impl Report {
         let failures = ours.flat_map(of_cell).collect();
         let is_held = cells.iter().all(|cell| cell.idle_refused.is_none());
         let mut rows: Vec<Row> = cells.iter().map(|cell| row(cell, plan)).chain(more).collect();
-        rows.push(Row { note: conditions(plan, is_held), ..missing("machine", "-", "") });
+        rows.push(Row { note: conditions(plan, is_held, &disturbance), ..missing("machine", "-", "") });
         for (mode, reason) in &plan.missing {
             rows.push(missing(mode.system, mode.mode, reason));
         }
@@ -236,12 +236,12 @@ fn shortened(failure: &str) -> String {
 }
 
 /// What whoever quotes figures must say beside them.
-fn conditions(plan: &Plan, is_held: bool) -> String {
+fn conditions(plan: &Plan, is_held: bool, disturbance: &str) -> String {
     let versions = versions(plan);
     let priority = if plan.realtime { "SCHED_FIFO" } else { "NO REAL-TIME PRIORITY" };
     let idle = if is_held { "held off where the experiment says so" } else { "NOT HELD OFF" };
     let extent = if plan.quick { "a quick run of few messages" } else { "a full run" };
-    format!("{}; {versions}; {priority}; idle states {idle}; {extent}", machine())
+    format!("{}; {disturbance}; {versions}; {priority}; idle states {idle}; {extent}", machine())
 }
 
 fn versions(plan: &Plan) -> String {

@@ -42,6 +42,7 @@ fn reason(row: &Row, rival: &str, figure: Metric) -> &'static str {
         ("robot", P50 | CpuTime) if is_of("/at-once/") => A_THREAD_EACH,
         ("robot", P50 | CpuTime) => TWO_WAKES,
         ("robot", Memory) => STACKS,
+        ("throughput", Interval) if !is_small => FILLING,
         ("throughput", Interval) if rival.starts_with("zenoh") => BATCHES,
         ("start-up", Start) if is_of("-topics/") => SERVICES,
         ("start-up", Start) => SYNCED,
