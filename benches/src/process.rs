@@ -14,7 +14,8 @@ use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal
 use serde::de::DeserializeOwned;
 use tautline_rt::domain::scope;
 
-use crate::Result;
+// Its own, for rmw's bench has this file, too.
+type Result<T = ()> = std::result::Result<T, Box<dyn Error>>;
 
 /// How long a process may take to end.
 const PATIENCE: Duration = Duration::from_secs(60);
