@@ -33,16 +33,19 @@ pub trait Link {
     fn receive(&mut self, patience: Duration) -> Result<Option<u64>>;
 }
 
-/// Runs the near endpoint over a link. A stream is not measured here.
+/// Runs the near endpoint over a link, and prints what it measured; a stream is measured by the far one.
 ///
 /// # Errors
 /// Errors of the link; no answer ever came.
-pub fn drive(job: &Job, link: &mut dyn Link) -> Result<Option<Measured>> {
+pub fn drive(job: &Job, link: &mut dyn Link) -> Result<()> {
     match job.exchange {
-        Exchange::RoundTrips => round_trips(job, link).map(Some),
-        Exchange::Stream { window } => stream(&mut Window::new(window), link).map(|()| None),
-        Exchange::Paced { .. } => Err("this system does not send at a rate".into()),
+        Exchange::RoundTrips => say(&Line::Measured(round_trips(job, link)?)),
+        Exchange::Stream { window: Some(window) } => stream(&mut Window::new(window), link)?,
+        Exchange::Stream { window: None } | Exchange::Paced { .. } => {
+            return Err("this system takes no flow over a link".into());
+        }
     }
+    Ok(())
 }
 
 /// Runs an endpoint of round trips over a link, and prints its results: the far one, at `endpoint`, answers until it is told to
@@ -52,10 +55,7 @@ pub fn drive(job: &Job, link: &mut dyn Link) -> Result<Option<Measured>> {
 /// Errors of the link; no answer ever came.
 pub fn play(job: &Job, link: &mut dyn Link, stop: &AtomicBool, endpoint: Option<String>) -> Result<()> {
     if job.role == Role::Near {
-        if let Some(measured) = drive(job, link)? {
-            say(&Line::Measured(measured));
-        }
-        return Ok(());
+        return drive(job, link);
     }
     say(&Line::Ready(endpoint));
     while !stop.load(Ordering::Relaxed) {
@@ -209,7 +209,7 @@ impl RoundTrips {
 /// The window of a stream.
 #[derive(Debug)]
 pub struct Window {
-    size: Option<u64>,
+    size: u64,
     sent: u64,
     confirmed: u64,
     is_connected: bool,
@@ -219,7 +219,7 @@ pub struct Window {
 
 impl Window {
     /// Before the first message.
-    pub fn new(size: Option<u64>) -> Self {
+    pub fn new(size: u64) -> Self {
         Window {
             size,
             sent: 0,
@@ -234,11 +234,7 @@ impl Window {
     #[expect(clippy::should_implement_trait, reason = "it continues after None")]
     pub fn next(&mut self) -> Option<u64> {
         let under_way = self.sent - self.confirmed;
-        let room = match self.size {
-            _ if !self.is_connected => 1,
-            Some(size) => size,
-            None => u64::MAX,
-        };
+        let room = if self.is_connected { self.size } else { 1 };
         (under_way < room).then(|| {
             self.sent += 1;
             self.sent
@@ -285,7 +281,7 @@ mod tests {
 
     #[test]
     fn a_window_is_not_exceeded_and_goes_on_after_a_loss() {
-        let mut window = Window::new(Some(3));
+        let mut window = Window::new(3);
         assert_eq!([window.next(), window.next()], [Some(1), None], "one until the far endpoint answers");
         window.give_up().unwrap();
         assert_eq!([window.next(), window.next()], [Some(2), None]);

@@ -151,7 +151,9 @@ const GATEWAY: &str = "gateway";
 pub fn play<Q: Payload, A: Payload>(job: &Job) -> Result<()> {
     match (job.role, job.exchange) {
         (Role::Near, Exchange::RoundTrips) => End::<Q, A>::new(job)?.ask(),
-        (Role::Near, Exchange::Stream { window: Some(_) }) => End::<Q, A>::new(job)?.pour(),
+        (Role::Near, Exchange::Stream { window: Some(window) }) => {
+            End::<Q, A>::new(job)?.pour(Window::new(window))
+        }
         (Role::Near, _) => End::<Q, A>::new(job)?.send_flow(),
         (Role::Far, Exchange::RoundTrips) => End::<A, Q>::new(job)?.answer(),
         (Role::Far, Exchange::Stream { window: Some(_) }) => End::<A, Q>::new(job)?.gather(),
@@ -198,10 +200,10 @@ impl<Out: Payload, In: Payload> End<Out, In> {
         self.serve(async move { answer(&own, publisher, questions).await })
     }
 
-    fn pour(&mut self) -> Result<()> {
+    fn pour(&mut self, window: Window) -> Result<()> {
         let (publisher, confirmations) = self.both()?;
         let (own, look) = (self.job.clone(), self.node.create_wall_timer(LOOK)?);
-        self.until(async move { pour(&own, publisher, confirmations, look).await })
+        self.until(async move { pour(&own, window, publisher, confirmations, look).await })
     }
 
     fn gather(&mut self) -> Result<()> {
@@ -400,12 +402,12 @@ async fn answer<A: Payload, Q: Payload>(
 /// Sends as many messages as the window allows until enough were confirmed.
 async fn pour<Q: Payload, A: Payload>(
     job: &Job,
+    mut window: Window,
     publisher: Publisher<Q>,
     mut confirmations: Subscription<A>,
     mut look: Timer,
 ) -> Result<()> {
-    let Exchange::Stream { window } = job.exchange else { return Err("a stream is poured".into()) };
-    let (mut window, mut silent) = (Window::new(window), Duration::ZERO);
+    let mut silent = Duration::ZERO;
     while !window.is_done() {
         while let Some(number) = window.next() {
             send(job, &publisher, number)?;

@@ -207,10 +207,7 @@ fn ask(session: &Session, job: &Job) -> Result<()> {
     };
     let _subscriber = subscribe(session, job, &from, keep)?;
     let mut end = End { out: Outlet::new(session, job, &to, pool(job)?)?, answers };
-    if let Some(measured) = drive(job, &mut end)? {
-        say(&Line::Measured(measured));
-    }
-    Ok(())
+    drive(job, &mut end)
 }
 
 /// Answers each message, or confirms those of a stream.
