@@ -57,7 +57,7 @@ const RARE: &str = "no cause in Tautline is known: a tail of few messages, which
 const TO_ALL: &str = "the sampler's wake comes before the callbacks', and each subscription's callback has a thread of its own";
 const A_THREAD_EACH: &str = "a thread for each callback, so that each has its own priority: they are woken one after the other, where one thread of the rival's takes all; one-thread does as it does";
 const JANITOR: &str = "in each process a janitor thread looks at the ports when they have changed, which here is spread over some tens of messages; and with several subscriptions in a process a thread is woken for each";
-const STACKS: &str = "each of the 20 callbacks has a thread, whose stack of 512 KiB is touched and locked before it starts (CallbackOptions::stack_bytes sets its size); one-thread does without";
+const STACKS: &str = "each of the 20 callbacks has a thread, whose whole stack is touched and locked before it starts (CallbackOptions::stack_bytes sets its size); one-thread does without";
 const BATCHES: &str =
     "it packs many small messages into one packet, and one wake delivers them all; Tautline announces each";
 const SERVICES: &str = "each topic is an iceoryx2 service with files and mappings of its own, made before the first message so that nothing is allocated later";

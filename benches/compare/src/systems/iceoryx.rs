@@ -24,6 +24,8 @@ use tautline_rt::clock::monotonic_ns;
 
 use super::LOOK;
 
+type Service = ipc::Service;
+
 /// Runs one end. The job's endpoint is the directory of its files, whose name starts those in shared memory.
 pub fn run(job: &Job) -> Result<()> {
     // Before there is a thread that polls on this core.
@@ -42,7 +44,7 @@ pub fn run(job: &Job) -> Result<()> {
     })
 }
 
-fn round_trips(node: &Node<ipc::Service>, job: &Job, stop: &AtomicBool) -> Result<()> {
+fn round_trips(node: &Node<Service>, job: &Job, stop: &AtomicBool) -> Result<()> {
     let [to, from] = job.topics();
     let (out, input) = (Outlet::open(node, job, &to)?, node.input(job, &from)?);
     let listening = match input.listener {
@@ -59,7 +61,7 @@ fn round_trips(node: &Node<ipc::Service>, job: &Job, stop: &AtomicBool) -> Resul
     played
 }
 
-fn send_flow(node: &Node<ipc::Service>, job: &Job, stop: Arc<AtomicBool>) -> Result<()> {
+fn send_flow(node: &Node<Service>, job: &Job, stop: Arc<AtomicBool>) -> Result<()> {
     let open = |index| Outlet::open(node, job, &format!("{}/{index}", job.topic));
     let outlets = (0..job.way.topics).map(open).collect::<Result<Vec<_>>>()?;
     Source::play(job, stop, |topic, stamp| outlets[topic].send(stamp, job.way.whole))?;
@@ -68,7 +70,7 @@ fn send_flow(node: &Node<ipc::Service>, job: &Job, stop: Arc<AtomicBool>) -> Res
     Ok(())
 }
 
-fn receive_flow(node: &Node<ipc::Service>, job: &Job, stop: &AtomicBool) -> Result<()> {
+fn receive_flow(node: &Node<Service>, job: &Job, stop: &AtomicBool) -> Result<()> {
     let sink = Sink::new(job);
     let mut inputs: Vec<Topic> = Vec::new();
     for (topic, inlet) in sink.inlets(job) {
@@ -127,7 +129,7 @@ fn wait(inputs: &[Topic], job: &Job, stop: &AtomicBool) -> Result<()> {
     }
     while !stop.load(Ordering::Relaxed) {
         let mut failed = None;
-        let on_event = |id: WaitSetAttachmentId<ipc::Service>| {
+        let on_event = |id: WaitSetAttachmentId<Service>| {
             for (guard, listener, topic) in &guards {
                 if failed.is_none() && id.has_event_from(guard) {
                     failed = collect(listener, topic, job.way.whole).err();
@@ -143,7 +145,7 @@ fn wait(inputs: &[Topic], job: &Job, stop: &AtomicBool) -> Result<()> {
     Ok(())
 }
 
-fn collect(listener: &Listener<ipc::Service>, topic: &Topic, whole: bool) -> Result<()> {
+fn collect(listener: &Listener<Service>, topic: &Topic, whole: bool) -> Result<()> {
     // Until none is left: iceoryx2 0.10 stops waking a listener that collects once per wake-up.
     while listener.try_wait(|_| {})? > 0 {}
     topic.take_all(whole)
@@ -155,7 +157,7 @@ struct End<'a> {
     out: Outlet,
     input: &'a Input,
     /// `None`: it polls.
-    waitset: Option<&'a WaitSet<ipc::Service>>,
+    waitset: Option<&'a WaitSet<Service>>,
     whole: bool,
 }
 
@@ -193,7 +195,6 @@ impl Link for End<'_> {
     }
 }
 
-type Service = ipc::Service;
 /// The first word of a request and of its response is its number.
 type Response = [u64; 8];
 
@@ -293,18 +294,18 @@ impl Link for Answering {
     }
 }
 
-fn waitset() -> Result<WaitSet<ipc::Service>> {
-    Ok(WaitSetBuilder::new().signal_handling_mode(SignalHandlingMode::Disabled).create::<ipc::Service>()?)
+fn waitset() -> Result<WaitSet<Service>> {
+    Ok(WaitSetBuilder::new().signal_handling_mode(SignalHandlingMode::Disabled).create::<Service>()?)
 }
 
 struct Outlet {
-    publisher: Publisher<ipc::Service, [u8], ()>,
-    notifier: Option<Notifier<ipc::Service>>,
+    publisher: Publisher<Service, [u8], ()>,
+    notifier: Option<Notifier<Service>>,
     bytes: usize,
 }
 
 impl Outlet {
-    fn open(node: &Node<ipc::Service>, job: &Job, topic: &str) -> Result<Self> {
+    fn open(node: &Node<Service>, job: &Job, topic: &str) -> Result<Self> {
         let factory = node.topic(job, topic)?;
         let publisher = factory.publisher_builder().initial_max_slice_len(job.payload_bytes);
         let publisher = publisher.allocation_strategy(AllocationStrategy::Static).create()?;
@@ -330,7 +331,7 @@ impl Outlet {
 
 struct Input {
     subscriber: Reader,
-    listener: Option<Listener<ipc::Service>>,
+    listener: Option<Listener<Service>>,
 }
 
 impl Input {
@@ -346,9 +347,9 @@ fn take(subscriber: &Reader, whole: bool) -> Result<Option<Stamp>> {
     }
 }
 
-type Reader = Subscriber<ipc::Service, [u8], ()>;
-type Data = iceoryx2::service::port_factory::publish_subscribe::PortFactory<ipc::Service, [u8], ()>;
-type Event = iceoryx2::service::port_factory::event::PortFactory<ipc::Service>;
+type Reader = Subscriber<Service, [u8], ()>;
+type Data = iceoryx2::service::port_factory::publish_subscribe::PortFactory<Service, [u8], ()>;
+type Event = iceoryx2::service::port_factory::event::PortFactory<Service>;
 
 trait Open {
     fn topic(&self, job: &Job, name: &str) -> Result<Data>;
@@ -357,7 +358,7 @@ trait Open {
     fn input(&self, job: &Job, name: &str) -> Result<Input>;
 }
 
-impl Open for Node<ipc::Service> {
+impl Open for Node<Service> {
     fn topic(&self, job: &Job, name: &str) -> Result<Data> {
         let name = ServiceName::new(&format!("{name}/topic"))?;
         let topic = self.service_builder(&name).publish_subscribe::<[u8]>();
@@ -393,7 +394,7 @@ impl Open for Node<ipc::Service> {
 }
 
 /// A node that shares nothing with other users of iceoryx2 on this machine.
-fn node(job: &Job) -> Result<Node<ipc::Service>> {
+fn node(job: &Job) -> Result<Node<Service>> {
     set_log_level(LogLevel::Error);
     let directory = FilePath::new(job.endpoint.as_deref().ok_or("no directory for files")?);
     let prefix = directory.file_name().ok_or("the directory has no name")?;
@@ -403,5 +404,5 @@ fn node(job: &Job) -> Result<Node<ipc::Service>> {
     Ok(NodeBuilder::new()
         .config(&config)
         .signal_handling_mode(SignalHandlingMode::Disabled)
-        .create::<ipc::Service>()?)
+        .create::<Service>()?)
 }
