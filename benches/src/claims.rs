@@ -48,13 +48,21 @@ impl fmt::Display for Verdict {
     }
 }
 
-/// Judges the claims about what was measured, or was to be: those that name an experiment and systems of these rows. `experiments` are
-/// all that there are.
+/// What can be measured: what a claim names beside is a mistake, for it would never be judged.
+#[derive(Debug, Default)]
+pub struct Measurable {
+    /// Experiments, each with its payloads in bytes.
+    pub payloads: BTreeSet<(String, usize)>,
+    /// Systems, each with its modes.
+    pub modes: BTreeSet<(String, String)>,
+}
+
+/// Judges the claims about what was measured, or was to be: those that name an experiment and systems of these rows.
 ///
 /// # Errors
 /// The file says what cannot be judged.
-pub fn verdicts(experiments: &BTreeSet<String>, rows: &[Row]) -> Result<Vec<Verdict>, BadClaims> {
-    let claims = read(FILE, experiments)?;
+pub fn verdicts(measurable: &Measurable, rows: &[Row]) -> Result<Vec<Verdict>, BadClaims> {
+    let claims = read(FILE, measurable)?;
     Ok(claims.iter().filter(|claim| claim.is_about(rows)).map(|claim| claim.judge(rows)).collect())
 }
 
@@ -160,7 +168,7 @@ struct Claim {
     reason: Option<String>,
 }
 
-fn read(text: &str, experiments: &BTreeSet<String>) -> Result<Vec<Claim>, BadClaims> {
+fn read(text: &str, measurable: &Measurable) -> Result<Vec<Claim>, BadClaims> {
     let file: File = toml::from_str(text).map_err(|error| BadClaims(error.to_string()))?;
     let mut claims = Vec::new();
     for entry in &file.claim {
@@ -169,7 +177,7 @@ fn read(text: &str, experiments: &BTreeSet<String>) -> Result<Vec<Claim>, BadCla
         let bad =
             |(field, what): Bad| BadClaims(format!("line {line}, '{field}' of \"{}\": {what}", entry.words));
         for text in entry.texts().map_err(bad)? {
-            claims.push(entry.claim(&text, experiments).map_err(bad)?);
+            claims.push(entry.claim(&text, measurable).map_err(bad)?);
         }
     }
     Ok(claims)
@@ -191,7 +199,7 @@ impl Entry {
         }
     }
 
-    fn claim(&self, text: &str, experiments: &BTreeSet<String>) -> Result<Claim, Bad> {
+    fn claim(&self, text: &str, measurable: &Measurable) -> Result<Claim, Bad> {
         let rows = |side: &Side| -> Result<Rows, Bad> {
             let put = |words: &String| words.replace("{}", text);
             let names = side.experiment.as_ref().or(self.experiment.as_ref());
@@ -199,8 +207,10 @@ impl Entry {
             let names =
                 names.ok_or(("experiment", "missing: name it for the claim or for each side".to_owned()))?;
             let names: Vec<String> = names.of().iter().map(put).collect();
-            if let Some(name) = names.iter().find(|name| !experiments.contains(*name)) {
-                let all: Vec<_> = experiments.iter().map(String::as_str).collect();
+            let is_there = |name: &String| measurable.payloads.iter().any(|(other, _)| other == name);
+            if let Some(name) = names.iter().find(|name| !is_there(name)) {
+                let mut all: Vec<_> = measurable.payloads.iter().map(|(name, _)| name.as_str()).collect();
+                all.dedup();
                 return Err(("experiment", format!("there is no '{name}'; there are {}", all.join(", "))));
             }
             let size = side.bytes.as_ref().or(self.bytes.as_ref());
@@ -209,12 +219,24 @@ impl Entry {
             let bytes = bytes_of(&size).ok_or_else(|| {
                 ("bytes", format!("'{size}' is no size; one is written as \"64 B\", \"4 KiB\" or \"1 MiB\""))
             })?;
-            Ok(Rows {
-                experiments: names,
-                system: put(&side.system),
-                modes: side.modes.iter().map(put).collect(),
-                bytes,
-            })
+            if let Some(name) =
+                names.iter().find(|&name| !measurable.payloads.contains(&(name.clone(), bytes)))
+            {
+                return Err(("bytes", format!("'{name}' is not measured with {size}")));
+            }
+            let system = put(&side.system);
+            let modes: Vec<String> = side.modes.iter().map(put).collect();
+            let is_missing = |mode: &&String| !measurable.modes.contains(&(system.clone(), (*mode).clone()));
+            if let Some(mode) = modes.iter().find(is_missing) {
+                let all = measurable.modes.iter().filter(|(other, _)| *other == system);
+                let all: Vec<_> = all.map(|(_, mode)| mode.as_str()).collect();
+                let all = all.join(", ");
+                return Err(("modes", format!("'{system}' has no '{mode}'; it has {all}")));
+            }
+            if !measurable.modes.iter().any(|(other, _)| *other == system) {
+                return Err(("system", format!("there is no '{system}'")));
+            }
+            Ok(Rows { experiments: names, system, modes, bytes })
         };
         let (limit, is_at_most) = match (self.at_most, self.at_least) {
             (Some(limit), None) => (limit, true),

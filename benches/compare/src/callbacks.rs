@@ -9,6 +9,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use serde_json::Value;
+use tautline_benches::claims::Measurable;
 use tautline_benches::rows::{Round, Row, Tally, extent};
 use tautline_benches::{Process, progress_bar};
 use tautline_exchange::{Job, Line, Role};
@@ -16,12 +17,24 @@ use tautline_exchange::{Job, Line, Role};
 use crate::Result;
 use crate::modes::{GATEWAY, MODES, Mode, TAUT};
 use crate::pair::{FAR_DOMAIN, PATIENCE, Setup};
-use crate::plan::{Case, Experiment, FLOOD, Idle, QUIET, Task};
+use crate::plan::{Case, Experiment, Idle, Task};
 use crate::report::missing;
+
+/// Without and with a flood.
+pub const QUIET: &str = "callbacks/quiet";
+pub const FLOOD: &str = "callbacks/flood";
+/// The demo's, which take the place of modes.
+const TOPICS: [&str; 5] = ["topic1", "topic2", "topic3", "topic4", "topic5"];
 
 /// 500 MB a second.
 const MESSAGE_BYTES: usize = 1 << 20;
 const RATE: f64 = 500e6 / MESSAGE_BYTES as f64;
+
+/// Adds them to what can be measured.
+pub fn measurable(all: &mut Measurable) {
+    all.payloads.extend([(QUIET.to_owned(), 0), (FLOOD.to_owned(), MESSAGE_BYTES)]);
+    all.modes.extend(TOPICS.map(|topic| ("tautline".to_owned(), topic.to_owned())));
+}
 
 /// Measures both, in turn: a row for each topic of the demo.
 pub fn run(setup: &Setup<'_>) -> Result<Vec<Row>> {

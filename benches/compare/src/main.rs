@@ -9,7 +9,8 @@
 //! | module | holds |
 //! |---|---|
 //! | `modes` | the systems and their ways, with the settings of each and what it does better |
-//! | `plan` | what is measured: experiments, payloads, idle states, rounds |
+//! | `plan` | what is measured: benches, experiments, systems |
+//! | `settings` | payloads, idle states, lengths and rounds of each experiment |
 //! | `rounds` | the parent: rounds to and fro, and what became of each case |
 //! | `pair`, `flow` | one measurement: round trips, or one way |
 //! | `load` | what disturbs the measurement under load |
@@ -31,6 +32,7 @@ mod pair;
 mod plan;
 mod report;
 mod rounds;
+mod settings;
 mod slower;
 mod systems;
 
@@ -42,12 +44,9 @@ use modes::Programs;
 use pair::Setup;
 use plan::{Bench, Experiment, Plan};
 use report::Report;
-use tautline_benches::{Disturbance, Scratch, exit, interrupted, two_cores, write, write_json};
+use tautline_benches::{Disturbance, Result, Scratch, exit, interrupted, two_cores, write, write_json};
 use tautline_exchange::APPLICATION_PRIORITY;
 use tautline_rt::permission;
-
-/// What nobody handles but the person who reads it.
-type Result<T> = std::result::Result<T, Box<dyn std::error::Error>>;
 
 /// Measures Tautline beside other middleware.
 #[derive(Parser)]

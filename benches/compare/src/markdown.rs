@@ -6,7 +6,8 @@ use std::fmt::Write;
 use tautline_benches::rows::Row;
 use tautline_benches::table::size;
 
-use crate::plan::{Bench, FLOOD, QUIET};
+use crate::callbacks::{FLOOD, QUIET};
+use crate::plan::Bench;
 
 /// What a bench found, and under which conditions.
 pub fn tables(bench: Bench, rows: &[Row]) -> String {

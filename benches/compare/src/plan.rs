@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is measured.
+//! What is measured, with which systems.
 
-use std::collections::BTreeSet;
 use std::time::Duration;
 
 use clap::ValueEnum;
+use tautline_benches::claims::Measurable;
 
 use crate::modes::{GATEWAY, MODES, Mode, Part, Program, Programs};
-use crate::{Options, Result};
+use crate::settings::{Extent, Setting, settings};
+use crate::{Options, Result, callbacks};
 
 /// Questions that are asked together, with payloads, rounds and systems of their own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -135,10 +136,6 @@ impl Case {
 /// Bytes of a stream that may be under way.
 pub const WINDOW_BYTES: usize = 4 << 20;
 
-/// Callbacks, without and with a flood.
-pub const QUIET: &str = "callbacks/quiet";
-pub const FLOOD: &str = "callbacks/flood";
-
 fn name(experiment: Experiment, task: Task, idle: Idle) -> String {
     let idle = match idle {
         Idle::AsShipped => "as-shipped",
@@ -169,18 +166,22 @@ fn name(experiment: Experiment, task: Task, idle: Idle) -> String {
     }
 }
 
-/// The names of all experiments, whatever is chosen of them.
-pub fn experiments() -> BTreeSet<String> {
-    let mut names: BTreeSet<String> = [QUIET, FLOOD].map(str::to_owned).into();
+/// All that can be measured, whatever is chosen of it.
+pub fn measurable() -> Measurable {
+    let mut all = Measurable::default();
+    let of_mode = |mode: &Mode| (mode.system.to_owned(), mode.mode.to_owned());
+    all.modes.extend(MODES.iter().map(of_mode));
     for bench in Bench::value_variants() {
         for &experiment in bench.experiments() {
             for extent in [Extent::Smoke, Extent::Quick, Extent::Full] {
-                let settings = settings(*bench, experiment, extent).into_iter();
-                names.extend(settings.map(|setting| name(experiment, setting.task, setting.idle)));
+                let payload =
+                    |setting: Setting| (name(experiment, setting.task, setting.idle), setting.payload_bytes);
+                all.payloads.extend(settings(*bench, experiment, extent).into_iter().map(payload));
             }
         }
     }
-    names
+    callbacks::measurable(&mut all);
+    all
 }
 
 /// Everything that is measured.
@@ -200,14 +201,6 @@ pub struct Plan {
     /// Those asked for; none: all.
     systems: Vec<String>,
     pub quick: bool,
-}
-
-/// How much of it.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Extent {
-    Smoke,
-    Quick,
-    Full,
 }
 
 impl Plan {
@@ -295,34 +288,6 @@ fn is_among(systems: &[String], system: &str) -> bool {
     systems.is_empty() || systems.iter().any(|name| name == system)
 }
 
-/// One setting of an experiment, for every mode that takes part.
-#[derive(Clone, Copy)]
-struct Setting {
-    task: Task,
-    payload_bytes: usize,
-    idle: Idle,
-    budget_ms: u64,
-    rounds: u32,
-}
-
-fn settings(bench: Bench, experiment: Experiment, extent: Extent) -> Vec<Setting> {
-    match (bench, experiment) {
-        (Bench::Wake, _) => wake(extent),
-        (Bench::Network, Experiment::Latency) => over_gateways(extent),
-        (_, Experiment::Latency) => latency(extent),
-        (_, Experiment::OpenLoop) => open_loop(extent),
-        (_, Experiment::FanOut) => fan_out(extent),
-        (_, Experiment::Robot) => robot(extent),
-        (Bench::Network, Experiment::Throughput) => streams(Task::Stream { whole: false }, extent),
-        (_, Experiment::Throughput) => throughput(extent),
-        (_, Experiment::StartUp) => start_up(extent),
-        (_, Experiment::Request) => requests(extent),
-        (_, Experiment::Window) => streams(Task::Window, extent),
-        // Of which the ends are none of the systems': see `callbacks`.
-        (_, Experiment::Callbacks) => Vec::new(),
-    }
-}
-
 fn of_experiment(bench: Bench, experiment: Experiment, extent: Extent, modes: &[&'static Mode]) -> Vec<Case> {
     let case = |setting: &Setting, mode| Case {
         experiment,
@@ -355,219 +320,5 @@ fn takes_part(bench: Bench, mode: &Mode, setting: &Setting) -> bool {
         (Part::Requests, Task::Requests) => true,
         (Part::SmallRequests, Task::Requests) => setting.payload_bytes == 64,
         _ => false,
-    }
-}
-
-/// Each size untouched and whole, with both idle states.
-fn wake(extent: Extent) -> Vec<Setting> {
-    let both = |bytes| [(bytes, false), (bytes, true)];
-    let (payloads, budget_ms, rounds) = match extent {
-        Extent::Smoke => (vec![(64, false), (1 << 20, true)], 60, 1),
-        Extent::Quick => (vec![(64, false), (1 << 20, true), (8 << 20, false)], 150, 3),
-        Extent::Full => ([64, 4 << 10, 1 << 20, 8 << 20].map(both).concat(), 200, 5),
-    };
-    let mut settings = Vec::new();
-    for idle in [Idle::AsShipped, Idle::HeldOff] {
-        for &(payload_bytes, whole) in &payloads {
-            settings.push(Setting {
-                task: Task::RoundTrips { whole },
-                payload_bytes,
-                idle,
-                budget_ms,
-                rounds,
-            });
-        }
-    }
-    settings
-}
-
-fn requests(extent: Extent) -> Vec<Setting> {
-    let (budget_ms, rounds) = match extent {
-        Extent::Smoke => (60, 1),
-        Extent::Quick => (200, 3),
-        Extent::Full => (1000, 7),
-    };
-    let setting = |payload_bytes| Setting {
-        task: Task::Requests,
-        payload_bytes,
-        idle: Idle::HeldOff,
-        budget_ms,
-        rounds,
-    };
-    [64, 4 << 10, 1 << 20].map(setting).into()
-}
-
-fn of_network(task: Task, sizes: &[usize], extent: Extent) -> Vec<Setting> {
-    let (budget_ms, rounds) = match extent {
-        Extent::Smoke => (200, 1),
-        Extent::Quick => (500, 2),
-        Extent::Full => (1500, 7),
-    };
-    let setting = |&payload_bytes| Setting { task, payload_bytes, idle: Idle::AsShipped, budget_ms, rounds };
-    sizes.iter().map(setting).collect()
-}
-
-fn over_gateways(extent: Extent) -> Vec<Setting> {
-    of_network(Task::RoundTrips { whole: false }, &[64, 4 << 10, 1 << 20], extent)
-}
-
-fn streams(task: Task, extent: Extent) -> Vec<Setting> {
-    of_network(task, &[64 << 10, 1 << 20], extent)
-}
-
-/// Powers of 8, and the two sizes of which ratios are promised.
-const SIZES: [usize; 8] = [64, 512, 4 << 10, 32 << 10, 256 << 10, 1 << 20, 2 << 20, 8 << 20];
-
-fn latency(extent: Extent) -> Vec<Setting> {
-    type Sizes = &'static [usize];
-    let (whole_held, whole_shipped, untouched_held): (Sizes, Sizes, Sizes) = match extent {
-        Extent::Smoke => (&[64, 1 << 20], &[64], &[64]),
-        Extent::Quick => (&[64, 1 << 20, 8 << 20], &[64, 1 << 20], &[64]),
-        Extent::Full => (&SIZES, &SIZES, &SIZES),
-    };
-    // The slowest are to make some round trips of 8 MiB, too: twenty in all, of which a median is made.
-    let (budget_ms, large_ms) = match extent {
-        Extent::Smoke => (60, 60),
-        Extent::Quick => (100, 650),
-        Extent::Full => (100, 400),
-    };
-    // More where most is promised, and where a machine's phases show most.
-    let rounds = |whole, idle, payload_bytes| match (extent, idle, payload_bytes) {
-        (Extent::Smoke, ..) => 1,
-        (Extent::Quick, Idle::HeldOff, 64) if whole => 3,
-        (Extent::Quick, Idle::HeldOff, 0x10_0000) | (Extent::Quick, Idle::AsShipped, 64) => 2,
-        (Extent::Quick, ..) => 1,
-        (Extent::Full, Idle::HeldOff, 64 | 0x10_0000 | 0x80_0000) if whole => 3,
-        (Extent::Full, Idle::AsShipped, 64 | 0x10_0000 | 0x80_0000) if whole => 2,
-        (Extent::Full, ..) => 1,
-    };
-    let setting = |whole, idle, sizes: &[usize]| -> Vec<Setting> {
-        let of_size = |&payload_bytes: &usize| Setting {
-            task: Task::RoundTrips { whole },
-            payload_bytes,
-            idle,
-            budget_ms: if payload_bytes > 4 << 20 { large_ms } else { budget_ms },
-            rounds: rounds(whole, idle, payload_bytes),
-        };
-        sizes.iter().map(of_size).collect()
-    };
-    let mut settings = setting(true, Idle::HeldOff, whole_held);
-    settings.extend(setting(false, Idle::HeldOff, untouched_held));
-    settings.extend(setting(true, Idle::AsShipped, whole_shipped));
-    if extent == Extent::Full {
-        settings.extend(setting(false, Idle::AsShipped, &[64, 4 << 10, 256 << 10, 8 << 20]));
-    }
-    settings
-}
-
-fn paced(topics: usize, rate: f64, processes: usize, subscribers: usize, is_loaded: bool) -> Task {
-    Task::Paced { rate: rate * topics as f64, topics, processes, subscribers, is_loaded, at_once: false }
-}
-
-fn open_loop(extent: Extent) -> Vec<Setting> {
-    let setting = |is_loaded, idle, budget_ms, rounds| Setting {
-        task: paced(1, 1000.0, 1, 1, is_loaded),
-        payload_bytes: 1 << 10,
-        idle,
-        budget_ms,
-        rounds,
-    };
-    let both = |idle, budget_ms, rounds| [false, true].map(|loaded| setting(loaded, idle, budget_ms, rounds));
-    match extent {
-        Extent::Smoke => both(Idle::HeldOff, 200, 1).into(),
-        Extent::Quick => both(Idle::HeldOff, 1000, 1).into(),
-        // More than 10,000 messages in all: enough for p99.9. The other setting has enough for p99.
-        Extent::Full => [both(Idle::HeldOff, 5100, 2), both(Idle::AsShipped, 1100, 1)].concat(),
-    }
-}
-
-fn fan_out(extent: Extent) -> Vec<Setting> {
-    let setting = |processes, subscribers, idle, budget_ms| Setting {
-        task: paced(1, 50.0, processes, subscribers, false),
-        payload_bytes: 1 << 20,
-        idle,
-        budget_ms,
-        rounds: 1,
-    };
-    let both = |counts: &[usize], idle, budget_ms| -> Vec<Setting> {
-        let in_one = counts.iter().map(|&count| setting(1, count, idle, budget_ms));
-        let many = counts.iter().filter(|&&count| count > 1);
-        in_one.chain(many.map(|&count| setting(count, 1, idle, budget_ms))).collect()
-    };
-    match extent {
-        Extent::Smoke => both(&[2], Idle::HeldOff, 200),
-        Extent::Quick => {
-            vec![
-                setting(1, 1, Idle::HeldOff, 600),
-                setting(1, 8, Idle::HeldOff, 600),
-                setting(4, 1, Idle::HeldOff, 600),
-            ]
-        }
-        Extent::Full => {
-            [both(&[1, 2, 4, 8, 16], Idle::HeldOff, 500), both(&[1, 4, 8], Idle::AsShipped, 500)].concat()
-        }
-    }
-}
-
-fn robot(extent: Extent) -> Vec<Setting> {
-    let setting = |at_once, idle, budget_ms, rounds| Setting {
-        task: Task::Paced {
-            rate: 2000.0,
-            topics: 20,
-            processes: 1,
-            subscribers: 1,
-            is_loaded: false,
-            at_once,
-        },
-        payload_bytes: 4 << 10,
-        idle,
-        budget_ms,
-        rounds,
-    };
-    let both = |idle, apart_ms, at_once_ms, rounds| {
-        vec![setting(false, idle, apart_ms, rounds), setting(true, idle, at_once_ms, rounds)]
-    };
-    match extent {
-        Extent::Smoke => both(Idle::AsShipped, 500, 200, 1),
-        Extent::Quick => both(Idle::AsShipped, 1000, 600, 1),
-        // 20 s in all.
-        Extent::Full => [both(Idle::AsShipped, 5000, 700, 4), both(Idle::HeldOff, 1000, 600, 1)].concat(),
-    }
-}
-
-fn throughput(extent: Extent) -> Vec<Setting> {
-    let setting = |payload_bytes, idle, budget_ms, rounds| Setting {
-        task: Task::Stream { whole: true },
-        payload_bytes,
-        idle,
-        budget_ms,
-        rounds,
-    };
-    let both = |idle, budget_ms, rounds| [64, 1 << 20].map(|bytes| setting(bytes, idle, budget_ms, rounds));
-    match extent {
-        Extent::Smoke => both(Idle::HeldOff, 100, 1).into(),
-        Extent::Quick => both(Idle::HeldOff, 400, 1).into(),
-        Extent::Full => [both(Idle::HeldOff, 500, 3), both(Idle::AsShipped, 500, 1)].concat(),
-    }
-}
-
-fn start_up(extent: Extent) -> Vec<Setting> {
-    let setting = |topics, is_late_joiner, idle, rounds| Setting {
-        task: Task::Start { topics, is_late_joiner },
-        payload_bytes: 64,
-        idle,
-        budget_ms: 10,
-        rounds,
-    };
-    let all = |idle, rounds| {
-        vec![
-            setting(1, false, idle, rounds),
-            setting(1, true, idle, rounds),
-            setting(100, false, idle, rounds),
-        ]
-    };
-    match extent {
-        Extent::Smoke | Extent::Quick => all(Idle::AsShipped, 1),
-        Extent::Full => [all(Idle::AsShipped, 3), all(Idle::HeldOff, 1)].concat(),
     }
 }

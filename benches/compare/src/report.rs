@@ -10,7 +10,7 @@ use tautline_exchange::{APPLICATION_PRIORITY, LATE};
 use crate::Result;
 use crate::load::LOAD;
 use crate::modes::NOT_JOINED;
-use crate::plan::{Bench, Experiment, Plan, Task, experiments};
+use crate::plan::{Bench, Experiment, Plan, Task, measurable};
 use crate::rounds::Cell;
 use crate::slower::{Slower, slower};
 
@@ -53,7 +53,7 @@ impl Report {
 
     /// Of an earlier run.
     pub fn of_rows(rows: Vec<Row>) -> Result<Self> {
-        let verdicts = verdicts(&experiments(), &rows)?;
+        let verdicts = verdicts(&measurable(), &rows)?;
         let (slower, machine, failures) = (slower(&rows), Vec::new(), Vec::new());
         Ok(Report { rows, verdicts, slower, machine, is_realtime: true, failures })
     }
@@ -281,7 +281,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_claim_is_about_an_experiment_that_there_is() {
+    fn every_claim_is_about_what_can_be_measured() {
         assert!(Report::of_rows(Vec::new()).is_ok_and(|report| report.verdicts.is_empty()));
     }
 }

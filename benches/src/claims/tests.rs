@@ -21,8 +21,12 @@ fn ours(p50s_us: &[f64]) -> Row {
     row("tautline", "blocking", p50s_us)
 }
 
-fn experiments() -> BTreeSet<String> {
-    [HELD.to_owned()].into()
+fn measurable() -> Measurable {
+    let modes = [("tautline", "blocking"), ("rival", "default"), ("other", "x"), ("floor", "futex")];
+    Measurable {
+        payloads: [(HELD.to_owned(), 64)].into(),
+        modes: modes.map(|(system, mode)| (system.to_owned(), mode.to_owned())).into(),
+    }
 }
 
 /// A claim about rows of 64 B, with these lines more.
@@ -34,11 +38,11 @@ fn claim(lines: &str) -> String {
 }
 
 fn judge_claim(lines: &str, rows: &[Row]) -> Verdict {
-    read(&claim(lines), &experiments()).unwrap()[0].judge(rows)
+    read(&claim(lines), &measurable()).unwrap()[0].judge(rows)
 }
 
 fn refusal(text: &str) -> String {
-    read(text, &experiments()).err().unwrap().to_string()
+    read(text, &measurable()).err().unwrap().to_string()
 }
 
 const FASTER: &str = "metric = 'p50'\ntheirs = { system = 'rival' }\nat-most = { times = 1.0 }";
@@ -116,7 +120,7 @@ fn one_entry_is_a_claim_for_each_text() {
     let lines =
         "each = ['rival', 'other']\nmetric = 'p50'\ntheirs = { system = '{}' }\nat-most = { times = 1 }";
     let text = claim(lines).replace("it is fast", "faster than {}");
-    let claims = read(&text, &experiments()).unwrap();
+    let claims = read(&text, &measurable()).unwrap();
     assert_eq!(
         claims.iter().map(|claim| claim.words.as_str()).collect::<Vec<_>>(),
         ["faster than rival", "faster than other"]
@@ -152,6 +156,13 @@ fn a_bad_file_says_where_and_what_would_be_right() {
         ),
         "{unknown}"
     );
+    for (from, to, why) in [
+        ("64 B", "64 KiB", "'bytes' of \"it is fast\": 'latency/whole/held-off' is not measured with 64 KiB"),
+        ("'rival'", "'arrival'", "'system' of \"it is fast\": there is no 'arrival'"),
+        ("'rival'", "'rival', modes = ['fault']", "'rival' has no 'fault'; it has default"),
+    ] {
+        assert!(refusal(&whole.replace(from, to)).contains(why), "{}", refusal(&whole.replace(from, to)));
+    }
     assert!(refusal(&whole.replace("64 B", "64")).contains("'bytes' of \"it is fast\": '64' is no size"));
     assert!(
         refusal(&whole.replace("experiment =", "# ")).contains("'experiment' of \"it is fast\": missing")
