@@ -16,9 +16,9 @@ use std::{fs, io};
   cargo xtask bench compare --quick                                   under five minutes, once it is built
   cargo xtask bench compare --json compare.json --html compare.html   under half an hour
   cargo xtask bench compare --systems tautline,iceoryx2,fastdds -- --only latency
-  cargo xtask bench wake --quick                                      under a minute
-  cargo xtask bench services --json services.json                     three minutes
-  cargo xtask bench network --quick                                   two minutes; nine without --quick
+  cargo xtask bench wake --quick                                      a minute and a half
+  cargo xtask bench services --json services.json                     two minutes
+  cargo xtask bench network --quick
   cargo xtask bench network --systems tautline -- --only callbacks
 
 A rival that cannot be built here is named in the report, with the reason. Zenoh and hiroz take minutes to build.")]

@@ -166,7 +166,7 @@ enum Bench {
     Tools(Options),
     /// What a trace event costs, recorded and not; a second with --quick
     Trace(Options),
-    /// The wake-up from one process to another, beside a bare futex and iceoryx2; under a minute with --quick
+    /// The wake-up from one process to another, beside a bare futex and iceoryx2; a minute and a half with --quick
     Wake(compare::Compare),
     /// Writing, publishing and reading messages, beside a plain buffer and other encoders; some seconds with --quick
     Messages(Options),

@@ -45,7 +45,7 @@ use pair::Setup;
 use plan::{Bench, Experiment, Plan};
 use report::Report;
 use tautline_benches::{Disturbance, Result, Scratch, exit, interrupted, two_cores, write, write_json};
-use tautline_exchange::APPLICATION_PRIORITY;
+use tautline_exchange::{APPLICATION_PRIORITY, NETWORK_PRIORITY};
 use tautline_rt::permission;
 
 /// Measures Tautline beside other middleware.
@@ -53,7 +53,8 @@ use tautline_rt::permission;
 #[command(after_help = "Examples:
   cargo xtask bench compare --quick                                   under five minutes, once it is built
   cargo xtask bench compare --json compare.json --html compare.html   under half an hour
-  cargo xtask bench compare --systems tautline,fastdds -- --only latency,robot")]
+  cargo xtask bench compare --systems tautline,fastdds -- --only latency,robot
+  cargo xtask bench network --quick -- --no-cores")]
 struct Options {
     /// What is asked
     #[arg(long, value_name = "BENCH", value_enum, default_value = "compare")]
@@ -88,6 +89,9 @@ struct Options {
     /// The two cores, the sender's and the receiver's [default: the first two allowed]
     #[arg(long, value_name = "A,B", value_delimiter = ',')]
     cores: Option<Vec<usize>>,
+    /// Leave the threads to the scheduler: any core
+    #[arg(long, conflicts_with = "cores")]
+    no_cores: bool,
     /// Only these experiments [default: all]
     #[arg(long, value_name = "EXPERIMENT,...", value_delimiter = ',', value_enum)]
     only: Vec<Experiment>,
@@ -119,7 +123,12 @@ fn main() -> ExitCode {
 
 fn measure(options: &Options) -> Result<()> {
     if !options.no_rt {
-        permission::realtime_permitted(APPLICATION_PRIORITY + 10)
+        let highest = match options.bench {
+            // The gateway's budget looks from above.
+            Bench::Network => NETWORK_PRIORITY + 1,
+            _ => APPLICATION_PRIORITY + 10,
+        };
+        permission::realtime_permitted(highest)
             .map_err(|error| format!("{error} (or measure without: --no-rt)"))?;
     }
     let programs = Programs::new(&options.program, &options.without)?;

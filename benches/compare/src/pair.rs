@@ -120,7 +120,7 @@ impl Setup<'_> {
             exchange,
             payload_bytes: case.payload_bytes,
             budget: case.budget,
-            core: Some(if is_at_near { near } else { far }),
+            core: self.plan.pin(if is_at_near { near } else { far }),
             realtime: self.plan.realtime,
             domain: match case.mode.program {
                 Program::Gateways if role == Role::Far => FAR_DOMAIN,
@@ -134,7 +134,7 @@ impl Setup<'_> {
                 topics,
                 subscribers,
                 at_once,
-                other_core: Some(if is_at_near { far } else { near }),
+                other_core: self.plan.pin(if is_at_near { far } else { near }),
             },
         }
     }
@@ -190,7 +190,9 @@ impl Setup<'_> {
         let mut around = Around { gateways: None, daemon: None };
         match case.mode.program {
             Program::Gateways => {
-                around.gateways = Some(self.gateways(self.plan.cores.map(Some), [self.plan.realtime; 2])?);
+                around.gateways = Some(
+                    self.gateways(self.plan.cores.map(|core| self.plan.pin(core)), [self.plan.realtime; 2])?,
+                );
             }
             Program::Daemon(_, name) => {
                 // The ends wait for it.

@@ -190,6 +190,8 @@ pub struct Plan {
     pub realtime: bool,
     /// The sender's and the receiver's.
     pub cores: [usize; 2],
+    /// Whether their threads stay there.
+    pub is_pinned: bool,
     pub cases: Vec<Case>,
     /// The most rounds of a case.
     pub rounds: u32,
@@ -225,17 +227,15 @@ impl Plan {
                 Err(reason) => missing.push((mode, reason)),
             }
         }
-        let experiments = bench.experiments().iter();
-        let chosen: Vec<Experiment> = experiments
-            .filter(|experiment| options.only.is_empty() || options.only.contains(experiment))
-            .copied()
-            .collect();
-        if chosen.is_empty() {
+        let has = |experiment: &&Experiment| bench.experiments().contains(experiment);
+        if let Some(&other) = options.only.iter().find(|experiment| !has(experiment)) {
             let names: Vec<String> = bench.experiments().iter().map(|it| value(*it)).collect();
-            return Err(format!("--only: this bench has {}", names.join(", ")).into());
+            let (other, names) = (value(other), names.join(", "));
+            return Err(format!("--only {other}: this bench does not measure it, but {names}").into());
         }
+        let chosen = if options.only.is_empty() { bench.experiments() } else { &options.only };
         let mut cases = Vec::new();
-        for &experiment in &chosen {
+        for &experiment in chosen {
             cases.extend(of_experiment(bench, experiment, extent, &modes));
         }
         let gateway = is_among(&options.systems, "tautline") && chosen.contains(&Experiment::Callbacks);
@@ -251,6 +251,10 @@ impl Plan {
         if !gateway {
             callbacks = (0, 0);
         }
+        if cases.is_empty() && callbacks.0 == 0 && missing.is_empty() {
+            let systems = options.systems.join(", ");
+            return Err(format!("--systems {systems}: none of them takes part in this bench").into());
+        }
         let rounds = cases.iter().map(|case| case.rounds).max().unwrap_or(0);
         let quick = extent != Extent::Full;
         let systems = options.systems.clone();
@@ -258,6 +262,7 @@ impl Plan {
             bench,
             realtime: !options.no_rt,
             cores,
+            is_pinned: !options.no_cores,
             cases,
             rounds,
             callbacks,
@@ -266,6 +271,11 @@ impl Plan {
             systems,
             quick,
         })
+    }
+
+    /// Where a thread is to stay.
+    pub fn pin(&self, core: usize) -> Option<usize> {
+        self.is_pinned.then_some(core)
     }
 
     /// Whether a system was asked for.

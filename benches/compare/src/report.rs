@@ -261,12 +261,16 @@ fn notes(plan: &Plan, disturbance: String) -> Vec<String> {
         "NO REAL-TIME PRIORITY".to_owned()
     };
     let [near, far] = plan.cores;
+    let cores = match plan.is_pinned {
+        true => format!("sender on core {near}, receivers on core {far}"),
+        false => "threads on any core".to_owned(),
+    };
     vec![
         machine(),
         disturbance,
         versions(plan),
         format!(
-            "sender on core {near}, receivers on core {far}; {priorities}; at most {} rounds to and fro; queues of all \
+            "{cores}; {priorities}; at most {} rounds to and fro; queues of all \
              systems: 10 messages, for throughput at 64 B 100",
             plan.rounds
         ),
