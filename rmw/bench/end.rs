@@ -7,12 +7,8 @@ use crate::system::Message;
 use crate::types;
 use std::ffi::c_void;
 use std::ptr::null_mut;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tautline_exchange::{Job, Line, Link, Result, Role, drive, say, stop_flag};
-
-/// How often who answers looks whether it is to end.
-const LOOK: Duration = Duration::from_millis(20);
+use tautline_exchange::{Job, Link, Result, play, stop_flag};
 
 /// Of a serialized `std_msgs/msg/UInt8MultiArray`: how it is encoded, no dimensions, no offset, the length of the data.
 const HEADER_BYTES: usize = 16;
@@ -21,30 +17,7 @@ const HEADER_BYTES: usize = 16;
 pub fn run(job: &Job, message: Message) -> Result<()> {
     let (own, stop) = (job.clone(), stop_flag());
     // The RMW's threads inherit the priority, if it says nothing else of them.
-    job.as_application(move || {
-        let mut end = End::new(&own, message)?;
-        match own.role {
-            Role::Near => {
-                if let Some(measured) = drive(&own, &mut end)? {
-                    say(&Line::Measured(measured));
-                }
-                Ok(())
-            }
-            Role::Far => {
-                say(&Line::Ready(None));
-                answer(&mut end, &stop)
-            }
-        }
-    })
-}
-
-fn answer(end: &mut impl Link, stop: &AtomicBool) -> Result<()> {
-    while !stop.load(Ordering::Relaxed) {
-        if let Some(number) = end.receive(LOOK)? {
-            end.send(number)?;
-        }
-    }
-    Ok(())
+    job.as_application(move || play(&own, &mut End::new(&own, message)?, &stop, None))
 }
 
 struct End {
