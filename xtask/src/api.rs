@@ -9,7 +9,6 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 /// The crate whose surface this is.
 const CRATE: &str = "tautline";
@@ -71,14 +70,6 @@ fn document() -> Result<(), String> {
     // With an example, by which cargo takes the features that the tests have of everything.
     let mut command = cargo(&format!("doc {WHOLE} --no-deps --lib --bins --example talker"));
     command.env("RUSTDOC", rustdoc).env("RUSTDOCFLAGS", "-Dwarnings -Zunstable-options --output-format json");
-    // As `cargo clippy -- -D warnings` has it: what that has checked need not be checked again.
-    let rustc = Command::new("rustc").args(["--print", "sysroot"]).output();
-    let sysroot = rustc.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
-    let driver = Path::new(&sysroot.unwrap_or_default()).join("bin/clippy-driver");
-    if driver.is_file() {
-        command.env("RUSTC_WORKSPACE_WRAPPER", driver);
-        command.env("CLIPPY_ARGS", ["-D", "warnings", ""].join("__CLIPPY_HACKERY__"));
-    }
     execute(&mut command).result()
 }
 

@@ -6,7 +6,7 @@ use crate::build::{WHOLE as WORKSPACE, build};
 use crate::r2r::Environment;
 use crate::reports::check_bridge;
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{machine, programs, r2r};
+use crate::{lints, machine, programs, r2r};
 use std::process::{Command, ExitCode};
 
 #[derive(clap::Args)]
@@ -54,7 +54,7 @@ pub fn test(steps: &mut Steps) {
     steps.command("bridge-ros: build", &mut building(&format!("test {WHOLE} --no-run")));
     // The program that starts it, which says what is wrong when ROS or the loader ends it; and what carries a domain's topics to
     // another host.
-    steps.command("bridge-ros: taut and the gateway", &mut cargo(&programs()));
+    steps.command("bridge-ros: taut and the gateway", &mut lints::cargo(&programs()));
     let tests = nextest(WHOLE);
     steps.command("bridge-ros: tests", &mut bridge_cargo(&environment, &tests));
     steps.command("bridge-ros: doc tests", &mut bridge_cargo(&environment, &format!("test {WHOLE} --doc")));

@@ -12,7 +12,7 @@ pub enum Build {
     /// Made when it is needed.
     #[default]
     Release,
-    /// Made by [`crate::test::build`] before.
+    /// Made by [`crate::lints::build`] before.
     Tests,
 }
 

@@ -15,7 +15,7 @@ use crate::reports::{
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::test::{self, nextest};
 use crate::{
-    api, book, bridge, fuzz, lttng, packages, peers, programs, r2r, r2r_tests, rmw, ros, shared,
+    api, book, bridge, fuzz, lints, lttng, packages, peers, programs, r2r, r2r_tests, rmw, ros, shared,
     stress_doorbell, stress_kills,
 };
 use std::path::Path;
@@ -32,7 +32,10 @@ pub fn run(scope: &Scope) -> ExitCode {
     let mut steps = Steps::new();
     ros(&mut steps);
     r2r::prepare_libclang(&mut steps, true);
-    lints(&mut steps);
+    formats(&mut steps);
+    let built = lints::build(&mut steps, "build and lints", WHOLE);
+    book::test(&mut steps);
+    steps.step("documentation and public surface", || api::check(false));
     steps.step("builds are shared", shared::check);
     rest_of_tests(&mut steps);
     bridge::test(&mut steps);
@@ -43,9 +46,8 @@ pub fn run(scope: &Scope) -> ExitCode {
     programs::test(&mut steps);
     bridge::bench_of_tests(&mut steps);
     rmw::bench_of_tests(&mut steps);
-    steps.command("stress: doorbell", &mut stress_doorbell(RINGS));
+    steps.command("stress: doorbell", &mut stress_doorbell(Build::Tests, RINGS));
     r2r_tests::all(&mut steps);
-    let built = test::build(&mut steps, WHOLE);
     peers::test(&mut steps, built);
     if built {
         of_the_build(&mut steps);
@@ -76,8 +78,8 @@ fn ros(steps: &mut Steps) {
     steps.step("ros", || ros::prepare().unless_ci());
 }
 
-/// All that is no part of [`mod@test`]: other workspaces, and packages that take long to build.
-fn lints(steps: &mut Steps) {
+/// Workspaces that are no part of [`mod@test`].
+fn formats(steps: &mut Steps) {
     // Workspaces of their own, which need a ROS 2 for more than this; what they use of ours may have got dependencies.
     let sources = ["src/main.rs", "src/bin/alks-r2r.rs", "src/bin/reference-r2r.rs"];
     for (name, folder) in [("paper-r2r", "benches/paper-r2r"), ("compare-r2r", "benches/compare/r2r")] {
@@ -102,9 +104,6 @@ fn lints(steps: &mut Steps) {
     steps.command("fmt: bridge-ros", &mut cargo("fmt --manifest-path bridge-ros/Cargo.toml --check"));
     steps.command("fmt: rmw", &mut cargo("fmt --manifest-path rmw/Cargo.toml --check"));
     steps.command("fmt: fuzz", &mut cargo("fmt --manifest-path fuzz/Cargo.toml --check"));
-    steps.command("clippy", &mut cargo(&format!("clippy {WHOLE} --all-targets -- -D warnings")));
-    book::test(steps);
-    steps.step("documentation and public surface", || api::check(false));
 }
 
 /// The gateway's after the others: it mirrors what other tests of its domains do.
@@ -112,23 +111,23 @@ fn rest_of_tests(steps: &mut Steps) {
     steps.step("gateway: packages", packages::firewall);
     let others = LATER.map(|package| format!("package({package})")).join("|");
     if machine::cargo_has("nextest --version").is_ok() {
-        nextest(steps, "tests: benches", WHOLE, &format!("({others})-package(tautline-gateway)"));
+        nextest(steps, "tests: benches", WHOLE, &format!("({others})-package(tautline-gateway)"), 1);
     } else {
         steps.skip("tests: benches", "without nextest they are among those of the gateway");
     }
-    nextest(steps, "tests: beside ROS 2", WHOLE, WITH_ROS);
-    nextest(steps, "tests: gateway", WHOLE, WITH_GATEWAY);
+    nextest(steps, "tests: beside ROS 2", WHOLE, WITH_ROS, 1);
+    nextest(steps, "tests: gateway", WHOLE, WITH_GATEWAY, 1);
     // Of all: for some packages alone, cargo would build what they need with other features.
-    steps.command("doc tests: all", &mut cargo(&format!("test {WHOLE} --no-fail-fast --doc")));
+    steps.command("doc tests: all", &mut lints::cargo(&format!("test {WHOLE} --no-fail-fast --doc")));
 }
 
-/// What is optimised less than in a release: it takes a third of the build's time, and no message of the lane keeping system passes through it.
-const LESS_OPTIMISED: [&str; 4] = ["libsqlite3-sys", "taut", "tautline-bag", "zstd-sys"];
+/// What is optimised less than in a release: all that is not ours, and what no message of the lane keeping system passes through.
+const LESS_OPTIMISED: [&str; 3] = ["'*'", "taut", "tautline-bag"];
 
 /// The README's demo, for three seconds, and its examples as a user builds them.
 fn release(steps: &mut Steps) {
     // With the lane keeping system, which loses messages while slower code begins.
-    let mut build = cargo("build --release -p taut -p alks");
+    let mut build = cargo("build --release -p taut -p alks --config profile.release.lto='off'");
     for package in LESS_OPTIMISED {
         build.arg("--config").arg(format!("profile.release.package.{package}.opt-level=1"));
     }
@@ -243,7 +242,7 @@ fn clock_step(steps: &mut Steps) {
         return steps.skip("clock step", "sets the system's clock: only where CI is set");
     }
     // Of all packages: for one alone, cargo would build what it needs with other features.
-    let mut command = cargo(&format!("test {WHOLE} --test clock_step"));
+    let mut command = lints::cargo(&format!("test {WHOLE} --test clock_step"));
     steps.command("clock step", command.env("TAUT_STEP_CLOCK", "1"));
 }
 

@@ -2,8 +2,8 @@
 //! LTTng for the test that records one run twice: its packages, installed where CI is set.
 
 use crate::build::{SAME, whole_with};
-use crate::packages;
 use crate::steps::{Outcome, Steps, cargo};
+use crate::{lints, packages};
 
 const PACKAGES: [&str; 3] = ["lttng-tools", "liblttng-ust-dev", "babeltrace2"];
 
@@ -26,7 +26,7 @@ pub fn test(steps: &mut Steps) {
     let clippy = format!("clippy {} {programs}", whole_with("taut/lttng,tautline-benches/lttng"));
     steps.command(NAMES[1], &mut cargo(&clippy));
     let test = format!("test {} --test lttng -- --nocapture", whole_with("taut/lttng"));
-    steps.command(NAMES[2], &mut cargo(&test));
+    steps.command(NAMES[2], &mut lints::cargo(&test));
 }
 
 /// Whether everything is there; otherwise what is not.

@@ -16,6 +16,7 @@
 //! | `colcon` | rmw_tautline as a package of a ROS 2 workspace |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
 //! | `fuzz` | inputs made up by libFuzzer |
+//! | `lints` | clippy's findings, with the tests' build |
 //! | `lttng` | LTTng's packages, and the test that needs them |
 //! | `reports` | checks that the JSON of the demo and of the benches keeps its promises |
 //! | `compare` | Tautline beside other middleware: builds the rivals, and runs all |
@@ -40,6 +41,7 @@ mod colcon;
 mod compare;
 mod examples;
 mod fuzz;
+mod lints;
 mod lttng;
 mod machine;
 mod packages;
@@ -56,7 +58,7 @@ mod steps;
 mod test;
 
 use bench::Options;
-use build::Build;
+use build::{Build, SAME};
 use clap::{Parser, Subcommand};
 use std::process::{Command, ExitCode};
 use steps::Steps;
@@ -300,7 +302,7 @@ fn main() -> ExitCode {
             steps.finish()
         }
         Verb::Fuzz { runs, targets } => fuzz::run(runs, &targets),
-        Verb::Stress(Stress::Doorbell { rings }) => steps::run(&mut stress_doorbell(rings)),
+        Verb::Stress(Stress::Doorbell { rings }) => steps::run(&mut stress_doorbell(Build::Release, rings)),
         Verb::Stress(Stress::Kills { kills, seed, exhaustive }) => {
             let mut steps = Steps::new();
             stress_kills(&mut steps, Build::Release, kills, seed, exhaustive);
@@ -309,10 +311,13 @@ fn main() -> ExitCode {
     }
 }
 
-fn stress_doorbell(rings: u64) -> Command {
-    // With programs of which none is built, for a release build of them has what it needs.
-    let packages = "-p tautline-doorbell -p taut -p alks";
-    let mut command = steps::cargo(&format!("test --release {packages} --lib stress -- --nocapture"));
+fn stress_doorbell(build: Build, rings: u64) -> Command {
+    const TESTS: &str = "test -p tautline-doorbell --lib stress";
+    let mut command = match build {
+        Build::Release => steps::cargo(&format!("{TESTS} --release -- --nocapture")),
+        // The doorbell is optimised in it, too.
+        Build::Tests => lints::cargo(&format!("{TESTS} {SAME} -- --nocapture")),
+    };
     command.env("TAUT_STRESS_RINGS", rings.to_string());
     command
 }

@@ -3,8 +3,8 @@
 //! the target directory.
 
 use crate::machine::{self, Scope};
-use crate::ros;
 use crate::steps::{Outcome, Steps, announce, cargo};
+use crate::{lints, ros};
 use std::io::{self, BufRead, BufReader};
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitCode, Stdio};
@@ -15,8 +15,8 @@ const WHEELS: [&str; 2] = ["zenoh-ros2-sdk==0.1.8", "xxhash==4.1.0"];
 pub fn run() -> ExitCode {
     let mut steps = Steps::new();
     crate::r2r::prepare_libclang(&mut steps, true);
-    let examples = steps.command("examples", &mut cargo("build -p tautline-examples --examples"));
-    let gateway = steps.command("gateway", &mut cargo("build -p tautline-gateway"));
+    let examples = steps.command("examples", &mut lints::cargo("build -p tautline-examples --examples"));
+    let gateway = steps.command("gateway", &mut lints::cargo("build -p tautline-gateway"));
     test(&mut steps, examples && gateway);
     steps.finish()
 }

@@ -4,8 +4,8 @@
 use crate::bench::{Options, pass};
 use crate::bridge::{nextest, programs, with_libraries};
 use crate::build::{Build, build};
-use crate::steps::{Steps, cargo};
-use crate::{colcon, machine, r2r, ros};
+use crate::steps::Steps;
+use crate::{colcon, lints, machine, r2r, ros};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -97,6 +97,6 @@ pub fn test(steps: &mut Steps) {
     // Cargo builds no library of this kind for its tests.
     steps.command("rmw: build", &mut building(&format!("build {WHOLE}")));
     colcon::test(steps, &environment);
-    steps.command("rmw: the gateway", &mut cargo(&programs()));
+    steps.command("rmw: the gateway", &mut lints::cargo(&programs()));
     steps.command("rmw: tests", &mut building(&nextest(WHOLE)));
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Commands that are printed before they run, timed, and counted at the end.
 
-use std::process::{Command, ExitCode};
+use std::process::{Command, ExitCode, ExitStatus};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
@@ -125,12 +125,17 @@ pub fn keep_timings(asked: bool) {
 
 /// `cargo` with these arguments, which contain no spaces.
 pub fn cargo(arguments: &str) -> Command {
+    cargo_with(arguments, [])
+}
+
+/// [`cargo`] with more arguments of cargo's own.
+pub fn cargo_with(arguments: &str, more: impl IntoIterator<Item = String>) -> Command {
     let mut command = Command::new("cargo");
     let mut words = arguments.split(' ');
     command.args(words.by_ref().take_while(|word| *word != "--"));
     let is_build =
         ["build ", "clippy ", "test ", "nextest run "].iter().any(|verb| arguments.starts_with(verb));
-    command.args((is_build && TIMINGS.get().is_some()).then_some("--timings"));
+    command.args((is_build && TIMINGS.get().is_some()).then_some("--timings")).args(more);
     if arguments.split(' ').any(|word| word == "--") {
         command.arg("--").args(words);
     }
@@ -152,7 +157,12 @@ pub fn run(command: &mut Command) -> ExitCode {
 /// Prints a command and runs it.
 pub fn execute(command: &mut Command) -> Outcome {
     announce(command);
-    match command.status() {
+    ended(command.status())
+}
+
+/// How a command ended.
+pub fn ended(status: std::io::Result<ExitStatus>) -> Outcome {
+    match status {
         Ok(status) if status.success() => Outcome::Ok,
         Ok(status) => Outcome::Failed(status.to_string()),
         Err(error) => Outcome::Failed(format!("cannot be started: {error}")),

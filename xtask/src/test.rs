@@ -5,7 +5,7 @@
 use crate::build::{Build, SAME, WITH_GATEWAY, WITH_ROS, most};
 use crate::reports::{check_ablation, check_demo};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{examples, machine, machine::Scope, r2r};
+use crate::{examples, lints, machine, machine::Scope, r2r};
 use std::process::{Command, ExitCode};
 
 /// Runs every step, whatever fails.
@@ -13,10 +13,10 @@ pub fn run(scope: &Scope) -> ExitCode {
     let mut steps = Steps::new();
     r2r::prepare_libclang(&mut steps, machine::is_ci());
     steps.command("fmt", &mut cargo("fmt --all --check"));
-    steps.command("clippy", &mut cargo(&format!("clippy {} --all-targets -- -D warnings", most())));
-    nextest(&mut steps, "tests", &most(), &format!("not({WITH_GATEWAY}|{WITH_ROS})"));
-    steps.command("doc tests", &mut cargo(&format!("test {} --no-fail-fast --doc", most())));
-    let built = build(&mut steps, &most());
+    let built = lints::build(&mut steps, "build and lints", &most());
+    // Most wait for each other's processes more than they compute.
+    nextest(&mut steps, "tests", &most(), &format!("not({WITH_GATEWAY}|{WITH_ROS})"), 2);
+    steps.command("doc tests", &mut lints::cargo(&format!("test {} --no-fail-fast --doc", most())));
     demo(&mut steps, built);
     examples::run(&mut steps, built, Build::Tests, false);
     loom(&mut steps);
@@ -24,20 +24,17 @@ pub fn run(scope: &Scope) -> ExitCode {
     steps.finish()
 }
 
-/// Programs and examples of these packages, as their tests have them.
-pub fn build(steps: &mut Steps, packages: &str) -> bool {
-    steps.command("build", &mut cargo(&format!("build {packages} --all-targets")))
-}
-
-/// The tests of these packages that a filter of nextest's selects.
-pub fn nextest(steps: &mut Steps, name: &str, packages: &str, filter: &str) {
+/// The tests of these packages that a filter of nextest's selects, so many at a time for each core.
+pub fn nextest(steps: &mut Steps, name: &str, packages: &str, filter: &str, for_each_core: usize) {
     let mut tests = if machine::cargo_has("nextest --version").is_ok() {
         let profile = if machine::is_ci() { "ci" } else { "default" };
-        cargo(&format!("nextest run {packages} --no-fail-fast --profile {profile} -E {filter}"))
+        lints::cargo(&format!("nextest run {packages} --no-fail-fast --profile {profile} -E {filter}"))
     } else {
         // Which cannot choose.
-        cargo(&format!("test {packages} --no-fail-fast --all-targets"))
+        lints::cargo(&format!("test {packages} --no-fail-fast --all-targets"))
     };
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    tests.env("NEXTEST_TEST_THREADS", (cores * for_each_core).to_string());
     steps.command(name, tests.envs(machine::is_ci().then_some(("TAUT_LEAK_CYCLES", "1000"))));
 }
 
