@@ -4,7 +4,7 @@
 use crate::bench::Options;
 use crate::build::{WHOLE as WORKSPACE, build};
 use crate::r2r::Environment;
-use crate::reports::check_bridge;
+use crate::reports::BRIDGE;
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{lints, machine, programs, r2r};
 use std::process::{Command, ExitCode};
@@ -123,7 +123,7 @@ pub fn bench_of_tests(steps: &mut Steps) {
         command.arg("300").arg(target.join("debug/bench-bridge")).arg("--json").arg(&json).envs(environment);
         command.args(machine::no_rt());
         match execute(&mut command) {
-            Outcome::Ok => check_bridge(&json, 20 * 1000 * 30),
+            Outcome::Ok => BRIDGE.of(&json, &[("expected", (20 * 1000 * 30).into())]),
             other => other,
         }
     });

@@ -8,10 +8,7 @@ use crate::beside_r2r::{ALKS, Paper, REFERENCE};
 use crate::build::{Build, LATER, WHOLE, WITH_GATEWAY, WITH_ROS};
 use crate::compare::Compare;
 use crate::machine::{self, Scope};
-use crate::reports::{
-    check_compare, check_domain, check_lane, check_messages, check_paper, check_reference,
-    check_reference_beside,
-};
+use crate::reports::{self, COMPARE, DOMAIN, LANE, MESSAGES, PAPER};
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::test::{self, nextest};
 use crate::{
@@ -150,6 +147,7 @@ fn reference_system(steps: &mut Steps) {
     let target = machine::target_dir();
     let (json, svg) = (target.join("reference.json"), target.join("reference.svg"));
     let no_rt = machine::no_rt();
+    let realtime = [("realtime", no_rt.is_none().into())];
     let run = |arguments: &[&str], check: &dyn Fn() -> Outcome| {
         let _ = std::fs::remove_file(&json);
         let mut command = Command::new(Build::Tests.folder().join("reference_system"));
@@ -160,7 +158,7 @@ fn reference_system(steps: &mut Steps) {
         }
     };
     let svg = svg.display().to_string();
-    let check = || check_reference(&json, no_rt.is_none());
+    let check = || reports::REFERENCE.of(&json, &realtime);
     steps.step(name, || run(&["--seconds", "3", "--svg", &svg], &check));
     let name = "reference system: beside r2r";
     if !r2r::is_built(REFERENCE) {
@@ -172,7 +170,7 @@ fn reference_system(steps: &mut Steps) {
             Err(reason) => return Outcome::Failed(reason),
         };
         let arguments = ["--seconds", "1", "--rounds", "1", "--r2r", &program];
-        run(&arguments, &|| check_reference_beside(&json))
+        run(&arguments, &|| reports::REFERENCE.of(&json, &realtime))
     });
 }
 
@@ -189,7 +187,7 @@ fn lane_keeping(steps: &mut Steps) {
         command.args(machine::no_rt());
         // What it says of bounds is not judged here.
         let _ = execute(&mut command);
-        check_lane(&json)
+        LANE.of(&json, &[])
     };
     steps.step(name, || run(&["--seconds", "3", "--without-r2r", "a step of its own"]));
     let name = "lane keeping: beside r2r";
@@ -270,7 +268,7 @@ fn permitted() -> Vec<String> {
 
 /// A quick run of the messages bench: every encoder writes the same bytes.
 fn messages(steps: &mut Steps) {
-    bench(steps, "messages", |options| options.command("messages"), check_messages);
+    bench(steps, "messages", |options| options.command("messages"), |json| MESSAGES.of(json, &[]));
 }
 
 /// A round of each bench of the comparison with what is built in seconds: the numbers mean nothing, but all is measured, the page is drawn,
@@ -298,7 +296,9 @@ fn comparisons(steps: &mut Steps) {
             };
             compare.command(name)
         };
-        bench(steps, name, command, |json| check_compare(json, systems, experiments));
+        bench(steps, name, command, |json| {
+            COMPARE.of(json, &[("systems", systems.into()), ("experiments", experiments.into())])
+        });
     }
 }
 
@@ -311,7 +311,7 @@ fn plain_benches(steps: &mut Steps) {
 
 /// A quick run: no process hangs or leaves anything; what it says belongs to the machine.
 fn domain(steps: &mut Steps) {
-    bench(steps, "domain", |options| options.domain(), check_domain);
+    bench(steps, "domain", |options| options.domain(), |json| DOMAIN.of(json, &[]));
 }
 
 /// A second of each variant of the evaluation, Tautline's side: r2r's side takes a minute to build.
@@ -328,7 +328,7 @@ fn paper(steps: &mut Steps) {
         };
         paper.command()
     };
-    bench(steps, "paper", command, |json| check_paper(json, machine::no_rt().is_none()));
+    bench(steps, "paper", command, |json| PAPER.of(json, &[("realtime", machine::no_rt().is_none().into())]));
 }
 
 /// The unsafe code that needs no kernel, under an interpreter that sees undefined behaviour.

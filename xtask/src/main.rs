@@ -18,7 +18,7 @@
 //! | `fuzz` | inputs made up by libFuzzer |
 //! | `lints` | clippy's findings, with the tests' build |
 //! | `lttng` | LTTng's packages, and the test that needs them |
-//! | `reports` | checks that the JSON of the demo and of the benches keeps its promises |
+//! | `reports` | what is wrong with the JSON of the demo and of the benches, in jq's language |
 //! | `compare` | Tautline beside other middleware: builds the rivals, and runs all |
 //! | `readme` | the README's tables and picture, and the domain's in its ADR, made from a run |
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |

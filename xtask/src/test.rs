@@ -3,7 +3,7 @@
 //! Zenoh or several hosts is in [`ci`](crate::ci).
 
 use crate::build::{Build, SAME, WITH_GATEWAY, WITH_ROS, most};
-use crate::reports::{check_ablation, check_demo};
+use crate::reports::{ABLATION, DEMO};
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{examples, lints, machine, machine::Scope, r2r};
 use std::process::{Command, ExitCode};
@@ -59,9 +59,9 @@ fn demo(steps: &mut Steps, built: bool) {
         });
     };
     let realtime = machine::no_rt().is_none();
-    run("demo", "21", &|| check_demo(&json, realtime));
+    run("demo", "21", &|| DEMO.of(&json, &[("realtime", realtime.into())]));
     if realtime {
-        run("demo: sampler below the callbacks", "15", &|| check_ablation(&json));
+        run("demo: sampler below the callbacks", "15", &|| ABLATION.of(&json, &[]));
     } else {
         steps.skip("demo: sampler below the callbacks", "real-time priorities are not permitted");
     }

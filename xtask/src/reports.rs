@@ -1,0 +1,272 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The JSON that scripts rely on. For each report a program of jq's says what is wrong with it: a promised field that is missing or of another
+//! type, a measurement that found nothing or cannot fail. No time is judged.
+
+use crate::steps::Outcome;
+use jaq_core::load::{Arena, File, Loader};
+use jaq_core::{Compiler, Ctx, Vars, data, unwrap_valr};
+use jaq_json::{Val, read};
+use serde_json::Value;
+use std::path::Path;
+
+/// What is wrong with a report, in jq's language; nothing if it is as it should be.
+pub struct Check(&'static str);
+
+pub const ABLATION: Check = Check(include_str!("reports/ablation.jq"));
+/// Is given how many messages are `expected` each way.
+pub const BRIDGE: Check = Check(include_str!("reports/bridge.jq"));
+/// Is given the `systems` and the `experiments` that must be there.
+pub const COMPARE: Check = Check(include_str!("reports/compare.jq"));
+/// Is given whether it was in `realtime`.
+pub const DEMO: Check = Check(include_str!("reports/demo.jq"));
+pub const DOMAIN: Check = Check(include_str!("reports/domain.jq"));
+pub const LANE: Check = Check(include_str!("reports/lane.jq"));
+pub const MESSAGES: Check = Check(include_str!("reports/messages.jq"));
+/// Is given whether it was in `realtime`.
+pub const PAPER: Check = Check(include_str!("reports/paper.jq"));
+/// Is given whether it was in `realtime`.
+pub const REFERENCE: Check = Check(include_str!("reports/reference.jq"));
+
+/// What all of them use.
+const COMMON: &str = include_str!("reports/common.jq");
+
+impl Check {
+    /// Checks the report in this file; the program is given these values by their names.
+    pub fn of(&self, path: &Path, given: &[(&str, Value)]) -> Outcome {
+        let text = std::fs::read_to_string(path).map_err(|error| error.to_string());
+        let faults = text.and_then(|text| self.faults(&text, given));
+        let judged = faults.and_then(|faults| faults.into_iter().next().map_or(Ok(()), Err));
+        judged.map_err(|fault| format!("{}: {fault}", path.display())).into()
+    }
+
+    fn faults(&self, report: &str, given: &[(&str, Value)]) -> Result<Vec<String>, String> {
+        let given: String = given.iter().map(|(name, value)| format!("def {name}: {value};\n")).collect();
+        let faults = run(&[COMMON, &given, self.0].concat(), report)?;
+        Ok(faults.into_iter().map(|fault| serde_json::from_str(&fault).unwrap_or(fault)).collect())
+    }
+}
+
+/// What a program of jq's makes of a text of JSON.
+fn run(program: &str, text: &str) -> Result<Vec<String>, String> {
+    let definitions = jaq_core::defs().chain(jaq_std::defs()).chain(jaq_json::defs());
+    let functions = jaq_core::funs().chain(jaq_std::funs()).chain(jaq_json::funs());
+    let arena = Arena::default();
+    let modules = Loader::new(definitions).load(&arena, File { code: program, path: () });
+    let modules = modules.map_err(|errors| format!("the check cannot be read: {errors:?}"))?;
+    let program = Compiler::default().with_funs(functions).compile(modules);
+    let program = program.map_err(|errors| format!("the check cannot be compiled: {errors:?}"))?;
+    let value = read::parse_single(text.as_bytes()).map_err(|error| error.to_string())?;
+    let context = Ctx::<data::JustLut<Val>>::new(&program.lut, Vars::new([]));
+    let made = program.id.run((context, value)).map(unwrap_valr);
+    made.map(|value| value.map(|value| value.to_string()).map_err(|error| error.to_string())).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    /// As it is, the report passes; after each of these changes, in jq's language, the first fault has these words.
+    fn refuses(check: &Check, given: &[(&str, Value)], report: &Value, changes: &[(&str, &str)]) {
+        assert_eq!(check.faults(&report.to_string(), given), Ok(vec![]));
+        for (change, words) in changes {
+            let changed = run(change, &report.to_string()).unwrap().concat();
+            let faults = check.faults(&changed, given).unwrap();
+            assert!(faults.first().is_some_and(|fault| fault.contains(words)), "{change}: {faults:?}");
+        }
+    }
+
+    #[test]
+    fn what_is_missing_or_of_another_type_is_named() {
+        let row = json!({"case": "Image", "implementation": "plain buffer", "bytes": 64, "n": 9, "p50_us": 1.0, "p99_us": 2,
+                         "ratio_to_plain_buffer": 1.0});
+        refuses(
+            &MESSAGES,
+            &[],
+            &json!([row]),
+            &[
+                (".[0].bytes = -1", "'bytes' should be a count"),
+                (".[0].bytes = 1.5", "'bytes' should be a count"),
+                (".[0].p50_us = null", "'p50_us' should be a number"),
+                ("del(.[0].case)", "'case' should be a string"),
+                (".[0].n = 0", "nothing was measured"),
+                ("[]", "there are no rows"),
+            ],
+        );
+        assert!(MESSAGES.faults("{}", &[]).unwrap()[0].contains("no rows"));
+        assert!(MESSAGES.faults("[3]", &[]).is_err() && MESSAGES.faults("[", &[]).is_err());
+    }
+
+    #[test]
+    fn a_demo_that_loses_or_cannot_fail_is_refused() {
+        let topic = json!({"topic": "/a", "period_ms": 1.0, "wcet_ms": 1.0, "p50_ms": 1.0, "p99_ms": 1.0, "max_ms": 1.0, "rta_ms": 1.0,
+                           "rta_overhead_ms": 1.0, "rta_host_ms": 1.0, "priority": 1, "n": 9, "beyond": 0, "unexplained": 0,
+                           "deadline_misses": 3, "lost": 0, "max_queue": 1});
+        let report = json!({"realtime": true, "core": 0, "steal_ticks": 0, "seconds": 1.0, "kernel": "k", "topics": vec![topic; 5]});
+        refuses(
+            &DEMO,
+            &[("realtime", json!(true))],
+            &report,
+            &[
+                (".realtime = false", "without real-time"),
+                ("del(.topics[4])", "4 topics instead of 5"),
+                (".topics[1].n = 0", "nothing was measured"),
+                (".topics[1].lost = 1", "messages were lost"),
+            ],
+        );
+        refuses(&ABLATION, &[], &report, &[(".topics[2].deadline_misses = 0", "no deadline was missed")]);
+    }
+
+    #[test]
+    fn a_comparison_without_a_reason_or_without_us_is_refused() {
+        let row = |system: &str| {
+            json!({"experiment": "latency/whole/held-off", "system": system, "mode": "m", "payload_bytes": 64, "n": 1, "p50_us": 1.5,
+                   "p99_us": 1.5, "p999_us": null, "max_us": 1.5, "lost": 0, "cpu_us_per_msg": null, "rss_mib": null, "note": ""})
+        };
+        refuses(
+            &COMPARE,
+            &[("systems", json!(["tautline"])), ("experiments", json!(["latency"]))],
+            &json!([row("tautline"), row("fastdds")]),
+            &[
+                ("del(.[0])", "nothing was measured of tautline"),
+                (".[0].n = 0", "nothing says why"),
+                (".[1].n = 0", "nothing says why"),
+                ("map(.experiment = \"robot\")", "nothing was measured of latency"),
+                (".[0].payload_bytes = 65", "tautline has no row beside"),
+                (".[0].lost = 1", "tautline lost messages"),
+                (".[0].p50_us = null", "'p50_us' should be a number"),
+                (".[0].p99_us = \"much\"", "'p99_us' is no number"),
+                ("del(.[0].rss_mib)", "a row without fields [\"rss_mib\"]"),
+                (".[0].idle = \"poll\"", "a row with fields [\"idle\"]"),
+            ],
+        );
+    }
+
+    #[test]
+    fn a_domain_report_answers_every_question_and_leaves_nothing() {
+        let experiments = ["processes", "topics", "storm", "nodes", "crowd", "images", "fan-out", "load"];
+        let row = |experiment: &str, system: &str| json!({"experiment": experiment, "size": 1, "system": system, "what": "files left in /dev/shm", "unit": "files", "n": 1, "p50": 0.0});
+        let mut rows = experiments.map(|experiment| row(experiment, "tautline")).to_vec();
+        rows.push(row("load", "iceoryx2"));
+        refuses(
+            &DOMAIN,
+            &[],
+            &json!({"machine": "m", "versions": "v", "open_files": 1024, "disturbance": "", "realtime": true, "quick": true, "rows": rows}),
+            &[
+                ("del(.rows[0])", "nothing was measured of 'processes'"),
+                ("del(.rows[8])", "nothing was measured of iceoryx2"),
+                (".rows[3].p50 = 2", "files are left"),
+                ("del(.machine)", "'machine' should be a string"),
+            ],
+        );
+    }
+
+    #[test]
+    fn an_evaluation_that_cannot_fail_is_refused() {
+        let row = |variant: &str, misses: u64, lost: u64| {
+            json!({"system": "tautline", "variant": variant, "topic": "t", "runs": 1, "n": 9, "p50_ms": 1.0, "p99_ms": 2.0,
+                   "max_ms": 3.0, "p99_std_ms": 0.0, "rta_ms": 2.0, "deadline_ms": 10.0, "misses": misses, "lost": lost,
+                   "steal_ticks": 0})
+        };
+        let mut rows = vec![row("capacity-15", 0, 0), row("capacity-15", 0, 8)];
+        for variant in ["futures", "futures-rt", "tokio", "nort-tokio", "futures-rt-mw-below"] {
+            rows.extend(vec![row(variant, 4, 0); 5]);
+        }
+        let changes = [
+            ("map(.misses = 0)", "no deadline was missed"),
+            ("map(.lost = 0)", "a queue of 15 lost nothing"),
+            ("del(.[9])", "futures-rt has 4 topics instead of 5"),
+            ("map(del(.rta_ms))", "'rta_ms' should be a number"),
+        ];
+        refuses(&PAPER, &[("realtime", json!(true))], &json!(rows), &changes);
+        let quiet = run(changes[0].0, &json!(rows).to_string()).unwrap().concat();
+        assert_eq!(PAPER.faults(&quiet, &[("realtime", json!(false))]), Ok(vec![]));
+    }
+
+    #[test]
+    fn a_reference_system_with_a_silent_node_is_refused() {
+        let callbacks = vec![json!({"name": "n", "runs": 3, "dropped": 0}); 25];
+        let run = json!({
+            "system": "tautline", "mode": "system.toml", "realtime": true, "seconds": 1.0, "cruncher_limit": 4096, "crunch_ms": 1.6,
+            "cpu_percent": 30.0, "rss_mib": 9.0, "dropped_in_transforms": 0, "dropped": 0, "front_lidar_samples": 3,
+            "front_lidar_without_estimate": 1, "hot_path_average_ms": 9.0, "hot_path_p99_ms": 9.0, "hot_path_worst_ms": 9.0,
+            "hot_path_ms": [9.0, 9.0], "both_lidars_average_ms": 10.0, "both_lidars_worst_ms": 10.0, "planner_runs": 3,
+            "planner_jitter_average_ms": 0.1, "planner_jitter_worst_ms": 0.1, "planner_drift_ms": 0.0, "steal_ticks": 0,
+            "callbacks": callbacks, "hot_path_bound_ms": 60.0, "planner_jitter_bound_ms": null,
+        });
+        let given = [("realtime", json!(true))];
+        refuses(
+            &REFERENCE,
+            &given,
+            &run,
+            &[
+                (".callbacks[7].runs = 0", "a callback never ran"),
+                ("del(.callbacks[0])", "24 callbacks instead of 25"),
+                (".front_lidar_samples = 4", "make no 2 estimates"),
+                (".realtime = false", "realtime is false"),
+                ("del(.hot_path_bound_ms)", "'hot_path_bound_ms' is null"),
+            ],
+        );
+        let modes = [
+            ("tautline", "system.toml"),
+            ("tautline", "flat.toml"),
+            ("r2r", "one LocalPool"),
+            ("r2r", "a thread each"),
+        ];
+        let systems = modes.map(|(system, mode)| {
+            let mut of = run.clone();
+            (of["system"], of["mode"]) = (json!(system), json!(mode));
+            of
+        });
+        let changes = [
+            ("del(.systems[2])", "nothing was measured of"),
+            (".systems[1].callbacks[0].runs = 0", "never ran"),
+        ];
+        refuses(&REFERENCE, &given, &json!({"systems": systems}), &changes);
+    }
+
+    #[test]
+    fn a_car_that_leaves_its_lane_or_loses_messages_is_refused() {
+        let rows = ["Chain", "Imu", "Odometry", "Subscriber", "Timer", "Planning", "Draw"].map(|span| {
+            json!({"span": span, "name": "n", "n": 3, "p50_ms": 1.0, "p99_ms": 1.0, "p999_ms": 1.0, "max_ms": 1.0, "values": []})
+        });
+        let reports = ["latest", "inherit", "mutex"].map(|shared| {
+            json!({"system": "Tautline", "shared": shared, "realtime": true, "rows": rows, "lost": [], "chain_below_paper": 0.9,
+                   "published": 9, "steal_ticks": 0, "drive": {"lateral_max_m": 0.3, "collisions": 0}})
+        });
+        refuses(
+            &LANE,
+            &[],
+            &json!(reports),
+            &[
+                ("del(.[1])", "Tautline with 'inherit' is missing"),
+                (".[0].rows[2].n = 0", "nothing is known of 'Odometry'"),
+                (".[0].lost = [[\"/imu\", 1, 9]]", "messages were lost"),
+                (".[2].drive.lateral_max_m = 0.7", "0.7 m off the lane's centre"),
+                (".[2].drive.collisions = 1", "with 1 collisions"),
+            ],
+        );
+    }
+
+    #[test]
+    fn a_bridge_that_loses_or_repeats_is_refused() {
+        let subscriber = json!({"messages": 9, "disordered": 0, "p50_us": 1.0, "p99_us": 2.0});
+        let way = |name: &str| {
+            json!({"direction": name, "expected": 9, "direct": subscriber, "bridged": subscriber,
+                   "cpu": {"bridge": 1.0, "direct": 1.0, "bridged": 1.0, "publisher": 1.0, "machine": 2.0}})
+        };
+        refuses(
+            &BRIDGE,
+            &[("expected", json!(9))],
+            &json!([way("from_ros"), way("to_ros")]),
+            &[
+                (".[0].bridged.messages = 8", "9 were expected in order"),
+                (".[1].bridged.messages = 10", "9 were expected in order"),
+                (".[1].bridged.disordered = 1", "9 were expected in order"),
+                ("map(.expected = 8)", "9 were expected in order"),
+                ("del(.[1])", "its ways are"),
+                ("del(.[0].cpu.bridge)", "'bridge' should be a number"),
+            ],
+        );
+    }
+}
