@@ -4,7 +4,7 @@
 use std::fs;
 use std::time::Instant;
 
-use tautline_rt::host::{HostInfo, steal_ticks};
+use tautline_rt::host::HostInfo;
 
 /// Processor, cores, kernel and the kernel's limit for real-time threads in one line.
 pub fn machine() -> String {
@@ -37,48 +37,61 @@ pub fn version_of(package: &str) -> Option<&'static str> {
 #[derive(Debug)]
 pub struct Disturbance {
     start: Instant,
-    steal_ticks: u64,
-    others_ticks: u64,
+    before: Cores,
 }
 
 impl Disturbance {
     pub fn start() -> Self {
-        Self { start: Instant::now(), steal_ticks: steal_ticks(None), others_ticks: others_ticks() }
+        Self { start: Instant::now(), before: Cores::read() }
     }
 
-    /// What the hypervisor gave to others since the start (ticks of 10 ms, share of all cores' time), and the share that other programs and the
-    /// kernel took, with a warning if it is much. To be called when the processes of the measurement have ended.
+    /// What the hypervisor gave to others since the start (ticks of 10 ms, share of all cores' time), and how much of a core other programs and the
+    /// kernel took, with a warning if it is much. To be called when the processes of the measurement have ended and been waited for.
     pub fn report(&self) -> String {
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let core_seconds = self.start.elapsed().as_secs_f64() * cores as f64;
-        let percent = |ticks: u64| ticks as f64 / core_seconds.max(0.01);
-        let ticks = steal_ticks(None).saturating_sub(self.steal_ticks);
-        let others = percent(others_ticks().saturating_sub(self.others_ticks));
-        let warning = if others > 5.0 { ": NOT QUIET, other programs ran" } else { "" };
-        format!("steal {ticks} ticks ({:.1} %), others took {others:.1} %{warning}", percent(ticks))
+        let (now, before) = (Cores::read(), &self.before);
+        let ticks = self.start.elapsed().as_secs_f64().max(0.01) * 100.0;
+        let since = |now: u64, before: u64| now.saturating_sub(before) as f64;
+        let steal = since(now.steal, before.steal);
+        let known = steal + since(now.idle, before.idle) + since(now.own, before.own);
+        let others = (now.count as f64 - known / ticks).max(0.0) * 100.0;
+        let warning = if others > 10.0 { ": NOT QUIET, other programs ran" } else { "" };
+        let share = steal / ticks / now.count.max(1) as f64 * 100.0;
+        format!("steal {steal} ticks ({share:.1} %), others took {others:.0} % of a core{warning}")
     }
 }
 
-/// What all cores have worked since the machine's start but not for this process and those of its children that have ended, in ticks of 10 ms.
-fn others_ticks() -> u64 {
-    let read = |path: &str| fs::read_to_string(path).unwrap_or_default();
-    others(&read("/proc/stat"), &read("/proc/self/stat"))
+/// What became of all cores' time since the machine's start, in ticks of 10 ms. The kernel takes idle time and that of processes from its clock,
+/// but what a core works it samples at timer ticks, which short jobs escape.
+#[derive(Debug, PartialEq)]
+struct Cores {
+    count: usize,
+    idle: u64,
+    steal: u64,
+    /// Of this process, and of its children that have been waited for.
+    own: u64,
 }
 
-fn others(machine: &str, process: &str) -> u64 {
-    let sum = |fields: &mut dyn Iterator<Item = &str>| -> u64 {
-        fields.filter_map(|field| field.parse::<u64>().ok()).sum()
-    };
-    let all: Vec<&str> = machine.lines().next().unwrap_or_default().split_whitespace().collect();
-    // User, nice, system; then idle and waiting for disks; interrupts.
-    let busy = sum(&mut all
-        .iter()
-        .enumerate()
-        .filter(|(at, _)| [1, 2, 3, 6, 7].contains(at))
-        .map(|(_, field)| *field));
-    // A name may have spaces. Behind it, the state and ten numbers; user and system time, both of itself and of its children.
-    let (_, behind) = process.rsplit_once(')').unwrap_or_default();
-    busy.saturating_sub(sum(&mut behind.split_whitespace().skip(11).take(4)))
+impl Cores {
+    fn read() -> Self {
+        let read = |path: &str| fs::read_to_string(path).unwrap_or_default();
+        Self::of(&read("/proc/stat"), &read("/proc/self/stat"))
+    }
+
+    fn of(machine: &str, process: &str) -> Self {
+        let number = |field: &str| field.parse::<u64>().unwrap_or(0);
+        let all: Vec<u64> =
+            machine.lines().next().unwrap_or_default().split_whitespace().map(number).collect();
+        let at = |index: usize| all.get(index).copied().unwrap_or(0);
+        let is_core = |line: &&str| line.strip_prefix("cpu").is_some_and(|rest| !rest.starts_with(' '));
+        // A name may have spaces and brackets. Behind it are the state and ten numbers; then user and system time, of itself and of its children.
+        let (_, behind) = process.rsplit_once(')').unwrap_or_default();
+        Cores {
+            count: machine.lines().filter(is_core).count(),
+            idle: at(4) + at(5),
+            steal: at(8),
+            own: behind.split_whitespace().skip(11).take(4).map(number).sum(),
+        }
+    }
 }
 
 #[cfg(test)]
@@ -90,10 +103,11 @@ mod tests {
     }
 
     #[test]
-    fn others_are_all_but_this_process_and_its_children() {
-        let machine = "cpu  500 20 100 9000 300 7 3 40 0 0\ncpu0 500 20 100 9000 300 7 3 40 0 0\n";
+    fn the_time_of_cores_is_read() {
+        let machine = "cpu  500 20 100 9000 300 7 3 40 0 0\ncpu0 500 20 100 9000 300 7 3 40 0 0\nintr 5\n";
         let process = "7 (a (b) c) S 1 7 7 0 -1 4194304 100 200 0 0 50 20 300 10 20 0 1 0 100\n";
-        assert_eq!(super::others(machine, process), 630 - 380);
-        assert_eq!(super::others("", ""), 0);
+        let read = super::Cores::of(machine, process);
+        assert_eq!(read, super::Cores { count: 1, idle: 9300, steal: 40, own: 380 });
+        assert_eq!(super::Cores::of("", ""), super::Cores { count: 0, idle: 0, steal: 0, own: 0 });
     }
 }

@@ -3,8 +3,8 @@
 //! implements. A change of it is seen in `node/api.txt`; and whatever a declaration names has a path by which a program can name it, too.
 
 use crate::build::WHOLE;
-use crate::machine;
-use crate::steps::{Outcome, cargo, execute};
+use crate::steps::{Outcome, execute};
+use crate::{lints, machine};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::fs;
@@ -68,7 +68,7 @@ fn document() -> Result<(), String> {
     // Not for cargo itself: what looks at that variable would be built anew.
     let rustdoc = machine::script("rustdoc-json", "RUSTC_BOOTSTRAP=1 exec rustdoc \"$@\"")?;
     // With an example, by which cargo takes the features that the tests have of everything.
-    let mut command = cargo(&format!("doc {WHOLE} --no-deps --lib --bins --example talker"));
+    let mut command = lints::cargo(&format!("doc {WHOLE} --no-deps --lib --bins --example talker"));
     command.env("RUSTDOC", rustdoc).env("RUSTDOCFLAGS", "-Dwarnings -Zunstable-options --output-format json");
     execute(&mut command).result()
 }

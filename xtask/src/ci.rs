@@ -37,7 +37,6 @@ pub fn run(scope: &Scope) -> ExitCode {
     rest_of_tests(&mut steps);
     bridge::test(&mut steps);
     rmw::test(&mut steps);
-    lttng::test(&mut steps);
     clock_step(&mut steps);
     release(&mut steps);
     programs::test(&mut steps);
@@ -51,6 +50,8 @@ pub fn run(scope: &Scope) -> ExitCode {
     } else {
         steps.skip("what runs in the tests' build", "not built");
     }
+    // Its programs are other ones than those of the tests' build, whose place they take.
+    lttng::test(&mut steps);
     miri(&mut steps);
     fuzz::all(&mut steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS);
     test::leftovers(&mut steps, scope);
@@ -147,7 +148,7 @@ fn reference_system(steps: &mut Steps) {
     let target = machine::target_dir();
     let (json, svg) = (target.join("reference.json"), target.join("reference.svg"));
     let no_rt = machine::no_rt();
-    let realtime = [("realtime", no_rt.is_none().into())];
+    let given = |beside: bool| [("realtime", no_rt.is_none().into()), ("beside", beside.into())];
     let run = |arguments: &[&str], check: &dyn Fn() -> Outcome| {
         let _ = std::fs::remove_file(&json);
         let mut command = Command::new(Build::Tests.folder().join("reference_system"));
@@ -158,7 +159,7 @@ fn reference_system(steps: &mut Steps) {
         }
     };
     let svg = svg.display().to_string();
-    let check = || reports::REFERENCE.of(&json, &realtime);
+    let check = || reports::REFERENCE.of(&json, &given(false));
     steps.step(name, || run(&["--seconds", "3", "--svg", &svg], &check));
     let name = "reference system: beside r2r";
     if !r2r::is_built(REFERENCE) {
@@ -170,7 +171,7 @@ fn reference_system(steps: &mut Steps) {
             Err(reason) => return Outcome::Failed(reason),
         };
         let arguments = ["--seconds", "1", "--rounds", "1", "--r2r", &program];
-        run(&arguments, &|| reports::REFERENCE.of(&json, &realtime))
+        run(&arguments, &|| reports::REFERENCE.of(&json, &given(true)))
     });
 }
 

@@ -24,7 +24,7 @@ pub const LANE: Check = Check(include_str!("reports/lane.jq"));
 pub const MESSAGES: Check = Check(include_str!("reports/messages.jq"));
 /// Is given whether it was in `realtime`.
 pub const PAPER: Check = Check(include_str!("reports/paper.jq"));
-/// Is given whether it was in `realtime`.
+/// Is given whether it was in `realtime`, and whether it is of all systems `beside` each other.
 pub const REFERENCE: Check = Check(include_str!("reports/reference.jq"));
 
 /// What all of them use.
@@ -34,20 +34,24 @@ impl Check {
     /// Checks the report in this file; the program is given these values by their names.
     pub fn of(&self, path: &Path, given: &[(&str, Value)]) -> Outcome {
         let text = std::fs::read_to_string(path).map_err(|error| error.to_string());
-        let faults = text.and_then(|text| self.faults(&text, given));
-        let judged = faults.and_then(|faults| faults.into_iter().next().map_or(Ok(()), Err));
+        let judged = text.and_then(|text| self.judge(&text, given));
         judged.map_err(|fault| format!("{}: {fault}", path.display())).into()
     }
 
-    fn faults(&self, report: &str, given: &[(&str, Value)]) -> Result<Vec<String>, String> {
+    /// The first fault, if there is one.
+    fn judge(&self, report: &str, given: &[(&str, Value)]) -> Result<(), String> {
+        // What jq reads is more than JSON.
+        serde_json::from_str::<Value>(report).map_err(|error| error.to_string())?;
         let given: String = given.iter().map(|(name, value)| format!("def {name}: {value};\n")).collect();
-        let faults = run(&[COMMON, &given, self.0].concat(), report)?;
-        Ok(faults.into_iter().map(|fault| serde_json::from_str(&fault).unwrap_or(fault)).collect())
+        match first(&[COMMON, &given, self.0].concat(), report)? {
+            None => Ok(()),
+            Some(fault) => Err(serde_json::from_str(&fault).unwrap_or(fault)),
+        }
     }
 }
 
-/// What a program of jq's makes of a text of JSON.
-fn run(program: &str, text: &str) -> Result<Vec<String>, String> {
+/// What a program of jq's makes first of a text of JSON.
+fn first(program: &str, text: &str) -> Result<Option<String>, String> {
     let definitions = jaq_core::defs().chain(jaq_std::defs()).chain(jaq_json::defs());
     let functions = jaq_core::funs().chain(jaq_std::funs()).chain(jaq_json::funs());
     let arena = Arena::default();
@@ -57,8 +61,8 @@ fn run(program: &str, text: &str) -> Result<Vec<String>, String> {
     let program = program.map_err(|errors| format!("the check cannot be compiled: {errors:?}"))?;
     let value = read::parse_single(text.as_bytes()).map_err(|error| error.to_string())?;
     let context = Ctx::<data::JustLut<Val>>::new(&program.lut, Vars::new([]));
-    let made = program.id.run((context, value)).map(unwrap_valr);
-    made.map(|value| value.map(|value| value.to_string()).map_err(|error| error.to_string())).collect()
+    let made = program.id.run((context, value)).map(unwrap_valr).next();
+    made.map(|value| value.map(|value| value.to_string()).map_err(|error| error.to_string())).transpose()
 }
 
 #[cfg(test)]
@@ -68,12 +72,15 @@ mod tests {
 
     /// As it is, the report passes; after each of these changes, in jq's language, the first fault has these words.
     fn refuses(check: &Check, given: &[(&str, Value)], report: &Value, changes: &[(&str, &str)]) {
-        assert_eq!(check.faults(&report.to_string(), given), Ok(vec![]));
+        assert_eq!(check.judge(&report.to_string(), given), Ok(()));
         for (change, words) in changes {
-            let changed = run(change, &report.to_string()).unwrap().concat();
-            let faults = check.faults(&changed, given).unwrap();
-            assert!(faults.first().is_some_and(|fault| fault.contains(words)), "{change}: {faults:?}");
+            let fault = check.judge(&changed(change, report), given).unwrap_err();
+            assert!(fault.contains(words), "{change}: {fault}");
         }
+    }
+
+    fn changed(change: &str, report: &Value) -> String {
+        first(change, &report.to_string()).unwrap().unwrap()
     }
 
     #[test]
@@ -93,8 +100,9 @@ mod tests {
                 ("[]", "there are no rows"),
             ],
         );
-        assert!(MESSAGES.faults("{}", &[]).unwrap()[0].contains("no rows"));
-        assert!(MESSAGES.faults("[3]", &[]).is_err() && MESSAGES.faults("[", &[]).is_err());
+        for unreadable in ["[3]", "[", "[NaN]", "{}"] {
+            assert!(MESSAGES.judge(unreadable, &[]).is_err(), "{unreadable}");
+        }
     }
 
     #[test]
@@ -112,6 +120,7 @@ mod tests {
                 ("del(.topics[4])", "4 topics instead of 5"),
                 (".topics[1].n = 0", "nothing was measured"),
                 (".topics[1].lost = 1", "messages were lost"),
+                ("del(.topics)", "'topics' should be a array"),
             ],
         );
         refuses(&ABLATION, &[], &report, &[(".topics[2].deadline_misses = 0", "no deadline was missed")]);
@@ -179,8 +188,8 @@ mod tests {
             ("map(del(.rta_ms))", "'rta_ms' should be a number"),
         ];
         refuses(&PAPER, &[("realtime", json!(true))], &json!(rows), &changes);
-        let quiet = run(changes[0].0, &json!(rows).to_string()).unwrap().concat();
-        assert_eq!(PAPER.faults(&quiet, &[("realtime", json!(false))]), Ok(vec![]));
+        let quiet = changed(changes[0].0, &json!(rows));
+        assert_eq!(PAPER.judge(&quiet, &[("realtime", json!(false))]), Ok(()));
     }
 
     #[test]
@@ -194,10 +203,10 @@ mod tests {
             "planner_jitter_average_ms": 0.1, "planner_jitter_worst_ms": 0.1, "planner_drift_ms": 0.0, "steal_ticks": 0,
             "callbacks": callbacks, "hot_path_bound_ms": 60.0, "planner_jitter_bound_ms": null,
         });
-        let given = [("realtime", json!(true))];
+        let given = |beside: bool| [("realtime", json!(true)), ("beside", json!(beside))];
         refuses(
             &REFERENCE,
-            &given,
+            &given(false),
             &run,
             &[
                 (".callbacks[7].runs = 0", "a callback never ran"),
@@ -222,7 +231,8 @@ mod tests {
             ("del(.systems[2])", "nothing was measured of"),
             (".systems[1].callbacks[0].runs = 0", "never ran"),
         ];
-        refuses(&REFERENCE, &given, &json!({"systems": systems}), &changes);
+        refuses(&REFERENCE, &given(true), &json!({"systems": systems}), &changes);
+        assert!(REFERENCE.judge(&run.to_string(), &given(true)).is_err());
     }
 
     #[test]
@@ -244,6 +254,7 @@ mod tests {
                 (".[0].lost = [[\"/imu\", 1, 9]]", "messages were lost"),
                 (".[2].drive.lateral_max_m = 0.7", "0.7 m off the lane's centre"),
                 (".[2].drive.collisions = 1", "with 1 collisions"),
+                ("del(.[2].drive.lateral_max_m)", "'lateral_max_m' should be a number"),
             ],
         );
     }

@@ -9,7 +9,7 @@ def run:
   (.callbacks[] | select(.runs == 0) | "a callback never ran: \(.)"),
   (select(.hot_path_ms == [] or .front_lidar_samples != .front_lidar_without_estimate + (.hot_path_ms | length))
     | "\(.front_lidar_samples) samples of the front lidar, \(.front_lidar_without_estimate) of them lost, make no \(.hot_path_ms | length) estimates");
-if has("systems") then
+if beside then
   (.systems[] | run),
   ([["tautline", "system.toml"], ["tautline", "flat.toml"], ["r2r", "one LocalPool"], ["r2r", "a thread each"]]
     - [.systems[] | [.system, .mode]] | .[] | "nothing was measured of \(.)")
