@@ -2,7 +2,6 @@
 //! Clippy's findings, with the tests' build: clippy's compiler builds this workspace's packages. `cargo clippy` would check all that they depend
 //! on beside building it, which takes as long as half of the tests' build.
 
-use crate::machine;
 use crate::steps::{self, Outcome, announce, ended};
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -13,7 +12,11 @@ use std::sync::LazyLock;
 
 /// `cargo` with these arguments, which build some of this workspace for tests.
 pub fn cargo(arguments: &str) -> Command {
-    steps::cargo_with(arguments, wrapper().into_iter().flatten())
+    let mut command = steps::cargo_with(arguments, wrapper().into_iter().flatten());
+    // More arguments for the compiler, by clippy's way to give them. Optimising the parts of an optimised crate for each other takes a third of its
+    // build's time; in cargo's profile, what macros and programs both need would be built anew by each command.
+    command.env("CLIPPY_ARGS", "-Clto=off__CLIPPY_HACKERY__");
+    command
 }
 
 /// Builds, and shows what compiler and clippy find. A finding fails the step, but not what needs the build; says whether there is one. Cargo
@@ -65,17 +68,14 @@ fn finding(line: &str) -> Option<String> {
 
 /// By which cargo has clippy's compiler build this workspace, if it is there.
 fn wrapper() -> Option<[String; 2]> {
-    static SCRIPT: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
+    static DRIVER: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
         let sysroot = Command::new("rustc").args(["--print", "sysroot"]).output().ok()?;
         let driver = PathBuf::from(String::from_utf8_lossy(&sysroot.stdout).trim()).join("bin/clippy-driver");
-        // Optimising the parts of an optimised crate for each other takes a third of its build's time. In cargo's profile, what macros and
-        // programs both need would be built anew by each command.
-        let line = format!("exec '{}' \"$@\" -C lto=off", driver.display());
-        driver.is_file().then(|| machine::script("rustc-lints", &line).ok())?
+        driver.is_file().then_some(driver)
     });
     // No variable, for tests that build something would have it, too.
-    let setting = |script: &PathBuf| format!("build.rustc-workspace-wrapper='{}'", script.display());
-    SCRIPT.as_ref().map(|script| ["--config".to_owned(), setting(script)])
+    let setting = |driver: &PathBuf| format!("build.rustc-workspace-wrapper='{}'", driver.display());
+    DRIVER.as_ref().map(|driver| ["--config".to_owned(), setting(driver)])
 }
 
 #[cfg(test)]

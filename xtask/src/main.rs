@@ -63,6 +63,27 @@ use clap::{Parser, Subcommand};
 use std::process::{Command, ExitCode};
 use steps::Steps;
 
+/// What `test` and `ci` are told.
+#[derive(clap::Args)]
+#[command(after_help = "Examples:
+  cargo xtask test --only tests
+  cargo xtask ci --only 'build and lints,bench: domain'   some of it needs what the build has made")]
+struct All {
+    /// Keep cargo's reports of where the time of builds goes, under target/cargo-timings
+    #[arg(long)]
+    timings: bool,
+    /// Only the steps whose names begin so, for example to repeat one that failed
+    #[arg(long, value_name = "STEP,...", value_delimiter = ',')]
+    only: Vec<String>,
+}
+
+impl All {
+    fn tell(self) {
+        steps::keep_timings(self.timings);
+        steps::run_only(self.only);
+    }
+}
+
 /// The tasks of this workspace.
 #[derive(Parser)]
 #[command(bin_name = "cargo xtask")]
@@ -74,17 +95,9 @@ struct Cli {
 #[derive(Subcommand)]
 enum Verb {
     /// What is run before each commit: format, lints, tests, doc tests, demo, examples, models
-    Test {
-        /// Keep cargo's reports of where the time of builds goes, under target/cargo-timings
-        #[arg(long)]
-        timings: bool,
-    },
+    Test(All),
     /// The rest of what CI runs: ROS 2, bridge, RMW, Zenoh and its peers, network namespaces, stress, smoke tests of benches, miri, fuzz
-    Ci {
-        /// As for `test`
-        #[arg(long)]
-        timings: bool,
-    },
+    Ci(All),
     /// Documents the workspace, and compares the public surface of `tautline` with node/api.txt
     Api {
         /// Write the surface to node/api.txt
@@ -259,12 +272,12 @@ fn main() -> ExitCode {
     // SAFETY: the first thing that happens.
     let scope = unsafe { machine::Scope::enter() };
     match Cli::parse().verb {
-        Verb::Test { timings } => {
-            steps::keep_timings(timings);
+        Verb::Test(all) => {
+            all.tell();
             test::run(&scope)
         }
-        Verb::Ci { timings } => {
-            steps::keep_timings(timings);
+        Verb::Ci(all) => {
+            all.tell();
             ci::run(&scope)
         }
         Verb::Api { bless } => {

@@ -57,6 +57,9 @@ impl Steps {
 
     /// Runs a function as a step; says whether it succeeded.
     pub fn step(&mut self, name: &str, run: impl FnOnce() -> Outcome) -> bool {
+        if !is_chosen(name, ONLY.get().map_or(&[], Vec::as_slice)) {
+            return false;
+        }
         let start = Instant::now();
         let outcome = run();
         let time = start.elapsed();
@@ -110,6 +113,21 @@ pub fn build_with(variables: Vec<(&'static str, String)>) {
 /// Those that [`build_with`] was given, for what is no command of cargo's.
 pub fn variables() -> impl Iterator<Item = (&'static str, String)> {
     VARIABLES.get().into_iter().flatten().cloned()
+}
+
+/// Beginnings of the names of what is run, if not all is.
+static ONLY: OnceLock<Vec<String>> = OnceLock::new();
+
+/// From now on these steps alone are run; all if there is none.
+pub fn run_only(beginnings: Vec<String>) {
+    // The first ones stay.
+    let _ = ONLY.set(beginnings);
+}
+
+fn is_chosen(name: &str, beginnings: &[String]) -> bool {
+    // What all others need.
+    const FIRST: [&str; 2] = ["ros", "libclang"];
+    beginnings.is_empty() || FIRST.contains(&name) || beginnings.iter().any(|begin| name.starts_with(begin))
 }
 
 /// Whether cargo writes down where the time of a build goes.
@@ -190,6 +208,15 @@ fn quoted(word: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn steps_are_chosen_by_how_their_names_begin() {
+        let only = ["bench: do".to_owned(), "fuzz".to_owned()];
+        let chosen =
+            ["ros", "build", "bench: domain", "bench: wake", "fuzz: yaml"].map(|name| is_chosen(name, &only));
+        assert_eq!(chosen, [true, false, true, false, true]);
+        assert!(is_chosen("build", &[]));
+    }
 
     #[test]
     fn a_failing_step_does_not_stop_the_next() {
