@@ -35,7 +35,7 @@ mod turns;
 pub use beside::Beside;
 pub use distribution::Distribution;
 pub use gateways::{Gateways, Host};
-pub use machine::{Disturbance, machine, version_of};
+pub use machine::{Disturbance, machine, version_in, version_of};
 pub use process::Process;
 pub use program::{exit, interrupted, progress_bar, two_cores, write, write_json};
 pub use run::{Run, one_core};

@@ -4,7 +4,7 @@
 use std::fs;
 use std::time::Instant;
 
-use tautline_rt::host::HostInfo;
+use tautline_rt::host::{HostInfo, steal_ticks};
 
 /// Processor, cores, kernel and the kernel's limit for real-time threads in one line.
 pub fn machine() -> String {
@@ -27,7 +27,11 @@ pub fn machine() -> String {
 
 /// The version of `package` that this workspace was built with.
 pub fn version_of(package: &str) -> Option<&'static str> {
-    let lock = include_str!("../../Cargo.lock");
+    version_in(include_str!("../../Cargo.lock"), package)
+}
+
+/// The version of `package` in the text of a `Cargo.lock`.
+pub fn version_in<'a>(lock: &'a str, package: &str) -> Option<&'a str> {
     let (_, entry) = lock.split_once(&format!("name = \"{package}\"\nversion = \""))?;
     entry.split('"').next()
 }
@@ -37,12 +41,13 @@ pub fn version_of(package: &str) -> Option<&'static str> {
 #[derive(Debug)]
 pub struct Disturbance {
     start: Instant,
+    steal_ticks: u64,
     before: Cores,
 }
 
 impl Disturbance {
     pub fn start() -> Self {
-        Self { start: Instant::now(), before: Cores::read() }
+        Self { start: Instant::now(), steal_ticks: steal_ticks(None), before: Cores::read() }
     }
 
     /// What the hypervisor gave to others since the start (ticks of 10 ms, share of all cores' time), and how much of a core other programs and the
@@ -51,7 +56,7 @@ impl Disturbance {
         let (now, before) = (Cores::read(), &self.before);
         let ticks = self.start.elapsed().as_secs_f64().max(0.01) * 100.0;
         let since = |now: u64, before: u64| now.saturating_sub(before) as f64;
-        let steal = since(now.steal, before.steal);
+        let steal = since(steal_ticks(None), self.steal_ticks);
         let known = steal + since(now.idle, before.idle) + since(now.own, before.own);
         let others = (now.count as f64 - known / ticks).max(0.0) * 100.0;
         let warning = if others > 10.0 { ": NOT QUIET, other programs ran" } else { "" };
@@ -66,7 +71,6 @@ impl Disturbance {
 struct Cores {
     count: usize,
     idle: u64,
-    steal: u64,
     /// Of this process, and of its children that have been waited for.
     own: u64,
 }
@@ -88,7 +92,6 @@ impl Cores {
         Cores {
             count: machine.lines().filter(is_core).count(),
             idle: at(4) + at(5),
-            steal: at(8),
             own: behind.split_whitespace().skip(11).take(4).map(number).sum(),
         }
     }
@@ -107,7 +110,7 @@ mod tests {
         let machine = "cpu  500 20 100 9000 300 7 3 40 0 0\ncpu0 500 20 100 9000 300 7 3 40 0 0\nintr 5\n";
         let process = "7 (a (b) c) S 1 7 7 0 -1 4194304 100 200 0 0 50 20 300 10 20 0 1 0 100\n";
         let read = super::Cores::of(machine, process);
-        assert_eq!(read, super::Cores { count: 1, idle: 9300, steal: 40, own: 380 });
-        assert_eq!(super::Cores::of("", ""), super::Cores { count: 0, idle: 0, steal: 0, own: 0 });
+        assert_eq!(read, super::Cores { count: 1, idle: 9300, own: 380 });
+        assert_eq!(super::Cores::of("", ""), super::Cores { count: 0, idle: 0, own: 0 });
     }
 }

@@ -8,12 +8,11 @@ use crate::beside_r2r::{ALKS, Paper, REFERENCE};
 use crate::build::{Build, LATER, WHOLE, WITH_GATEWAY, WITH_ROS};
 use crate::compare::Compare;
 use crate::machine::{self, Scope};
-use crate::reports::{self, COMPARE, DOMAIN, LANE, MESSAGES, PAPER};
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::test::{self, nextest};
 use crate::{
-    api, book, bridge, fuzz, lints, lttng, packages, peers, programs, r2r, r2r_tests, rmw, ros, shared,
-    stress_doorbell, stress_kills,
+    api, book, bridge, fuzz, lints, lttng, packages, peers, programs, r2r, r2r_tests, reports, rmw, ros,
+    shared, stress_doorbell, stress_kills,
 };
 use std::path::Path;
 use std::process::{Command, ExitCode};
@@ -188,7 +187,7 @@ fn lane_keeping(steps: &mut Steps) {
         command.args(machine::no_rt());
         // What it says of bounds is not judged here.
         let _ = execute(&mut command);
-        LANE.of(&json, &[])
+        reports::LANE.of(&json, &[])
     };
     steps.step(name, || run(&["--seconds", "3", "--without-r2r", "a step of its own"]));
     let name = "lane keeping: beside r2r";
@@ -269,7 +268,7 @@ fn permitted() -> Vec<String> {
 
 /// A quick run of the messages bench: every encoder writes the same bytes.
 fn messages(steps: &mut Steps) {
-    bench(steps, "messages", |options| options.command("messages"), |json| MESSAGES.of(json, &[]));
+    bench(steps, "messages", |options| options.command("messages"), |json| reports::MESSAGES.of(json, &[]));
 }
 
 /// A round of each bench of the comparison with what is built in seconds: the numbers mean nothing, but all is measured, the page is drawn,
@@ -298,7 +297,7 @@ fn comparisons(steps: &mut Steps) {
             compare.command(name)
         };
         bench(steps, name, command, |json| {
-            COMPARE.of(json, &[("systems", systems.into()), ("experiments", experiments.into())])
+            reports::COMPARE.of(json, &[("systems", systems.into()), ("experiments", experiments.into())])
         });
     }
 }
@@ -312,7 +311,7 @@ fn plain_benches(steps: &mut Steps) {
 
 /// A quick run: no process hangs or leaves anything; what it says belongs to the machine.
 fn domain(steps: &mut Steps) {
-    bench(steps, "domain", |options| options.domain(), |json| DOMAIN.of(json, &[]));
+    bench(steps, "domain", |options| options.domain(), |json| reports::DOMAIN.of(json, &[]));
 }
 
 /// A second of each variant of the evaluation, Tautline's side: r2r's side takes a minute to build.
@@ -329,7 +328,9 @@ fn paper(steps: &mut Steps) {
         };
         paper.command()
     };
-    bench(steps, "paper", command, |json| PAPER.of(json, &[("realtime", machine::no_rt().is_none().into())]));
+    bench(steps, "paper", command, |json| {
+        reports::PAPER.of(json, &[("realtime", machine::no_rt().is_none().into())])
+    });
 }
 
 /// The unsafe code that needs no kernel, under an interpreter that sees undefined behaviour.

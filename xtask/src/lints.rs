@@ -2,10 +2,13 @@
 //! Clippy's findings, with the tests' build: clippy's compiler builds this workspace's packages. `cargo clippy` would check all that they depend
 //! on beside building it, which takes as long as half of the tests' build.
 
+use crate::machine;
 use crate::steps::{self, Outcome, announce, ended};
 use serde_json::Value;
 use std::collections::BTreeSet;
+use std::fs;
 use std::io::{BufRead, BufReader, Result};
+use std::os::unix::fs::symlink;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::sync::LazyLock;
@@ -23,11 +26,12 @@ pub fn cargo(arguments: &str) -> Command {
 /// repeats the findings in what it does not build again.
 pub fn build(steps: &mut steps::Steps, name: &str, packages: &str) -> bool {
     let mut command = cargo(&format!("build {packages} --all-targets --message-format=json"));
-    let mut is_built = false;
+    // If it is not chosen, what is there is taken.
+    let mut is_built = true;
     steps.step(name, || {
         let (found, outcome) = match findings(&mut command) {
             Ok(both) => both,
-            Err(error) => return Outcome::Failed(format!("cannot be started: {error}")),
+            Err(error) => (0, Outcome::Failed(format!("cannot be started: {error}"))),
         };
         is_built = matches!(outcome, Outcome::Ok);
         match outcome {
@@ -50,9 +54,8 @@ fn findings(command: &mut Command) -> Result<(usize, Outcome)> {
     for line in child.stdout.take().into_iter().flat_map(|output| BufReader::new(output).lines()) {
         let Some(finding) = finding(&line?) else { continue };
         // A library's tests have what the library has.
-        if !found.contains(&finding) {
+        if found.insert(finding.clone()) {
             eprintln!("{finding}");
-            found.insert(finding);
         }
     }
     Ok((found.len(), ended(child.wait())))
@@ -66,12 +69,18 @@ fn finding(line: &str) -> Option<String> {
     (!is_count).then(|| message["rendered"].as_str().unwrap_or(text).to_owned())
 }
 
-/// By which cargo has clippy's compiler build this workspace, if it is there.
+/// By which cargo has clippy's compiler build this workspace, if it is there. By a link of its own: `cargo clippy` gives it other arguments, and
+/// what both built under one path each would build anew for the other.
 fn wrapper() -> Option<[String; 2]> {
     static DRIVER: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
         let sysroot = Command::new("rustc").args(["--print", "sysroot"]).output().ok()?;
         let driver = PathBuf::from(String::from_utf8_lossy(&sysroot.stdout).trim()).join("bin/clippy-driver");
-        driver.is_file().then_some(driver)
+        let link = machine::target_dir().join("clippy-of-tests");
+        if driver.is_file() && fs::read_link(&link).ok().as_ref() != Some(&driver) {
+            let _ = fs::remove_file(&link);
+            symlink(&driver, &link).ok()?;
+        }
+        link.is_file().then_some(link)
     });
     // No variable, for tests that build something would have it, too.
     let setting = |driver: &PathBuf| format!("build.rustc-workspace-wrapper='{}'", driver.display());

@@ -67,7 +67,8 @@ use steps::Steps;
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   cargo xtask test --only tests
-  cargo xtask ci --only 'build and lints,bench: domain'   some of it needs what the build has made")]
+  cargo xtask ci --only 'bench: domain,stress'   on what the last build has made
+  cargo xtask ci --only 'build and lints,bench'  on a new one")]
 struct All {
     /// Keep cargo's reports of where the time of builds goes, under target/cargo-timings
     #[arg(long)]

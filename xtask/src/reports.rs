@@ -92,10 +92,10 @@ mod tests {
             &[],
             &json!([row]),
             &[
-                (".[0].bytes = -1", "'bytes' should be a count"),
-                (".[0].bytes = 1.5", "'bytes' should be a count"),
-                (".[0].p50_us = null", "'p50_us' should be a number"),
-                ("del(.[0].case)", "'case' should be a string"),
+                (".[0].bytes = -1", "'bytes' should be of type count"),
+                (".[0].bytes = 1.5", "'bytes' should be of type count"),
+                (".[0].p50_us = null", "'p50_us' should be of type number"),
+                ("del(.[0].case)", "'case' should be of type string"),
                 (".[0].n = 0", "nothing was measured"),
                 ("[]", "there are no rows"),
             ],
@@ -120,7 +120,7 @@ mod tests {
                 ("del(.topics[4])", "4 topics instead of 5"),
                 (".topics[1].n = 0", "nothing was measured"),
                 (".topics[1].lost = 1", "messages were lost"),
-                ("del(.topics)", "'topics' should be a array"),
+                ("del(.topics)", "'topics' should be of type array"),
             ],
         );
         refuses(&ABLATION, &[], &report, &[(".topics[2].deadline_misses = 0", "no deadline was missed")]);
@@ -143,7 +143,7 @@ mod tests {
                 ("map(.experiment = \"robot\")", "nothing was measured of latency"),
                 (".[0].payload_bytes = 65", "tautline has no row beside"),
                 (".[0].lost = 1", "tautline lost messages"),
-                (".[0].p50_us = null", "'p50_us' should be a number"),
+                (".[0].p50_us = null", "'p50_us' should be of type number"),
                 (".[0].p99_us = \"much\"", "'p99_us' is no number"),
                 ("del(.[0].rss_mib)", "a row without fields [\"rss_mib\"]"),
                 (".[0].idle = \"poll\"", "a row with fields [\"idle\"]"),
@@ -165,7 +165,7 @@ mod tests {
                 ("del(.rows[0])", "nothing was measured of 'processes'"),
                 ("del(.rows[8])", "nothing was measured of iceoryx2"),
                 (".rows[3].p50 = 2", "files are left"),
-                ("del(.machine)", "'machine' should be a string"),
+                ("del(.machine)", "'machine' should be of type string"),
             ],
         );
     }
@@ -185,7 +185,7 @@ mod tests {
             ("map(.misses = 0)", "no deadline was missed"),
             ("map(.lost = 0)", "a queue of 15 lost nothing"),
             ("del(.[9])", "futures-rt has 4 topics instead of 5"),
-            ("map(del(.rta_ms))", "'rta_ms' should be a number"),
+            ("map(del(.rta_ms))", "'rta_ms' should be of type number"),
         ];
         refuses(&PAPER, &[("realtime", json!(true))], &json!(rows), &changes);
         let quiet = changed(changes[0].0, &json!(rows));
@@ -254,7 +254,7 @@ mod tests {
                 (".[0].lost = [[\"/imu\", 1, 9]]", "messages were lost"),
                 (".[2].drive.lateral_max_m = 0.7", "0.7 m off the lane's centre"),
                 (".[2].drive.collisions = 1", "with 1 collisions"),
-                ("del(.[2].drive.lateral_max_m)", "'lateral_max_m' should be a number"),
+                ("del(.[2].drive.lateral_max_m)", "'lateral_max_m' should be of type number"),
             ],
         );
     }
@@ -276,7 +276,7 @@ mod tests {
                 (".[1].bridged.disordered = 1", "9 were expected in order"),
                 ("map(.expected = 8)", "9 were expected in order"),
                 ("del(.[1])", "its ways are"),
-                ("del(.[0].cpu.bridge)", "'bridge' should be a number"),
+                ("del(.[0].cpu.bridge)", "'bridge' should be of type number"),
             ],
         );
     }

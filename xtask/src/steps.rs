@@ -55,10 +55,10 @@ impl Steps {
         self.step(name, || execute(command))
     }
 
-    /// Runs a function as a step; says whether it succeeded.
+    /// Runs a function as a step; says whether it succeeded. What one makes that is not chosen is taken as it is.
     pub fn step(&mut self, name: &str, run: impl FnOnce() -> Outcome) -> bool {
-        if !is_chosen(name, ONLY.get().map_or(&[], Vec::as_slice)) {
-            return false;
+        if !is_chosen(name, only()) {
+            return true;
         }
         let start = Instant::now();
         let outcome = run();
@@ -75,7 +75,13 @@ impl Steps {
     }
 
     /// Prints the table and, as the last line, the counts.
-    pub fn finish(self) -> ExitCode {
+    pub fn finish(mut self) -> ExitCode {
+        for begin in only() {
+            if !self.done.iter().any(|(name, ..)| name.starts_with(begin)) {
+                let reason = "no step's name begins so: a run without --only prints them all";
+                self.done.push((begin.clone(), Outcome::Failed(reason.to_owned()), Duration::ZERO));
+            }
+        }
         let width = self.done.iter().map(|(name, ..)| name.len()).max().unwrap_or(0);
         println!("\n{:<width$}  seconds", "step");
         for (name, outcome, time) in &self.done {
@@ -122,6 +128,10 @@ static ONLY: OnceLock<Vec<String>> = OnceLock::new();
 pub fn run_only(beginnings: Vec<String>) {
     // The first ones stay.
     let _ = ONLY.set(beginnings);
+}
+
+fn only() -> &'static [String] {
+    ONLY.get().map_or(&[], Vec::as_slice)
 }
 
 fn is_chosen(name: &str, beginnings: &[String]) -> bool {
@@ -216,6 +226,12 @@ mod tests {
             ["ros", "build", "bench: domain", "bench: wake", "fuzz: yaml"].map(|name| is_chosen(name, &only));
         assert_eq!(chosen, [true, false, true, false, true]);
         assert!(is_chosen("build", &[]));
+    }
+
+    #[test]
+    fn what_is_printed_can_be_pasted() {
+        assert_eq!(quoted("--only=a,b"), "--only=a,b");
+        assert_eq!(quoted("lto='off'"), r#"'lto='\''off'\'''"#);
     }
 
     #[test]

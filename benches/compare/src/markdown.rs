@@ -36,7 +36,7 @@ const WAKE: &str = "two processes, pinned, alternating rounds. A bare futex is t
      iceoryx2 alone is faster where it polls: Tautline adds sequence numbers, time stamps, loss counters and a callback";
 const SERVICES: &str = "two processes, each on a core, both blocking, alternating rounds, responses of 64 bytes; service: nothing is copied; r2r's \
      requests are a text that is";
-const NETWORK: &str = "from a node over two gateways to a node, beside Zenoh's own publishers and subscribers, TCP over loopback, two processes, each \
+const NETWORK: &str = "from a node over two gateways to a node, beside Zenoh's own publishers and subscribers and hiroz's, TCP over loopback, two processes, each \
      with its gateway on a core, alternating rounds";
 
 /// What was not measured, and why.

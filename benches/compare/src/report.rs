@@ -4,12 +4,12 @@
 use tautline_benches::claims::{Verdict, verdicts};
 use tautline_benches::rows::{Details, Row, Tally, Wakes, is_enough, median, rounded};
 use tautline_benches::table::{of_rows, short};
-use tautline_benches::{machine, version_of};
+use tautline_benches::{machine, version_in, version_of};
 use tautline_exchange::{APPLICATION_PRIORITY, LATE};
 
 use crate::Result;
 use crate::load::LOAD;
-use crate::modes::NOT_JOINED;
+use crate::modes::{NOT_JOINED, SYSTEMS};
 use crate::plan::{Bench, Experiment, Plan, Task, measurable};
 use crate::rounds::Cell;
 use crate::slower::{Slower, slower};
@@ -244,10 +244,21 @@ fn conditions(plan: &Plan, is_held: bool, disturbance: &str) -> String {
     format!("{}; {disturbance}; {versions}; {priority}; idle states {idle}; {extent}", machine())
 }
 
+/// Of all that takes part.
 fn versions(plan: &Plan) -> String {
-    let ours = ["tautline", "iceoryx2"].map(|name| format!("{name} {}", version_of(name).unwrap_or("?")));
-    let theirs = ["fastdds", "cyclonedds", "r2r"].into_iter().filter_map(|name| plan.programs.version(name));
-    ours.into_iter().chain(theirs).collect::<Vec<_>>().join(", ")
+    let locked = |system: &str| match system {
+        "tautline" | "iceoryx2" => version_of(system),
+        "hiroz" => version_in(include_str!("../hiroz/Cargo.lock"), system),
+        "taktora" => version_in(include_str!("../taktora/Cargo.lock"), "taktora-executor"),
+        "zenoh" => version_in(include_str!("../zenoh/Cargo.lock"), system),
+        _ => None,
+    };
+    let takes_part = |system: &&str| plan.cases.iter().any(|case| case.mode.system == *system);
+    let version = |system: &str| match locked(system) {
+        Some(version) => Some(format!("{system} {version}")),
+        None => plan.programs.version(system),
+    };
+    SYSTEMS.into_iter().filter(takes_part).filter_map(version).collect::<Vec<_>>().join(", ")
 }
 
 fn notes(plan: &Plan, disturbance: String) -> Vec<String> {
