@@ -5,6 +5,7 @@ use crate::Result;
 use crate::place::entries;
 use crate::process::lock;
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::fs::File;
 use std::mem::MaybeUninit;
 use std::os::unix::fs::{FileExt, MetadataExt};
@@ -114,18 +115,57 @@ pub fn stolen() -> Duration {
     Duration::from_millis(10 * steal_ticks(None))
 }
 
+/// For how long a thread was ready to run, and others ran.
+pub fn waited(pid: u32, tid: u32) -> Duration {
+    let text = std::fs::read_to_string(format!("/proc/{pid}/task/{tid}/schedstat")).unwrap_or_default();
+    let waited_ns = text.split(' ').nth(1).and_then(|number| number.parse().ok());
+    Duration::from_nanos(waited_ns.unwrap_or(0))
+}
+
+/// Time in which a burial, and this program's notice of it, did not get a core, up to some moment.
+#[derive(Clone, Copy, Debug)]
+struct Delays {
+    stolen: Duration,
+    /// The warden's process, and what its thread has waited.
+    warden: Option<(u32, Duration)>,
+    watch: Duration,
+}
+
+impl Delays {
+    /// `watch`: the thread that watches the folder.
+    fn read(domain: u32, watch: u32) -> Self {
+        let waited_by = |pid| {
+            let threads = tautline_rt::threads_of(pid).unwrap_or_default();
+            let warden = threads.iter().find(|thread| thread.name == "warden");
+            (pid, warden.map_or(Duration::ZERO, |thread| waited(pid, thread.tid)))
+        };
+        let watch = waited(std::process::id(), watch);
+        Delays { stolen: stolen(), warden: warden(domain).map(waited_by), watch }
+    }
+
+    /// Since an earlier moment. Whoever has become the warden since then may have waited before, too.
+    fn since(&self, before: &Self) -> Duration {
+        let warden = match (self.warden, before.warden) {
+            (Some((pid, now)), Some((same, before))) if pid == same => now.saturating_sub(before),
+            (now, _) => now.map_or(Duration::ZERO, |(_, waited)| waited),
+        };
+        let stolen = self.stolen.saturating_sub(before.stolen);
+        stolen + warden + self.watch.saturating_sub(before.watch)
+    }
+}
+
 #[derive(Clone, Debug, Default)]
 pub struct Stay {
     pub worst: Duration,
     pub files: usize,
-    /// Those that stayed longer than they may.
+    /// Those that stayed longer than they may, and for how long whoever buries them had a core, or could have had one.
     pub late: Vec<(PathBuf, Duration)>,
 }
 
 #[derive(Default)]
 struct State {
-    /// Files of the dead, since when, and what was stolen by then.
-    dead: BTreeMap<PathBuf, (Instant, Duration)>,
+    /// Files of the dead, since when, and the delays by then.
+    dead: BTreeMap<PathBuf, (Instant, Delays)>,
     stay: Stay,
 }
 
@@ -135,6 +175,7 @@ pub struct Watch {
     limit: Duration,
     state: Arc<Mutex<State>>,
     stop: Arc<AtomicBool>,
+    tid: u32,
     thread: Option<std::thread::JoinHandle<()>>,
 }
 
@@ -143,9 +184,16 @@ impl Watch {
         let watch = inotify::init(CreateFlags::NONBLOCK | CreateFlags::CLOEXEC)?;
         inotify::add_watch(&watch, shared_path(domain), WatchFlags::DELETE)?;
         let (state, stop) = (Arc::<Mutex<State>>::default(), Arc::<AtomicBool>::default());
+        let (sender, tid) = std::sync::mpsc::channel();
         let thread = {
             let (state, stop) = (state.clone(), stop.clone());
             std::thread::spawn(move || {
+                let tid = tautline_rt::current_tid();
+                let _ = sender.send(tid);
+                let gone = |name: &str| {
+                    let delays = || Delays::read(domain, tid);
+                    lock(&state).gone(&shared_path(domain).join(name), limit, delays);
+                };
                 let mut buffer = [MaybeUninit::uninit(); 4096];
                 while !stop.load(Ordering::Relaxed) {
                     let pause = Timespec { tv_sec: 0, tv_nsec: 10_000_000 };
@@ -153,23 +201,31 @@ impl Watch {
                     let mut reader = inotify::Reader::new(&watch, &mut buffer);
                     while let Ok(event) = reader.next() {
                         let name = event.file_name().and_then(|name| name.to_str().ok());
-                        if let Some(name) = name.filter(|_| event.events().contains(ReadFlags::DELETE)) {
-                            lock(&state).gone(&shared_path(domain).join(name), limit);
-                        }
+                        name.filter(|_| event.events().contains(ReadFlags::DELETE))
+                            .inspect(|name| gone(name));
                     }
                 }
             })
         };
-        Ok(Watch { domain, limit, state, stop, thread: Some(thread) })
+        Ok(Watch { domain, limit, state, stop, tid: tid.recv()?, thread: Some(thread) })
     }
 
-    /// A process has died: now, and its files are unlocked.
-    pub fn died(&self, pid: u32) {
-        let (now, stolen) = (Instant::now(), stolen());
+    /// Has a process die: when `kill` returns it has, and its files are unlocked. Some may be gone by then, and count, too.
+    pub fn dies(&self, pid: u32, kill: impl FnOnce() -> Result<()>) -> Result<()> {
+        let now = || (Instant::now(), Delays::read(self.domain, self.tid));
+        let own: Vec<PathBuf> = files(self.domain).filter(|path| owner(path) == Some(pid)).collect();
+        let before = now();
+        lock(&self.state).dead.extend(own.iter().map(|path| (path.clone(), before)));
+        kill()?;
+        let since = now();
         let mut state = lock(&self.state);
         for path in of_dead(self.domain, pid) {
-            state.dead.entry(path).or_insert((now, stolen));
+            match state.dead.entry(path) {
+                Entry::Occupied(mut entry) if own.contains(entry.key()) => drop(entry.insert(since)),
+                entry => drop(entry.or_insert(since)),
+            }
         }
+        Ok(())
     }
 
     pub fn check(&self, patience: Duration) -> Result<()> {
@@ -208,13 +264,16 @@ impl Watch {
 }
 
 impl State {
-    fn gone(&mut self, path: &Path, limit: Duration) {
+    fn gone(&mut self, path: &Path, limit: Duration, delays: impl FnOnce() -> Delays) {
         let Some((since, before)) = self.dead.remove(path) else { return };
         let stayed = since.elapsed();
         self.stay.files += 1;
         self.stay.worst = self.stay.worst.max(stayed);
-        if stayed > limit && stayed > limit + stolen().saturating_sub(before) {
-            self.stay.late.push((path.to_owned(), stayed));
+        if stayed > limit {
+            let own = stayed.saturating_sub(delays().since(&before));
+            if own > limit {
+                self.stay.late.push((path.to_owned(), own));
+            }
         }
     }
 }
