@@ -5,7 +5,7 @@
 
 use crate::bench::Options;
 use crate::beside_r2r::{ALKS, Paper, REFERENCE};
-use crate::build::{Build, LATER, WHOLE, WITH_GATEWAY, WITH_ROS};
+use crate::build::{Build, LATER, SAME, WHOLE, WITH_GATEWAY, WITH_ROS};
 use crate::compare::Compare;
 use crate::machine::{self, Scope};
 use crate::steps::{Outcome, Steps, cargo, execute};
@@ -29,7 +29,7 @@ pub fn run(scope: &Scope) -> ExitCode {
     ros(&mut steps);
     r2r::prepare_libclang(&mut steps, true);
     formats(&mut steps);
-    let built = lints::build(&mut steps, "build and lints", WHOLE);
+    let built = lints::build(&mut steps, "build and lints", &format!("{WHOLE} --all-targets"));
     book::test(&mut steps);
     steps.step("documentation and public surface", || api::check(false));
     steps.step("builds are shared", shared::check);
@@ -37,7 +37,7 @@ pub fn run(scope: &Scope) -> ExitCode {
     bridge::test(&mut steps);
     rmw::test(&mut steps);
     clock_step(&mut steps);
-    release(&mut steps);
+    examples_by_themselves(&mut steps);
     programs::test(&mut steps);
     bridge::bench_of_tests(&mut steps);
     rmw::bench_of_tests(&mut steps);
@@ -49,7 +49,8 @@ pub fn run(scope: &Scope) -> ExitCode {
     } else {
         steps.skip("what runs in the tests' build", "not built");
     }
-    // Its programs are other ones than those of the tests' build, whose place they take.
+    // Their programs are other ones than those of the tests' build, whose place they take.
+    demo_as_released(&mut steps);
     lttng::test(&mut steps);
     miri(&mut steps);
     fuzz::all(&mut steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS);
@@ -60,6 +61,7 @@ pub fn run(scope: &Scope) -> ExitCode {
 /// Systems, benches and what may be killed.
 fn of_the_build(steps: &mut Steps) {
     reference_system(steps);
+    lane_keeping(steps);
     two_hosts(steps);
     systemd(steps);
     stress_kills(steps, Build::Tests, KILLS, None, false);
@@ -118,26 +120,35 @@ fn rest_of_tests(steps: &mut Steps) {
     steps.command("doc tests: all", &mut lints::cargo(&format!("test {WHOLE} --no-fail-fast --doc")));
 }
 
-/// What is optimised less than in a release: all that is not ours, and what no message of the lane keeping system passes through.
-const LESS_OPTIMISED: [&str; 3] = ["'*'", "taut", "tautline-bag"];
-
-/// The README's demo, for three seconds, and its examples as a user builds them.
-fn release(steps: &mut Steps) {
-    // With the lane keeping system, which loses messages while slower code begins.
-    let mut build = cargo("build --release -p taut -p alks --config profile.release.lto='off'");
-    for package in LESS_OPTIMISED {
-        build.arg("--config").arg(format!("profile.release.package.{package}.opt-level=1"));
-    }
-    if steps.command("release: build", &mut build) {
-        let mut demo = Command::new(Build::Release.folder().join("taut"));
-        steps.command("release: demo", demo.args(["demo", "--seconds", "3"]));
-        lane_keeping(steps);
-    } else {
-        steps.skip("lane keeping", "not built");
-    }
-    // With no more messages than each names.
+/// The README's examples as a user builds them, with no more messages than each names.
+fn examples_by_themselves(steps: &mut Steps) {
     let packages = "-p tautline-examples -p own-messages -p xtask-host-features";
     steps.command("examples by themselves", &mut cargo(&format!("check {packages} --examples --bins")));
+}
+
+/// Three seconds of the demo in which messages pass through what a release build makes of these packages: optimised, without what it checks in tests.
+/// A whole release build takes minutes for macros and build scripts, of which it has its own.
+fn demo_as_released(steps: &mut Steps) {
+    const PASSED: [&str; 9] = [
+        "tautline",
+        "tautline-doorbell",
+        "tautline-executor",
+        "tautline-msgs",
+        "tautline-ros-msgs",
+        "tautline-rt",
+        "tautline-sampler",
+        "tautline-trace",
+        "tautline-transport",
+    ];
+    const AS_RELEASED: [&str; 3] = ["opt-level=3", "debug-assertions=false", "overflow-checks=false"];
+    let mut build = lints::cargo(&format!("build -p taut {SAME}"));
+    for setting in PASSED.iter().flat_map(|package| AS_RELEASED.map(|value| format!("{package}.{value}"))) {
+        build.arg("--config").arg(format!("profile.dev.package.{setting}"));
+    }
+    if steps.command("demo as released: build", &mut build) {
+        let mut demo = Command::new(Build::Tests.folder().join("taut"));
+        steps.command("demo as released", demo.args(["demo", "--seconds", "3"]));
+    }
 }
 
 /// Three seconds of the Autoware reference system: all of its nodes run, and its report keeps its promises. A second of it beside
@@ -182,7 +193,7 @@ fn lane_keeping(steps: &mut Steps) {
     let (json, page) = (target.join("alks.json"), target.join("alks.html"));
     let run = |arguments: &[&str]| {
         let _ = std::fs::remove_file(&json);
-        let mut command = Command::new(Build::Release.folder().join("alks"));
+        let mut command = Command::new(Build::Tests.folder().join("alks"));
         command.args(arguments).args(["--rounds", "1", "--json"]).arg(&json).arg("--html").arg(&page);
         command.args(machine::no_rt());
         // What it says of bounds is not judged here.

@@ -22,10 +22,10 @@ pub fn cargo(arguments: &str) -> Command {
     command
 }
 
-/// Builds, and shows what compiler and clippy find. A finding fails the step, but not what needs the build; says whether there is one. Cargo
-/// repeats the findings in what it does not build again.
-pub fn build(steps: &mut steps::Steps, name: &str, packages: &str) -> bool {
-    let mut command = cargo(&format!("build {packages} --all-targets --message-format=json"));
+/// Builds targets of packages, and shows what compiler and clippy find. A finding fails the step, but not what needs the build; says whether there
+/// is one. Cargo repeats the findings in what it does not build again.
+pub fn build(steps: &mut steps::Steps, name: &str, targets: &str) -> bool {
+    let mut command = cargo(&format!("build {targets} --message-format=json"));
     // If it is not chosen, what is there is taken.
     let mut is_built = true;
     steps.step(name, || {

@@ -9,7 +9,7 @@ const PACKAGES: [&str; 3] = ["lttng-tools", "liblttng-ust-dev", "babeltrace2"];
 
 /// The feature `lttng` has no warnings, and LTTng records what the rings record.
 pub fn test(steps: &mut Steps) {
-    const NAMES: [&str; 3] = ["lttng: clippy", "lttng: clippy of programs", "lttng: test"];
+    const NAMES: [&str; 3] = ["lttng: clippy", "lttng: build and lints", "lttng: test"];
     let mut ready = false;
     steps.step("lttng: packages", || {
         let outcome = packages::prepare(&PACKAGES, present);
@@ -22,11 +22,9 @@ pub fn test(steps: &mut Steps) {
     let clippy = format!("clippy -p tautline-trace {SAME} --features tautline-trace/lttng --all-targets");
     steps.command(NAMES[0], &mut cargo(&format!("{clippy} -- -D warnings")));
     // Of all packages, for what does not depend on the feature has been built so.
-    let programs = "--bin taut --bin trace --test lttng -- -D warnings";
-    let clippy = format!("clippy {} {programs}", whole_with("taut/lttng,tautline-benches/lttng"));
-    steps.command(NAMES[1], &mut cargo(&clippy));
-    let test = format!("test {} --test lttng -- --nocapture", whole_with("taut/lttng"));
-    steps.command(NAMES[2], &mut lints::cargo(&test));
+    let test = whole_with("taut/lttng,tautline-benches/lttng") + " --test lttng";
+    lints::build(steps, NAMES[1], &format!("{test} --bin taut --bin trace"));
+    steps.command(NAMES[2], &mut lints::cargo(&format!("test {test} -- --nocapture")));
 }
 
 /// Whether everything is there; otherwise what is not.

@@ -13,7 +13,7 @@ pub fn run(scope: &Scope) -> ExitCode {
     let mut steps = Steps::new();
     r2r::prepare_libclang(&mut steps, machine::is_ci());
     steps.command("fmt", &mut cargo("fmt --all --check"));
-    let built = lints::build(&mut steps, "build and lints", &most());
+    let built = lints::build(&mut steps, "build and lints", &(most() + " --all-targets"));
     // Most wait for each other's processes more than they compute.
     nextest(&mut steps, "tests", &most(), &format!("not({WITH_GATEWAY}|{WITH_ROS})"), 2);
     steps.command("doc tests", &mut lints::cargo(&format!("test {} --no-fail-fast --doc", most())));
