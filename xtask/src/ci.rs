@@ -77,32 +77,23 @@ fn ros(steps: &mut Steps) {
     steps.step("ros", || ros::prepare().unless_ci());
 }
 
-/// Workspaces that are no part of [`mod@test`].
+/// Workspaces that are no part of [`mod@test`]. What they use of ours may have got dependencies, which those that no other step builds lack then.
 fn formats(steps: &mut Steps) {
-    // Workspaces of their own, which need a ROS 2 for more than this; what they use of ours may have got dependencies.
-    let sources = ["src/main.rs", "src/bin/alks-r2r.rs", "src/bin/reference-r2r.rs"];
-    for (name, folder) in [("paper-r2r", "benches/paper-r2r"), ("compare-r2r", "benches/compare/r2r")] {
-        let r2r = machine::root().join(folder);
-        let mut format = Command::new("rustfmt");
-        format.args(["--check", "--edition", "2024"]);
-        format.args(sources.map(|source| r2r.join(source)).iter().filter(|source| source.exists()));
-        steps.command(&format!("fmt: {name}"), &mut format);
-        let mut lock = cargo("fetch --quiet --locked --manifest-path");
-        steps.command(&format!("lock: {name}"), lock.arg(r2r.join("Cargo.toml")));
+    let folders = [
+        "benches/rivals/hiroz",
+        "benches/rivals/r2r",
+        "benches/rivals/taktora",
+        "benches/rivals/zenoh",
+        "node/r2r",
+    ];
+    for folder in folders {
+        let lock = format!("fetch --quiet --locked --manifest-path {folder}/Cargo.toml");
+        steps.command(&format!("lock: {folder}"), &mut cargo(&lock));
     }
-    for (name, folder) in [
-        ("compare-hiroz", "benches/compare/hiroz"),
-        ("compare-taktora", "benches/compare/taktora"),
-        ("compare-zenoh", "benches/compare/zenoh"),
-        ("r2r-programs", "node/r2r"),
-    ] {
-        let manifest = format!("--manifest-path {folder}/Cargo.toml");
-        steps.command(&format!("fmt: {name}"), &mut cargo(&format!("fmt {manifest} --check")));
-        steps.command(&format!("lock: {name}"), &mut cargo(&format!("fetch --quiet --locked {manifest}")));
+    for folder in folders.iter().chain(&["bridge-ros", "rmw", "fuzz"]) {
+        let format = format!("fmt --manifest-path {folder}/Cargo.toml --check");
+        steps.command(&format!("fmt: {folder}"), &mut cargo(&format));
     }
-    steps.command("fmt: bridge-ros", &mut cargo("fmt --manifest-path bridge-ros/Cargo.toml --check"));
-    steps.command("fmt: rmw", &mut cargo("fmt --manifest-path rmw/Cargo.toml --check"));
-    steps.command("fmt: fuzz", &mut cargo("fmt --manifest-path fuzz/Cargo.toml --check"));
 }
 
 /// The gateway's after the others: it mirrors what other tests of its domains do.

@@ -201,24 +201,24 @@ fn unpack(root: &Path, packages: &[&str]) -> Result<(), String> {
     fs::write(root.join("complete"), packages.join("\n")).map_err(say)
 }
 
-/// A minute from cold; what it uses is built where `bench paper` has it.
+/// A minute from cold, with the programs of other benches.
 fn build_r2r(_: Build) -> Result<PathBuf, String> {
-    r2r::build("benches/compare/r2r", "compare-r2r")
+    r2r::program("compare-r2r")
 }
 
 /// Half a minute from cold: its iceoryx2 is not ours.
 fn build_taktora(_: Build) -> Result<PathBuf, String> {
-    apart(&mut steps::cargo(RELEASE), "benches/compare/taktora", "compare/taktora-build", "compare-taktora")
+    apart(&mut steps::cargo(RELEASE), "benches/rivals/taktora", "compare/taktora-build", "rival-taktora")
 }
 
 /// Minutes from cold: a Zenoh with shared memory, which the gateway's has not.
 fn build_zenoh(_: Build) -> Result<PathBuf, String> {
-    apart(&mut steps::cargo(RELEASE), "benches/compare/zenoh", "compare/zenoh-build", "compare-zenoh")
+    apart(&mut steps::cargo(RELEASE), "benches/rivals/zenoh", "compare/zenoh-build", "rival-zenoh")
 }
 
 /// Minutes from cold: a Zenoh with all its transports.
 fn build_hiroz(_: Build) -> Result<PathBuf, String> {
-    apart(&mut steps::cargo(RELEASE), "benches/compare/hiroz", "compare/hiroz-build", "compare-hiroz")
+    apart(&mut steps::cargo(RELEASE), "benches/rivals/hiroz", "compare/hiroz-build", "rival-hiroz")
 }
 
 /// A program of one C++ file in the making.
@@ -230,8 +230,8 @@ struct Cpp {
 
 /// With the Rust library that measures.
 fn cpp(name: &str, of: Build) -> Result<Cpp, String> {
-    let library = folder_with(of, "tautline-compare-cpp")?.join("libcompare_cpp.a");
-    let folder = machine::root().join("benches/compare/cpp");
+    let library = folder_with(of, "tautline-rivals-cpp")?.join("librivals_cpp.a");
+    let folder = machine::root().join("benches/rivals/cpp");
     let source = folder.join(format!("{name}.cpp"));
     let target = machine::target_dir().join("compare");
     fs::create_dir_all(&target).map_err(|error| format!("{}: {error}", target.display()))?;

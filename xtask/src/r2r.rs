@@ -28,7 +28,7 @@ pub fn cargo(arguments: &str) -> Result<Command, String> {
 pub const MESSAGES: &str = "geometry_msgs;nav_msgs;sensor_msgs;std_msgs;test_msgs;visualization_msgs";
 
 /// Where r2r's side of the benches is built, under the target directory.
-const TARGET: &str = "ros/paper-r2r";
+const TARGET: &str = "ros/rival-r2r";
 
 /// Whether [`program`] has built this one before, so that it will not take long.
 pub fn is_built(name: &str) -> bool {
@@ -37,12 +37,7 @@ pub fn is_built(name: &str) -> bool {
 
 /// Builds r2r's side of the benches, a minute from cold, and says where this program of it is.
 pub fn program(name: &str) -> Result<PathBuf, String> {
-    build("benches/paper-r2r", name)
-}
-
-/// The same for a program of another workspace, which shares that build.
-pub fn build(folder: &str, program: &str) -> Result<PathBuf, String> {
-    apart(cargo(RELEASE)?.env("IDL_PACKAGE_FILTER", MESSAGES), folder, TARGET, program)
+    apart(cargo(RELEASE)?.env("IDL_PACKAGE_FILTER", MESSAGES), "benches/rivals/r2r", TARGET, name)
 }
 
 /// Tells a bench where r2r's side of it is, built before, or why it is left out.

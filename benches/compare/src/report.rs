@@ -248,9 +248,9 @@ fn conditions(plan: &Plan, is_held: bool, disturbance: &str) -> String {
 fn versions(plan: &Plan) -> String {
     let locked = |system: &str| match system {
         "tautline" | "iceoryx2" => version_of(system),
-        "hiroz" => version_in(include_str!("../hiroz/Cargo.lock"), system),
-        "taktora" => version_in(include_str!("../taktora/Cargo.lock"), "taktora-executor"),
-        "zenoh" => version_in(include_str!("../zenoh/Cargo.lock"), system),
+        "hiroz" => version_in(include_str!("../../rivals/hiroz/Cargo.lock"), system),
+        "taktora" => version_in(include_str!("../../rivals/taktora/Cargo.lock"), "taktora-executor"),
+        "zenoh" => version_in(include_str!("../../rivals/zenoh/Cargo.lock"), system),
         _ => None,
     };
     let takes_part = |system: &&str| plan.cases.iter().any(|case| case.mode.system == *system);

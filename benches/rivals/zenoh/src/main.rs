@@ -26,7 +26,7 @@ const POOL: usize = 16;
 const DRAIN: Duration = Duration::from_millis(100);
 
 fn main() -> ExitCode {
-    program("compare-zenoh", run)
+    program("rival-zenoh", run)
 }
 
 fn run(mut job: Job) -> Result<()> {
@@ -171,7 +171,7 @@ fn subscribe(
         match stamp {
             Ok(stamp) => then(stamp),
             Err(error) => {
-                eprintln!("compare-zenoh: {error}");
+                eprintln!("rival-zenoh: {error}");
                 std::process::exit(1);
             }
         }

@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What this program is made of.
+//! What these programs are made of.
 
+use std::error::Error;
 use std::fs;
 
 use r2r::Context;
 
-use crate::Result;
-
 /// r2r's version, the distribution it was built with, and the libraries that it runs with.
-pub fn version() -> Result<String> {
+///
+/// # Errors
+/// r2r makes no context, or /proc cannot be read.
+pub fn version() -> Result<String, Box<dyn Error>> {
     let lock = include_str!("../Cargo.lock");
     let r2r = lock.split_once("name = \"r2r\"\nversion = \"").and_then(|(_, rest)| rest.split('"').next());
     let distribution = option_env!("ROS_DISTRO").unwrap_or("?");

@@ -13,7 +13,7 @@ use iceoryx2::prelude::{FilePath, LogLevel, SemanticString, set_log_level};
 use tautline_exchange::{Exchange, Job, Result, Role, program};
 
 fn main() -> ExitCode {
-    program("compare-taktora", |job| run(&job))
+    program("rival-taktora", |job| run(&job))
 }
 
 fn run(job: &Job) -> Result<()> {

@@ -26,15 +26,12 @@ use tautline_rt::clock::monotonic_ns;
 /// How often it is looked whether the end has come.
 const LOOK: Duration = Duration::from_millis(50);
 
-#[path = "../../../paper-r2r/src/version.rs"]
-mod version;
-
 /// What of a request is no text, in CDR.
 const NUMBERS_BYTES: usize = 61;
 
 fn main() -> ExitCode {
     if std::env::args().nth(1).as_deref() == Some("version") {
-        println!("{}", version::version().unwrap_or_default());
+        println!("{}", rival_r2r::version().unwrap_or_default());
         return ExitCode::SUCCESS;
     }
     program("compare-r2r", |job| run(&job))

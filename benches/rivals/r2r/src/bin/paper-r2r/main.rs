@@ -5,7 +5,6 @@
 
 mod publisher;
 mod subscriber;
-mod version;
 
 use std::error::Error;
 use std::process::ExitCode;
@@ -26,7 +25,7 @@ fn main() -> ExitCode {
 
 fn run() -> Result<()> {
     if std::env::args().nth(1).as_deref() == Some("--version") {
-        println!("{}", version::version()?);
+        println!("{}", rival_r2r::version()?);
         return Ok(());
     }
     let mut arguments = std::env::args().skip(1);

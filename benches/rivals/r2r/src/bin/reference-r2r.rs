@@ -7,9 +7,6 @@
 //! callbacks of all 24 nodes are those of one. The middleware's threads inherit the priority of the thread that spins.
 //! The message's 4096 bytes are the data of a `std_msgs/msg/UInt8MultiArray`, read in place where r2r has put them.
 
-#[path = "../version.rs"]
-mod version;
-
 use std::error::Error;
 use std::ops::Deref;
 use std::pin::Pin;
@@ -57,7 +54,7 @@ fn main() -> ExitCode {
 fn start() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
-        ["--version"] => println!("{}", version::version()?),
+        ["--version"] => println!("{}", rival_r2r::version()?),
         ["--child", job] => {
             set_parent_process_death_signal(Some(Signal::KILL))?;
             println!("{}", serde_json::to_string(&run(&serde_json::from_str(job)?)?)?);

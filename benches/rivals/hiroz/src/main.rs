@@ -21,7 +21,7 @@ use zenoh_buffers::ZSlice;
 use zenoh_buffers::buffer::SplitBuffer;
 
 fn main() -> ExitCode {
-    program("compare-hiroz", |job| run(&job))
+    program("rival-hiroz", |job| run(&job))
 }
 
 fn run(job: &Job) -> Result<()> {
@@ -139,7 +139,7 @@ fn read(message: &ByteMultiArray) -> u64 {
     match Stamp::read(&message.data.0.contiguous(), true) {
         Ok(stamp) => stamp.number,
         Err(error) => {
-            eprintln!("compare-hiroz: {error}");
+            eprintln!("rival-hiroz: {error}");
             std::process::exit(1);
         }
     }

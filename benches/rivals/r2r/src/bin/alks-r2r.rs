@@ -5,9 +5,6 @@
 //! The threads are those of the paper's table: one that spins and runs all callbacks, at priority 10, with the middleware's threads at 20; in the
 //! ALKS node the timer has a thread of its own at 5, and in the adapter the callbacks do, at 10.
 
-#[path = "../version.rs"]
-mod version;
-
 use std::cell::RefCell;
 use std::error::Error;
 use std::process::ExitCode;
@@ -69,7 +66,7 @@ fn main() -> ExitCode {
 fn start() -> Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
-        ["--version"] => println!("{}", version::version()?),
+        ["--version"] => println!("{}", rival_r2r::version()?),
         ["--child", job] => {
             set_parent_process_death_signal(Some(Signal::KILL))?;
             run(&serde_json::from_str(job)?)?;
