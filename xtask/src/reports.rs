@@ -120,6 +120,7 @@ mod tests {
                 ("del(.topics[4])", "4 topics instead of 5"),
                 (".topics[1].n = 0", "nothing was measured"),
                 (".topics[1].lost = 1", "messages were lost"),
+                ("del(.topics[1].rta_overhead_ms)", "'rta_overhead_ms' is no bound"),
                 ("del(.topics)", "'topics' should be of type array"),
             ],
         );
