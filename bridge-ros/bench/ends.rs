@@ -280,7 +280,7 @@ fn subscribe_in_tautline(job: &Job) -> Result<()> {
             }
             let waker = waker(flag.clone());
             let mut context = std::task::Context::from_waker(&waker);
-            while let Poll::Ready(sample) = subscription.poll_take(&mut context) {
+            while let Poll::Ready(Some(sample)) = subscription.poll_take(&mut context) {
                 let stamp = sample.body().get(..8).and_then(|stamp| stamp.try_into().ok());
                 log.note(topic, u64::from_le_bytes(stamp.ok_or("a message without a stamp")?));
             }

@@ -136,7 +136,7 @@ pub(crate) trait Source {
 
     fn raw(&self) -> &RawSubscription;
     fn try_take_valid(&mut self) -> Result<Option<Self::Sample>, TakeError>;
-    fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Self::Sample>;
+    fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Option<Self::Sample>>;
     fn released_ns(sample: &Self::Sample) -> u64;
 }
 
@@ -151,7 +151,7 @@ impl<T: Decode> Source for tautline_transport::Subscription<T> {
         tautline_transport::Subscription::try_take_valid(self)
     }
 
-    fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Sample<T>> {
+    fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
         tautline_transport::Subscription::poll_take(self, context)
     }
 
@@ -243,23 +243,19 @@ impl<S: Source> Samples<S> {
         if poll.is_ready() || self.counters.lost() != self.noted_lost {
             self.note_queue();
         }
-        match poll {
-            Poll::Ready(sample) => {
-                self.job = Some(job::begin_for(self.trace.id(), S::released_ns(&sample)));
-                Poll::Ready(Some(sample))
-            }
-            // The waker is registered: whoever ends the node after this look wakes the task.
-            Poll::Pending if self.source.raw().has_ended() && !self.source.raw().has_samples() => {
-                Poll::Ready(None)
-            }
-            Poll::Pending => Poll::Pending,
+        if let Poll::Ready(Some(sample)) = &poll {
+            self.job = Some(job::begin_for(self.trace.id(), S::released_ns(sample)));
         }
+        poll
     }
 
     /// Looks without registering for a wake-up.
-    fn poll_busily(&mut self, context: &mut Context<'_>) -> Poll<S::Sample> {
+    fn poll_busily(&mut self, context: &mut Context<'_>) -> Poll<Option<S::Sample>> {
         if let Ok(Some(sample)) = self.source.try_take_valid() {
-            return Poll::Ready(sample);
+            return Poll::Ready(Some(sample));
+        }
+        if self.source.raw().has_ended() && !self.source.raw().has_samples() {
+            return Poll::Ready(None);
         }
         // For combinators that only poll what was woken.
         context.waker().wake_by_ref();

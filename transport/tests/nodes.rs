@@ -6,6 +6,8 @@ mod support;
 use futures::{FutureExt, StreamExt};
 use std::collections::HashSet;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 use support::{Count, Part, clean, domain, participants, say, wait_for, wait_for_the_end};
 use tautline_transport::{
@@ -439,4 +441,38 @@ fn a_stream_of_an_ended_node_gives_out_all_that_had_come() {
     assert!(sample.data);
     drop(sample);
     assert!(futures::executor::block_on(stream.next()).is_none());
+}
+
+#[test]
+fn a_stream_of_an_ended_node_does_not_wait_for_what_comes_after_a_look() {
+    const ROUNDS: usize = 300;
+    let participant = Participant::new(domain(110)).unwrap();
+    let (qos, limits) = (Qos::keep_last(4), Limits::default());
+    let publisher = participant.create_publisher::<Count>("/goes_on", qos, limits).unwrap();
+    let done = &AtomicBool::new(false);
+    let mut context = Context::from_waker(Waker::noop());
+    std::thread::scope(|scope| {
+        scope.spawn(move || {
+            while !done.load(Ordering::Relaxed) {
+                publisher.publish(&Count { n: 1 }).unwrap();
+                (0..100).for_each(|_| std::hint::spin_loop());
+            }
+        });
+        let waits = |_| {
+            let node = participant.create_node("ends", "/").unwrap();
+            let of_node = participant.for_node(&node);
+            let mut stream = of_node.create_subscription::<Count>("/goes_on", qos, limits).unwrap();
+            node.end();
+            // As if its thread was woken for the last time: no sampler drains the doorbell any more.
+            while let Poll::Ready(sample) = stream.poll_next_unpin(&mut context) {
+                if sample.is_none() {
+                    return false;
+                }
+            }
+            true
+        };
+        let waiting = (0..ROUNDS).map(waits).filter(|waits| *waits).count();
+        done.store(true, Ordering::Relaxed);
+        assert_eq!(waiting, 0, "of {ROUNDS} ended streams");
+    });
 }

@@ -202,7 +202,7 @@ fn a_take_looks_at_so_many_and_no_more_and_says_when_there_may_be_more() {
         assert!(subscription.poll_take(&mut context).is_pending());
         assert_eq!(times(), polls);
     }
-    assert!(matches!(subscription.poll_take(&mut context), Poll::Ready(sample) if sample.n == 77));
+    assert!(matches!(subscription.poll_take(&mut context), Poll::Ready(Some(sample)) if sample.n == 77));
     assert!(subscription.poll_take(&mut context).is_pending());
     assert_eq!((times(), counters.lost()), (2, 0), "nothing is behind it");
 

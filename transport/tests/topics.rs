@@ -547,7 +547,7 @@ fn a_backlog_is_taken_without_further_rings() {
     let publish = |n| publisher.publish(&Count { n }).unwrap();
     let mut context = std::task::Context::from_waker(std::task::Waker::noop());
     let mut take = || match subscription.poll_take(&mut context) {
-        std::task::Poll::Ready(sample) => Some(sample.n),
+        std::task::Poll::Ready(sample) => sample.map(|sample| sample.n),
         std::task::Poll::Pending => None,
     };
     assert_eq!(take(), None);

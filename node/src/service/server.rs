@@ -148,7 +148,7 @@ impl<T: ServiceCodec> Source for tautline_transport::Server<T> {
         self.try_take()
     }
 
-    fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Request<T>> {
+    fn poll_take(&mut self, context: &mut Context<'_>) -> Poll<Option<Request<T>>> {
         tautline_transport::Server::poll_take(self, context)
     }
 

@@ -241,7 +241,7 @@ impl TimeSource {
         let reading = self.shared.reading.lock();
         let subscription = reading.subscription.as_ref()?;
         let mut context = Context::from_waker(&reading.waker);
-        let Poll::Ready(sample) = subscription.poll_take(&mut context) else { return None };
+        let Poll::Ready(Some(sample)) = subscription.poll_take(&mut context) else { return None };
         let time = sample.to_owned().clock;
         let now_ns = i64::from(time.sec) * 1_000_000_000 + i64::from(time.nanosec);
         let before_ns = self.shared.now_ns.swap(now_ns, Ordering::Relaxed);

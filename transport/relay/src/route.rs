@@ -185,8 +185,8 @@ impl<O: Egress> Route<O> {
         let mut context = Context::from_waker(&waker);
         for _ in 0..TURN {
             match self.subscription.poll_take(&mut context) {
-                Poll::Ready(sample) => self.pass(sample, sources, egress),
-                Poll::Pending => return false,
+                Poll::Ready(Some(sample)) => self.pass(sample, sources, egress),
+                Poll::Ready(None) | Poll::Pending => return false,
             }
         }
         self.flag.set();

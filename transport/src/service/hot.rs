@@ -104,7 +104,7 @@ impl ClientState {
         let mut context = Context::from_waker(&self.waker);
         for _ in 0..COLLECTED_AT_ONCE {
             let mut budget = PollBudget::new();
-            let Poll::Ready(response) = responses.poll_within(&mut context, &mut budget) else {
+            let Poll::Ready(Some(response)) = responses.poll_within(&mut context, &mut budget) else {
                 // Else there may be more, also of servers that went, and the waker is called for it.
                 if !budget.is_spent()
                     && let Some((gone, alive)) = servers.take_change()
@@ -222,7 +222,7 @@ impl RawServer {
     ///
     /// # Real-time
     /// As [`try_take`](Self::try_take).
-    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<RawSample> {
+    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Option<RawSample>> {
         self.requests.poll_take(context)
     }
 

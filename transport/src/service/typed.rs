@@ -302,9 +302,9 @@ impl<S: ServiceCodec> Server<S> {
     ///
     /// # Real-time
     /// As [`try_take`](Self::try_take).
-    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Request<S>> {
+    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Option<Request<S>>> {
         let taken = poll_take(self.requests(), &self.request, context, |invalid| self.refuse(invalid));
-        taken.map(|message| Request { message })
+        taken.map(|message| message.map(|message| Request { message }))
     }
 
     /// If there is no memory to say so its client waits on.

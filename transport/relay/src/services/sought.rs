@@ -183,7 +183,7 @@ impl<C: FarClient> Sought<C> {
 
     fn take(&mut self, context: &mut Context<'_>) -> Option<RawSample> {
         match self.server.as_ref()?.poll_take(context) {
-            Poll::Ready(request) => Some(request),
+            Poll::Ready(request) => request,
             Poll::Pending => None,
         }
     }

@@ -268,25 +268,33 @@ impl RawSubscription {
         }
     }
 
-    /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
+    /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it. `None`: its node, if it has one, had
+    /// ended before the look, and all that had come was given out.
     ///
     /// # Real-time
     /// As [`try_take_valid`](Self::try_take_valid), but the task is woken itself: after 16 samples that are passed over other tasks
     /// of the thread have a turn.
-    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<RawSample> {
+    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Option<RawSample>> {
         self.poll_within(context, &mut PollBudget::new())
     }
 
     /// As [`poll_take`](Self::poll_take). Pending with the budget spent: there may be more, and the task is woken for it.
-    pub(crate) fn poll_within(&self, context: &mut Context<'_>, budget: &mut PollBudget) -> Poll<RawSample> {
+    pub(crate) fn poll_within(
+        &self,
+        context: &mut Context<'_>,
+        budget: &mut PollBudget,
+    ) -> Poll<Option<RawSample>> {
         self.slot().waker().register(context.waker());
+        // Between the two: whoever ends the node later wakes the task, and for what comes later to one that has ended nobody may.
+        let has_ended = self.has_ended();
         while !budget.is_spent() {
             match self.take(budget) {
                 Ok(Some(sample)) => {
                     self.note_taken();
-                    return Poll::Ready(sample);
+                    return Poll::Ready(Some(sample));
                 }
                 Ok(None) if budget.is_spent() => break,
+                Ok(None) if has_ended => return Poll::Ready(None),
                 Ok(None) => return Poll::Pending,
                 Err(TakeError::Invalid(_)) => {}
                 // Not rung for, so that it may drain on: the shelf wakes.
@@ -363,11 +371,7 @@ impl Stream for RawSubscription {
     /// # Real-time
     /// As [`RawSubscription::try_take`]. Ends with its node, if it has one.
     fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<RawSample>> {
-        match self.poll_take(context) {
-            // After the waker was registered: whoever ends the node after this look wakes the task.
-            Poll::Pending if self.has_ended() && !self.has_samples() => Poll::Ready(None),
-            poll => poll.map(Some),
-        }
+        self.poll_take(context)
     }
 }
 

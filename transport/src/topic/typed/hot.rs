@@ -408,7 +408,7 @@ impl<T: Decode> Subscription<T> {
     /// # Real-time
     /// As [`try_take_valid`](Self::try_take_valid), but the task is woken itself: after 16 samples that are passed over other tasks
     /// of the thread have a turn.
-    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Sample<T>> {
+    pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
         poll_take(&self.raw, &self.definition, context, |_| ())
     }
 }
@@ -437,16 +437,16 @@ pub(crate) fn poll_take<T: Decode>(
     definition: &T::Definition,
     context: &mut Context<'_>,
     invalid: impl Fn(MessageInfo),
-) -> Poll<Sample<T>> {
+) -> Poll<Option<Sample<T>>> {
     let mut budget = PollBudget::new();
-    while let Poll::Ready(taken) = raw.poll_within(context, &mut budget) {
+    while let Some(taken) = std::task::ready!(raw.poll_within(context, &mut budget)) {
         let info = taken.info();
         match check(raw, definition, taken) {
-            Ok(sample) => return Poll::Ready(sample),
+            Ok(sample) => return Poll::Ready(Some(sample)),
             Err(_) => invalid(info),
         }
     }
-    Poll::Pending
+    Poll::Ready(None)
 }
 
 fn check<T: Decode>(
@@ -467,10 +467,6 @@ impl<T: Decode> Stream for Subscription<T> {
     /// # Real-time
     /// As [`Subscription::try_take`]. Ends with its node, if it has one.
     fn poll_next(self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
-        match self.poll_take(context) {
-            // After the waker was registered: whoever ends the node after this look wakes the task.
-            Poll::Pending if self.raw().has_ended() && !self.raw().has_samples() => Poll::Ready(None),
-            poll => poll.map(Some),
-        }
+        (*self).poll_take(context)
     }
 }
