@@ -47,6 +47,7 @@ mod noise;
 mod policy;
 mod sync;
 mod thread;
+mod thread_time;
 mod words;
 
 pub mod clock;
@@ -73,4 +74,5 @@ pub use policy::{Policy, current_policy, policy_of, set_policy, set_policy_of};
 pub use thread::{
     JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads, threads_of,
 };
+pub use thread_time::ThreadTime;
 pub use words::{ForeignMap, ForeignWords, Words, WordsFile, page_words};

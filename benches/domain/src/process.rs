@@ -3,6 +3,7 @@
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use tautline_rt::ThreadTime;
 use tautline_rt::clock::monotonic_ns;
 
 pub use tautline_benches::Process;
@@ -10,11 +11,8 @@ pub use tautline_benches::Process;
 /// Exact CPU time of a process, from its threads; the clock ticks of `/proc/PID/stat` round it down.
 pub fn cpu_ns(pid: u32) -> u64 {
     let tasks = fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
-    let of_task = |path: PathBuf| {
-        let text = fs::read_to_string(path.join("schedstat")).unwrap_or_default();
-        text.split(' ').next().and_then(|ns| ns.parse::<u64>().ok()).unwrap_or(0)
-    };
-    tasks.map(|task| of_task(task.path())).sum()
+    let tids = tasks.filter_map(|task| task.file_name().to_str()?.parse().ok());
+    tids.filter_map(ThreadTime::of).map(|time| time.used_ns).sum()
 }
 
 /// CPU time of all these processes over this time, as a percentage of one core.

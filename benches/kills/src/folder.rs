@@ -5,7 +5,6 @@ use crate::Result;
 use crate::place::entries;
 use crate::process::lock;
 use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
 use std::fs::File;
 use std::mem::MaybeUninit;
 use std::os::unix::fs::{FileExt, MetadataExt};
@@ -16,6 +15,7 @@ use std::time::{Duration, Instant};
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::inotify::{self, CreateFlags, ReadFlags, WatchFlags};
+use tautline_rt::ThreadTime;
 use tautline_rt::domain::shared_path;
 use tautline_rt::host::steal_ticks;
 
@@ -116,10 +116,8 @@ pub fn stolen() -> Duration {
 }
 
 /// For how long a thread was ready to run, and others ran.
-pub fn waited(pid: u32, tid: u32) -> Duration {
-    let text = std::fs::read_to_string(format!("/proc/{pid}/task/{tid}/schedstat")).unwrap_or_default();
-    let waited_ns = text.split(' ').nth(1).and_then(|number| number.parse().ok());
-    Duration::from_nanos(waited_ns.unwrap_or(0))
+pub fn waited(tid: u32) -> Duration {
+    Duration::from_nanos(ThreadTime::of(tid).unwrap_or_default().waited_ns)
 }
 
 /// Time in which a burial, and this program's notice of it, did not get a core, up to some moment.
@@ -137,10 +135,9 @@ impl Delays {
         let waited_by = |pid| {
             let threads = tautline_rt::threads_of(pid).unwrap_or_default();
             let warden = threads.iter().find(|thread| thread.name == "warden");
-            (pid, warden.map_or(Duration::ZERO, |thread| waited(pid, thread.tid)))
+            (pid, warden.map_or(Duration::ZERO, |thread| waited(thread.tid)))
         };
-        let watch = waited(std::process::id(), watch);
-        Delays { stolen: stolen(), warden: warden(domain).map(waited_by), watch }
+        Delays { stolen: stolen(), warden: warden(domain).map(waited_by), watch: waited(watch) }
     }
 
     /// Since an earlier moment. Whoever has become the warden since then may have waited before, too.
@@ -220,9 +217,10 @@ impl Watch {
         let since = now();
         let mut state = lock(&self.state);
         for path in of_dead(self.domain, pid) {
-            match state.dead.entry(path) {
-                Entry::Occupied(mut entry) if own.contains(entry.key()) => drop(entry.insert(since)),
-                entry => drop(entry.or_insert(since)),
+            if own.contains(&path) {
+                state.dead.insert(path, since);
+            } else {
+                state.dead.entry(path).or_insert(since);
             }
         }
         Ok(())
@@ -270,10 +268,8 @@ impl State {
         self.stay.files += 1;
         self.stay.worst = self.stay.worst.max(stayed);
         if stayed > limit {
-            let own = stayed.saturating_sub(delays().since(&before));
-            if own > limit {
-                self.stay.late.push((path.to_owned(), own));
-            }
+            let had_core = stayed.saturating_sub(delays().since(&before));
+            self.stay.late.extend((had_core > limit).then(|| (path.to_owned(), had_core)));
         }
     }
 }

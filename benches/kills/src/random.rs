@@ -343,7 +343,8 @@ type Looking = JoinHandle<Result<(Process, Option<Hundred>)>>;
 
 fn look(mut inspector: Process, kills: usize, has_survivors: bool) -> Result<(Process, Option<Hundred>)> {
     let pid = inspector.id();
-    let delays = || folder::stolen() + folder::waited(pid, pid);
+    // Its first thread does all of it.
+    let delays = || folder::stolen() + folder::waited(pid);
     let before = delays();
     let (graph, met) = (inspector.ask("graph")?, inspector.ask("meet")?);
     let delay = delays().saturating_sub(before);

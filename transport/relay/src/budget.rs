@@ -7,11 +7,10 @@
 //! a SCHED_OTHER thread may use little only because it gets little. So a callback loses at most the budget of one window plus the
 //! time until the next check, once per flood; recurring floods cause this ever more rarely.
 
-use std::fs;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
-use tautline_rt::{JoinHandle, Policy, Realtime, RtError, ThreadBuilder};
+use tautline_rt::{JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadTime};
 
 /// Processor time that the threads of a gateway or bridge may use at real-time priority.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,36 +42,11 @@ enum Verdict {
     Promote,
 }
 
-/// Processor time of threads since their start, in nanoseconds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-struct Spent {
-    used_ns: u64,
-    /// Runnable, but waiting for a processor.
-    waited_ns: u64,
-}
-
-impl Spent {
-    /// Sums may wrap below zero in between: see [`BudgetedThreads::renew`].
-    fn plus(self, other: Spent) -> Spent {
-        Spent {
-            used_ns: self.used_ns.wrapping_add(other.used_ns),
-            waited_ns: self.waited_ns.wrapping_add(other.waited_ns),
-        }
-    }
-
-    fn minus(self, other: Spent) -> Spent {
-        Spent {
-            used_ns: self.used_ns.wrapping_sub(other.used_ns),
-            waited_ns: self.waited_ns.wrapping_sub(other.waited_ns),
-        }
-    }
-}
-
 /// Decides from the sums only.
 struct Meter {
     budget_ns: u64,
     looks: u32,
-    at_start: Spent,
+    at_start: ThreadTime,
     is_demoted: bool,
     /// Windows since the priority was restored.
     since_promotion: u32,
@@ -82,7 +56,7 @@ struct Meter {
 }
 
 impl Meter {
-    fn new(budget: Budget, spent: Spent) -> Self {
+    fn new(budget: Budget, spent: ThreadTime) -> Self {
         let budget_ns = WINDOW.as_nanos() as u64 * u64::from(budget.percent) / 100;
         let (calm, asked) = (0, CALM_WINDOWS);
         Meter {
@@ -97,9 +71,9 @@ impl Meter {
     }
 
     /// `spent` is the total since start.
-    fn look(&mut self, spent: Spent) -> Verdict {
+    fn look(&mut self, spent: ThreadTime) -> Verdict {
         self.looks += 1;
-        let Spent { used_ns, waited_ns } = spent.minus(self.at_start);
+        let ThreadTime { used_ns, waited_ns } = spent.minus(self.at_start);
         let is_end = self.looks >= LOOKS_PER_WINDOW;
         let is_over = match self.is_demoted {
             false => used_ns > self.budget_ns,
@@ -183,7 +157,7 @@ impl Drop for Guard {
 pub type ThreadLister = Box<dyn Fn() -> Result<Vec<(u32, Policy)>, RtError> + Send>;
 
 fn watch(budget: Budget, list: ThreadLister, stop: &AtomicBool, demotions: &AtomicU64) {
-    let mut threads = BudgetedThreads { list, threads: Vec::new(), ended: Spent::default() };
+    let mut threads = BudgetedThreads { list, threads: Vec::new(), ended: ThreadTime::default() };
     threads.renew();
     let mut meter = Meter::new(budget, threads.spent());
     let mut looks = 0u32;
@@ -208,8 +182,9 @@ fn watch(budget: Budget, list: ThreadLister, stop: &AtomicBool, demotions: &Atom
 /// The watched threads, and the time of those that have ended.
 struct BudgetedThreads {
     list: ThreadLister,
-    threads: Vec<(u32, Policy, Spent)>,
-    ended: Spent,
+    threads: Vec<(u32, Policy, ThreadTime)>,
+    /// May be below zero: see [`renew`](Self::renew).
+    ended: ThreadTime,
 }
 
 impl BudgetedThreads {
@@ -222,7 +197,7 @@ impl BudgetedThreads {
         }
         let mut threads = Vec::new();
         for (tid, policy) in now {
-            let spent = spent_by(tid);
+            let spent = ThreadTime::of(tid);
             let known = self.threads.iter().find(|(known, ..)| *known == tid).map(|(.., spent)| *spent);
             if known.is_none() {
                 // Keeps the sum unchanged: its earlier time is subtracted from the ended threads'.
@@ -233,9 +208,9 @@ impl BudgetedThreads {
         self.threads = threads;
     }
 
-    fn spent(&mut self) -> Spent {
+    fn spent(&mut self) -> ThreadTime {
         for (tid, _, spent) in &mut self.threads {
-            *spent = spent_by(*tid).unwrap_or(*spent);
+            *spent = ThreadTime::of(*tid).unwrap_or(*spent);
         }
         self.threads.iter().fold(self.ended, |sum, (.., spent)| sum.plus(*spent))
     }
@@ -253,13 +228,6 @@ impl BudgetedThreads {
     }
 }
 
-/// Reads the time of a thread of this process.
-fn spent_by(tid: u32) -> Option<Spent> {
-    let text = fs::read_to_string(format!("/proc/self/task/{tid}/schedstat")).ok()?;
-    let mut numbers = text.split(' ').map_while(|number| number.parse().ok());
-    Some(Spent { used_ns: numbers.next()?, waited_ns: numbers.next()? })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -267,11 +235,11 @@ mod tests {
     const LOOK_NS: u64 = 5_000_000;
 
     /// A meter and the time spent so far.
-    struct Trial(Meter, Spent);
+    struct Trial(Meter, ThreadTime);
 
     impl Trial {
         fn new() -> Self {
-            let start = Spent { used_ns: 7, waited_ns: 9 };
+            let start = ThreadTime { used_ns: 7, waited_ns: 9 };
             Trial(Meter::new(Budget { percent: 25 }, start), start)
         }
 
@@ -280,7 +248,7 @@ mod tests {
             let mut verdicts = Vec::new();
             for look in 0..count {
                 let share = |percent: u64| LOOK_NS * percent / 100;
-                self.1 = self.1.plus(Spent { used_ns: share(used), waited_ns: share(waited) });
+                self.1 = self.1.plus(ThreadTime { used_ns: share(used), waited_ns: share(waited) });
                 verdicts.push((look, self.0.look(self.1)));
             }
             verdicts.retain(|(_, verdict)| *verdict != Verdict::Keep);
@@ -322,16 +290,5 @@ mod tests {
         trial.looks(MOST_CALM_WINDOWS * LOOKS_PER_WINDOW, 10, 0);
         trial.looks(3, 100, 0);
         assert_eq!(trial.0.asked, CALM_WINDOWS, "forgotten");
-    }
-
-    #[test]
-    fn time_of_threads_is_read() {
-        let tid = tautline_rt::current_tid();
-        let before = spent_by(tid).unwrap().used_ns;
-        let mut n = 0u64;
-        while spent_by(tid).unwrap().used_ns < before + 2_000_000 {
-            n = n.wrapping_add(1);
-        }
-        assert_eq!(spent_by(u32::MAX), None);
     }
 }

@@ -6,7 +6,6 @@
 //! ALKS node the timer has a thread of its own at 5, and in the adapter the callbacks do, at 10.
 
 use std::cell::RefCell;
-use std::error::Error;
 use std::process::ExitCode;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -21,7 +20,7 @@ use r2r::nav_msgs::msg::Odometry;
 use r2r::std_msgs::msg::{Float64, Float64MultiArray, UInt32};
 use r2r::visualization_msgs::msg::MarkerArray;
 use r2r::{Context, Node, Publisher, QosProfile, Timer, WrappedTypesupport, sensor_msgs};
-use rustix::process::{Signal, set_parent_process_death_signal};
+use rival_r2r::{Result, program};
 use tautline_alks::control::Controller;
 use tautline_alks::drive::Logbook;
 use tautline_alks::inputs::Inputs;
@@ -41,8 +40,6 @@ mod ros {
     tautline_alks::messages!(r2r);
 }
 
-type Result<T> = std::result::Result<T, Box<dyn Error>>;
-
 /// The paper's priorities.
 const MIDDLEWARE: u8 = 20;
 const CALLBACKS: u8 = 10;
@@ -54,26 +51,7 @@ const PERIOD: Duration = Duration::from_millis(20);
 const LEAD: Duration = Duration::from_secs(2);
 
 fn main() -> ExitCode {
-    match start() {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("alks-r2r: {error}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-fn start() -> Result<()> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
-        ["--version"] => println!("{}", rival_r2r::version()?),
-        ["--child", job] => {
-            set_parent_process_death_signal(Some(Signal::KILL))?;
-            run(&serde_json::from_str(job)?)?;
-        }
-        _ => return Err("to be started by `cargo xtask bench alks`".into()),
-    }
-    Ok(())
+    program("alks", run)
 }
 
 fn run(job: &Job) -> Result<()> {

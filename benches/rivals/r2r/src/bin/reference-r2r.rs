@@ -7,7 +7,6 @@
 //! callbacks of all 24 nodes are those of one. The middleware's threads inherit the priority of the thread that spins.
 //! The message's 4096 bytes are the data of a `std_msgs/msg/UInt8MultiArray`, read in place where r2r has put them.
 
-use std::error::Error;
 use std::ops::Deref;
 use std::pin::Pin;
 use std::process::ExitCode;
@@ -23,7 +22,7 @@ use futures::task::LocalSpawnExt;
 use futures::{FutureExt, Stream, StreamExt};
 use r2r::std_msgs::msg::UInt8MultiArray;
 use r2r::{Context, Node, Publisher, QosProfile};
-use rustix::process::{Signal, set_parent_process_death_signal};
+use rival_r2r::{Result, program};
 use tautline_msgs::{from_bytes, write_cdr};
 use tautline_reference::graph::{CALLBACKS, Callback, Trigger};
 use tautline_reference::{
@@ -34,34 +33,13 @@ use tautline_rt::{
     CoreSet, MemoryLock, Policy, Realtime, ThreadBuilder, lock_memory, set_policy, tune_malloc,
 };
 
-type Result<T> = std::result::Result<T, Box<dyn Error>>;
-
 /// Of the thread that spins: above all callbacks, and as Tautline's sampler.
 const PRIORITY: u8 = 90;
 /// How often it is looked whether the end has come.
 const LOOK: Duration = Duration::from_millis(100);
 
 fn main() -> ExitCode {
-    match start() {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("reference-r2r: {error}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-fn start() -> Result<()> {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    match arguments.iter().map(String::as_str).collect::<Vec<_>>()[..] {
-        ["--version"] => println!("{}", rival_r2r::version()?),
-        ["--child", job] => {
-            set_parent_process_death_signal(Some(Signal::KILL))?;
-            println!("{}", serde_json::to_string(&run(&serde_json::from_str(job)?)?)?);
-        }
-        _ => return Err("to be started by `cargo xtask bench reference-system`".into()),
-    }
-    Ok(())
+    program("reference-system", |job| Ok(println!("{}", serde_json::to_string(&run(job)?)?)))
 }
 
 fn run(job: &Job) -> Result<Kpis> {

@@ -14,7 +14,7 @@ use tautline_rt::{Policy, clock, set_policy};
 use tokio::io::unix::AsyncFd;
 use tokio::runtime::Builder;
 
-use crate::Result;
+use rival_r2r::Result;
 
 /// Time between set-up and the first release, which all topics have in common: the critical instant.
 const LEAD: Duration = Duration::from_millis(200);

@@ -10,7 +10,7 @@ use r2r::std_msgs::msg::UInt64;
 use r2r::{Context, Node, QosProfile};
 use tautline_paper::{Job, Sampler, Subscriber, callback, structures};
 
-use crate::Result;
+use rival_r2r::Result;
 
 pub fn run(job: &Job) -> Result<()> {
     let mut subscriber = Subscriber::new(job)?;
