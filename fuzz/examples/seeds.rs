@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Writes the corpus anew, a few inputs for each target from which libFuzzer starts:
-//! `cargo run --example seeds`, in this folder.
+//! `cargo run -p tautline-fuzz --example seeds`.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};

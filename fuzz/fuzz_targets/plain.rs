@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
+//! [`fuzz::plain`], for libFuzzer.
 #![no_main]
 
 #[global_allocator]

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Runs the targets of `fuzz/`: inputs made up by libFuzzer, under the address sanitizer.
 
+use crate::build::{Build, SAME};
 use crate::machine;
-use crate::steps::{self, Outcome, Steps, announce, cargo, execute};
+use crate::steps::{Outcome, Steps, announce, cargo_with, execute};
 use std::fs;
 use std::io::{BufRead, BufReader};
-use std::path::PathBuf;
 use std::process::{Command, ExitCode, Stdio};
 use std::time::Instant;
 
@@ -16,7 +16,11 @@ pub const TARGETS: [&str; 10] =
 /// Of every run in CI.
 pub const RUNS_IN_CI: u64 = 10_000;
 
-const CARGO_FUZZ: &str = "0.13.2";
+/// What libFuzzer and the address sanitizer ask of the compiler: counters of each edge and what is compared.
+const INSTRUMENTED: &str = "--cfg fuzzing -Zsanitizer=address -Cpasses=sancov-module \
+    -Cllvm-args=-sanitizer-coverage-level=4 -Cllvm-args=-sanitizer-coverage-inline-8bit-counters \
+    -Cllvm-args=-sanitizer-coverage-pc-table -Cllvm-args=-sanitizer-coverage-trace-compares \
+    -Cllvm-args=-simplifycfg-branch-fold-threshold=0";
 
 /// Runs these targets, all if none is named, as steps.
 pub fn run(runs: u64, targets: &[String]) -> ExitCode {
@@ -31,13 +35,8 @@ pub fn run(runs: u64, targets: &[String]) -> ExitCode {
 
 /// As [`run`], among other steps.
 pub fn all(steps: &mut Steps, runs: u64, targets: &[&str]) {
-    let built = steps.step("fuzz: build", || match cargo_fuzz() {
-        Ok(program) => match command(&program, "build") {
-            Ok(mut command) => execute(&mut command),
-            Err(reason) => Outcome::Failed(reason),
-        },
-        Err(outcome) => outcome.unless_ci(),
-    });
+    let built =
+        steps.step("fuzz: build", || build().map_or_else(Outcome::Failed, |mut build| execute(&mut build)));
     for target in targets {
         let name = format!("fuzz: {target}");
         if built {
@@ -48,23 +47,44 @@ pub fn all(steps: &mut Steps, runs: u64, targets: &[&str]) {
     }
 }
 
+/// Builds all targets. Tautline's crates are instrumented, the others are those of the tests: libFuzzer looks for new code in ours, and what others
+/// allocate has guards, too. The options are unstable: the compiler is told to take them, but not cargo, which would build anew what looks at that
+/// variable.
+fn build() -> Result<Command, String> {
+    // Macros are loaded by the compiler, which has no sanitizer; build scripts are programs of their own.
+    let line = format!(
+        "case \" $* \" in *\" proc-macro \"*) exec \"$@\" ;; esac\nRUSTC_BOOTSTRAP=1 exec \"$@\" {INSTRUMENTED}"
+    );
+    let rustc = machine::script("rustc-instrumented", &line)?;
+    let wrapper = ["--config".to_owned(), format!("build.rustc-workspace-wrapper='{}'", rustc.display())];
+    let mut command = cargo_with(
+        &format!("build -p tautline-fuzz {SAME} --features tautline-fuzz/fuzzing --bins"),
+        wrapper,
+    );
+    // What runs at build time may leave memory to the system when it ends.
+    command.env("ASAN_OPTIONS", "detect_leaks=0");
+    // Of these, no target runs enough to be worth optimising it.
+    for package in ["tautline-doorbell", "tautline-rt", "tautline-trace", "tautline-transport"] {
+        command.args(["--config", &format!("profile.dev.package.{package}.opt-level=0")]);
+    }
+    Ok(command)
+}
+
 /// One target, until it fails or has seen so many inputs. What it finds goes to `fuzz/artifacts`, inputs that reach new
 /// code to the target directory; it starts from these and from `fuzz/corpus`.
 fn fuzz(target: &str, runs: u64) -> Outcome {
-    let program = match cargo_fuzz() {
-        Ok(program) => program,
-        Err(outcome) => return outcome,
-    };
     let found = machine::target_dir().join("fuzz/corpus").join(target);
     if let Err(error) = fs::create_dir_all(&found) {
         return Outcome::Failed(format!("cannot create {}: {error}", found.display()));
     }
-    let mut command = match command(&program, "run") {
-        Ok(command) => command,
-        Err(reason) => return Outcome::Failed(reason),
-    };
-    command.arg(target).arg(found).arg(machine::root().join("fuzz/corpus").join(target));
-    command.args(["--", "-timeout=20", "-print_final_stats=1"]).arg(format!("-runs={runs}"));
+    let artifacts = machine::root().join("fuzz/artifacts").join(target);
+    if let Err(error) = fs::create_dir_all(&artifacts) {
+        return Outcome::Failed(format!("cannot create {}: {error}", artifacts.display()));
+    }
+    let mut command = Command::new(Build::Tests.folder().join(format!("fuzz-{target}")));
+    command.arg(found).arg(machine::root().join("fuzz/corpus").join(target));
+    command.args(["-timeout=20", "-print_final_stats=1"]).arg(format!("-runs={runs}"));
+    command.arg(format!("-artifact_prefix={}/", artifacts.display()));
     announce(&command);
     let start = Instant::now();
     let mut child = match command.stderr(Stdio::piped()).spawn() {
@@ -101,38 +121,5 @@ fn fuzz(target: &str, runs: u64) -> Outcome {
         }
         (Ok(status), None) => Outcome::Failed(format!("{status}, with no word of how many executions")),
         (Err(error), _) => Outcome::Failed(error.to_string()),
-    }
-}
-
-/// cargo-fuzz with one of its verbs. It asks for options that stable compilers have, too, but keep for nightly ones: the compiler is told to take
-/// them where it has them, and not cargo, which would build anew what looks at that variable. Macros and build scripts, whose build scripts look for
-/// what the compiler can, are then those of the workspace.
-fn command(program: &PathBuf, verb: &str) -> Result<Command, String> {
-    let rustc = machine::script(
-        "rustc-fuzz",
-        "case \"$*\" in *-Zsanitizer*) export RUSTC_BOOTSTRAP=1 ;; esac\nexec \"$@\"",
-    )?;
-    let mut command = Command::new(program);
-    command.env("RUSTC_WRAPPER", rustc).envs(steps::variables()).current_dir(machine::root());
-    // What the sanitizer says has lines.
-    command.env("CARGO_PROFILE_DEV_STRIP", "none");
-    // One codegen unit, the default of its release builds, keeps only one core busy.
-    command.args([verb, "--dev", "--fuzz-dir", "fuzz", "--codegen-units", "4", "--target-dir"]);
-    command.arg(machine::target_dir());
-    Ok(command)
-}
-
-/// The program, installed under the target directory if it is not there.
-fn cargo_fuzz() -> Result<PathBuf, Outcome> {
-    let root = machine::target_dir().join("tools");
-    let program = root.join("bin/cargo-fuzz");
-    let version = Command::new(&program).arg("--version").output();
-    if version.is_ok_and(|output| String::from_utf8_lossy(&output.stdout).trim().ends_with(CARGO_FUZZ)) {
-        return Ok(program);
-    }
-    let mut install = cargo("install --debug cargo-fuzz --locked --version");
-    match execute(install.arg(CARGO_FUZZ).arg("--root").arg(root)) {
-        Outcome::Ok => Ok(program),
-        other => Err(other),
     }
 }

@@ -52,6 +52,16 @@ pub fn realtime_permitted() -> bool {
     capable || limit == "unlimited" || limit.parse().is_ok_and(|limit: u8| limit >= 98)
 }
 
+/// Seconds of a core that this process's children have used, with theirs, once they have ended.
+pub fn used_by_children() -> f64 {
+    /// Of a second: Linux tells programs of all processors' time in this unit.
+    const TICKS: f64 = 100.0;
+    let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    // cutime and cstime are its 16th and 17th field; the second may hold spaces, and ends with a bracket.
+    let fields = stat.rsplit(')').next().unwrap_or_default().split_whitespace().skip(13).take(2);
+    fields.filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / TICKS
+}
+
 /// What a program is told where real-time priorities are not permitted; in CI they must be.
 pub fn no_rt() -> Option<&'static str> {
     (!is_ci() && !realtime_permitted()).then_some("--no-rt")

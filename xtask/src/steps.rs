@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Commands that are printed before they run, timed, and counted at the end.
 
+use crate::machine;
 use std::process::{Command, ExitCode, ExitStatus};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
@@ -16,7 +17,7 @@ impl Outcome {
     /// Of what needs a network or a program that not every machine has: where CI is not set, that it failed is a reason to go without.
     pub fn unless_ci(self) -> Outcome {
         match self {
-            Outcome::Failed(reason) if !crate::machine::is_ci() => Outcome::Skipped(reason),
+            Outcome::Failed(reason) if !machine::is_ci() => Outcome::Skipped(reason),
             other => other,
         }
     }
@@ -39,10 +40,19 @@ impl From<Result<(), String>> for Outcome {
     }
 }
 
+/// A step that has ended.
+struct Done {
+    name: String,
+    outcome: Outcome,
+    took: Duration,
+    /// How many cores its processes used, on average: one that waits can run beside another.
+    cores: f64,
+}
+
 /// The steps of a task. One that fails does not stop those after it.
 pub struct Steps {
     start: Instant,
-    done: Vec<(String, Outcome, Duration)>,
+    done: Vec<Done>,
 }
 
 impl Steps {
@@ -60,12 +70,13 @@ impl Steps {
         if !is_chosen(name, only()) {
             return true;
         }
-        let start = Instant::now();
+        let (start, used) = (Instant::now(), machine::used_by_children());
         let outcome = run();
-        let time = start.elapsed();
+        let took = start.elapsed();
+        let cores = (machine::used_by_children() - used) / took.as_secs_f64().max(0.01);
         let succeeded = matches!(outcome, Outcome::Ok);
-        println!("{name}: {}, {:.1} s", text(&outcome), time.as_secs_f64());
-        self.done.push((name.to_owned(), outcome, time));
+        println!("{name}: {}, {:.1} s", text(&outcome), took.as_secs_f64());
+        self.done.push(Done { name: name.to_owned(), outcome, took, cores });
         succeeded
     }
 
@@ -77,19 +88,19 @@ impl Steps {
     /// Prints the table and, as the last line, the counts.
     pub fn finish(mut self) -> ExitCode {
         for begin in only() {
-            if !self.done.iter().any(|(name, ..)| name.starts_with(begin)) {
+            if !self.done.iter().any(|done| done.name.starts_with(begin)) {
                 let reason = "no step's name begins so: a run without --only prints them all";
-                self.done.push((begin.clone(), Outcome::Failed(reason.to_owned()), Duration::ZERO));
+                let outcome = Outcome::Failed(reason.to_owned());
+                self.done.push(Done { name: begin.clone(), outcome, took: Duration::ZERO, cores: 0.0 });
             }
         }
-        let width = self.done.iter().map(|(name, ..)| name.len()).max().unwrap_or(0);
-        println!("\n{:<width$}  seconds", "step");
-        for (name, outcome, time) in &self.done {
-            println!("{name:<width$}  {:7.1}  {}", time.as_secs_f64(), text(outcome));
+        let width = self.done.iter().map(|done| done.name.len()).max().unwrap_or(0);
+        println!("\n{:<width$}  seconds  cores", "step");
+        for Done { name, outcome, took, cores } in &self.done {
+            println!("{name:<width$}  {:7.1}  {cores:5.1}  {}", took.as_secs_f64(), text(outcome));
         }
         println!("{:<width$}  {:7.1}\n", "all", self.start.elapsed().as_secs_f64());
-        let count =
-            |kind: fn(&Outcome) -> bool| self.done.iter().filter(|(_, outcome, _)| kind(outcome)).count();
+        let count = |kind: fn(&Outcome) -> bool| self.done.iter().filter(|done| kind(&done.outcome)).count();
         let failed = count(|outcome| matches!(outcome, Outcome::Failed(_)));
         let passed = count(|outcome| matches!(outcome, Outcome::Ok));
         let skipped = count(|outcome| matches!(outcome, Outcome::Skipped(_)));
