@@ -3,7 +3,7 @@
 
 use crate::build::{Build, SAME};
 use crate::machine;
-use crate::steps::{Outcome, Steps, announce, cargo_with, execute};
+use crate::steps::{Outcome, Steps, announce, cargo, execute};
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::process::{Command, ExitCode, Stdio};
@@ -56,11 +56,9 @@ fn build() -> Result<Command, String> {
         "case \" $* \" in *\" proc-macro \"*) exec \"$@\" ;; esac\nRUSTC_BOOTSTRAP=1 exec \"$@\" {INSTRUMENTED}"
     );
     let rustc = machine::script("rustc-instrumented", &line)?;
-    let wrapper = ["--config".to_owned(), format!("build.rustc-workspace-wrapper='{}'", rustc.display())];
-    let mut command = cargo_with(
-        &format!("build -p tautline-fuzz {SAME} --features tautline-fuzz/fuzzing --bins"),
-        wrapper,
-    );
+    let mut command =
+        cargo(&format!("build -p tautline-fuzz {SAME} --features tautline-fuzz/fuzzing --bins"));
+    command.env("RUSTC_WORKSPACE_WRAPPER", rustc);
     // What runs at build time may leave memory to the system when it ends.
     command.env("ASAN_OPTIONS", "detect_leaks=0");
     // Of these, no target runs enough to be worth optimising it.
@@ -74,12 +72,11 @@ fn build() -> Result<Command, String> {
 /// code to the target directory; it starts from these and from `fuzz/corpus`.
 fn fuzz(target: &str, runs: u64) -> Outcome {
     let found = machine::target_dir().join("fuzz/corpus").join(target);
-    if let Err(error) = fs::create_dir_all(&found) {
-        return Outcome::Failed(format!("cannot create {}: {error}", found.display()));
-    }
     let artifacts = machine::root().join("fuzz/artifacts").join(target);
-    if let Err(error) = fs::create_dir_all(&artifacts) {
-        return Outcome::Failed(format!("cannot create {}: {error}", artifacts.display()));
+    for folder in [&found, &artifacts] {
+        if let Err(error) = fs::create_dir_all(folder) {
+            return Outcome::Failed(format!("cannot create {}: {error}", folder.display()));
+        }
     }
     let mut command = Command::new(Build::Tests.folder().join(format!("fuzz-{target}")));
     command.arg(found).arg(machine::root().join("fuzz/corpus").join(target));
