@@ -27,6 +27,7 @@ type Result<T> = std::result::Result<T, Box<dyn Error>>;
 #[command(after_help = "Examples:
   cargo xtask bench bridge                  20 topics at 1 kHz, 30 s each way
   cargo xtask bench bridge --quick          2 s each way
+  cargo xtask bench bridge -- --fit         on a machine that has no room for this to ROS
   cargo xtask bench bridge -- --topics 5 --rate 100 --no-rt")]
 struct Args {
     /// Topics
@@ -44,6 +45,10 @@ struct Args {
     /// Domain of Tautline and of ROS
     #[arg(long, value_name = "N", default_value_t = 77)]
     domain: u32,
+    /// To ROS at no more than what would keep the machine 50 % busy from ROS: a message to ROS costs more, and what a machine cannot
+    /// carry is lost where Fast DDS's queues are full
+    #[arg(long)]
+    fit: bool,
     /// The bridge runs without real-time priorities
     #[arg(long)]
     no_rt: bool,
@@ -78,11 +83,11 @@ fn measure(args: &Args) -> Result<()> {
         return Err(format!("more than {MAX_MESSAGES} messages of a topic: lower --rate or --seconds").into());
     }
     let profile = (!args.fast_dds_default).then(Profile::write).transpose()?;
-    let mut phases = Vec::new();
-    for direction in [Direction::FromRos, Direction::ToRos] {
-        phases.push(phase(args, direction, profile.as_ref())?);
-    }
-    report::print(&phases, args.topics, args.rate, args.seconds);
+    let from_ros = phase(args, Direction::FromRos, args.rate, profile.as_ref())?;
+    let rate = if args.fit { args.rate.min(from_ros.rate_that_fits()) } else { args.rate };
+    let to_ros = phase(args, Direction::ToRos, rate, profile.as_ref())?;
+    let phases = [from_ros, to_ros];
+    report::print(&phases, args.topics);
     if profile.is_some() {
         println!(
             "Fast DDS had shared memory for a second of messages (--fast-dds-default: what it has by itself)"
@@ -95,7 +100,8 @@ fn measure(args: &Args) -> Result<()> {
     if faults.is_empty() { Ok(()) } else { Err(faults.join("; ").into()) }
 }
 
-fn phase(args: &Args, direction: Direction, profile: Option<&Profile>) -> Result<Phase> {
+/// As many messages as `args` ask for, at this rate.
+fn phase(args: &Args, direction: Direction, rate: u32, profile: Option<&Profile>) -> Result<Phase> {
     let own = std::env::current_exe()?;
     let bridge = args.bridge.clone().unwrap_or_else(|| own.with_file_name("taut-bridge-ros"));
     let domain = args.domain.to_string();
@@ -107,15 +113,9 @@ fn phase(args: &Args, direction: Direction, profile: Option<&Profile>) -> Result
     command.envs(profile.map(Profile::variable));
     let bridge = Ended(command.spawn()?);
     let epoch_ns = monotonic_ns();
-    let job = |side, role| Job {
-        side,
-        role,
-        topics: args.topics,
-        rate: args.rate,
-        messages: args.rate * args.seconds,
-        domain: args.domain,
-        epoch_ns,
-    };
+    let messages = args.rate * args.seconds;
+    let job =
+        |side, role| Job { side, role, topics: args.topics, rate, messages, domain: args.domain, epoch_ns };
     let side = if direction == Direction::FromRos { Side::Ros } else { Side::Tautline };
     let other = if side == Side::Ros { Side::Tautline } else { Side::Ros };
     let start = |job: Job| Peer::start(&job, &domain, profile);
@@ -128,17 +128,18 @@ fn phase(args: &Args, direction: Direction, profile: Option<&Profile>) -> Result
     publisher.tell("go")?;
     let progress = indicatif::ProgressBar::new_spinner();
     progress.set_message(format!(
-        "{direction:?}: {} topics at {} Hz for {} s",
-        args.topics, args.rate, args.seconds
+        "{direction:?}: {} topics at {rate} Hz for {} s",
+        args.topics,
+        messages / rate
     ));
     progress.enable_steady_tick(Duration::from_millis(100));
     publisher.expect("published")?;
     let (published_s, cpu) = cpu.end()?;
-    let expected = args.topics as u64 * u64::from(args.rate) * u64::from(args.seconds);
+    let expected = args.topics as u64 * u64::from(messages);
     let direct: Received = serde_json::from_str(&direct.last_word()?)?;
     let bridged: Received = serde_json::from_str(&bridged.last_word()?)?;
     progress.finish_and_clear();
-    Ok(Phase { direction, expected, direct, bridged, published_s, cpu })
+    Ok(Phase { direction, rate, messages, expected, direct, bridged, published_s, cpu })
 }
 
 /// Processor time of the bridge, both subscribers and the publisher, and of the whole machine.

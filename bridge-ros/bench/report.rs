@@ -21,6 +21,11 @@ pub struct Received {
 #[derive(Clone, Debug, Serialize)]
 pub struct Phase {
     pub direction: Direction,
+    /// Messages per second of each topic.
+    pub rate: u32,
+    /// Of each topic.
+    pub messages: u32,
+    /// Of all topics.
     pub expected: u64,
     /// The subscriber on the publisher's side.
     pub direct: Received,
@@ -45,6 +50,16 @@ pub struct Cpu {
 }
 
 impl Phase {
+    /// Messages per second of each topic at which the machine would be 50 % busy.
+    pub fn rate_that_fits(&self) -> u32 {
+        ((self.rate_kept() * 50.0 / self.cpu.machine.max(1.0)) as u32).max(1)
+    }
+
+    /// Messages per second of each topic that were published.
+    fn rate_kept(&self) -> f64 {
+        f64::from(self.messages) / self.published_s
+    }
+
     /// What is wrong with what came by the bridge.
     pub fn fault(&self) -> Option<String> {
         let (lost, disordered) =
@@ -68,10 +83,12 @@ impl Phase {
     }
 }
 
-pub fn print(phases: &[Phase], topics: usize, rate: u32, seconds: u32) {
+pub fn print(phases: &[Phase], topics: usize) {
+    let ways: Vec<String> =
+        phases.iter().map(|phase| format!("at {} Hz {}", phase.rate, phase.way())).collect();
     println!(
-        "{topics} topics at {rate} Hz for {seconds} s each way; latency from publishing to the subscriber, in µs; CPU \
-         of its process, in % of a core"
+        "{topics} topics {}; latency from publishing to the subscriber, in µs; CPU of its process, in % of a core",
+        ways.join(", ")
     );
     println!(
         "{:<10} {:<24} {:>9} {:>6} {:>10} {:>9} {:>9} {:>9} {:>9} {:>6}",
@@ -110,9 +127,9 @@ pub fn print(phases: &[Phase], topics: usize, rate: u32, seconds: u32) {
             cpu.machine,
             phase.published_s
         );
-        let rate_kept = f64::from(seconds) / phase.published_s;
-        if rate_kept < 0.9 {
-            println!("{way:<10} this machine is too slow for it: {:.0} Hz", f64::from(rate) * rate_kept);
+        let rate_kept = phase.rate_kept();
+        if rate_kept < 0.9 * f64::from(phase.rate) {
+            println!("{way:<10} this machine is too slow for it: {rate_kept:.0} Hz");
         }
     }
 }
