@@ -13,6 +13,8 @@ use tautline_exchange::{APPLICATION_PRIORITY, Exchange, Job, Line, Measured, Res
 
 /// Nothing takes so long unless it is broken.
 pub const PATIENCE: Duration = Duration::from_secs(60);
+/// By which Fast DDS finds its profile: version 2 knows the first only, version 3 the second.
+const PROFILE_VARIABLES: [&str; 2] = ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"];
 /// Room in Fast DDS for the largest messages.
 const PROFILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bench/fast_dds.xml");
 /// Nobody else measures or tests there.
@@ -90,7 +92,7 @@ impl Starter<'_> {
         command.args(["--task", task.to_possible_value().ok_or("no such task")?.get_name()]);
         command.env_remove("RMW_IMPLEMENTATION");
         if !matches!(task, Task::Flow | Task::Node) {
-            command.env("FASTDDS_DEFAULT_PROFILES_FILE", PROFILE);
+            command.envs(PROFILE_VARIABLES.map(|variable| (variable, PROFILE)));
         }
         // Fast DDS lends where its ends share memory, which its RMW allows by itself only so.
         if task == Task::Loaned {
@@ -112,7 +114,7 @@ impl Starter<'_> {
         let (core, priority) = (job.core.unwrap_or(0), if job.realtime { APPLICATION_PRIORITY } else { 0 });
         command.arg(role).arg(&job.topic).args([format!("{bytes}"), format!("{length}")]);
         command.args([format!("{core}"), format!("{priority}")]);
-        command.env("FASTDDS_DEFAULT_PROFILES_FILE", PROFILE);
+        command.envs(PROFILE_VARIABLES.map(|variable| (variable, PROFILE)));
         command.env("RMW_IMPLEMENTATION", system.name).env("PYTHONDONTWRITEBYTECODE", "1");
         command.env("ROS_DOMAIN_ID", DOMAIN.to_string()).env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
         // rcl of PyPI's packages is linked to one RMW, whose place another takes so.
