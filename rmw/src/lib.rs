@@ -2,7 +2,7 @@
 //! `rmw_tautline`: the middleware interface of ROS 2's client libraries, on Tautline's transport. rclcpp, rclpy and other clients
 //! of rcl run on it unchanged.
 //!
-//! Each function checks its arguments, executes, and returns a code; no panic leaves it ([`error`]).
+//! Each function checks its arguments, executes, and returns a code; no panic leaves it (`error`).
 //!
 //! | module | one idea |
 //! |---|---|

@@ -3,12 +3,12 @@
 //! implements. A change of it is seen in `node/api.txt`; and whatever a declaration names has a path by which a program can name it, too.
 
 use crate::build::WHOLE;
-use crate::steps::{Outcome, execute};
+use crate::steps::Outcome;
 use crate::{lints, machine};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The crate whose surface this is.
 const CRATE: &str = "tautline";
@@ -16,7 +16,7 @@ const CRATE: &str = "tautline";
 /// Others' names for it begin so, too: their items are told of, and followed, if this one exports them.
 const OURS: &str = "tautline";
 
-/// Where messages are generated: their names are those of ROS.
+/// Where messages are generated: their names are those of ROS, and not followed.
 const GENERATED: &str = "tautline_ros_msgs";
 
 /// Traits that nobody else is to implement, with their crates: they have no path on purpose.
@@ -25,10 +25,11 @@ const SEALED: [(&str, &str); 2] = [("tautline_tf", "Sealed"), ("tautline_join", 
 /// Of rustdoc's JSON, which changes with the compiler.
 const FORMAT: u64 = 57;
 
-/// Documents the workspace, which says what is wrong with the documentation, and compares the surface with the one that was written down;
-/// with `bless` writes it down.
+/// Compares the surface with the one that was written down; with `bless` writes it down.
 pub fn check(bless: bool) -> Outcome {
-    let surface = match document().and_then(|()| Surface::read()) {
+    // All targets, by which cargo takes the features that the tests have of everything.
+    let documents = lints::documents(&format!("{WHOLE} --all-targets"));
+    let surface = match documents.and_then(|documents| Surface::read(&documents)) {
         Ok(surface) => surface,
         Err(reason) => return Outcome::Failed(reason),
     };
@@ -61,16 +62,6 @@ pub fn check(bless: bool) -> Outcome {
 
 fn lines_of(text: &str) -> BTreeSet<&str> {
     text.lines().collect()
-}
-
-/// Writes the JSON of every crate. It is an option that stable versions keep for nightly ones.
-fn document() -> Result<(), String> {
-    // Not for cargo itself: what looks at that variable would be built anew.
-    let rustdoc = machine::script("rustdoc-json", "RUSTC_BOOTSTRAP=1 exec rustdoc \"$@\"")?;
-    // With an example, by which cargo takes the features that the tests have of everything.
-    let mut command = lints::cargo(&format!("doc {WHOLE} --no-deps --lib --bins --example talker"));
-    command.env("RUSTDOC", rustdoc).env("RUSTDOCFLAGS", "-Dwarnings -Zunstable-options --output-format json");
-    execute(&mut command).result()
 }
 
 /// What rustdoc tells of a crate.
@@ -127,16 +118,14 @@ struct Surface {
 }
 
 impl Surface {
-    fn read() -> Result<Surface, String> {
-        let folder = machine::target_dir().join("doc");
-        let files = fs::read_dir(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
-        let mut crates = HashMap::new();
-        for path in files.flatten().map(|file| file.path()) {
-            let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            if name.starts_with(OURS) && path.extension().is_some_and(|extension| extension == "json") {
-                crates.insert(name, Crate::read(&path)?);
-            }
-        }
+    fn read(documents: &[PathBuf]) -> Result<Surface, String> {
+        let name = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let ours = documents
+            .iter()
+            .map(|path| (name(path), path))
+            .filter(|(name, _)| name.starts_with(OURS) && name != GENERATED);
+        let crates: HashMap<String, Crate> =
+            ours.map(|(name, path)| Ok((name, Crate::read(path)?))).collect::<Result<_, String>>()?;
         let mut surface = Surface {
             crates,
             lines: BTreeSet::new(),
@@ -145,7 +134,7 @@ impl Surface {
             unnameable: BTreeMap::new(),
             seen: HashSet::new(),
         };
-        let root = surface.crates.get(CRATE).ok_or(format!("there is no {CRATE}.json"))?.root.clone();
+        let root = surface.crates.get(CRATE).ok_or(format!("{CRATE} has not been documented"))?.root.clone();
         surface.module(CRATE, &root, CRATE);
         for (definition, user) in &surface.named {
             if !surface.exported.contains_key(definition)
@@ -231,7 +220,7 @@ impl Surface {
             return self.item(owner, id, path, Some(name));
         }
         let Some((other, original)) = self.crates[owner].definition(id) else { return };
-        if !self.crates.contains_key(&other) || other == GENERATED {
+        if !self.crates.contains_key(&other) {
             let (name, all) = if inner["is_glob"] == true { ("*", "::*") } else { (name, "") };
             let source = inner["source"].as_str().unwrap_or_default();
             self.lines.insert(format!("use {path}::{name} = {source}{all}"));
@@ -268,8 +257,7 @@ impl Surface {
         names(&item["inner"], &mut named);
         for id in named {
             let Some(definition) = self.crates[owner].definition(&id) else { continue };
-            let is_ours = self.crates.contains_key(&definition.0) && definition.0 != GENERATED;
-            if is_ours {
+            if self.crates.contains_key(&definition.0) {
                 self.named.entry(definition).or_insert_with(|| path.to_owned());
             }
         }

@@ -24,7 +24,7 @@ impl Bridge {
     /// Builds the bridge and r2r's side, some minutes from cold, and makes the command that measures.
     pub fn command(&self) -> Result<Command, String> {
         let environment = r2r::environment()?;
-        build(&mut with_libraries(&environment, &format!("build --release {BENCH} --bins")))?;
+        build(with_libraries(&environment, &mut cargo(&format!("build --release {BENCH} --bins"))))?;
         let mut command = Command::new(machine::target_dir().join("release/bench-bridge"));
         // The bridge finds types where this says.
         command.envs(environment);
@@ -45,20 +45,15 @@ pub fn run() -> ExitCode {
 pub fn test(steps: &mut Steps) {
     let Some(environment) = r2r::environment_of(steps, "bridge-ros") else { return };
     // With the bench, which is linted too, and measures in a step of its own.
-    let building = |arguments: &str| with_libraries(&environment, arguments);
-    steps.command(
-        "bridge-ros: clippy",
-        &mut building(&format!("clippy {WHOLE} --all-targets -- -D warnings")),
-    );
-    let mut doc = building(&format!("doc {WHOLE} --no-deps"));
-    steps.command("bridge-ros: doc", doc.env("RUSTDOCFLAGS", "-Dwarnings"));
-    steps.command("bridge-ros: build", &mut building(&format!("test {WHOLE} --no-run")));
+    lints::build_with(steps, "bridge-ros: build and lints", &format!("{WHOLE} --all-targets"), |command| {
+        with_libraries(&environment, command)
+    });
     // The program that starts it, which says what is wrong when ROS or the loader ends it; and what carries a domain's topics to
     // another host.
     steps.command("bridge-ros: taut and the gateway", &mut lints::cargo(&programs()));
-    let tests = nextest(WHOLE);
-    steps.command("bridge-ros: tests", &mut bridge_cargo(&environment, &tests));
-    steps.command("bridge-ros: doc tests", &mut bridge_cargo(&environment, &format!("test {WHOLE} --doc")));
+    steps.command("bridge-ros: tests", with_ros(&environment, &mut lints::cargo(&nextest(WHOLE))));
+    let mut doc_tests = lints::cargo(&format!("test {WHOLE} --doc"));
+    steps.command("bridge-ros: doc tests", with_ros(&environment, &mut doc_tests));
 }
 
 /// Tests of processes, several of which at once find each other late on a small machine: what fails once is tried again, and named.
@@ -85,20 +80,15 @@ const BENCH: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features b
 pub const WHOLE: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features bench,xtask";
 
 /// With the ROS 2 of this environment, for what shares the workspace's target directory.
-pub fn bridge_cargo(environment: &Environment, arguments: &str) -> Command {
-    let mut command = cargo(arguments);
+pub fn with_ros<'c>(environment: &Environment, command: &'c mut Command) -> &'c mut Command {
     command.envs(environment.clone()).env("CARGO_TARGET_DIR", machine::target_dir());
-    command.env("IDL_PACKAGE_FILTER", programs::PACKAGES);
-    command
+    command.env("IDL_PACKAGE_FILTER", programs::PACKAGES)
 }
 
 /// For a build: r2r's build script needs the libraries too, and has no rpath.
-pub fn with_libraries(environment: &Environment, arguments: &str) -> Command {
-    let mut command = bridge_cargo(environment, arguments);
-    if let Some((_, lib)) = environment.iter().find(|(name, _)| *name == r2r::RPATH) {
-        command.env("LD_LIBRARY_PATH", lib);
-    }
-    command
+pub fn with_libraries<'c>(environment: &Environment, command: &'c mut Command) -> &'c mut Command {
+    let lib = environment.iter().find(|(name, _)| *name == r2r::RPATH);
+    with_ros(environment, command).envs(lib.map(|(_, lib)| ("LD_LIBRARY_PATH", lib)))
 }
 
 /// 20 topics at 1 kHz lose nothing in 15 s each way, or to ROS in so much longer as the machine needs, with the build of the tests: what
@@ -111,8 +101,8 @@ pub fn bench_of_tests(steps: &mut Steps) {
         }
         Ok(environment) => environment,
     };
-    let build = &mut with_libraries(&environment, &format!("test {WHOLE} --no-run"));
-    if !steps.command("bench: bridge: build", build) {
+    let mut build = lints::cargo(&format!("build {WHOLE} --all-targets"));
+    if !steps.command("bench: bridge: build", with_libraries(&environment, &mut build)) {
         return steps.skip("bench: bridge", "not built");
     }
     let target = machine::target_dir();

@@ -1,42 +1,50 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Clippy's findings, with the tests' build: clippy's compiler builds this workspace's packages. `cargo clippy` would check all that they depend
-//! on beside building it, which takes as long as half of the tests' build.
+//! Clippy's and rustdoc's findings, with the tests' build: this workspace's packages are built by clippy's compiler, and documented beside. `cargo
+//! clippy` and `cargo doc` would check all that they depend on beside building it, which takes as long as half of the tests' build.
 
-use crate::machine;
+use crate::compiler;
 use crate::steps::{self, Outcome, announce, ended};
 use serde_json::Value;
 use std::collections::BTreeSet;
-use std::fs;
 use std::io::{BufRead, BufReader, Result};
-use std::os::unix::fs::symlink;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::sync::LazyLock;
 
 /// `cargo` with these arguments, which build some of this workspace for tests.
 pub fn cargo(arguments: &str) -> Command {
-    let mut command = steps::cargo_with(arguments, wrapper().into_iter().flatten());
+    // No variable, for tests that build something would have it, too.
+    let setting = |path: &PathBuf| format!("build.rustc-workspace-wrapper='{}'", path.display());
+    let wrapper = compiler::path().map(|path| ["--config".to_owned(), setting(path)]);
+    let mut command = steps::cargo_with(arguments, wrapper.into_iter().flatten());
     // More arguments for the compiler, by clippy's way to give them. Optimising the parts of an optimised crate for each other takes a third of its
     // build's time; in cargo's profile, what macros and programs both need would be built anew by each command.
     command.env("CLIPPY_ARGS", "-Clto=off__CLIPPY_HACKERY__");
     command
 }
 
-/// Builds targets of packages, and shows what compiler and clippy find. A finding fails the step, but not what needs the build; says whether there
-/// is one. Cargo repeats the findings in what it does not build again.
+/// Builds targets of packages, and shows what compiler, clippy and rustdoc find. A finding fails the step, but not what needs the build; says whether
+/// there is one. Cargo repeats the findings in what it does not build again.
 pub fn build(steps: &mut steps::Steps, name: &str, targets: &str) -> bool {
-    let mut command = cargo(&format!("build {targets} --message-format=json"));
+    build_with(steps, name, targets, |command| command)
+}
+
+/// As [`build`], with variables of its own.
+pub fn build_with(
+    steps: &mut steps::Steps,
+    name: &str,
+    targets: &str,
+    change: impl FnOnce(&mut Command) -> &mut Command,
+) -> bool {
     // If it is not chosen, what is there is taken.
     let mut is_built = true;
     steps.step(name, || {
-        let (found, outcome) = match findings(&mut command) {
-            Ok(both) => both,
-            Err(error) => (0, Outcome::Failed(format!("cannot be started: {error}"))),
-        };
-        is_built = matches!(outcome, Outcome::Ok);
-        match outcome {
-            Outcome::Ok if found != 0 => Outcome::Failed(format!("{found} warnings")),
-            Outcome::Ok if wrapper().is_none() => {
+        let built = Built::by(change(&mut json(targets)));
+        is_built = matches!(built.outcome, Outcome::Ok);
+        match built.outcome {
+            Outcome::Ok if !built.findings.is_empty() => {
+                Outcome::Failed(format!("{} warnings", built.findings.len()))
+            }
+            Outcome::Ok if compiler::path().is_none() => {
                 Outcome::Failed("built, but there is no clippy: `rustup component add clippy`".to_owned())
                     .unless_ci()
             }
@@ -46,45 +54,69 @@ pub fn build(steps: &mut steps::Steps, name: &str, targets: &str) -> bool {
     is_built
 }
 
-/// Runs a build that prints JSON; shows and counts what it says of the code.
-fn findings(command: &mut Command) -> Result<(usize, Outcome)> {
-    announce(command);
-    let mut child = command.stdout(Stdio::piped()).spawn()?;
-    let mut found = BTreeSet::new();
-    for line in child.stdout.take().into_iter().flat_map(|output| BufReader::new(output).lines()) {
-        let Some(finding) = finding(&line?) else { continue };
-        // A library's tests have what the library has.
-        if found.insert(finding.clone()) {
+/// The JSON that rustdoc made of each library of these targets, which are built for it.
+pub fn documents(targets: &str) -> std::result::Result<Vec<PathBuf>, String> {
+    let built = Built::by(&mut json(targets));
+    built.outcome.result().map(|()| built.documents)
+}
+
+/// A build that says in JSON what it makes and finds.
+fn json(targets: &str) -> Command {
+    cargo(&format!("build {targets} --message-format=json"))
+}
+
+/// What such a build has said.
+#[derive(Default)]
+struct Built {
+    /// What compilers say of the code, which has been shown. A library's tests have what the library has.
+    findings: BTreeSet<String>,
+    documents: Vec<PathBuf>,
+    outcome: Outcome,
+}
+
+impl Built {
+    fn by(command: &mut Command) -> Self {
+        announce(command);
+        let mut built = Built::default();
+        let mut read = |built: &mut Built| -> Result<Outcome> {
+            let mut child = command.stdout(Stdio::piped()).spawn()?;
+            for line in child.stdout.take().into_iter().flat_map(|output| BufReader::new(output).lines()) {
+                built.hear(&line?);
+            }
+            Ok(ended(child.wait()))
+        };
+        built.outcome =
+            read(&mut built).unwrap_or_else(|error| Outcome::Failed(format!("cannot be started: {error}")));
+        built
+    }
+
+    fn hear(&mut self, line: &str) {
+        // Build scripts print something else.
+        let Ok(mut said) = serde_json::from_str::<Value>(line) else { return };
+        self.documents.extend(document(&said));
+        if let Some(finding) = finding(&said["message"].take())
+            && self.findings.insert(finding.clone())
+        {
             eprintln!("{finding}");
         }
     }
-    Ok((found.len(), ended(child.wait())))
 }
 
 /// An error or a warning as compilers show it, but not how many there are.
-fn finding(line: &str) -> Option<String> {
-    let message = serde_json::from_str::<Value>(line).ok()?["message"].take();
+fn finding(message: &Value) -> Option<String> {
     let text = message["message"].as_str()?;
     let is_count = text.starts_with("aborting due to") || text.ends_with(" emitted");
     (!is_count).then(|| message["rendered"].as_str().unwrap_or(text).to_owned())
 }
 
-/// By which cargo has clippy's compiler build this workspace, if it is there. By a link of its own: `cargo clippy` gives it other arguments, and
-/// what both built under one path each would build anew for the other.
-fn wrapper() -> Option<[String; 2]> {
-    static DRIVER: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
-        let sysroot = Command::new("rustc").args(["--print", "sysroot"]).output().ok()?;
-        let driver = PathBuf::from(String::from_utf8_lossy(&sysroot.stdout).trim()).join("bin/clippy-driver");
-        let link = machine::target_dir().join("clippy-of-tests");
-        if driver.is_file() && fs::read_link(&link).ok().as_ref() != Some(&driver) {
-            let _ = fs::remove_file(&link);
-            symlink(&driver, &link).ok()?;
-        }
-        link.is_file().then_some(link)
-    });
-    // No variable, for tests that build something would have it, too.
-    let setting = |driver: &PathBuf| format!("build.rustc-workspace-wrapper='{}'", driver.display());
-    DRIVER.as_ref().map(|driver| ["--config".to_owned(), setting(driver)])
+/// What rustdoc made of a library that cargo tells of.
+fn document(artifact: &Value) -> Option<PathBuf> {
+    if artifact["reason"] != "compiler-artifact" || artifact["profile"]["test"] == true {
+        return None;
+    }
+    let library = artifact["target"]["name"].as_str()?.replace('-', "_");
+    let files = artifact["filenames"].as_array()?.iter().filter_map(Value::as_str);
+    files.map(|file| compiler::document(Path::new(file), &library)).find(|document| document.is_file())
 }
 
 #[cfg(test)]
@@ -93,16 +125,16 @@ mod tests {
 
     #[test]
     fn findings_are_what_compilers_say_but_not_their_counts() {
-        let line = |text: &str| {
-            let message =
-                serde_json::json!({"message": text, "rendered": format!("shown: {text}"), "spans": []});
-            finding(&serde_json::json!({"reason": "compiler-message", "message": message}).to_string())
+        let said = |text: &str| {
+            finding(&serde_json::json!({"message": text, "rendered": format!("shown: {text}"), "spans": []}))
         };
-        assert_eq!(line("unused variable: `b`").as_deref(), Some("shown: unused variable: `b`"));
-        assert_eq!(line("linking with `cc` failed").as_deref(), Some("shown: linking with `cc` failed"));
-        assert_eq!(line("2 warnings emitted"), None);
-        assert_eq!(line("aborting due to 1 previous error"), None);
-        assert_eq!(finding(r#"{"reason":"build-finished","success":true}"#), None);
-        assert_eq!(finding("what a build script prints"), None);
+        assert_eq!(said("unused variable: `b`").as_deref(), Some("shown: unused variable: `b`"));
+        assert_eq!(said("linking with `cc` failed").as_deref(), Some("shown: linking with `cc` failed"));
+        assert_eq!(said("2 warnings emitted"), None);
+        assert_eq!(said("aborting due to 1 previous error"), None);
+        let mut built = Built::default();
+        built.hear(r#"{"reason":"build-finished","success":true}"#);
+        built.hear("what a build script prints");
+        assert!(built.findings.is_empty() && built.documents.is_empty());
     }
 }

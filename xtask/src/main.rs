@@ -39,6 +39,7 @@ mod build;
 mod ci;
 mod colcon;
 mod compare;
+mod compiler;
 mod examples;
 mod fuzz;
 mod lints;
@@ -270,7 +271,10 @@ enum Stress {
 }
 
 fn main() -> ExitCode {
-    // SAFETY: the first thing that happens.
+    if compiler::is_meant() {
+        return compiler::run();
+    }
+    // SAFETY: before there is another thread.
     let scope = unsafe { machine::Scope::enter() };
     match Cli::parse().verb {
         Verb::Test(all) => {

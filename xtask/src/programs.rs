@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The programs of the test `programs` of `tautline-r2r` on r2r itself: what they expect of Tautline is what they get there.
 
-use crate::bridge::{bridge_cargo, with_libraries};
+use crate::bridge::{with_libraries, with_ros};
 use crate::r2r;
-use crate::steps::{Outcome, Steps, execute};
+use crate::steps::{Outcome, Steps, cargo, execute};
 use std::process::ExitCode;
 
 /// With what they need as the workspace's tests have it.
@@ -28,8 +28,11 @@ pub fn test(steps: &mut Steps) {
             Ok(environment) => environment,
             Err(reason) => return Outcome::Failed(reason).unless_ci(),
         };
-        match execute(&mut with_libraries(&environment, &format!("test {WHOLE} --no-run"))) {
-            Outcome::Ok => execute(&mut bridge_cargo(&environment, &format!("test {WHOLE} --no-fail-fast"))),
+        let mut build = cargo(&format!("test {WHOLE} --no-run"));
+        match execute(with_libraries(&environment, &mut build)) {
+            Outcome::Ok => {
+                execute(with_ros(&environment, &mut cargo(&format!("test {WHOLE} --no-fail-fast"))))
+            }
             other => other,
         }
     });

@@ -4,7 +4,7 @@
 use crate::bench::{Options, pass};
 use crate::bridge::{nextest, programs, with_libraries};
 use crate::build::{Build, build};
-use crate::steps::Steps;
+use crate::steps::{Steps, cargo};
 use crate::{colcon, lints, machine, r2r, ros};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -28,7 +28,7 @@ pub struct Rmw {
 impl Rmw {
     /// Builds it and its bench, and makes the command that measures.
     pub fn command(&self) -> Result<Command, String> {
-        build(&mut with_libraries(&r2r::environment()?, &format!("build --release {BENCH}")))?;
+        build(with_libraries(&r2r::environment()?, &mut cargo(&format!("build --release {BENCH}"))))?;
         Ok(measure(&self.bench))
     }
 }
@@ -73,7 +73,7 @@ pub fn run() -> ExitCode {
 
 fn for_use() -> Result<(), String> {
     let environment = r2r::environment()?;
-    build(&mut with_libraries(&environment, &format!("build --release {LIBRARY}")))?;
+    build(with_libraries(&environment, &mut cargo(&format!("build --release {LIBRARY}"))))?;
     let folder = Build::Release.folder();
     println!("\nTo run a node of ROS 2 on it:");
     if !environment.iter().any(|(name, _)| *name == r2r::RPATH) {
@@ -92,11 +92,10 @@ fn for_use() -> Result<(), String> {
 /// Without a ROS 2 it is left out, which is said; but not in CI.
 pub fn test(steps: &mut Steps) {
     let Some(environment) = r2r::environment_of(steps, "rmw") else { return };
-    let building = |arguments: &str| with_libraries(&environment, arguments);
-    steps.command("rmw: clippy", &mut building(&format!("clippy {WHOLE} --all-targets -- -D warnings")));
-    // Cargo builds no library of this kind for its tests.
-    steps.command("rmw: build", &mut building(&format!("build {WHOLE}")));
+    lints::build_with(steps, "rmw: build and lints", &format!("{WHOLE} --all-targets"), |command| {
+        with_libraries(&environment, command)
+    });
     colcon::test(steps, &environment);
     steps.command("rmw: the gateway", &mut lints::cargo(&programs()));
-    steps.command("rmw: tests", &mut building(&nextest(WHOLE)));
+    steps.command("rmw: tests", with_libraries(&environment, &mut lints::cargo(&nextest(WHOLE))));
 }

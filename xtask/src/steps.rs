@@ -7,7 +7,9 @@ use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 /// How a step ended.
+#[derive(Default)]
 pub enum Outcome {
+    #[default]
     Ok,
     Failed(String),
     Skipped(String),
