@@ -9,6 +9,7 @@ mod ends;
 mod report;
 
 use clap::Parser;
+use clap::builder::RangedU64ValueParser;
 use ends::{Job, MAX_MESSAGES, Role, Side};
 use report::{Cpu, Phase, Received};
 use rustix::process::{Pid, Signal};
@@ -31,13 +32,13 @@ type Result<T> = std::result::Result<T, Box<dyn Error>>;
   cargo xtask bench bridge -- --topics 5 --rate 100 --no-rt")]
 struct Args {
     /// Topics
-    #[arg(long, default_value_t = 20)]
+    #[arg(long, default_value_t = 20, value_parser = RangedU64ValueParser::<usize>::new().range(1..))]
     topics: usize,
     /// Messages per second of each
-    #[arg(long, value_name = "HZ", default_value_t = 1000)]
+    #[arg(long, value_name = "HZ", default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..))]
     rate: u32,
     /// Length of a phase; there is one each way
-    #[arg(long, value_name = "S", default_value_t = 30)]
+    #[arg(long, value_name = "S", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     seconds: u32,
     /// The bridge [default: the one beside this program]
     #[arg(long, value_name = "PROGRAM")]
