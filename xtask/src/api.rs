@@ -134,7 +134,12 @@ impl Surface {
             unnameable: BTreeMap::new(),
             seen: HashSet::new(),
         };
-        let root = surface.crates.get(CRATE).ok_or(format!("{CRATE} has not been documented"))?.root.clone();
+        let root = surface
+            .crates
+            .get(CRATE)
+            .ok_or(format!("{CRATE} is not documented without clippy"))?
+            .root
+            .clone();
         surface.module(CRATE, &root, CRATE);
         for (definition, user) in &surface.named {
             if !surface.exported.contains_key(definition)

@@ -11,8 +11,8 @@ use crate::machine::{self, Scope};
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::test::{self, nextest};
 use crate::{
-    api, book, bridge, compiler, fuzz, lints, lttng, packages, peers, programs, r2r, r2r_tests, reports, rmw,
-    ros, shared, stress_doorbell, stress_kills,
+    api, book, bridge, fuzz, lints, lttng, packages, peers, programs, r2r, r2r_tests, reports, rmw, ros,
+    shared, stress_doorbell, stress_kills,
 };
 use std::path::Path;
 use std::process::{Command, ExitCode};
@@ -133,7 +133,6 @@ fn demo_as_released(steps: &mut Steps) {
     ];
     const AS_RELEASED: [&str; 3] = ["opt-level=3", "debug-assertions=false", "overflow-checks=false"];
     let mut build = lints::cargo(&format!("build -p taut {SAME}"));
-    build.env(compiler::UNDOCUMENTED, "1");
     for setting in PASSED.iter().flat_map(|package| AS_RELEASED.map(|value| format!("{package}.{value}"))) {
         build.arg("--config").arg(format!("profile.dev.package.{setting}"));
     }

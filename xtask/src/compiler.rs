@@ -17,9 +17,6 @@ const NAME: &str = "compiler-of-tests";
 /// The folder of rustdoc's JSON, beside that of what is compiled.
 const DOCUMENTS: &str = "documents";
 
-/// A variable by which nothing is documented: of what is built a second time, with other settings.
-pub const UNDOCUMENTED: &str = "TAUT_UNDOCUMENTED";
-
 /// For cargo's setting `rustc-workspace-wrapper`; `None` without clippy.
 pub fn path() -> Option<&'static PathBuf> {
     static PATH: LazyLock<Option<PathBuf>> = LazyLock::new(|| {
@@ -59,7 +56,7 @@ pub fn run() -> ExitCode {
     let compiled = run_as(clippy.arg(rustc).args(arguments));
     let is_program = std::env::var_os("CARGO_BIN_NAME").is_some();
     match documentation(arguments, is_program) {
-        Some(arguments) if compiled == ExitCode::SUCCESS && std::env::var_os(UNDOCUMENTED).is_none() => {
+        Some(arguments) if compiled == ExitCode::SUCCESS => {
             let mut rustdoc = Command::new(rustc.with_file_name("rustdoc"));
             // JSON is an option that stable versions keep for nightly ones.
             run_as(rustdoc.args(arguments).env("RUSTC_BOOTSTRAP", "1"))
@@ -81,8 +78,9 @@ fn run_as(command: &mut Command) -> ExitCode {
     }
 }
 
-/// From a compiler's arguments those of rustdoc; `None` for what is a test, an example, a build script, or no crate. `is_program`: one of a
-/// package's programs.
+/// From a compiler's arguments those of rustdoc; `None` for what is a test, an example, a build script, no crate, or optimised as a release is, which
+/// is compiled without that as well. `is_program`: one of a package's programs. By arguments alone: cargo does not compile again what differs in
+/// something else.
 fn documentation(arguments: &[OsString], is_program: bool) -> Option<Vec<OsString>> {
     let (mut kept, mut more) = (Vec::new(), vec!["-Zunstable-options", "--output-format", "json"]);
     let (mut name, mut folder, mut is_crate, mut is_macro) = (String::new(), None, false, false);
@@ -91,7 +89,7 @@ fn documentation(arguments: &[OsString], is_program: bool) -> Option<Vec<OsStrin
         let text = word.to_str().unwrap_or_default();
         let value = words.peek().and_then(|value| value.to_str()).unwrap_or_default();
         match (text, value) {
-            ("--test", _) => return None,
+            ("--test", _) | ("-C", "opt-level=3") => return None,
             ("--crate-name", value) if value.starts_with("build_script_") => return None,
             ("--crate-name", value) => name = value.to_owned(),
             // All of a program is private.
@@ -170,6 +168,7 @@ mod tests {
         assert_eq!(of(&format!("{program} --test"), true), None);
         assert_eq!(of(&program.replace("deps", "examples"), true), None);
         assert_eq!(of(&program.replace("-name p", "-name build_script_build"), true), None);
+        assert_eq!(of(&format!("{program} -C opt-level=3"), true), None);
         assert_eq!(of("- --crate-name ___ --print=file-names", true), None);
     }
 }

@@ -44,10 +44,10 @@ pub fn build_with(
             Outcome::Ok if !built.findings.is_empty() => {
                 Outcome::Failed(format!("{} warnings", built.findings.len()))
             }
-            Outcome::Ok if compiler::path().is_none() => {
-                Outcome::Failed("built, but there is no clippy: `rustup component add clippy`".to_owned())
-                    .unless_ci()
-            }
+            Outcome::Ok if compiler::path().is_none() => Outcome::Failed(
+                "built without clippy: `rustup component add clippy`, or see above".to_owned(),
+            )
+            .unless_ci(),
             other => other,
         }
     });

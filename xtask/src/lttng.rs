@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! LTTng for the test that records one run twice: its packages, installed where CI is set.
 
-use crate::build::{SAME, whole_with};
-use crate::steps::{Outcome, Steps, cargo};
-use crate::{compiler, lints, packages};
+use crate::build::whole_with;
+use crate::steps::{Outcome, Steps};
+use crate::{lints, packages};
 
 const PACKAGES: [&str; 3] = ["lttng-tools", "liblttng-ust-dev", "babeltrace2"];
 
 /// The feature `lttng` has no warnings, and LTTng records what the rings record.
 pub fn test(steps: &mut Steps) {
-    const NAMES: [&str; 3] = ["lttng: clippy", "lttng: build and lints", "lttng: test"];
+    const NAMES: [&str; 2] = ["lttng: build and lints", "lttng: test"];
     let mut ready = false;
     steps.step("lttng: packages", || {
         let outcome = packages::prepare(&PACKAGES, present);
@@ -19,14 +19,10 @@ pub fn test(steps: &mut Steps) {
     if !ready {
         return NAMES.iter().for_each(|name| steps.skip(name, "without its packages"));
     }
-    let clippy = format!("clippy -p tautline-trace {SAME} --features tautline-trace/lttng --all-targets");
-    steps.command(NAMES[0], &mut cargo(&format!("{clippy} -- -D warnings")));
     // Of all packages, for what does not depend on the feature has been built so.
     let test = whole_with("taut/lttng,tautline-benches/lttng") + " --test lttng";
-    lints::build_with(steps, NAMES[1], &format!("{test} --bin taut --bin trace"), |command| {
-        command.env(compiler::UNDOCUMENTED, "1")
-    });
-    steps.command(NAMES[2], &mut lints::cargo(&format!("test {test} -- --nocapture")));
+    lints::build(steps, NAMES[0], &format!("{test} --bin taut --bin trace"));
+    steps.command(NAMES[1], &mut lints::cargo(&format!("test {test} -- --nocapture")));
 }
 
 /// Whether everything is there; otherwise what is not.
