@@ -13,7 +13,7 @@ use crate::services::RosServices;
 use crate::stats::Stats;
 use crate::table::{self, OwnTable, Tables};
 use crate::threads;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::Duration;
 use tautline_relay::{
@@ -114,6 +114,8 @@ pub struct Bridge {
 /// State that [`Bridge`] reads.
 pub(crate) struct BridgeState {
     pub(crate) stop: AtomicBool,
+    /// [`Stats::returned`].
+    pub(crate) returned: AtomicU64,
     stats: Mutex<Stats>,
 }
 
@@ -158,13 +160,15 @@ impl Bridge {
         priorities.set(&rmw_threads)?;
 
         let outgoing = Outgoing::start(&participant, priorities.thread("ros-out"), Ros::new()?)?;
-        let incoming = Incoming::start(&context, priorities.thread("ros-in"))?;
+        let stats = Stats { domain: options.domain, ros_domain: context.domain(), rmw, ..Stats::default() };
+        let state =
+            BridgeState { stats: Mutex::new(stats), stop: Default::default(), returned: Default::default() };
+        let state = Arc::new(state);
+        let incoming = Incoming::start(&context, state.clone(), priorities.thread("ros-in"))?;
         let services = RosServices::new(&node)?;
         let services = Services::start(&participant, services, priorities.thread("ros-services"))?;
         let infos = [outgoing.info(), incoming.info(), services.info()];
         let info: Vec<ThreadInfo> = infos.into_iter().flatten().cloned().collect();
-        let stats = Stats { domain: options.domain, ros_domain: context.domain(), rmw, ..Stats::default() };
-        let state = Arc::new(BridgeState { stop: AtomicBool::new(false), stats: Mutex::new(stats) });
         let (events, received) = mpsc::sync_channel(EVENTS);
         let wake = GuardCondition::new(&context)?;
         let support = table::support()?;
@@ -228,7 +232,8 @@ impl Bridge {
     /// Statistics. Rates are those of the last second.
     pub fn stats(&self) -> Stats {
         let throttled = self.guard.as_ref().map_or(0, Guard::demotions);
-        Stats { throttled, ..self.state.stats().clone() }
+        let returned = self.state.returned.load(Ordering::Relaxed);
+        Stats { throttled, returned, ..self.state.stats().clone() }
     }
 
     /// The bridge's own threads, with the policies read back at start.

@@ -4,13 +4,14 @@
 //! The RMW's queue is the only one, with the depth of the QoS: there is no second queue before the loan that could overflow. A
 //! message is taken into a buffer of rmw's, validated there, and copied once, into a loan.
 
-use crate::bridge::BridgeError;
+use crate::bridge::{BridgeError, BridgeState};
 use crate::outgoing::ENCAPSULATION;
 use crate::rcl::{
     Context, GuardCondition, RclError, RosMessageInfo, RosSubscription, SerializedMessage, WaitSet, Waitable,
 };
 use crate::ros_graph::NAME_TIME;
 use std::collections::HashMap;
+use std::sync::atomic::Ordering;
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 use tautline_relay::{Delivery, EarlyLimits, InKey, Ingress, IngressUpdate, Job, Source, Worker, commanded};
@@ -44,10 +45,14 @@ pub(crate) struct Incoming {
 }
 
 impl Incoming {
-    pub(crate) fn start(context: &Arc<Context>, thread: ThreadBuilder) -> Result<Self, BridgeError> {
+    pub(crate) fn start(
+        context: &Arc<Context>,
+        state: Arc<BridgeState>,
+        thread: ThreadBuilder,
+    ) -> Result<Self, BridgeError> {
         let guard = GuardCondition::new(context)?;
         let (wait_set, buffer) = (WaitSet::new(context)?, SerializedMessage::new()?);
-        let incoming = Loop { guard: guard.clone(), wait_set, buffer, routes: Vec::new() };
+        let incoming = Loop { state, guard: guard.clone(), wait_set, buffer, routes: Vec::new() };
         let worker = Worker::start(thread, move || guard.trigger(), move |jobs| incoming.run(&jobs))?;
         Ok(Incoming { worker })
     }
@@ -76,6 +81,7 @@ impl Incoming {
 }
 
 struct Loop {
+    state: Arc<BridgeState>,
     guard: Arc<GuardCondition>,
     wait_set: WaitSet,
     buffer: SerializedMessage,
@@ -121,7 +127,7 @@ impl Loop {
                 let is_ready =
                     ready.by_ref().take(route.subscriptions().count()).fold(false, |any, one| any | one);
                 if is_ready || route.has_more {
-                    route.serve(&mut self.buffer);
+                    route.serve(&mut self.buffer, &self.state);
                 }
                 route.look();
             }
@@ -143,7 +149,7 @@ impl Loop {
         let (_, mut route) = self.routes.swap_remove(at);
         // Bounded, because a publisher could be faster.
         for _ in 0..64 {
-            route.serve(&mut self.buffer);
+            route.serve(&mut self.buffer, &self.state);
             if !route.has_more {
                 break;
             }
@@ -169,9 +175,10 @@ impl Route {
     }
 
     /// Takes and forwards what has arrived, at most one turn.
-    fn serve(&mut self, buffer: &mut SerializedMessage) {
+    fn serve(&mut self, buffer: &mut SerializedMessage, state: &BridgeState) {
         for _ in 0..TURN {
             match self.take(buffer) {
+                Ok(Some(info)) if info.is_own => drop(state.returned.fetch_add(1, Ordering::Relaxed)),
                 Ok(Some(info)) => self.receive(buffer.bytes(), info),
                 Ok(None) => return self.has_more = false,
                 Err(error) => {
@@ -195,7 +202,7 @@ impl Route {
     }
 
     fn receive(&mut self, bytes: &[u8], info: RosMessageInfo) {
-        if info.is_own || self.ingress.leaves(&info.gid) {
+        if self.ingress.leaves(&info.gid) {
             return;
         }
         if info.sequence_number.is_none() {

@@ -27,7 +27,7 @@ mod types;
 
 pub use bridge::{Bridge, BridgeError, Options};
 pub use config::{Config, ConfigError, Problem};
-pub use rcl::RclError;
+pub use rcl::{RclError, ignore_own_endpoints};
 pub use ros_graph::BRIDGE_PREFIX;
 pub use stats::{Direction, IncompatibleQos, ServiceNames, ServiceStats, Stats, TopicNames, TopicStats};
 pub use tautline_relay::{

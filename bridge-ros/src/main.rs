@@ -13,7 +13,7 @@ use std::io::IsTerminal;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tautline_bridge_ros::{Bridge, Instance, Options};
+use tautline_bridge_ros::{Bridge, Instance, Options, ignore_own_endpoints};
 use tautline_relay::{show_until, stop_on_signals};
 use tautline_rt::Realtime;
 
@@ -41,6 +41,11 @@ fn main() -> ExitCode {
 
 fn run(args: &Args) -> Result<(), Box<dyn Error>> {
     let options = args.options()?;
+    if let Err(error) = ignore_own_endpoints() {
+        tracing::warn!(
+            "Fast DDS returns to the bridge what it sends to ROS, which takes processor time: {error}"
+        );
+    }
     let stop = stop_on_signals()?;
     let Some(bridge) = start(args, options.clone(), &stop)? else { return Ok(()) };
     introduce(&bridge, &options);

@@ -88,6 +88,8 @@ pub struct Stats {
     pub uptime_s: f64,
     /// How often the threads exceeded the processor budget.
     pub throttled: u64,
+    /// The bridge's own messages that came back from ROS: none with Fast DDS, unless a profile of the user's lets them.
+    pub returned: u64,
     /// Nodes in ROS.
     pub ros_nodes: usize,
     /// Publishers and subscriptions in ROS, without those of bridges.

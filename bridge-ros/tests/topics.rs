@@ -4,6 +4,7 @@
 mod support;
 
 use serde_json::json;
+use std::process::Command;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use support::{
@@ -82,14 +83,34 @@ fn nothing_is_lost_while_a_deeper_subscription_joins() {
 
 #[test]
 fn nothing_is_lost_on_a_topic_that_both_sides_publish() {
-    let Some(venv) = ros() else { return };
     const DOMAIN: u32 = 33;
+    let Some((bridge, _)) = both_sides_publish(DOMAIN, |_| {}) else { return };
+    assert_eq!(bridge.stats()["returned"], 0, "the bridge's own messages came back to it");
+}
+
+#[test]
+fn own_messages_that_a_users_profile_returns_are_passed_over() {
+    const DOMAIN: u32 = 35;
+    let folder = tempfile::tempdir().unwrap();
+    let profile = folder.path().join("user.xml");
+    let nothing = "<profiles><participant profile_name=\"user\" is_default_profile=\"true\"/></profiles>";
+    std::fs::write(&profile, nothing).unwrap();
+    let with_profile = |command: &mut Command| {
+        command.env("FASTRTPS_DEFAULT_PROFILES_FILE", profile);
+    };
+    let Some((bridge, sent)) = both_sides_publish(DOMAIN, with_profile) else { return };
+    wait_until("its own have come back", || bridge.stats()["returned"] == sent);
+}
+
+/// The bridge that all went through, and how many of the messages went to ROS; `None`: there is no ROS 2.
+fn both_sides_publish(domain: u32, change: impl FnOnce(&mut Command)) -> Option<(BridgeProcess, usize)> {
+    let venv = ros()?;
     const FROM_ROS: usize = 1000;
     const MOST_FROM_HERE: usize = 2000;
     const DEPTH: usize = FROM_ROS + MOST_FROM_HERE;
-    let bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
-    let participant = Participant::new(DOMAIN).unwrap();
-    let mut peer = Peer::start(&venv, DOMAIN, "both");
+    let bridge = BridgeProcess::start_with(domain, domain, &["--no-rt"], change);
+    let participant = Participant::new(domain).unwrap();
+    let mut peer = Peer::start(&venv, domain, "both");
     let here = publisher(&participant, "/both", STRING, Qos::keep_last(DEPTH));
     let heard_here = subscription(&participant, "/both", STRING, Qos::keep_last(DEPTH));
     let there = peer.publisher("/both", STRING, json!({ "depth": DEPTH }));
@@ -98,7 +119,7 @@ fn nothing_is_lost_on_a_topic_that_both_sides_publish() {
     peer.matched(there, 2);
     peer.matched(heard_there, 2);
 
-    // Those from ROS come to the bridge between its own, which it passes over.
+    // Those from ROS come to the bridge between its own.
     let texts = |from: &str, count| (0..count).map(|number| format!("{from} {number}")).collect::<Vec<_>>();
     let from_ros = texts("ros", FROM_ROS);
     let is_over = AtomicBool::new(false);
@@ -129,4 +150,5 @@ fn nothing_is_lost_on_a_topic_that_both_sides_publish() {
     drop(here);
     wait_until("all are counted", || bridge.topic("/both", "from_ros")["messages"] == FROM_ROS);
     assert_eq!(bridge.topic("/both", "from_ros")["lost"], 0);
+    Some((bridge, from_here.len()))
 }
