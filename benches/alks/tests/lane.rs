@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The car keeps its lane: ten simulated minutes at 130 km/h, with curves, gusts and cut-ins.
+//! The car keeps its lane: three drives of four simulated minutes at 130 km/h, with curves, gusts and cut-ins.
 
 use tautline_alks::drive;
 
@@ -7,22 +7,22 @@ use tautline_alks::drive;
 const MOST_M: f64 = 0.5;
 
 #[test]
-fn ten_minutes_of_curves_and_cut_ins() {
+fn minutes_of_curves_and_cut_ins() {
     let seeds = match std::env::var("SEED") {
         Ok(seed) => vec![seed.parse().expect("SEED is a number")],
         Err(_) => vec![1, 2, 3],
     };
     for seed in seeds {
-        let drive = drive::run(seed, 10.0, |_| {});
+        let drive = drive::run(seed, 4.0, |_| {});
         let without_course = drive::Drive { course: Vec::new(), ..drive };
         println!("repeat with SEED={seed}: {without_course:?}");
         let drive = without_course;
         assert!(drive.lateral_max_m < MOST_M, "{} m off the centre", drive.lateral_max_m);
         assert_eq!((drive.collisions, drive.unsolved), (0, 0));
-        assert!(drive.cut_ins >= 5 && drive.in_curves > 0.3, "too easy");
+        assert!(drive.cut_ins >= 2 && drive.in_curves > 0.3, "too easy");
         let gap_m = drive.gap_min_m.expect("somebody was ahead");
         assert!(gap_m > 5.0 && drive.mean_kmh > 100.0, "{gap_m} m, {} km/h", drive.mean_kmh);
         // Before lines are seen there is nothing to plan.
-        assert!((1_995..=2_000).contains(&drive.plans), "{} plans", drive.plans);
+        assert!((795..=800).contains(&drive.plans), "{} plans", drive.plans);
     }
 }

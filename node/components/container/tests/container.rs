@@ -13,25 +13,15 @@ use tautline::std_msgs::msg::UInt64;
 use tautline::{Context, Node, ParameterValue, Qos, Realtime};
 use tautline_components::{ComponentError, Container, Load, STAMP};
 
-/// Where cargo puts what it builds. Container and components are built in one go, so that they have the same features.
-fn built() -> PathBuf {
-    let folder = Path::new(env!("CARGO_BIN_EXE_taut-container")).parent().unwrap().to_owned();
-    let mut cargo = Command::new(env!("CARGO"));
-    cargo.args(["build", "--quiet", "-p", "tautline-container", "-p", "tautline-demo-components"]);
-    cargo.arg("--target-dir").arg(folder.parent().unwrap());
-    if folder.ends_with("release") {
-        cargo.arg("--release");
-    }
-    assert!(cargo.current_dir(env!("CARGO_MANIFEST_DIR")).status().unwrap().success());
-    folder
-}
+const CONTAINER: &str = env!("CARGO_BIN_EXE_taut-container");
 
+/// Built with the container, of which it shares the features: the test depends on it.
 fn demo() -> PathBuf {
-    built().join("libtautline_demo_components.so")
+    Path::new(CONTAINER).with_file_name("deps").join("libtautline_demo_components.so")
 }
 
 fn container(domain: u32, loads: &[String]) -> Command {
-    let mut command = Command::new(built().join("taut-container"));
+    let mut command = Command::new(CONTAINER);
     command.arg("--no-rt").args(loads).env("TAUT_DOMAIN", domain.to_string());
     // It finds its libraries by itself.
     command.env_remove("LD_LIBRARY_PATH");
