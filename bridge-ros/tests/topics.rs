@@ -90,7 +90,7 @@ fn nothing_is_lost_on_a_topic_that_both_sides_publish() {
 
 #[test]
 fn own_messages_that_a_users_profile_returns_are_passed_over() {
-    const DOMAIN: u32 = 35;
+    const DOMAIN: u32 = 44;
     let folder = tempfile::tempdir().unwrap();
     let profile = folder.path().join("user.xml");
     let nothing = "<profiles><participant profile_name=\"user\" is_default_profile=\"true\"/></profiles>";

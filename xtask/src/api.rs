@@ -2,7 +2,7 @@
 //! What users of the crate `tautline` see, from rustdoc's JSON: each item by its path, with its declaration; not which traits it
 //! implements. A change of it is seen in `node/api.txt`; and whatever a declaration names has a path by which a program can name it, too.
 
-use crate::build::WHOLE;
+use crate::build::{TARGETS, WHOLE};
 use crate::steps::Outcome;
 use crate::{lints, machine};
 use serde_json::Value;
@@ -28,7 +28,7 @@ const FORMAT: u64 = 57;
 /// Compares the surface with the one that was written down; with `bless` writes it down.
 pub fn check(bless: bool) -> Outcome {
     // All targets, by which cargo takes the features that the tests have of everything.
-    let documents = lints::documents(&format!("{WHOLE} --all-targets"));
+    let documents = lints::documents(&format!("{WHOLE} {TARGETS}"));
     let surface = match documents.and_then(|documents| Surface::read(&documents)) {
         Ok(surface) => surface,
         Err(reason) => return Outcome::Failed(reason),

@@ -2,7 +2,7 @@
 //! The bridge to ROS 2: its lints and its tests, against the ROS 2 that is sourced or the one under the target directory.
 
 use crate::bench::Options;
-use crate::build::{WHOLE as WORKSPACE, build};
+use crate::build::{TARGETS, WHOLE as WORKSPACE, build};
 use crate::r2r::Environment;
 use crate::reports::BRIDGE;
 use crate::steps::{Outcome, Steps, cargo, execute};
@@ -45,7 +45,7 @@ pub fn run() -> ExitCode {
 pub fn test(steps: &mut Steps) {
     let Some(environment) = r2r::environment_of(steps, "bridge-ros") else { return };
     // With the bench, which is linted too, and measures in a step of its own.
-    lints::build_with(steps, "bridge-ros: build and lints", &format!("{WHOLE} --all-targets"), |command| {
+    lints::build_with(steps, "bridge-ros: build and lints", &format!("{WHOLE} {TARGETS}"), |command| {
         with_libraries(&environment, command)
     });
     // The program that starts it, which says what is wrong when ROS or the loader ends it; and what carries a domain's topics to
@@ -101,7 +101,7 @@ pub fn bench_of_tests(steps: &mut Steps) {
         }
         Ok(environment) => environment,
     };
-    let mut build = lints::cargo(&format!("build {WHOLE} --all-targets"));
+    let mut build = lints::cargo(&format!("build {WHOLE} {TARGETS}"));
     if !steps.command("bench: bridge: build", with_libraries(&environment, &mut build)) {
         return steps.skip("bench: bridge", "not built");
     }

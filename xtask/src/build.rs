@@ -19,6 +19,9 @@ pub enum Build {
 /// Every package with every bundled message: what has other features is built anew, with all that needs it.
 pub const WHOLE: &str = "--workspace --features tautline-r2r/ros_all,tautline/type_description_interfaces";
 
+/// All targets but benches, of which there are none: for them, `--all-targets` would build libraries without unit tests once more, as tests.
+pub const TARGETS: &str = "--lib --bins --tests --examples";
+
 /// What `cargo xtask test` leaves to `cargo xtask ci`: Zenoh and iceoryx2 take minutes to build, and benches are for a quiet machine.
 pub const LATER: [&str; 5] =
     ["tautline-bench-domain", "tautline-benches", "tautline-compare", "tautline-gateway", "tautline-kills"];

@@ -5,7 +5,7 @@
 
 use crate::bench::Options;
 use crate::beside_r2r::{ALKS, Paper, REFERENCE};
-use crate::build::{Build, LATER, SAME, WHOLE, WITH_GATEWAY, WITH_ROS};
+use crate::build::{Build, LATER, SAME, TARGETS, WHOLE, WITH_GATEWAY, WITH_ROS};
 use crate::compare::Compare;
 use crate::machine::{self, Scope};
 use crate::steps::{Outcome, Steps, cargo, execute};
@@ -29,7 +29,7 @@ pub fn run(scope: &Scope) -> ExitCode {
     ros(&mut steps);
     r2r::prepare_libclang(&mut steps, true);
     formats(&mut steps);
-    let built = lints::build(&mut steps, "build and lints", &format!("{WHOLE} --all-targets"));
+    let built = lints::build(&mut steps, "build and lints", &format!("{WHOLE} {TARGETS}"));
     book::test(&mut steps);
     steps.step("public surface", || api::check(false));
     steps.step("builds are shared", shared::check);

@@ -3,7 +3,7 @@
 
 use crate::bench::{Options, pass};
 use crate::bridge::{nextest, programs, with_libraries};
-use crate::build::{Build, build};
+use crate::build::{Build, TARGETS, build};
 use crate::steps::{Steps, cargo};
 use crate::{colcon, lints, machine, r2r, ros};
 use std::ffi::OsString;
@@ -92,7 +92,7 @@ fn for_use() -> Result<(), String> {
 /// Without a ROS 2 it is left out, which is said; but not in CI.
 pub fn test(steps: &mut Steps) {
     let Some(environment) = r2r::environment_of(steps, "rmw") else { return };
-    lints::build_with(steps, "rmw: build and lints", &format!("{WHOLE} --all-targets"), |command| {
+    lints::build_with(steps, "rmw: build and lints", &format!("{WHOLE} {TARGETS}"), |command| {
         with_libraries(&environment, command)
     });
     colcon::test(steps, &environment);
