@@ -6,8 +6,8 @@ use super::error::RclError;
 use libloading::Library;
 use std::ffi::{c_char, c_void};
 
-/// The library that leads to Fast DDS, whatever the version.
-const LIBRARY: &str = "librmw_fastrtps_cpp.so";
+/// The library that leads to Fast DDS, whatever the version, and of both of its RMWs.
+const LIBRARY: &str = "librmw_fastrtps_shared_cpp.so";
 /// `DomainParticipantFactory::get_instance()` and `load_XML_profiles_string(const char *, size_t)`, of Fast DDS 2 and 3.
 const GET_INSTANCE: &[u8] = b"_ZN8eprosima7fastdds3dds24DomainParticipantFactory12get_instanceEv\0";
 const LOAD: &[u8] = b"_ZN8eprosima7fastdds3dds24DomainParticipantFactory24load_XML_profiles_stringEPKcm\0";
