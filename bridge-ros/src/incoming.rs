@@ -178,7 +178,9 @@ impl Route {
     fn serve(&mut self, buffer: &mut SerializedMessage, state: &BridgeState) {
         for _ in 0..TURN {
             match self.take(buffer) {
-                Ok(Some(info)) if info.is_own => drop(state.returned.fetch_add(1, Ordering::Relaxed)),
+                Ok(Some(info)) if info.is_own => {
+                    state.returned.fetch_add(1, Ordering::Relaxed);
+                }
                 Ok(Some(info)) => self.receive(buffer.bytes(), info),
                 Ok(None) => return self.has_more = false,
                 Err(error) => {

@@ -31,7 +31,7 @@ pub fn nextest(steps: &mut Steps, name: &str, packages: &str, filter: &str, for_
         lints::cargo(&format!("nextest run {packages} --no-fail-fast --profile {profile} -E {filter}"))
     } else {
         // Which cannot choose.
-        lints::cargo(&format!("test {packages} --no-fail-fast --all-targets"))
+        lints::cargo(&format!("test {packages} --no-fail-fast {TARGETS}"))
     };
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     tests.env("NEXTEST_TEST_THREADS", (cores * for_each_core).to_string());

@@ -25,7 +25,7 @@ pub fn ignore_own_endpoints() -> Result<(), RclError> {
     let error =
         |code, reason| RclError { what: "setting Fast DDS's fastdds.ignore_local_endpoints", code, reason };
     let profile = include_str!("fast_dds.xml");
-    // SAFETY: rcl has already loaded the library, or does so later anyway. Both functions have these signatures, with `this` first, in all versions that
+    // SAFETY: the RMW, which has been loaded above, has loaded the library. Both functions have these signatures, with `this` first, in all versions that
     // have the symbols: `ReturnCode_t` is an integer, or a class of one that is passed as such. The factory lives as long as the process.
     let code = unsafe {
         let missing = |missing: libloading::Error| error(0, missing.to_string());
