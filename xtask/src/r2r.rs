@@ -95,7 +95,7 @@ pub fn libclang() -> Result<Environment, String> {
 /// Has all builds use one libclang, which bridge and RMW need; what looks for one is otherwise built anew for these, with all that needs it. Of
 /// PyPI's, that which is there or, with `fetch`, a new one.
 pub fn prepare_libclang(steps: &mut Steps, fetch: bool) {
-    if !fetch && !native().exists() {
+    if !fetch && native().is_none() {
         return;
     }
     steps.step("libclang", || match libclang() {
@@ -193,19 +193,22 @@ fn is_libclang(name: &str) -> bool {
     (name.starts_with("libclang.so") || name.starts_with("libclang-")) && !name.starts_with("libclang-cpp")
 }
 
+/// PyPI's libclang, in an environment of its own: most builds need no more of ROS's.
+fn venv_of_libclang() -> PathBuf {
+    machine::target_dir().join("libclang")
+}
+
 /// PyPI's libclang, once it is there.
-fn native() -> PathBuf {
-    ros::venv().join("lib/python3.11/site-packages/clang/native")
+fn native() -> Option<PathBuf> {
+    let pythons = files(&venv_of_libclang().join("lib")).ok()?;
+    let native = |(_, python): (String, PathBuf)| python.join("site-packages/clang/native");
+    pythons.into_iter().map(native).find(|native| native.exists())
 }
 
 fn pypi_libclang() -> Result<[(&'static str, String); 2], String> {
-    ros::prepare().result()?;
-    let native = native();
-    if !native.exists() {
-        let mut install = Command::new(ros::venv().join("bin/pip"));
-        install.args(["install", "--quiet", "--disable-pip-version-check", LIBCLANG]);
-        steps::execute(&mut install).result()?;
-    }
+    let venv = venv_of_libclang();
+    ros::make_venv(&venv, &[LIBCLANG], || Ok("python3".to_owned()))?;
+    let native = native().ok_or_else(|| format!("{}: {LIBCLANG} has no clang/native", venv.display()))?;
     // It comes without the compiler's own headers.
     let gcc =
         Command::new("gcc").arg("-print-file-name=include").output().map_err(|error| error.to_string())?;
