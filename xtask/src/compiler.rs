@@ -29,12 +29,13 @@ pub fn path() -> Option<&'static PathBuf> {
 
 /// Links this program to where it stays when cargo builds it anew.
 fn link() -> Result<PathBuf> {
-    let (own, path) = (std::env::current_exe()?, machine::target_dir().join(NAME));
+    let path = machine::target_dir().join(NAME);
     let file = |path: &Path| fs::metadata(path).map(|found| (found.dev(), found.ino()));
-    if file(&path).ok() != Some(file(&own)?) {
+    // Where this program was, a build may have put another.
+    if file(&path).ok() != Some(file(Path::new("/proc/self/exe"))?) {
         // Somebody may be running the one before.
         let new = path.with_extension(std::process::id().to_string());
-        fs::hard_link(own, &new).and_then(|()| fs::rename(&new, &path))?;
+        fs::hard_link(std::env::current_exe()?, &new).and_then(|()| fs::rename(&new, &path))?;
     }
     Ok(path)
 }
@@ -53,7 +54,11 @@ pub fn run() -> ExitCode {
     };
     let rustc = Path::new(rustc);
     let mut clippy = Command::new(rustc.with_file_name("clippy-driver"));
-    let compiled = run_as(clippy.arg(rustc).args(arguments));
+    clippy.arg(rustc).args(arguments);
+    if is_integration_test(arguments) {
+        clippy.args(["-C", "opt-level=0"]);
+    }
+    let compiled = run_as(&mut clippy);
     let is_program = std::env::var_os("CARGO_BIN_NAME").is_some();
     match documentation(arguments, is_program) {
         Some(arguments) if compiled == ExitCode::SUCCESS => {
@@ -76,6 +81,17 @@ fn run_as(command: &mut Command) -> ExitCode {
             ExitCode::FAILURE
         }
     }
+}
+
+/// Whether these are a compiler's arguments for a file of a package's `tests/`. Cargo optimises it as it does the package, which takes most of the
+/// time that such a test is built and run in.
+fn is_integration_test(arguments: &[OsString]) -> bool {
+    let is_in_tests = |word: &OsString| {
+        let path = Path::new(word);
+        path.extension().is_some_and(|extension| extension == "rs")
+            && path.components().any(|folder| folder.as_os_str() == "tests")
+    };
+    arguments.iter().any(|word| word == "--test") && arguments.iter().any(is_in_tests)
 }
 
 /// From a compiler's arguments those of rustdoc; `None` for what is a test, an example, a build script, no crate, or optimised as a release is, which
@@ -158,6 +174,15 @@ mod tests {
         let macros = of(&library.replace("type lib", "type proc-macro"), false);
         assert!(macros.is_some_and(|made| made.ends_with(" --out-dir /t/debug/documents/a_b")));
         assert_eq!(found("/t/debug/liba_b.so"), "/t/debug/documents/a_b/a_b.json");
+    }
+
+    #[test]
+    fn tests_of_a_library_are_optimised_as_it_is_and_those_beside_it_are_not() {
+        let is_met =
+            |words: &str| is_integration_test(&words.split(' ').map(Into::into).collect::<Vec<OsString>>());
+        assert!(is_met("--crate-name t a/tests/t.rs --emit=link --test"));
+        assert!(!is_met("--crate-name a a/src/lib.rs --emit=link --test"));
+        assert!(!is_met("--crate-name t a/tests/t.rs --crate-type bin --emit=link"));
     }
 
     #[test]
