@@ -101,10 +101,6 @@ pub fn bench_of_tests(steps: &mut Steps) {
         }
         Ok(environment) => environment,
     };
-    let mut build = lints::cargo(&format!("build {WHOLE} {TARGETS}"));
-    if !steps.command("bench: bridge: build", with_libraries(&environment, &mut build)) {
-        return steps.skip("bench: bridge", "not built");
-    }
     let target = machine::target_dir();
     let json = target.join("bridge.json");
     let _ = std::fs::remove_file(&json);

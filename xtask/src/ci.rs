@@ -8,7 +8,7 @@ use crate::beside_r2r::{ALKS, Paper, REFERENCE};
 use crate::build::{Build, LATER, SAME, TARGETS, WHOLE, WITH_GATEWAY, WITH_ROS};
 use crate::compare::Compare;
 use crate::machine::{self, Scope};
-use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::steps::{Beside, Outcome, Steps, cargo, execute};
 use crate::test::{self, nextest};
 use crate::{
     api, book, bridge, fuzz, lints, lttng, packages, peers, programs, r2r, r2r_tests, reports, rmw, ros,
@@ -23,13 +23,47 @@ const RINGS: u64 = 1_000_000;
 /// Within two minutes; `cargo xtask stress kills` kills as many as it is told to.
 const KILLS: u64 = 1000;
 
+/// Of builds beside what is measured, or waits for others only so long.
+const NICE: u8 = 10;
+
+/// Steps beside others: while these build, those wait, or the other way round. Cargo lets one build go on at a time, so that all others of
+/// that time do without it.
+#[derive(Clone, Copy, clap::ValueEnum)]
+pub enum Lane {
+    /// What others bring, from the network.
+    Prepare,
+    /// What is built for a step alone, and takes the place of nothing.
+    Apart,
+    /// What takes the place of `taut` and other programs of the tests' build: beside it nobody runs these.
+    Variants,
+}
+
+/// The steps of a lane, in a process of their own.
+pub fn run_beside(lane: Lane) -> Steps {
+    let mut steps = Steps::new();
+    match lane {
+        Lane::Prepare => prepare(&mut steps),
+        Lane::Apart => {
+            examples_by_themselves(&mut steps);
+            peers::test(&mut steps);
+        }
+        Lane::Variants => {
+            fuzz::all(&mut steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS);
+            lttng::test(&mut steps);
+            build_as_released(&mut steps);
+        }
+    }
+    steps
+}
+
 /// Runs every step, whatever fails.
 pub fn run(scope: &Scope) -> ExitCode {
     let mut steps = Steps::new();
-    ros(&mut steps);
     r2r::prepare_libclang(&mut steps, true);
+    let prepared = Beside::start("prepare", 0);
     formats(&mut steps);
     let built = lints::build(&mut steps, "build and lints", &format!("{WHOLE} {TARGETS}"));
+    steps.join(prepared);
     book::test(&mut steps);
     steps.step("public surface", || api::check(false));
     steps.step("builds are shared", shared::check);
@@ -37,44 +71,60 @@ pub fn run(scope: &Scope) -> ExitCode {
     bridge::test(&mut steps);
     rmw::test(&mut steps);
     clock_step(&mut steps);
-    examples_by_themselves(&mut steps);
     programs::test(&mut steps);
+    steps.command("stress: doorbell", &mut stress_doorbell(Build::Tests, RINGS));
     bridge::bench_of_tests(&mut steps);
     rmw::bench_of_tests(&mut steps);
-    steps.command("stress: doorbell", &mut stress_doorbell(Build::Tests, RINGS));
-    r2r_tests::all(&mut steps);
-    peers::test(&mut steps, built);
+    let r2r = r2r_tests::build(&mut steps);
     if built {
+        let apart = Beside::start("apart", NICE);
+        r2r.run(&mut steps);
         of_the_build(&mut steps);
+        steps.join(apart);
+        let variants = Beside::start("variants", NICE);
+        of_the_build_without_taut(&mut steps);
+        if steps.join(variants) {
+            demo_as_released(&mut steps);
+        } else {
+            steps.skip("demo as released", "a step before it failed: it may not have been built");
+        }
     } else {
         steps.skip("what runs in the tests' build", "not built");
     }
-    // Their programs are other ones than those of the tests' build, whose place they take.
-    demo_as_released(&mut steps);
-    lttng::test(&mut steps);
     miri(&mut steps);
-    fuzz::all(&mut steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS);
     test::leftovers(&mut steps, scope);
     steps.finish()
 }
 
-/// Systems, benches and what may be killed.
+/// Systems and benches.
 fn of_the_build(steps: &mut Steps) {
     reference_system(steps);
     lane_keeping(steps);
     two_hosts(steps);
     systemd(steps);
+    plain_benches(steps);
+    comparison(steps, "wake", OURS, &["latency"]);
+    comparison(steps, "services", &["tautline", "iceoryx2"], &["request"]);
+    comparison(steps, "network", &["tautline"], &["latency", "window", "callbacks"]);
+}
+
+/// What does not run `taut`: what may be killed, and more benches.
+fn of_the_build_without_taut(steps: &mut Steps) {
     stress_kills(steps, Build::Tests, KILLS, None, false);
     domain(steps);
-    plain_benches(steps);
     messages(steps);
-    comparisons(steps);
+    let experiments = ["latency", "open-loop", "fan-out", "robot", "throughput", "start-up"];
+    comparison(steps, "compare", &[OURS, &["fastdds"]].concat(), &experiments);
     paper(steps);
 }
 
-/// The ROS 2 that tests compare with. Without a network they are skipped, but not in CI.
-fn ros(steps: &mut Steps) {
+/// What tests compare with, and Debian's packages. What there is no network for is skipped, but not in CI.
+fn prepare(steps: &mut Steps) {
     steps.step("ros", || ros::prepare().unless_ci());
+    steps.step("peers: zenoh-ros2-sdk", peers::prepare);
+    steps.step("gateway: packages", packages::firewall);
+    steps.step("lttng: packages", lttng::prepare);
+    book::prepare(steps);
 }
 
 /// Workspaces that are no part of [`mod@test`]. What they use of ours may have got dependencies, which those that no other step builds lack then.
@@ -98,7 +148,6 @@ fn formats(steps: &mut Steps) {
 
 /// The gateway's after the others: it mirrors what other tests of its domains do.
 fn rest_of_tests(steps: &mut Steps) {
-    steps.step("gateway: packages", packages::firewall);
     let others = LATER.map(|package| format!("package({package})")).join("|");
     if machine::cargo_has("nextest --version").is_ok() {
         nextest(steps, "tests: benches", WHOLE, &format!("({others})-package(tautline-gateway)"), 1);
@@ -117,9 +166,9 @@ fn examples_by_themselves(steps: &mut Steps) {
     steps.command("examples by themselves", &mut cargo(&format!("check {packages} --examples --bins")));
 }
 
-/// Three seconds of the demo in which messages pass through what a release build makes of these packages: optimised, without what it checks in tests.
-/// A whole release build takes minutes for macros and build scripts, of which it has its own.
-fn demo_as_released(steps: &mut Steps) {
+/// The demo with what a release build makes of the packages that messages pass through: optimised, without what it checks in tests. A whole release
+/// build takes minutes for macros and build scripts, of which it has its own.
+fn build_as_released(steps: &mut Steps) {
     const PASSED: [&str; 9] = [
         "tautline",
         "tautline-doorbell",
@@ -136,10 +185,13 @@ fn demo_as_released(steps: &mut Steps) {
     for setting in PASSED.iter().flat_map(|package| AS_RELEASED.map(|value| format!("{package}.{value}"))) {
         build.arg("--config").arg(format!("profile.dev.package.{setting}"));
     }
-    if steps.command("demo as released: build", &mut build) {
-        let mut demo = Command::new(Build::Tests.folder().join("taut"));
-        steps.command("demo as released", demo.args(["demo", "--seconds", "3"]));
-    }
+    steps.command("demo as released: build", &mut build);
+}
+
+/// Three seconds of it, while nothing else runs.
+fn demo_as_released(steps: &mut Steps) {
+    let mut demo = Command::new(Build::Tests.folder().join("taut"));
+    steps.command("demo as released", demo.args(["demo", "--seconds", "3"]));
 }
 
 /// Three seconds of the Autoware reference system: all of its nodes run, and its report keeps its promises. A second of it beside
@@ -273,35 +325,25 @@ fn messages(steps: &mut Steps) {
     bench(steps, "messages", |options| options.command("messages"), |json| reports::MESSAGES.of(json, &[]));
 }
 
-/// A round of each bench of the comparison with what is built in seconds: the numbers mean nothing, but all is measured, the page is drawn,
-/// and the tables are written.
-fn comparisons(steps: &mut Steps) {
-    const OURS: &[&str] = &["floor", "tautline", "iceoryx2"];
-    for (name, systems, experiments) in [
-        ("wake", OURS, &["latency"][..]),
-        ("services", &["tautline", "iceoryx2"], &["request"]),
-        ("network", &["tautline"], &["latency", "window", "callbacks"]),
-        (
-            "compare",
-            &["floor", "tautline", "iceoryx2", "fastdds"],
-            &["latency", "open-loop", "fan-out", "robot", "throughput", "start-up"],
-        ),
-    ] {
-        let target = machine::target_dir();
-        let command = |options| {
-            let arguments = [vec!["--smoke".to_owned()], permitted()].concat();
-            let compare = Compare {
-                bench: Options { quick: false, arguments, ..options },
-                systems: systems.iter().map(|&system| system.to_owned()).collect(),
-                html: Some(target.join(format!("{name}.html"))),
-                markdown: Some(target.join(format!("{name}.md"))),
-            };
-            compare.command(name)
+/// Of all that is compared, what is built in seconds.
+const OURS: &[&str] = &["floor", "tautline", "iceoryx2"];
+
+/// A round of a bench of the comparison: the numbers mean nothing, but all is measured, the page is drawn, and the tables are written.
+fn comparison(steps: &mut Steps, name: &str, systems: &[&str], experiments: &[&str]) {
+    let target = machine::target_dir();
+    let command = |options| {
+        let arguments = [vec!["--smoke".to_owned()], permitted()].concat();
+        let compare = Compare {
+            bench: Options { quick: false, arguments, ..options },
+            systems: systems.iter().map(|&system| system.to_owned()).collect(),
+            html: Some(target.join(format!("{name}.html"))),
+            markdown: Some(target.join(format!("{name}.md"))),
         };
-        bench(steps, name, command, |json| {
-            reports::COMPARE.of(json, &[("systems", systems.into()), ("experiments", experiments.into())])
-        });
-    }
+        compare.command(name)
+    };
+    bench(steps, name, command, |json| {
+        reports::COMPARE.of(json, &[("systems", systems.into()), ("experiments", experiments.into())])
+    });
 }
 
 /// They run; what they say belongs to the machine.

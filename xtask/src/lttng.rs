@@ -7,16 +7,15 @@ use crate::{lints, packages};
 
 const PACKAGES: [&str; 3] = ["lttng-tools", "liblttng-ust-dev", "babeltrace2"];
 
+/// The packages that [`test()`] needs.
+pub fn prepare() -> Outcome {
+    packages::prepare(&PACKAGES, present)
+}
+
 /// The feature `lttng` has no warnings, and LTTng records what the rings record.
 pub fn test(steps: &mut Steps) {
     const NAMES: [&str; 2] = ["lttng: build and lints", "lttng: test"];
-    let mut ready = false;
-    steps.step("lttng: packages", || {
-        let outcome = packages::prepare(&PACKAGES, present);
-        ready = matches!(outcome, Outcome::Ok);
-        outcome
-    });
-    if !ready {
+    if present().is_err() {
         return NAMES.iter().for_each(|name| steps.skip(name, "without its packages"));
     }
     // Of all packages, for what does not depend on the feature has been built so.

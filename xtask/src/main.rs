@@ -61,6 +61,7 @@ mod test;
 use bench::Options;
 use build::{Build, SAME};
 use clap::{Parser, Subcommand};
+use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 use steps::Steps;
 
@@ -100,6 +101,16 @@ enum Verb {
     Test(All),
     /// The rest of what CI runs: ROS 2, bridge, RMW, Zenoh and its peers, network namespaces, stress, smoke tests of benches, miri, fuzz
     Ci(All),
+    /// Some of them beside the others: `ci` starts it
+    #[command(hide = true)]
+    Beside {
+        #[arg(value_enum)]
+        lane: ci::Lane,
+        /// Where it is written how they ended
+        to: PathBuf,
+        #[command(flatten)]
+        all: All,
+    },
     /// Documents the workspace, and compares the public surface of `tautline` with node/api.txt
     Api {
         /// Write the surface to node/api.txt
@@ -284,6 +295,10 @@ fn main() -> ExitCode {
         Verb::Ci(all) => {
             all.tell();
             ci::run(&scope)
+        }
+        Verb::Beside { lane, to, all } => {
+            all.tell();
+            ci::run_beside(lane).hand_over(&to)
         }
         Verb::Api { bless } => {
             let mut steps = Steps::new();

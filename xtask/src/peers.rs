@@ -15,26 +15,25 @@ const WHEELS: [&str; 2] = ["zenoh-ros2-sdk==0.1.8", "xxhash==4.1.0"];
 pub fn run() -> ExitCode {
     let mut steps = Steps::new();
     crate::r2r::prepare_libclang(&mut steps, true);
-    let examples = steps.command("examples", &mut lints::cargo("build -p tautline-examples --examples"));
-    let gateway = steps.command("gateway", &mut lints::cargo("build -p tautline-gateway"));
-    test(&mut steps, examples && gateway);
+    steps.command("examples", &mut lints::cargo("build -p tautline-examples --examples"));
+    steps.command("gateway", &mut lints::cargo("build -p tautline-gateway"));
+    steps.step("peers: zenoh-ros2-sdk", prepare);
+    test(&mut steps);
     steps.finish()
 }
 
-/// Makes the environment and runs the tests, and if they are `built`, gateway and examples. Without a network the Python peer
-/// is left out, but not in CI.
-pub fn test(steps: &mut Steps, built: bool) {
-    let prepared = steps.step("peers: zenoh-ros2-sdk", || prepare().unless_ci());
+/// Runs the tests and an example in the environment of [`prepare`], with the gateway and the examples of the tests' build.
+pub fn test(steps: &mut Steps) {
     let mut tests = cargo("test --manifest-path transport/zenoh/peers/Cargo.toml --no-fail-fast");
     // The workspace's, with which it shares all but hiroz and hiroz's Zenoh.
     tests.env("CARGO_TARGET_DIR", machine::target_dir());
     tests.env("TAUT_PEERS_VENV", venv());
     steps.command("peers: tests", &mut tests);
     let example = "example ros2_talker";
-    if built && prepared && venv().join("wheels.txt").exists() {
+    if venv().join("wheels.txt").exists() {
         steps.step(example, || ros2_talker().unwrap_or_else(|error| Outcome::Failed(error.to_string())));
     } else {
-        steps.skip(example, "not built, or no zenoh-ros2-sdk");
+        steps.skip(example, "there is no zenoh-ros2-sdk");
     }
 }
 
@@ -81,7 +80,7 @@ fn venv() -> PathBuf {
     machine::target_dir().join("peers/venv")
 }
 
-/// Makes the environment unless it is there already: some 60 MB from PyPI.
-fn prepare() -> Outcome {
-    ros::make_venv(&venv(), &WHEELS, || Ok("python3".to_owned())).into()
+/// Makes the environment unless it is there already: some 60 MB from PyPI. Without a network the Python peer is left out, but not in CI.
+pub fn prepare() -> Outcome {
+    Outcome::from(ros::make_venv(&venv(), &WHEELS, || Ok("python3".to_owned()))).unless_ci()
 }

@@ -119,22 +119,18 @@ impl Program {
 pub fn run() -> ExitCode {
     let mut steps = Steps::new();
     crate::r2r::prepare_libclang(&mut steps, true);
-    all(&mut steps);
+    build(&mut steps).run(&mut steps);
     steps.finish()
 }
 
-/// Builds all, runs all.
-pub fn all(steps: &mut Steps) {
-    let mut built = BTreeMap::new();
-    let mut targets = BTreeSet::new();
+/// Builds all.
+pub fn build(steps: &mut Steps) -> Built {
+    let mut built = Built::default();
     steps.step("r2r-tests: build", || match Source::find().and_then(|source| source.build()) {
-        Ok((all, executables)) => {
-            (targets, built) = (all, executables);
-            let left: Vec<&str> = targets
-                .iter()
-                .filter(|target| !built.contains_key(*target))
-                .map(|(_, name)| &**name)
-                .collect();
+        Ok((targets, executables)) => {
+            built = Built { targets, executables };
+            let is_left = |target: &&Target| !built.executables.contains_key(*target);
+            let left: Vec<&str> = built.targets.iter().filter(is_left).map(|(_, name)| &**name).collect();
             if left.is_empty() {
                 Outcome::Ok
             } else {
@@ -143,14 +139,27 @@ pub fn all(steps: &mut Steps) {
         }
         Err(reason) => Outcome::Failed(reason),
     });
-    for target in targets.iter().filter(|(kind, _)| kind == "test") {
-        let name = format!("r2r-tests: test {}", target.1);
-        match built.get(target) {
-            Some(executable) => drop(steps.step(&name, || test(executable))),
-            None => drop(steps.step(&name, || Outcome::Failed("not built".to_owned()))),
+    built
+}
+
+/// What r2r has, and what was built of it.
+#[derive(Default)]
+pub struct Built {
+    targets: BTreeSet<Target>,
+    executables: BTreeMap<Target, PathBuf>,
+}
+
+impl Built {
+    /// Runs all.
+    pub fn run(&self, steps: &mut Steps) {
+        for target in self.targets.iter().filter(|(kind, _)| kind == "test") {
+            steps.step(&format!("r2r-tests: test {}", target.1), || match self.executables.get(target) {
+                Some(executable) => test(executable),
+                None => Outcome::Failed("not built".to_owned()),
+            });
         }
+        examples(steps, &self.targets, &self.executables);
     }
-    examples(steps, &targets, &built);
 }
 
 /// Runs all at once: most of them wait.
