@@ -17,8 +17,9 @@ use tautline_exchange::{Job, Line, Role};
 use crate::Result;
 use crate::modes::{GATEWAY, MODES, Mode, TAUT};
 use crate::pair::{FAR_DOMAIN, PATIENCE, Setup};
-use crate::plan::{Case, Experiment, Idle, Task};
+use crate::plan::{Case, Experiment, Idle};
 use crate::report::missing;
+use crate::settings::paced;
 
 /// Without and with a flood.
 pub const QUIET: &str = "callbacks/quiet";
@@ -91,14 +92,7 @@ impl<'a> Flood<'a> {
         let is_gateway = |mode: &&Mode| mode.system == "tautline" && mode.mode == GATEWAY;
         let case = Case {
             experiment: Experiment::Callbacks,
-            task: Task::Paced {
-                rate: RATE,
-                topics: 1,
-                processes: 1,
-                subscribers: 1,
-                is_loaded: false,
-                at_once: false,
-            },
+            task: paced(1, RATE, 1, 1, false, false),
             mode: MODES.iter().find(is_gateway).ok_or("there is no way over gateways")?,
             payload_bytes: MESSAGE_BYTES,
             idle: Idle::AsShipped,

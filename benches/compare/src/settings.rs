@@ -21,6 +21,12 @@ pub struct Setting {
     pub rounds: u32,
 }
 
+impl Setting {
+    fn of(task: Task, payload_bytes: usize, idle: Idle, budget_ms: u64, rounds: u32) -> Self {
+        Setting { task, payload_bytes, idle, budget_ms, rounds }
+    }
+}
+
 pub fn settings(bench: Bench, experiment: Experiment, extent: Extent) -> Vec<Setting> {
     match (bench, experiment) {
         (Bench::Wake, _) => wake(extent),
@@ -50,13 +56,7 @@ fn wake(extent: Extent) -> Vec<Setting> {
     let mut settings = Vec::new();
     for idle in [Idle::AsShipped, Idle::HeldOff] {
         for &(payload_bytes, whole) in &payloads {
-            settings.push(Setting {
-                task: Task::RoundTrips { whole },
-                payload_bytes,
-                idle,
-                budget_ms,
-                rounds,
-            });
+            settings.push(Setting::of(Task::RoundTrips { whole }, payload_bytes, idle, budget_ms, rounds));
         }
     }
     settings
@@ -68,14 +68,8 @@ fn requests(extent: Extent) -> Vec<Setting> {
         Extent::Quick => (200, 3),
         Extent::Full => (1000, 7),
     };
-    let setting = |payload_bytes| Setting {
-        task: Task::Requests,
-        payload_bytes,
-        idle: Idle::HeldOff,
-        budget_ms,
-        rounds,
-    };
-    [64, 4 << 10, 1 << 20].map(setting).into()
+    let of_size = |bytes| Setting::of(Task::Requests, bytes, Idle::HeldOff, budget_ms, rounds);
+    [64, 4 << 10, 1 << 20].map(of_size).into()
 }
 
 fn of_network(task: Task, sizes: &[usize], extent: Extent) -> Vec<Setting> {
@@ -84,8 +78,8 @@ fn of_network(task: Task, sizes: &[usize], extent: Extent) -> Vec<Setting> {
         Extent::Quick => (500, 2),
         Extent::Full => (1500, 7),
     };
-    let setting = |&payload_bytes| Setting { task, payload_bytes, idle: Idle::AsShipped, budget_ms, rounds };
-    sizes.iter().map(setting).collect()
+    let of_size = |&bytes| Setting::of(task, bytes, Idle::AsShipped, budget_ms, rounds);
+    sizes.iter().map(of_size).collect()
 }
 
 fn over_gateways(extent: Extent) -> Vec<Setting> {
@@ -123,12 +117,9 @@ fn latency(extent: Extent) -> Vec<Setting> {
         (Extent::Full, ..) => 1,
     };
     let setting = |whole, idle, sizes: &[usize]| -> Vec<Setting> {
-        let of_size = |&payload_bytes: &usize| Setting {
-            task: Task::RoundTrips { whole },
-            payload_bytes,
-            idle,
-            budget_ms: if payload_bytes > 4 << 20 { large_ms } else { budget_ms },
-            rounds: rounds(whole, idle, payload_bytes),
+        let of_size = |&bytes: &usize| {
+            let budget_ms = if bytes > 4 << 20 { large_ms } else { budget_ms };
+            Setting::of(Task::RoundTrips { whole }, bytes, idle, budget_ms, rounds(whole, idle, bytes))
         };
         sizes.iter().map(of_size).collect()
     };
@@ -141,19 +132,23 @@ fn latency(extent: Extent) -> Vec<Setting> {
     settings
 }
 
-fn paced(topics: usize, rate: f64, processes: usize, subscribers: usize, is_loaded: bool) -> Task {
-    Task::Paced { rate: rate * topics as f64, topics, processes, subscribers, is_loaded, at_once: false }
+/// At `rate` on each topic.
+pub fn paced(
+    topics: usize,
+    rate: f64,
+    processes: usize,
+    subscribers: usize,
+    is_loaded: bool,
+    at_once: bool,
+) -> Task {
+    Task::Paced { rate: rate * topics as f64, topics, processes, subscribers, is_loaded, at_once }
 }
 
 fn open_loop(extent: Extent) -> Vec<Setting> {
-    let setting = |is_loaded, idle, budget_ms, rounds| Setting {
-        task: paced(1, 1000.0, 1, 1, is_loaded),
-        payload_bytes: 1 << 10,
-        idle,
-        budget_ms,
-        rounds,
+    let both = |idle, ms, rounds| {
+        let of = |loaded| Setting::of(paced(1, 1000.0, 1, 1, loaded, false), 1 << 10, idle, ms, rounds);
+        [false, true].map(of)
     };
-    let both = |idle, budget_ms, rounds| [false, true].map(|loaded| setting(loaded, idle, budget_ms, rounds));
     match extent {
         Extent::Smoke => both(Idle::HeldOff, 200, 1).into(),
         Extent::Quick => both(Idle::HeldOff, 1000, 1).into(),
@@ -163,12 +158,8 @@ fn open_loop(extent: Extent) -> Vec<Setting> {
 }
 
 fn fan_out(extent: Extent) -> Vec<Setting> {
-    let setting = |processes, subscribers, idle, budget_ms| Setting {
-        task: paced(1, 50.0, processes, subscribers, false),
-        payload_bytes: 1 << 20,
-        idle,
-        budget_ms,
-        rounds: 1,
+    let setting = |processes, subscribers, idle, budget_ms| {
+        Setting::of(paced(1, 50.0, processes, subscribers, false, false), 1 << 20, idle, budget_ms, 1)
     };
     let both = |counts: &[usize], idle, budget_ms| -> Vec<Setting> {
         let in_one = counts.iter().map(|&count| setting(1, count, idle, budget_ms));
@@ -191,40 +182,25 @@ fn fan_out(extent: Extent) -> Vec<Setting> {
 }
 
 fn robot(extent: Extent) -> Vec<Setting> {
-    let setting = |at_once, idle, budget_ms, rounds| Setting {
-        task: Task::Paced {
-            rate: 2000.0,
-            topics: 20,
-            processes: 1,
-            subscribers: 1,
-            is_loaded: false,
-            at_once,
-        },
-        payload_bytes: 4 << 10,
-        idle,
-        budget_ms,
-        rounds,
-    };
     let both = |idle, apart_ms, at_once_ms, rounds| {
-        vec![setting(false, idle, apart_ms, rounds), setting(true, idle, at_once_ms, rounds)]
+        let setting = |(at_once, budget_ms)| {
+            Setting::of(paced(20, 100.0, 1, 1, false, at_once), 4 << 10, idle, budget_ms, rounds)
+        };
+        [(false, apart_ms), (true, at_once_ms)].map(setting)
     };
     match extent {
-        Extent::Smoke => both(Idle::AsShipped, 500, 200, 1),
-        Extent::Quick => both(Idle::AsShipped, 1000, 600, 1),
+        Extent::Smoke => both(Idle::AsShipped, 500, 200, 1).into(),
+        Extent::Quick => both(Idle::AsShipped, 1000, 600, 1).into(),
         // 20 s in all.
         Extent::Full => [both(Idle::AsShipped, 5000, 700, 4), both(Idle::HeldOff, 1000, 600, 1)].concat(),
     }
 }
 
 fn throughput(extent: Extent) -> Vec<Setting> {
-    let setting = |payload_bytes, idle, budget_ms, rounds| Setting {
-        task: Task::Stream { whole: true },
-        payload_bytes,
-        idle,
-        budget_ms,
-        rounds,
+    let stream = Task::Stream { whole: true };
+    let both = |idle, budget_ms, rounds| {
+        [64, 1 << 20].map(|bytes| Setting::of(stream, bytes, idle, budget_ms, rounds))
     };
-    let both = |idle, budget_ms, rounds| [64, 1 << 20].map(|bytes| setting(bytes, idle, budget_ms, rounds));
     match extent {
         Extent::Smoke => both(Idle::HeldOff, 100, 1).into(),
         Extent::Quick => both(Idle::HeldOff, 400, 1).into(),
@@ -233,22 +209,14 @@ fn throughput(extent: Extent) -> Vec<Setting> {
 }
 
 fn start_up(extent: Extent) -> Vec<Setting> {
-    let setting = |topics, is_late_joiner, idle, rounds| Setting {
-        task: Task::Start { topics, is_late_joiner },
-        payload_bytes: 64,
-        idle,
-        budget_ms: 10,
-        rounds,
-    };
     let all = |idle, rounds| {
-        vec![
-            setting(1, false, idle, rounds),
-            setting(1, true, idle, rounds),
-            setting(100, false, idle, rounds),
-        ]
+        let setting = |(topics, is_late_joiner)| {
+            Setting::of(Task::Start { topics, is_late_joiner }, 64, idle, 10, rounds)
+        };
+        [(1, false), (1, true), (100, false)].map(setting)
     };
     match extent {
-        Extent::Smoke | Extent::Quick => all(Idle::AsShipped, 1),
+        Extent::Smoke | Extent::Quick => all(Idle::AsShipped, 1).into(),
         Extent::Full => [all(Idle::AsShipped, 3), all(Idle::HeldOff, 1)].concat(),
     }
 }
