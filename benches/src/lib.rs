@@ -13,7 +13,8 @@
 //!
 //! A measurement runs its rivals in alternating rounds of one run, on pinned cores, and states percentiles, counts and
 //! the machine. Absolute times belong to the machine; ratios within a run are what is compared: `rows` has the one form of what was
-//! measured, `claims.toml` what must hold, `claims` judges it, `table` and `page` show it.
+//! measured, `claims.toml` what must hold, `claims` judges it, `table` and `page` show it. `systems` are
+//! the ends of an exchange that a bench runs itself.
 #![allow(missing_docs, reason = "many names say it all")]
 
 mod beside;
@@ -29,6 +30,7 @@ pub mod rows;
 mod run;
 mod scratch;
 mod stage;
+pub mod systems;
 pub mod table;
 mod turns;
 

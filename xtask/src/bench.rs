@@ -33,7 +33,7 @@ impl Options {
         self.command_of("tautline-benches", name)
     }
 
-    /// The domain's bench, in a package of its own: it needs many processes of nodes, and iceoryx2.
+    /// The domain's bench, in a package of its own.
     pub fn domain(&self) -> Command {
         self.command_of("tautline-bench-domain", "domain")
     }

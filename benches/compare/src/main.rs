@@ -15,7 +15,6 @@
 //! | `pair`, `flow` | one measurement: round trips, or one way |
 //! | `load` | what disturbs the measurement under load |
 //! | `callbacks` | real-time callbacks, with and without a flood from the network |
-//! | `systems` | the systems that this binary runs itself |
 //! | `report` | the tables, the JSON |
 //! | `slower` | where a rival is ahead and why |
 //! | `html`, `figures` | the page |
@@ -34,7 +33,6 @@ mod report;
 mod rounds;
 mod settings;
 mod slower;
-mod systems;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -44,8 +42,10 @@ use modes::Programs;
 use pair::Setup;
 use plan::{Bench, Experiment, Plan};
 use report::Report;
-use tautline_benches::{Disturbance, Result, Scratch, exit, interrupted, two_cores, write, write_json};
-use tautline_exchange::{APPLICATION_PRIORITY, NETWORK_PRIORITY};
+use tautline_benches::{
+    Disturbance, Result, Scratch, exit, interrupted, systems, two_cores, write, write_json,
+};
+use tautline_exchange::{APPLICATION_PRIORITY, Job, NETWORK_PRIORITY};
 use tautline_rt::permission;
 
 /// Measures Tautline beside other middleware.
@@ -112,9 +112,9 @@ struct Options {
 fn main() -> ExitCode {
     let options = Options::parse();
     let result = match (options.child.as_deref(), &options.from) {
-        (Some([system, job]), _) => {
-            systems::run(system, job).map_err(|error| error as Box<dyn std::error::Error>)
-        }
+        (Some([system, job]), _) => Job::begin(job)
+            .and_then(|job| systems::run(system, &job))
+            .map_err(|error| error as Box<dyn std::error::Error>),
         (_, Some(path)) => show(&options, path),
         _ => measure(&options),
     };

@@ -134,6 +134,7 @@ impl Setup<'_> {
                 topics,
                 subscribers,
                 at_once,
+                times_sending: false,
                 other_core: self.plan.pin(if is_at_near { far } else { near }),
             },
         }

@@ -2,7 +2,6 @@
 //! What a process is told, as JSON on its command line, and what it says: lines of JSON on standard output.
 
 use crate::process::Process;
-use crate::traffic::System;
 use crate::{Bench, Result, population, storm, topics, traffic};
 use serde::{Deserialize, Serialize};
 use std::io::{Read, Write, stdin, stdout};
@@ -58,7 +57,7 @@ pub enum Job {
         gate: PathBuf,
     },
     Flow {
-        system: System,
+        system: String,
         job: tautline_exchange::Job,
     },
 }
@@ -87,7 +86,7 @@ impl Job {
             Job::Crowd { publishers, subscriptions, of, gate } => {
                 storm::join_crowd(publishers, subscriptions, of, &gate)
             }
-            Job::Flow { system, job } => traffic::run(system, &job),
+            Job::Flow { system, job } => traffic::run(&system, &job),
         }
     }
 

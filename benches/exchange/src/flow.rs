@@ -56,6 +56,7 @@ pub struct Source {
     numbers: Numbers,
     topics: usize,
     at_once: bool,
+    times_sending: bool,
     go: Arc<AtomicBool>,
     /// Period of messages of number 0 at full speed; flows at a rate use theirs.
     greeting_ns: u64,
@@ -78,6 +79,7 @@ impl Source {
             numbers,
             topics: topics(job),
             at_once: job.way.at_once,
+            times_sending: job.way.times_sending,
             go,
             greeting_ns: match numbers.last {
                 Some(_) => numbers.period_ns * topics(job) as u64,
@@ -92,21 +94,33 @@ impl Source {
         }
     }
 
-    /// Runs the near endpoint, whose `send` sends a stamp on a topic, and returns the results.
+    /// Runs the near endpoint, whose `send` sends a stamp on a topic, and prints the results.
     ///
     /// # Errors
     /// Those of `send`.
-    pub fn play(
-        job: &Job,
-        go: Arc<AtomicBool>,
-        mut send: impl FnMut(usize, Stamp) -> Result<()>,
-    ) -> Result<()> {
-        let mut source = Source::new(job, go);
-        while let Some((topic, stamp)) = source.next() {
-            send(topic, stamp)?;
-        }
-        say(&Line::Measured(source.measured()));
+    pub fn play(job: &Job, go: Arc<AtomicBool>, send: impl FnMut(usize, Stamp) -> Result<()>) -> Result<()> {
+        say(&Line::Measured(Source::new(job, go).run(send)?));
         Ok(())
+    }
+
+    /// As [`play`](Self::play), but returns the results.
+    ///
+    /// # Errors
+    /// Those of `send`.
+    pub fn run(mut self, mut send: impl FnMut(usize, Stamp) -> Result<()>) -> Result<Measured> {
+        let measured = self.numbers.last.map_or(0, |last| last - self.numbers.warm) as usize * self.topics;
+        // Room for all: nothing is allocated between messages.
+        let mut times_ns = Vec::with_capacity(if self.times_sending { measured } else { 0 });
+        while let Some((topic, stamp)) = self.next() {
+            if self.warm.is_none() || times_ns.len() == times_ns.capacity() {
+                send(topic, stamp)?;
+            } else {
+                let start_ns = monotonic_ns();
+                send(topic, stamp)?;
+                times_ns.push(monotonic_ns() - start_ns);
+            }
+        }
+        Ok(Measured { times_ns, ..self.measured() })
     }
 
     /// Sleeps until a message is due; returns its topic and stamp, or `None` at the end. If it was due while the previous one was
@@ -426,6 +440,16 @@ mod tests {
             assert!(pair[0].1.sent_ns <= pair[1].1.sent_ns);
         }
         assert_eq!((sent.len(), source.measured().messages, source.measured().late), (10, 8, 4));
+    }
+
+    #[test]
+    fn sending_is_timed_if_asked_for_and_after_the_warm_up() {
+        for (times_sending, timed) in [(false, 0), (true, 8)] {
+            let mut job = job(Exchange::Paced { rate: 1e9 }, 2, 1);
+            (job.budget, job.way.times_sending) = (Duration::from_nanos(8), times_sending);
+            let source = Source::new(&job, Arc::new(AtomicBool::new(true)));
+            assert_eq!(source.run(|_, _| Ok(())).unwrap().times_ns.len(), timed);
+        }
     }
 
     #[test]

@@ -83,6 +83,9 @@ pub struct Way {
     /// For a flow at a rate: all topics get their message at the same instant, one after the other, as from one loop, instead of
     /// evenly over the period.
     pub at_once: bool,
+    /// For a flow at a rate: the near endpoint times how long it takes to send each message.
+    #[serde(default)]
+    pub times_sending: bool,
     /// The core of the other endpoint, for threads that may run there.
     #[serde(default)]
     pub other_core: Option<usize>,
@@ -211,7 +214,7 @@ impl Line {
 /// The results of one endpoint.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Measured {
-    /// Half round trips, or times between two arrivals of a stream.
+    /// Half round trips, or times between two arrivals of a stream; of the near endpoint of a flow, how long sending took.
     pub times_ns: Vec<u64>,
     /// Requests without an answer, or messages of a stream that did not arrive.
     pub lost: u64,

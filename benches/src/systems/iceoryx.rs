@@ -28,20 +28,28 @@ type Service = ipc::Service;
 
 /// Runs one end. The job's endpoint is the directory of its files, whose name starts those in shared memory.
 pub fn run(job: &Job) -> Result<()> {
+    if job.exchange != Exchange::RoundTrips {
+        return flow(job);
+    }
+    with_node(job, |node, job, stop| match job.role {
+        _ if job.way.mode != "request-response" => round_trips(node, job, &stop),
+        Role::Near => play(job, &mut Asking::open(node, job)?, &stop, None),
+        Role::Far => play(job, &mut Answering::open(node, job)?, &stop, job.endpoint.clone()),
+    })
+}
+
+/// Runs one end of a flow.
+pub fn flow(job: &Job) -> Result<()> {
+    with_node(job, |node, job, stop| match job.role {
+        Role::Near => send_flow(node, job, stop),
+        Role::Far => receive_flow(node, job, &stop),
+    })
+}
+
+fn with_node(job: &Job, run: fn(&Node<Service>, &Job, Arc<AtomicBool>) -> Result<()>) -> Result<()> {
     // Before there is a thread that polls on this core.
     let (own, stop) = (job.clone(), stop_flag());
-    job.as_application(move || {
-        let node = node(&own)?;
-        match (own.exchange, own.role) {
-            (Exchange::RoundTrips, role) if own.way.mode == "request-response" => match role {
-                Role::Near => play(&own, &mut Asking::open(&node, &own)?, &stop, None),
-                Role::Far => play(&own, &mut Answering::open(&node, &own)?, &stop, own.endpoint.clone()),
-            },
-            (Exchange::RoundTrips, _) => round_trips(&node, &own, &stop),
-            (_, Role::Near) => send_flow(&node, &own, stop),
-            (_, Role::Far) => receive_flow(&node, &own, &stop),
-        }
-    })
+    job.as_application(move || run(&node(&own)?, &own, stop))
 }
 
 fn round_trips(node: &Node<Service>, job: &Job, stop: &AtomicBool) -> Result<()> {
@@ -130,10 +138,9 @@ fn wait(inputs: &[Topic], job: &Job, stop: &AtomicBool) -> Result<()> {
     while !stop.load(Ordering::Relaxed) {
         let mut failed = None;
         let on_event = |id: WaitSetAttachmentId<Service>| {
-            for (guard, listener, topic) in &guards {
-                if failed.is_none() && id.has_event_from(guard) {
-                    failed = collect(listener, topic, job.way.whole).err();
-                }
+            let woken = guards.iter().find(|(guard, ..)| id.has_event_from(guard));
+            if let (None, Some((_, listener, topic))) = (&failed, woken) {
+                failed = collect(listener, topic, job.way.whole).err();
             }
             CallbackProgression::Continue
         };

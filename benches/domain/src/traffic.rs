@@ -3,49 +3,42 @@
 //!
 //! With real-time priorities the sender has a core, and all receivers another one.
 
-mod iceoryx;
-mod tautline;
-
 use crate::job::Job as Task;
 use crate::process::{self, Process};
 use crate::report::Row;
 use crate::{Bench, Experiment, Result};
-use serde::{Deserialize, Serialize};
 use std::time::{Duration, Instant};
 use tautline_benches::Distribution;
-use tautline_exchange::{Exchange, Job, Line, Measured, Role, Way, to_the_last};
+use tautline_benches::systems::iceoryx;
+use tautline_benches::systems::tautline::{self, Frame8MiB, Frame64B};
+use tautline_exchange::{Exchange, Job, Line, Role, Way, to_the_last};
 use tautline_rt::{CoreSet, set_affinity};
 
 /// How long a process may take to set itself up.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// How long what is under way may take to arrive.
 const DRAIN: Duration = Duration::from_millis(500);
-const SMALL_BYTES: usize = 64;
-const IMAGE_BYTES: usize = 8 << 20;
+const SMALL_BYTES: usize = size_of::<Frame64B>();
+const IMAGE_BYTES: usize = size_of::<Frame8MiB>();
 const MIB: f64 = 1048576.0;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum System {
-    /// Its callbacks are woken by the sampler.
-    Tautline,
-    /// Its callback's thread is woken by the publisher.
-    TautlineDirect,
-    Iceoryx,
+/// A way of a system in which one thread receives all messages of a process.
+struct System {
+    /// In the report.
+    title: &'static str,
+    name: &'static str,
+    mode: &'static str,
 }
 
-impl System {
-    fn name(self) -> &'static str {
-        match self {
-            System::Tautline => "tautline",
-            System::TautlineDirect => "tautline, direct",
-            System::Iceoryx => "iceoryx2",
-        }
-    }
-}
+/// The sampler wakes the thread.
+const TAUTLINE: System = System { title: "tautline", name: "tautline", mode: "one-thread-blocking-default" };
+/// The publisher wakes it.
+const DIRECT: System = System { title: "tautline, direct", name: "tautline", mode: "one-thread-default" };
+const ICEORYX: System = System { title: "iceoryx2", name: "iceoryx2", mode: "waitset" };
 
 #[derive(Clone, Copy)]
 struct Flow {
-    system: System,
+    system: &'static System,
     payload_bytes: usize,
     topics: usize,
     /// Of each topic.
@@ -56,7 +49,7 @@ struct Flow {
 }
 
 const SMALL: Flow = Flow {
-    system: System::Tautline,
+    system: &TAUTLINE,
     payload_bytes: SMALL_BYTES,
     topics: 1,
     rate_hz: 100.0,
@@ -67,7 +60,7 @@ const SMALL: Flow = Flow {
 /// 200 topics with two subscriptions each, in two processes.
 pub fn load(bench: &Bench<'_>) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
-    for system in [System::Tautline, System::TautlineDirect, System::Iceoryx] {
+    for system in [&TAUTLINE, &DIRECT, &ICEORYX] {
         let flow = Flow { system, topics: 200, processes: 2, ..SMALL };
         rows.extend(bench.flow(Experiment::Load, flow.topics, flow)?);
     }
@@ -140,7 +133,7 @@ impl<'a> Bench<'a> {
         if latency.is_empty() {
             return Err(format!("no message arrived everywhere; {lost} were lost").into());
         }
-        let row = |what: &str, unit| Row::of(experiment, size, what, unit).system(flow.system.name());
+        let row = |what: &str, unit| Row::of(experiment, size, what, unit).system(flow.system.title);
         let of_latency = match experiment {
             Experiment::Load => "from before the loan until a subscription has read it",
             _ => "from before the loan until the last subscription has read it",
@@ -173,50 +166,27 @@ impl<'a> Bench<'a> {
             domain: crate::job::DOMAIN,
             topic: "/flow".to_owned(),
             endpoint: Some(self.scratch.directory().to_string_lossy().into_owned()),
-            way: Way { topics: flow.topics, subscribers: flow.subscribers, ..Way::default() },
+            way: Way {
+                mode: flow.system.mode.to_owned(),
+                topics: flow.topics,
+                subscribers: flow.subscribers,
+                times_sending: true,
+                ..Way::default()
+            },
         };
-        Ok(Task::Flow { system: flow.system, job })
+        Ok(Task::Flow { system: flow.system.name.to_owned(), job })
     }
 }
 
-pub fn run(system: System, job: &Job) -> Result<()> {
+/// Runs one process. No other systems, sizes or exchanges are in this program: what memory processes take is measured, too.
+pub fn run(system: &str, job: &Job) -> Result<()> {
     if let Some(core) = job.core {
         set_affinity(CoreSet::one(core))?;
     }
-    let ran = match system {
-        System::Tautline => tautline::run(job, false),
-        System::TautlineDirect => tautline::run(job, true),
-        System::Iceoryx => iceoryx::run(job),
+    let ran = match (system, job.payload_bytes) {
+        ("iceoryx2", _) => iceoryx::flow(job),
+        (_, SMALL_BYTES) => tautline::flow::<Frame64B>(job),
+        _ => tautline::flow::<Frame8MiB>(job),
     };
     ran.map_err(|error| error as Box<dyn std::error::Error>)
 }
-
-/// Times of publishing, of the messages that are measured: at the end as many as were counted.
-#[derive(Default)]
-struct Publishing {
-    times_ns: Vec<u64>,
-}
-
-impl Publishing {
-    fn of(job: &Job) -> Self {
-        let Exchange::Paced { rate } = job.exchange else { return Publishing::default() };
-        // With the warm-up, and some before.
-        Publishing {
-            times_ns: Vec::with_capacity((rate * job.budget.as_secs_f64() * 1.5) as usize + 100_000),
-        }
-    }
-
-    fn add(&mut self, time_ns: u64) {
-        if self.times_ns.len() < self.times_ns.capacity() {
-            self.times_ns.push(time_ns);
-        }
-    }
-
-    fn into(self, measured: Measured) -> Measured {
-        let warm = self.times_ns.len().saturating_sub(measured.messages as usize);
-        Measured { times_ns: self.times_ns[warm..].to_vec(), ..measured }
-    }
-}
-
-/// So often it is looked whether it is over.
-const LOOK: Duration = Duration::from_millis(100);

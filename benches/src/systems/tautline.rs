@@ -10,8 +10,8 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use ::tautline::{
-    CallbackOptions, Context, Limits, Loan, Message, Node, Plain, PublishError, Publisher, Qos, Realtime,
-    Sample, SendError, Subscription, Timer,
+    CallbackOptions, Context, Events, Limits, Loan, Message, Node, Plain, PublishError, Publisher, Qos,
+    Realtime, Sample, SendError, Subscription, Timer,
 };
 use futures::future::{Either, select};
 use futures::stream::FuturesUnordered;
@@ -28,6 +28,8 @@ use super::LOOK;
 
 /// The sampler's priority: above the callbacks'.
 const SAMPLER_PRIORITY: u8 = APPLICATION_PRIORITY + 10;
+/// Ends a mode with Tautline's own default about idle states; in all others it leaves them as they are.
+const OWN_DEFAULT: &str = "-default";
 /// How long an answer to the first question is waited for.
 const GREETING: Duration = Duration::from_millis(20);
 /// Of the mode `direct-spin`: about what falling asleep and being woken costs.
@@ -154,11 +156,16 @@ pub fn play<Q: Payload, A: Payload>(job: &Job) -> Result<()> {
         (Role::Near, Exchange::Stream { window: Some(window) }) => {
             End::<Q, A>::new(job)?.pour(Window::new(window))
         }
-        (Role::Near, _) => End::<Q, A>::new(job)?.send_flow(),
         (Role::Far, Exchange::RoundTrips) => End::<A, Q>::new(job)?.answer(),
         (Role::Far, Exchange::Stream { window: Some(_) }) => End::<A, Q>::new(job)?.gather(),
-        (Role::Far, _) => End::<A, Q>::new(job)?.receive_flow(),
+        _ => flow::<Q>(job),
     }
+}
+
+/// Runs one end of a flow.
+pub fn flow<T: Payload>(job: &Job) -> Result<()> {
+    let mut end = End::<T, T>::new(job)?;
+    if job.role == Role::Near { end.send_flow() } else { end.receive_flow() }
 }
 
 /// One end, and what it sends and receives.
@@ -175,7 +182,7 @@ impl<Out: Payload, In: Payload> End<Out, In> {
             .domain(job.domain)
             .realtime(if job.realtime { Realtime::Required } else { Realtime::Off })
             .sampler_priority(SAMPLER_PRIORITY)
-            .hold_idle(job.way.mode.ends_with("default"));
+            .hold_idle(job.way.mode.ends_with(OWN_DEFAULT));
         let sampler_core = if job.way.mode == "two-cores" { job.way.other_core } else { job.core };
         let context = match sampler_core {
             Some(core) => context.sampler_core(core),
@@ -225,10 +232,10 @@ impl<Out: Payload, In: Payload> End<Out, In> {
     /// Runs a callback until its end.
     fn until<T: Send + 'static>(&self, work: impl Future<Output = Result<T>> + Send + 'static) -> Result<T> {
         let (sender, outcome) = mpsc::channel();
-        let context = self.context.clone();
+        let end = self.end();
         let callback = self.node.spawn_callback(self.options(), async move {
             let _ = sender.send(work.await);
-            context.shutdown();
+            end.stop();
         })?;
         self.node.spin()?;
         callback.join()?;
@@ -244,10 +251,10 @@ impl<Out: Payload, In: Payload> End<Out, In> {
     /// Says that it is ready, and runs a callback until it is told to stop.
     pub fn serve(&self, work: impl Future<Output = Result<()>> + Send + 'static) -> Result<()> {
         let (sender, outcome) = mpsc::channel();
-        let context = self.context.clone();
+        let end = self.end();
         let _callback = self.node.spawn_callback(self.options(), async move {
             let _ = sender.send(work.await);
-            context.shutdown();
+            end.stop();
         })?;
         self.shutdown_on_stop();
         say(&Line::Ready(None));
@@ -278,14 +285,14 @@ impl<Out: Payload, In: Payload> End<Out, In> {
         for (topic, inlet) in sink.inlets(&self.job) {
             ends.push((self.subscription(&format!("{}/t{topic}", self.job.topic))?, inlet));
         }
-        let is_one_thread = self.job.way.mode == "one-thread";
+        let is_one_thread = self.job.way.mode.starts_with("one-thread");
         while !ends.is_empty() {
             let of_callback: Vec<_> = ends.drain(..if is_one_thread { ends.len() } else { 1 }).collect();
-            let (own, context, sender) = (self.job.clone(), self.context.clone(), sender.clone());
+            let (own, end, sender) = (self.job.clone(), self.end(), sender.clone());
             callbacks.push(self.node.spawn_callback(self.options(), async move {
                 if let Err(error) = receive_all(&own, of_callback).await {
                     let _ = sender.send(error);
-                    context.shutdown();
+                    end.stop();
                 }
             })?);
         }
@@ -300,8 +307,13 @@ impl<Out: Payload, In: Payload> End<Out, In> {
     }
 
     fn shutdown_on_stop(&self) {
-        let context = self.context.clone();
-        on_stop(move || context.shutdown());
+        let end = self.end();
+        on_stop(move || end.stop());
+    }
+
+    /// What stops the context. A callback that held the context itself would keep it, and its files.
+    fn end(&self) -> Events {
+        self.context.events().clone()
     }
 
     fn options(&self) -> CallbackOptions {
@@ -310,10 +322,11 @@ impl<Out: Payload, In: Payload> End<Out, In> {
             Some(core) => options.core(core),
             None => options,
         };
-        match self.job.way.mode.as_str() {
+        match self.job.way.mode.trim_end_matches(OWN_DEFAULT) {
             "busy-poll" => options.busy_poll(),
             "direct" | "one-thread" => options.direct_wake(),
             "direct-spin" => options.direct_wake().spin(SPIN),
+            // Such as "blocking" and "one-thread-blocking": the sampler wakes it.
             _ => options,
         }
     }
@@ -447,11 +460,8 @@ async fn gather<A: Payload, Q: Payload>(
 }
 
 fn send_flow<T: Payload>(job: &Job, publishers: &[Publisher<T>]) -> Result<Measured> {
-    let mut source = Source::new(job, stop_flag());
-    while let Some((topic, stamp)) = source.next() {
-        T::send(&publishers[topic], job.payload_bytes, stamp, job.way.whole)?;
-    }
-    Ok(source.measured())
+    Source::new(job, stop_flag())
+        .run(|topic, stamp| T::send(&publishers[topic], job.payload_bytes, stamp, job.way.whole))
 }
 
 async fn receive_all<T: Payload>(job: &Job, mut ends: Vec<(Subscription<T>, Inlet)>) -> Result<()> {
