@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use std::path::PathBuf;
+use std::process::ExitCode;
 
+use clap::{CommandFactory, FromArgMatches, Parser};
 use serde::Serialize;
 use tautline_rt::CoreSet;
 
-use crate::{Result, write_json};
+use crate::{Result, exit, write_json};
 
 /// What most benches are told.
-#[derive(Clone, Debug, clap::Args)]
+#[derive(Clone, Debug, Parser)]
 pub struct Run {
     /// Fewer and shorter rounds
     #[arg(long)]
@@ -19,6 +21,12 @@ pub struct Run {
 }
 
 impl Run {
+    /// The whole program of a bench that is told nothing else; `about` is the first line of its help.
+    pub fn program(name: &'static str, about: &'static str, measure: fn(&Run) -> Result) -> ExitCode {
+        let told = Run::command().name(name).about(about).get_matches();
+        exit(name, measure(&Run::from_arg_matches(&told).unwrap_or_else(|error| error.exit())))
+    }
+
     /// Writes the numbers if it was told to.
     ///
     /// # Errors

@@ -7,7 +7,6 @@
 //! thread of the sampler's priority on the sampler's core, which is as exactly as this machine keeps any time: its timers'
 //! resolution. How late each was is what is printed.
 
-use clap::Parser;
 use futures::StreamExt;
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -30,13 +29,6 @@ const LEFT_OUT: u64 = 50;
 const OTHER_PERIOD_NS: u64 = PERIOD_NS * LEFT_OUT / TOPICS + 7_001;
 /// An event may come one resolution after what is exact.
 const RATIO_LIMIT: f64 = 2.0;
-
-/// Measures how late events of missed deadlines are.
-#[derive(Parser)]
-struct Options {
-    #[command(flatten)]
-    run: Run,
-}
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
@@ -83,12 +75,12 @@ impl Recorder {
 }
 
 fn main() -> ExitCode {
-    tautline_benches::exit("deadlines", measure(&Options::parse()))
+    Run::program("deadlines", "Measures how late events of missed deadlines are", measure)
 }
 
-fn measure(options: &Options) -> Result {
+fn measure(options: &Run) -> Result {
     let (rounds, part) =
-        if options.run.quick { (3, Duration::from_secs(1)) } else { (15, Duration::from_secs(3)) };
+        if options.quick { (3, Duration::from_secs(1)) } else { (15, Duration::from_secs(3)) };
     let (machine, disturbance) = (machine(), Disturbance::start());
     let stage = Stage::new()?;
     let (core, publishing_core) = (stage.core, stage.other_core);
@@ -141,7 +133,7 @@ fn measure(options: &Options) -> Result {
     }
     println!("µs after the time that it was due, while {TOPICS} topics of 100 Hz are published\n");
     println!("{}\n\n{machine}\n{disturbance}\n", of_rows(rows.iter().map(|row| &row.row)));
-    options.run.write(&rows)?;
+    options.write(&rows)?;
     let of_event = rows.last().ok_or("nothing was measured")?;
     let ratio = of_event.ratio.map_or(f64::NAN, |[median, ..]| median);
     let lost = of_event.row.lost;

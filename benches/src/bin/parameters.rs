@@ -7,7 +7,6 @@
 //! is the median, over the rounds, of the ratio of its 99th percentiles to that of the quiet part of the same round: a round that
 //! others disturbed is one of many. What the thread that only wakes does to the callback is the machine's doing, not the setting's.
 
-use clap::Parser;
 use futures::StreamExt;
 use std::hint::black_box;
 use std::process::ExitCode;
@@ -34,13 +33,6 @@ const READ_LIMIT_NS: f64 = 100.0;
 /// Setting shall make the callback's 99th percentile no greater than so many times the quiet one.
 const P99_RATIO_LIMIT: f64 = 1.1;
 
-/// Measures reading parameters beside a thread that sets them.
-#[derive(Parser)]
-struct Options {
-    #[command(flatten)]
-    run: Run,
-}
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Meanwhile {
     Nothing,
@@ -61,7 +53,7 @@ impl Meanwhile {
 }
 
 fn main() -> ExitCode {
-    tautline_benches::exit("parameters", measure(&Options::parse()))
+    Run::program("parameters", "Measures reading parameters beside a thread that sets them", measure)
 }
 
 struct Readers {
@@ -80,8 +72,8 @@ impl Readers {
     }
 }
 
-fn measure(options: &Options) -> Result {
-    let (rounds, reads, parts, part) = match options.run.quick {
+fn measure(options: &Run) -> Result {
+    let (rounds, reads, parts, part) = match options.quick {
         true => (5, 100_000, 3, Duration::from_millis(500)),
         false => (21, 1_000_000, 15, Duration::from_secs(4)),
     };
@@ -111,7 +103,7 @@ fn measure(options: &Options) -> Result {
     println!("\n{machine}\n{disturbance}\n");
     rows.extend(callback);
     rows.iter_mut().for_each(|row| row.disturbance = disturbance.clone());
-    options.run.write(&rows)?;
+    options.write(&rows)?;
     let claim = format!("a read costs less than {READ_LIMIT_NS} ns");
     let found = format!("{slowest_ns:.0} ns at most (median of rounds)");
     println!("{}", stage.judge(claim, found, slowest_ns < READ_LIMIT_NS));

@@ -4,7 +4,6 @@
 //! The cases run in alternating rounds on one core; a loop without an event is measured beside them. Built with
 //! `--features lttng`, every event is a tracepoint as well: run it inside and outside of an LTTng session.
 
-use clap::Parser;
 use serde::Serialize;
 use std::hint::black_box;
 use std::process::ExitCode;
@@ -18,13 +17,6 @@ use tautline_trace::{MessageId, ObjectId, Recorder, TraceMode};
 
 /// None of ROS 2's: no topic is opened.
 const DOMAIN: u32 = 1300;
-
-/// Measures what a trace event costs.
-#[derive(Parser)]
-struct Options {
-    #[command(flatten)]
-    run: Run,
-}
 
 /// One case: nanoseconds per call, of each round.
 #[derive(Serialize)]
@@ -56,11 +48,11 @@ const CASES: [(&str, Work); 4] = [
 ];
 
 fn main() -> ExitCode {
-    tautline_benches::exit("trace", measure(&Options::parse()))
+    Run::program("trace", "Measures what a trace event costs", measure)
 }
 
-fn measure(options: &Options) -> Result {
-    let (rounds, calls) = if options.run.quick { (5, 200_000) } else { (21, 5_000_000) };
+fn measure(options: &Run) -> Result {
+    let (rounds, calls) = if options.quick { (5, 200_000) } else { (21, 5_000_000) };
     // Before this program confines itself to one core.
     let (machine, disturbance) = (machine(), Disturbance::start());
     if let Some(core) = tautline_rt::CoreSet::allowed()?.iter().last() {
@@ -94,7 +86,7 @@ fn measure(options: &Options) -> Result {
     }
     print(&cases);
     println!("\n{machine}\n{}", disturbance.report());
-    options.run.write(&cases)
+    options.write(&cases)
 }
 
 fn print(cases: &[Case]) {
