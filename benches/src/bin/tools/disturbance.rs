@@ -10,9 +10,9 @@ use crate::{DOMAIN, Looking, Result, Taut, as_robot};
 use serde::Serialize;
 use std::time::Duration;
 use tautline::geometry_msgs::msg::Point;
-use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::Table;
-use tautline_benches::{Distribution, cells, rows};
+use tautline_benches::Distribution;
+use tautline_benches::rows::{Row, Tally, median};
+use tautline_benches::table::of_rows;
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_rt::{CoreSet, MemoryLock, lock_memory};
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription};
@@ -34,31 +34,20 @@ const CASES: [(&str, &[&str], bool); 8] = [
     ("taut topic echo", &["topic", "echo", "/looked_at"], false),
 ];
 
-#[derive(Serialize)]
+/// What was measured of a case.
+#[derive(Clone, Default, Serialize)]
 pub struct Case {
-    name: &'static str,
-    messages: u64,
-    p50_us: f64,
-    p99_us: f64,
-    /// Of a round, the median of all: one stall of the host is in the maximum only.
-    p999_us: f64,
-    max_us: f64,
+    #[serde(skip)]
+    tally: Tally,
+    /// Made of it in the end.
+    #[serde(flatten)]
+    row: Row,
     /// Of the publishing thread, in all rounds.
     page_faults: u64,
     /// How often it lost its core.
     preempted: u64,
     /// Rounds in which there were page faults. What looking costs comes in each; what the kernel moves about does not.
-    faulted_rounds: u64,
-}
-
-/// What was measured of a case in its rounds so far.
-#[derive(Clone, Default)]
-struct Tally {
-    times: Distribution,
-    p999_us: Vec<f64>,
-    page_faults: u64,
-    preempted: u64,
-    faulted_rounds: u64,
+    faulted_rounds: u32,
 }
 
 /// Page faults and involuntary changes of the thread on the core, so far.
@@ -93,7 +82,7 @@ fn round(
 
 /// Prints the cases, and adds what does not hold to `broken`.
 pub fn measure(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Vec<Case>> {
-    let (rounds, messages) = if quick { (2, 500) } else { (10, 3000) };
+    let (rounds, messages) = if quick { (2_u32, 500) } else { (10, 3000) };
     let taut = taut.clone();
     let participant = Participant::new(DOMAIN)?;
     let publisher = participant.create_publisher::<Point>("/looked_at", Qos::default(), Limits::default())?;
@@ -103,7 +92,7 @@ pub fn measure(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Vec
     let cores: Vec<_> = CoreSet::allowed()?.iter().map(|core| core.to_string()).collect();
     // On a machine of one core they are on it.
     let others = cores[..cores.len().saturating_sub(1).max(1)].join(",");
-    let mut all = vec![Tally::default(); CASES.len()];
+    let mut all = vec![Case::default(); CASES.len()];
     // As in processes with real-time threads.
     if let Err(error) = lock_memory(MemoryLock::OnFault) {
         println!("memory is not locked: {error}");
@@ -112,8 +101,8 @@ pub fn measure(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Vec
         as_robot(80)?;
         // Pages and caches are there.
         round(&publisher, &subscription, 200, &mut Distribution::new());
-        for _ in 0..rounds {
-            for ((_, arguments, _), tally) in CASES.iter().zip(&mut all) {
+        for number in 1..=rounds {
+            for ((_, arguments, _), case) in CASES.iter().zip(&mut all) {
                 let argument =
                     |argument: &&'static str| if *argument == OTHERS { others.as_str() } else { *argument };
                 let arguments: Vec<&str> = arguments.iter().map(argument).collect();
@@ -122,53 +111,36 @@ pub fn measure(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Vec
                 // It has begun to look, and who is taken from has been set up for it.
                 std::thread::sleep(Duration::from_millis(400));
                 round(&publisher, &subscription, 100, &mut Distribution::new());
-                let [faults_before, preempted_before] = counted()?;
+                // Its memory may be new, and then costs page faults.
                 let mut times = Distribution::new();
+                let [faults_before, preempted_before] = counted()?;
                 round(&publisher, &subscription, messages, &mut times);
                 let [faults, preempted] = counted()?;
-                tally.times.add(&times.counts());
-                tally.p999_us.push(times.quantile_us(0.999));
-                tally.page_faults += faults - faults_before;
-                tally.preempted += preempted - preempted_before;
-                tally.faulted_rounds += u64::from(faults > faults_before);
+                case.tally.add(number, &times);
+                case.page_faults += faults - faults_before;
+                case.preempted += preempted - preempted_before;
+                case.faulted_rounds += u32::from(faults > faults_before);
                 drop(looking);
             }
         }
         Ok(all)
     });
-    let all = worker.join().map_err(|_| "the publishing thread panicked")??;
-    let case = |((name, ..), tally): (&(&'static str, _, _), Tally)| Case {
-        name,
-        messages: tally.times.len(),
-        p50_us: tally.times.quantile_us(0.5),
-        p99_us: tally.times.quantile_us(0.99),
-        p999_us: rows::median(tally.p999_us).unwrap_or(0.0),
-        max_us: tally.times.max_us(),
-        page_faults: tally.page_faults,
-        preempted: tally.preempted,
-        faulted_rounds: tally.faulted_rounds,
-    };
-    let cases: Vec<Case> = CASES.iter().zip(all).map(case).collect();
-    print(&cases);
-    for (Case { name, page_faults, faulted_rounds, .. }, (.., is_free)) in cases.iter().zip(CASES) {
-        if is_free && *faulted_rounds == rounds {
+    let mut cases = worker.join().map_err(|_| "the publishing thread panicked")??;
+    let mut nobodys_us = None;
+    for (case, (name, _, is_free)) in cases.iter_mut().zip(CASES) {
+        let Case { tally, page_faults, preempted, .. } = &*case;
+        // Of a round, the median of all: one stall of the host is in the maximum only.
+        let p999_us = median(tally.rounds.iter().map(|round| round.p999_us).collect()).unwrap_or(f64::NAN);
+        let ratio = p999_us / *nobodys_us.get_or_insert(p999_us);
+        let note =
+            format!("{page_faults} page faults, preempted {preempted} times, p99.9 {ratio:.2} x nobody's");
+        let row = tally.row("publishing", "tautline", name, size_of::<Point>());
+        if is_free && case.faulted_rounds == rounds {
             broken.push(format!("{name}: {page_faults} page faults of the publisher, some in every round"));
         }
+        case.row = Row { p999_us: Some(p999_us), note, ..row };
     }
-    Ok(cases)
-}
-
-fn print(cases: &[Case]) {
     println!("a publication at 1 kHz, in us, and what the kernel counts of its thread\n");
-    let numbers = ["n", "p50", "p99", "p99.9", "max", "page faults", "preempted", "p99.9 is x"];
-    let columns = [Words("who looks")].into_iter().chain(numbers.map(Number));
-    let mut table = Table::new(0, columns.collect::<Vec<_>>());
-    for case in cases {
-        let times = [case.p50_us, case.p99_us, case.p999_us, case.max_us];
-        let [p50, p99, p999, max] = times.map(|us| format!("{us:.2}"));
-        let ratio = format!("{:.2}", case.p999_us / cases[0].p999_us);
-        let (faults, preempted) = (case.page_faults, case.preempted);
-        table.add(cells![case.name, case.messages, p50, p99, p999, max, faults, preempted, ratio]);
-    }
-    println!("{table}");
+    println!("{}", of_rows(cases.iter().map(|case| &case.row)));
+    Ok(cases)
 }
