@@ -43,12 +43,12 @@ const COMPARE: &[&str] = &["compare"];
 const NETWORK: &[&str] = &["compare", "network"];
 /// Those after the first six are what some ways of a system need beside its own program.
 const RIVALS: [Rival; 9] = [
-    (COMPARE, "taktora", "taktora", build_taktora),
+    (COMPARE, "taktora", "taktora", |_| build_apart("taktora")),
     (COMPARE, "fastdds", "fastdds", build_fastdds),
     (COMPARE, "cyclonedds", "cyclonedds", build_cyclonedds),
     (&["compare", "services"], "r2r", "r2r", build_r2r),
-    (NETWORK, "zenoh", "zenoh", build_zenoh),
-    (NETWORK, "hiroz", "hiroz", build_hiroz),
+    (NETWORK, "zenoh", "zenoh", |_| build_apart("zenoh")),
+    (NETWORK, "hiroz", "hiroz", |_| build_apart("hiroz")),
     (NETWORK, "tautline", "gateway", build_gateway),
     (&["network"], "tautline", "taut", build_taut),
     (COMPARE, "cyclonedds", "roudi", write_roudi),
@@ -206,19 +206,11 @@ fn build_r2r(_: Build) -> Result<PathBuf, String> {
     r2r::program("compare-r2r")
 }
 
-/// Half a minute from cold: its iceoryx2 is not ours.
-fn build_taktora(_: Build) -> Result<PathBuf, String> {
-    apart(&mut steps::cargo(RELEASE), "benches/rivals/taktora", "compare/taktora-build", "rival-taktora")
-}
-
-/// Minutes from cold: a Zenoh with shared memory, which the gateway's has not.
-fn build_zenoh(_: Build) -> Result<PathBuf, String> {
-    apart(&mut steps::cargo(RELEASE), "benches/rivals/zenoh", "compare/zenoh-build", "rival-zenoh")
-}
-
-/// Minutes from cold: a Zenoh with all its transports.
-fn build_hiroz(_: Build) -> Result<PathBuf, String> {
-    apart(&mut steps::cargo(RELEASE), "benches/rivals/hiroz", "compare/hiroz-build", "rival-hiroz")
+/// In a workspace of its own. From cold half a minute for taktora, whose iceoryx2 is not ours; minutes for a Zenoh with shared memory, which
+/// the gateway's has not, and for hiroz's, with all its transports.
+fn build_apart(name: &str) -> Result<PathBuf, String> {
+    let (folder, target) = (format!("benches/rivals/{name}"), format!("compare/{name}-build"));
+    apart(&mut steps::cargo(RELEASE), &folder, &target, &format!("rival-{name}"))
 }
 
 /// A program of one C++ file in the making.

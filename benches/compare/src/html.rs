@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The report as one page that needs nothing else.
 
-use std::fmt::Write;
+use std::fmt::{self, Write};
 
-use tautline_benches::page::{END, begin, escape, list, verdicts};
+use tautline_benches::page::{self, END, begin, escape, list, verdicts};
 use tautline_benches::rows::Row;
 use tautline_benches::table::Column::{Text, Words};
 use tautline_benches::table::{Table, of_rows, short, size};
@@ -59,10 +59,8 @@ fn write_slower(out: &mut String, report: &Report) -> Result<()> {
     Ok(table.html(out)?)
 }
 
-fn write_figure(out: &mut String, svg: Option<String>, caption: &str) {
-    if let Some(svg) = svg {
-        *out += &format!("<figure>\n{svg}\n<figcaption>{}</figcaption></figure>\n", escape(caption));
-    }
+fn write_figure(out: &mut String, svg: Option<String>, caption: &str) -> fmt::Result {
+    svg.map_or(Ok(()), |svg| page::figure(out, &svg, &escape(caption)))
 }
 
 fn write_latency(out: &mut String, report: &Report) -> Result<()> {
@@ -86,19 +84,19 @@ fn write_latency(out: &mut String, report: &Report) -> Result<()> {
             "Payload written and read whole, idle states as the machine has them, but for Tautline's own-default, which holds them off by itself.",
         ),
     ] {
-        write_figure(out, latency_by_size(rows, experiment)?, caption);
+        write_figure(out, latency_by_size(rows, experiment)?, caption)?;
     }
     out.push_str("<h2>Distributions</h2>\n");
     for bytes in [64, 1 << 20] {
         let caption =
             format!("Half round trips of {}, written and read whole, idle states held off.", size(bytes));
         let axis = "half a round trip";
-        write_figure(out, distributions(rows, "latency/whole/held-off", bytes, axis)?, &caption);
+        write_figure(out, distributions(rows, "latency/whole/held-off", bytes, axis)?, &caption)?;
     }
     for (load, how) in [("quiet", "with a quiet machine"), ("load", "under load")] {
         let experiment = format!("open-loop/{load}/held-off");
         let caption = format!("One way of 1 KiB at 1 kHz {how}, idle states held off.");
-        write_figure(out, distributions(rows, &experiment, 1 << 10, "one way")?, &caption);
+        write_figure(out, distributions(rows, &experiment, 1 << 10, "one way")?, &caption)?;
     }
     Ok(())
 }
@@ -188,7 +186,7 @@ fn write_bars(out: &mut String, report: &Report) -> Result<()> {
         ),
     ];
     for (title, all, end) in pictures {
-        write_figure(out, bars(title, &all, end)?, "");
+        write_figure(out, bars(title, &all, end)?, "")?;
     }
     for (kind, caption) in [
         (
@@ -197,7 +195,7 @@ fn write_bars(out: &mut String, report: &Report) -> Result<()> {
         ),
         ("fan-out/processes/held-off", "1 MiB to one subscription in each of several processes."),
     ] {
-        write_figure(out, fan_out(&report.rows, kind)?, caption);
+        write_figure(out, fan_out(&report.rows, kind)?, caption)?;
     }
     Ok(())
 }
