@@ -44,8 +44,6 @@ fn reason(row: &Row, rival: &str, figure: Metric) -> &'static str {
         ("robot", Memory) => STACKS,
         ("throughput", Interval) if !is_small => FILLING,
         ("throughput", Interval) if rival.starts_with("zenoh") => BATCHES,
-        ("start-up", Start) if is_of("-topics/") => SERVICES,
-        ("start-up", Start) => SYNCED,
         _ => UNKNOWN,
     }
 }
@@ -60,8 +58,6 @@ const JANITOR: &str = "in each process a janitor thread looks at the ports when 
 const STACKS: &str = "each of the 20 callbacks has a thread, whose whole stack is touched and locked before it starts (CallbackOptions::stack_bytes sets its size); one-thread does without";
 const BATCHES: &str =
     "it packs many small messages into one packet, and one wake delivers them all; Tautline announces each";
-const SERVICES: &str = "each topic is an iceoryx2 service with files and mappings of its own, made before the first message so that nothing is allocated later";
-const SYNCED: &str = "iceoryx2 has the descriptions of its services written to the disk (fsync) one by one, which a tmpfs at /tmp spares";
 const UNKNOWN: &str = "no reason is known";
 
 /// Less is noise of the machine.
