@@ -5,7 +5,7 @@ use crate::bench::Options;
 use crate::build::{TARGETS, WHOLE as WORKSPACE, build};
 use crate::r2r::Environment;
 use crate::reports::BRIDGE;
-use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::steps::{Outcome, Steps, cargo, reported};
 use crate::{lints, machine, programs, r2r};
 use std::process::{Command, ExitCode};
 
@@ -103,7 +103,6 @@ pub fn bench_of_tests(steps: &mut Steps) {
     };
     let target = machine::target_dir();
     let json = target.join("bridge.json");
-    let _ = std::fs::remove_file(&json);
     steps.step("bench: bridge", || {
         // It waits for processes, which may not come.
         let mut command = Command::new("timeout");
@@ -115,9 +114,6 @@ pub fn bench_of_tests(steps: &mut Steps) {
             .arg(&json)
             .envs(environment);
         command.args(machine::no_rt());
-        match execute(&mut command) {
-            Outcome::Ok => BRIDGE.of(&json, &[("expected", (20 * 1000 * 15).into())]),
-            other => other,
-        }
+        reported(&mut command, &json, || BRIDGE.of(&json, &[("expected", (20 * 1000 * 15).into())]))
     });
 }

@@ -8,7 +8,7 @@ use crate::beside_r2r::{ALKS, Paper, REFERENCE};
 use crate::build::{Build, LATER, SAME, TARGETS, WHOLE, WITH_GATEWAY, WITH_ROS};
 use crate::compare::Compare;
 use crate::machine::{self, Scope};
-use crate::steps::{Beside, Outcome, Steps, cargo, execute};
+use crate::steps::{Beside, Outcome, Steps, cargo, execute, reported};
 use crate::test::{self, nextest};
 use crate::{
     api, book, bridge, fuzz, lints, lttng, packages, peers, programs, r2r, r2r_tests, reports, rmw, ros,
@@ -203,13 +203,8 @@ fn reference_system(steps: &mut Steps) {
     let no_rt = machine::no_rt();
     let given = |beside: bool| [("realtime", no_rt.is_none().into()), ("beside", beside.into())];
     let run = |arguments: &[&str], check: &dyn Fn() -> Outcome| {
-        let _ = std::fs::remove_file(&json);
         let mut command = Command::new(Build::Tests.folder().join("reference_system"));
-        command.args(arguments).arg("--json").arg(&json).args(no_rt);
-        match execute(&mut command) {
-            Outcome::Ok => check(),
-            other => other,
-        }
+        reported(command.args(arguments).arg("--json").arg(&json).args(no_rt), &json, check)
     };
     let svg = svg.display().to_string();
     let check = || reports::REFERENCE.of(&json, &given(false));
@@ -306,12 +301,9 @@ fn bench(
     check: impl FnOnce(&Path) -> Outcome,
 ) {
     let json = machine::target_dir().join(format!("{name}.json"));
-    let _ = std::fs::remove_file(&json);
     steps.step(&format!("bench: {name}"), || {
-        match execute(&mut command(Options { json: Some(json.clone()), ..Options::of_tests() })) {
-            Outcome::Ok => check(&json),
-            other => other,
-        }
+        let mut command = command(Options { json: Some(json.clone()), ..Options::of_tests() });
+        reported(&mut command, &json, || check(&json))
     });
 }
 

@@ -305,6 +305,16 @@ pub fn execute(command: &mut Command) -> Outcome {
     ended(command.status())
 }
 
+/// Runs what writes a report to this file, and checks the report if it ends well.
+pub fn reported(command: &mut Command, report: &Path, check: impl FnOnce() -> Outcome) -> Outcome {
+    // None of an earlier run.
+    let _ = fs::remove_file(report);
+    match execute(command) {
+        Outcome::Ok => check(),
+        other => other,
+    }
+}
+
 /// How a command ended.
 pub fn ended(status: std::io::Result<ExitStatus>) -> Outcome {
     match status {

@@ -4,7 +4,7 @@
 
 use crate::build::{Build, SAME, TARGETS, WITH_GATEWAY, WITH_ROS, most};
 use crate::reports::{ABLATION, DEMO};
-use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::steps::{Outcome, Steps, cargo, execute, reported};
 use crate::{examples, lints, machine, machine::Scope, r2r};
 use std::process::{Command, ExitCode};
 
@@ -47,16 +47,10 @@ fn demo(steps: &mut Steps, built: bool) {
     let target = machine::target_dir();
     let (json, svg) = (target.join("demo.json"), target.join("demo.svg"));
     let mut run = |name, priority, check: &dyn Fn() -> Outcome| {
-        let _ = std::fs::remove_file(&json);
-        steps.step(name, || {
-            let mut command = Command::new(Build::Tests.folder().join("taut"));
-            command.args(["demo", "--seconds", "3", "--sampler-priority", priority]);
-            command.arg("--json").arg(&json).arg("--svg").arg(&svg);
-            match execute(&mut command) {
-                Outcome::Ok => check(),
-                other => other,
-            }
-        });
+        let mut command = Command::new(Build::Tests.folder().join("taut"));
+        command.args(["demo", "--seconds", "3", "--sampler-priority", priority]);
+        command.arg("--json").arg(&json).arg("--svg").arg(&svg);
+        steps.step(name, || reported(&mut command, &json, check));
     };
     let realtime = machine::no_rt().is_none();
     run("demo", "21", &|| DEMO.of(&json, &[("realtime", realtime.into())]));
