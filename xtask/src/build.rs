@@ -30,7 +30,8 @@ pub const LATER: [&str; 5] =
 pub const WITH_GATEWAY: &str = "package(tautline-gateway)|(package(taut)&binary(hops))";
 
 /// What is compared with a ROS 2.
-pub const WITH_ROS: &str = "binary(ros_hashes)|binary(ros_values)|test(ros::)|test(others_read)";
+pub const WITH_ROS: &str =
+    "binary(ros_hashes)|binary(ros_values)|test(ros::)|test(others_read)|test(recorded_as_events)";
 
 /// Packages that ask for the features that all of [`WHOLE`] has of other packages: what is built with them and some package of ours shares
 /// these with [`WHOLE`].
