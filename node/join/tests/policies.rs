@@ -378,6 +378,20 @@ fn a_pivot_that_stops_is_replaced_and_one_that_returns_takes_over() {
 }
 
 #[test]
+fn of_equal_rates_the_first_makes_all_sets() {
+    // With any weight, by which the arithmetic rounds each period's rate in another way.
+    for weight in 1..1000 {
+        let config = RateConfig { rate_ema_alpha: f64::from(weight) / 1000.0, ..RateConfig::default() };
+        let mut policy = LatestTime::new().rate_config(config);
+        for period in 0..20 {
+            let now = period * 11_000_000;
+            let made = [policy.arrived(0, now), policy.arrived(1, now + 4_000_000)];
+            assert_eq!(made, [period > 0, false], "weight {weight}, period {period}");
+        }
+    }
+}
+
+#[test]
 fn the_fastest_that_is_not_late_makes_sets() {
     let seed = rand::random();
     println!("seed {seed}");
@@ -418,18 +432,17 @@ fn the_fastest_that_is_not_late_makes_sets() {
                 }
                 state
             };
-            let mut ranks: Vec<(usize, f64, Option<f64>, i64)> = (0..inputs)
-                .filter_map(|i| {
-                    let (hz, error) = estimate(&seen[i]);
-                    Some((i, hz?, error, *seen[i].last()?))
-                })
-                .collect();
-            ranks.sort_by(|a, b| b.1.total_cmp(&a.1));
-            let pivot = ranks.iter().find(|(_, hz, error, last)| {
+            let own_hz = estimate(&seen[input]).0;
+            let is_faster = |i: usize| {
+                let (Some(own), (Some(hz), error)) = (own_hz, estimate(&seen[i])) else { return false };
+                let last = seen[i].last().unwrap();
                 let late = |error: f64| hz - 1e9 / (now - last) as f64 > factor * error + 1e-9 * hz;
-                now == *last || !error.is_some_and(late)
-            });
-            let expected = !is_same && pivot.is_some_and(|pivot| pivot.0 == input);
+                let is_late = now != *last && error.is_some_and(late);
+                // Of equal ones the first.
+                let comes_first = if i < input { hz > own * (1.0 - 1e-9) } else { hz > own * (1.0 + 1e-9) };
+                i != input && comes_first && !is_late
+            };
+            let expected = !is_same && own_hz.is_some() && !(0..inputs).any(is_faster);
             assert_eq!(
                 policy.arrived(input, now),
                 expected,

@@ -80,9 +80,9 @@ impl LatestTime {
     pub fn arrived(&mut self, input: usize, now_ns: i64) -> bool {
         let Some(hz) = self.rates.get_mut(input).and_then(|rate| rate.update(now_ns)) else { return false };
         let is_faster = |(i, other): (usize, &Rate)| {
-            // Of equal ones the first.
-            let comes_first = other.hz.is_some_and(|other| if i < input { other >= hz } else { other > hz });
-            i != input && comes_first && !other.is_late(now_ns)
+            // Of equal ones the first: equal but for what averaging them has rounded.
+            let least = hz * if i < input { 1.0 - ROUNDING } else { 1.0 + ROUNDING };
+            i != input && other.hz.is_some_and(|other| other > least) && !other.is_late(now_ns)
         };
         !self.rates.iter().enumerate().any(is_faster)
     }
