@@ -380,7 +380,7 @@ fn a_pivot_that_stops_is_replaced_and_one_that_returns_takes_over() {
 #[test]
 fn of_equal_rates_the_first_makes_all_sets() {
     // With any weight, by which the arithmetic rounds each period's rate in another way.
-    for weight in 1..1000 {
+    for weight in 1..=1000 {
         let config = RateConfig { rate_ema_alpha: f64::from(weight) / 1000.0, ..RateConfig::default() };
         let mut policy = LatestTime::new().rate_config(config);
         for period in 0..20 {
@@ -413,36 +413,37 @@ fn the_fastest_that_is_not_late_makes_sets() {
             seen[input].push(now);
             let estimate = |seen: &[i64]| -> (Option<f64>, Option<f64>) {
                 let mut state: (Option<f64>, Option<f64>) = (None, None);
-                for period in seen.windows(2).map(|pair| (pair[1] - pair[0]) as f64 / 1e9) {
-                    if period == 0.0 {
-                        continue;
-                    }
-                    let hz = 1.0 / period;
+                let mix = |alpha: f64, new: f64, old: f64| old + alpha * (new - old);
+                for period_ns in seen.windows(2).map(|pair| pair[1] - pair[0]).filter(|period| *period != 0) {
+                    let hz = 1e9 / period_ns as f64;
                     state = match state {
                         (None, _) => (Some(hz), None),
                         (Some(old), Some(error)) if (old - hz).abs() > factor * error + 1e-9 * old => {
                             (Some(hz), None)
                         }
                         (Some(old), error) => {
-                            let error = error
-                                .map_or((old - hz).abs(), |e| beta * (old - hz).abs() + (1.0 - beta) * e);
-                            (Some(alpha * hz + (1.0 - alpha) * old), Some(error))
+                            let found = (old - hz).abs();
+                            (
+                                Some(mix(alpha, hz, old)),
+                                Some(error.map_or(found, |error| mix(beta, found, error))),
+                            )
                         }
                     };
                 }
                 state
             };
-            let own_hz = estimate(&seen[input]).0;
-            let is_faster = |i: usize| {
-                let (Some(own), (Some(hz), error)) = (own_hz, estimate(&seen[i])) else { return false };
-                let last = seen[i].last().unwrap();
+            let mut ranks: Vec<(usize, f64, Option<f64>, i64)> = (0..inputs)
+                .filter_map(|i| {
+                    let (hz, error) = estimate(&seen[i]);
+                    Some((i, hz?, error, *seen[i].last()?))
+                })
+                .collect();
+            ranks.sort_by(|a, b| b.1.total_cmp(&a.1));
+            let pivot = ranks.iter().find(|(_, hz, error, last)| {
                 let late = |error: f64| hz - 1e9 / (now - last) as f64 > factor * error + 1e-9 * hz;
-                let is_late = now != *last && error.is_some_and(late);
-                // Of equal ones the first.
-                let comes_first = if i < input { hz > own * (1.0 - 1e-9) } else { hz > own * (1.0 + 1e-9) };
-                i != input && comes_first && !is_late
-            };
-            let expected = !is_same && own_hz.is_some() && !(0..inputs).any(is_faster);
+                now == *last || !error.is_some_and(late)
+            });
+            let expected = !is_same && pivot.is_some_and(|pivot| pivot.0 == input);
             assert_eq!(
                 policy.arrived(input, now),
                 expected,

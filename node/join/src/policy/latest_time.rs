@@ -80,9 +80,9 @@ impl LatestTime {
     pub fn arrived(&mut self, input: usize, now_ns: i64) -> bool {
         let Some(hz) = self.rates.get_mut(input).and_then(|rate| rate.update(now_ns)) else { return false };
         let is_faster = |(i, other): (usize, &Rate)| {
-            // Of equal ones the first: equal but for what averaging them has rounded.
-            let least = hz * if i < input { 1.0 - ROUNDING } else { 1.0 + ROUNDING };
-            i != input && other.hz.is_some_and(|other| other > least) && !other.is_late(now_ns)
+            // Of equal ones the first.
+            let comes_first = other.hz.is_some_and(|other| if i < input { other >= hz } else { other > hz });
+            i != input && comes_first && !other.is_late(now_ns)
         };
         !self.rates.iter().enumerate().any(is_faster)
     }
@@ -111,7 +111,8 @@ impl Rate {
             return None;
         }
         let now_hz = 1e9 / period_ns as f64;
-        let mix = |alpha: f64, new: f64, old: f64| alpha * new + (1.0 - alpha) * old;
+        // So that what does not change is not rounded: inputs of one rate have one to the last bit.
+        let mix = |alpha: f64, new: f64, old: f64| old + alpha * (new - old);
         let hz = match (self.hz, self.error_hz) {
             (Some(hz), Some(error_hz)) if (hz - now_hz).abs() > self.margin(hz, error_hz) => {
                 self.error_hz = None;
