@@ -27,14 +27,8 @@ const BESIDE: [&str; 4] = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "exam
 
 pub fn run() -> ExitCode {
     let mut steps = Steps::new();
-    prepare(&mut steps);
     test(&mut steps);
     steps.finish()
-}
-
-/// Builds mdBook, unless there is one.
-pub fn prepare(steps: &mut Steps) {
-    steps.step("book: mdBook", || mdbook().map_or_else(Outcome::unless_ci, |_| Outcome::Ok));
 }
 
 /// Checks all links, then builds the book.

@@ -8,12 +8,14 @@ use crate::beside_r2r::{ALKS, Paper, REFERENCE};
 use crate::build::{Build, LATER, SAME, TARGETS, WHOLE, WITH_GATEWAY, WITH_ROS};
 use crate::compare::Compare;
 use crate::machine::{self, Scope};
-use crate::steps::{Beside, Outcome, Steps, cargo, execute, reported};
+use crate::steps::{Background, Outcome, Steps, cargo, execute, reported};
 use crate::test::{self, nextest};
 use crate::{
     api, book, bridge, fuzz, lints, lttng, packages, peers, programs, r2r, r2r_tests, reports, rmw, ros,
     shared, stress_doorbell, stress_kills,
 };
+use clap::ValueEnum;
+use clap::builder::PossibleValue;
 use std::path::Path;
 use std::process::{Command, ExitCode};
 
@@ -23,51 +25,61 @@ const RINGS: u64 = 1_000_000;
 /// Within two minutes; `cargo xtask stress kills` kills as many as it is told to.
 const KILLS: u64 = 1000;
 
-/// Of builds beside what is measured, or waits for others only so long.
-const NICE: u8 = 10;
-
-/// Steps beside others: while these build, those wait, or the other way round. Cargo lets one build go on at a time, so that all others of
-/// that time do without it.
-#[derive(Clone, Copy, clap::ValueEnum)]
-pub enum Lane {
-    /// What others bring, from the network.
+/// Steps in the background of others: while these build, those wait, or the other way round. Cargo lets one build go on at a time, so that
+/// all others of that time do without it; `cargo install` has a folder of its own.
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Job {
+    /// What comes from the network.
     Prepare,
+    /// The documentation, for which mdBook is built.
+    Book,
     /// What is built for a step alone, and takes the place of nothing.
     Apart,
-    /// What takes the place of `taut` and other programs of the tests' build: beside it nobody runs these.
+    /// What takes the place of `taut` and other programs of the tests' build: meanwhile nobody runs these.
     Variants,
 }
 
-/// The steps of a lane, in a process of their own.
-pub fn run_beside(lane: Lane) -> Steps {
-    let mut steps = Steps::new();
-    match lane {
-        Lane::Prepare => prepare(&mut steps),
-        Lane::Apart => {
-            examples_by_themselves(&mut steps);
-            peers::test(&mut steps);
-        }
-        Lane::Variants => {
-            fuzz::all(&mut steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS);
-            lttng::test(&mut steps);
-            build_as_released(&mut steps);
-        }
+impl Job {
+    fn start(self) -> Background {
+        // What else runs meanwhile is measured, or waits for others only so long; a download is waited for.
+        let niceness = if self == Job::Prepare { 0 } else { 10 };
+        let value = self.to_possible_value();
+        Background::start(value.as_ref().map_or("", PossibleValue::get_name), niceness)
     }
-    steps
+
+    /// Its steps.
+    pub fn run(self) -> Steps {
+        let mut steps = Steps::new();
+        match self {
+            Job::Prepare => prepare(&mut steps),
+            Job::Book => book::test(&mut steps),
+            Job::Apart => {
+                examples_by_themselves(&mut steps);
+                peers::test(&mut steps);
+            }
+            Job::Variants => {
+                fuzz::all(&mut steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS);
+                lttng::test(&mut steps);
+                build_as_released(&mut steps);
+            }
+        }
+        steps
+    }
 }
 
 /// Runs every step, whatever fails.
 pub fn run(scope: &Scope) -> ExitCode {
     let mut steps = Steps::new();
     r2r::prepare_libclang(&mut steps, true);
-    let prepared = Beside::start("prepare", 0);
+    let prepared = Job::Prepare.start();
     formats(&mut steps);
     let built = lints::build(&mut steps, "build and lints", &format!("{WHOLE} {TARGETS}"));
     steps.join(prepared);
-    book::test(&mut steps);
     steps.step("public surface", || api::check(false));
     steps.step("builds are shared", shared::check);
+    let book = Job::Book.start();
     rest_of_tests(&mut steps);
+    steps.join(book);
     bridge::test(&mut steps);
     rmw::test(&mut steps);
     clock_step(&mut steps);
@@ -77,11 +89,11 @@ pub fn run(scope: &Scope) -> ExitCode {
     rmw::bench_of_tests(&mut steps);
     let r2r = r2r_tests::build(&mut steps);
     if built {
-        let apart = Beside::start("apart", NICE);
+        let apart = Job::Apart.start();
         r2r.run(&mut steps);
         of_the_build(&mut steps);
         steps.join(apart);
-        let variants = Beside::start("variants", NICE);
+        let variants = Job::Variants.start();
         of_the_build_without_taut(&mut steps);
         if steps.join(variants) {
             demo_as_released(&mut steps);
@@ -124,7 +136,6 @@ fn prepare(steps: &mut Steps) {
     steps.step("peers: zenoh-ros2-sdk", peers::prepare);
     steps.step("gateway: packages", packages::firewall);
     steps.step("lttng: packages", lttng::prepare);
-    book::prepare(steps);
 }
 
 /// Workspaces that are no part of [`mod@test`]. What they use of ours may have got dependencies, which those that no other step builds lack then.

@@ -83,8 +83,8 @@ fn run_as(command: &mut Command) -> ExitCode {
     }
 }
 
-/// Whether these are a compiler's arguments for a file of a package's `tests/`. Cargo optimises it as it does the package, which takes most of the
-/// time that such a test is built and run in.
+/// Whether these are a compiler's arguments for a file of a package's `tests/`. Cargo optimises it as it does the package, which takes longer than a
+/// run of it gains.
 fn is_integration_test(arguments: &[OsString]) -> bool {
     let is_in_tests = |word: &OsString| {
         let path = Path::new(word);

@@ -5,7 +5,7 @@
 //! |---|---|
 //! | `api` | the public surface of the crate `tautline`, and that all it names can be named |
 //! | `build` | which build of a program is run, and of which packages |
-//! | `steps` | commands that are printed, timed and counted; the closing table |
+//! | `steps` | commands that are printed, timed and counted, some in the background; the closing table |
 //! | `test` | the verb `test`: every step of it, in order |
 //! | `ci` | the verb `ci`: the rest of what CI runs |
 //! | `shared` | checks that both build what they share once |
@@ -101,11 +101,11 @@ enum Verb {
     Test(All),
     /// The rest of what CI runs: ROS 2, bridge, RMW, Zenoh and its peers, network namespaces, stress, smoke tests of benches, miri, fuzz
     Ci(All),
-    /// Some of them beside the others: `ci` starts it
+    /// Some steps of `ci`, which starts it
     #[command(hide = true)]
-    Beside {
+    Background {
         #[arg(value_enum)]
-        lane: ci::Lane,
+        job: ci::Job,
         /// Where it is written how they ended
         to: PathBuf,
         #[command(flatten)]
@@ -296,9 +296,9 @@ fn main() -> ExitCode {
             all.tell();
             ci::run(&scope)
         }
-        Verb::Beside { lane, to, all } => {
+        Verb::Background { job, to, all } => {
             all.tell();
-            ci::run_beside(lane).hand_over(&to)
+            job.run().hand_over(&to)
         }
         Verb::Api { bless } => {
             let mut steps = Steps::new();

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Commands that are printed before they run, timed, and counted at the end.
 
+mod background;
+
+pub use background::Background;
+
 use crate::machine;
-use serde_json::{Value, json};
-use std::fs::{self, File};
-use std::io;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitCode, ExitStatus};
+use std::path::Path;
+use std::process::{Command, ExitCode, ExitStatus};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
@@ -55,73 +56,6 @@ struct Done {
     cores: f64,
 }
 
-impl Done {
-    fn to_json(&self) -> Value {
-        let (kind, reason) = match &self.outcome {
-            Outcome::Ok => ("ok", ""),
-            Outcome::Failed(reason) => ("failed", &**reason),
-            Outcome::Skipped(reason) => ("skipped", &**reason),
-        };
-        json!({"name": self.name, "outcome": kind, "reason": reason, "seconds": self.took.as_secs_f64(), "cores": self.cores})
-    }
-
-    fn from_json(done: &Value) -> Option<Done> {
-        let reason = || Some(done["reason"].as_str()?.to_owned());
-        let outcome = match done["outcome"].as_str()? {
-            "ok" => Outcome::Ok,
-            "failed" => Outcome::Failed(reason()?),
-            "skipped" => Outcome::Skipped(reason()?),
-            _ => return None,
-        };
-        let took = Duration::try_from_secs_f64(done["seconds"].as_f64()?).ok()?;
-        Some(Done { name: done["name"].as_str()?.to_owned(), outcome, took, cores: done["cores"].as_f64()? })
-    }
-}
-
-/// What [`Steps::hand_over`] has written.
-fn read(path: &Path) -> Result<Vec<Done>, String> {
-    let text = fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
-    let all: Value = serde_json::from_str(&text).map_err(|error| error.to_string())?;
-    let done = all.as_array().and_then(|all| all.iter().map(Done::from_json).collect());
-    done.ok_or_else(|| format!("{}: no list of steps", path.display()))
-}
-
-/// Steps in a process of their own, beside those of this one: what waits, for a network or for other processes, leaves most of the machine to what
-/// builds.
-#[must_use = "they count once they are joined"]
-pub struct Beside {
-    lane: String,
-    child: io::Result<Child>,
-    /// What it prints.
-    printed: PathBuf,
-    /// How its steps ended.
-    done: PathBuf,
-}
-
-impl Beside {
-    /// Starts this program with the verb `beside`, which runs the steps of a lane, as nice to others as that.
-    pub fn start(lane: &str, niceness: u8) -> Beside {
-        let file = |ending| machine::target_dir().join(format!("{lane}.{ending}"));
-        let (printed, done) = (file("log"), file("json"));
-        let _ = fs::remove_file(&done);
-        let start = || {
-            let to = File::create(&printed)?;
-            // Where this program was, a build may have put another.
-            let own = format!("/proc/{}/exe", std::process::id());
-            let mut command = Command::new("nice");
-            command.args([&*format!("-n{niceness}"), &own, "beside", lane]).arg(&done);
-            command.envs(variables());
-            command.args(only().iter().map(|begin| format!("--only={begin}")));
-            command.args(TIMINGS.get().map(|()| "--timings"));
-            announce(&command);
-            println!("{lane}: what it prints comes when it has ended");
-            command.stdout(to.try_clone()?).stderr(to).spawn()
-        };
-        let child = start();
-        Beside { lane: lane.to_owned(), child, printed, done }
-    }
-}
-
 /// The steps of a task. One that fails does not stop those after it.
 pub struct Steps {
     start: Instant,
@@ -158,38 +92,10 @@ impl Steps {
         self.step(name, || Outcome::Skipped(reason.to_owned()));
     }
 
-    /// Waits for the end of steps that run beside these, shows what they printed, and counts them with these; says whether none of them failed.
-    pub fn join(&mut self, beside: Beside) -> bool {
-        let Beside { lane, child, printed, done } = beside;
-        println!("\n{lane}, beside what is above:");
-        let ended = child.and_then(|mut child| child.wait());
-        let shown = File::open(&printed).and_then(|mut printed| io::copy(&mut printed, &mut io::stdout()));
-        let read = shown.map_err(|error| error.to_string()).and_then(|_| read(&done));
-        let begin = self.done.len();
-        match (ended, read) {
-            (Ok(_), Ok(done)) => self.done.extend(done),
-            (Ok(_), Err(reason)) => self.fail(&lane, reason),
-            (Err(error), _) => self.fail(&lane, format!("cannot be started: {error}")),
-        }
-        !self.done[begin..].iter().any(|done| matches!(done.outcome, Outcome::Failed(_)))
-    }
-
     /// Notes what failed without being a step.
     fn fail(&mut self, name: &str, reason: String) {
         let outcome = Outcome::Failed(reason);
         self.done.push(Done { name: name.to_owned(), outcome, took: Duration::ZERO, cores: 0.0 });
-    }
-
-    /// Instead of [`finish`](Self::finish), for the process whose steps run beside another's: writes down how they ended.
-    pub fn hand_over(self, path: &Path) -> ExitCode {
-        let written: Vec<Value> = self.done.iter().map(Done::to_json).collect();
-        match fs::write(path, Value::from(written).to_string()) {
-            Ok(()) => ExitCode::SUCCESS,
-            Err(error) => {
-                eprintln!("{}: {error}", path.display());
-                ExitCode::FAILURE
-            }
-        }
     }
 
     /// Prints the table and, as the last line, the counts.
@@ -308,7 +214,7 @@ pub fn execute(command: &mut Command) -> Outcome {
 /// Runs what writes a report to this file, and checks the report if it ends well.
 pub fn reported(command: &mut Command, report: &Path, check: impl FnOnce() -> Outcome) -> Outcome {
     // None of an earlier run.
-    let _ = fs::remove_file(report);
+    let _ = std::fs::remove_file(report);
     match execute(command) {
         Outcome::Ok => check(),
         other => other,
@@ -359,34 +265,6 @@ mod tests {
     fn what_is_printed_can_be_pasted() {
         assert_eq!(quoted("--only=a,b"), "--only=a,b");
         assert_eq!(quoted("lto='off'"), r#"'lto='\''off'\'''"#);
-    }
-
-    #[test]
-    fn steps_of_another_process_are_counted() {
-        let folder = tempfile::tempdir().unwrap();
-        let file = |name| folder.path().join(name);
-        let mut others = Steps::new();
-        others.step("passes", || Outcome::Ok);
-        others.step("fails", || Outcome::Failed("with \"words\"".to_owned()));
-        others.skip("is left out", "no network");
-        assert_eq!(others.hand_over(&file("done")), ExitCode::SUCCESS);
-        let beside = |printed, done| {
-            fs::write(file("printed"), "").unwrap();
-            let child = Command::new("true").spawn();
-            Beside { lane: "others".to_owned(), child, printed: file(printed), done: file(done) }
-        };
-        let mut steps = Steps::new();
-        steps.join(beside("printed", "done"));
-        let texts: Vec<String> =
-            steps.done.iter().map(|done| format!("{} {}", done.name, text(&done.outcome))).collect();
-        assert_eq!(texts, ["passes ok", "fails FAILED: with \"words\"", "is left out skipped: no network"]);
-        steps.join(beside("printed", "nothing"));
-        let lost = &steps.done[3];
-        assert!(
-            lost.name == "others" && text(&lost.outcome).contains("No such file"),
-            "{}",
-            text(&lost.outcome)
-        );
     }
 
     #[test]
