@@ -10,8 +10,8 @@ use std::sync::mpsc;
 use std::time::Duration;
 
 use ::tautline::{
-    CallbackOptions, Context, Events, Limits, Loan, Message, Node, Plain, PublishError, Publisher, Qos,
-    Realtime, Sample, SendError, Subscription, Timer,
+    CallbackHandle, CallbackOptions, Context, Events, Limits, Loan, Message, Node, Plain, PublishError,
+    Publisher, Qos, Realtime, Sample, SendError, Subscription, Timer,
 };
 use futures::future::{Either, select};
 use futures::stream::FuturesUnordered;
@@ -229,14 +229,23 @@ impl<Out: Payload, In: Payload> End<Out, In> {
         Ok(self.node.create_wall_timer(PATIENCE)?)
     }
 
-    /// Runs a callback until its end.
-    fn until<T: Send + 'static>(&self, work: impl Future<Output = Result<T>> + Send + 'static) -> Result<T> {
+    /// A callback that stops the context at its end.
+    fn spawn<T: Send + 'static>(
+        &self,
+        work: impl Future<Output = Result<T>> + Send + 'static,
+    ) -> Result<(CallbackHandle, mpsc::Receiver<Result<T>>)> {
         let (sender, outcome) = mpsc::channel();
         let end = self.end();
         let callback = self.node.spawn_callback(self.options(), async move {
             let _ = sender.send(work.await);
             end.stop();
         })?;
+        Ok((callback, outcome))
+    }
+
+    /// Runs a callback until its end.
+    fn until<T: Send + 'static>(&self, work: impl Future<Output = Result<T>> + Send + 'static) -> Result<T> {
+        let (callback, outcome) = self.spawn(work)?;
         self.node.spin()?;
         callback.join()?;
         outcome.recv()?
@@ -250,12 +259,7 @@ impl<Out: Payload, In: Payload> End<Out, In> {
 
     /// Says that it is ready, and runs a callback until it is told to stop.
     pub fn serve(&self, work: impl Future<Output = Result<()>> + Send + 'static) -> Result<()> {
-        let (sender, outcome) = mpsc::channel();
-        let end = self.end();
-        let _callback = self.node.spawn_callback(self.options(), async move {
-            let _ = sender.send(work.await);
-            end.stop();
-        })?;
+        let (_callback, outcome) = self.spawn(work)?;
         self.shutdown_on_stop();
         say(&Line::Ready(None));
         self.node.spin()?;
