@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Sets of cores, and binding threads to them.
 
+use std::sync::OnceLock;
 use std::{fmt, io};
 
 use rustix::thread::{CpuSet, Pid, sched_getaffinity, sched_setaffinity};
@@ -77,6 +78,10 @@ impl CoreSet {
         core < Self::MAX && self.bits[core / 64] & (1 << (core % 64)) != 0
     }
 
+    fn is_within(&self, other: &CoreSet) -> bool {
+        self.bits.iter().zip(&other.bits).all(|(bits, others)| bits & !others == 0)
+    }
+
     /// The number of cores in the set.
     pub fn len(&self) -> usize {
         self.bits.iter().map(|word| word.count_ones() as usize).sum()
@@ -98,7 +103,13 @@ impl CoreSet {
     /// # Errors
     /// [`RtError::NoCores`] and [`RtError::UnknownCore`], which name the cores that exist.
     pub fn check(&self) -> Result<(), RtError> {
+        /// When first asked. The kernel refuses what has gone since, for it has the last word when a thread is bound.
+        static ONLINE: OnceLock<CoreSet> = OnceLock::new();
+        if self.beyond == 0 && !self.is_empty() && ONLINE.get().is_some_and(|online| self.is_within(online)) {
+            return Ok(());
+        }
         let online = host::online_cores()?;
+        ONLINE.get_or_init(|| online);
         if let Some(core) =
             self.beyond.checked_sub(1).or_else(|| self.iter().find(|core| !online.contains(*core)))
         {
@@ -192,7 +203,8 @@ pub fn current_affinity() -> Result<CoreSet, RtError> {
 pub fn affinity_of(tid: u32) -> Result<CoreSet, RtError> {
     let mask = sched_getaffinity(Some(pid(tid)?))
         .map_err(|errno| RtError::of_thread("sched_getaffinity", tid, errno.into()))?;
-    Ok((0..CpuSet::MAX_CPU).filter(|core| mask.is_set(*core)).collect())
+    let cores = (0..CpuSet::MAX_CPU).filter(|core| mask.is_set(*core));
+    Ok(cores.take(mask.count() as usize).collect())
 }
 
 fn bind(thread: Option<Pid>, cores: CoreSet) -> io::Result<()> {

@@ -3,8 +3,9 @@
 
 use std::hint::black_box;
 use std::mem::MaybeUninit;
+use std::ptr;
 
-use rustix::mm::{MlockAllFlags, mlockall};
+use rustix::mm::{Advice, MlockAllFlags, madvise, mlockall};
 use rustix::param::page_size;
 use rustix::process::{Resource, getrlimit};
 
@@ -59,7 +60,7 @@ pub fn prefault_stack(bytes: usize) -> usize {
     let here = (&raw const bytes).addr();
     let margin = (4 * page_size()).max(16 * 1024);
     let end = here.saturating_sub(bytes).max(stack_end(here).saturating_add(margin));
-    if end < here {
+    if end < here && !populate(end, here) {
         touch(end);
     }
     here.saturating_sub(end)
@@ -111,6 +112,15 @@ pub fn page_faults() -> PageFaults {
     PageFaults { minor: usage.ru_minflt.cast_unsigned(), major: usage.ru_majflt.cast_unsigned() }
 }
 
+/// Has the kernel bring in all pages of the current thread's stack from `end` up to that of `here` at once, in less than half of the time of a
+/// fault for each. False where it cannot: before Linux 5.14, and below what the first thread's stack has grown to.
+fn populate(end: usize, here: usize) -> bool {
+    let page = page_size();
+    let (from, to) = (end / page * page, here / page * page);
+    // SAFETY: of the current thread's stack, below all frames that are in use; bringing pages in changes nothing that lies there.
+    unsafe { madvise(ptr::with_exposed_provenance_mut(from), to - from, Advice::LinuxPopulateWrite) }.is_ok()
+}
+
 /// Descends until a frame lies below `end`: bounded by addresses, so it holds whatever a frame's size is.
 #[inline(never)]
 fn touch(end: usize) {
@@ -126,7 +136,7 @@ fn touch(end: usize) {
 /// The lowest address of the current thread's stack; `here` (nothing left) when unknown.
 fn stack_end(here: usize) -> usize {
     let mut attr = MaybeUninit::<libc::pthread_attr_t>::uninit();
-    let (mut lowest, mut size) = (std::ptr::null_mut(), 0);
+    let (mut lowest, mut size) = (ptr::null_mut(), 0);
     // SAFETY: on success pthread_getattr_np initialises `attr`, which is then read and destroyed exactly once.
     unsafe {
         if libc::pthread_getattr_np(libc::pthread_self(), attr.as_mut_ptr()) != 0 {

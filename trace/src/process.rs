@@ -14,6 +14,7 @@ use crate::ring::Ring;
 use crate::settings::{TraceMode, TraceSettings};
 use crate::sync::Ordering;
 use crate::thread;
+use std::cell::Cell;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tautline_rt::shm::{OwnFile, ShmError};
@@ -44,6 +45,8 @@ struct OwnTraceFile {
     file: OwnFile,
     map: Map,
     mode: TraceMode,
+    /// How many threads may still come before rings of ended ones are looked for.
+    until_look: Cell<usize>,
 }
 
 /// Says what this process lets be traced, instead of `TAUT_TRACE` and `TAUT_TRACE_EVENTS`. For the file that is made with the
@@ -99,7 +102,7 @@ pub(crate) fn with_spare_ring(claim: impl FnOnce()) {
     let process = process();
     if let Some(own) = &process.file {
         if own.missing_rings(SPARE_RINGS + 1) > 0 {
-            own.give_back_rings(control::asked(own.domain));
+            own.look_now_and_then();
         }
         own.prepare_rings(SPARE_RINGS + 1);
     }
@@ -154,7 +157,7 @@ impl OwnTraceFile {
         };
         let name = std::fs::read("/proc/self/comm").unwrap_or_default();
         map.claim(std::process::id(), name_to_words(name.strip_suffix(b"\n").unwrap_or(&name)));
-        Ok(OwnTraceFile { domain, file, map, mode: settings.mode })
+        Ok(OwnTraceFile { domain, file, map, mode: settings.mode, until_look: Cell::new(0) })
     }
 
     /// Whether a recorder is there.
@@ -193,6 +196,19 @@ impl OwnTraceFile {
 
     fn free_rings(&self) -> usize {
         (0..RINGS).filter(|index| self.map.ring(*index).head.tid.load(Ordering::Relaxed) == 0).count()
+    }
+
+    /// Gives rings of ended threads back, but not for each thread that comes: that asks the kernel for every thread that has one. As many may come
+    /// before the next look as had one at the last: one question each, however many there are. But nobody goes without a ring for that who is
+    /// recorded.
+    fn look_now_and_then(&self) {
+        let left = self.until_look.get();
+        self.until_look.set(left.saturating_sub(1));
+        let is_recorded = self.map.state().load(Ordering::Relaxed) != state::OFF;
+        if left == 0 || (is_recorded && self.free_rings() <= SPARE_RINGS) {
+            self.give_back_rings(control::asked(self.domain));
+            self.until_look.set(RINGS - self.free_rings());
+        }
     }
 
     /// A ring whose thread has ended is free when a recorder has everything; without a recorder also when rings run short.
