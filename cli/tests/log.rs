@@ -44,7 +44,13 @@ fn lines_are_printed_by_node_and_level() {
     assert_eq!(line["text"], json!("\"broken\""));
     assert!(line["time_ns"].as_i64().unwrap() > 0);
 
-    // From now on, once it is there.
+    let (code, out, words) = here.refused(&["log", "/robot/armour", "-n", "2", "--timeout", "3s"]);
+    assert_eq!((code, out.lines().count()), (1, 1));
+    assert!(words.contains("1 of 2 lines came on /rosout"), "{words}");
+    said(&here.refused(&["log", "/nobody", "--timeout", "50ms"]), 1, "node '/nobody' to exist in domain 57");
+    said(&here.refused(&["log", "--level", "loud"]), 2, "[possible values: unset, debug, info");
+
+    // From now on, once it is there. Last: both nodes are of one context, which keeps its last 1,000 lines.
     let mut running = here.start(&["log", "--new", "-n", "1", "--timeout", "60s"]);
     while !running.has_ended() {
         log_info!(logger.child("driver"), "later");
@@ -52,12 +58,6 @@ fn lines_are_printed_by_node_and_level() {
     }
     let (code, out, words) = running.end();
     assert_eq!((code, timeless(&out)), (0, "[INFO] [robot.arm.driver]: later\n".to_owned()), "{words}");
-
-    let (code, out, words) = here.refused(&["log", "/robot/armour", "-n", "2", "--timeout", "3s"]);
-    assert_eq!((code, out.lines().count()), (1, 1));
-    assert!(words.contains("1 of 2 lines came on /rosout"), "{words}");
-    said(&here.refused(&["log", "/nobody", "--timeout", "50ms"]), 1, "node '/nobody' to exist in domain 57");
-    said(&here.refused(&["log", "--level", "loud"]), 2, "[possible values: unset, debug, info");
 }
 
 #[test]
