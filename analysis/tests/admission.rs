@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Admission against the analysis of one file that holds everything.
-mod random;
 
 use std::fmt::Write;
 
+use rand::RngExt;
 use rand::rngs::StdRng;
-use rand::{RngExt, SeedableRng};
 use tautline_analysis::file::SystemFile;
 use tautline_analysis::file::admission::{Candidate, LooseThread, Machine, Share};
 
@@ -74,7 +73,7 @@ fn file_of<'p>(parts: impl IntoIterator<Item = &'p Part>) -> SystemFile {
 /// A thousand random loads: what is admitted is what one file with all of it calls schedulable.
 #[test]
 fn what_the_analysis_calls_unschedulable_is_refused_and_nothing_else() {
-    let mut rng = StdRng::seed_from_u64(random::seed());
+    let mut rng = tautline_seed::random();
     let (mut admitted, mut refused, mut of_others) = (0, 0, 0);
     while admitted + refused < 1_000 {
         let parts: Vec<_> = (0..8).map(|number| Part::random(&mut rng, number)).collect();

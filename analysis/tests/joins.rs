@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Callbacks that wait for several topics: hand-computed cases, files, and random systems in which the synchronizers' own
 //! policies decide, on simulated cores, and nothing takes longer or is more than its bound.
-mod random;
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -840,7 +839,7 @@ fn check(system: &System, report: &SystemReport, seen: &Seen, join: usize, conte
 
 #[test]
 fn simulated_joins_stay_within_their_bounds() {
-    let seed = random::seed();
+    let seed = tautline_seed::seed();
     let count = std::env::var("SYSTEMS").ok().and_then(|count| count.parse().ok()).unwrap_or(2_000);
     let mut rng = StdRng::seed_from_u64(seed);
     let (mut checked, mut several, mut starved, mut sets) = ([0; 5], 0, 0, 0);

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Chains whose stages read the latest value at their own pace: simulated reaction times and data ages stay within the
 //! bounds, and come close to them.
-mod random;
 
 use std::time::Duration;
 
@@ -27,7 +26,7 @@ struct Seen {
 
 #[test]
 fn reaction_times_and_data_ages_stay_within_their_bounds() {
-    let seed = random::seed();
+    let seed = tautline_seed::seed();
     let mut rng = StdRng::seed_from_u64(seed);
     let (mut checked, mut closest_age, mut closest_reaction) = (0, 0.0_f64, 0.0_f64);
     for set in 0..3_000 {

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! SCHED_DEADLINE beside fixed priorities: known values, and a simulation of the kernel's server that never exceeds the bounds.
-mod random;
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -78,7 +77,7 @@ const HORIZON: u64 = 1_500;
 
 #[test]
 fn a_simulation_never_exceeds_the_bounds() {
-    let seed = random::seed();
+    let seed = tautline_seed::seed();
     let mut rng = StdRng::seed_from_u64(seed);
     let (mut at_once, mut in_parts, mut fixed) = (0, 0, 0);
     for set in 0..6_000 {

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Queues that outlast a stall: hand-computed cases, what is wrong with a file, and random systems on simulated cores, each of which
 //! stops once, in which no queue overflows. Joins are in joins.rs.
-mod random;
 
 use std::fmt::Write;
 use std::ops::Range;
@@ -345,7 +344,7 @@ fn simulate(file: &SystemFile, rng: &mut StdRng) -> Vec<usize> {
 
 #[test]
 fn no_queue_overflows_when_cores_stand_still() {
-    let seed = random::seed();
+    let seed = tautline_seed::seed();
     let count = std::env::var("SYSTEMS").ok().and_then(|count| count.parse().ok()).unwrap_or(3_000);
     let mut rng = StdRng::seed_from_u64(seed);
     let (mut checked, mut full, mut deeper, mut unbounded) = (0, 0, 0, 0);

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Chains over several cores: hand-computed cases, what must be refused, and a simulation of random systems that never
 //! exceeds the bounds.
-mod random;
 
 use std::time::Duration;
 
@@ -141,7 +140,7 @@ struct Job {
 
 #[test]
 fn simulated_chains_stay_within_their_bounds() {
-    let seed = random::seed();
+    let seed = tautline_seed::seed();
     let mut rng = StdRng::seed_from_u64(seed);
     let mut checked = 0;
     for set in 0..2_000 {

@@ -439,8 +439,7 @@ fn a_recording_is_thinned_out_and_paused() {
 #[test]
 fn a_kill_costs_no_more_than_the_last_second() {
     let kills: u64 = std::env::var("TAUT_KILLS").map_or(6, |kills| kills.parse().unwrap());
-    let seed: u64 = std::env::var("TAUT_SEED").map_or_else(|_| rand_seed(), |seed| seed.parse().unwrap());
-    println!("TAUT_SEED={seed}");
+    let seed = tautline_seed::seed();
     let place = Place::new(16);
     let mut state = seed | 1;
     for kill in 0..kills {
@@ -497,10 +496,6 @@ fn a_kill_costs_no_more_than_the_last_second() {
         assert_eq!(place.run(&["bag", "check", "bag"]).0, 0);
         std::fs::remove_dir_all(place.bag()).unwrap();
     }
-}
-
-fn rand_seed() -> u64 {
-    wall_ns().cast_unsigned()
 }
 
 /// Of every topic, however many there are; `TAUT_TOPICS` says so.
@@ -742,8 +737,7 @@ fn services_and_actions_are_recorded_as_events() {
 #[test]
 fn others_read_every_value() {
     let Some(venv) = ros::ros() else { return };
-    let seed: u64 = std::env::var("TAUT_SEED").map_or_else(|_| rand_seed(), |seed| seed.parse().unwrap());
-    println!("TAUT_SEED={seed}");
+    let seed = tautline_seed::seed();
     let place = Place::new(197);
     let mut packages = ros::packages(&venv);
     let mut peer = Peer::start(&venv);

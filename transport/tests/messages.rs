@@ -6,7 +6,7 @@ mod log;
 mod support;
 
 use rand::rngs::StdRng;
-use rand::{Rng, RngExt, SeedableRng};
+use rand::{Rng, RngExt};
 use support::{Part, clean, domain, place_of, say, wait_for_some, wait_for_the_end};
 use tautline_msgs::cdr::{DecodeFault, EncodeFault, WriteError, WriteFault};
 use tautline_msgs::{Message, Plain};
@@ -400,9 +400,7 @@ fn hostile(random: &mut StdRng, valid: &[u8]) -> Vec<u8> {
 
 #[test]
 fn hostile_bytes_are_messages_or_counted_errors() {
-    let seed: u64 = std::env::var("TAUT_SEED").map_or_else(|_| rand::random(), |seed| seed.parse().unwrap());
-    println!("TAUT_SEED={seed}");
-    let mut random = StdRng::seed_from_u64(seed);
+    let mut random = tautline_seed::random();
     let participant = Participant::new(domain(194)).unwrap();
     let header = with_frame(Default::default());
     attack(

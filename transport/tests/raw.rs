@@ -3,8 +3,7 @@
 
 mod support;
 
-use rand::rngs::StdRng;
-use rand::{RngExt, SeedableRng};
+use rand::RngExt;
 use std::collections::VecDeque;
 use support::{
     Count, Part, claimed, clean, domain, place_of, say, wait_for, wait_for_some, wait_for_the_end,
@@ -36,12 +35,6 @@ fn body(len_bytes: usize, n: u8) -> Vec<u8> {
 
 fn take(subscription: &RawSubscription) -> Option<RawSample> {
     subscription.try_take().unwrap()
-}
-
-fn random(what: &str) -> StdRng {
-    let seed: u64 = rand::random();
-    println!("{what}: seed {seed}");
-    StdRng::seed_from_u64(seed)
 }
 
 /// As soon as there is one: a segment that another process made is mapped by the janitor.
@@ -160,7 +153,7 @@ fn a_sample_that_could_not_be_reached_yet_is_seen_to_be_there() {
 #[test]
 fn samples_stay_readable_while_the_memory_grows() {
     const DOMAIN: u32 = 172;
-    let mut random = random("sizes");
+    let mut random = tautline_seed::random();
     let participant = Participant::new(domain(DOMAIN)).unwrap();
     let text = TopicType::new(TEXT);
     let publisher = participant.create_raw_publisher("/text", &text, Qos::default(), limits(100)).unwrap();
@@ -410,7 +403,7 @@ fn topics_are_listed_with_their_ends() {
 
 #[test]
 fn random_bytes_are_counted_as_invalid_or_read() {
-    let mut random = random("bytes");
+    let mut random = tautline_seed::random();
     let participant = Participant::new(domain(178)).unwrap();
     let limits = limits(64);
     // The topic is made by one that knows no size, so that every length goes through.
@@ -514,10 +507,8 @@ fn samples_come_back_after_the_memory_was_made_anew() {
 
 #[test]
 fn loans_never_want_memory_however_samples_are_held() {
-    for (topic_type, name) in
-        [(TopicType::new(TEXT).with_body_bytes(PAGE), "fixed"), (TopicType::new(TEXT), "variable")]
-    {
-        let mut random = random(name);
+    for topic_type in [TopicType::new(TEXT).with_body_bytes(PAGE), TopicType::new(TEXT)] {
+        let mut random = tautline_seed::random();
         let participant = Participant::new(domain(179)).unwrap();
         let limits = Limits { held: 3, loans: 2, message_bytes: PAGE, ..Limits::default() };
         let publisher =

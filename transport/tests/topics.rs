@@ -177,11 +177,8 @@ fn keep_last_overwrites_the_oldest_and_counts_it_there_alone() {
 
 #[test]
 fn losses_are_exact_with_several_publishers_and_random_pauses() {
-    use rand::rngs::StdRng;
-    use rand::{RngExt, SeedableRng};
-    let seed: u64 = rand::random();
-    println!("seed {seed}");
-    let mut random = StdRng::seed_from_u64(seed);
+    use rand::RngExt;
+    let mut random = tautline_seed::random();
     let participant = Participant::new(domain(134)).unwrap();
     let publishers: Vec<_> = (0..3)
         .map(|_| participant.create_publisher::<Count>("/random", Qos::default(), DEFAULT).unwrap())

@@ -5,13 +5,6 @@ use std::time::Duration;
 use rand::{RngExt, rngs::StdRng};
 use tautline_analysis::Task;
 
-/// A fresh seed, printed; set `SEED` to repeat a run.
-pub fn seed() -> u64 {
-    let seed = std::env::var("SEED").ok().and_then(|s| s.parse().ok()).unwrap_or_else(rand::random);
-    println!("repeat with SEED={seed}");
-    seed
-}
-
 /// One to six tasks of a few nanoseconds, loads from light to somewhat more than the core, priorities that collide,
 /// some jitter (up to twice the period) and some blocking.
 #[allow(dead_code)] // not every test draws from both

@@ -10,14 +10,14 @@ const MINUTES: f64 = 4.0;
 
 #[test]
 fn minutes_of_curves_and_cut_ins() {
-    let seeds = match std::env::var("SEED") {
-        Ok(seed) => vec![seed.parse().expect("SEED is a number")],
+    let seeds = match std::env::var("TAUT_SEED") {
+        Ok(seed) => vec![seed.parse().expect("TAUT_SEED is a number")],
         Err(_) => vec![1, 2, 3],
     };
     for seed in seeds {
         let drive = drive::run(seed, MINUTES, |_| {});
         let without_course = drive::Drive { course: Vec::new(), ..drive };
-        println!("repeat with SEED={seed}: {without_course:?}");
+        println!("repeat with TAUT_SEED={seed}: {without_course:?}");
         let drive = without_course;
         assert!(drive.lateral_max_m < MOST_M, "{} m off the centre", drive.lateral_max_m);
         assert_eq!((drive.collisions, drive.unsolved), (0, 0));

@@ -3,9 +3,8 @@
 
 use std::sync::Arc;
 
-use rand::rngs::StdRng;
+use rand::RngExt;
 use rand::seq::IndexedRandom;
-use rand::{RngExt, SeedableRng};
 use tautline_schema::{
     DynamicMessage, Endian, HashedTypeDescription, Layout, MessageError, Schema, TypeName, parse_action,
     parse_message, parse_service,
@@ -30,10 +29,8 @@ fn name(text: &str) -> TypeName {
 }
 
 /// Runs `check` with mutations of `inputs`, whose parts are mixed with `words`.
-fn mutate(what: &str, inputs: &[Vec<u8>], words: &[&[u8]], mut check: impl FnMut(&[u8])) {
-    let seed = std::env::var("TAUT_SEED").map_or_else(|_| rand::random(), |seed| seed.parse().unwrap());
-    println!("{what}: TAUT_SEED={seed}");
-    let mut rng = StdRng::seed_from_u64(seed);
+fn mutate(inputs: &[Vec<u8>], words: &[&[u8]], mut check: impl FnMut(&[u8])) {
+    let mut rng = tautline_seed::random();
     for _ in 0..COUNT {
         let mut input = inputs.choose(&mut rng).cloned().unwrap_or_default();
         for _ in 0..rng.random_range(1..6) {
@@ -116,7 +113,7 @@ const WORDS: &[&[u8]] = &[
 fn definitions() {
     let inputs = [DEFINITION.into(), format!("{DEFINITION}---\n{DEFINITION}---\nint8 x\n").into_bytes()];
     let (message, service, action) = (name("d/msg/D"), name("d/srv/D"), name("d/action/D"));
-    mutate("definitions", &inputs, WORDS, |input| {
+    mutate(&inputs, WORDS, |input| {
         let text = String::from_utf8_lossy(input);
         let _ = parse_message(&message, "D.msg", &text);
         let _ = parse_service(&service, "D.srv", &text);
@@ -130,7 +127,7 @@ fn bundles() {
     let inputs = [format!("{DEFINITION}{BUNDLE}").into_bytes()];
     let demo = name("demo_msgs/msg/Demo");
     let mut accepted = 0;
-    mutate("bundles", &inputs, WORDS, |input| {
+    mutate(&inputs, WORDS, |input| {
         if let Ok(schema) = Schema::from_text(&demo, &String::from_utf8_lossy(input)) {
             let again = Schema::from_text(&demo, &schema.to_text()).unwrap();
             assert_eq!((again.hash(), again.to_text()), (schema.hash(), schema.to_text()));
@@ -145,17 +142,12 @@ fn bundles() {
 #[test]
 fn descriptions() {
     let inputs = [HashedTypeDescription::from(&*schema()).to_json().into_bytes()];
-    mutate(
-        "descriptions",
-        &inputs,
-        &[b"1", b"0", b"145", b"\"", b"4294967296", b"demo_msgs/msg/Demo"],
-        |input| {
-            if let Ok(read) = serde_json::from_slice::<HashedTypeDescription>(input) {
-                let _ = read.type_description_msg.hash();
-                let _ = Schema::from_description(&read.type_description_msg);
-            }
-        },
-    );
+    mutate(&inputs, &[b"1", b"0", b"145", b"\"", b"4294967296", b"demo_msgs/msg/Demo"], |input| {
+        if let Ok(read) = serde_json::from_slice::<HashedTypeDescription>(input) {
+            let _ = read.type_description_msg.hash();
+            let _ = Schema::from_description(&read.type_description_msg);
+        }
+    });
 }
 
 /// What is accepted must be written as bytes that give the same value.
@@ -165,7 +157,7 @@ fn bytes() {
     let filled = DynamicMessage::from_yaml(&schema, YAML).unwrap();
     let inputs = [DynamicMessage::new(&schema).to_body(), filled.to_body()];
     let mut accepted = 0;
-    mutate("bytes", &inputs, &[b"\0\0\0\0", b"\x01\0\0\0", b"\xff\xff\xff\xff"], |input| {
+    mutate(&inputs, &[b"\0\0\0\0", b"\x01\0\0\0", b"\xff\xff\xff\xff"], |input| {
         let _ = DynamicMessage::from_cdr(&schema, input);
         let validated = |endian, decoded: &Result<DynamicMessage, MessageError>| {
             let trailing = decoded.as_ref().map(DynamicMessage::trailing_bytes).map_err(ToString::to_string);
@@ -190,7 +182,7 @@ fn bytes() {
 fn json_and_yaml() {
     let schema = schema();
     let json = DynamicMessage::from_yaml(&schema, YAML).unwrap().to_json();
-    mutate("JSON and YAML", &[json.into_bytes(), YAML.into()], WORDS, |input| {
+    mutate(&[json.into_bytes(), YAML.into()], WORDS, |input| {
         let text = String::from_utf8_lossy(input);
         let _ = DynamicMessage::from_json(&schema, &text);
         if let Ok(message) = DynamicMessage::from_yaml(&schema, &text) {
@@ -206,7 +198,7 @@ fn json_and_yaml() {
 fn paths() {
     let mut message = DynamicMessage::from_yaml(&schema(), YAML).unwrap();
     let inputs: Vec<Vec<u8>> = [&b"inner[0].leaf.i[2]"[..], b"more[0].n", b"f[1]"].map(Into::into).into();
-    mutate("paths", &inputs, &[b".", b"[", b"]", b"[0]", b"leaf", b"99999999999999999999"], |input| {
+    mutate(&inputs, &[b".", b"[", b"]", b"[0]", b"leaf", b"99999999999999999999"], |input| {
         let path = String::from_utf8_lossy(input);
         let _ = message.get(&path);
         let _ = message.set(&path, 1);

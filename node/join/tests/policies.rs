@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The sets of the policies: message_filters' own cases, and all that could have been chosen, looked at one by one.
 
-use rand::{RngExt, SeedableRng, rngs::StdRng};
+use rand::{RngExt, rngs::StdRng};
 use std::time::Duration;
 use tautline_join::{
     ApproximateEpsilonTime, ApproximateTime, Arrival, ExactTime, LatestTime, Policy, RateConfig,
@@ -128,9 +128,7 @@ fn shortest(all: &[Vec<i64>], from: &[usize], pivot: (usize, i64)) -> i64 {
 
 #[test]
 fn the_closest_set_with_the_pivot_is_chosen() {
-    let seed = rand::random();
-    println!("seed {seed}");
-    let mut rng = StdRng::seed_from_u64(seed);
+    let mut rng = tautline_seed::random();
     let mut sets_seen = 0;
     for round in 0..2_000 {
         let inputs = rng.random_range(2..=4);
@@ -156,7 +154,7 @@ fn the_closest_set_with_the_pivot_is_chosen() {
             let stamp = all[input][next[input]];
             next[input] += 1;
             for set in queues.add(input, stamp) {
-                let context = || format!("seed {seed}, round {round}: {all:?}, from {from:?}: {set:?}");
+                let context = || format!("round {round}: {all:?}, from {from:?}: {set:?}");
                 // The latest of the oldest that the set before has left; of equal ones the last.
                 let pivot =
                     (0..inputs).map(|i| (all[i][from[i]], i)).max().map(|(stamp, i)| (i, stamp)).unwrap();
@@ -183,9 +181,7 @@ fn the_closest_set_with_the_pivot_is_chosen() {
 
 #[test]
 fn exact_sets_are_those_of_a_table_of_stamps() {
-    let seed = rand::random();
-    println!("seed {seed}");
-    let mut rng = StdRng::seed_from_u64(seed);
+    let mut rng = tautline_seed::random();
     let mut sets_seen = 0;
     for round in 0..2_000 {
         let (inputs, queue_size) = (rng.random_range(2..=4), rng.random_range(1..6));
@@ -207,14 +203,10 @@ fn exact_sets_are_those_of_a_table_of_stamps() {
             while table.len() > queue_size {
                 table.pop_first();
             }
-            assert_eq!(queues.add(input, stamp), expected, "seed {seed}, round {round}, message {at}");
+            assert_eq!(queues.add(input, stamp), expected, "round {round}, message {at}");
             sets_seen += expected.len();
             let waiting: usize = table.values().flatten().filter(|has| **has).count();
-            assert_eq!(
-                queues.waiting.iter().map(Vec::len).sum::<usize>(),
-                waiting,
-                "seed {seed}, round {round}"
-            );
+            assert_eq!(queues.waiting.iter().map(Vec::len).sum::<usize>(), waiting, "round {round}");
         }
     }
     assert!(sets_seen > 1_000, "{sets_seen}");
@@ -253,9 +245,7 @@ fn epsilon_sets(all: &[Vec<i64>], epsilon: i64) -> Vec<Vec<i64>> {
 
 #[test]
 fn epsilon_sets_do_not_depend_on_the_order_of_inputs() {
-    let seed = rand::random();
-    println!("seed {seed}");
-    let mut rng = StdRng::seed_from_u64(seed);
+    let mut rng = tautline_seed::random();
     let mut sets_seen = 0;
     for round in 0..2_000 {
         let inputs = rng.random_range(2..=4);
@@ -281,7 +271,7 @@ fn epsilon_sets_do_not_depend_on_the_order_of_inputs() {
             sets.extend(queues.add(input, all[input][next[input]]));
             next[input] += 1;
         }
-        assert_eq!(sets, epsilon_sets(&all, epsilon as i64), "seed {seed}, round {round}: {epsilon} {all:?}");
+        assert_eq!(sets, epsilon_sets(&all, epsilon as i64), "round {round}: {epsilon} {all:?}");
         // Each message is in a set, dropped, or waits.
         let waiting: usize = queues.waiting.iter().map(Vec::len).sum();
         assert_eq!(sets.len() * inputs + queues.dropped.len() + waiting + queues.refused, inputs * 20);
@@ -393,9 +383,7 @@ fn of_equal_rates_the_first_makes_all_sets() {
 
 #[test]
 fn the_fastest_that_is_not_late_makes_sets() {
-    let seed = rand::random();
-    println!("seed {seed}");
-    let mut rng = StdRng::seed_from_u64(seed);
+    let mut rng = tautline_seed::random();
     let (mut made, mut not_made) = (0, 0);
     for round in 0..2_000 {
         let inputs = rng.random_range(2..=4);
@@ -444,11 +432,7 @@ fn the_fastest_that_is_not_late_makes_sets() {
                 now == *last || !error.is_some_and(late)
             });
             let expected = !is_same && pivot.is_some_and(|pivot| pivot.0 == input);
-            assert_eq!(
-                policy.arrived(input, now),
-                expected,
-                "seed {seed}, round {round}: {seen:?} {config:?}"
-            );
+            assert_eq!(policy.arrived(input, now), expected, "round {round}: {seen:?} {config:?}");
             made += usize::from(expected);
             not_made += usize::from(!expected);
         }

@@ -25,8 +25,7 @@ const RINGER: &str = "TAUT_STRESS_RINGER";
 fn stress_no_ring_is_lost() {
     let rings = std::env::var("TAUT_STRESS_RINGS").map_or(DEFAULT_RINGS, |rings| rings.parse().unwrap());
     let each = rings / RINGERS as u64;
-    let seed: u64 =
-        std::env::var("TAUT_STRESS_SEED").map_or_else(|_| rand::random(), |seed| seed.parse().unwrap());
+    let seed = tautline_seed::seed();
     let file = OwnFile::create("taut_stress_").unwrap();
     file.claim(0, FILE_BYTES as u64).unwrap();
     let memory = StressMemory::of(Mapping::new(&file, 0, FILE_BYTES, true).unwrap());

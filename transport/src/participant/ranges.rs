@@ -81,7 +81,7 @@ impl Ranges {
 #[cfg(all(test, not(taut_loom)))]
 mod tests {
     use super::*;
-    use rand::{RngExt, SeedableRng};
+    use rand::RngExt;
 
     #[test]
     fn the_first_that_fits_and_neighbours_become_one() {
@@ -100,9 +100,7 @@ mod tests {
 
     #[test]
     fn no_two_parts_overlap() {
-        let seed = rand::random();
-        println!("seed {seed}");
-        let mut random = rand::rngs::SmallRng::seed_from_u64(seed);
+        let mut random = tautline_seed::random();
         let whole = Range { offset: 64, len: 1 << 16 };
         let mut ranges = Ranges::new(whole, 64);
         let mut taken: Vec<Range> = Vec::new();

@@ -113,7 +113,7 @@ impl<T: Keyed> Chunks<T> {
 #[cfg(all(test, not(taut_loom)))]
 mod tests {
     use super::*;
-    use rand::{RngExt, SeedableRng};
+    use rand::RngExt;
     use std::collections::BTreeMap;
 
     #[derive(Clone, Debug, PartialEq)]
@@ -127,9 +127,7 @@ mod tests {
 
     #[test]
     fn as_a_map_and_copies_stay_as_they_are() {
-        let seed = rand::random();
-        println!("seed {seed}");
-        let mut random = rand::rngs::SmallRng::seed_from_u64(seed);
+        let mut random = tautline_seed::random();
         let (mut chunks, mut map) = (Chunks::<Element>::default(), BTreeMap::new());
         let mut copies = Vec::new();
         for n in 0..5000 {

@@ -334,7 +334,7 @@ fn service_of(node: &NodeName) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand::{RngExt, SeedableRng};
+    use rand::RngExt;
     use std::sync::mpsc;
 
     fn descriptions(store: &std::path::Path) -> Descriptions {
@@ -437,9 +437,7 @@ mod tests {
             assert_eq!(descriptions.reply(request.as_ref(), &mut types).unwrap_err(), Refused::Request);
         }
         // Any bytes: the requested type, or refused.
-        let seed = rand::random();
-        println!("seed {seed}");
-        let mut random = rand::rngs::SmallRng::seed_from_u64(seed);
+        let mut random = tautline_seed::random();
         for _ in 0..5000 {
             let mut reply = reply.clone();
             for _ in 0..random.random_range(1..4) {

@@ -4,8 +4,7 @@
 
 mod support;
 
-use rand::rngs::SmallRng;
-use rand::{Rng, RngExt, SeedableRng};
+use rand::{Rng, RngExt};
 use std::collections::BTreeMap;
 use support::{Host, UNKNOWN_HASH, connect, image_type, string_type, take, until};
 use tautline_gateway::wire::{Attachment, Token, endpoint_gid};
@@ -37,10 +36,7 @@ fn now_ns() -> i64 {
 
 #[test]
 fn samples_that_are_none() {
-    let seed =
-        std::env::var("TAUT_SEED").ok().and_then(|seed| seed.parse().ok()).unwrap_or_else(rand::random);
-    println!("TAUT_SEED={seed}");
-    let mut random = SmallRng::seed_from_u64(seed);
+    let mut random = tautline_seed::random();
     let host = Host::new(196, 196, |options| {
         options.network.listen = vec!["tcp/127.0.0.1:0".into()];
         options.max_message_bytes = 1 << 20;

@@ -12,8 +12,6 @@ mod support;
 use std::sync::Arc;
 
 use entry::entries;
-use rand::SeedableRng;
-use rand::rngs::StdRng;
 use tautline_schema::DynamicMessage;
 
 /// Messages per type.
@@ -21,9 +19,7 @@ const COUNT: usize = 100;
 
 #[test]
 fn owned_and_dynamic_messages_are_the_same() {
-    let seed: u64 = std::env::var("TAUT_SEED").map_or_else(|_| rand::random(), |seed| seed.parse().unwrap());
-    println!("TAUT_SEED={seed}");
-    let mut rng = StdRng::seed_from_u64(seed);
+    let mut rng = tautline_seed::random();
     for entry in entries() {
         let schema = entry.schema();
         for _ in 0..COUNT {

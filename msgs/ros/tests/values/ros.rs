@@ -16,8 +16,7 @@ const COUNT: usize = 100;
 #[test]
 fn values_are_the_same_on_both_sides() {
     let Some(venv) = support::ros() else { return };
-    let seed: u64 = std::env::var("TAUT_SEED").map_or_else(|_| rand::random(), |seed| seed.parse().unwrap());
-    println!("TAUT_SEED={seed}");
+    let seed = tautline_seed::seed();
     let mut packages = support::packages(&venv);
     let theirs: BTreeSet<_> = packages.list().iter().map(|name| name.package().to_owned()).collect();
     let mut peer = Peer::start(&venv);

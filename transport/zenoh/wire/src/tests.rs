@@ -2,9 +2,9 @@
 //! Bytes and texts that other implementations produce, and claims that must be refused.
 
 use super::*;
-use rand::rngs::SmallRng;
+use rand::rngs::StdRng;
 use rand::seq::IndexedRandom;
-use rand::{Rng, RngExt, SeedableRng};
+use rand::{Rng, RngExt};
 use std::time::Duration;
 use tautline_transport::{Durability, Gid, History, Reliability};
 
@@ -320,40 +320,32 @@ const OLDER_GID: [u8; 16] =
 const NEWER_GID: [u8; 16] =
     [0x71, 0x09, 0xa9, 0x67, 0x4c, 0x13, 0xf3, 0x53, 0x12, 0xc5, 0xb6, 0x14, 0xbc, 0x82, 0x1c, 0x3b];
 
-/// Prints its seed, for a failure to be repeated.
-fn generator() -> SmallRng {
-    let seed =
-        std::env::var("TAUT_SEED").ok().and_then(|seed| seed.parse().ok()).unwrap_or_else(rand::random);
-    println!("TAUT_SEED={seed}");
-    SmallRng::seed_from_u64(seed)
-}
-
-fn name(random: &mut SmallRng, letters: &[u8], max: usize) -> String {
+fn name(random: &mut StdRng, letters: &[u8], max: usize) -> String {
     let len = random.random_range(1..=max);
     (0..len).map(|_| char::from(*letters.choose(random).unwrap())).collect()
 }
 
-fn absolute(random: &mut SmallRng) -> String {
+fn absolute(random: &mut StdRng) -> String {
     let parts = random.random_range(1..4);
     (0..parts).map(|_| format!("/{}", name(random, b"abcXYZ019_", 20))).collect()
 }
 
-fn random_type(random: &mut SmallRng) -> TypeId {
+fn random_type(random: &mut StdRng) -> TypeId {
     let kind = ["msg", "srv", "action"].choose(random).unwrap();
     let text = format!("p{}/{kind}/N{}", name(random, b"abc123", 20), name(random, b"abcXYZ019", 20));
     let hash: String = (0..64).map(|_| char::from(*b"0123456789abcdef".choose(random).unwrap())).collect();
     TypeId { name: text.parse().unwrap(), hash: format!("RIHS01_{hash}").parse().unwrap() }
 }
 
-fn random_duration(random: &mut SmallRng) -> WireDuration {
+fn random_duration(random: &mut StdRng) -> WireDuration {
     let mut part = |infinite| if random.random() { infinite } else { random.random_range(0..2_000_000_000) };
     WireDuration { sec: part(WireDuration::INFINITE.sec), nsec: part(WireDuration::INFINITE.nsec) }
 }
 
-fn random_token(random: &mut SmallRng) -> Token {
+fn random_token(random: &mut StdRng) -> Token {
     let domain = random.random_range(0..=232);
     let node_id = random.random();
-    let space = |random: &mut SmallRng| if random.random() { "/".into() } else { absolute(random) };
+    let space = |random: &mut StdRng| if random.random() { "/".into() } else { absolute(random) };
     let node =
         NodeName { enclave: space(random), namespace: space(random), name: name(random, b"abc_09", 30) };
     let kinds =
@@ -380,7 +372,7 @@ fn random_token(random: &mut SmallRng) -> Token {
 
 #[test]
 fn what_is_encoded_is_read_back() {
-    let mut random = generator();
+    let mut random = tautline_seed::random();
     for _ in 0..20_000 {
         let token = random_token(&mut random);
         assert_eq!(Token::parse(&token.to_string()), Ok(token.clone()), "{token}");
@@ -398,7 +390,7 @@ fn what_is_encoded_is_read_back() {
 
 #[test]
 fn whatever_is_read_can_be_written_again() {
-    let mut random = generator();
+    let mut random = tautline_seed::random();
     let mut accepted = 0;
     for _ in 0..200_000 {
         let mut text = random_token(&mut random).to_string().into_bytes();
@@ -419,7 +411,7 @@ fn whatever_is_read_can_be_written_again() {
     assert!(accepted > 1000);
 }
 
-fn mutate(random: &mut SmallRng, text: &mut Vec<u8>) {
+fn mutate(random: &mut StdRng, text: &mut Vec<u8>) {
     if text.is_empty() {
         return;
     }
@@ -434,7 +426,7 @@ fn mutate(random: &mut SmallRng, text: &mut Vec<u8>) {
 
 #[test]
 fn random_bytes_never_panic() {
-    let mut random = generator();
+    let mut random = tautline_seed::random();
     let mut bytes = [0; 80];
     for _ in 0..200_000 {
         let len = random.random_range(0..bytes.len());
