@@ -7,7 +7,7 @@ use clap::{CommandFactory, FromArgMatches, Parser};
 use serde::Serialize;
 use tautline_rt::CoreSet;
 
-use crate::{Result, exit, write_json};
+use crate::{Result, exit, write, write_json};
 
 /// What most benches are told.
 #[derive(Clone, Debug, Parser)]
@@ -23,8 +23,7 @@ pub struct Run {
 impl Run {
     /// The whole program of a bench that is told nothing else; `about` is the first line of its help.
     pub fn program(name: &'static str, about: &'static str, measure: fn(&Run) -> Result) -> ExitCode {
-        let told = Run::command().name(name).about(about).get_matches();
-        exit(name, measure(&Run::from_arg_matches(&told).unwrap_or_else(|error| error.exit())))
+        program(name, about, measure)
     }
 
     /// Writes the numbers if it was told to.
@@ -34,6 +33,37 @@ impl Run {
     pub fn write(&self, numbers: &(impl Serialize + ?Sized)) -> Result {
         self.json.as_ref().map_or(Ok(()), |path| write_json(path, numbers))
     }
+}
+
+/// What a bench is told whose tables are in the documents.
+#[derive(Clone, Debug, Parser)]
+pub struct Documented {
+    #[command(flatten)]
+    pub run: Run,
+    /// Write the tables of the documents to FILE
+    #[arg(long, value_name = "FILE")]
+    pub markdown: Option<PathBuf>,
+}
+
+impl Documented {
+    /// As [`Run::program`].
+    pub fn program(name: &'static str, about: &'static str, measure: fn(&Self) -> Result) -> ExitCode {
+        program(name, about, measure)
+    }
+
+    /// Writes the numbers and the tables if it was told to.
+    ///
+    /// # Errors
+    /// A file cannot be written.
+    pub fn write(&self, numbers: &(impl Serialize + ?Sized), tables: impl FnOnce() -> String) -> Result {
+        self.run.write(numbers)?;
+        self.markdown.as_ref().map_or(Ok(()), |path| write(path, &tables()))
+    }
+}
+
+fn program<T: Parser>(name: &'static str, about: &'static str, measure: fn(&T) -> Result) -> ExitCode {
+    let told = T::command().name(name).about(about).get_matches();
+    exit(name, measure(&T::from_arg_matches(&told).unwrap_or_else(|error| error.exit())))
 }
 
 /// The core that was named with `--core`, else the last one; one that this process may use.

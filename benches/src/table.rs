@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Tables, for the terminal and for a page; rows as a table.
+//! Tables, for the terminal, for a page and for the documents; rows as a table.
 
-use std::fmt::{self, Write};
+use std::fmt::{self, Display, Write};
 
 use comfy_table::presets::UTF8_FULL_CONDENSED;
 use comfy_table::{CellAlignment, Table as Terminal};
@@ -44,7 +44,7 @@ pub struct Cell {
     is_bad: bool,
 }
 
-impl<T: fmt::Display> From<T> for Cell {
+impl<T: Display> From<T> for Cell {
     fn from(text: T) -> Self {
         Cell { text: text.to_string(), is_bad: false }
     }
@@ -104,7 +104,7 @@ impl Table {
 }
 
 /// For the terminal.
-impl fmt::Display for Table {
+impl Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut terminal = Terminal::new();
         terminal.load_style(UTF8_FULL_CONDENSED);
@@ -120,6 +120,30 @@ impl fmt::Display for Table {
         }
         terminal.fmt(f)
     }
+}
+
+/// A table of the documents. Its first `words` columns hold words, the others numbers.
+pub fn markdown<T: Display>(
+    titles: impl IntoIterator<Item = T>,
+    words: usize,
+    rows: impl IntoIterator<Item = Vec<String>>,
+) -> String {
+    let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
+    let titles: Vec<String> = titles.into_iter().map(|title| title.to_string()).collect();
+    let rule: String = (0..titles.len()).map(|at| if at < words { "---|" } else { "--:|" }).collect();
+    let lines: String = rows.into_iter().map(|row| line(&row)).collect();
+    format!("{}|{rule}\n{lines}", line(&titles))
+}
+
+/// Each of them once, in the order in which they first appear.
+pub fn distinct<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
+    let mut found = Vec::new();
+    for one in all {
+        if !found.contains(&one) {
+            found.push(one);
+        }
+    }
+    found
 }
 
 /// What is shown of a row, by columns; one of which no row has anything is left out.
@@ -161,6 +185,15 @@ pub fn short(number: f64) -> String {
         number if number < 10.0 => format!("{number:.2}"),
         number if number < 100.0 => format!("{number:.1}"),
         number => format!("{number:.0}"),
+    }
+}
+
+/// As many digits as the documents show.
+pub fn figure(number: Option<f64>) -> String {
+    match number {
+        Some(number) if number < 100.0 => format!("{number:.2}"),
+        Some(number) => format!("{number:.0}"),
+        None => "-".to_owned(),
     }
 }
 

@@ -3,11 +3,6 @@
 //! is typed.
 
 mod demo;
-mod domain;
-mod figures;
-mod messages;
-mod paper;
-mod parameters;
 
 use crate::bench::Options;
 use crate::beside_r2r::Paper;
@@ -15,7 +10,6 @@ use crate::compare::Compare;
 use crate::machine::target_dir;
 use crate::steps;
 use clap::ValueEnum;
-use serde_json::Value;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, ExitCode};
@@ -64,9 +58,14 @@ impl Part {
         }
     }
 
-    /// What measures it and writes `json`.
+    /// What measures it and writes `json`, and its tables beside.
     fn command(self, quick: bool, minutes: Option<u64>, json: &Path) -> Result<Command, String> {
-        let bench = Options { quick, json: Some(json.to_owned()), ..Options::default() };
+        let tables = json.with_extension("md");
+        let mut arguments = vec!["--markdown".to_owned(), tables.display().to_string()];
+        if self == Part::Compare {
+            arguments.extend(["--svg", COMPARISON].map(str::to_owned));
+        }
+        let bench = Options { quick, json: Some(json.to_owned()), arguments, ..Options::default() };
         let html = Some(json.with_extension("html"));
         Ok(match self {
             Part::Demo => {
@@ -77,11 +76,7 @@ impl Part {
             Part::Messages | Part::Parameters => bench.command(self.mark()),
             Part::Domain => bench.domain(),
             Part::Wake | Part::Services | Part::Network | Part::Compare => {
-                let is_drawn = self == Part::Compare;
-                let picture = ["--svg", COMPARISON].map(str::to_owned).into_iter().filter(|_| is_drawn);
-                let bench = Options { arguments: picture.collect(), ..bench };
-                let markdown = Some(json.with_extension("md"));
-                Compare { bench, html, markdown, ..Compare::default() }.command(self.mark())
+                Compare { bench, html, ..Compare::default() }.command(self.mark())
             }
             Part::Paper => {
                 // The whole evaluation takes two hours: what was begun is gone on with.
@@ -94,19 +89,11 @@ impl Part {
 
     /// The tables of a run that wrote `json`.
     fn tables(self, json: &Path) -> Result<String, String> {
-        let table: fn(&Value) -> String = match self {
-            // They write their tables themselves.
-            Part::Wake | Part::Services | Part::Network | Part::Compare => {
-                return read(&json.with_extension("md"));
-            }
-            Part::Demo => demo::table,
-            Part::Messages => messages::table,
-            Part::Parameters => parameters::table,
-            Part::Paper => paper::table,
-            Part::Domain => domain::tables,
-        };
-        let run = serde_json::from_str(&read(json)?);
-        Ok(table(&run.map_err(|error| format!("{}: {error}", json.display()))?))
+        if self != Part::Demo {
+            return read(&json.with_extension("md"));
+        }
+        let demo = serde_json::from_str(&read(json)?);
+        Ok(demo::table(&demo.map_err(|error| format!("{}: {error}", json.display()))?))
     }
 }
 

@@ -4,7 +4,7 @@
 use std::fmt::Write;
 
 use tautline_benches::rows::Row;
-use tautline_benches::table::size;
+use tautline_benches::table::{distinct, figure as us, markdown, size};
 
 use crate::callbacks::{FLOOD, QUIET};
 use crate::plan::Bench;
@@ -41,15 +41,12 @@ const NETWORK: &str = "from a node over two gateways to a node, beside Zenoh's o
 
 /// What was not measured, and why.
 fn left_out(rows: &[Row]) -> String {
-    let mut all: Vec<String> = Vec::new();
-    for row in rows.iter().filter(|row| row.n == 0 && row.system != "machine") {
+    let missing = rows.iter().filter(|row| row.n == 0 && row.system != "machine");
+    let all = distinct(missing.map(|row| {
         let name = if row.mode == "-" { row.system.clone() } else { format!("{}, {}", row.system, row.mode) };
         let of = if row.experiment == "-" { String::new() } else { format!("{}: ", row.experiment) };
-        let text = format!("{name} ({of}{})", row.note);
-        if !all.contains(&text) {
-            all.push(text);
-        }
-    }
+        format!("{name} ({of}{})", row.note)
+    }));
     if all.is_empty() { String::new() } else { format!(" Left out: {}.", all.join("; ")) }
 }
 
@@ -72,24 +69,17 @@ fn column<'a>(
 
 /// A line for each way of each system of which there is something to say, in the order in which they first appear.
 fn table(rows: &[Row], corner: &str, columns: &[Column<'_>]) -> String {
-    let titles: Vec<&str> = columns.iter().map(|(title, _)| title.as_str()).collect();
-    let mut out = format!("| {corner} | {} |\n|---|{}\n", titles.join(" | "), "--:|".repeat(titles.len()));
-    let mut names: Vec<String> = Vec::new();
-    for row in rows.iter().filter(|row| row.n > 0) {
-        let name = format!("{}, {}", row.system, row.mode);
-        if names.contains(&name) {
-            continue;
-        }
-        let is_of_way =
-            |other: &&Row| (&other.system, &other.mode) == (&row.system, &row.mode) && other.n > 0;
-        let of_way: Vec<&Row> = rows.iter().filter(is_of_way).collect();
+    let rows: Vec<&Row> = rows.iter().filter(|row| row.n > 0).collect();
+    let ways = distinct(rows.iter().map(|row| (&row.system, &row.mode)));
+    let line = |(system, mode): (&String, &String)| {
+        let of_way: Vec<&Row> =
+            rows.iter().filter(|row| (&row.system, &row.mode) == (system, mode)).copied().collect();
         let cells: Vec<String> = columns.iter().map(|(_, text)| text(&of_way)).collect();
-        if cells.iter().any(|cell| cell != "-") {
-            let _ = writeln!(out, "| {name} | {} |", cells.join(" | "));
-        }
-        names.push(name);
-    }
-    out
+        let is_said = cells.iter().any(|cell| cell != "-");
+        is_said.then(|| [vec![format!("{system}, {mode}")], cells].concat())
+    };
+    let titles = [corner].into_iter().chain(columns.iter().map(|(title, _)| title.as_str()));
+    markdown(titles, 1, ways.into_iter().filter_map(line))
 }
 
 /// Payloads of an experiment, from the least.
@@ -99,15 +89,6 @@ fn sizes(rows: &[Row], experiment: &str) -> Vec<usize> {
     sizes.sort_unstable();
     sizes.dedup();
     sizes
-}
-
-/// Three figures are enough.
-fn us(number: Option<f64>) -> String {
-    match number {
-        Some(us) if us < 100.0 => format!("{us:.2}"),
-        Some(us) => format!("{us:.0}"),
-        None => "-".to_owned(),
-    }
 }
 
 fn all_us<const N: usize>(numbers: [Option<f64>; N]) -> String {

@@ -33,7 +33,7 @@ use job::Job;
 use report::Report;
 use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
-use tautline_benches::{Disturbance, Result, Run, Scratch};
+use tautline_benches::{Disturbance, Documented, Result, Scratch};
 use tautline_exchange::APPLICATION_PRIORITY;
 use tautline_rt::{host, permission};
 
@@ -45,7 +45,7 @@ use tautline_rt::{host, permission};
   cargo xtask bench domain -- --only processes,storm")]
 struct Options {
     #[command(flatten)]
-    run: Run,
+    documented: Documented,
     /// Only these experiments [default: all]
     #[arg(long, value_name = "EXPERIMENT,...", value_delimiter = ',', value_enum)]
     only: Vec<Experiment>,
@@ -109,16 +109,17 @@ fn measure(options: &Options) -> Result<()> {
     let open_files = host::raise_open_files();
     let disturbance = Disturbance::start();
     let scratch = Scratch::new("bench_domain")?;
-    let sizes = |full: &[usize], quick: &[usize]| if options.run.quick { quick } else { full }.to_vec();
+    let is_quick = options.documented.run.quick;
+    let sizes = |full: &[usize], quick: &[usize]| if is_quick { quick } else { full }.to_vec();
     let bench = Bench {
         scratch: &scratch,
-        quick: options.run.quick,
+        quick: is_quick,
         realtime: !options.no_rt && permission::realtime_permitted(APPLICATION_PRIORITY + 10).is_ok(),
         processes: options.processes.clone().unwrap_or_else(|| sizes(&[1, 10, 60, 300], &[1, 10, 60])),
         topics: options.topics.clone().unwrap_or_else(|| sizes(&[10, 100, 1000, 10_000], &[10, 100, 1000])),
         interrupted: &interrupted,
     };
-    let mut report = Report::new(options.run.quick, bench.realtime, open_files);
+    let mut report = Report::new(is_quick, bench.realtime, open_files);
     let is_chosen = |experiment: &Experiment| options.only.is_empty() || options.only.contains(experiment);
     for &experiment in Experiment::value_variants().iter().filter(|experiment| is_chosen(experiment)) {
         let rows = bench.run(experiment).map_err(|error| format!("{}: {error}", experiment.name()))?;
@@ -127,7 +128,7 @@ fn measure(options: &Options) -> Result<()> {
     }
     report.disturbance = disturbance.report();
     report.print();
-    options.run.write(&report)
+    options.documented.write(&report, || report.document())
 }
 
 impl Bench<'_> {

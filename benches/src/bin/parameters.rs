@@ -17,9 +17,9 @@ use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::{CallbackOptions, Node, ParameterReader, Parameters};
 use tautline_benches::rows::{Row, extent};
 use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::{Table, of_rows};
+use tautline_benches::table::{Table, figure, markdown, of_rows};
 use tautline_benches::{
-    Beside, Distribution, Disturbance, Result, Run, Stage, TurnRow, Turns, cells, machine,
+    Beside, Distribution, Disturbance, Documented, Result, Stage, TurnRow, Turns, cells, machine,
 };
 use tautline_rt::CoreSet;
 use tautline_rt::host::steal_ticks;
@@ -53,7 +53,7 @@ impl Meanwhile {
 }
 
 fn main() -> ExitCode {
-    Run::program("parameters", "Measures reading parameters beside a thread that sets them", measure)
+    Documented::program("parameters", "Measures reading parameters beside a thread that sets them", measure)
 }
 
 struct Readers {
@@ -72,8 +72,8 @@ impl Readers {
     }
 }
 
-fn measure(options: &Run) -> Result {
-    let (rounds, reads, parts, part) = match options.quick {
+fn measure(options: &Documented) -> Result {
+    let (rounds, reads, parts, part) = match options.run.quick {
         true => (5, 100_000, 3, Duration::from_millis(500)),
         false => (21, 1_000_000, 15, Duration::from_secs(4)),
     };
@@ -103,7 +103,7 @@ fn measure(options: &Run) -> Result {
     println!("\n{machine}\n{disturbance}\n");
     rows.extend(callback);
     rows.iter_mut().for_each(|row| row.disturbance = disturbance.clone());
-    options.write(&rows)?;
+    options.write(&rows, || document(&rows, &machine, &disturbance))?;
     let claim = format!("a read costs less than {READ_LIMIT_NS} ns");
     let found = format!("{slowest_ns:.0} ns at most (median of rounds)");
     println!("{}", stage.judge(claim, found, slowest_ns < READ_LIMIT_NS));
@@ -154,6 +154,9 @@ const READS: [(&str, &str, usize, Work); 4] = [
     }),
 ];
 
+/// When they are measured.
+const WHEN: [&str; 2] = ["not being set", "being set"];
+
 /// Measures the reads and prints what they cost.
 fn read_costs(stage: &Stage, node: &Node, rounds: usize, calls: u64) -> Result<Vec<TurnRow>> {
     let former = tautline_rt::current_affinity()?;
@@ -176,7 +179,7 @@ fn read_costs(stage: &Stage, node: &Node, rounds: usize, calls: u64) -> Result<V
     println!("ns per read (least, median and greatest of {rounds} rounds)\n");
     let mut table = Table::new(0, [Words("read"), Number("min"), Number("p50"), Number("max")]);
     let mut rows = Vec::new();
-    for (when, times_us) in ["not being set", "being set"].into_iter().zip(times_us) {
+    for (when, times_us) in WHEN.into_iter().zip(times_us) {
         for ((what, system, payload_bytes, _), times_us) in READS.into_iter().zip(times_us) {
             let extent_us = extent(times_us);
             let (mode, n) = (format!("{what}, {when}"), rounds as u64 * calls);
@@ -191,6 +194,33 @@ fn read_costs(stage: &Stage, node: &Node, rounds: usize, calls: u64) -> Result<V
     }
     println!("{table}");
     Ok(rows)
+}
+
+/// What a read costs, and what a thread that sets does to a callback.
+fn document(rows: &[TurnRow], machine: &str, disturbance: &str) -> String {
+    let ns = |mode: &str| {
+        let row = rows.iter().find(|row| row.row.mode == mode);
+        row.and_then(|row| row.row.p50_us).map_or("-".to_owned(), |us| format!("{:.1}", us * 1e3))
+    };
+    let read = |(what, ..): &(&str, &str, usize, Work)| {
+        vec![(*what).to_owned(), ns(&format!("{what}, {}", WHEN[0])), ns(&format!("{what}, {}", WHEN[1]))]
+    };
+    let callback = |TurnRow { row, ratio, .. }: &TurnRow| {
+        let times = [row.p50_us, row.p99_us, row.p999_us, row.max_us].map(figure);
+        let [median, least, greatest] = ratio.unwrap_or([f64::NAN; 3]);
+        let ratio = format!("{median:.2} ({least:.2} to {greatest:.2})");
+        [vec![row.mode.clone()], times.to_vec(), vec![ratio]].concat()
+    };
+    let of_callback: Vec<&TurnRow> = rows.iter().filter(|row| row.row.experiment == "callback").collect();
+    let jobs: u64 = of_callback.iter().map(|row| row.row.n).sum();
+    let titles =
+        ["1 kHz callback, meanwhile", "p50 µs", "p99 µs", "p99.9 µs", "max µs", "p99 to the quiet one's"];
+    format!(
+        "{}\n{}\n`cargo xtask bench parameters`: medians of rounds; {jobs} jobs in alternating rounds, the callback FIFO 40 on one \
+         core, the other thread, {SETS_PER_SECOND} times a second, on another; {disturbance}; {machine}.\n",
+        markdown(["read", "ns", "ns, while it is set"], 1, READS.iter().map(read)),
+        markdown(titles, 1, of_callback.into_iter().map(callback))
+    )
 }
 
 /// What the callback's jobs of now are recorded to.
@@ -258,4 +288,38 @@ fn disturbance_of_callback(stage: &Stage, node: &Node, rounds: u32, part: Durati
         of
     };
     Ok(Meanwhile::ALL.into_iter().zip(turns).zip(counts).map(of).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_documents_tables_have_reads_and_the_callback() {
+        let row = |experiment: &str, mode: &str, us: f64, ratio| {
+            let (experiment, mode) = (experiment.to_owned(), mode.to_owned());
+            let (p50_us, p99_us) = (Some(us), Some(2.0 * us));
+            TurnRow {
+                row: Row { experiment, mode, p50_us, p99_us, n: 10, ..Row::default() },
+                ratio,
+                ..TurnRow::default()
+            }
+        };
+        let rows = [
+            row("read", "f64, not being set", 0.0031, None),
+            row("read", "f64, being set", 0.0052, None),
+            row("callback", "quiet", 10.0, Some([1.0; 3])),
+            row("callback", "a thread sets", 10.5, Some([1.05, 0.97, 1.2])),
+        ];
+        let tables = document(&rows, "a machine", "steal 3 ticks");
+        for line in [
+            "| f64 | 3.1 | 5.2 |\n",
+            "| quiet | 10.00 | 20.00 | - | - | 1.00 (1.00 to 1.00) |\n",
+            "| a thread sets | 10.50 | 21.00 | - | - | 1.05 (0.97 to 1.20) |\n",
+            "20 jobs in alternating rounds",
+            "steal 3 ticks; a machine",
+        ] {
+            assert!(tables.contains(line), "{line}\n{tables}");
+        }
+    }
 }

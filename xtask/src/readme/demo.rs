@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What `taut demo` found.
 
-use super::figures::machine;
 use serde_json::Value;
 use std::fmt::Write;
+use std::fs;
 
 pub(super) fn table(demo: &Value) -> String {
     let mut out = String::from(
@@ -41,4 +41,17 @@ pub(super) fn table(demo: &Value) -> String {
         demo["preemption"].as_str().unwrap_or("?"),
     );
     out
+}
+
+/// What was measured on.
+fn machine() -> String {
+    let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = cpuinfo
+        .lines()
+        .find_map(|line| line.strip_prefix("model name")?.split_once(": "))
+        .map_or("?", |m| m.1);
+    let kernel = fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let virtual_machine = if cpuinfo.contains(" hypervisor") { ", virtual machine" } else { "" };
+    format!("{model}, {cores} cores{virtual_machine}, Linux {}", kernel.trim())
 }

@@ -22,7 +22,7 @@ mod topic;
 use std::process::ExitCode;
 
 use clap::Parser;
-use tautline_benches::{Result, Run, one_core};
+use tautline_benches::{Documented, Result, one_core};
 use tautline_rt::CoreSet;
 
 /// Measures messages: in place through a topic, owned, and with other encoders.
@@ -32,7 +32,7 @@ use tautline_rt::CoreSet;
 )]
 struct Options {
     #[command(flatten)]
-    run: Run,
+    documented: Documented,
     /// The core to run on [default: the last one allowed]
     #[arg(long, value_name = "CORE")]
     core: Option<usize>,
@@ -46,7 +46,7 @@ fn measure(options: &Options) -> Result<()> {
     let core = one_core(options.core)?;
     tautline_rt::set_affinity(CoreSet::one(core))?;
     let disturbance = tautline_benches::Disturbance::start();
-    let rows = rounds::run(&mut cases::all()?, options.run.quick)?;
+    let rows = rounds::run(&mut cases::all()?, options.documented.run.quick)?;
     report::print(&rows, core, &disturbance.report());
-    options.run.write(&rows)
+    options.documented.write(&rows, || report::document(&rows))
 }

@@ -4,7 +4,7 @@
 use serde::Serialize;
 use tautline_benches::claims::Verdict;
 use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::Table;
+use tautline_benches::table::{Table, distinct, figure, markdown};
 use tautline_benches::{cells, machine, version_of};
 
 use crate::cases::{FLOOR, IN_PLACE, OWNED, PUBLISHED_ONLY};
@@ -51,12 +51,27 @@ fn table(rows: &[Row]) -> Table {
     table
 }
 
+/// A line per message, a column per way to handle it.
+pub fn document(rows: &[Row]) -> String {
+    let ways = distinct(rows.iter().map(|row| row.implementation));
+    let us = |us: f64| if us < 1.0 { format!("{us:.3}") } else { figure(Some(us)) };
+    let line = |case: &'static str| {
+        let time = |way: &&str| {
+            let row = rows.iter().find(|row| (row.case, row.implementation) == (case, *way));
+            row.map_or("-".to_owned(), |row| us(row.p50_us))
+        };
+        let bytes = rows.iter().find(|row| row.case == case).map_or(0, |row| row.bytes);
+        [case.to_owned(), bytes.to_string()].into_iter().chain(ways.iter().map(time)).collect()
+    };
+    let titles = ["message", "bytes"].into_iter().chain(ways.iter().copied());
+    let table = markdown(titles, 1, distinct(rows.iter().map(|row| row.case)).into_iter().map(line));
+    format!("{table}\n`cargo xtask bench messages`: medians in µs, one process, one core; {}.\n", machine())
+}
+
 /// What must hold between the rows of a run. A miss is printed, never an error: the machine has its part in it.
 fn verdicts(rows: &[Row]) -> Vec<Verdict> {
     let mut verdicts = Vec::new();
-    let mut cases: Vec<_> = rows.iter().map(|row| row.case).collect();
-    cases.dedup();
-    for case in cases {
+    for case in distinct(rows.iter().map(|row| row.case)) {
         let find =
             |implementation| rows.iter().find(|row| (row.case, row.implementation) == (case, implementation));
         let rivals = rows.iter().filter(|row| row.case == case && row.implementation.contains("cdr"));
@@ -76,4 +91,30 @@ fn verdicts(rows: &[Row]) -> Vec<Verdict> {
         }
     }
     verdicts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_documents_table_has_a_line_per_message_and_a_column_per_way() {
+        let row = |case, implementation, bytes, p50_us| {
+            let rounds_ns = Vec::new();
+            Row {
+                case,
+                implementation,
+                bytes,
+                n: 1,
+                p50_us,
+                p99_us: p50_us,
+                ratio_to_plain_buffer: 1.0,
+                rounds_ns,
+            }
+        };
+        let rows = [row("a", "x", 8, 0.0042), row("a", "y", 8, 123.4), row("b", "y", 9, 1.25)];
+        let expected = "| message | bytes | x | y |\n|---|--:|--:|--:|\n| a | 8 | 0.004 | 123 |\n| b | 9 | - | 1.25 |\n\n`cargo";
+        let table = document(&rows);
+        assert!(table.starts_with(expected), "{table}");
+    }
 }

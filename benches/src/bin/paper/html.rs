@@ -4,7 +4,7 @@
 use tautline_benches::cells;
 use tautline_benches::page::{END, begin, figure, list, verdicts};
 use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::{Cell, Table};
+use tautline_benches::table::{Cell, Table, distinct};
 use tautline_paper::Variant;
 
 use crate::Result;
@@ -54,16 +54,9 @@ pub fn page(report: &Report) -> Result<String> {
 
 /// The names of the paper's variants that were measured and are wanted, in the order of the rows.
 fn variants(rows: &[Row], is_wanted: impl Fn(Variant) -> bool) -> Vec<String> {
-    let mut found: Vec<String> = Vec::new();
-    for row in rows {
-        if let Experiment::Paper(variant) = row.cell.experiment
-            && is_wanted(variant)
-            && !found.contains(&row.variant)
-        {
-            found.push(row.variant.clone());
-        }
-    }
-    found
+    let is_shown =
+        |row: &&Row| matches!(row.cell.experiment, Experiment::Paper(variant) if is_wanted(variant));
+    distinct(rows.iter().filter(is_shown).map(|row| row.variant.clone()))
 }
 
 fn write_capacity(out: &mut String, report: &Report) -> Result<()> {

@@ -36,7 +36,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use tautline_benches::{Result, Run, one_core, write};
+use tautline_benches::{Documented, Result, one_core, write};
 use tautline_paper::{Variant, priorities};
 use tautline_rt::permission;
 
@@ -49,7 +49,7 @@ use tautline_rt::permission;
   cargo xtask bench paper --runs 3 -- --variants futures-rt,tokio,nort-tokio")]
 struct Options {
     #[command(flatten)]
-    run: Run,
+    documented: Documented,
     /// Runs of each variant
     #[arg(long, conflicts_with = "quick", value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]
     runs: u32,
@@ -112,7 +112,7 @@ fn measure(options: &Options) -> Result<()> {
     let results = rounds::run(&plan, options.results.as_deref(), limit)?;
     let report = report::Report::new(&plan, &results)?;
     report::print(&report);
-    options.run.write(&report.rows)?;
+    options.documented.write(&report.rows, || report::document(&plan, &report.rows))?;
     if let Some(path) = &options.html {
         write(path, &html::page(&report)?)?;
         println!("Report: {}", path.display());

@@ -75,7 +75,8 @@ const CAPACITY_SECONDS: f64 = 5.0;
 
 impl Plan {
     pub fn new(options: &Options, core: usize) -> Result<Self> {
-        let (runs, seconds) = if options.run.quick { (2, 3.0) } else { (options.runs, options.seconds) };
+        let (runs, seconds) =
+            if options.documented.run.quick { (2, 3.0) } else { (options.runs, options.seconds) };
         let variants = options.variants.clone().unwrap_or_else(Variant::all);
         let r2r = options.r2r.clone().ok_or_else(|| options.without_r2r.clone());
         let capacity = application::capacity()?;

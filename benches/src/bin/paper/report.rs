@@ -3,9 +3,9 @@
 
 use tautline_benches::claims::Verdict;
 use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::{Cell, Table};
+use tautline_benches::table::{Cell, Table, distinct, figure, markdown};
 use tautline_benches::{cells, machine, version_of};
-use tautline_paper::Variant;
+use tautline_paper::{Topic, Variant};
 
 use crate::Result;
 use crate::plan::{Experiment, Plan, System};
@@ -207,6 +207,33 @@ pub fn table(rows: &[Row]) -> Table {
     table
 }
 
+/// 99th percentiles: a line for each of the paper's variants, Tautline's and r2r's for each topic.
+pub fn document(plan: &Plan, rows: &[Row]) -> String {
+    let rows: Vec<_> =
+        rows.iter().filter(|row| matches!(row.cell.experiment, Experiment::Paper(_))).collect();
+    let line = |variant: &String| {
+        let cell = |topic: &Topic| {
+            let of = rows.iter().filter(|row| (&row.variant, &row.topic) == (variant, &topic.name));
+            let mark = |row: &Row| if row.meets_deadline() { "" } else { "*" };
+            of.map(|row| figure(row.p99_ms) + mark(row)).collect::<Vec<_>>().join(" / ")
+        };
+        [variant.clone()].into_iter().chain(plan.paper.topics.iter().map(cell)).collect()
+    };
+    let heads =
+        plan.paper.topics.iter().map(|topic| format!("{} ({})", topic.name, stats::ms(topic.deadline_ns)));
+    let titles = ["variant".to_owned()].into_iter().chain(heads);
+    let table = markdown(titles, 1, distinct(rows.iter().map(|row| &row.variant)).into_iter().map(line));
+    let runs = rows.iter().map(|row| row.runs).min().unwrap_or(0);
+    let most_ticks = rows.iter().map(|row| row.steal_ticks).max().unwrap_or(0);
+    format!(
+        "{table}\n`cargo xtask bench paper`: 99th percentiles in ms, Tautline / r2r over Fast DDS, deadlines in brackets; \\* marks \
+         missed deadlines or lost messages; at least {runs} runs of {} s of each variant, of which the hypervisor took at most \
+         {most_ticks} ticks of 10 ms from one variant; {}.\n",
+        plan.seconds,
+        machine()
+    )
+}
+
 pub fn time(ms: Option<f64>) -> String {
     ms.map_or(String::new(), |ms| format!("{ms:.2}"))
 }
@@ -259,6 +286,21 @@ pub mod tests {
         (row.p50_ms, row.p99_ms, row.max_ms, row.mean_ms) = (longest, longest, longest, longest);
         (row.p99_std_ms, row.rta_overhead_ms) = (Some(0.5), row.rta_ms);
         row
+    }
+
+    #[test]
+    fn the_documents_table_has_both_systems_and_marks_what_failed() {
+        let rows = [
+            row(System::Tautline, "tokio", 0, &[2.0]),
+            row(System::Tautline, "tokio", 1, &[3.0]),
+            row(System::R2r, "tokio", 0, &[123.4]),
+            row(System::Tautline, "capacity-16", 0, &[70.0]),
+        ];
+        let table = document(&plan(), &rows);
+        let lines: Vec<_> = table.lines().collect();
+        assert!(lines[0].starts_with("| variant | topic1 (10) | topic2 (20) |"), "{table}");
+        assert!(lines[2].starts_with("| tokio | 2.00 / 123* | 3.00 |"), "{table}");
+        assert!(lines[3].is_empty() && table.contains("at least 1 runs of 1 s"), "{table}");
     }
 
     #[test]
