@@ -4,7 +4,7 @@
 use std::fs;
 use std::time::Instant;
 
-use tautline_rt::host::{HostInfo, steal_ticks};
+use tautline_rt::host::{HostInfo, online_cores, steal_ticks};
 
 /// Processor, cores, kernel and the kernel's limit for real-time threads in one line.
 pub fn machine() -> String {
@@ -14,7 +14,8 @@ pub fn machine() -> String {
         .lines()
         .find_map(|line| line.strip_prefix("model name")?.split_once(": "))
         .map_or(std::env::consts::ARCH, |(_, name)| name);
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    // All, however few this program confines itself to.
+    let cores = online_cores().map_or(1, |cores| cores.len());
     let mode = host.preempt_mode.map(|mode| format!(" ({mode})")).unwrap_or_default();
     let limit = match host.rt_runtime_us.zip(host.rt_period_us) {
         Some((runtime, period)) if runtime >= 0 => {

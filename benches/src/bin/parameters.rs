@@ -77,7 +77,6 @@ fn measure(options: &Documented) -> Result {
         true => (5, 100_000, 3, Duration::from_millis(500)),
         false => (21, 1_000_000, 15, Duration::from_secs(4)),
     };
-    // Before this program confines itself to cores.
     let (machine, disturbance) = (machine(), Disturbance::start());
     let stage = Stage::new()?;
     let mut node = Node::create(stage.context.clone(), "parameters_bench", "")?;

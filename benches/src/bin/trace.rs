@@ -53,7 +53,6 @@ fn main() -> ExitCode {
 
 fn measure(options: &Run) -> Result {
     let (rounds, calls) = if options.quick { (5, 200_000) } else { (21, 5_000_000) };
-    // Before this program confines itself to one core.
     let (machine, disturbance) = (machine(), Disturbance::start());
     if let Some(core) = tautline_rt::CoreSet::allowed()?.iter().last() {
         tautline_rt::set_affinity(tautline_rt::CoreSet::one(core))?;

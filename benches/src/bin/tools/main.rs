@@ -115,7 +115,6 @@ fn main() -> ExitCode {
 fn measure(options: &Options) -> Result<Vec<String>> {
     let beside = || Some(std::env::current_exe().ok()?.with_file_name("taut"));
     let taut = Taut(options.taut.clone().or_else(beside).ok_or("where is taut? Say it with --taut FILE")?);
-    // Before this program confines itself to one core.
     let (machine, watched) = (machine(), Disturbance::start());
     let (mut report, mut broken) = (serde_json::Map::new(), Vec::new());
     let quick = options.run.quick;
