@@ -112,7 +112,7 @@ fn measure(options: &Options) -> Result<()> {
     let results = rounds::run(&plan, options.results.as_deref(), limit)?;
     let report = report::Report::new(&plan, &results)?;
     report::print(&report);
-    options.documented.write(&report.rows, || report::document(&plan, &report.rows))?;
+    options.documented.write(&report.rows, || report::document(&plan, &report))?;
     if let Some(path) = &options.html {
         write(path, &html::page(&report)?)?;
         println!("Report: {}", path.display());

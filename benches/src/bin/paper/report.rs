@@ -208,9 +208,9 @@ pub fn table(rows: &[Row]) -> Table {
 }
 
 /// 99th percentiles: a line for each of the paper's variants, Tautline's and r2r's for each topic.
-pub fn document(plan: &Plan, rows: &[Row]) -> String {
+pub fn document(plan: &Plan, report: &Report) -> String {
     let rows: Vec<_> =
-        rows.iter().filter(|row| matches!(row.cell.experiment, Experiment::Paper(_))).collect();
+        report.rows.iter().filter(|row| matches!(row.cell.experiment, Experiment::Paper(_))).collect();
     let line = |variant: &String| {
         let cell = |topic: &Topic| {
             let of = rows.iter().filter(|row| (&row.variant, &row.topic) == (variant, &topic.name));
@@ -230,7 +230,8 @@ pub fn document(plan: &Plan, rows: &[Row]) -> String {
          missed deadlines or lost messages; at least {runs} runs of {} s of each variant, of which the hypervisor took at most \
          {most_ticks} ticks of 10 ms from one variant; {}.\n",
         plan.seconds,
-        machine()
+        // The machine and all versions.
+        report.notes.machine[..report.notes.machine.len().min(3)].join("; ")
     )
 }
 
@@ -296,7 +297,7 @@ pub mod tests {
             row(System::R2r, "tokio", 0, &[123.4]),
             row(System::Tautline, "capacity-16", 0, &[70.0]),
         ];
-        let table = document(&plan(), &rows);
+        let table = document(&plan(), &report(rows.into()));
         let lines: Vec<_> = table.lines().collect();
         assert!(lines[0].starts_with("| variant | topic1 (10) | topic2 (20) |"), "{table}");
         assert!(lines[2].starts_with("| tokio | 2.00 / 123* | 3.00 |"), "{table}");
