@@ -122,7 +122,7 @@ pub fn waited(tid: u32) -> Duration {
 
 /// Time in which a burial, and this program's notice of it, did not get a core, up to some moment.
 #[derive(Clone, Copy, Debug)]
-struct Delays {
+pub struct Delays {
     stolen: Duration,
     /// The warden's process, and what its thread has waited.
     warden: Option<(u32, Duration)>,
@@ -131,7 +131,7 @@ struct Delays {
 
 impl Delays {
     /// `watch`: the thread that watches the folder.
-    fn read(domain: u32, watch: u32) -> Self {
+    pub fn read(domain: u32, watch: u32) -> Self {
         let waited_by = |pid| {
             let threads = tautline_rt::threads_of(pid).unwrap_or_default();
             let warden = threads.iter().find(|thread| thread.name == "warden");
@@ -141,7 +141,7 @@ impl Delays {
     }
 
     /// Since an earlier moment. Whoever has become the warden since then may have waited before, too.
-    fn since(&self, before: &Self) -> Duration {
+    pub fn since(&self, before: &Self) -> Duration {
         let warden = match (self.warden, before.warden) {
             (Some((pid, now)), Some((same, before))) if pid == same => now.saturating_sub(before),
             (now, _) => now.map_or(Duration::ZERO, |(_, waited)| waited),

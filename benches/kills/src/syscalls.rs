@@ -2,7 +2,7 @@
 //! Each scene again and again, and each time the process in question is killed at another of its system calls: before it, after it, or
 //! a moment later. Then its friend must go on, a newcomer must find everything as it should be, and nothing of it may be left.
 
-use crate::folder::{listing, of_dead, stolen};
+use crate::folder::{Delays, listing, of_dead, stolen};
 use crate::inspector::{Graph, Met};
 use crate::place::Place;
 use crate::process::{Complaints, HELD_BY_IDLE, PATIENCE, Process, Stage, kill, lock, ms, threads, wait};
@@ -17,6 +17,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
+use tautline_rt::current_tid;
 use tautline_rt::domain::shared_path;
 
 /// Within this the graph answers, the friend's new ends and a newcomer's have passed a message, and nobody is kept from publishing.
@@ -216,6 +217,7 @@ impl Lane {
     fn play(&mut self, point: Option<Point>) -> Result<End> {
         let mut killed = self.stage.start(&format!("scene-{}", self.scene.name()))?;
         let pid = killed.id();
+        let alive = Delays::read(self.stage.domain, current_tid());
         let (told, ended) = std::sync::mpsc::channel();
         let (end, direct) = thread::scope(|scope| -> Result<_> {
             let (start, started) = std::sync::mpsc::channel();
@@ -240,7 +242,7 @@ impl Lane {
         if let Some(number) = end.number {
             self.at += &format!(" (system call {number})");
         }
-        self.check(&end, pid, direct)?;
+        self.check(&end, pid, direct, &alive)?;
         Ok(end)
     }
 
@@ -264,7 +266,8 @@ impl Lane {
         Ok(died)
     }
 
-    fn check(&mut self, end: &End, pid: u32, victim: Option<(u32, Instant)>) -> Result<()> {
+    /// `alive`: the delays when it was alive.
+    fn check(&mut self, end: &End, pid: u32, victim: Option<(u32, Instant)>, alive: &Delays) -> Result<()> {
         let (start, before) = (Instant::now(), stolen());
         if self.scene == Scene::Warden {
             if end.code.is_some() && shared_path(self.stage.domain).exists() {
@@ -285,7 +288,9 @@ impl Lane {
                 thread::sleep(Duration::from_micros(200));
                 left = of_dead(self.stage.domain, pid);
             }
-            self.within(STAY, since.elapsed(), before, "files of the dead")?;
+            let stayed = since.elapsed();
+            let delay = |domain| Delays::read(domain, current_tid()).since(alive);
+            self.within(STAY, stayed, delay, "files of the dead")?;
         }
         let own: Met = self.friend.ask("meet")?;
         let Graph { took, of_process, .. } = self.inspector.ask(&format!("graph {pid}"))?;
@@ -294,11 +299,12 @@ impl Lane {
         if of_process > 0 {
             return Err(format!("the graph has {of_process} things of a process that is dead").into());
         }
-        self.within(ANSWER, took, before, "graph")?;
-        self.within(ANSWER, own.answered, before, "the friend's own message")?;
-        let newcomer = self.within(ANSWER, met.answered, before, "a newcomer's message");
+        let delay = |_| stolen().saturating_sub(before);
+        self.within(ANSWER, took, delay, "graph")?;
+        self.within(ANSWER, own.answered, delay, "the friend's own message")?;
+        let newcomer = self.within(ANSWER, met.answered, delay, "a newcomer's message");
         newcomer.map_err(|error| format!("{error}: {met:?}"))?;
-        self.within(ANSWER, full, before, "a publisher held up")?;
+        self.within(ANSWER, full, delay, "a publisher held up")?;
         if self.scene == Scene::Warden {
             self.friend.order("leave")?;
             if shared_path(self.stage.domain).exists() {
@@ -308,16 +314,16 @@ impl Lane {
         Ok(())
     }
 
-    /// Notes a time, which is to be within its limit and what was stolen.
+    /// Notes a time, which is to be within its limit and for how long who is to do it had no core.
     fn within(
         &mut self,
         limit: Duration,
         time: Duration,
-        stolen_before: Duration,
+        delay: impl FnOnce(u32) -> Duration,
         what: &'static str,
     ) -> Result<()> {
         self.outcome.note(what, time);
-        if time <= limit || time <= limit + stolen().saturating_sub(stolen_before) {
+        if time <= limit || time <= limit + delay(self.stage.domain) {
             return Ok(());
         }
         let late = format!("{what}: {}, more than {}", ms(time), ms(limit));
