@@ -93,8 +93,6 @@ pub fn run(scope: &Scope) -> ExitCode {
         r2r.run(&mut steps);
         of_the_build(&mut steps);
         steps.join(apart);
-        // Beside a build, files of the dead stayed longer than they may.
-        stress_kills(&mut steps, Build::Tests, KILLS, None, false);
         let variants = Job::Variants.start();
         of_the_build_without_taut(&mut steps);
         if steps.join(variants) {
@@ -122,8 +120,9 @@ fn of_the_build(steps: &mut Steps) {
     comparison(steps, "network", &["tautline"], &["latency", "window", "callbacks"]);
 }
 
-/// Benches that do not run `taut`.
+/// What does not run `taut`: what may be killed, and more benches.
 fn of_the_build_without_taut(steps: &mut Steps) {
+    stress_kills(steps, Build::Tests, KILLS, None, false);
     domain(steps);
     messages(steps);
     let experiments = ["latency", "open-loop", "fan-out", "robot", "throughput", "start-up"];

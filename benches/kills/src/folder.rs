@@ -92,6 +92,17 @@ fn is_of_living(path: &Path) -> bool {
     }
 }
 
+/// That the folder went with the last one of its domain.
+///
+/// # Errors
+/// It stays; says what is in it.
+pub fn has_gone(domain: u32) -> Result<()> {
+    match shared_path(domain).exists() {
+        true => Err(format!("all have left or died, and the folder stays, {}", listing(domain)).into()),
+        false => Ok(()),
+    }
+}
+
 /// What is in the folder of a domain, for whoever looks for the cause of a failure.
 pub fn listing(domain: u32) -> String {
     let locks = locks();
@@ -122,7 +133,7 @@ pub fn waited(tid: u32) -> Duration {
 
 /// Time in which a burial, and this program's notice of it, did not get a core, up to some moment.
 #[derive(Clone, Copy, Debug)]
-pub struct Delays {
+struct Delays {
     stolen: Duration,
     /// The warden's process, and what its thread has waited.
     warden: Option<(u32, Duration)>,
@@ -131,7 +142,7 @@ pub struct Delays {
 
 impl Delays {
     /// `watch`: the thread that watches the folder.
-    pub fn read(domain: u32, watch: u32) -> Self {
+    fn read(domain: u32, watch: u32) -> Self {
         let waited_by = |pid| {
             let threads = tautline_rt::threads_of(pid).unwrap_or_default();
             let warden = threads.iter().find(|thread| thread.name == "warden");
@@ -141,7 +152,7 @@ impl Delays {
     }
 
     /// Since an earlier moment. Whoever has become the warden since then may have waited before, too.
-    pub fn since(&self, before: &Self) -> Duration {
+    fn since(&self, before: &Self) -> Duration {
         let warden = match (self.warden, before.warden) {
             (Some((pid, now)), Some((same, before))) if pid == same => now.saturating_sub(before),
             (now, _) => now.map_or(Duration::ZERO, |(_, waited)| waited),

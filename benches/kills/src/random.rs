@@ -16,7 +16,6 @@ use rand::{RngExt, SeedableRng};
 use std::process::{Child, Stdio};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
-use tautline_rt::domain::shared_path;
 
 const DOMAIN: u32 = 0;
 /// An actor lives at most so long.
@@ -147,9 +146,7 @@ impl Run {
             } else {
                 self.without_survivors(left.min(CHECK_EVERY))?;
             }
-            if shared_path(DOMAIN).exists() {
-                return Err("all have left, and the folder stays".into());
-            }
+            folder::has_gone(DOMAIN)?;
         }
         Ok(())
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Stops a process before and after each system call of any of its threads, counts that, and kills it where it is told to.
+//! Stops a process before and after each system call of any of its threads, counts that, and kills it where it is told to, or has it wait there.
 
 use crate::Result;
 use libc::{c_int, c_long, c_void, pid_t};
@@ -19,7 +19,12 @@ pub enum When {
     After,
     /// So long after it, in whatever its threads do then.
     Soon(Duration),
+    /// It is not killed, and goes on after longer than anything in it waits for another process.
+    Stall,
 }
+
+/// Longer than who joins a domain waits for who removes it.
+const STALL: Duration = Duration::from_millis(2500);
 
 /// A system call of all that a process makes, whichever of its threads does, from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,6 +46,8 @@ pub struct End {
     pub calls: usize,
     /// At the point, or not at all.
     pub is_killed: bool,
+    /// It waited at the point.
+    pub is_stalled: bool,
     /// Its exit code, if it ended by itself.
     pub code: Option<i32>,
     /// When it was gone.
@@ -50,14 +57,15 @@ pub struct End {
 }
 
 /// Follows a process of this thread's process, which waits and has one thread, until it ends. Says when it has begun. Kills it at `point`.
-pub fn follow(pid: u32, point: Option<Point>, started: &Sender<()>) -> Result<End> {
+pub fn follow(pid: u32, mut point: Option<Point>, started: &Sender<()>) -> Result<End> {
     let pid = pid_t::try_from(pid)?;
     let options = libc::PTRACE_O_TRACESYSGOOD | libc::PTRACE_O_TRACECLONE | libc::PTRACE_O_EXITKILL;
     ptrace(libc::PTRACE_SEIZE, pid, options as usize)?;
     ptrace(libc::PTRACE_INTERRUPT, pid, 0)?;
     started.send(())?;
     let mut within = BTreeSet::new();
-    let mut end = End { calls: 0, is_killed: false, code: None, at: Instant::now(), number: None };
+    let mut end =
+        End { calls: 0, is_killed: false, is_stalled: false, code: None, at: Instant::now(), number: None };
     loop {
         let (thread, status) = wait()?;
         if libc::WIFEXITED(status) || libc::WIFSIGNALED(status) {
@@ -84,11 +92,17 @@ pub fn follow(pid: u32, point: Option<Point>, started: &Sender<()>) -> Result<En
             // What follows on the last one's end is found there, whichever thread makes the next one.
             let is_there =
                 |point: &Point| point.call == end.calls && is_entry == (point.when == When::Before);
-            let Some(point) = point.filter(is_there) else {
+            let Some(point) = point.take_if(|point| is_there(point)) else {
                 resume(thread, 0)?;
                 continue;
             };
             end.number = number(thread);
+            if point.when == When::Stall {
+                std::thread::sleep(STALL);
+                resume(thread, 0)?;
+                end.is_stalled = true;
+                continue;
+            }
             if let When::Soon(time) = point.when {
                 resume(thread, 0)?;
                 let start = Instant::now();

@@ -27,16 +27,13 @@ use tautline_rt::domain::shared_path;
 use tautline_rt::shm::{self, ShmError};
 
 /// A file that was closed is looked at at once and after each of these times: the kernel tells that a file is closed a moment before
-/// it frees the lock, and one that dies may have to wait for a core between the two. Its file then stays at most twice as long. Or it is some other
-/// process that has closed it.
-const AGAIN: [Duration; 7] = [
+/// it frees the lock. Then it is some other process that has closed it.
+const AGAIN: [Duration; 5] = [
     Duration::from_millis(1),
     Duration::from_millis(4),
     Duration::from_millis(8),
     Duration::from_millis(16),
-    Duration::from_millis(32),
-    Duration::from_millis(64),
-    Duration::from_millis(128),
+    Duration::from_millis(200),
 ];
 /// How often all are looked at if the kernel does not tell.
 const PERIOD: Duration = Duration::from_millis(40);
