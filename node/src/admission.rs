@@ -15,12 +15,12 @@ use crate::statistics::shared_statistics;
 use crate::system::LoadedSystem;
 use std::fs::{File, TryLockError};
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tautline_analysis::Reservation;
 use tautline_analysis::file::SystemFile;
 use tautline_analysis::file::admission::{Broken, Candidate, LooseThread, Machine, Share};
 use tautline_executor::{Admitted, CallbackOptions, CallbackSnapshot, ProcessInfo, ProcessSnapshot};
-use tautline_rt::{Policy, domain::shared_path};
+use tautline_rt::{Patience, Policy, domain::shared_path};
 
 /// Whether what comes is checked against what runs in the domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -199,12 +199,12 @@ impl Gate {
     pub(crate) fn enter(domain: u32, mode: Admission) -> Result<Gate> {
         let path = shared_path(domain);
         let folder = File::open(&path).map_err(Error::Statistics)?;
-        let since = Instant::now();
+        let mut patience = Patience::new(PATIENCE);
         loop {
             match folder.try_lock() {
                 Ok(()) => break,
                 Err(TryLockError::Error(error)) => return Err(Error::Statistics(error)),
-                Err(TryLockError::WouldBlock) if since.elapsed() < PATIENCE => {
+                Err(TryLockError::WouldBlock) if !patience.is_over() => {
                     std::thread::sleep(Duration::from_millis(1));
                 }
                 Err(TryLockError::WouldBlock) if mode == Admission::Force => return Ok(Gate(None)),

@@ -16,10 +16,11 @@ use crate::statistics::shared_statistics;
 use crate::system::LoadedSystem;
 use std::path::Path;
 use std::sync::{Arc, PoisonError, RwLock};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tautline_analysis::file::SystemFile;
 use tautline_analysis::file::admission::{Candidate, Share};
 use tautline_executor::{CallbackOptions, CallbackSettings, ForeignStatistics, Order, Orders, ProcessInfo};
+use tautline_rt::Patience;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::domain::shared_path;
 
@@ -176,13 +177,13 @@ fn ask(
 ) -> std::result::Result<(), String> {
     let number = monotonic_ns().max(1);
     process.order(number, system_hash, is_final).map_err(|error| error.to_string())?;
-    let since = Instant::now();
+    let mut patience = Patience::new(PATIENCE);
     tautline_transport::call_all(domain).map_err(|error| error.to_string())?;
     while process.is_running() {
         if let Some(answer) = process.answer(number).map_err(|error| error.to_string())? {
             return answer;
         }
-        if since.elapsed() > PATIENCE {
+        if patience.is_over() {
             return Err(format!("it has not answered for {PATIENCE:?}; is it stopped?"));
         }
         std::thread::sleep(Duration::from_millis(1));

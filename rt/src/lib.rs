@@ -11,6 +11,7 @@
 //! - [`Words`] is memory for statistics that other processes may read ([`WordsFile`], [`ForeignWords`]).
 //! - [`shm`] has the files in /dev/shm that all of this workspace's shared memory is in; [`domain`] says where they are.
 //! - [`PiMutex`] protects what threads of different priorities use; [`FutexWord`] is a word to sleep on.
+//! - [`Patience`] is how long it is waited for what is looked at again and again.
 //! - [`at_exit`] has something done when the process ends, though threads of it run on.
 //! - [`latest`] passes the newest of many values on, without waiting on either side.
 //! - [`clock`] has the clocks, [`host`] says what machine this is, [`permission`] why it refuses.
@@ -44,6 +45,7 @@ mod lock_file;
 mod memory;
 mod mutex;
 mod noise;
+mod patience;
 mod policy;
 mod sync;
 mod thread;
@@ -70,6 +72,7 @@ pub use memory::{
 };
 pub use mutex::{PiGuard, PiMutex};
 pub use noise::Interruptions;
+pub use patience::Patience;
 pub use policy::{Policy, current_policy, policy_of, set_policy, set_policy_of};
 pub use thread::{
     JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads, threads_of,

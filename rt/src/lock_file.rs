@@ -2,15 +2,16 @@
 //! Lock files: one process at a time holds one. The kernel releases the lock of a process that dies, however it dies, so that the next can
 //! take over at once.
 
+use crate::Patience;
 use crate::shm::DIRECTORY;
 use rustix::fs::{FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 /// Who removes the file of a process that was killed locks it for a moment: that is not another holder.
-const PATIENCE: Duration = Duration::from_millis(50);
+const LOCKED_FOR: Duration = Duration::from_millis(50);
 
 /// A locked file in /dev/shm. Dropping it releases the lock and removes the file.
 #[derive(Debug)]
@@ -52,7 +53,7 @@ impl LockFile {
     pub fn lock(name: &str) -> Result<Self, LockFileError> {
         let path = Path::new(DIRECTORY).join(name);
         let refuse = |source: io::Error| LockFileError::File { path: path.clone(), source };
-        let start = Instant::now();
+        let mut patience = Patience::new(LOCKED_FOR);
         loop {
             let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
             let file =
@@ -60,7 +61,7 @@ impl LockFile {
             let mut file = std::fs::File::from(file);
             match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
                 Ok(()) => {}
-                Err(Errno::WOULDBLOCK) if start.elapsed() < PATIENCE => {
+                Err(Errno::WOULDBLOCK) if !patience.is_over() => {
                     std::thread::sleep(Duration::from_millis(1));
                     continue;
                 }

@@ -9,7 +9,8 @@ use rustix::io::Errno;
 use std::io;
 use std::os::fd::OwnedFd;
 use std::path::PathBuf;
-use std::time::{Duration, Instant};
+use std::time::Duration;
+use tautline_rt::Patience;
 use tautline_rt::domain::{shared_folder, shared_path};
 use tautline_rt::shm::{self, PeerFile, ShmError, has_name};
 
@@ -46,7 +47,7 @@ pub(crate) fn in_folder<T>(domain: u32, make: impl Fn() -> Result<T, ShmError>) 
         shm::make_folder(&shared_folder(domain))?;
         match make() {
             Err(error) if error.source.kind() == io::ErrorKind::NotFound => {}
-            made => return made,
+            made => return made.inspect_err(|_| leave_folder(domain)),
         }
     }
 }
@@ -91,7 +92,7 @@ impl Control {
     pub(crate) fn claim(domain: u32) -> Result<Control, TraceError> {
         // Processes hold the lock for a moment when they look.
         const PATIENCE: Duration = Duration::from_millis(500);
-        let (path, start) = (path(domain), Instant::now());
+        let (path, mut patience) = (path(domain), Patience::new(PATIENCE));
         let refuse = |errno: Errno| TraceError::File { path: path.clone(), source: io::Error::from(errno) };
         loop {
             let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
@@ -108,7 +109,7 @@ impl Control {
                     return Ok(control);
                 }
                 Err(errno) if errno != Errno::WOULDBLOCK => return Err(refuse(errno)),
-                _ if start.elapsed() > PATIENCE => return Err(TraceError::SecondRecorder { domain }),
+                _ if patience.is_over() => return Err(TraceError::SecondRecorder { domain }),
                 _ => std::thread::sleep(Duration::from_millis(5)),
             }
         }

@@ -24,11 +24,11 @@ use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
-use tautline_rt::FutexWord;
+use std::time::Duration;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_rt::domain::{shared_folder, shared_path};
 use tautline_rt::shm::{self, Mapping, ShmError};
+use tautline_rt::{FutexWord, Patience};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautdom2");
 /// Participants of a domain at once.
@@ -88,24 +88,28 @@ pub(crate) struct Seen {
 impl Domain {
     /// Joins the domain: makes its folder and its file if they are not there.
     pub(crate) fn join(number: u32) -> Result<Arc<Self>, TransportError> {
-        let folder = shared_folder(number);
-        let path = Path::new(shm::DIRECTORY).join(&folder).join(NAME);
+        // A folder that was made for nothing is not to stay.
+        Self::make_and_join(number).inspect_err(|_| _ = rustix::fs::rmdir(shared_path(number)))
+    }
+
+    fn make_and_join(number: u32) -> Result<Arc<Self>, TransportError> {
+        let path = shared_path(number).join(NAME);
         let refuse = |source: io::Error| TransportError::File { path: path.clone(), source };
-        let start = Instant::now();
+        let mut patience = Patience::new(PATIENCE);
         loop {
-            shm::make_folder(&folder)
+            shm::make_folder(&shared_folder(number))
                 .map_err(|ShmError { path, source }| TransportError::File { path, source })?;
             match Self::open(&path).map_err(refuse)? {
                 Opened::Whole(file, map) => return Ok(Self::of(number, path, file, map)),
                 Opened::Other => return Err(TransportError::Version { path }),
-                Opened::Missing if start.elapsed() > PATIENCE => {
+                Opened::Missing if patience.is_over() => {
                     return Err(refuse(io::Error::other(
                         "it is made and not there: is /proc mounted, and this process's own?",
                     )));
                 }
                 Opened::Missing => make(&path).map_err(refuse)?,
                 // Its last member removes it right now, unless that one was stopped.
-                Opened::Leaving if start.elapsed() > PATIENCE => {
+                Opened::Leaving if patience.is_over() => {
                     return Err(refuse(io::Error::other(
                         "the last process of this domain is removing it and makes no progress: continue or kill it if it is stopped",
                     )));
