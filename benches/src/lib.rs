@@ -40,7 +40,7 @@ pub use gateways::{Gateways, Host};
 pub use machine::{Disturbance, machine, version_in, version_of};
 pub use process::Process;
 pub use program::{exit, interrupted, progress_bar, two_cores, write, write_json};
-pub use run::{Documented, Run, one_core};
+pub use run::{Documented, Run, one_core, program};
 pub use scratch::Scratch;
 pub use stage::Stage;
 pub use turns::{TurnRow, Turns};

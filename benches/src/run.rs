@@ -21,11 +21,6 @@ pub struct Run {
 }
 
 impl Run {
-    /// The whole program of a bench that is told nothing else; `about` is the first line of its help.
-    pub fn program(name: &'static str, about: &'static str, measure: fn(&Run) -> Result) -> ExitCode {
-        program(name, about, measure)
-    }
-
     /// Writes the numbers if it was told to.
     ///
     /// # Errors
@@ -46,11 +41,6 @@ pub struct Documented {
 }
 
 impl Documented {
-    /// As [`Run::program`].
-    pub fn program(name: &'static str, about: &'static str, measure: fn(&Self) -> Result) -> ExitCode {
-        program(name, about, measure)
-    }
-
     /// Writes the numbers and the tables if it was told to.
     ///
     /// # Errors
@@ -61,7 +51,8 @@ impl Documented {
     }
 }
 
-fn program<T: Parser>(name: &'static str, about: &'static str, measure: fn(&T) -> Result) -> ExitCode {
+/// The whole program of a bench that is told nothing else than a [`Run`], or what is [`Documented`]; `about` is the first line of its help.
+pub fn program<T: Parser>(name: &'static str, about: &'static str, measure: fn(&T) -> Result) -> ExitCode {
     let told = T::command().name(name).about(about).get_matches();
     exit(name, measure(&T::from_arg_matches(&told).unwrap_or_else(|error| error.exit())))
 }

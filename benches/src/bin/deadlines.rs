@@ -16,7 +16,9 @@ use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::std_msgs::msg::UInt64;
 use tautline::{CallbackOptions, ContextBuilder, Node, Publisher, Qos, SubscriptionEvent};
 use tautline_benches::table::of_rows;
-use tautline_benches::{Beside, Distribution, Disturbance, Result, Run, Stage, TurnRow, Turns, machine};
+use tautline_benches::{
+    Beside, Distribution, Disturbance, Result, Run, Stage, TurnRow, Turns, machine, program,
+};
 use tautline_rt::{CoreSet, Policy};
 
 const TOPICS: u64 = 200;
@@ -75,7 +77,7 @@ impl Recorder {
 }
 
 fn main() -> ExitCode {
-    Run::program("deadlines", "Measures how late events of missed deadlines are", measure)
+    program("deadlines", "Measures how late events of missed deadlines are", measure)
 }
 
 fn measure(options: &Run) -> Result {

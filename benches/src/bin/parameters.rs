@@ -19,7 +19,7 @@ use tautline_benches::rows::{Row, extent};
 use tautline_benches::table::Column::{Number, Words};
 use tautline_benches::table::{Table, figure, markdown, of_rows};
 use tautline_benches::{
-    Beside, Distribution, Disturbance, Documented, Result, Stage, TurnRow, Turns, cells, machine,
+    Beside, Distribution, Disturbance, Documented, Result, Stage, TurnRow, Turns, cells, machine, program,
 };
 use tautline_rt::CoreSet;
 use tautline_rt::host::steal_ticks;
@@ -53,7 +53,7 @@ impl Meanwhile {
 }
 
 fn main() -> ExitCode {
-    Documented::program("parameters", "Measures reading parameters beside a thread that sets them", measure)
+    program("parameters", "Measures reading parameters beside a thread that sets them", measure)
 }
 
 struct Readers {

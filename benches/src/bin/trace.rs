@@ -11,7 +11,7 @@ use std::time::Instant;
 use tautline_benches::rows::extent;
 use tautline_benches::table::Column::{Number, Words};
 use tautline_benches::table::Table;
-use tautline_benches::{Disturbance, Result, Run, cells, machine};
+use tautline_benches::{Disturbance, Result, Run, cells, machine, program};
 use tautline_rt::clock::monotonic_ns;
 use tautline_trace::{MessageId, ObjectId, Recorder, TraceMode};
 
@@ -48,7 +48,7 @@ const CASES: [(&str, Work); 4] = [
 ];
 
 fn main() -> ExitCode {
-    Run::program("trace", "Measures what a trace event costs", measure)
+    program("trace", "Measures what a trace event costs", measure)
 }
 
 fn measure(options: &Run) -> Result {
