@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What is written is read again; what is cut off or changed is a bag without what was there, or an error.
 
+use rand::RngExt;
 use rustix::process::{Resource, Rlimit, setrlimit};
 use std::collections::BTreeMap;
 use std::fs;
@@ -213,17 +214,10 @@ fn what_was_cut_off_anywhere_is_recovered() {
     }
 }
 
-/// Numbers below what is asked for, from a seed that is printed.
+/// Numbers below what is asked for.
 fn random() -> impl FnMut(usize) -> usize {
-    let seed: u64 = std::env::var("TAUT_SEED").map_or(1, |seed| seed.parse().unwrap());
-    println!("seed {seed}");
-    let mut state = seed;
-    move |below| {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state % below as u64) as usize
-    }
+    let mut random = tautline_seed::random();
+    move |below| random.random_range(0..below)
 }
 
 /// Messages and chunks that are longer than all memory for what is on its way to the disk, and shorter ones; what was flushed is there.

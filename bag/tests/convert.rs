@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Bags of rosbag2 in its other storage and compressions: what is in them is in the new one; what is none leaves nothing.
 
+use rand::RngExt;
 use rusqlite::{Connection, params};
 use std::collections::BTreeMap;
 use std::fs;
@@ -432,15 +433,8 @@ fn a_changed_database_is_no_crash() {
     let bag = folder.path().join("bag");
     let path = old(&bag, 2);
     let whole = fs::read(&path).unwrap();
-    let seed: u64 = std::env::var("TAUT_SEED").map_or(0x9e37_79b9_7f4a_7c15, |seed| seed.parse().unwrap());
-    println!("TAUT_SEED={seed}");
-    let mut state = seed | 1;
-    let mut random = |below: usize| {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state % below as u64) as usize
-    };
+    let mut random = tautline_seed::random();
+    let mut random = |below: usize| random.random_range(0..below);
     let new = folder.path().join("new");
     let (mut taken, mut left) = (0, 0);
     for _ in 0..400 {

@@ -2,43 +2,34 @@
 //! Rigid transforms as 4x4 matrices, by formulas of their own, and random numbers.
 #![allow(dead_code)]
 
-use std::time::{SystemTime, UNIX_EPOCH};
-
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
 use tautline_tf::{Kind, SetError, Transform, TransformStamped, Writer};
 
 pub type Matrix = [[f64; 4]; 4];
 
-/// splitmix64.
-pub struct Random(u64);
+pub struct Random(StdRng);
 
 impl Random {
-    /// Seeded by TAUT_SEED, or the clock; printed, and shown if the test fails.
     pub fn new() -> Random {
-        let clock = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos() as u64;
-        let seed = std::env::var("TAUT_SEED").map_or(clock, |seed| seed.parse().expect("a number"));
-        println!("TAUT_SEED={seed}");
-        Random(seed)
+        Random(tautline_seed::random())
     }
 
     pub fn seeded(seed: u64) -> Random {
-        Random(seed)
+        Random(StdRng::seed_from_u64(seed))
     }
 
     pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
+        self.0.random()
     }
 
     pub fn below(&mut self, end: u64) -> u64 {
-        self.next() % end
+        self.0.random_range(0..end)
     }
 
     /// From -1 to 1.
     pub fn unit(&mut self) -> f64 {
-        (self.next() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        self.0.random_range(-1.0..1.0)
     }
 
     /// With angles that keep any two of them less than 2.4 rad apart, where the shorter way is clear.

@@ -6,28 +6,21 @@ use hiroz_protocol::entity::{EndpointEntity, EndpointKind as TheirKind, Entity, 
 use hiroz_protocol::format::KeyExprFormatter;
 use hiroz_protocol::format::rmw_zenoh::RmwZenohFormatter as Theirs;
 use hiroz_protocol::qos::{QosDurability, QosDuration, QosHistory, QosProfile, QosReliability};
-use rand::rngs::SmallRng;
+use rand::RngExt;
+use rand::rngs::StdRng;
 use rand::seq::IndexedRandom;
-use rand::{RngExt, SeedableRng};
 use std::io::Write;
 use std::process::{Command, Stdio};
 use tautline_gateway::wire::*;
 use tautline_transport::{Durability, Gid, History, Reliability};
 
-fn generator() -> SmallRng {
-    let seed =
-        std::env::var("TAUT_SEED").ok().and_then(|seed| seed.parse().ok()).unwrap_or_else(rand::random);
-    println!("TAUT_SEED={seed}");
-    SmallRng::seed_from_u64(seed)
-}
-
-fn word(random: &mut SmallRng) -> String {
+fn word(random: &mut StdRng) -> String {
     let len = random.random_range(1..12);
     (0..len).map(|_| char::from(*b"abcxyz".choose(random).unwrap())).collect()
 }
 
 /// Without durations that hold nanoseconds or seconds alone at their default: there the peers differ in thrift.
-fn token(random: &mut SmallRng) -> Token {
+fn token(random: &mut StdRng) -> Token {
     let kinds =
         [EndpointKind::Publisher, EndpointKind::Subscription, EndpointKind::Service, EndpointKind::Client];
     let hash: String = (0..64).map(|_| char::from(*b"0123456789abcdef".choose(random).unwrap())).collect();
@@ -103,7 +96,7 @@ fn theirs(token: &Token) -> EndpointEntity {
 
 #[test]
 fn hiroz_writes_what_we_write_and_reads_what_we_read() {
-    let mut random = generator();
+    let mut random = tautline_seed::random();
     for _ in 0..2000 {
         let token = token(&mut random);
         let entity = theirs(&token);
@@ -126,7 +119,7 @@ fn hiroz_writes_what_we_write_and_reads_what_we_read() {
 
 #[test]
 fn hiroz_attachments_are_ours() {
-    let mut random = generator();
+    let mut random = tautline_seed::random();
     for _ in 0..200 {
         let (sequence_number, gid): (i64, [u8; 16]) = (random.random(), random.random());
         let theirs = hiroz::attachment::Attachment::new(sequence_number, gid);
@@ -141,7 +134,7 @@ fn hiroz_attachments_are_ours() {
 #[test]
 fn the_python_sdk_writes_what_we_write() {
     let Some(python) = python() else { return };
-    let mut random = generator();
+    let mut random = tautline_seed::random();
     let tokens: Vec<_> = (0..500).map(|_| token(&mut random)).collect();
     let mut oracle = Command::new(python)
         .arg(script("oracle.py"))
