@@ -112,8 +112,8 @@ pub fn page_faults() -> PageFaults {
     PageFaults { minor: usage.ru_minflt.cast_unsigned(), major: usage.ru_majflt.cast_unsigned() }
 }
 
-/// Has the kernel bring in all pages of the current thread's stack from `end` up to that of `here` at once, in less than half of the time of a
-/// fault for each. False where it cannot: before Linux 5.14, and below what the first thread's stack has grown to.
+/// Has the kernel bring in all pages of the current thread's stack from `end` up to that of `here`, without a fault for
+/// each. False where it cannot: before Linux 5.14, and below what the first thread's stack has grown to.
 fn populate(end: usize, here: usize) -> bool {
     let page = page_size();
     let (from, to) = (end / page * page, here / page * page);
