@@ -379,6 +379,8 @@ async fn ask<Q: Payload, A: Payload>(
             break;
         }
     }
+    // Whose next tick would be what the kernel is to wake the sampler at in each of its waits.
+    drop(greeting);
     let mut trips = RoundTrips::new(job);
     while let Some(number) = trips.start() {
         send(job, &publisher, number)?;
