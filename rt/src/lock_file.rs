@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Who removes the file of a process that was killed locks it for a moment: that is not another holder.
-const LOCKED_FOR: Duration = Duration::from_millis(50);
+const PATIENCE: Duration = Duration::from_millis(50);
 
 /// A locked file in /dev/shm. Dropping it releases the lock and removes the file.
 #[derive(Debug)]
@@ -53,7 +53,7 @@ impl LockFile {
     pub fn lock(name: &str) -> Result<Self, LockFileError> {
         let path = Path::new(DIRECTORY).join(name);
         let refuse = |source: io::Error| LockFileError::File { path: path.clone(), source };
-        let mut patience = Patience::new(LOCKED_FOR);
+        let mut patience = Patience::new(PATIENCE);
         loop {
             let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
             let file =

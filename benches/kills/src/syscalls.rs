@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Each scene again and again, and each time the process in question is killed at another of its system calls: before it, after it, or
-//! a moment later. Then its friend must go on, a newcomer must find everything as it should be, and nothing of it may be left.
+//! a moment later; or it waits there for seconds, and goes on. Then its friend must go on, a newcomer must find everything as it should be, and nothing of it may be left.
 
 use crate::folder::{has_gone, listing, of_dead, stolen};
 use crate::inspector::{Graph, Met};
@@ -22,8 +22,8 @@ use std::time::{Duration, Instant};
 const ANSWER: Duration = Duration::from_millis(100);
 /// So long files of the dead may stay.
 const STAY: Duration = Duration::from_millis(50);
-/// So many points at which it is killed come to one at which it waits.
-const STALL_EVERY: usize = 100;
+/// With so many of its first system calls, and a few more, a process makes the domain that it joins: at every other one of them it waits once.
+const JOINING: usize = 20;
 /// Each with a domain of its own, at the same time.
 const LANES: u32 = 2;
 
@@ -37,7 +37,7 @@ pub struct Options {
     all: bool,
     #[command(flatten)]
     common: Common,
-    /// At one point, 20 times: the scene, the number of the call, and before, after, soon, or stall
+    /// At one point, 20 times: the scene, the number of the call, and before, after or soon after it, or stall: it waits there and goes on
     #[arg(long, value_name = "SCENE:CALL:WHEN", value_parser = parse)]
     at: Option<Job>,
 }
@@ -131,7 +131,7 @@ pub fn run(options: &Options) -> Result<()> {
     Ok(())
 }
 
-/// Which points: each call of each scene, in each way, or so many of them. And a few at which it only waits: each takes seconds.
+/// Which points: each call of each scene, in each way, or so many of them; and those at which it only waits, for seconds.
 fn plan(options: &Options, stage: &Stage, random: &mut SmallRng) -> Result<Vec<Job>> {
     let mut all = Vec::new();
     for &scene in Scene::value_variants() {
@@ -148,17 +148,16 @@ fn plan(options: &Options, stage: &Stage, random: &mut SmallRng) -> Result<Vec<J
         });
         all.extend(points.map(|point| Job { scene, point }));
     }
+    let stalls = (1..=JOINING).step_by(2).map(|call| Point { call, when: When::Stall });
+    let stalls = stalls.map(|point| Job { scene: Scene::Warden, point });
+    if options.all || all.len() <= options.points {
+        return Ok(all.into_iter().chain(stalls).collect());
+    }
     // Each `step`th, from a random one on.
-    let mut spread = |points: usize| {
-        let step = all.len() as f64 / points.max(1) as f64;
-        let first = random.random_range(0.0..1.0);
-        let chosen = (0..points).map(|n| all[((n as f64 + first) * step) as usize]);
-        chosen.collect::<Vec<_>>()
-    };
-    let points = if options.all { all.len() } else { options.points.min(all.len()) };
-    let (kills, mut stalls) = (spread(points), spread(points.div_ceil(STALL_EVERY)));
-    stalls.iter_mut().for_each(|job| job.point.when = When::Stall);
-    Ok([kills, stalls].concat())
+    let step = all.len() as f64 / options.points.max(1) as f64;
+    let first = random.random_range(0.0..1.0);
+    let chosen = (0..options.points).map(|n| all[((n as f64 + first) * step) as usize]);
+    Ok(chosen.chain(stalls).collect())
 }
 
 fn play(scene: Scene, jobs: &[Job], options: &Options, stage: &Stage) -> Result<Outcome> {
