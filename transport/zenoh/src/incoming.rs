@@ -4,17 +4,19 @@
 //!
 //! This runs in Zenoh's thread and never waits: a slow subscription loses its oldest samples.
 
+use crate::kept::{Kept, Publisher};
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
-use std::sync::Arc;
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, Source, TopicCounters};
 use tautline_rt::PiMutex;
 use tautline_rt::clock::wall_ns;
 use tautline_transport::{Durability, Reliability};
 use zenoh::bytes::ZBytes;
+use zenoh::query::{ConsolidationMode, Reply, ReplyKeyExpr};
 use zenoh::sample::{Locality, Sample, SampleKind};
 use zenoh::{Session, Wait};
-use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, HistoryConfig, RecoveryConfig};
+use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, RecoveryConfig};
 
 /// Messages arrive over several links, and kept ones again. Other implementations of the wire write GIDs that their tokens do not
 /// announce (hiroz, zenoh-ros2-sdk).
@@ -39,15 +41,16 @@ pub(crate) enum Dropped {
 
 /// An incoming topic. Dropping it ends the subscription on the network.
 pub(crate) struct Incoming {
-    ingress: Arc<Gate>,
+    gate: Arc<Gate>,
     _subscriber: Subscriber,
     /// Newer publishers of images and the like use this key.
     _cpu_group: zenoh::pubsub::Subscriber<()>,
 }
 
+/// Field order is drop order.
 enum Subscriber {
-    Plain { _subscriber: zenoh::pubsub::Subscriber<()> },
-    Late { _subscriber: AdvancedSubscriber<()> },
+    Plain { _samples: zenoh::pubsub::Subscriber<()> },
+    Kept { _publishers: zenoh::pubsub::Subscriber<()>, _samples: AdvancedSubscriber<()> },
 }
 
 impl Incoming {
@@ -58,60 +61,180 @@ impl Incoming {
         ingress: Ingress,
         max_bytes: usize,
     ) -> zenoh::Result<Self> {
-        let counters = ingress.counters().clone();
-        let ingress = Arc::new(Gate { ingress: PiMutex::new(Some(ingress)), counters, max_bytes });
-        let (of_group, receiving) = (ingress.clone(), ingress.clone());
+        let (counters, qos) = (ingress.counters().clone(), &inward.qos);
+        let is_kept = qos.durability == Durability::TransientLocal;
+        let way = Way {
+            kept: is_kept.then(|| Kept::new(qos.depth)),
+            early: is_kept.then(Vec::new),
+            port: Port { ingress, max_bytes },
+        };
+        let gate = Arc::new(Gate { way: PiMutex::new(Some(way)), counters });
+        let (of_group, receiving) = (gate.clone(), gate.clone());
         let cpu_group = session.declare_subscriber(key.cpu_group()).allowed_origin(Locality::Remote);
         // Their sequence numbers also count samples to other subscriptions: gaps are not losses.
-        let cpu_group = cpu_group.callback(move |sample| of_group.take(&sample, false)).wait()?;
-        let incoming = |subscriber| Incoming { ingress, _subscriber: subscriber, _cpu_group: cpu_group };
+        let cpu_group =
+            cpu_group.callback(move |sample| of_group.with(|way| way.port.take(&sample, false))).wait()?;
+        let requests = Requests { session: session.clone(), gate: Arc::downgrade(&gate), depth: qos.depth };
+        // Before the samples: a publisher's token comes before what it publishes.
+        let publishers = is_kept.then(|| requests.clone().watch(key)).transpose()?;
         let subscriber = session.declare_subscriber(key.to_string()).allowed_origin(Locality::Remote);
-        let subscriber = subscriber.callback(move |sample| receiving.take(&sample, true));
-        if inward.qos.durability == Durability::Volatile {
-            return Ok(incoming(Subscriber::Plain { _subscriber: subscriber.wait()? }));
+        let subscriber = subscriber.callback(move |sample| receiving.with(|way| way.receive(sample)));
+        let Some(_publishers) = publishers else {
+            let _subscriber = Subscriber::Plain { _samples: subscriber.wait()? };
+            return Ok(Incoming { gate, _subscriber, _cpu_group: cpu_group });
+        };
+        let mut samples = subscriber.advanced().query_timeout(HISTORY_TIMEOUT).subscriber_detection();
+        if qos.reliability == Reliability::Reliable {
+            samples = samples.recovery(RecoveryConfig::default().heartbeat());
         }
-        let mut late = subscriber
-            .history(HistoryConfig::default().detect_late_publishers().max_samples(inward.qos.depth))
-            .query_timeout(HISTORY_TIMEOUT)
-            .subscriber_detection();
-        if inward.qos.reliability == Reliability::Reliable {
-            late = late.recovery(RecoveryConfig::default().heartbeat());
-        }
-        Ok(incoming(Subscriber::Late { _subscriber: late.wait()? }))
+        let _subscriber = Subscriber::Kept { _publishers, _samples: samples.wait()? };
+        // After the samples: what is published after the answer arrives.
+        let early = gate.with(|way| way.early.take());
+        early.into_iter().flatten().for_each(|(publisher, token)| requests.send(publisher, &token));
+        Ok(Incoming { gate, _subscriber, _cpu_group: cpu_group })
     }
 
     /// See [`Ingress::change`].
     pub(crate) fn change(&self, change: IngressUpdate) {
-        self.ingress.with(|ingress| ingress.change(change));
+        self.gate.with(|way| way.port.ingress.change(change));
     }
 
     /// Ends this one and returns its ingress for the next.
     pub(crate) fn end(self) -> Option<Ingress> {
-        self.ingress.ingress.lock().take()
+        Some(self.gate.way.lock().take()?.port.ingress)
     }
 }
 
-/// Receives samples of one topic from the threads of several links; `None` after another one took over.
-struct Gate {
-    ingress: PiMutex<Option<Ingress>>,
-    counters: Arc<TopicCounters>,
-    max_bytes: usize,
+/// Requests what each publisher of a topic keeps.
+#[derive(Clone)]
+struct Requests {
+    session: Session,
+    gate: Weak<Gate>,
+    depth: usize,
 }
 
-impl Gate {
-    fn with(&self, act: impl FnOnce(&mut Ingress)) {
-        if let Some(ingress) = &mut *self.ingress.lock() {
-            act(ingress);
+impl Requests {
+    /// Watches publishers, those that exist and those that come.
+    fn watch(self, key: &TopicKey) -> zenoh::Result<zenoh::pubsub::Subscriber<()>> {
+        let (session, publishers) = (self.session.clone(), format!("{key}/@adv/pub/**"));
+        let watch = session.liveliness().declare_subscriber(publishers).history(true);
+        watch.callback(move |token| self.changed(&token)).wait()
+    }
+
+    fn changed(&self, token: &Sample) {
+        let (key, own) = (token.key_expr().as_str(), self.session.zid());
+        let publisher = Publisher::of_token(key, own).filter(|_| token.kind() == SampleKind::Put);
+        let (Some(publisher), Some(gate)) = (publisher, self.gate.upgrade()) else { return };
+        if gate.with(|way| way.appeared(publisher, key)) {
+            self.send(publisher, key);
         }
     }
 
-    fn take(&self, sample: &Sample, are_numbers_whole: bool) {
+    /// `token`: its key is that of the publisher's cache.
+    fn send(&self, publisher: Publisher, token: &str) {
+        // A publisher keeps no more than is requested, and so does each of those of a session.
+        const PUBLISHERS: usize = 64;
+        let most = if publisher.is_single() { self.depth } else { self.depth.saturating_mul(PUBLISHERS) };
+        let answer = Answer { gate: self.gate.clone(), publisher, most, kept: PiMutex::default() };
+        let request = self.session.get(format!("{token}?_max={}", self.depth));
+        let request = request.allowed_destination(Locality::Remote).timeout(HISTORY_TIMEOUT);
+        let request = request.consolidation(ConsolidationMode::None).accept_replies(ReplyKeyExpr::Any);
+        if let Err(error) = request.callback(move |reply| answer.add(reply)).wait() {
+            tracing::warn!("what the publisher of token {token} keeps cannot be requested: {error}");
+        }
+    }
+}
+
+/// The answer to a request, which ends when Zenoh drops it, at the latest after the time-out.
+struct Answer {
+    gate: Weak<Gate>,
+    publisher: Publisher,
+    most: usize,
+    kept: PiMutex<Vec<Sample>>,
+}
+
+impl Answer {
+    fn add(&self, reply: Reply) {
+        let Ok(sample) = reply.into_result() else { return };
+        let mut kept = self.kept.lock();
+        if kept.len() < self.most {
+            kept.push(sample);
+        } else if let Some(gate) = self.gate.upgrade() {
+            gate.counters.dropped("more kept samples than requested");
+        }
+    }
+}
+
+impl Drop for Answer {
+    fn drop(&mut self) {
+        if let Some(gate) = self.gate.upgrade() {
+            let kept = std::mem::take(&mut *self.kept.lock());
+            gate.with(|way| way.answered(self.publisher, kept));
+        }
+    }
+}
+
+/// The way in, shared by the threads of several links.
+struct Gate {
+    /// `None` after another one took over.
+    way: PiMutex<Option<Way>>,
+    counters: Arc<TopicCounters>,
+}
+
+impl Gate {
+    fn with<T: Default>(&self, act: impl FnOnce(&mut Way) -> T) -> T {
+        self.way.lock().as_mut().map(act).unwrap_or_default()
+    }
+}
+
+struct Way {
+    /// Of a transient-local topic.
+    kept: Option<Kept<Sample>>,
+    /// Until samples are received: the publishers to request from, with the keys of their tokens.
+    early: Option<Vec<(Publisher, String)>>,
+    port: Port,
+}
+
+impl Way {
+    /// A publisher has appeared. Returns whether to send the request now.
+    fn appeared(&mut self, publisher: Publisher, token: &str) -> bool {
+        let is_new = self.kept.as_mut().is_some_and(|kept| kept.appeared(publisher));
+        if let Some(early) = self.early.as_mut().filter(|_| is_new) {
+            early.push((publisher, token.to_owned()));
+        }
+        is_new && self.early.is_none()
+    }
+
+    /// A published or recovered sample.
+    fn receive(&mut self, sample: Sample) {
+        let port = &mut self.port;
+        match &mut self.kept {
+            Some(kept) => kept.published(sample, &mut |sample| port.take(&sample, true)),
+            None => port.take(&sample, true),
+        }
+    }
+
+    /// What a publisher keeps.
+    fn answered(&mut self, publisher: Publisher, samples: Vec<Sample>) {
+        let (Some(kept), port) = (&mut self.kept, &mut self.port) else { return };
+        let late = kept.answered(publisher, samples, &mut |sample| port.take(&sample, true));
+        port.ingress.counters().lost(late);
+    }
+}
+
+/// Admits what is a sample.
+struct Port {
+    ingress: Ingress,
+    max_bytes: usize,
+}
+
+impl Port {
+    fn take(&mut self, sample: &Sample, are_numbers_whole: bool) {
         match self.check(sample) {
             Ok(source) => {
-                let source = Source { are_numbers_whole, ..source };
-                self.with(|ingress| ingress.receive(&Payload(sample.payload()), source));
+                self.ingress.receive(&Payload(sample.payload()), Source { are_numbers_whole, ..source });
             }
-            Err(reason) => self.counters.dropped(reason),
+            Err(reason) => self.ingress.counters().dropped(reason),
         }
     }
 

@@ -16,6 +16,7 @@ mod descriptions;
 mod gateway;
 mod graph;
 mod incoming;
+mod kept;
 mod locals;
 mod origin;
 mod outgoing;

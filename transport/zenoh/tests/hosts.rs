@@ -4,12 +4,18 @@
 mod support;
 
 use std::collections::HashSet;
+use std::time::Duration;
 use support::{Host, UNKNOWN_HASH, connect, image_type, string_type, take, until, wait};
+use tautline_gateway::wire::{Attachment, ENCAPSULATION, Token, endpoint_gid};
 use tautline_gateway::{Direction, TopicStats};
 use tautline_ros_msgs::geometry_msgs::msg::Twist;
 use tautline_ros_msgs::sensor_msgs::msg::{Image, ImageSizes};
 use tautline_ros_msgs::std_msgs::msg::HeaderSizes;
 use tautline_transport::{EndpointKind, Limits, Qos, ServiceKind, ServiceType};
+use zenoh::Wait;
+use zenoh::qos::CongestionControl;
+use zenoh::query::Query;
+use zenoh::sample::SourceInfo;
 
 fn stats(host: &Host, topic: &str, direction: Direction) -> Option<TopicStats> {
     host.stats().topics.into_iter().find(|stats| stats.name.topic == topic && stats.direction == direction)
@@ -316,6 +322,53 @@ fn late_joiners_on_another_host_get_what_was_kept() {
     for n in [3, 4, 9] {
         assert_eq!(take(&second).body(), [n; 4]);
     }
+}
+
+/// A publisher by hand: the test answers the requests for what it keeps, and publishes meanwhile.
+#[test]
+fn a_new_sample_does_not_overtake_the_kept_ones() {
+    let host = Host::first(164, 164);
+    let subscription = host.subscription("/map", &string_type(), Qos::keep_last(3).transient_local());
+    let far = host.session();
+    let name = format!("std_msgs::msg::dds_::String_/{UNKNOWN_HASH}");
+    let (key, token) =
+        (format!("164/map/{name}"), format!("@ros2_lv/164/fa/0/1/MP/%/%/n/%map/{name}/:1:,3:,:,:,,"));
+    let publisher =
+        far.declare_publisher(key.clone()).congestion_control(CongestionControl::Block).wait().unwrap();
+    let place = format!("{key}/@adv/pub/{}/{}/_", publisher.id().zid(), publisher.id().eid());
+    let requests = far.declare_queryable(&place).wait().unwrap();
+    let _tokens = [&place, &token].map(|key| far.liveliness().declare_token(key).wait().unwrap());
+
+    let gid = endpoint_gid(&Token::parse(&token).unwrap());
+    let payload = |n: u8| [&ENCAPSULATION[..], &[n; 4]].concat();
+    let info = |n: u8| SourceInfo::new(publisher.id(), n.into());
+    let attachment = |n: u8| Attachment { sequence_number: n.into(), source_timestamp_ns: 0, gid }.encode();
+    let answer = |request: Query, kept: &[u8]| {
+        for &n in kept {
+            let reply = request.reply(&key, payload(n)).attachment(attachment(n)).source_info(info(n));
+            reply.wait().unwrap();
+        }
+    };
+    let publish =
+        |n: u8| publisher.put(payload(n)).attachment(attachment(n)).source_info(info(n)).wait().unwrap();
+
+    // A request may be for all publishers; the last one is for this one.
+    let request = || requests.recv_timeout(Duration::from_secs(20)).unwrap().expect("a request");
+    let mut earlier = Vec::new();
+    let last = loop {
+        match request() {
+            last if last.key_expr().as_str() == place => break last,
+            other => earlier.push(other),
+        }
+    };
+    earlier.into_iter().for_each(|request| answer(request, &[1]));
+    publish(2);
+    answer(last, &[1, 2]);
+    publish(3);
+    for n in 1..=3 {
+        assert_eq!(take(&subscription).body(), [n; 4]);
+    }
+    assert!(subscription.try_take().unwrap().is_none());
 }
 
 /// Publishers that come later make both gateways keep more. What was there is sent once all the same, and nothing of it
