@@ -48,6 +48,18 @@ impl fmt::Display for Verdict {
     }
 }
 
+/// The bench whose rows a claim is about.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Bench {
+    /// And `network`, `services` and `wake`, which are the same program.
+    #[default]
+    Compare,
+    Deadlines,
+    Messages,
+    Parameters,
+}
+
 /// What can be measured: what a claim names beside is a mistake, for it would never be judged.
 #[derive(Debug, Default)]
 pub struct Measurable {
@@ -57,12 +69,32 @@ pub struct Measurable {
     pub modes: BTreeSet<(String, String)>,
 }
 
+impl Measurable {
+    /// Of a bench that always measures all.
+    pub fn of<'r>(rows: impl Iterator<Item = &'r Row> + Clone) -> Self {
+        Measurable {
+            payloads: rows.clone().map(|row| (row.experiment.clone(), row.payload_bytes)).collect(),
+            modes: rows.map(|row| (row.system.clone(), row.mode.clone())).collect(),
+        }
+    }
+}
+
+/// Prints what must hold between the rows of a bench that always measures all.
+///
+/// # Errors
+/// The file says what cannot be judged.
+pub fn print(bench: Bench, rows: &[Row]) -> Result<(), BadClaims> {
+    let verdicts = verdicts(bench, &Measurable::of(rows.iter()), rows)?;
+    verdicts.iter().for_each(|verdict| println!("{verdict}"));
+    Ok(())
+}
+
 /// Judges the claims about what was measured, or was to be: those that name an experiment and systems of these rows.
 ///
 /// # Errors
 /// The file says what cannot be judged.
-pub fn verdicts(measurable: &Measurable, rows: &[Row]) -> Result<Vec<Verdict>, BadClaims> {
-    let claims = read(FILE, measurable)?;
+pub fn verdicts(bench: Bench, measurable: &Measurable, rows: &[Row]) -> Result<Vec<Verdict>, BadClaims> {
+    let claims = read(FILE, bench, measurable)?;
     Ok(claims.iter().filter(|claim| claim.is_about(rows)).map(|claim| claim.judge(rows)).collect())
 }
 
@@ -82,12 +114,73 @@ impl std::error::Error for BadClaims {}
 #[serde(deny_unknown_fields)]
 struct File {
     claim: Vec<Spanned<Entry>>,
+    #[serde(default)]
+    aim: Vec<Aim>,
+}
+
+/// The most that a number of `bench domain` shall be.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+pub struct Aim {
+    pub what: String,
+    /// None: all.
+    #[serde(default)]
+    pub experiments: Vec<String>,
+    /// None: all.
+    #[serde(default)]
+    pub sizes: Vec<u64>,
+    /// The column that is judged.
+    #[serde(default)]
+    pub of: Column,
+    pub at_most: f64,
+}
+
+/// A column of `bench domain`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Column {
+    /// The median, or the number if it is one.
+    #[default]
+    P50,
+    /// Of fewer than 100 times the longest.
+    P99,
+    Max,
+}
+
+impl Column {
+    pub fn name(self) -> &'static str {
+        match self {
+            Column::P50 => "p50",
+            Column::P99 => "p99",
+            Column::Max => "max",
+        }
+    }
+}
+
+/// The aims of `bench domain`.
+///
+/// # Errors
+/// The file cannot be read.
+pub fn aims() -> Result<Vec<Aim>, BadClaims> {
+    let file: Result<File, _> = toml::from_str(FILE);
+    file.map(|file| file.aim).map_err(|error| BadClaims(error.to_string()))
+}
+
+impl Aim {
+    /// Whether it is about this experiment at this size; then it is judged there, or something is missing.
+    pub fn is_of(&self, experiment: &str, size: u64) -> bool {
+        let is_experiment =
+            self.experiments.is_empty() || self.experiments.iter().any(|one| one == experiment);
+        is_experiment && (self.sizes.is_empty() || self.sizes.contains(&size))
+    }
 }
 
 /// A claim as it is written.
 #[derive(Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 struct Entry {
+    #[serde(default)]
+    bench: Bench,
     words: String,
     #[serde(default)]
     each: Vec<String>,
@@ -151,7 +244,8 @@ struct Rows {
     system: String,
     /// None: all.
     modes: Vec<String>,
-    bytes: usize,
+    /// `None`: an experiment has one size.
+    bytes: Option<usize>,
 }
 
 /// A claim that can be judged.
@@ -168,10 +262,10 @@ struct Claim {
     reason: Option<String>,
 }
 
-fn read(text: &str, measurable: &Measurable) -> Result<Vec<Claim>, BadClaims> {
+fn read(text: &str, bench: Bench, measurable: &Measurable) -> Result<Vec<Claim>, BadClaims> {
     let file: File = toml::from_str(text).map_err(|error| BadClaims(error.to_string()))?;
     let mut claims = Vec::new();
-    for entry in &file.claim {
+    for entry in file.claim.iter().filter(|entry| entry.get_ref().bench == bench) {
         let line = 1 + text[..entry.span().start].matches('\n').count();
         let entry = entry.get_ref();
         let bad =
@@ -213,17 +307,25 @@ impl Entry {
                 all.dedup();
                 return Err(("experiment", format!("there is no '{name}'; there are {}", all.join(", "))));
             }
-            let size = side.bytes.as_ref().or(self.bytes.as_ref());
-            let size = size.ok_or(("bytes", "missing: say it for the claim or for each side".to_owned()))?;
-            let size = put(size);
-            let bytes = bytes_of(&size).ok_or_else(|| {
-                ("bytes", format!("'{size}' is no size; one is written as \"64 B\", \"4 KiB\" or \"1 MiB\""))
-            })?;
-            if let Some(name) =
-                names.iter().find(|&name| !measurable.payloads.contains(&(name.clone(), bytes)))
-            {
-                return Err(("bytes", format!("'{name}' is not measured with {size}")));
-            }
+            let bytes = match (side.bytes.as_ref().or(self.bytes.as_ref()), self.bench) {
+                (Some(size), _) => Some(put(size)),
+                (None, Bench::Compare) => {
+                    return Err(("bytes", "missing: say it for the claim or for each side".to_owned()));
+                }
+                (None, _) => None,
+            };
+            let bytes = bytes.map(|size| {
+                let bytes = bytes_of(&size).ok_or_else(|| {
+                    let example = "one is written as \"64 B\", \"4 KiB\" or \"1 MiB\"";
+                    ("bytes", format!("'{size}' is no size; {example}"))
+                })?;
+                let is_measured = |name: &String| measurable.payloads.contains(&(name.clone(), bytes));
+                match names.iter().find(|name| !is_measured(name)) {
+                    Some(name) => Err(("bytes", format!("'{name}' is not measured with {size}"))),
+                    None => Ok(bytes),
+                }
+            });
+            let bytes = bytes.transpose()?;
             let system = put(&side.system);
             let modes: Vec<String> = side.modes.iter().map(put).collect();
             let is_missing = |mode: &&String| !measurable.modes.contains(&(system.clone(), (*mode).clone()));
@@ -272,11 +374,16 @@ impl Entry {
 }
 
 impl Rows {
+    fn is_of_size(&self, row: &Row) -> bool {
+        self.bytes.is_none_or(|bytes| bytes == row.payload_bytes)
+    }
+
     /// Of the first experiment that was measured.
     fn of<'a>(&self, rows: &'a [Row]) -> Vec<&'a Row> {
         let of_experiment = |experiment: &String| {
             let is_wanted = |row: &&Row| {
-                (&row.experiment, &row.system, row.payload_bytes) == (experiment, &self.system, self.bytes)
+                (&row.experiment, &row.system) == (experiment, &self.system)
+                    && self.is_of_size(row)
                     && (self.modes.is_empty() || self.modes.contains(&row.mode))
             };
             rows.iter().filter(is_wanted).collect::<Vec<_>>()
@@ -290,7 +397,7 @@ impl Claim {
     fn is_about(&self, rows: &[Row]) -> bool {
         let is_ours = |row: &Row| {
             row.system == self.ours.system
-                && row.payload_bytes == self.ours.bytes
+                && self.ours.is_of_size(row)
                 && self.ours.experiments.contains(&row.experiment)
         };
         let has_theirs = |(theirs, _): &(Rows, By)| rows.iter().any(|row| row.system == theirs.system);
@@ -370,7 +477,8 @@ impl Claim {
         };
         let unit = self.figure.metric.unit();
         let (bound, limit) = (self.bound(), self.limit);
-        let found = format!("{number:.2} {unit}, {bound} {limit:.2} ({}, {})", row.mode, row.experiment);
+        let (number_text, limit) = (short(number), short(limit));
+        let found = format!("{number_text} {unit}, {bound} {limit} ({}, {})", row.mode, row.experiment);
         (found, Some(self.is_within(number)))
     }
 

@@ -164,10 +164,12 @@ pub enum Metric {
     SamplerWakes,
     OtherWakes,
     Steal,
+    /// What did not arrive, or was not told.
+    Lost,
 }
 
 /// Each with its name, as in the claims' file, and the unit of its numbers.
-const METRICS: [(Metric, &str, &str); 11] = [
+const METRICS: [(Metric, &str, &str); 12] = [
     (Metric::P50, "p50", "µs"),
     (Metric::P99, "p99", "µs"),
     (Metric::P999, "p99.9", "µs"),
@@ -179,6 +181,7 @@ const METRICS: [(Metric, &str, &str); 11] = [
     (Metric::SamplerWakes, "sampler wakes", "wakes of the sampler per message"),
     (Metric::OtherWakes, "other wakes", "wakes of the process's other threads per message, in sum"),
     (Metric::Steal, "steal", "ticks of 10 ms of steal"),
+    (Metric::Lost, "lost", "lost"),
 ];
 
 impl TryFrom<String> for Metric {
@@ -212,7 +215,7 @@ impl Metric {
             Metric::Memory => round.rss_mib,
             Metric::Interval => round.msgs_per_s.map(|rate| 1e6 / rate.max(1e-9)),
             Metric::Rate => row.mb_per_s(round),
-            Metric::SamplerWakes | Metric::OtherWakes | Metric::Steal => None,
+            Metric::SamplerWakes | Metric::OtherWakes | Metric::Steal | Metric::Lost => None,
         }
     }
 
@@ -229,6 +232,7 @@ impl Metric {
             Metric::SamplerWakes => Some(details()?.wakes?.sampler),
             Metric::OtherWakes => Some(details()?.wakes?.others),
             Metric::Steal => Some(details()?.steal_ticks as f64),
+            Metric::Lost => Some(row.lost as f64),
         }
     }
 
@@ -301,7 +305,9 @@ impl Figure {
     fn unfit(self, row: &Row) -> Option<String> {
         match row {
             Row { unfit: Some(reason), .. } => Some(reason.clone()),
-            Row { lost: 1.., .. } => Some(format!("lost {} messages", row.lost)),
+            Row { lost: 1.., .. } if self.metric != Metric::Lost => {
+                Some(format!("lost {} messages", row.lost))
+            }
             _ if row.n > 0 && !self.is_of_enough(row.n) => {
                 Some(format!("has {} times, too few for {}", row.n, self.metric.name()))
             }

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-use crate::claims::Verdict;
 use std::panic::resume_unwind;
 use tautline::rt::permission::realtime_permitted;
 use tautline::{CallbackHandle, Context, ContextBuilder, CoreSet, Realtime, Result};
@@ -33,15 +32,10 @@ impl Stage {
         Ok(Stage { context, core, other_core, realtime })
     }
 
-    /// Whether what is measured here can be judged: without priorities or a second core it depends on anything.
-    pub fn is_fit(&self) -> bool {
-        self.realtime && self.core != self.other_core
-    }
-
-    /// Judges a claim, if that is possible here.
-    pub fn judge(&self, claim: impl Into<String>, found: impl Into<String>, holds: bool) -> Verdict {
-        let missing = if self.is_fit() { "" } else { "; it takes real-time priorities and two cores" };
-        Verdict::new(claim, found.into() + missing, self.is_fit().then_some(holds))
+    /// Why what is measured here cannot be judged: without priorities or a second core it depends on anything.
+    pub fn unfit(&self) -> Option<String> {
+        let is_fit = self.realtime && self.core != self.other_core;
+        (!is_fit).then(|| "takes real-time priorities and two cores".to_owned())
     }
 
     /// Spins while `measure` runs; then ends the context and the callbacks.

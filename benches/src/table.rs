@@ -182,6 +182,7 @@ fn digits(number: Option<f64>) -> Cell {
 /// Three digits.
 pub fn short(number: f64) -> String {
     match number {
+        number if number > 0.0 && number < 0.1 => format!("{number:.4}"),
         number if number < 10.0 => format!("{number:.2}"),
         number if number < 100.0 => format!("{number:.1}"),
         number => format!("{number:.0}"),

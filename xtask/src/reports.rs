@@ -85,17 +85,17 @@ mod tests {
 
     #[test]
     fn what_is_missing_or_of_another_type_is_named() {
-        let row = json!({"case": "Image", "implementation": "plain buffer", "bytes": 64, "n": 9, "p50_us": 1.0, "p99_us": 2,
-                         "ratio_to_plain_buffer": 1.0});
+        let row = json!({"experiment": "Image", "system": "floor", "mode": "plain buffer", "payload_bytes": 64, "n": 9, "p50_us": 1.0,
+                         "p99_us": 2, "rounds": []});
         refuses(
             &MESSAGES,
             &[],
             &json!([row]),
             &[
-                (".[0].bytes = -1", "'bytes' should be of type count"),
-                (".[0].bytes = 1.5", "'bytes' should be of type count"),
+                (".[0].payload_bytes = -1", "'payload_bytes' should be of type count"),
+                (".[0].payload_bytes = 1.5", "'payload_bytes' should be of type count"),
                 (".[0].p50_us = null", "'p50_us' should be of type number"),
-                ("del(.[0].case)", "'case' should be of type string"),
+                ("del(.[0].mode)", "'mode' should be of type string"),
                 (".[0].n = 0", "nothing was measured"),
                 ("[]", "there are no rows"),
             ],

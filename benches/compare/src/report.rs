@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The tables and the JSON.
 
-use tautline_benches::claims::{Verdict, verdicts};
+use tautline_benches::claims::{self, Verdict, verdicts};
 use tautline_benches::rows::{Details, Row, Tally, Wakes, is_enough, median, rounded};
 use tautline_benches::table::{of_rows, short};
 use tautline_benches::{machine, version_in, version_of};
@@ -53,7 +53,7 @@ impl Report {
 
     /// Of an earlier run.
     pub fn of_rows(rows: Vec<Row>) -> Result<Self> {
-        let verdicts = verdicts(&measurable(), &rows)?;
+        let verdicts = verdicts(claims::Bench::Compare, &measurable(), &rows)?;
         let (slower, machine, failures) = (slower(&rows), Vec::new(), Vec::new());
         Ok(Report { rows, verdicts, slower, machine, is_realtime: true, failures })
     }

@@ -15,7 +15,7 @@
 //! | `topics` | 10 to 10,000 topics between two processes |
 //! | `storm` | 100 processes that start at once; one with 100 nodes; 1,000 publishers and as many subscriptions of a topic |
 //! | `traffic` | messages at a rate: 200 topics beside iceoryx2, images to many subscriptions, many subscriptions of a topic |
-//! | `report` | the table, the JSON, the aims |
+//! | `report` | the table, the JSON; whether the aims of `claims.toml` are met |
 
 mod job;
 mod place;
@@ -30,9 +30,10 @@ mod traffic;
 
 use clap::{Parser, ValueEnum};
 use job::Job;
-use report::Report;
+use report::{Circumstances, Report};
 use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
+use tautline_benches::claims::aims;
 use tautline_benches::{Disturbance, Documented, Result, Scratch};
 use tautline_exchange::APPLICATION_PRIORITY;
 use tautline_rt::{host, permission};
@@ -119,14 +120,17 @@ fn measure(options: &Options) -> Result<()> {
         topics: options.topics.clone().unwrap_or_else(|| sizes(&[10, 100, 1000, 10_000], &[10, 100, 1000])),
         interrupted: &interrupted,
     };
-    let mut report = Report::new(is_quick, bench.realtime, open_files);
+    let aims = aims()?;
+    let mut rows = Vec::new();
     let is_chosen = |experiment: &Experiment| options.only.is_empty() || options.only.contains(experiment);
     for &experiment in Experiment::value_variants().iter().filter(|experiment| is_chosen(experiment)) {
-        let rows = bench.run(experiment).map_err(|error| format!("{}: {error}", experiment.name()))?;
-        report.rows.extend(rows);
-        report.rows.push(place::left_behind(experiment)?);
+        let of_it = bench.run(experiment).map_err(|error| format!("{}: {error}", experiment.name()))?;
+        rows.extend(of_it);
+        rows.push(place::left_behind(experiment)?);
     }
-    report.disturbance = disturbance.report();
+    let (disturbance, realtime) = (disturbance.report(), bench.realtime);
+    let circumstances = Circumstances { open_files, disturbance, realtime, quick: is_quick };
+    let report = Report::new(rows, &aims, circumstances);
     report.print();
     options.documented.write(&report, || report.document())
 }

@@ -4,7 +4,7 @@
 use crate::Experiment;
 use clap::ValueEnum;
 use serde::Serialize;
-use tautline_benches::claims::Verdict;
+use tautline_benches::claims::{Aim, Column, Verdict};
 use tautline_benches::table::Column::{Number, Words};
 use tautline_benches::table::{Table, distinct, markdown, short};
 use tautline_benches::{Distribution, cells, machine, version_of};
@@ -24,17 +24,16 @@ pub struct Row {
     pub p99: Option<f64>,
     pub p999: Option<f64>,
     pub max: Option<f64>,
-    pub aim: Option<Aim>,
+    pub aim: Option<Judged>,
 }
 
-#[derive(Clone, Debug, Serialize)]
-pub struct Aim {
+/// An aim, and whether it is met.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Judged {
     pub at_most: f64,
     /// The column that is judged.
-    pub of: &'static str,
+    pub of: Column,
     pub is_met: bool,
-    #[serde(skip)]
-    number: Option<f64>,
 }
 
 impl Row {
@@ -78,38 +77,35 @@ impl Row {
         self.times_in(times, 1.0)
     }
 
-    /// A value, or a median, that is to be at most so much.
-    pub fn at_most(self, at_most: f64) -> Self {
-        self.judged("p50", at_most)
-    }
-
-    /// The 99th percentile, of fewer than 100 times the longest.
-    pub fn p99_at_most(self, at_most: f64) -> Self {
-        match self.p99 {
-            None => self.max_at_most(at_most),
-            Some(_) => self.judged("p99", at_most),
+    fn column(&self, column: Column) -> Option<f64> {
+        match column {
+            Column::P50 => Some(self.p50),
+            Column::P99 => self.p99,
+            Column::Max => self.max,
         }
     }
 
-    pub fn max_at_most(self, at_most: f64) -> Self {
-        self.judged("max", at_most)
-    }
-
-    /// A column, by its name.
-    fn column(&self, name: &str) -> Option<f64> {
-        match name {
-            "p99" => self.p99,
-            "max" => self.max,
-            _ => Some(self.p50),
-        }
-    }
-
-    fn judged(mut self, of: &'static str, at_most: f64) -> Self {
+    fn judge(&mut self, aim: &Aim) -> Verdict {
+        let of = if aim.of == Column::P99 && self.p99.is_none() { Column::Max } else { aim.of };
         let number = self.column(of);
-        let is_met = number.is_some_and(|number| number <= at_most);
-        self.aim = Some(Aim { at_most, of, is_met, number });
-        self
+        let is_met = number.is_some_and(|number| number <= aim.at_most);
+        self.aim = Some(Judged { at_most: aim.at_most, of, is_met });
+        let size = if self.size == 0 { String::new() } else { format!(" {}", self.size) };
+        let rival = if self.system == "tautline" { String::new() } else { format!(", {}", self.system) };
+        let claim = format!("{}{size}{rival}: {}", self.experiment, self.what);
+        let column = if self.n > 1 { of.name() } else { "it is" };
+        let (number, most) = (number.map_or("-".to_owned(), shown), shown(aim.at_most));
+        Verdict::new(claim, format!("{column} {number} {}, at most {most}", self.unit), Some(is_met))
     }
+}
+
+/// How it was measured.
+pub struct Circumstances {
+    /// The limit of each process.
+    pub open_files: u64,
+    pub disturbance: String,
+    pub realtime: bool,
+    pub quick: bool,
 }
 
 #[derive(Serialize)]
@@ -118,18 +114,31 @@ pub struct Report {
     versions: String,
     /// The limit of each process.
     open_files: u64,
-    pub disturbance: String,
+    disturbance: String,
     realtime: bool,
     quick: bool,
-    pub rows: Vec<Row>,
+    rows: Vec<Row>,
+    #[serde(skip)]
+    verdicts: Vec<Verdict>,
 }
 
 impl Report {
-    pub fn new(quick: bool, realtime: bool, open_files: u64) -> Self {
+    /// Judges the rows of experiments, each at its sizes.
+    pub fn new(mut rows: Vec<Row>, aims: &[Aim], circumstances: Circumstances) -> Self {
+        let measured = distinct(rows.iter().map(|row| (row.experiment.clone(), row.size)));
+        let mut verdicts = Vec::new();
+        for aim in aims.iter().filter(|aim| measured.iter().any(|(of, size)| aim.is_of(of, *size))) {
+            let is_it = |row: &&mut Row| row.what == aim.what && aim.is_of(&row.experiment, row.size);
+            let before = verdicts.len();
+            verdicts.extend(rows.iter_mut().filter(is_it).map(|row| row.judge(aim)));
+            if verdicts.len() == before {
+                verdicts.push(Verdict::new(&aim.what, "not measured", None));
+            }
+        }
+        let Circumstances { open_files, disturbance, realtime, quick } = circumstances;
         let version = |package| version_of(package).unwrap_or("?");
         let versions = format!("tautline {}, iceoryx2 {}", version("tautline"), version("iceoryx2"));
-        let disturbance = String::new();
-        Report { machine: machine(), versions, open_files, disturbance, realtime, quick, rows: Vec::new() }
+        Report { machine: machine(), versions, open_files, disturbance, realtime, quick, rows, verdicts }
     }
 
     /// Those that were measured, each with its rows.
@@ -164,17 +173,7 @@ impl Report {
             println!("\n{}\n{}", title(experiment), table(&rows));
         }
         println!();
-        for row in &self.rows {
-            if let Some(aim) = &row.aim {
-                let number = aim.number.unwrap_or(f64::NAN);
-                let size = if row.size == 0 { String::new() } else { format!(" {}", row.size) };
-                let claim = format!("{}{size}: {}", row.experiment, row.what);
-                // A number by itself is no percentile.
-                let of = if row.n > 0 { format!("{} ", aim.of) } else { String::new() };
-                let found = format!("{of}{} {}, at most {}", shown(number), row.unit, shown(aim.at_most));
-                println!("{}", Verdict::new(claim, found, Some(aim.is_met)));
-            }
-        }
+        self.verdicts.iter().for_each(|verdict| println!("{verdict}"));
     }
 }
 
@@ -220,17 +219,17 @@ fn document(experiment: Experiment, rows: &[&Row]) -> String {
     let line = |(system, what): (&'static str, &String)| {
         let same: Vec<&Row> =
             rows.iter().filter(|row| (row.system, &row.what) == (system, what)).copied().collect();
-        let of = same.iter().find_map(|row| row.aim.as_ref()).map_or("p50", |aim| aim.of);
+        let of = same.iter().find_map(|row| row.aim).map_or(Column::P50, |aim| aim.of);
         let cell = |size: &u64| {
             // One that holds for all sizes together stands in the last column.
             let is_here = |row: &&&Row| row.size == *size || (row.size == 0 && Some(size) == sizes.last());
             let Some(row) = same.iter().find(is_here) else { return String::new() };
-            let is_missed = row.aim.as_ref().is_some_and(|aim| !aim.is_met);
+            let is_missed = row.aim.is_some_and(|aim| !aim.is_met);
             let number = row.column(of).map_or("-".to_owned(), shown);
             number + if is_missed { " (missed)" } else { "" }
         };
         let system = if system == "tautline" { String::new() } else { format!("{system}: ") };
-        let column = if of == "p50" { String::new() } else { format!(", {of}") };
+        let column = if of == Column::P50 { String::new() } else { format!(", {}", of.name()) };
         let title = format!("{system}{what}{column}, {}", same[0].unit);
         [title, limits(&same)].into_iter().chain(sizes.iter().map(cell)).collect()
     };
@@ -241,7 +240,7 @@ fn document(experiment: Experiment, rows: &[&Row]) -> String {
 
 /// One limit if it is that of all, else each with its size.
 fn limits(rows: &[&Row]) -> String {
-    let limit = |row: &&Row| row.aim.as_ref().map(|aim| (row.size, shown(aim.at_most)));
+    let limit = |row: &&Row| row.aim.map(|aim| (row.size, shown(aim.at_most)));
     let limits: Vec<(u64, String)> = rows.iter().filter_map(limit).collect();
     match &limits[..] {
         [(_, first), ..] if limits.len() == rows.len() && limits.iter().all(|(_, limit)| limit == first) => {
@@ -254,18 +253,43 @@ fn limits(rows: &[&Row]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use tautline_benches::claims::aims;
+
+    fn report(rows: Vec<Row>, aims: &[Aim]) -> Report {
+        let disturbance = String::new();
+        let circumstances = Circumstances { open_files: 1024, disturbance, realtime: true, quick: true };
+        Report::new(rows, aims, circumstances)
+    }
+
+    fn aim(what: &str, of: Column, at_most: f64) -> Aim {
+        Aim { what: what.to_owned(), of, at_most, ..Aim::default() }
+    }
 
     #[test]
     fn aims_are_judged_by_the_column_that_they_name() {
         let mut times = Distribution::new();
         (1..=200).for_each(|time| times.record(time * 1000));
         let row = || Row::of(Experiment::Storm, 1, "x", "µs").times(&times);
-        let is_met = |row: Row| row.aim.is_some_and(|aim| aim.is_met);
-        assert!(is_met(row().at_most(101.0)) && !is_met(row().at_most(99.0)));
-        assert!(is_met(row().p99_at_most(199.0)) && !is_met(row().p99_at_most(190.0)));
-        assert!(is_met(row().max_at_most(201.0)) && !is_met(row().max_at_most(199.0)));
+        let holds = |row: Row, of, at_most| report(vec![row], &[aim("x", of, at_most)]).verdicts[0].holds;
+        for (of, number) in [(Column::P50, 100.0), (Column::P99, 198.0), (Column::Max, 200.0)] {
+            assert_eq!(holds(row(), of, number + 1.0), Some(true));
+            assert_eq!(holds(row(), of, number - 1.0), Some(false));
+        }
+        let mut few = Distribution::new();
+        few.record(7000);
+        let few = Row::of(Experiment::Storm, 1, "x", "µs").times(&few);
+        assert_eq!(holds(few, Column::P99, 6.0), Some(false), "the longest");
         assert!(row().p999.is_none(), "too few for that");
-        assert!(!is_met(Row::of(Experiment::Storm, 1, "x", "µs").at_most(1.0)), "nothing was measured");
+        assert_eq!(holds(Row::of(Experiment::Storm, 1, "x", "µs"), Column::P50, 1.0), Some(false), "nothing");
+        assert_eq!(holds(Row::of(Experiment::Storm, 1, "y", "µs"), Column::P50, 1.0), None, "not measured");
+    }
+
+    #[test]
+    fn the_aims_of_the_file_are_about_these_experiments() {
+        let names: Vec<String> = Experiment::value_variants().iter().map(|one| one.name()).collect();
+        for aim in aims().unwrap() {
+            assert!(aim.experiments.iter().all(|name| names.contains(name)), "{aim:?}");
+        }
     }
 
     #[test]
@@ -273,16 +297,16 @@ mod tests {
         let mut times = Distribution::new();
         (1..=200).for_each(|time| times.record(time * 330));
         let row = |size, what: &str| Row::of(Experiment::Processes, size, what, "µs");
-        let mut report = Report::new(true, true, 1024);
-        report.rows = vec![
+        let rows = vec![
             row(1, "a look").times(&times),
-            row(60, "a look").times(&times).max_at_most(50.0),
-            row(1, "files").value(2.0).at_most(0.0),
-            row(60, "files").value(0.0).at_most(0.0),
+            row(60, "a look").times(&times),
+            row(1, "files").value(2.0),
+            row(60, "files").value(0.0),
             row(0, "of all").value(7.0),
             Row::of(Experiment::Load, 200, "publishing", "µs").system("iceoryx2").value(4321.0),
         ];
-        let tables = report.document();
+        let of_looks = Aim { sizes: vec![60], ..aim("a look", Column::Max, 50.0) };
+        let tables = report(rows, &[of_looks, aim("files", Column::P50, 0.0)]).document();
         for line in [
             "| # processes with the ten endpoints of every ROS node each | at most | 1 | 60 |\n|---|---|--:|--:|\n",
             "| a look, max, µs | 60: 50.0 | 66.0 | 66.0 (missed) |\n",

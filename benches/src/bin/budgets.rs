@@ -139,7 +139,7 @@ fn measure_part(part: Part, runs: u64, seed: u64) -> Result<Row> {
         minutes: (monotonic_ns() - begin_ns) as f64 / 60e9,
         overruns: sum(|callback| callback.stats().overruns()),
         demotions: sum(|callback| callback.stats().demotions()),
-        realtime: stage.is_fit(),
+        realtime: stage.unfit().is_none(),
         disturbance: disturbance.report(),
         ..seen
     })

@@ -15,6 +15,7 @@ use std::time::Duration;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::std_msgs::msg::UInt64;
 use tautline::{CallbackOptions, ContextBuilder, Node, Publisher, Qos, SubscriptionEvent};
+use tautline_benches::claims::{self, Bench};
 use tautline_benches::table::of_rows;
 use tautline_benches::{
     Beside, Distribution, Disturbance, Result, Run, Stage, TurnRow, Turns, machine, program,
@@ -29,8 +30,6 @@ const DEADLINE_NS: u64 = PERIOD_NS * 3 / 2;
 const LEFT_OUT: u64 = 50;
 /// Of ticks and bare sleeps: as many as there are misses, and at all phases of what is published.
 const OTHER_PERIOD_NS: u64 = PERIOD_NS * LEFT_OUT / TOPICS + 7_001;
-/// An event may come one resolution after what is exact.
-const RATIO_LIMIT: f64 = 2.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Part {
@@ -131,19 +130,13 @@ fn measure(options: &Run) -> Result {
     drop(subscriptions);
     let (mut rows, disturbance) = (measured?, disturbance.report());
     for row in &mut rows {
-        (row.realtime, row.disturbance) = (stage.is_fit(), disturbance.clone());
+        (row.disturbance, row.row.unfit) = (disturbance.clone(), stage.unfit());
+        row.realtime = row.row.unfit.is_none();
     }
     println!("µs after the time that it was due, while {TOPICS} topics of 100 Hz are published\n");
     println!("{}\n\n{machine}\n{disturbance}\n", of_rows(rows.iter().map(|row| &row.row)));
     options.write(&rows)?;
-    let of_event = rows.last().ok_or("nothing was measured")?;
-    let ratio = of_event.ratio.map_or(f64::NAN, |[median, ..]| median);
-    let lost = of_event.row.lost;
-    let claim = "an event comes at most one resolution of this machine's timers after an exact one would";
-    let found = format!("p99 {ratio:.2} x that of a bare sleep (median of rounds), at most {RATIO_LIMIT}");
-    println!("{}", stage.judge(claim, found, ratio <= RATIO_LIMIT));
-    println!("{}", stage.judge("every missed deadline is told", format!("{lost} were not"), lost == 0));
-    Ok(())
+    Ok(claims::print(Bench::Deadlines, &rows.into_iter().map(|row| row.row).collect::<Vec<_>>())?)
 }
 
 /// All topics, one after the other, in each period; while deadlines are measured some messages are left out.

@@ -15,6 +15,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::{CallbackOptions, Node, ParameterReader, Parameters};
+use tautline_benches::claims::{self, Bench};
 use tautline_benches::rows::{Row, extent};
 use tautline_benches::table::Column::{Number, Words};
 use tautline_benches::table::{Table, figure, markdown, of_rows};
@@ -28,10 +29,6 @@ const SETS_PER_SECOND: u64 = 10_000;
 const PERIOD: Duration = Duration::from_millis(1);
 /// Reads of each kind in one job of the callback.
 const READS_PER_JOB: usize = 10;
-/// A read shall cost less, whoever sets.
-const READ_LIMIT_NS: f64 = 100.0;
-/// Setting shall make the callback's 99th percentile no greater than so many times the quiet one.
-const P99_RATIO_LIMIT: f64 = 1.1;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Meanwhile {
@@ -85,12 +82,7 @@ fn measure(options: &Documented) -> Result {
     node.declare_parameter("frame", "base_link".to_owned())?;
 
     let mut rows = read_costs(&stage, &node, rounds, reads)?;
-    let slowest_us =
-        rows.iter().filter(|read| read.row.system == "tautline").filter_map(|read| read.row.p50_us);
-    let slowest_ns = slowest_us.fold(0.0, f64::max) * 1e3;
     let callback = disturbance_of_callback(&stage, &node, parts, part)?;
-    let ratio = callback.last().and_then(|sets| sets.ratio).map_or(f64::NAN, |[median, ..]| median);
-
     let policy = if stage.realtime { "SCHED_FIFO" } else { "no real-time priority" };
     let (core, other_core) = (stage.core, stage.other_core);
     println!(
@@ -101,16 +93,11 @@ fn measure(options: &Documented) -> Result {
     let disturbance = disturbance.report();
     println!("\n{machine}\n{disturbance}\n");
     rows.extend(callback);
-    rows.iter_mut().for_each(|row| row.disturbance = disturbance.clone());
+    for row in &mut rows {
+        (row.disturbance, row.row.unfit) = (disturbance.clone(), stage.unfit());
+    }
     options.write(&rows, || document(&rows, &machine, &disturbance))?;
-    let claim = format!("a read costs less than {READ_LIMIT_NS} ns");
-    let found = format!("{slowest_ns:.0} ns at most (median of rounds)");
-    println!("{}", stage.judge(claim, found, slowest_ns < READ_LIMIT_NS));
-    let claim = format!(
-        "the callback's p99 beside {SETS_PER_SECOND} sets/s is at most {P99_RATIO_LIMIT} x the quiet one"
-    );
-    println!("{}", stage.judge(claim, format!("{ratio:.2} x (median of rounds)"), ratio <= P99_RATIO_LIMIT));
-    Ok(())
+    Ok(claims::print(Bench::Parameters, &rows.into_iter().map(|row| row.row).collect::<Vec<_>>())?)
 }
 
 /// Sets the parameters, one after the other, or only wakes as often; returns how often.

@@ -38,11 +38,11 @@ fn claim(lines: &str) -> String {
 }
 
 fn judge_claim(lines: &str, rows: &[Row]) -> Verdict {
-    read(&claim(lines), &measurable()).unwrap()[0].judge(rows)
+    read(&claim(lines), Bench::Compare, &measurable()).unwrap()[0].judge(rows)
 }
 
 fn refusal(text: &str) -> String {
-    read(text, &measurable()).err().unwrap().to_string()
+    read(text, Bench::Compare, &measurable()).err().unwrap().to_string()
 }
 
 const FASTER: &str = "metric = 'p50'\ntheirs = { system = 'rival' }\nat-most = { times = 1.0 }";
@@ -120,7 +120,7 @@ fn one_entry_is_a_claim_for_each_text() {
     let lines =
         "each = ['rival', 'other']\nmetric = 'p50'\ntheirs = { system = '{}' }\nat-most = { times = 1 }";
     let text = claim(lines).replace("it is fast", "faster than {}");
-    let claims = read(&text, &measurable()).unwrap();
+    let claims = read(&text, Bench::Compare, &measurable()).unwrap();
     assert_eq!(
         claims.iter().map(|claim| claim.words.as_str()).collect::<Vec<_>>(),
         ["faster than rival", "faster than other"]

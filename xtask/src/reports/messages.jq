@@ -1,1 +1,1 @@
-rows({string: "case implementation", count: "bytes n", number: "p50_us p99_us ratio_to_plain_buffer"})
+rows({string: "experiment system mode", count: "payload_bytes n", number: "p50_us p99_us", array: "rounds"})

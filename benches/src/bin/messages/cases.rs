@@ -19,13 +19,13 @@ use crate::rivals::{self, CdrEncoding, Hiroz, Rival};
 use crate::topic::Topic;
 
 /// Filling a buffer of the message's size and reading it.
-pub const FLOOR: &str = "plain buffer, filled and read";
+const FLOOR: (&str, &str) = ("floor", "plain buffer, filled and read");
 /// Loan, write every field, publish, take, view, read every byte of the payload.
-pub const IN_PLACE: &str = "tautline in place, filled and read";
+const IN_PLACE: (&str, &str) = ("tautline", "in place, filled and read");
 /// The same without touching the payload: what the codec and the topic cost.
-pub const PUBLISHED_ONLY: &str = "tautline in place, payload untouched";
+const PUBLISHED_ONLY: (&str, &str) = ("tautline", "in place, payload untouched");
 /// Encoding an owned message and decoding it again.
-pub const OWNED: &str = "tautline owned, encoded and decoded";
+pub const OWNED: &str = "owned, encoded and decoded";
 
 type Written = std::result::Result<(), WriteError>;
 
@@ -38,13 +38,14 @@ pub struct Case {
 
 /// Handles a message once. The number depends on what was read.
 pub struct Way {
-    pub implementation: &'static str,
+    pub system: &'static str,
+    pub mode: &'static str,
     pub run: Box<dyn FnMut() -> Result<u64>>,
 }
 
 impl Way {
-    fn new(implementation: &'static str, run: impl FnMut() -> Result<u64> + 'static) -> Self {
-        Self { implementation, run: Box::new(run) }
+    fn new((system, mode): (&'static str, &'static str), run: impl FnMut() -> Result<u64> + 'static) -> Self {
+        Self { system, mode, run: Box::new(run) }
     }
 }
 
@@ -73,7 +74,7 @@ where
 
     let mut body = vec![0; bytes];
     ours.encode(&mut body)?;
-    ways.push(Way::new(OWNED, {
+    ways.push(Way::new(("tautline", OWNED), {
         let mut body = body.clone();
         move || {
             let len = black_box(&ours).encode(&mut body)?;
@@ -95,7 +96,7 @@ fn rival<E: Rival<R>, R: PartialEq + 'static>(message: Rc<R>, body: &[u8]) -> Re
     if buffer != body || E::decode(&buffer)? != *message {
         return Err(format!("{} encodes another message", E::NAME).into());
     }
-    Ok(Way::new(E::NAME, move || {
+    Ok(Way::new((E::NAME, OWNED), move || {
         E::encode(black_box(&message), &mut buffer)?;
         let again = E::decode(black_box(&buffer))?;
         black_box(&again);
@@ -105,14 +106,14 @@ fn rival<E: Rival<R>, R: PartialEq + 'static>(message: Rc<R>, body: &[u8]) -> Re
 
 /// A message through a topic, written by `write` and read by `read`.
 fn in_place<T: Message + Fill>(
-    implementation: &'static str,
+    way: (&'static str, &'static str),
     sizes: T::Sizes<'static>,
     mut write: impl for<'a> FnMut(u8, &mut T::Writer<'a, 'static>) -> Written + 'static,
     mut read: impl for<'a> FnMut(T::View<'a>) -> u64 + 'static,
 ) -> Result<Way> {
     let topic = Topic::<T>::open()?;
     let mut byte = 0u8;
-    Ok(Way::new(implementation, move || {
+    Ok(Way::new(way, move || {
         byte = byte.wrapping_add(1);
         topic.write(sizes, |writer| write(byte, writer))?;
         topic.read(|sample| read(sample.view()))

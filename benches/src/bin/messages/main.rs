@@ -11,7 +11,7 @@
 //! | `rivals` | the same messages for `cdr-encoding` and `hiroz-cdr` |
 //! | `topic` | a topic within this process |
 //! | `rounds` | runs the ways in turn and times them |
-//! | `report` | the table, the JSON, what must hold |
+//! | `report` | the table |
 
 mod cases;
 mod report;
@@ -47,6 +47,6 @@ fn measure(options: &Options) -> Result<()> {
     tautline_rt::set_affinity(CoreSet::one(core))?;
     let disturbance = tautline_benches::Disturbance::start();
     let rows = rounds::run(&mut cases::all()?, options.documented.run.quick)?;
-    report::print(&rows, core, &disturbance.report());
+    report::print(&rows, core, &disturbance.report())?;
     options.documented.write(&rows, || report::document(&rows))
 }

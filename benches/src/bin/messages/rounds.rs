@@ -4,11 +4,11 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use tautline_benches::{Distribution, progress_bar, rows};
+use tautline_benches::rows::{Row, Tally, median};
+use tautline_benches::{Distribution, progress_bar};
 
 use crate::Result;
 use crate::cases::{Case, Way};
-use crate::report::Row;
 
 /// What is done `BATCH` times is timed as one, where it takes less than the clock can tell.
 const BATCH: u32 = 100;
@@ -21,48 +21,30 @@ pub fn run(cases: &mut [Case], quick: bool) -> Result<Vec<Row>> {
     let mut rows = Vec::new();
     for case in cases {
         progress.set_message(case.name);
-        let mut measured: Vec<_> = case.ways.iter().map(|_| Measured::default()).collect();
+        let mut measured: Vec<_> = case.ways.iter().map(|_| Tally::default()).collect();
         for round in 0..=rounds {
             for (way, measured) in case.ways.iter_mut().zip(&mut measured) {
-                let times = time(way, case.bytes, samples)?;
+                let times_ns = time(way, case.bytes, samples)?;
                 if round > 0 {
-                    measured.add(times);
+                    add(measured, round as u32, times_ns);
                 }
             }
             progress.inc(1);
         }
-        let floor = measured.first().map(|floor| floor.rounds.clone()).unwrap_or_default();
         for (way, measured) in case.ways.iter().zip(measured) {
-            rows.push(Row {
-                case: case.name,
-                implementation: way.implementation,
-                bytes: case.bytes,
-                n: measured.all.len() * u64::from(batch(case.bytes)),
-                p50_us: measured.all.quantile_us(0.5),
-                p99_us: measured.all.quantile_us(0.99),
-                ratio_to_plain_buffer: median_ratio(&measured.rounds, &floor),
-                rounds_ns: measured.rounds,
-            });
+            let row = measured.row(case.name, way.system, way.mode, case.bytes);
+            rows.push(Row { n: row.n * u64::from(batch(case.bytes)), ..row });
         }
     }
     progress.finish_and_clear();
     Ok(rows)
 }
 
-#[derive(Default)]
-struct Measured {
-    all: Distribution,
-    /// The median of each round in ns.
-    rounds: Vec<f64>,
-}
-
-impl Measured {
-    fn add(&mut self, times_ns: Vec<f64>) {
-        for time in &times_ns {
-            self.all.record(time.round() as u64);
-        }
-        self.rounds.push(median(times_ns));
-    }
+/// Some take a few ns: the median of a round has more digits than each time.
+fn add(measured: &mut Tally, round: u32, times_ns: Vec<f64>) {
+    let mut times = Distribution::new();
+    times_ns.iter().for_each(|time| times.record(time.round() as u64));
+    measured.add(round, &times).p50_us = median(times_ns).unwrap_or(f64::NAN) / 1e3;
 }
 
 fn batch(bytes: usize) -> u32 {
@@ -80,13 +62,4 @@ fn time(way: &mut Way, bytes: usize, samples: usize) -> Result<Vec<f64>> {
         times.push(start.elapsed().as_nanos() as f64 / f64::from(batch));
     }
     Ok(times)
-}
-
-/// The ratio of the median round: virtual cores change their speed between rounds.
-pub fn median_ratio(ours: &[f64], theirs: &[f64]) -> f64 {
-    median(ours.iter().zip(theirs).map(|(ours, theirs)| ours / theirs).collect())
-}
-
-fn median(values: Vec<f64>) -> f64 {
-    rows::median(values).unwrap_or(f64::NAN)
 }
