@@ -96,6 +96,7 @@ impl Domain {
         let path = shared_path(number).join(NAME);
         let refuse = |source: io::Error| TransportError::File { path: path.clone(), source };
         let mut patience = Patience::new(PATIENCE);
+        let mut is_made = false;
         loop {
             shm::make_folder(&shared_folder(number))
                 .map_err(|ShmError { path, source }| TransportError::File { path, source })?;
@@ -107,7 +108,12 @@ impl Domain {
                         "it is made and not there: is /proc mounted, and this process's own?",
                     )));
                 }
-                Opened::Missing => make(&path).map_err(refuse)?,
+                Opened::Missing => {
+                    if std::mem::replace(&mut is_made, true) {
+                        std::thread::sleep(Duration::from_millis(1));
+                    }
+                    make(&path).map_err(refuse)?;
+                }
                 // Its last member removes it right now, unless that one was stopped.
                 Opened::Leaving if patience.is_over() => {
                     return Err(refuse(io::Error::other(
