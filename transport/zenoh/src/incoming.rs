@@ -4,19 +4,21 @@
 //!
 //! This runs in Zenoh's thread and never waits: a slow subscription loses its oldest samples.
 
-use crate::kept::{Kept, Publisher};
+use crate::kept::{Kept, Placed, Publisher, Request};
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
+use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
-use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, Source, TopicCounters};
+use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, Source};
 use tautline_rt::PiMutex;
 use tautline_rt::clock::wall_ns;
 use tautline_transport::{Durability, Reliability};
 use zenoh::bytes::ZBytes;
-use zenoh::query::{ConsolidationMode, Reply, ReplyKeyExpr};
+use zenoh::pubsub::Subscriber;
+use zenoh::query::{ConsolidationMode, QueryTarget, Reply, ReplyKeyExpr};
 use zenoh::sample::{Locality, Sample, SampleKind};
 use zenoh::{Session, Wait};
-use zenoh_ext::{AdvancedSubscriber, AdvancedSubscriberBuilderExt, RecoveryConfig};
+use zenoh_ext::z_deserialize;
 
 /// Messages arrive over several links, and kept ones again. Other implementations of the wire write GIDs that their tokens do not
 /// announce (hiroz, zenoh-ros2-sdk).
@@ -24,7 +26,9 @@ pub(crate) const DELIVERY: Delivery = Delivery { early: None, is_ordered: false 
 /// A time stamp further ahead of this host's clock is invalid.
 const FUTURE_NS: i64 = 3_600_000_000_000;
 /// Time-out of a request for kept samples.
-const HISTORY_TIMEOUT: Duration = Duration::from_secs(10);
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long new samples wait, at the start, until it is known which publishers exist.
+const START_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// Why a sample from the network was dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -39,18 +43,10 @@ pub(crate) enum Dropped {
     Time,
 }
 
-/// An incoming topic. Dropping it ends the subscription on the network.
+/// An incoming topic. Dropping it ends the subscriptions on the network.
 pub(crate) struct Incoming {
     gate: Arc<Gate>,
-    _subscriber: Subscriber,
-    /// Newer publishers of images and the like use this key.
-    _cpu_group: zenoh::pubsub::Subscriber<()>,
-}
-
-/// Field order is drop order.
-enum Subscriber {
-    Plain { _samples: zenoh::pubsub::Subscriber<()> },
-    Kept { _publishers: zenoh::pubsub::Subscriber<()>, _samples: AdvancedSubscriber<()> },
+    _subscribers: Vec<Subscriber<()>>,
 }
 
 impl Incoming {
@@ -61,37 +57,27 @@ impl Incoming {
         ingress: Ingress,
         max_bytes: usize,
     ) -> zenoh::Result<Self> {
-        let (counters, qos) = (ingress.counters().clone(), &inward.qos);
+        let qos = &inward.qos;
         let is_kept = qos.durability == Durability::TransientLocal;
-        let way = Way {
-            kept: is_kept.then(|| Kept::new(qos.depth)),
-            early: is_kept.then(Vec::new),
-            port: Port { ingress, max_bytes },
-        };
-        let gate = Arc::new(Gate { way: PiMutex::new(Some(way)), counters });
-        let (of_group, receiving) = (gate.clone(), gate.clone());
+        let kept = is_kept.then(|| Kept::new(qos.depth, qos.reliability == Reliability::Reliable));
+        let gate = Arc::new(Gate(PiMutex::new(Some(Way { kept, port: Port { ingress, max_bytes } }))));
+        let of_group = gate.clone();
+        // Newer publishers of images and the like use this key.
         let cpu_group = session.declare_subscriber(key.cpu_group()).allowed_origin(Locality::Remote);
         // Their sequence numbers also count samples to other subscriptions: gaps are not losses.
         let cpu_group =
             cpu_group.callback(move |sample| of_group.with(|way| way.port.take(&sample, false))).wait()?;
-        let requests = Requests { session: session.clone(), gate: Arc::downgrade(&gate), depth: qos.depth };
-        // Before the samples: a publisher's token comes before what it publishes.
-        let publishers = is_kept.then(|| requests.clone().watch(key)).transpose()?;
-        let subscriber = session.declare_subscriber(key.to_string()).allowed_origin(Locality::Remote);
-        let subscriber = subscriber.callback(move |sample| receiving.with(|way| way.receive(sample)));
-        let Some(_publishers) = publishers else {
-            let _subscriber = Subscriber::Plain { _samples: subscriber.wait()? };
-            return Ok(Incoming { gate, _subscriber, _cpu_group: cpu_group });
-        };
-        let mut samples = subscriber.advanced().query_timeout(HISTORY_TIMEOUT).subscriber_detection();
-        if qos.reliability == Reliability::Reliable {
-            samples = samples.recovery(RecoveryConfig::default().heartbeat());
+        let requests =
+            Requests { session: session.clone(), gate: Arc::downgrade(&gate), key: key.to_string() };
+        let samples = session.declare_subscriber(key.to_string()).allowed_origin(Locality::Remote);
+        let (receiving, lost) = (gate.clone(), requests.clone());
+        let samples = samples.callback(move |sample| lost.send(receiving.with(|way| way.receive(sample))));
+        let mut subscribers = vec![cpu_group, samples.wait()?];
+        if is_kept {
+            // After the samples: what is published after an answer arrives.
+            subscribers.extend(requests.watch()?);
         }
-        let _subscriber = Subscriber::Kept { _publishers, _samples: samples.wait()? };
-        // After the samples: what is published after the answer arrives.
-        let early = gate.with(|way| way.early.take());
-        early.into_iter().flatten().for_each(|(publisher, token)| requests.send(publisher, &token));
-        Ok(Incoming { gate, _subscriber, _cpu_group: cpu_group })
+        Ok(Incoming { gate, _subscribers: subscribers })
     }
 
     /// See [`Ingress::change`].
@@ -101,124 +87,177 @@ impl Incoming {
 
     /// Ends this one and returns its ingress for the next.
     pub(crate) fn end(self) -> Option<Ingress> {
-        Some(self.gate.way.lock().take()?.port.ingress)
+        Some(self.gate.0.lock().take()?.port.ingress)
     }
 }
 
-/// Requests what each publisher of a topic keeps.
+/// Requests what the publishers of a topic keep.
 #[derive(Clone)]
 struct Requests {
     session: Session,
     gate: Weak<Gate>,
-    depth: usize,
+    /// The topic's.
+    key: String,
 }
 
 impl Requests {
-    /// Watches publishers, those that exist and those that come.
-    fn watch(self, key: &TopicKey) -> zenoh::Result<zenoh::pubsub::Subscriber<()>> {
-        let (session, publishers) = (self.session.clone(), format!("{key}/@adv/pub/**"));
-        let watch = session.liveliness().declare_subscriber(publishers).history(true);
-        watch.callback(move |token| self.changed(&token)).wait()
+    /// Watches the publishers, those that come and those that exist.
+    fn watch(&self) -> zenoh::Result<[Subscriber<()>; 2]> {
+        let publishers = format!("{}/@adv/pub/**", self.key);
+        let (coming, telling) = (self.clone(), self.clone());
+        let tokens = self.session.liveliness().declare_subscriber(publishers.clone());
+        let tokens = tokens.callback(move |token| coming.send(coming.appeared(&token))).wait()?;
+        let numbers = self.session.declare_subscriber(publishers.clone()).allowed_origin(Locality::Remote);
+        let numbers = numbers.callback(move |number| telling.send(telling.told(&number))).wait()?;
+        let start = Start { requests: self.clone(), found: PiMutex::default() };
+        let found = self.session.liveliness().get(publishers).timeout(START_TIMEOUT);
+        found.callback(move |token| token.result().into_iter().for_each(|token| start.add(token))).wait()?;
+        Ok([tokens, numbers])
     }
 
-    fn changed(&self, token: &Sample) {
-        let (key, own) = (token.key_expr().as_str(), self.session.zid());
-        let publisher = Publisher::of_token(key, own).filter(|_| token.kind() == SampleKind::Put);
-        let (Some(publisher), Some(gate)) = (publisher, self.gate.upgrade()) else { return };
-        if gate.with(|way| way.appeared(publisher, key)) {
-            self.send(publisher, key);
+    fn publisher(&self, sample: &Sample) -> Option<Publisher> {
+        let publisher = Publisher::of_token(sample.key_expr().as_str(), self.session.zid());
+        publisher.filter(|_| sample.kind() == SampleKind::Put)
+    }
+
+    fn with_kept(&self, act: impl FnOnce(&mut Kept<Sample>) -> Option<Request>) -> Option<Request> {
+        self.gate.upgrade()?.with(|way| act(way.kept.as_mut()?))
+    }
+
+    fn appeared(&self, token: &Sample) -> Option<Request> {
+        let publisher = self.publisher(token)?;
+        self.with_kept(|kept| kept.appeared(publisher))
+    }
+
+    /// A publisher tells the number of its last sample.
+    fn told(&self, sample: &Sample) -> Option<Request> {
+        let (publisher, number) = (self.publisher(sample)?, z_deserialize::<u32>(sample.payload()).ok()?);
+        self.with_kept(|kept| kept.told(publisher, number))
+    }
+
+    /// Sends from another thread: Zenoh drops callbacks with a lock that sending takes.
+    fn send_from_drop(&self, requests: Vec<Request>) {
+        if requests.is_empty() {
+            return;
+        }
+        let (sender, publishers) =
+            (self.clone(), requests.iter().map(|request| request.publisher).collect::<Vec<_>>());
+        let send = move || requests.into_iter().for_each(|request| sender.send(Some(request)));
+        if let Err(error) = std::thread::Builder::new().name("gw-kept".into()).spawn(send) {
+            tracing::warn!("what publishers of {} keep cannot be requested: {error}", self.key);
+            for (publisher, gate) in publishers.into_iter().zip(std::iter::repeat(self.gate.upgrade())) {
+                gate.and_then(|gate| gate.with(|way| way.answered(publisher, Vec::new())));
+            }
         }
     }
 
-    /// `token`: its key is that of the publisher's cache.
-    fn send(&self, publisher: Publisher, token: &str) {
-        // A publisher keeps no more than is requested, and so does each of those of a session.
-        const PUBLISHERS: usize = 64;
-        let most = if publisher.is_single() { self.depth } else { self.depth.saturating_mul(PUBLISHERS) };
-        let answer = Answer { gate: self.gate.clone(), publisher, most, kept: PiMutex::default() };
-        let request = self.session.get(format!("{token}?_max={}", self.depth));
-        let request = request.allowed_destination(Locality::Remote).timeout(HISTORY_TIMEOUT);
-        let request = request.consolidation(ConsolidationMode::None).accept_replies(ReplyKeyExpr::Any);
-        if let Err(error) = request.callback(move |reply| answer.add(reply)).wait() {
-            tracing::warn!("what the publisher of token {token} keeps cannot be requested: {error}");
+    fn send(&self, request: Option<Request>) {
+        let Some(Request { publisher, what, most }) = request else { return };
+        let cache = format!("{}/@adv/pub/{publisher}/**?{}", self.key, what.parameters());
+        let answer = Answer { requests: self.clone(), publisher, most, kept: PiMutex::default() };
+        let get = self.session.get(&cache).allowed_destination(Locality::Remote).target(QueryTarget::All);
+        let get = get.consolidation(ConsolidationMode::None).accept_replies(ReplyKeyExpr::Any);
+        if let Err(error) = get.timeout(REQUEST_TIMEOUT).callback(move |reply| answer.add(reply)).wait() {
+            tracing::warn!("{cache} cannot be requested: {error}");
         }
+    }
+}
+
+/// The publishers that exist. Zenoh drops it when all are found, at the latest after the time-out.
+struct Start {
+    requests: Requests,
+    found: PiMutex<Vec<Request>>,
+}
+
+impl Start {
+    fn add(&self, token: &Sample) {
+        let request = self.requests.appeared(token);
+        self.found.lock().extend(request);
+    }
+}
+
+impl Drop for Start {
+    fn drop(&mut self) {
+        if let Some(gate) = self.requests.gate.upgrade() {
+            gate.with(Way::started);
+        }
+        self.requests.send_from_drop(std::mem::take(&mut *self.found.lock()));
     }
 }
 
 /// The answer to a request, which ends when Zenoh drops it, at the latest after the time-out.
 struct Answer {
-    gate: Weak<Gate>,
+    requests: Requests,
     publisher: Publisher,
     most: usize,
-    kept: PiMutex<Vec<Sample>>,
+    kept: PiMutex<VecDeque<Sample>>,
 }
 
 impl Answer {
     fn add(&self, reply: Reply) {
         let Ok(sample) = reply.into_result() else { return };
+        let is_wanted = sample.key_expr().as_str() == self.requests.key
+            && sample.place().is_some_and(|(publisher, _)| publisher == self.publisher);
         let mut kept = self.kept.lock();
-        if kept.len() < self.most {
-            kept.push(sample);
-        } else if let Some(gate) = self.gate.upgrade() {
-            gate.counters.dropped("more kept samples than requested");
+        kept.extend(is_wanted.then_some(sample));
+        // More than it was asked for: the last ones count.
+        if kept.len() > self.most {
+            kept.pop_front();
         }
     }
 }
 
 impl Drop for Answer {
     fn drop(&mut self) {
-        if let Some(gate) = self.gate.upgrade() {
-            let kept = std::mem::take(&mut *self.kept.lock());
-            gate.with(|way| way.answered(self.publisher, kept));
-        }
+        let Some(gate) = self.requests.gate.upgrade() else { return };
+        let kept = Vec::from(std::mem::take(&mut *self.kept.lock()));
+        let lost = gate.with(|way| way.answered(self.publisher, kept));
+        self.requests.send_from_drop(Vec::from_iter(lost));
     }
 }
 
-/// The way in, shared by the threads of several links.
-struct Gate {
-    /// `None` after another one took over.
-    way: PiMutex<Option<Way>>,
-    counters: Arc<TopicCounters>,
-}
+/// The way in, shared by the threads of several links; `None` after another one took over.
+struct Gate(PiMutex<Option<Way>>);
 
 impl Gate {
     fn with<T: Default>(&self, act: impl FnOnce(&mut Way) -> T) -> T {
-        self.way.lock().as_mut().map(act).unwrap_or_default()
+        self.0.lock().as_mut().map(act).unwrap_or_default()
     }
 }
 
 struct Way {
     /// Of a transient-local topic.
     kept: Option<Kept<Sample>>,
-    /// Until samples are received: the publishers to request from, with the keys of their tokens.
-    early: Option<Vec<(Publisher, String)>>,
     port: Port,
 }
 
 impl Way {
-    /// A publisher has appeared. Returns whether to send the request now.
-    fn appeared(&mut self, publisher: Publisher, token: &str) -> bool {
-        let is_new = self.kept.as_mut().is_some_and(|kept| kept.appeared(publisher));
-        if let Some(early) = self.early.as_mut().filter(|_| is_new) {
-            early.push((publisher, token.to_owned()));
-        }
-        is_new && self.early.is_none()
-    }
-
-    /// A published or recovered sample.
-    fn receive(&mut self, sample: Sample) {
+    /// A published sample.
+    fn receive(&mut self, sample: Sample) -> Option<Request> {
         let port = &mut self.port;
         match &mut self.kept {
             Some(kept) => kept.published(sample, &mut |sample| port.take(&sample, true)),
-            None => port.take(&sample, true),
+            None => {
+                port.take(&sample, true);
+                None
+            }
+        }
+    }
+
+    fn started(&mut self) {
+        let port = &mut self.port;
+        if let Some(kept) = &mut self.kept {
+            kept.started(&mut |sample| port.take(&sample, true));
         }
     }
 
     /// What a publisher keeps.
-    fn answered(&mut self, publisher: Publisher, samples: Vec<Sample>) {
-        let (Some(kept), port) = (&mut self.kept, &mut self.port) else { return };
-        let late = kept.answered(publisher, samples, &mut |sample| port.take(&sample, true));
+    fn answered(&mut self, publisher: Publisher, samples: Vec<Sample>) -> Option<Request> {
+        let port = &mut self.port;
+        let (late, lost) =
+            self.kept.as_mut()?.answered(publisher, samples, &mut |sample| port.take(&sample, true));
         port.ingress.counters().lost(late);
+        lost
     }
 }
 

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The order of what transient-local publishers keep and what they publish: a publisher's kept samples are requested when it appears,
-//! and its new samples wait for them.
+//! and its lost ones when a later one arrives; meanwhile its new samples wait.
 //!
-//! zenoh-ext's `AdvancedSubscriber` has no such order: a new sample that arrives during the request is delivered at once, and the kept
-//! ones are then dropped as older (1.10.2). The gateway uses it to recover lost samples only.
+//! zenoh-ext's `AdvancedSubscriber` is not used: it delivers a new sample that arrives during a request at once, and then drops the
+//! kept ones as older, uncounted (1.10.2).
 
 use std::collections::HashMap;
+use std::fmt;
 use std::str::FromStr;
 use zenoh::sample::Sample;
 use zenoh::session::ZenohId;
@@ -32,6 +33,17 @@ impl Publisher {
     /// Whether it is one publisher.
     pub(crate) fn is_single(&self) -> bool {
         self.1.is_some()
+    }
+}
+
+/// As in its keys.
+impl fmt::Display for Publisher {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let session = ZenohId::try_from(&self.0[..]).map_err(|_| fmt::Error)?;
+        match self.1 {
+            Some(number) => write!(f, "{session}/{number}"),
+            None => write!(f, "{session}/uhlc"),
+        }
     }
 }
 
@@ -64,99 +76,213 @@ fn after(publisher: Publisher, number: u64, base: u64) -> i64 {
     }
 }
 
+/// A request to a publisher's cache; [`Kept::answered`] must follow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Request {
+    pub(crate) publisher: Publisher,
+    pub(crate) what: What,
+    /// Maximum of samples in its answer.
+    pub(crate) most: usize,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum What {
+    /// The last so many samples of each publisher.
+    Last(usize),
+    /// All that is kept from this number on.
+    From(u32),
+}
+
+impl What {
+    /// As zenoh-ext's caches read it.
+    pub(crate) fn parameters(self) -> String {
+        match self {
+            What::Last(count) => format!("_max={count}"),
+            What::From(number) => format!("_sn={number}.."),
+        }
+    }
+}
+
 /// The state of a topic's publishers.
 pub(crate) struct Kept<S> {
     /// As many kept samples are requested of each publisher.
     depth: usize,
+    /// Whether lost samples are requested.
+    recovers: bool,
+    /// Until it is known which publishers exist, all samples wait.
+    is_starting: bool,
     publishers: HashMap<Publisher, State<S>>,
 }
 
 struct State<S> {
     /// Requests without an answer.
     requests: usize,
-    /// New samples that wait for the answer; at most `depth`, because more of them replace all that is kept.
+    /// Until the first answer.
+    is_waiting: bool,
+    /// New samples that wait; at most as many as an answer has, because more of them replace all that is kept.
     waiting: Vec<S>,
-    /// Whether they no longer wait.
-    is_full: bool,
     /// The numbers of the first and of the last delivered sample.
     delivered: Option<(u64, u64)>,
+    /// Whether it is no loss if what was delivered first has something before it: after an answer, or instead of one.
+    is_whole: bool,
+    /// From where lost samples were requested last: what the publisher does not have any more is not requested again.
+    asked: Option<u32>,
 }
 
 impl<S: Placed> Kept<S> {
     /// Maximum of publishers; beyond it, which a hostile peer can cause, no more is requested and samples are not ordered.
     const MOST: usize = 1024;
+    /// Maximum of requests to a publisher: after its host was away, an earlier one may still be without an answer.
+    const REQUESTS: usize = 2;
+    /// Publishers of a session without numbers of their own, which answer together.
+    const TOGETHER: usize = 64;
 
-    pub(crate) fn new(depth: usize) -> Self {
-        Kept { depth, publishers: HashMap::new() }
+    pub(crate) fn new(depth: usize, recovers: bool) -> Self {
+        Kept { depth, recovers, is_starting: true, publishers: HashMap::new() }
     }
 
-    /// A publisher has appeared. Returns whether to request what it keeps; [`answered`](Self::answered) must follow.
-    pub(crate) fn appeared(&mut self, publisher: Publisher) -> bool {
-        let state = self.state(publisher);
-        state.map(|state| state.requests += 1).is_some()
+    fn most(&self, publisher: Publisher) -> usize {
+        if publisher.is_single() { self.depth } else { self.depth.saturating_mul(Self::TOGETHER) }
+    }
+
+    /// A publisher has appeared.
+    pub(crate) fn appeared(&mut self, publisher: Publisher) -> Option<Request> {
+        self.request(publisher, What::Last(self.depth))
+    }
+
+    fn request(&mut self, publisher: Publisher, what: What) -> Option<Request> {
+        let most = self.most(publisher);
+        let state = self.state(publisher).filter(|state| state.requests < Self::REQUESTS)?;
+        state.requests += 1;
+        state.is_waiting = true;
+        Some(Request { publisher, what, most })
+    }
+
+    /// All publishers that exist have [appeared](Self::appeared).
+    pub(crate) fn started(&mut self, deliver: &mut impl FnMut(S)) {
+        self.is_starting = false;
+        for (publisher, state) in &mut self.publishers {
+            if !state.is_waiting {
+                state.advance(*publisher, false, deliver);
+            }
+        }
+        // Times of volatile publishers of one session may be out of order.
+        self.publishers.retain(|publisher, state| publisher.is_single() || state.requests > 0);
+    }
+
+    /// A publisher has told the number of its last sample.
+    pub(crate) fn told(&mut self, publisher: Publisher, number: u32) -> Option<Request> {
+        let is_idle = self.recovers && !self.is_starting;
+        let state = self.publishers.get(&publisher).filter(|state| is_idle && state.requests == 0)?;
+        let what = match state.delivered {
+            None => What::Last(self.depth),
+            Some((_, last)) if after(publisher, number.into(), last) > 0 => What::From(next(last)),
+            Some(_) => return None,
+        };
+        self.request(publisher, what)
     }
 
     /// A new sample: gives to `deliver` what is due now, in order.
     ///
     /// # Real-time
     /// One look-up. A sample that waits is stored on the heap.
-    pub(crate) fn published(&mut self, sample: S, deliver: &mut impl FnMut(S)) {
-        let depth = self.depth;
-        let Some((publisher, number)) = sample.place() else { return deliver(sample) };
-        let Some(state) = self.state(publisher) else { return deliver(sample) };
-        if state.requests == 0 || state.is_full {
-            return state.deliver(publisher, number, sample, deliver);
-        }
+    pub(crate) fn published(&mut self, sample: S, deliver: &mut impl FnMut(S)) -> Option<Request> {
+        let place = sample.place().filter(|(publisher, _)| {
+            // Times of volatile publishers of one session may be out of order.
+            publisher.is_single() || self.is_starting || self.publishers.contains_key(publisher)
+        });
+        let Some((publisher, number)) = place else {
+            deliver(sample);
+            return None;
+        };
+        let (is_starting, most) = (self.is_starting, self.most(publisher));
+        let is_recovered = self.recovers && publisher.is_single() && most > 1;
+        let Some(state) = self.state(publisher) else {
+            deliver(sample);
+            return None;
+        };
         let last = state.waiting.last().and_then(S::place).map(|(_, last)| last);
         let last = last.or(state.delivered.map(|(_, last)| last));
-        if last.is_none_or(|last| after(publisher, number, last) > 0) {
+        let ahead = last.map_or(1, |last| after(publisher, number, last));
+        if !is_starting && !state.is_waiting {
+            match last.filter(|_| is_recovered && ahead > 1 && state.requests == 0).map(next) {
+                None => {
+                    state.deliver(publisher, number, sample, deliver);
+                    return None;
+                }
+                Some(from) => {
+                    state.waiting.push(sample);
+                    state.asked = Some(from);
+                    return self.request(publisher, What::From(from));
+                }
+            }
+        }
+        if ahead > 0 || !publisher.is_single() {
             state.waiting.push(sample);
-            state.is_full = state.waiting.len() >= depth;
         }
-        if state.is_full {
-            state.release(publisher, deliver);
+        if state.waiting.len() >= most {
+            state.advance(publisher, false, deliver);
+            state.is_whole = true;
         }
+        None
     }
 
     /// The answer to a request: gives to `deliver` the kept samples and what waited for them. Returns how many kept samples came too
-    /// late, after newer ones.
+    /// late, after newer ones, and a request for lost ones.
     pub(crate) fn answered(
         &mut self,
         publisher: Publisher,
         mut kept: Vec<S>,
         deliver: &mut impl FnMut(S),
-    ) -> u64 {
-        let Some(state) = self.publishers.get_mut(&publisher) else { return 0 };
-        let number = |sample: &S| sample.place().filter(|(of, _)| *of == publisher).map(|(_, number)| number);
-        // Caches of one session answer one after the other.
-        if let Some(base) = kept.iter().find_map(number) {
-            kept.sort_by_key(|sample| number(sample).map(|number| after(publisher, number, base)));
-        }
-        let first = state.delivered.filter(|_| !state.is_full).map(|(first, _)| first);
+    ) -> (u64, Option<Request>) {
+        let (is_starting, recovers) = (self.is_starting, self.recovers);
+        let Some(state) = self.publishers.get_mut(&publisher) else { return (0, None) };
+        sort(publisher, &mut kept);
+        let first = state.delivered.filter(|_| !state.is_whole).map(|(first, _)| first);
         let mut late = 0;
         for sample in kept {
-            // Another publisher's has no place here.
-            let Some(number) = number(&sample) else { continue };
+            let Some((_, number)) = sample.place() else { continue };
             late += u64::from(first.is_some_and(|first| after(publisher, number, first) < 0));
             state.deliver(publisher, number, sample, deliver);
         }
-        state.requests -= 1;
-        if state.requests == 0 {
-            state.release(publisher, deliver);
-            state.is_full = false;
+        state.requests = state.requests.saturating_sub(1);
+        state.is_whole = true;
+        if is_starting {
+            state.is_waiting = false;
+            return (late, None);
         }
-        late
+        let lost = state.advance(publisher, recovers && publisher.is_single(), deliver);
+        (late, lost.and_then(|from| self.request(publisher, What::From(from))))
     }
 
     fn state(&mut self, publisher: Publisher) -> Option<&mut State<S>> {
         if self.publishers.len() >= Self::MOST && !self.publishers.contains_key(&publisher) {
-            self.publishers.retain(|_, state| state.requests > 0);
+            self.publishers.retain(|_, state| state.requests > 0 || !state.waiting.is_empty());
             if self.publishers.len() >= Self::MOST {
                 return None;
             }
         }
-        let (requests, waiting, is_full, delivered) = Default::default();
-        Some(self.publishers.entry(publisher).or_insert(State { requests, waiting, is_full, delivered }))
+        Some(self.publishers.entry(publisher).or_default())
+    }
+}
+
+/// The number after this one.
+fn next(last: u64) -> u32 {
+    (last as u32).wrapping_add(1)
+}
+
+/// Caches of one session answer one after the other.
+fn sort<S: Placed>(publisher: Publisher, samples: &mut [S]) {
+    let number = |sample: &S| sample.place().map(|(_, number)| number);
+    if let Some(base) = samples.iter().find_map(number) {
+        samples.sort_by_key(|sample| number(sample).map(|number| after(publisher, number, base)));
+    }
+}
+
+impl<S> Default for State<S> {
+    fn default() -> Self {
+        let (requests, is_waiting, waiting, delivered, is_whole, asked) = Default::default();
+        State { requests, is_waiting, waiting, delivered, is_whole, asked }
     }
 }
 
@@ -171,12 +297,24 @@ impl<S: Placed> State<S> {
         deliver(sample);
     }
 
-    fn release(&mut self, publisher: Publisher, deliver: &mut impl FnMut(S)) {
-        for sample in std::mem::take(&mut self.waiting) {
-            if let Some((_, number)) = sample.place() {
-                self.deliver(publisher, number, sample, deliver);
+    /// Delivers what waits; if it `recovers`, up to a gap from which on nothing was requested before, which it returns.
+    fn advance(&mut self, publisher: Publisher, recovers: bool, deliver: &mut impl FnMut(S)) -> Option<u32> {
+        let mut waiting = std::mem::take(&mut self.waiting);
+        sort(publisher, &mut waiting);
+        let mut waiting = waiting.into_iter();
+        while let Some(sample) = waiting.next() {
+            let Some((_, number)) = sample.place() else { continue };
+            let gap = self.delivered.filter(|(_, last)| after(publisher, number, *last) > 1);
+            let from = gap.map(|(_, last)| next(last)).filter(|from| recovers && self.asked != Some(*from));
+            if from.is_some() {
+                self.asked = from;
+                self.waiting = std::iter::once(sample).chain(waiting).collect();
+                return from;
             }
+            self.deliver(publisher, number, sample, deliver);
         }
+        self.is_waiting = false;
+        None
     }
 }
 
@@ -196,92 +334,156 @@ mod tests {
         }
     }
 
+    /// When all publishers are known.
+    fn kept(depth: usize) -> Kept<Test> {
+        let mut kept = Kept::new(depth, true);
+        kept.started(&mut |_| panic!("nothing was published"));
+        kept
+    }
+
     fn published(kept: &mut Kept<Test>, publisher: Publisher, numbers: &[u64]) -> Vec<u64> {
         let mut delivered = Vec::new();
         for &number in numbers {
-            kept.published(Some((publisher, number)), &mut |sample| delivered.push(sample.unwrap().1));
+            let request =
+                kept.published(Some((publisher, number)), &mut |sample| delivered.push(sample.unwrap().1));
+            assert_eq!(request, None);
         }
         delivered
     }
 
-    fn answered(kept: &mut Kept<Test>, publisher: Publisher, numbers: &[u64]) -> (Vec<u64>, u64) {
+    /// What is delivered, what is late, and from where lost samples are requested.
+    fn answered(
+        kept: &mut Kept<Test>,
+        publisher: Publisher,
+        numbers: &[u64],
+    ) -> (Vec<u64>, u64, Option<u32>) {
         let mut delivered = Vec::new();
         let answer = numbers.iter().map(|&number| Some((publisher, number))).collect();
-        let late = kept.answered(publisher, answer, &mut |sample| delivered.push(sample.unwrap().1));
-        (delivered, late)
+        let (late, request) =
+            kept.answered(publisher, answer, &mut |sample| delivered.push(sample.unwrap().1));
+        (delivered, late, request.map(|request| from(Some(request))))
+    }
+
+    fn from(request: Option<Request>) -> u32 {
+        match request.unwrap().what {
+            What::From(number) => number,
+            What::Last(_) => panic!("{request:?}"),
+        }
     }
 
     #[test]
     fn what_is_new_waits_for_what_was_kept() {
-        let mut kept = Kept::new(3);
-        assert!(kept.appeared(ONE));
+        let mut kept = kept(3);
+        let request = Request { publisher: ONE, what: What::Last(3), most: 3 };
+        assert_eq!(kept.appeared(ONE), Some(request));
+        assert_eq!(request.what.parameters(), "_max=3");
         assert!(published(&mut kept, ONE, &[2, 3]).is_empty());
         assert_eq!(published(&mut kept, OTHER, &[5]), [5], "of another publisher");
-        assert_eq!(answered(&mut kept, ONE, &[1, 2, 3]), (vec![1, 2, 3], 0));
-        assert_eq!(published(&mut kept, ONE, &[3, 4, 4, 6]), [4, 6]);
+        assert_eq!(answered(&mut kept, ONE, &[1, 2, 3]), (vec![1, 2, 3], 0, None));
+        assert_eq!(published(&mut kept, ONE, &[3, 4, 4, 5]), [4, 5]);
         let mut without = 0;
         kept.published(None, &mut |_| without += 1);
         assert_eq!(without, 1, "without a number");
+        assert_eq!(published(&mut kept, BY_TIME, &[5, 4, 6]), [5, 4, 6], "of publishers that keep nothing");
         // Its host was away: what it kept since then comes, and nothing twice.
-        assert!(kept.appeared(ONE));
-        assert!(published(&mut kept, ONE, &[5, 6, 9]).is_empty());
-        assert_eq!(answered(&mut kept, ONE, &[6, 7, 8]), (vec![7, 8, 9], 0));
+        assert!(kept.appeared(ONE).is_some());
+        assert!(published(&mut kept, ONE, &[4, 5, 8]).is_empty());
+        assert_eq!(answered(&mut kept, ONE, &[5, 6, 7]), (vec![6, 7, 8], 0, None));
+    }
+
+    #[test]
+    fn at_the_start_all_wait_until_publishers_are_known() {
+        let mut kept = Kept::new(3, true);
+        for (publisher, numbers) in [(ONE, [5, 6]), (OTHER, [7, 8]), (BY_TIME, [2, 1])] {
+            assert!(published(&mut kept, publisher, &numbers).is_empty());
+        }
+        assert!(kept.appeared(ONE).is_some());
+        let mut delivered = Vec::new();
+        kept.started(&mut |sample| delivered.push(sample.unwrap()));
+        delivered.sort_by_key(|(_, number)| *number);
+        assert_eq!(delivered, [(BY_TIME, 1), (BY_TIME, 2), (OTHER, 7), (OTHER, 8)]);
+        assert_eq!(answered(&mut kept, ONE, &[3, 4, 5]), (vec![3, 4, 5, 6], 0, None));
     }
 
     #[test]
     fn no_answer_and_two() {
-        let mut kept = Kept::new(3);
-        assert!(kept.appeared(ONE) && kept.appeared(ONE));
+        let mut kept = kept(3);
+        assert!(kept.appeared(ONE).is_some() && kept.appeared(ONE).is_some());
+        assert_eq!(kept.appeared(ONE), None, "however often it comes and goes");
         assert!(published(&mut kept, ONE, &[5]).is_empty());
-        assert_eq!(answered(&mut kept, ONE, &[]), (vec![], 0));
-        assert_eq!(answered(&mut kept, ONE, &[4]), (vec![4, 5], 0));
+        assert_eq!(answered(&mut kept, ONE, &[4]), (vec![4, 5], 0, None));
+        assert_eq!(answered(&mut kept, ONE, &[]), (vec![], 0, None));
         assert_eq!(published(&mut kept, ONE, &[6]), [6]);
     }
 
     #[test]
-    fn as_many_new_samples_as_are_kept_do_not_wait() {
-        let mut kept = Kept::new(3);
-        assert!(kept.appeared(ONE));
-        assert!(published(&mut kept, ONE, &[11, 11, 12]).is_empty());
-        assert_eq!(published(&mut kept, ONE, &[13, 14]), [11, 12, 13, 14]);
-        assert_eq!(answered(&mut kept, ONE, &[9, 10, 11]), (vec![], 0), "they have replaced these");
-        assert!(kept.appeared(ONE));
-        assert!(published(&mut kept, ONE, &[15]).is_empty());
-        assert_eq!(answered(&mut kept, ONE, &[14, 15, 16]), (vec![15, 16], 0));
+    fn lost_samples_are_requested_once() {
+        let mut kept = kept(4);
+        assert_eq!(published(&mut kept, ONE, &[1, 2]), [1, 2]);
+        let mut none = |_: Test| panic!("it waits");
+        assert_eq!(from(kept.published(Some((ONE, 4)), &mut none)), 3);
+        assert!(published(&mut kept, ONE, &[7]).is_empty());
+        assert_eq!(answered(&mut kept, ONE, &[3, 4]), (vec![3, 4], 0, Some(5)), "a second gap");
+        assert_eq!(What::From(5).parameters(), "_sn=5..");
+        assert_eq!(answered(&mut kept, ONE, &[6, 7]), (vec![6, 7], 0, None), "5 is not kept any more");
+        // The last one was lost.
+        assert_eq!(kept.told(ONE, 7), None);
+        assert_eq!(from(kept.told(ONE, 9)), 8);
+        assert_eq!(kept.told(ONE, 9), None, "it is on its way");
+        assert_eq!(answered(&mut kept, ONE, &[8, 9]), (vec![8, 9], 0, None));
+        assert_eq!(kept.told(OTHER, 9), None, "a publisher that was never seen");
+        let mut careless = Kept::new(4, false);
+        careless.started(&mut none);
+        assert_eq!(published(&mut careless, ONE, &[1, 3]), [1, 3]);
+        assert_eq!(careless.told(ONE, 9), None);
     }
 
     #[test]
-    fn kept_samples_after_newer_ones_are_counted() {
-        let mut kept = Kept::new(3);
+    fn as_many_new_samples_as_are_kept_do_not_wait() {
+        let mut kept = kept(3);
+        assert!(kept.appeared(ONE).is_some());
+        assert!(published(&mut kept, ONE, &[11, 11, 12]).is_empty());
+        assert_eq!(published(&mut kept, ONE, &[13, 14]), [11, 12, 13, 14]);
+        assert_eq!(answered(&mut kept, ONE, &[9, 10, 11]), (vec![], 0, None), "they have replaced these");
+        assert!(kept.appeared(ONE).is_some());
+        assert!(published(&mut kept, ONE, &[15]).is_empty());
+        assert_eq!(answered(&mut kept, ONE, &[14, 15, 16]), (vec![15, 16], 0, None));
+    }
+
+    #[test]
+    fn kept_samples_after_newer_ones_are_counted_once() {
+        let mut kept = kept(3);
         assert_eq!(published(&mut kept, ONE, &[3]), [3]);
-        assert!(kept.appeared(ONE));
-        assert_eq!(answered(&mut kept, ONE, &[1, 2, 3, 4]), (vec![4], 2));
+        for late in [2, 0] {
+            assert!(kept.appeared(ONE).is_some());
+            assert_eq!(answered(&mut kept, ONE, &[1, 2, 3]), (vec![], late, None));
+        }
     }
 
     #[test]
     fn numbers_wrap_and_times_are_sorted() {
-        let mut kept = Kept::new(4);
+        let mut kept = kept(4);
         let last = u64::from(u32::MAX);
-        assert!(kept.appeared(ONE) && kept.appeared(BY_TIME));
+        assert!(kept.appeared(ONE).is_some() && kept.appeared(BY_TIME).is_some());
         assert!(published(&mut kept, ONE, &[0, 1]).is_empty());
-        assert_eq!(answered(&mut kept, ONE, &[last - 1, last, 0]), (vec![last - 1, last, 0, 1], 0));
+        assert_eq!(answered(&mut kept, ONE, &[last - 1, last, 0]), (vec![last - 1, last, 0, 1], 0, None));
         // Of two publishers of a session.
         let times = [1 << 40, 3 << 40, 2 << 40, 4 << 40];
-        assert_eq!(answered(&mut kept, BY_TIME, &times), (vec![1 << 40, 2 << 40, 3 << 40, 4 << 40], 0));
+        assert_eq!(answered(&mut kept, BY_TIME, &times), (vec![1 << 40, 2 << 40, 3 << 40, 4 << 40], 0, None));
         // Any numbers, from a hostile peer.
-        assert!(kept.appeared(OTHER));
+        assert!(kept.appeared(OTHER).is_some());
         answered(&mut kept, OTHER, &[0, 1 << 31, 1, u64::MAX, 3 << 30, 1 << 30]);
     }
 
     #[test]
     fn there_is_a_most() {
-        let mut kept = Kept::<Test>::new(1);
+        let mut kept = kept(1);
         let publisher = |n: usize| Publisher([2; 16], Some(n as u32));
-        assert!((0..Kept::<Test>::MOST).all(|n| kept.appeared(publisher(n))));
-        assert!(!kept.appeared(ONE));
+        assert!((0..Kept::<Test>::MOST).all(|n| kept.appeared(publisher(n)).is_some()));
+        assert_eq!(kept.appeared(ONE), None);
         assert_eq!(published(&mut kept, ONE, &[2, 1]), [2, 1]);
         answered(&mut kept, publisher(0), &[]);
-        assert!(kept.appeared(ONE));
+        assert!(kept.appeared(ONE).is_some());
     }
 
     #[test]
