@@ -135,30 +135,21 @@ impl Requests {
         self.with_kept(|kept| kept.told(publisher, number))
     }
 
-    /// Sends from another thread: Zenoh drops callbacks with a lock that sending takes.
-    fn send_from_drop(&self, requests: Vec<Request>) {
-        if requests.is_empty() {
-            return;
-        }
-        let (sender, publishers) =
-            (self.clone(), requests.iter().map(|request| request.publisher).collect::<Vec<_>>());
-        let send = move || requests.into_iter().for_each(|request| sender.send(Some(request)));
-        if let Err(error) = std::thread::Builder::new().name("gw-kept".into()).spawn(send) {
-            tracing::warn!("what publishers of {} keep cannot be requested: {error}", self.key);
-            for (publisher, gate) in publishers.into_iter().zip(std::iter::repeat(self.gate.upgrade())) {
-                gate.and_then(|gate| gate.with(|way| way.answered(publisher, Vec::new())));
-            }
+    fn send(&self, request: Option<Request>) {
+        if let Some(request) = request {
+            Answer::to(request, self).request();
         }
     }
 
-    fn send(&self, request: Option<Request>) {
-        let Some(Request { publisher, what, most }) = request else { return };
-        let cache = format!("{}/@adv/pub/{publisher}/**?{}", self.key, what.parameters());
-        let answer = Answer { requests: self.clone(), publisher, most, kept: PiMutex::default() };
-        let get = self.session.get(&cache).allowed_destination(Locality::Remote).target(QueryTarget::All);
-        let get = get.consolidation(ConsolidationMode::None).accept_replies(ReplyKeyExpr::Any);
-        if let Err(error) = get.timeout(REQUEST_TIMEOUT).callback(move |reply| answer.add(reply)).wait() {
-            tracing::warn!("{cache} cannot be requested: {error}");
+    /// Sends from another thread: Zenoh drops callbacks with a lock that sending takes.
+    fn send_from_drop(&self, requests: Vec<Request>) {
+        let answers: Vec<_> = requests.into_iter().map(|request| Answer::to(request, self)).collect();
+        if answers.is_empty() {
+            return;
+        }
+        let send = move || answers.into_iter().for_each(Answer::request);
+        if let Err(error) = std::thread::Builder::new().name("gw-kept".into()).spawn(send) {
+            tracing::warn!("what publishers of {} keep cannot be requested: {error}", self.key);
         }
     }
 }
@@ -185,23 +176,38 @@ impl Drop for Start {
     }
 }
 
-/// The answer to a request, which ends when Zenoh drops it, at the latest after the time-out.
+/// The answer to a request, which ends when this is dropped: by Zenoh, at the latest after the time-out, or because the request
+/// cannot be sent.
 struct Answer {
     requests: Requests,
-    publisher: Publisher,
-    most: usize,
+    request: Request,
     kept: PiMutex<VecDeque<Sample>>,
 }
 
 impl Answer {
+    fn to(request: Request, requests: &Requests) -> Self {
+        Answer { requests: requests.clone(), request, kept: PiMutex::default() }
+    }
+
+    fn request(self) {
+        let Request { publisher, what, .. } = self.request;
+        let cache = format!("{}/@adv/pub/{publisher}/**?{}", self.requests.key, what.parameters());
+        let session = self.requests.session.clone();
+        let get = session.get(&cache).allowed_destination(Locality::Remote).target(QueryTarget::All);
+        let get = get.consolidation(ConsolidationMode::None).accept_replies(ReplyKeyExpr::Any);
+        if let Err(error) = get.timeout(REQUEST_TIMEOUT).callback(move |reply| self.add(reply)).wait() {
+            tracing::warn!("{cache} cannot be requested: {error}");
+        }
+    }
+
     fn add(&self, reply: Reply) {
         let Ok(sample) = reply.into_result() else { return };
         let is_wanted = sample.key_expr().as_str() == self.requests.key
-            && sample.place().is_some_and(|(publisher, _)| publisher == self.publisher);
+            && sample.place().is_some_and(|(publisher, _)| publisher == self.request.publisher);
         let mut kept = self.kept.lock();
         kept.extend(is_wanted.then_some(sample));
         // More than it was asked for: the last ones count.
-        if kept.len() > self.most {
+        if kept.len() > self.request.most {
             kept.pop_front();
         }
     }
@@ -211,7 +217,7 @@ impl Drop for Answer {
     fn drop(&mut self) {
         let Some(gate) = self.requests.gate.upgrade() else { return };
         let kept = Vec::from(std::mem::take(&mut *self.kept.lock()));
-        let lost = gate.with(|way| way.answered(self.publisher, kept));
+        let lost = gate.with(|way| way.answered(self.request.publisher, kept));
         self.requests.send_from_drop(Vec::from_iter(lost));
     }
 }

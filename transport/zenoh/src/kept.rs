@@ -185,7 +185,8 @@ impl<S: Placed> Kept<S> {
     /// A new sample: gives to `deliver` what is due now, in order.
     ///
     /// # Real-time
-    /// One look-up. A sample that waits is stored on the heap.
+    /// Two look-ups; one of [`MOST`](Self::MOST) publishers for each sample of a publisher beyond them. A sample that waits is stored on the
+    /// heap; the one that fills the queue delivers all of it.
     pub(crate) fn published(&mut self, sample: S, deliver: &mut impl FnMut(S)) -> Option<Request> {
         let place = sample.place().filter(|(publisher, _)| {
             // Times of volatile publishers of one session may be out of order.
