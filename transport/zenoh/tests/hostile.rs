@@ -56,8 +56,10 @@ fn samples_that_are_none() {
     let _fixed_token = enemy.liveliness().declare_token(of_fixed.clone()).wait().unwrap();
     let key = format!("196/x/{KEY_TYPE}/{UNKNOWN_HASH}");
     let good = [&[0, 1, 0, 0, 3, 0, 0, 0][..], b"ab\0"].concat();
+    // On a full link Zenoh would drop what is to arrive.
+    let block = zenoh::qos::CongestionControl::Block;
     let put = |payload: Vec<u8>, attachment: Option<Vec<u8>>| {
-        let put = enemy.put(&key, payload).congestion_control(zenoh::qos::CongestionControl::Block);
+        let put = enemy.put(&key, payload).congestion_control(block);
         match attachment {
             Some(bytes) => put.attachment(bytes).wait().unwrap(),
             None => put.wait().unwrap(),
@@ -86,7 +88,7 @@ fn samples_that_are_none() {
     put([vec![0, 1, 0, 0], vec![0; (1 << 20) + 1000]].concat(), Some(honest.clone()));
     // What is longer than the limit with its headers Zenoh does not even gather.
     put([vec![0, 1, 0, 0], vec![0; 4 << 20]].concat(), Some(honest.clone()));
-    enemy.delete(&key).wait().unwrap();
+    enemy.delete(&key).congestion_control(block).wait().unwrap();
     for _ in 0..300 {
         let mut bytes = vec![0; random.random_range(0..200)];
         random.fill_bytes(&mut bytes);
@@ -107,19 +109,22 @@ fn samples_that_are_none() {
         .replace("String_", "Vector3_");
     let fixed_key = fixed_key.replace("_df", "_cc");
     let honest = attachment_of(&of_fixed, 2, now_ns()).to_vec();
+    let put_fixed = |body: Vec<u8>| {
+        enemy.put(&fixed_key, body).attachment(honest.clone()).congestion_control(block).wait().unwrap();
+    };
     until("a connection", || {
         let body = [&[0, 1, 0, 0][..], &[7; 24]].concat();
-        enemy.put(&fixed_key, body).attachment(honest.clone()).wait().unwrap();
+        put_fixed(body);
         std::thread::sleep(std::time::Duration::from_millis(5));
         fixed.try_take_valid().unwrap().is_some()
     });
     for len in [0, 23, 33, 1000] {
         let body = [vec![0, 1, 0, 0], vec![7; len]].concat();
-        enemy.put(&fixed_key, body).attachment(honest.clone()).wait().unwrap();
+        put_fixed(body);
     }
     // With what Fast CDR appends it is a Vector3 still.
     let body = [&[0, 1, 0, 0][..], &[9; 32]].concat();
-    enemy.put(&fixed_key, body).attachment(honest.clone()).wait().unwrap();
+    put_fixed(body);
     while take(&fixed).body() != [9; 24] {}
 
     // An honest sample after all that.
