@@ -97,6 +97,23 @@ fn certificates_and_access_as_in_the_guide() {
         assert!(subscription.try_take().unwrap().is_none());
     }
 
+    // What was published before somebody listened.
+    let kept = Qos::keep_last(2).transient_local();
+    let calibration = b.publisher("/camera/calibration", &string_type(), kept);
+    for n in 0..3u8 {
+        calibration.publish(&[n]).unwrap();
+    }
+    until("what is kept", || {
+        let stats = b.stats().topics.into_iter();
+        stats
+            .filter(|topic| topic.name.topic == "/camera/calibration")
+            .any(|topic| topic.reading.messages >= 2)
+    });
+    let late = a.subscription("/camera/calibration", &string_type(), kept);
+    for n in 1..3u8 {
+        assert_eq!(support::take(&late).body(), [n]);
+    }
+
     until("the refusal to be reported", || {
         a.stats()
             .unauthorized
