@@ -5,7 +5,8 @@
 //! starve the callbacks. So the threads' processor time is summed up: once it exceeds the budget in a window, they run as
 //! SCHED_OTHER until several windows in a row show less demand. Demand includes the time that they wait for a processor, because
 //! a SCHED_OTHER thread may use little only because it gets little. So a callback loses at most the budget of one window plus the
-//! time until the next check, once per flood; recurring floods cause this ever more rarely.
+//! time until the next check, once per flood; recurring floods cause this ever more rarely. A thread that another one starts just
+//! as policies change inherits the old one, and keeps it until the next [renewal](RENEWAL_LOOKS), 400 ms later at most.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -28,6 +29,8 @@ impl Default for Budget {
 
 const WINDOW: Duration = Duration::from_millis(40);
 const LOOKS_PER_WINDOW: u32 = 8;
+/// So often the threads are listed anew, and given the policy that they should have: every 400 ms.
+const RENEWAL_LOOKS: u32 = LOOKS_PER_WINDOW * 10;
 
 /// Calm windows in a row before the priority is restored.
 const CALM_WINDOWS: u32 = 5;
@@ -119,7 +122,7 @@ pub struct Guard {
 
 impl Guard {
     /// Starts a thread `name` that watches the threads in `list`, each with its policy within the budget; `highest` is the
-    /// highest of these.
+    /// highest of these. No two guards may list the same thread.
     ///
     /// # Errors
     /// [`RtError`]: a missing privilege.
@@ -164,19 +167,24 @@ fn watch(budget: Budget, list: ThreadLister, stop: &AtomicBool, demotions: &Atom
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(WINDOW / LOOKS_PER_WINDOW);
         looks = looks.wrapping_add(1);
-        if looks.is_multiple_of(LOOKS_PER_WINDOW * 10) {
-            threads.renew();
-        }
         match meter.look(threads.spent()) {
+            // What was refused at the change was said then.
+            Verdict::Keep if looks.is_multiple_of(RENEWAL_LOOKS) => drop(threads.set(meter.is_demoted)),
             Verdict::Keep => {}
             Verdict::Demote => {
                 demotions.fetch_add(1, Ordering::Relaxed);
-                threads.set(|_| Policy::Other { nice: 0 });
+                warn(&threads.set(true));
             }
-            Verdict::Promote => threads.set(|policy| policy),
+            Verdict::Promote => warn(&threads.set(false)),
         }
     }
-    threads.set(|policy| policy);
+    warn(&threads.set(false));
+}
+
+fn warn(refused: &[RtError]) {
+    for error in refused {
+        tracing::warn!("the priority of a thread is not changed: {error}");
+    }
 }
 
 /// The watched threads, and the time of those that have ended.
@@ -215,16 +223,13 @@ impl BudgetedThreads {
         self.threads.iter().fold(self.ended, |sum, (.., spent)| sum.plus(*spent))
     }
 
-    /// Gives each thread `policy_of` its policy within the budget.
-    fn set(&mut self, policy_of: impl Fn(Policy) -> Policy) {
+    /// Sets each thread to its own policy, or to SCHED_OTHER while demoted, whether or not that changes it; returns what was refused.
+    fn set(&mut self, is_demoted: bool) -> Vec<RtError> {
         self.renew();
-        for (tid, policy, _) in &self.threads {
-            if let Err(error) = tautline_rt::set_policy_of(*tid, policy_of(*policy))
-                && !matches!(error, RtError::NoSuchThread { .. })
-            {
-                tracing::warn!("the priority of a thread is not changed: {error}");
-            }
-        }
+        let policy_of = |policy| if is_demoted { Policy::Other { nice: 0 } } else { policy };
+        let set =
+            self.threads.iter().map(|(tid, policy, _)| tautline_rt::set_policy_of(*tid, policy_of(*policy)));
+        set.filter_map(Result::err).filter(|error| !matches!(error, RtError::NoSuchThread { .. })).collect()
     }
 }
 
@@ -254,6 +259,57 @@ mod tests {
             verdicts.retain(|(_, verdict)| *verdict != Verdict::Keep);
             verdicts
         }
+    }
+
+    /// A thread that computes or idles until `stop`, with its priority; `None` where it may have none.
+    fn thread(name: &str, stop: &Arc<AtomicBool>, computes: bool) -> Option<(JoinHandle<()>, u32)> {
+        if let Err(error) = tautline_rt::permission::realtime_permitted(PRIORITY + 1) {
+            assert!(std::env::var_os("CI").is_none(), "{error}");
+            println!("skipped: {error}");
+            return None;
+        }
+        let builder = ThreadBuilder::new(name).policy(Policy::Fifo(PRIORITY)).realtime(Realtime::Required);
+        let stop = stop.clone();
+        let work = move || {
+            while !stop.load(Ordering::Relaxed) {
+                let until = std::time::Instant::now() + Duration::from_micros(500);
+                while computes && std::time::Instant::now() < until {}
+                std::thread::sleep(Duration::from_micros(500));
+            }
+        };
+        let thread = builder.spawn(move || work).unwrap();
+        let tid = thread.info().tid;
+        Some((thread, tid))
+    }
+
+    const PRIORITY: u8 = 10;
+
+    /// One that another thread starts during a change of policy is not in the list yet.
+    #[test]
+    fn a_thread_that_was_missed_is_demoted_later() {
+        let stop = Arc::new(AtomicBool::new(false));
+        let Some((busy, busy_tid)) = thread("busy", &stop, true) else { return };
+        let Some((missed, missed_tid)) = thread("missed", &stop, false) else { return };
+        let lists = AtomicU64::new(0);
+        let list: ThreadLister = Box::new(move || {
+            // At the start, and when the first one is demoted.
+            let is_missed = lists.fetch_add(1, Ordering::Relaxed) < 2;
+            let tids = if is_missed { vec![busy_tid] } else { vec![busy_tid, missed_tid] };
+            Ok(tids.into_iter().map(|tid| (tid, Policy::Fifo(PRIORITY))).collect())
+        });
+        let guard = Guard::start("budget", Budget { percent: 5 }, Policy::Fifo(PRIORITY), list).unwrap();
+        let is = |policy| [busy_tid, missed_tid].map(|tid| tautline_rt::policy_of(tid).unwrap() == policy);
+        let until = std::time::Instant::now() + Duration::from_secs(10);
+        while is(Policy::Other { nice: 0 }) != [true; 2] {
+            assert!(std::time::Instant::now() < until, "{:?}", is(Policy::Other { nice: 0 }));
+            std::thread::yield_now();
+        }
+        assert_eq!(guard.demotions(), 1);
+        drop(guard);
+        assert_eq!(is(Policy::Fifo(PRIORITY)), [true; 2], "its end gives it back");
+        stop.store(true, Ordering::Relaxed);
+        busy.join().unwrap();
+        missed.join().unwrap();
     }
 
     #[test]

@@ -31,13 +31,21 @@ fn a_flood_runs_without_priority() {
         while subscription.try_take_valid().unwrap().is_some() {}
     };
     // Zenoh's and the gateways' own, but for the one that looks.
-    let is = |wanted: fn(Policy) -> bool| {
+    let mut seen = String::new();
+    let mut is = |wanted: fn(Policy) -> bool| {
         let own = tautline_rt::threads().unwrap().into_iter();
         let mut threads: Vec<_> =
             own.filter(|thread| thread.name.starts_with("gw-") && thread.name != "gw-budget").collect();
         assert_eq!(threads.len(), 12, "six of each gateway: {threads:?}");
         threads.append(&mut network_threads().unwrap());
-        threads.iter().all(|thread| wanted(thread.policy))
+        let other = threads.iter().filter(|thread| !wanted(thread.policy)).map(|thread| &thread.name);
+        let other = other.map(String::as_str).collect::<Vec<_>>().join(" ");
+        // For whoever looks why it failed.
+        if other != seen {
+            println!("not so: {other}");
+            seen.clone_from(&other);
+        }
+        other.is_empty()
     };
     until("ordinary threads", || {
         flood();
