@@ -45,7 +45,7 @@ pub enum BagError {
         source: io::Error,
     },
     /// It is no MCAP file, and no folder of some.
-    #[error("'{}' is no bag: {reason}", path.display())]
+    #[error("'{}' is not a bag: {reason}", path.display())]
     NoBag {
         /// The file or folder.
         path: PathBuf,

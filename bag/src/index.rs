@@ -30,7 +30,7 @@ pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, Bag
     let file = File::open(path).map_err(BagError::read(path))?;
     let found = file.metadata().map_err(BagError::read(path))?;
     if !found.is_file() {
-        return Err(BagError::NoBag { path: path.to_owned(), reason: "it is no file".to_owned() });
+        return Err(BagError::NoBag { path: path.to_owned(), reason: "it is not a file".to_owned() });
     }
     let bytes = found.len();
     let read = |from, to| read(&file, from, to).map_err(BagError::read(path));

@@ -90,7 +90,7 @@ pub fn form_of(path: &Path) -> Result<Form, BagError> {
     let file = File::open(path).map_err(BagError::read(path))?;
     let no_bag = |reason: &str| BagError::NoBag { path: path.to_owned(), reason: reason.to_owned() };
     if !file.metadata().map_err(BagError::read(path))?.is_file() {
-        return Err(no_bag("it is no file"));
+        return Err(no_bag("it is not a file"));
     }
     let mut begin = Vec::new();
     file.take(SQLITE_MAGIC.len() as u64).read_to_end(&mut begin).map_err(BagError::read(path))?;

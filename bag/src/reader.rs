@@ -175,7 +175,7 @@ impl FileReader {
         let metadata = file.metadata().map_err(BagError::read(path))?;
         let no_bag = |reason: &str| BagError::NoBag { path: path.to_owned(), reason: reason.to_owned() };
         if !metadata.is_file() {
-            return Err(no_bag("it is no file"));
+            return Err(no_bag("it is not a file"));
         }
         let (path, bytes) = (path.to_owned(), metadata.len());
         let mut magic = [0; 8];

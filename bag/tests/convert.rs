@@ -234,8 +234,8 @@ fn what_is_no_bag_leaves_nothing() {
     let whole = fs::read(&path).unwrap();
     let described = "version: 5\n  storage_identifier: sqlite3\n  relative_file_paths:";
     for (text, words) in [
-        ("", "metadata.yaml' is no bag: "),
-        ("version: [", "metadata.yaml' is no bag: "),
+        ("", "metadata.yaml' is not a bag: "),
+        ("version: [", "metadata.yaml' is not a bag: "),
         (&*format!("{described} []"), "it names no file"),
         (&format!("{described} [../old_0.db3]"), "names '../old_0.db3', which is outside of its folder"),
         (&format!("{described} [/etc/passwd]"), "names '/etc/passwd', which is outside"),
@@ -270,7 +270,7 @@ fn what_is_no_bag_leaves_nothing() {
     };
     damaged(b"", "it is empty");
     damaged(&whole[..5000], "it is cut off: 5000 bytes of 16384; `sqlite3 ");
-    damaged(&[&whole[..16], &[0xff; 300]].concat(), "is no bag: SQLite says:");
+    damaged(&[&whole[..16], &[0xff; 300]].concat(), "is not a bag: SQLite says:");
     damaged(
         &zstd::encode_all(&b"no database"[..], 1).unwrap(),
         "what is compressed in it: it begins neither",

@@ -165,9 +165,9 @@ fn what_is_refused_leaves_nothing() {
     let before = place.names();
     for (args, words) in [
         (&["none", "-o", "new"][..], "'none' cannot be read"),
-        (&["text.db3", "-o", "new"], "'text.db3' is no bag: it begins neither as MCAP nor as SQLite"),
+        (&["text.db3", "-o", "new"], "'text.db3' is not a bag: it begins neither as MCAP nor as SQLite"),
         (&["empty", "-o", "new"], "there is neither metadata.yaml nor a .mcap or .db3 file in it"),
-        (&["bag", "text.db3", "-o", "new"], "'text.db3' is no bag"),
+        (&["bag", "text.db3", "-o", "new"], "'text.db3' is not a bag"),
         (&["bag", "-o", "empty"], "'empty' exists already; choose another folder with -o, or remove it"),
         (&["bag", "-o", "new", "--storage", "sqlite3", "--compression", "lz4"], "with zstd alone"),
         (&["bag", "-o", "/proc/none/new"], "cannot be written"),

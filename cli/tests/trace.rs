@@ -177,7 +177,7 @@ fn what_is_no_recording_is_refused_by_name() {
         let out = taut(&["trace", verb, &file.display().to_string()]);
         assert_eq!(out.status.code(), Some(2));
         let complaint = text(&out.stderr);
-        assert!(complaint.contains("notes.txt` is no recording: it does not begin as one"), "{complaint}");
+        assert!(complaint.contains("notes.txt` is not a recording: it does not begin as one"), "{complaint}");
     }
     let out = taut(&["trace", "--domain", "231", "latency", &file.display().to_string()]);
     assert_eq!(out.status.code(), Some(2));

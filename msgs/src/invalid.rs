@@ -27,7 +27,7 @@ pub enum Invalid {
     },
     /// A field holds a number that none of its type's values has.
     #[error(
-        "byte {offset} of the body holds {value}, which is no `{type_name}`: its publisher wrote another type"
+        "byte {offset} of the body holds {value}, which is not a `{type_name}`: its publisher wrote another type"
     )]
     Value {
         /// Where the field starts, in bytes from the start of the body.

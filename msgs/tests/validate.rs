@@ -82,7 +82,7 @@ fn an_enum_is_one_of_its_variants() {
 #[test]
 fn the_first_fault_is_reported_in_words() {
     let fault = from_bytes::<Outer>(&body(12, &[2, 2]).0).expect_err("two invalid flags");
-    let text = "byte 12 of the body holds 2, which is no `bool`: its publisher wrote another type";
+    let text = "byte 12 of the body holds 2, which is not a `bool`: its publisher wrote another type";
     assert_eq!(fault.to_string(), text);
 }
 

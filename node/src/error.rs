@@ -150,8 +150,8 @@ pub enum Error {
         /// The domain.
         domain: u32,
     },
-    /// A process does not take up the new text of its system file.
-    #[error("{process} does not take up the new text of {}: {why}{}", path.display(), if *changed { "; processes before it have done so: mend that, and run it again" } else { "; nothing was changed" })]
+    /// A process did not apply the new text of its system file.
+    #[error("{process} did not apply the new text of {}: {why}{}", path.display(), if *changed { "; processes before it did: correct that, and run it again" } else { "; nothing was changed" })]
     NotTakenUp {
         /// The process.
         process: String,

@@ -149,7 +149,7 @@ impl Node {
         let handle = participant.create_node(&name, &namespace)?;
         if participant.node_count(handle.name()) > 1 {
             tracing::warn!(
-                "there is another node called {}: who asks for it by its name may get either; rename one with __node or __ns",
+                "there is another node called {}: lookups by this name may return either; rename one with __node or __ns",
                 handle.name()
             );
         }

@@ -12,12 +12,12 @@ use tautline_executor::stop_requested;
 use tautline_transport::{RawPublisher, RawSubscription};
 
 /// What happens to a publisher: a stream. See [`Node::publisher_events`].
-#[must_use = "nothing is told unless it is polled"]
+#[must_use = "no events are reported unless it is polled"]
 #[derive(Debug)]
 pub struct PublisherEvents(tautline_sampler::PublisherEvents);
 
 /// What happens to a subscription: a stream. See [`Node::subscription_events`].
-#[must_use = "nothing is told unless it is polled"]
+#[must_use = "no events are reported unless it is polled"]
 #[derive(Debug)]
 pub struct SubscriptionEvents(tautline_sampler::SubscriptionEvents);
 

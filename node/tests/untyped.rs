@@ -258,7 +258,7 @@ fn a_definition_comes_with_the_topic() {
         assert!(error.contains(expected), "{error}");
     }
     let error = untyped.publish_raw(&[0, 1, 0, 0, 0, 0, 0, 0, 2]).unwrap_err().to_string();
-    assert!(error.contains("`seen`: 2 is no bool"), "{error}");
+    assert!(error.contains("`seen`: 2 is not a bool"), "{error}");
 }
 
 /// The type is derived, and ROS has no fields of this name, so no definition of it exists anywhere.

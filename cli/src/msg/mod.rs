@@ -67,10 +67,10 @@ pub enum MsgError {
     Message(#[from] MessageError),
     #[error("{} cannot be read: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
-    #[error("`{}` is no file with a type: give a .msg, .srv or .action file, or a .json of a ROS package", path.display())]
+    #[error("`{}` is not a file with a type: give a .msg, .srv or .action file, or a .json of a ROS package", path.display())]
     File { path: PathBuf },
     #[error(
-        "`{text}` is no hexadecimal text: it needs pairs of digits 0-9 a-f, spaces between bytes allowed"
+        "`{text}` is not hexadecimal text: it needs pairs of digits 0-9 a-f, spaces between bytes allowed"
     )]
     Hex { text: String },
     #[error("the result cannot be printed: {0}")]

@@ -79,11 +79,11 @@ pub enum TraceError {
     Record(#[from] tautline_transport::TransportError),
     #[error(transparent)]
     Domain(tautline::Error),
-    #[error("a recording says itself of which domain it is: --domain goes with `taut trace record`")]
+    #[error("a recording contains its domain: --domain goes with `taut trace record`")]
     DomainOfRecording,
     #[error("`{}` cannot be read: {source}", path.display())]
     Read { path: PathBuf, source: io::Error },
-    #[error("`{}` is no recording: {reason}; `taut trace record` makes them", path.display())]
+    #[error("`{}` is not a recording: {reason}; `taut trace record` makes them", path.display())]
     NoRecording { path: PathBuf, reason: String },
     #[error("`{}` cannot be written: {source}; choose another place with -o", path.display())]
     Write { path: PathBuf, source: io::Error },

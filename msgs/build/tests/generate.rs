@@ -131,7 +131,7 @@ fn a_broken_definition_fails_the_build_with_its_place() {
     let grip = "msgs/arm_msgs/msg/Grip.msg";
     refused(
         &[(grip, "float32 force\n\nfloat32[ torque\n")],
-        "Error: /msgs/arm_msgs/msg/Grip.msg:3:1: `float32[` is no type",
+        "Error: /msgs/arm_msgs/msg/Grip.msg:3:1: `float32[` is not a type",
     );
     refused(
         &[(grip, "float32 force\nfloat32 force\n")],

@@ -37,7 +37,7 @@ pub enum SchemaError {
     },
     /// A name cannot be that of a type.
     #[error(
-        "`{name}` is no type name: write package/msg/Name (or srv, action) with a lower-case package and a capitalised type"
+        "`{name}` is not a type name: write package/msg/Name (or srv, action) with a lower-case package and a capitalised type"
     )]
     Name {
         /// The name.
@@ -74,7 +74,7 @@ pub enum SchemaError {
         reason: String,
     },
     /// Text is no type hash.
-    #[error("`{text}` is no type hash: it needs to be RIHS01_ and 64 hexadecimal digits in lower case")]
+    #[error("`{text}` is not a type hash: it needs to be RIHS01_ and 64 hexadecimal digits in lower case")]
     Hash {
         /// The text.
         text: String,
@@ -107,14 +107,14 @@ pub enum Fault {
     },
     /// Text that is no type.
     #[error(
-        "`{text}` is no type: write a primitive, string<=N, package/Name or Name, then [], [N] or [<=N] for many"
+        "`{text}` is not a type: write a primitive, string<=N, package/Name or Name, then [], [N] or [<=N] for many"
     )]
     Type {
         /// What stands there.
         text: String,
     },
     /// The length of an array or the bound of a sequence or string.
-    #[error("`{text}` is no length: it needs to be a whole number from 1 to 4294967295")]
+    #[error("`{text}` is not a length: it needs to be a whole number from 1 to 4294967295")]
     Bound {
         /// What stands there.
         text: String,
@@ -154,7 +154,7 @@ pub enum Fault {
         text: String,
     },
     /// A value that does not fit its type.
-    #[error("`{value}` is no {expected}")]
+    #[error("`{value}` is not a valid {expected}")]
     Value {
         /// The value, shortened.
         value: String,
@@ -178,7 +178,7 @@ pub enum Fault {
         found: usize,
     },
     /// A section of concatenated definitions that does not start with `MSG: package/Name`.
-    #[error("`{line}` is no section's start: `MSG: package/Name` needs to follow the line of =")]
+    #[error("`{line}` is not a section's start: `MSG: package/Name` needs to follow the line of =")]
     Section {
         /// The line, shortened.
         line: String,

@@ -46,7 +46,7 @@ pub enum MessageError {
         reason: String,
     },
     /// JSON or YAML is not a value of the type.
-    #[error("this is no `{type_name}`: {reason}")]
+    #[error("this is not a `{type_name}`: {reason}")]
     Text {
         /// The type.
         type_name: String,
@@ -86,7 +86,7 @@ pub enum DecodeFault {
     #[error("the string does not end with a zero byte: the message is of another type")]
     Terminator,
     /// A `bool` is neither 0 nor 1.
-    #[error("{value} is no bool: the message is of another type")]
+    #[error("{value} is not a bool: the message is of another type")]
     Bool {
         /// The number found.
         value: u8,

@@ -231,8 +231,8 @@ fn text_that_is_none() {
 
 #[test]
 fn a_bool_of_2() {
-    refused(&changed(32, &[2]), "byte 32 of the body, field `ok`", "2 is no bool");
-    refused(&changed(31, &[255]), "byte 31 of the body, field `path[0].flags[1]`", "255 is no bool");
+    refused(&changed(32, &[2]), "byte 32 of the body, field `ok`", "2 is not a bool");
+    refused(&changed(31, &[255]), "byte 31 of the body, field `path[0].flags[1]`", "255 is not a bool");
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -346,18 +346,18 @@ fn plain_types() {
         (
             12,
             2,
-            "byte 12 of the body, field `wheels[0].gear`: 2 is no `Gear`: the message is of another type",
+            "byte 12 of the body, field `wheels[0].gear`: 2 is not a `Gear`: the message is of another type",
         ),
         (
             20,
             0x80,
-            "byte 20 of the body, field `wheels[1].gear`: -128 is no `Gear`: the message is of another type",
+            "byte 20 of the body, field `wheels[1].gear`: -128 is not a `Gear`: the message is of another type",
         ),
-        (21, 2, "byte 21 of the body, field `wheels[1].on`: 2 is no bool: the message is of another type"),
+        (21, 2, "byte 21 of the body, field `wheels[1].on`: 2 is not a bool: the message is of another type"),
         (
             18,
             0x11,
-            "byte 16 of the body, field `wheels[1].letter`: 1114112 is no `char`: the message is of another type",
+            "byte 16 of the body, field `wheels[1].letter`: 1114112 is not a `char`: the message is of another type",
         ),
     ] {
         assert_eq!(said(at, &[byte], len), Err(expected.to_owned()));

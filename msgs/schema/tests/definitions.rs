@@ -77,11 +77,11 @@ fn comments_become_docs() {
 #[test]
 fn faults_have_a_place() {
     for (line, column, text, start) in [
-        (1, 9, "uint8 x 256", "`256` is no uint8: it needs to be from 0 to 255"),
-        (2, 9, "\nint8 X= 200", "`200` is no int8: it needs to be from -128 to 127"),
-        (1, 11, "bool[2] x [true]", "`[true]` is no list of 2 elements"),
-        (1, 17, "string<=2 name  abc", "`abc` is no string of at most 2 characters"),
-        (1, 10, "string s \"a#b\"", "`\"a` is no string: close it"),
+        (1, 9, "uint8 x 256", "`256` is not a valid uint8: it needs to be from 0 to 255"),
+        (2, 9, "\nint8 X= 200", "`200` is not a valid int8: it needs to be from -128 to 127"),
+        (1, 11, "bool[2] x [true]", "`[true]` is not a valid list of 2 elements"),
+        (1, 17, "string<=2 name  abc", "`abc` is not a valid string of at most 2 characters"),
+        (1, 10, "string s \"a#b\"", "`\"a` is not a valid string: close it"),
     ] {
         let (at_line, at_column, fault) = fault(text);
         assert!(matches!(&fault, Fault::Value { .. }) && fault.to_string().starts_with(start), "{fault}");

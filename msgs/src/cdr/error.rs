@@ -108,13 +108,13 @@ pub enum DecodeFault {
     #[error("the string does not end with a zero byte: the message is of another type")]
     Terminator,
     /// A `bool` is neither 0 nor 1.
-    #[error("{value} is no bool: the message is of another type")]
+    #[error("{value} is not a bool: the message is of another type")]
     Bool {
         /// The number found.
         value: u8,
     },
     /// A number that no value of an enum or `char` has.
-    #[error("{value} is no `{type_name}`: the message is of another type")]
+    #[error("{value} is not a `{type_name}`: the message is of another type")]
     Value {
         /// The number found.
         value: i64,

@@ -224,7 +224,7 @@ mod tests {
             "parameter 'gain' is of type double, but fast is of type string",
             "parameter 'arm.tool.name' is read-only: give its value when the program starts",
             "parameter 'other' is not declared",
-            "parameter 'gain': 12 is no type of parameters",
+            "parameter 'gain': 12 is not a type of parameters",
             "",
         ]) {
             assert!(reason.starts_with(expected) && reason.is_empty() == expected.is_empty(), "{reason}");

@@ -158,7 +158,7 @@ pub struct WrongParameterType {
 
 /// A message's type is none of `rcl_interfaces/msg/ParameterType`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("{number} is no type of parameters, which are 0 to 9")]
+#[error("{number} is not a type of parameters, which are 0 to 9")]
 pub struct UnknownParameterType {
     /// The type's number.
     pub number: u8,

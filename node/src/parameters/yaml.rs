@@ -98,7 +98,7 @@ impl Tree {
         let wrong = |what: &str| Err(format!("line {}: {what}", self.line));
         match self.node {
             Node::Nothing => wrong("there is no value"),
-            Node::Mapping(_) => wrong("a mapping is no value"),
+            Node::Mapping(_) => wrong("a mapping is not a value"),
             Node::Scalar(text, tag) => scalar(&text, tag.as_deref()).or_else(|what| wrong(&what)),
             Node::Sequence(items) => {
                 let mut values = Vec::new();
@@ -117,11 +117,11 @@ impl Tree {
 /// Rules and order of rcl_yaml_param_parser.
 fn scalar(text: &str, tag: Option<&str>) -> Result<ParameterValue, String> {
     let (boolean, integer, double) = (boolean(text), integer(text), double(text));
-    let missing = |kind: &str| format!("'{text}' is no {kind}");
+    let missing = |kind: &str| format!("'{text}' is not {kind}");
     Ok(match tag {
-        Some("bool") => ParameterValue::Bool(boolean.ok_or_else(|| missing("boolean"))?),
-        Some("int") => ParameterValue::Integer(integer.ok_or_else(|| missing("integer"))?),
-        Some("float") => ParameterValue::Double(double.ok_or_else(|| missing("double"))?),
+        Some("bool") => ParameterValue::Bool(boolean.ok_or_else(|| missing("a boolean"))?),
+        Some("int") => ParameterValue::Integer(integer.ok_or_else(|| missing("an integer"))?),
+        Some("float") => ParameterValue::Double(double.ok_or_else(|| missing("a double"))?),
         Some("str") => ParameterValue::String(text.into()),
         Some(other) => {
             return Err(format!(
@@ -346,8 +346,8 @@ mod tests {
             ("", "there is no value"),
             ("[1, 2.0]", "here are integer and double (2.0)"),
             ("[[1]]", "an array cannot lie in an array"),
-            ("{a: 1}", "a mapping is no value"),
-            ("!!int x", "'x' is no integer"),
+            ("{a: 1}", "a mapping is not a value"),
+            ("!!int x", "'x' is not an integer"),
             ("!!set x", "the tag 'set' is not known"),
             ("[1", "line"),
             ("a\n---\nb", "second document"),

@@ -60,11 +60,11 @@ const DEFINITIONS: [(&str, &str); 7] = definitions!(
 pub(crate) enum Refused {
     #[error("a description that is too long")]
     Length,
-    #[error("a reply that is none of the service's")]
+    #[error("a malformed reply")]
     Malformed,
     #[error("a node does not know its own type")]
     Unsuccessful,
-    #[error("a description of no valid type")]
+    #[error("an invalid type description")]
     Invalid,
     #[error("a description of another type than asked for")]
     Hash,
@@ -72,7 +72,7 @@ pub(crate) enum Refused {
     Store,
     #[error("no reply")]
     Silence,
-    #[error("a request that is none of the service's")]
+    #[error("a malformed request")]
     Request,
     #[error("asked for a type that is not known here")]
     Unknown,
