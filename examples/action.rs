@@ -18,7 +18,7 @@ fn show() -> Result<()> {
     let mut node = Node::create(context.clone(), "action", "")?;
     let goals = node.create_action_server::<Fibonacci::Action>("fibonacci")?;
     let client = node.create_action_client::<Fibonacci::Action>("fibonacci")?;
-    let available = Node::is_available(&client)?;
+    let available = client.wait_for_action_server()?;
     // Several goals at once: each is a future of its own.
     let serve = goals.for_each_concurrent(None, |request| async {
         if let Err(error) = decide(request).await {

@@ -24,7 +24,7 @@ fn show() -> Result<()> {
     {
         println!("{error}");
     }
-    let available = Node::is_available(&client)?;
+    let available = client.wait_for_service()?;
 
     let mut service = node.create_service::<AddTwoInts::Service>("add_two_ints", qos)?;
     let serve = node.spawn_callback(CallbackOptions::fifo(20).name("serve"), async move {

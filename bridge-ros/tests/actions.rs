@@ -93,7 +93,7 @@ fn goals_from_here_are_pursued_in_ros() {
     let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
     peer.tell(json!({ "do": "action_server", "name": "/fibonacci" }));
     let client = here.node.create_action_client::<Fibonacci::Action>("/fibonacci").unwrap();
-    let available = Node::is_available(&client).unwrap();
+    let available = client.wait_for_action_server().unwrap();
     here.wait("the action", available).unwrap();
 
     let sent = client.send_goal_request(Fibonacci::Goal { order: 8 }).unwrap();

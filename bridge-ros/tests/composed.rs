@@ -398,7 +398,7 @@ fn goals_from_another_host_are_pursued_in_ros() {
     let mut peer = Peer::start_with_services(&venv, A, "there");
     peer.tell(json!({ "do": "action_server", "name": "/fibonacci" }));
     let client = here.node.create_action_client::<Fibonacci::Action>("/fibonacci").unwrap();
-    here.available(&client);
+    here.wait("a server", client.wait_for_action_server().unwrap()).unwrap();
     // Nobody waits for the feedback's publisher: the first of it may be over before all on the way know who listens.
     for (order, is_first) in [(60_usize, true), (10, false)] {
         let goal = Fibonacci::Goal { order: i32::try_from(order).unwrap() };

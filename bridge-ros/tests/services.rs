@@ -13,7 +13,7 @@ use support::node::{Spinning, serve_echo};
 use support::{BridgeProcess, Peer, recovers, ros, wait_until};
 use tautline::std_srvs::srv::SetBool;
 use tautline::test_msgs::srv::BasicTypes;
-use tautline::{CallbackOptions, Client, Node, Qos, ServiceError};
+use tautline::{CallbackOptions, Node, Qos, ServiceError};
 use tautline_transport::{Limits, Participant, ServiceType};
 
 const SET_BOOL: &str = "std_srvs/srv/SetBool";
@@ -78,11 +78,6 @@ fn call(peer: &mut Peer, client: u64, requests: &[Value]) -> Vec<Value> {
     answers.flatten().collect()
 }
 
-fn available(here: &mut Spinning, client: &Client<SetBool::Service>) {
-    let available = Node::is_available(client).unwrap();
-    here.wait("a server", available).unwrap();
-}
-
 #[test]
 fn requests_are_answered_both_ways() {
     let Some(venv) = ros() else { return };
@@ -123,15 +118,14 @@ fn requests_are_answered_both_ways() {
     peer.tell(json!({ "do": "service", "name": "/there/set", "type": SET_BOOL, "behaviour": "set_bool" }));
     peer.tell(json!({ "do": "service", "name": "/there/echo", "type": BASIC_TYPES, "behaviour": "echo" }));
     let set = here.node.create_client::<SetBool::Service>("/there/set").unwrap();
-    available(&mut here, &set);
+    here.available(&set);
     let pending: Vec<_> =
         (0..50).map(|index| set.request(&SetBool::Request { data: index % 3 == 0 }).unwrap()).collect();
     let answers = here.wait("answers", join_all(pending));
     let answers: Vec<bool> = answers.into_iter().map(|answer| answer.unwrap().success).collect();
     assert!(answers.into_iter().eq((0..50).map(|index| index % 3 == 0)));
     let echo = here.node.create_client::<BasicTypes::Service>("/there/echo").unwrap();
-    let there = Node::is_available(&echo).unwrap();
-    here.wait("a server", there).unwrap();
+    here.available(&echo);
     for _ in 0..50 {
         let request = random(&mut rng);
         let answer = echo.request(&request).unwrap();
@@ -162,7 +156,7 @@ fn a_server_that_dies_ends_what_it_was_asked() {
     let mut server = Peer::start_with_services(&venv, DOMAIN, "server");
     server.tell(json!({ "do": "service", "name": "/set", "type": SET_BOOL, "behaviour": "silent" }));
     let client = here.node.create_client::<SetBool::Service>("/set").unwrap();
-    available(&mut here, &client);
+    here.available(&client);
     let pending = client.request(&SetBool::Request { data: true }).unwrap();
     server.kill();
     let error = here.wait("an error", pending).unwrap_err();
@@ -171,7 +165,7 @@ fn a_server_that_dies_ends_what_it_was_asked() {
     assert_eq!(failed["services"][0]["failed"], json!({ "its server has gone": 1 }));
     let mut server = Peer::start_with_services(&venv, DOMAIN, "server");
     server.tell(json!({ "do": "service", "name": "/set", "type": SET_BOOL, "behaviour": "set_bool" }));
-    available(&mut here, &client);
+    here.available(&client);
     let answer = client.request(&SetBool::Request { data: true }).unwrap();
     assert_eq!(here.wait("an answer", answer).unwrap().message, "on");
 
@@ -219,7 +213,7 @@ fn a_silent_server_is_asked_no_more_than_there_is_room_for() {
     // In ROS: a client has as many requests as it can have, and an error of the next.
     peer.tell(json!({ "do": "service", "name": "/there", "type": SET_BOOL, "behaviour": "silent" }));
     let client = here.node.create_client::<SetBool::Service>("/there").unwrap();
-    available(&mut here, &client);
+    here.available(&client);
     let ask = || client.request(&SetBool::Request { data: true });
     let pending: Vec<_> = (0..tautline::MAX_PENDING_REQUESTS).map(|_| ask().unwrap()).collect();
     let error = ask().unwrap_err();
@@ -238,7 +232,7 @@ fn what_cannot_be_passed_on_ends_alone() {
     let mut peer = Peer::start_with_services(&venv, DOMAIN, "there");
     peer.tell(json!({ "do": "service", "name": "/there", "type": SET_BOOL, "behaviour": "silent" }));
     let client = here.node.create_client::<SetBool::Service>("/there").unwrap();
-    available(&mut here, &client);
+    here.available(&client);
     let mut waiting = client.request(&SetBool::Request { data: true }).unwrap();
     let participant = Participant::new(DOMAIN).unwrap();
     let service_type = ServiceType::of::<SetBool::Service>();
@@ -270,8 +264,8 @@ fn a_bridge_that_dies_ends_what_it_was_asked_and_the_next_one_goes_on() {
     peer.tell(json!({ "do": "service", "name": "/set", "type": SET_BOOL, "behaviour": "set_bool" }));
     let [silent, set] =
         ["/silent", "/set"].map(|name| here.node.create_client::<SetBool::Service>(name).unwrap());
-    available(&mut here, &silent);
-    available(&mut here, &set);
+    here.available(&silent);
+    here.available(&set);
     let asking = peer.tell(json!({ "do": "client", "name": "/here", "type": SET_BOOL }));
     peer.tell(json!({ "do": "call", "end": asking, "requests": [{ "data": false }] }));
 
@@ -282,7 +276,7 @@ fn a_bridge_that_dies_ends_what_it_was_asked_and_the_next_one_goes_on() {
         }
         assert!(here.wait("an error", pending).is_err());
         bridge = Some(BridgeProcess::start(DOMAIN, DOMAIN, &[]));
-        available(&mut here, &set);
+        here.available(&set);
         let answer = set.request(&SetBool::Request { data: false }).unwrap();
         assert_eq!(here.wait("an answer", answer).unwrap().message, "off");
         // What rclpy still knows of the bridge before does not answer; the one that answers is asked again.
@@ -291,7 +285,7 @@ fn a_bridge_that_dies_ends_what_it_was_asked_and_the_next_one_goes_on() {
             std::thread::sleep(Duration::from_millis(200));
             peer.tell(json!({ "do": "answered" })) == true
         });
-        available(&mut here, &silent);
+        here.available(&silent);
     });
 }
 

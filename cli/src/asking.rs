@@ -86,7 +86,7 @@ impl Drop for Asking {
 async fn exchange<T: Service>(client: Client<T>, is_there: bool, request: T::Request) -> Answer<T> {
     // Gateways and bridges fetch what somebody wants to ask.
     if is_there {
-        Node::is_available(&client)?.await?;
+        client.wait_for_service()?.await?;
     }
     client.request(&request)?.await
 }

@@ -95,7 +95,7 @@ pub use qos_events::{
 };
 pub use reload::apply_system;
 pub use remap::RemapRules;
-pub use service::{Client, IsAvailablePollable, ResponseFuture, Server, ServiceRequest};
+pub use service::{Client, ResponseFuture, Server, ServiceRequest};
 pub use statistics::shared_statistics;
 pub use subscription::Subscription;
 pub use system::CallbackJoin;

@@ -80,7 +80,7 @@ fn serve(node: &mut Node, name: &str) {
 
 fn client(node: &mut Node, name: &str) -> ActionClient<Fibonacci::Action> {
     let client = node.create_action_client(name).unwrap();
-    block_on(Node::is_available(&client).unwrap()).unwrap();
+    block_on(client.wait_for_action_server().unwrap()).unwrap();
     client
 }
 
@@ -207,7 +207,7 @@ fn a_goal_is_known_as_long_as_somebody_asks_about_it() {
     assert!(client.send_goal_request(Fibonacci::Goal { order: 1 }).is_err(), "there is no server");
     known(&client, 0);
     serve(&mut node, "known");
-    block_on(Node::is_available(&client).unwrap()).unwrap();
+    block_on(client.wait_for_action_server().unwrap()).unwrap();
     for order in [0, 8] {
         drop(client.send_goal_request(Fibonacci::Goal { order }).unwrap());
         known(&client, 0);
@@ -393,7 +393,8 @@ fn a_goal_whose_result_cannot_be_asked_for_is_cancelled() {
     let (second_goal, mut cancels) = block_on(accept(&mut goals));
     let _first = block_on(first).unwrap();
     // Each waits in a place of every service of the action.
-    let _waits: Vec<_> = (1..MAX_PENDING_REQUESTS).map(|_| Node::is_available(&client).unwrap()).collect();
+    let _waits: Vec<_> =
+        (1..MAX_PENDING_REQUESTS).map(|_| client.wait_for_action_server().unwrap()).collect();
     let error = block_on(second).err().unwrap();
     assert!(matches!(error, Error::GoalUnheard { .. }), "{error}");
     assert!(error.to_string().contains("was asked to cancel it"), "{error}");
@@ -445,7 +446,7 @@ fn goals_as_json() {
     serve(&mut node, "json");
     let client = node.create_action_client_untyped("json", "example_interfaces/action/Fibonacci").unwrap();
     block_on(async {
-        Node::is_available(&client).unwrap().await.unwrap();
+        client.wait_for_action_server().unwrap().await.unwrap();
         let sent = client.send_goal_request(json!({ "order": 5 })).unwrap();
         let (goal, result, feedback) = sent.await.unwrap();
         let feedback: Vec<_> = feedback.map(Result::unwrap).collect().await;

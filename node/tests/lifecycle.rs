@@ -250,9 +250,7 @@ fn its_state_is_told_while_a_callback_runs() {
     let mut other = Node::create(context, "manager", "").unwrap();
     let change = other.create_client::<ChangeState::Service>("/slow/change_state").unwrap();
     let state = other.create_client::<GetState::Service>("/slow/get_state").unwrap();
-    for available in
-        [Node::is_available(&change).unwrap().boxed(), Node::is_available(&state).unwrap().boxed()]
-    {
+    for available in [change.wait_for_service().unwrap().boxed(), state.wait_for_service().unwrap().boxed()] {
         block_on(available).unwrap();
     }
     let mut request = ChangeState::Request::default();
@@ -314,7 +312,7 @@ fn its_services_are_ros_2s() {
     let [transitions, graph] = ["available_transitions", "transition_graph"].map(|name| {
         other.create_client::<GetAvailableTransitions::Service>(&format!("/served/get_{name}")).unwrap()
     });
-    block_on(Node::is_available(&change).unwrap()).unwrap();
+    block_on(change.wait_for_service().unwrap()).unwrap();
     let ask = |id: u8, label: &str| {
         let mut request = ChangeState::Request::default();
         (request.transition.id, request.transition.label) = (id, label.to_owned());

@@ -32,7 +32,7 @@ fn child_main() {
     match part.as_str() {
         "killed_client" => {
             let client = node.create_client::<AddTwoInts::Service>(&service(&part)).unwrap();
-            block_on(Node::is_available(&client).unwrap()).unwrap();
+            block_on(client.wait_for_service().unwrap()).unwrap();
             let _answer = client.request(&AddTwoInts::Request { a: 1, b: 1 }).unwrap();
             println!("asked");
             block_on(futures::future::pending())
@@ -96,7 +96,7 @@ fn a_killed_server_ends_its_requests_and_a_new_one_takes_over() {
     for round in 0..3 {
         let mut server = Peer::start("killed_server");
         server.expect("serving");
-        block_on(Node::is_available(&client).unwrap()).unwrap();
+        block_on(client.wait_for_service().unwrap()).unwrap();
         let answer = block_on(client.request(&AddTwoInts::Request { a: round, b: 1 }).unwrap());
         assert_eq!(answer.unwrap().sum, round + 1);
         let mut silent = client.request(&AddTwoInts::Request { a: 0, b: 0 }).unwrap();

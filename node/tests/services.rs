@@ -117,16 +117,19 @@ fn a_service_without_a_server_is_an_error_and_can_be_waited_for() {
     let _spinning = spin(&ctx);
     let error = client.request(&question(1, 2)).unwrap_err();
     assert!(matches!(error, Error::Service(ServiceError::NoServer { .. })), "{error}");
-    assert!(error.to_string().contains("'/nobody'") && error.to_string().contains("is_available"), "{error}");
+    assert!(
+        error.to_string().contains("'/nobody'") && error.to_string().contains("wait_for_service"),
+        "{error}"
+    );
 
-    let waits = [Node::is_available(&client).unwrap(), Node::is_available(&client).unwrap()];
-    assert!(Node::is_available(&client).unwrap().now_or_never().is_none());
+    let waits = [client.wait_for_service().unwrap(), client.wait_for_service().unwrap()];
+    assert!(client.wait_for_service().unwrap().now_or_never().is_none());
     let _service = serve(&mut node, "nobody");
     for wait in waits {
         block_on(wait).unwrap();
     }
     assert_eq!(block_on(client.request(&question(1, 2)).unwrap()).unwrap().sum, 3);
-    assert!(Node::is_available(&client).unwrap().now_or_never().is_some());
+    assert!(client.wait_for_service().unwrap().now_or_never().is_some());
 }
 
 #[test]
@@ -247,7 +250,7 @@ fn more_pending_requests_than_a_client_can_have() {
         (0..tautline::MAX_PENDING_REQUESTS).map(|_| client.request(&question(1, 1)).unwrap()).collect();
     let error = client.request(&question(1, 1)).unwrap_err();
     assert!(matches!(error, Error::Service(ServiceError::TooManyPending { .. })), "{error}");
-    assert!(Node::is_available(&client).is_err(), "waiting takes a place as well");
+    assert!(client.wait_for_service().is_err(), "waiting takes a place as well");
     drop(answers.pop());
     answers.push(client.request(&question(2, 2)).unwrap());
     for _ in 0..=tautline::MAX_PENDING_REQUESTS {

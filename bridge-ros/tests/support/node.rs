@@ -8,8 +8,9 @@ use futures::future::{Either, select};
 use std::future::Future;
 use std::pin::pin;
 use std::thread::JoinHandle;
+use tautline::codec::ServiceCodec;
 use tautline::test_msgs::srv::BasicTypes;
-use tautline::{CallbackHandle, CallbackOptions, Context, IsAvailablePollable, Node, Qos, Realtime};
+use tautline::{CallbackHandle, CallbackOptions, Client, Context, Node, Qos, Realtime};
 
 /// Its context spins until this is dropped.
 pub struct Spinning {
@@ -36,10 +37,9 @@ impl Spinning {
         }
     }
 
-    /// Waits for the servers of a client.
-    pub fn available(&mut self, client: &dyn IsAvailablePollable) {
-        let available = Node::is_available(client).unwrap();
-        self.wait("a server", available).unwrap();
+    /// Waits for the server of a client.
+    pub fn available<T: ServiceCodec>(&mut self, client: &Client<T>) {
+        self.wait("a server", client.wait_for_service().unwrap()).unwrap();
     }
 }
 

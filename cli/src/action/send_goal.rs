@@ -14,7 +14,7 @@ use std::io::{self, Write};
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
-use tautline::{ActionClient, Error, GoalStatus, GraphSnapshot, Json, Node, find_schema};
+use tautline::{ActionClient, Error, GoalStatus, GraphSnapshot, Json, find_schema};
 use tautline_schema::{DynamicMessage, Schema};
 use tautline_transport::{TopicType, graph_of};
 
@@ -101,7 +101,7 @@ async fn pursue(
     let no = |error: Error| Failure::no(error.to_string());
     let mut cancelled = cancelled.fuse();
     // Before there is a goal there is nothing to cancel.
-    match select(Node::is_available(client)?, &mut cancelled).await {
+    match select(client.wait_for_action_server()?, &mut cancelled).await {
         Either::Left((available, _)) => available.map_err(no)?,
         Either::Right(_) => return Err(Failure::no("there is no server yet: nothing was sent")),
     }

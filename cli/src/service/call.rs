@@ -7,7 +7,7 @@ use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::Args;
 use std::io::{self, Write};
-use tautline::{Error, Json, Node};
+use tautline::{Error, Json};
 use tautline_schema::DynamicMessage;
 use tautline_transport::graph_of;
 
@@ -40,7 +40,7 @@ pub fn run(args: &CallArgs, common: &CommonArgs) -> Outcome {
     let (request, response) = client.definitions();
     let request = Json(DynamicMessage::from_yaml(request, values)?.to_json_value());
     let answer = asking.wait(|| format!("'{service}' to answer"), async {
-        Node::is_available(&client)?.await?;
+        client.wait_for_service()?.await?;
         client.request(&request)?.await
     })?;
     // The answer, once it is there, is a message or it is not: that is no "no".

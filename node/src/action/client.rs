@@ -6,12 +6,12 @@ use super::state::{GoalStatus, SharedStatus};
 use super::{FEEDBACK_DEPTH, Names, status_qos};
 use crate::error::{Error, Result};
 use crate::node::Node;
-use crate::service::{Client, IsAvailablePollable};
+use crate::service::Client;
 use crate::subscription::Subscription;
 use futures::channel::{mpsc, oneshot};
-use futures::future::{AbortHandle, Abortable, BoxFuture};
+use futures::future::{AbortHandle, Abortable, BoxFuture, try_join3};
 use futures::stream::FuturesUnordered;
-use futures::{FutureExt, Stream, StreamExt};
+use futures::{FutureExt, Stream, StreamExt, TryFutureExt};
 use std::future::{Future, poll_fn, ready};
 use std::sync::{Arc, Weak};
 use std::task::{Context, Poll};
@@ -20,9 +20,7 @@ use tautline_msgs::{Action, GoalId, Service};
 use tautline_ros_msgs::action_msgs::msg::GoalStatusArray;
 use tautline_ros_msgs::action_msgs::srv::CancelGoal;
 use tautline_rt::{PiGuard, PiMutex};
-use tautline_transport::{
-    Availability, Decode, MAX_PENDING_REQUESTS, ServiceCodec, ServiceError, SubscriptionCounters,
-};
+use tautline_transport::{Decode, MAX_PENDING_REQUESTS, ServiceCodec, ServiceError, SubscriptionCounters};
 use uuid::Uuid;
 
 /// How goals, results and feedback of an action travel. Every [`Action`] is its own codec.
@@ -215,13 +213,6 @@ impl<P: ActionCodec> ActionClientState<P> {
         if let Some(goal) = self.goals().iter_mut().find(|goal| goal.id == id) {
             goal.feedback = None;
         }
-    }
-
-    fn availability(&self) -> Result<Vec<Availability>> {
-        let mut all = self.send_goal.lock().availability()?;
-        all.extend(self.get_result.lock().availability()?);
-        all.extend(self.cancel_goal.lock().availability()?);
-        Ok(all)
     }
 
     /// Sends a goal; the future ends with its handle, its result to come and its feedback.
@@ -468,6 +459,18 @@ impl<T: ActionCodec> ActionClient<T> {
         Ok(ActionClient { shared })
     }
 
+    /// Waits until the action has a server: one for each of its services. The wait counts as a pending request of each.
+    ///
+    /// # Errors
+    /// [`Error::Service`] if a client has no room for one more; of the future, if the client's node ends.
+    pub fn wait_for_action_server(&self) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<T>> {
+        let ActionClientState { send_goal, get_result, cancel_goal, .. } = &*self.shared;
+        let send_goal = send_goal.lock().wait_for_service()?;
+        let get_result = get_result.lock().wait_for_service()?;
+        let cancel_goal = cancel_goal.lock().wait_for_service()?;
+        Ok(try_join3(send_goal, get_result, cancel_goal).map_ok(drop))
+    }
+
     /// Sends a goal. If the server accepts it, the future ends with the goal's handle, a future of its result, and a stream of
     /// its feedback, which ends with the goal. 1000 messages of it wait to be read, and 1000 of the whole server for the client's thread that listens; what comes
     /// then is lost, with a warning.
@@ -539,12 +542,6 @@ impl<T: ActionCodec> Clone for ActionClient<T> {
 impl<T: ActionCodec> Clone for ActionClientGoal<T> {
     fn clone(&self) -> Self {
         ActionClientGoal { uuid: self.uuid, held: self.held.clone() }
-    }
-}
-
-impl<T: ActionCodec> IsAvailablePollable for ActionClient<T> {
-    fn availability(&self) -> Result<Vec<Availability>> {
-        self.shared.availability()
     }
 }
 

@@ -48,7 +48,7 @@ impl Node {
     ///     }
     /// })?;
     /// let client = node.create_action_client::<Fibonacci::Action>("/fibonacci")?;
-    /// let available = Node::is_available(&client)?;
+    /// let available = client.wait_for_action_server()?;
     /// let stop = ctx.events().clone();
     /// node.spawn_callback(CallbackOptions::other(), async move {
     ///     available.await.unwrap();

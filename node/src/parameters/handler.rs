@@ -1,15 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The six parameter services of a node, as r2r has them.
 
+use super::ParameterValue;
 use super::services::{self, Changed};
-use super::{ParameterValue, RosParams};
 use crate::error::Result;
 use crate::node::Node;
 use futures::channel::mpsc;
 use futures::future::{BoxFuture, join_all, ready};
 use futures::{FutureExt, Stream, StreamExt};
 use std::future::Future;
-use std::sync::{Arc, Mutex};
 use tautline_msgs::Service;
 use tautline_ros_msgs::rcl_interfaces::srv::{
     DescribeParameters, GetParameterTypes, GetParameters, ListParameters, SetParameters,
@@ -67,23 +66,6 @@ impl Node {
             })?;
         let answers = join_all([get, types, describe, list, set, atomically]);
         Ok((answers.map(drop), changed))
-    }
-
-    /// As [`make_parameter_handler`](Self::make_parameter_handler), for a struct whose fields are the parameters. It takes the
-    /// values from the command line now, and what others set later.
-    ///
-    /// # Errors
-    /// As [`make_parameter_handler`](Self::make_parameter_handler); [`Error::Parameter`](crate::Error::Parameter) if a value
-    /// from the command line does not fit.
-    pub fn make_derived_parameter_handler(
-        &mut self,
-        params_struct: Arc<Mutex<dyn RosParams + Send>>,
-    ) -> Result<(
-        impl Future<Output = ()> + Send + use<>,
-        impl Stream<Item = (String, ParameterValue)> + Send + Unpin + use<>,
-    )> {
-        self.parameters.declare_struct(params_struct)?;
-        self.make_parameter_handler()
     }
 
     /// A service below the node's name that is seldom asked, and the future that answers.

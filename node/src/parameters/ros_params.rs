@@ -7,7 +7,7 @@ use indexmap::IndexMap;
 use std::fmt::Display;
 
 /// A struct whose fields are a node's parameters: see
-/// [`Node::make_derived_parameter_handler`](crate::Node::make_derived_parameter_handler). Usually derived.
+/// [`Parameters::declare_struct`](crate::Parameters::declare_struct). Usually derived.
 ///
 /// A field's documentation is the parameter's description; `#[param(...)]` says what else is known of it:
 ///

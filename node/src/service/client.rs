@@ -2,6 +2,7 @@
 //! Clients, and waiting for servers.
 
 use crate::error::{Error, Result};
+use futures::TryFutureExt;
 use std::future::Future;
 use std::pin::Pin;
 use std::task::{Context, Poll};
@@ -11,7 +12,7 @@ use tautline_msgs::{Plain, Service};
 use tautline_rt::clock::monotonic_ns;
 use tautline_sampler::{Alarm, Events};
 use tautline_transport::{
-    Availability, Decode, Loan, PendingResponse, RawClient, SendError, ServiceCodec, ServiceError, Unwritten,
+    Decode, Loan, PendingResponse, RawClient, SendError, ServiceCodec, ServiceError, Unwritten,
 };
 
 /// Asks a service: with owned messages, or with requests that are written, and responses that are read, in shared memory.
@@ -70,6 +71,16 @@ impl<T: ServiceCodec<Error: Into<Error>>> Client<T> {
     /// Number of servers.
     pub fn server_count(&self) -> usize {
         self.inner.server_count()
+    }
+}
+
+impl<T: ServiceCodec> Client<T> {
+    /// Waits until the service has a server. The wait counts as a pending request of the client.
+    ///
+    /// # Errors
+    /// [`Error::Service`] if the client has no room for one more; of the future, if the client's node ends.
+    pub fn wait_for_service(&self) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<T>> {
+        Ok(self.inner.availability()?.map_err(Error::from))
     }
 }
 
@@ -183,28 +194,6 @@ impl<T: ServiceCodec> Future for ResponseFuture<T> {
             Some(limit) => limit.poll(context).map(Err),
             None => Poll::Pending,
         }
-    }
-}
-
-/// What can wait for its server: see [`Node::is_available`](crate::Node::is_available).
-pub trait IsAvailablePollable {
-    /// One wait for each service that must have a server.
-    ///
-    /// # Errors
-    /// [`Error::Service`] if the client has no room for one more.
-    #[doc(hidden)]
-    fn availability(&self) -> Result<Vec<Availability>>;
-}
-
-impl<T: ServiceCodec> IsAvailablePollable for Client<T> {
-    fn availability(&self) -> Result<Vec<Availability>> {
-        Ok(vec![self.inner.availability()?])
-    }
-}
-
-impl IsAvailablePollable for RawClient {
-    fn availability(&self) -> Result<Vec<Availability>> {
-        Ok(vec![RawClient::availability(self)?])
     }
 }
 

@@ -6,7 +6,7 @@ mod server;
 #[cfg(feature = "untyped")]
 mod untyped;
 
-pub use client::{Client, IsAvailablePollable, ResponseFuture};
+pub use client::{Client, ResponseFuture};
 #[cfg(feature = "action_msgs")]
 pub(crate) use server::Reply;
 pub use server::{Server, ServiceRequest};
@@ -15,15 +15,13 @@ pub use server::{Server, ServiceRequest};
 use crate::error::Error;
 use crate::error::Result;
 use crate::node::Node;
-use futures::FutureExt;
-use std::future::Future;
 use tautline_msgs::Service;
 use tautline_transport::{Limits, Qos};
 
 /// A service's queues keep all: of the quality of service the depth counts, which is how many requests of one client can
 /// wait at a server.
 ///
-/// A request goes to every server, as in ROS 2, and the first response counts. Without a server it is an error: wait with [`is_available`](Node::is_available) first. If all servers that got it end or are
+/// A request goes to every server, as in ROS 2, and the first response counts. Without a server it is an error: wait with [`Client::wait_for_service`] first. If all servers that got it end or are
 /// killed, it ends with an error as well.
 impl Node {
     /// Creates a service: a stream of requests, read in shared memory, and the means to answer them there. [`Server::owned`] makes a
@@ -84,18 +82,6 @@ impl Node {
         let name = self.resolve_service_name(service_name)?;
         self.service_limits.insert(name, limits);
         Ok(())
-    }
-
-    /// Waits until the client's service, or all that the client's action consists of, has a server. The wait counts as a
-    /// pending request of the client.
-    ///
-    /// # Errors
-    /// [`Error::Service`] if the client has no room for one more; of the future, if the client's node ends.
-    pub fn is_available(
-        client: &dyn IsAvailablePollable,
-    ) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<>> {
-        let all = client.availability()?;
-        Ok(futures::future::try_join_all(all).map(|available| Ok(available.map(drop)?)))
     }
 
     pub(crate) fn resolve_service(&self, service_name: &str) -> Result<(String, Limits)> {

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
+use crate::client::IsAvailablePollable;
 use futures::Stream;
+use futures::future::BoxFuture;
 use tautline::codec::ActionCodec;
-use tautline::raw::Availability;
-use tautline::{Action, ActionServerCancelRequest, GoalStatus, IsAvailablePollable, Json, Result};
+use tautline::{Action, ActionServerCancelRequest, GoalStatus, Json, Result};
 
 /// An action client as r2r has it; beneath it is a [`tautline::ActionClient`]. A clone is the same client.
 #[derive(Debug)]
@@ -118,8 +119,8 @@ where
 }
 
 impl<T: ActionCodec> IsAvailablePollable for ActionClient<T> {
-    fn availability(&self) -> Result<Vec<Availability>> {
-        self.0.availability()
+    fn wait(&self) -> Result<BoxFuture<'static, Result<()>>> {
+        Ok(Box::pin(self.0.wait_for_action_server()?))
     }
 }
 

@@ -1,9 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
+use futures::future::BoxFuture;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tautline::codec::ServiceCodec;
-use tautline::raw::Availability;
-use tautline::{Error, IsAvailablePollable, Json, ResponseFuture, Result};
+use tautline::{Error, Json, ResponseFuture, Result};
+
+/// What can wait for its server: see [`Node::is_available`](crate::Node::is_available).
+pub trait IsAvailablePollable {
+    /// A wait, if there is room for one.
+    ///
+    /// # Errors
+    /// As [`tautline::Client::wait_for_service`].
+    #[doc(hidden)]
+    fn wait(&self) -> Result<BoxFuture<'static, Result<()>>>;
+}
 
 /// A client as r2r has it, for several threads; beneath it is a [`tautline::Client`].
 #[derive(Debug)]
@@ -23,8 +33,8 @@ impl<T: ServiceCodec<Error: Into<Error>>> Client<T> {
 }
 
 impl<T: ServiceCodec> IsAvailablePollable for Client<T> {
-    fn availability(&self) -> Result<Vec<Availability>> {
-        lock(&self.0).availability()
+    fn wait(&self) -> Result<BoxFuture<'static, Result<()>>> {
+        Ok(Box::pin(lock(&self.0).wait_for_service()?))
     }
 }
 
@@ -53,7 +63,7 @@ impl ClientUntyped {
 }
 
 impl IsAvailablePollable for ClientUntyped {
-    fn availability(&self) -> Result<Vec<Availability>> {
-        self.0.availability()
+    fn wait(&self) -> Result<BoxFuture<'static, Result<()>>> {
+        self.0.wait()
     }
 }

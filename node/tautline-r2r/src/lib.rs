@@ -75,7 +75,7 @@ pub use action::{
     ActionClient, ActionClientGoal, ActionClientGoalUntyped, ActionClientUntyped, ActionServerGoal,
     ActionServerGoalRequest,
 };
-pub use client::{Client, ClientUntyped};
+pub use client::{Client, ClientUntyped, IsAvailablePollable};
 pub use message::{NativeMsg, ROS_DISTRO, WrappedTypesupport};
 pub use node::{Node, TopicEndpointInfo};
 pub use publisher::{Publisher, PublisherUntyped};

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use crate::action::{ActionClient, ActionClientUntyped, ActionServerGoalRequest};
-use crate::client::{Client, ClientUntyped};
+use crate::client::{Client, ClientUntyped, IsAvailablePollable};
 use crate::publisher::{Publisher, PublisherUntyped};
 use crate::qos::QosProfile;
 use crate::time::{Clock, TimeSource, Timer};
@@ -10,7 +10,9 @@ use indexmap::IndexMap;
 use std::ops::{Deref, DerefMut};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
-use tautline::{Action, Context, Message, Parameter, Result, Service, ServiceRequest};
+use tautline::{
+    Action, Context, Message, Parameter, ParameterValue, Result, RosParams, Service, ServiceRequest,
+};
 
 /// A node as r2r has it; beneath it is a [`tautline::Node`].
 #[derive(Debug)]
@@ -162,14 +164,30 @@ impl Node {
         Ok(ClientUntyped(client.into()))
     }
 
-    /// As [`tautline::Node::is_available`].
+    /// As [`tautline::Client::wait_for_service`] and [`tautline::ActionClient::wait_for_action_server`].
     ///
     /// # Errors
     /// As there.
     pub fn is_available(
-        client: &dyn tautline::IsAvailablePollable,
+        client: &dyn IsAvailablePollable,
     ) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<>> {
-        tautline::Node::is_available(client)
+        client.wait()
+    }
+
+    /// As [`tautline::Node::make_parameter_handler`], for a struct whose fields are the parameters. It takes the values from the
+    /// command line now, and what others set later.
+    ///
+    /// # Errors
+    /// As there, and as [`tautline::Parameters::declare_struct`].
+    pub fn make_derived_parameter_handler(
+        &mut self,
+        params_struct: Arc<Mutex<dyn RosParams + Send>>,
+    ) -> Result<(
+        impl Future<Output = ()> + Send + use<>,
+        impl Stream<Item = (String, ParameterValue)> + Send + Unpin + use<>,
+    )> {
+        self.inner.parameters().declare_struct(params_struct)?;
+        self.inner.make_parameter_handler()
     }
 
     /// As [`tautline::Node::create_action_client`].

@@ -117,7 +117,7 @@ impl Participant {
 #[non_exhaustive]
 pub enum ServiceError {
     /// Nobody serves it. Nothing was sent.
-    #[error("service '{service}' has no server: start one, or wait with `Node::is_available` before asking")]
+    #[error("service '{service}' has no server: start one, or wait for one with `wait_for_service`")]
     NoServer {
         /// The service.
         service: Arc<str>,

@@ -155,7 +155,7 @@ fn components_come_and_go_by_service() {
     let mut command = container(59, &[]);
     let command = command.args(["--name", "served", "--ros-args", "-r", "count:=/global/count"]);
     let running = Running(command.spawn().unwrap());
-    block_on(Node::is_available(&list).unwrap()).unwrap();
+    block_on(list.wait_for_service().unwrap()).unwrap();
     let ask_with = |plugin: &str, rules: &[&str], level: u8, parameters: &[Named], extra: &[Named]| {
         let message = |(name, value): &Named| Parameter { name: (*name).into(), value: value.into() };
         let request = LoadNode::Request {
@@ -235,7 +235,7 @@ fn a_library_that_was_replaced_is_not_taken_for_the_one_that_is_loaded() {
     let load = node.create_client::<LoadNode::Service>("/ComponentManager/_container/load_node").unwrap();
     let spinning = std::thread::spawn(move || context.spin().map(|()| context));
     let running = Running(container(76, &[]).spawn().unwrap());
-    block_on(Node::is_available(&load).unwrap()).unwrap();
+    block_on(load.wait_for_service().unwrap()).unwrap();
     let ask = || {
         let plugin_name = "demo::Counter".into();
         let package_name = library.to_str().unwrap().into();

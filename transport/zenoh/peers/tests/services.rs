@@ -113,7 +113,7 @@ fn a_service_each_way() {
     let mut pair = Pair::new(68);
     let mut server = pair.theirs.create_service::<TheirSetBool>("/theirs/switch").build().unwrap();
     let client = pair.ours.create_client::<SetBool::Service>("/theirs/switch").unwrap();
-    block_on(Node::is_available(&client).unwrap()).unwrap();
+    block_on(client.wait_for_service().unwrap()).unwrap();
     for data in [true, false] {
         let response = client.request(&SetBool::Request { data }).unwrap();
         let request = wait("our request", || server.try_take_request().unwrap());
@@ -152,7 +152,7 @@ fn our_goals_for_their_server() {
         goal.succeed(FibonacciResult { sequence: numbers(order) }).unwrap();
     });
     let client = pair.ours.create_action_client::<Fibonacci::Action>("/theirs/fibonacci").unwrap();
-    block_on(Node::is_available(&client).unwrap()).unwrap();
+    block_on(client.wait_for_action_server().unwrap()).unwrap();
     let goal = client.send_goal_request(Fibonacci::Goal { order: 5 }).unwrap();
     let (goal, result, feedback) = block_on(goal).unwrap();
     let (status, result) = block_on(result).unwrap();
