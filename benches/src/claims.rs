@@ -3,7 +3,7 @@
 
 mod aims;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
@@ -12,7 +12,8 @@ use toml::Spanned;
 use crate::rows::{By, Compared, Figure, Metric, Row};
 use crate::table::{bytes_of, short};
 
-pub use aims::{Aim, Column, aims};
+use aims::Aim;
+pub use aims::{Aimed, Column, Judged, judge};
 
 const FILE: &str = include_str!("../claims.toml");
 
@@ -25,12 +26,15 @@ pub struct Verdict {
     /// Of a claim that is missed: why it stays so.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
+    /// Whether a miss is an error: the machine has no part in it.
+    #[serde(skip)]
+    is_must: bool,
 }
 
 impl Verdict {
     /// Of a claim that needs no reason.
     pub fn new(claim: impl Into<String>, found: impl Into<String>, holds: Option<bool>) -> Self {
-        Verdict { claim: claim.into(), found: found.into(), holds, reason: None }
+        Verdict { claim: claim.into(), found: found.into(), holds, reason: None, is_must: false }
     }
 
     pub fn word(&self) -> &'static str {
@@ -86,11 +90,9 @@ impl Measurable {
 /// Prints what must hold between the rows of a bench that always measures all.
 ///
 /// # Errors
-/// The file says what cannot be judged.
-pub fn print(bench: Bench, rows: &[Row]) -> Result<(), BadClaims> {
-    let verdicts = verdicts(bench, &Measurable::of(rows.iter()), rows)?;
-    verdicts.iter().for_each(|verdict| println!("{verdict}"));
-    Ok(())
+/// The file says what cannot be judged, or one that must hold is missed.
+pub fn print(bench: Bench, rows: &[Row]) -> crate::Result {
+    Ok(print_verdicts(&verdicts(bench, &Measurable::of(rows.iter()), rows)?)?)
 }
 
 /// Judges the claims about what was measured, or was to be: those that name an experiment and systems of these rows.
@@ -100,6 +102,17 @@ pub fn print(bench: Bench, rows: &[Row]) -> Result<(), BadClaims> {
 pub fn verdicts(bench: Bench, measurable: &Measurable, rows: &[Row]) -> Result<Vec<Verdict>, BadClaims> {
     let claims = read(FILE, bench, measurable)?;
     Ok(claims.iter().filter(|claim| claim.is_about(rows)).map(|claim| claim.judge(rows)).collect())
+}
+
+/// Prints verdicts.
+///
+/// # Errors
+/// One that must hold is missed.
+pub fn print_verdicts(verdicts: &[Verdict]) -> Result<(), String> {
+    verdicts.iter().for_each(|verdict| println!("{verdict}"));
+    let is_broken = |verdict: &&Verdict| verdict.is_must && verdict.holds == Some(false);
+    let broken: Vec<&str> = verdicts.iter().filter(is_broken).map(|verdict| &*verdict.claim).collect();
+    if broken.is_empty() { Ok(()) } else { Err(format!("missed, and must hold: {}", broken.join("; "))) }
 }
 
 /// What is wrong with the file: where, and what would be right.
@@ -119,7 +132,7 @@ impl std::error::Error for BadClaims {}
 struct File {
     claim: Vec<Spanned<Entry>>,
     #[serde(default)]
-    aim: Vec<Aim>,
+    aims: BTreeMap<Aimed, Vec<Aim>>,
 }
 
 /// A claim as it is written.
@@ -132,7 +145,8 @@ struct Entry {
     #[serde(default)]
     each: Vec<String>,
     experiment: Option<Names>,
-    bytes: Option<String>,
+    #[serde(default)]
+    bytes: Names,
     metric: Metric,
     #[serde(default)]
     however_few: bool,
@@ -158,11 +172,18 @@ struct Side {
 }
 
 /// One name or several.
-#[derive(Clone, Deserialize)]
+#[derive(Clone, Debug, Deserialize)]
 #[serde(untagged, expecting = "expected a name or a list of names")]
 enum Names {
     One(String),
     Several(Vec<String>),
+}
+
+/// None.
+impl Default for Names {
+    fn default() -> Self {
+        Names::Several(Vec::new())
+    }
 }
 
 impl Names {
@@ -171,6 +192,11 @@ impl Names {
             Names::One(name) => std::slice::from_ref(name),
             Names::Several(names) => names,
         }
+    }
+
+    /// None are all.
+    fn allow(&self, name: &str) -> bool {
+        self.of().is_empty() || self.of().iter().any(|one| one == name)
     }
 }
 
@@ -217,8 +243,8 @@ fn read(text: &str, bench: Bench, measurable: &Measurable) -> Result<Vec<Claim>,
         let entry = entry.get_ref();
         let bad =
             |(field, what): Bad| BadClaims(format!("line {line}, '{field}' of \"{}\": {what}", entry.words));
-        for text in entry.texts().map_err(bad)? {
-            claims.push(entry.claim(&text, measurable).map_err(bad)?);
+        for (text, size) in entry.texts().map_err(bad)? {
+            claims.push(entry.claim(&text, size.as_ref(), measurable).map_err(bad)?);
         }
     }
     Ok(claims)
@@ -228,19 +254,34 @@ fn read(text: &str, bench: Bench, measurable: &Measurable) -> Result<Vec<Claim>,
 type Bad = (&'static str, String);
 
 impl Entry {
-    /// What takes the place of `{}`, for each claim that this is.
-    fn texts(&self) -> Result<Vec<String>, Bad> {
-        match (self.each.is_empty(), self.words.contains("{}")) {
-            (true, true) => Err(("words", "it has a {}, and no 'each' says what to put there".to_owned())),
-            (false, false) => {
-                Err(("words", "with 'each' it needs a {}, or all claims are called the same".to_owned()))
+    /// What takes the place of `{}`, and the size, if they have it in common, for each claim that this is.
+    fn texts(&self) -> Result<Vec<(String, Option<String>)>, Bad> {
+        let has = |mark: &str| self.words.contains(mark);
+        match (self.each.is_empty(), has("{}"), self.bytes.of().len() > 1, has("{bytes}")) {
+            (true, true, ..) => {
+                return Err(("words", "it has a {}, and no 'each' says what to put there".to_owned()));
             }
-            (true, false) => Ok(vec![String::new()]),
-            (false, true) => Ok(self.each.clone()),
+            (false, false, ..) => {
+                return Err((
+                    "words",
+                    "with 'each' it needs a {}, or all claims are called the same".to_owned(),
+                ));
+            }
+            (.., true, false) => {
+                return Err((
+                    "words",
+                    "with several sizes it needs a {bytes}, or all claims are called the same".to_owned(),
+                ));
+            }
+            _ => {}
         }
+        let texts = if self.each.is_empty() { vec![String::new()] } else { self.each.clone() };
+        let sizes: Vec<_> = self.bytes.of().iter().cloned().map(Some).collect();
+        let sizes = if sizes.is_empty() { vec![None] } else { sizes };
+        Ok(sizes.iter().flat_map(|size| texts.iter().map(|text| (text.clone(), size.clone()))).collect())
     }
 
-    fn claim(&self, text: &str, measurable: &Measurable) -> Result<Claim, Bad> {
+    fn claim(&self, text: &str, size: Option<&String>, measurable: &Measurable) -> Result<Claim, Bad> {
         let rows = |side: &Side| -> Result<Rows, Bad> {
             let put = |words: &String| words.replace("{}", text);
             let names = side.experiment.as_ref().or(self.experiment.as_ref());
@@ -254,7 +295,7 @@ impl Entry {
                 all.dedup();
                 return Err(("experiment", format!("there is no '{name}'; there are {}", all.join(", "))));
             }
-            let bytes = match (side.bytes.as_ref().or(self.bytes.as_ref()), self.bench) {
+            let bytes = match (side.bytes.as_ref().or(size), self.bench) {
                 (Some(size), _) => Some(put(size)),
                 (None, Bench::Compare) => {
                     return Err(("bytes", "missing: say it for the claim or for each side".to_owned()));
@@ -307,7 +348,7 @@ impl Entry {
             (_, None) => return Err(("theirs", "missing: { times } and { more } are of theirs".to_owned())),
         };
         Ok(Claim {
-            words: self.words.replace("{}", text),
+            words: self.words.replace("{bytes}", size.map_or("", String::as_str)).replace("{}", text),
             figure: Figure { metric: self.metric, however_few: self.however_few },
             ours: rows(&self.ours)?,
             theirs,
@@ -359,7 +400,7 @@ impl Claim {
         };
         found += &ours.first().map_or(String::new(), |row| self.beside(row));
         let reason = self.reason.clone().filter(|_| holds == Some(false));
-        Verdict { claim: self.words.clone(), found, holds, reason }
+        Verdict { reason, ..Verdict::new(&self.words, found, holds) }
     }
 
     fn is_within(&self, number: f64) -> bool {

@@ -10,11 +10,12 @@
 //! | `compare` | Tautline beside other middleware: latency, load, fan-out, throughput, start-up; wake-ups, requests, gateways; in a package of its own |
 //! | `tools` | whether a publisher notices that `taut` looks at its topic |
 //! | `trace` | what a trace event costs, recorded and not |
+//! | `budgets` | whether a callback that overruns its budget makes others miss their deadlines |
 //!
 //! A measurement runs its rivals in alternating rounds of one run, on pinned cores, and states percentiles, counts and
-//! the machine. Absolute times belong to the machine; ratios within a run are what is compared: `rows` has the one form of what was
-//! measured, `claims.toml` what must hold, `claims` judges it, `table` and `page` show it. `systems` are
-//! the ends of an exchange that a bench runs itself.
+//! the machine. Absolute times belong to the machine; ratios within a run are what is compared: `rows` has the form of what was
+//! measured of systems beside each other, `readings` that of everything else, `claims.toml` what must hold, `claims` judges it, `table` and
+//! `page` show it. `systems` are the ends of an exchange that a bench runs itself.
 #![allow(missing_docs, reason = "many names say it all")]
 
 mod beside;
@@ -26,6 +27,7 @@ mod machine;
 pub mod page;
 mod process;
 mod program;
+pub mod readings;
 pub mod rows;
 mod run;
 mod scratch;

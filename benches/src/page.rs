@@ -14,7 +14,7 @@ th,td{padding:2px 9px;border-bottom:1px solid #e2e6eb;text-align:right;white-spa
 th{background:#f4f6f8;position:sticky;top:0}.l{text-align:left}.w{white-space:normal}tr.first td{border-top:2px solid #c3cad3}\
 .late{color:#cc2026;font-weight:600}.scroll{overflow:auto;max-height:36em}\
 .verdicts{list-style:none;padding:0}.verdicts li{padding:.25em 0 .25em 6.2em;text-indent:-6.2em}\
-.verdicts b{display:inline-block;width:5.6em;text-indent:0;margin-right:.6em}\
+.verdicts b{display:inline-block;width:5.6em;white-space:nowrap;text-indent:0;margin-right:.6em}\
 .yes{color:#1a7f37}.no{color:#cc2026}.unknown{color:#666e7a}";
 
 pub const END: &str = "</body></html>\n";
@@ -49,7 +49,9 @@ pub fn verdicts(out: &mut String, heading: &str, verdicts: &[Verdict]) -> fmt::R
 
 /// A picture and what it shows.
 pub fn figure(out: &mut String, svg: &str, caption: &str) -> fmt::Result {
-    writeln!(out, "<figure>\n{svg}\n<figcaption>{caption}</figcaption></figure>")
+    let caption =
+        if caption.is_empty() { String::new() } else { format!("<figcaption>{caption}</figcaption>") };
+    writeln!(out, "<figure>\n{svg}\n{caption}</figure>")
 }
 
 /// A heading and a list of lines.

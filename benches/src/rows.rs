@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a bench measured, in one form: a row for each way of each system, with its rounds.
+//! What a bench measured of systems beside each other: a row for each way of each system, with its rounds.
 //!
 //! A machine has slow and fast phases, so rows are compared round by round: rivals run next to each other in each.
 

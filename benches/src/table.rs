@@ -146,9 +146,24 @@ pub fn distinct<T: PartialEq>(all: impl IntoIterator<Item = T>) -> Vec<T> {
     found
 }
 
-/// What is shown of a row, by columns; one of which no row has anything is left out.
-type Shown = (Column, fn(&Row) -> Cell);
-const SHOWN: [Shown; 15] = [
+/// What is shown of something, by columns.
+pub type Shown<R> = (Column, fn(&R) -> Cell);
+
+/// A table of such things; a column in which nothing would stand is left out.
+pub fn shown_of<'r, R: 'r>(
+    shared: usize,
+    shown: &[Shown<R>],
+    rows: impl IntoIterator<Item = &'r R>,
+) -> Table {
+    let rows: Vec<&R> = rows.into_iter().collect();
+    let is_said = |(_, cell): &&Shown<R>| rows.iter().any(|row| !cell(row).text.is_empty());
+    let shown: Vec<&Shown<R>> = shown.iter().filter(is_said).collect();
+    let mut table = Table::new(shared, shown.iter().map(|(column, _)| *column).collect::<Vec<_>>());
+    rows.iter().for_each(|row| table.add(shown.iter().map(|(_, cell)| cell(row))));
+    table
+}
+
+const SHOWN: [Shown<Row>; 15] = [
     (Words("experiment"), |row| row.experiment.as_str().into()),
     (Number("payload"), |row| size(row.payload_bytes).into()),
     (Words("system"), |row| row.system.as_str().into()),
@@ -167,12 +182,7 @@ const SHOWN: [Shown; 15] = [
 ];
 
 pub fn of_rows<'a>(rows: impl IntoIterator<Item = &'a Row>) -> Table {
-    let rows: Vec<&Row> = rows.into_iter().collect();
-    let is_said = |(_, cell): &&Shown| rows.iter().any(|row| !cell(row).text.is_empty());
-    let shown: Vec<&Shown> = SHOWN.iter().filter(is_said).collect();
-    let mut table = Table::new(2, shown.iter().map(|(column, _)| *column).collect::<Vec<_>>());
-    rows.iter().for_each(|row| table.add(shown.iter().map(|(_, cell)| cell(row))));
-    table
+    shown_of(2, &SHOWN, rows)
 }
 
 fn digits(number: Option<f64>) -> Cell {

@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn a_domain_report_answers_every_question_and_leaves_nothing() {
+    fn a_domain_report_answers_every_question() {
         let experiments = ["processes", "topics", "storm", "nodes", "crowd", "images", "fan-out", "load"];
         let row = |experiment: &str, system: &str| json!({"experiment": experiment, "size": 1, "system": system, "what": "files left in /dev/shm", "unit": "files", "n": 1, "p50": 0.0});
         let mut rows = experiments.map(|experiment| row(experiment, "tautline")).to_vec();
@@ -165,7 +165,6 @@ mod tests {
             &[
                 ("del(.rows[0])", "nothing was measured of 'processes'"),
                 ("del(.rows[8])", "nothing was measured of iceoryx2"),
-                (".rows[3].p50 = 2", "files are left"),
                 ("del(.machine)", "'machine' should be of type string"),
             ],
         );

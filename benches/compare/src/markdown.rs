@@ -33,7 +33,7 @@ const COMPARE: &str = "half round trips in µs (p50 / p99), payload written and 
      at 1 kHz under load; 20 topics at 100 Hz: CPU time of all processes per message in µs, the topics evenly over the period and all at \
      once, and resident memory; -: not measured, or too few times for that percentile";
 const WAKE: &str = "two processes, pinned, alternating rounds. A bare futex is the floor for anything that sleeps; busy polling occupies a core. \
-     iceoryx2 alone is faster where it polls: Tautline adds sequence numbers, time stamps, loss counters and a callback";
+     iceoryx2 alone is faster where it polls, and may be with large payloads: Tautline adds sequence numbers, time stamps, loss counters and a callback";
 const SERVICES: &str = "two processes, each on a core, both blocking, alternating rounds, responses of 64 bytes; service: nothing is copied; r2r's \
      requests are a text that is";
 const NETWORK: &str = "from a node over two gateways to a node, beside Zenoh's own publishers and subscribers and hiroz's, TCP over loopback, two processes, each \

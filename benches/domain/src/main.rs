@@ -33,7 +33,7 @@ use job::Job;
 use report::{Circumstances, Report};
 use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
-use tautline_benches::claims::aims;
+use tautline_benches::readings::Reading;
 use tautline_benches::{Disturbance, Documented, Result, Scratch};
 use tautline_exchange::APPLICATION_PRIORITY;
 use tautline_rt::{host, permission};
@@ -120,7 +120,6 @@ fn measure(options: &Options) -> Result<()> {
         topics: options.topics.clone().unwrap_or_else(|| sizes(&[10, 100, 1000, 10_000], &[10, 100, 1000])),
         interrupted: &interrupted,
     };
-    let aims = aims()?;
     let mut rows = Vec::new();
     let is_chosen = |experiment: &Experiment| options.only.is_empty() || options.only.contains(experiment);
     for &experiment in Experiment::value_variants().iter().filter(|experiment| is_chosen(experiment)) {
@@ -130,13 +129,14 @@ fn measure(options: &Options) -> Result<()> {
     }
     let (disturbance, realtime) = (disturbance.report(), bench.realtime);
     let circumstances = Circumstances { open_files, disturbance, realtime, quick: is_quick };
-    let report = Report::new(rows, &aims, circumstances);
+    let report = Report::new(rows, circumstances)?;
     report.print();
-    options.documented.write(&report, || report.document())
+    options.documented.write(&report, || report.document())?;
+    report.print_verdicts()
 }
 
 impl Bench<'_> {
-    fn run(&self, experiment: Experiment) -> Result<Vec<report::Row>> {
+    fn run(&self, experiment: Experiment) -> Result<Vec<Reading>> {
         match experiment {
             Experiment::Processes => population::measure(self),
             Experiment::Topics => topics::measure(self),
@@ -153,5 +153,11 @@ impl Bench<'_> {
 impl Experiment {
     fn name(self) -> String {
         self.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
+    }
+}
+
+impl From<Experiment> for String {
+    fn from(experiment: Experiment) -> Self {
+        experiment.name()
     }
 }

@@ -2,12 +2,12 @@
 //! The domain's files, and a gate at which processes wait for each other.
 
 use crate::job::DOMAIN;
-use crate::report::Row;
 use crate::{Experiment, Result};
 use std::fs::{self, File};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use tautline_benches::Scratch;
+use tautline_benches::readings::Reading;
 use tautline_rt::domain::shared_path;
 
 /// Shared memory of all processes of the domain, in bytes.
@@ -17,7 +17,7 @@ pub fn shared_bytes() -> u64 {
 }
 
 /// Files that the processes of an experiment, which have all ended, have left in shared memory.
-pub fn left_behind(experiment: Experiment) -> Result<Row> {
+pub fn left_behind(experiment: Experiment) -> Result<Reading> {
     let folder = shared_path(DOMAIN);
     let files = match fs::read_dir(&folder) {
         Ok(files) => files.collect::<std::io::Result<Vec<_>>>()?,
@@ -29,7 +29,7 @@ pub fn left_behind(experiment: Experiment) -> Result<Row> {
     if !names.is_empty() {
         eprintln!("left in {}: {}", folder.display(), names.join(", "));
     }
-    Ok(Row::of(experiment, 0, "files left in /dev/shm", "files").value(names.len() as f64))
+    Ok(Reading::of(experiment, 0, "files left in /dev/shm", "files").value(names.len() as f64))
 }
 
 /// Where processes wait until all of them are there.

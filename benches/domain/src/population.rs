@@ -5,7 +5,6 @@
 use crate::job::{DOMAIN, Job, Said, say, say_and_stay, wait_until};
 use crate::place::{Gate, shared_bytes};
 use crate::process::{self, Process};
-use crate::report::Row;
 use crate::ros_node::{self, ENDPOINTS, RosNode, seldom};
 use crate::stopwatch::Stopwatch;
 use crate::{Bench, Experiment, Result};
@@ -18,6 +17,7 @@ use tautline::rcl_interfaces::msg::ParameterEvent;
 use tautline::std_msgs::msg::UInt64;
 use tautline::{CallbackOptions, Node};
 use tautline_benches::Distribution;
+use tautline_benches::readings::Reading;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::domain::shared_path;
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription, graph_of};
@@ -32,11 +32,11 @@ const MIB: f64 = 1048576.0;
 /// What the aims of a look are about.
 const LOOKED_AT: [usize; 2] = [64, 20];
 
-fn row(size: usize, what: impl Into<String>, unit: &'static str) -> Row {
-    Row::of(Experiment::Processes, size, what, unit)
+fn row(size: usize, what: impl Into<String>, unit: &'static str) -> Reading {
+    Reading::of(Experiment::Processes, size, what, unit)
 }
 
-pub fn measure(bench: &Bench<'_>) -> Result<Vec<Row>> {
+pub fn measure(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     let mut rows = Vec::new();
     for &size in &bench.processes {
         rows.extend(population(bench, size)?);
@@ -45,7 +45,7 @@ pub fn measure(bench: &Bench<'_>) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-fn population(bench: &Bench<'_>, size: usize) -> Result<Vec<Row>> {
+fn population(bench: &Bench<'_>, size: usize) -> Result<Vec<Reading>> {
     let mut rows = Vec::new();
     let start_ns = monotonic_ns();
     let node = |index, processes| Job::Node { index, gate: None, processes };
@@ -77,9 +77,9 @@ fn population(bench: &Bench<'_>, size: usize) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-pub fn memory_of(experiment: Experiment, size: usize, pids: &[u32]) -> Vec<Row> {
+pub fn memory_of(experiment: Experiment, size: usize, pids: &[u32]) -> Vec<Reading> {
     let memory: Vec<_> = pids.iter().map(|&pid| process::memory(pid)).collect();
-    let row = |what: &str, bytes: f64| Row::of(experiment, size, what, "MiB").value(bytes / MIB);
+    let row = |what: &str, bytes: f64| Reading::of(experiment, size, what, "MiB").value(bytes / MIB);
     let sum = |of: fn(&process::Memory) -> u64| memory.iter().map(of).sum::<u64>() as f64;
     vec![
         row("resident memory of a process (RSS), mean", sum(|memory| memory.rss) / pids.len() as f64),
@@ -113,7 +113,7 @@ pub fn times(process: &mut Process<'_, Said>) -> Result<Vec<(String, Distributio
 }
 
 /// Kills processes one by one, at last the warden.
-fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>) -> Result<Vec<Row>> {
+fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>) -> Result<Vec<Reading>> {
     let rounds = if bench.quick { 3 } else { 20 };
     let participant = Participant::new(DOMAIN)?;
     let qos = Qos::parameter_events();
@@ -157,7 +157,7 @@ fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>
 const TRACES: [&str; 3] = ["a node in the graph", "a subscription that a peer counts", "a file"];
 const HAVE_GONE: [&str; 3] = ["is out of the graph", "is counted by no peer", "has no files"];
 
-fn rows_of(size: usize, who: &str, deaths: &[[u64; TRACES.len()]]) -> Vec<Row> {
+fn rows_of(size: usize, who: &str, deaths: &[[u64; TRACES.len()]]) -> Vec<Reading> {
     if deaths.is_empty() {
         return Vec::new();
     }
@@ -167,7 +167,7 @@ fn rows_of(size: usize, who: &str, deaths: &[[u64; TRACES.len()]]) -> Vec<Row> {
         row(size, format!("{who} {what}"), "ms").times_in(&times, 1000.0)
     };
     let of_trace = |(trace, what)| times(what, &|death| death[trace]);
-    let mut rows: Vec<Row> = HAVE_GONE.into_iter().enumerate().map(of_trace).collect();
+    let mut rows: Vec<Reading> = HAVE_GONE.into_iter().enumerate().map(of_trace).collect();
     let last = |death: &[u64; TRACES.len()]| death.iter().copied().max().unwrap_or(0);
     rows.push(times("is cleaned up: all of that", &last));
     rows
@@ -215,7 +215,7 @@ fn look_until(what: &str, is_so: impl FnMut() -> Result<bool>) -> Result<()> {
 }
 
 /// The domain that the aims of a look are about.
-fn looked_at(bench: &Bench<'_>) -> Result<Vec<Row>> {
+fn looked_at(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     let [processes, ports] = LOOKED_AT;
     let start = |index| bench.start(&Job::Ports { index, pairs: ports / 2 });
     let mut all: Vec<Process<'_, Said>> = (0..processes).map(start).collect::<Result<_>>()?;

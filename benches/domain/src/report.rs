@@ -1,103 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The table, the JSON, and whether aims are met. A miss is printed, never an error: the machine has its part in it.
+//! The tables, the JSON, and whether aims are met.
 
-use crate::Experiment;
+use crate::{Experiment, Result};
 use clap::ValueEnum;
 use serde::Serialize;
-use tautline_benches::claims::{Aim, Column, Verdict};
-use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::{Table, distinct, markdown, short};
-use tautline_benches::{Distribution, cells, machine, version_of};
-
-/// One thing that was measured at one size.
-#[derive(Clone, Debug, Serialize)]
-pub struct Row {
-    pub experiment: String,
-    /// Processes, topics or subscriptions, as the experiment has them; 0: of the experiment as a whole.
-    pub size: u64,
-    pub system: &'static str,
-    pub what: String,
-    pub unit: &'static str,
-    pub n: u64,
-    /// The median, or the value if it is one.
-    pub p50: f64,
-    pub p99: Option<f64>,
-    pub p999: Option<f64>,
-    pub max: Option<f64>,
-    pub aim: Option<Judged>,
-}
-
-/// An aim, and whether it is met.
-#[derive(Clone, Copy, Debug, Serialize)]
-pub struct Judged {
-    pub at_most: f64,
-    /// The column that is judged.
-    pub of: Column,
-    pub is_met: bool,
-}
-
-impl Row {
-    pub fn of(experiment: Experiment, size: usize, what: impl Into<String>, unit: &'static str) -> Self {
-        Row {
-            experiment: experiment.name(),
-            size: size as u64,
-            system: "tautline",
-            what: what.into(),
-            unit,
-            n: 1,
-            p50: f64::NAN,
-            p99: None,
-            p999: None,
-            max: None,
-            aim: None,
-        }
-    }
-
-    pub fn system(mut self, system: &'static str) -> Self {
-        self.system = system;
-        self
-    }
-
-    pub fn value(mut self, value: f64) -> Self {
-        self.p50 = value;
-        self
-    }
-
-    /// Times, in units of so many µs.
-    pub fn times_in(mut self, times: &Distribution, unit_us: f64) -> Self {
-        self.n = times.len();
-        let enough_for =
-            |quantile: f64, least: u64| (times.len() >= least).then(|| times.quantile_us(quantile) / unit_us);
-        (self.p50, self.p99) = (times.quantile_us(0.5) / unit_us, enough_for(0.99, 100));
-        (self.p999, self.max) = (enough_for(0.999, 1000), Some(times.max_us() / unit_us));
-        self
-    }
-
-    pub fn times(self, times: &Distribution) -> Self {
-        self.times_in(times, 1.0)
-    }
-
-    fn column(&self, column: Column) -> Option<f64> {
-        match column {
-            Column::P50 => Some(self.p50),
-            Column::P99 => self.p99,
-            Column::Max => self.max,
-        }
-    }
-
-    fn judge(&mut self, aim: &Aim) -> Verdict {
-        let of = if aim.of == Column::P99 && self.p99.is_none() { Column::Max } else { aim.of };
-        let number = self.column(of);
-        let is_met = number.is_some_and(|number| number <= aim.at_most);
-        self.aim = Some(Judged { at_most: aim.at_most, of, is_met });
-        let size = if self.size == 0 { String::new() } else { format!(" {}", self.size) };
-        let rival = if self.system == "tautline" { String::new() } else { format!(", {}", self.system) };
-        let claim = format!("{}{size}{rival}: {}", self.experiment, self.what);
-        let column = if self.n > 1 { of.name() } else { "it is" };
-        let (number, most) = (number.map_or("-".to_owned(), shown), shown(aim.at_most));
-        Verdict::new(claim, format!("{column} {number} {}, at most {most}", self.unit), Some(is_met))
-    }
-}
+use tautline_benches::claims::{self, Aimed, Column, Verdict, judge};
+use tautline_benches::readings::{Reading, shown, table};
+use tautline_benches::table::{distinct, markdown};
+use tautline_benches::{machine, version_of};
 
 /// How it was measured.
 pub struct Circumstances {
@@ -117,32 +27,23 @@ pub struct Report {
     disturbance: String,
     realtime: bool,
     quick: bool,
-    rows: Vec<Row>,
+    rows: Vec<Reading>,
     #[serde(skip)]
     verdicts: Vec<Verdict>,
 }
 
 impl Report {
-    /// Judges the rows of experiments, each at its sizes.
-    pub fn new(mut rows: Vec<Row>, aims: &[Aim], circumstances: Circumstances) -> Self {
-        let measured = distinct(rows.iter().map(|row| (row.experiment.clone(), row.size)));
-        let mut verdicts = Vec::new();
-        for aim in aims.iter().filter(|aim| measured.iter().any(|(of, size)| aim.is_of(of, *size))) {
-            let is_it = |row: &&mut Row| row.what == aim.what && aim.is_of(&row.experiment, row.size);
-            let before = verdicts.len();
-            verdicts.extend(rows.iter_mut().filter(is_it).map(|row| row.judge(aim)));
-            if verdicts.len() == before {
-                verdicts.push(Verdict::new(&aim.what, "not measured", None));
-            }
-        }
+    /// Judges the rows.
+    pub fn new(mut rows: Vec<Reading>, circumstances: Circumstances) -> Result<Self> {
+        let verdicts = judge(Aimed::Domain, &experiments(), &mut rows)?;
         let Circumstances { open_files, disturbance, realtime, quick } = circumstances;
         let version = |package| version_of(package).unwrap_or("?");
         let versions = format!("tautline {}, iceoryx2 {}", version("tautline"), version("iceoryx2"));
-        Report { machine: machine(), versions, open_files, disturbance, realtime, quick, rows, verdicts }
+        Ok(Report { machine: machine(), versions, open_files, disturbance, realtime, quick, rows, verdicts })
     }
 
     /// Those that were measured, each with its rows.
-    fn experiments(&self) -> impl Iterator<Item = (Experiment, Vec<&Row>)> {
+    fn experiments(&self) -> impl Iterator<Item = (Experiment, Vec<&Reading>)> {
         let of = |experiment: &Experiment| {
             let name = experiment.name();
             (*experiment, self.rows.iter().filter(|row| row.experiment == name).collect::<Vec<_>>())
@@ -170,32 +71,28 @@ impl Report {
             if self.quick { "; a quick run" } else { "" }
         );
         for (experiment, rows) in self.experiments() {
-            println!("\n{}\n{}", title(experiment), table(&rows));
+            println!("\n{}\n{}", title(experiment), table(rows.iter().copied()));
         }
-        println!();
-        self.verdicts.iter().for_each(|verdict| println!("{verdict}"));
     }
+
+    /// Prints whether aims are met.
+    ///
+    /// # Errors
+    /// One that must be is not.
+    pub fn print_verdicts(&self) -> Result<()> {
+        println!();
+        Ok(claims::print_verdicts(&self.verdicts)?)
+    }
+}
+
+/// All that there are.
+fn experiments() -> Vec<String> {
+    Experiment::value_variants().iter().map(|experiment| experiment.name()).collect()
 }
 
 fn title(experiment: Experiment) -> String {
     let help = experiment.to_possible_value().and_then(|value| value.get_help().map(ToString::to_string));
     format!("{}: {}", experiment.name(), help.unwrap_or_default())
-}
-
-fn table(rows: &[&Row]) -> Table {
-    let words = [Number("size"), Words("system"), Words("what"), Words("unit")];
-    let numbers = ["n", "p50 / value", "p99", "p99.9", "max"].map(Number);
-    let mut table = Table::new(1, [&words[..], &numbers].concat());
-    for row in rows {
-        let numbers = [Some(row.p50), row.p99, row.p999, row.max];
-        let [p50, p99, p999, max] = numbers.map(|number| number.map_or(String::new(), shown));
-        table.add(cells![row.size, row.system, &row.what, row.unit, row.n, p50, p99, p999, max]);
-    }
-    table
-}
-
-fn shown(number: f64) -> String {
-    if number == 0.0 { "0".to_owned() } else { short(number) }
 }
 
 /// What an experiment was done with, at the head of its table in the documents; `#` is the number at the head of a column.
@@ -213,18 +110,19 @@ fn heading(experiment: Experiment) -> &'static str {
 }
 
 /// A line for each question, a column for each size: medians; with an aim for another column of the report, that one.
-fn document(experiment: Experiment, rows: &[&Row]) -> String {
+fn document(experiment: Experiment, rows: &[&Reading]) -> String {
     let mut sizes = distinct(rows.iter().map(|row| row.size).filter(|size| *size > 0));
     sizes.sort_unstable();
     let line = |(system, what): (&'static str, &String)| {
-        let same: Vec<&Row> =
+        let same: Vec<&Reading> =
             rows.iter().filter(|row| (row.system, &row.what) == (system, what)).copied().collect();
         let of = same.iter().find_map(|row| row.aim).map_or(Column::P50, |aim| aim.of);
         let cell = |size: &u64| {
             // One that holds for all sizes together stands in the last column.
-            let is_here = |row: &&&Row| row.size == *size || (row.size == 0 && Some(size) == sizes.last());
+            let is_here =
+                |row: &&&Reading| row.size == *size || (row.size == 0 && Some(size) == sizes.last());
             let Some(row) = same.iter().find(is_here) else { return String::new() };
-            let is_missed = row.aim.is_some_and(|aim| !aim.is_met);
+            let is_missed = row.aim.is_some_and(|aim| aim.is_met == Some(false));
             let number = row.column(of).map_or("-".to_owned(), shown);
             number + if is_missed { " (missed)" } else { "" }
         };
@@ -239,8 +137,8 @@ fn document(experiment: Experiment, rows: &[&Row]) -> String {
 }
 
 /// One limit if it is that of all, else each with its size.
-fn limits(rows: &[&Row]) -> String {
-    let limit = |row: &&Row| row.aim.map(|aim| (row.size, shown(aim.at_most)));
+fn limits(rows: &[&Reading]) -> String {
+    let limit = |row: &&Reading| Some((row.size, shown(row.aim?.at_most?)));
     let limits: Vec<(u64, String)> = rows.iter().filter_map(limit).collect();
     match &limits[..] {
         [(_, first), ..] if limits.len() == rows.len() && limits.iter().all(|(_, limit)| limit == first) => {
@@ -253,60 +151,35 @@ fn limits(rows: &[&Row]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tautline_benches::claims::aims;
-
-    fn report(rows: Vec<Row>, aims: &[Aim]) -> Report {
-        let disturbance = String::new();
-        let circumstances = Circumstances { open_files: 1024, disturbance, realtime: true, quick: true };
-        Report::new(rows, aims, circumstances)
-    }
-
-    fn aim(what: &str, of: Column, at_most: f64) -> Aim {
-        Aim { what: what.to_owned(), of, at_most, ..Aim::default() }
-    }
-
-    #[test]
-    fn aims_are_judged_by_the_column_that_they_name() {
-        let mut times = Distribution::new();
-        (1..=200).for_each(|time| times.record(time * 1000));
-        let row = || Row::of(Experiment::Storm, 1, "x", "µs").times(&times);
-        let holds = |row: Row, of, at_most| report(vec![row], &[aim("x", of, at_most)]).verdicts[0].holds;
-        for (of, number) in [(Column::P50, 100.0), (Column::P99, 198.0), (Column::Max, 200.0)] {
-            assert_eq!(holds(row(), of, number + 1.0), Some(true));
-            assert_eq!(holds(row(), of, number - 1.0), Some(false));
-        }
-        let mut few = Distribution::new();
-        few.record(7000);
-        let few = Row::of(Experiment::Storm, 1, "x", "µs").times(&few);
-        assert_eq!(holds(few, Column::P99, 6.0), Some(false), "the longest");
-        assert!(row().p999.is_none(), "too few for that");
-        assert_eq!(holds(Row::of(Experiment::Storm, 1, "x", "µs"), Column::P50, 1.0), Some(false), "nothing");
-        assert_eq!(holds(Row::of(Experiment::Storm, 1, "y", "µs"), Column::P50, 1.0), None, "not measured");
-    }
+    use tautline_benches::Distribution;
+    use tautline_benches::claims::Judged;
 
     #[test]
     fn the_aims_of_the_file_are_about_these_experiments() {
-        let names: Vec<String> = Experiment::value_variants().iter().map(|one| one.name()).collect();
-        for aim in aims().unwrap() {
-            assert!(aim.experiments.iter().all(|name| names.contains(name)), "{aim:?}");
-        }
+        assert_eq!(judge(Aimed::Domain, &experiments(), &mut []).unwrap().len(), 0);
     }
 
     #[test]
     fn the_documents_tables_have_a_column_for_each_size() {
         let mut times = Distribution::new();
         (1..=200).for_each(|time| times.record(time * 330));
-        let row = |size, what: &str| Row::of(Experiment::Processes, size, what, "µs");
+        let row = |size, what: &str| Reading::of(Experiment::Processes, size, what, "µs");
+        let judged = |reading: Reading, of, at_most: f64, is_met| {
+            let (at_most, is_met) = (Some(at_most), Some(is_met));
+            Reading { aim: Some(Judged { at_most, at_least: None, of, is_met, must: false }), ..reading }
+        };
         let rows = vec![
             row(1, "a look").times(&times),
-            row(60, "a look").times(&times),
-            row(1, "files").value(2.0),
-            row(60, "files").value(0.0),
+            judged(row(60, "a look").times(&times), Column::Max, 50.0, false),
+            judged(row(1, "files").value(2.0), Column::P50, 0.0, false),
+            judged(row(60, "files").value(0.0), Column::P50, 0.0, true),
             row(0, "of all").value(7.0),
-            Row::of(Experiment::Load, 200, "publishing", "µs").system("iceoryx2").value(4321.0),
+            Reading::of(Experiment::Load, 200, "publishing", "µs").system("iceoryx2").value(4321.0),
         ];
-        let of_looks = Aim { sizes: vec![60], ..aim("a look", Column::Max, 50.0) };
-        let tables = report(rows, &[of_looks, aim("files", Column::P50, 0.0)]).document();
+        let (machine, versions, disturbance) = (String::new(), String::new(), String::new());
+        let (open_files, realtime, quick, verdicts) = (1024, true, true, Vec::new());
+        let tables =
+            Report { machine, versions, open_files, disturbance, realtime, quick, rows, verdicts }.document();
         for line in [
             "| # processes with the ten endpoints of every ROS node each | at most | 1 | 60 |\n|---|---|--:|--:|\n",
             "| a look, max, µs | 60: 50.0 | 66.0 | 66.0 (missed) |\n",

@@ -5,7 +5,6 @@ use crate::job::{DOMAIN, Job, Said, say, say_and_stay, wait_until};
 use crate::place::{Gate, shared_bytes};
 use crate::population::{PATIENCE, all_matched, made, matched, memory_of};
 use crate::process::{self, Process};
-use crate::report::Row;
 use crate::ros_node::{self, ENDPOINTS, RosNode};
 use crate::{Bench, Experiment, Result};
 use std::path::Path;
@@ -13,6 +12,7 @@ use std::thread::sleep;
 use std::time::Duration;
 use tautline::std_msgs::msg::UInt64;
 use tautline_benches::Distribution;
+use tautline_benches::readings::Reading;
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Limits, Participant, Qos};
 
@@ -21,7 +21,7 @@ const MIB: f64 = 1048576.0;
 const GATHERING: Duration = Duration::from_millis(500);
 
 /// Processes with a node each that start at the same instant.
-pub fn start_at_once(bench: &Bench<'_>) -> Result<Vec<Row>> {
+pub fn start_at_once(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     let (size, rounds) = if bench.quick { (20, 1) } else { (100, 5) };
     let (mut all, mut each) = (Distribution::new(), Distribution::new());
     for _ in 0..rounds {
@@ -42,17 +42,17 @@ pub fn start_at_once(bench: &Bench<'_>) -> Result<Vec<Row>> {
         all.record(last_ns - start_ns);
         processes.iter_mut().try_for_each(Process::finish)?;
     }
-    let row = |what: &str| Row::of(Experiment::Storm, size, what, "ms");
+    let row = |what: &str| Reading::of(Experiment::Storm, size, what, "ms");
     Ok(vec![
         row("until all processes are matched with all others").times_in(&all, 1000.0),
         row("until a process is matched with all others").times_in(&each, 1000.0),
     ])
 }
 
-pub fn many_nodes(bench: &Bench<'_>) -> Result<Vec<Row>> {
+pub fn many_nodes(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     let size = 100;
     let mut process = bench.start(&Job::Nodes { nodes: size })?;
-    let row = |what: &str, unit| Row::of(Experiment::Nodes, size, what, unit);
+    let row = |what: &str, unit| Reading::of(Experiment::Nodes, size, what, unit);
     let made_ns = made(&mut process)?;
     let matched_ns = matched(&mut process)?;
     sleep(GATHERING);
@@ -76,7 +76,7 @@ pub fn many_nodes(bench: &Bench<'_>) -> Result<Vec<Row>> {
 }
 
 /// Publishers and subscriptions of one topic in several processes.
-pub fn crowd(bench: &Bench<'_>) -> Result<Vec<Row>> {
+pub fn crowd(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     let (size, processes) = if bench.quick { (100, 5) } else { (1000, 10) };
     let gate = Gate::closed(bench.scratch)?;
     let per_process = size / processes;
@@ -94,7 +94,7 @@ pub fn crowd(bench: &Bench<'_>) -> Result<Vec<Row>> {
     let matched_ms = all_matched(&mut all)?.saturating_sub(start_ns) as f64 / 1e6;
     sleep(GATHERING);
     let pids: Vec<u32> = all.iter().map(Process::id).collect();
-    let row = |what: &str, unit| Row::of(Experiment::Crowd, size, what, unit);
+    let row = |what: &str, unit| Reading::of(Experiment::Crowd, size, what, unit);
     let descriptors = pids.iter().map(|&pid| process::descriptors(pid).len()).max().unwrap_or(0);
     let mut rows = vec![
         row(&format!("until all are matched, {} pairs", size * size), "ms").value(matched_ms),

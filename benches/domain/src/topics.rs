@@ -4,12 +4,12 @@
 use crate::job::{DOMAIN, Job, Said, say, wait_until};
 use crate::population::{PATIENCE, made, memory_of, time_looks, times};
 use crate::process;
-use crate::report::Row;
 use crate::stopwatch::Stopwatch;
 use crate::{Bench, Experiment, Result};
 use std::thread::sleep;
 use std::time::Duration;
 use tautline::std_msgs::msg::UInt64;
+use tautline_benches::readings::Reading;
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Limits, Participant, Publisher, Qos};
 
@@ -18,11 +18,11 @@ const BUSY: usize = 10;
 const ON_BUSY: &str = "publishing on 10 of them";
 const ON_ALL: &str = "publishing on each in turn (caches are cold)";
 
-pub fn measure(bench: &Bench<'_>) -> Result<Vec<Row>> {
+pub fn measure(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     let mut rows = Vec::new();
     let mut least: Option<f64> = None;
     for &topics in &bench.topics {
-        let row = |what: &str, unit| Row::of(Experiment::Topics, topics, what, unit);
+        let row = |what: &str, unit| Reading::of(Experiment::Topics, topics, what, unit);
         let mut listener = bench.start(&Job::Listen { topics })?;
         made(&mut listener)?;
         let subscriptions = times(&mut listener)?;

@@ -5,10 +5,10 @@
 
 use crate::job::Job as Task;
 use crate::process::{self, Process};
-use crate::report::Row;
 use crate::{Bench, Experiment, Result};
 use std::time::{Duration, Instant};
 use tautline_benches::Distribution;
+use tautline_benches::readings::Reading;
 use tautline_benches::systems::iceoryx;
 use tautline_benches::systems::tautline::{self, Frame8MiB, Frame64B};
 use tautline_exchange::{Exchange, Job, Line, Role, Way, to_the_last};
@@ -58,7 +58,7 @@ const SMALL: Flow = Flow {
 };
 
 /// 200 topics with two subscriptions each, in two processes.
-pub fn load(bench: &Bench<'_>) -> Result<Vec<Row>> {
+pub fn load(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     let mut rows = Vec::new();
     for system in [&TAUTLINE, &DIRECT, &ICEORYX] {
         let flow = Flow { system, topics: 200, processes: 2, ..SMALL };
@@ -68,7 +68,7 @@ pub fn load(bench: &Bench<'_>) -> Result<Vec<Row>> {
 }
 
 /// Images that nobody copies.
-pub fn images(bench: &Bench<'_>) -> Result<Vec<Row>> {
+pub fn images(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     let sizes: &[usize] = if bench.quick { &[1, 8, 32] } else { &[1, 2, 4, 8, 16, 32] };
     let mut rows = Vec::new();
     for &size in sizes {
@@ -80,7 +80,7 @@ pub fn images(bench: &Bench<'_>) -> Result<Vec<Row>> {
     Ok(rows)
 }
 
-pub fn fan_out(bench: &Bench<'_>) -> Result<Vec<Row>> {
+pub fn fan_out(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     let sizes: &[usize] = if bench.quick { &[10, 50] } else { &[10, 20, 50, 100, 200] };
     let mut rows = Vec::new();
     for &size in sizes {
@@ -91,7 +91,7 @@ pub fn fan_out(bench: &Bench<'_>) -> Result<Vec<Row>> {
 }
 
 impl<'a> Bench<'a> {
-    fn flow(&self, experiment: Experiment, size: usize, flow: Flow) -> Result<Vec<Row>> {
+    fn flow(&self, experiment: Experiment, size: usize, flow: Flow) -> Result<Vec<Reading>> {
         let budget = Duration::from_secs(if self.quick { 1 } else { 10 });
         let mut fars: Vec<Process<'a, Line>> = Vec::new();
         for _ in 0..flow.processes {
@@ -133,7 +133,7 @@ impl<'a> Bench<'a> {
         if latency.is_empty() {
             return Err(format!("no message arrived everywhere; {lost} were lost").into());
         }
-        let row = |what: &str, unit| Row::of(experiment, size, what, unit).system(flow.system.title);
+        let row = |what: &str, unit| Reading::of(experiment, size, what, unit).system(flow.system.title);
         let of_latency = match experiment {
             Experiment::Load => "from before the loan until a subscription has read it",
             _ => "from before the loan until the last subscription has read it",

@@ -22,7 +22,8 @@ use tautline::{
 };
 use tautline_analysis::taken::{self, Sight, Taken, TakenTimes};
 use tautline_analysis::{Response, Task, response_times};
-use tautline_benches::claims::Verdict;
+use tautline_benches::claims::{Aimed, judge, print_verdicts};
+use tautline_benches::readings::Reading;
 use tautline_benches::table::Column::{Number, Words};
 use tautline_benches::table::Table;
 use tautline_benches::{Beside, Disturbance, Result, Run, Stage, cells, machine};
@@ -342,27 +343,33 @@ fn report(rows: &[Row], options: &Options, machine: &str) -> Result {
         );
     }
     options.run.write(rows)?;
-    let [none, counted, demoted, suspended] = rows else { return Err("a part is missing".into()) };
-    // What the machine does by itself may happen a little more often or less.
+    let [none, rest @ ..] = rows else { return Err("nothing was measured".into()) };
     let unexplained = |row: &Row| row.runs_with_misses - row.runs_explained;
-    let most = |row: &Row| 2.0 * unexplained(none) as f64 * row.minutes / none.minutes + 1.0;
-    let is_kept = |row: &Row| unexplained(row) as f64 <= most(row);
-    // Overruns that nothing holds are seen: else nothing would be proven.
-    let holds = is_kept(demoted) && is_kept(suspended) && !is_kept(counted);
     let part = |row: &Row| format!("{} of {} runs ({:.1} minutes)", unexplained(row), row.runs, row.minutes);
-    let found = format!(
-        "some was missed that nothing taken from the core explains in {} with demotion and {} with suspension, in {} \
-         while nobody overran, and in {} where overruns were only counted",
-        part(demoted),
-        part(suspended),
-        part(none),
-        part(counted)
-    );
-    let is_fit = demoted.realtime && suspended.realtime;
-    let found = found + if is_fit { "" } else { "; it takes real-time priorities and two cores" };
-    println!(
-        "\n{}",
-        Verdict::new("a held overrun costs no other callback its deadline", found, is_fit.then_some(holds))
-    );
-    Ok(())
+    let reading = |row: &Row| {
+        // What the machine does by itself may happen a little more often or less.
+        let usual = 2.0 * unexplained(none) as f64 * row.minutes / none.minutes + 1.0;
+        let what = "runs with missed deadlines that nothing taken from the core explains, to twice those in as many minutes while nobody overran, + 1";
+        let one = Reading::of(row.part, 0, what, "x").value(unexplained(row) as f64 / usual);
+        let unfit = (!row.realtime).then_some("it takes real-time priorities and two cores");
+        one.note(format!("{}, while nobody overran {}", part(row), part(none))).unfit(unfit)
+    };
+    let mut readings: Vec<Reading> = rest.iter().map(reading).collect();
+    println!();
+    Ok(print_verdicts(&judge(Aimed::Budgets, &parts(), &mut readings)?)?)
+}
+
+/// Those with aims.
+fn parts() -> [String; 3] {
+    [Part::Counted, Part::Demoted, Part::Suspended].map(|part| part.name().to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_aims_of_the_file_are_about_these_parts() {
+        assert!(judge(Aimed::Budgets, &parts(), &mut []).unwrap().is_empty());
+    }
 }

@@ -97,7 +97,7 @@ fn measure(options: &Documented) -> Result {
         (row.disturbance, row.row.unfit) = (disturbance.clone(), stage.unfit());
     }
     options.write(&rows, || document(&rows, &machine, &disturbance))?;
-    Ok(claims::print(Bench::Parameters, &rows.into_iter().map(|row| row.row).collect::<Vec<_>>())?)
+    claims::print(Bench::Parameters, &rows.into_iter().map(|row| row.row).collect::<Vec<_>>())
 }
 
 /// Sets the parameters, one after the other, or only wakes as often; returns how often.

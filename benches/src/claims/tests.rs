@@ -133,6 +133,21 @@ fn one_entry_is_a_claim_for_each_text() {
 }
 
 #[test]
+fn one_entry_is_a_claim_for_each_size() {
+    let two = claim(FASTER).replace("'64 B'", "['64 B', '1 KiB']").replace("it is fast", "fast at {bytes}");
+    let mut measurable = measurable();
+    measurable.payloads.insert((HELD.to_owned(), 1 << 10));
+    let claims = read(&two, Bench::Compare, &measurable).unwrap();
+    assert_eq!(
+        claims.iter().map(|claim| &*claim.words).collect::<Vec<_>>(),
+        ["fast at 64 B", "fast at 1 KiB"]
+    );
+    let rows = [ours(&[6.0]), row("rival", "default", &[10.0])];
+    assert_eq!([0, 1].map(|at| claims[at].judge(&rows).holds), [Some(true), None]);
+    assert!(refusal(&two.replace("{bytes}", "size")).contains("needs a {bytes}"));
+}
+
+#[test]
 fn a_bad_file_says_where_and_what_would_be_right() {
     for (lines, words) in [
         (FASTER.replace("metric", "metrik"), vec!["line 6", "unknown field `metrik`", "`metric`"]),

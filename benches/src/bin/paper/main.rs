@@ -15,7 +15,7 @@
 //! | `tautline` | both processes on Tautline |
 //! | `stats` | from runs to rows: percentiles, misses, losses |
 //! | `predict` | response times computed, with the overhead that was measured |
-//! | `verdict` | what must hold between the rows |
+//! | `verdict` | what the paper says of its variants, as readings |
 //! | `report`, `html`, `figures` | the terminal, the JSON; the page and its pictures |
 
 mod application;
@@ -36,6 +36,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
+use tautline_benches::claims::print_verdicts;
 use tautline_benches::{Documented, Result, one_core, write};
 use tautline_paper::{Variant, priorities};
 use tautline_rt::permission;
@@ -117,5 +118,6 @@ fn measure(options: &Options) -> Result<()> {
         write(path, &html::page(&report)?)?;
         println!("Report: {}", path.display());
     }
-    Ok(())
+    println!();
+    Ok(print_verdicts(&report.verdicts)?)
 }

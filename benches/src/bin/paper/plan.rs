@@ -17,12 +17,18 @@ pub enum System {
     R2r,
 }
 
-impl fmt::Display for System {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
+impl System {
+    pub fn name(self) -> &'static str {
+        match self {
             System::Tautline => "tautline",
             System::R2r => "r2r",
-        })
+        }
+    }
+}
+
+impl fmt::Display for System {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
     }
 }
 

@@ -54,7 +54,7 @@ impl Report {
                 row.rta_overhead_ms = bounds[row.index].map(stats::ms);
             }
         }
-        let verdicts = verdicts(&rows, plan.capacity.computed());
+        let verdicts = verdicts(&rows, plan.capacity.computed())?;
         let notes = Notes { method: method(plan), machine: circumstances(plan, results, &overheads)? };
         let disturbed = results.cells.iter().flat_map(|cell| disturbed(plan, cell)).collect();
         Ok(Report { rows, verdicts, notes, disturbed })
@@ -172,14 +172,12 @@ fn circumstances(plan: &Plan, results: &Results, overheads: &[(System, u64)]) ->
     Ok(lines)
 }
 
-/// Prints the table, what must hold, and the circumstances.
+/// Prints the table and the circumstances.
 pub fn print(report: &Report) {
     println!("{}", table(&report.rows));
     println!(
         "Times in ms, from scheduled release to end of callback; ± is the deviation of the runs' p99.\n"
     );
-    report.verdicts.iter().for_each(|verdict| println!("{verdict}"));
-    println!();
     for run in &report.disturbed {
         let fate = run.fate();
         let (steal, missed) = (run.steal_ticks, run.missed_releases);
@@ -268,7 +266,8 @@ pub mod tests {
 
     pub fn report(rows: Vec<Row>) -> Report {
         let notes = Notes { method: vec!["a <method>".into()], machine: vec!["a machine".into()] };
-        Report { verdicts: verdicts(&rows, plan().capacity.computed()), rows, notes, disturbed: Vec::new() }
+        let verdicts = verdicts(&rows, plan().capacity.computed()).unwrap();
+        Report { verdicts, rows, notes, disturbed: Vec::new() }
     }
 
     pub fn row(system: System, name: &str, index: usize, latencies_ms: &[f64]) -> Row {

@@ -7,12 +7,11 @@
 //! here two equal cases differ by more. That an observer costs no system call is a test (`transport/tests/syscalls.rs`).
 
 use crate::{DOMAIN, Looking, Result, Taut, as_robot};
-use serde::Serialize;
 use std::time::Duration;
 use tautline::geometry_msgs::msg::Point;
 use tautline_benches::Distribution;
-use tautline_benches::rows::{Row, Tally, median};
-use tautline_benches::table::of_rows;
+use tautline_benches::readings::Reading;
+use tautline_benches::rows::{Tally, median};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_rt::{CoreSet, MemoryLock, lock_memory};
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription};
@@ -35,13 +34,9 @@ const CASES: [(&str, &[&str], bool); 8] = [
 ];
 
 /// What was measured of a case.
-#[derive(Clone, Default, Serialize)]
-pub struct Case {
-    #[serde(skip)]
+#[derive(Clone, Default)]
+struct Case {
     tally: Tally,
-    /// Made of it in the end.
-    #[serde(flatten)]
-    row: Row,
     /// Of the publishing thread, in all rounds.
     page_faults: u64,
     /// How often it lost its core.
@@ -80,8 +75,7 @@ fn round(
     }
 }
 
-/// Prints the cases, and adds what does not hold to `broken`.
-pub fn measure(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Vec<Case>> {
+pub fn measure(taut: &Taut, quick: bool) -> Result<Vec<Reading>> {
     let (rounds, messages) = if quick { (2_u32, 500) } else { (10, 3000) };
     let taut = taut.clone();
     let participant = Participant::new(DOMAIN)?;
@@ -125,22 +119,20 @@ pub fn measure(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Vec
         }
         Ok(all)
     });
-    let mut cases = worker.join().map_err(|_| "the publishing thread panicked")??;
-    let mut nobodys_us = None;
-    for (case, (name, _, is_free)) in cases.iter_mut().zip(CASES) {
-        let Case { tally, page_faults, preempted, .. } = &*case;
+    let cases = worker.join().map_err(|_| "the publishing thread panicked")??;
+    let (mut readings, mut nobodys_us) = (Vec::new(), None);
+    for (case, (name, _, is_free)) in cases.iter().zip(CASES) {
+        let Case { tally, page_faults, preempted, faulted_rounds } = case;
         // Of a round, the median of all: one stall of the host is in the maximum only.
         let p999_us = median(tally.rounds.iter().map(|round| round.p999_us).collect()).unwrap_or(f64::NAN);
         let ratio = p999_us / *nobodys_us.get_or_insert(p999_us);
-        let note =
-            format!("{page_faults} page faults, preempted {preempted} times, p99.9 {ratio:.2} x nobody's");
-        let row = tally.row("publishing", "tautline", name, size_of::<Point>());
-        if is_free && case.faulted_rounds == rounds {
-            broken.push(format!("{name}: {page_faults} page faults of the publisher, some in every round"));
-        }
-        case.row = Row { p999_us: Some(p999_us), note, ..row };
+        let note = format!("preempted {preempted} times, p99.9 {ratio:.2} x nobody's");
+        let one = Reading::of("publishing", 0, name, "µs").times(&tally.times).note(note);
+        readings.push(Reading { p999: Some(p999_us), ..one });
+        let experiment = if is_free { "page faults" } else { "page faults, with a subscription" };
+        let share = f64::from(*faulted_rounds) / f64::from(rounds);
+        let one = Reading::of(experiment, 0, name, "of the rounds").value(share);
+        readings.push(one.note(format!("{page_faults} page faults of the publisher")));
     }
-    println!("a publication at 1 kHz, in us, and what the kernel counts of its thread\n");
-    println!("{}", of_rows(cases.iter().map(|case| &case.row)));
-    Ok(cases)
+    Ok(readings)
 }

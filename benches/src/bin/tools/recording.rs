@@ -2,8 +2,7 @@
 //! `taut record`: twenty topics at 1 kHz and a camera for a while, of which nothing may be lost; `taut play` of that; and 1 MiB messages as
 //! fast as the disk takes a plain file, which is measured just before. And whether its memory stays what it was.
 
-use crate::{Result, Taut, as_robot, interrupt};
-use serde::Serialize;
+use crate::{Result, Taut, as_robot, interrupt, too_short};
 use serde_json::Value;
 use std::fs::File;
 use std::io::Write;
@@ -11,10 +10,9 @@ use std::path::Path;
 use std::process::{Child, Stdio};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
+use tautline_benches::readings::Reading;
 use tautline_benches::rows::extent;
-use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::Table;
-use tautline_benches::{Beside, Distribution, cells};
+use tautline_benches::{Beside, Distribution};
 use tautline_rt::CoreSet;
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{EndpointKind, Limits, Participant, Qos, RawPublisher, TopicType, Visitor};
@@ -24,71 +22,9 @@ const SMALL_TOPICS: usize = 20;
 const SMALL_BYTES: usize = 256;
 const MIB: usize = 1 << 20;
 const PATIENCE: Duration = Duration::from_secs(30);
-/// Of the disk's own rate, at least.
-const SHARE: f64 = 0.9;
-/// What the player may be later than the timer that it sleeps by, of 99 messages in 100.
-const MOST_JITTER_MS: f64 = 0.05;
 /// The priorities of the player and of who publishes what is recorded.
 const PLAYER: u8 = 40;
 const ROBOT: u8 = 80;
-/// What a recorder may add to the p99.9 of a publication.
-const MOST_ADDED: f64 = 1.05;
-/// What a recorder's memory may grow by after the first tenth of ten minutes: a page here and there, no message of 8 MiB.
-const MOST_GROWTH_KB: u64 = 1024;
-
-#[derive(Serialize)]
-pub struct Flight {
-    seconds: f64,
-    messages: u64,
-    megabytes: f64,
-    lost: u64,
-    /// The longest time between two looks at a topic, and what the topic nearest to a loss would have survived.
-    longest_stall_ms: f64,
-    survives_ms: f64,
-    longest_write_ms: f64,
-    publications: Publications,
-    replay: Replay,
-}
-
-/// How long a publication on one of the small topics takes while there is a recorder, and while there is none: before and after that, so
-/// that a machine that gets slower or faster meanwhile is in both.
-#[derive(Serialize)]
-struct Publications {
-    /// p50, p99, p99.9, max.
-    without_us: [f64; 4],
-    with_us: [f64; 4],
-}
-
-/// Of a recorder that runs for long.
-#[derive(Serialize)]
-pub struct Memory {
-    seconds: u64,
-    messages: u64,
-    lost: u64,
-    /// What is resident, each second.
-    resident_kb: Vec<u64>,
-}
-
-/// A plain file and a recording of as much, one after the other.
-#[derive(Serialize)]
-pub struct Sequential {
-    bare_mb_s: f64,
-    recorded_mb_s: f64,
-    lost: u64,
-}
-
-/// The flight again, as `taut play` says of itself.
-#[derive(Serialize)]
-struct Replay {
-    published: u64,
-    starved: u64,
-    /// p50, p99, max.
-    late_ms: [f64; 3],
-    /// Of that, as the player says.
-    timer_late_ms: [f64; 3],
-    /// A thread of this program on the player's core, meanwhile.
-    beside_ms: [f64; 3],
-}
 
 /// A timer of its own on the last core: how late it is at each millisecond, whether it slept until then or was late before.
 fn time_beside() -> Beside<Result<Distribution>> {
@@ -104,29 +40,42 @@ fn time_beside() -> Beside<Result<Distribution>> {
     })
 }
 
-impl Replay {
-    fn run(taut: &Taut, bag: &Path) -> Result<Self> {
-        let core = CoreSet::allowed()?.iter().last().ok_or("there is no core")?;
-        let (core_name, priority) = (core.to_string(), PLAYER.to_string());
-        let beside = time_beside();
-        let mut play = taut.command(&["play", "--json", "--core", &core_name, "--priority", &priority]);
-        let output = play.arg(bag).stdout(Stdio::piped()).output();
-        let (beside, output) = (beside.end()?, output?);
-        if !output.status.success() {
-            return Err(format!("taut play: {}", output.status).into());
-        }
-        let report: Value = serde_json::from_slice(&output.stdout)?;
-        let times =
-            |key: &str| ["p50", "p99", "max"].map(|which| report[key][which].as_f64().unwrap_or(f64::NAN));
-        Ok(Replay {
-            published: number(&report, "published"),
-            starved: number(&report, "starved"),
-            late_ms: times("late_ms"),
-            timer_late_ms: times("timer_late_ms"),
-            beside_ms: [beside.quantile_us(0.5), beside.quantile_us(0.99), beside.max_us()]
-                .map(|us| us / 1e3),
-        })
+/// The flight again, as `taut play` says of itself, beside a thread of this program on the player's core.
+fn replay(taut: &Taut, bag: &Path, recorded: u64, unfit: Option<&str>) -> Result<Vec<Reading>> {
+    let core = CoreSet::allowed()?.iter().last().ok_or("there is no core")?;
+    let (core_name, priority) = (core.to_string(), PLAYER.to_string());
+    let beside = time_beside();
+    let mut play = taut.command(&["play", "--json", "--core", &core_name, "--priority", &priority]);
+    let output = play.arg(bag).stdout(Stdio::piped()).output();
+    let (beside, output) = (beside.end()?, output?);
+    if !output.status.success() {
+        return Err(format!("taut play: {}", output.status).into());
     }
+    let report: Value = serde_json::from_slice(&output.stdout)?;
+    let published = number(&report, "published");
+    let times = |key: &str, what| {
+        let [p50, p99, max] = ["p50", "p99", "max"].map(|which| report[key][which].as_f64());
+        Reading { n: published, p99, max, ..flight_of(what, "ms", p50.unwrap_or(f64::NAN)) }
+    };
+    let (late, timer) = (
+        times("late_ms", "lateness of what is played"),
+        times("timer_late_ms", "lateness of the player's timer"),
+    );
+    let other =
+        Reading::of("flight", 0, "lateness of another timer on its core", "ms").times_in(&beside, 1e3);
+    let later = late.p99.unwrap_or(f64::NAN) - other.p99.unwrap_or(f64::NAN);
+    Ok(vec![
+        flight_of("difference between recorded and played", "messages", recorded.abs_diff(published) as f64),
+        flight_of("played messages that are not read in time", "messages", number(&report, "starved") as f64),
+        flight_of("p99 of what is played, later than that of another timer", "ms", later).unfit(unfit),
+        late,
+        timer,
+        other,
+    ])
+}
+
+fn flight_of(what: &str, unit: &'static str, value: f64) -> Reading {
+    Reading::of("flight", 0, what, unit).value(value)
 }
 
 struct Recorder(Child);
@@ -251,11 +200,12 @@ impl Robot {
     }
 }
 
-/// Twenty topics and a camera, and all of it again; adds what does not hold to `broken`.
-pub fn flight(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Flight> {
+/// Twenty topics and a camera, and all of it again.
+pub fn flight(taut: &Taut, quick: bool) -> Result<Vec<Reading>> {
     let (seconds, image) = if quick { (3_u64, MIB) } else { (60, 8 * MIB) };
     let (folder, participant) = (folder()?, Participant::new(crate::DOMAIN)?);
     let mut robot = Robot::new(&participant, image)?;
+    // Before and after the recorder: a machine that gets slower or faster meanwhile is in both.
     let mut without = robot.fly(seconds.div_ceil(2))?;
     let mut recorder = Recorder::start(taut, &folder.path().join("flight"), &[])?;
     recorder.wait(SMALL_TOPICS + 1)?;
@@ -263,56 +213,41 @@ pub fn flight(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Flig
     let report = recorder.end()?;
     without.add(&robot.fly(seconds.div_ceil(2))?.counts());
     drop(robot);
-    let of = |took: &Distribution| {
-        let [p50, p99, p999] = [0.5, 0.99, 0.999].map(|quantile| took.quantile_us(quantile));
-        [p50, p99, p999, took.max_us()]
-    };
-    let publications = Publications { without_us: of(&without), with_us: of(&with) };
-    let replay = Replay::run(taut, &folder.path().join("flight"))?;
-
     let topics = report["topics"].as_array().ok_or("no topics")?;
     let of_topics = |key: &'static str| topics.iter().filter_map(move |topic| topic[key].as_f64());
-    let flight = Flight {
-        seconds: report["seconds"].as_f64().unwrap_or(0.0),
-        messages: number(&report, "messages"),
-        megabytes: number(&report, "bytes") as f64 / 1e6,
-        lost: number(&report, "lost"),
-        longest_stall_ms: of_topics("longest_stall_ns").fold(0.0, f64::max) / 1e6,
-        survives_ms: of_topics("survives_stall_ns").fold(f64::INFINITY, f64::min) / 1e6,
-        longest_write_ms: number(&report, "longest_write_ns") as f64 / 1e6,
-        publications,
-        replay,
-    };
-    flight.print(image);
-    check_recorded(flight.messages, flight.lost, seconds, broken);
-    let Publications { without_us: [.., without_us, _], with_us: [.., with_us, _] } = flight.publications;
-    if !quick && with_us > without_us * MOST_ADDED {
-        broken.push(format!(
-            "taut record: p99.9 of a publication is {with_us:.2} us, without it {without_us:.2}"
-        ));
-    }
-    let Replay { published, late_ms: [_, late_ms, _], beside_ms: [_, beside_ms, _], .. } = flight.replay;
-    if published != flight.messages {
-        broken.push(format!("taut play: {published} of {} messages were published", flight.messages));
-    }
-    if !quick && late_ms > beside_ms + MOST_JITTER_MS {
-        broken.push(format!("taut play: p99 is {late_ms:.3} ms late, a timer beside it {beside_ms:.3} ms"));
-    }
-    Ok(flight)
+    let stall_ms = of_topics("longest_stall_ns").fold(0.0, f64::max) / 1e6;
+    let survives_ms = of_topics("survives_stall_ns").fold(f64::INFINITY, f64::min) / 1e6;
+    let added = with.quantile_us(0.999) / without.quantile_us(0.999);
+    let mut readings = recorded("flight", &report, seconds);
+    readings.extend([
+        flight_of("megabytes recorded", "MB", report["bytes"].as_f64().unwrap_or(f64::NAN) / 1e6),
+        flight_of("longest time between two looks at a topic", "ms", stall_ms),
+        flight_of("such a time that would lose nothing yet", "ms", survives_ms),
+        flight_of("longest write", "ms", number(&report, "longest_write_ns") as f64 / 1e6),
+        Reading::of("flight", 0, "a publication without a recorder", "µs").times(&without),
+        Reading::of("flight", 0, "a publication with a recorder", "µs").times(&with),
+        flight_of("p99.9 with a recorder, to that without", "x", added).unfit(too_short(quick)),
+    ]);
+    let (bag, messages) = (folder.path().join("flight"), number(&report, "messages"));
+    readings.extend(replay(taut, &bag, messages, too_short(quick))?);
+    Ok(readings)
 }
 
 /// Whether a bag has all that the robot has sent in so long.
-fn check_recorded(messages: u64, lost: u64, seconds: u64, broken: &mut Vec<String>) {
-    let wanted = seconds * (SMALL_TOPICS as u64 * 1000 + 30);
-    if lost > 0 || messages != wanted {
-        broken.push(format!("taut record: {messages} of {wanted} messages were recorded, {lost} lost"));
-    }
+fn recorded(experiment: &str, report: &Value, seconds: u64) -> Vec<Reading> {
+    let (messages, wanted) = (number(report, "messages"), seconds * (SMALL_TOPICS as u64 * 1000 + 30));
+    let of = |what, number: u64| Reading::of(experiment, 0, what, "messages").value(number as f64);
+    let note = format!("of {wanted} in {seconds} s");
+    vec![
+        of("messages recorded", messages).note(note),
+        of("difference between sent and recorded", wanted.abs_diff(messages)),
+        of("messages lost", number(report, "lost")),
+    ]
 }
 
-/// The flight for ten minutes, into a ring of files: the recorder's memory meanwhile; adds what does not hold to `broken`.
-pub fn memory(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Memory> {
+/// The flight for ten minutes, into a ring of files: the recorder's memory meanwhile.
+pub fn memory(taut: &Taut, quick: bool) -> Result<Vec<Reading>> {
     let (seconds, image, file) = if quick { (3_u64, MIB, "16MB") } else { (600, 8 * MIB, "2GB") };
-    println!("\ntaut record for {seconds} s, a ring of 4 files of {file}\n");
     let (folder, participant) = (folder()?, Participant::new(crate::DOMAIN)?);
     let mut robot = Robot::new(&participant, image)?;
     let bag = folder.path().join("flight");
@@ -334,108 +269,51 @@ pub fn memory(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Memo
     let resident_kb = watching.end();
     flown?;
     let report = recorder.end()?;
-    let (messages, lost) = (number(&report, "messages"), number(&report, "lost"));
+    if (resident_kb.len() as u64) * 2 < seconds {
+        return Err("the recorder's memory could not be read".into());
+    }
     let (first, later) = resident_kb.split_at(resident_kb.len().div_ceil(10));
-    let most = |of: &[u64]| of.iter().max().copied().unwrap_or(0);
-    let (first, later) = (most(first), most(later));
-    println!("{messages} messages, {lost} lost");
-    println!("memory: at most {first} kB in the first tenth of the time, {later} kB after that");
-    check_recorded(messages, lost, seconds, broken);
-    if resident_kb.len() as u64 * 2 < seconds {
-        broken.push("taut record: its memory could not be read".to_owned());
-    }
+    let [first, later] = [first, later].map(|of| of.iter().max().map_or(f64::NAN, |kb| *kb as f64));
+    let of = |what, kb: f64| Reading::of("memory", 0, what, "kB").value(kb);
+    let mut readings = recorded("memory", &report, seconds);
+    readings.push(of("most in the first tenth of the time", first));
+    readings.push(of("most after that", later));
     // In three seconds it has not yet used all that it uses.
-    if !quick && later > first + MOST_GROWTH_KB {
-        broken.push(format!("taut record: its memory grew from {first} to {later} kB"));
-    }
-    Ok(Memory { seconds, messages, lost, resident_kb })
+    readings.push(of("growth after the first tenth", later - first).unfit(too_short(quick)));
+    Ok(readings)
 }
 
-/// Messages of 1 MiB as fast as a plain file of as many was written before, a few times; adds what does not hold to `broken`.
-pub fn sequential(taut: &Taut, quick: bool, broken: &mut Vec<String>) -> Result<Vec<Sequential>> {
+/// Messages of 1 MiB as fast as a plain file of as many was written before, a few times.
+pub fn sequential(taut: &Taut, quick: bool) -> Result<Vec<Reading>> {
     // A small one on a machine whose disk nobody knows.
     let (rounds, bytes) = if quick { (1, 256 * MIB) } else { (5, 4096 * MIB) };
-    println!("\nmessages of 1 MiB as fast as a plain file is written: {} MiB\n", bytes / MIB);
-    let mut table = Table::new(0, ["plain MB/s", "recorded MB/s", "is x", "lost"].map(Number));
-    let (mut all, mut shares) = (Vec::new(), Vec::new());
+    let (mut plain, mut recorded, mut shares, mut lost) = (Vec::new(), Vec::new(), Vec::new(), 0);
     for _ in 0..rounds {
-        let round = Sequential::run(taut, bytes)?;
-        let Sequential { bare_mb_s, recorded_mb_s, lost } = round;
-        let share = recorded_mb_s / bare_mb_s;
-        table.add(cells![
-            format!("{bare_mb_s:.0}"),
-            format!("{recorded_mb_s:.0}"),
-            format!("{share:.2}"),
-            lost
-        ]);
-        shares.push(share);
-        all.push(round);
-    }
-    println!("{table}\nrosbag2 says of itself: 110 to 120 MB/s (github.com/ros2/rosbag2/issues/1787)");
-    let [_, share, _] = extent(shares);
-    if !quick && share < SHARE {
-        broken.push(format!("taut record writes {share:.2} x of what a plain file gets, in most rounds"));
-    }
-    Ok(all)
-}
-
-impl Sequential {
-    fn run(taut: &Taut, bytes: usize) -> Result<Self> {
         let folder = folder()?;
-        let bare_mb_s = bare(&folder.path().join("bare"), bytes)?;
+        let plain_mb_s = bare(&folder.path().join("bare"), bytes)?;
         let participant = Participant::new(crate::DOMAIN)?;
         let stream = publisher(&participant, "/stream", MIB, 64)?;
         let mut recorder = Recorder::start(taut, &folder.path().join("stream"), &[])?;
         recorder.wait(1)?;
         let start_ns = monotonic_ns();
-        send(&stream, &vec![7; MIB], bare_mb_s * 1e6 / MIB as f64, (bytes / MIB) as u64)?;
+        send(&stream, &vec![7; MIB], plain_mb_s * 1e6 / MIB as f64, (bytes / MIB) as u64)?;
         let report = recorder.end()?;
         let seconds = (monotonic_ns() - start_ns) as f64 / 1e9;
         let recorded_mb_s = report["bytes"].as_f64().unwrap_or(0.0) / 1e6 / seconds;
-        Ok(Sequential { bare_mb_s, recorded_mb_s, lost: number(&report, "lost") })
+        plain.push(plain_mb_s);
+        recorded.push(recorded_mb_s);
+        shares.push(recorded_mb_s / plain_mb_s);
+        lost += number(&report, "lost");
     }
-}
-
-impl Flight {
-    fn print(&self, image: usize) {
-        let Flight {
-            seconds,
-            messages,
-            megabytes,
-            lost,
-            longest_stall_ms,
-            survives_ms,
-            longest_write_ms,
-            ..
-        } = self;
-        println!(
-            "\ntaut record: {SMALL_TOPICS} topics at 1 kHz and images of {} MiB at 30 Hz\n",
-            image / MIB
-        );
-        println!("{messages} messages, {megabytes:.0} MB in {seconds:.1} s, {lost} lost");
-        println!(
-            "longest time between two looks {longest_stall_ms:.1} ms, survived would be {survives_ms:.1} ms; longest write {longest_write_ms:.1} ms"
-        );
-        let Publications { without_us, with_us } = &self.publications;
-        let columns =
-            [Words("a publication, in us"), Number("p50"), Number("p99"), Number("p99.9"), Number("max")];
-        let mut table = Table::new(0, columns);
-        for (what, times) in [("without a recorder", without_us), ("with it", with_us)] {
-            let [p50, p99, p999, max] = times.map(|us| format!("{us:.2}"));
-            table.add(cells![what, p50, p99, p999, max]);
-        }
-        println!("\n{table}");
-        let Replay { published, starved, late_ms, timer_late_ms, beside_ms } = &self.replay;
-        println!("\ntaut play of that: {published} messages, {starved} not read in time\n");
-        let columns = [Words("late by, in ms"), Number("p50"), Number("p99"), Number("max")];
-        let mut table = Table::new(0, columns);
-        let of_timer = "of that its timer";
-        for (what, times) in
-            [("messages", late_ms), (of_timer, timer_late_ms), ("another timer on its core", beside_ms)]
-        {
-            let [p50, p99, max] = times.map(|ms| format!("{ms:.3}"));
-            table.add(cells![what, p50, p99, max]);
-        }
-        println!("{table}");
-    }
+    let of = |what, unit, rounds: Vec<f64>| {
+        let (n, [_, median, most]) = (rounds.len() as u64, extent(rounds));
+        Reading { n, max: Some(most), ..Reading::of("sequential", 0, what, unit).value(median) }
+    };
+    let share = of("recorded, to the plain file", "x", shares).unfit(too_short(quick));
+    Ok(vec![
+        of("a plain file", "MB/s", plain),
+        of("recorded", "MB/s", recorded),
+        share.note("rosbag2 says of itself: 110 to 120 MB/s (github.com/ros2/rosbag2/issues/1787)"),
+        of("messages lost", "messages", vec![lost as f64]),
+    ])
 }
