@@ -29,7 +29,7 @@ impl Default for Budget {
 
 const WINDOW: Duration = Duration::from_millis(40);
 const LOOKS_PER_WINDOW: u32 = 8;
-/// So often the threads are listed anew, and given the policy that they should have: every 400 ms.
+/// So often the threads are listed anew, and new ones given the policy of the others: every 400 ms.
 const RENEWAL_LOOKS: u32 = LOOKS_PER_WINDOW * 10;
 
 /// Calm windows in a row before the priority is restored.
@@ -160,31 +160,27 @@ impl Drop for Guard {
 pub type ThreadLister = Box<dyn Fn() -> Result<Vec<(u32, Policy)>, RtError> + Send>;
 
 fn watch(budget: Budget, list: ThreadLister, stop: &AtomicBool, demotions: &AtomicU64) {
-    let mut threads = BudgetedThreads { list, threads: Vec::new(), ended: ThreadTime::default() };
+    let (ended, is_demoted) = (ThreadTime::default(), false);
+    let mut threads = BudgetedThreads { list, threads: Vec::new(), ended, is_demoted };
     threads.renew();
     let mut meter = Meter::new(budget, threads.spent());
     let mut looks = 0u32;
     while !stop.load(Ordering::Relaxed) {
         std::thread::sleep(WINDOW / LOOKS_PER_WINDOW);
         looks = looks.wrapping_add(1);
+        if looks.is_multiple_of(RENEWAL_LOOKS) {
+            threads.renew();
+        }
         match meter.look(threads.spent()) {
-            // What was refused at the change was said then.
-            Verdict::Keep if looks.is_multiple_of(RENEWAL_LOOKS) => drop(threads.set(meter.is_demoted)),
             Verdict::Keep => {}
             Verdict::Demote => {
                 demotions.fetch_add(1, Ordering::Relaxed);
-                warn(&threads.set(true));
+                threads.set(true);
             }
-            Verdict::Promote => warn(&threads.set(false)),
+            Verdict::Promote => threads.set(false),
         }
     }
-    warn(&threads.set(false));
-}
-
-fn warn(refused: &[RtError]) {
-    for error in refused {
-        tracing::warn!("the priority of a thread is not changed: {error}");
-    }
+    threads.set(false);
 }
 
 /// The watched threads, and the time of those that have ended.
@@ -193,9 +189,11 @@ struct BudgetedThreads {
     threads: Vec<(u32, Policy, ThreadTime)>,
     /// May be below zero: see [`renew`](Self::renew).
     ended: ThreadTime,
+    is_demoted: bool,
 }
 
 impl BudgetedThreads {
+    /// Lists them anew. A new one gets the policy of now: it may have inherited that of before a change.
     fn renew(&mut self) {
         let Ok(now) = (self.list)() else { return };
         for (tid, _, spent) in &self.threads {
@@ -208,6 +206,7 @@ impl BudgetedThreads {
             let spent = ThreadTime::of(tid);
             let known = self.threads.iter().find(|(known, ..)| *known == tid).map(|(.., spent)| *spent);
             if known.is_none() {
+                self.set_policy(tid, policy);
                 // Keeps the sum unchanged: its earlier time is subtracted from the ended threads'.
                 self.ended = self.ended.minus(spent.unwrap_or_default());
             }
@@ -223,13 +222,20 @@ impl BudgetedThreads {
         self.threads.iter().fold(self.ended, |sum, (.., spent)| sum.plus(*spent))
     }
 
-    /// Sets each thread to its own policy, or to SCHED_OTHER while demoted, whether or not that changes it; returns what was refused.
-    fn set(&mut self, is_demoted: bool) -> Vec<RtError> {
+    fn set(&mut self, is_demoted: bool) {
+        self.is_demoted = is_demoted;
         self.renew();
-        let policy_of = |policy| if is_demoted { Policy::Other { nice: 0 } } else { policy };
-        let set =
-            self.threads.iter().map(|(tid, policy, _)| tautline_rt::set_policy_of(*tid, policy_of(*policy)));
-        set.filter_map(Result::err).filter(|error| !matches!(error, RtError::NoSuchThread { .. })).collect()
+        self.threads.iter().for_each(|(tid, policy, _)| self.set_policy(*tid, *policy));
+    }
+
+    /// To the thread's own one, or to SCHED_OTHER while demoted.
+    fn set_policy(&self, tid: u32, own: Policy) {
+        let policy = if self.is_demoted { Policy::Other { nice: 0 } } else { own };
+        if let Err(error) = tautline_rt::set_policy_of(tid, policy)
+            && !matches!(error, RtError::NoSuchThread { .. })
+        {
+            tracing::warn!("the priority of a thread is not changed: {error}");
+        }
     }
 }
 
