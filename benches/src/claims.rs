@@ -144,7 +144,8 @@ struct Entry {
     words: String,
     #[serde(default)]
     each: Vec<String>,
-    experiment: Option<Names>,
+    #[serde(default)]
+    experiment: Names,
     #[serde(default)]
     bytes: Names,
     metric: Metric,
@@ -164,7 +165,8 @@ struct Entry {
 #[derive(Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Side {
-    experiment: Option<Names>,
+    #[serde(default)]
+    experiment: Names,
     system: String,
     #[serde(default)]
     modes: Vec<String>,
@@ -284,8 +286,7 @@ impl Entry {
     fn claim(&self, text: &str, size: Option<&String>, measurable: &Measurable) -> Result<Claim, Bad> {
         let rows = |side: &Side| -> Result<Rows, Bad> {
             let put = |words: &String| words.replace("{}", text);
-            let names = side.experiment.as_ref().or(self.experiment.as_ref());
-            let names = names.filter(|names| !names.of().is_empty());
+            let names = [&side.experiment, &self.experiment].into_iter().find(|names| !names.of().is_empty());
             let names =
                 names.ok_or(("experiment", "missing: name it for the claim or for each side".to_owned()))?;
             let names: Vec<String> = names.of().iter().map(put).collect();

@@ -221,8 +221,8 @@ pub fn flight(taut: &Taut, quick: bool) -> Result<Vec<Reading>> {
     let mut readings = recorded("flight", &report, seconds);
     readings.extend([
         flight_of("megabytes recorded", "MB", report["bytes"].as_f64().unwrap_or(f64::NAN) / 1e6),
-        flight_of("longest time between two looks at a topic", "ms", stall_ms),
-        flight_of("such a time that would lose nothing yet", "ms", survives_ms),
+        flight_of("longest stall of the recorder on a topic", "ms", stall_ms),
+        flight_of("stall that loses nothing on any topic", "ms", survives_ms),
         flight_of("longest write", "ms", number(&report, "longest_write_ns") as f64 / 1e6),
         Reading::of("flight", 0, "a publication without a recorder", "µs").times(&without),
         Reading::of("flight", 0, "a publication with a recorder", "µs").times(&with),
