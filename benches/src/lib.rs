@@ -13,45 +13,11 @@
 //! | `budgets` | whether a callback that overruns its budget makes others miss their deadlines |
 //!
 //! A measurement runs its rivals in alternating rounds of one run, on pinned cores, and states percentiles, counts and
-//! the machine. Absolute times belong to the machine; ratios within a run are what is compared: `rows` has the form of what was
-//! measured of systems beside each other, `readings` that of everything else, `claims.toml` what must hold, `claims` judges it, `table` and
-//! `page` show it. `systems` are the ends of an exchange that a bench runs itself.
+//! the machine. Absolute times belong to the machine; ratios within a run are what is compared. `systems` are the ends of an exchange
+//! that a bench runs itself, a `Stage` is where callbacks are measured; `tautline-harness` has the rest.
 #![allow(missing_docs, reason = "many names say it all")]
 
-mod beside;
-pub mod canvas;
-pub mod claims;
-mod distribution;
-mod gateways;
-mod machine;
-pub mod page;
-mod process;
-mod program;
-pub mod readings;
-pub mod rows;
-mod run;
-mod scratch;
 mod stage;
 pub mod systems;
-pub mod table;
-mod turns;
 
-pub use beside::Beside;
-pub use distribution::Distribution;
-pub use gateways::{Gateways, Host};
-pub use machine::{Disturbance, machine, version_in, version_of};
-pub use process::Process;
-pub use program::{exit, interrupted, progress_bar, two_cores, write, write_json};
-pub use run::{Documented, Run, one_core, program};
-pub use scratch::Scratch;
 pub use stage::Stage;
-pub use turns::{TurnRow, Turns};
-
-/// What nobody handles but the person who reads it.
-pub type Result<T = ()> = std::result::Result<T, Box<dyn std::error::Error>>;
-
-/// The cells of a table's row.
-#[macro_export]
-macro_rules! cells {
-    ($($cell:expr),* $(,)?) => { [$($crate::table::Cell::from($cell)),*] };
-}

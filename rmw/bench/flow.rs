@@ -4,80 +4,59 @@
 use crate::rmw::{Node, Publish, STRUCT_BYTES, Take, Twist, Waiting, checked};
 use crate::system::{PATIENCE, Starter, System, Task, measured, ready, said};
 use crate::types;
-use serde_json::{Value, json};
-use std::fmt;
 use std::ptr::null_mut;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tautline_exchange::{Exchange, Inlet, Job, Line, Result, Role, Sink, Source, Stamp, Way, say, stop_flag};
+use tautline_harness::rows::{Round, Row, rounded};
 
-pub const TOPICS: usize = 20;
-pub const RATE_HZ: usize = 100;
+const TOPICS: usize = 20;
+const RATE_HZ: usize = 100;
 
 /// How often who receives looks whether it is to end.
 const LOOK: Duration = Duration::from_millis(100);
 /// How long what is under way may take to arrive.
 const DRAIN: Duration = Duration::from_millis(500);
 
-pub const HEAD: &str = "system            publishing  subscribing   CPU ms/s  n received    lost";
+/// What it is called among the rows.
+pub const EXPERIMENT: &str = "cpu";
+pub const MODE: &str = "20 topics at 100 Hz";
 
-pub struct Row {
-    pub system: &'static str,
-    /// CPU time of a process in ms for each second.
-    publishing: f64,
-    subscribing: f64,
-    received: u64,
-    pub lost: u64,
-}
-
-impl Row {
-    pub fn measure(starter: &Starter<'_>, system: &System, budget: Duration) -> Result<Self> {
-        let start = |role| {
-            let exchange = Exchange::Paced { rate: (TOPICS * RATE_HZ) as f64 };
-            let job = starter.job(system, role, exchange, budget);
-            let way = Way { topics: TOPICS, subscribers: 1, at_once: true, ..job.way.clone() };
-            starter.start(system, &Job { payload_bytes: STRUCT_BYTES, way, ..job }, Task::Flow)
-        };
-        let mut far = start(Role::Far)?;
-        ready(&mut far, PATIENCE)?;
-        let mut near = start(Role::Near)?;
-        said(far.expect(PATIENCE, |line| matches!(line, Line::Connected { .. }).then_some(())))?;
-        said(near.tell("go"))?;
-        let sent = measured(&mut near, PATIENCE + budget * 2)?;
-        // Whether the last one has come: what has not is counted as lost.
-        let _ = said(far.wait_for(DRAIN, |line| matches!(line, Line::Complete { .. }).then_some(())))?;
-        said(far.tell("stop"))?;
-        let received = measured(&mut far, PATIENCE)?;
-        said(near.finish())?;
-        said(far.finish())?;
-        let per_second = |cpu_ns: u64| cpu_ns as f64 / 1e6 / sent.seconds;
-        Ok(Row {
-            system: system.name,
-            publishing: per_second(sent.cpu_ns),
-            subscribing: per_second(received.cpu_ns),
-            received: received.messages,
-            lost: received.lost,
-        })
-    }
-
-    pub fn cpu_ms_per_s(&self) -> f64 {
-        self.publishing + self.subscribing
-    }
-
-    pub fn to_json(&self) -> Value {
-        json!({
-            "system": self.system, "topics": TOPICS, "rate_hz": RATE_HZ, "publishing_cpu_ms_per_s": self.publishing,
-            "subscribing_cpu_ms_per_s": self.subscribing, "cpu_ms_per_s": self.cpu_ms_per_s(),
-            "received": self.received, "lost": self.lost,
-        })
-    }
-}
-
-impl fmt::Display for Row {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:<18}{:>10.1}{:>13.1}", self.system, self.publishing, self.subscribing)?;
-        write!(f, "{:>11.1}{:>12}{:>8}", self.cpu_ms_per_s(), self.received, self.lost)
-    }
+/// The CPU time of both processes for each message.
+pub fn measure(starter: &Starter<'_>, system: &System, budget: Duration) -> Result<Row> {
+    let start = |role| {
+        let exchange = Exchange::Paced { rate: (TOPICS * RATE_HZ) as f64 };
+        let job = starter.job(system, role, exchange, budget);
+        let way = Way { topics: TOPICS, subscribers: 1, at_once: true, ..job.way.clone() };
+        starter.start(system, &Job { payload_bytes: STRUCT_BYTES, way, ..job }, Task::Flow)
+    };
+    let mut far = start(Role::Far)?;
+    ready(&mut far, PATIENCE)?;
+    let mut near = start(Role::Near)?;
+    said(far.expect(PATIENCE, |line| matches!(line, Line::Connected { .. }).then_some(())))?;
+    said(near.tell("go"))?;
+    let sent = measured(&mut near, PATIENCE + budget * 2)?;
+    // Whether the last one has come: what has not is counted as lost.
+    let _ = said(far.wait_for(DRAIN, |line| matches!(line, Line::Complete { .. }).then_some(())))?;
+    said(far.tell("stop"))?;
+    let received = measured(&mut far, PATIENCE)?;
+    said(near.finish())?;
+    said(far.finish())?;
+    let per_message = |cpu_ns: u64| cpu_ns as f64 / 1e3 / received.messages.max(1) as f64;
+    let [publishing, subscribing] = [sent.cpu_ns, received.cpu_ns].map(per_message);
+    let cpu_us_per_msg = Some(rounded(publishing + subscribing));
+    Ok(Row {
+        experiment: EXPERIMENT.to_owned(),
+        system: system.name.to_owned(),
+        mode: MODE.to_owned(),
+        payload_bytes: STRUCT_BYTES,
+        n: received.messages,
+        lost: received.lost,
+        cpu_us_per_msg,
+        note: format!("publishing {publishing:.1} µs, subscribing {subscribing:.1} µs"),
+        rounds: vec![Round { round: 1, n: received.messages, cpu_us_per_msg, ..Round::default() }],
+        ..Row::default()
+    })
 }
 
 /// Plays one end.

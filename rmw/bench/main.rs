@@ -3,7 +3,7 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | `trips` | half round trips: their rows |
+//! | `trips` | half round trips |
 //! | `end` | an end of them that calls the RMW itself; `client.py` and `rclcpp.cpp` are ends in rclpy and rclcpp |
 //! | `flow` | the CPU time of topics at a rate |
 //! | `nodes` | the time until nodes have found each other |
@@ -16,22 +16,22 @@ mod bindings;
 mod end;
 mod flow;
 mod nodes;
-#[path = "../../benches/src/process.rs"]
-#[allow(dead_code, reason = "no bench uses all of it")]
-mod process;
 mod rmw;
 mod system;
 mod trips;
 mod types;
 
 use clap::{Parser, ValueEnum};
-use serde_json::{Value, json};
-use std::io::{IsTerminal, Write};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
-use system::{Message, Starter, System, Task};
+use system::{Message, Starter, System, Task, said};
 use tautline_exchange::{Job, Result};
+use tautline_harness::claims::{self, Bench, Measurable};
+use tautline_harness::rows::{Row, Tally};
+use tautline_harness::table::{markdown, of_rows};
+use tautline_harness::{Disturbance, Documented, exit, machine, progress_bar};
 use tautline_rt::IdleHold;
 use trips::{Client, Trip};
 
@@ -43,12 +43,8 @@ use trips::{Client, Trip};
   cargo xtask bench rmw -- --only loaned,cpu
   cargo xtask bench rmw -- --only c --bytes 1048576")]
 struct Arguments {
-    /// Fewer and shorter rounds: half a minute instead of five
-    #[arg(long)]
-    quick: bool,
-    /// Write the numbers to FILE as well
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
+    #[command(flatten)]
+    told: Documented,
     /// These parts only
     #[arg(long, value_name = "PART,...", value_delimiter = ',')]
     only: Vec<Part>,
@@ -99,18 +95,13 @@ const FAST_DDS: &str = "rmw_fastrtps_cpp";
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let done = match (&arguments.end, arguments.task) {
-        (Some(job), Some(task)) => play(job, task).map(|()| true),
-        _ => measure(&arguments),
-    };
-    match done {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::FAILURE,
-        Err(error) => {
-            eprintln!("bench-rmw: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    exit(
+        "bench-rmw",
+        match (&arguments.end, arguments.task) {
+            (Some(job), Some(task)) => play(job, task),
+            _ => measure(&arguments),
+        },
+    )
 }
 
 /// What a process that this program has started does.
@@ -125,9 +116,8 @@ fn play(job: &str, task: Task) -> Result<()> {
     }
 }
 
-fn measure(arguments: &Arguments) -> Result<bool> {
+fn measure(arguments: &Arguments) -> Result<()> {
     tautline_rt::domain::set_scope(&format!("bench_rmw_{}", std::process::id())).ok();
-    let scope = tautline_rt::domain::scope()?.map(str::to_owned);
     let run = Run {
         arguments,
         starter: Starter {
@@ -140,28 +130,102 @@ fn measure(arguments: &Arguments) -> Result<bool> {
             System { name: FAST_DDS, library: arguments.fast_dds.clone() },
         ],
     };
-    let trips = run.trips()?;
-    let flows = run.flows()?;
-    let nodes = run.nodes()?;
-    let claims = claims(&trips);
-    for claim in &claims {
-        println!("{}", claim.said());
+    let disturbance = Disturbance::start();
+    let mut rows = run.trips()?;
+    rows.extend(run.flows()?);
+    rows.extend(run.nodes()?);
+    let disturbance = disturbance.report();
+    println!("{}\n{}\n{disturbance}\n", of_rows(&rows), machine());
+    let verdicts = claims::verdicts(Bench::Rmw, &measurable(), &rows)?;
+    claims::print_verdicts(&verdicts)?;
+    said(arguments.told.write(&rows, || document(&rows, &disturbance)))?;
+    match rows.iter().filter(|row| row.system == TAUTLINE).map(|row| row.lost).sum() {
+        0 => Ok(()),
+        lost => Err(format!("{TAUTLINE} lost {lost} messages").into()),
     }
-    let of_trips = trips.iter().filter(|row| row.system == TAUTLINE).map(|row| row.lost);
-    let of_flows = flows.iter().filter(|row| row.system == TAUTLINE).map(|row| row.lost);
-    let lost: u64 = of_trips.chain(of_flows).sum();
-    println!("lost by {TAUTLINE}: {lost}");
-    if let Some(path) = &arguments.json {
-        let all = json!({
-            "rows": trips.iter().map(trips::Row::to_json).collect::<Value>(),
-            "cpu": flows.iter().map(flow::Row::to_json).collect::<Value>(),
-            "nodes": nodes.iter().map(nodes::Row::to_json).collect::<Value>(),
-            "claims": claims.iter().map(Claim::to_json).collect::<Value>(),
-            "scope": scope,
-        });
-        std::fs::write(path, serde_json::to_string_pretty(&all)?)?;
+}
+
+/// What a claim may name.
+fn measurable() -> Measurable {
+    let trips = PARTS.iter().flat_map(|part| part.lengths.iter().map(|&bytes| part.trip(bytes)));
+    let payloads =
+        trips.clone().flat_map(|trip| [true, false].map(|held| (trip.experiment(held), trip.bytes)));
+    let flows = (flow::EXPERIMENT.to_owned(), rmw::STRUCT_BYTES);
+    let nodes = NODES.map(|nodes| (nodes::experiment(nodes), 0));
+    let modes: BTreeSet<&str> =
+        trips.map(|trip| trip.message.name()).chain([flow::MODE, nodes::MODE]).collect();
+    let of_both = |mode: &str| [TAUTLINE, FAST_DDS].map(|system| (system.to_owned(), mode.to_owned()));
+    Measurable {
+        payloads: payloads.chain([flows]).chain(nodes).collect(),
+        modes: modes.into_iter().flat_map(of_both).collect(),
     }
-    Ok(lost == 0 && (arguments.quick || claims.iter().all(Claim::holds)))
+}
+
+/// The table of the documents.
+fn document(rows: &[Row], disturbance: &str) -> String {
+    let titles = ["", "bytes", "RMW", "n", "p50 µs", "p99 µs", "max µs", "CPU µs per message", "lost"];
+    let number = |number: Option<f64>| tautline_harness::table::figure(number);
+    let line = |row: &Row| {
+        let what = format!("{}, {}", row.experiment, row.mode);
+        let [bytes, n, lost] = [row.payload_bytes as u64, row.n, row.lost].map(|count| count.to_string());
+        let [p50, p99, max] = [row.p50_us, row.p99_us, row.max_us].map(number);
+        vec![what, bytes, row.system.clone(), n, p50, p99, max, number(row.cpu_us_per_msg), lost]
+    };
+    format!(
+        "{}\n`cargo xtask bench rmw`: {}; {disturbance}.\n",
+        markdown(titles, 1, rows.iter().map(line)),
+        machine()
+    )
+}
+
+/// Round trips of one kind.
+struct Trips {
+    part: Part,
+    client: Client,
+    rounds: u32,
+    lengths: &'static [usize],
+    /// Of a quick run.
+    few: &'static [usize],
+}
+
+const KIB: usize = 1 << 10;
+const MIB: usize = 1 << 20;
+const PARTS: [Trips; 4] = [
+    Trips {
+        part: Part::C,
+        client: Client::C,
+        rounds: 5,
+        lengths: &[48, 64 * KIB, MIB, 8 * MIB],
+        few: &[48, MIB],
+    },
+    Trips {
+        part: Part::Loaned,
+        client: Client::C,
+        rounds: 5,
+        lengths: &[48, MIB, 8 * MIB],
+        few: &[48, 8 * MIB],
+    },
+    Trips {
+        part: Part::Rclcpp,
+        client: Client::Rclcpp,
+        rounds: 3,
+        lengths: &[48, 64 * KIB, MIB, 8 * MIB],
+        few: &[48],
+    },
+    Trips { part: Part::Rclpy, client: Client::Rclpy, rounds: 3, lengths: &[48, 64 * KIB, MIB], few: &[48] },
+];
+/// How many nodes find each other.
+const NODES: [usize; 3] = [5, 20, 50];
+
+impl Trips {
+    fn trip(&self, bytes: usize) -> Trip {
+        let message = match self.part {
+            Part::Loaned => Message::Loaned,
+            Part::C if bytes > rmw::STRUCT_BYTES => Message::Serialized,
+            _ => Message::Struct,
+        };
+        Trip { client: self.client, message, bytes }
+    }
 }
 
 /// All that is measured, in turns: what the machine does besides meets both systems.
@@ -176,51 +240,38 @@ impl Run<'_> {
         self.arguments.only.is_empty() || self.arguments.only.contains(&part)
     }
 
-    /// Round trips of each part, and how many rounds of them.
-    fn plan(&self) -> Vec<(usize, Vec<Trip>)> {
-        const KIB: usize = 1 << 10;
-        const MIB: usize = 1 << 20;
-        type Lengths = &'static [usize];
-        // Rounds, lengths, and those of a quick run.
-        let parts: [(Part, Client, usize, Lengths, Lengths); 4] = [
-            (Part::C, Client::C, 5, &[48, 64 * KIB, MIB, 8 * MIB], &[48, MIB]),
-            (Part::Loaned, Client::C, 5, &[48, MIB, 8 * MIB], &[48, 8 * MIB]),
-            (Part::Rclcpp, Client::Rclcpp, 3, &[48, 64 * KIB, MIB, 8 * MIB], &[48]),
-            (Part::Rclpy, Client::Rclpy, 3, &[48, 64 * KIB, MIB], &[48]),
-        ];
-        let Arguments { quick, bytes: own, .. } = self.arguments;
+    fn quick(&self) -> bool {
+        self.arguments.told.run.quick
+    }
+
+    /// Round trips, and how many rounds of them.
+    fn plan(&self) -> Vec<(u32, Vec<Trip>)> {
         let mut plan = Vec::new();
-        for (part, client, rounds, full, short) in parts.into_iter().filter(|(part, ..)| self.has(*part)) {
-            if client != Client::C && self.starter.program(client).is_none() {
-                println!("{} is left out: no program that has it was named, see --help", client.name());
+        for part in PARTS.iter().filter(|part| self.has(part.part)) {
+            if part.client != Client::C && self.starter.program(part.client).is_none() {
+                println!("{} is left out: no program that has it was named, see --help", part.client.name());
                 continue;
             }
-            let lengths = match own.is_empty() {
-                true if *quick => short,
-                true => full,
-                false => own,
+            let lengths = match &self.arguments.bytes[..] {
+                [] if self.quick() => part.few,
+                [] => part.lengths,
+                own => own,
             };
-            let trip = |&bytes: &usize| {
-                let message = match part {
-                    Part::Loaned => Message::Loaned,
-                    Part::C if bytes > rmw::STRUCT_BYTES => Message::Serialized,
-                    _ => Message::Struct,
-                };
-                Trip { client, message, bytes }
-            };
-            plan.push((if *quick { 1 } else { rounds }, lengths.iter().map(trip).collect()));
+            let rounds = if self.quick() { 1 } else { part.rounds };
+            plan.push((rounds, lengths.iter().map(|&bytes| part.trip(bytes)).collect()));
         }
         plan
     }
 
-    fn trips(&self) -> Result<Vec<trips::Row>> {
+    fn trips(&self) -> Result<Vec<Row>> {
         let (mut rows, plan) = (Vec::new(), self.plan());
         if plan.is_empty() {
             return Ok(rows);
         }
         let priority = if self.starter.realtime { ", SCHED_FIFO" } else { "" };
-        println!("half a round trip, two processes, a core each{priority}, µs");
-        println!("c: rmw_wait and take; rclcpp, rclpy: an executor with one thread\n\n{}", trips::HEAD);
+        println!(
+            "half a round trip, two processes, a core each{priority}; c: rmw_wait and take; rclcpp, rclpy: an executor with one thread"
+        );
         for held in [true, false] {
             let hold = if held { IdleHold::new().ok() } else { None };
             if held && hold.is_none() {
@@ -231,139 +282,66 @@ impl Run<'_> {
                 rows.extend(self.part(*rounds, trips, held)?);
             }
         }
-        println!();
         Ok(rows)
     }
 
     /// The rows of a part. What is compared is measured in turns.
-    fn part(&self, rounds: usize, trips: &[Trip], held: bool) -> Result<Vec<trips::Row>> {
-        let length = Duration::from_millis(if self.arguments.quick { 400 } else { 700 });
+    fn part(&self, rounds: u32, trips: &[Trip], held: bool) -> Result<Vec<Row>> {
+        let length = Duration::from_millis(if self.quick() { 400 } else { 700 });
         let pairs = trips.iter().flat_map(|trip| self.systems.iter().map(move |system| (system, *trip)));
-        let mut found: Vec<_> =
-            pairs.map(|(system, trip)| (system, trips::Row::new(system.name, trip, held))).collect();
+        let mut found: Vec<_> = pairs.map(|(system, trip)| (system, trip, Tally::default())).collect();
+        let bar = progress_bar(u64::from(rounds) * found.len() as u64);
         for round in 1..=rounds {
-            for (system, row) in &mut found {
-                let Trip { client, bytes, .. } = row.trip;
-                progress(&format!("{}, {bytes} B: round {round} of {rounds}", client.name()));
-                row.add(&self.starter, system, length)?;
+            for (system, trip, tally) in &mut found {
+                bar.set_message(format!("{}, {} B", trip.client.name(), trip.bytes));
+                trip.measure(&self.starter, system, length, round, tally)?;
+                bar.inc(1);
             }
         }
-        progress("");
-        found.iter().for_each(|(_, row)| println!("{row}"));
-        Ok(found.into_iter().map(|(_, row)| row).collect())
+        bar.finish_and_clear();
+        let row = |(system, trip, tally): &(&System, Trip, Tally)| {
+            tally.row(trip.experiment(held), system.name, trip.message.name(), trip.bytes)
+        };
+        Ok(found.iter().map(row).collect())
     }
 
-    fn flows(&self) -> Result<Vec<flow::Row>> {
-        let mut rows = Vec::new();
+    fn flows(&self) -> Result<Vec<Row>> {
         if !self.has(Part::Cpu) {
-            return Ok(rows);
+            return Ok(Vec::new());
         }
-        let seconds = Duration::from_secs(if self.arguments.quick { 2 } else { 5 });
-        println!(
-            "{} topics at {} Hz, two processes: CPU time in ms for each second",
-            flow::TOPICS,
-            flow::RATE_HZ
-        );
-        println!("\n{}", flow::HEAD);
-        for system in &self.systems {
-            progress(system.name);
-            let row = flow::Row::measure(&self.starter, system, seconds)?;
-            progress("");
-            println!("{row}");
-            rows.push(row);
-        }
-        let [own, other] = [&rows[0], &rows[1]].map(flow::Row::cpu_ms_per_s);
-        println!("{TAUTLINE}: {:.2} of Fast DDS's CPU time\n", own / other);
-        Ok(rows)
+        let seconds = Duration::from_secs(if self.quick() { 2 } else { 5 });
+        let bar = progress_bar(2);
+        let measure = |system: &System| {
+            bar.set_message(format!("{}: {}", system.name, flow::MODE));
+            let row = flow::measure(&self.starter, system, seconds);
+            bar.inc(1);
+            row
+        };
+        let rows = self.systems.iter().map(measure).collect();
+        bar.finish_and_clear();
+        rows
     }
 
-    fn nodes(&self) -> Result<Vec<nodes::Row>> {
+    fn nodes(&self) -> Result<Vec<Row>> {
         let mut rows = Vec::new();
         if !self.has(Part::Nodes) {
             return Ok(rows);
         }
-        println!("until nodes have found each other, each in a process of its own, with rclpy's ends");
-        println!("\n{}", nodes::HEAD);
-        for nodes in if self.arguments.quick { vec![5] } else { vec![5, 20, 50] } {
+        let sizes = if self.quick() { &NODES[..1] } else { &NODES[..] };
+        let bar = progress_bar(2 * sizes.len() as u64);
+        for &nodes in sizes {
             for system in &self.systems {
-                progress(&format!("{}: {nodes} nodes", system.name));
-                let measured = nodes::Row::measure(&self.starter, system, nodes);
-                progress("");
-                match measured {
-                    Ok(row) => {
-                        println!("{row}");
-                        rows.push(row);
-                    }
+                bar.set_message(format!("{}: {nodes} nodes", system.name));
+                match nodes::measure(&self.starter, system, nodes) {
+                    Ok(row) => rows.push(row),
                     // It needs multicast, which not every network has.
                     Err(error) if system.name == FAST_DDS => println!("{FAST_DDS} is left out: {error}"),
                     Err(error) => return Err(error),
                 }
+                bar.inc(1);
             }
         }
-        println!();
+        bar.finish_and_clear();
         Ok(rows)
     }
-}
-
-/// What is being done, where somebody looks.
-fn progress(text: &str) {
-    let mut out = std::io::stderr();
-    if out.is_terminal() {
-        let _ = write!(out, "\r\x1b[K{text}").and_then(|()| out.flush());
-    }
-}
-
-/// A ratio that is to be so much at most, with idle states held off.
-struct Claim {
-    what: &'static str,
-    of: &'static str,
-    ratio: f64,
-    limit: f64,
-}
-
-impl Claim {
-    fn holds(&self) -> bool {
-        self.ratio <= self.limit
-    }
-
-    fn said(&self) -> String {
-        let verdict = if self.holds() { "holds" } else { "does not hold" };
-        let Claim { what, of, ratio, limit } = self;
-        format!("{what}: {ratio:.2} of {of}, {limit:.2} at most: {verdict}")
-    }
-
-    fn to_json(&self) -> Value {
-        json!({ "claim": self.what, "of": self.of, "ratio": self.ratio, "limit": self.limit })
-    }
-}
-
-fn claims(rows: &[trips::Row]) -> Vec<Claim> {
-    let p50s = |system: &str, message: Message, bytes: usize| {
-        let is_it = |row: &&trips::Row| {
-            row.system == system && row.trip == Trip { client: Client::C, message, bytes }
-        };
-        rows.iter().find(|row| row.held && is_it(row)).map(|row| &row.p50s_us[..])
-    };
-    let beside = |what, message, bytes, limit| {
-        let ratio = ratio(p50s(TAUTLINE, message, bytes)?, p50s(FAST_DDS, message, bytes)?)?;
-        Some(Claim { what, of: "Fast DDS's p50", ratio, limit })
-    };
-    let loaned = || {
-        let own = |bytes| p50s(TAUTLINE, Message::Loaned, bytes);
-        let ratio = ratio(own(8 << 20)?, own(48)?)?;
-        Some(Claim { what: "8 MiB, loaned", of: "its p50 at 48 B", ratio, limit: 1.5 })
-    };
-    let all = [
-        beside("48 B", Message::Struct, 48, 0.5),
-        beside("1 MiB, serialized", Message::Serialized, 1 << 20, 1.0 / 3.0),
-        loaned(),
-    ];
-    all.into_iter().flatten().collect()
-}
-
-/// The median of the rounds' ratios: those of a round are measured one after the other, on a machine in the same state.
-fn ratio(own: &[f64], other: &[f64]) -> Option<f64> {
-    let mut ratios: Vec<f64> = own.iter().zip(other).map(|(own, other)| own / other).collect();
-    ratios.sort_unstable_by(f64::total_cmp);
-    ratios.get(ratios.len() / 2).copied()
 }

@@ -5,61 +5,50 @@ use crate::bindings::*;
 use crate::rmw::{Node, checked};
 use crate::system::{PATIENCE, Starter, System, Task, measured, ready, said};
 use crate::types;
-use serde_json::{Value, json};
-use std::fmt;
 use std::io::Read;
 use std::time::{Duration, Instant};
 use tautline_exchange::{Exchange, Job, Line, Measured, Result, Role, Way, say};
+use tautline_harness::Distribution;
+use tautline_harness::rows::{Row, Tally};
 use tautline_rt::clock::process_cpu_ns;
 
 /// How often a node looks whether it has found the others.
 const LOOK: Duration = Duration::from_millis(10);
 
-pub const HEAD: &str = "system            nodes   seconds     CPU s";
+/// Of each.
+pub const MODE: &str = "rclpy's ends";
 
-pub struct Row {
-    pub system: &'static str,
-    pub nodes: usize,
-    /// From the start of the first process until the last one has found all others.
-    pub seconds: f64,
-    /// Of all processes until then, and what they take to hear of it.
-    cpu_seconds: f64,
+/// What it is called among the rows.
+pub fn experiment(nodes: usize) -> String {
+    format!("{nodes} nodes")
 }
 
-impl Row {
-    pub fn measure(starter: &Starter<'_>, system: &System, nodes: usize) -> Result<Self> {
-        let job = starter.job(system, Role::Near, Exchange::RoundTrips, Duration::ZERO);
-        let way = Way { topics: nodes, ..job.way.clone() };
-        let job = Job { core: None, realtime: false, way, ..job };
-        let started = Instant::now();
-        let all: Result<Vec<_>> = (0..nodes).map(|_| starter.start(system, &job, Task::Node)).collect();
-        let mut all = all?;
-        for process in &mut all {
-            ready(process, PATIENCE)?;
-        }
-        let seconds = started.elapsed().as_secs_f64();
-        let mut cpu_ns = 0;
-        for process in &mut all {
-            said(process.tell("stop"))?;
-        }
-        for process in &mut all {
-            cpu_ns += measured(process, PATIENCE)?.cpu_ns;
-            said(process.finish())?;
-        }
-        Ok(Row { system: system.name, nodes, seconds, cpu_seconds: cpu_ns as f64 / 1e9 })
+/// From the start of the first process until the last one has found all others.
+pub fn measure(starter: &Starter<'_>, system: &System, nodes: usize) -> Result<Row> {
+    let job = starter.job(system, Role::Near, Exchange::RoundTrips, Duration::ZERO);
+    let way = Way { topics: nodes, ..job.way.clone() };
+    let job = Job { core: None, realtime: false, way, ..job };
+    let started = Instant::now();
+    let all: Result<Vec<_>> = (0..nodes).map(|_| starter.start(system, &job, Task::Node)).collect();
+    let mut all = all?;
+    for process in &mut all {
+        ready(process, PATIENCE)?;
     }
-
-    pub fn to_json(&self) -> Value {
-        json!({
-            "system": self.system, "nodes": self.nodes, "seconds": self.seconds, "cpu_seconds": self.cpu_seconds,
-        })
+    let mut time = Distribution::new();
+    time.record(started.elapsed().as_nanos() as u64);
+    // Of all processes until then, and what they take to hear of it.
+    let mut cpu_ns = 0;
+    for process in &mut all {
+        said(process.tell("stop"))?;
     }
-}
-
-impl fmt::Display for Row {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:<18}{:>5}{:>10.2}{:>10.2}", self.system, self.nodes, self.seconds, self.cpu_seconds)
+    for process in &mut all {
+        cpu_ns += measured(process, PATIENCE)?.cpu_ns;
+        said(process.finish())?;
     }
+    let mut tally = Tally::default();
+    tally.add(1, &time);
+    let note = format!("{:.2} s of CPU time", cpu_ns as f64 / 1e9);
+    Ok(Row { note, ..tally.row(experiment(nodes), system.name, MODE, 0) })
 }
 
 type CountPublishers = unsafe extern "C" fn(*const rmw_subscription_t, *mut usize) -> rmw_ret_t;

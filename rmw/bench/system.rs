@@ -1,15 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The RMWs that are measured, and processes that use one of them.
 
-use crate::process::Process;
 use crate::trips::Client;
 use clap::ValueEnum;
-use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 use tautline_exchange::{APPLICATION_PRIORITY, Exchange, Job, Line, Measured, Result, Role, Way};
+use tautline_harness::Process;
 
 /// Nothing takes so long unless it is broken.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -28,8 +27,7 @@ pub struct System {
 }
 
 /// How a message of a round trip is handed over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ValueEnum)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Message {
     /// As a struct.
     Struct,
@@ -49,6 +47,17 @@ pub enum Task {
     Flow,
     /// A node that waits for others.
     Node,
+}
+
+impl Message {
+    /// As in the rows.
+    pub fn name(self) -> &'static str {
+        match self {
+            Message::Struct => "struct",
+            Message::Serialized => "serialized",
+            Message::Loaned => "loaned",
+        }
+    }
 }
 
 impl From<Message> for Task {

@@ -8,6 +8,7 @@ use crate::bench::Options;
 use crate::beside_r2r::Paper;
 use crate::compare::Compare;
 use crate::machine::target_dir;
+use crate::rmw::Rmw;
 use crate::steps;
 use clap::ValueEnum;
 use std::fs;
@@ -31,6 +32,7 @@ pub enum Part {
     Paper,
     Compare,
     Domain,
+    Rmw,
 }
 
 impl Part {
@@ -46,6 +48,7 @@ impl Part {
             Part::Paper => "paper",
             Part::Compare => "compare",
             Part::Domain => "domain",
+            Part::Rmw => "rmw",
         }
     }
 
@@ -53,6 +56,7 @@ impl Part {
     fn document(self) -> &'static str {
         match self {
             Part::Demo => "README.md",
+            Part::Rmw => "docs/rmw.md",
             Part::Domain => "docs/adr/0007-the-graph-and-topics-are-files.md",
             _ => "docs/benchmarks.md",
         }
@@ -75,6 +79,7 @@ impl Part {
             }
             Part::Messages | Part::Parameters => bench.command(self.mark()),
             Part::Domain => bench.domain(),
+            Part::Rmw => Rmw { bench }.command()?,
             Part::Wake | Part::Services | Part::Network | Part::Compare => {
                 Compare { bench, html, ..Compare::default() }.command(self.mark())
             }

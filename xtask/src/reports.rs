@@ -237,24 +237,35 @@ mod tests {
 
     #[test]
     fn a_car_that_leaves_its_lane_or_loses_messages_is_refused() {
-        let rows = ["Chain", "Imu", "Odometry", "Subscriber", "Timer", "Planning", "Draw"].map(|span| {
-            json!({"span": span, "name": "n", "n": 3, "p50_ms": 1.0, "p99_ms": 1.0, "p999_ms": 1.0, "max_ms": 1.0, "values": []})
-        });
+        let row = |what: &str, aim: Value| json!({"experiment": "latest", "system": "tautline", "what": what, "unit": "ms", "n": 3, "p50": 1.0, "aim": aim});
+        let times = [
+            "odometry chain, end to end",
+            "adapter: IMU callback",
+            "ALKS: odometry callback",
+            "ALKS: all subscribers",
+            "ALKS: timer without planning",
+            "ALKS: timer with planning",
+            "visualizer: markers",
+        ];
+        let judged = ["off the lane's centre", "collisions", "messages lost"];
+        let times = times.map(|what| row(what, json!({"at_most": 2.0, "is_met": false})));
+        let rows =
+            [times.to_vec(), judged.map(|what| row(what, json!({"must": true, "is_met": true}))).to_vec()]
+                .concat();
         let reports = ["latest", "inherit", "mutex"].map(|shared| {
-            json!({"system": "Tautline", "shared": shared, "realtime": true, "rows": rows, "lost": [], "chain_below_paper": 0.9,
-                   "published": 9, "steal_ticks": 0, "drive": {"lateral_max_m": 0.3, "collisions": 0}})
+            json!({"system": "tautline", "shared": shared, "realtime": true, "rows": rows, "verdicts": [], "lost": [], "steal_ticks": 0, "drive": {}})
         });
         refuses(
             &LANE,
             &[],
             &json!(reports),
             &[
-                ("del(.[1])", "Tautline with 'inherit' is missing"),
-                (".[0].rows[2].n = 0", "nothing is known of 'Odometry'"),
-                (".[0].lost = [[\"/imu\", 1, 9]]", "messages were lost"),
-                (".[2].drive.lateral_max_m = 0.7", "0.7 m off the lane's centre"),
-                (".[2].drive.collisions = 1", "with 1 collisions"),
-                ("del(.[2].drive.lateral_max_m)", "'lateral_max_m' should be of type number"),
+                ("del(.[1])", "tautline with 'inherit' is missing"),
+                ("del(.[0].rows[2])", "nothing is known of 'ALKS: odometry callback'"),
+                (".[0].rows[2].n = 0", "nothing was measured"),
+                (".[0].rows[9].aim.is_met = false", "missed: {"),
+                (".[2].rows[7].aim = null", "2 of three were judged"),
+                ("del(.[2].drive)", "'drive' should be of type object"),
             ],
         );
     }

@@ -22,7 +22,7 @@ pub const WHOLE: &str = "--manifest-path rmw/Cargo.toml --locked --features benc
   cargo xtask bench rmw --quick --json rmw.json   half a minute")]
 pub struct Rmw {
     #[command(flatten)]
-    bench: Options,
+    pub bench: Options,
 }
 
 impl Rmw {

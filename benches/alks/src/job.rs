@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The three processes: what each is asked to be, and how they begin and end together.
 //!
-//! Who starts them starts the visualizer and the ALKS node first; each says `ready` on its standard output once it hears its topics. Then it
-//! starts the adapter, which drives for as long as it is asked, prints its [`Part`] as JSON and ends. The others end, with theirs, when
+//! Who starts them starts the visualizer and the ALKS node first; each says that it is ready once it hears its topics. Then it
+//! starts the adapter, which drives for as long as it is asked, tells its [`Part`] and ends. The others end, with theirs, when
 //! their standard input does: also when who started them has died.
 
 use std::io::{Read, Write, stdin, stdout};
@@ -72,12 +72,24 @@ impl Job {
     }
 }
 
-/// What a process prints once it hears.
-pub const READY: &str = "ready";
+/// What a process says: a line of JSON on its standard output.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub enum Line {
+    /// It hears its topics.
+    Ready,
+    Part(Box<Part>),
+}
+
+fn say(line: &Line) -> std::io::Result<()> {
+    let mut out = stdout().lock();
+    serde_json::to_writer(&mut out, line)?;
+    writeln!(out)?;
+    out.flush()
+}
 
 pub fn ready() {
     // Who does not listen has gone, and ends this process by that.
-    let _ = writeln!(stdout(), "{READY}").and_then(|()| stdout().flush());
+    let _ = say(&Line::Ready);
 }
 
 /// Waits until who started this process closes its standard input.
@@ -85,8 +97,6 @@ pub fn until_told() {
     let _ = stdin().read_to_end(&mut Vec::new());
 }
 
-pub fn tell(part: &Part) -> std::io::Result<()> {
-    let mut out = stdout().lock();
-    serde_json::to_writer(&mut out, part)?;
-    writeln!(out)
+pub fn tell(part: Part) -> std::io::Result<()> {
+    say(&Line::Part(Box::new(part)))
 }

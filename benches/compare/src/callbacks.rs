@@ -9,10 +9,10 @@ use std::process::Command;
 use std::time::Duration;
 
 use serde_json::Value;
-use tautline_benches::claims::Measurable;
-use tautline_benches::rows::{Round, Row, Tally, extent};
-use tautline_benches::{Process, progress_bar};
 use tautline_exchange::{Job, Line, Role};
+use tautline_harness::claims::Measurable;
+use tautline_harness::rows::{Round, Row, Tally, extent};
+use tautline_harness::{Process, progress_bar};
 
 use crate::Result;
 use crate::modes::{GATEWAY, MODES, Mode, TAUT};

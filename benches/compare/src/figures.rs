@@ -2,9 +2,9 @@
 //! The pictures: lines over a logarithmic or a plain scale, and bars with their spread.
 
 use plotters::style::{RGBColor, WHITE};
-use tautline_benches::canvas::{Align, Canvas, FAINT, GRID, INK, Words};
-use tautline_benches::rows::Row;
-use tautline_benches::table::{short, size};
+use tautline_harness::canvas::{Align, Canvas, FAINT, GRID, INK, Words};
+use tautline_harness::rows::Row;
+use tautline_harness::table::{short, size};
 
 use crate::Result;
 
@@ -329,8 +329,8 @@ pub fn bars(title: &str, bars: &[Bar], end: Option<f64>) -> Result<Option<String
 mod tests {
     use super::*;
     use crate::slower::tests::row;
-    use tautline_benches::Distribution;
-    use tautline_benches::rows::Details;
+    use tautline_harness::Distribution;
+    use tautline_harness::rows::Details;
 
     #[test]
     fn every_line_and_every_bar_has_its_label() {

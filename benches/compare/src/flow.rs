@@ -4,9 +4,9 @@
 use std::fs;
 use std::time::{Duration, Instant};
 
-use tautline_benches::Process;
-use tautline_benches::rows::Wakes;
 use tautline_exchange::{Line, Measured, Memory, to_the_last};
+use tautline_harness::Process;
+use tautline_harness::rows::Wakes;
 use tautline_rt::clock::monotonic_ns;
 
 use crate::Result;

@@ -3,10 +3,10 @@
 
 use std::fmt::{self, Write};
 
-use tautline_benches::page::{self, END, begin, escape, list, verdicts};
-use tautline_benches::rows::Row;
-use tautline_benches::table::Column::{Text, Words};
-use tautline_benches::table::{Table, of_rows, short, size};
+use tautline_harness::page::{self, END, begin, escape, list, verdicts};
+use tautline_harness::rows::Row;
+use tautline_harness::table::Column::{Text, Words};
+use tautline_harness::table::{Table, of_rows, short, size};
 
 use crate::Result;
 use crate::figures::{Bar, bars, distributions, fan_out, latency_by_size};

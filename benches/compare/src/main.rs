@@ -42,10 +42,9 @@ use modes::Programs;
 use pair::Setup;
 use plan::{Bench, Experiment, Plan};
 use report::Report;
-use tautline_benches::{
-    Disturbance, Result, Scratch, exit, interrupted, systems, two_cores, write, write_json,
-};
+use tautline_benches::systems;
 use tautline_exchange::{APPLICATION_PRIORITY, Job, NETWORK_PRIORITY};
+use tautline_harness::{Disturbance, Result, Scratch, exit, interrupted, two_cores, write, write_json};
 use tautline_rt::permission;
 
 /// Measures Tautline beside other middleware.

@@ -3,8 +3,8 @@
 
 use std::fmt::Write;
 
-use tautline_benches::rows::Row;
-use tautline_benches::table::{distinct, figure as us, markdown, size};
+use tautline_harness::rows::Row;
+use tautline_harness::table::{distinct, figure as us, markdown, size};
 
 use crate::callbacks::{FLOOD, QUIET};
 use crate::plan::Bench;

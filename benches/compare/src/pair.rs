@@ -7,9 +7,9 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use tautline_benches::rows::Wakes;
-use tautline_benches::{Gateways, Host, Process, Scratch};
 use tautline_exchange::{Exchange, FutexPair, FutexRing, Job, Line, Measured, Memory, PEERS, Role, Way};
+use tautline_harness::rows::Wakes;
+use tautline_harness::{Gateways, Host, Process, Scratch, without_settings};
 
 use crate::Result;
 use crate::modes::{GATEWAY, Program};
@@ -48,23 +48,6 @@ impl Drop for Around<'_> {
         self.daemon.iter_mut().for_each(Process::terminate);
     }
 }
-
-/// What in the environment would set a system otherwise than the report says.
-const INHERITED: [&str; 13] = [
-    "CYCLONEDDS_URI",
-    "FASTDDS_BUILTIN_TRANSPORTS",
-    "FASTDDS_DEFAULT_PROFILES_FILE",
-    "FASTDDS_ENVIRONMENT_FILE",
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
-    "RMW_FASTRTPS_PUBLICATION_MODE",
-    "RMW_FASTRTPS_USE_QOS_FROM_XML",
-    "RMW_IMPLEMENTATION",
-    "ROS_AUTOMATIC_DISCOVERY_RANGE",
-    "ROS_DISCOVERY_SERVER",
-    "ROS_LOCALHOST_ONLY",
-    "ROS_STATIC_PEERS",
-    "ZENOH_CONFIG",
-];
 
 /// What every measurement needs.
 pub struct Setup<'a> {
@@ -156,9 +139,7 @@ impl Setup<'_> {
                 command
             }
         };
-        for name in INHERITED {
-            command.env_remove(name);
-        }
+        without_settings(&mut command);
         command.env("ROS_DOMAIN_ID", DOMAIN.to_string()).env(PEERS, peers);
         if case.mode.system == "r2r" {
             command.env("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp");

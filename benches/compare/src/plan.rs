@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use clap::ValueEnum;
-use tautline_benches::claims::Measurable;
+use tautline_harness::claims::Measurable;
 
 use crate::modes::{GATEWAY, MODES, Mode, Part, Program, Programs};
 use crate::settings::{Extent, Setting, settings};

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The tables and the JSON.
 
-use tautline_benches::claims::{self, Verdict, verdicts};
-use tautline_benches::rows::{Details, Row, Tally, Wakes, is_enough, median, rounded};
-use tautline_benches::table::{of_rows, short};
-use tautline_benches::{machine, version_in, version_of};
 use tautline_exchange::{APPLICATION_PRIORITY, LATE};
+use tautline_harness::claims::{self, Verdict, verdicts};
+use tautline_harness::rows::{Details, Row, Tally, Wakes, is_enough, median, rounded};
+use tautline_harness::table::{of_rows, short};
+use tautline_harness::{machine, version_in, version_of};
 
 use crate::Result;
 use crate::load::LOAD;

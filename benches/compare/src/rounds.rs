@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::sync::atomic::Ordering;
 
-use tautline_benches::rows::{Tally, rounded};
-use tautline_benches::{Distribution, progress_bar};
+use tautline_harness::rows::{Tally, rounded};
+use tautline_harness::{Distribution, progress_bar};
 use tautline_rt::IdleHold;
 use tautline_rt::host::steal_ticks;
 

@@ -4,9 +4,9 @@
 use std::collections::BTreeSet;
 use std::fmt;
 
-use tautline_benches::rows::Metric::{self, CpuTime, Interval, Memory, P50, P99, P999, Start};
-use tautline_benches::rows::{By, Compared, Figure, Row};
-use tautline_benches::table::size;
+use tautline_harness::rows::Metric::{self, CpuTime, Interval, Memory, P50, P99, P999, Start};
+use tautline_harness::rows::{By, Compared, Figure, Row};
+use tautline_harness::table::size;
 
 use crate::modes::SYSTEMS;
 
@@ -136,8 +136,8 @@ fn beside(rows: &[Row], row: &Row, metric: Metric, system: &str, is_polling: boo
 #[cfg(test)]
 pub mod tests {
     use super::*;
-    use tautline_benches::Distribution;
-    use tautline_benches::rows::Tally;
+    use tautline_harness::Distribution;
+    use tautline_harness::rows::Tally;
 
     /// A round of 10,000 times.
     pub fn row(experiment: &str, system: &str, mode: &str, bytes: usize, us: f64) -> Row {

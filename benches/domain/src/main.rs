@@ -33,9 +33,9 @@ use job::Job;
 use report::{Circumstances, Report};
 use std::process::ExitCode;
 use std::sync::atomic::AtomicBool;
-use tautline_benches::readings::Reading;
-use tautline_benches::{Disturbance, Documented, Result, Scratch};
 use tautline_exchange::APPLICATION_PRIORITY;
+use tautline_harness::readings::Reading;
+use tautline_harness::{Disturbance, Documented, Result, Scratch};
 use tautline_rt::{host, permission};
 
 /// Measures what a domain of many processes and topics costs.
@@ -101,11 +101,11 @@ fn main() -> ExitCode {
         Some(job) => Job::run(job),
         None => measure(&options),
     };
-    tautline_benches::exit("domain", result)
+    tautline_harness::exit("domain", result)
 }
 
 fn measure(options: &Options) -> Result<()> {
-    let interrupted = tautline_benches::interrupted()?;
+    let interrupted = tautline_harness::interrupted()?;
     // Three pipes for each process.
     let open_files = host::raise_open_files();
     let disturbance = Disturbance::start();

@@ -6,8 +6,8 @@ use crate::{Experiment, Result};
 use std::fs::{self, File};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use tautline_benches::Scratch;
-use tautline_benches::readings::Reading;
+use tautline_harness::Scratch;
+use tautline_harness::readings::Reading;
 use tautline_rt::domain::shared_path;
 
 /// Shared memory of all processes of the domain, in bytes.

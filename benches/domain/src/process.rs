@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use tautline_rt::ThreadTime;
 use tautline_rt::clock::monotonic_ns;
 
-pub use tautline_benches::Process;
+pub use tautline_harness::Process;
 
 /// Exact CPU time of a process, from its threads; the clock ticks of `/proc/PID/stat` round it down.
 pub fn cpu_ns(pid: u32) -> u64 {

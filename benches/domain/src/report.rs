@@ -4,10 +4,10 @@
 use crate::{Experiment, Result};
 use clap::ValueEnum;
 use serde::Serialize;
-use tautline_benches::claims::{self, Aimed, Column, Verdict, judge};
-use tautline_benches::readings::{Reading, shown, table};
-use tautline_benches::table::{distinct, markdown};
-use tautline_benches::{machine, version_of};
+use tautline_harness::claims::{self, Aimed, Column, Verdict, judge};
+use tautline_harness::readings::{Reading, shown, table};
+use tautline_harness::table::{distinct, markdown};
+use tautline_harness::{machine, version_of};
 
 /// How it was measured.
 pub struct Circumstances {
@@ -151,8 +151,8 @@ fn limits(rows: &[&Reading]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tautline_benches::Distribution;
-    use tautline_benches::claims::Judged;
+    use tautline_harness::Distribution;
+    use tautline_harness::claims::Judged;
 
     #[test]
     fn the_aims_of_the_file_are_about_these_experiments() {

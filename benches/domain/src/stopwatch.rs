@@ -3,7 +3,7 @@
 
 use crate::Result;
 use crate::job::{Said, say_and_stay};
-use tautline_benches::Distribution;
+use tautline_harness::Distribution;
 use tautline_rt::clock::monotonic_ns;
 
 /// Times by what they are of, in the order in which they were first measured.

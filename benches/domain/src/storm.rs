@@ -11,8 +11,8 @@ use std::path::Path;
 use std::thread::sleep;
 use std::time::Duration;
 use tautline::std_msgs::msg::UInt64;
-use tautline_benches::Distribution;
-use tautline_benches::readings::Reading;
+use tautline_harness::Distribution;
+use tautline_harness::readings::Reading;
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Limits, Participant, Qos};
 

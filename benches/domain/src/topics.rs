@@ -9,7 +9,7 @@ use crate::{Bench, Experiment, Result};
 use std::thread::sleep;
 use std::time::Duration;
 use tautline::std_msgs::msg::UInt64;
-use tautline_benches::readings::Reading;
+use tautline_harness::readings::Reading;
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Limits, Participant, Publisher, Qos};
 

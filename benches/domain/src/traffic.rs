@@ -7,11 +7,11 @@ use crate::job::Job as Task;
 use crate::process::{self, Process};
 use crate::{Bench, Experiment, Result};
 use std::time::{Duration, Instant};
-use tautline_benches::Distribution;
-use tautline_benches::readings::Reading;
 use tautline_benches::systems::iceoryx;
 use tautline_benches::systems::tautline::{self, Frame8MiB, Frame64B};
 use tautline_exchange::{Exchange, Job, Line, Role, Way, to_the_last};
+use tautline_harness::Distribution;
+use tautline_harness::readings::Reading;
 use tautline_rt::{CoreSet, set_affinity};
 
 /// How long a process may take to set itself up.

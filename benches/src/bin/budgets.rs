@@ -22,11 +22,12 @@ use tautline::{
 };
 use tautline_analysis::taken::{self, Sight, Taken, TakenTimes};
 use tautline_analysis::{Response, Task, response_times};
-use tautline_benches::claims::{Aimed, judge, print_verdicts};
-use tautline_benches::readings::Reading;
-use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::Table;
-use tautline_benches::{Beside, Disturbance, Result, Run, Stage, cells, machine};
+use tautline_benches::Stage;
+use tautline_harness::claims::{Aimed, judge, print_verdicts};
+use tautline_harness::readings::Reading;
+use tautline_harness::table::Column::{Number, Words};
+use tautline_harness::table::Table;
+use tautline_harness::{Beside, Disturbance, Result, Run, cells, machine};
 use tautline_rt::CoreSet;
 
 /// Periods in ms, which are the deadlines.
@@ -87,7 +88,7 @@ struct Row {
 }
 
 fn main() -> ExitCode {
-    tautline_benches::exit("budgets", measure(&Options::parse()))
+    tautline_harness::exit("budgets", measure(&Options::parse()))
 }
 
 fn measure(options: &Options) -> Result {

@@ -15,11 +15,10 @@ use std::time::Duration;
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::std_msgs::msg::UInt64;
 use tautline::{CallbackOptions, ContextBuilder, Node, Publisher, Qos, SubscriptionEvent};
-use tautline_benches::claims::{self, Bench};
-use tautline_benches::table::of_rows;
-use tautline_benches::{
-    Beside, Distribution, Disturbance, Result, Run, Stage, TurnRow, Turns, machine, program,
-};
+use tautline_benches::Stage;
+use tautline_harness::claims::{self, Bench};
+use tautline_harness::table::of_rows;
+use tautline_harness::{Beside, Distribution, Disturbance, Result, Run, TurnRow, Turns, machine, program};
 use tautline_rt::{CoreSet, Policy};
 
 const TOPICS: u64 = 200;

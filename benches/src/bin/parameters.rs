@@ -15,12 +15,13 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::{CallbackOptions, Node, ParameterReader, Parameters};
-use tautline_benches::claims::{self, Bench};
-use tautline_benches::rows::{Row, extent};
-use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::{Table, figure, markdown, of_rows};
-use tautline_benches::{
-    Beside, Distribution, Disturbance, Documented, Result, Stage, TurnRow, Turns, cells, machine, program,
+use tautline_benches::Stage;
+use tautline_harness::claims::{self, Bench};
+use tautline_harness::rows::{Row, extent};
+use tautline_harness::table::Column::{Number, Words};
+use tautline_harness::table::{Table, figure, markdown, of_rows};
+use tautline_harness::{
+    Beside, Distribution, Disturbance, Documented, Result, TurnRow, Turns, cells, machine, program,
 };
 use tautline_rt::CoreSet;
 use tautline_rt::host::steal_ticks;

@@ -8,10 +8,10 @@ use serde::Serialize;
 use std::hint::black_box;
 use std::process::ExitCode;
 use std::time::Instant;
-use tautline_benches::rows::extent;
-use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::Table;
-use tautline_benches::{Disturbance, Result, Run, cells, machine, program};
+use tautline_harness::rows::extent;
+use tautline_harness::table::Column::{Number, Words};
+use tautline_harness::table::Table;
+use tautline_harness::{Disturbance, Result, Run, cells, machine, program};
 use tautline_rt::clock::monotonic_ns;
 use tautline_trace::{MessageId, ObjectId, Recorder, TraceMode};
 

@@ -14,7 +14,6 @@ mod run;
 mod visualizer;
 
 use std::error::Error;
-use std::fs;
 use std::io::{IsTerminal, stderr};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -25,6 +24,7 @@ use tautline::rt::permission::realtime_permitted;
 use tautline::{Context, Realtime};
 use tautline_alks::job::{Job, Role, Shared};
 use tautline_alks::{drive, picture};
+use tautline_harness::{write, write_json};
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -168,9 +168,9 @@ fn start(options: &Options) -> Result<ExitCode> {
         return Ok(ExitCode::from(SKIPPED));
     }
     let reports = run::all(options, realtime)?;
-    report::print(&reports)?;
+    report::print(&reports);
     if let Some(path) = &options.json {
-        write(path, &serde_json::to_string_pretty(&reports)?)?;
+        write_json(path, &reports)?;
     }
     if let Some(path) = &options.html {
         write(path, &page::page(&reports)?)?;
@@ -178,8 +178,8 @@ fn start(options: &Options) -> Result<ExitCode> {
     if let (Some(path), Some(drive)) = (&options.svg, reports.first().map(|report| &report.drive)) {
         write(path, &picture::drive(drive)?)?;
     }
-    let all_kept = reports.iter().all(|report| report.complaints().is_empty());
-    Ok(if all_kept { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    let all_hold = report::all_hold(reports.iter().flat_map(|report| &report.verdicts));
+    Ok(if all_hold { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// One of the three processes.
@@ -204,7 +204,7 @@ fn drive_alone(options: &DriveOptions) -> Result<ExitCode> {
     if let Some(path) = &options.svg {
         write(path, &picture::drive(&drive)?)?;
     }
-    let complaints = report::lane_complaints(&drive);
+    let verdicts = report::verdicts_of_drive(&drive)?;
     if options.json {
         let drive = drive::Drive { course: Vec::new(), ..drive };
         println!("{}", serde_json::to_string_pretty(&drive)?);
@@ -214,9 +214,9 @@ fn drive_alone(options: &DriveOptions) -> Result<ExitCode> {
             "The planner ran {} times, {:.2} ms on average and at most {:.2} ms; {} without a solution.",
             drive.plans, drive.plan_mean_ms, drive.plan_max_ms, drive.unsolved
         );
-        complaints.iter().for_each(|complaint| println!("NOT KEPT: {complaint}"));
+        verdicts.iter().for_each(|verdict| println!("{verdict}"));
     }
-    Ok(if complaints.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    Ok(if report::all_hold(&verdicts) { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 fn progress(what: &'static str) -> Result<ProgressBar> {
@@ -232,8 +232,4 @@ const fn sharing(of: Sharing) -> Shared {
         Sharing::Inherit => Shared::Inherit,
         Sharing::Mutex => Shared::Mutex,
     }
-}
-
-fn write(path: &Path, text: &str) -> Result<()> {
-    fs::write(path, text).map_err(|error| format!("{}: {error}", path.display()).into())
 }

@@ -4,19 +4,19 @@
 use std::path::Path;
 use std::time::Duration;
 
-use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
 use serde::Serialize;
 use tautline_alks::drive::Drive;
-use tautline_alks::job::Job;
+use tautline_alks::job::{Job, Shared};
 use tautline_alks::records::{Part, Span, Summary, losses, published, summaries};
 use tautline_analysis::file::SystemFile;
+use tautline_harness::Distribution;
+use tautline_harness::claims::{Aimed, Column, Verdict, judge, judge_by_bound};
+use tautline_harness::readings::{Reading, table};
 
 use crate::Result;
 
 /// What the paper says of its chain: 99 % below this.
 const PAPER: Duration = Duration::from_micros(800);
-/// From the lane's centre, in m: where a car of 1.95 m touches the line of a lane of 3.75 m, less 0.3 m.
-const LATERAL_M: f64 = 0.6;
 /// The chain's name in the system files.
 const CHAIN: &str = "odometry";
 
@@ -39,7 +39,7 @@ impl Bounds {
         Ok(Bounds { chain, control })
     }
 
-    fn of(&self, span: Span) -> Option<Duration> {
+    pub fn of(&self, span: Span) -> Option<Duration> {
         match span {
             Span::Chain => self.chain,
             // Its duration is part of its response.
@@ -49,106 +49,123 @@ impl Bounds {
     }
 }
 
-/// A row of the table.
-#[derive(Clone, Debug, Serialize)]
-pub struct Row {
-    #[serde(flatten)]
-    pub times: Summary,
-    pub bound_ms: Option<f64>,
-    pub kept: Option<bool>,
-}
-
 /// Of all rounds of one system.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
-    pub system: String,
+    pub system: &'static str,
     pub shared: &'static str,
     pub realtime: bool,
-    pub rows: Vec<Row>,
-    /// Share of the chain's latencies that are below 0.8 ms, as 99 % of the paper's are.
-    pub chain_below_paper: f64,
+    pub rows: Vec<Reading>,
+    /// What must hold of Tautline; of others nothing was promised.
+    pub verdicts: Vec<Verdict>,
     /// Messages that did not come: of each topic that lost some, and how many of how many.
     pub lost: Vec<(String, u64, u64)>,
-    pub published: u64,
     pub steal_ticks: u64,
     /// Of the first round.
     pub drive: Drive,
+    /// For pictures.
+    #[serde(skip)]
+    pub times: Vec<Summary>,
+    #[serde(skip)]
+    pub bounds: Option<Bounds>,
 }
 
 impl Report {
     pub fn new(
-        system: &str,
+        system: &'static str,
         job: &Job,
         rounds: &[Vec<Part>],
-        bounds: Option<&Bounds>,
+        bounds: Option<Bounds>,
         steal_ticks: u64,
     ) -> Result<Report> {
-        let rows: Vec<Row> =
-            summaries(rounds.iter().flatten()).into_iter().map(|times| row(times, bounds)).collect();
-        let chain = rows
-            .iter()
-            .find(|row| row.times.span == Span::Chain)
-            .ok_or("no message came through the chain")?;
+        let times = summaries(rounds.iter().flatten());
+        let chain =
+            times.iter().find(|of| of.span == Span::Chain).ok_or("no message came through the chain")?;
         let drive =
             rounds.iter().flatten().find_map(|part| part.drive.clone()).ok_or("nothing was driven")?;
-        Ok(Report {
-            system: system.to_owned(),
-            shared: job.shared.as_str(),
-            realtime: job.realtime,
-            chain_below_paper: chain.times.share_below(PAPER),
-            rows,
-            lost: rounds.iter().flat_map(|parts| losses(parts)).collect(),
-            published: rounds.iter().map(|parts| published(parts)).sum(),
-            steal_ticks,
-            drive,
-        })
+        let lost: Vec<_> = rounds.iter().flat_map(|parts| losses(parts)).collect();
+        let number = |what: &str, unit, value| {
+            Reading::of(job.shared.as_str(), 0, what, unit).system(system).value(value)
+        };
+        let below = number("of the chain below 0.8 ms", "%", chain.share_below(PAPER) * 100.0);
+        let all_lost =
+            number("messages lost", "messages", lost.iter().map(|(_, lost, _)| *lost as f64).sum());
+        let sent = rounds.iter().map(|parts| published(parts)).sum::<u64>();
+        let (mut rows, mut verdicts) = (Vec::new(), Vec::new());
+        for of in &times {
+            let mut times = Distribution::new();
+            times.add(&of.values);
+            let mut row =
+                Reading::of(job.shared.as_str(), 0, &of.name, "ms").system(system).times_in(&times, 1e3);
+            if let Some(bound) = bounds.as_ref().and_then(|bounds| bounds.of(of.span)) {
+                row.note = format!("bound {:.3} ms", bound.as_secs_f64() * 1e3);
+                verdicts.push(judge_by_bound(&mut row, Column::Max, bound.as_secs_f64() * 1e3));
+            }
+            rows.push(row);
+        }
+        rows.push(below.note("in the paper about 99 %"));
+        rows.push(all_lost.note(format!("of {sent}")));
+        rows.extend(lane(&drive).map(|row| Reading {
+            experiment: job.shared.as_str().to_owned(),
+            system,
+            ..row
+        }));
+        if bounds.is_some() {
+            verdicts.extend(judge(Aimed::Alks, &experiments(), &mut rows)?);
+        }
+        let (shared, realtime) = (job.shared.as_str(), job.realtime);
+        Ok(Report { system, shared, realtime, rows, verdicts, lost, steal_ticks, drive, times, bounds })
     }
 
     /// How it is called beside others.
     pub fn label(&self) -> String {
-        format!("{}, {}", self.system, self.shared)
+        let realtime = if self.realtime { "" } else { ", without real-time priorities" };
+        format!("{}, {}{realtime}", self.system, self.shared)
     }
 
-    /// What was not kept. Of others than Tautline nothing was promised.
-    pub fn complaints(&self) -> Vec<String> {
-        if self.system != "Tautline" {
-            return Vec::new();
+    /// What is to be known of a bound that was not kept, and of what was lost.
+    pub fn notes(&self) -> Vec<String> {
+        let mut notes = vec![about(&self.drive)];
+        notes.push(format!("The host took {} ms in this run (steal).", self.steal_ticks * 10));
+        if self.rows.iter().any(|row| row.aim.is_some_and(|aim| !aim.must && aim.is_met == Some(false))) {
+            notes.push(
+                "Of a run by itself `taut report --watch` meanwhile explains each response above its bound."
+                    .to_owned(),
+            );
         }
-        let mut complaints = lane_complaints(&self.drive);
-        for row in self.rows.iter().filter(|row| row.kept == Some(false)) {
-            let (name, max_ms) = (&row.times.name, row.times.max_ms);
-            let bound_ms = row.bound_ms.unwrap_or(0.0);
-            complaints.push(format!(
-                "{name}: {max_ms:.3} ms, the bound is {bound_ms:.3} ms; the host took {} ms in this run (steal); of a run by itself `taut report --watch` meanwhile explains each response above its bound",
-                self.steal_ticks * 10
-            ));
-        }
-        for (topic, lost, sent) in &self.lost {
-            complaints.push(format!("{topic}: {lost} of {sent} messages did not come"));
-        }
-        complaints
+        notes.extend(
+            self.lost
+                .iter()
+                .map(|(topic, lost, sent)| format!("{topic}: {lost} of {sent} messages did not come")),
+        );
+        notes
     }
 }
 
-fn row(times: Summary, bounds: Option<&Bounds>) -> Row {
-    let bound = bounds.and_then(|bounds| bounds.of(times.span));
-    let bound_ms = bound.map(|bound| bound.as_secs_f64() * 1e3);
-    Row { kept: bound_ms.map(|bound_ms| times.max_ms <= bound_ms), bound_ms, times }
+/// How well the lane was kept.
+fn lane(drive: &Drive) -> [Reading; 2] {
+    [
+        Reading::of("drive", 0, "off the lane's centre", "m").value(drive.lateral_max_m),
+        Reading::of("drive", 0, "collisions", "collisions").value(f64::from(drive.collisions)),
+    ]
 }
 
-/// What was wrong with how the lane was kept.
-pub fn lane_complaints(drive: &Drive) -> Vec<String> {
-    let mut complaints = Vec::new();
-    if drive.lateral_max_m > LATERAL_M {
-        complaints.push(format!(
-            "the car was {:.2} m off the lane's centre, {LATERAL_M} m are allowed",
-            drive.lateral_max_m
-        ));
-    }
-    if drive.collisions > 0 {
-        complaints.push(format!("the car touched others {} times", drive.collisions));
-    }
-    complaints
+/// What must hold of a drive.
+///
+/// # Errors
+/// The claims' file says what cannot be judged.
+pub fn verdicts_of_drive(drive: &Drive) -> Result<Vec<Verdict>> {
+    Ok(judge(Aimed::Alks, &experiments(), &mut lane(drive))?)
+}
+
+/// Ways to share, and a drive without any middleware.
+fn experiments() -> Vec<String> {
+    Shared::ALL.map(Shared::as_str).into_iter().chain(["drive"]).map(str::to_owned).collect()
+}
+
+/// Whether nothing was missed.
+pub fn all_hold<'v>(verdicts: impl IntoIterator<Item = &'v Verdict>) -> bool {
+    verdicts.into_iter().all(|verdict| verdict.holds != Some(false))
 }
 
 /// A sentence on a drive.
@@ -169,51 +186,13 @@ pub fn about(drive: &Drive) -> String {
 }
 
 /// All reports, for people.
-pub fn print(reports: &[Report]) -> Result<()> {
+pub fn print(reports: &[Report]) {
     for report in reports {
-        println!("{}{}", report.label(), if report.realtime { "" } else { ", without real-time priorities" });
-        print!("{}", table(report));
-        println!(
-            "{:.2} % of the chain below 0.8 ms (the paper: about 99 %). {} messages published, {} lost. Steal: {} ticks of 10 ms.",
-            report.chain_below_paper * 100.0,
-            report.published,
-            report.lost.iter().map(|(_, lost, _)| lost).sum::<u64>(),
-            report.steal_ticks
-        );
-        println!("{}", about(&report.drive));
-        let complaints = report.complaints();
-        complaints.iter().for_each(|complaint| println!("NOT KEPT: {complaint}"));
-        if complaints.is_empty() && report.system == "Tautline" {
-            println!("Kept: the lane, the bounds, every message.");
-        }
+        println!("{}\n{}", report.label(), table(&report.rows));
+        report.notes().iter().for_each(|note| println!("{note}"));
+        report.verdicts.iter().for_each(|verdict| println!("{verdict}"));
         println!();
     }
-    Ok(())
-}
-
-fn table(report: &Report) -> String {
-    let style = TableStyle::new().header_separator(LineStyle::none().fill('─').junction('─'));
-    let mut table = Table::new();
-    table.load_style(style).set_header(["", "n", "p50 ms", "p99 ms", "p99.9 ms", "max ms", "bound ms"]);
-    let ms = |ms: f64| format!("{ms:.3}");
-    for Row { times, bound_ms, .. } in &report.rows {
-        table.add_row([
-            times.name.clone(),
-            times.n.to_string(),
-            ms(times.p50_ms),
-            ms(times.p99_ms),
-            ms(times.p999_ms),
-            ms(times.max_ms),
-            bound_ms.map_or_else(String::new, ms),
-        ]);
-    }
-    for (index, column) in table.column_iter_mut().enumerate() {
-        column.set_padding((0, 2));
-        if index > 0 {
-            column.set_cell_alignment(CellAlignment::Right);
-        }
-    }
-    table.lines().map(|line| line.trim_end().to_owned() + "\n").collect()
 }
 
 #[cfg(test)]

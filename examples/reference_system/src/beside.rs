@@ -7,6 +7,7 @@ use std::io::{IsTerminal, stderr, stdout};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
+use tautline_harness::without_settings;
 use tautline_reference::{Job, Kpis};
 
 use crate::bounds::{self, Bounds};
@@ -19,20 +20,6 @@ const ELSEWHERE: &str = "From elsewhere, on a like system, 60 s, p99 of three re
 
 /// Nobody else's.
 const DOMAIN: &str = "88";
-/// What in the environment would set a system otherwise than it is said.
-const INHERITED: [&str; 10] = [
-    "TAUT_DOMAIN",
-    "TAUT_CORE_TIME",
-    "TAUT_HOLD_IDLE",
-    "FASTDDS_BUILTIN_TRANSPORTS",
-    "FASTDDS_DEFAULT_PROFILES_FILE",
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
-    "RMW_FASTRTPS_PUBLICATION_MODE",
-    "RMW_FASTRTPS_USE_QOS_FROM_XML",
-    "ROS_DISCOVERY_SERVER",
-    "ROS_STATIC_PEERS",
-];
-
 /// What is compared.
 struct Contestant {
     name: &'static str,
@@ -130,9 +117,7 @@ fn contestants(job: &Job, r2r: Option<&PathBuf>) -> Result<Vec<Contestant>> {
 fn measure(contestant: &Contestant) -> Result<Kpis> {
     let mut command = Command::new(&contestant.program);
     command.arg("--child").arg(serde_json::to_string(&contestant.job)?);
-    for name in INHERITED {
-        command.env_remove(name);
-    }
+    without_settings(&mut command);
     // r2r would look for others in the whole network, and hear whoever publishes the same topics.
     command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST").env("ROS_DOMAIN_ID", DOMAIN);
     let output = command.stderr(Stdio::inherit()).output();

@@ -7,7 +7,6 @@
 
 mod beside;
 mod bounds;
-mod picture;
 mod report;
 mod robot;
 mod table;
@@ -149,7 +148,7 @@ fn alone(job: &Job, load: &Load, options: &Options) -> Result<()> {
         write(path, &serde_json::to_string_pretty(&report)?)?;
     }
     if let Some(path) = &options.svg {
-        write(path, &picture::hot_path(&report)?)?;
+        write(path, &report.picture()?)?;
     }
     Ok(())
 }

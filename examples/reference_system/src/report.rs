@@ -3,8 +3,10 @@
 
 use serde::Serialize;
 use std::time::Duration;
+use tautline_harness::{Series, histogram};
 use tautline_reference::Kpis;
 
+use crate::Result;
 use crate::bounds::Bounds;
 
 /// As the JSON has it.
@@ -34,6 +36,17 @@ impl Report {
             hot_path_bound_ms,
             planner_jitter_bound_ms,
         }
+    }
+
+    /// The hot path's latencies as an SVG document, with their bound.
+    ///
+    /// # Errors
+    /// It cannot be drawn.
+    pub fn picture(&self) -> Result<String> {
+        let counts: Vec<_> = self.kpis.hot_path_ms.iter().map(|ms| ((ms * 1e6) as u64, 1)).collect();
+        let name = format!("{} ({})", self.kpis.system, self.kpis.mode);
+        let series = Series { name: &name, counts: &counts };
+        histogram("FrontLidarDriver to ObjectCollisionEstimator", &[series], self.hot_path_bound_ms)
     }
 
     /// A sentence for below the table.

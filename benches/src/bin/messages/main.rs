@@ -22,7 +22,7 @@ mod topic;
 use std::process::ExitCode;
 
 use clap::Parser;
-use tautline_benches::{Documented, Result, one_core};
+use tautline_harness::{Documented, Result, one_core};
 use tautline_rt::CoreSet;
 
 /// Measures messages: in place through a topic, owned, and with other encoders.
@@ -39,13 +39,13 @@ struct Options {
 }
 
 fn main() -> ExitCode {
-    tautline_benches::exit("messages", measure(&Options::parse()))
+    tautline_harness::exit("messages", measure(&Options::parse()))
 }
 
 fn measure(options: &Options) -> Result<()> {
     let core = one_core(options.core)?;
     tautline_rt::set_affinity(CoreSet::one(core))?;
-    let disturbance = tautline_benches::Disturbance::start();
+    let disturbance = tautline_harness::Disturbance::start();
     let rows = rounds::run(&mut cases::all()?, options.documented.run.quick)?;
     report::print(&rows, core, &disturbance.report())?;
     options.documented.write(&rows, || report::document(&rows))

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The table, the JSON, and what must hold.
 
-use tautline_benches::claims::{self, Bench};
-use tautline_benches::rows::{By, Compared, Figure, Metric, Row};
-use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::{Table, distinct, figure, markdown};
-use tautline_benches::{Result, cells, machine, version_of};
+use tautline_harness::claims::{self, Bench};
+use tautline_harness::rows::{By, Compared, Figure, Metric, Row};
+use tautline_harness::table::Column::{Number, Words};
+use tautline_harness::table::{Table, distinct, figure, markdown};
+use tautline_harness::{Result, cells, machine, version_of};
 
 pub fn print(rows: &[Row], core: usize, disturbance: &str) -> Result<()> {
     let version = |package| version_of(package).unwrap_or("?");

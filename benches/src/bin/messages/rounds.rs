@@ -4,8 +4,8 @@
 use std::hint::black_box;
 use std::time::Instant;
 
-use tautline_benches::rows::{Row, Tally, median};
-use tautline_benches::{Distribution, progress_bar};
+use tautline_harness::rows::{Row, Tally, median};
+use tautline_harness::{Distribution, progress_bar};
 
 use crate::Result;
 use crate::cases::{Case, Way};

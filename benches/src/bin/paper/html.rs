@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The report as one page that needs nothing else.
 
-use tautline_benches::cells;
-use tautline_benches::page::{END, begin, figure, list, verdicts};
-use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::{Cell, Table, distinct};
+use tautline_harness::cells;
+use tautline_harness::page::{END, begin, figure, list, verdicts};
+use tautline_harness::table::Column::{Number, Words};
+use tautline_harness::table::{Cell, Table, distinct};
 use tautline_paper::Variant;
 
 use crate::Result;

@@ -10,7 +10,7 @@ use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use tautline_benches::{machine, version_of};
+use tautline_harness::{machine, version_of};
 use tautline_rt::Interruptions;
 
 use crate::Result;

@@ -36,8 +36,8 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use tautline_benches::claims::print_verdicts;
-use tautline_benches::{Documented, Result, one_core, write};
+use tautline_harness::claims::print_verdicts;
+use tautline_harness::{Documented, Result, one_core, write};
 use tautline_paper::{Variant, priorities};
 use tautline_rt::permission;
 
@@ -100,7 +100,7 @@ fn main() -> ExitCode {
         Some(job) => tautline::run(job),
         None => measure(&options),
     };
-    tautline_benches::exit("paper", result)
+    tautline_harness::exit("paper", result)
 }
 
 fn measure(options: &Options) -> Result<()> {

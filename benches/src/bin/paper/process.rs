@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
-use tautline_benches::Process;
+use tautline_harness::Process;
 use tautline_paper::{Job, Line, Measured, Published, Role};
 use tautline_rt::host::steal_ticks;
 

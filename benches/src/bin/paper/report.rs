@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What was found: the data of all outputs, the table for the terminal, the JSON.
 
-use tautline_benches::claims::Verdict;
-use tautline_benches::table::Column::{Number, Words};
-use tautline_benches::table::{Cell, Table, distinct, figure, markdown};
-use tautline_benches::{cells, machine, version_of};
+use tautline_harness::claims::Verdict;
+use tautline_harness::table::Column::{Number, Words};
+use tautline_harness::table::{Cell, Table, distinct, figure, markdown};
+use tautline_harness::{cells, machine, version_of};
 use tautline_paper::{Topic, Variant};
 
 use crate::Result;

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use indicatif::{HumanDuration, ProgressBar};
-use tautline_benches::{Disturbance, progress_bar};
+use tautline_harness::{Disturbance, progress_bar};
 use tautline_paper::priorities;
 use tautline_rt::{CoreSet, IdleHold, Interruptions, Policy, Realtime, ThreadBuilder};
 
@@ -59,7 +59,7 @@ impl CellRuns {
 
 /// Measures everything in the plan that `results` does not hold yet, until `limit` is over.
 pub fn run(plan: &Plan, results: Option<&Path>, limit: Option<Duration>) -> Result<Results> {
-    let interrupted = tautline_benches::interrupted()?;
+    let interrupted = tautline_harness::interrupted()?;
     if let Err(reason) = &plan.r2r {
         eprintln!("r2r is left out: {reason}");
     }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What the paper says of its variants, as readings of the rows; `claims.toml` has their aims.
 
-use tautline_benches::Result;
-use tautline_benches::claims::{Aimed, Verdict, judge};
-use tautline_benches::readings::Reading;
+use tautline_harness::Result;
+use tautline_harness::claims::{Aimed, Verdict, judge};
+use tautline_harness::readings::Reading;
 use tautline_paper::{Scheduling, Structure, Variant};
 
 use crate::plan::{Experiment, System};

@@ -9,9 +9,9 @@
 use crate::{DOMAIN, Looking, Result, Taut, as_robot};
 use std::time::Duration;
 use tautline::geometry_msgs::msg::Point;
-use tautline_benches::Distribution;
-use tautline_benches::readings::Reading;
-use tautline_benches::rows::{Tally, median};
+use tautline_harness::Distribution;
+use tautline_harness::readings::Reading;
+use tautline_harness::rows::{Tally, median};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_rt::{CoreSet, MemoryLock, lock_memory};
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription};

@@ -13,10 +13,10 @@ use serde_json::json;
 use std::error::Error;
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitCode, Stdio};
-use tautline_benches::claims::{Aimed, judge, print_verdicts};
-use tautline_benches::readings::table;
-use tautline_benches::table::distinct;
-use tautline_benches::{Disturbance, Run, machine};
+use tautline_harness::claims::{Aimed, judge, print_verdicts};
+use tautline_harness::readings::table;
+use tautline_harness::table::distinct;
+use tautline_harness::{Disturbance, Run, machine};
 use tautline_rt::{CoreSet, Policy, set_affinity, set_policy};
 use tempfile::TempDir;
 
@@ -111,7 +111,7 @@ const EXPERIMENTS: [&str; 7] =
     ["page faults", "rates", "a list", "the tab key", "flight", "sequential", "memory"];
 
 fn main() -> ExitCode {
-    tautline_benches::exit("tools", measure(&Options::parse()))
+    tautline_harness::exit("tools", measure(&Options::parse()))
 }
 
 /// Measures the parts, and judges what they found.

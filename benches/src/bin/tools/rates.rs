@@ -4,8 +4,8 @@
 use crate::{Result, Taut};
 use serde_json::Value;
 use std::sync::atomic::{AtomicBool, Ordering};
-use tautline_benches::Beside;
-use tautline_benches::readings::Reading;
+use tautline_harness::Beside;
+use tautline_harness::readings::Reading;
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{Limits, Participant, Qos, RawPublisher, TopicType};
 

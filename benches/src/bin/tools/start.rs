@@ -3,8 +3,8 @@
 
 use crate::{DOMAIN, Result, Taut};
 use std::process::Stdio;
-use tautline_benches::Distribution;
-use tautline_benches::readings::Reading;
+use tautline_harness::Distribution;
+use tautline_harness::readings::Reading;
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Limits, Participant, Qos, ServiceType, TopicType};
 

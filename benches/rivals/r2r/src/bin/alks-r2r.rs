@@ -221,7 +221,7 @@ fn adapter(mut node: Node, job: &Job) -> Result<()> {
     // What was published last is on its way.
     thread::sleep(LOOK);
     let drive = result.1.recv_timeout(Duration::from_secs(1)).ok();
-    Ok(tell(&records.part(drive))?)
+    Ok(tell(records.part(drive))?)
 }
 
 /// What the subscribers' callbacks have in common: one thread's.
@@ -303,7 +303,7 @@ fn alks(mut node: Node, job: &Job) -> Result<()> {
     let over = told();
     ready();
     spin(&mut node, &mut pool, &records, &over);
-    Ok(tell(&records.part(None))?)
+    Ok(tell(records.part(None))?)
 }
 
 fn control(node: &mut Node, job: &Job, mut view: View, records: &Arc<Records>) -> Result<()> {
@@ -390,5 +390,5 @@ fn visualizer(mut node: Node, job: &Job) -> Result<()> {
     let over = told();
     ready();
     spin(&mut node, &mut pool, &records, &over);
-    Ok(tell(&records.part(None))?)
+    Ok(tell(records.part(None))?)
 }

@@ -2,8 +2,8 @@
 //! 99th percentiles: a row for each variant, a column for each topic, a bar for each system.
 
 use plotters::style::{RGBColor, WHITE};
-use tautline_benches::canvas::{Align, Canvas, FAINT, GRID, INK, Words};
-use tautline_benches::table::short;
+use tautline_harness::canvas::{Align, Canvas, FAINT, GRID, INK, Words};
+use tautline_harness::table::short;
 
 use super::{BOUND, colour, label, on_bar, systems, ticks};
 use crate::Result;

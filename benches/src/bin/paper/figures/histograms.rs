@@ -2,7 +2,7 @@
 //! Response times of the fastest topic with the middleware above the callbacks and not: a row for each, a column for each
 //! system.
 
-use tautline_benches::canvas::{Align, Canvas, DEADLINE, FAINT, GRID, Words};
+use tautline_harness::canvas::{Align, Canvas, DEADLINE, FAINT, GRID, Words};
 
 use super::{colour, label, systems, ticks};
 use crate::Result;

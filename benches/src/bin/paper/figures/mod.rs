@@ -8,7 +8,7 @@ pub use bars::p99_bars;
 pub use histograms::ablation_histograms;
 
 use plotters::style::{RGBColor, WHITE};
-use tautline_benches::canvas::INK;
+use tautline_harness::canvas::INK;
 
 use crate::plan::System;
 use crate::stats::Row;

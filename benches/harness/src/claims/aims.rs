@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Aimed {
+    Alks,
     Budgets,
     Domain,
     Paper,
@@ -17,7 +18,7 @@ pub enum Aimed {
 }
 
 /// As it is written.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "kebab-case")]
 pub(super) struct Aim {
     /// None: all.
@@ -86,6 +87,11 @@ pub fn judge(
     readings: &mut [Reading],
 ) -> Result<Vec<Verdict>, BadClaims> {
     judge_by(FILE, bench, experiments, readings)
+}
+
+/// Judges a reading by a bound that was computed, which the file cannot know.
+pub fn judge_by_bound(reading: &mut Reading, of: Column, bound: f64) -> Verdict {
+    Aim { of, at_most: Some(bound), ..Aim::default() }.judge(reading)
 }
 
 fn judge_by(

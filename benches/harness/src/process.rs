@@ -14,8 +14,7 @@ use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal
 use serde::de::DeserializeOwned;
 use tautline_rt::domain::scope;
 
-// Its own, for rmw's bench has this file, too.
-type Result<T = ()> = std::result::Result<T, Box<dyn Error>>;
+use crate::Result;
 
 /// How long a process may take to end.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -23,6 +22,31 @@ const PATIENCE: Duration = Duration::from_secs(60);
 const DYING: Duration = Duration::from_secs(2);
 /// How often an interrupt is looked for.
 const GLANCE: Duration = Duration::from_millis(100);
+
+/// What in the environment would set a system otherwise than a report says.
+const SETTINGS: [&str; 16] = [
+    "CYCLONEDDS_URI",
+    "FASTDDS_BUILTIN_TRANSPORTS",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_ENVIRONMENT_FILE",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "RMW_FASTRTPS_PUBLICATION_MODE",
+    "RMW_FASTRTPS_USE_QOS_FROM_XML",
+    "RMW_IMPLEMENTATION",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "ROS_DISCOVERY_SERVER",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_STATIC_PEERS",
+    "TAUT_CORE_TIME",
+    "TAUT_DOMAIN",
+    "TAUT_HOLD_IDLE",
+    "ZENOH_CONFIG",
+];
+
+/// Removes the user's settings of all systems from a command's environment.
+pub fn without_settings(command: &mut Command) -> &mut Command {
+    SETTINGS.iter().fold(command, |command, name| command.env_remove(name))
+}
 
 /// A process that says lines of JSON, each a `L`; killed on drop if it still runs. If the thread that starts it ends first, however
 /// that may be, it is asked to end, too.

@@ -28,7 +28,7 @@ pub fn machine() -> String {
 
 /// The version of `package` that this workspace was built with.
 pub fn version_of(package: &str) -> Option<&'static str> {
-    version_in(include_str!("../../Cargo.lock"), package)
+    version_in(include_str!("../../../Cargo.lock"), package)
 }
 
 /// The version of `package` in the text of a `Cargo.lock`.

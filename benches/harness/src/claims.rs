@@ -13,9 +13,9 @@ use crate::rows::{By, Compared, Figure, Metric, Row};
 use crate::table::{bytes_of, short};
 
 use aims::Aim;
-pub use aims::{Aimed, Column, Judged, judge};
+pub use aims::{Aimed, Column, Judged, judge, judge_by_bound};
 
-const FILE: &str = include_str!("../claims.toml");
+const FILE: &str = include_str!("../../claims.toml");
 
 /// What must hold, and what was found. `holds` is `None` where that cannot be judged; `found` says why.
 #[derive(Clone, Debug, Serialize)]
@@ -66,6 +66,7 @@ pub enum Bench {
     Deadlines,
     Messages,
     Parameters,
+    Rmw,
 }
 
 /// What can be measured: what a claim names beside is a mistake, for it would never be judged.
