@@ -1,12 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The processes that publish and subscribe, on either side.
 
-use crate::Result;
-use crate::report::Received;
 use futures::StreamExt;
 use futures::executor::LocalPool;
 use futures::task::{ArcWake, LocalSpawnExt, waker};
-use hdrhistogram::Histogram;
 use r2r::std_msgs::msg::UInt64;
 use r2r::{Context, Node, QosProfile};
 use serde::{Deserialize, Serialize};
@@ -17,6 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, mpsc};
 use std::task::Poll;
 use std::time::{Duration, Instant};
+use tautline_harness::{Distribution, Result};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{Limits, Participant, Qos, RawPublisher, RawSubscription, TopicType};
 
@@ -54,6 +52,33 @@ pub struct Job {
     pub epoch_ns: u64,
 }
 
+/// What a process says: a line of JSON.
+#[derive(Serialize, Deserialize)]
+pub enum Line {
+    /// It has its endpoints.
+    Ready,
+    /// All subscriptions are matched with a publisher.
+    Matched,
+    Published,
+    Received(Received),
+}
+
+/// What a subscriber got.
+#[derive(Serialize, Deserialize)]
+pub struct Received {
+    /// Of messages in order, none twice: how often each occurred.
+    pub latencies_ns: Vec<(u64, u64)>,
+    /// That came again, or after a later one of the same topic.
+    pub disordered: u64,
+}
+
+impl Line {
+    fn say(&self) -> Result {
+        println!("{}", serde_json::to_string(self)?);
+        Ok(())
+    }
+}
+
 impl Job {
     fn names(&self) -> impl Iterator<Item = String> {
         (0..self.topics).map(|number| format!("/bench/t{number}"))
@@ -64,7 +89,7 @@ impl Job {
     }
 }
 
-pub fn run(job: &str) -> Result<()> {
+pub fn run(job: &str) -> Result {
     let job: Job = serde_json::from_str(job)?;
     match (job.side, job.role) {
         (Side::Ros, Role::Publisher) => publish_in_ros(&job),
@@ -101,17 +126,16 @@ impl Stamp {
 struct Log {
     epoch_ns: u64,
     expected: u64,
-    latency_ns: Histogram<u64>,
+    latencies: Distribution,
     /// Of each topic, the number after the highest that has arrived.
     next: Vec<u32>,
     disordered: u64,
 }
 
 impl Log {
-    fn new(job: &Job) -> Result<Self> {
-        let latency_ns = Histogram::new_with_bounds(1, 60_000_000_000, 3)?;
-        let next = vec![0; job.topics];
-        Ok(Log { epoch_ns: job.epoch_ns, expected: job.expected(), latency_ns, next, disordered: 0 })
+    fn new(job: &Job) -> Self {
+        let (latencies, next) = (Distribution::new(), vec![0; job.topics]);
+        Log { epoch_ns: job.epoch_ns, expected: job.expected(), latencies, next, disordered: 0 }
     }
 
     /// A message counts if it comes after all before it: one that comes twice is none more.
@@ -123,25 +147,16 @@ impl Log {
             return;
         }
         self.next[topic] = stamp.number + 1;
-        self.latency_ns.saturating_record(latency_ns.max(1));
+        self.latencies.record(latency_ns.max(1));
     }
 
     fn is_complete(&self) -> bool {
-        self.latency_ns.len() >= self.expected
+        self.latencies.len() >= self.expected
     }
 
-    fn say(&self) -> Result<()> {
-        let at = |quantile| self.latency_ns.value_at_quantile(quantile) as f64 / 1000.0;
-        let received = Received {
-            messages: self.latency_ns.len(),
-            disordered: self.disordered,
-            p50_us: at(0.5),
-            p99_us: at(0.99),
-            p999_us: at(0.999),
-            max_us: self.latency_ns.max() as f64 / 1000.0,
-        };
-        println!("{}", serde_json::to_string(&received)?);
-        Ok(())
+    fn say(&self) -> Result {
+        let (latencies_ns, disordered) = (self.latencies.counts(), self.disordered);
+        Line::Received(Received { latencies_ns, disordered }).say()
     }
 }
 
@@ -174,10 +189,10 @@ impl Patience {
     }
 }
 
-fn subscribe_in_ros(job: &Job) -> Result<()> {
+fn subscribe_in_ros(job: &Job) -> Result {
     let mut node = Node::create(Context::create()?, "bench_subscriber", "")?;
     let mut pool = LocalPool::new();
-    let log = Rc::new(RefCell::new(Log::new(job)?));
+    let log = Rc::new(RefCell::new(Log::new(job)));
     for (topic, name) in job.names().enumerate() {
         let messages = node.subscribe::<UInt64>(&name, QosProfile::default().keep_last(DEPTH))?;
         let log = log.clone();
@@ -186,7 +201,7 @@ fn subscribe_in_ros(job: &Job) -> Result<()> {
             std::future::ready(())
         }))?;
     }
-    println!("ready");
+    Line::Ready.say()?;
     let mut patience = Patience::new();
     while !patience.is_over(log.borrow().is_complete()) {
         node.spin_once(Duration::from_millis(10));
@@ -195,39 +210,39 @@ fn subscribe_in_ros(job: &Job) -> Result<()> {
     log.borrow().say()
 }
 
-fn publish_in_ros(job: &Job) -> Result<()> {
+fn publish_in_ros(job: &Job) -> Result {
     let mut node = Node::create(Context::create()?, "bench_publisher", "")?;
     let qos = || QosProfile::default().keep_last(DEPTH);
     let publishers: Vec<_> = job
         .names()
         .map(|name| node.create_publisher::<UInt64>(&name, qos()))
         .collect::<std::result::Result<_, _>>()?;
-    println!("ready");
+    Line::Ready.say()?;
     // r2r's subscriber, and the bridge.
     for publisher in &publishers {
         while publisher.get_inter_process_subscription_count()? < 2 {
             std::thread::sleep(Duration::from_millis(2));
         }
     }
-    println!("matched");
+    Line::Matched.say()?;
     publish(job, |topic, stamp| Ok(publishers[topic].publish(&UInt64 { data: stamp.to_u64() })?))
 }
 
-fn publish_in_tautline(job: &Job) -> Result<()> {
+fn publish_in_tautline(job: &Job) -> Result {
     let participant = Participant::new(job.domain)?;
     let publish_one = |name: String| {
         participant.create_raw_publisher(&name, &TopicType::new(TYPE), Qos::keep_last(DEPTH), limits())
     };
     let publishers: Vec<RawPublisher> =
         job.names().map(publish_one).collect::<std::result::Result<_, _>>()?;
-    println!("ready");
+    Line::Ready.say()?;
     // Tautline's subscriber, and the bridge.
     for publisher in &publishers {
         while publisher.subscription_count() < 2 {
             std::thread::sleep(Duration::from_millis(2));
         }
     }
-    println!("matched");
+    Line::Matched.say()?;
     publish(job, |topic, stamp| Ok(publishers[topic].publish(&stamp.to_u64().to_le_bytes())?))
 }
 
@@ -236,7 +251,7 @@ fn limits() -> Limits {
 }
 
 /// The topics take turns, evenly.
-fn publish(job: &Job, mut publish_one: impl FnMut(usize, Stamp) -> Result<()>) -> Result<()> {
+fn publish(job: &Job, mut publish_one: impl FnMut(usize, Stamp) -> Result) -> Result {
     let _ = std::io::stdin().lock().lines().next();
     let interval_ns = 1_000_000_000 / (u64::from(job.rate) * job.topics as u64);
     let mut next_ns = monotonic_ns();
@@ -247,7 +262,7 @@ fn publish(job: &Job, mut publish_one: impl FnMut(usize, Stamp) -> Result<()>) -
             next_ns += interval_ns;
         }
     }
-    println!("published");
+    Line::Published.say()?;
     // What it kept may still be asked for.
     let _ = std::io::stdin().lock().lines().next();
     Ok(())
@@ -261,7 +276,7 @@ impl ArcWake for Flag {
     }
 }
 
-fn subscribe_in_tautline(job: &Job) -> Result<()> {
+fn subscribe_in_tautline(job: &Job) -> Result {
     let participant = Participant::new(job.domain)?;
     let seat = participant.doorbell().claim_sampler()?;
     let subscribe = |name: String| {
@@ -269,8 +284,8 @@ fn subscribe_in_tautline(job: &Job) -> Result<()> {
     };
     let all: Vec<RawSubscription> = job.names().map(subscribe).collect::<std::result::Result<_, _>>()?;
     let flags: Vec<_> = all.iter().map(|_| Arc::new(Flag(AtomicBool::new(true)))).collect();
-    let mut log = Log::new(job)?;
-    println!("ready");
+    let mut log = Log::new(job);
+    Line::Ready.say()?;
     let mut patience = Patience::new();
     while !patience.is_over(log.is_complete()) {
         seat.drain(|_| {});

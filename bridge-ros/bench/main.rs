@@ -10,18 +10,23 @@ mod report;
 
 use clap::Parser;
 use clap::builder::RangedU64ValueParser;
-use ends::{Job, MAX_MESSAGES, Role, Side};
-use report::{Cpu, Phase, Received};
-use rustix::process::{Pid, Signal};
-use std::error::Error;
-use std::io::{BufRead, BufReader, Write};
-use std::path::PathBuf;
-use std::process::{Child, Command, ExitCode, Stdio};
+use ends::{Job, Line, MAX_MESSAGES, Received, Role, Side};
+use report::{Cpu, Phase};
+use serde_json::Value;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 use tautline_bridge_ros::Direction;
+use tautline_harness::claims::{Aimed, judge, print_verdicts};
+use tautline_harness::readings::table;
+use tautline_harness::{Process, Result, exit, interrupted, machine, write_json};
 use tautline_rt::clock::monotonic_ns;
+use tempfile::NamedTempFile;
 
-type Result<T> = std::result::Result<T, Box<dyn Error>>;
+/// Nothing takes so long unless it is broken.
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Measures the bridge beside r2r's own subscriber.
 #[derive(Parser, Debug)]
@@ -66,81 +71,117 @@ struct Args {
 
 fn main() -> ExitCode {
     let args = Args::parse();
-    let outcome = match &args.child {
-        Some(job) => ends::run(job),
-        None => measure(&args),
-    };
-    match outcome {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("bench-bridge: {error}");
-            ExitCode::FAILURE
-        }
-    }
+    exit(
+        "bench-bridge",
+        match &args.child {
+            Some(job) => ends::run(job),
+            None => measure(&args),
+        },
+    )
 }
 
-fn measure(args: &Args) -> Result<()> {
+fn measure(args: &Args) -> Result {
     if args.rate.checked_mul(args.seconds).is_none_or(|messages| messages > MAX_MESSAGES) {
         return Err(format!("more than {MAX_MESSAGES} messages of a topic: lower --rate or --seconds").into());
     }
-    let profile = (!args.fast_dds_default).then(Profile::write).transpose()?;
-    let from_ros = phase(args, Direction::FromRos, args.rate, profile.as_ref())?;
+    let profile = (!args.fast_dds_default).then(profile).transpose()?;
+    let (profile, interrupted) = (profile.as_ref().map(NamedTempFile::path), interrupted()?);
+    let from_ros = phase(args, Direction::FromRos, args.rate, profile, &interrupted)?;
     let rate = if args.fit { args.rate.min(from_ros.rate_that_fits()) } else { args.rate };
-    let to_ros = phase(args, Direction::ToRos, rate, profile.as_ref())?;
-    let phases = [from_ros, to_ros];
-    report::print(&phases, args.topics);
+    let to_ros = phase(args, Direction::ToRos, rate, profile, &interrupted)?;
+    let experiments =
+        [Direction::FromRos, Direction::ToRos].map(|direction| Phase::way(direction).to_owned());
+    let mut readings = [from_ros.readings(), to_ros.readings()].concat();
+    for (way, readings) in experiments.iter().zip(readings.chunk_by(|a, b| a.experiment == b.experiment)) {
+        println!("{} topics {way}\n{}\n", args.topics, table(readings));
+    }
+    println!("{}", machine());
     if profile.is_some() {
         println!(
             "Fast DDS had shared memory for a second of messages (--fast-dds-default: what it has by itself)"
         );
     }
+    let verdicts = judge(Aimed::Bridge, &experiments, &mut readings)?;
     if let Some(path) = &args.json {
-        std::fs::write(path, serde_json::to_string_pretty(&phases)?)?;
+        write_json(path, &readings)?;
     }
-    let faults: Vec<String> = phases.iter().filter_map(Phase::fault).collect();
-    if faults.is_empty() { Ok(()) } else { Err(faults.join("; ").into()) }
+    Ok(print_verdicts(&verdicts)?)
 }
 
 /// As many messages as `args` ask for, at this rate.
-fn phase(args: &Args, direction: Direction, rate: u32, profile: Option<&Profile>) -> Result<Phase> {
+fn phase(
+    args: &Args,
+    direction: Direction,
+    rate: u32,
+    profile: Option<&Path>,
+    interrupted: &AtomicBool,
+) -> Result<Phase> {
     let own = std::env::current_exe()?;
     let bridge = args.bridge.clone().unwrap_or_else(|| own.with_file_name("taut-bridge-ros"));
     let domain = args.domain.to_string();
+    let profile = profile.map(|path| ("FASTRTPS_DEFAULT_PROFILES_FILE", path));
     let mut command = Command::new(bridge);
-    command.args(["--domain", &domain, "--ros-domain", &domain, "--json"]).stdout(Stdio::null());
+    command.args(["--domain", &domain, "--ros-domain", &domain, "--json"]).envs(profile);
     if args.no_rt {
         command.arg("--no-rt");
     }
-    command.envs(profile.map(Profile::variable));
-    let bridge = Ended(command.spawn()?);
+    let bridge = Bridge(Process::start(&mut command, "bridge", interrupted)?);
     let epoch_ns = monotonic_ns();
     let messages = args.rate * args.seconds;
-    let job =
-        |side, role| Job { side, role, topics: args.topics, rate, messages, domain: args.domain, epoch_ns };
+    let start = |side, role| -> Result<Process<'_, Line>> {
+        let job = Job { side, role, topics: args.topics, rate, messages, domain: args.domain, epoch_ns };
+        let mut command = Command::new(std::env::current_exe()?);
+        command.arg("--child").arg(serde_json::to_string(&job)?).env("ROS_DOMAIN_ID", &domain).envs(profile);
+        let name = format!("{role:?} in {side:?}").to_lowercase();
+        let mut process = Process::start(&mut command, name, interrupted)?;
+        process.expect(PATIENCE, |line| matches!(line, Line::Ready).then_some(()))?;
+        Ok(process)
+    };
     let side = if direction == Direction::FromRos { Side::Ros } else { Side::Tautline };
     let other = if side == Side::Ros { Side::Tautline } else { Side::Ros };
-    let start = |job: Job| Peer::start(&job, &domain, profile);
-    let mut direct = start(job(side, Role::Subscriber))?;
-    let mut bridged = start(job(other, Role::Subscriber))?;
-    let mut publisher = start(job(side, Role::Publisher))?;
-    publisher.expect("matched")?;
-    let pids = [bridge.0.id(), direct.process.0.id(), bridged.process.0.id(), publisher.process.0.id()];
-    let cpu = CpuMeter::start(pids)?;
-    publisher.tell("go")?;
+    let mut direct = start(side, Role::Subscriber)?;
+    let mut bridged = start(other, Role::Subscriber)?;
+    let mut publisher = start(side, Role::Publisher)?;
+    publisher.expect(PATIENCE, |line| matches!(line, Line::Matched).then_some(()))?;
+    let cpu = CpuMeter::start([bridge.0.id(), direct.id(), bridged.id(), publisher.id()])?;
+    publisher.say("go")?;
     let progress = indicatif::ProgressBar::new_spinner();
     progress.set_message(format!(
-        "{direction:?}: {} topics at {rate} Hz for {} s",
+        "{}: {} topics at {rate} Hz for {} s",
+        Phase::way(direction),
         args.topics,
         messages / rate
     ));
     progress.enable_steady_tick(Duration::from_millis(100));
-    publisher.expect("published")?;
+    // A machine that is too slow takes longer.
+    let patience = PATIENCE + 5 * Duration::from_secs((messages / rate).into());
+    publisher.expect(patience, |line| matches!(line, Line::Published).then_some(()))?;
     let (published_s, cpu) = cpu.end()?;
     let expected = args.topics as u64 * u64::from(messages);
-    let direct: Received = serde_json::from_str(&direct.last_word()?)?;
-    let bridged: Received = serde_json::from_str(&bridged.last_word()?)?;
+    let (direct, bridged) = (received(&mut direct)?, received(&mut bridged)?);
+    publisher.finish()?;
     progress.finish_and_clear();
     Ok(Phase { direction, rate, messages, expected, direct, bridged, published_s, cpu })
+}
+
+/// Tells a subscriber to end, and takes what it says then.
+fn received(subscriber: &mut Process<'_, Line>) -> Result<Received> {
+    subscriber.tell("end")?;
+    let received = subscriber.expect(PATIENCE, |line| match line {
+        Line::Received(received) => Some(received),
+        _ => None,
+    })?;
+    subscriber.finish()?;
+    Ok(received)
+}
+
+/// Asked to end: one that is killed leaves what it had in shared memory.
+struct Bridge<'a>(Process<'a, Value>);
+
+impl Drop for Bridge<'_> {
+    fn drop(&mut self) {
+        self.0.terminate();
+    }
 }
 
 /// Processor time of the bridge, both subscribers and the publisher, and of the whole machine.
@@ -195,83 +236,9 @@ fn cpu_s(pid: u32) -> Result<f64> {
     Ok(ticks.iter().sum::<f64>() / rustix::param::clock_ticks_per_second() as f64)
 }
 
-/// What Fast DDS reads: a file as long as this lives.
-struct Profile(PathBuf);
-
-impl Profile {
-    fn write() -> Result<Self> {
-        let path = std::env::temp_dir().join(format!("bench-bridge-{}.xml", std::process::id()));
-        std::fs::write(&path, include_str!("fast_dds.xml"))?;
-        Ok(Profile(path))
-    }
-
-    fn variable(&self) -> (&'static str, &PathBuf) {
-        ("FASTRTPS_DEFAULT_PROFILES_FILE", &self.0)
-    }
-}
-
-impl Drop for Profile {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.0);
-    }
-}
-
-/// A process that ends when this is dropped: with its input, or by a signal. One that is killed leaves what it had in shared memory.
-struct Ended(Child);
-
-impl Drop for Ended {
-    fn drop(&mut self) {
-        const PATIENCE: Duration = Duration::from_secs(5);
-        if self.0.stdin.take().is_none() {
-            let _ = rustix::process::kill_process(Pid::from_child(&self.0), Signal::TERM);
-        }
-        let since = Instant::now();
-        while matches!(self.0.try_wait(), Ok(None)) && since.elapsed() < PATIENCE {
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-struct Peer {
-    process: Ended,
-    output: BufReader<std::process::ChildStdout>,
-}
-
-impl Peer {
-    fn start(job: &Job, ros_domain: &str, profile: Option<&Profile>) -> Result<Self> {
-        let mut command = Command::new(std::env::current_exe()?);
-        command.arg("--child").arg(serde_json::to_string(job)?).env("ROS_DOMAIN_ID", ros_domain);
-        command.envs(profile.map(Profile::variable));
-        let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
-        let output = BufReader::new(process.stdout.take().ok_or("no output")?);
-        let mut peer = Peer { process: Ended(process), output };
-        peer.expect("ready")?;
-        Ok(peer)
-    }
-
-    fn line(&mut self) -> Result<String> {
-        let mut line = String::new();
-        if self.output.read_line(&mut line)? == 0 {
-            return Err("a process ended: see what it said above".into());
-        }
-        Ok(line.trim().to_owned())
-    }
-
-    fn expect(&mut self, word: &str) -> Result<()> {
-        let line = self.line()?;
-        if line == word { Ok(()) } else { Err(format!("'{line}' instead of '{word}'").into()) }
-    }
-
-    fn tell(&mut self, word: &str) -> Result<()> {
-        let input = self.process.0.stdin.as_mut().ok_or("no input")?;
-        Ok(writeln!(input, "{word}")?)
-    }
-
-    /// Tells it to end, and what it says then.
-    fn last_word(&mut self) -> Result<String> {
-        self.tell("end")?;
-        self.line()
-    }
+/// What Fast DDS reads.
+fn profile() -> Result<NamedTempFile> {
+    let mut file = tempfile::Builder::new().prefix("bench-bridge-").suffix(".xml").tempfile()?;
+    file.write_all(include_bytes!("fast_dds.xml"))?;
+    Ok(file)
 }

@@ -1,24 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a run measured.
+//! What a run measured, as readings.
 
-use serde::{Deserialize, Serialize};
+use crate::ends::Received;
 use tautline_bridge_ros::Direction;
-
-/// What a subscriber got.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Received {
-    /// In order, none twice.
-    pub messages: u64,
-    /// That came again, or after a later one of the same topic.
-    pub disordered: u64,
-    pub p50_us: f64,
-    pub p99_us: f64,
-    pub p999_us: f64,
-    pub max_us: f64,
-}
+use tautline_harness::Distribution;
+use tautline_harness::readings::Reading;
 
 /// One way.
-#[derive(Clone, Debug, Serialize)]
 pub struct Phase {
     pub direction: Direction,
     /// Messages per second of each topic.
@@ -37,7 +25,6 @@ pub struct Phase {
 }
 
 /// Processor time while messages are published, in percent of one core.
-#[derive(Clone, Debug, Serialize)]
 pub struct Cpu {
     pub bridge: f64,
     /// The process of the subscriber on the publisher's side.
@@ -60,76 +47,40 @@ impl Phase {
         f64::from(self.messages) / self.published_s
     }
 
-    /// What is wrong with what came by the bridge.
-    pub fn fault(&self) -> Option<String> {
-        let (lost, disordered) =
-            (self.expected.saturating_sub(self.bridged.messages), self.bridged.disordered);
-        let way = self.way();
-        (lost > 0 || disordered > 0).then(|| {
-            let Cpu { bridge, machine, .. } = self.cpu;
-            format!(
-                "{way}: {lost} of {} messages were lost, {disordered} came twice or out of order; the bridge used \
-                 {bridge:.0} % of a core, and the machine was {machine:.0} % busy",
-                self.expected
-            )
-        })
-    }
-
-    fn way(&self) -> &'static str {
-        match self.direction {
+    /// What its readings call it.
+    pub fn way(direction: Direction) -> &'static str {
+        match direction {
             Direction::FromRos => "from ROS",
             Direction::ToRos => "to ROS",
         }
     }
-}
 
-pub fn print(phases: &[Phase], topics: usize) {
-    let ways: Vec<String> =
-        phases.iter().map(|phase| format!("at {} Hz {}", phase.rate, phase.way())).collect();
-    println!(
-        "{topics} topics {}; latency from publishing to the subscriber, in µs; CPU of its process, in % of a core",
-        ways.join(", ")
-    );
-    println!(
-        "{:<10} {:<24} {:>9} {:>6} {:>10} {:>9} {:>9} {:>9} {:>9} {:>6}",
-        "direction", "subscriber", "messages", "lost", "disordered", "p50", "p99", "p99.9", "max", "CPU"
-    );
-    for phase in phases {
-        let (beside, behind) = match phase.direction {
-            Direction::FromRos => ("r2r, directly", "Tautline, by the bridge"),
-            Direction::ToRos => ("Tautline, directly", "r2r, by the bridge"),
+    pub fn readings(&self) -> Vec<Reading> {
+        let of = |what: &str, unit| Reading::of(Self::way(self.direction), 0, what, unit);
+        let systems = match self.direction {
+            Direction::FromRos => ["r2r", "tautline"],
+            Direction::ToRos => ["tautline", "r2r"],
         };
-        let way = phase.way();
-        for (name, received, cpu) in
-            [(beside, &phase.direct, phase.cpu.direct), (behind, &phase.bridged, phase.cpu.bridged)]
-        {
-            println!(
-                "{way:<10} {name:<24} {:>9} {:>6} {:>10} {:>9.1} {:>9.1} {:>9.1} {:>9.1} {cpu:>6.1}",
-                received.messages,
-                phase.expected.saturating_sub(received.messages),
-                received.disordered,
-                received.p50_us,
-                received.p99_us,
-                received.p999_us,
-                received.max_us
-            );
+        let mut readings = Vec::new();
+        let subscribers =
+            [("directly", &self.direct, self.cpu.direct), ("by the bridge", &self.bridged, self.cpu.bridged)];
+        for (system, (how, received, cpu)) in systems.into_iter().zip(subscribers) {
+            let mut times = Distribution::new();
+            times.add(&received.latencies_ns);
+            let [lost, disordered] = [self.expected.saturating_sub(times.len()), received.disordered];
+            let of = |what: &str, unit| of(&format!("{what}, {how}"), unit).system(system);
+            readings.push(of("from publishing to the subscriber", "µs").times(&times));
+            readings.push(of("lost", "messages").value(lost as f64).note(format!("of {}", self.expected)));
+            readings.push(of("twice or out of order", "messages").value(disordered as f64));
+            readings.push(of("CPU of the subscriber", "% of a core").value(cpu));
         }
-        let Phase { direct, bridged, cpu, .. } = phase;
-        println!(
-            "{way:<10} the bridge: p50 {:.1} instead of {:.1}, p99 {:.1} instead of {:.1}; it uses {:.1} % of a core, the \
-             publisher {:.1} %; the machine is {:.0} % busy; published in {:.1} s",
-            bridged.p50_us,
-            direct.p50_us,
-            bridged.p99_us,
-            direct.p99_us,
-            cpu.bridge,
-            cpu.publisher,
-            cpu.machine,
-            phase.published_s
-        );
-        let rate_kept = phase.rate_kept();
-        if rate_kept < 0.9 * f64::from(phase.rate) {
-            println!("{way:<10} this machine is too slow for it: {rate_kept:.0} Hz");
-        }
+        readings.push(of("CPU of the bridge", "% of a core").value(self.cpu.bridge));
+        readings.push(of("CPU of the publisher", "% of a core").value(self.cpu.publisher));
+        readings.push(of("CPU of the machine", "% of all cores").value(self.cpu.machine));
+        let kept = of("published", "Hz of each topic").value(self.rate_kept());
+        let is_slow = self.rate_kept() < 0.9 * f64::from(self.rate);
+        let note = if is_slow { ": this machine is too slow for it" } else { "" };
+        readings.push(kept.note(format!("{} were asked for{note}", self.rate)));
+        readings
     }
 }

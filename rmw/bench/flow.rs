@@ -37,7 +37,7 @@ pub fn measure(starter: &Starter<'_>, system: &System, budget: Duration) -> Resu
     said(near.tell("go"))?;
     let sent = measured(&mut near, PATIENCE + budget * 2)?;
     // Whether the last one has come: what has not is counted as lost.
-    let _ = said(far.wait_for(DRAIN, |line| matches!(line, Line::Complete { .. }).then_some(())))?;
+    let _ = said(far.wait_for(DRAIN, |line| matches!(line, Line::Complete).then_some(())))?;
     said(far.tell("stop"))?;
     let received = measured(&mut far, PATIENCE)?;
     said(near.finish())?;

@@ -5,9 +5,8 @@ use crate::bindings::*;
 use crate::rmw::{Node, checked};
 use crate::system::{PATIENCE, Starter, System, Task, measured, ready, said};
 use crate::types;
-use std::io::Read;
 use std::time::{Duration, Instant};
-use tautline_exchange::{Exchange, Job, Line, Measured, Result, Role, Way, say};
+use tautline_exchange::{Exchange, Job, Line, Measured, Result, Role, Way, say, until_told};
 use tautline_harness::Distribution;
 use tautline_harness::rows::{Row, Tally};
 use tautline_rt::clock::process_cpu_ns;
@@ -106,7 +105,7 @@ pub fn run(job: &Job) -> Result<()> {
     }
     say(&Line::Ready(None));
     // All have found each other once it is told to stop.
-    let _ = std::io::stdin().read_to_end(&mut Vec::new());
+    until_told();
     say(&Line::Measured(Measured { cpu_ns: process_cpu_ns(), ..Measured::default() }));
     Ok(())
 }

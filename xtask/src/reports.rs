@@ -272,22 +272,23 @@ mod tests {
 
     #[test]
     fn a_bridge_that_loses_or_repeats_is_refused() {
-        let subscriber = json!({"messages": 9, "disordered": 0, "p50_us": 1.0, "p99_us": 2.0});
-        let way = |name: &str| {
-            json!({"direction": name, "expected": 9, "direct": subscriber, "bridged": subscriber,
-                   "cpu": {"bridge": 1.0, "direct": 1.0, "bridged": 1.0, "publisher": 1.0, "machine": 2.0}})
+        let row = |experiment: &str, what: &str, n: u64| json!({"experiment": experiment, "system": "r2r", "what": what, "unit": "u", "n": n, "p50": 0.0, "aim": {"must": true, "is_met": true}});
+        let way = |way: &str| {
+            [
+                row(way, "from publishing to the subscriber, by the bridge", 9),
+                row(way, "lost, by the bridge", 1),
+            ]
         };
         refuses(
             &BRIDGE,
             &[("expected", json!(9))],
-            &json!([way("from_ros"), way("to_ros")]),
+            &json!([way("from ROS"), way("to ROS")].concat()),
             &[
-                (".[0].bridged.messages = 8", "9 were expected in order"),
-                (".[1].bridged.messages = 10", "9 were expected in order"),
-                (".[1].bridged.disordered = 1", "9 were expected in order"),
-                ("map(.expected = 8)", "9 were expected in order"),
-                ("del(.[1])", "its ways are"),
-                ("del(.[0].cpu.bridge)", "'bridge' should be of type number"),
+                (".[0].n = 8", "9 messages were expected"),
+                (".[3].aim.is_met = false", "missed: {"),
+                ("del(.[2, 3])", "nothing was measured to ROS"),
+                ("del(.[0])", "1 ways instead of 2"),
+                ("del(.[0].unit)", "'unit' should be of type string"),
             ],
         );
     }

@@ -5,10 +5,12 @@
 //! starts the adapter, which drives for as long as it is asked, tells its [`Part`] and ends. The others end, with theirs, when
 //! their standard input does: also when who started them has died.
 
-use std::io::{Read, Write, stdin, stdout};
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
+use tautline_exchange::say;
+
+pub use tautline_exchange::until_told;
 
 use crate::records::Part;
 
@@ -80,23 +82,10 @@ pub enum Line {
     Part(Box<Part>),
 }
 
-fn say(line: &Line) -> std::io::Result<()> {
-    let mut out = stdout().lock();
-    serde_json::to_writer(&mut out, line)?;
-    writeln!(out)?;
-    out.flush()
-}
-
 pub fn ready() {
-    // Who does not listen has gone, and ends this process by that.
-    let _ = say(&Line::Ready);
+    say(&Line::Ready);
 }
 
-/// Waits until who started this process closes its standard input.
-pub fn until_told() {
-    let _ = stdin().read_to_end(&mut Vec::new());
-}
-
-pub fn tell(part: Part) -> std::io::Result<()> {
-    say(&Line::Part(Box::new(part)))
+pub fn tell(part: Part) {
+    say(&Line::Part(Box::new(part)));
 }

@@ -4,10 +4,10 @@
 use crate::process::Process;
 use crate::{Bench, Result, population, storm, topics, traffic};
 use serde::{Deserialize, Serialize};
-use std::io::{Read, Write, stdin, stdout};
 use std::path::PathBuf;
 use std::process::Command;
 use std::time::Duration;
+use tautline_exchange::{say, until_told};
 use tautline_rt::clock::monotonic_ns;
 
 /// The domain of all processes, in a scope of their own.
@@ -108,17 +108,10 @@ impl<'a> Bench<'a> {
     }
 }
 
-pub fn say(said: &Said) -> Result<()> {
-    let mut out = stdout().lock();
-    writeln!(out, "{}", serde_json::to_string(said)?)?;
-    Ok(out.flush()?)
-}
-
 /// Says something, and stays until the process that started this one closes its standard input.
 pub fn say_and_stay(said: &Said) -> Result<()> {
-    say(said)?;
-    // An error is an end, too.
-    let _ = stdin().read_to_end(&mut Vec::new());
+    say(said);
+    until_told();
     Ok(())
 }
 

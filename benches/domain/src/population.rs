@@ -2,7 +2,7 @@
 //! Processes with a node each: what they cost when nothing happens, what it costs to look at them and to come to them, and how soon
 //! they are buried.
 
-use crate::job::{DOMAIN, Job, Said, say, say_and_stay, wait_until};
+use crate::job::{DOMAIN, Job, Said, say_and_stay, wait_until};
 use crate::place::{Gate, shared_bytes};
 use crate::process::{self, Process};
 use crate::ros_node::{self, ENDPOINTS, RosNode, seldom};
@@ -16,6 +16,7 @@ use std::time::Duration;
 use tautline::rcl_interfaces::msg::ParameterEvent;
 use tautline::std_msgs::msg::UInt64;
 use tautline::{CallbackOptions, Node};
+use tautline_exchange::say;
 use tautline_harness::Distribution;
 use tautline_harness::readings::Reading;
 use tautline_rt::clock::monotonic_ns;
@@ -244,7 +245,7 @@ pub fn node(index: usize, gate: Option<PathBuf>, processes: Option<usize>) -> Re
     ros_node::spin_while(&context, || {
         let made = Said::Made { ns: monotonic_ns() - start_ns };
         let Some(processes) = processes else { return say_and_stay(&made) };
-        say(&made)?;
+        say(&made);
         say_and_stay(&Said::Matched { at_ns: node.wait_until_matched(processes)? })
     })
 }

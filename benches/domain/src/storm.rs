@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Many that start at once: processes, nodes of a process, endpoints of a topic.
 
-use crate::job::{DOMAIN, Job, Said, say, say_and_stay, wait_until};
+use crate::job::{DOMAIN, Job, Said, say_and_stay, wait_until};
 use crate::place::{Gate, shared_bytes};
 use crate::population::{PATIENCE, all_matched, made, matched, memory_of};
 use crate::process::{self, Process};
@@ -11,6 +11,7 @@ use std::path::Path;
 use std::thread::sleep;
 use std::time::Duration;
 use tautline::std_msgs::msg::UInt64;
+use tautline_exchange::say;
 use tautline_harness::Distribution;
 use tautline_harness::readings::Reading;
 use tautline_rt::clock::monotonic_ns;
@@ -122,7 +123,7 @@ pub fn nodes(nodes: usize) -> Result<()> {
         all.push(node);
         answers.push(answer);
     }
-    say(&Said::Made { ns: monotonic_ns() - start_ns })?;
+    say(&Said::Made { ns: monotonic_ns() - start_ns });
     let answers = futures::future::join_all(answers);
     let Some(first) = all.first() else { return Err("no nodes".into()) };
     let _callback = first.serve(Box::pin(async move { drop(answers.await) }))?;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Many topics between two processes: what publishing costs as they grow in number, and what making and looking at them does.
 
-use crate::job::{DOMAIN, Job, Said, say, wait_until};
+use crate::job::{DOMAIN, Job, Said, wait_until};
 use crate::population::{PATIENCE, made, memory_of, time_looks, times};
 use crate::process;
 use crate::stopwatch::Stopwatch;
@@ -9,6 +9,7 @@ use crate::{Bench, Experiment, Result};
 use std::thread::sleep;
 use std::time::Duration;
 use tautline::std_msgs::msg::UInt64;
+use tautline_exchange::say;
 use tautline_harness::readings::Reading;
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Limits, Participant, Publisher, Qos};
@@ -67,7 +68,7 @@ pub fn listen(topics: usize) -> Result<()> {
             || participant.create_subscription::<UInt64>(&name, Qos::default(), Limits::default());
         subscriptions.push(times.time("making a subscription", subscription)?);
     }
-    say(&Said::Made { ns: monotonic_ns() - begin_ns })?;
+    say(&Said::Made { ns: monotonic_ns() - begin_ns });
     times.say_and_stay()
 }
 
@@ -87,7 +88,7 @@ pub fn talk(topics: usize, quick: bool) -> Result<()> {
         || sleep(Duration::from_millis(1)),
         || Ok(publishers.iter().all(|publisher| publisher.subscription_count() == 1)),
     )?;
-    say(&Said::Made { ns: monotonic_ns() - begin_ns })?;
+    say(&Said::Made { ns: monotonic_ns() - begin_ns });
     // Until the other process's janitor is done.
     sleep(Duration::from_millis(500));
     let rounds = if quick { 20_000 } else { 100_000 };

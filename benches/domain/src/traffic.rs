@@ -110,7 +110,7 @@ impl<'a> Bench<'a> {
         let since = Instant::now();
         for far in &mut fars {
             // Whether the last one has come: what has not is counted as lost.
-            let is_last = |line| matches!(line, Line::Complete { .. }).then_some(());
+            let is_last = |line| matches!(line, Line::Complete).then_some(());
             let _ = far.wait_for(DRAIN.saturating_sub(since.elapsed()), is_last)?;
         }
         // Of one topic: until the last subscription had it.

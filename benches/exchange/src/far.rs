@@ -7,7 +7,7 @@ use crate::job::{Exchange, Job, Line, Measured, say};
 use crate::near::WARM_UP_SHARE;
 
 /// The received messages of a stream.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Arrivals {
     budget_ns: u64,
     /// A confirmation is sent after this many messages.
@@ -34,13 +34,8 @@ impl Arrivals {
         Arrivals {
             budget_ns: nanoseconds(job.budget),
             stride,
-            unconfirmed: 0,
-            first_ns: None,
-            measuring_since_ns: None,
-            last_ns: 0,
-            last_number: 0,
-            is_complete: false,
             measured: Measured { times_ns: Vec::with_capacity(1 << 17), ..Measured::default() },
+            ..Arrivals::default()
         }
     }
 
@@ -84,23 +79,12 @@ impl Arrivals {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::job::Role;
     use std::time::Duration;
 
     #[test]
     fn gaps_are_counted_once_it_is_warm_and_the_end_is_said() {
-        let job = Job {
-            role: Role::Far,
-            exchange: Exchange::Stream { window: Some(8) },
-            payload_bytes: 8,
-            budget: Duration::from_nanos(800),
-            core: None,
-            realtime: false,
-            domain: 0,
-            topic: "x".into(),
-            endpoint: None,
-            way: crate::Way::default(),
-        };
+        let exchange = Exchange::Stream { window: Some(8) };
+        let job = Job { exchange, budget: Duration::from_nanos(800), ..Job::default() };
         let mut arrivals = Arrivals::new(&job);
         assert_eq!(arrivals.arrive_at(1, 1000), Some(1));
         assert_eq!(arrivals.arrive_at(5, 1050), Some(5), "a gap during the warm-up does not count");

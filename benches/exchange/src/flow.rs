@@ -22,7 +22,7 @@ const SAMPLED: u64 = 16;
 const ROOM: usize = 1 << 16;
 
 /// The message numbers of a flow.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Numbers {
     /// The last one of the warm-up.
     warm: u64,
@@ -37,7 +37,7 @@ impl Numbers {
         let rate = match job.exchange {
             Exchange::Paced { rate } => rate,
             Exchange::RoundTrips | Exchange::Stream { .. } => {
-                return Numbers { warm: 0, last: None, period_ns: 0 };
+                return Numbers::default();
             }
         };
         let measured = (rate * job.budget.as_secs_f64() / topics(job) as f64).ceil().max(1.0) as u64;
@@ -51,7 +51,7 @@ fn topics(job: &Job) -> usize {
 }
 
 /// The near endpoint: decides which topic gets which message, and when.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Source {
     numbers: Numbers,
     topics: usize,
@@ -85,12 +85,9 @@ impl Source {
                 Some(_) => numbers.period_ns * topics(job) as u64,
                 None => GREETING_NS.max(GREETING_NS_PER_BYTE * job.payload_bytes as u64),
             },
-            sent: 0,
-            started_ns: None,
             warm_up_ns: budget_ns / u64::from(WARM_UP_SHARE),
             budget_ns,
-            warm: None,
-            late: 0,
+            ..Source::default()
         }
     }
 
@@ -347,14 +344,14 @@ impl Inlet {
         counts.last_ns = now;
         counts.times_ns.push((stamp.number, now.saturating_sub(stamp.sent_ns)));
         if Some(stamp.number) == self.numbers.last {
-            self.complete(now);
+            self.complete();
         }
     }
 
-    fn complete(&self, now: u64) {
+    fn complete(&self) {
         if self.state.complete.fetch_add(1, Ordering::Relaxed) + 1 == self.state.inlets {
             self.state.complete_cpu_ns.store(process_cpu_ns(), Ordering::Relaxed);
-            say(&Line::Complete { last_ns: now });
+            say(&Line::Complete);
         }
     }
 
@@ -379,21 +376,16 @@ impl Inlet {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{Role, Way};
+    use crate::Way;
     use std::time::Duration;
 
     fn job(exchange: Exchange, topics: usize, subscribers: usize) -> Job {
         Job {
-            role: Role::Near,
             exchange,
             payload_bytes: 64,
             budget: Duration::from_millis(8),
-            core: None,
-            realtime: false,
-            domain: 0,
-            topic: "x".into(),
-            endpoint: None,
             way: Way { topics, subscribers, ..Way::default() },
+            ..Job::default()
         }
     }
 

@@ -23,18 +23,20 @@ const SMALL_BYTES: usize = 64 << 10;
 pub const APPLICATION_PRIORITY: u8 = 50;
 
 /// The endpoint of an exchange.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Role {
     /// Sends first; measures round trips.
+    #[default]
     Near,
     /// Answers, or receives a stream.
     Far,
 }
 
 /// The kind of exchange.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum Exchange {
     /// One message in each direction.
+    #[default]
     RoundTrips,
     /// One way, at full speed with a bounded number of unconfirmed messages; `None`: with the system's own flow control.
     Stream {
@@ -46,7 +48,7 @@ pub enum Exchange {
 }
 
 /// A process's job.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Job {
     pub role: Role,
     pub exchange: Exchange,
@@ -71,6 +73,7 @@ pub struct Job {
 
 /// The variant of a system.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Way {
     /// The system's name for it.
     pub mode: String,
@@ -84,10 +87,8 @@ pub struct Way {
     /// evenly over the period.
     pub at_once: bool,
     /// For a flow at a rate: the near endpoint times how long it takes to send each message.
-    #[serde(default)]
     pub times_sending: bool,
     /// The core of the other endpoint, for threads that may run there.
-    #[serde(default)]
     pub other_core: Option<usize>,
 }
 
@@ -192,10 +193,7 @@ pub enum Line {
     /// The far endpoint of a flow has received the first measured message.
     Warm,
     /// Every subscription of the far endpoint of a flow at a rate has received the last message.
-    Complete {
-        /// When (`CLOCK_MONOTONIC`).
-        last_ns: u64,
-    },
+    Complete,
     /// The results: of round trips from the near endpoint, of a stream from the far one.
     Measured(Measured),
 }
@@ -213,6 +211,7 @@ impl Line {
 
 /// The results of one endpoint.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Measured {
     /// Half round trips, or times between two arrivals of a stream; of the near endpoint of a flow, how long sending took.
     pub times_ns: Vec<u64>,
@@ -220,27 +219,21 @@ pub struct Measured {
     pub lost: u64,
     pub seconds: f64,
     /// CPU time of this process while measuring.
-    #[serde(default)]
     pub cpu_ns: u64,
     /// Of both endpoints, when the near one had finished.
-    #[serde(default)]
     pub memory: Memory,
     /// Messages of a flow that were sent, or that arrived.
-    #[serde(default)]
     pub messages: u64,
     /// Messages of a flow at a rate that were due before the previous one was sent; round trips of [`LATE`](crate::LATE) or more.
-    #[serde(default)]
     pub late: u64,
     /// Messages of a flow that the system refused.
-    #[serde(default)]
     pub refused: u64,
     /// The message number of each of `times_ns`, for a flow with one topic.
-    #[serde(default)]
     pub numbers: Vec<u64>,
 }
 
 /// Prints a line. A closed output means that the parent has ended.
-pub fn say(line: &Line) {
+pub fn say(line: &impl Serialize) {
     if let Ok(text) = serde_json::to_string(line) {
         let mut out = stdout().lock();
         let _ = writeln!(out, "{text}").and_then(|()| out.flush());
@@ -255,6 +248,12 @@ pub fn stop_flag() -> Arc<AtomicBool> {
     flag
 }
 
+/// Waits until standard input is closed: the parent no longer needs this process.
+pub fn until_told() {
+    // An error is an end, too.
+    let _ = stdin().read_to_end(&mut Vec::new());
+}
+
 /// Waits for the flag of [`stop_flag`].
 pub fn wait_for_stop(flag: &AtomicBool) {
     while !flag.load(Ordering::Relaxed) {
@@ -267,7 +266,7 @@ pub fn on_stop(then: impl FnOnce() + Send + 'static) {
     std::thread::spawn(move || {
         // Ignored: a process without this priority has no application threads with it either.
         let _ = set_policy(Policy::Fifo(APPLICATION_PRIORITY + 1));
-        let _ = stdin().read_to_end(&mut Vec::new());
+        until_told();
         then();
     });
 }

@@ -8,6 +8,7 @@
 //! | `far` | the endpoint that answers: the received messages of a stream |
 //! | `flow` | both endpoints of a one-way flow, at a rate or at full speed, to any number of subscriptions |
 //! | `payload` | the content of messages |
+//! | `log` | times that a callback writes down |
 //! | `futex` | the lower bounds for all: memory shared by two processes, and one futex wake per message |
 #![allow(missing_docs, reason = "most names are self-explanatory")]
 
@@ -15,6 +16,7 @@ mod far;
 mod flow;
 mod futex;
 mod job;
+mod log;
 mod near;
 mod payload;
 
@@ -23,8 +25,9 @@ pub use flow::{Inlet, Sink, Source, to_the_last};
 pub use futex::{FutexPair, FutexRing};
 pub use job::{
     APPLICATION_PRIORITY, Exchange, Job, Line, Measured, Memory, NETWORK_PRIORITY, PEERS, Role, Way,
-    on_network_thread, on_stop, program, say, stop_flag, wait_for_stop,
+    on_network_thread, on_stop, program, say, stop_flag, until_told, wait_for_stop,
 };
+pub use log::Log;
 pub use near::{LATE, Link, PATIENCE, RoundTrips, Window, drive, play};
 pub use payload::Stamp;
 

@@ -103,7 +103,7 @@ fn stream(window: &mut Window, link: &mut dyn Link) -> Result<()> {
 }
 
 /// Times the round trips: decides whether there is another, and records each.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct RoundTrips {
     times_ns: Vec<u64>,
     lost: u64,
@@ -125,16 +125,9 @@ impl RoundTrips {
     pub fn new(job: &Job) -> Self {
         RoundTrips {
             times_ns: Vec::with_capacity(ROOM),
-            lost: 0,
-            late: 0,
-            number: 0,
-            started_ns: 0,
             budget_ns: nanoseconds(job.budget),
             created_ns: monotonic_ns(),
-            connected_ns: None,
-            measuring_since_ns: None,
-            cpu_ns: 0,
-            answers: 0,
+            ..RoundTrips::default()
         }
     }
 
@@ -207,7 +200,7 @@ impl RoundTrips {
 }
 
 /// The window of a stream.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub struct Window {
     size: u64,
     sent: u64,
@@ -220,14 +213,7 @@ pub struct Window {
 impl Window {
     /// Before the first message.
     pub fn new(size: u64) -> Self {
-        Window {
-            size,
-            sent: 0,
-            confirmed: 0,
-            is_connected: false,
-            is_done: false,
-            created_ns: monotonic_ns(),
-        }
+        Window { size, created_ns: monotonic_ns(), ..Window::default() }
     }
 
     /// The number of the message to send now, if there is room. Before the first confirmation, one at a time.

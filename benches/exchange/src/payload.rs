@@ -6,7 +6,8 @@ use std::mem::MaybeUninit;
 
 use crate::Result;
 
-/// The first words of every message.
+/// The first words of every message, also to C++.
+#[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamp {
     /// From 1; 0 while a flow waits for its receivers.

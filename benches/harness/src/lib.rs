@@ -8,7 +8,7 @@
 //! | `readings` | what was measured in other units |
 //! | `claims` | the judge of what must hold, as `benches/claims.toml` has it |
 //! | `table`, `page`, `canvas`, `histogram` | rows and readings for the terminal, the documents and a browser |
-//! | `run`, `program` | what the programs of benches are told, and do |
+//! | `program` | what the programs of benches are told, and do |
 //! | `machine`, `scratch` | where a bench runs: what disturbs it, and what it leaves |
 //! | `turns` | ratios of parts that take turns |
 #![allow(missing_docs, reason = "many names say it all")]
@@ -25,7 +25,6 @@ mod process;
 mod program;
 pub mod readings;
 pub mod rows;
-mod run;
 mod scratch;
 pub mod table;
 mod turns;
@@ -36,8 +35,9 @@ pub use gateways::{Gateways, Host};
 pub use histogram::{Series, histogram};
 pub use machine::{Disturbance, machine, version_in, version_of};
 pub use process::{Process, without_settings};
-pub use program::{exit, interrupted, progress_bar, two_cores, write, write_json};
-pub use run::{Documented, Run, one_core, program};
+pub use program::{
+    Documented, Run, exit, interrupted, one_core, program, progress_bar, two_cores, write, write_json,
+};
 pub use scratch::Scratch;
 pub use turns::{TurnRow, Turns};
 

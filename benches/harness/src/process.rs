@@ -140,10 +140,17 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
         self.lines.try_iter().filter_map(std::result::Result::ok).last()
     }
 
+    /// Writes a line to its standard input.
+    pub fn say(&mut self, line: &str) -> Result {
+        let input = self.child.stdin.as_mut().ok_or("the input of the child is a pipe")?;
+        writeln!(input, "{line}").map_err(|_| self.ended_early())
+    }
+
     /// Writes a line to its standard input, and closes it.
     pub fn tell(&mut self, line: &str) -> Result {
-        let mut input = self.child.stdin.take().ok_or("the input of the child is a pipe")?;
-        writeln!(input, "{line}").map_err(|_| self.ended_early())
+        self.say(line)?;
+        drop(self.child.stdin.take());
+        Ok(())
     }
 
     /// Closes its standard input and waits for the end, which must be a success.
@@ -178,9 +185,9 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
         format!("the {} ended early: {words}", self.name).into()
     }
 
-    /// Asks it to end, as a terminal does, and kills it if it does not within a second.
+    /// Asks it to end, as a terminal does, and kills it if it does not within five seconds.
     pub fn terminate(&mut self) {
-        let patience = Duration::from_secs(1);
+        let patience = Duration::from_secs(5);
         self.ask_to_end();
         let since = Instant::now();
         while since.elapsed() < patience && matches!(self.child.try_wait(), Ok(None)) {

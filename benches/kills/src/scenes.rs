@@ -93,13 +93,8 @@ fn serve(server: &mut Server<AddTwoInts::Service>) -> Result<usize> {
     Ok(count)
 }
 
-fn kept_qos() -> Qos {
-    Qos::keep_last(5).transient_local()
-}
-
-fn all_qos() -> Qos {
-    Qos::keep_all(8)
-}
+const KEPT_QOS: Qos = Qos::keep_last(5).transient_local();
+const ALL_QOS: Qos = Qos::keep_all(8);
 
 fn ends(domain: u32) -> Result<()> {
     let participant = Participant::new(domain)?;
@@ -107,9 +102,9 @@ fn ends(domain: u32) -> Result<()> {
     let participant = participant.for_node(&node);
     let numbers = publisher(&participant, NUMBERS, Qos::default())?;
     let friends_numbers = subscription(&participant, FRIENDS_NUMBERS, Qos::default())?;
-    let kept = publisher(&participant, KEPT, kept_qos())?;
+    let kept = publisher(&participant, KEPT, KEPT_QOS)?;
     (0..3).try_for_each(|data| kept.publish(&UInt64 { data }))?;
-    let friends_kept = subscription(&participant, FRIENDS_KEPT, kept_qos())?;
+    let friends_kept = subscription(&participant, FRIENDS_KEPT, KEPT_QOS)?;
     let mut server = server(&participant, ADD)?;
     let client = client(&participant, FRIENDS_ADD)?;
     until("the friend's numbers", || Ok(friends_numbers.try_take()?.is_some()))?;
@@ -136,8 +131,8 @@ fn attach(domain: u32) -> Result<()> {
     let participant = Participant::new(domain)?;
     for _ in 0..2 {
         let numbers = subscription(&participant, FRIENDS_NUMBERS, Qos::keep_last(100))?;
-        let kept = subscription(&participant, FRIENDS_KEPT, kept_qos())?;
-        let all = subscription(&participant, FRIENDS_ALL, all_qos())?;
+        let kept = subscription(&participant, FRIENDS_KEPT, KEPT_QOS)?;
+        let all = subscription(&participant, FRIENDS_ALL, ALL_QOS)?;
         let mut held: Vec<Sample<UInt64>> = Vec::new();
         for subscription in [&numbers, &kept, &all] {
             until("a sample to hold", || {
@@ -157,7 +152,7 @@ fn attach(domain: u32) -> Result<()> {
 fn warden(domain: u32, mut commands: impl Iterator<Item = String>) -> Result<()> {
     let participant = Participant::new(domain)?;
     let numbers = subscription(&participant, NUMBERS, Qos::keep_last(100))?;
-    let kept = publisher(&participant, KEPT, kept_qos())?;
+    let kept = publisher(&participant, KEPT, KEPT_QOS)?;
     kept.publish(&UInt64 { data: 1 })?;
     say(&Said::At("joined".into()));
     // The victim has died.
@@ -181,7 +176,7 @@ fn be_victim(domain: u32) -> Result<()> {
     }
     let participant = Participant::new(domain)?;
     let numbers = publisher(&participant, NUMBERS, Qos::keep_last(100))?;
-    let _kept = subscription(&participant, KEPT, kept_qos())?;
+    let _kept = subscription(&participant, KEPT, KEPT_QOS)?;
     (0..10).try_for_each(|data| numbers.publish(&UInt64 { data }))?;
     say(&Said::Ready);
     commands.for_each(drop);
@@ -206,18 +201,18 @@ struct Ends {
 impl Ends {
     fn new(domain: u32) -> Result<Self> {
         let participant = Participant::new(domain)?;
-        let kept = publisher(&participant, FRIENDS_KEPT, kept_qos())?;
+        let kept = publisher(&participant, FRIENDS_KEPT, KEPT_QOS)?;
         (0..5).try_for_each(|data| kept.publish(&UInt64 { data }))?;
         Ok(Ends {
             numbers: publisher(&participant, FRIENDS_NUMBERS, Qos::default())?,
             _kept: kept,
-            all: publisher(&participant, FRIENDS_ALL, all_qos())?,
+            all: publisher(&participant, FRIENDS_ALL, ALL_QOS)?,
             server: server(&participant, FRIENDS_ADD)?,
             client: client(&participant, ADD)?,
             pending: None,
             takers: vec![
                 subscription(&participant, NUMBERS, Qos::default())?,
-                subscription(&participant, KEPT, kept_qos())?,
+                subscription(&participant, KEPT, KEPT_QOS)?,
             ],
             pings: subscription(&participant, PING, Qos::default())?,
             pongs: publisher(&participant, PONG, Qos::default())?,

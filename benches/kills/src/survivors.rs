@@ -46,17 +46,9 @@ pub const KEPT_PERIOD: Duration = Duration::from_millis(10);
 /// What takes longer hangs: no actor lives as long.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-pub const fn numbers_qos() -> Qos {
-    Qos::keep_last(2000)
-}
-
-pub const fn all_qos() -> Qos {
-    Qos::keep_all(64)
-}
-
-pub const fn kept_qos() -> Qos {
-    Qos::keep_last(KEPT_DEPTH).transient_local()
-}
+pub const NUMBERS_QOS: Qos = Qos::keep_last(2000);
+pub const ALL_QOS: Qos = Qos::keep_all(64);
+pub const KEPT_QOS: Qos = Qos::keep_last(KEPT_DEPTH).transient_local();
 
 #[derive(Debug, Default, Serialize, Deserialize)]
 pub struct Sent {
@@ -157,10 +149,10 @@ fn echo(context: &Context) -> Result<()> {
 
 fn publisher(context: &Context) -> Result<()> {
     let mut node = Node::create(context.clone(), "survivor_publisher", "")?;
-    let numbers = node.create_publisher::<UInt64>(NUMBERS, numbers_qos())?;
-    let shared = node.create_publisher::<UInt64>(SHARED, numbers_qos())?;
-    let all = node.create_publisher::<UInt64>(ALL, all_qos())?;
-    let kept = node.create_publisher::<UInt64>(KEPT, kept_qos())?;
+    let numbers = node.create_publisher::<UInt64>(NUMBERS, NUMBERS_QOS)?;
+    let shared = node.create_publisher::<UInt64>(SHARED, NUMBERS_QOS)?;
+    let all = node.create_publisher::<UInt64>(ALL, ALL_QOS)?;
+    let kept = node.create_publisher::<UInt64>(KEPT, KEPT_QOS)?;
     answer_pings(&mut node)?;
     let _spinning = spin(context);
     say(&Said::Ready);
@@ -262,7 +254,7 @@ impl Tally {
 fn subscription(context: &Context) -> Result<()> {
     let mut node = Node::create(context.clone(), "survivor_subscription", "")?;
     let mut tallies = Vec::new();
-    for (topic, qos) in [(NUMBERS, numbers_qos()), (SHARED, numbers_qos()), (ALL, all_qos())] {
+    for (topic, qos) in [(NUMBERS, NUMBERS_QOS), (SHARED, NUMBERS_QOS), (ALL, ALL_QOS)] {
         let subscription = node.subscribe::<UInt64>(topic, qos)?;
         let (counters, tally) = (subscription.counters(), Arc::new(Mutex::new(Tally::default())));
         tallies.push((counters, tally.clone()));

@@ -5,9 +5,10 @@ use std::pin::Pin;
 use std::sync::Arc;
 
 use futures::{Stream, StreamExt};
+use tautline_exchange::Log;
 use tautline_rt::clock;
 
-use crate::{Log, Topic};
+use crate::Topic;
 
 /// A callback with its subscription: runs for as long as messages come.
 pub type Callback = Pin<Box<dyn Future<Output = ()> + Send>>;

@@ -4,7 +4,7 @@
 //!
 //! A publisher process releases messages at absolute times; a subscriber process, on the same core, runs a callback of
 //! fixed execution time for each. What the two middlewares measured have in common is here: what a process is told
-//! ([`Job`]) and tells ([`Line`]), the callbacks with their [`Log`], and the [`structures`], which see a middleware only
+//! ([`Job`]) and tells ([`Line`]), the callbacks with their logs, and the [`structures`], which see a middleware only
 //! as a [`Sampler`]. A middleware adds a node with subscriptions, and its publisher.
 #![forbid(unsafe_code)]
 #![allow(missing_docs, reason = "many names say it all")]
@@ -12,7 +12,6 @@
 mod callback;
 mod job;
 mod line;
-mod log;
 mod subscriber;
 mod variant;
 
@@ -20,10 +19,10 @@ pub mod structures;
 
 pub use callback::{Callback, callback};
 pub use job::{Job, Role, Topic};
-pub use line::{Line, Measured, Published, TopicMeasured, say};
-pub use log::Log;
+pub use line::{Line, Measured, Published, TopicMeasured};
 pub use structures::Sampler;
 pub use subscriber::{Subscriber, set_up_publisher};
+pub use tautline_exchange::say;
 pub use variant::{Scheduling, Structure, Variant};
 
 /// `SCHED_FIFO` priorities of the paper, other than the callbacks'.

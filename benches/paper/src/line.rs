@@ -4,8 +4,6 @@
 //! What it is told in turn comes on standard input: the subscriber gets how many messages of each topic were published, a
 //! JSON list. Closing it ends either process.
 
-use std::io::{Write, stdout};
-
 use serde::{Deserialize, Serialize};
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -41,12 +39,4 @@ pub struct TopicMeasured {
     pub latencies_ns: Vec<u64>,
     /// Messages that the middleware itself counted as lost, if it counts.
     pub counted_lost: Option<u64>,
-}
-
-/// Says a line. Nobody listening means that the starter died; then standard input is closed as well.
-pub fn say(line: &Line) {
-    if let Ok(text) = serde_json::to_string(line) {
-        let mut out = stdout().lock();
-        let _ = writeln!(out, "{text}").and_then(|()| out.flush());
-    }
 }

@@ -8,9 +8,10 @@ use std::thread;
 use std::time::Duration;
 
 use rustix::process::{Signal, set_parent_process_death_signal};
+use tautline_exchange::{Log, say};
 use tautline_rt::{CoreSet, MemoryLock, Policy, clock, lock_memory, set_affinity, set_policy, tune_malloc};
 
-use crate::{Job, Line, Log, Measured, PaperError, Scheduling, TopicMeasured, priorities, say};
+use crate::{Job, Line, Measured, PaperError, Scheduling, TopicMeasured, priorities};
 
 /// With no callback ending for this long, the messages that are missing will not come.
 const STALLED: Duration = Duration::from_millis(1_500);
@@ -33,7 +34,8 @@ impl Subscriber {
     /// Binds the process to its core, locks its memory and gives the calling thread the priority that threads of the
     /// middleware are to inherit. To be called first.
     pub fn new(job: &Job) -> Result<Subscriber, PaperError> {
-        let logs: Vec<_> = job.topics.iter().map(|topic| Arc::new(Log::new(job, topic))).collect();
+        let log = |topic| Arc::new(Log::new(job.releases(topic) as usize));
+        let logs: Vec<_> = job.topics.iter().map(log).collect();
         let (over, when_over) = (Arc::<AtomicBool>::default(), Hook::default());
         // While threads are ordinary and may run anywhere: this one sleeps until the run is over.
         wait_for_end(logs.clone(), Arc::clone(&over), Arc::clone(&when_over))?;
@@ -77,7 +79,7 @@ impl Subscriber {
         let cpu_ns = clock::process_cpu_ns().saturating_sub(self.cpu_before_ns);
         let topics: Vec<_> = (self.logs.iter().enumerate())
             .map(|(index, log)| TopicMeasured {
-                latencies_ns: log.latencies_ns(),
+                latencies_ns: log.to_vec(),
                 counted_lost: counted_lost.get(index).copied(),
             })
             .collect();

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What callbacks write down as they run: memory that is there before they start.
 
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
+
+use tautline_exchange::Log;
 
 use crate::graph::CALLBACKS;
 
@@ -29,9 +31,9 @@ pub struct Records {
     pub window: Window,
     runs: Box<[AtomicU64]>,
     dropped: Box<[AtomicU64]>,
-    pub(crate) hot_path_ns: Series,
-    pub(crate) both_lidars_ns: Series,
-    pub(crate) planner_starts_ns: Series,
+    pub(crate) hot_path_ns: Log,
+    pub(crate) both_lidars_ns: Log,
+    pub(crate) planner_starts_ns: Log,
 }
 
 impl Records {
@@ -40,7 +42,7 @@ impl Records {
         let zeroes = || CALLBACKS.iter().map(|_| AtomicU64::new(0)).collect();
         let (runs, dropped) = (zeroes(), zeroes());
         // Twice what is expected: lidars and planner have 100 ms.
-        let series = || Series::new(window.length().as_millis() as usize / 50 + 16);
+        let series = || Log::new(window.length().as_millis() as usize / 50 + 16);
         let (hot_path_ns, both_lidars_ns, planner_starts_ns) = (series(), series(), series());
         Records { window, runs, dropped, hot_path_ns, both_lidars_ns, planner_starts_ns }
     }
@@ -52,35 +54,5 @@ impl Records {
 
     pub(crate) fn counts(&self, index: usize) -> (u64, u64) {
         (self.runs[index].load(Ordering::Relaxed), self.dropped[index].load(Ordering::Relaxed))
-    }
-}
-
-/// Times, in the order in which they came. One writer, any readers.
-#[derive(Debug)]
-pub(crate) struct Series {
-    entries: Box<[AtomicU64]>,
-    count: AtomicUsize,
-}
-
-impl Series {
-    fn new(capacity: usize) -> Series {
-        // A value that is not zero touches the memory.
-        let entries = (0..capacity).map(|_| AtomicU64::new(u64::MAX)).collect();
-        Series { entries, count: AtomicUsize::new(0) }
-    }
-
-    /// Adds a time; beyond the room nothing is kept.
-    pub fn note(&self, time_ns: u64) {
-        let index = self.count.load(Ordering::Relaxed);
-        if let Some(entry) = self.entries.get(index) {
-            entry.store(time_ns, Ordering::Relaxed);
-            // Pairs with the Acquire in `to_vec`.
-            self.count.store(index + 1, Ordering::Release);
-        }
-    }
-
-    pub fn to_vec(&self) -> Vec<u64> {
-        let count = self.count.load(Ordering::Acquire);
-        self.entries[..count].iter().map(|entry| entry.load(Ordering::Relaxed)).collect()
     }
 }

@@ -32,27 +32,8 @@ pub struct CJob {
     whole: bool,
 }
 
-#[repr(C)]
-#[derive(Clone, Copy)]
-pub struct CStamp {
-    number: u64,
-    sent_ns: u64,
-}
-
-impl From<Stamp> for CStamp {
-    fn from(stamp: Stamp) -> Self {
-        CStamp { number: stamp.number, sent_ns: stamp.sent_ns }
-    }
-}
-
-impl From<CStamp> for Stamp {
-    fn from(stamp: CStamp) -> Self {
-        Stamp { number: stamp.number, sent_ns: stamp.sent_ns }
-    }
-}
-
 /// Called with what arrives, from any thread.
-type Arrive = unsafe extern "C" fn(to: *const c_void, stamp: CStamp);
+type Arrive = unsafe extern "C" fn(to: *const c_void, stamp: Stamp);
 
 /// A system's functions. None returns null or an exception: one that fails ends the process.
 #[repr(C)]
@@ -63,7 +44,7 @@ pub struct System {
     outlet:
         unsafe extern "C" fn(participant: *mut c_void, job: *const CJob, topic: *const c_char) -> *mut c_void,
     /// Sends a message; says whether the system took it.
-    send: unsafe extern "C" fn(outlet: *mut c_void, stamp: CStamp) -> bool,
+    send: unsafe extern "C" fn(outlet: *mut c_void, stamp: Stamp) -> bool,
     input: unsafe extern "C" fn(
         participant: *mut c_void,
         job: *const CJob,
@@ -108,10 +89,10 @@ pub unsafe extern "C" fn exchange_play(system: &'static System) -> c_int {
 /// # Safety
 /// `out` are so many bytes, which nobody else has.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn exchange_write(stamp: CStamp, out: *mut u8, bytes: usize, whole: bool) {
+pub unsafe extern "C" fn exchange_write(stamp: Stamp, out: *mut u8, bytes: usize, whole: bool) {
     // SAFETY: as the caller says; they may not have been written before.
     let out = unsafe { std::slice::from_raw_parts_mut(out.cast(), bytes) };
-    Stamp::from(stamp).write_uninit(out, whole);
+    stamp.write_uninit(out, whole);
 }
 
 /// Reads a message; says whether it is as it was written.
@@ -123,12 +104,12 @@ pub unsafe extern "C" fn exchange_read(
     from: *const u8,
     bytes: usize,
     whole: bool,
-    stamp: &mut CStamp,
+    stamp: &mut Stamp,
 ) -> bool {
     // SAFETY: as the caller says.
     let from = unsafe { std::slice::from_raw_parts(from, bytes) };
     // Also of what is damaged, so that it can be named.
-    let begins = Stamp::read(from, false).map(|read| *stamp = read.into());
+    let begins = Stamp::read(from, false).map(|read| *stamp = read);
     begins.and_then(|()| Stamp::read(from, whole)).is_ok()
 }
 
@@ -189,7 +170,7 @@ unsafe impl Sync for Outlet {}
 impl Outlet {
     fn send(&self, stamp: Stamp) -> bool {
         // SAFETY: made by `Ends::outlet`, whose participant has not ended.
-        unsafe { (self.system.send)(self.outlet, stamp.into()) }
+        unsafe { (self.system.send)(self.outlet, stamp) }
     }
 }
 
@@ -209,10 +190,10 @@ impl Drop for Input<'_> {
     }
 }
 
-unsafe extern "C" fn arrive(to: *const c_void, stamp: CStamp) {
+unsafe extern "C" fn arrive(to: *const c_void, stamp: Stamp) {
     // SAFETY: `Ends::input` gave it, and its `Input` still has it.
     let then = unsafe { &*to.cast::<Then<'_>>() };
-    then(stamp.into());
+    then(stamp);
 }
 
 impl Ends<'_> {

@@ -4,32 +4,17 @@
 //! The cases run in alternating rounds on one core; a loop without an event is measured beside them. Built with
 //! `--features lttng`, every event is a tracepoint as well: run it inside and outside of an LTTng session.
 
-use serde::Serialize;
 use std::hint::black_box;
 use std::process::ExitCode;
 use std::time::Instant;
+use tautline_harness::readings::{Reading, shown, table};
 use tautline_harness::rows::extent;
-use tautline_harness::table::Column::{Number, Words};
-use tautline_harness::table::Table;
-use tautline_harness::{Disturbance, Result, Run, cells, machine, program};
+use tautline_harness::{Disturbance, Result, Run, machine, program};
 use tautline_rt::clock::monotonic_ns;
 use tautline_trace::{MessageId, ObjectId, Recorder, TraceMode};
 
 /// None of ROS 2's: no topic is opened.
 const DOMAIN: u32 = 1300;
-
-/// One case: nanoseconds per call, of each round.
-#[derive(Serialize)]
-struct Case {
-    name: &'static str,
-    recording: bool,
-    lttng: bool,
-    calls: u64,
-    rounds: usize,
-    min_ns: f64,
-    p50_ns: f64,
-    max_ns: f64,
-}
 
 type Work = fn(ObjectId, u64);
 
@@ -74,32 +59,21 @@ fn measure(options: &Run) -> Result {
             tautline_trace::attend();
         }
     }
-    let mut cases = Vec::new();
-    for recording in [false, true] {
+    let mut readings = Vec::new();
+    for (recording, experiment) in [(false, "nobody records"), (true, "a recorder")] {
         for (case, (name, _)) in CASES.into_iter().enumerate() {
             let of = times.iter().filter(|(on, of, _)| (*on, *of) == (recording, case));
             let [min_ns, p50_ns, max_ns] = extent(of.map(|(.., ns)| *ns).collect());
-            let lttng = cfg!(feature = "lttng");
-            cases.push(Case { name, recording, lttng, calls, rounds, min_ns, p50_ns, max_ns });
+            let reading =
+                Reading::of(experiment, 0, name, "ns").value(p50_ns).note(format!("least {}", shown(min_ns)));
+            readings.push(Reading { n: rounds, max: Some(max_ns), ..reading });
         }
     }
-    print(&cases);
-    println!("\n{machine}\n{}", disturbance.report());
-    options.write(&cases)
-}
-
-fn print(cases: &[Case]) {
-    let lttng = if cfg!(feature = "lttng") { ", each event is an LTTng tracepoint, too" } else { "" };
-    println!(
-        "ns per call (least, median and greatest of {} rounds of {} calls{lttng})\n",
-        cases[0].rounds, cases[0].calls
-    );
-    let mut table =
-        Table::new(0, [Words("what"), Words("recording"), Number("min"), Number("p50"), Number("max")]);
-    for case in cases {
-        let recording = if case.recording { "yes" } else { "no" };
-        let [min, p50, max] = [case.min_ns, case.p50_ns, case.max_ns].map(|ns| format!("{ns:.2}"));
-        table.add(cells![case.name, recording, min, p50, max]);
+    let lttng = if cfg!(feature = "lttng") { "; each event is an LTTng tracepoint, too" } else { "" };
+    println!("ns per call, of {rounds} rounds of {calls} calls{lttng}");
+    for experiment in readings.chunk_by(|a, b| a.experiment == b.experiment) {
+        println!("\n{}\n{}", experiment[0].experiment, table(experiment));
     }
-    println!("{table}");
+    println!("\n{machine}\n{}", disturbance.report());
+    options.write(&readings)
 }

@@ -59,7 +59,7 @@ pub fn run(job: &Job, context: &Context) -> Result<()> {
     callback.stop();
     callback.join()?;
     let drive = lock(&world).logbook.take().map(Logbook::close);
-    tell(records.part(drive))?;
+    tell(records.part(drive));
     Ok(())
 }
 

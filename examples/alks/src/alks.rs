@@ -45,7 +45,7 @@ pub fn run(job: &Job, context: &Context) -> Result<()> {
     context.spin()?;
     callbacks.iter().for_each(CallbackHandle::stop);
     callbacks.into_iter().try_for_each(CallbackHandle::join)?;
-    tell(records.part(None))?;
+    tell(records.part(None));
     drop(waiting);
     Ok(())
 }

@@ -62,7 +62,7 @@ pub fn run(_: &Job, context: &Context) -> Result<()> {
     context.spin()?;
     callback.stop();
     callback.join()?;
-    tell(records.part(None))?;
+    tell(records.part(None));
     drop(waiting);
     Ok(())
 }

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 #[serde(rename_all = "lowercase")]
 pub enum Aimed {
     Alks,
+    Bridge,
     Budgets,
     Domain,
     Paper,

@@ -21,10 +21,6 @@ use tautline::{
 /// Longer than most actors live.
 const LIMIT: Duration = Duration::from_millis(50);
 
-fn options() -> CallbackOptions {
-    CallbackOptions::other()
-}
-
 /// Ends a callback and what it owns.
 fn end(callback: Option<CallbackHandle>) -> Result<()> {
     if let Some(callback) = callback {
@@ -50,7 +46,7 @@ fn serve(node: &mut Node, service: &str) -> Result<CallbackHandle> {
         }
         async {}
     });
-    Ok(node.spawn_callback(options().name("serve"), serve)?)
+    Ok(node.spawn_callback(CallbackOptions::other().name("serve"), serve)?)
 }
 
 pub fn serve_and_ask(actor: &mut Actor) -> Result<()> {
@@ -111,7 +107,7 @@ pub fn pursue(actor: &mut Actor) -> Result<()> {
             // The client may have gone.
             let _ = decide(request).await;
         });
-        let server = node.spawn_callback(options().name("pursue"), pursue)?;
+        let server = node.spawn_callback(CallbackOptions::other().name("pursue"), pursue)?;
         let client = node.create_action_client::<Fibonacci::Action>(ACTORS_FIBONACCI)?;
         let mut timer = node.create_wall_timer(LIMIT)?;
         for _ in 0..=actor.up_to(4) {
@@ -143,8 +139,8 @@ pub fn set_parameters(actor: &mut Actor) -> Result<()> {
         let mut node = actor.node("parameters")?;
         let mut reader = node.declare_parameter("speed", 1_i64)?;
         let (answer, changes) = node.make_parameter_handler()?;
-        node.spawn_callback(options().name("answer"), answer)?;
-        node.spawn_callback(options().name("changes"), changes.for_each(|_| async {}))?;
+        node.spawn_callback(CallbackOptions::other().name("answer"), answer)?;
+        node.spawn_callback(CallbackOptions::other().name("changes"), changes.for_each(|_| async {}))?;
         let of = actor.one_of(&[PARAMETERS, "/actors/parameters"]);
         let set = node.create_client::<SetParameters::Service>(&format!("{of}/set_parameters"))?;
         let get = node.create_client::<GetParameters::Service>(&format!("{of}/get_parameters"))?;

@@ -4,7 +4,7 @@
 use super::Actor;
 use crate::Result;
 use crate::process::lock;
-use crate::survivors::{ALL, KEPT, NUMBERS, SHARED, all_qos, kept_qos, numbers_qos};
+use crate::survivors::{ALL, ALL_QOS, KEPT, KEPT_QOS, NUMBERS, NUMBERS_QOS, SHARED};
 use std::sync::{Arc, Mutex};
 use tautline::lifecycle::CallbackReturn;
 use tautline::std_msgs::msg::{String as Text, UInt64};
@@ -58,19 +58,15 @@ pub fn play(actor: &mut Actor) -> Result<()> {
                 text_publishers.push(node.create_publisher(topic, qos)?);
             }
             2 if number_publishers.len() < 2 => {
-                number_publishers.push(node.create_publisher(SHARED, numbers_qos())?);
+                number_publishers.push(node.create_publisher(SHARED, NUMBERS_QOS)?);
             }
             3 | 4 if text_takers.len() < 4 => {
                 let (topic, qos) = (actor.one_of(&TEXTS), actor.one_of(&QOS));
                 text_takers.push(Taker::new(node.subscribe(topic, qos)?));
             }
             5 | 6 if number_takers.len() < 4 => {
-                let kinds = [
-                    (NUMBERS, Qos::default()),
-                    (SHARED, numbers_qos()),
-                    (ALL, all_qos()),
-                    (KEPT, kept_qos()),
-                ];
+                let kinds =
+                    [(NUMBERS, Qos::default()), (SHARED, NUMBERS_QOS), (ALL, ALL_QOS), (KEPT, KEPT_QOS)];
                 let (topic, qos) = actor.one_of(&kinds);
                 number_takers.push(Taker::new(node.subscribe(topic, qos)?));
             }

@@ -2,29 +2,29 @@
 
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
-use crate::{Job, Topic};
-
-/// Where a callback writes its response times: memory that is there before it starts. One writer, any readers.
+/// Where a callback writes times down: memory that is there before it starts. One writer, any readers.
+#[derive(Debug)]
 pub struct Log {
     entries: Box<[AtomicU64]>,
     count: AtomicUsize,
 }
 
 impl Log {
-    pub fn new(job: &Job, topic: &Topic) -> Self {
+    /// With room for so many times.
+    pub fn new(capacity: usize) -> Self {
         // A value that is not zero touches the memory.
-        let entries = (0..job.releases(topic)).map(|_| AtomicU64::new(u64::MAX)).collect();
+        let entries = (0..capacity).map(|_| AtomicU64::new(u64::MAX)).collect();
         Log { entries, count: AtomicUsize::new(0) }
     }
 
-    /// Adds a response time; beyond the room nothing is kept.
+    /// Adds a time; beyond the room nothing is kept.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
-    pub fn note(&self, latency_ns: u64) {
+    pub fn note(&self, time_ns: u64) {
         let index = self.count.load(Ordering::Relaxed);
         if let Some(entry) = self.entries.get(index) {
-            entry.store(latency_ns, Ordering::Relaxed);
+            entry.store(time_ns, Ordering::Relaxed);
             // Pairs with the Acquire in `len`.
             self.count.store(index + 1, Ordering::Release);
         }
@@ -38,7 +38,8 @@ impl Log {
         self.len() == 0
     }
 
-    pub fn latencies_ns(&self) -> Vec<u64> {
+    /// In the order in which they were added.
+    pub fn to_vec(&self) -> Vec<u64> {
         self.entries[..self.len()].iter().map(|entry| entry.load(Ordering::Relaxed)).collect()
     }
 }
