@@ -34,15 +34,13 @@ pub fn run() -> ExitCode {
 /// Checks all links, then builds the book.
 pub fn test(steps: &mut Steps) {
     steps.step("book: links", || {
-        let checked = pages(&machine::root()).and_then(|mut files| {
-            files.extend(BESIDE.map(PathBuf::from));
-            fail(links::dead(&machine::root(), &files))
-        });
-        checked.map_or_else(Outcome::Failed, |()| Outcome::Ok)
+        let mut files = pages(&machine::root())?;
+        files.extend(BESIDE.map(PathBuf::from));
+        fail(links::dead(&machine::root(), &files))
     });
     steps.step("book", || match mdbook() {
-        Ok(program) => build(&program).map_or_else(Outcome::Failed, |()| Outcome::Ok),
-        Err(outcome) => outcome.unless_ci(),
+        Ok(program) => build(&program).into(),
+        Err(reason) => Outcome::Failed(reason).unless_ci(),
     });
 }
 
@@ -188,7 +186,7 @@ fn redirected(text: &str, file: &Path, page: &Path, is_page: &dyn Fn(&Path) -> b
 }
 
 /// The program: that in PATH, else one that is installed under the target directory, which takes a minute or two.
-fn mdbook() -> Result<PathBuf, Outcome> {
+fn mdbook() -> Result<PathBuf, String> {
     let root = machine::target_dir().join("tools");
     let installed = root.join("bin/mdbook");
     let version = |program: &Path| {
@@ -206,10 +204,8 @@ fn mdbook() -> Result<PathBuf, Outcome> {
     // Without its server and what watches files.
     let mut install =
         cargo("install --debug mdbook --locked --no-default-features --features search --version");
-    match execute(install.arg(MDBOOK).arg("--root").arg(root)) {
-        Outcome::Ok => Ok(installed),
-        other => Err(other),
-    }
+    execute(install.arg(MDBOOK).arg("--root").arg(root))?;
+    Ok(installed)
 }
 
 #[cfg(test)]

@@ -94,16 +94,13 @@ pub fn with_libraries<'c>(environment: &Environment, command: &'c mut Command) -
 /// 20 topics at 1 kHz lose nothing in 15 s each way, or to ROS in so much longer as the machine needs, with the build of the tests: what
 /// the bridge adds is printed beside r2r's own subscriber, and belongs to the machine and the build.
 pub fn bench_of_tests(steps: &mut Steps) {
-    let environment = match r2r::environment() {
-        Err(reason) => {
-            steps.step("bench: bridge", || Outcome::Failed(reason).unless_ci());
-            return;
-        }
-        Ok(environment) => environment,
-    };
     let target = machine::target_dir();
     let json = target.join("bridge.json");
     steps.step("bench: bridge", || {
+        let environment = match r2r::environment() {
+            Ok(environment) => environment,
+            Err(reason) => return Outcome::Failed(reason).unless_ci(),
+        };
         // It waits for processes, which may not come.
         let mut command = Command::new("timeout");
         command
@@ -114,6 +111,6 @@ pub fn bench_of_tests(steps: &mut Steps) {
             .arg(&json)
             .envs(environment);
         command.args(machine::no_rt());
-        reported(&mut command, &json, || BRIDGE.of(&json, &[("expected", (20 * 1000 * 15).into())]))
+        reported(&mut command, &json, || BRIDGE.of(&json, &[("expected", (20 * 1000 * 15).into())])).into()
     });
 }

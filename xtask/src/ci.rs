@@ -132,7 +132,7 @@ fn of_the_build_without_taut(steps: &mut Steps) {
 
 /// What tests compare with, and Debian's packages. What there is no network for is skipped, but not in CI.
 fn prepare(steps: &mut Steps) {
-    steps.step("ros", || ros::prepare().unless_ci());
+    steps.step("ros", || Outcome::from(ros::prepare()).unless_ci());
     steps.step("peers: zenoh-ros2-sdk", peers::prepare);
     steps.step("gateway: packages", packages::firewall);
     steps.step("lttng: packages", lttng::prepare);
@@ -213,7 +213,7 @@ fn reference_system(steps: &mut Steps) {
     let (json, svg) = (target.join("reference.json"), target.join("reference.svg"));
     let no_rt = machine::no_rt();
     let given = |beside: bool| [("realtime", no_rt.is_none().into()), ("beside", beside.into())];
-    let run = |arguments: &[&str], check: &dyn Fn() -> Outcome| {
+    let run = |arguments: &[&str], check: &dyn Fn() -> Result<(), String>| {
         let mut command = Command::new(Build::Tests.folder().join("reference_system"));
         reported(command.args(arguments).arg("--json").arg(&json).args(no_rt), &json, check)
     };
@@ -225,10 +225,7 @@ fn reference_system(steps: &mut Steps) {
         return steps.skip(name, "not built before: `cargo xtask bench reference-system` does it");
     }
     steps.step(name, || {
-        let program = match r2r::program(REFERENCE) {
-            Ok(program) => program.display().to_string(),
-            Err(reason) => return Outcome::Failed(reason),
-        };
+        let program = r2r::program(REFERENCE)?.display().to_string();
         let arguments = ["--seconds", "1", "--rounds", "1", "--r2r", &program];
         run(&arguments, &|| reports::REFERENCE.of(&json, &given(true)))
     });
@@ -254,10 +251,7 @@ fn lane_keeping(steps: &mut Steps) {
     if !r2r::is_built(ALKS) {
         return steps.skip(name, "not built before: `cargo xtask bench alks` does it");
     }
-    steps.step(name, || match r2r::program(ALKS) {
-        Ok(program) => run(&["--seconds", "2", "--r2r", &program.display().to_string()]),
-        Err(reason) => Outcome::Failed(reason),
-    });
+    steps.step(name, || run(&["--seconds", "2", "--r2r", &r2r::program(ALKS)?.display().to_string()]));
 }
 
 /// Nodes with a gateway on each side, of the tests' build.
@@ -280,18 +274,16 @@ fn systemd(steps: &mut Steps) {
     if Command::new("systemd-analyze").arg("--version").output().is_err() {
         return steps.skip(name, "no systemd-analyze here");
     }
-    let target = machine::target_dir();
-    let write = || -> std::io::Result<std::path::PathBuf> {
+    let path = machine::target_dir().join("taut-gateway@0.service");
+    let write = || {
         let unit = std::fs::read_to_string(machine::root().join("docs/systemd/taut-gateway@.service"))?;
         let program = Build::Tests.folder().join("taut-gateway").display().to_string();
-        let path = target.join("taut-gateway@0.service");
-        std::fs::write(&path, unit.replace("/usr/local/bin/taut-gateway", &program))?;
-        Ok(path)
+        std::fs::write(&path, unit.replace("/usr/local/bin/taut-gateway", &program))
     };
-    match write() {
-        Ok(path) => drop(steps.command(name, Command::new("systemd-analyze").arg("verify").arg(path))),
-        Err(error) => drop(steps.step(name, || Outcome::Failed(error.to_string()))),
-    }
+    steps.step(name, || {
+        write().map_err(|error| error.to_string())?;
+        execute(Command::new("systemd-analyze").arg("verify").arg(&path))
+    });
 }
 
 /// Sets the system's clock by an hour for some milliseconds, which is nothing to do on somebody's own machine.
@@ -309,7 +301,7 @@ fn bench(
     steps: &mut Steps,
     name: &str,
     command: impl FnOnce(Options) -> Command,
-    check: impl FnOnce(&Path) -> Outcome,
+    check: impl FnOnce(&Path) -> Result<(), String>,
 ) {
     let json = machine::target_dir().join(format!("{name}.json"));
     steps.step(&format!("bench: {name}"), || {

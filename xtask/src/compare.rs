@@ -190,10 +190,10 @@ fn unpack(root: &Path, packages: &[&str]) -> Result<(), String> {
     }
     fs::create_dir_all(root).map_err(say)?;
     let mut download = Command::new("apt-get");
-    execute(download.args(["download", "--quiet"]).args(packages).current_dir(root)).result()?;
+    execute(download.args(["download", "--quiet"]).args(packages).current_dir(root))?;
     for entry in fs::read_dir(root).map_err(say)?.flatten() {
         if entry.path().extension().is_some_and(|extension| extension == "deb") {
-            execute(Command::new("dpkg").arg("-x").arg(entry.path()).arg(root)).result()?;
+            execute(Command::new("dpkg").arg("-x").arg(entry.path()).arg(root))?;
             fs::remove_file(entry.path()).map_err(say)?;
         }
     }

@@ -2,7 +2,7 @@
 //! The programs of the test `programs` of `tautline-r2r` on r2r itself: what they expect of Tautline is what they get there.
 
 use crate::bridge::{with_libraries, with_ros};
-use crate::r2r;
+use crate::r2r::{self, Environment};
 use crate::steps::{Outcome, Steps, cargo, execute};
 use std::process::ExitCode;
 
@@ -23,17 +23,13 @@ pub fn run() -> ExitCode {
 
 /// A minute from cold. Without a network and without a ROS 2 it is left out, but not in CI.
 pub fn test(steps: &mut Steps) {
-    steps.step("r2r: programs", || {
-        let environment = match r2r::environment() {
-            Ok(environment) => environment,
-            Err(reason) => return Outcome::Failed(reason).unless_ci(),
-        };
-        let mut build = cargo(&format!("test {WHOLE} --no-run"));
-        match execute(with_libraries(&environment, &mut build)) {
-            Outcome::Ok => {
-                execute(with_ros(&environment, &mut cargo(&format!("test {WHOLE} --no-fail-fast"))))
-            }
-            other => other,
-        }
+    steps.step("r2r: programs", || match r2r::environment() {
+        Ok(environment) => run_on(&environment).into(),
+        Err(reason) => Outcome::Failed(reason).unless_ci(),
     });
+}
+
+fn run_on(r2r: &Environment) -> Result<(), String> {
+    execute(with_libraries(r2r, &mut cargo(&format!("test {WHOLE} --no-run"))))?;
+    execute(with_ros(r2r, &mut cargo(&format!("test {WHOLE} --no-fail-fast"))))
 }

@@ -2,7 +2,6 @@
 //! The JSON that scripts rely on. For each report a program of jq's says what is wrong with it: a promised field that is missing or of another
 //! type, a measurement that found nothing or cannot fail. No time is judged.
 
-use crate::steps::Outcome;
 use jaq_core::load::{Arena, File, Loader};
 use jaq_core::{Compiler, Ctx, Vars, data, unwrap_valr};
 use jaq_json::{Val, read};
@@ -32,10 +31,10 @@ const COMMON: &str = include_str!("reports/common.jq");
 
 impl Check {
     /// Checks the report in this file; the program is given these values by their names.
-    pub fn of(&self, path: &Path, given: &[(&str, Value)]) -> Outcome {
+    pub fn of(&self, path: &Path, given: &[(&str, Value)]) -> Result<(), String> {
         let text = std::fs::read_to_string(path).map_err(|error| error.to_string());
         let judged = text.and_then(|text| self.judge(&text, given));
-        judged.map_err(|fault| format!("{}: {fault}", path.display())).into()
+        judged.map_err(|fault| format!("{}: {fault}", path.display()))
     }
 
     /// The first fault, if there is one.

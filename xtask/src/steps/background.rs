@@ -119,7 +119,7 @@ mod tests {
         let file = |name| folder.path().join(name);
         let mut others = Steps::new();
         others.step("passes", || Outcome::Ok);
-        others.step("fails", || Outcome::Failed("with \"words\"".to_owned()));
+        others.step("fails", || Err("with \"words\"".to_owned()));
         others.skip("is left out", "no network");
         assert_eq!(others.hand_over(&file("done")), ExitCode::SUCCESS);
         fs::write(file("printed"), "").unwrap();
