@@ -6,12 +6,14 @@ mod background;
 pub use background::Background;
 
 use crate::machine;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::process::{Command, ExitCode, ExitStatus};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 /// How a step ended.
+#[derive(Serialize, Deserialize)]
 pub enum Outcome {
     Ok,
     Failed(String),
@@ -35,6 +37,7 @@ impl From<Result<(), String>> for Outcome {
 }
 
 /// A step that has ended.
+#[derive(Serialize, Deserialize)]
 struct Done {
     name: String,
     outcome: Outcome,
