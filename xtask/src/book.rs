@@ -11,7 +11,7 @@ use crate::steps::{Outcome, Steps, announce, cargo, execute};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode};
+use std::process::Command;
 
 const MDBOOK: &str = "0.5.4";
 
@@ -24,12 +24,6 @@ const SHOWN: [(&str, &str); 2] =
 
 /// Files outside of `docs/` whose links are checked.
 const BESIDE: [&str; 4] = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "examples/README.md"];
-
-pub fn run() -> ExitCode {
-    let mut steps = Steps::new();
-    test(&mut steps);
-    steps.finish()
-}
 
 /// Checks all links, then builds the book.
 pub fn test(steps: &mut Steps) {

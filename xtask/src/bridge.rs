@@ -7,7 +7,7 @@ use crate::r2r::Environment;
 use crate::reports::BRIDGE;
 use crate::steps::{Outcome, Steps, cargo, reported};
 use crate::{lints, machine, programs, r2r};
-use std::process::{Command, ExitCode};
+use std::process::Command;
 
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
@@ -31,14 +31,6 @@ impl Bridge {
         self.bench.pass_on(&mut command, &["--seconds", "2"]);
         Ok(command)
     }
-}
-
-/// `cargo xtask bridge`.
-pub fn run() -> ExitCode {
-    let mut steps = Steps::new();
-    r2r::prepare_libclang(&mut steps, true);
-    test(&mut steps);
-    steps.finish()
 }
 
 /// Without a ROS 2 it is left out, which is said; but not in CI.

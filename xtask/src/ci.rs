@@ -17,7 +17,7 @@ use crate::{
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 use std::path::Path;
-use std::process::{Command, ExitCode};
+use std::process::Command;
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
 const RINGS: u64 = 1_000_000;
@@ -58,7 +58,7 @@ impl Job {
                 peers::test(&mut steps);
             }
             Job::Variants => {
-                fuzz::all(&mut steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS);
+                fuzz::run(&mut steps, fuzz::RUNS_IN_CI, &[]);
                 lttng::test(&mut steps);
                 build_as_released(&mut steps);
             }
@@ -68,44 +68,42 @@ impl Job {
 }
 
 /// Runs every step, whatever fails.
-pub fn run(scope: &Scope) -> ExitCode {
-    let mut steps = Steps::new();
-    r2r::prepare_libclang(&mut steps, true);
+pub fn run(steps: &mut Steps, scope: &Scope) {
+    r2r::prepare_libclang(steps, true);
     let prepared = Job::Prepare.start();
-    formats(&mut steps);
-    let built = lints::build(&mut steps, "build and lints", &format!("{WHOLE} {TARGETS}"));
+    formats(steps);
+    let built = lints::build(steps, "build and lints", &format!("{WHOLE} {TARGETS}"));
     steps.join(prepared);
     steps.step("public surface", || api::check(false));
     steps.step("builds are shared", shared::check);
     let book = Job::Book.start();
-    rest_of_tests(&mut steps);
+    rest_of_tests(steps);
     steps.join(book);
-    bridge::test(&mut steps);
-    rmw::test(&mut steps);
-    clock_step(&mut steps);
-    programs::test(&mut steps);
+    bridge::test(steps);
+    rmw::test(steps);
+    clock_step(steps);
+    programs::test(steps);
     steps.command("stress: doorbell", &mut stress_doorbell(Build::Tests, RINGS));
-    bridge::bench_of_tests(&mut steps);
-    rmw::bench_of_tests(&mut steps);
-    let r2r = r2r_tests::build(&mut steps);
+    bridge::bench_of_tests(steps);
+    rmw::bench_of_tests(steps);
+    let r2r = r2r_tests::build(steps);
     if built {
         let apart = Job::Apart.start();
-        r2r.run(&mut steps);
-        of_the_build(&mut steps);
+        r2r.run(steps);
+        of_the_build(steps);
         steps.join(apart);
         let variants = Job::Variants.start();
-        of_the_build_without_taut(&mut steps);
+        of_the_build_without_taut(steps);
         if steps.join(variants) {
-            demo_as_released(&mut steps);
+            demo_as_released(steps);
         } else {
             steps.skip("demo as released", "a step before it failed: it may not have been built");
         }
     } else {
         steps.skip("what runs in the tests' build", "not built");
     }
-    miri(&mut steps);
-    test::leftovers(&mut steps, scope);
-    steps.finish()
+    miri(steps);
+    test::leftovers(steps, scope);
 }
 
 /// Systems and benches.

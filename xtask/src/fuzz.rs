@@ -6,7 +6,7 @@ use crate::machine;
 use crate::steps::{Steps, announce, cargo, execute};
 use std::fs;
 use std::io::{BufRead, BufReader};
-use std::process::{Command, ExitCode, Stdio};
+use std::process::{Command, Stdio};
 use std::time::Instant;
 
 /// What there is to run.
@@ -23,20 +23,10 @@ const INSTRUMENTED: &str = "--cfg fuzzing -Zsanitizer=address -Cpasses=sancov-mo
     -Cllvm-args=-simplifycfg-branch-fold-threshold=0";
 
 /// Runs these targets, all if none is named, as steps.
-pub fn run(runs: u64, targets: &[String]) -> ExitCode {
-    let mut steps = Steps::new();
-    let targets: Vec<&str> = match targets {
-        [] => TARGETS.to_vec(),
-        named => named.iter().map(String::as_str).collect(),
-    };
-    all(&mut steps, runs, &targets);
-    steps.finish()
-}
-
-/// As [`run`], among other steps.
-pub fn all(steps: &mut Steps, runs: u64, targets: &[&str]) {
+pub fn run(steps: &mut Steps, runs: u64, targets: &[String]) {
     let built = steps.step("fuzz: build", || execute(&mut build()?));
-    for target in targets {
+    let is_meant = |target: &str| targets.is_empty() || targets.iter().any(|named| named == target);
+    for target in TARGETS.into_iter().filter(|target| is_meant(target)) {
         let name = format!("fuzz: {target}");
         if built {
             steps.step(&name, || fuzz(target, runs));

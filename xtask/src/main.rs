@@ -243,14 +243,8 @@ impl Bench {
         })
     }
 
-    fn run(&self) -> ExitCode {
-        match self.command() {
-            Ok(mut command) => steps::run(&mut command),
-            Err(reason) => {
-                eprintln!("bench: {reason}");
-                ExitCode::FAILURE
-            }
-        }
+    fn run(&self) -> Result<(), String> {
+        steps::execute(&mut self.command()?)
     }
 }
 
@@ -290,56 +284,69 @@ fn main() -> ExitCode {
     match Cli::parse().verb {
         Verb::Test(all) => {
             all.tell();
-            test::run(&scope)
+            as_steps(|steps| test::run(steps, &scope))
         }
         Verb::Ci(all) => {
             all.tell();
-            ci::run(&scope)
+            as_steps(|steps| ci::run(steps, &scope))
         }
         Verb::Background { job, to, all } => {
             all.tell();
-            job.run().hand_over(&to)
+            exit(job.run().hand_over(&to))
         }
-        Verb::Api { bless } => {
-            let mut steps = Steps::new();
-            r2r::prepare_libclang(&mut steps, false);
+        Verb::Api { bless } => as_steps(|steps| {
+            r2r::prepare_libclang(steps, false);
             steps.step("api", || api::check(bless));
-            steps.finish()
-        }
-        Verb::Examples { bless } => {
-            let mut steps = Steps::new();
+        }),
+        Verb::Examples { bless } => as_steps(|steps| {
             let mut build =
                 steps::cargo("build --release -p tautline-examples -p own-messages --examples --bins");
             let built = steps.command("examples: build", &mut build);
-            examples::run(&mut steps, built, Build::Release, bless);
-            steps.finish()
+            examples::run(steps, built, Build::Release, bless);
+        }),
+        Verb::Book => as_steps(book::test),
+        Verb::Ros => exit(ros::run()),
+        Verb::Bridge => as_steps_with_ros(bridge::test),
+        Verb::Rmw { test: false } => exit(rmw::run()),
+        Verb::Rmw { test: true } => as_steps_with_ros(rmw::test),
+        Verb::Peers => as_steps_with_ros(peers::build_and_test),
+        Verb::R2r => as_steps_with_ros(programs::test),
+        Verb::R2rTests => as_steps_with_ros(|steps| r2r_tests::build(steps).run(steps)),
+        Verb::Bench(bench) => exit(bench.run()),
+        Verb::Readme { quick, only, minutes } => exit(readme::run(quick, minutes, &only)),
+        Verb::Miri => as_steps(ci::miri),
+        Verb::Fuzz { runs, targets } => as_steps(|steps| fuzz::run(steps, runs, &targets)),
+        Verb::Stress(Stress::Doorbell { rings }) => {
+            exit(steps::execute(&mut stress_doorbell(Build::Release, rings)))
         }
-        Verb::Book => book::run(),
-        Verb::Ros => ros::run(),
-        Verb::Bridge => bridge::run(),
-        Verb::Rmw { test: false } => rmw::run(),
-        Verb::Rmw { test: true } => {
-            let mut steps = Steps::new();
-            r2r::prepare_libclang(&mut steps, true);
-            rmw::test(&mut steps);
-            steps.finish()
-        }
-        Verb::Peers => peers::run(),
-        Verb::R2r => programs::run(),
-        Verb::R2rTests => r2r_tests::run(),
-        Verb::Bench(bench) => bench.run(),
-        Verb::Readme { quick, only, minutes } => readme::run(quick, minutes, &only),
-        Verb::Miri => {
-            let mut steps = Steps::new();
-            ci::miri(&mut steps);
-            steps.finish()
-        }
-        Verb::Fuzz { runs, targets } => fuzz::run(runs, &targets),
-        Verb::Stress(Stress::Doorbell { rings }) => steps::run(&mut stress_doorbell(Build::Release, rings)),
         Verb::Stress(Stress::Kills { kills, seed, exhaustive }) => {
-            let mut steps = Steps::new();
-            stress_kills(&mut steps, Build::Release, kills, seed, exhaustive);
-            steps.finish()
+            as_steps(|steps| stress_kills(steps, Build::Release, kills, seed, exhaustive))
+        }
+    }
+}
+
+/// A verb that is steps.
+fn as_steps(run: impl FnOnce(&mut Steps)) -> ExitCode {
+    let mut steps = Steps::new();
+    run(&mut steps);
+    steps.finish()
+}
+
+/// One with builds that need libclang.
+fn as_steps_with_ros(run: impl FnOnce(&mut Steps)) -> ExitCode {
+    as_steps(|steps| {
+        r2r::prepare_libclang(steps, true);
+        run(steps);
+    })
+}
+
+/// The end of a verb that is one task.
+fn exit(result: Result<(), String>) -> ExitCode {
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(reason) => {
+            eprintln!("FAILED: {reason}");
+            ExitCode::FAILURE
         }
     }
 }

@@ -7,19 +7,16 @@ use crate::steps::{Outcome, Steps, announce, cargo};
 use crate::{lints, ros};
 use std::io::{self, BufRead, BufReader};
 use std::path::PathBuf;
-use std::process::{Child, Command, ExitCode, Stdio};
+use std::process::{Child, Command, Stdio};
 
 const WHEELS: [&str; 2] = ["zenoh-ros2-sdk==0.1.8", "xxhash==4.1.0"];
 
 /// `cargo xtask peers`.
-pub fn run() -> ExitCode {
-    let mut steps = Steps::new();
-    crate::r2r::prepare_libclang(&mut steps, true);
+pub fn build_and_test(steps: &mut Steps) {
     steps.command("examples", &mut lints::cargo("build -p tautline-examples --examples"));
     steps.command("gateway", &mut lints::cargo("build -p tautline-gateway"));
     steps.step("peers: zenoh-ros2-sdk", prepare);
-    test(&mut steps);
-    steps.finish()
+    test(steps);
 }
 
 /// Runs the tests and an example in the environment of [`prepare`], with the gateway and the examples of the tests' build.

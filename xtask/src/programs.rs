@@ -4,7 +4,6 @@
 use crate::bridge::{with_libraries, with_ros};
 use crate::r2r::{self, Environment};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use std::process::ExitCode;
 
 /// With what they need as the workspace's tests have it.
 pub const WHOLE: &str = "--manifest-path node/r2r/Cargo.toml --locked";
@@ -12,14 +11,6 @@ pub const WHOLE: &str = "--manifest-path node/r2r/Cargo.toml --locked";
 /// Those that the programs use, and the bridge's bench, with which they share a build of r2r; all of them take minutes.
 pub const PACKAGES: &str = "action_msgs;builtin_interfaces;geometry_msgs;rcl_interfaces;rosgraph_msgs;service_msgs;std_msgs;\
     std_srvs;test_msgs;type_description_interfaces;unique_identifier_msgs";
-
-/// `cargo xtask r2r`.
-pub fn run() -> ExitCode {
-    let mut steps = Steps::new();
-    r2r::prepare_libclang(&mut steps, true);
-    test(&mut steps);
-    steps.finish()
-}
 
 /// A minute from cold. Without a network and without a ROS 2 it is left out, but not in CI.
 pub fn test(steps: &mut Steps) {

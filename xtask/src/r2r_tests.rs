@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitCode, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -113,14 +113,6 @@ impl Program {
     fn name(&self) -> &'static str {
         self.line.split(' ').next().unwrap_or(self.line)
     }
-}
-
-/// `cargo xtask r2r-tests`: some minutes.
-pub fn run() -> ExitCode {
-    let mut steps = Steps::new();
-    crate::r2r::prepare_libclang(&mut steps, true);
-    build(&mut steps).run(&mut steps);
-    steps.finish()
 }
 
 /// Builds all.

@@ -9,11 +9,11 @@ use crate::beside_r2r::Paper;
 use crate::compare::Compare;
 use crate::machine::target_dir;
 use crate::rmw::Rmw;
-use crate::steps;
+use crate::steps::{self, execute};
 use clap::ValueEnum;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, ExitCode};
+use std::process::Command;
 
 /// Where the picture goes.
 const PICTURE: &str = "docs/demo.svg";
@@ -104,30 +104,14 @@ impl Part {
 
 /// Runs what the parts (none: all) are made from and puts them into their documents. Measures first: no table is made of a run
 /// that failed.
-pub fn run(quick: bool, minutes: Option<u64>, parts: &[Part]) -> ExitCode {
+pub fn run(quick: bool, minutes: Option<u64>, parts: &[Part]) -> Result<(), String> {
     let parts = if parts.is_empty() { Part::value_variants() } else { parts };
     let json = |part: &Part| target_dir().join(format!("readme-{}.json", part.mark()));
     for part in parts {
-        let run = part.command(quick, minutes, json(part).as_ref()).and_then(|mut command| {
-            match command.status() {
-                Ok(status) if status.success() => Ok(()),
-                Ok(status) => Err(status.to_string()),
-                Err(error) => Err(error.to_string()),
-            }
-        });
-        if let Err(reason) = run {
-            eprintln!("the documents stay as they are: the run failed: {reason}");
-            return ExitCode::FAILURE;
-        }
+        let run = part.command(quick, minutes, &json(part)).and_then(|mut command| execute(&mut command));
+        run.map_err(|reason| format!("the documents stay as they are: the run failed: {reason}"))?;
     }
-    let update = |part: Part| update(part.document().as_ref(), part, json(&part).as_ref());
-    match parts.iter().copied().try_for_each(update) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("{error}");
-            ExitCode::FAILURE
-        }
-    }
+    parts.iter().try_for_each(|part| update(part.document().as_ref(), *part, &json(part)))
 }
 
 /// Puts the tables of a run between their marks in `document`.

@@ -8,7 +8,7 @@ use crate::steps::{Steps, cargo};
 use crate::{colcon, lints, machine, r2r, ros};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode};
+use std::process::Command;
 
 const LIBRARY: &str = "--manifest-path rmw/Cargo.toml --locked";
 /// With the bench.
@@ -61,17 +61,7 @@ pub fn bench_of_tests(steps: &mut Steps) {
 }
 
 /// Builds the library for use, a minute from cold, and says how it is used.
-pub fn run() -> ExitCode {
-    match for_use() {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(reason) => {
-            eprintln!("rmw_tautline is not built: {reason}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-fn for_use() -> Result<(), String> {
+pub fn run() -> Result<(), String> {
     let environment = r2r::environment()?;
     build(with_libraries(&environment, &mut cargo(&format!("build --release {LIBRARY}"))))?;
     let folder = Build::Release.folder();

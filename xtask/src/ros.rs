@@ -4,7 +4,7 @@
 use crate::steps::execute;
 use crate::{machine, r2r};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Stdio};
+use std::process::{Command, Stdio};
 use std::{fs, io};
 
 const WHEELS: [&str; 18] = [
@@ -32,22 +32,16 @@ const WHEELS: [&str; 18] = [
 ];
 
 /// Makes the environment and says how to use it.
-pub fn run() -> ExitCode {
-    match prepare().and_then(|()| r2r::setup_file()) {
-        Ok(setup) => {
-            println!("ROS 2 Jazzy is in {}. To build and run the bridge with it:", venv().display());
-            println!("  source {}", setup.display());
-            println!(
-                "  cargo build --release --manifest-path bridge-ros/Cargo.toml --target-dir {}",
-                machine::target_dir().display()
-            );
-            ExitCode::SUCCESS
-        }
-        Err(reason) => {
-            eprintln!("{reason}");
-            ExitCode::FAILURE
-        }
-    }
+pub fn run() -> Result<(), String> {
+    prepare()?;
+    let setup = r2r::setup_file()?;
+    println!("ROS 2 Jazzy is in {}. To build and run the bridge with it:", venv().display());
+    println!("  source {}", setup.display());
+    println!(
+        "  cargo build --release --manifest-path bridge-ros/Cargo.toml --target-dir {}",
+        machine::target_dir().display()
+    );
+    Ok(())
 }
 
 /// The environment; tests look for it here.

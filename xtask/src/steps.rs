@@ -184,17 +184,6 @@ pub fn cargo_with(arguments: &str, more: impl IntoIterator<Item = String>) -> Co
     command
 }
 
-/// Prints a command and runs it as a whole task.
-pub fn run(command: &mut Command) -> ExitCode {
-    match execute(command) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(reason) => {
-            eprintln!("FAILED: {reason}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
 /// Prints a command and runs it.
 pub fn execute(command: &mut Command) -> Result<(), String> {
     announce(command);

@@ -6,22 +6,20 @@ use crate::build::{Build, SAME, TARGETS, WITH_GATEWAY, WITH_ROS, most};
 use crate::reports::{ABLATION, DEMO};
 use crate::steps::{Steps, cargo, execute, reported};
 use crate::{examples, lints, machine, machine::Scope, r2r};
-use std::process::{Command, ExitCode};
+use std::process::Command;
 
 /// Runs every step, whatever fails.
-pub fn run(scope: &Scope) -> ExitCode {
-    let mut steps = Steps::new();
-    r2r::prepare_libclang(&mut steps, machine::is_ci());
+pub fn run(steps: &mut Steps, scope: &Scope) {
+    r2r::prepare_libclang(steps, machine::is_ci());
     steps.command("fmt", &mut cargo("fmt --all --check"));
-    let built = lints::build(&mut steps, "build and lints", &format!("{} {TARGETS}", most()));
+    let built = lints::build(steps, "build and lints", &format!("{} {TARGETS}", most()));
     // Most wait for each other's processes more than they compute.
-    nextest(&mut steps, "tests", &most(), &format!("not({WITH_GATEWAY}|{WITH_ROS})"), 2);
+    nextest(steps, "tests", &most(), &format!("not({WITH_GATEWAY}|{WITH_ROS})"), 2);
     steps.command("doc tests", &mut lints::cargo(&format!("test {} --no-fail-fast --doc", most())));
-    demo(&mut steps, built);
-    examples::run(&mut steps, built, Build::Tests, false);
-    loom(&mut steps);
-    leftovers(&mut steps, scope);
-    steps.finish()
+    demo(steps, built);
+    examples::run(steps, built, Build::Tests, false);
+    loom(steps);
+    leftovers(steps, scope);
 }
 
 /// The tests of these packages that a filter of nextest's selects, so many at a time for each core.
