@@ -199,53 +199,47 @@ fn demo_as_released(steps: &mut Steps) {
     steps.command("demo as released", demo.args(["demo", "--seconds", "3"]));
 }
 
-/// Three seconds of the Autoware reference system: all of its nodes run, and its report keeps its promises. A second of it beside
-/// r2r where that has been built before, which otherwise takes a minute.
+/// Three seconds of the Autoware reference system: all of its nodes run, and its report keeps its promises. And a second of it beside r2r.
 fn reference_system(steps: &mut Steps) {
-    let name = "reference system";
     let target = machine::target_dir();
-    let (json, svg) = (target.join("reference.json"), target.join("reference.svg"));
-    let no_rt = machine::no_rt();
-    let given = |beside: bool| [("realtime", no_rt.is_none().into()), ("beside", beside.into())];
-    let run = |arguments: &[&str], check: &dyn Fn() -> Result<(), String>| {
+    let (json, svg) = (target.join("reference.json"), target.join("reference.svg").display().to_string());
+    let run = |told: &[&str], beside: bool| {
         let mut command = Command::new(Build::Tests.folder().join("reference_system"));
-        reported(command.args(arguments).arg("--json").arg(&json).args(no_rt), &json, check)
+        command.args(told).arg("--json").arg(&json).args(machine::no_rt());
+        let given = [("realtime", machine::no_rt().is_none().into()), ("beside", beside.into())];
+        reported(&mut command, &json, || reports::REFERENCE.of(&json, &given))
     };
-    let svg = svg.display().to_string();
-    let check = || reports::REFERENCE.of(&json, &given(false));
-    steps.step(name, || run(&["--seconds", "3", "--svg", &svg], &check));
-    let name = "reference system: beside r2r";
-    if !r2r::is_built("reference-r2r") {
-        return steps.skip(name, "not built before: `cargo xtask bench reference-system` does it");
-    }
-    steps.step(name, || {
-        let program = r2r::program("reference-r2r")?.display().to_string();
-        let arguments = ["--seconds", "1", "--rounds", "1", "--r2r", &program];
-        run(&arguments, &|| reports::REFERENCE.of(&json, &given(true)))
+    steps.step("reference system", || run(&["--seconds", "3", "--svg", &svg], false));
+    beside_r2r(steps, "reference system", Name::ReferenceSystem, |program| {
+        run(&["--seconds", "1", "--rounds", "1", "--r2r", program], true)
     });
 }
 
-/// Three seconds of the automated lane keeping system in each way to share, and a second beside r2r where that has been built before: the
-/// lane is kept and hardly a message lost. Its bounds are for a machine that does nothing else.
+/// Three seconds of the automated lane keeping system in each way to share, and two beside r2r: the lane is kept and hardly a message lost.
+/// Its bounds are for a machine that does nothing else.
 fn lane_keeping(steps: &mut Steps) {
-    let name = "lane keeping";
     let target = machine::target_dir();
     let (json, page) = (target.join("alks.json"), target.join("alks.html"));
-    let run = |arguments: &[&str]| {
+    let run = |told: &[&str]| {
         let _ = std::fs::remove_file(&json);
         let mut command = Command::new(Build::Tests.folder().join("alks"));
-        command.args(arguments).args(["--rounds", "1", "--json"]).arg(&json).arg("--html").arg(&page);
+        command.args(told).args(["--rounds", "1", "--json"]).arg(&json).arg("--html").arg(&page);
         command.args(machine::no_rt());
         // What it says of bounds is not judged here.
         let _ = execute(&mut command);
         reports::LANE.of(&json, &[])
     };
-    steps.step(name, || run(&["--seconds", "3", "--without-r2r", "a step of its own"]));
-    let name = "lane keeping: beside r2r";
-    if !r2r::is_built("alks-r2r") {
-        return steps.skip(name, "not built before: `cargo xtask bench alks` does it");
-    }
-    steps.step(name, || run(&["--seconds", "2", "--r2r", &r2r::program("alks-r2r")?.display().to_string()]));
+    steps.step("lane keeping", || run(&["--seconds", "3", "--without-r2r", "a step of its own"]));
+    beside_r2r(steps, "lane keeping", Name::Alks, |program| run(&["--seconds", "2", "--r2r", program]));
+}
+
+/// The same beside r2r's program, where that has been built before, which otherwise takes a minute.
+fn beside_r2r(steps: &mut Steps, name: &str, bench: Name, run: impl FnOnce(&str) -> Result<(), String>) {
+    let name = format!("{name}: beside r2r");
+    let Some(program) = bench.r2r().filter(|program| r2r::is_built(program)) else {
+        return steps.skip(&name, &format!("not built before: `cargo xtask bench {}` does it", word(bench)));
+    };
+    steps.step(&name, || run(&r2r::program(program)?.display().to_string()));
 }
 
 /// Nodes with a gateway on each side, of the tests' build.
