@@ -81,7 +81,8 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     programs::test(steps);
     steps.command("stress: doorbell", &mut stress_doorbell(Build::Tests, RINGS));
     bridge_bench(steps);
-    rmw_bench(steps);
+    // Nothing is lost; how it compares is for a quiet machine and a release build.
+    quick(steps, Name::Rmw, machine::no_rt());
     let r2r = r2r_tests::build(steps);
     if built {
         let apart = Job::Apart.start();
@@ -108,19 +109,22 @@ fn of_the_build(steps: &mut Steps) {
     lane_keeping(steps);
     two_hosts(steps);
     systemd(steps);
-    plain_benches(steps);
-    comparison(steps, Name::Wake, OURS, &["latency"]);
-    comparison(steps, Name::Services, &["tautline", "iceoryx2"], &["request"]);
-    comparison(steps, Name::Network, &["tautline"], &["latency", "window", "callbacks"]);
+    // What they say belongs to the machine.
+    for name in [Name::Trace, Name::Tools, Name::Parameters] {
+        quick(steps, name, None);
+    }
+    comparison(steps, Name::Wake, OURS);
+    comparison(steps, Name::Services, "tautline,iceoryx2");
+    comparison(steps, Name::Network, "tautline");
 }
 
 /// What does not run `taut`: what may be killed, and more benches.
 fn of_the_build_without_taut(steps: &mut Steps) {
     stress_kills(steps, Build::Tests, KILLS, None, false);
-    domain(steps);
-    messages(steps);
-    let experiments = ["latency", "open-loop", "fan-out", "robot", "throughput", "start-up"];
-    comparison(steps, Name::Compare, &[OURS, &["fastdds"]].concat(), &experiments);
+    // No process hangs or leaves anything, and every encoder writes the same bytes.
+    quick(steps, Name::Domain, None);
+    quick(steps, Name::Messages, None);
+    comparison(steps, Name::Compare, &format!("{OURS},fastdds"));
     paper(steps);
 }
 
@@ -310,39 +314,20 @@ fn bridge_bench(steps: &mut Steps) {
     });
 }
 
-/// A quick run of the messages bench: every encoder writes the same bytes.
-fn messages(steps: &mut Steps) {
-    bench(steps, Name::Messages, ["--quick"], |json| reports::MESSAGES.of(json, &[]));
-}
-
 /// Of all that is compared, what is built in seconds.
-const OURS: &[&str] = &["floor", "tautline", "iceoryx2"];
+const OURS: &str = "floor,tautline,iceoryx2";
 
-/// A round of a bench of the comparison: the numbers mean nothing, but all is measured, the page is drawn, and the tables are written.
-fn comparison(steps: &mut Steps, name: Name, systems: &[&str], experiments: &[&str]) {
+/// A round of a bench of the comparison: the numbers mean nothing, but it fails unless all is measured, the page is drawn and the tables are written.
+fn comparison(steps: &mut Steps, name: Name, systems: &str) {
     let file = |ending| machine::target_dir().join(word(name)).with_extension(ending).display().to_string();
-    let (html, markdown, joined) = (file("html"), file("md"), systems.join(","));
-    let told = ["--smoke", "--systems", &joined, "--html", &html, "--markdown", &markdown];
-    bench(steps, name, told.into_iter().chain(machine::no_rt()), |json| {
-        reports::COMPARE.of(json, &[("systems", systems.into()), ("experiments", experiments.into())])
-    });
+    let (html, markdown) = (file("html"), file("md"));
+    let told = ["--smoke", "--systems", systems, "--html", &html, "--markdown", &markdown];
+    bench(steps, name, told.into_iter().chain(machine::no_rt()), |_| Ok(()));
 }
 
-/// They run; what they say belongs to the machine.
-fn plain_benches(steps: &mut Steps) {
-    for name in [Name::Trace, Name::Tools, Name::Parameters] {
-        bench(steps, name, ["--quick"], |_| Ok(()));
-    }
-}
-
-/// Nothing is lost; how it compares is for a quiet machine and a release build.
-fn rmw_bench(steps: &mut Steps) {
-    bench(steps, Name::Rmw, ["--quick"].into_iter().chain(machine::no_rt()), |_| Ok(()));
-}
-
-/// A quick run: no process hangs or leaves anything; what it says belongs to the machine.
-fn domain(steps: &mut Steps) {
-    bench(steps, Name::Domain, ["--quick"], |json| reports::DOMAIN.of(json, &[]));
+/// A quick run, which fails by itself if something is wrong.
+fn quick(steps: &mut Steps, name: Name, told: Option<&str>) {
+    bench(steps, name, ["--quick"].into_iter().chain(told), |_| Ok(()));
 }
 
 /// A second of each variant of the evaluation, Tautline's side: r2r's side takes a minute to build.
