@@ -26,6 +26,7 @@
 //! | `r2r_tests` | r2r's own tests and examples, on Tautline |
 //! | `rmw` | builds rmw_tautline, tests it, and measures it |
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
+//! | `running` | programs that run beside this one, and what they have said |
 //! | `packages` | Debian's packages that some tests need |
 //! | `machine` | where things are built, and what this user may do |
 
@@ -52,6 +53,7 @@ mod readme;
 mod reports;
 mod rmw;
 mod ros;
+mod running;
 mod shared;
 mod steps;
 mod test;

@@ -2,14 +2,13 @@
 //! r2r's own tests and examples on Tautline, unchanged: as cargo has them for the bridge, with `r2r` as another name of `tautline-r2r`.
 
 use crate::machine::{self, Scope};
+use crate::running::Running;
 use crate::steps::{Steps, announce, cargo};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 /// What is left out of r2r's dependencies besides its own crates: only its bench uses that.
@@ -312,13 +311,13 @@ fn executable(message: &Value) -> Option<(Target, PathBuf)> {
 /// Runs a program of tests.
 fn test(executable: &Path) -> Result<(), String> {
     let scope = Scope::new("r2r");
-    let mut running = Running::start(executable, "", &scope).map_err(|error| error.to_string())?;
-    let status = running.wait();
+    let mut running = start(executable, "", &scope)?;
+    let status = running.wait_until(Instant::now() + PATIENCE, |_| false);
     running.end();
     println!("{}", running.said());
     match status {
-        Some(true) => Ok(()),
-        Some(false) => Err("some fail".to_owned()),
+        Some(status) if status.success() => Ok(()),
+        Some(_) => Err("some fail".to_owned()),
         None => Err(format!("not within {} s", PATIENCE.as_secs())),
     }
 }
@@ -330,8 +329,8 @@ fn together(programs: &[Program], paths: &[&PathBuf]) -> Result<(), String> {
         let mut all = Vec::new();
         for (program, path) in programs.iter().zip(paths) {
             let arguments = program.line.strip_prefix(program.name()).unwrap_or_default();
-            let running = Running::start(path, arguments, &scope);
-            all.push((program, running.map_err(|error| format!("{}: {error}", program.name()))?));
+            let running = start(path, arguments, &scope);
+            all.push((program, running.map_err(|reason| format!("{}: {reason}", program.name()))?));
         }
         let end = Instant::now() + PATIENCE;
         let outcome = loop {
@@ -357,13 +356,13 @@ fn outcome_of(all: &mut [(&Program, Running)], end: Instant) -> Option<Result<()
     let mut is_done = true;
     for (program, running) in all {
         let name = program.name();
-        let (status, said) = (running.status(), running.said());
+        let (succeeded, said) = (running.status().map(|status| status.success()), running.said());
         let missing = program.says.iter().find(|text| !said.contains(**text));
         let failed = |what: &str| Some(Err(format!("{name} {what}")));
         if said.contains("panicked at") {
             return failed("panicked");
         }
-        match (status, missing) {
+        match (succeeded, missing) {
             (Some(false), _) => return failed("failed"),
             (Some(true), Some(missing)) => return failed(&format!("ended without '{missing}'")),
             (None, Some(missing)) if Instant::now() > end => {
@@ -379,74 +378,15 @@ fn outcome_of(all: &mut [(&Program, Running)], end: Instant) -> Option<Result<()
     is_done.then_some(Ok(()))
 }
 
-/// A program, and what it has said on both of its outputs; dropping it ends it.
-struct Running {
-    child: Child,
-    said: Arc<Mutex<String>>,
-    readers: Vec<std::thread::JoinHandle<()>>,
-}
-
-impl Running {
-    fn start(path: &Path, arguments: &str, scope: &Scope) -> std::io::Result<Self> {
-        let mut command = Command::new(path);
-        command.args(arguments.split_whitespace()).env("TAUT_SCOPE", scope.name());
-        command.env_remove("TAUT_DOMAIN").env_remove("ROS_DOMAIN_ID");
-        if machine::no_rt().is_some() {
-            command.env("TAUT_REALTIME", "off");
-        }
-        announce(&command);
-        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
-        let said = Arc::new(Mutex::new(String::new()));
-        let readers = [child.stdout.take().map(reader(&said)), child.stderr.take().map(reader(&said))];
-        Ok(Running { child, said, readers: readers.into_iter().flatten().collect() })
+/// Starts one in this scope.
+fn start(path: &Path, arguments: &str, scope: &Scope) -> Result<Running, String> {
+    let mut command = Command::new(path);
+    command.args(arguments.split_whitespace()).env("TAUT_SCOPE", scope.name());
+    command.env_remove("TAUT_DOMAIN").env_remove("ROS_DOMAIN_ID");
+    if machine::no_rt().is_some() {
+        command.env("TAUT_REALTIME", "off");
     }
-
-    fn said(&self) -> String {
-        self.said.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    /// Whether it has succeeded, once it has ended.
-    fn status(&mut self) -> Option<bool> {
-        match self.child.try_wait() {
-            Ok(status) => status.map(|status| status.success()),
-            Err(_) => Some(false),
-        }
-        .inspect(|_| self.readers.drain(..).for_each(|reader| drop(reader.join())))
-    }
-
-    /// The same, when it has ended or taken too long.
-    fn wait(&mut self) -> Option<bool> {
-        let end = Instant::now() + PATIENCE;
-        while self.status().is_none() && Instant::now() < end {
-            std::thread::sleep(Duration::from_millis(10));
-        }
-        self.status()
-    }
-
-    fn end(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-        self.readers.drain(..).for_each(|reader| drop(reader.join()));
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.end();
-    }
-}
-
-/// Notes what comes.
-fn reader<R: Read + Send + 'static>(said: &Arc<Mutex<String>>) -> impl Fn(R) -> std::thread::JoinHandle<()> {
-    let said = said.clone();
-    move |output| {
-        let said = said.clone();
-        std::thread::spawn(move || {
-            for line in BufReader::new(output).lines().map_while(Result::ok) {
-                *said.lock().unwrap_or_else(PoisonError::into_inner) += &format!("{line}\n");
-            }
-        })
-    }
+    Running::start(&mut command, true)
 }
 
 #[cfg(test)]
