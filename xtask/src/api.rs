@@ -3,7 +3,6 @@
 //! implements. A change of it is seen in `node/api.txt`; and whatever a declaration names has a path by which a program can name it, too.
 
 use crate::build::{TARGETS, WHOLE};
-use crate::steps::Outcome;
 use crate::{lints, machine};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -26,21 +25,15 @@ const SEALED: [(&str, &str); 2] = [("tautline_tf", "Sealed"), ("tautline_join", 
 const FORMAT: u64 = 57;
 
 /// Compares the surface with the one that was written down; with `bless` writes it down.
-pub fn check(bless: bool) -> Outcome {
+pub fn check(bless: bool) -> Result<(), String> {
     // All targets, by which cargo takes the features that the tests have of everything.
-    let documents = lints::documents(&format!("{WHOLE} {TARGETS}"));
-    let surface = match documents.and_then(|documents| Surface::read(&documents)) {
-        Ok(surface) => surface,
-        Err(reason) => return Outcome::Failed(reason),
-    };
+    let surface = Surface::read(&lints::documents(&format!("{WHOLE} {TARGETS}"))?)?;
     let listed = machine::root().join("node/api.txt");
     let text = surface.lines.iter().map(|line| format!("{line}\n")).collect::<String>();
     let before = fs::read_to_string(&listed).unwrap_or_default();
     let mut faults = Vec::new();
     if bless {
-        if let Err(error) = fs::write(&listed, &text) {
-            faults.push(format!("{}: {error}", listed.display()));
-        }
+        fs::write(&listed, &text).map_err(|error| format!("{}: {error}", listed.display()))?;
     } else if before != text {
         let (before, now) = (lines_of(&before), lines_of(&text));
         before.difference(&now).for_each(|line| println!("- {line}"));
@@ -54,10 +47,7 @@ pub fn check(bless: bool) -> Outcome {
         let named = surface.unnameable.iter().map(|(name, user)| format!("{name} (in {user})"));
         faults.push(format!("no path to {}", named.collect::<Vec<_>>().join(", ")));
     }
-    match faults.is_empty() {
-        true => Outcome::Ok,
-        false => Outcome::Failed(faults.join("; ")),
-    }
+    if faults.is_empty() { Ok(()) } else { Err(faults.join("; ")) }
 }
 
 fn lines_of(text: &str) -> BTreeSet<&str> {

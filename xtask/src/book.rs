@@ -11,7 +11,7 @@ use crate::steps::{Outcome, Steps, announce, cargo, execute};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode};
+use std::process::Command;
 
 const MDBOOK: &str = "0.5.4";
 
@@ -25,24 +25,16 @@ const SHOWN: [(&str, &str); 2] =
 /// Files outside of `docs/` whose links are checked.
 const BESIDE: [&str; 4] = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "examples/README.md"];
 
-pub fn run() -> ExitCode {
-    let mut steps = Steps::new();
-    test(&mut steps);
-    steps.finish()
-}
-
 /// Checks all links, then builds the book.
 pub fn test(steps: &mut Steps) {
     steps.step("book: links", || {
-        let checked = pages(&machine::root()).and_then(|mut files| {
-            files.extend(BESIDE.map(PathBuf::from));
-            fail(links::dead(&machine::root(), &files))
-        });
-        checked.map_or_else(Outcome::Failed, |()| Outcome::Ok)
+        let mut files = pages(&machine::root())?;
+        files.extend(BESIDE.map(PathBuf::from));
+        fail(links::dead(&machine::root(), &files))
     });
     steps.step("book", || match mdbook() {
-        Ok(program) => build(&program).map_or_else(Outcome::Failed, |()| Outcome::Ok),
-        Err(outcome) => outcome.unless_ci(),
+        Ok(program) => build(&program).into(),
+        Err(reason) => Outcome::Failed(reason).unless_ci(),
     });
 }
 
@@ -188,7 +180,7 @@ fn redirected(text: &str, file: &Path, page: &Path, is_page: &dyn Fn(&Path) -> b
 }
 
 /// The program: that in PATH, else one that is installed under the target directory, which takes a minute or two.
-fn mdbook() -> Result<PathBuf, Outcome> {
+fn mdbook() -> Result<PathBuf, String> {
     let root = machine::target_dir().join("tools");
     let installed = root.join("bin/mdbook");
     let version = |program: &Path| {
@@ -206,10 +198,8 @@ fn mdbook() -> Result<PathBuf, Outcome> {
     // Without its server and what watches files.
     let mut install =
         cargo("install --debug mdbook --locked --no-default-features --features search --version");
-    match execute(install.arg(MDBOOK).arg("--root").arg(root)) {
-        Outcome::Ok => Ok(installed),
-        other => Err(other),
-    }
+    execute(install.arg(MDBOOK).arg("--root").arg(root))?;
+    Ok(installed)
 }
 
 #[cfg(test)]

@@ -1,45 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bridge to ROS 2: its lints and its tests, against the ROS 2 that is sourced or the one under the target directory.
 
-use crate::bench::Options;
-use crate::build::{TARGETS, WHOLE as WORKSPACE, build};
+use crate::build::{Build, TARGETS, WHOLE as WORKSPACE, build};
 use crate::r2r::Environment;
-use crate::reports::BRIDGE;
-use crate::steps::{Outcome, Steps, cargo, reported};
+use crate::steps::{Steps, cargo};
 use crate::{lints, machine, programs, r2r};
-use std::process::{Command, ExitCode};
-
-#[derive(clap::Args)]
-#[command(after_help = "Examples:
-  cargo xtask bench bridge                  20 topics at 1 kHz, 30 s each way
-  cargo xtask bench bridge --quick          2 s each way
-  cargo xtask bench bridge -- --fit         on a machine that has no room for this to ROS
-  cargo xtask bench bridge -- --topics 5 --rate 100 --no-rt")]
-pub struct Bridge {
-    #[command(flatten)]
-    bench: Options,
-}
-
-impl Bridge {
-    /// Builds the bridge and r2r's side, some minutes from cold, and makes the command that measures.
-    pub fn command(&self) -> Result<Command, String> {
-        let environment = r2r::environment()?;
-        build(with_libraries(&environment, &mut cargo(&format!("build --release {BENCH} --bins"))))?;
-        let mut command = Command::new(machine::target_dir().join("release/bench-bridge"));
-        // The bridge finds types where this says.
-        command.envs(environment);
-        self.bench.pass_on(&mut command, &["--seconds", "2"]);
-        Ok(command)
-    }
-}
-
-/// `cargo xtask bridge`.
-pub fn run() -> ExitCode {
-    let mut steps = Steps::new();
-    r2r::prepare_libclang(&mut steps, true);
-    test(&mut steps);
-    steps.finish()
-}
+use std::process::Command;
 
 /// Without a ROS 2 it is left out, which is said; but not in CI.
 pub fn test(steps: &mut Steps) {
@@ -91,29 +57,22 @@ pub fn with_libraries<'c>(environment: &Environment, command: &'c mut Command) -
     with_ros(environment, command).envs(lib.map(|(_, lib)| ("LD_LIBRARY_PATH", lib)))
 }
 
-/// 20 topics at 1 kHz lose nothing in 15 s each way, or to ROS in so much longer as the machine needs, with the build of the tests: what
-/// the bridge adds is printed beside r2r's own subscriber, and belongs to the machine and the build.
-pub fn bench_of_tests(steps: &mut Steps) {
-    let environment = match r2r::environment() {
-        Err(reason) => {
-            steps.step("bench: bridge", || Outcome::Failed(reason).unless_ci());
-            return;
+/// The bench, of a release build with the bridge and r2r's side, some minutes from cold.
+pub fn bench(of: Build) -> Result<Command, String> {
+    let environment = r2r::environment()?;
+    let program = of.folder().join("bench-bridge");
+    let mut command = Command::new(&program);
+    match of {
+        Build::Release => {
+            build(with_libraries(&environment, &mut cargo(&format!("build --release {BENCH} --bins"))))?;
         }
-        Ok(environment) => environment,
-    };
-    let target = machine::target_dir();
-    let json = target.join("bridge.json");
-    steps.step("bench: bridge", || {
-        // It waits for processes, which may not come.
-        let mut command = Command::new("timeout");
-        command
-            .arg("300")
-            .arg(target.join("debug/bench-bridge"))
-            .args(["--seconds", "15", "--fit"])
-            .arg("--json")
-            .arg(&json)
-            .envs(environment);
-        command.args(machine::no_rt());
-        reported(&mut command, &json, || BRIDGE.of(&json, &[("expected", (20 * 1000 * 15).into())]))
-    });
+        Build::Tests => {
+            // It waits for processes, which may not come.
+            command = Command::new("timeout");
+            command.arg("300").arg(program);
+        }
+    }
+    // The bridge finds types where this says.
+    command.envs(environment);
+    Ok(command)
 }

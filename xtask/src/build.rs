@@ -53,7 +53,7 @@ pub const RELEASE: &str = "build --release --locked";
 
 /// Builds; what is to be run later is then there.
 pub fn build(command: &mut Command) -> Result<(), String> {
-    execute(command).result().map_err(|reason| format!("the build failed: {reason}"))
+    execute(command).map_err(|reason| format!("the build failed: {reason}"))
 }
 
 /// Builds a program of a workspace of its own by [`RELEASE`], and says where it is.

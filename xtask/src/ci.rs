@@ -3,21 +3,18 @@
 //! the tests' build, unoptimised: that they run and keep their promises is checked, what they measure belongs to a quiet machine and a release
 //! build.
 
-use crate::bench::Options;
-use crate::beside_r2r::{ALKS, Paper, REFERENCE};
+use crate::bench::{self, Name};
 use crate::build::{Build, LATER, SAME, TARGETS, WHOLE, WITH_GATEWAY, WITH_ROS};
-use crate::compare::Compare;
 use crate::machine::{self, Scope};
 use crate::steps::{Background, Outcome, Steps, cargo, execute, reported};
 use crate::test::{self, nextest};
 use crate::{
     api, book, bridge, fuzz, lints, lttng, packages, peers, programs, r2r, r2r_tests, reports, rmw, ros,
-    shared, stress_doorbell, stress_kills,
+    shared, stress_doorbell, stress_kills, word,
 };
 use clap::ValueEnum;
-use clap::builder::PossibleValue;
 use std::path::Path;
-use std::process::{Command, ExitCode};
+use std::process::Command;
 
 /// Enough to meet every interleaving of a race that is there; `cargo xtask stress doorbell` has no such limit.
 const RINGS: u64 = 1_000_000;
@@ -43,8 +40,7 @@ impl Job {
     fn start(self) -> Background {
         // What else runs meanwhile is measured, or waits for others only so long; a download is waited for.
         let niceness = if self == Job::Prepare { 0 } else { 10 };
-        let value = self.to_possible_value();
-        Background::start(value.as_ref().map_or("", PossibleValue::get_name), niceness)
+        Background::start(&word(self), niceness)
     }
 
     /// Its steps.
@@ -58,7 +54,7 @@ impl Job {
                 peers::test(&mut steps);
             }
             Job::Variants => {
-                fuzz::all(&mut steps, fuzz::RUNS_IN_CI, &fuzz::TARGETS);
+                fuzz::run(&mut steps, fuzz::RUNS_IN_CI, &[]);
                 lttng::test(&mut steps);
                 build_as_released(&mut steps);
             }
@@ -68,44 +64,43 @@ impl Job {
 }
 
 /// Runs every step, whatever fails.
-pub fn run(scope: &Scope) -> ExitCode {
-    let mut steps = Steps::new();
-    r2r::prepare_libclang(&mut steps, true);
+pub fn run(steps: &mut Steps, scope: &Scope) {
+    r2r::prepare_libclang(steps, true);
     let prepared = Job::Prepare.start();
-    formats(&mut steps);
-    let built = lints::build(&mut steps, "build and lints", &format!("{WHOLE} {TARGETS}"));
+    formats(steps);
+    let built = lints::build(steps, "build and lints", &format!("{WHOLE} {TARGETS}"));
     steps.join(prepared);
     steps.step("public surface", || api::check(false));
     steps.step("builds are shared", shared::check);
     let book = Job::Book.start();
-    rest_of_tests(&mut steps);
+    rest_of_tests(steps);
     steps.join(book);
-    bridge::test(&mut steps);
-    rmw::test(&mut steps);
-    clock_step(&mut steps);
-    programs::test(&mut steps);
+    bridge::test(steps);
+    rmw::test(steps);
+    clock_step(steps);
+    programs::test(steps);
     steps.command("stress: doorbell", &mut stress_doorbell(Build::Tests, RINGS));
-    bridge::bench_of_tests(&mut steps);
-    rmw::bench_of_tests(&mut steps);
-    let r2r = r2r_tests::build(&mut steps);
+    bridge_bench(steps);
+    // Nothing is lost; how it compares is for a quiet machine and a release build.
+    quick(steps, Name::Rmw, machine::no_rt());
+    let r2r = r2r_tests::build(steps);
     if built {
         let apart = Job::Apart.start();
-        r2r.run(&mut steps);
-        of_the_build(&mut steps);
+        r2r.run(steps);
+        of_the_build(steps);
         steps.join(apart);
         let variants = Job::Variants.start();
-        of_the_build_without_taut(&mut steps);
+        of_the_build_without_taut(steps);
         if steps.join(variants) {
-            demo_as_released(&mut steps);
+            demo_as_released(steps);
         } else {
             steps.skip("demo as released", "a step before it failed: it may not have been built");
         }
     } else {
         steps.skip("what runs in the tests' build", "not built");
     }
-    miri(&mut steps);
-    test::leftovers(&mut steps, scope);
-    steps.finish()
+    miri(steps);
+    test::leftovers(steps, scope);
 }
 
 /// Systems and benches.
@@ -114,25 +109,28 @@ fn of_the_build(steps: &mut Steps) {
     lane_keeping(steps);
     two_hosts(steps);
     systemd(steps);
-    plain_benches(steps);
-    comparison(steps, "wake", OURS, &["latency"]);
-    comparison(steps, "services", &["tautline", "iceoryx2"], &["request"]);
-    comparison(steps, "network", &["tautline"], &["latency", "window", "callbacks"]);
+    // What they say belongs to the machine.
+    for name in [Name::Trace, Name::Tools, Name::Parameters] {
+        quick(steps, name, None);
+    }
+    comparison(steps, Name::Wake, OURS);
+    comparison(steps, Name::Services, "tautline,iceoryx2");
+    comparison(steps, Name::Network, "tautline");
 }
 
 /// What does not run `taut`: what may be killed, and more benches.
 fn of_the_build_without_taut(steps: &mut Steps) {
     stress_kills(steps, Build::Tests, KILLS, None, false);
-    domain(steps);
-    messages(steps);
-    let experiments = ["latency", "open-loop", "fan-out", "robot", "throughput", "start-up"];
-    comparison(steps, "compare", &[OURS, &["fastdds"]].concat(), &experiments);
+    // No process hangs or leaves anything, and every encoder writes the same bytes.
+    quick(steps, Name::Domain, None);
+    quick(steps, Name::Messages, None);
+    comparison(steps, Name::Compare, &format!("{OURS},fastdds"));
     paper(steps);
 }
 
 /// What tests compare with, and Debian's packages. What there is no network for is skipped, but not in CI.
 fn prepare(steps: &mut Steps) {
-    steps.step("ros", || ros::prepare().unless_ci());
+    steps.step("ros", || Outcome::from(ros::prepare()).unless_ci());
     steps.step("peers: zenoh-ros2-sdk", peers::prepare);
     steps.step("gateway: packages", packages::firewall);
     steps.step("lttng: packages", lttng::prepare);
@@ -205,59 +203,47 @@ fn demo_as_released(steps: &mut Steps) {
     steps.command("demo as released", demo.args(["demo", "--seconds", "3"]));
 }
 
-/// Three seconds of the Autoware reference system: all of its nodes run, and its report keeps its promises. A second of it beside
-/// r2r where that has been built before, which otherwise takes a minute.
+/// Three seconds of the Autoware reference system: all of its nodes run, and its report keeps its promises. And a second of it beside r2r.
 fn reference_system(steps: &mut Steps) {
-    let name = "reference system";
     let target = machine::target_dir();
-    let (json, svg) = (target.join("reference.json"), target.join("reference.svg"));
-    let no_rt = machine::no_rt();
-    let given = |beside: bool| [("realtime", no_rt.is_none().into()), ("beside", beside.into())];
-    let run = |arguments: &[&str], check: &dyn Fn() -> Outcome| {
+    let (json, svg) = (target.join("reference.json"), target.join("reference.svg").display().to_string());
+    let run = |told: &[&str], beside: bool| {
         let mut command = Command::new(Build::Tests.folder().join("reference_system"));
-        reported(command.args(arguments).arg("--json").arg(&json).args(no_rt), &json, check)
+        command.args(told).arg("--json").arg(&json).args(machine::no_rt());
+        let given = [("realtime", machine::no_rt().is_none().into()), ("beside", beside.into())];
+        reported(&mut command, &json, || reports::REFERENCE.of(&json, &given))
     };
-    let svg = svg.display().to_string();
-    let check = || reports::REFERENCE.of(&json, &given(false));
-    steps.step(name, || run(&["--seconds", "3", "--svg", &svg], &check));
-    let name = "reference system: beside r2r";
-    if !r2r::is_built(REFERENCE) {
-        return steps.skip(name, "not built before: `cargo xtask bench reference-system` does it");
-    }
-    steps.step(name, || {
-        let program = match r2r::program(REFERENCE) {
-            Ok(program) => program.display().to_string(),
-            Err(reason) => return Outcome::Failed(reason),
-        };
-        let arguments = ["--seconds", "1", "--rounds", "1", "--r2r", &program];
-        run(&arguments, &|| reports::REFERENCE.of(&json, &given(true)))
+    steps.step("reference system", || run(&["--seconds", "3", "--svg", &svg], false));
+    beside_r2r(steps, "reference system", Name::ReferenceSystem, |program| {
+        run(&["--seconds", "1", "--rounds", "1", "--r2r", program], true)
     });
 }
 
-/// Three seconds of the automated lane keeping system in each way to share, and a second beside r2r where that has been built before: the
-/// lane is kept and hardly a message lost. Its bounds are for a machine that does nothing else.
+/// Three seconds of the automated lane keeping system in each way to share, and two beside r2r: the lane is kept and hardly a message lost.
+/// Its bounds are for a machine that does nothing else.
 fn lane_keeping(steps: &mut Steps) {
-    let name = "lane keeping";
     let target = machine::target_dir();
     let (json, page) = (target.join("alks.json"), target.join("alks.html"));
-    let run = |arguments: &[&str]| {
+    let run = |told: &[&str]| {
         let _ = std::fs::remove_file(&json);
         let mut command = Command::new(Build::Tests.folder().join("alks"));
-        command.args(arguments).args(["--rounds", "1", "--json"]).arg(&json).arg("--html").arg(&page);
+        command.args(told).args(["--rounds", "1", "--json"]).arg(&json).arg("--html").arg(&page);
         command.args(machine::no_rt());
         // What it says of bounds is not judged here.
         let _ = execute(&mut command);
         reports::LANE.of(&json, &[])
     };
-    steps.step(name, || run(&["--seconds", "3", "--without-r2r", "a step of its own"]));
-    let name = "lane keeping: beside r2r";
-    if !r2r::is_built(ALKS) {
-        return steps.skip(name, "not built before: `cargo xtask bench alks` does it");
-    }
-    steps.step(name, || match r2r::program(ALKS) {
-        Ok(program) => run(&["--seconds", "2", "--r2r", &program.display().to_string()]),
-        Err(reason) => Outcome::Failed(reason),
-    });
+    steps.step("lane keeping", || run(&["--seconds", "3", "--without-r2r", "a step of its own"]));
+    beside_r2r(steps, "lane keeping", Name::Alks, |program| run(&["--seconds", "2", "--r2r", program]));
+}
+
+/// The same beside r2r's program, where that has been built before, which otherwise takes a minute.
+fn beside_r2r(steps: &mut Steps, name: &str, bench: Name, run: impl FnOnce(&str) -> Result<(), String>) {
+    let name = format!("{name}: beside r2r");
+    let Some(program) = bench.r2r().filter(|program| r2r::is_built(program)) else {
+        return steps.skip(&name, &format!("not built before: `cargo xtask bench {}` does it", word(bench)));
+    };
+    steps.step(&name, || run(&r2r::program(program)?.display().to_string()));
 }
 
 /// Nodes with a gateway on each side, of the tests' build.
@@ -280,18 +266,16 @@ fn systemd(steps: &mut Steps) {
     if Command::new("systemd-analyze").arg("--version").output().is_err() {
         return steps.skip(name, "no systemd-analyze here");
     }
-    let target = machine::target_dir();
-    let write = || -> std::io::Result<std::path::PathBuf> {
+    let path = machine::target_dir().join("taut-gateway@0.service");
+    let write = || {
         let unit = std::fs::read_to_string(machine::root().join("docs/systemd/taut-gateway@.service"))?;
         let program = Build::Tests.folder().join("taut-gateway").display().to_string();
-        let path = target.join("taut-gateway@0.service");
-        std::fs::write(&path, unit.replace("/usr/local/bin/taut-gateway", &program))?;
-        Ok(path)
+        std::fs::write(&path, unit.replace("/usr/local/bin/taut-gateway", &program))
     };
-    match write() {
-        Ok(path) => drop(steps.command(name, Command::new("systemd-analyze").arg("verify").arg(path))),
-        Err(error) => drop(steps.step(name, || Outcome::Failed(error.to_string()))),
-    }
+    steps.step(name, || {
+        write().map_err(|error| error.to_string())?;
+        execute(Command::new("systemd-analyze").arg("verify").arg(&path))
+    });
 }
 
 /// Sets the system's clock by an hour for some milliseconds, which is nothing to do on somebody's own machine.
@@ -304,78 +288,53 @@ fn clock_step(steps: &mut Steps) {
     steps.command("clock step", command.env("TAUT_STEP_CLOCK", "1"));
 }
 
-/// A bench of the tests' build runs, and the numbers that it writes to `<name>.json` keep its promises.
-fn bench(
+/// A bench of the tests' build runs, and the numbers that it writes to `<name>.json` keep their promises. What cannot be had here is left out, but
+/// not in CI.
+fn bench<'t>(
     steps: &mut Steps,
-    name: &str,
-    command: impl FnOnce(Options) -> Command,
-    check: impl FnOnce(&Path) -> Outcome,
+    name: Name,
+    told: impl IntoIterator<Item = &'t str>,
+    check: impl FnOnce(&Path) -> Result<(), String>,
 ) {
-    let json = machine::target_dir().join(format!("{name}.json"));
-    steps.step(&format!("bench: {name}"), || {
-        let mut command = command(Options { json: Some(json.clone()), ..Options::of_tests() });
-        reported(&mut command, &json, || check(&json))
+    let json = machine::target_dir().join(format!("{}.json", word(name)));
+    let file = json.display().to_string();
+    let told = told.into_iter().map(str::to_owned).chain(["--json".to_owned(), file]).collect::<Vec<_>>();
+    steps.step(&format!("bench: {}", word(name)), || match bench::command(name, &told, Build::Tests) {
+        Ok(mut command) => reported(&mut command, &json, || check(&json)).into(),
+        Err(reason) => Outcome::Failed(reason).unless_ci(),
     });
 }
 
-/// For a bench that cannot measure otherwise where real-time priorities are not permitted.
-fn permitted() -> Vec<String> {
-    machine::no_rt().map(str::to_owned).into_iter().collect()
-}
-
-/// A quick run of the messages bench: every encoder writes the same bytes.
-fn messages(steps: &mut Steps) {
-    bench(steps, "messages", |options| options.command("messages"), |json| reports::MESSAGES.of(json, &[]));
+/// 20 topics at 1 kHz lose nothing in 15 s each way, or to ROS in so much longer as the machine needs: what the bridge adds is printed beside
+/// r2r's own subscriber, and belongs to the machine and the build.
+fn bridge_bench(steps: &mut Steps) {
+    let told = ["--seconds=15", "--fit"].into_iter().chain(machine::no_rt());
+    bench(steps, Name::Bridge, told, |json| {
+        reports::BRIDGE.of(json, &[("expected", (20 * 1000 * 15).into())])
+    });
 }
 
 /// Of all that is compared, what is built in seconds.
-const OURS: &[&str] = &["floor", "tautline", "iceoryx2"];
+const OURS: &str = "floor,tautline,iceoryx2";
 
-/// A round of a bench of the comparison: the numbers mean nothing, but all is measured, the page is drawn, and the tables are written.
-fn comparison(steps: &mut Steps, name: &str, systems: &[&str], experiments: &[&str]) {
-    let target = machine::target_dir();
-    let command = |options| {
-        let arguments = [vec!["--smoke".to_owned()], permitted()].concat();
-        let compare = Compare {
-            bench: Options { quick: false, arguments, ..options },
-            systems: systems.iter().map(|&system| system.to_owned()).collect(),
-            html: Some(target.join(format!("{name}.html"))),
-            markdown: Some(target.join(format!("{name}.md"))),
-        };
-        compare.command(name)
-    };
-    bench(steps, name, command, |json| {
-        reports::COMPARE.of(json, &[("systems", systems.into()), ("experiments", experiments.into())])
-    });
+/// A round of a bench of the comparison: the numbers mean nothing, but it fails unless all is measured, the page is drawn and the tables are written.
+fn comparison(steps: &mut Steps, name: Name, systems: &str) {
+    let file = |ending| machine::target_dir().join(word(name)).with_extension(ending).display().to_string();
+    let (html, markdown) = (file("html"), file("md"));
+    let told = ["--smoke", "--systems", systems, "--html", &html, "--markdown", &markdown];
+    bench(steps, name, told.into_iter().chain(machine::no_rt()), |_| Ok(()));
 }
 
-/// They run; what they say belongs to the machine.
-fn plain_benches(steps: &mut Steps) {
-    for name in ["trace", "tools", "parameters"] {
-        steps.command(&format!("bench: {name}"), &mut Options::of_tests().command(name));
-    }
-}
-
-/// A quick run: no process hangs or leaves anything; what it says belongs to the machine.
-fn domain(steps: &mut Steps) {
-    bench(steps, "domain", |options| options.domain(), |json| reports::DOMAIN.of(json, &[]));
+/// A quick run, which fails by itself if something is wrong.
+fn quick(steps: &mut Steps, name: Name, told: Option<&str>) {
+    bench(steps, name, ["--quick"].into_iter().chain(told), |_| Ok(()));
 }
 
 /// A second of each variant of the evaluation, Tautline's side: r2r's side takes a minute to build.
 fn paper(steps: &mut Steps) {
-    let command = |options| {
-        let arguments = [vec!["--repeats".to_owned(), "0".to_owned()], permitted()].concat();
-        let paper = Paper {
-            bench: Options { quick: false, arguments, ..options },
-            no_r2r: true,
-            runs: Some(1),
-            seconds: Some(1.0),
-            html: Some(machine::target_dir().join("paper.html")),
-            ..Paper::default()
-        };
-        paper.command()
-    };
-    bench(steps, "paper", command, |json| {
+    let html = machine::target_dir().join("paper.html").display().to_string();
+    let told = ["--no-r2r", "--runs=1", "--seconds=1", "--repeats=0", "--html", &html];
+    bench(steps, Name::Paper, told.into_iter().chain(machine::no_rt()), |json| {
         reports::PAPER.of(json, &[("realtime", machine::no_rt().is_none().into())])
     });
 }

@@ -54,7 +54,7 @@ pub fn test(steps: &mut Steps, environment: &Environment) {
         }
         command
     };
-    steps.step(NAME, || check(&workspace, command).into());
+    steps.step(NAME, || check(&workspace, command));
 }
 
 fn check(workspace: &Path, command: impl Fn(&str) -> Command) -> Result<(), String> {
@@ -81,8 +81,8 @@ fn check(workspace: &Path, command: impl Fn(&str) -> Command) -> Result<(), Stri
     };
     let mut build = colcon("build");
     build.args(["--cmake-args", "-DCMAKE_BUILD_TYPE=Debug"]);
-    execute(build.arg("-DRMW_TAUTLINE_CARGO_ARGS=--features bench,xtask")).result()?;
-    execute(colcon("test").arg("--return-code-on-test-failure")).result()?;
+    execute(build.arg("-DRMW_TAUTLINE_CARGO_ARGS=--features bench,xtask"))?;
+    execute(colcon("test").arg("--return-code-on-test-failure"))?;
     let installed = format!(". install/setup.sh && exec python3 -c \"{INSTALLED}\"");
-    execute(command("sh").args(["-c", &installed])).result()
+    execute(command("sh").args(["-c", &installed]))
 }

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Tautline beside other middleware: builds the rivals, those that it can, and runs all.
+//! The programs of other middleware that Tautline is measured beside: those that can be built here.
 
-use crate::bench::{Options, pass};
 use crate::build::{Build, RELEASE, apart, build};
 use crate::steps::{self, execute};
 use crate::{machine, r2r};
@@ -9,32 +8,6 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{fs, io};
-
-// Without a text for users: it would stand in place of each bench's own.
-#[derive(clap::Args, Default)]
-#[command(after_help = "Examples:
-  cargo xtask bench compare --quick                                   under five minutes, once it is built
-  cargo xtask bench compare --json compare.json --html compare.html   under half an hour
-  cargo xtask bench compare --systems tautline,iceoryx2,fastdds -- --only latency
-  cargo xtask bench wake --quick                                      a minute and a half
-  cargo xtask bench services --json services.json                     two minutes
-  cargo xtask bench network --quick
-  cargo xtask bench network --systems tautline -- --only callbacks
-
-A rival that cannot be built here is named in the report, with the reason. Zenoh and hiroz take minutes to build.")]
-pub struct Compare {
-    #[command(flatten)]
-    pub bench: Options,
-    /// Only these systems [default: all]
-    #[arg(long, value_name = "SYSTEM,...", value_delimiter = ',')]
-    pub systems: Vec<String>,
-    /// Write the report with its pictures to FILE
-    #[arg(long, value_name = "FILE")]
-    pub html: Option<PathBuf>,
-    /// Write the tables of the documents to FILE
-    #[arg(long, value_name = "FILE")]
-    pub markdown: Option<PathBuf>,
-}
 
 /// The benches that need it, its system, a program that is not in this workspace or not always built with it, and what makes that.
 type Rival = (&'static [&'static str], &'static str, &'static str, fn(Build) -> Result<PathBuf, String>);
@@ -54,29 +27,15 @@ const RIVALS: [Rival; 9] = [
     (COMPARE, "cyclonedds", "roudi", write_roudi),
 ];
 
-impl Compare {
-    /// Builds the rivals, and makes the command that measures.
-    pub fn command(&self, bench: &str) -> Command {
-        let mut command = self.bench.build.program("tautline-compare", "compare");
-        command.arg(format!("--bench={bench}"));
-        let is_wanted =
-            |name: &str| self.systems.is_empty() || self.systems.iter().any(|system| system == name);
-        let rivals =
-            RIVALS.iter().filter(|(benches, system, ..)| benches.contains(&bench) && is_wanted(system));
-        for (_, _, name, build) in rivals {
-            let built = build(self.bench.build);
-            match built {
-                Ok(program) => command.arg(format!("--program={name}={}", program.display())),
-                Err(reason) => command.arg(format!("--without={name}={reason}")),
-            };
-        }
-        if !self.systems.is_empty() {
-            command.arg(format!("--systems={}", self.systems.join(",")));
-        }
-        pass(&mut command, "--html", self.html.as_ref());
-        pass(&mut command, "--markdown", self.markdown.as_ref());
-        self.bench.pass_on(&mut command, &["--quick"]);
-        command
+/// Builds the rivals of a bench, all or those of these systems, and tells it where they are or why they are left out.
+pub fn join(command: &mut Command, bench: &str, systems: &[&str], of: Build) {
+    let is_wanted = |name: &str| systems.is_empty() || systems.contains(&name);
+    let rivals = RIVALS.iter().filter(|(benches, system, ..)| benches.contains(&bench) && is_wanted(system));
+    for (_, _, name, build) in rivals {
+        match build(of) {
+            Ok(program) => command.arg(format!("--program={name}={}", program.display())),
+            Err(reason) => command.arg(format!("--without={name}={reason}")),
+        };
     }
 }
 
@@ -190,10 +149,10 @@ fn unpack(root: &Path, packages: &[&str]) -> Result<(), String> {
     }
     fs::create_dir_all(root).map_err(say)?;
     let mut download = Command::new("apt-get");
-    execute(download.args(["download", "--quiet"]).args(packages).current_dir(root)).result()?;
+    execute(download.args(["download", "--quiet"]).args(packages).current_dir(root))?;
     for entry in fs::read_dir(root).map_err(say)?.flatten() {
         if entry.path().extension().is_some_and(|extension| extension == "deb") {
-            execute(Command::new("dpkg").arg("-x").arg(entry.path()).arg(root)).result()?;
+            execute(Command::new("dpkg").arg("-x").arg(entry.path()).arg(root))?;
             fs::remove_file(entry.path()).map_err(say)?;
         }
     }

@@ -3,12 +3,11 @@
 
 use crate::build::Build;
 use crate::machine;
-use crate::steps::{Outcome, Steps, announce};
+use crate::running::Running;
+use crate::steps::{Outcome, Steps};
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, channel};
+use std::process::{Command, ExitStatus};
 use std::time::{Duration, Instant};
 
 /// Programs with their arguments. Those of one run are started one after the other, each when the one before has printed
@@ -65,20 +64,22 @@ fn name_of(program: &str) -> &str {
 }
 
 fn run_together(programs: &[&str], build: Build, bless: bool) -> Outcome {
-    let deadline = Instant::now() + PATIENCE;
-    let mut running = Vec::new();
+    let end = Instant::now() + PATIENCE;
+    let mut all = Vec::new();
     for program in programs {
-        match Running::start(program, build) {
-            Ok(mut started) => {
-                started.await_first_line();
-                running.push(started);
+        match Running::start(&mut command(program, build), false) {
+            Ok(mut running) => {
+                running.wait_until(end, |said| said.contains('\n'));
+                all.push((name_of(program), running));
             }
-            Err(error) => return Outcome::Failed(format!("{program}: {error}")),
+            Err(reason) => return Outcome::Failed(format!("{program}: {reason}")),
         }
     }
     let mut outcome = Outcome::Ok;
-    for program in running {
-        match program.end(deadline, bless) {
+    for (name, mut running) in all {
+        let status = running.wait_until(end, |_| false);
+        print!("{}", running.said());
+        match judge(name, status, &running.said(), bless) {
             Outcome::Ok => {}
             other => outcome = other,
         }
@@ -86,88 +87,38 @@ fn run_together(programs: &[&str], build: Build, bless: bool) -> Outcome {
     outcome
 }
 
-/// A running example; dropping it ends it.
-struct Running {
-    name: String,
-    child: Child,
-    lines: Receiver<String>,
-    printed: String,
+/// An example, or the program of an example that is a crate.
+fn command(program: &str, build: Build) -> Command {
+    let [example, own] =
+        [build.folder().join("examples"), build.folder()].map(|to| to.join(name_of(program)));
+    let mut command = Command::new(if example.exists() { example } else { own });
+    command.args(program.split(' ').skip(1));
+    command
 }
 
-impl Running {
-    fn start(program: &str, build: Build) -> std::io::Result<Running> {
-        let name = name_of(program);
-        // An example, or the program of an example that is a crate.
-        let folders = [build.folder().join("examples"), build.folder()];
-        let [example, program_path] = folders.map(|folder| folder.join(name));
-        let mut command = Command::new(if example.exists() { example } else { program_path });
-        command.args(program.split(' ').skip(1));
-        announce(&command);
-        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;
-        let (sender, lines) = channel();
-        if let Some(output) = child.stdout.take() {
-            std::thread::spawn(move || {
-                BufReader::new(output).lines().map_while(Result::ok).try_for_each(|line| sender.send(line))
-            });
+fn judge(name: &str, status: Option<ExitStatus>, printed: &str, bless: bool) -> Outcome {
+    match status {
+        None => Outcome::Failed(format!("{name} did not end within {} s", PATIENCE.as_secs())),
+        Some(status) if status.code() == Some(SKIPPED) && !machine::is_ci() => {
+            Outcome::Skipped(format!("{name} cannot run here; it says why above"))
         }
-        Ok(Running { name: name.to_owned(), child, lines, printed: String::new() })
-    }
-
-    fn await_first_line(&mut self) {
-        if let Ok(line) = self.lines.recv_timeout(PATIENCE) {
-            self.note(&line);
-        }
-    }
-
-    fn note(&mut self, line: &str) {
-        println!("{line}");
-        self.printed += line;
-        self.printed.push('\n');
-    }
-
-    fn end(mut self, deadline: Instant, bless: bool) -> Outcome {
-        let name = self.name.clone();
-        // Ends when the program closes its output, or takes too long.
-        while let Ok(line) = self.lines.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
-            self.note(&line);
-        }
-        if Instant::now() >= deadline {
-            return Outcome::Failed(format!("{name} did not end within {} s", PATIENCE.as_secs()));
-        }
-        match self.child.wait() {
-            Ok(status) if status.code() == Some(SKIPPED) && !machine::is_ci() => {
-                Outcome::Skipped(format!("{name} cannot run here; it says why above"))
-            }
-            Ok(status) if !status.success() => Outcome::Failed(format!("{name}: {status}")),
-            Ok(_) => self.compare(bless),
-            Err(error) => Outcome::Failed(format!("{name}: {error}")),
-        }
-    }
-
-    fn compare(&self, bless: bool) -> Outcome {
-        let path = expected(&self.name);
-        if bless {
-            return match fs::write(&path, &self.printed) {
-                Ok(()) => Outcome::Ok,
-                Err(error) => Outcome::Failed(format!("{}: {error}", path.display())),
-            };
-        }
-        match fs::read_to_string(&path) {
-            Ok(expected) if expected == self.printed => Outcome::Ok,
-            Ok(expected) => {
-                println!("{} was expected to print:\n{expected}", self.name);
-                Outcome::Failed(format!("{} printed other lines than {}", self.name, path.display()))
-            }
-            Err(error) => Outcome::Failed(format!("{}: {error}; write it with --bless", path.display())),
-        }
+        Some(status) if !status.success() => Outcome::Failed(format!("{name}: {status}")),
+        Some(_) => compare(name, printed, bless).into(),
     }
 }
 
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+fn compare(name: &str, printed: &str, bless: bool) -> Result<(), String> {
+    let path = expected(name);
+    if bless {
+        return fs::write(&path, printed).map_err(|error| format!("{}: {error}", path.display()));
     }
+    let expected = fs::read_to_string(&path)
+        .map_err(|error| format!("{}: {error}; write it with --bless", path.display()))?;
+    if expected == printed {
+        return Ok(());
+    }
+    println!("{name} was expected to print:\n{expected}");
+    Err(format!("{name} printed other lines than {}", path.display()))
 }
 
 fn expected(name: &str) -> PathBuf {

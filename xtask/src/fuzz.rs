@@ -3,10 +3,10 @@
 
 use crate::build::{Build, SAME};
 use crate::machine;
-use crate::steps::{Outcome, Steps, announce, cargo, execute};
+use crate::steps::{Steps, announce, cargo, execute};
 use std::fs;
 use std::io::{BufRead, BufReader};
-use std::process::{Command, ExitCode, Stdio};
+use std::process::{Command, Stdio};
 use std::time::Instant;
 
 /// What there is to run.
@@ -23,21 +23,10 @@ const INSTRUMENTED: &str = "--cfg fuzzing -Zsanitizer=address -Cpasses=sancov-mo
     -Cllvm-args=-simplifycfg-branch-fold-threshold=0";
 
 /// Runs these targets, all if none is named, as steps.
-pub fn run(runs: u64, targets: &[String]) -> ExitCode {
-    let mut steps = Steps::new();
-    let targets: Vec<&str> = match targets {
-        [] => TARGETS.to_vec(),
-        named => named.iter().map(String::as_str).collect(),
-    };
-    all(&mut steps, runs, &targets);
-    steps.finish()
-}
-
-/// As [`run`], among other steps.
-pub fn all(steps: &mut Steps, runs: u64, targets: &[&str]) {
-    let built =
-        steps.step("fuzz: build", || build().map_or_else(Outcome::Failed, |mut build| execute(&mut build)));
-    for target in targets {
+pub fn run(steps: &mut Steps, runs: u64, targets: &[String]) {
+    let built = steps.step("fuzz: build", || execute(&mut build()?));
+    let is_meant = |target: &str| targets.is_empty() || targets.iter().any(|named| named == target);
+    for target in TARGETS.into_iter().filter(|target| is_meant(target)) {
         let name = format!("fuzz: {target}");
         if built {
             steps.step(&name, || fuzz(target, runs));
@@ -70,13 +59,11 @@ fn build() -> Result<Command, String> {
 
 /// One target, until it fails or has seen so many inputs. What it finds goes to `fuzz/artifacts`, inputs that reach new
 /// code to the target directory; it starts from these and from `fuzz/corpus`.
-fn fuzz(target: &str, runs: u64) -> Outcome {
+fn fuzz(target: &str, runs: u64) -> Result<(), String> {
     let found = machine::target_dir().join("fuzz/corpus").join(target);
     let artifacts = machine::root().join("fuzz/artifacts").join(target);
     for folder in [&found, &artifacts] {
-        if let Err(error) = fs::create_dir_all(folder) {
-            return Outcome::Failed(format!("cannot create {}: {error}", folder.display()));
-        }
+        fs::create_dir_all(folder).map_err(|error| format!("cannot create {}: {error}", folder.display()))?;
     }
     let mut command = Command::new(Build::Tests.folder().join(format!("fuzz-{target}")));
     command.arg(found).arg(machine::root().join("fuzz/corpus").join(target));
@@ -84,10 +71,8 @@ fn fuzz(target: &str, runs: u64) -> Outcome {
     command.arg(format!("-artifact_prefix={}/", artifacts.display()));
     announce(&command);
     let start = Instant::now();
-    let mut child = match command.stderr(Stdio::piped()).spawn() {
-        Ok(child) => child,
-        Err(error) => return Outcome::Failed(format!("cannot be started: {error}")),
-    };
+    let child = command.stderr(Stdio::piped()).spawn();
+    let mut child = child.map_err(|error| format!("cannot be started: {error}"))?;
     let mut executions = None;
     let mut coverage = String::new();
     for line in child.stderr.take().into_iter().flat_map(|stderr| BufReader::new(stderr).lines()) {
@@ -106,17 +91,17 @@ fn fuzz(target: &str, runs: u64) -> Outcome {
         }
     }
     let seconds = start.elapsed().as_secs_f64();
-    match (child.wait(), executions) {
-        (Ok(status), Some(executions)) if status.success() && executions >= runs => {
+    let status = child.wait().map_err(|error| error.to_string())?;
+    match executions {
+        Some(executions) if status.success() && executions >= runs => {
             println!(
                 "{target}: {executions} executions in {seconds:.1} s, {coverage} places of the code reached"
             );
-            Outcome::Ok
+            Ok(())
         }
-        (Ok(status), Some(executions)) => {
-            Outcome::Failed(format!("{status} after {executions} of {runs} executions: see fuzz/artifacts"))
+        Some(executions) => {
+            Err(format!("{status} after {executions} of {runs} executions: see fuzz/artifacts"))
         }
-        (Ok(status), None) => Outcome::Failed(format!("{status}, with no word of how many executions")),
-        (Err(error), _) => Outcome::Failed(error.to_string()),
+        None => Err(format!("{status}, with no word of how many executions")),
     }
 }

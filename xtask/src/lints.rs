@@ -6,7 +6,7 @@ use crate::compiler;
 use crate::steps::{self, Outcome, announce, ended};
 use serde_json::Value;
 use std::collections::BTreeSet;
-use std::io::{BufRead, BufReader, Result};
+use std::io::{self, BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
@@ -39,25 +39,24 @@ pub fn build_with(
     let mut is_built = true;
     steps.step(name, || {
         let built = Built::by(change(&mut json(targets)));
-        is_built = matches!(built.outcome, Outcome::Ok);
-        match built.outcome {
-            Outcome::Ok if !built.findings.is_empty() => {
+        is_built = built.is_ok();
+        match built {
+            Ok(built) if !built.findings.is_empty() => {
                 Outcome::Failed(format!("{} warnings", built.findings.len()))
             }
-            Outcome::Ok if compiler::path().is_none() => Outcome::Failed(
+            Ok(_) if compiler::path().is_none() => Outcome::Failed(
                 "built without clippy: `rustup component add clippy`, or see above".to_owned(),
             )
             .unless_ci(),
-            other => other,
+            built => built.map(drop).into(),
         }
     });
     is_built
 }
 
 /// The JSON that rustdoc made of each library of these targets, which are built for it.
-pub fn documents(targets: &str) -> std::result::Result<Vec<PathBuf>, String> {
-    let built = Built::by(&mut json(targets));
-    built.outcome.result().map(|()| built.documents)
+pub fn documents(targets: &str) -> Result<Vec<PathBuf>, String> {
+    Ok(Built::by(&mut json(targets))?.documents)
 }
 
 /// A build that says in JSON what it makes and finds.
@@ -71,23 +70,19 @@ struct Built {
     /// What compilers say of the code, which has been shown. A library's tests have what the library has.
     findings: BTreeSet<String>,
     documents: Vec<PathBuf>,
-    outcome: Outcome,
 }
 
 impl Built {
-    fn by(command: &mut Command) -> Self {
+    fn by(command: &mut Command) -> Result<Self, String> {
         announce(command);
+        let say = |error: io::Error| format!("cannot be started: {error}");
+        let mut child = command.stdout(Stdio::piped()).spawn().map_err(say)?;
         let mut built = Built::default();
-        let mut read = |built: &mut Built| -> Result<Outcome> {
-            let mut child = command.stdout(Stdio::piped()).spawn()?;
-            for line in child.stdout.take().into_iter().flat_map(|output| BufReader::new(output).lines()) {
-                built.hear(&line?);
-            }
-            Ok(ended(child.wait()))
-        };
-        built.outcome =
-            read(&mut built).unwrap_or_else(|error| Outcome::Failed(format!("cannot be started: {error}")));
-        built
+        for line in child.stdout.take().into_iter().flat_map(|output| BufReader::new(output).lines()) {
+            built.hear(&line.map_err(say)?);
+        }
+        ended(child.wait())?;
+        Ok(built)
     }
 
     fn hear(&mut self, line: &str) {

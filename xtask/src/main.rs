@@ -9,8 +9,7 @@
 //! | `test` | the verb `test`: every step of it, in order |
 //! | `ci` | the verb `ci`: the rest of what CI runs |
 //! | `shared` | checks that both build what they share once |
-//! | `bench` | what benches are told, and those that need nothing else |
-//! | `beside_r2r` | the benches with a side of r2r's, which is built if it can be |
+//! | `bench` | the benches: what each needs is built, what it is told is passed on |
 //! | `book` | the documentation as a book, and its links |
 //! | `bridge` | lints and tests of the bridge to ROS 2 |
 //! | `colcon` | rmw_tautline as a package of a ROS 2 workspace |
@@ -19,7 +18,7 @@
 //! | `lints` | clippy's findings, with the tests' build |
 //! | `lttng` | LTTng's packages, and the test that needs them |
 //! | `reports` | what is wrong with the JSON of the demo and of the benches, in jq's language |
-//! | `compare` | Tautline beside other middleware: builds the rivals, and runs all |
+//! | `compare` | the programs of other middleware that Tautline is measured beside |
 //! | `readme` | the README's tables and picture, and the domain's in its ADR, made from a run |
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |
 //! | `programs` | runs the programs of a test of the node on r2r |
@@ -27,12 +26,12 @@
 //! | `r2r_tests` | r2r's own tests and examples, on Tautline |
 //! | `rmw` | builds rmw_tautline, tests it, and measures it |
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
+//! | `running` | programs that run beside this one, and what they have said |
 //! | `packages` | Debian's packages that some tests need |
 //! | `machine` | where things are built, and what this user may do |
 
 mod api;
 mod bench;
-mod beside_r2r;
 mod book;
 mod bridge;
 mod build;
@@ -54,13 +53,14 @@ mod readme;
 mod reports;
 mod rmw;
 mod ros;
+mod running;
 mod shared;
 mod steps;
 mod test;
 
-use bench::Options;
+use bench::Bench;
 use build::{Build, SAME};
-use clap::{Parser, Subcommand};
+use clap::{Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 use steps::Steps;
@@ -142,7 +142,23 @@ enum Verb {
     /// Builds r2r's own tests and examples, unchanged, on Tautline, and runs them; some minutes
     R2rTests,
     /// Measures
-    #[command(subcommand)]
+    #[command(
+        subcommand,
+        after_help = "What a bench is told is passed on to its own program:
+  cargo xtask bench compare --help
+  cargo xtask bench compare --systems tautline,iceoryx2,fastdds --only latency
+  cargo xtask bench wake --quick
+  cargo xtask bench paper --results paper.runs --minutes 30
+
+Besides, where r2r has a side (paper, reference-system, alks):
+  --no-r2r   leave it out
+and where the program does not know it (bridge, reference-system, alks):
+  --quick    runs of 2, 3 and 5 seconds instead of 30, 20 and 60, unless there is --seconds
+
+r2r's side is built with the ROS 2 that is sourced, else with one from PyPI under target/ros. A
+rival that cannot be built here is named in the report, with the reason. Zenoh and hiroz take
+minutes to build."
+    )]
     Bench(Bench),
     /// Runs the demo and the benches and puts their tables and pictures into the README and docs/benchmarks.md, those of domains into
     /// docs/adr/0007
@@ -176,82 +192,6 @@ enum Verb {
     /// Tries to break something by doing it very often
     #[command(subcommand)]
     Stress(Stress),
-}
-
-#[derive(Subcommand)]
-enum Bench {
-    /// What overruns of one callback do to the deadlines of others, if they are counted and if they are demoted; half a minute with --quick
-    Budgets(Options),
-    /// How late the event of a missed deadline is with 200 topics on a sampler, beside a timer and a bare sleep; some seconds with --quick
-    Deadlines(Options),
-    /// What a domain of many processes, topics and ends costs: idle, looked at, joined, under load;
-    /// a minute and a half with --quick
-    Domain(Options),
-    /// What reading a parameter costs a callback, and whether a thread that sets parameters disturbs it; some seconds
-    /// with --quick
-    Parameters(Options),
-    /// Whether a publisher notices that `taut topic hz`, `taut top` or `taut topic echo` looks at its topic; some seconds with --quick
-    Tools(Options),
-    /// What a trace event costs, recorded and not; a second with --quick
-    Trace(Options),
-    /// The wake-up from one process to another, beside a bare futex and iceoryx2; a minute and a half with --quick
-    Wake(compare::Compare),
-    /// Writing, publishing and reading messages, beside a plain buffer and other encoders; some seconds with --quick
-    Messages(Options),
-    /// Tautline beside Fast DDS, iceoryx2 and others: latency, load, fan-out, throughput, start-up
-    Compare(compare::Compare),
-    /// Topics over two gateways beside plain Zenoh and hiroz, and what a flood from the network costs local callbacks
-    Network(compare::Compare),
-    /// A request and its response, beside a topic each way, iceoryx2's request-response and, if there is a ROS 2, r2r's services
-    Services(compare::Compare),
-    /// The bridge to ROS 2 at 20 topics of 1 kHz, each way, beside r2r's own subscriber; some minutes to build
-    Bridge(bridge::Bridge),
-    /// Round trips, CPU time and start-up on rmw_tautline and on Fast DDS's RMW
-    Rmw(rmw::Rmw),
-    /// The evaluation of an ECRTS 2025 paper, on Tautline and, if there is a ROS 2, on r2r beside it
-    Paper(beside_r2r::Paper),
-    /// The Autoware reference system, 24 nodes in one process, on Tautline and, if there is a ROS 2, on r2r beside it
-    ReferenceSystem(beside_r2r::Reference),
-    /// An automated lane keeping system, three processes in a closed loop with a simulated car, on Tautline and, if there is a ROS 2, on r2r
-    Alks(beside_r2r::Alks),
-}
-
-impl Bench {
-    /// Builds what takes part, and makes the command that measures.
-    fn command(&self) -> Result<Command, String> {
-        Ok(match self {
-            Bench::Budgets(options) => options.command("budgets"),
-            Bench::Deadlines(options) => options.command("deadlines"),
-            Bench::Domain(options) => options.domain(),
-            Bench::Parameters(options) => options.command("parameters"),
-            Bench::Tools(options) => {
-                // With the `taut` of this build.
-                build::build(&mut steps::cargo("build --release -p taut"))?;
-                options.command("tools")
-            }
-            Bench::Trace(options) => options.command("trace"),
-            Bench::Wake(compare) => compare.command("wake"),
-            Bench::Messages(options) => options.command("messages"),
-            Bench::Compare(compare) => compare.command("compare"),
-            Bench::Network(compare) => compare.command("network"),
-            Bench::Services(compare) => compare.command("services"),
-            Bench::Bridge(bridge) => bridge.command()?,
-            Bench::Rmw(rmw) => rmw.command()?,
-            Bench::Paper(paper) => paper.command(),
-            Bench::ReferenceSystem(reference) => reference.command(),
-            Bench::Alks(alks) => alks.command(),
-        })
-    }
-
-    fn run(&self) -> ExitCode {
-        match self.command() {
-            Ok(mut command) => steps::run(&mut command),
-            Err(reason) => {
-                eprintln!("bench: {reason}");
-                ExitCode::FAILURE
-            }
-        }
-    }
 }
 
 #[derive(Subcommand)]
@@ -290,56 +230,74 @@ fn main() -> ExitCode {
     match Cli::parse().verb {
         Verb::Test(all) => {
             all.tell();
-            test::run(&scope)
+            as_steps(|steps| test::run(steps, &scope))
         }
         Verb::Ci(all) => {
             all.tell();
-            ci::run(&scope)
+            as_steps(|steps| ci::run(steps, &scope))
         }
         Verb::Background { job, to, all } => {
             all.tell();
-            job.run().hand_over(&to)
+            exit(job.run().hand_over(&to))
         }
-        Verb::Api { bless } => {
-            let mut steps = Steps::new();
-            r2r::prepare_libclang(&mut steps, false);
+        Verb::Api { bless } => as_steps(|steps| {
+            r2r::prepare_libclang(steps, false);
             steps.step("api", || api::check(bless));
-            steps.finish()
-        }
-        Verb::Examples { bless } => {
-            let mut steps = Steps::new();
+        }),
+        Verb::Examples { bless } => as_steps(|steps| {
             let mut build =
                 steps::cargo("build --release -p tautline-examples -p own-messages --examples --bins");
             let built = steps.command("examples: build", &mut build);
-            examples::run(&mut steps, built, Build::Release, bless);
-            steps.finish()
+            examples::run(steps, built, Build::Release, bless);
+        }),
+        Verb::Book => as_steps(book::test),
+        Verb::Ros => exit(ros::run()),
+        Verb::Bridge => as_steps_with_ros(bridge::test),
+        Verb::Rmw { test: false } => exit(rmw::run()),
+        Verb::Rmw { test: true } => as_steps_with_ros(rmw::test),
+        Verb::Peers => as_steps_with_ros(peers::build_and_test),
+        Verb::R2r => as_steps_with_ros(programs::test),
+        Verb::R2rTests => as_steps_with_ros(|steps| r2r_tests::build(steps).run(steps)),
+        Verb::Bench(bench) => exit(bench.run()),
+        Verb::Readme { quick, only, minutes } => exit(readme::run(quick, minutes, &only)),
+        Verb::Miri => as_steps(ci::miri),
+        Verb::Fuzz { runs, targets } => as_steps(|steps| fuzz::run(steps, runs, &targets)),
+        Verb::Stress(Stress::Doorbell { rings }) => {
+            exit(steps::execute(&mut stress_doorbell(Build::Release, rings)))
         }
-        Verb::Book => book::run(),
-        Verb::Ros => ros::run(),
-        Verb::Bridge => bridge::run(),
-        Verb::Rmw { test: false } => rmw::run(),
-        Verb::Rmw { test: true } => {
-            let mut steps = Steps::new();
-            r2r::prepare_libclang(&mut steps, true);
-            rmw::test(&mut steps);
-            steps.finish()
-        }
-        Verb::Peers => peers::run(),
-        Verb::R2r => programs::run(),
-        Verb::R2rTests => r2r_tests::run(),
-        Verb::Bench(bench) => bench.run(),
-        Verb::Readme { quick, only, minutes } => readme::run(quick, minutes, &only),
-        Verb::Miri => {
-            let mut steps = Steps::new();
-            ci::miri(&mut steps);
-            steps.finish()
-        }
-        Verb::Fuzz { runs, targets } => fuzz::run(runs, &targets),
-        Verb::Stress(Stress::Doorbell { rings }) => steps::run(&mut stress_doorbell(Build::Release, rings)),
         Verb::Stress(Stress::Kills { kills, seed, exhaustive }) => {
-            let mut steps = Steps::new();
-            stress_kills(&mut steps, Build::Release, kills, seed, exhaustive);
-            steps.finish()
+            as_steps(|steps| stress_kills(steps, Build::Release, kills, seed, exhaustive))
+        }
+    }
+}
+
+/// As it is written on the command line.
+fn word(value: impl ValueEnum) -> String {
+    value.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
+}
+
+/// A verb that is steps.
+fn as_steps(run: impl FnOnce(&mut Steps)) -> ExitCode {
+    let mut steps = Steps::new();
+    run(&mut steps);
+    steps.finish()
+}
+
+/// One with builds that need libclang.
+fn as_steps_with_ros(run: impl FnOnce(&mut Steps)) -> ExitCode {
+    as_steps(|steps| {
+        r2r::prepare_libclang(steps, true);
+        run(steps);
+    })
+}
+
+/// The end of a verb that is one task.
+fn exit(result: Result<(), String>) -> ExitCode {
+    match result {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(reason) => {
+            eprintln!("FAILED: {reason}");
+            ExitCode::FAILURE
         }
     }
 }

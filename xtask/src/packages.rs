@@ -19,15 +19,12 @@ pub fn prepare(packages: &[&str], present: impl Fn() -> Result<(), &'static str>
         execute(&mut command)
     };
     let install = [&["install", "--yes", "--quiet", "--no-install-recommends"], packages].concat();
-    if !matches!(apt(&install), Outcome::Ok) {
+    if apt(&install).is_err() {
         // Its lists may be missing or old.
-        apt(&["update", "--quiet"]);
-        apt(&install);
+        let _ = apt(&["update", "--quiet"]);
+        let _ = apt(&install);
     }
-    match present() {
-        Ok(()) => Outcome::Ok,
-        Err(_) => Outcome::Failed(line),
-    }
+    present().map_err(|_| line).into()
 }
 
 /// Whether a program is there and content with its arguments.

@@ -3,23 +3,24 @@
 //! the target directory.
 
 use crate::machine::{self, Scope};
-use crate::steps::{Outcome, Steps, announce, cargo};
+use crate::running::Running;
+use crate::steps::{Outcome, Steps, cargo};
 use crate::{lints, ros};
-use std::io::{self, BufRead, BufReader};
 use std::path::PathBuf;
-use std::process::{Child, Command, ExitCode, Stdio};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+/// Longer than the listener listens.
+const PATIENCE: Duration = Duration::from_secs(120);
 
 const WHEELS: [&str; 2] = ["zenoh-ros2-sdk==0.1.8", "xxhash==4.1.0"];
 
 /// `cargo xtask peers`.
-pub fn run() -> ExitCode {
-    let mut steps = Steps::new();
-    crate::r2r::prepare_libclang(&mut steps, true);
+pub fn build_and_test(steps: &mut Steps) {
     steps.command("examples", &mut lints::cargo("build -p tautline-examples --examples"));
     steps.command("gateway", &mut lints::cargo("build -p tautline-gateway"));
     steps.step("peers: zenoh-ros2-sdk", prepare);
-    test(&mut steps);
-    steps.finish()
+    test(steps);
 }
 
 /// Runs the tests and an example in the environment of [`prepare`], with the gateway and the examples of the tests' build.
@@ -31,14 +32,14 @@ pub fn test(steps: &mut Steps) {
     steps.command("peers: tests", &mut tests);
     let example = "example ros2_talker";
     if venv().join("wheels.txt").exists() {
-        steps.step(example, || ros2_talker().unwrap_or_else(|error| Outcome::Failed(error.to_string())));
+        steps.step(example, ros2_talker);
     } else {
         steps.skip(example, "there is no zenoh-ros2-sdk");
     }
 }
 
 /// The example talks, through a gateway of the tests' build, to a listener that is not ours.
-fn ros2_talker() -> io::Result<Outcome> {
+fn ros2_talker() -> Result<(), String> {
     const PORT: &str = "7453";
     // On the wire it is the peers'.
     const DOMAIN: &str = "0";
@@ -47,33 +48,19 @@ fn ros2_talker() -> io::Result<Outcome> {
     let target = machine::target_dir();
     let mut gateway = Command::new(target.join("debug/taut-gateway"));
     gateway.args(["--domain", DOMAIN, "--listen", &format!("tcp/127.0.0.1:{PORT}"), "--no-rt", "--json"]);
-    let _gateway = Ended(gateway.env("TAUT_SCOPE", scope.name()).stdout(Stdio::null()).spawn()?);
+    let _gateway = Running::start(gateway.env("TAUT_SCOPE", scope.name()), false)?;
     let mut talker = Command::new(target.join("debug/examples/ros2_talker"));
     talker.env("TAUT_SCOPE", scope.name()).env("TAUT_DOMAIN", DOMAIN).env("TAUT_REALTIME", "off");
-    let _talker = Ended(talker.stdout(Stdio::null()).spawn()?);
+    let _talker = Running::start(&mut talker, false)?;
     // It ends by itself if it hears nothing.
     let mut listener = Command::new(venv().join("bin/python"));
     listener.arg(machine::root().join("transport/zenoh/peers/python/listener.py")).args([PORT, DOMAIN]);
-    announce(&listener);
-    let mut listener = Ended(listener.stdout(Stdio::piped()).spawn()?);
-    let output = listener.0.stdout.take().into_iter().flat_map(|output| BufReader::new(output).lines());
-    for line in output.map_while(Result::ok) {
-        println!("{line}");
-        if line.starts_with("I heard: [Hello World: ") {
-            return Ok(Outcome::Ok);
-        }
-    }
-    Ok(Outcome::Failed("the listener heard nothing".to_owned()))
-}
-
-/// A process that ends when this is dropped.
-struct Ended(Child);
-
-impl Drop for Ended {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+    let mut listener = Running::start(&mut listener, false)?;
+    let has_heard = |said: &str| said.contains("I heard: [Hello World: ");
+    listener.wait_until(Instant::now() + PATIENCE, has_heard);
+    let said = listener.said();
+    print!("{said}");
+    if has_heard(&said) { Ok(()) } else { Err("the listener heard nothing".to_owned()) }
 }
 
 fn venv() -> PathBuf {

@@ -2,9 +2,8 @@
 //! The programs of the test `programs` of `tautline-r2r` on r2r itself: what they expect of Tautline is what they get there.
 
 use crate::bridge::{with_libraries, with_ros};
-use crate::r2r;
+use crate::r2r::{self, Environment};
 use crate::steps::{Outcome, Steps, cargo, execute};
-use std::process::ExitCode;
 
 /// With what they need as the workspace's tests have it.
 pub const WHOLE: &str = "--manifest-path node/r2r/Cargo.toml --locked";
@@ -13,27 +12,15 @@ pub const WHOLE: &str = "--manifest-path node/r2r/Cargo.toml --locked";
 pub const PACKAGES: &str = "action_msgs;builtin_interfaces;geometry_msgs;rcl_interfaces;rosgraph_msgs;service_msgs;std_msgs;\
     std_srvs;test_msgs;type_description_interfaces;unique_identifier_msgs";
 
-/// `cargo xtask r2r`.
-pub fn run() -> ExitCode {
-    let mut steps = Steps::new();
-    r2r::prepare_libclang(&mut steps, true);
-    test(&mut steps);
-    steps.finish()
-}
-
 /// A minute from cold. Without a network and without a ROS 2 it is left out, but not in CI.
 pub fn test(steps: &mut Steps) {
-    steps.step("r2r: programs", || {
-        let environment = match r2r::environment() {
-            Ok(environment) => environment,
-            Err(reason) => return Outcome::Failed(reason).unless_ci(),
-        };
-        let mut build = cargo(&format!("test {WHOLE} --no-run"));
-        match execute(with_libraries(&environment, &mut build)) {
-            Outcome::Ok => {
-                execute(with_ros(&environment, &mut cargo(&format!("test {WHOLE} --no-fail-fast"))))
-            }
-            other => other,
-        }
+    steps.step("r2r: programs", || match r2r::environment() {
+        Ok(environment) => run_on(&environment).into(),
+        Err(reason) => Outcome::Failed(reason).unless_ci(),
     });
+}
+
+fn run_on(r2r: &Environment) -> Result<(), String> {
+    execute(with_libraries(r2r, &mut cargo(&format!("test {WHOLE} --no-run"))))?;
+    execute(with_ros(r2r, &mut cargo(&format!("test {WHOLE} --no-fail-fast"))))
 }

@@ -71,12 +71,8 @@ pub fn environment() -> Result<Environment, String> {
 /// They, for the steps of this name. Without a ROS 2 these are left out, which is said; but not in CI.
 pub fn environment_of(steps: &mut Steps, name: &str) -> Option<Environment> {
     let mut found = None;
-    steps.step(&format!("{name}: ROS 2"), || match environment() {
-        Ok(variables) => {
-            found = Some(variables);
-            Outcome::Ok
-        }
-        Err(reason) => Outcome::Failed(reason).unless_ci(),
+    steps.step(&format!("{name}: ROS 2"), || {
+        Outcome::from(environment().map(|variables| found = Some(variables))).unless_ci()
     });
     if found.is_none() {
         steps.skip(name, "there is no ROS 2 to build it with: source one, or run `cargo xtask ros`");
@@ -98,13 +94,7 @@ pub fn prepare_libclang(steps: &mut Steps, fetch: bool) {
     if !fetch && native().is_none() {
         return;
     }
-    steps.step("libclang", || match libclang() {
-        Ok(variables) => {
-            steps::build_with(variables);
-            Outcome::Ok
-        }
-        Err(reason) => Outcome::Failed(reason).unless_ci(),
-    });
+    steps.step("libclang", || Outcome::from(libclang().map(steps::build_with)).unless_ci());
 }
 
 /// The ROS 2 that the user has sourced, else the one under the target directory, which is made first: `include` and `lib`.
@@ -118,7 +108,7 @@ pub fn prefix() -> Result<PathBuf, String> {
 
 /// The wheels' files in the layout of an installed ROS 2.
 fn wheels() -> Result<PathBuf, String> {
-    ros::prepare().result()?;
+    ros::prepare()?;
     let prefix = machine::target_dir().join("ros/prefix");
     make_prefix(&ros::venv(), &prefix).map_err(|error| format!("{}: {error}", prefix.display()))?;
     Ok(prefix)

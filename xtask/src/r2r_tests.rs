@@ -2,14 +2,13 @@
 //! r2r's own tests and examples on Tautline, unchanged: as cargo has them for the bridge, with `r2r` as another name of `tautline-r2r`.
 
 use crate::machine::{self, Scope};
-use crate::steps::{Outcome, Steps, announce, cargo};
+use crate::running::Running;
+use crate::steps::{Steps, announce, cargo};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitCode, Stdio};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 /// What is left out of r2r's dependencies besides its own crates: only its bench uses that.
@@ -115,29 +114,15 @@ impl Program {
     }
 }
 
-/// `cargo xtask r2r-tests`: some minutes.
-pub fn run() -> ExitCode {
-    let mut steps = Steps::new();
-    crate::r2r::prepare_libclang(&mut steps, true);
-    build(&mut steps).run(&mut steps);
-    steps.finish()
-}
-
 /// Builds all.
 pub fn build(steps: &mut Steps) -> Built {
     let mut built = Built::default();
-    steps.step("r2r-tests: build", || match Source::find().and_then(|source| source.build()) {
-        Ok((targets, executables)) => {
-            built = Built { targets, executables };
-            let is_left = |target: &&Target| !built.executables.contains_key(*target);
-            let left: Vec<&str> = built.targets.iter().filter(is_left).map(|(_, name)| &**name).collect();
-            if left.is_empty() {
-                Outcome::Ok
-            } else {
-                Outcome::Failed(format!("not built: {}", left.join(", ")))
-            }
-        }
-        Err(reason) => Outcome::Failed(reason),
+    steps.step("r2r-tests: build", || {
+        let (targets, executables) = Source::find()?.build()?;
+        built = Built { targets, executables };
+        let is_left = |target: &&Target| !built.executables.contains_key(*target);
+        let left: Vec<&str> = built.targets.iter().filter(is_left).map(|(_, name)| &**name).collect();
+        if left.is_empty() { Ok(()) } else { Err(format!("not built: {}", left.join(", "))) }
     });
     built
 }
@@ -153,9 +138,8 @@ impl Built {
     /// Runs all.
     pub fn run(&self, steps: &mut Steps) {
         for target in self.targets.iter().filter(|(kind, _)| kind == "test") {
-            steps.step(&format!("r2r-tests: test {}", target.1), || match self.executables.get(target) {
-                Some(executable) => test(executable),
-                None => Outcome::Failed("not built".to_owned()),
+            steps.step(&format!("r2r-tests: test {}", target.1), || {
+                test(self.executables.get(target).ok_or("not built")?)
             });
         }
         examples(steps, &self.targets, &self.executables);
@@ -175,11 +159,7 @@ fn examples(steps: &mut Steps, targets: &BTreeSet<Target>, built: &BTreeMap<Targ
         for (run, running) in started {
             let names: Vec<&str> = run.iter().map(Program::name).collect();
             steps.step(&format!("r2r-tests: example {}", names.join(" + ")), || {
-                match running.map(|running| running.join()) {
-                    Some(Ok(outcome)) => outcome,
-                    Some(Err(_)) => Outcome::Failed("this program panicked".to_owned()),
-                    None => Outcome::Failed("not built".to_owned()),
-                }
+                running.ok_or("not built")?.join().unwrap_or(Err("this program panicked".to_owned()))
             });
         }
     });
@@ -187,7 +167,7 @@ fn examples(steps: &mut Steps, targets: &BTreeSet<Target>, built: &BTreeMap<Targ
         RUNS.iter().flat_map(|run| run.iter()).map(|program| example(program.name())).collect();
     for (_, name) in targets.iter().filter(|target| target.0 == "example" && !run.contains(*target)) {
         steps.step(&format!("r2r-tests: example {name}"), || {
-            Outcome::Failed("nothing here says how to run it".to_owned())
+            Err("nothing here says how to run it".to_owned())
         });
     }
 }
@@ -329,65 +309,60 @@ fn executable(message: &Value) -> Option<(Target, PathBuf)> {
 }
 
 /// Runs a program of tests.
-fn test(executable: &Path) -> Outcome {
+fn test(executable: &Path) -> Result<(), String> {
     let scope = Scope::new("r2r");
-    let mut running = match Running::start(executable, "", &scope) {
-        Ok(running) => running,
-        Err(error) => return Outcome::Failed(error.to_string()),
-    };
-    let status = running.wait();
+    let mut running = start(executable, "", &scope)?;
+    let status = running.wait_until(Instant::now() + PATIENCE, |_| false);
     running.end();
     println!("{}", running.said());
     match status {
-        Some(true) => Outcome::Ok,
-        Some(false) => Outcome::Failed("some fail".to_owned()),
-        None => Outcome::Failed(format!("not within {} s", PATIENCE.as_secs())),
+        Some(status) if status.success() => Ok(()),
+        Some(_) => Err("some fail".to_owned()),
+        None => Err(format!("not within {} s", PATIENCE.as_secs())),
     }
 }
 
 /// Runs examples together until all have done what they are to do.
-fn together(programs: &[Program], paths: &[&PathBuf]) -> Outcome {
+fn together(programs: &[Program], paths: &[&PathBuf]) -> Result<(), String> {
     for _ in 0..TRIES {
         let scope = Scope::new("r2r");
         let mut all = Vec::new();
         for (program, path) in programs.iter().zip(paths) {
             let arguments = program.line.strip_prefix(program.name()).unwrap_or_default();
-            match Running::start(path, arguments, &scope) {
-                Ok(running) => all.push((program, running)),
-                Err(error) => return Outcome::Failed(format!("{}: {error}", program.name())),
-            }
+            let running = start(path, arguments, &scope);
+            all.push((program, running.map_err(|reason| format!("{}: {reason}", program.name()))?));
         }
         let end = Instant::now() + PATIENCE;
-        let mut outcome = None;
-        while outcome.is_none() {
+        let outcome = loop {
             std::thread::sleep(Duration::from_millis(10));
-            outcome = outcome_of(&mut all, end);
-        }
+            if let Some(outcome) = outcome_of(&mut all, end) {
+                break outcome;
+            }
+        };
         all.iter_mut().for_each(|(_, running)| running.end());
         if all.iter().any(|(_, running)| running.said().contains(REJECTED)) {
             continue;
         }
-        let is_ok = matches!(outcome, Some(Outcome::Ok));
-        for (program, running) in all.iter().filter(|_| !is_ok) {
+        for (program, running) in all.iter().filter(|_| outcome.is_err()) {
             println!("{} said:\n{}", program.name(), running.said());
         }
-        return outcome.unwrap_or(Outcome::Ok);
+        return outcome;
     }
-    Outcome::Failed(format!("{REJECTED}, {TRIES} times"))
+    Err(format!("{REJECTED}, {TRIES} times"))
 }
 
 /// How it ended, if it has.
-fn outcome_of(all: &mut [(&Program, Running)], end: Instant) -> Option<Outcome> {
+fn outcome_of(all: &mut [(&Program, Running)], end: Instant) -> Option<Result<(), String>> {
     let mut is_done = true;
     for (program, running) in all {
         let name = program.name();
-        let (status, said) = (running.status(), running.said());
+        let (succeeded, said) = (running.status().map(|status| status.success()), running.said());
         let missing = program.says.iter().find(|text| !said.contains(**text));
-        let failed = |what: &str| Some(Outcome::Failed(format!("{name} {what}")));
+        let failed = |what: &str| Some(Err(format!("{name} {what}")));
         if said.contains("panicked at") {
             return failed("panicked");
         }
-        match (status, missing) {
+        match (succeeded, missing) {
             (Some(false), _) => return failed("failed"),
             (Some(true), Some(missing)) => return failed(&format!("ended without '{missing}'")),
             (None, Some(missing)) if Instant::now() > end => {
@@ -400,77 +375,18 @@ fn outcome_of(all: &mut [(&Program, Running)], end: Instant) -> Option<Outcome> 
             (Some(true), None) => {}
         }
     }
-    is_done.then_some(Outcome::Ok)
+    is_done.then_some(Ok(()))
 }
 
-/// A program, and what it has said on both of its outputs; dropping it ends it.
-struct Running {
-    child: Child,
-    said: Arc<Mutex<String>>,
-    readers: Vec<std::thread::JoinHandle<()>>,
-}
-
-impl Running {
-    fn start(path: &Path, arguments: &str, scope: &Scope) -> std::io::Result<Self> {
-        let mut command = Command::new(path);
-        command.args(arguments.split_whitespace()).env("TAUT_SCOPE", scope.name());
-        command.env_remove("TAUT_DOMAIN").env_remove("ROS_DOMAIN_ID");
-        if machine::no_rt().is_some() {
-            command.env("TAUT_REALTIME", "off");
-        }
-        announce(&command);
-        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn()?;
-        let said = Arc::new(Mutex::new(String::new()));
-        let readers = [child.stdout.take().map(reader(&said)), child.stderr.take().map(reader(&said))];
-        Ok(Running { child, said, readers: readers.into_iter().flatten().collect() })
+/// Starts one in this scope.
+fn start(path: &Path, arguments: &str, scope: &Scope) -> Result<Running, String> {
+    let mut command = Command::new(path);
+    command.args(arguments.split_whitespace()).env("TAUT_SCOPE", scope.name());
+    command.env_remove("TAUT_DOMAIN").env_remove("ROS_DOMAIN_ID");
+    if machine::no_rt().is_some() {
+        command.env("TAUT_REALTIME", "off");
     }
-
-    fn said(&self) -> String {
-        self.said.lock().unwrap_or_else(PoisonError::into_inner).clone()
-    }
-
-    /// Whether it has succeeded, once it has ended.
-    fn status(&mut self) -> Option<bool> {
-        match self.child.try_wait() {
-            Ok(status) => status.map(|status| status.success()),
-            Err(_) => Some(false),
-        }
-        .inspect(|_| self.readers.drain(..).for_each(|reader| drop(reader.join())))
-    }
-
-    /// The same, when it has ended or taken too long.
-    fn wait(&mut self) -> Option<bool> {
-        let end = Instant::now() + PATIENCE;
-        while self.status().is_none() && Instant::now() < end {
-            std::thread::sleep(Duration::from_millis(10));
-        }
-        self.status()
-    }
-
-    fn end(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-        self.readers.drain(..).for_each(|reader| drop(reader.join()));
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.end();
-    }
-}
-
-/// Notes what comes.
-fn reader<R: Read + Send + 'static>(said: &Arc<Mutex<String>>) -> impl Fn(R) -> std::thread::JoinHandle<()> {
-    let said = said.clone();
-    move |output| {
-        let said = said.clone();
-        std::thread::spawn(move || {
-            for line in BufReader::new(output).lines().map_while(Result::ok) {
-                *said.lock().unwrap_or_else(PoisonError::into_inner) += &format!("{line}\n");
-            }
-        })
-    }
+    Running::start(&mut command, true)
 }
 
 #[cfg(test)]

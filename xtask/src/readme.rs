@@ -4,23 +4,22 @@
 
 mod demo;
 
-use crate::bench::Options;
-use crate::beside_r2r::Paper;
-use crate::compare::Compare;
+use crate::bench::{self, Name};
+use crate::build::Build;
 use crate::machine::target_dir;
-use crate::rmw::Rmw;
-use crate::steps;
+use crate::steps::{self, execute};
+use crate::word;
 use clap::ValueEnum;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, ExitCode};
+use std::process::Command;
 
 /// Where the picture goes.
 const PICTURE: &str = "docs/demo.svg";
 /// That of the comparison.
 const COMPARISON: &str = "docs/compare.svg";
 
-/// A part of the documents that is made from a run.
+/// A part of the documents that is made from a run, by its mark there: the demo and benches.
 #[derive(ValueEnum, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
     Demo,
@@ -36,22 +35,6 @@ pub enum Part {
 }
 
 impl Part {
-    /// Its mark in its document.
-    fn mark(self) -> &'static str {
-        match self {
-            Part::Demo => "demo",
-            Part::Wake => "wake",
-            Part::Messages => "messages",
-            Part::Services => "services",
-            Part::Parameters => "parameters",
-            Part::Network => "network",
-            Part::Paper => "paper",
-            Part::Compare => "compare",
-            Part::Domain => "domain",
-            Part::Rmw => "rmw",
-        }
-    }
-
     /// Where its mark is.
     fn document(self) -> &'static str {
         match self {
@@ -64,32 +47,28 @@ impl Part {
 
     /// What measures it and writes `json`, and its tables beside.
     fn command(self, quick: bool, minutes: Option<u64>, json: &Path) -> Result<Command, String> {
-        let tables = json.with_extension("md");
-        let mut arguments = vec!["--markdown".to_owned(), tables.display().to_string()];
-        if self == Part::Compare {
-            arguments.extend(["--svg", COMPARISON].map(str::to_owned));
+        if self == Part::Demo {
+            let mut demo = steps::cargo("run --release -p taut -- demo --seconds 20 --svg");
+            demo.arg(PICTURE).arg("--json").arg(json);
+            return Ok(demo);
         }
-        let bench = Options { quick, json: Some(json.to_owned()), arguments, ..Options::default() };
-        let html = Some(json.with_extension("html"));
-        Ok(match self {
-            Part::Demo => {
-                let mut demo = steps::cargo("run --release -p taut -- demo --seconds 20 --svg");
-                demo.arg(PICTURE).arg("--json").arg(json);
-                demo
-            }
-            Part::Messages | Part::Parameters => bench.command(self.mark()),
-            Part::Domain => bench.domain(),
-            Part::Rmw => Rmw { bench }.command()?,
-            Part::Wake | Part::Services | Part::Network | Part::Compare => {
-                Compare { bench, html, ..Compare::default() }.command(self.mark())
-            }
-            Part::Paper => {
-                // The whole evaluation takes two hours: what was begun is gone on with.
-                let results = (!quick).then(|| json.with_extension("runs"));
-                let minutes = minutes.filter(|_| !quick);
-                Paper { bench, results, minutes, html, ..Paper::default() }.command()
-            }
-        })
+        let file = |ending| json.with_extension(ending).display().to_string();
+        let mut told = vec!["--json".to_owned(), file("json"), "--markdown".to_owned(), file("md")];
+        if quick {
+            told.push("--quick".to_owned());
+        }
+        if matches!(self, Part::Wake | Part::Services | Part::Network | Part::Compare | Part::Paper) {
+            told.extend(["--html".to_owned(), file("html")]);
+        }
+        if self == Part::Compare {
+            told.extend(["--svg", COMPARISON].map(str::to_owned));
+        }
+        if self == Part::Paper && !quick {
+            // The whole evaluation takes two hours: what was begun is gone on with.
+            told.extend(["--results".to_owned(), file("runs")]);
+            told.extend(minutes.map(|minutes| format!("--minutes={minutes}")));
+        }
+        bench::command(Name::from_str(&word(self), false)?, &told, Build::Release)
     }
 
     /// The tables of a run that wrote `json`.
@@ -104,35 +83,19 @@ impl Part {
 
 /// Runs what the parts (none: all) are made from and puts them into their documents. Measures first: no table is made of a run
 /// that failed.
-pub fn run(quick: bool, minutes: Option<u64>, parts: &[Part]) -> ExitCode {
+pub fn run(quick: bool, minutes: Option<u64>, parts: &[Part]) -> Result<(), String> {
     let parts = if parts.is_empty() { Part::value_variants() } else { parts };
-    let json = |part: &Part| target_dir().join(format!("readme-{}.json", part.mark()));
+    let json = |part: &Part| target_dir().join(format!("readme-{}.json", word(*part)));
     for part in parts {
-        let run = part.command(quick, minutes, json(part).as_ref()).and_then(|mut command| {
-            match command.status() {
-                Ok(status) if status.success() => Ok(()),
-                Ok(status) => Err(status.to_string()),
-                Err(error) => Err(error.to_string()),
-            }
-        });
-        if let Err(reason) = run {
-            eprintln!("the documents stay as they are: the run failed: {reason}");
-            return ExitCode::FAILURE;
-        }
+        let run = part.command(quick, minutes, &json(part)).and_then(|mut command| execute(&mut command));
+        run.map_err(|reason| format!("the documents stay as they are: the run failed: {reason}"))?;
     }
-    let update = |part: Part| update(part.document().as_ref(), part, json(&part).as_ref());
-    match parts.iter().copied().try_for_each(update) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("{error}");
-            ExitCode::FAILURE
-        }
-    }
+    parts.iter().try_for_each(|part| update(part.document().as_ref(), *part, &json(part)))
 }
 
 /// Puts the tables of a run between their marks in `document`.
 fn update(document: &Path, part: Part, json: &Path) -> Result<(), String> {
-    let text = replace(&read(document)?, part.mark(), &part.tables(json)?)?;
+    let text = replace(&read(document)?, &word(part), &part.tables(json)?)?;
     fs::write(document, text).map_err(|error| format!("{}: {error}", document.display()))
 }
 
@@ -152,6 +115,12 @@ fn replace(text: &str, mark: &str, table: &str) -> Result<String, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_part_but_the_demo_is_a_bench() {
+        let parts = Part::value_variants().iter().filter(|part| **part != Part::Demo);
+        parts.for_each(|part| assert!(Name::from_str(&word(*part), false).is_ok(), "{}", word(*part)));
+    }
 
     #[test]
     fn only_what_is_between_the_marks_changes() {

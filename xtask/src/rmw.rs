@@ -1,14 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! rmw_tautline: built for use, its lints and tests, and its bench.
 
-use crate::bench::{Options, pass};
 use crate::bridge::{nextest, programs, with_libraries};
 use crate::build::{Build, TARGETS, build};
 use crate::steps::{Steps, cargo};
 use crate::{colcon, lints, machine, r2r, ros};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode};
+use std::process::Command;
 
 const LIBRARY: &str = "--manifest-path rmw/Cargo.toml --locked";
 /// With the bench.
@@ -16,31 +15,19 @@ const BENCH: &str = "--manifest-path rmw/Cargo.toml --locked --features bench";
 /// With the bench, and what it needs as the workspace's tests have it.
 pub const WHOLE: &str = "--manifest-path rmw/Cargo.toml --locked --features bench,xtask";
 
-#[derive(clap::Args)]
-#[command(after_help = "Examples:
-  cargo xtask bench rmw                           some five minutes
-  cargo xtask bench rmw --quick --json rmw.json   half a minute")]
-pub struct Rmw {
-    #[command(flatten)]
-    pub bench: Options,
-}
-
-impl Rmw {
-    /// Builds it and its bench, and makes the command that measures.
-    pub fn command(&self) -> Result<Command, String> {
+/// The bench, of a release build with the library that is made first.
+pub fn bench(of: Build) -> Result<Command, String> {
+    if of == Build::Release {
         build(with_libraries(&r2r::environment()?, &mut cargo(&format!("build --release {BENCH}"))))?;
-        Ok(measure(&self.bench))
     }
-}
-
-fn measure(bench: &Options) -> Command {
-    let folder = bench.build.folder();
+    let folder = of.folder();
     // It waits for processes, which may not come.
     let mut command = Command::new("timeout");
     command.arg("600").arg(folder.join("bench-rmw")).arg("--tautline").arg(folder.join("librmw_tautline.so"));
-    pass(&mut command, "--python", python());
-    bench.pass_on(&mut command, &["--quick"]);
-    command
+    if let Some(python) = python() {
+        command.arg("--python").arg(python);
+    }
+    Ok(command)
 }
 
 /// The one that has rclpy: with the ROS 2 that is sourced, else with that under the target directory.
@@ -53,25 +40,8 @@ fn python() -> Option<PathBuf> {
     Some(ros::venv().join("bin/python")).filter(|python| python.is_file())
 }
 
-/// Nothing is lost, with the build of the tests; how it compares is for a quiet machine and a release build.
-pub fn bench_of_tests(steps: &mut Steps) {
-    let json = Some(machine::target_dir().join("rmw.json"));
-    let mut command = measure(&Options { json, ..Options::of_tests() });
-    steps.command("bench: rmw", command.args(machine::no_rt()));
-}
-
 /// Builds the library for use, a minute from cold, and says how it is used.
-pub fn run() -> ExitCode {
-    match for_use() {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(reason) => {
-            eprintln!("rmw_tautline is not built: {reason}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-fn for_use() -> Result<(), String> {
+pub fn run() -> Result<(), String> {
     let environment = r2r::environment()?;
     build(with_libraries(&environment, &mut cargo(&format!("build --release {LIBRARY}"))))?;
     let folder = Build::Release.folder();

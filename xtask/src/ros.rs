@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A real ROS 2 Jazzy from PyPI, in a Python environment under the target directory: rclpy, Fast DDS, message packages.
 
-use crate::steps::{Outcome, execute};
+use crate::steps::execute;
 use crate::{machine, r2r};
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Stdio};
+use std::process::{Command, Stdio};
 use std::{fs, io};
 
 const WHEELS: [&str; 18] = [
@@ -32,22 +32,16 @@ const WHEELS: [&str; 18] = [
 ];
 
 /// Makes the environment and says how to use it.
-pub fn run() -> ExitCode {
-    match prepare().result().and_then(|()| r2r::setup_file()) {
-        Ok(setup) => {
-            println!("ROS 2 Jazzy is in {}. To build and run the bridge with it:", venv().display());
-            println!("  source {}", setup.display());
-            println!(
-                "  cargo build --release --manifest-path bridge-ros/Cargo.toml --target-dir {}",
-                machine::target_dir().display()
-            );
-            ExitCode::SUCCESS
-        }
-        Err(reason) => {
-            eprintln!("{reason}");
-            ExitCode::FAILURE
-        }
-    }
+pub fn run() -> Result<(), String> {
+    prepare()?;
+    let setup = r2r::setup_file()?;
+    println!("ROS 2 Jazzy is in {}. To build and run the bridge with it:", venv().display());
+    println!("  source {}", setup.display());
+    println!(
+        "  cargo build --release --manifest-path bridge-ros/Cargo.toml --target-dir {}",
+        machine::target_dir().display()
+    );
+    Ok(())
 }
 
 /// The environment; tests look for it here.
@@ -56,10 +50,10 @@ pub fn venv() -> PathBuf {
 }
 
 /// Makes the environment unless it is there already. Ten seconds and 120 MB from PyPI.
-pub fn prepare() -> Outcome {
+pub fn prepare() -> Result<(), String> {
     let python =
         || python().ok_or("the wheels need Python 3.11: install python3.11 with its venv module".to_owned());
-    make_venv(&venv(), &WHEELS, python).into()
+    make_venv(&venv(), &WHEELS, python)
 }
 
 /// Makes a Python environment with packages from PyPI unless it is there already.
@@ -81,11 +75,11 @@ pub fn make_venv(
     // The wheels' packages are none of a workspace that this repository is in.
     fs::create_dir_all(machine::target_dir()).map_err(say)?;
     fs::write(machine::target_dir().join("COLCON_IGNORE"), "").map_err(say)?;
-    let made = execute(Command::new(&python).args(["-m", "venv"]).arg(venv)).result();
+    let made = execute(Command::new(&python).args(["-m", "venv"]).arg(venv));
     made.map_err(|reason| format!("{python} -m venv: {reason}"))?;
     let mut install = Command::new(venv.join("bin/pip"));
     install.args(["install", "--quiet", "--disable-pip-version-check"]).args(wheels);
-    execute(&mut install).result()?;
+    execute(&mut install)?;
     fs::write(complete, names).map_err(say)
 }
 

@@ -4,7 +4,7 @@
 //! that differs builds everything twice.
 
 use crate::build::{WHOLE, most};
-use crate::steps::{Outcome, cargo};
+use crate::steps::cargo;
 use crate::{bridge, machine, programs, rmw};
 use serde_json::Value;
 use std::collections::HashSet;
@@ -12,21 +12,18 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// Whether all that is built without Zenoh is of use to a build with it, and what is not ours to the workspaces that are apart; otherwise the
 /// packages by which they differ.
-pub fn check() -> Outcome {
+pub fn check() -> Result<(), String> {
     let apart = [("bridge-ros", bridge::WHOLE), ("rmw", rmw::WHOLE), ("r2r-programs", programs::WHOLE)];
     let apart = apart.map(|(name, arguments)| (name, arguments.to_owned()));
     let parts = [("test", most())].into_iter().chain(apart);
-    let whole = match graph(WHOLE) {
-        Ok(whole) => whole,
-        Err(reason) => return Outcome::Failed(reason),
-    };
+    let whole = graph(WHOLE)?;
     let faults = parts.filter_map(|(name, arguments)| match graph(&arguments) {
         Ok(part) => compare(name, &part, &whole),
         Err(reason) => Some(format!("{name}: {reason}")),
     });
     match faults.collect::<Vec<_>>().join("; ") {
-        faults if faults.is_empty() => Outcome::Ok,
-        faults => Outcome::Failed(format!(
+        faults if faults.is_empty() => Ok(()),
+        faults => Err(format!(
             "{faults}. If features differ, give xtask/features or xtask/host-features those that are missing; if versions do, `cargo update --precise` \
              in the workspace named; if debuginfo or opt_level do, its [profile.dev] the root's"
         )),

@@ -6,15 +6,15 @@ mod background;
 pub use background::Background;
 
 use crate::machine;
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::process::{Command, ExitCode, ExitStatus};
 use std::sync::OnceLock;
 use std::time::{Duration, Instant};
 
 /// How a step ended.
-#[derive(Default)]
+#[derive(Serialize, Deserialize)]
 pub enum Outcome {
-    #[default]
     Ok,
     Failed(String),
     Skipped(String),
@@ -28,26 +28,16 @@ impl Outcome {
             other => other,
         }
     }
-
-    /// Otherwise the reason.
-    pub fn result(self) -> Result<(), String> {
-        match self {
-            Outcome::Ok => Ok(()),
-            Outcome::Failed(reason) | Outcome::Skipped(reason) => Err(reason),
-        }
-    }
 }
 
 impl From<Result<(), String>> for Outcome {
     fn from(result: Result<(), String>) -> Outcome {
-        match result {
-            Ok(()) => Outcome::Ok,
-            Err(reason) => Outcome::Failed(reason),
-        }
+        result.map_or_else(Outcome::Failed, |()| Outcome::Ok)
     }
 }
 
 /// A step that has ended.
+#[derive(Serialize, Deserialize)]
 struct Done {
     name: String,
     outcome: Outcome,
@@ -73,12 +63,12 @@ impl Steps {
     }
 
     /// Runs a function as a step; says whether it succeeded. What one makes that is not chosen is taken as it is.
-    pub fn step(&mut self, name: &str, run: impl FnOnce() -> Outcome) -> bool {
+    pub fn step<T: Into<Outcome>>(&mut self, name: &str, run: impl FnOnce() -> T) -> bool {
         if !is_chosen(name, only()) {
             return true;
         }
         let (start, used) = (Instant::now(), machine::used_by_children());
-        let outcome = run();
+        let outcome = run().into();
         let took = start.elapsed();
         let cores = (machine::used_by_children() - used) / took.as_secs_f64().max(0.01);
         let succeeded = matches!(outcome, Outcome::Ok);
@@ -194,39 +184,30 @@ pub fn cargo_with(arguments: &str, more: impl IntoIterator<Item = String>) -> Co
     command
 }
 
-/// Prints a command and runs it as a whole task.
-pub fn run(command: &mut Command) -> ExitCode {
-    match execute(command) {
-        Outcome::Ok => ExitCode::SUCCESS,
-        outcome => {
-            eprintln!("{}", text(&outcome));
-            ExitCode::FAILURE
-        }
-    }
-}
-
 /// Prints a command and runs it.
-pub fn execute(command: &mut Command) -> Outcome {
+pub fn execute(command: &mut Command) -> Result<(), String> {
     announce(command);
     ended(command.status())
 }
 
 /// Runs what writes a report to this file, and checks the report if it ends well.
-pub fn reported(command: &mut Command, report: &Path, check: impl FnOnce() -> Outcome) -> Outcome {
+pub fn reported(
+    command: &mut Command,
+    report: &Path,
+    check: impl FnOnce() -> Result<(), String>,
+) -> Result<(), String> {
     // None of an earlier run.
     let _ = std::fs::remove_file(report);
-    match execute(command) {
-        Outcome::Ok => check(),
-        other => other,
-    }
+    execute(command)?;
+    check()
 }
 
 /// How a command ended.
-pub fn ended(status: std::io::Result<ExitStatus>) -> Outcome {
+pub fn ended(status: std::io::Result<ExitStatus>) -> Result<(), String> {
     match status {
-        Ok(status) if status.success() => Outcome::Ok,
-        Ok(status) => Outcome::Failed(status.to_string()),
-        Err(error) => Outcome::Failed(format!("cannot be started: {error}")),
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => Err(status.to_string()),
+        Err(error) => Err(format!("cannot be started: {error}")),
     }
 }
 

@@ -4,24 +4,22 @@
 
 use crate::build::{Build, SAME, TARGETS, WITH_GATEWAY, WITH_ROS, most};
 use crate::reports::{ABLATION, DEMO};
-use crate::steps::{Outcome, Steps, cargo, execute, reported};
+use crate::steps::{Steps, cargo, execute, reported};
 use crate::{examples, lints, machine, machine::Scope, r2r};
-use std::process::{Command, ExitCode};
+use std::process::Command;
 
 /// Runs every step, whatever fails.
-pub fn run(scope: &Scope) -> ExitCode {
-    let mut steps = Steps::new();
-    r2r::prepare_libclang(&mut steps, machine::is_ci());
+pub fn run(steps: &mut Steps, scope: &Scope) {
+    r2r::prepare_libclang(steps, machine::is_ci());
     steps.command("fmt", &mut cargo("fmt --all --check"));
-    let built = lints::build(&mut steps, "build and lints", &format!("{} {TARGETS}", most()));
+    let built = lints::build(steps, "build and lints", &format!("{} {TARGETS}", most()));
     // Most wait for each other's processes more than they compute.
-    nextest(&mut steps, "tests", &most(), &format!("not({WITH_GATEWAY}|{WITH_ROS})"), 2);
+    nextest(steps, "tests", &most(), &format!("not({WITH_GATEWAY}|{WITH_ROS})"), 2);
     steps.command("doc tests", &mut lints::cargo(&format!("test {} --no-fail-fast --doc", most())));
-    demo(&mut steps, built);
-    examples::run(&mut steps, built, Build::Tests, false);
-    loom(&mut steps);
-    leftovers(&mut steps, scope);
-    steps.finish()
+    demo(steps, built);
+    examples::run(steps, built, Build::Tests, false);
+    loom(steps);
+    leftovers(steps, scope);
 }
 
 /// The tests of these packages that a filter of nextest's selects, so many at a time for each core.
@@ -46,7 +44,7 @@ fn demo(steps: &mut Steps, built: bool) {
     }
     let target = machine::target_dir();
     let (json, svg) = (target.join("demo.json"), target.join("demo.svg"));
-    let mut run = |name, priority, check: &dyn Fn() -> Outcome| {
+    let mut run = |name, priority, check: &dyn Fn() -> Result<(), String>| {
         let mut command = Command::new(Build::Tests.folder().join("taut"));
         command.args(["demo", "--seconds", "3", "--sampler-priority", priority]);
         command.arg("--json").arg(&json).arg("--svg").arg(&svg);
@@ -70,9 +68,9 @@ fn loom(steps: &mut Steps) {
     let mut command = cargo(&format!("test{packages} {SAME} --lib loom"));
     // Models need none of it, only their packages' other tests.
     command.args(["--config", "profile.dev.package.tautline-schema.opt-level=0"]);
-    steps.step("loom", || match machine::script("rustc-loom", "exec \"$@\" --cfg taut_loom") {
-        Ok(rustc) => execute(command.env("RUSTC_WORKSPACE_WRAPPER", rustc)),
-        Err(reason) => Outcome::Failed(reason),
+    steps.step("loom", || {
+        let rustc = machine::script("rustc-loom", "exec \"$@\" --cfg taut_loom")?;
+        execute(command.env("RUSTC_WORKSPACE_WRAPPER", rustc))
     });
 }
 
@@ -83,14 +81,14 @@ pub fn leftovers(steps: &mut Steps, scope: &Scope) {
 
 /// All processes have ended: their domains have gone from shared memory with them. Where a traced process was killed, what it had
 /// recorded stays for a recorder.
-fn left(scope: &Scope) -> Outcome {
+fn left(scope: &Scope) -> Result<(), String> {
     let is_trace = |path: &std::path::Path| {
         path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("trace_p"))
     };
     let (traces, left): (Vec<_>, Vec<_>) = scope.left().into_iter().partition(|path| is_trace(path));
     let of_traces = |path: &&std::path::PathBuf| traces.iter().any(|trace| trace.parent() == Some(path));
     match left.iter().find(|path| !of_traces(path)) {
-        Some(path) => Outcome::Failed(format!("{} and others, {} in all", path.display(), left.len())),
-        None => Outcome::Ok,
+        Some(path) => Err(format!("{} and others, {} in all", path.display(), left.len())),
+        None => Ok(()),
     }
 }

@@ -4,12 +4,10 @@
 
 use super::{Done, Outcome, Steps, TIMINGS, announce, only, variables};
 use crate::machine;
-use serde_json::{Value, json};
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, ExitCode};
-use std::time::Duration;
+use std::process::{Child, Command};
 
 /// Such a process.
 #[must_use = "its steps count once they are joined"]
@@ -64,48 +62,17 @@ impl Steps {
     }
 
     /// Instead of [`finish`](Self::finish), for the process of a job: writes down how its steps ended.
-    pub fn hand_over(self, path: &Path) -> ExitCode {
-        let written: Vec<Value> = self.done.iter().map(Done::to_json).collect();
-        match fs::write(path, Value::from(written).to_string()) {
-            Ok(()) => ExitCode::SUCCESS,
-            Err(error) => {
-                eprintln!("{}: {error}", path.display());
-                ExitCode::FAILURE
-            }
-        }
+    pub fn hand_over(self, path: &Path) -> Result<(), String> {
+        let written = serde_json::to_vec(&self.done).map_err(io::Error::from);
+        let written = written.and_then(|written| fs::write(path, written));
+        written.map_err(|error| format!("{}: {error}", path.display()))
     }
 }
 
 /// What [`Steps::hand_over`] has written.
 fn read(path: &Path) -> Result<Vec<Done>, String> {
-    let text = fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
-    let all: Value = serde_json::from_str(&text).map_err(|error| error.to_string())?;
-    let done = all.as_array().and_then(|all| all.iter().map(Done::from_json).collect());
-    done.ok_or_else(|| format!("{}: no list of steps", path.display()))
-}
-
-impl Done {
-    fn to_json(&self) -> Value {
-        let (outcome, reason) = match &self.outcome {
-            Outcome::Ok => ("ok", ""),
-            Outcome::Failed(reason) => ("failed", &**reason),
-            Outcome::Skipped(reason) => ("skipped", &**reason),
-        };
-        let seconds = self.took.as_secs_f64();
-        json!({"name": self.name, "outcome": outcome, "reason": reason, "seconds": seconds, "cores": self.cores})
-    }
-
-    fn from_json(done: &Value) -> Option<Done> {
-        let text = |field: &str| Some(done[field].as_str()?.to_owned());
-        let outcome = match &*text("outcome")? {
-            "ok" => Outcome::Ok,
-            "failed" => Outcome::Failed(text("reason")?),
-            "skipped" => Outcome::Skipped(text("reason")?),
-            _ => return None,
-        };
-        let took = Duration::try_from_secs_f64(done["seconds"].as_f64()?).ok()?;
-        Some(Done { name: text("name")?, outcome, took, cores: done["cores"].as_f64()? })
-    }
+    let done = fs::read(path).and_then(|text| Ok(serde_json::from_slice(&text)?));
+    done.map_err(|error| format!("{}: {error}", path.display()))
 }
 
 #[cfg(test)]
@@ -119,9 +86,9 @@ mod tests {
         let file = |name| folder.path().join(name);
         let mut others = Steps::new();
         others.step("passes", || Outcome::Ok);
-        others.step("fails", || Outcome::Failed("with \"words\"".to_owned()));
+        others.step("fails", || Err("with \"words\"".to_owned()));
         others.skip("is left out", "no network");
-        assert_eq!(others.hand_over(&file("done")), ExitCode::SUCCESS);
+        others.hand_over(&file("done")).unwrap();
         fs::write(file("printed"), "").unwrap();
         let background = |done| {
             let child = Command::new("true").spawn();
