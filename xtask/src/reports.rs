@@ -222,7 +222,7 @@ mod tests {
             &[
                 (".[0].n = 8", "9 messages were expected"),
                 (".[3].aim.is_met = false", "missed: {"),
-                ("del(.[2, 3])", "nothing was measured to ROS"),
+                (".[:2]", "nothing was measured to ROS"),
                 ("del(.[0])", "1 ways instead of 2"),
                 ("del(.[0].unit)", "'unit' should be of type string"),
             ],
