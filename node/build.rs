@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Lists the definitions of the bundled packages, to be part of the program with feature `untyped`. (`definitions` is a
-//! link to those of `tautline-ros-msgs`: a published package has a copy of them.)
+//! Lists the definitions of the bundled packages, which become part of the program with feature `untyped`.
+//! (`definitions` is a link to those of `tautline-ros-msgs`; a published package has a copy of them.)
 
 use std::collections::BTreeSet;
 use std::fmt::Write;

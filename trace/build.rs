@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Compiles the LTTng provider if the feature `lttng` asks for it.
+//! Compiles the LTTng provider if the feature `lttng` is enabled.
 
 fn main() {
     println!("cargo::rerun-if-changed=build.rs");

@@ -28,8 +28,8 @@ pub fn deadline_monotonic(tasks: &[Task], highest: u8) -> Result<Vec<u8>, Analys
 /// Audsley's assignment (1991): finds an order that meets all deadlines if there is one, also with jitter, blocking
 /// that does not depend on priorities, and deadlines past the period. Each thread gets a priority of its own.
 ///
-/// The lowest priority goes to a thread that meets its deadlines there, then the next one; nothing that comes above
-/// changes that. Among several, the one with the longest deadline is taken.
+/// The lowest priority goes to a thread that meets its deadlines there, then the next one; the tasks that are
+/// placed above it do not change that. Among several, the one with the longest deadline is taken.
 ///
 /// # Errors
 /// [`AnalysisError::NoAssignment`] if there is no such order, [`AnalysisError::TooFewPriorities`] if there are more

@@ -12,7 +12,7 @@ pub struct CriticalSection {
     pub length_ns: u64,
 }
 
-/// What a lock does to the priority of who holds it.
+/// How a lock changes the priority of the task that holds it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LockProtocol {
     /// `PTHREAD_PRIO_PROTECT`: the holder runs at the lock's ceiling, the highest priority of its users.
@@ -21,8 +21,8 @@ pub enum LockProtocol {
     PriorityInheritance,
 }
 
-/// How long each task of a core can be blocked by lower priorities that hold locks: what
-/// [`Task::blocking_ns`] wants (Sha, Rajkumar & Lehoczky 1990).
+/// How long each task of a core can be blocked by lower priorities that hold locks: the value for
+/// [`Task::blocking_ns`] (Sha, Rajkumar & Lehoczky 1990).
 ///
 /// Only sections of lower priority count whose lock is also used at the task's priority or above. Under the ceiling
 /// protocol the longest of them blocks, once. Under inheritance each lower task may block once, and so may each lock:

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! End-to-end bounds of chains, from what is known of their stages.
+//! End-to-end bounds of chains, computed from the bounds of their stages.
 
 /// One stage of a chain whose stages run at their own pace and read the latest value of the one before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stage {
     /// Time between two releases of the stage.
     pub period_ns: u64,
-    /// Its response time, from the nominal release; of a stage that triggers further ones, their latency included.
+    /// Its response time, from the nominal release. If the stage triggers further stages, this includes their
+    /// latency.
     pub response_ns: u64,
 }
 
@@ -33,8 +34,8 @@ pub fn register_sampled(stages: &[Stage]) -> Option<u64> {
     stages.iter().try_fold(0, |sum: u64, s| sum.checked_add(s.period_ns)?.checked_add(s.response_ns))
 }
 
-/// Data age of a chain through registers: how old what the first stage read may be when a job of the last stage that
-/// uses it ends. `None` on overflow.
+/// Data age of a chain through registers: the age of a value that the first stage read, at the end of the last
+/// stage's job that uses it. `None` on overflow.
 ///
 /// A job released at r reads what the latest job of the stage before has written that ended by r, which was released
 /// later than r - (T + R): had it not been, its successor would have ended by r, too. The last stage adds its R. (Until

@@ -96,7 +96,8 @@ pub enum AnalysisError {
         utilisation: f64,
     },
 
-    /// A level that needs exactly the whole core never catches up with jitter or blocking, nor may it size a queue.
+    /// A level that needs exactly the whole core never recovers from jitter or blocking, and no queue can be sized
+    /// for it.
     #[error(
         "task `{task}` has no slack: the work at priority {priority} and above needs 100 % of the core, \
          where jitter, blocking and queues have no safe bound: lower a rate or a wcet"
@@ -195,7 +196,7 @@ pub enum AnalysisError {
         tasks: String,
     },
 
-    /// A join that cannot be analysed.
+    /// The analysis cannot handle this join.
     #[error("task `{task}` cannot wait for its inputs: {problem}")]
     BadJoin {
         /// The task that waits.
@@ -204,7 +205,7 @@ pub enum AnalysisError {
         problem: &'static str,
     },
 
-    /// A chain through a join whose window may be missed for ever.
+    /// A chain through a join whose messages may never lie within its window.
     #[error(
         "chain `{chain}` has no bounded reaction time: messages of `{input}` may be {gap_ns} ns apart, more than the window \
          of {window_ns} ns of `{task}`, so that no set may come together: make the window as long"
@@ -222,7 +223,7 @@ pub enum AnalysisError {
         gap_ns: u64,
     },
 
-    /// A chain through a join that may not pass on what it got for ever, whatever its window.
+    /// A chain through a join that may never forward an input, whatever its window.
     #[error("chain `{chain}` has no bounded reaction time at `{task}`: {problem}")]
     NotReflected {
         /// The chain.

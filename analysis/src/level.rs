@@ -36,9 +36,9 @@ impl Demand {
 /// The tasks of one core, checked, with their costs.
 pub(crate) struct Core<'a> {
     tasks: &'a [Task],
-    /// What each task has to do.
+    /// The demand of each task.
     callbacks: Vec<Demand>,
-    /// What each task takes from the others: the same, but for those with a reservation.
+    /// The demand of each task as the others see it: the same, except for tasks with a reservation.
     delays: Vec<Demand>,
     /// What delays every level: messages, ticks, throttling.
     common: Vec<Demand>,
@@ -51,7 +51,7 @@ pub(crate) struct Bound {
     pub nominal_ns: u64,
     pub arrival_ns: u64,
     pub utilisation: f64,
-    /// For the next period of its reservation.
+    /// Whether it may wait for the next period of its reservation.
     pub waits: bool,
 }
 
@@ -107,7 +107,7 @@ struct Level<'a> {
     own: Vec<Demand>,
     interference: Vec<Demand>,
     blocking: u64,
-    /// What remains to be done of a job once nothing can preempt it.
+    /// The rest of a job once nothing can preempt it.
     tail: u64,
     utilisation: u128,
 }

@@ -68,7 +68,7 @@ impl Response {
     }
 }
 
-/// Bounds the response time of every task, in the order given, on a machine that costs nothing.
+/// Bounds the response time of every task, in the order given, on a machine without overheads.
 ///
 /// # Errors
 /// The first task that is invalid or has no bound; see [`AnalysisError`].

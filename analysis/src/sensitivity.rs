@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How much may grow before a deadline is missed.
+//! By how much execution times and overheads may grow before a deadline is missed.
 //!
 //! All bounds of this crate grow with every execution time and overhead, so a search by halving finds the limit.
 use crate::Task;

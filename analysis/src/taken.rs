@@ -2,20 +2,20 @@
 //! Time that something outside the analysis took from a core while it ran: a hypervisor, interrupts, firmware, a job that used more
 //! than its wcet.
 //!
-//! No bound knows of it beforehand. Afterwards, with what was taken and when, there is one: a [`Task`] that loses T in its busy
-//! window ends as if it had been blocked for T more, once. A response beyond its bound is explained if it is within this one, and
-//! a defect if not.
+//! No bound can include this time in advance. After the run there is a bound if it is known how much was taken, and when: a
+//! [`Task`] that loses T in its busy window ends as if it had been blocked for T more, once. A response time beyond its
+//! first bound is explained if it is within this second one, and a defect if it is not.
 
 use crate::{AnalysisError, Overheads, Response, Task, response_time_per_task};
 
 /// What was taken from a core between two instants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Taken {
-    /// It was taken after this instant, in ns of any clock.
+    /// The start of the interval in which it was taken, in ns of any clock.
     pub from_ns: u64,
-    /// And before this one.
+    /// The end of this interval.
     pub to_ns: u64,
-    /// How much.
+    /// The amount.
     pub length_ns: u64,
     /// How it was noticed.
     pub seen: Seen,
@@ -24,39 +24,43 @@ pub struct Taken {
 /// How it was noticed that a core was taken.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Seen {
-    /// By the thread that ran: it neither ran nor waited. One thread runs at a time, so no time is seen twice so.
+    /// By the thread that ran: it neither ran nor waited. One thread runs at a time, so this way sees no time
+    /// twice.
     Running,
-    /// By a thread that a clock was to wake: it was woken later. Several may see the same time, and one that ran may have, too.
+    /// By a thread that a timer woke too late. Several threads may see the same time, and a thread that ran may have seen it,
+    /// too.
     WokenLate,
-    /// By a thread that waited for the core: others had it than those that it is known to wait for. A clock may have waited, too.
+    /// By a thread that waited for the core while others used it than those that it is known to wait for. A timer may have
+    /// waited, too.
     Waited,
-    /// By the thread that ran, as time that its job used beyond what the analysis allows it. Not a sight of the other two's time, which
-    /// no thread used.
+    /// By the thread that ran: time that its job used beyond what the analysis allows. This is not the time that the other ways see,
+    /// which no thread used.
     Overran,
 }
 
-/// Who noticed it.
+/// An observation of taken time, and its observer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Sight {
     /// What was noticed.
     pub taken: Taken,
-    /// By which thread: any number that no other thread has.
+    /// The thread that noticed it: any number that no other thread has.
     pub thread: u64,
-    /// Of that thread; `None`: not known, or it has no real-time priority.
+    /// The priority of that thread; `None`: unknown, or not a real-time priority.
     pub priority: Option<u8>,
 }
 
-/// All that was taken from a core in a run, each nanosecond once.
+/// All time that was taken from a core in a run; each nanosecond counts once.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct TakenTimes {
-    /// By their begin.
+    /// Sorted by their start.
     pieces: Vec<Taken>,
-    /// No piece lies between instants that are further apart.
+    /// The longest interval of a piece.
     widest_ns: u64,
 }
 
 impl TakenTimes {
-    /// From what all threads of the core saw, in any order. Of time that may have been seen by a clock, too, the longer sight counts.
+    /// Combines the observations of all threads of the core, in any order. If a timer may have seen the same time, too, the longer
+    /// observation counts.
     pub fn new(seen: impl IntoIterator<Item = Taken>) -> TakenTimes {
         let (pieces, late): (Vec<Taken>, Vec<Taken>) = seen
             .into_iter()
@@ -67,8 +71,9 @@ impl TakenTimes {
         TakenTimes::of(noticed.pieces.into_iter().chain(more).collect())
     }
 
-    /// As [`new`](Self::new), with what threads waited for the core beyond what the analysis allows, those below `priority` left out: a wait
-    /// below delays nobody above. Of a wait, what other threads saw of it is counted off, and waits that overlap are one, the longest.
+    /// As [`new`](Self::new), and also with the time that threads waited for the core beyond what the analysis allows. Waits below
+    /// `priority` are left out: they delay nobody above. What other threads saw of a wait is subtracted from it; waits that overlap count
+    /// as one, the longest.
     pub fn with_waits(sights: &[Sight], priority: Option<u8>) -> TakenTimes {
         let counts = |sight: &&Sight| sight.taken.seen != Seen::Waited || sight.priority >= priority;
         let less = |sight: &Sight| {
@@ -121,7 +126,7 @@ impl TakenTimes {
         TakenTimes { pieces, widest_ns }
     }
 
-    /// The pieces, by their begin.
+    /// The pieces, sorted by their start.
     pub fn pieces(&self) -> &[Taken] {
         &self.pieces
     }
@@ -141,7 +146,8 @@ impl TakenTimes {
         self.pieces.iter().map(|piece| piece.length_ns).max().unwrap_or(0)
     }
 
-    /// What may have been taken in the `window_ns` before `end_ns`: of a piece, as much as may lie in it.
+    /// The most that may have been taken in the `window_ns` before `end_ns`. A piece counts as far as it may
+    /// lie in this window.
     pub fn before(&self, end_ns: u64, window_ns: u64) -> u64 {
         let begin_ns = end_ns.saturating_sub(window_ns);
         let in_it = |piece: &Taken| {
@@ -170,9 +176,9 @@ impl TakenTimes {
     }
 }
 
-/// The response time of `tasks[index]` in a run in which a window lost no more than `taken_within` says, in nanoseconds for its
-/// length in nanoseconds: that of [`response_time_per_task`] with so much more blocking. What was taken before the release counts,
-/// too, as far back as a period and the response: what it delayed may delay this job.
+/// The response time of `tasks[index]` in a run in which a window of n nanoseconds lost at most `taken_within(n)` nanoseconds:
+/// that of [`response_time_per_task`] with the blocking increased by the loss. Time taken before the release counts, too, as far
+/// back as one period and the response time: a job that it delayed may delay this one.
 ///
 /// ```
 /// use std::time::Duration;
@@ -190,7 +196,7 @@ impl TakenTimes {
 /// ```
 ///
 /// # Errors
-/// As [`response_time_per_task`], for this task: what was taken may leave too little of the core.
+/// As [`response_time_per_task`], for this task: the taken time may leave too little of the core.
 ///
 /// # Panics
 /// If there is no such task.

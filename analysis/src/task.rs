@@ -15,7 +15,7 @@ pub struct Task {
     pub wcet_ns: u64,
     /// Least time from a job's start to the message it publishes; 0 if not known. Used to pass jitter on in chains.
     pub bcet_ns: u64,
-    /// Latest end wanted, relative to the nominal release; may exceed the period.
+    /// The deadline of a job, relative to the nominal release; may exceed the period.
     pub deadline_ns: u64,
     /// How much later than nominal a job may become ready; may exceed the period.
     pub jitter_ns: u64,
@@ -32,16 +32,16 @@ pub struct Task {
     /// As in SCHED_FIFO, a larger number is a higher priority. Tasks of one priority delay each other: a job is taken
     /// to wait for every job of its level, a safe bound for first-in, first-out order.
     pub priority: u8,
-    /// What the kernel reserves for the task, and holds it to, if it runs under SCHED_DEADLINE. Its priority is then above all
-    /// others, [`Reservation::PRIORITY`]; it delays them by its reservation, whatever its wcet.
+    /// The reservation that the kernel grants and enforces, if the task runs under SCHED_DEADLINE. Its priority is then above
+    /// all others, [`Reservation::PRIORITY`]; it delays them by its reservation, whatever its wcet.
     pub reservation: Option<Reservation>,
     /// The thread that this task shares with all others of the same group; `None` for a thread of its own.
     pub group: Option<Group>,
     /// Middleware work for each message, in place of [`Overheads::per_message_ns`]: `Some(0)` for a task that no
     /// message wakes, such as a timer interrupt. Used only by the analyses that take [`Overheads`].
     pub message_overhead_ns: Option<u64>,
-    /// What an executor of another library than Tautline's uses for each job, in the task's thread: rclcpp's to wait, to find what is
-    /// ready, to take. Used only by the analyses that take [`Overheads`].
+    /// The time that an executor of a library other than Tautline uses for each job, in the task's thread: in rclcpp, to wait, to
+    /// find what is ready, and to take it. Used only by the analyses that take [`Overheads`].
     pub executor_overhead_ns: u64,
 }
 
@@ -72,7 +72,7 @@ impl Reservation {
 pub struct Group {
     /// Distinguishes the groups of a core.
     pub id: u32,
-    /// Which job is next.
+    /// How the next job is chosen.
     pub order: Order,
 }
 
@@ -107,7 +107,7 @@ impl Task {
         }
     }
 
-    /// Gives the task a reservation, and the priority of such.
+    /// Gives the task a reservation, and the priority of a task with a reservation.
     #[must_use = "it returns the changed Task"]
     pub fn reserved(mut self, runtime: Duration, period: Duration) -> Self {
         let (runtime_ns, period_ns) = (nanos(runtime), nanos(period));
@@ -153,7 +153,7 @@ impl Task {
         self
     }
 
-    /// Puts the task into a thread with others.
+    /// Lets the task share a thread with others.
     #[must_use = "it returns the changed Task"]
     pub fn group(mut self, id: u32, order: Order) -> Self {
         self.group = Some(Group { id, order });
@@ -189,7 +189,7 @@ impl Task {
     }
 }
 
-/// What the machine and the middleware cost on top of the callbacks, in nanoseconds.
+/// The overheads of the machine and the middleware, in addition to the callbacks, in nanoseconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Overheads {
     /// One context switch; each job of a callback is charged two.
@@ -225,7 +225,7 @@ impl Throttling {
 }
 
 impl Overheads {
-    /// A machine and a middleware that cost nothing.
+    /// A machine and a middleware without overheads.
     pub const NONE: Self =
         Self { context_switch_ns: 0, per_message_ns: 0, tick_period_ns: 0, tick_ns: 0, throttling: None };
 }

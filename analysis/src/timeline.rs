@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What happens on a core at the critical instant: a small simulator, for pictures and for tests of the bounds.
+//! A small simulator of a core from the critical instant on, for pictures and for tests of the bounds.
 use std::cmp::Reverse;
 
 use crate::{Order, Overheads, Task};
@@ -29,7 +29,7 @@ pub struct Job {
 /// The course of events after a critical instant.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Timeline {
-    /// Who had the core, in order.
+    /// The jobs that had the core, in order.
     pub runs: Vec<Run>,
     /// All jobs, in the order of their release.
     pub jobs: Vec<Job>,
@@ -41,7 +41,7 @@ struct Ready {
     task: Option<usize>,
     /// Priority, and whether it may not be preempted once it has begun.
     rank: (bool, u16),
-    /// Who is first among equals.
+    /// The order among equal priorities.
     turn: (u64, usize),
     non_preemptive: bool,
     work_ns: u64,

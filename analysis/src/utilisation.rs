@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What can be said from utilisations alone.
+//! Tests that use utilisations only.
 use crate::Task;
 
 /// The share of the core the tasks need: the sum of wcet / period, 1.0 being the whole core. Infinite (or NaN) if a

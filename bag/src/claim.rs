@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A file whose space is claimed before it is written, so that a disk that fills up is noticed while the file can still be ended.
+//! A file whose space is reserved before it is written, so that a full disk is noticed while the file can still be completed.
 
 use crate::BagError;
 use crate::disk::{BLOCK, Disk, Job, Jobs, Piece};
@@ -15,7 +15,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 /// How much is claimed at once, if there is as much.
 const STEP: u64 = 64 << 20;
 
-/// Where a [`Claimed`] file ends, for who no longer has it.
+/// The end of a [`Claimed`] file, for code that no longer owns the file.
 #[derive(Clone, Default)]
 pub struct Position(Arc<AtomicU64>);
 
@@ -25,7 +25,7 @@ impl Position {
     }
 }
 
-/// What claims space for a file.
+/// Reserves space for a file.
 pub struct Claim {
     file: File,
     path: PathBuf,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A bag of what rosbag2 wrote, in whatever storage and compression, in the storage that is wanted.
+//! Converts bags of rosbag2, in any storage and compression, to the wanted storage.
 
 use crate::metadata::custom;
 use crate::parts::{Form, Parts, form_of, is_compressed, parts_of};
@@ -21,24 +21,24 @@ const STEP: u64 = 16 << 20;
 /// Finds the definition of a topic's type, with a message of the topic, if there is one.
 type Define<'h> = dyn FnMut(&Topic, Option<&[u8]>) -> Option<String> + 'h;
 
-/// What [`convert`] asks, and whom it tells.
+/// The callbacks of [`convert`].
 pub struct Hooks<'h> {
-    /// Asked for what the bag itself does not define.
+    /// Called for definitions that the bag itself does not contain.
     pub define: &'h mut Define<'h>,
-    /// Hears of each file before it is read.
+    /// Called with each file before it is read.
     pub tell: &'h mut dyn FnMut(&Path),
-    /// Whether it is to go on, asked at each message.
+    /// Called at each message; `false` stops the conversion.
     pub go_on: &'h mut dyn FnMut() -> bool,
 }
 
-/// What was written.
+/// The result of a conversion.
 #[derive(Clone, Debug)]
 pub struct Converted {
     /// Its files.
     pub files: Vec<FileSummary>,
-    /// What was damaged in the bags that were read: what is whole was taken.
+    /// The damaged parts of the bags that were read; all undamaged parts were converted.
     pub damage: Vec<(PathBuf, Damage)>,
-    /// What could not be kept, or was not as it should be, in sentences.
+    /// Sentences about what could not be kept or was not as it should be.
     pub notes: Vec<String>,
 }
 
@@ -46,7 +46,8 @@ pub struct Converted {
 /// message by message or not. Messages, their order, their times, QoS, hashes and definitions of types are kept.
 ///
 /// # Errors
-/// A bag cannot be read, or the new one not be written. Then there is none: it is written beside its place, and put there when it is done.
+/// A bag cannot be read, or the new one cannot be written. Then there is no new bag: it is written to a temporary path and renamed when it
+/// is complete.
 pub fn convert(
     bags: &[PathBuf],
     to: &Path,

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The thread that writes a file to the disk: past the kernel's cache, where the file system permits that. The cache's pages would have to
-//! be found first, would push out those of others, and be written when the kernel likes, which then stops the writer for long.
+//! The thread that writes a file to the disk, past the kernel's page cache where the file system permits that. With the cache, the kernel
+//! would have to find pages first, would evict other pages, and would write them at a time of its own choice, which then blocks the writer
+//! for a long time.
 
 use crate::BagError;
 use std::fs::File;
@@ -13,7 +14,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, SyncSender, channel};
 use std::sync::{Arc, OnceLock};
 
-/// What a disk takes from memory: so many bytes, or several times as many, at an address and to a place that are multiples of it.
+/// The block size of direct I/O: lengths, memory addresses and file offsets must be multiples of it.
 pub const BLOCK: usize = 4096;
 /// The one that is filled and the one that is being written.
 const PIECES: usize = 2;

@@ -6,18 +6,18 @@ use std::path::{Path, PathBuf};
 /// Why a bag was not written or read.
 #[derive(Debug, thiserror::Error)]
 pub enum BagError {
-    /// There is something of this name.
+    /// The path exists already.
     #[error("'{}' exists already; choose another folder with -o, or remove it", .0.display())]
     Exists(PathBuf),
-    /// What is needed for one more message, and to end the file whole, is not there.
+    /// The disk has no space for one more message and the end of the file.
     #[error("the disk of '{}' is full: no room for {bytes} bytes more; the bag is whole up to here", path.display())]
     Full {
         /// The file.
         path: PathBuf,
-        /// How many bytes were to be claimed.
+        /// How many bytes were to be reserved.
         bytes: u64,
     },
-    /// What is written elsewhere first has no room.
+    /// There is no space for a temporary file.
     #[error("the disk of '{}' is full: no room for {bytes} bytes and 64 MiB for others; nothing is left of it", path.display())]
     NoRoom {
         /// Where it was to be.
@@ -25,7 +25,7 @@ pub enum BagError {
         /// How many bytes were to be written.
         bytes: u64,
     },
-    /// It was not to go on.
+    /// The caller stopped the operation.
     #[error("interrupted; nothing is left of it")]
     Interrupted,
     /// It cannot be written.
@@ -44,7 +44,7 @@ pub enum BagError {
         /// Why.
         source: io::Error,
     },
-    /// It is no MCAP file, and no folder of some.
+    /// It is neither an MCAP file nor a folder of MCAP files.
     #[error("'{}' is not a bag: {reason}", path.display())]
     NoBag {
         /// The file or folder.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a file says of itself at its end, without reading the rest.
+//! Reads the summary at the end of a file without the rest.
 
 use crate::reader::{FileSummary, MAGIC, definition, topic};
 use crate::record::{Records, parse};
@@ -22,7 +22,7 @@ pub type Metadata = (String, BTreeMap<String, String>);
 /// Metadata of a file, all of it.
 const MOST_METADATA: usize = 64 << 20;
 
-/// What the index of a file says is in it, and what the file says of itself. `None`: it has no index, or none that is whole.
+/// The content of a file by its index, and its metadata records. `None`: it has no index, or only a damaged one.
 ///
 /// # Errors
 /// It cannot be read.

@@ -2,9 +2,10 @@
 //! Bags as rosbag2 writes them: a folder of MCAP files (profile `ros2`) and a `metadata.yaml`, or such a file alone. [`convert`] reads and
 //! writes rosbag2's other storage, too: SQLite.
 //!
-//! Knows files, and nothing of Tautline's topics. What is written survives: a chunk is in the file when [`Writer::flush`] returns, the
-//! space for what a file still needs to be whole is claimed before a message is written, and of what a killed process left
-//! [`recover`] keeps every whole chunk. What is read is a claim: lengths are held against the file's, chunks against their checksum.
+//! This crate knows files, not Tautline's topics. Written data survives: a chunk is in the file when [`Writer::flush`] returns, the
+//! space that a file still needs to be complete is reserved before a message is written, and [`recover`] keeps every complete chunk of
+//! a killed process's file. Files that are read are untrusted: lengths are checked against the file's length, chunks against their
+//! checksum.
 #![deny(unsafe_code)]
 
 mod claim;
@@ -34,10 +35,10 @@ pub use recover::{Recovered, recover};
 pub use rewrite::rewrite;
 pub use writer::{Finished, Options, TopicId, Writer};
 
-/// What holds the messages of a bag, as rosbag2 calls it.
+/// The storage format of a bag, in rosbag2's term.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Storage {
-    /// Chunks of messages, one behind the other: what is [recovered](recover) and played.
+    /// A sequence of chunks of messages. Bags in this format can be [recovered](recover) and played.
     #[default]
     Mcap,
     /// A database with a row for each message, rosbag2's default until ROS 2 Humble.
@@ -47,12 +48,12 @@ pub enum Storage {
 /// How chunks are compressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Compression {
-    /// As the messages are.
+    /// No compression.
     #[default]
     None,
-    /// Small.
+    /// zstd: the smaller files.
     Zstd,
-    /// Fast.
+    /// lz4: the faster compression.
     Lz4,
 }
 
@@ -75,25 +76,25 @@ impl Compression {
     }
 }
 
-/// What a bag says of a topic.
+/// A bag's description of a topic.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Default)]
 pub struct Topic {
     /// The fully qualified name.
     pub name: String,
     /// `package/msg/Name`.
     pub type_name: String,
-    /// `RIHS01_` and 64 digits; empty if nobody knows it.
+    /// `RIHS01_` and 64 digits; empty if unknown.
     pub type_hash: String,
-    /// The definition as ros2msg text, with those of the types that it needs, if somebody knows it.
+    /// The definition as ros2msg text, with those of the types that it needs, if known.
     pub definition: Option<String>,
     /// The QoS profiles of its publishers, as rosbag2 writes them: a list in YAML.
     pub qos: String,
 }
 
-/// What a message has besides its bytes.
+/// The metadata of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct Stamp {
-    /// The publisher's number of it, or its lowest 32 bits.
+    /// The sequence number that the publisher gave it, or its lowest 32 bits.
     pub sequence: u32,
     /// When it was received, in nanoseconds since 1970.
     pub log_ns: u64,

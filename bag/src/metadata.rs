@@ -8,12 +8,12 @@ use std::fmt::Write;
 use std::fs;
 use std::path::Path;
 
-/// What a bag is besides its files.
+/// The properties of a bag that are not in its files.
 pub struct Description<'d> {
     pub storage: Storage,
     /// Each message is compressed, by zstd.
     pub packs_messages: bool,
-    /// What others said of it.
+    /// Custom data from other tools.
     pub custom_data: &'d BTreeMap<String, String>,
 }
 

@@ -13,7 +13,7 @@ const MOST_OPEN: usize = 256;
 /// Messages that wait for their turn: chunks of times that overlap.
 const MOST_WAITING: usize = 2 << 30;
 
-/// A message, and which of [`Ordered::topics`] it is of.
+/// A message and its topic, an index into [`Ordered::topics`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OwnedMessage {
     /// Which topic.
@@ -26,8 +26,8 @@ pub struct OwnedMessage {
 
 /// Reads a bag. A chunk is read when its first message is due, so what is in memory at once are chunks whose times overlap.
 ///
-/// Damaged parts are passed over; [`damage`](Self::damage) tells of them. A chunk with messages that are earlier than it says gives them
-/// when it is read.
+/// Damaged parts are skipped; [`damage`](Self::damage) lists them. If a chunk has messages that are earlier than its header states, they
+/// come when the chunk is read.
 pub struct Ordered {
     files: Vec<PathBuf>,
     /// Of every file, the latest first.
@@ -108,7 +108,7 @@ impl Ordered {
         start.zip(extents.map(|extent| extent.end_ns).max())
     }
 
-    /// From the beginning again; chunks whose messages are all before `from_ns` are left out.
+    /// Starts again from the beginning; chunks whose messages are all before `from_ns` are left out.
     pub fn rewind(&mut self, from_ns: u64) {
         self.waiting.clear();
         self.waiting_bytes = 0;
@@ -134,7 +134,7 @@ impl Ordered {
         Ok(next)
     }
 
-    /// What is wrong in it, as far as it was read: the file, where, and what.
+    /// The damage found in the part read so far: the file, the position and the fault.
     pub fn damage(&self) -> impl Iterator<Item = (&Path, Damage)> {
         self.damage
             .iter()

@@ -18,27 +18,27 @@ const MOST_METADATA: u64 = 64 << 20;
 /// From this version on paths are relative to the folder that the file is in.
 const PATHS_OF_FOLDER: u32 = 4;
 
-/// How a file holds its messages, by its first bytes.
+/// The format of a file, detected by its first bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
     Mcap,
     Sqlite3,
-    /// Compressed as a whole: what is in it is seen when it is unpacked.
+    /// Compressed as a whole: its format is known after decompression.
     Zstd,
 }
 
-/// A bag as others wrote it.
+/// A bag that any tool wrote.
 #[derive(Debug, Default)]
 pub struct Parts {
     /// In their order.
     pub files: Vec<PathBuf>,
-    /// Whether each message is compressed. `None`: nobody says so, it shows.
+    /// Whether each message is compressed. `None`: not stated; the messages themselves show it.
     pub packs_messages: Option<bool>,
     /// Hashes of types, by names of topics and types: not every writer has them in the files.
     pub type_hashes: BTreeMap<(String, String), String>,
-    /// What `metadata.yaml` has that is nobody's but the user's.
+    /// The user's custom data in `metadata.yaml`.
     pub custom_data: BTreeMap<String, String>,
-    /// What was not as it should be.
+    /// Deviations from the format.
     pub notes: Vec<String>,
 }
 
@@ -82,10 +82,10 @@ pub fn is_compressed(message: &[u8]) -> bool {
     message.starts_with(&ZSTD_MAGIC)
 }
 
-/// What a file is.
+/// The format of a file.
 ///
 /// # Errors
-/// It cannot be read, or is none of them.
+/// It cannot be read, or has none of these formats.
 pub fn form_of(path: &Path) -> Result<Form, BagError> {
     let file = File::open(path).map_err(BagError::read(path))?;
     let no_bag = |reason: &str| BagError::NoBag { path: path.to_owned(), reason: reason.to_owned() };

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Reading a bag from its first byte to its last, whatever is in it.
+//! Reads a bag from its first byte to its last, with any content.
 
 use crate::parts::{Form, form_of};
 use crate::record::{Records, parse};
@@ -19,7 +19,7 @@ const RECORD_HEAD: u64 = 9;
 /// Of damage more is counted, not told one by one.
 const MOST_DAMAGE: usize = 100;
 
-/// What is in a file.
+/// The content of a file.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct FileSummary {
     /// The file.
@@ -59,7 +59,7 @@ impl FileSummary {
     }
 }
 
-/// A part of a file that is not what it should be.
+/// A damaged part of a file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Damage {
     /// Where, in bytes from the file's beginning.
@@ -204,10 +204,10 @@ impl FileReader {
         })
     }
 
-    /// Reads everything that is whole; what a chunk whose checksum is wrong has in it is passed over.
+    /// Reads everything that is undamaged; the content of a chunk with a wrong checksum is skipped.
     ///
     /// # Errors
-    /// The file cannot be read; those of `visit`, which ends it.
+    /// The file cannot be read; an error of `visit`, which stops reading.
     pub fn read<E: From<BagError>>(
         &mut self,
         visit: &mut dyn FnMut(Event<'_>) -> Result<(), E>,
@@ -311,7 +311,7 @@ impl FileReader {
         summary
     }
 
-    /// What is wrong in it, once it was read; and how much there is of that in all.
+    /// The damage found after reading, and the total number of damaged parts.
     pub fn damage(&self) -> (&[Damage], u64) {
         (&self.damage, self.damages)
     }

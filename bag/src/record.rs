@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Records, whose lengths are claims: what parses them reserves what they claim, up to 4 GiB for a name.
+//! Records, whose lengths are untrusted: a parser that trusted them would reserve up to 4 GiB for a name.
 
 use mcap::records::{Record, op};
 
@@ -58,7 +58,7 @@ fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     rest.split_at_checked(u32::from_le_bytes(*length) as usize)
 }
 
-/// Kind and body of each record, as long as they are whole; then what is left.
+/// Kind and body of each complete record; then the remaining bytes.
 pub struct Records<'b>(pub &'b [u8]);
 
 impl<'b> Iterator for Records<'b> {

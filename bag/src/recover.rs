@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a killed process, a full disk or a bad sector left is made a bag again.
+//! Makes a valid bag of what a killed process, a full disk or a bad sector left.
 
 use crate::metadata::write_metadata;
 use crate::reader::{Event, FileReader, FileSummary, files_of};
@@ -13,19 +13,19 @@ use std::sync::Arc;
 /// A file of a bag that was recovered.
 #[derive(Clone, Debug)]
 pub struct Recovered {
-    /// What it has in it now.
+    /// Its content now.
     pub summary: FileSummary,
-    /// What was wrong with it; if nothing, it is as it was.
+    /// The damage found; if empty, the file is unchanged.
     pub damage: Vec<Damage>,
-    /// What it was before, if it was damaged.
+    /// The path of the original file, if it was damaged.
     pub before: Option<PathBuf>,
 }
 
-/// Writes each file anew that is damaged, with all messages that are whole in it, in its place, and the folder's `metadata.yaml`. The file
-/// that was there is kept beside it, `.damaged`: it may have in it what only others can read. `tell` hears of each file before it is read.
+/// Replaces each damaged file by a new one with all its undamaged messages, and writes the folder's `metadata.yaml` again. The original
+/// file is kept next to it as `.damaged`: other tools may be able to read more of it. `tell` is called with each file before it is read.
 ///
 /// # Errors
-/// There is no bag; a file cannot be read or written: then it is as it was.
+/// There is no bag; a file cannot be read or written: then it is unchanged.
 pub fn recover(path: &Path, tell: &mut dyn FnMut(&Path)) -> Result<Vec<Recovered>, BagError> {
     let mut files = Vec::new();
     for file in files_of(path)? {

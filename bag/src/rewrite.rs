@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A bag of what others have in them.
+//! Writes a new bag from messages of other bags.
 
 use crate::reader::{Damage, Event, FileReader, Message, files_of};
 use crate::writer::{Finished, Options, TopicId, Writer};
@@ -8,11 +8,12 @@ use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Writes the messages of bags that are `wanted` into a new one, bag after bag, with what each says of itself; gives what was damaged in
-/// them, too. `tell` hears of each file before it is read.
+/// Writes the `wanted` messages of bags into a new bag, bag after bag, with the metadata of each; also returns the damage found in them.
+/// `tell` is called with each file before it is read.
 ///
 /// # Errors
-/// A bag cannot be read, or the new one not be written: then it is whole up to there if the disk is full, and to be removed otherwise.
+/// A bag cannot be read, or the new one cannot be written. If the disk is full, the new bag is valid up to there; otherwise it has to
+/// be removed.
 pub fn rewrite(
     bags: &[PathBuf],
     to: &Path,

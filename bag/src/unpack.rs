@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What zstd compressed is unpacked, and no more than the disk has room for.
+//! Decompresses zstd data, and no more than the disk has room for.
 
 use crate::{BagError, MOST_BYTES};
 use rustix::fs::statvfs;

@@ -30,18 +30,18 @@ const SESSION: &str = "tautline:session";
 /// As [`SESSION`].
 const RECORDING: &str = "tautline:recording";
 
-/// How a bag is written.
+/// The options of a [`Writer`].
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Options {
     /// Of its chunks.
     pub compression: Compression,
-    /// A file begins when the one before has as many bytes.
+    /// A new file begins when the previous one has this number of bytes.
     pub split_bytes: Option<u64>,
-    /// A file begins when the messages of the one before are of this many nanoseconds.
+    /// A new file begins when the messages of the previous one span this number of nanoseconds.
     pub split_ns: Option<u64>,
-    /// The oldest file is removed when there are more.
+    /// The oldest file is removed when there are more files than this.
     pub keep_files: Option<NonZeroU32>,
-    /// Memory for what is on its way to the disk, in bytes. `None`: 32 MiB.
+    /// Memory for data that is not yet on the disk, in bytes. `None`: 32 MiB.
     pub memory_bytes: Option<usize>,
 }
 
@@ -49,9 +49,9 @@ pub struct Options {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct TopicId(pub(crate) usize);
 
-/// A bag that is written.
+/// A bag that is being written.
 ///
-/// A kill leaves whole chunks up to the last flush, for [`recover`](crate::recover).
+/// If the process is killed, complete chunks up to the last flush remain, for [`recover`](crate::recover).
 pub struct Writer {
     folder: PathBuf,
     name: String,
@@ -70,9 +70,9 @@ pub struct Writer {
 /// What was written.
 #[derive(Clone, Debug)]
 pub struct Finished {
-    /// The files that are there.
+    /// The files that exist.
     pub files: Vec<FileSummary>,
-    /// Files that were removed, because there were more than were to be kept.
+    /// The number of files that were removed because there were more than should be kept.
     pub removed: u32,
 }
 
@@ -92,7 +92,7 @@ pub(crate) struct Open {
 }
 
 impl Writer {
-    /// A bag in a new folder, in files that are called as it is. `session` is written into each of them.
+    /// Creates a bag in a new folder, in files named as the folder. `session` is written into each of them.
     ///
     /// # Errors
     /// The folder exists or cannot be made.
@@ -134,13 +134,13 @@ impl Writer {
         &self.folder
     }
 
-    /// Says whether messages come faster than the disk takes them. Then they go through the kernel's page cache, which takes them at once
-    /// and makes the writer wait later, if at all; else past it.
+    /// Sets whether messages come faster than the disk can write them. If so, they go through the kernel's page cache, which accepts them
+    /// at once and makes the writer wait later, if at all; otherwise they bypass it.
     pub fn set_behind(&self, is_behind: bool) {
         self.is_behind.store(is_behind, Ordering::Relaxed);
     }
 
-    /// A topic, which is in a file from its first message on.
+    /// Adds a topic. A file contains it from its first message on.
     pub fn add_topic(&mut self, topic: Topic) -> TopicId {
         self.topics.push(topic);
         TopicId(self.topics.len() - 1)
@@ -154,7 +154,7 @@ impl Writer {
         }
     }
 
-    /// A message, with its four bytes of encapsulation in front.
+    /// Writes a message, with its four bytes of encapsulation in front.
     ///
     /// # Errors
     /// [`BagError::Full`]: it is not written, and the bag can be [finished](Self::finish). Others: what was flushed is safe.
@@ -175,7 +175,7 @@ impl Writer {
         }
     }
 
-    /// All messages are in the file from here on, whatever happens to this process.
+    /// After this call all messages are in the file, whatever happens to this process.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -191,7 +191,7 @@ impl Writer {
         done + self.file.as_ref().map_or(0, |file| file.flushed)
     }
 
-    /// Ends the bag; `statement` is written into the last file, as a record `tautline:recording`.
+    /// Completes the bag; `statement` is written into the last file, as a record `tautline:recording`.
     ///
     /// # Errors
     /// The file cannot be written.

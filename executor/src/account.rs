@@ -14,13 +14,13 @@ use crate::stats::{CallbackStats, Moment, MomentKind};
 /// What is taken from the core of a callback while its jobs run.
 pub(crate) struct CoreTimeAccount {
     clock: CoreTime,
-    /// Shorter pieces are not noted.
+    /// Shorter times are not recorded.
     least_ns: u64,
-    /// At the begin of the job that runs; of jobs that overlap, the first.
+    /// The mark at the start of the running job; of overlapping jobs, the first.
     begun: Cell<Option<CoreMark>>,
-    /// Jobs that have begun and not ended.
+    /// Jobs that have started and not ended.
     running: Cell<u32>,
-    /// When the job before ended, or the thread began.
+    /// When the previous job ended, or the thread started.
     ended_ns: Cell<u64>,
 }
 
@@ -30,15 +30,15 @@ impl CoreTimeAccount {
         CoreTimeAccount { clock, least_ns, begun: Cell::new(None), running: Cell::new(0), ended_ns }
     }
 
-    /// A job begins.
+    /// Records the start of a job.
     pub fn begin(&self) {
         if self.running.replace(self.running.get().saturating_add(1)) == 0 {
             self.begun.set(Some(self.clock.mark()));
         }
     }
 
-    /// A job has ended; of jobs that overlap, the last. One that has slept says nothing of what was taken from it. `late`: when it was released
-    /// and when it ended, if that was beyond its bound.
+    /// Records the end of a job; of overlapping jobs, the last. For a job that has slept, the taken time is unknown. `late`: its release
+    /// and its end, if it ended beyond its bound.
     pub fn end(&self, stats: &CallbackStats, slept: bool, late: Option<(u64, u64)>) {
         self.running.set(self.running.get().saturating_sub(1));
         if self.running.get() > 0 {
@@ -60,9 +60,9 @@ impl CoreTimeAccount {
     }
 }
 
-/// Where the sampler accounts for its core: the [moments](crate::CallbackSnapshot::moments) are what was taken from it, timers that were
-/// served 100 µs late, how long it waited for the core, and what it used to serve events, each if it is as long as
-/// [`Executor::account_core_time`] says.
+/// The sampler's core-time statistics. The [moments](crate::CallbackSnapshot::moments) are: time taken from it, timers served 100 µs
+/// late or more, time that it waited for the core, and time that it used to serve events, each if it is at least as long as set in
+/// [`Executor::account_core_time`].
 ///
 /// [`Executor::account_core_time`]: crate::Executor::account_core_time
 #[derive(Debug)]
@@ -76,18 +76,18 @@ impl SamplerStatistics {
         SamplerStatistics { stats, least_ns }
     }
 
-    /// The statistics: of no jobs, but with moments.
+    /// The statistics: they have no jobs, only moments.
     pub fn stats(&self) -> &Arc<CallbackStats> {
         &self.stats
     }
 
-    /// Accounts for the current thread, which becomes the sampler; for one at a time.
+    /// Starts the accounting for the current thread, which becomes the sampler; one thread at a time.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
-    /// What the kernel refuses to tell.
+    /// The kernel does not provide the data.
     pub fn account(&self) -> Result<SamplerAccount, RtError> {
         self.stats.set_thread(&ThreadInfo::of_current("sampler")?);
         Ok(SamplerAccount {
@@ -100,16 +100,17 @@ impl SamplerStatistics {
     }
 }
 
-/// What is taken from the core of the sampler, and what it uses of it. It costs three system calls before and after each sleep.
+/// Accounts for the time taken from the sampler's core, and the time that the sampler uses. It costs three system calls before
+/// and after each sleep.
 ///
-/// The sampler sleeps for a clock as well: what is taken while nobody runs makes it wake late.
+/// The sampler also sleeps until timers are due: time taken while no thread runs makes it wake late.
 #[derive(Debug)]
 pub struct SamplerAccount {
     clock: CoreTime,
     least_ns: u64,
     stats: Arc<CallbackStats>,
     asleep: Cell<Option<CoreMark>>,
-    /// Since when it is awake, and the processor time from which on it is charged.
+    /// Since when it is awake, and the processor time from which it is charged.
     awake: Cell<Option<(CoreMark, u64)>>,
 }
 
@@ -117,7 +118,7 @@ impl SamplerAccount {
     /// To wake a thread takes some time: less is not late.
     const WAKE_NS: u64 = 100_000;
 
-    /// The sampler is about to sleep.
+    /// Call when the sampler is about to sleep.
     ///
     /// # Real-time
     /// Wait-free; no allocation; three system calls.
@@ -136,7 +137,7 @@ impl SamplerAccount {
         }
     }
 
-    /// It has slept, until `due_ns` at the latest if that is set.
+    /// Call when the sampler has slept, until `due_ns` at the latest if that is set.
     ///
     /// # Real-time
     /// As [`sleeps`](Self::sleeps).

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Priorities from periods or deadlines.
+//! Assigns priorities by periods or deadlines.
 
 use std::time::Duration;
 
 use crate::ExecutorError;
 
-/// Rate-monotonic priorities: the shortest period gets `highest`, each longer one the next lower, equal ones share.
-/// The result is in the order of `periods`.
+/// Rate-monotonic priorities: the shortest period gets `highest`, each longer period the next lower priority; equal
+/// periods share one. The result is in the order of `periods`.
 ///
 /// Optimal among fixed priorities when every deadline is its period (Liu & Layland 1973).
 ///

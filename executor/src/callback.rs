@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A callback that has been spawned.
+//! A spawned callback.
 
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,7 +11,7 @@ use crate::hot::Control;
 use crate::registry::ThreadRegistration;
 use crate::{CallbackStats, ExecutorError, Panic};
 
-/// A callback and its thread; dropping it changes nothing, for the executor keeps the thread.
+/// A handle to a callback and its thread. Dropping it has no effect, because the executor keeps the thread.
 #[derive(Debug, Clone)]
 pub struct CallbackHandle {
     callback: Arc<Callback>,
@@ -27,29 +27,29 @@ impl CallbackHandle {
         self.callback.stats.name()
     }
 
-    /// Its thread, as read back from the kernel when it started.
+    /// Its thread, as read back from the kernel at start.
     pub fn thread(&self) -> &ThreadInfo {
         &self.callback.info
     }
 
-    /// What it has done so far. Of a group: the jobs of all its members.
+    /// Its statistics so far. For a group: the jobs of all its members.
     pub fn stats(&self) -> &Arc<CallbackStats> {
         &self.callback.stats
     }
 
-    /// Tells the callback to end the next time it waits, and does not wait for that. Its future is dropped on its own
-    /// thread. A callback that never waits goes on, unless its stream asks
+    /// Requests the callback to end at its next wait, and returns without waiting for that. Its future is dropped on
+    /// its own thread. A callback that never waits continues, unless its stream checks
     /// [`stop_requested`](crate::stop_requested).
     pub fn stop(&self) {
         self.callback.control.stop();
     }
 
-    /// Says whether the future has ended: by itself, stopped or with a panic.
+    /// Whether the future has ended: by itself, because it was stopped, or with a panic.
     pub fn is_finished(&self) -> bool {
         self.callback.end.has_come()
     }
 
-    /// Waits until the future has ended and its thread is gone.
+    /// Waits until the future has ended and its thread has exited.
     ///
     /// # Errors
     /// [`ExecutorError::Panicked`] if the callback panicked, [`ExecutorError::JoinsItself`] on its own thread.
@@ -64,7 +64,7 @@ impl CallbackHandle {
 /// What the executor and the handles share.
 pub(crate) struct Callback {
     pub stats: Arc<CallbackStats>,
-    /// Of a group.
+    /// The members of a group.
     pub members: Vec<Arc<CallbackStats>>,
     pub priority: Arc<OwnPriority>,
     pub control: Arc<Control>,
@@ -80,7 +80,7 @@ pub(crate) struct Thread {
 }
 
 impl Callback {
-    /// Waits for the thread; whoever comes later gets the same answer.
+    /// Waits for the thread; later callers get the same result.
     pub fn join(&self) -> Result<Option<Panic>, ExecutorError> {
         let name = || self.stats.name().to_owned();
         if self.info.tid == current_tid() {
@@ -117,7 +117,7 @@ impl Completion {
 /// Held by the thread while its future lives; its drop reports the end, whatever the reason.
 pub(crate) struct CompletionGuard {
     pub end: Arc<Completion>,
-    /// Of all callbacks of the thread.
+    /// The statistics of all callbacks of the thread.
     pub stats: Vec<Arc<CallbackStats>>,
     pub _registration: ThreadRegistration,
 }

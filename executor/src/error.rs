@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What can go wrong with callback threads.
+//! Errors of callback threads.
 
 use std::fmt;
 
@@ -14,26 +14,26 @@ pub enum ExecutorError {
     Thread {
         /// The callback.
         name: String,
-        /// What was refused.
+        /// The cause.
         source: RtError,
     },
-    /// No memory that other processes can read.
-    #[error("callback `{name}` cannot start: no place for its statistics: {source}")]
+    /// There is no shared memory for the callback's statistics.
+    #[error("callback `{name}` cannot start: no slot for its statistics: {source}")]
     Statistics {
         /// The callback.
         name: String,
-        /// What was refused.
+        /// The cause.
         source: std::io::Error,
     },
-    /// Nothing that publishers could wake.
+    /// There is no bell that publishers could ring.
     #[error("callback `{name}` cannot start with direct wake-ups: {source}")]
     DirectWake {
         /// The callback.
         name: String,
-        /// What was refused.
+        /// The cause.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
-    /// A handler that nothing would ever call.
+    /// A handler that would never be called.
     #[error(
         "callback `{name}` has a handler for overruns, but its execution times are not measured: drop \
          `.execution_time(false)`, or the handler"
@@ -42,27 +42,27 @@ pub enum ExecutorError {
         /// The callback.
         name: String,
     },
-    /// Jobs that cannot be held to their budget.
-    #[error("callback `{name}` is to be held to its budget, but {problem}")]
+    /// The callback's budget cannot be enforced.
+    #[error("callback `{name}` cannot be held to its budget: {problem}")]
     CannotHold {
         /// The callback.
         name: String,
-        /// Why not, and what to do.
+        /// The reason, and the fix.
         problem: &'static str,
     },
-    /// A callback that runs under another kind of policy than it is to have.
+    /// The callback runs under a policy that cannot become the requested one.
     #[error(
         "callback `{name}` runs under {from}, which cannot become {to} while it runs: restart its program"
     )]
     CannotChange {
         /// The callback.
         name: String,
-        /// What it has.
+        /// Its present policy.
         from: Policy,
-        /// What it was to have.
+        /// The requested policy.
         to: Policy,
     },
-    /// Busy polling without a core of its own.
+    /// Busy polling without exactly one core.
     #[error(
         "callback `{name}` cannot busy-poll on cores {cores}: give it exactly one, with CallbackOptions::core"
     )]
@@ -83,7 +83,8 @@ pub enum ExecutorError {
         /// Its priority.
         priority: u8,
     },
-    /// A thread would never run, because busy pollers of its priority or above hold all its cores.
+    /// A thread would never run, because busy-polling callbacks of its priority or above occupy all its
+    /// cores.
     #[error(
         "`{busy}`, which busy-polls at priority {busy_priority}, would starve `{starved}`, which may run on \
          {cores} only: move one of them to another core, or give `{starved}` a priority above {busy_priority}"
@@ -104,7 +105,7 @@ pub enum ExecutorError {
         /// All of them, in the order of their start.
         callbacks: Vec<Panic>,
     },
-    /// A callback that waits for its own end.
+    /// A callback waits for its own end.
     #[error("callback `{name}` cannot wait for its own end: join it from another thread")]
     JoinsItself {
         /// The callback.
@@ -124,7 +125,7 @@ pub enum ExecutorError {
     /// A highest priority outside 1..=99.
     #[error("the highest priority {highest} is out of range: SCHED_FIFO takes 1 to 99")]
     BadHighest {
-        /// The one asked for.
+        /// The requested value.
         highest: u8,
     },
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Starting callback threads and ending them.
+//! Starts and ends callback threads.
 
 use std::cell::Cell;
 use std::future::Future;
@@ -52,15 +52,15 @@ pub struct Executor {
 }
 
 impl Executor {
-    /// An executor without threads. With [`Realtime::Off`] policies are not applied, everything else is.
+    /// An executor without threads. With [`Realtime::Off`] policies are not applied; everything else is.
     pub fn new(realtime: Realtime) -> Executor {
         let (registry, spawned, callbacks) = Default::default();
         let (statistics, parkers, accounts) = (None, None, None);
         Executor { realtime, registry, statistics, parkers, accounts, spawned, callbacks }
     }
 
-    /// What callback threads sleep on that publishers wake themselves: `make` is called for each callback with
-    /// [`CallbackOptions::direct_wake`].
+    /// Provides the objects on which threads sleep that publishers wake directly: `make` is called for each
+    /// callback with [`CallbackOptions::direct_wake`].
     #[must_use = "it returns the changed executor"]
     pub fn with_parkers(
         mut self,
@@ -70,17 +70,17 @@ impl Executor {
         self
     }
 
-    /// Keeps the statistics of all callbacks where other processes can read them.
+    /// Keeps the statistics of all callbacks in `file`, where other processes can read them.
     #[must_use = "it returns the changed executor"]
     pub fn with_statistics(mut self, file: StatisticsFile) -> Executor {
         self.statistics = Some(file);
         self
     }
 
-    /// Notes what was taken from the core of each callback, by the hypervisor or by interrupts, among its
-    /// [moments](crate::CallbackSnapshot::moments): what was taken from one job if it is as long as `least`. It costs three system calls
-    /// before each job and three after it. For callbacks that are spawned from now on; not for those that poll busily. The sampler's is
-    /// accounted for by [`sampler_statistics`](Self::sampler_statistics).
+    /// Records the time that the hypervisor or interrupts took from each callback's core among its
+    /// [moments](crate::CallbackSnapshot::moments), if at least `least` was taken from one job. It costs three system calls before each
+    /// job and three after it. It applies to callbacks that are spawned from now on, but not to busy-polling ones. For the sampler see
+    /// [`sampler_statistics`](Self::sampler_statistics).
     #[must_use = "it returns the changed executor"]
     pub fn account_core_time(mut self, least: Option<Duration>) -> Executor {
         self.accounts = least;
@@ -103,7 +103,7 @@ impl Executor {
         Ok(Some(SamplerStatistics::new(stats, clock::nanoseconds(least))))
     }
 
-    /// Its callbacks, to change how they run.
+    /// Access to its callbacks, to change how they run.
     pub fn settings(&self) -> CallbackSettings {
         CallbackSettings::new(Arc::clone(&self.callbacks))
     }
@@ -113,13 +113,13 @@ impl Executor {
         self.statistics.as_ref()
     }
 
-    /// Gives a future a thread of its own. On return the kernel has confirmed the thread's policy and cores.
+    /// Runs a future on its own thread. On return the kernel has confirmed the thread's policy and cores.
     ///
-    /// A future that holds items which are not `Send` is made in its thread: see [`Executor::spawn_local`].
+    /// A future that is not `Send` must be created in its thread: see [`Executor::spawn_local`].
     ///
     /// # Errors
     /// [`ExecutorError::Thread`] with the fix if a setting is refused; [`ExecutorError::Starved`] and the
-    /// `BusyPoll` errors if busy polling would do harm. There is then no thread.
+    /// `BusyPoll` errors if busy polling would starve other threads. In these cases there is no thread.
     pub fn spawn_callback(
         &self,
         options: CallbackOptions,
@@ -128,7 +128,8 @@ impl Executor {
         self.spawn_local(options, move || future)
     }
 
-    /// Gives a future a thread of its own and makes it there, before the thread turns real-time; it need not be `Send`.
+    /// Runs a future on its own thread, and creates it there before the thread becomes real-time. The future need not
+    /// be `Send`.
     ///
     /// # Errors
     /// As [`Executor::spawn_callback`]; a panic of `make` is an [`ExecutorError::Thread`].
@@ -144,8 +145,8 @@ impl Executor {
         self.start(options, Vec::new(), move |measured| (Some(measured), Box::pin(make())))
     }
 
-    /// Gives a group of callbacks one thread. The handle's statistics cover all members; a deadline, a budget and handlers
-    /// in `options` hold for the jobs of all of them, besides their own.
+    /// Runs a group of callbacks on one thread. The handle's statistics cover all members. A deadline, a budget and
+    /// handlers in `options` apply to the jobs of all members, in addition to the members' own.
     ///
     /// # Errors
     /// As [`Executor::spawn_callback`].
@@ -162,10 +163,11 @@ impl Executor {
         })
     }
 
-    /// Makes a thread known that the executor did not start, such as the sampler, so that no busy poller starves it.
+    /// Registers a thread that the executor did not start, such as the sampler, so that no busy-polling callback
+    /// starves it.
     ///
     /// # Errors
-    /// [`ExecutorError::Starved`] if a busy poller already would.
+    /// [`ExecutorError::Starved`] if a busy-polling callback would starve it.
     pub fn register_thread(
         &self,
         name: &str,
@@ -181,12 +183,12 @@ impl Executor {
         self.registry.claim(thread, CoreSet::MAX)
     }
 
-    /// Tells every callback to end and waits until all their threads are gone. A callback that computes without ever
-    /// waiting keeps this waiting, too.
+    /// Requests every callback to end and waits until all their threads have exited. A callback that computes
+    /// without ever waiting blocks this function.
     ///
     /// # Errors
     /// [`ExecutorError::Panicked`] names every callback that has panicked since the executor was made;
-    /// [`ExecutorError::JoinsItself`] on a callback's thread, which then goes on until it waits.
+    /// [`ExecutorError::JoinsItself`] on a callback's thread, which then continues until it waits.
     pub fn shutdown(self) -> Result<(), ExecutorError> {
         self.end_all()
     }

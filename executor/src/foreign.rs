@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Callbacks that other executors run, such as rclcpp's: their jobs are measured as this crate's are.
+//! Callbacks that other executors run, such as rclcpp's. Their jobs are measured like this crate's jobs.
 
 use std::io;
 
@@ -16,7 +16,8 @@ thread_local! {
     static STOPWATCH: Stopwatch = const { Stopwatch::new(false) };
 }
 
-/// A callback whose thread is not this crate's. Whoever knows when its jobs begin and end says so, in the thread that runs them.
+/// A callback whose thread does not belong to this crate. The code that knows when its jobs start and end calls these functions,
+/// in the thread that runs the jobs.
 ///
 /// ```
 /// use tautline_executor::{CallbackOptions, ForeignCallback, ForeignStatistics, ProcessInfo, StatisticsFile, foreign};
@@ -33,19 +34,19 @@ thread_local! {
 /// ```
 #[derive(Debug)]
 pub struct ForeignCallback {
-    /// Several threads may run it, and each counter has one writer at a time.
+    /// Several threads may run it, but each counter may have only one writer at a time.
     stats: PiMutex<CallbackStats>,
     measures_execution: bool,
 }
 
 impl ForeignCallback {
-    /// Of the options, the name, the period, the deadline, the budget, the bound and whether the execution time is measured are used.
+    /// These options are used: name, period, deadline, budget, bound, and whether the execution time is measured.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
-    /// What the system said of the file.
+    /// The system's error for the file.
     pub fn new(file: &StatisticsFile, options: &CallbackOptions) -> io::Result<ForeignCallback> {
         let stats = CallbackStats::new(&*options.name);
         stats.set_deadline(options.effective_deadline());
@@ -56,12 +57,12 @@ impl ForeignCallback {
         Ok(ForeignCallback { stats: PiMutex::new(stats), measures_execution: options.execution_time })
     }
 
-    /// A job of it begins in this thread, that was released at `release_ns` of `CLOCK_MONOTONIC`.
+    /// Starts a job of the callback in this thread, released at the `CLOCK_MONOTONIC` time `release_ns`.
     ///
     /// # Real-time
-    /// Waits for another thread that begins or ends a job of it right now, and lends it this one's priority; no allocation;
-    /// four syscalls when another thread ran the job before, one in a thread's first, and one more there where the execution time is
-    /// measured.
+    /// Waits for a thread that starts or ends a job of it at the same time, with priority inheritance; no allocation; four syscalls
+    /// if another thread ran the previous job, one in a thread's first job, and one more in each of these cases where the execution
+    /// time is measured.
     pub fn begin(&self, release_ns: u64) {
         let stats = self.stats.lock();
         let tid = TID.with(|tid| *tid);
@@ -76,8 +77,8 @@ impl ForeignCallback {
         }
     }
 
-    /// The job ends. It is charged the processor time of this thread since the end of the job before, or since [`idle`], if its execution
-    /// time is measured.
+    /// Ends the job. If its execution time is measured, the job is charged this thread's processor time since the end of the previous
+    /// job, or since [`idle`].
     ///
     /// # Real-time
     /// As [`begin`](Self::begin), with one syscall where the execution time is measured.
@@ -87,7 +88,7 @@ impl ForeignCallback {
         self.stats.lock().complete(&Job { release_ns, response_ns, execution_ns, input_size: None });
     }
 
-    /// What its queue was found to be.
+    /// Records the state of its queue.
     ///
     /// # Real-time
     /// As [`begin`](Self::begin), without syscalls.
@@ -96,7 +97,7 @@ impl ForeignCallback {
     }
 }
 
-/// What this thread has used since its last job is no job's: it begins to wait.
+/// Call when this thread starts to wait: the processor time used since its last job is charged to no job.
 ///
 /// # Real-time
 /// Wait-free; no allocation; one syscall.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Callbacks that exclude each other.
+//! Mutually exclusive callbacks.
 
 use std::future::Future;
 use std::sync::Arc;
@@ -9,28 +9,29 @@ use futures::Stream;
 use crate::hot::{Member, StreamMember};
 use crate::{CallbackOptions, CallbackStats};
 
-/// Several callbacks on one thread, of which one runs at a time, to completion, in order of release (ROS 2's mutually
+/// Several callbacks on one thread. They run one at a time, to completion, in order of release (ROS 2's mutually
 /// exclusive callback group). Give it a thread with [`Executor::spawn_group`](crate::Executor::spawn_group).
 ///
 /// # Order
-/// The group is one FIFO of (callback, message). Before each job it looks at the next message of every member and runs
-/// the one released first; among equals, the member added first. It runs one message and looks again: it never drains
-/// a stream. So the bound for a FIFO of jobs holds, for every member alike: with request bound functions `rbf_j`,
+/// The group is one FIFO of (callback, message). Before each job it checks the next message of every member and runs
+/// the one released first; among equals, that of the member added first. After one message it checks again: it never
+/// drains a stream. So the bound for a FIFO of jobs holds for every member: with request bound functions `rbf_j`,
 ///
 /// ```text
 /// R = max over A of (sum over j of rbf_j(A + epsilon)) - A
 /// ```
 ///
-/// and `ceil(R / T_i)` messages of depth suffice for member `i`. A `for_each` over merged or joined streams has no
-/// bound as good: it empties one stream before it looks at the next, whatever waits there, and exceeds this one. All
-/// it shares with any work-conserving order is the busy period, the least `L` with `L = sum ceil(L / T_j) C_j`.
+/// and `ceil(R / T_i)` messages of depth suffice for member `i`. A `for_each` over merged or joined streams does not
+/// have this bound: it empties one stream before it checks the next, regardless of the messages waiting there. The
+/// only bound that it shares with every work-conserving order is the busy period, the least `L` with `L = sum ceil(L
+/// / T_j) C_j`.
 ///
-/// Each job costs one poll of every member's stream. A callback that waits keeps the others out; one that panics ends
-/// the whole group.
+/// Each job costs one poll of every member's stream. A callback that waits blocks the other members; a callback that
+/// panics ends the whole group.
 ///
 /// # Look-ahead
-/// Each member holds the next message of its stream until its turn: allow for one borrowed sample more than the
-/// callback itself keeps.
+/// Each member holds the next message of its stream until its turn: allow for one more borrowed sample than the
+/// callback itself holds.
 ///
 /// ```
 /// use futures::stream;
@@ -54,13 +55,13 @@ use crate::{CallbackOptions, CallbackStats};
 #[derive(Default)]
 #[must_use = "hand it to Executor::spawn_group"]
 pub struct CallbackGroup {
-    /// Members are made in their thread, since a callback's future need not be `Send`.
+    /// Members are created in their thread, because a callback's future need not be `Send`.
     recipes: Vec<Box<dyn FnOnce() -> Box<dyn Member> + Send>>,
     members: Vec<MemberInfo>,
     kept: Vec<Kept>,
 }
 
-/// What is dropped with a group, whatever it is.
+/// An object of any type that is dropped with a group.
 pub(crate) type Kept = Box<dyn std::any::Any + Send>;
 
 /// What the executor has to know of a member.
@@ -80,13 +81,14 @@ impl CallbackGroup {
         self.kept.push(Box::new(what));
     }
 
-    /// Adds a callback for the items of a stream. `release` gives an item's release in ns of `CLOCK_MONOTONIC`; a
-    /// stream's items must come in order of release. Neither items nor the callback's futures need be `Send`.
+    /// Adds a callback for the items of a stream. `release` returns an item's release in `CLOCK_MONOTONIC` ns; a
+    /// stream's items must arrive in order of release. Neither the items nor the callback's futures need to be
+    /// `Send`.
     ///
-    /// `member` is a name, or [`CallbackOptions`], of which a member has the name, the period, the deadline, the budget,
-    /// the bound and the handlers: its thread is the group's.
+    /// `member` is a name, or [`CallbackOptions`]. A member uses only their name, period, deadline, budget, bound and
+    /// handlers, because its thread is the group's.
     ///
-    /// Returns the member's statistics, which count from the moment the group is spawned.
+    /// Returns the member's statistics, which count from the time when the group is spawned.
     pub fn add<S, F, Fut>(
         &mut self,
         member: impl Into<MemberOptions>,
@@ -125,7 +127,7 @@ impl CallbackGroup {
         stats
     }
 
-    /// What each member was added with, in the order of adding.
+    /// The options of each member, in the order in which they were added.
     pub fn members(&self) -> impl Iterator<Item = &CallbackOptions> {
         self.members.iter().map(|member| &member.options)
     }
@@ -146,7 +148,7 @@ impl std::fmt::Debug for CallbackGroup {
     }
 }
 
-/// What a group's member is called, and what is watched: a name, or [`CallbackOptions`].
+/// The name of a group's member and the properties that are monitored: a name, or [`CallbackOptions`].
 #[derive(Debug, Clone)]
 pub struct MemberOptions(CallbackOptions);
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The hot path: all that runs on a real-time callback thread between two callbacks.
+//! The hot path: everything that runs on a real-time callback thread between two callbacks.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -29,28 +29,28 @@ thread_local! {
 
 /// What streams can learn of the callback thread they run on.
 pub(crate) struct CallbackThread {
-    /// Where jobs are recorded; `None` in a group, which measures its members itself.
+    /// Records jobs; `None` in a group, which measures its members itself.
     pub measured: Option<Measured>,
     pub control: Arc<Control>,
     pub busy: bool,
     pub parker: Option<Arc<dyn Parker>>,
-    /// What a group's member found in its queue, until the group notes it.
+    /// The queue state that a group's member found, until the group records it.
     pub queue: Cell<QueueState>,
-    /// What the job that runs has stated, until it ends.
+    /// The input size that the running job has stated, until it ends.
     pub input_size: Cell<Option<u64>>,
     pub trace: Object,
-    /// In a group: what trace events call the callback of the item that a stream has just handed out.
+    /// In a group: the trace id of the callback for the item that a stream has just yielded.
     pub announced: Cell<ObjectId>,
 }
 
 pub(crate) struct Measured {
     pub stats: Arc<CallbackStats>,
     pub watch: Watch,
-    /// `None` where execution times are off.
+    /// `None` if execution times are not measured.
     pub stopwatch: Option<Stopwatch>,
-    /// What holds jobs to their budgets, if something does.
+    /// Enforces the jobs' budgets, if enabled.
     pub enforcer: Option<BudgetEnforcer>,
-    /// What notes what was taken from the core, if it is accounted for.
+    /// Records the time taken from the core, if it is accounted for.
     pub account: Option<CoreTimeAccount>,
 }
 
@@ -58,20 +58,20 @@ pub(crate) struct Measured {
 pub(crate) struct BudgetEnforcer {
     timer: BudgetTimer,
     how: Enforcement,
-    /// Jobs that have begun and not ended: streams of one callback may overlap.
+    /// Jobs that have started and not ended: streams of one callback may overlap.
     running: Cell<u32>,
 }
 
 enum Enforcement {
     Demote {
-        /// What ends the callback with a demoted job, if that is wanted.
+        /// Ends the callback with a demoted job, if enabled.
         ends: Option<Arc<Control>>,
-        /// When the last demoted job ended: what was released before has waited for it.
+        /// When the last demoted job ended: jobs released before that have waited for it.
         overran_until_ns: Cell<u64>,
     },
     Suspend {
         period: Duration,
-        /// After an overrun, until a job is released that has not waited for it: what is left of the last refill.
+        /// After an overrun, until a job is released that has not waited for it: the rest of the last refill.
         behind: Cell<Option<RemainingBudget>>,
     },
 }
@@ -173,7 +173,7 @@ impl BudgetEnforcer {
 /// processor all the time, but has it to itself: there the monotonic clock, which costs no syscall, is read at both ends.
 pub(crate) struct Stopwatch {
     busy: bool,
-    /// End of the job before; `None` before the first.
+    /// The end of the previous job; `None` before the first.
     since_ns: Cell<Option<u64>>,
 }
 
@@ -259,8 +259,8 @@ fn announced() -> Option<ObjectId> {
     current(|thread| thread.announced.take()).filter(|callback| *callback != ObjectId::NONE)
 }
 
-/// Says whether the current thread polls its callback in a loop. A stream need then not arrange for a wake; if it is
-/// polled through a combinator that only polls what was woken (`join_all`, `FuturesUnordered`), it calls
+/// Whether the current thread polls its callback in a loop. A stream then need not register a waker. If it is polled
+/// through a combinator that polls only woken futures (`join_all`, `FuturesUnordered`), it calls
 /// `cx.waker().wake_by_ref()` when it returns `Pending`.
 ///
 /// # Real-time
@@ -269,8 +269,9 @@ pub fn busy_polling() -> bool {
     current(|thread| thread.busy).unwrap_or(false)
 }
 
-/// Says whether the current thread's callback has been told to end. A stream that always has a next item, as under
-/// overload, never lets its callback wait: it asks here and returns `Pending`, which is where the callback ends.
+/// Whether the current thread's callback has been requested to end. A stream that always has a next item, for
+/// example under overload, never lets its callback wait. So it checks this and returns `Pending`; at that point
+/// the callback ends.
 ///
 /// # Real-time
 /// Wait-free; no allocation; no syscall.
@@ -281,7 +282,7 @@ pub fn stop_requested() -> bool {
 
 // ---- Running a future until it ends or is told to stop ----
 
-/// What a callback's thread and its handle share.
+/// The state shared by a callback's thread and its handle.
 #[derive(Default)]
 pub(crate) struct Control {
     started: AtomicBool,
@@ -296,14 +297,14 @@ impl Control {
         self.waker.wake();
     }
 
-    /// Ends the future at its next poll, which this brings about.
+    /// Ends the future at its next poll, and wakes it for that poll.
     pub fn stop(&self) {
         self.stopped.store(true, Ordering::Release);
         self.waker.wake();
     }
 }
 
-/// How a callback thread sleeps that others than the executor's wakers can wake, too: see
+/// How a callback thread sleeps if not only the executor's wakers can wake it: see
 /// [`CallbackOptions::direct_wake`](crate::CallbackOptions::direct_wake).
 pub trait Parker: Any + Send + Sync {
     /// Sleeps until somebody has unparked it since the last return, after it has looked for that without sleeping for `spin`.
@@ -332,7 +333,7 @@ pub(crate) fn waker_of(parker: &Arc<dyn Parker>) -> Waker {
     Waker::from(Arc::new(ParkerWaker(Arc::clone(parker))))
 }
 
-/// What the current thread sleeps on, if it was given something: what unparks that wakes the callback.
+/// The parker on which the current thread sleeps, if it has one. Unparking it wakes the callback.
 ///
 /// # Real-time
 /// Wait-free; no allocation; no syscall.
@@ -340,7 +341,7 @@ pub fn parker() -> Option<Arc<dyn Parker>> {
     current(|thread| thread.parker.clone()).flatten()
 }
 
-/// Whether [`parker`] would give the same.
+/// Whether [`parker`] would return `known`.
 ///
 /// # Real-time
 /// Wait-free; no allocation; no syscall.
@@ -355,11 +356,11 @@ pub fn parks_on(known: Option<&Arc<dyn Parker>>) -> bool {
 
 /// How a callback thread waits for its future.
 pub(crate) enum Waiting {
-    /// As the pool does, which parks the thread.
+    /// Like the pool, which parks the thread.
     InPool,
-    /// On something of its own, after a spin.
+    /// On its own parker, after a spin.
     On(Arc<dyn Parker>, Waker, Duration),
-    /// Not at all.
+    /// It does not wait.
     Busy,
 }
 
@@ -416,7 +417,7 @@ impl Future for Controlled {
 
 // ---- Measuring jobs ----
 
-/// A job that has begun: see [`job`](crate::job).
+/// A job that has started: see [`job`](crate::job).
 #[derive(Debug)]
 #[must_use = "call finish() when the item has been dealt with"]
 pub struct Job {
@@ -424,7 +425,7 @@ pub struct Job {
     callback: ObjectId,
 }
 
-/// Begins a job of the current thread's callback that was released at `release_ns` of `CLOCK_MONOTONIC`.
+/// Starts a job of the current thread's callback, released at the `CLOCK_MONOTONIC` time `release_ns`.
 ///
 /// # Real-time
 /// Wait-free; no allocation; no syscall, except one in a thread's first job, and three where core time is accounted for.
@@ -432,7 +433,7 @@ pub fn begin(release_ns: u64) -> Job {
     begin_for(current(|thread| thread.trace.id()).unwrap_or_default(), release_ns)
 }
 
-/// As [`begin`], under the name that trace events have for the stream's callback.
+/// Like [`begin`], with the trace id of the stream's callback.
 ///
 /// # Real-time
 /// As [`begin`].
@@ -454,9 +455,9 @@ impl Job {
     /// Ends the job and records its response and execution time. Call it on the thread that began the job.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; one syscall to read the CPU clock, none where execution times are off or the thread
-    /// polls busily; where jobs are held to budgets one more, and as many when they begin, and after an overrun another one
-    /// at either; where core time is accounted for, three more. Besides, what the handlers of [`CallbackOptions`](crate::CallbackOptions) do, if one is called.
+    /// Wait-free; no allocation; one syscall to read the CPU clock, none if execution times are not measured or the thread busy-polls. If
+    /// budgets are enforced: one more, as many at the start of the job, and after an overrun another one at both. If core time is accounted
+    /// for: three more. In addition, the cost of the handlers of [`CallbackOptions`](crate::CallbackOptions), if one is called.
     pub fn finish(self) {
         tautline_trace::callback_end(self.callback);
         if let Some(begun) = self.begun {
@@ -470,20 +471,21 @@ impl Job {
     }
 }
 
-/// States the size of the input of the job that runs on the current thread, in whatever its execution time grows with: points, bytes, tracks.
-/// Execution times are then kept by size, too ([`CallbackSnapshot::inputs`](crate::CallbackSnapshot::inputs)), and `taut report --wcet` fits
-/// `wcet = a + b * size`.
+/// States the size of the input of the job that runs on the current thread, in the unit with which its execution time grows: points, bytes,
+/// tracks. Execution times are then kept by size, too ([`CallbackSnapshot::inputs`](crate::CallbackSnapshot::inputs)), and `taut report
+/// --wcet` fits `wcet = a + b * size`.
 ///
-/// The last call before the job's end counts. Of jobs that overlap on one thread, the one that ends next gets it. Outside a callback
-/// thread, and where execution times are off, it does nothing.
+/// The last call before the job's end counts. If jobs overlap on one thread, the size applies to the job that ends next. Outside of
+/// callback threads, and if execution times are not measured, it does nothing.
 ///
 /// # Real-time
-/// Wait-free; no allocation; no syscall. The job's end then looks at 32 classes and 64 execution times at most.
+/// Wait-free; no allocation; no syscall. The end of the job then checks at most 32 classes and 64 execution
+/// times.
 pub fn set_input_size(size: u64) {
     current(|thread| thread.input_size.set(Some(size)));
 }
 
-/// Adds what a stream found in its queue to the statistics of the current thread's callback.
+/// Adds the queue state that a stream found to the statistics of the current thread's callback.
 ///
 /// # Real-time
 /// Wait-free; no allocation; no syscall.
@@ -554,10 +556,10 @@ fn oldest(members: &mut [Box<dyn Member>], cx: &mut Context<'_>) -> Poll<Option<
 
 /// A stream and its callback, with their types hidden.
 pub(crate) trait Member {
-    /// The release of the next item, which is taken from the stream and kept; `None` after the last one.
+    /// The release of the next item, which is taken from the stream and kept; `None` after the last item.
     fn look_ahead(&mut self, cx: &mut Context<'_>) -> Poll<Option<u64>>;
 
-    /// Runs the callback on the item kept, or goes on with it.
+    /// Runs the callback on the kept item, or continues it.
     fn run(&mut self, total: &Measured, cx: &mut Context<'_>) -> Poll<()>;
 }
 
@@ -567,14 +569,14 @@ pub(crate) struct StreamMember<S: Stream, F, Fut> {
     pub release: fn(&S::Item) -> u64,
     pub callback: F,
     pub next: Option<S::Item>,
-    /// The place of the callback's future, claimed once and used for every job.
+    /// The memory of the callback's future, allocated once and used for every job.
     pub future: Pin<Box<Option<Fut>>>,
     pub begun: Option<StartedJob>,
     pub stats: Arc<CallbackStats>,
     pub watch: Watch,
-    /// What trace events call the callback if the stream does not say.
+    /// The trace id of the callback, if the stream does not provide one.
     pub trace: Object,
-    /// What they call the callback of the item kept.
+    /// The trace id of the callback for the kept item.
     pub traced: ObjectId,
 }
 

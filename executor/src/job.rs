@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Measuring from within a stream.
+//! Measurement of jobs from within a stream.
 //!
-//! A stream that hands out an item calls [`begin`] with the item's release and keeps the [`Job`]; its next `poll_next`
-//! calls [`Job::finish`], for only then has the callback dealt with the item. So `stream.for_each(..)` is measured as
-//! it stands:
+//! A stream that yields an item calls [`begin`] with the item's release and keeps the [`Job`]. Its next `poll_next`
+//! calls [`Job::finish`], because only then has the callback finished with the item. So `stream.for_each(..)` is
+//! measured without changes:
 //!
 //! ```
 //! use futures::{Stream, StreamExt, task::{Context, Poll}};
@@ -34,9 +34,10 @@
 //! # Ok::<(), tautline_executor::ExecutorError>(())
 //! ```
 //!
-//! Outside a callback thread both calls do nothing. In a [`CallbackGroup`](crate::CallbackGroup) they do nothing
-//! either: the group measures its members itself, since it takes an item before it is that item's turn. Where two
-//! streams of one callback overlap, both jobs count, and each is charged the CPU time since the end of the one before.
+//! Outside of a callback thread both calls do nothing. In a [`CallbackGroup`](crate::CallbackGroup) they do nothing
+//! either: the group measures its members itself, because it takes an item before it runs the callback for it. If two
+//! streams of one callback overlap, both jobs count, and each is charged the CPU time since the end of the previous
+//! one.
 
 pub use crate::hot::{Job, begin, begin_for, note_queue, set_input_size};
 pub use crate::stats::QueueState;

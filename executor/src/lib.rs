@@ -1,20 +1,22 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Callback threads: one `LocalPool` and one priority each.
 //!
-//! - [`Executor::spawn_callback`] gives a future a thread of its own: named, pinned, at its own `SCHED_FIFO` priority,
-//!   so that the kernel's scheduler decides between callbacks and response-time analysis applies to them. The thread
-//!   runs a [`futures::executor::LocalPool`], which parks when nothing is ready.
+//! - [`Executor::spawn_callback`] runs a future on its own thread: named, pinned, at its own `SCHED_FIFO` priority. So
+//!   the kernel's scheduler decides between callbacks, and response-time analysis applies to them. The thread runs a
+//!   [`futures::executor::LocalPool`], which parks when nothing is ready.
 //! - A [`CallbackGroup`] is several callbacks on one thread that never overlap, served in order of release.
-//! - [`CallbackOptions::direct_wake`] lets publishers wake the thread, through a [`Parker`] of the transport's;
-//! - [`CallbackOptions::busy_poll`] trades a core for the wake-up: the thread polls and never parks.
+//! - [`CallbackOptions::direct_wake`] lets publishers wake the thread, through a [`Parker`] of the transport.
+//! - [`CallbackOptions::busy_poll`] avoids the wake-up at the cost of a core: the thread polls and never
+//!   parks.
 //! - Each callback has [`CallbackStats`]: releases, completions, overruns, missed deadlines, execution and response times.
-//!   Streams record into them through [`job`], without any code in the callback. With a [`StatisticsFile`] other
+//!   Streams record them through [`job`]; the callback needs no code for this. With a [`StatisticsFile`] other
 //!   processes can read them.
-//! - [`Executor::account_core_time`] adds what was taken from each callback's core, so that a late job can be explained.
-//! - [`CallbackOptions::budget`] and its handlers tell when a job breaks what the analysis assumed.
+//! - [`Executor::account_core_time`] adds the time that was taken from each callback's core, so that a late job can be
+//!   explained.
+//! - [`CallbackOptions::budget`] and its handlers report when a job violates an assumption of the analysis.
 //! - [`assign`] turns periods or deadlines into priorities.
 //!
-//! Everything that claims memory happens before a thread turns real-time. What runs after that is in `hot.rs`, and
+//! All memory is claimed before a thread becomes real-time. The code that runs after that is in `hot.rs`, and
 //! allocates nothing.
 //!
 //! ```

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a callback thread is asked to be.
+//! The options of a callback thread.
 
 use std::fmt;
 use std::sync::Arc;
@@ -22,33 +22,34 @@ use tautline_rt::{CoreSet, Policy, ThreadBuilder};
 pub struct CallbackOptions {
     /// Usually the topic. The thread is named `cb:<name>`, shortened to 15 bytes. Empty: the callback's number.
     pub name: String,
-    /// What the thread is named for instead, such as the callback's group.
+    /// The thread's name instead of the callback's, such as that of its group.
     pub thread_name: Option<String>,
     /// How the thread is scheduled.
     pub policy: Policy,
-    /// Where it may run; `None`: where the thread that spawns it may, or on any core if it has a reservation.
+    /// The cores that it may use; `None`: those of the thread that spawns it, or any core if it has a
+    /// reservation.
     pub cores: Option<CoreSet>,
-    /// The size of its stack, which is touched before the thread turns real-time.
+    /// The size of its stack, which is touched before the thread becomes real-time.
     pub stack_bytes: usize,
-    /// The least time between two releases; only the deadline's default depends on it.
+    /// The shortest time between two releases; only the deadline's default depends on it.
     pub period: Option<Duration>,
     /// A job whose response takes longer than this misses its deadline. `None`: the period.
     pub deadline: Option<Duration>,
     /// The CPU time that a job may use: see [`CallbackOptions::budget`].
     pub budget: Option<Duration>,
-    /// Jobs whose responses take longer are kept with their instants: see [`CallbackOptions::bound`].
+    /// Jobs with longer responses are recorded with their times: see [`CallbackOptions::bound`].
     pub bound: Option<Duration>,
-    /// What becomes of a job that uses more.
+    /// What happens to a job that uses more.
     pub overrun_policy: OverrunPolicy,
-    /// What happens after a job that used more than its budget, and after one that missed its deadline.
+    /// The handlers for a job that used more than its budget, and for a job that missed its deadline.
     pub watch: Watch,
     /// Poll all the time instead of parking: see [`CallbackOptions::busy_poll`].
     pub busy_poll: bool,
     /// Let publishers wake the thread: see [`CallbackOptions::direct_wake`].
     pub direct_wake: bool,
-    /// How long such a thread looks for a message before it sleeps: see [`CallbackOptions::spin`].
+    /// How long such a thread polls for a message before it sleeps: see [`CallbackOptions::spin`].
     pub spin: Duration,
-    /// Measure execution times, at one syscall per job (none if the thread polls busily). On by default.
+    /// Measure execution times, at one syscall per job (none if the thread busy-polls). On by default.
     pub execution_time: bool,
 }
 
@@ -58,14 +59,15 @@ impl CallbackOptions {
         CallbackOptions::new(Policy::Fifo(priority))
     }
 
-    /// `SCHED_DEADLINE`: `runtime` of processor time in each `period`, which the kernel reserves for the thread and holds it to. It
-    /// preempts every `SCHED_FIFO` thread, the sampler too; a job that takes longer than `runtime` waits for the next period, and delays nobody.
+    /// `SCHED_DEADLINE`: the kernel reserves `runtime` of processor time in each `period` for the thread, and enforces it as a limit. The
+    /// thread preempts every `SCHED_FIFO` thread, including the sampler. A job that takes longer than `runtime` waits for the next period,
+    /// and delays no other thread.
     ///
-    /// The callback's own `period` and `budget` are stated as any other's. A job that is to find its time at once wants a `runtime` a
-    /// little above its budget: else the kernel may find one that is woken early beyond what it has reserved, and keep it waiting.
+    /// State the callback's own `period` and `budget` as usual. To get its time at once, a job needs a `runtime` slightly above its
+    /// budget: otherwise the kernel may decide that a job which is woken early exceeds its reservation, and let it wait.
     ///
-    /// It needs `CAP_SYS_NICE`, and the kernel binds such a thread to one core only where it does not balance between cores, or has no
-    /// limit on real-time work; without [`core`](Self::core) it runs on any.
+    /// It needs `CAP_SYS_NICE`. The kernel binds such a thread to one core only if it does not balance between cores, or if real-time
+    /// work is not limited. Without [`core`](Self::core) the thread runs on any core.
     ///
     /// ```
     /// use tautline_executor::{CallbackOptions, Policy};
@@ -111,7 +113,7 @@ impl CallbackOptions {
         self
     }
 
-    /// Names the thread `cb:<name>`, whatever the callback is called.
+    /// Names the thread `cb:<name>`, independent of the callback's name.
     pub fn thread_name(mut self, name: impl Into<String>) -> CallbackOptions {
         self.thread_name = Some(name.into());
         self
@@ -146,81 +148,83 @@ impl CallbackOptions {
         self
     }
 
-    /// Sets the CPU time that a job may use: its wcet, as response-time analysis was told.
+    /// Sets the CPU time that a job may use: its wcet, as used in the response-time analysis.
     ///
-    /// Checked once, when a job ends, with the CPU clock that measures execution times: a job that used more is an
-    /// overrun, which is counted and told to [`on_overrun`](Self::on_overrun). The job is not stopped: nobody but
-    /// itself could leave its data whole. What it took too long delays lower priorities, whose bounds no longer hold, unless
-    /// it is [demoted](Self::demote_on_overrun).
-    /// Not noticed where [`execution_time`](Self::execution_time) is off.
+    /// Checked once, when a job ends, with the CPU clock that measures execution times: a job that used more is an overrun,
+    /// which is counted and reported to [`on_overrun`](Self::on_overrun). The job is not stopped, because only the job
+    /// itself can leave its data consistent. The excess delays lower priorities, whose bounds then no longer hold, unless
+    /// the job is [demoted](Self::demote_on_overrun). Not detected if [`execution_time`](Self::execution_time) is off.
     pub const fn budget(mut self, budget: Duration) -> CallbackOptions {
         self.budget = Some(budget);
         self
     }
 
-    /// Sets the response time that analysis computed. Jobs that take longer are kept with their instants among the
-    /// [moments](crate::CallbackSnapshot::moments), so that each can be explained.
+    /// Sets the response time that the analysis computed. Jobs that take longer are recorded with their times
+    /// among the [moments](crate::CallbackSnapshot::moments), so that each can be explained.
     pub const fn bound(mut self, bound: Duration) -> CallbackOptions {
         self.bound = Some(bound);
         self
     }
 
-    /// Holds each job to its budget: one that has used it up goes on as `SCHED_OTHER`, below every real-time thread, until it ends;
-    /// and so do the jobs that were released before that, which have waited for it. What is released later is done at the
-    /// thread's priority again. So the bounds of other callbacks do not rest on the budget being enough.
+    /// Enforces the budget by demotion: a job that has used up its budget continues as `SCHED_OTHER`, below every real-time thread,
+    /// until it ends. Jobs that were released before its end, and have waited for it, also run below. Jobs released later run at
+    /// the thread's priority again. So the bounds of other callbacks do not depend on whether the budget is enough.
     ///
-    /// A high-resolution timer demotes the thread in the midst of the job, a few microseconds late; it finds out what was the
-    /// job's own time, and not that of others who preempted it, nor that in
-    /// which the job waited: a job that waits long in its midst gets a signal each time that what is left of its budget has passed. Each job costs two system calls more: state them in the analysis
-    /// (`demotion` in the system file's overheads). A group's thread holds each member to its own budget, and demotes them together.
+    /// A high-resolution timer demotes the thread in the middle of the job, a few microseconds late. Only the job's own time counts, not
+    /// the time of threads that preempted it or the time in which the job waited. A job that waits for a long time gets a signal each time
+    /// that the rest of its budget has passed. Each job costs two more system calls: state them in the analysis (`demotion` in the system
+    /// file's overheads). A group's thread enforces each member's own budget, and demotes the members together.
     ///
-    /// For real-time policies and measured execution times, not for a thread that polls busily. With
-    /// [`Realtime::Off`](crate::Realtime::Off) there is nothing to hold.
+    /// It requires a real-time policy and measured execution times, and does not apply to a busy-polling
+    /// thread. With [`Realtime::Off`](crate::Realtime::Off) budgets are not enforced.
     ///
     /// # Real-time
-    /// Locks that the job holds then are held by a thread of low priority: use [`PiMutex`](tautline_rt::PiMutex), whose waiters
-    /// lend it theirs.
+    /// A demoted job holds its locks as a thread of low priority: use [`PiMutex`](tautline_rt::PiMutex), which inherits the
+    /// priority of its waiters.
     pub const fn demote_on_overrun(mut self) -> CallbackOptions {
         self.overrun_policy = OverrunPolicy::Demote;
         self
     }
 
-    /// Holds each job to its budget: one that has used it up is suspended, in the midst of what it does, until a period after its release,
-    /// where it gets another budget, and so on. The jobs that were released meanwhile are done with what it leaves of these. What is released
-    /// a period after the last refill or later has a budget of its own again. So the bounds of other callbacks do not rest on the budget being
-    /// enough, and unlike a [demoted](Self::demote_on_overrun) job a suspended one still gets its share where others leave nothing.
+    /// Enforces the budget by suspension: a job that has used up its budget is suspended, in the middle of its work, until one period after
+    /// its release. Then it gets another budget, and so on. Jobs that were released meanwhile run on the rest of these budgets. A job
+    /// released a period after the last refill, or later, has its own budget again. So the bounds of other callbacks do not depend on
+    /// whether the budget is enough. Unlike a [demoted](Self::demote_on_overrun) job, a suspended job gets its share even if other threads
+    /// leave no processor time.
     ///
-    /// For callbacks with a `period`, and one stream whose jitter is shorter than that; else as `demote_on_overrun`, at the same cost.
+    /// For callbacks with a `period`, and with one stream whose jitter is shorter than the period. Otherwise the same as
+    /// `demote_on_overrun`, at the same cost.
     ///
     /// # Real-time
-    /// It sleeps with all that it holds, locks too: whoever waits for one waits for up to a period. Not for callbacks that share locks, the
-    /// allocator's among them; demote those.
+    /// A suspended job keeps everything that it holds, including locks: a thread that waits for such a lock may wait for up to a period. Do
+    /// not use it for callbacks that share locks, including the allocator's; demote those instead.
     pub const fn suspend_on_overrun(mut self) -> CallbackOptions {
         self.overrun_policy = OverrunPolicy::Suspend;
         self
     }
 
-    /// As [`demote_on_overrun`](Self::demote_on_overrun), and the callback ends when such a job does, its thread still below all
-    /// others: for one that nobody trusts any more once it has broken its word. Its handlers are called, its statistics say that it has ended.
-    /// In a group it ends the group.
+    /// Like [`demote_on_overrun`](Self::demote_on_overrun), but the callback also ends when such a job ends, with its thread still below
+    /// all others: for callbacks that must not continue after an overrun. Its handlers are called, and its statistics show that it has
+    /// ended. In a group it ends the group.
     pub const fn end_on_overrun(mut self) -> CallbackOptions {
         self.overrun_policy = OverrunPolicy::End;
         self
     }
 
-    /// Sets what happens after a job that used more CPU time than its budget.
+    /// Sets the handler for a job that used more CPU time than its budget.
     ///
     /// # Real-time
-    /// The handler runs on the callback's thread, at its priority, right after the job and before the next one: what it
-    /// does must be as bounded as the callback itself, such as setting a flag that makes the next job do less. Calling
-    /// it allocates nothing. Its time is charged to no job, and costs one syscall more; the next job's response does
-    /// contain it.
+    /// The handler runs on the callback's thread, at its priority, directly after the job and before the next one. Its
+    /// time must be bounded like that of the callback itself: for example, it sets a flag that makes the next job do
+    /// less. Calling it allocates nothing. Its time is charged to no job, and needs one more syscall; the next job's
+    /// response time includes it.
     pub fn on_overrun(mut self, handler: impl Fn(&Overrun) + Send + Sync + 'static) -> CallbackOptions {
         self.watch.on_overrun = Some(Handler(Arc::new(handler)));
         self
     }
 
-    /// Sets what happens after a job that ended later than its deadline; after the overrun's handler, if both are called.
+    /// Sets the handler for a job that ended later than its deadline. It runs after the overrun handler, if both are
+    /// called.
     ///
     /// # Real-time
     /// As [`on_overrun`](Self::on_overrun).
@@ -232,41 +236,41 @@ impl CallbackOptions {
         self
     }
 
-    /// Polls the callback in a loop on a core of its own: no wake-up, no parking, one core at 100 %.
+    /// Polls the callback in a loop on its own core: no wake-up, no parking, one core at 100 %.
     ///
-    /// Needs exactly one core, and is refused where it would starve a thread that the executor knows of. Others it
-    /// cannot protect: at a real-time priority, keep them off that core (`isolcpus`, or their affinity), for all they
-    /// get there is what `sched_rt_runtime_us` leaves them.
+    /// Needs exactly one core, and is refused if it would starve a thread that the executor knows. It cannot protect
+    /// other threads: at a real-time priority, keep them off that core (`isolcpus`, or their affinity), because there
+    /// they get only the time that `sched_rt_runtime_us` leaves.
     pub const fn busy_poll(mut self) -> CallbackOptions {
         self.busy_poll = true;
         self
     }
 
-    /// Lets publishers wake the thread themselves, without the sampler between: a message reaches its callback one change of
-    /// threads earlier, and costs less CPU time.
+    /// Lets publishers wake the thread directly, without the sampler: a message reaches its callback one thread switch
+    /// earlier, and costs less CPU time.
     ///
-    /// What it costs: a publisher makes one futex wake for each such thread that sleeps, where one wakes the sampler for all
-    /// others of the process. Bounds that were computed with a sampler still hold, for it delays nobody by what it no longer
-    /// does. Messages of subscriptions and requests come so; timers, responses and everything else still wake the thread through the
-    /// sampler. A thread that polls busily sleeps nowhere: there this changes nothing. A callback that blocks in an executor of its
-    /// own (`block_on`) would not be woken there.
+    /// The cost: a publisher makes one futex wake for each such thread that sleeps, whereas one futex wake of the sampler serves all
+    /// other threads of the process. Bounds that were computed with a sampler still hold, because the sampler only has less work.
+    /// Messages of subscriptions and requests wake the thread in this way; timers, responses and everything else still wake it
+    /// through the sampler. For a busy-polling thread, which never sleeps, this has no effect. A callback that blocks in its own
+    /// executor (`block_on`) would not be woken there.
     pub const fn direct_wake(mut self) -> CallbackOptions {
         self.direct_wake = true;
         self
     }
 
-    /// Lets a thread with [`direct_wake`](Self::direct_wake) look for so long whether more comes before it sleeps; others sleep at
-    /// once. Zero by default, at most 1 ms: whoever wants to look for longer polls [busily](Self::busy_poll).
+    /// Lets a thread with [`direct_wake`](Self::direct_wake) poll for this time for more messages before it sleeps; other threads
+    /// sleep at once. Zero by default, at most 1 ms: to poll for longer, use [`busy_poll`](Self::busy_poll).
     ///
-    /// Falling asleep and being woken cost some µs, and an interrupt across cores if the message comes meanwhile: where answers
-    /// come that fast, looking for as long is cheaper. What it costs: each wake-up uses so much more of its core, at the thread's
-    /// priority, which delays those below; response-time analysis wants it added to the wcet.
+    /// Falling asleep and being woken cost some µs, and an interrupt across cores if the message arrives meanwhile. If responses
+    /// arrive that fast, polling for as long is cheaper. The cost: each wake-up uses this additional time of its core, at the
+    /// thread's priority, which delays lower priorities. Add it to the wcet in the response-time analysis.
     pub const fn spin(mut self, spin: Duration) -> CallbackOptions {
         self.spin = spin;
         self
     }
 
-    /// Says whether execution times are measured.
+    /// Sets whether execution times are measured.
     pub const fn execution_time(mut self, measured: bool) -> CallbackOptions {
         self.execution_time = measured;
         self
@@ -281,10 +285,10 @@ impl CallbackOptions {
     }
 }
 
-/// What becomes of a job that uses more processor time than its budget.
+/// What happens to a job that uses more processor time than its budget.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum OverrunPolicy {
-    /// It is counted, and told to [`CallbackOptions::on_overrun`].
+    /// It is counted, and reported to [`CallbackOptions::on_overrun`].
     #[default]
     Tell,
     /// See [`CallbackOptions::demote_on_overrun`].
@@ -298,30 +302,30 @@ pub enum OverrunPolicy {
 /// A job used more CPU time than its budget.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Overrun {
-    /// Which of the callback's jobs it was, from 1.
+    /// The number of the job in its callback, from 1.
     pub job: u64,
-    /// When it was released, in ns of `CLOCK_MONOTONIC`.
+    /// When it was released, in `CLOCK_MONOTONIC` ns.
     pub release_ns: u64,
     /// The CPU time it used.
     pub execution_ns: u64,
-    /// What it might have used.
+    /// The CPU time that it was allowed to use.
     pub budget_ns: u64,
 }
 
 /// A job ended later than its deadline.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DeadlineMiss {
-    /// Which of the callback's jobs it was, from 1.
+    /// The number of the job in its callback, from 1.
     pub job: u64,
-    /// When it was released, in ns of `CLOCK_MONOTONIC`.
+    /// When it was released, in `CLOCK_MONOTONIC` ns.
     pub release_ns: u64,
-    /// The time from there to its end.
+    /// The time from its release to its end.
     pub response_ns: u64,
-    /// What that should have been at most.
+    /// The maximum of this time.
     pub deadline_ns: u64,
 }
 
-/// What is called when a job violates what was assumed of it.
+/// The handlers that are called when a job violates an assumption of the analysis.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Watch {
     /// See [`CallbackOptions::on_overrun`].
@@ -330,7 +334,7 @@ pub struct Watch {
     pub on_deadline_miss: Option<Handler<DeadlineMiss>>,
 }
 
-/// A function of the user's. A clone is the same function.
+/// A function provided by the user. A clone is the same function.
 pub struct Handler<E>(Arc<dyn Fn(&E) + Send + Sync>);
 
 impl<E> Handler<E> {

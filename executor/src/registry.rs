@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Who runs where, at which priority: so that no busy poller starves another thread.
+//! The registered threads with their cores and priorities, so that no busy-polling callback starves another
+//! thread.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -17,13 +18,13 @@ pub(crate) struct Registry {
 #[derive(Debug)]
 pub(crate) struct RegisteredThread {
     pub name: String,
-    /// `None` for time sharing, which is below every real-time priority.
+    /// `None` for time-sharing threads, which are below every real-time priority.
     pub priority: Option<u8>,
     pub cores: CoreSet,
     pub busy: bool,
 }
 
-/// Keeps a thread known to the executor until dropped.
+/// The registration of a thread with the executor, until dropped.
 #[derive(Debug)]
 #[must_use = "the thread is forgotten as soon as this is dropped"]
 pub struct ThreadRegistration {
@@ -32,7 +33,7 @@ pub struct ThreadRegistration {
 }
 
 impl Registry {
-    /// Registers a thread of a machine with `online` cores, unless it or another would then starve.
+    /// Registers a thread of a machine with `online` cores, unless it or another thread would then starve.
     pub fn claim(
         &self,
         thread: RegisteredThread,

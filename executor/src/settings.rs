@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Changing how callbacks run while they run: priorities, reservations, budgets, deadlines.
+//! Changes of running callbacks: priorities, reservations, budgets, deadlines.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -11,7 +11,8 @@ use crate::{CallbackOptions, ExecutorError};
 /// All callbacks of an executor, some of those that have ended among them.
 pub(crate) type Callbacks = Arc<Mutex<Vec<Arc<Callback>>>>;
 
-/// The callbacks of an [`Executor`](crate::Executor), without keeping it: see [`Executor::settings`](crate::Executor::settings).
+/// Access to the callbacks of an [`Executor`](crate::Executor), without keeping the executor alive: see
+/// [`Executor::settings`](crate::Executor::settings).
 #[derive(Clone)]
 pub struct CallbackSettings {
     callbacks: Callbacks,
@@ -22,16 +23,16 @@ impl CallbackSettings {
         CallbackSettings { callbacks }
     }
 
-    /// Gives every running callback with the name of `options` the priority, or the reservation, of their policy, and their budget,
-    /// deadline and bound; says how many there are. All else stays as it is. Of a group's member it is the group's thread that gets the
-    /// priority. The budget of a job that runs is the former one.
+    /// Gives every running callback with the name of `options` the priority or reservation of the policy in `options`, and its budget,
+    /// deadline and bound. Returns the number of these callbacks. Everything else stays unchanged. For a member of a group, the group's
+    /// thread gets the priority. A job that is running keeps its former budget.
     ///
     /// # Real-time
-    /// For other threads than callbacks': some system calls for each, and a lock.
+    /// Not for callback threads: some system calls for each callback, and a lock.
     ///
     /// # Errors
-    /// [`ExecutorError::CannotChange`]: the callback runs under another kind of policy. [`ExecutorError::Thread`]: the kernel refuses. Those that
-    /// were changed before have their former policies again.
+    /// [`ExecutorError::CannotChange`]: the callback runs under another kind of policy. [`ExecutorError::Thread`]: the kernel refuses.
+    /// Callbacks that were already changed get their former policies again.
     pub fn change(&self, options: &CallbackOptions) -> Result<usize, ExecutorError> {
         let callbacks = self.callbacks.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let running = callbacks.iter().filter(|callback| !callback.end.has_come());

@@ -5,7 +5,8 @@ use crate::cdr::DecodeFault;
 /// The alignment of bodies in memory, in bytes: that of the largest number.
 pub const BODY_ALIGN: usize = 8;
 
-/// Bytes that claim to be a little-endian body and lie where one can be read in place.
+/// Bytes that should be a little-endian body, not validated yet, at an address where a body can be read in
+/// place.
 #[derive(Clone, Copy, Debug)]
 pub struct Body<'a> {
     memory: &'a [u8],

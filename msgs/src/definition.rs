@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-/// A type's definition as generated code carries it: its own text and where those of its fields' types are.
+/// A type's definition as generated code contains it: its own text, and references to the definitions of its
+/// fields' types.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Definition {
     /// `package/msg/Name`.
     pub type_name: &'static str,
     /// The lines of its `.msg` file, normalised, without comments.
     pub text: &'static str,
-    /// Of the types of its fields.
+    /// The definitions of its fields' types.
     pub nested: &'static [&'static Definition],
 }
 
@@ -43,7 +44,7 @@ impl Definition {
     }
 }
 
-/// The definition of a generated type, for those that have a field of it.
+/// The definition of a generated type, for types that have a field of it.
 #[doc(hidden)]
 pub const fn definition_of<T: crate::Message>() -> &'static Definition {
     match T::DEFINITION {

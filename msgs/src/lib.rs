@@ -33,7 +33,7 @@
 //! | module | holds |
 //! |---|---|
 //! | `message` | [`Message`]: name, hash, definition; in place, to CDR and back |
-//! | `body` | [`Body`]: bytes that claim to be a message, where they can be read in place |
+//! | `body` | [`Body`]: bytes that should be a message, not validated yet, where they can be read in place |
 //! | `definition`, `shape` | [`Definition`]: the text of a type's definition; [`definition_text`], also of a derived type |
 //! | `plain` | [`Plain`]: layout and validity; [`from_bytes`], [`write_cdr`] |
 //! | `primitives` | `Plain` for integers, floats, `bool`, `char`, arrays |
@@ -42,7 +42,7 @@
 //! | [`cdr`] | fields of any size: owned, read in place, written in place |
 //! | `generated` | the macros that generated code calls |
 //! | `service` | [`Service`], [`Action`] |
-//! | `stamp` | [`HasStamp`]: when what a message tells of was measured |
+//! | `stamp` | [`HasStamp`]: the time of a message's measurement |
 
 #[macro_use]
 mod generated;

@@ -21,8 +21,8 @@ use crate::{Body, Invalid, Message, Shape};
 ///   `align_of::<Self>() <= 8`.
 /// - `CDR_SIZE` is where the last primitive ends: `size_of::<Self>()` without the trailing padding.
 /// - `FIRST_ALIGN` is the alignment of the first primitive.
-/// - `CONTENT_SIZE` is what the sizes of all its primitives add up to, so that padding is what it lacks to
-///   `size_of::<Self>()`.
+/// - `CONTENT_SIZE` is the sum of the sizes of all its primitives; the difference to `size_of::<Self>()` is
+///   padding.
 /// - If [`validate`](Plain::validate) returns `Ok` for at least `CDR_SIZE` bytes, these are a valid `Self`; with
 ///   `ALWAYS_VALID`, all initialised bytes are.
 /// - **Zeroed bytes are a valid `Self`**, so that a loan of fresh shared memory can be handed out as `&mut Self`
@@ -158,8 +158,8 @@ pub fn write_dense<T: Plain>(values: &[T], writer: &mut Writer<'_>) -> Option<Re
     Some(writer.put(T::FIRST_ALIGN, bytes))
 }
 
-/// Reads a value without padding that any bytes are, as it lies in memory. `None` for other types, which are read field by
-/// field, and if the bytes end too early: the fields then say where.
+/// Reads a value of a type without padding for which any bytes are valid, as it lies in memory. `None` for other types,
+/// which are read field by field, and if the bytes end too early: the fields then say where.
 #[doc(hidden)]
 #[inline]
 pub fn read_dense<T: Plain>(reader: &mut Reader<'_>) -> Option<T> {
@@ -205,7 +205,7 @@ pub const fn dense_end<T: Plain>(at: usize) -> Option<usize> {
     if T::DENSE { Some(at.next_multiple_of(T::FIRST_ALIGN) + size_of::<T>()) } else { None }
 }
 
-/// Checks a whole body of a plain type. A fault is looked for again field by field, to say where it is.
+/// Checks a whole body of a plain type. If there is a fault, a second pass field by field finds its position.
 ///
 /// # Errors
 ///

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How generated structs give serde what it lacks: floats that JSON has no number for, arrays longer than 32.
+//! Serde support that generated structs need in addition: floats that JSON has no number for, arrays longer
+//! than 32.
 //!
 //! In text formats NaN and the infinities are the strings `NaN`, `Infinity` and `-Infinity`, as in dynamic messages;
 //! binary formats get the number.

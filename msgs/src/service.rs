@@ -18,7 +18,8 @@ pub trait Service: Send + Sync + 'static {
 }
 
 /// An action: a goal, pursued with feedback until there is a result. Generated code implements it for a unit struct,
-/// `example_interfaces::action::Fibonacci::Action`. Its functions put together, and take apart, what travels.
+/// `example_interfaces::action::Fibonacci::Action`. Its functions build the messages that are sent, and split
+/// received ones.
 pub trait Action: Send + Sync + 'static {
     /// What a client asks for.
     type Goal: Message;

@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What plain types consist of, from which the definition of those is made that are only written in Rust.
+//! The structure of plain types. From it the definition of a type is made that is only written in Rust.
 
 use crate::Message;
 use core::fmt::Write;
 use std::collections::BTreeMap;
 
-/// What a plain type is, as a definition says it.
+/// The structure of a plain type, in the terms of a definition.
 #[doc(hidden)]
 #[derive(Debug)]
 pub enum Shape {
     /// By its name in definitions.
     Primitive(&'static str),
-    /// So many of one after the other.
+    /// This number of elements of one shape.
     Array(&'static Shape, usize),
     /// A derived or generated struct.
     Struct(&'static StructShape),
@@ -21,19 +21,19 @@ pub enum Shape {
 #[doc(hidden)]
 #[derive(Debug)]
 pub struct StructShape {
-    /// As Rust calls it.
+    /// Its name in Rust.
     pub ident: &'static str,
-    /// As ROS does, if it was given a name.
+    /// Its name in ROS, if it has one.
     pub type_name: Option<&'static str>,
     /// The fields, with their names in Rust.
     pub fields: &'static [(&'static str, &'static Shape)],
 }
 
-/// The definition of `T` in the form of bags, with those of the types it consists of: see [`Definition::to_text`](crate::Definition::to_text). A derived type's is
-/// made of its fields; a struct that has no ROS name is given its Rust name in the same package, an enum is its integer, an array of
-/// arrays one array.
+/// The definition of `T` in the form of bags, with those of the types it consists of: see
+/// [`Definition::to_text`](crate::Definition::to_text). The definition of a derived type is made from its fields: a struct without a ROS
+/// name gets its Rust name in the same package, an enum becomes its integer, an array of arrays becomes one array.
 ///
-/// `None` if no definition can say it: two different structs would have one name.
+/// `None` if no definition is possible: two different structs would have the same name.
 ///
 /// # Real-time
 ///

@@ -2,9 +2,9 @@
 
 use crate::Message;
 
-/// A message that says when what it tells of was measured: generated types with a `std_msgs/Header header` do.
+/// A message with the time of its measurement: generated types with a `std_msgs/Header header` are such.
 ///
-/// For a type of one's own:
+/// For your own type:
 /// ```
 /// use tautline_msgs::{HasStamp, Message};
 ///

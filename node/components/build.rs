@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a component must have been built with: the compiler and the target, for the stamp.
+//! The build environment that a component must have: compiler and target, for the stamp.
 
 use std::process::Command;
 

@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Admission: what comes is checked against what runs in the domain, by the analysis of both together.
+//! Admission: new load is checked against the load that runs in the domain, by an analysis of both together.
 //!
-//! | what comes | is |
+//! | new load | is counted as |
 //! |---|---|
-//! | a context with a system file | everything that the file says of this host |
-//! | a callback with the priority and the core that the file gives it | part of that already, unless it runs elsewhere, too |
+//! | a context with a system file | everything in the file for this host |
+//! | a callback with the priority and the core that the file gives it | already part of the file, unless it also runs elsewhere |
 //! | any other real-time callback | its period, jitter and budget, on its core |
 //!
-//! What runs is read from the statistics that processes share: their system files, and the threads that these lack. Who is being
-//! admitted holds a lock of the domain until others can read of it, so that of two which fit only alone one is refused.
+//! The running load is read from the statistics that processes share: their system files, and the threads that are not in these
+//! files. A process that is being admitted holds a lock of the domain until other processes can read its load. So if each of two
+//! processes fits alone but not both together, one of them is refused.
 
 use crate::error::{Error, Result};
 use crate::statistics::shared_statistics;
@@ -22,14 +23,14 @@ use tautline_analysis::file::admission::{Broken, Candidate, LooseThread, Machine
 use tautline_executor::{Admitted, CallbackOptions, CallbackSnapshot, ProcessInfo, ProcessSnapshot};
 use tautline_rt::{Patience, Policy, domain::shared_path};
 
-/// Whether what comes is checked against what runs in the domain.
+/// Whether new load is checked against the load that runs in the domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Admission {
-    /// What would make somebody miss a deadline is refused.
+    /// Load that would cause a missed deadline is refused.
     Check,
-    /// It runs all the same: a warning says what would be late, and so does `taut report`.
+    /// It runs nevertheless: a warning and `taut report` state what would be late.
     Force,
-    /// Nobody looks.
+    /// Nothing is checked.
     Off,
 }
 
@@ -43,9 +44,9 @@ const NAMED: usize = 3;
 pub struct Running {
     files: Vec<FileInUse>,
     threads: Vec<LooseThread>,
-    /// Programs, with their processes' numbers.
+    /// Programs, with their process ids.
     pub processes: Vec<String>,
-    /// What a person should know.
+    /// Notes for the user.
     pub notes: Vec<String>,
 }
 
@@ -57,7 +58,8 @@ struct FileInUse {
 }
 
 impl Running {
-    /// Reads what runs in `domain` now, of this user and on this host. Processes without real-time priorities delay nobody.
+    /// Reads what runs in `domain` now, of this user and on this host. Processes without real-time priorities delay no
+    /// real-time thread.
     ///
     /// # Errors
     /// [`Error::Statistics`] if the statistics cannot be read.
@@ -97,7 +99,7 @@ impl Running {
         Ok(running)
     }
 
-    /// For the analysis.
+    /// The load, for the analysis.
     pub fn machine(&self) -> Machine<'_> {
         let mut machine = Machine::default();
         for FileInUse { file, host, label } in &self.files {
@@ -190,12 +192,12 @@ pub(crate) fn label_of(process: &ProcessInfo) -> String {
     format!("{} (process {})", process.program, process.pid)
 }
 
-/// Held by who is being admitted; the kernel gives it back if that one dies.
+/// Held by the process that is being admitted; the kernel releases it if that process dies.
 #[derive(Debug)]
 pub(crate) struct Gate(Option<File>);
 
 impl Gate {
-    /// Of a domain that this process has joined: its folder is what is locked.
+    /// Locks the folder of a domain that this process has joined.
     pub(crate) fn enter(domain: u32, mode: Admission) -> Result<Gate> {
         let path = shared_path(domain);
         let folder = File::open(&path).map_err(Error::Statistics)?;

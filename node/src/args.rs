@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! ROS 2's command line: what stands between `--ros-args` and `--`, or the end
+//! ROS 2's command line: the arguments between `--ros-args` and `--`, or the end
 //! (<https://design.ros2.org/articles/ros_command_line_arguments.html>).
 
 use crate::error::{Error, Result};

@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The callbacks of a node, for whoever has to end them.
+//! The callbacks of a node, for code that must end them.
 
 use crate::error::Result;
 use std::sync::{Arc, Mutex, PoisonError};
 use tautline_executor::CallbackHandle;
 
-/// The callbacks that were spawned through a node, and are by those that have it, also after this was asked for. A clone is of the
-/// same node.
+/// The callbacks that were, or are later, spawned through a node. A clone belongs to the same node.
 #[derive(Clone, Debug, Default)]
 pub struct NodeCallbacks {
     list: Arc<Mutex<Vec<CallbackHandle>>>,
@@ -20,15 +19,17 @@ impl NodeCallbacks {
         list.push(callback.clone());
     }
 
-    /// Those that have not ended, or have panicked, as far as it is known.
+    /// The callbacks that have not ended, or that have panicked, as far as known.
     pub fn handles(&self) -> Vec<CallbackHandle> {
         self.list.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Tells all of them to end, and waits until they have. One that computes without ever waiting keeps this waiting, too.
+    /// Requests all of them to end, and waits until they have ended. A callback that computes without ever waiting blocks
+    /// this function.
     ///
     /// # Errors
-    /// [`Error::Executor`](crate::Error::Executor): a callback had panicked; of several the last one is named. All have ended.
+    /// [`Error::Executor`](crate::Error::Executor): a callback had panicked; if several had, the last one is named. All
+    /// callbacks have ended.
     pub fn end(&self) -> Result<()> {
         let mut ended = Ok(());
         // Until there is none: a callback may spawn others.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The context: a domain joined, a sampler, callback threads.
+//! The context: membership of a domain, a sampler, callback threads.
 
 use crate::admission::{self, Admission, Gate};
 use crate::args::Arguments;
@@ -25,8 +25,9 @@ use tautline_transport::Qos;
 
 /// Membership of a domain, with the sampler and the callback threads of its nodes. A clone is the same context.
 ///
-/// When the last clone and the last node are gone, every callback thread is stopped and joined. A callback that owns a
-/// clone keeps the context, and with it itself, alive: give it [`Context::events`] if all it wants is to end spinning.
+/// When the last clone and the last node have been dropped, every callback thread is stopped and joined. A callback
+/// that owns a clone keeps the context, and thereby itself, alive. If it only needs to end spinning, give it
+/// [`Context::events`].
 ///
 /// ```
 /// use std::time::Duration;
@@ -60,7 +61,7 @@ pub(crate) struct ContextState {
     realtime: Realtime,
     admission: Admission,
     sampler_priority: u8,
-    /// Another one when its file is taken up again.
+    /// Replaced when a changed text of its file is adopted.
     system: Option<Arc<CurrentSystem>>,
     pub(crate) arguments: Arguments,
     pub(crate) parameter_events: Arc<EventTopic>,
@@ -74,7 +75,7 @@ impl std::fmt::Debug for Context {
     }
 }
 
-/// What a context is asked to be.
+/// The settings of a context.
 #[derive(Clone, Debug)]
 #[must_use = "call build()"]
 pub struct ContextBuilder {
@@ -96,11 +97,11 @@ pub struct ContextBuilder {
 }
 
 impl ContextBuilder {
-    /// The sampler's priority if neither this builder nor a system file sets one: above any callback's that leaves room for
-    /// the kernel's own threads.
+    /// The sampler's priority if neither this builder nor a system file sets one: above the priority of every callback,
+    /// with room for the kernel's own threads above it.
     pub const SAMPLER_PRIORITY: u8 = 90;
 
-    /// What is taken from one job is noted if it is as long, where the environment asks for it (`TAUT_CORE_TIME=on`).
+    /// The shortest time taken from one job that is recorded, if the environment enables it (`TAUT_CORE_TIME=on`).
     pub const CORE_TIME_PIECE: Duration = Duration::from_micros(100);
 
     /// The domain, 0 to 232. Otherwise `TAUT_DOMAIN`, else `ROS_DOMAIN_ID`, else 0.
@@ -139,16 +140,16 @@ impl ContextBuilder {
         self
     }
 
-    /// Whether spinning in real time keeps all cores out of idle states, by `/dev/cpu_dma_latency`: wake-ups become
-    /// several times faster, power consumption rises, and a hypervisor whose guests have a quota stops this one for milliseconds once it is
-    /// used up. On by default, unless `TAUT_HOLD_IDLE=off`; where the file cannot be opened a warning says so.
+    /// Whether spinning in real time keeps all cores out of idle states, by `/dev/cpu_dma_latency`: wake-ups become several times faster,
+    /// power consumption rises, and a hypervisor that limits its guests by a quota stops this guest for milliseconds when the quota is used
+    /// up. On by default, unless `TAUT_HOLD_IDLE=off`. If the file cannot be opened, a warning is logged.
     pub fn hold_idle(mut self, hold: bool) -> Self {
         self.hold_idle = Some(hold);
         self
     }
 
-    /// Takes the priorities, cores and queue depths of callbacks, and the sampler's priority, from a system file: the ones
-    /// that `taut check` computed its bounds with. See [`Context::callback`].
+    /// Takes the priorities, cores and queue depths of callbacks, and the sampler's priority, from a system file: the
+    /// values with which `taut check` computed its bounds. See [`Context::callback`].
     pub fn system(mut self, path: impl Into<PathBuf>) -> Self {
         self.system = Some(path.into());
         self
@@ -160,10 +161,10 @@ impl ContextBuilder {
         self
     }
 
-    /// Whether this process is checked against what runs in the domain: its system file when the context is built, and each real-time
-    /// callback that the file does not count when it is spawned. Otherwise `TAUT_ADMISSION=check`, `force` or `off`, else
-    /// [`Admission::Check`] with a system file and [`Admission::Off`] without. Without real-time priorities nobody is delayed, and
-    /// nothing is checked.
+    /// Whether this process is checked against the load that runs in the domain: its system file when the context is built, and each
+    /// real-time callback that is not in the file when it is spawned. Otherwise `TAUT_ADMISSION=check`, `force` or `off`, else
+    /// [`Admission::Check`] with a system file and [`Admission::Off`] without one. Without real-time priorities no real-time thread
+    /// is delayed, and nothing is checked.
     ///
     /// ```
     /// use tautline::{Admission, Context, Realtime};
@@ -176,24 +177,25 @@ impl ContextBuilder {
     }
 
     /// Whether the statistics of callbacks lie in a file of `/dev/shm`, where other processes read them
-    /// ([`shared_statistics`](crate::shared_statistics)): `taut report`, if there is a system file. On by default; it costs callbacks
-    /// nothing.
+    /// ([`shared_statistics`](crate::shared_statistics)): `taut report` does this, if there is a system file. On by default; it costs
+    /// callbacks nothing.
     pub fn share_statistics(mut self, share: bool) -> Self {
         self.share_statistics = share;
         self
     }
 
-    /// Whether what the host takes from the cores of callbacks is accounted for, so that `taut report` can say of a late job whose
-    /// doing it was: steal on a virtual machine, interrupts, timers that nobody served. It costs each job and each wake of the sampler
-    /// six short system calls (some 3 µs). What was taken from one job counts if it is as long as `least`. Otherwise `TAUT_CORE_TIME=on`, which is 100 µs, or
-    /// `off`, else off.
+    /// Whether time that the host takes from the callbacks' cores is accounted for, so that `taut report` can state why a job was late:
+    /// steal on a virtual machine, interrupts, timers that were served late. It costs six short system calls (some 3 µs) per job and per
+    /// wake-up of the sampler. Time taken from one job counts if it is at least `least`. Otherwise `TAUT_CORE_TIME=on`, which means 100 µs,
+    /// or `off`, else off.
     pub fn account_core_time(mut self, least: Option<Duration>) -> Self {
         self.core_time = Some(least);
         self
     }
 
     /// Whether this process can be traced, and how much each thread keeps. Otherwise `TAUT_TRACE` and `TAUT_TRACE_EVENTS`,
-    /// else [`TraceMode::Ready`](crate::TraceMode::Ready). It is the process's: the first context's counts.
+    /// else [`TraceMode::Ready`](crate::TraceMode::Ready). This setting applies to the whole process: the first context's
+    /// setting counts.
     pub fn trace(mut self, settings: impl Into<TraceSettings>) -> Self {
         self.trace = Some(settings.into());
         self
@@ -206,8 +208,9 @@ impl ContextBuilder {
         self
     }
 
-    /// A command line, with the program's name or without. Between `--ros-args` and `--`, or the end, stand ROS 2's
-    /// arguments; others are the program's ([`Context::non_ros_args`]). [`Context::create`] takes that of the process.
+    /// A command line, with or without the program's name. The arguments between `--ros-args` and `--`, or the end,
+    /// are ROS 2's arguments; the others are the program's ([`Context::non_ros_args`]). [`Context::create`] uses the
+    /// command line of the process.
     ///
     /// | argument | does |
     /// |---|---|
@@ -216,7 +219,7 @@ impl ContextBuilder {
     /// | `-r FROM:=TO`, `--remap` | see [`RemapRules`]; come before those of [`remap`](Self::remap) |
     /// | `--log-level [LOGGER:=]LEVEL` | `debug`, `info`, `warn`, `error` or `fatal`; all loggers, or one and those below |
     /// | `--disable-stdout-logs`, `--disable-rosout-logs` | lines are not printed, not published; also `--enable-...` |
-    /// | `-e PATH`, `--enclave` | taken, and without effect: there is no security here that it could select |
+    /// | `-e PATH`, `--enclave` | accepted without effect: there is no security here that it could select |
     pub fn args(mut self, args: impl IntoIterator<Item = impl Into<String>>) -> Self {
         self.args = args.into_iter().map(Into::into).collect();
         self
@@ -225,8 +228,9 @@ impl ContextBuilder {
     /// Joins the domain.
     ///
     /// # Errors
-    /// [`Error::Argument`], [`Error::Remap`] and [`Error::Parameter`] for a command line that is not understood; [`Error::Environment`] for a variable that is not understood; [`Error::System`] and [`Error::Host`] for a system
-    /// file that cannot be used; [`Error::NotAdmitted`] for one that does not fit beside what runs; [`Error::Transport`] and [`Error::Statistics`] if shared memory cannot be had.
+    /// [`Error::Argument`], [`Error::Remap`] and [`Error::Parameter`] for an invalid command line; [`Error::Environment`] for an invalid
+    /// variable; [`Error::System`] and [`Error::Host`] for a system file that cannot be used; [`Error::NotAdmitted`] for a file whose load
+    /// does not fit beside the running load; [`Error::Transport`] and [`Error::Statistics`] if shared memory is not available.
     pub fn build(mut self) -> Result<Context> {
         let arguments = Arguments::parse(std::mem::take(&mut self.args))?;
         self.remap = arguments.remap.clone().then(&self.remap);
@@ -391,7 +395,7 @@ impl Context {
     /// The domain that a context joins unless its builder names one: `TAUT_DOMAIN`, else `ROS_DOMAIN_ID`, else 0.
     ///
     /// # Errors
-    /// [`Error::Environment`] for a variable that is not understood.
+    /// [`Error::Environment`] for an invalid variable.
     pub fn domain_of_environment() -> Result<u32> {
         let expected = "a domain is a number from 0 to 232";
         for variable in ["TAUT_DOMAIN", "ROS_DOMAIN_ID"] {
@@ -413,10 +417,10 @@ impl Context {
         self.shared.realtime
     }
 
-    /// What the system file says of the callback `name`: its thread's priority and core, its period, its deadline, and as
-    /// its budget what the analysis charges for a job: the wcet, and the overheads of one job that the file states. For
-    /// [`Node::spawn_callback`](crate::Node::spawn_callback), or for [`CallbackGroup::add`](crate::CallbackGroup::add) if
-    /// the callback shares its thread.
+    /// The options of the callback `name` from the system file: its thread's priority and core, its period, its deadline,
+    /// and its budget. The budget is what the analysis charges for a job: the wcet, and the overheads of one job that the
+    /// file states. For [`Node::spawn_callback`](crate::Node::spawn_callback), or for
+    /// [`CallbackGroup::add`](crate::CallbackGroup::add) if the callback shares its thread.
     ///
     /// # Errors
     /// [`Error::NoSystem`] without a system file; [`Error::UnknownCallback`] if it lacks the callback on this host.
@@ -424,7 +428,7 @@ impl Context {
         self.system_for(name)?.options(name)
     }
 
-    /// The thread that the system file gives the group `name`: its priority and core, for
+    /// The thread options of the group `name` from the system file: priority and core, for
     /// [`Node::spawn_group`](crate::Node::spawn_group).
     ///
     /// # Errors
@@ -442,8 +446,8 @@ impl Context {
         self.system_for(name)?.qos(name)
     }
 
-    /// What the system file says of the callback `name`, which waits for several topics (`all`): its window, and how many messages
-    /// have to wait.
+    /// The join settings of the callback `name`, which waits for several topics (`all`), from the system file: its window, and how
+    /// many messages must be queued.
     ///
     /// ```no_run
     /// # fn f(context: &tautline::Context, node: &mut tautline::Node) -> Result<(), Box<dyn std::error::Error>> {
@@ -482,12 +486,12 @@ impl Context {
         system.ok_or_else(|| Error::NoSystem { name: name.into() })
     }
 
-    /// False once [`shutdown`](Self::shutdown) was called.
+    /// False after [`shutdown`](Self::shutdown) was called.
     pub fn is_valid(&self) -> bool {
         !self.shared.events.is_stopped()
     }
 
-    /// Ends spinning, now and for ever; callbacks end with the context. May be called from any thread and from a signal
+    /// Ends spinning, permanently; callbacks end with the context. May be called from any thread and from a signal
     /// handler.
     ///
     /// # Real-time
@@ -496,8 +500,8 @@ impl Context {
         self.shared.events.stop();
     }
 
-    /// What was taken from the sampler's core, and what it used to serve events, while it [spins](Self::spin): see
-    /// [`account_core_time`](ContextBuilder::account_core_time), without which there is nothing.
+    /// The time taken from the sampler's core, and the time that it used to serve events, while it
+    /// [spins](Self::spin). `None` without [`account_core_time`](ContextBuilder::account_core_time).
     pub fn sampler_statistics(&self) -> Option<&Arc<CallbackStats>> {
         self.shared.sampler_statistics.as_ref().map(SamplerStatistics::stats)
     }
@@ -507,18 +511,19 @@ impl Context {
         &self.shared.events
     }
 
-    /// Turns the calling thread into the sampler until [`shutdown`](Self::shutdown): locks the process's memory, tells malloc
-    /// to give nothing back to the system (for the whole process, for good), sets the thread's policy, priority and cores, reads them back, and serves events. Afterwards the thread has its former
-    /// policy and cores again; the memory stays locked.
+    /// Turns the calling thread into the sampler until [`shutdown`](Self::shutdown): locks the process's memory, makes malloc keep freed
+    /// memory (permanently, for the whole process), sets the thread's policy, priority and cores, reads them back, and serves events. After
+    /// that the thread has its former policy and cores again; the memory stays locked.
     ///
     /// With [`Realtime::Off`] it serves events under the policy that the thread has, on the sampler's core if one is set.
     ///
     /// # Real-time
-    /// After the set-up per wake: O(ready), no allocation, no lock; six system calls where core time is accounted for.
+    /// After the set-up, per wake-up: O(ready), no allocation, no lock; six system calls if core time is accounted
+    /// for.
     ///
     /// # Errors
     /// [`Error::AlreadySpinning`]; [`Error::Realtime`] with the fix if a setting is refused; [`Error::Executor`] if a
-    /// busy-polling callback would starve the sampler. The thread is then what it was before.
+    /// busy-polling callback would starve the sampler. The thread then has its former settings.
     pub fn spin(&self) -> Result<()> {
         let mut sampler = self.borrow_sampler()?;
         let _settings = self.become_sampler()?;
@@ -535,9 +540,9 @@ impl Context {
         Ok(())
     }
 
-    /// Serves what is ready, waiting up to `timeout` for something to become ready. Sets nothing real-time.
+    /// Serves ready tasks; waits up to `timeout` for something to become ready. Changes no real-time setting.
     ///
-    /// If another thread spins this context it only waits.
+    /// If another thread spins this context, this function only waits.
     pub fn spin_once(&self, timeout: Duration) {
         match self.borrow_sampler() {
             Ok(mut sampler) => {

@@ -10,7 +10,7 @@ use tautline_transport::{
     LoanError, PublishCdrError, PublishError, SendError, ServiceError, TakeError, TransportError,
 };
 
-/// What can go wrong while a node is set up or publishes. Each message names the thing, the limit and the fix.
+/// Errors of setting up a node and of publishing. Each message names the object, the limit and the fix.
 #[derive(thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -19,19 +19,19 @@ pub enum Error {
     Name {
         /// The name as given.
         name: String,
-        /// What it was meant to name.
+        /// The kind of name.
         kind: &'static str,
         /// The rule that it breaks.
         reason: String,
     },
-    /// A remapping rule is none.
+    /// An invalid remapping rule.
     #[error(
         "'{rule}' is not a remapping rule: {reason}; write from:=to, [node:]__node:=name or [node:]__ns:=/namespace"
     )]
     Remap {
         /// The rule as given.
         rule: String,
-        /// What is wrong with it.
+        /// The error.
         reason: String,
     },
     /// An argument of the command line.
@@ -39,29 +39,29 @@ pub enum Error {
     Argument {
         /// The argument, with its value.
         argument: String,
-        /// What is wrong with it.
+        /// The error.
         reason: String,
     },
     /// A parameter was not declared, read or set, or a parameter file is not understood.
     #[error(transparent)]
     Parameter(Box<ParameterError>),
-    /// An environment variable does not say what it should.
+    /// An environment variable has an invalid value.
     #[error("{variable}={value} is not understood: {expected}")]
     Environment {
         /// The variable.
         variable: &'static str,
         /// Its value.
         value: String,
-        /// What it may be.
+        /// The allowed values.
         expected: &'static str,
     },
-    /// What was waited for ends with its node.
+    /// The awaited object ended with its node.
     #[error("the node was dropped, and its timers with it: keep the node as long as they are used")]
     NodeEnded,
-    /// A timer that would be due without end.
+    /// A timer with a period of zero, which would always be due.
     #[error("a timer cannot have a period of zero: give it the time between two releases")]
     ZeroPeriod,
-    /// A timer whose releases would leave the sampler no time for anything else.
+    /// A timer whose period is so short that the sampler would have no time for anything else.
     #[error("a timer cannot have a period of {period:?}: the shortest is {min:?}")]
     ShortPeriod {
         /// The period.
@@ -69,7 +69,7 @@ pub enum Error {
         /// The shortest.
         min: Duration,
     },
-    /// A clock that shows no ROS time was used as if it did.
+    /// A clock of another type was used as a ROS clock.
     #[error("the clock is not of type RosTime: only that one follows /clock and jumps")]
     ClockTypeNotRosTime,
     /// Too many timers and sleeps on one node's ROS clock.
@@ -77,25 +77,25 @@ pub enum Error {
         "{max} timers and sleeps are on this node's ROS clock already: use another node, or a wall timer"
     )]
     ClockUsers {
-        /// Most there can be.
+        /// The maximum.
         max: usize,
     },
-    /// The system file cannot be read, or is wrong: everything that is, with line and column.
+    /// The system file cannot be read, or has errors: all of them, with line and column.
     #[error(transparent)]
     System(#[from] tautline_analysis::file::FileError),
-    /// The system file's hosts do not tell which one this is.
+    /// It is not known which of the system file's hosts this is.
     #[error("host '{wanted}' is not one of {}'s hosts ({known}): name this one with `ContextBuilder::host` or TAUT_HOST", path.display())]
     Host {
         /// The file.
         path: PathBuf,
-        /// The host asked for.
+        /// The requested host.
         wanted: String,
-        /// The hosts there are.
+        /// The existing hosts.
         known: String,
     },
-    /// A callback was asked for by name, but the context was built without a system file.
+    /// A callback was requested by name, but the context was built without a system file.
     #[error(
-        "callback '{name}' is asked for by name, but this context has no system file: give it one with `ContextBuilder::system`"
+        "callback '{name}' is requested by name, but this context has no system file: give it one with `ContextBuilder::system`"
     )]
     NoSystem {
         /// The callback.
@@ -110,7 +110,7 @@ pub enum Error {
         path: PathBuf,
         /// This host.
         host: String,
-        /// The callbacks there are.
+        /// The existing callbacks.
         known: String,
     },
     /// The system file has no such group on this host.
@@ -122,10 +122,10 @@ pub enum Error {
         path: PathBuf,
         /// This host.
         host: String,
-        /// The groups there are.
+        /// The existing groups.
         known: String,
     },
-    /// It does not fit beside what runs in the domain.
+    /// The new load does not fit beside the load that runs in the domain.
     #[error(
         "{what} is not admitted to domain {domain}: {late}; beside it run: {beside}. Lower the load or its priority, move it to another \
          core, or end what runs; {table}"
@@ -137,9 +137,9 @@ pub enum Error {
         domain: u32,
         /// The response times that would be too long, with their deadlines.
         late: String,
-        /// The processes that run.
+        /// The running processes.
         beside: String,
-        /// What shows all, and what else can be done.
+        /// A command that shows everything, and other possible actions.
         table: String,
     },
     /// No process runs with this system file.
@@ -157,12 +157,12 @@ pub enum Error {
         process: String,
         /// The file.
         path: PathBuf,
-        /// What it says.
+        /// Its reason.
         why: String,
-        /// Whether others have changed already.
+        /// Whether other processes have already changed.
         changed: bool,
     },
-    /// Another process is being admitted, and does not come to an end.
+    /// The admission of another process does not end.
     #[error(
         "a process has been checked against domain {domain} for {waited:?}, and only one can be at a time: see who holds {} \
          (`fuser`), end it, or set TAUT_ADMISSION=off", folder.display()
@@ -170,12 +170,12 @@ pub enum Error {
     AdmissionBusy {
         /// The domain.
         domain: u32,
-        /// What is locked.
+        /// The locked folder.
         folder: PathBuf,
-        /// For how long this process has waited.
+        /// How long this process has waited.
         waited: Duration,
     },
-    /// The statistics could not be made readable for others.
+    /// The statistics could not be shared with other processes.
     #[error(
         "the callbacks' statistics cannot be shared: {0}; `ContextBuilder::share_statistics(false)` does without"
     )]
@@ -188,11 +188,11 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
-    /// A transform buffer that cannot be made.
+    /// A transform buffer that cannot be created.
     #[cfg(feature = "tf2_msgs")]
     #[error(transparent)]
     TransformLimits(#[from] tautline_tf::LimitsError),
-    /// A callback that waits for one topic only.
+    /// A callback that waits for only one topic.
     #[error("callback '{name}' of {} does not wait for several topics: list them in `all`, in place of `topic`", path.display())]
     NoJoin {
         /// The callback.
@@ -200,10 +200,10 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
-    /// A second thread wants to be the sampler.
+    /// A second thread tries to become the sampler.
     #[error("another thread spins this context already: a context has one sampler")]
     AlreadySpinning,
-    /// A topic, publisher or subscription could not be made.
+    /// A topic, publisher or subscription could not be created.
     #[error(transparent)]
     Transport(#[from] TransportError),
     /// A callback could not be started, or panicked.
@@ -218,14 +218,14 @@ pub enum Error {
     /// A message was not written in place.
     #[error(transparent)]
     Write(#[from] WriteError),
-    /// The CDR of a message was not published: it is none of the type.
+    /// The CDR of a message was not published: it is not valid for the type.
     #[error("not published: {0}")]
     InvalidCdr(Box<DecodeError>),
-    /// A definition of a message type is not valid, or its name is none.
+    /// A definition of a message type, or its name, is not valid.
     #[cfg(feature = "untyped")]
     #[error(transparent)]
     Schema(Box<tautline_schema::SchemaError>),
-    /// What is kept of a topic's type is not its definition.
+    /// The stored definition of a topic's type is not its definition.
     #[cfg(feature = "untyped")]
     #[error(
         "the definition in {} cannot be used: {reason}; remove the file, then restart a process that has the type: it writes the file anew",
@@ -234,7 +234,7 @@ pub enum Error {
     StoredDefinition {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The error.
         reason: String,
     },
     /// No definition of a message type was found.
@@ -245,9 +245,9 @@ pub enum Error {
     UnknownType {
         /// The topic.
         topic: String,
-        /// The type asked for.
+        /// The requested type.
         type_name: String,
-        /// What the topic itself told.
+        /// What the topic itself provided.
         stored: String,
     },
     /// JSON or bytes are not a message of the type.
@@ -258,10 +258,10 @@ pub enum Error {
     #[cfg(feature = "lifecycle_msgs")]
     #[error(transparent)]
     Lifecycle(#[from] crate::lifecycle::LifecycleError),
-    /// A request was not sent or not answered, or a response not sent.
+    /// A request was not sent or got no response, or a response was not sent.
     #[error(transparent)]
     Service(#[from] ServiceError),
-    /// A response did not come in the time that the request allowed.
+    /// A response did not arrive within the time-out of the request.
     #[error("service '{service}': no response within {timeout:?}")]
     ServiceTimeout {
         /// The service.
@@ -275,7 +275,7 @@ pub enum Error {
         /// The action.
         action: String,
     },
-    /// A client waits for as many goals as it can. Nothing was sent.
+    /// The client has its maximum number of awaited goals. Nothing was sent.
     #[cfg(feature = "action_msgs")]
     #[error(
         "action '{action}': this client waits for {max} goals already: await or drop the result and the feedback of one, or make a second client"
@@ -283,25 +283,25 @@ pub enum Error {
     TooManyGoals {
         /// The action.
         action: String,
-        /// Most there can be.
+        /// The maximum.
         max: usize,
     },
-    /// A goal was accepted, and its result cannot be asked for.
+    /// A goal was accepted, but its result cannot be requested.
     #[cfg(feature = "action_msgs")]
     #[error(
-        "action '{action}': the goal was accepted, but its result cannot be asked for ({source}); {fate}"
+        "action '{action}': the goal was accepted, but its result cannot be requested ({source}); {fate}"
     )]
     GoalUnheard {
         /// The action.
         action: String,
-        /// What becomes of the goal.
+        /// What happens to the goal.
         fate: String,
-        /// Why not.
+        /// The reason.
         source: Box<Error>,
     },
-    /// A goal is in a state in which this cannot happen to it.
+    /// The operation is not possible in the goal's state.
     #[cfg(feature = "action_msgs")]
-    #[error("action '{action}': goal {goal} is {status}: that cannot happen to it any more, or not yet")]
+    #[error("action '{action}': goal {goal} is {status}: this is no longer possible, or not yet")]
     Goal {
         /// The action.
         action: String,
@@ -310,7 +310,7 @@ pub enum Error {
         /// The state.
         status: crate::action::GoalStatus,
     },
-    /// The action's server goes on with a goal that was to be cancelled.
+    /// The action's server rejected the cancellation and continues with the goal.
     #[error("the action's server rejected the request to cancel the goal")]
     GoalCancelRejected,
     /// The action's server does not know the goal, or has forgotten it.
@@ -318,10 +318,10 @@ pub enum Error {
         "the action's server does not know the goal that is to be cancelled: its result has expired, or it is another server's"
     )]
     GoalCancelUnknownGoalID,
-    /// The goal that is to be cancelled has ended.
+    /// The goal to be cancelled has already ended.
     #[error("the goal that is to be cancelled has ended already: await its result")]
     GoalCancelAlreadyTerminated,
-    /// A message cannot be CDR.
+    /// A message cannot be encoded as CDR.
     #[error(transparent)]
     Serialize(#[from] EncodeError),
     /// Bytes are not the CDR of a message.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The graph as a node sees it: nodes, topics, services and actions of its domain, on this host and on others, with the
-//! names that rclcpp and rclpy give the questions.
+//! The graph as a node sees it: nodes, topics, services and actions of its domain, on this host and on other hosts. The
+//! functions have the names of rclcpp and rclpy.
 
 use crate::error::Result;
 use crate::node::Node;
@@ -28,9 +28,9 @@ pub struct TopicEndpointInfo {
     pub topic_type: String,
     /// The type's hash, if it is known.
     pub topic_type_hash: Option<String>,
-    /// Its identifier, which is that of its messages if it is a publisher.
+    /// Its identifier; for a publisher this is the identifier in its messages.
     pub endpoint_gid: [u8; 16],
-    /// The quality of service that was asked for.
+    /// The requested quality of service.
     pub qos: Qos,
     /// Its process, if it is on this host.
     pub pid: Option<u32>,
@@ -67,7 +67,7 @@ impl Node {
         Ok(self.participant.graph()?)
     }
 
-    /// The fully qualified names of the domain's nodes, sorted by namespace. A name that two nodes have is there twice.
+    /// The fully qualified names of the domain's nodes, sorted by namespace. A name of two nodes is listed twice.
     ///
     /// # Errors
     /// As [`graph`](Self::graph).
@@ -92,7 +92,7 @@ impl Node {
         Ok(topics(&*self.graph()?, |_| true))
     }
 
-    /// The domain's services that some node answers, with their types.
+    /// The domain's services that have a server, with their types.
     ///
     /// # Errors
     /// As [`graph`](Self::graph).
@@ -100,7 +100,7 @@ impl Node {
         Ok(services(&*self.graph()?, ServiceKind::Server, |_| true))
     }
 
-    /// The domain's actions that some node serves, with their types.
+    /// The domain's actions that have a server, with their types.
     ///
     /// # Errors
     /// As [`graph`](Self::graph).
@@ -138,7 +138,7 @@ impl Node {
         self.topics_of(EndpointKind::Subscription, node_name, node_namespace)
     }
 
-    /// The services that a node answers, with their types.
+    /// The services of which a node has a server, with their types.
     ///
     /// # Errors
     /// As [`graph`](Self::graph).
@@ -221,7 +221,8 @@ impl Node {
         Ok(count(&*self.graph()?, &self.resolve_topic_name(topic_name)?, EndpointKind::Subscription))
     }
 
-    /// A stream that yields when something of the domain appeared or went since it last did, or since it was made.
+    /// A stream that yields an item when something in the domain has appeared or disappeared since its last item,
+    /// or since the stream was created.
     ///
     /// # Errors
     /// [`Error::Transport`](crate::Error::Transport) if its thread, one for all of a context, cannot be started.
@@ -229,12 +230,12 @@ impl Node {
         Ok(self.participant.graph_events()?)
     }
 
-    /// Waits until there is a node of this fully qualified name. As the other futures that wait, it looks when the graph
-    /// changes and not otherwise, borrows nothing of the node, and ends the waiting when it is dropped; what looks allocates:
-    /// it is not for callbacks with deadlines.
+    /// Waits until there is a node with this fully qualified name. Like the other waiting futures, it checks only when the
+    /// graph changes, borrows nothing from the node, and stops waiting when it is dropped. The check allocates: it is not for
+    /// callbacks with deadlines.
     ///
     /// # Errors
-    /// As [`graph_events`](Self::graph_events); the future's are those of [`graph`](Self::graph).
+    /// As [`graph_events`](Self::graph_events). Errors of the future: those of [`graph`](Self::graph).
     pub fn wait_for_node(
         &self,
         fully_qualified_node_name: &str,
@@ -243,7 +244,7 @@ impl Node {
         self.wait_until(move |graph| graph.nodes.iter().any(|node| node.name.full_name() == wanted))
     }
 
-    /// Waits until some node answers this service.
+    /// Waits until the service has a server.
     ///
     /// # Errors
     /// [`Error::Name`](crate::Error::Name); as [`wait_for_node`](Self::wait_for_node).
@@ -258,7 +259,7 @@ impl Node {
         self.wait_until(is_wanted)
     }
 
-    /// Waits until a topic has `count` publishers at least.
+    /// Waits until a topic has at least `count` publishers.
     ///
     /// # Errors
     /// As [`wait_for_service`](Self::wait_for_service).
@@ -271,7 +272,7 @@ impl Node {
         self.wait_until(move |graph| self::count(graph, &topic, EndpointKind::Publisher) >= count)
     }
 
-    /// Waits until a topic has `count` subscriptions at least.
+    /// Waits until a topic has at least `count` subscriptions.
     ///
     /// # Errors
     /// As [`wait_for_service`](Self::wait_for_service).

@@ -2,8 +2,8 @@
 //! Zero-copy, real-time middleware for robots: nodes, topics, timers.
 //!
 //! A [`Context`] joins a domain and owns the sampler and the callback threads. A [`Node`] makes publishers,
-//! subscriptions and timers with ROS 2's names and quality of service. Each callback runs on a thread of its own, at its
-//! own priority; [`Node::spin`] turns the calling thread into the sampler, which wakes them.
+//! subscriptions and timers with ROS 2's names and quality of service. Each callback runs on its own thread, at its own
+//! priority; [`Node::spin`] turns the calling thread into the sampler, which wakes them.
 //!
 //! ```no_run
 //! use futures::StreamExt;
@@ -24,21 +24,22 @@
 //! # Ok::<(), tautline::Error>(())
 //! ```
 //!
-//! Real-time set-up that the system refuses is an error which names the fix. To run without is a choice that is made
-//! explicitly: [`Realtime::Off`], or `TAUT_REALTIME=off` in the environment.
+//! If the system refuses a real-time setting, the error names the fix. A program that should run without real time
+//! must choose this explicitly: [`Realtime::Off`], or `TAUT_REALTIME=off` in the environment.
 //!
 //! # Features
 //!
 //! Four groups; the first three are on by default.
 //!
-//! | feature | what it brings |
+//! | feature | adds |
 //! |---|---|
 //! | `node` | what every ROS 2 node has: actions, lifecycle, parameters with their services and `/rosout`, simulated time |
-//! | `messages` | the message packages that most robots use; any other by its name, all by `ros_all`; `tf2_msgs` brings transforms as well (`tautline::tf`) |
+//! | `messages` | the message packages that most robots use; each other package has a feature with its name, `ros_all` adds all; `tf2_msgs` also adds transforms (`tautline::tf`) |
 //! | `untyped` | topics, services and actions of types that are known at run time only |
 //! | `tracing-layer`, `lttng` | `tracing`'s events in the log; LTTng-UST tracepoints |
 //!
-//! Programs that were written for `r2r` compile unchanged on the crate `tautline-r2r`, which has its names.
+//! Programs that were written for `r2r` compile unchanged with the crate `tautline-r2r`, which has r2r's
+//! names.
 #![forbid(unsafe_code)]
 
 #[cfg(feature = "action_msgs")]
@@ -111,7 +112,7 @@ pub use tautline_trace::{TraceError, TraceMode, TraceSettings};
 #[cfg(feature = "action_msgs")]
 pub use uuid;
 
-/// Response times, and the system file: what `taut check` computes.
+/// Response times and the system file: the analysis behind `taut check`.
 pub use tautline_analysis as analysis;
 pub use tautline_executor::{
     Admitted, Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats,
@@ -139,16 +140,17 @@ pub use tautline_transport::{
     TopicMemory, TransportError, Unwritten, UnwrittenResponse, topic_memory,
 };
 
-/// What the ends of topics, services and actions are generic over: a Rust type is its own codec, `Json` and
-/// `Cdr` are those of types known by name. For bounds of generic code; which codecs there are is fixed.
+/// The codecs over which endpoints of topics, services and actions are generic: a Rust type is its own codec;
+/// `Json` and `Cdr` are the codecs of types known by name. For bounds in generic code; the set of codecs is
+/// fixed.
 pub mod codec {
     #[cfg(feature = "action_msgs")]
     pub use crate::action::ActionCodec;
     pub use tautline_transport::{Codec, Decode, ServiceCodec};
 }
 
-/// Below messages: ends of topics and services that carry bytes, what the sampler serves, what the domain knows of its members. For tools,
-/// recorders and other languages.
+/// The layer below messages: endpoints of topics and services that carry bytes, the objects that the sampler serves, the domain's
+/// knowledge of its members. For tools, recorders and other languages.
 pub mod raw {
     pub use tautline_sampler::{Alarm, Expiry, Timer, Watchdog};
     pub use tautline_trace::ObjectId;
@@ -160,13 +162,13 @@ pub mod raw {
     };
 }
 
-/// What the macros' code calls.
+/// Functions that the macros' code calls.
 #[doc(hidden)]
 pub mod __private {
     pub use crate::logging::Site;
     pub use crate::parameters::{field, no_field};
 
-    /// For r2r's programs, which put parameters there themselves.
+    /// For r2r's programs, which insert parameters directly.
     pub fn parameter_map(
         node: &crate::Node,
     ) -> std::sync::Arc<std::sync::Mutex<indexmap::IndexMap<String, crate::Parameter>>> {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Nodes: a name under which topics are published and subscribed to.
+//! Nodes: names under which topics are published and subscribed to.
 
 use crate::callbacks::NodeCallbacks;
 use crate::context::Context;
@@ -20,11 +20,11 @@ use tautline_executor::{CallbackGroup, CallbackHandle, CallbackOptions};
 use tautline_msgs::Message;
 use tautline_transport::{Codec, Decode, Limits, NodeHandle, Participant, Publisher, Qos, TopicType};
 
-/// A node. It ends when it is dropped and its callbacks, those that were spawned through it, have ended. What was made through it ends
-/// with it: streams give out what had come and end, timers end, nothing can be published or asked any more. Its context lives as long
-/// as it does.
+/// A node. It ends when it has been dropped and the callbacks spawned through it have ended. Everything created through it ends with
+/// it: streams deliver what had arrived and then end, timers end, publishing and requests return errors. Its context exists at least
+/// as long.
 ///
-/// A program can be as one of r2r's: one thread that serves events and runs a pool.
+/// A program can be structured like one for r2r: one thread that serves events and runs a pool.
 ///
 /// ```
 /// use futures::{StreamExt, executor::LocalPool, task::LocalSpawnExt};
@@ -75,7 +75,7 @@ pub struct Node {
     pub(crate) time_source: TimeSource,
 }
 
-/// What a node is to have of its own, beside its context's.
+/// A node's own options, in addition to its context's.
 #[derive(Clone, Debug)]
 #[must_use = "give it to Node::create_with_options"]
 pub struct NodeOptions {
@@ -85,13 +85,13 @@ pub struct NodeOptions {
 }
 
 impl NodeOptions {
-    /// Rules for this node only, which come before the context's.
+    /// Remapping rules for this node only; they take precedence over the context's.
     pub fn remap(mut self, rules: RemapRules) -> Self {
         self.remap = rules;
         self
     }
 
-    /// Values for this node's parameters, which come before those of the command line.
+    /// Values for this node's parameters; they take precedence over those of the command line.
     pub fn parameter_overrides(
         mut self,
         overrides: impl IntoIterator<Item = (impl Into<String>, impl Into<ParameterValue>)>,
@@ -101,7 +101,7 @@ impl NodeOptions {
         self
     }
 
-    /// Whether the context's rules, and the parameters that its command line gives, are for this node too. On by default.
+    /// Whether the context's rules, and the parameters of its command line, also apply to this node. On by default.
     pub fn use_global_arguments(mut self, use_global_arguments: bool) -> Self {
         self.use_global_arguments = use_global_arguments;
         self
@@ -119,11 +119,12 @@ impl Default for NodeOptions {
 }
 
 impl Node {
-    /// Creates a node called `name` in `namespace` (`""` is `/`), unless a remapping rule calls it otherwise. That there is
-    /// another node of the same name is allowed, and logged as a warning, as in ROS 2.
+    /// Creates a node called `name` in `namespace` (`""` is `/`), unless a remapping rule changes the name. Another node
+    /// with the same name is allowed, but logged as a warning, as in ROS 2.
     ///
     /// # Errors
-    /// [`Error::Name`] with the rule that a name breaks; [`Error::Transport`] if others cannot be told of it.
+    /// [`Error::Name`] with the rule that a name breaks; [`Error::Transport`] if the node cannot be
+    /// announced.
     pub fn create(ctx: Context, name: &str, namespace: &str) -> Result<Node> {
         Node::create_with_options(ctx, name, namespace, NodeOptions::default())
     }
@@ -212,13 +213,14 @@ impl Node {
     /// The node's logger: its name is the node's, with `.` for `/`. For the log macros.
     ///
     /// # Real-time
-    /// Setup only: starts the thread that writes what real-time threads log. Logging is wait-free in these.
+    /// Setup only: starts the thread that writes the log lines of real-time threads. Logging is wait-free in
+    /// these threads.
     pub fn logger(&self) -> &Logger {
         logging::start();
         &self.logger
     }
 
-    /// What others see of this node, to say there which services and clients are its own.
+    /// The handle under which other processes see this node, to announce its services and clients.
     pub fn handle(&self) -> &NodeHandle {
         &self.handle
     }
@@ -228,7 +230,7 @@ impl Node {
         &self.context
     }
 
-    /// The fully qualified name that `topic` stands for in this node, before remapping.
+    /// The fully qualified name of `topic` in this node, before remapping.
     ///
     /// # Errors
     /// [`Error::Name`].
@@ -236,8 +238,7 @@ impl Node {
         names::expand_topic(topic, &self.name, &self.namespace)
     }
 
-    /// The fully qualified name of the topic that `topic` is in this node, once remapping rules have been applied: the one
-    /// that publishers and subscriptions get.
+    /// The fully qualified name of `topic` in this node, after remapping: the name that publishers and subscriptions get.
     ///
     /// # Errors
     /// [`Error::Name`].
@@ -245,7 +246,7 @@ impl Node {
         self.remap.name(self.expand_topic_name(topic)?, NameKind::Topic, &self.name, &self.namespace)
     }
 
-    /// As [`resolve_topic_name`](Self::resolve_topic_name), of a service.
+    /// Like [`resolve_topic_name`](Self::resolve_topic_name), for a service.
     ///
     /// # Errors
     /// [`Error::Name`].
@@ -253,7 +254,7 @@ impl Node {
         self.remap.name(self.expand_topic_name(service)?, NameKind::Service, &self.name, &self.namespace)
     }
 
-    /// Sets the limits of the publishers and subscriptions of `topic` that this node makes from now on.
+    /// Sets the limits of the publishers and subscriptions of `topic` that this node creates from now on.
     ///
     /// # Errors
     /// [`Error::Name`].
@@ -266,7 +267,7 @@ impl Node {
     /// Creates a publisher.
     ///
     /// # Errors
-    /// [`Error::Name`]; [`Error::Transport`]: a QoS that cannot be kept, no memory left in /dev/shm.
+    /// [`Error::Name`]; [`Error::Transport`]: an invalid QoS, no memory left in /dev/shm.
     pub fn create_publisher<T: Message>(&mut self, topic: &str, qos: Qos) -> Result<Publisher<T>> {
         self.create_publisher_of(topic, &topic_type_of::<T>(), (), qos)
     }
@@ -283,8 +284,9 @@ impl Node {
         Ok(self.participant.create_publisher_of(&topic, topic_type, definition, qos, limits)?)
     }
 
-    /// Subscribes to a topic: a stream of samples, read in shared memory: through [`Sample::view`](crate::Sample::view), or
-    /// by dereferencing if the type is plain. [`Subscription::owned`] makes a stream of owned messages of it.
+    /// Subscribes to a topic: returns a stream of samples, read in shared memory, through
+    /// [`Sample::view`](crate::Sample::view), or by dereferencing if the type is plain. [`Subscription::owned`] converts it
+    /// into a stream of owned messages.
     ///
     /// # Errors
     /// As [`create_publisher`](Self::create_publisher).
@@ -336,13 +338,13 @@ impl Node {
         Ok(Timer::new(&self.handle, self.context.events().timer_at(first_release_ns, period)?))
     }
 
-    /// Gives a future a thread of its own, with the policy, priority and core of `options`. On return the kernel has
-    /// confirmed them. A priority that is not below the sampler's is logged as a warning: the callback then delays the
-    /// wake-up of all others.
+    /// Runs a future on its own thread, with the policy, priority and core of `options`. On return the kernel has
+    /// confirmed them. A priority that is not below the sampler's is logged as a warning, because the callback then
+    /// delays the wake-up of all others.
     ///
     /// # Errors
-    /// [`Error::Executor`] with the fix if a setting is refused; [`Error::NotAdmitted`] if the context checks what comes, and somebody
-    /// would miss a deadline: see [`ContextBuilder::admission`](crate::ContextBuilder::admission).
+    /// [`Error::Executor`] with the fix if a setting is refused; [`Error::NotAdmitted`] if the context checks new load, and a deadline
+    /// would be missed: see [`ContextBuilder::admission`](crate::ContextBuilder::admission).
     pub fn spawn_callback(
         &self,
         options: CallbackOptions,
@@ -351,7 +353,7 @@ impl Node {
         self.spawn_local(options, move || future)
     }
 
-    /// Gives a future a thread of its own and makes it there; it need not be `Send`.
+    /// Runs a future on its own thread, and creates it there; it need not be `Send`.
     ///
     /// # Errors
     /// As [`spawn_callback`](Self::spawn_callback).
@@ -373,7 +375,7 @@ impl Node {
         Ok(self.kept(self.context.shared.executor.spawn_local(options, make)?))
     }
 
-    /// Gives a group of callbacks one thread, on which they run one after the other in order of release.
+    /// Runs a group of callbacks on one thread, one after the other in order of release.
     ///
     /// # Errors
     /// As [`spawn_callback`](Self::spawn_callback).
@@ -401,7 +403,7 @@ impl Node {
         callback
     }
 
-    /// The callbacks spawned through this node, for whoever ends them without having their handles, as a container does.
+    /// The callbacks spawned through this node, for code that ends them without their handles, such as a container.
     pub fn callbacks(&self) -> &NodeCallbacks {
         &self.callbacks
     }
@@ -420,7 +422,7 @@ impl Node {
         self.context.spin()
     }
 
-    /// Serves what is ready, waiting up to `timeout`: see [`Context::spin_once`].
+    /// Serves ready tasks; waits up to `timeout`: see [`Context::spin_once`].
     pub fn spin_once(&mut self, timeout: Duration) {
         self.context.spin_once(timeout);
         // For callbacks that want to know of jumps.
@@ -440,7 +442,7 @@ pub(crate) fn check_period(period: Duration) -> Result<()> {
     }
 }
 
-/// Ends a node when it and its callbacks have.
+/// Ends a node when it has been dropped and its callbacks have ended.
 struct Life(NodeHandle);
 
 impl Drop for Life {

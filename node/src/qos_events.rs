@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What happens to a publisher or a subscription besides its messages, as streams.
+//! QoS events of a publisher or a subscription, as streams.
 
 pub use tautline_sampler::{DeadlineMissed, LivelinessLost, PublisherEvent, SubscriptionEvent};
 
@@ -11,12 +11,12 @@ use std::task::{Context, Poll};
 use tautline_executor::stop_requested;
 use tautline_transport::{RawPublisher, RawSubscription};
 
-/// What happens to a publisher: a stream. See [`Node::publisher_events`].
+/// The QoS events of a publisher: a stream. See [`Node::publisher_events`].
 #[must_use = "no events are reported unless it is polled"]
 #[derive(Debug)]
 pub struct PublisherEvents(tautline_sampler::PublisherEvents);
 
-/// What happens to a subscription: a stream. See [`Node::subscription_events`].
+/// The QoS events of a subscription: a stream. See [`Node::subscription_events`].
 #[must_use = "no events are reported unless it is polled"]
 #[derive(Debug)]
 pub struct SubscriptionEvents(tautline_sampler::SubscriptionEvents);
@@ -61,15 +61,16 @@ impl Stream for SubscriptionEvents {
 }
 
 impl Node {
-    /// What happens to a publisher: subscriptions that come, go or do not fit, its deadline missed, its liveliness lost. A stream
-    /// of its own, for any task, that ends with the publisher. The sampler wakes it; the publisher does nothing more for it than
-    /// to store a time. There is one for each publisher: a second one takes the first one's place.
+    /// The QoS events of a publisher: subscriptions that appear, disappear or are incompatible, a missed deadline, lost
+    /// liveliness. A separate stream, for any task, which ends with the publisher. The sampler wakes it; the publisher only
+    /// stores a time for it. Each publisher has one such stream: a second one replaces the first.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
-    /// [`Error::Transport`](crate::Error::Transport) if the context has no slot left; it takes up to three.
+    /// [`Error::Transport`](crate::Error::Transport) if the context has no slot left; the stream needs up to
+    /// three.
     pub fn publisher_events(&self, publisher: &impl AsRef<RawPublisher>) -> Result<PublisherEvents> {
         Ok(PublisherEvents(tautline_sampler::PublisherEvents::new(
             self.context.events(),
@@ -77,8 +78,8 @@ impl Node {
         )?))
     }
 
-    /// What happens to a subscription: publishers that come, go or do not fit, that come to life or die; its deadline missed;
-    /// messages lost. As [`publisher_events`](Self::publisher_events).
+    /// The QoS events of a subscription: publishers that appear, disappear or are incompatible, that become alive or die; a
+    /// missed deadline; lost messages. Otherwise like [`publisher_events`](Self::publisher_events).
     ///
     /// ```
     /// # use futures::{StreamExt, executor::block_on};
@@ -98,7 +99,7 @@ impl Node {
     /// Setup only.
     ///
     /// # Errors
-    /// As [`publisher_events`](Self::publisher_events); it takes up to two.
+    /// As [`publisher_events`](Self::publisher_events); the stream needs up to two slots.
     pub fn subscription_events(
         &self,
         subscription: &impl AsRef<RawSubscription>,

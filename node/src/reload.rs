@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Taking up another text of the system file while callbacks run: their priorities, reservations, budgets, deadlines.
+//! Adopts a changed text of the system file while callbacks run: their priorities, reservations, budgets, deadlines.
 //!
 //! ```text
 //!  who asks                          each process that has the file
@@ -100,15 +100,15 @@ impl Reload {
     }
 }
 
-/// Has every process of `domain` that runs with the system file at `path` take up the text that it has now: priorities, reservations,
-/// budgets and deadlines of callbacks that run, and of those that are spawned later. Returns the processes.
+/// Makes every process of `domain` that runs with the system file at `path` adopt the file's present text: priorities, reservations,
+/// budgets and deadlines of running callbacks, and of callbacks that are spawned later. Returns the processes.
 ///
-/// The new text is checked first against what runs in the domain besides, as if it were just started. While the processes change, which
-/// takes milliseconds, neither text's bounds hold.
+/// The new text is first checked against the other load in the domain, as if it were just started. While the processes change, for some
+/// milliseconds, the bounds of neither text hold.
 ///
 /// # Errors
-/// [`Error::System`] with everything that is wrong with the file, [`Error::NobodyHas`], [`Error::NotAdmitted`] with the response times that
-/// would be too long; [`Error::NotTakenUp`] for what cannot change while it runs: callbacks, nodes, cores, threads, topics, periods,
+/// [`Error::System`] with all errors of the file, [`Error::NobodyHas`], [`Error::NotAdmitted`] with the response times that would be too
+/// long; [`Error::NotTakenUp`] for differences that cannot be adopted at run time: callbacks, nodes, cores, threads, topics, periods,
 /// deeper queues.
 pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<ProcessInfo>> {
     let path = std::path::absolute(&path).unwrap_or_else(|_| path.as_ref().to_path_buf());

@@ -4,17 +4,17 @@
 use crate::error::{Error, Result};
 use crate::names;
 
-/// Rules that give nodes, topics and services other names than the program says, each as behind `-r` on a ROS 2 command
-/// line. Of those that match the first one counts.
+/// Rules that give nodes, topics and services names other than those in the program, each as after `-r` on a ROS 2
+/// command line. The first matching rule counts.
 ///
-/// | rule | gives |
+/// | rule | changes the name of |
 /// |---|---|
-/// | `chatter:=/talk` | the topic or service that `chatter` stands for in a node another name |
+/// | `chatter:=/talk` | the topic or service `chatter` of a node |
 /// | `~/image:=camera/image` | both sides are expanded in the node: private, relative, absolute, `{node}` and `{ns}` |
-/// | `rostopic://a:=b`, `rosservice://a:=b` | topics only, services only |
-/// | `__node:=left`, `__name:=left` | every node another name |
-/// | `__ns:=/robot` | every node another namespace |
-/// | `talker:chatter:=talk` | only in nodes called `talker`; a rule for the node's name is applied before all others |
+/// | `rostopic://a:=b`, `rosservice://a:=b` | only topics, only services |
+/// | `__node:=left`, `__name:=left` | every node |
+/// | `__ns:=/robot` | every node's namespace |
+/// | `talker:chatter:=talk` | only in nodes called `talker`; rules for the node's name are applied before all others |
 ///
 /// ```
 /// use tautline::{Context, Node, Realtime, RemapRules};
@@ -33,7 +33,7 @@ pub struct RemapRules {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Rule {
-    /// The nodes that it is for; all, if none is named.
+    /// The node to which it applies; `None`: all nodes.
     node: Option<String>,
     effect: Effect,
 }
@@ -42,7 +42,7 @@ struct Rule {
 enum Effect {
     NodeName(String),
     Namespace(String),
-    /// Of topics or services only, if the kind is stated.
+    /// For topics or services only, if the kind is stated.
     Name {
         kind: Option<NameKind>,
         from: String,
@@ -58,10 +58,10 @@ pub(crate) enum NameKind {
 }
 
 impl RemapRules {
-    /// Reads rules such as `from:=to`.
+    /// Parses rules such as `from:=to`.
     ///
     /// # Errors
-    /// [`Error::Remap`] with the rule that is not understood.
+    /// [`Error::Remap`] with the invalid rule.
     pub fn parse(rules: &[impl AsRef<str>]) -> Result<RemapRules> {
         let rules = rules.iter().map(|rule| parse(rule.as_ref())).collect::<Result<_>>()?;
         Ok(RemapRules { rules })
@@ -72,7 +72,7 @@ impl RemapRules {
         self.rules.is_empty()
     }
 
-    /// These rules, and `others` where none of these matches.
+    /// These rules, followed by `others` where none of these matches.
     #[must_use = "it returns the changed RemapRules"]
     pub fn then(mut self, others: &RemapRules) -> RemapRules {
         self.rules.extend_from_slice(&others.rules);

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where the statistics of a domain's processes lie.
+//! The statistics of a domain's processes.
 
 use crate::error::{Error, Result};
 use tautline_executor::{ForeignStatistics, StatisticsFile};
 
-/// The statistics of all processes of `domain`, of this user and on this host, that share them: what `taut report` reads of those with
-/// a system file. Those of processes that were killed are removed, and their number is the second value.
+/// The statistics of all processes of `domain`, of this user and on this host, that share them. `taut report` reads those of processes
+/// with a system file. Statistics of killed processes are removed; their number is the second value.
 ///
 /// ```
 /// let (processes, _killed) = tautline::shared_statistics(227)?;

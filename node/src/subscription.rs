@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A subscription as a stream that measures its callback and knows how its thread waits.
+//! A subscription as a stream that measures its callback and adapts to how its thread waits.
 
 use futures::{Stream, StreamExt};
 use std::any::Any;
@@ -16,11 +16,11 @@ use tautline_transport::{
     Decode, Participant, RawSubscription, Sample, SubscriptionCounters, TakeError, ThreadBell,
 };
 
-/// Receives messages of type `T` from one topic: a stream of [`Sample`]s, each read where it was written. `T` is a Rust type, or what
-/// stands for one that is known at run time only: `Json`, `Cdr`.
+/// Receives messages of type `T` from one topic: a stream of [`Sample`]s, each read where it was written. `T` is a Rust type, or
+/// `Json` or `Cdr` for a type that is known only at run time.
 ///
 /// On a callback thread each message is a job: its response time counts from the message's release, and the next poll of
-/// this stream ends it. On a busy-polling thread the subscription polls its queue without any doorbell.
+/// this stream ends it. On a busy-polling thread the subscription is polled without a doorbell.
 #[must_use = "nothing is received unless it is polled; dropping it ends it"]
 pub struct Subscription<T: Decode> {
     samples: Samples<tautline_transport::Subscription<T>>,
@@ -47,7 +47,8 @@ impl<T: Decode> Subscription<T> {
         self.map(|sample| sample.to_owned())
     }
 
-    /// With stamps that `stamp` tells in nanoseconds, to be joined with others: for messages without a header.
+    /// Adds stamps, in nanoseconds, from the function `stamp`, so that the stream can be joined with others:
+    /// for messages without a header.
     ///
     /// ```no_run
     /// # fn f(odometry: tautline::Subscription<tautline::nav_msgs::msg::Odometry>) {
@@ -60,12 +61,12 @@ impl<T: Decode> Subscription<T> {
         StampedStream::new(self, stamp)
     }
 
-    /// What is known of the type at run time.
+    /// The type's definition that is known at run time.
     pub fn definition(&self) -> &T::Definition {
         self.samples.source().definition()
     }
 
-    /// Received, lost, invalid, highest queue fill: to be read from any thread.
+    /// Received, lost and invalid messages, highest queue fill: readable from any thread.
     pub fn counters(&self) -> Arc<SubscriptionCounters> {
         self.samples.counters()
     }
@@ -130,7 +131,7 @@ impl<T: HasStamp> join::Stamped for Subscription<T> {
     }
 }
 
-/// Where samples come from: a subscription to messages, or a server's to requests.
+/// The source of samples: a subscription to messages, or a server's subscription to requests.
 pub(crate) trait Source {
     type Sample;
 
@@ -187,10 +188,10 @@ pub(crate) struct Samples<S> {
     job: Option<job::Job>,
     trace: tautline_trace::Object,
     quiet: bool,
-    /// What the thread sleeps on that polled last, if publishers can wake it.
+    /// The parker of the thread that polled last, if publishers can wake it.
     parker: Option<Arc<dyn Parker>>,
     counters: Arc<SubscriptionCounters>,
-    /// How many lost messages the callback's statistics know of.
+    /// The number of lost messages already recorded in the callback's statistics.
     noted_lost: u64,
 }
 

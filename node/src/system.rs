@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The system file at run time: the priorities, cores and capacities that `taut check` computed are those that are set.
+//! The system file at run time: sets the priorities, cores and capacities that `taut check` computed.
 
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -222,16 +222,17 @@ impl LoadedSystem {
     }
 }
 
-/// What the system file says of a callback that waits for several topics.
+/// The settings of a callback that waits for several topics, from the system file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct CallbackJoin {
-    /// How far apart the stamps of a set may lie: zero for equal ones. `None`: it takes the newest of each, whatever its stamp, once all
-    /// have come or at the pace of the fastest.
+    /// The maximum distance between the stamps of a set: zero for equal stamps. `None`: it takes the newest message of each topic,
+    /// whatever its stamp, when all have arrived, or at the rate of the fastest topic.
     pub window: Option<Duration>,
-    /// How many messages of a topic have to wait, at most: enough, as computed, that none is dropped which may be needed.
+    /// The maximum number of queued messages of a topic: by the computation enough that no message is dropped which may
+    /// be needed.
     pub queue_size: usize,
-    /// Longest time, as computed, from the arrival of a message that is in a set to the end of the callback's work on the set.
+    /// The computed longest time from the arrival of a message that is in a set to the end of the callback's work on this set.
     pub latency: Duration,
 }
 
@@ -252,8 +253,8 @@ impl CallbackJoin {
         ExactTime::new(self.queue_size)
     }
 
-    /// What a subscription of the join has to hold, for [`Node::set_topic_limits`](crate::Node::set_topic_limits): what waits, a
-    /// message that arrives, and one that the callback works on.
+    /// The limits of a subscription of the join, for [`Node::set_topic_limits`](crate::Node::set_topic_limits): the queued
+    /// messages, one that arrives, and one that the callback works on.
     pub fn limits(&self) -> Limits {
         Limits { held: self.queue_size.saturating_add(2).clamp(4, Limits::MAX_HELD), ..Limits::default() }
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Transforms between frames, as ROS 2's tf2: a listener of `/tf` and `/tf_static`, broadcasters, and the buffer between them.
+//! Transforms between frames, like ROS 2's tf2: a listener of `/tf` and `/tf_static`, broadcasters, and the buffer.
 //!
 //! ```
 //! use std::time::Duration;
@@ -46,13 +46,13 @@ pub use tautline_tf::*;
 /// The queue of `/tf`, as tf2_ros has it.
 const DEPTH: usize = 100;
 
-/// Reads `/tf` and `/tf_static` into a buffer, in a callback of its own, until it is dropped.
+/// Reads `/tf` and `/tf_static` into a buffer, in its own callback, until it is dropped.
 ///
-/// What the buffer refuses is counted ([`Buffer::counters`]) and logged, at most every ten seconds. If simulated time leaps back, all
-/// but static transforms are forgotten, as in tf2.
+/// Transforms that the buffer refuses are counted ([`Buffer::counters`]) and logged, at most every ten seconds. If simulated time
+/// jumps back, all transforms except static ones are removed, as in tf2.
 ///
 /// # Real-time
-/// Its callback allocates nothing. For each transform of a message it does what [`Writer::set`] does.
+/// Its callback allocates nothing. Each transform of a message costs one [`Writer::set`].
 #[must_use = "dropping it ends it"]
 pub struct TransformListener {
     buffer: Buffer,
@@ -62,7 +62,7 @@ pub struct TransformListener {
 }
 
 impl TransformListener {
-    /// Makes a buffer, of [`Limits::bytes`], and spawns the callback that fills it.
+    /// Creates a buffer of [`Limits::bytes`], and spawns the callback that fills it.
     ///
     /// # Errors
     /// [`Error::TransformLimits`](crate::Error::TransformLimits), else as
@@ -109,7 +109,7 @@ impl TransformListener {
         })
     }
 
-    /// What transforms are looked up in; a clone is the same.
+    /// The buffer for lookups; a clone is the same buffer.
     pub fn buffer(&self) -> Buffer {
         self.buffer.clone()
     }
@@ -187,7 +187,7 @@ impl TransformBroadcaster {
         Ok(TransformBroadcaster { publisher })
     }
 
-    /// Publishes a message, which is written into shared memory as it stands: keep one and change it.
+    /// Publishes a message, which is written into shared memory unchanged: keep one message and modify it.
     ///
     /// # Real-time
     /// As [`Publisher::publish`].
@@ -207,7 +207,7 @@ impl TransformBroadcaster {
     }
 }
 
-/// Publishes transforms that never change on `/tf_static`, where whoever comes later gets them, too.
+/// Publishes transforms that never change on `/tf_static`, where late joiners get them, too.
 #[derive(Debug)]
 pub struct StaticTransformBroadcaster {
     publisher: Publisher<TFMessage>,
@@ -215,7 +215,7 @@ pub struct StaticTransformBroadcaster {
 }
 
 impl StaticTransformBroadcaster {
-    /// Publishes for `node`, as long as it is there.
+    /// Publishes for `node`, as long as the broadcaster exists.
     ///
     /// # Errors
     /// As [`Node::create_publisher`](crate::Node::create_publisher).
@@ -225,7 +225,8 @@ impl StaticTransformBroadcaster {
         Ok(StaticTransformBroadcaster { publisher, all: TFMessage::default() })
     }
 
-    /// Publishes this transform beside those from before, in place of the one of the same child. Allocates.
+    /// Publishes this transform together with the previous ones; it replaces one with the same child.
+    /// Allocates.
     ///
     /// # Errors
     /// As [`Publisher::publish`].
@@ -242,7 +243,7 @@ impl StaticTransformBroadcaster {
     }
 }
 
-/// A transform as messages have it.
+/// Converts a transform into its message.
 pub fn to_message(transform: &Transform) -> msg::Transform {
     let ([x, y, z], [qx, qy, qz, qw]) = (transform.translation, transform.rotation);
     msg::Transform {
@@ -251,7 +252,7 @@ pub fn to_message(transform: &Transform) -> msg::Transform {
     }
 }
 
-/// A transform of a message.
+/// Converts a message into a transform.
 pub fn of_message(transform: &msg::Transform) -> Transform {
     let (by, turned) = (&transform.translation, &transform.rotation);
     Transform::new([by.x, by.y, by.z], [turned.x, turned.y, turned.z, turned.w])

@@ -15,9 +15,9 @@ use tautline_transport::NodeHandle;
 
 /// A periodic timer: absolute releases, no drift, missed ones counted. A stream of [`Tick`]s, or [`tick`](Timer::tick).
 ///
-/// Of a timer on simulated time, a tick's `release_ns` is on that clock.
+/// For a timer on simulated time, a tick's `release_ns` is on that clock.
 ///
-/// On a callback thread each tick is a job: its response time counts from the instant at which it was due.
+/// On a callback thread each tick is a job: its response time counts from the time at which it was due.
 #[must_use = "nothing happens unless it is polled; dropping it ends it"]
 pub struct Timer {
     inner: Inner,
@@ -94,7 +94,7 @@ impl Timer {
         Duration::from_nanos(self.inner.period_ns())
     }
 
-    /// Releases that nobody took.
+    /// Releases that were not taken.
     pub fn missed(&self) -> u64 {
         self.inner.missed()
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Processor time that a thread may use at its priority, held by a timer: who uses more is demoted in the midst of its work, or
-//! suspended until it gets more.
+//! A budget of processor time that a thread may use at its priority, enforced by a timer: a thread that uses more is demoted in
+//! the middle of its work, or suspended until it gets another budget.
 //!
 //! ```text
 //!  arm(budget)     timer for `budget` of wall time, which is the least that the processor time can take
@@ -9,8 +9,9 @@
 //!  disarm()        no timer; if the thread was demoted, its policy again
 //! ```
 //!
-//! The timer is the kernel's high-resolution one, not that of processor time, which ticks in milliseconds. A thread that others
-//! preempt gets one signal more for each time that the timer finds it with time left, which is never longer than what it is left.
+//! The timer is the kernel's high-resolution timer, and not its processor-time timer, whose ticks are milliseconds. If other
+//! threads preempt the thread, the timer may fire while budget is left. The thread then gets one more signal each time; the
+//! timer's interval is never longer than the rest of the budget.
 
 use std::cell::Cell;
 use std::io;
@@ -23,17 +24,18 @@ use std::{mem, ptr};
 use crate::clock::{nanoseconds, thread_cpu_ns};
 use crate::{Policy, RtError, current_tid, set_policy_of};
 
-/// What the signal finds, in the thread that it comes to. Nobody else touches it.
+/// The data of the signal handler, in the thread that gets the signal. No other thread accesses it.
 struct State {
     timer: Cell<libc::timer_t>,
-    /// Who else may want to know that the thread is demoted; null: nobody. Kept by the `BudgetTimer`.
+    /// The priority object that must know that the thread is demoted; null: none. Kept alive by the
+    /// `BudgetTimer`.
     own: Cell<*const OwnPriority>,
-    /// Processor time at which the budget is used up; 0: none is held.
+    /// The processor time at which the budget is used up; 0: no budget.
     end_ns: AtomicU64,
     demoted: AtomicBool,
-    /// What the thread gets at each refill; 0: it is demoted instead.
+    /// The budget at each refill; 0: the thread is demoted instead.
     refill_ns: AtomicU64,
-    /// When the next one is.
+    /// The time of the next refill.
     refill_at_ns: AtomicU64,
     period_ns: AtomicU64,
     suspended: AtomicBool,
@@ -55,33 +57,33 @@ thread_local! {
     };
 }
 
-/// What becomes of a thread that has used its budget up: it sleeps until it gets another one.
+/// The refill of a suspended thread: a thread that has used up its budget sleeps until it gets another one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Refill {
-    /// When that is, in ns of `CLOCK_MONOTONIC`.
+    /// The time of the refill, in `CLOCK_MONOTONIC` ns.
     pub at_ns: u64,
-    /// How long after that the next one follows, and so on.
+    /// The time between refills.
     pub period: Duration,
-    /// What the thread gets each time.
+    /// The budget at each refill.
     pub budget: Duration,
 }
 
-/// What was left of a budget when it was disarmed.
+/// The rest of a budget when it was disarmed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RemainingBudget {
     /// Processor time, in nanoseconds.
     pub budget_ns: u64,
-    /// When the next refill would have been, in ns of `CLOCK_MONOTONIC`.
+    /// The time of the next refill, in `CLOCK_MONOTONIC` ns.
     pub refill_at_ns: u64,
 }
 
-/// The `SCHED_FIFO` or `SCHED_RR` priority of a thread, for others to change. A thread that is demoted just then gets the new one when its budget
-/// no longer demotes it.
+/// The `SCHED_FIFO` or `SCHED_RR` priority of a thread, which other threads can change. A thread that is demoted at that time gets the new
+/// priority when the demotion ends.
 #[derive(Debug)]
 pub struct OwnPriority {
     is_round_robin: bool,
     priority: AtomicU8,
-    /// Set before the thread lowers itself, and cleared before it has its priority again.
+    /// Set before the thread lowers its own priority, and cleared before it gets its priority back.
     lowered: AtomicBool,
 }
 
@@ -89,7 +91,8 @@ impl OwnPriority {
     /// How often the thread may change its policy itself while it is being changed.
     const TRIES: u32 = 1_000;
 
-    /// Of a thread with this policy. One without a priority is given `SCHED_FIFO` if it is changed.
+    /// The priority of a thread with this policy. A thread without a priority gets `SCHED_FIFO` if it is
+    /// changed.
     pub fn new(policy: Policy) -> OwnPriority {
         OwnPriority {
             is_round_robin: matches!(policy, Policy::RoundRobin(_)),
@@ -98,7 +101,7 @@ impl OwnPriority {
         }
     }
 
-    /// What the thread has, or gets back.
+    /// The policy that the thread has, or gets back after a demotion.
     pub fn policy(&self) -> Policy {
         self.with(self.priority.load(Ordering::SeqCst))
     }
@@ -122,7 +125,7 @@ impl OwnPriority {
     /// Gives thread `tid` another priority.
     ///
     /// # Real-time
-    /// For other threads than the one that is changed. That one waits for nobody.
+    /// Not for the changed thread itself, which never waits.
     ///
     /// # Errors
     /// As [`set_policy_of`]; the thread then has its former priority.
@@ -155,7 +158,8 @@ impl OwnPriority {
     }
 }
 
-/// Holds the current thread to budgets of processor time. One for a thread, made by itself.
+/// Enforces budgets of processor time for the current thread. Each thread has at most one, and creates it
+/// itself.
 ///
 /// ```
 /// use std::sync::Arc;
@@ -171,15 +175,16 @@ impl OwnPriority {
 #[derive(Debug)]
 pub struct BudgetTimer {
     own: Arc<OwnPriority>,
-    /// Of the thread that made it.
+    /// Belongs to the thread that created it.
     _thread: PhantomData<*const ()>,
 }
 
 impl BudgetTimer {
-    /// Makes the timer of the thread that has this priority, or will have. Takes one real-time signal of the process that nobody else uses, for all timers.
+    /// Creates the timer of the current thread, which has, or will have, this priority. All timers of the process use one otherwise unused
+    /// real-time signal.
     ///
     /// # Errors
-    /// [`RtError::Kernel`]: no signal is free, no timer can be made, or the thread has one.
+    /// [`RtError::Kernel`]: no signal is free, no timer can be created, or the thread already has one.
     pub fn new(own: Arc<OwnPriority>) -> Result<BudgetTimer, RtError> {
         let signal = signal()?;
         let failed = |what| RtError::Kernel { what, source: io::Error::last_os_error() };
@@ -217,7 +222,7 @@ impl BudgetTimer {
         })
     }
 
-    /// Holds the thread to `budget` of processor time, counted from when it had used `since_ns`.
+    /// Enforces `budget`, counted from the processor time `since_ns` of the thread.
     ///
     /// # Real-time
     /// No allocation; no wait; one syscall.
@@ -226,8 +231,8 @@ impl BudgetTimer {
         self.start(since_ns, nanoseconds(budget));
     }
 
-    /// As [`arm`](Self::arm), but when the budget is used up the thread is not demoted: it sleeps, in the midst of what it does, until the
-    /// refill. What it holds then it keeps, the allocator's locks too.
+    /// Like [`arm`](Self::arm), but when the budget is used up the thread is not demoted: it sleeps, in the middle of its work, until the
+    /// refill. It keeps everything that it holds, including the allocator's locks.
     ///
     /// # Real-time
     /// As [`arm`](Self::arm).
@@ -250,7 +255,8 @@ impl BudgetTimer {
         });
     }
 
-    /// Has no budget to hold any more. Says whether the thread was demoted, and if so gives it its priority again.
+    /// Ends the enforcement of the budget. Returns whether the thread was demoted; if so, it gets its priority
+    /// back.
     ///
     /// # Real-time
     /// No allocation; no wait; one syscall, one more if it was demoted.
@@ -263,7 +269,7 @@ impl BudgetTimer {
         demoted
     }
 
-    /// As [`disarm`](Self::disarm), but a thread that was demoted stays so.
+    /// Like [`disarm`](Self::disarm), but a demoted thread stays demoted.
     ///
     /// # Real-time
     /// No allocation; no wait; one syscall.
@@ -284,7 +290,8 @@ impl BudgetTimer {
         STATE.with(|state| state.suspended.load(Ordering::Relaxed))
     }
 
-    /// As [`disarm`](Self::disarm), of a thread that is suspended, not demoted: what is left to it until the next refill.
+    /// Like [`disarm`](Self::disarm), for a thread that is suspended and not demoted: returns the rest of its budget
+    /// until the next refill.
     ///
     /// # Real-time
     /// No allocation; no wait; two syscalls.
@@ -299,7 +306,7 @@ impl BudgetTimer {
         })
     }
 
-    /// Demotes the thread until the next [`disarm`](Self::disarm): for work that comes too late to be done at its priority.
+    /// Demotes the thread until the next [`disarm`](Self::disarm): for work that is too late to run at its priority.
     ///
     /// # Real-time
     /// No allocation; no wait; one syscall.
@@ -428,7 +435,7 @@ fn claim(signal: libc::c_int) -> bool {
     }
 }
 
-/// The timer has expired, in the thread that it is for.
+/// The signal handler: the timer has expired. Runs in the timer's thread.
 extern "C" fn fired(_: libc::c_int) {
     // SAFETY: each thread has its own errno, which is to be as the interrupted code left it.
     let errno = unsafe { *libc::__errno_location() };

@@ -14,7 +14,7 @@ pub fn monotonic_ns() -> u64 {
     of_timespec(clock_gettime(ClockId::Monotonic)).cast_unsigned()
 }
 
-/// `CLOCK_REALTIME`: ns since 1970-01-01 UTC; it jumps when the clock is set.
+/// `CLOCK_REALTIME`: ns since 1970-01-01 UTC. It jumps when the clock is set.
 ///
 /// # Real-time
 /// Wait-free; no allocation; no syscall where the kernel maps its clock (vDSO).
@@ -60,7 +60,7 @@ pub fn burn_cpu(time: Duration) {
     }
 }
 
-/// A time span as these clocks count: in nanoseconds, 584 years at most.
+/// A time span in nanoseconds, the unit of these clocks: at most 584 years.
 pub fn nanoseconds(span: Duration) -> u64 {
     u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)
 }

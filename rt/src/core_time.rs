@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where a thread's time went, by the kernel's own clocks: what it used, what it waited for the core, and the rest, which nobody
-//! on this machine had.
+//! How a thread's time was used, by the kernel's own clocks: the time that it ran, the time that it waited for the core, and the
+//! rest, which no thread of this machine had.
 //!
 //! ```text
 //!  wall time between two marks
@@ -10,8 +10,8 @@
 //!    + time taken from it while it ran         steal, and interrupts where the kernel accounts for them by themselves
 //! ```
 //!
-//! Linux with `CONFIG_SCHED_INFO`. A guest's kernel keeps stolen time out of the processor time only with
-//! `CONFIG_PARAVIRT_TIME_ACCOUNTING`; without it, what is taken looks like the thread's own work.
+//! Needs Linux with `CONFIG_SCHED_INFO`. A guest's kernel excludes stolen time from the processor time only
+//! with `CONFIG_PARAVIRT_TIME_ACCOUNTING`; without it, stolen time looks like the thread's own work.
 
 use std::io;
 use std::marker::PhantomData;
@@ -23,7 +23,7 @@ use rustix::fs::{Mode, OFlags};
 use crate::RtError;
 use crate::clock::{monotonic_ns, thread_cpu_ns};
 
-/// Reads the current thread's account. One for a thread, made by itself.
+/// Reads the current thread's time account. Each thread creates its own.
 ///
 /// ```
 /// let account = tautline_rt::CoreTime::new()?;
@@ -36,23 +36,23 @@ use crate::clock::{monotonic_ns, thread_cpu_ns};
 #[derive(Debug)]
 pub struct CoreTime {
     schedstat: OwnedFd,
-    /// The file is that of the thread which opened it.
+    /// The file belongs to the thread that opened it.
     _thread: PhantomData<*const ()>,
 }
 
-/// A thread's account at one moment, which is somewhere between two instants: reading it takes a microsecond, in which others
-/// may run.
+/// A thread's time account at one moment. The moment lies between two times, because reading takes a microsecond, in which
+/// other threads may run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct CoreMark {
-    /// Before the account was read, in ns of `CLOCK_MONOTONIC`.
+    /// The time before the account was read, in `CLOCK_MONOTONIC` ns.
     pub from_ns: u64,
-    /// After it was read.
+    /// The time after it was read.
     pub to_ns: u64,
     /// Processor time that the thread has used.
     pub used_ns: u64,
-    /// Time that it was ready to run and did not.
+    /// Time in which it was ready to run but did not run.
     pub waited_ns: u64,
-    /// How often it went to sleep by itself.
+    /// How often it went to sleep voluntarily.
     pub sleeps: u64,
 }
 
@@ -60,7 +60,7 @@ impl CoreTime {
     /// Opens the current thread's account.
     ///
     /// # Errors
-    /// [`RtError::Kernel`]: there is none, for /proc is not mounted or the kernel keeps none.
+    /// [`RtError::Kernel`]: there is none, because /proc is not mounted or the kernel does not keep one.
     pub fn new() -> Result<CoreTime, RtError> {
         let failed = |source| RtError::Kernel { what: "reading /proc/thread-self/schedstat", source };
         let flags = OFlags::RDONLY | OFlags::CLOEXEC;
@@ -77,7 +77,7 @@ impl CoreTime {
     /// The account now.
     ///
     /// # Real-time
-    /// No allocation; no wait; three syscalls, a microsecond and a half together.
+    /// No allocation; no wait; three syscalls, which take 1.5 µs together.
     pub fn mark(&self) -> CoreMark {
         let from_ns = monotonic_ns();
         let used_ns = thread_cpu_ns();
@@ -96,10 +96,11 @@ impl CoreTime {
 }
 
 impl CoreMark {
-    /// Time taken from the thread while it ran, from this mark to a later one: by the hypervisor, or by interrupts. What the
-    /// thread was kept waiting by other threads is not in it. `None` if the thread has slept meanwhile, or the kernel did not tell.
+    /// Time taken from the thread while it ran, from this mark to a later one: by the hypervisor, or by interrupts. Time in which
+    /// the thread waited for other threads is not included. `None` if the thread has slept meanwhile, or if the kernel did not
+    /// provide the data.
     ///
-    /// What happens while a mark is read makes it less, never more.
+    /// Events during the reading of a mark make the value smaller, never larger.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -110,8 +111,9 @@ impl CoreMark {
         Some(wall_ns.saturating_sub(known_ns))
     }
 
-    /// Of a thread that slept at this mark and was to be woken by a clock at `due_ns`: how much later it was ready to run. Until
-    /// then nobody had served the clock. `None` if it was not yet asleep when it was due, or the kernel did not tell.
+    /// For a thread that slept at this mark, and that a timer should have woken at `due_ns`: how much later it was ready to run.
+    /// Until then the timer had not been served. `None` if the thread was not yet asleep at `due_ns`, or if the kernel did not
+    /// provide the data.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -120,7 +122,8 @@ impl CoreMark {
         Some(later.from_ns.saturating_sub(due_ns).saturating_sub(self.waited_until(later)?))
     }
 
-    /// How long the thread was ready to run and did not, from this mark to a later one. `None` if the kernel did not tell.
+    /// How long the thread was ready to run but did not run, from this mark to a later one. `None` if the kernel did not
+    /// provide the data.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.

@@ -10,11 +10,12 @@ use crate::{RtError, current_tid, host};
 
 /// A set of cores: a fixed bit mask, plain data.
 ///
-/// Building one asks nobody; whether its cores exist is checked by [`CoreSet::check`] and by whatever uses it.
+/// Building a set checks nothing. [`CoreSet::check`] and the functions that use the set check whether its
+/// cores exist.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct CoreSet {
     bits: [u64; CoreSet::MAX / 64],
-    /// The first core that the mask cannot hold, plus one: kept so that the error can name it.
+    /// The first core that does not fit into the mask, plus one: kept so that the error can name it.
     beyond: usize,
 }
 
@@ -43,7 +44,8 @@ impl CoreSet {
         self
     }
 
-    /// Reads a list as the kernel writes it, `0-3,8`, or an empty text for no cores; `None` if it is no list.
+    /// Parses a list in the kernel's format, `0-3,8`, or an empty text for no cores; `None` if it is not a
+    /// list.
     pub fn parse(list: &str) -> Option<CoreSet> {
         let parts = list.trim().split(',').filter(|part| !part.is_empty());
         let ranges = parts.map(|part| {
@@ -54,10 +56,11 @@ impl CoreSet {
         Some(ranges.collect::<Option<Vec<_>>>()?.into_iter().flatten().collect())
     }
 
-    /// All cores this process may be bound to: those online that its cpuset grants, however it is bound now.
+    /// All cores to which this process may be bound: the online cores that its cpuset allows, independent of
+    /// its present binding.
     ///
     /// # Errors
-    /// [`RtError::Spawn`] or [`RtError::Kernel`] if the short-lived thread that asks the kernel cannot do so.
+    /// [`RtError::Spawn`] or [`RtError::Kernel`] if the short-lived thread that queries the kernel fails.
     pub fn allowed() -> Result<CoreSet, RtError> {
         // The kernel cuts what it is asked for down to the cpuset: ask for everything and read back.
         let probe = || {
@@ -73,7 +76,7 @@ impl CoreSet {
         })
     }
 
-    /// Says whether `core` is in the set.
+    /// Whether `core` is in the set.
     pub const fn contains(&self, core: usize) -> bool {
         core < Self::MAX && self.bits[core / 64] & (1 << (core % 64)) != 0
     }
@@ -87,7 +90,7 @@ impl CoreSet {
         self.bits.iter().map(|word| word.count_ones() as usize).sum()
     }
 
-    /// Says whether the set has no core.
+    /// Whether the set has no core.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -98,7 +101,7 @@ impl CoreSet {
         (0..Self::MAX).filter(move |core| set.contains(*core))
     }
 
-    /// Says whether a thread could be bound to this set: it is not empty and each core is online.
+    /// Checks whether a thread could be bound to this set: it is not empty, and each core is online.
     ///
     /// # Errors
     /// [`RtError::NoCores`] and [`RtError::UnknownCore`], which name the cores that exist.

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where the files of a domain are: one folder in /dev/shm for each domain, user and scope.
+//! The location of a domain's files: one folder in /dev/shm for each domain, user and scope.
 //!
-//! Processes of different scopes see nothing of each other: tests beside a running robot, several simulated robots on one
-//! host. The scope is `TAUT_SCOPE`, or what [`set_scope`] says before it is first asked for; without one there is the default
+//! Processes of different scopes do not see each other: for example tests beside a running robot, or several simulated robots
+//! on one host. The scope is `TAUT_SCOPE`, or the one set by [`set_scope`] before the first use; otherwise it is the default
 //! scope.
 
 use std::path::{Path, PathBuf};
@@ -16,11 +16,11 @@ const VARIABLE: &str = "TAUT_SCOPE";
 
 static SCOPE: OnceLock<Result<Option<String>, ScopeError>> = OnceLock::new();
 
-/// Why a scope is not one.
+/// Why a scope cannot be used.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScopeError {
-    /// The name cannot be part of a file's name.
+    /// The name is not valid as part of a file name.
     #[error(
         "'{name}' cannot be a scope (TAUT_SCOPE): it has 1 to {MAX_SCOPE_BYTES} letters, digits, '-' and '_'"
     )]
@@ -28,14 +28,14 @@ pub enum ScopeError {
         /// The name.
         name: String,
     },
-    /// The process is in another scope already.
+    /// The process is already in another scope.
     #[error(
-        "this process is in the scope '{present}' already, not '{wanted}': set the scope before anything else"
+        "this process is already in the scope '{present}', not '{wanted}': set the scope before anything else"
     )]
     Fixed {
-        /// The scope that it is in; empty for the default one.
+        /// The present scope; empty for the default scope.
         present: String,
-        /// The one asked for.
+        /// The requested scope.
         wanted: String,
     },
 }
@@ -43,7 +43,7 @@ pub enum ScopeError {
 /// The scope of this process; `None` is the default one.
 ///
 /// # Errors
-/// [`ScopeError::Name`]: `TAUT_SCOPE` is no scope.
+/// [`ScopeError::Name`]: `TAUT_SCOPE` is not a valid scope.
 pub fn scope() -> Result<Option<&'static str>, ScopeError> {
     let of_environment = || match std::env::var(VARIABLE) {
         Ok(name) if !name.is_empty() => checked(&name).map(Some),
@@ -52,10 +52,10 @@ pub fn scope() -> Result<Option<&'static str>, ScopeError> {
     SCOPE.get_or_init(of_environment).as_ref().map(Option::as_deref).map_err(Clone::clone)
 }
 
-/// Puts this process into the scope `name`, whatever `TAUT_SCOPE` says. Call it before anything that belongs to a domain.
+/// Puts this process into the scope `name`, in place of `TAUT_SCOPE`. Call it before any function that uses a domain.
 ///
 /// # Errors
-/// [`ScopeError`]: no name for a scope, or the process is in another one.
+/// [`ScopeError`]: an invalid name, or the process is in another scope.
 pub fn set_scope(name: &str) -> Result<(), ScopeError> {
     let wanted = checked(name)?;
     match SCOPE.get_or_init(|| Ok(Some(wanted.clone()))) {
@@ -82,12 +82,12 @@ pub fn shared_folder(domain: u32) -> String {
     }
 }
 
-/// Where a domain's folder is, for this user and scope.
+/// The path of a domain's folder, for this user and scope.
 pub fn shared_path(domain: u32) -> PathBuf {
     Path::new(crate::shm::DIRECTORY).join(shared_folder(domain))
 }
 
-/// Where this user's files are that outlive processes: definitions of message types.
+/// The folder for this user's files that outlive processes: definitions of message types.
 pub fn kept_folder() -> PathBuf {
     let user = rustix::process::geteuid().as_raw();
     Path::new("/tmp").join(match scope() {

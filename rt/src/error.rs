@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What can go wrong, each with the line that mends it.
+//! Errors, each with its fix.
 
 use std::io;
 use std::path::PathBuf;
@@ -7,32 +7,32 @@ use std::time::Duration;
 
 use crate::Policy;
 
-/// Why a real-time setting was refused. Each message names the thing, the limit and the fix.
+/// Why a real-time setting was refused. Each message names the object, the limit and the fix.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RtError {
     /// A real-time priority outside 1..=99.
     #[error("priority {priority} is out of range: SCHED_FIFO and SCHED_RR take 1 (lowest) to 99 (highest)")]
     BadPriority {
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
     },
     /// A nice value outside -20..=19.
     #[error("nice {nice} is out of range: SCHED_OTHER takes -20 (most time) to 19 (least)")]
     BadNice {
-        /// The nice value asked for.
+        /// The requested nice value.
         nice: i8,
     },
-    /// A reservation outside what the kernel takes.
+    /// A reservation outside of the kernel's limits.
     #[error(
         "a reservation of {:?} in {:?} is out of range: SCHED_DEADLINE takes a runtime of 1.024µs to its period, 100µs to 4.194304s",
         Duration::from_nanos(*runtime_ns),
         Duration::from_nanos(*period_ns)
     )]
     BadReservation {
-        /// The processor time asked for, in nanoseconds.
+        /// The requested processor time, in nanoseconds.
         runtime_ns: u64,
-        /// In each of these, in nanoseconds.
+        /// The period, in nanoseconds.
         period_ns: u64,
     },
     /// Other `SCHED_DEADLINE` threads leave no room for a reservation.
@@ -43,12 +43,12 @@ pub enum RtError {
         Duration::from_nanos(*period_ns)
     )]
     NoBandwidth {
-        /// The processor time asked for, in nanoseconds.
+        /// The requested processor time, in nanoseconds.
         runtime_ns: u64,
-        /// In each of these, in nanoseconds.
+        /// The period, in nanoseconds.
         period_ns: u64,
     },
-    /// No privilege for `SCHED_DEADLINE`: no limit of a user's grants it.
+    /// No privilege for `SCHED_DEADLINE`: no user limit can grant it.
     #[error(
         "SCHED_DEADLINE needs CAP_SYS_NICE: run `sudo setcap cap_sys_nice,cap_ipc_lock+ep {}` (RLIMIT_RTPRIO is not enough)",
         exe.display()
@@ -57,14 +57,14 @@ pub enum RtError {
         /// This executable.
         exe: PathBuf,
     },
-    /// A `SCHED_DEADLINE` thread that is bound to some of the cores between which the kernel balances.
+    /// A `SCHED_DEADLINE` thread is bound to only some of the cores between which the kernel balances.
     #[error(
         "the kernel refuses SCHED_DEADLINE to a thread that is bound to cores {cores}, some of those between which it balances: \
          let the thread run on any core (`core = \"any\"` in the system file), take the limit off real-time work, \
          `sudo sysctl -w kernel.sched_rt_runtime_us=-1`, or give it a cpuset of its own (`cpuset.cpus.partition` = root)"
     )]
     ReservationBound {
-        /// The cores asked for.
+        /// The requested cores.
         cores: String,
     },
     /// [`Policy::Unmanaged`] can be read, not set.
@@ -72,7 +72,7 @@ pub enum RtError {
         "kernel policy {number} can be read but not set: use Policy::Fifo, RoundRobin, Deadline or Other"
     )]
     UnmanagedPolicy {
-        /// The kernel's number of the policy.
+        /// The kernel's number for the policy.
         number: u32,
     },
     /// A core set without cores.
@@ -84,18 +84,18 @@ pub enum RtError {
     /// A core that is not online.
     #[error("core {core} does not exist here: choose from {online}")]
     UnknownCore {
-        /// The core asked for.
+        /// The requested core.
         core: usize,
         /// The cores that are online.
         online: String,
     },
-    /// A core that is online but withheld from this process by its cpuset.
+    /// A core that is online but not allowed by this process's cpuset.
     #[error(
         "cores {asked} are not all allowed to this process: choose from {allowed}, or widen its cpuset \
          (AllowedCPUs= of the systemd unit, --cpuset-cpus of the container)"
     )]
     CoreNotAllowed {
-        /// The cores asked for.
+        /// The requested cores.
         asked: String,
         /// The cores the process may use.
         allowed: String,
@@ -133,7 +133,7 @@ pub enum RtError {
         priority.max(&98)
     )]
     MissingCapability {
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
         /// This executable.
         exe: PathBuf,
@@ -145,7 +145,7 @@ pub enum RtError {
          choose at most {limit}"
     )]
     PriorityLimit {
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
         /// The highest one allowed.
         limit: u64,
@@ -157,19 +157,20 @@ pub enum RtError {
         path.display()
     )]
     NoGroupRuntime {
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
         /// The file that holds the runtime, in µs.
         path: PathBuf,
     },
-    /// Refused although privilege and limits would do: a container's filter, or a cgroup that hides its runtime.
+    /// Refused although privilege and limits are sufficient: by a container's filter, or by a cgroup that hides
+    /// its runtime.
     #[error(
         "real-time priority {priority} is refused although privilege and limits suffice: in a container start it \
          with `--cap-add sys_nice --ulimit rtprio=99`; otherwise leave the cpu cgroup with \
          `echo $$ | sudo tee /sys/fs/cgroup/cgroup.procs`"
     )]
     RealtimeRefused {
-        /// The priority asked for.
+        /// The requested priority.
         priority: u8,
     },
     /// Too little privilege to lower the nice value.
@@ -179,12 +180,12 @@ pub enum RtError {
         exe.display()
     )]
     NiceRefused {
-        /// The nice value asked for.
+        /// The requested nice value.
         nice: i8,
         /// This executable.
         exe: PathBuf,
     },
-    /// Memory may not be locked, or not as much.
+    /// Memory may not be locked, or not this much.
     #[error(
         "memory cannot be locked with a limit of {limit} (RLIMIT_MEMLOCK): run \
          `sudo setcap cap_sys_nice,cap_ipc_lock+ep {}`, or put the line `@realtime - memlock unlimited` into \
@@ -196,25 +197,25 @@ pub enum RtError {
         limit: String,
         /// This executable.
         exe: PathBuf,
-        /// The kernel's answer.
+        /// The kernel's error.
         source: io::Error,
     },
-    /// `/dev/cpu_dma_latency` cannot be held.
+    /// `/dev/cpu_dma_latency` cannot be held open.
     #[error(
         "idle states cannot be held off through /dev/cpu_dma_latency: run as root, or put the line \
          `KERNEL==\"cpu_dma_latency\", GROUP=\"realtime\", MODE=\"0660\"` into \
          /etc/udev/rules.d/90-tautline.rules and run `sudo udevadm trigger --name-match=cpu_dma_latency`"
     )]
     Idle {
-        /// The kernel's answer.
+        /// The kernel's error.
         source: io::Error,
     },
-    /// A stack size no thread can have.
+    /// A stack size that is too large for a thread.
     #[error("a stack of {bytes} bytes for thread `{name}` is too large: choose at most {max} bytes")]
     StackTooLarge {
         /// The thread.
         name: String,
-        /// The size asked for.
+        /// The requested size.
         bytes: usize,
         /// The largest size accepted.
         max: usize,
@@ -226,7 +227,7 @@ pub enum RtError {
     Spawn {
         /// The thread.
         name: String,
-        /// The system's answer.
+        /// The system's error.
         source: io::Error,
     },
     /// A thread panicked, in its set-up or later.
@@ -237,18 +238,18 @@ pub enum RtError {
         /// The panic's message.
         message: String,
     },
-    /// A thread that does not exist (any more).
+    /// A thread that does not exist, or no longer exists.
     #[error("thread {tid} does not exist: take its id from threads() while it runs")]
     NoSuchThread {
         /// The thread.
         tid: u32,
     },
-    /// Any other answer of the kernel.
+    /// Any other error of the kernel.
     #[error("{what} failed: {source}")]
     Kernel {
         /// The call or the file.
         what: &'static str,
-        /// The kernel's answer.
+        /// The kernel's error.
         source: io::Error,
     },
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is still done when a process ends by returning from `main` or by `exit` while other threads of it run on: nothing is dropped
-//! then that those threads hold.
+//! Cleanup at the end of a process that returns from `main` or calls `exit` while its other threads still run: objects that these
+//! threads hold are not dropped then.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -21,14 +21,14 @@ fn list() -> MutexGuard<'static, List> {
     LIST.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Something that is to be done at the process's end, unless this is dropped before. A process that ends meanwhile waits until what
-/// this holds is dropped; that may hold no other one of these.
+/// A function that is called at the process's end, unless this is dropped before. A process that ends while this is being dropped
+/// waits until the function has been dropped. The function may not hold another `AtExit`.
 #[derive(Debug)]
 #[must_use = "dropping it cancels the call at exit"]
 pub struct AtExit(u64);
 
-/// Has `last` called when the process ends by itself, in the thread that ends it; what was named last is called first. A process that
-/// is killed, or that calls `_exit`, calls nothing.
+/// Calls `last` when the process ends normally, in the thread that ends it; functions registered later are called first. If the
+/// process is killed, or calls `_exit`, nothing is called.
 ///
 /// # Real-time
 /// Setup only.

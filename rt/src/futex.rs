@@ -20,10 +20,10 @@ impl FutexWord {
     }
 
     /// Sleeps while the word equals `expected`, until [`wake`](Self::wake) or the absolute `CLOCK_MONOTONIC` time
-    /// `deadline_ns`. May return early: callers look again.
+    /// `deadline_ns`. May return early: the caller must check again.
     ///
     /// # Real-time
-    /// One syscall. The time-out is absolute and monotonic: setting the clock does not disturb it.
+    /// One syscall. The time-out is absolute and monotonic: setting the clock does not affect it.
     pub fn wait(&self, expected: u32, deadline_ns: Option<u64>) {
         use rustix::thread::{Timespec, futex};
         let timeout = deadline_ns
@@ -43,7 +43,7 @@ impl FutexWord {
     }
 }
 
-/// The kernel's futex, modelled: comparing and falling asleep are one step with respect to `wake`.
+/// A model of the kernel's futex: comparing and falling asleep are one step with respect to `wake`.
 #[cfg(taut_loom)]
 #[derive(Debug)]
 pub struct FutexWord(pub AtomicU32, loom::sync::Mutex<()>, loom::sync::Condvar);

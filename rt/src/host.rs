@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What machine this is, as far as real time is concerned.
+//! The properties of this machine that matter for real time.
 
 use std::{fmt, fs};
 
@@ -7,7 +7,7 @@ use rustix::system::uname;
 
 use crate::{CoreSet, RtError};
 
-/// When the kernel may interrupt its own work for a more urgent thread.
+/// When the kernel may preempt its own work for a thread of higher priority.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Preemption {
     /// `PREEMPT_RT`: nearly always.
@@ -16,12 +16,12 @@ pub enum Preemption {
     Dynamic,
     /// `PREEMPT`: outside its critical sections.
     Full,
-    /// Only where it offers to.
+    /// Only at explicit preemption points.
     Voluntary,
 }
 
 impl Preemption {
-    /// As the kernel's version says, such as `#1 SMP PREEMPT_RT Debian 6.1` (`uname -v`).
+    /// Parses the kernel's version, such as `#1 SMP PREEMPT_RT Debian 6.1` (`uname -v`).
     pub fn of_version(version: &str) -> Preemption {
         let has = |word| version.split_whitespace().any(|w| w == word);
         match () {
@@ -49,9 +49,9 @@ impl fmt::Display for Preemption {
 pub struct HostInfo {
     /// The kernel's release, such as `6.8.0-45-generic`.
     pub kernel: String,
-    /// How it was built to preempt.
+    /// The preemption model it was built with.
     pub preemption: Preemption,
-    /// The mode in force under [`Preemption::Dynamic`] (`none`, `voluntary`, `full` or `lazy`), if it can be read.
+    /// The active mode under [`Preemption::Dynamic`] (`none`, `voluntary`, `full` or `lazy`), if it can be read.
     pub preempt_mode: Option<String>,
     /// Real-time threads get at most this many µs in every [`rt_period_us`](Self::rt_period_us); -1: no limit.
     pub rt_runtime_us: Option<i64>,
@@ -80,7 +80,7 @@ impl HostInfo {
     }
 }
 
-/// What this host is called.
+/// The name of this host.
 pub fn name() -> String {
     uname().nodename().to_string_lossy().into_owned()
 }
@@ -95,13 +95,14 @@ pub fn online_cores() -> Result<CoreSet, RtError> {
     Ok(CoreSet::parse(&text).unwrap_or_default())
 }
 
-/// Time that the hypervisor gave to others while this machine, or this core, wanted to run, in ticks of 10 ms since
-/// booting. 0 where the kernel reports none, as on bare metal or for a core that does not exist.
+/// Time that the hypervisor gave to other guests while this machine, or this core, was ready to run, in ticks of 10
+/// ms since boot. 0 where the kernel reports none, as on bare metal or for a core that does not exist.
 pub fn steal_ticks(core: Option<usize>) -> u64 {
     fs::read_to_string("/proc/stat").map_or(0, |stat| parse_steal(&stat, core))
 }
 
-/// Raises this process's limit of open files to what it may have, so that the limit which a shell sets is none. Returns the limit.
+/// Raises this process's limit of open files to the hard limit, so that the soft limit set by a shell has no effect. Returns the
+/// limit.
 ///
 /// # Real-time
 /// Setup only.

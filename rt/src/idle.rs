@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Keeping cores out of idle states.
+//! Keeps cores out of idle states.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write;
@@ -8,8 +8,8 @@ use crate::RtError;
 
 /// Keeps every core of the machine out of idle states until dropped, by holding `/dev/cpu_dma_latency` open at 0 µs.
 ///
-/// Waking from an idle core dominates a wake-up's latency; this trades power for it. It acts on the whole machine:
-/// say so in measurements.
+/// The exit from an idle state dominates a wake-up's latency; this avoids it at the cost of power. It affects the
+/// whole machine: state it in measurements.
 #[derive(Debug)]
 #[must_use = "cores may idle again as soon as this is dropped"]
 pub struct IdleHold {
@@ -17,10 +17,10 @@ pub struct IdleHold {
 }
 
 impl IdleHold {
-    /// Takes hold.
+    /// Opens the device.
     ///
     /// # Errors
-    /// [`RtError::Idle`] names the udev rule that admits a group to the device.
+    /// [`RtError::Idle`] names the udev rule that gives a group access to the device.
     pub fn new() -> Result<IdleHold, RtError> {
         let open = || -> std::io::Result<File> {
             let mut device = OpenOptions::new().write(true).open("/dev/cpu_dma_latency")?;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The latest value of something, from one thread to another: both are wait-free, and only the writer drops values.
+//! Passes the latest value from one thread to another: both sides are wait-free, and only the writer drops values.
 //!
-//! Three slots: the writer's, the reader's, and one between them, which either side exchanges for its own.
+//! There are three slots: the writer's, the reader's, and one between them, which each side exchanges for its
+//! own.
 //!
 //! ```text
 //!  writer                        between                      reader
@@ -9,7 +10,7 @@
 //!   exchanges it for this one                                  and reads its own
 //! ```
 //!
-//! The slot that the writer gets back holds an old value. It is dropped by the next write, in the writer's thread.
+//! The slot that the writer gets back contains an old value. The next write drops it, in the writer's thread.
 
 use crate::sync::{Arc, AtomicU8, Ordering, UnsafeCell};
 
@@ -27,19 +28,19 @@ struct TripleBuffer<T> {
 // `&T`, from which the reader can clone) while another one, which wrote it, holds no reference to it: T: Send will do.
 unsafe impl<T: Send> Sync for TripleBuffer<T> {}
 
-/// Puts values where the [`LatestReader`] finds the newest one.
+/// Writes values; the [`LatestReader`] reads the newest one.
 pub struct LatestWriter<T> {
     buffer: Arc<TripleBuffer<T>>,
     slot: u8,
 }
 
-/// Reads the newest value that its [`LatestWriter`] has put there.
+/// Reads the newest value that its [`LatestWriter`] has written.
 pub struct LatestReader<T> {
     buffer: Arc<TripleBuffer<T>>,
     slot: u8,
 }
 
-/// Both sides of a value that is `first` until another one is written.
+/// Creates both sides. The value is `first` until another one is written.
 ///
 /// ```
 /// let (mut writer, mut reader) = tautline_rt::latest(vec![1, 2]);
@@ -64,7 +65,7 @@ impl<T> LatestWriter<T> {
     /// Makes `value` the newest, and drops an older one.
     ///
     /// # Real-time
-    /// Wait-free, but for the drop of a value of `T`.
+    /// Wait-free, except for the drop of a value of `T`.
     pub fn write(&mut self, value: T) {
         self.buffer.slot(self.slot).with_mut(|slot| {
             // SAFETY: this slot is the writer's, and `&mut self` is its only user.
@@ -74,13 +75,13 @@ impl<T> LatestWriter<T> {
         self.slot = self.buffer.between.swap(self.slot | FRESH, Ordering::AcqRel) & SLOT;
     }
 
-    /// As [`write`](Self::write); then `wake` wakes a reader that waits: see [`LatestReader::is_fresh_after`].
+    /// Like [`write`](Self::write); then `wake` wakes a waiting reader: see [`LatestReader::is_fresh_after`].
     pub fn write_and_wake(&mut self, value: T, wake: impl FnOnce()) {
         self.write(value);
         wake();
     }
 
-    /// Whether the reader is gone.
+    /// Whether the reader has been dropped.
     pub fn is_abandoned(&self) -> bool {
         Arc::strong_count(&self.buffer) == 1
     }
@@ -102,7 +103,7 @@ impl<T> LatestReader<T> {
         })
     }
 
-    /// The value that [`read`](Self::read) gave last, though there may be a newer one.
+    /// The value that [`read`](Self::read) returned last, even if there is a newer one.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -113,7 +114,7 @@ impl<T> LatestReader<T> {
         })
     }
 
-    /// Whether [`read`](Self::read) would give a value that it has not given before.
+    /// Whether [`read`](Self::read) would return a new value.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -121,8 +122,8 @@ impl<T> LatestReader<T> {
         self.buffer.between.load(Ordering::Relaxed) & FRESH != 0
     }
 
-    /// As [`is_fresh`](Self::is_fresh), looked at after `register` has made known whom [`LatestWriter::write_and_wake`] is to wake:
-    /// what is written meanwhile is either seen here, or wakes.
+    /// Like [`is_fresh`](Self::is_fresh), but checked after `register` has registered the task that
+    /// [`LatestWriter::write_and_wake`] must wake. A value that is written meanwhile is either seen here, or wakes the task.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall, if `register` is so.
@@ -195,8 +196,8 @@ mod tests {
 
 #[cfg(all(test, taut_loom))]
 mod loom_tests {
-    //! Every interleaving of a writer and a reader. loom's cells refuse a slot that both touch, and its model would not
-    //! end if either side waited for the other. Run by `cargo xtask test`.
+    //! Every interleaving of a writer and a reader. loom's cells detect a slot that both sides access, and its model
+    //! would not end if one side waited for the other. Run by `cargo xtask test`.
     use super::*;
 
     #[test]

@@ -5,19 +5,21 @@
 //!   kernel has confirmed both. [`Realtime::Off`] is the explicit opt-out for machines without the privilege.
 //! - [`set_policy`], [`set_affinity`] do the same for a thread that exists; [`threads`] reads every thread back.
 //! - [`BudgetTimer`] demotes or suspends a thread that uses more processor time than it was given.
-//! - [`CoreTime`] tells what a thread used, what it waited for, and what was taken from it.
+//! - [`CoreTime`] shows how much time a thread used, waited for, and lost to the hypervisor or interrupts.
 //! - [`lock_memory`], [`prefault_stack`], [`tune_malloc`] claim memory before it is needed; [`IdleHold`] keeps the
 //!   cores out of idle states.
 //! - [`Words`] is memory for statistics that other processes may read ([`WordsFile`], [`ForeignWords`]).
-//! - [`shm`] has the files in /dev/shm that all of this workspace's shared memory is in; [`domain`] says where they are.
-//! - [`PiMutex`] protects what threads of different priorities use; [`FutexWord`] is a word to sleep on.
-//! - [`Patience`] is how long it is waited for what is looked at again and again.
-//! - [`at_exit`] has something done when the process ends, though threads of it run on.
-//! - [`latest`] passes the newest of many values on, without waiting on either side.
-//! - [`clock`] has the clocks, [`host`] says what machine this is, [`permission`] why it refuses.
+//! - [`shm`] has the files in /dev/shm that contain all of this workspace's shared memory; [`domain`] has their
+//!   location.
+//! - [`PiMutex`] protects data that threads of different priorities use; [`FutexWord`] is a word to sleep on.
+//! - [`Patience`] limits the time of a polling loop.
+//! - [`at_exit`] calls a function when the process ends, even if other threads still run.
+//! - [`latest`] passes the newest of many values to another thread, without waiting on either side.
+//! - [`clock`] has the clocks, [`host`] the properties of the machine, [`permission`] the reasons why it
+//!   refuses a setting.
 //!
-//! Everything except [`clock`], the use of [`Words`] and of what [`latest`] makes is set-up: it allocates, reads files and makes syscalls. No other crate of the
-//! workspace calls `sched_*` or `mlock*`.
+//! Everything except [`clock`], the use of [`Words`] and the use of the objects of [`latest`] is set-up: it allocates, reads files and
+//! makes syscalls. No other crate of the workspace calls `sched_*` or `mlock*`.
 //!
 //! ```
 //! use tautline_rt::{Policy, Realtime, ThreadBuilder};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Lock files: one process at a time holds one. The kernel releases the lock of a process that dies, however it dies, so that the next can
-//! take over at once.
+//! Lock files: one process at a time holds one. The kernel releases the lock when its process dies, for any reason, so that the next
+//! process can take over at once.
 
 use crate::Patience;
 use crate::shm::DIRECTORY;
@@ -29,10 +29,10 @@ pub enum LockFileError {
     Locked {
         /// The file.
         path: PathBuf,
-        /// Process id of the other, if it wrote it.
+        /// The other process's id, if it has written it.
         pid: Option<u32>,
     },
-    /// The file cannot be made or locked.
+    /// The file cannot be created or locked.
     #[error("the lock {} cannot be used: {source}; check that /dev/shm exists and is writable", path.display())]
     File {
         /// The file.
@@ -43,7 +43,7 @@ pub enum LockFileError {
 }
 
 impl LockFile {
-    /// Locks the file `name` in /dev/shm, which is made if it is not there.
+    /// Locks the file `name` in /dev/shm. Creates it if it does not exist.
     ///
     /// # Real-time
     /// Setup only.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Claiming memory before it is needed.
+//! Claims memory before it is needed.
 
 use std::hint::black_box;
 use std::mem::MaybeUninit;
@@ -17,8 +17,8 @@ pub enum MemoryLock {
     /// A page stays once it has been touched (`MCL_ONFAULT`).
     ///
     /// The default, because the transport reserves sparse segments sized for the worst case: with
-    /// [`MemoryLock::Resident`] each of them would be filled to its last page. The price: whoever needs a page in
-    /// bounded time touches it during set-up, as [`prefault_stack`] does for stacks.
+    /// [`MemoryLock::Resident`] all of their pages would be brought in. The cost: code that needs a page in
+    /// bounded time must touch it during set-up, as [`prefault_stack`] does for stacks.
     #[default]
     OnFault,
     /// Every page of every mapping is brought in at once and stays.
@@ -54,8 +54,9 @@ pub fn lock_memory(lock: MemoryLock) -> Result<(), RtError> {
     })
 }
 
-/// Touches the next `bytes` of the current thread's stack, so that using them later faults no page. Returns how many
-/// bytes were touched: fewer when the stack ends before, less a margin of 4 pages (at least 16 KiB) that is left alone.
+/// Touches the next `bytes` of the current thread's stack, so that their later use causes no page fault. Returns how
+/// many bytes were touched: fewer if the stack ends earlier, minus a margin of 4 pages (at least 16 KiB) that is not
+/// touched.
 pub fn prefault_stack(bytes: usize) -> usize {
     let here = (&raw const bytes).addr();
     let margin = (4 * page_size()).max(16 * 1024);
@@ -66,9 +67,9 @@ pub fn prefault_stack(bytes: usize) -> usize {
     here.saturating_sub(end)
 }
 
-/// Makes the allocator keep what it has: freed memory is not given back to the system, and large blocks come from the heap
-/// instead of fresh mappings, so that what is used again faults no page. Memory stays at its highest level.
-/// Returns false where the allocator has no such settings (other C libraries than glibc).
+/// Makes the allocator keep its memory: freed memory is not returned to the system, and large blocks come from the heap
+/// instead of new mappings. So reused memory causes no page fault. Memory use stays at its highest level. Returns false
+/// where the allocator has no such settings (other C libraries than glibc).
 pub fn keep_freed_memory() -> bool {
     #[cfg(target_env = "gnu")]
     {
@@ -80,8 +81,8 @@ pub fn keep_freed_memory() -> bool {
     }
 }
 
-/// As [`keep_freed_memory`], and all threads share one arena, whose lock does not inherit priority: for processes whose hot
-/// paths do not allocate.
+/// Like [`keep_freed_memory`], but all threads also share one arena, whose lock does not inherit priority: for processes
+/// whose hot paths do not allocate.
 pub fn tune_malloc() -> bool {
     #[cfg(target_env = "gnu")]
     {

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A mutex for threads of different priorities: who holds it runs at the priority of the highest that waits for it
-//! (`PTHREAD_PRIO_INHERIT`), so that nobody between the two can hold up the one above.
+//! A mutex for threads of different priorities: its holder runs at the highest priority of all threads that wait
+//! for it (`PTHREAD_PRIO_INHERIT`), so that no thread between the two priorities can delay the waiting one.
 
 use std::cell::UnsafeCell;
 use std::mem::MaybeUninit;
 use std::ops::{Deref, DerefMut};
 
-/// Protects a value that threads of different priorities use. Unlike the standard library's it inherits priority, and a panic
-/// leaves it usable.
+/// Protects a value that threads of different priorities use. Unlike the standard library's mutex it inherits priority, and
+/// remains usable after a panic.
 ///
 /// ```
 /// let counted = tautline_rt::PiMutex::new(0);
@@ -15,7 +15,7 @@ use std::ops::{Deref, DerefMut};
 /// assert_eq!(*counted.lock(), 1);
 /// ```
 pub struct PiMutex<T> {
-    /// Boxed: a locked mutex must not move, and one that nobody waits for may.
+    /// Boxed, because a locked mutex must not move; only a mutex that no thread waits for may.
     raw: Box<UnsafeCell<libc::pthread_mutex_t>>,
     value: UnsafeCell<T>,
 }
@@ -26,13 +26,13 @@ unsafe impl<T: Send> Send for PiMutex<T> {}
 unsafe impl<T: Send> Sync for PiMutex<T> {}
 
 impl<T> PiMutex<T> {
-    /// A mutex that nobody holds.
+    /// An unlocked mutex.
     ///
     /// # Real-time
     /// Setup only: allocates.
     ///
     /// # Panics
-    /// If the C library has no mutexes that inherit priority, which Linux's have had since 2006.
+    /// If the C library has no mutexes with priority inheritance; those of Linux have had it since 2006.
     pub fn new(value: T) -> Self {
         let mut attributes = MaybeUninit::uninit();
         let mut raw = MaybeUninit::uninit();
@@ -52,14 +52,14 @@ impl<T> PiMutex<T> {
         PiMutex { raw, value: UnsafeCell::new(value) }
     }
 
-    /// Waits until nobody else holds it.
+    /// Locks the mutex; waits until no other thread holds it.
     ///
     /// # Real-time
-    /// No allocation; no syscall if nobody holds it. Waits for the longest section of those who lock it, once: the holder runs at
-    /// this thread's priority meanwhile.
+    /// No allocation; no syscall if no thread holds it. Waits at most once for the longest critical section of the threads that
+    /// lock it; the holder runs at this thread's priority meanwhile.
     ///
     /// # Panics
-    /// If this thread holds it already.
+    /// If this thread already holds it.
     pub fn lock(&self) -> PiGuard<'_, T> {
         // SAFETY: initialised, and not destroyed before `self` goes. It fails only if this thread holds it already, which would be
         // a bug here and not to be waited for.

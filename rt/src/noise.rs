@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What takes the processor from a thread that nothing should interrupt: interrupts, the hypervisor, firmware.
+//! Measures what takes the processor from a thread that nothing should interrupt: interrupts, the hypervisor,
+//! firmware.
 
 use std::time::Duration;
 
@@ -11,27 +12,28 @@ const THRESHOLD_NS: u64 = 1_000;
 /// More interruptions than this in one window are counted but not sorted.
 const ROOM: usize = 1 << 16;
 
-/// The interruptions seen in a time window. The rare longest ones are told apart from the regular ones, which come with
-/// every tick: a bound that charges a single outlier to every response says nothing about the others.
+/// The interruptions in a time window. The rare longest ones are separated from the regular ones, which occur with
+/// every tick: a bound that charges a single outlier to every response has no meaning for the other responses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Interruptions {
     /// Length of the window.
     pub window_ns: u64,
-    /// How many regular ones there were: all but the longest hundredth.
+    /// The number of regular interruptions: all except the longest hundredth.
     pub count: u64,
-    /// All regular ones together.
+    /// The total length of the regular interruptions.
     pub total_ns: u64,
-    /// The longest regular one: the 99th percentile.
+    /// The longest regular interruption: the 99th percentile.
     pub regular_ns: u64,
     /// The longest of all.
     pub longest_ns: u64,
 }
 
 impl Interruptions {
-    /// Watches for `window`, spinning: run it on the core and at the priority that matter.
+    /// Measures for the time `window` by spinning: run it on the core and at the priority of interest.
     ///
     /// # Real-time
-    /// Allocates before it watches; then no syscall where the kernel maps its clock. Occupies the core for `window`.
+    /// Allocates before the measurement; then no syscall where the kernel maps its clock. Occupies the core for
+    /// `window`.
     pub fn watch(window: Duration) -> Interruptions {
         let mut steps_ns = Vec::with_capacity(ROOM);
         let start_ns = monotonic_ns();

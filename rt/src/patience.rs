@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How long it is waited for what is looked at again and again.
+//! The time limit of a polling loop.
 
 use crate::clock::{monotonic_ns, nanoseconds};
 use std::time::Duration;
@@ -8,8 +8,8 @@ use std::time::Duration;
 /// made in any case.
 const LOOKS: u32 = 100;
 
-/// A wait by looks that are made about once a millisecond. Is over when its time is, but not before 100 looks: one that was stopped
-/// meanwhile, or got no core, looks again before it gives up.
+/// The time limit of a loop that polls about once a millisecond. It ends after its time, but not before 100 polls: a process that
+/// was stopped meanwhile, or got no core, polls again before it gives up.
 ///
 /// ```
 /// use std::time::Duration;
@@ -30,12 +30,12 @@ pub struct Patience {
 }
 
 impl Patience {
-    /// Begins to wait, for so long.
+    /// Starts a wait of this length.
     pub fn new(time: Duration) -> Self {
         Patience { end_ns: monotonic_ns().saturating_add(nanoseconds(time)), looks: 0 }
     }
 
-    /// To be asked after each look that found nothing: whether that was the last one.
+    /// Call it after each unsuccessful poll: whether this was the last one.
     ///
     /// # Real-time
     /// Wait-free; no allocation.

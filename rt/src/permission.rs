@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Why the kernel refuses a real-time priority, and what mends it.
+//! Why the kernel refuses a real-time priority, and how to fix it.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use rustix::thread::{CapabilitySet, capabilities};
 
 use crate::{Policy, RtError, ThreadBuilder, affinity_of};
 
-/// Says whether this process may use `SCHED_FIFO` at `priority`, by doing so on a short-lived thread.
+/// Checks whether this process may use `SCHED_FIFO` at `priority`, by using it on a short-lived thread.
 ///
 /// # Errors
 /// [`RtError::BadPriority`] outside 1..=99; else the variant that names the fix, as [`diagnose`].
@@ -17,8 +17,8 @@ pub fn realtime_permitted(priority: u8) -> Result<(), RtError> {
     ThreadBuilder::new("rt-probe").policy(Policy::Fifo(priority)).spawn(|| || ())?.join()
 }
 
-/// The reason why the kernel would answer EPERM to `SCHED_FIFO` or `SCHED_RR` at `priority`: privilege first, then
-/// the user's limit, then the cpu cgroup. Meaningful only after such an answer.
+/// The reason why the kernel would return EPERM for `SCHED_FIFO` or `SCHED_RR` at `priority`: checks privilege
+/// first, then the user's limit, then the cpu cgroup. Meaningful only after such an error.
 pub fn diagnose(priority: u8) -> RtError {
     let privileged = privileged();
     let limit = getrlimit(Resource::Rtprio).current.unwrap_or(u64::MAX);

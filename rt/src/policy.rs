@@ -27,22 +27,22 @@ pub enum Policy {
         /// -20 (most time) to 19 (least).
         nice: i8,
     },
-    /// `SCHED_DEADLINE`, with a deadline that is the period: a reservation, which the kernel holds the thread to (the constant-bandwidth
-    /// server, `Documentation/scheduler/sched-deadline.rst`). It preempts every `SCHED_FIFO` thread, and no job of it that takes longer
-    /// than reserved delays anybody. Threads that it starts are `SCHED_OTHER`.
+    /// `SCHED_DEADLINE`, with a deadline equal to the period: a reservation, which the kernel enforces as a limit (the
+    /// constant-bandwidth server, `Documentation/scheduler/sched-deadline.rst`). It preempts every `SCHED_FIFO` thread, but a job that
+    /// takes longer than reserved delays no other thread. Threads that it starts are `SCHED_OTHER`.
     Deadline {
         /// Processor time in each period, in nanoseconds: 1,024 to the period.
         runtime_ns: u64,
-        /// In nanoseconds: 100 us to 4,194,304 us, what the kernel takes unless told otherwise (`kernel.sched_deadline_period_*`).
+        /// In nanoseconds: 100 us to 4,194,304 us, the kernel's default limits (`kernel.sched_deadline_period_*`).
         period_ns: u64,
     },
-    /// Another policy, by the kernel's number (3 batch, 5 idle, 6 deadline with one that is not the period): read back from a thread,
-    /// never set.
+    /// Another policy, by the kernel's number (3 batch, 5 idle, 6 deadline with a deadline other than the period): read back from a
+    /// thread, never set.
     Unmanaged(u32),
 }
 
 impl Policy {
-    /// What [`realtime_priority`](Self::realtime_priority) says of a reservation: above all priorities.
+    /// The value of [`realtime_priority`](Self::realtime_priority) for a reservation: above all priorities.
     pub const RESERVATION: u8 = 100;
 
     /// The real-time priority, 1..=99, or [`RESERVATION`](Self::RESERVATION); `None` for a policy that has none.
@@ -54,7 +54,7 @@ impl Policy {
         }
     }
 
-    /// Says whether this is a policy that [`set_policy`] could set, privilege aside.
+    /// Checks whether [`set_policy`] could set this policy, without regard to privilege.
     ///
     /// # Errors
     /// [`RtError::BadPriority`], [`RtError::BadNice`], [`RtError::BadReservation`], [`RtError::UnmanagedPolicy`].
@@ -98,8 +98,8 @@ impl fmt::Display for Policy {
 /// Sets the policy of the current thread and reads it back.
 ///
 /// # Errors
-/// [`RtError::BadPriority`] and the like for values that cannot be; a variant that names the fix when the privilege
-/// is missing (see [`permission`]); [`RtError::PolicyNotKept`] if the kernel then reports another policy.
+/// [`RtError::BadPriority`] and similar for invalid values; a variant that names the fix if the privilege is
+/// missing (see [`permission`]); [`RtError::PolicyNotKept`] if the kernel then reports another policy.
 pub fn set_policy(policy: Policy) -> Result<(), RtError> {
     policy.check()?;
     let (class, priority) = match policy {

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Files in /dev/shm: private to their user, made and owned by one process, mapped by others.
+//! Files in /dev/shm: private to their user, created and owned by one process, mapped by others.
 //!
-//! The owner holds the lock of its file as long as it lives. The kernel drops the lock when the owner dies, so who can lock
-//! a file may remove it. Anybody may put files into /dev/shm, under any name: one of another user could be cut short while it
-//! is mapped here, which kills who reads it. So these are not opened.
+//! The owner holds the lock of its file as long as it is alive. The kernel releases the lock when the owner dies, so a
+//! process that can lock a file may remove it. Any user may create files in /dev/shm, under any name. Another user could
+//! truncate its file while it is mapped here, which would kill the reader. So files of other users are not opened.
 
 use std::ffi::c_void;
 use std::io;
@@ -16,10 +16,10 @@ use rustix::io::Errno;
 use rustix::mm::{Advice, MapFlags, ProtFlags};
 use std::sync::Arc;
 
-/// Where shared memory has names.
+/// The folder of named shared memory.
 pub const DIRECTORY: &str = "/dev/shm";
 
-/// What the system said of a file.
+/// The system's error for a file.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {source}", path.display())]
 pub struct ShmError {
@@ -41,10 +41,10 @@ impl From<ShmError> for io::Error {
     }
 }
 
-/// Makes a folder of this user's own in /dev/shm, unless it is there.
+/// Creates a folder of this user in /dev/shm, unless it exists.
 ///
 /// # Errors
-/// [`ShmError`]: it cannot be made, or is no folder that this user alone can write to.
+/// [`ShmError`]: it cannot be created, or is not a folder to which only this user can write.
 pub fn make_folder(name: &str) -> Result<(), ShmError> {
     let path = Path::new(DIRECTORY).join(name);
     let make = || -> io::Result<()> {
@@ -71,7 +71,7 @@ pub fn make_folder(name: &str) -> Result<(), ShmError> {
     make().map_err(ShmError::of(&path))
 }
 
-/// A file that this process made. It stays when this is dropped: see [`retire`](Self::retire).
+/// A file that this process created. Dropping this does not remove it: see [`retire`](Self::retire).
 #[derive(Debug)]
 pub struct OwnFile {
     path: PathBuf,
@@ -80,7 +80,8 @@ pub struct OwnFile {
 }
 
 impl OwnFile {
-    /// Makes an empty file whose name is `prefix`, which may begin with a folder, and a random number in 16 hexadecimal digits.
+    /// Creates an empty file whose name is `prefix`, which may begin with a folder, followed by a random number in 16
+    /// hexadecimal digits.
     ///
     /// # Real-time
     /// Setup only.
@@ -99,13 +100,14 @@ impl OwnFile {
         }
     }
 
-    /// Makes an empty file at `path`, of the number `id`.
+    /// Creates an empty file at `path`, with the number `id`.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
-    /// [`ShmError`]; of the kind `WouldBlock` if somebody took it for a dead owner's before it was locked: it is gone.
+    /// [`ShmError`]; of the kind `WouldBlock` if another process removed it, as a file of a dead owner, before it was
+    /// locked.
     pub fn create_at(path: PathBuf, id: u64) -> Result<OwnFile, ShmError> {
         let make = || -> io::Result<OwnedFd> {
             let flags = OFlags::CREATE | OFlags::EXCL | OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
@@ -124,7 +126,7 @@ impl OwnFile {
         }
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -134,8 +136,8 @@ impl OwnFile {
         self.id
     }
 
-    /// Claims memory for `len` bytes from `offset` on; the file grows if need be. Written to without it, a full /dev/shm
-    /// would kill the process: here it is an error.
+    /// Claims memory for `len` bytes from `offset` on; the file grows if necessary. Without this, a write at a full
+    /// /dev/shm would kill the process; with it, a full /dev/shm is an error here.
     ///
     /// # Real-time
     /// Setup only.
@@ -146,7 +148,7 @@ impl OwnFile {
         claim(&self.file, offset, len).map_err(ShmError::of(&self.path))
     }
 
-    /// Gives the memory of `len` bytes from `offset` on back; they read as zeros then. Whole pages only.
+    /// Releases the memory of `len` bytes from `offset` on; they then read as zeros. Whole pages only.
     ///
     /// # Errors
     /// [`ShmError`].
@@ -156,7 +158,7 @@ impl OwnFile {
         punched.map_err(|errno| ShmError::of(&self.path)(errno.into()))
     }
 
-    /// Makes the file `len` bytes long without claiming memory for it.
+    /// Sets the file's length to `len` bytes, without claiming memory.
     ///
     /// # Errors
     /// [`ShmError`].
@@ -164,7 +166,8 @@ impl OwnFile {
         rustix::fs::ftruncate(&self.file, len).map_err(|errno| ShmError::of(&self.path)(errno.into()))
     }
 
-    /// Removes the file and unlocks it: to others, its owner has ended. Who has mapped it keeps what was in it.
+    /// Removes the file and unlocks it: for other processes, its owner has ended. Existing mappings keep the
+    /// content.
     pub fn retire(&self) {
         let _ = rustix::fs::unlink(&self.path);
         let _ = rustix::fs::flock(&self.file, FlockOperation::Unlock);
@@ -180,14 +183,15 @@ impl AsFd for OwnFile {
 /// The numbers of own files' descriptors begin here.
 const OWN_FILES: i32 = 256;
 
-/// Gives a descriptor a number that is not below `least`. The kernel closes a dead process's descriptors from the highest number down,
-/// and with some it takes its time (10 ms for an inotify): what others wait for is to be closed before those. Own files begin at 256.
+/// Moves a descriptor to a number of at least `least`. The kernel closes a dead process's descriptors from the highest number down,
+/// and some take long (10 ms for an inotify instance). Descriptors whose closing other processes wait for must be closed before those.
+/// Own files begin at 256.
 pub fn closed_early(file: OwnedFd, least: i32) -> OwnedFd {
     // Not beyond the limit of open files.
     rustix::io::fcntl_dupfd_cloexec(&file, least).unwrap_or(file)
 }
 
-/// Another process's file. What it holds are claims. It stays readable when that process has ended.
+/// Another process's file. Its content is untrusted. It remains readable after that process has ended.
 #[derive(Debug)]
 pub struct PeerFile {
     path: PathBuf,
@@ -217,12 +221,12 @@ impl PeerFile {
         }
     }
 
-    /// Where it is, or was.
+    /// Its path; the file may have been removed.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// How long it is now.
+    /// Its present length.
     ///
     /// # Errors
     /// [`ShmError`].
@@ -231,7 +235,7 @@ impl PeerFile {
         Ok(u64::try_from(stat.st_size).unwrap_or(0))
     }
 
-    /// Whether the process that made it lives. Its lock says so: process numbers repeat.
+    /// Whether the process that created it is alive. The file's lock shows this, because process ids repeat.
     pub fn is_owned(&self) -> bool {
         let free = rustix::fs::flock(&self.file, FlockOperation::NonBlockingLockShared).is_ok();
         if free {
@@ -240,7 +244,7 @@ impl PeerFile {
         !free
     }
 
-    /// Removes the file of a process that was killed. Does nothing if its owner lives.
+    /// Removes the file of a process that was killed. Does nothing if its owner is alive.
     pub fn remove_if_orphaned(&self) -> bool {
         if rustix::fs::flock(&self.file, FlockOperation::NonBlockingLockExclusive).is_err() {
             return false;
@@ -279,10 +283,10 @@ pub fn list(prefix: &str) -> Result<Vec<PathBuf>, ShmError> {
     Ok(paths)
 }
 
-/// Whether a file is this user's.
+/// Checks that a file belongs to this user.
 ///
 /// # Errors
-/// Names the user that it belongs to.
+/// Names the user to whom it belongs.
 pub fn check_owner(file: impl AsFd) -> io::Result<()> {
     let user = rustix::fs::fstat(file)?.st_uid;
     if user == rustix::process::geteuid().as_raw() {
@@ -296,10 +300,10 @@ pub fn has_name(file: impl AsFd) -> bool {
     rustix::fs::fstat(file).is_ok_and(|stat| stat.st_nlink != 0)
 }
 
-/// As [`OwnFile::claim`], for a file that several processes make together.
+/// Like [`OwnFile::claim`], for a file that several processes share.
 ///
 /// # Errors
-/// What the system said.
+/// The system's error.
 pub fn claim(file: impl AsFd, offset: u64, len: u64) -> io::Result<()> {
     loop {
         match rustix::fs::fallocate(&file, FallocateFlags::empty(), offset, len) {
@@ -310,7 +314,7 @@ pub fn claim(file: impl AsFd, offset: u64, len: u64) -> io::Result<()> {
     }
 }
 
-/// Part of a file, in memory. What lies there may change at any time: it is to be read and written as atomics only.
+/// A mapped part of a file. Its content may change at any time: read and write it only with atomics.
 #[derive(Debug)]
 pub struct Mapping {
     start: NonNull<c_void>,
@@ -339,7 +343,7 @@ impl Mapping {
         Ok(Mapping { start, len_bytes })
     }
 
-    /// Zeros of this process alone, which take memory where they are written.
+    /// Zeroed memory of this process only, which uses memory only where it is written.
     ///
     /// # Real-time
     /// Setup only.
@@ -355,7 +359,7 @@ impl Mapping {
         Ok(Mapping { start, len_bytes })
     }
 
-    /// Where it starts: the start of a page. Mapped as long as this lives.
+    /// Its start, at a page boundary. Mapped as long as this exists.
     pub fn start(&self) -> NonNull<c_void> {
         self.start
     }
@@ -365,8 +369,8 @@ impl Mapping {
         self.len_bytes
     }
 
-    /// Brings in the pages of `len_bytes` from `offset_bytes` on, so that using them faults none: for writing if `writable`, which
-    /// the mapping must be. The file's memory was claimed before.
+    /// Brings in the pages of `len_bytes` from `offset_bytes` on, so that their use causes no page fault: for writing if
+    /// `writable`, in which case the mapping must be writable. The file's memory must have been claimed before.
     ///
     /// # Real-time
     /// Setup only.
@@ -385,7 +389,7 @@ impl Mapping {
     }
 }
 
-/// Part of a mapping, which it keeps mapped.
+/// Part of a mapping. It keeps the mapping alive.
 #[derive(Clone, Debug)]
 pub struct Region {
     map: Arc<Mapping>,
@@ -400,13 +404,13 @@ impl Region {
         (end <= map.len_bytes()).then(|| Region { map: map.clone(), offset_bytes, len_bytes })
     }
 
-    /// Where it starts. Mapped as long as this or a clone of it lives.
+    /// Its start. Mapped as long as this or a clone exists.
     pub fn start(&self) -> NonNull<c_void> {
         // SAFETY: within the mapping, as `new` checked.
         unsafe { self.map.start().byte_add(self.offset_bytes) }
     }
 
-    /// How long it is.
+    /// Its length.
     pub fn len_bytes(&self) -> usize {
         self.len_bytes
     }
@@ -419,7 +423,7 @@ impl Drop for Mapping {
     }
 }
 
-/// A number that nobody has chosen, never 0: random enough for a name (the seeds of the standard library's hash maps), not for a
+/// A random number, never 0: random enough for a name (from the seeds of the standard library's hash maps), but not for a
 /// secret.
 pub fn random() -> u64 {
     use std::hash::{BuildHasher, Hasher};

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Starting threads, and reading back those that run.
+//! Starts threads, and reads back running threads.
 
 use std::any::Any;
 use std::sync::mpsc;
@@ -13,10 +13,11 @@ use crate::{
 /// Whether real-time policies are applied.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Realtime {
-    /// They are, and a refusal is an error.
+    /// They are applied, and a refusal is an error.
     #[default]
     Required,
-    /// They are not: a thread keeps the policy of the thread that starts it. Affinity is still applied.
+    /// They are not applied: a thread keeps the policy of the thread that starts it. Affinity is still
+    /// applied.
     Off,
 }
 
@@ -34,13 +35,13 @@ pub struct ThreadInfo {
 }
 
 impl ThreadInfo {
-    /// The current thread, as the kernel confirms it, under a name that may be longer than the kernel's.
+    /// The current thread, as the kernel reports it, with a name that may be longer than the kernel's.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
-    /// [`RtError::Kernel`] if the kernel does not tell.
+    /// [`RtError::Kernel`] if the kernel does not provide the data.
     pub fn of_current(name: &str) -> Result<ThreadInfo, RtError> {
         let (policy, cores) = (current_policy()?, current_affinity()?);
         Ok(ThreadInfo { tid: current_tid(), name: short_name(name), policy, cores })
@@ -96,7 +97,7 @@ impl ThreadBuilder {
         self
     }
 
-    /// Says whether the policy is applied.
+    /// Sets whether the policy is applied.
     pub fn realtime(mut self, realtime: Realtime) -> ThreadBuilder {
         self.realtime = realtime;
         self
@@ -105,13 +106,14 @@ impl ThreadBuilder {
     /// Starts the thread. In it, in this order: the stack is touched, `setup` runs and returns the body, the policy
     /// is set, the cores are set, both are read back. Only then does `spawn` return and the body run.
     ///
-    /// The cores come last, for on a core that a real-time thread keeps busy a new thread would not get as far as its
-    /// own priority. So `setup` runs where the spawning thread may run.
+    /// The cores are set last, because on a core that a real-time thread keeps busy, a new thread would not run far
+    /// enough to set its own priority. So `setup` runs on the cores of the spawning thread.
     ///
-    /// What `setup` makes stays in the thread and need not be `Send`; it may allocate, the body had better not.
+    /// Objects that `setup` creates stay in the thread and need not be `Send`. `setup` may allocate; the body
+    /// should not.
     ///
     /// # Errors
-    /// Whatever [`set_affinity`] and [`set_policy`] say, [`RtError::Panicked`] if `setup` panics,
+    /// The errors of [`set_affinity`] and [`set_policy`], [`RtError::Panicked`] if `setup` panics,
     /// [`RtError::Spawn`] and [`RtError::StackTooLarge`]. The thread has then ended and been joined.
     pub fn spawn<S, B, T>(self, setup: S) -> Result<JoinHandle<T>, RtError>
     where
@@ -185,12 +187,12 @@ pub struct JoinHandle<T> {
 }
 
 impl<T> JoinHandle<T> {
-    /// The thread as it was read back when it started.
+    /// The thread as read back at its start.
     pub fn info(&self) -> &ThreadInfo {
         &self.info
     }
 
-    /// Says whether the thread's body has returned or panicked.
+    /// Whether the thread's body has returned or panicked.
     pub fn is_finished(&self) -> bool {
         self.thread.is_finished()
     }
@@ -221,7 +223,7 @@ pub fn threads() -> Result<Vec<ThreadInfo>, RtError> {
     threads_of(std::process::id())
 }
 
-/// As [`threads`], of another process: none if it has ended.
+/// Like [`threads`], for another process: none if it has ended.
 ///
 /// # Errors
 /// [`RtError::Kernel`] if `/proc` cannot be read.
@@ -253,8 +255,8 @@ pub fn threads_of(pid: u32) -> Result<Vec<ThreadInfo>, RtError> {
     Ok(list)
 }
 
-/// The form of a thread name that the kernel keeps: at most 15 bytes. A longer one keeps its first 6 and last 8 with
-/// a `~` between, since topics differ at their ends: `cb:/lidar/front/points` is `cb:/li~t/points`.
+/// The form of a thread name that the kernel keeps: at most 15 bytes. A longer name keeps its first 6 and last 8
+/// bytes with a `~` between, because topics differ at their ends: `cb:/lidar/front/points` is `cb:/li~t/points`.
 pub fn short_name(name: &str) -> String {
     let name = name.replace('\0', "?");
     if name.len() <= 15 {

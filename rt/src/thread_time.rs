@@ -1,19 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The kernel's account of a thread's processor time, for others to read.
+//! The kernel's account of a thread's processor time, also readable from other threads and processes.
 
 use std::fs;
 
 /// Processor time of a thread since its start, in nanoseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ThreadTime {
-    /// It ran.
+    /// Time in which it ran.
     pub used_ns: u64,
-    /// It was ready to run, and others ran.
+    /// Time in which it was ready to run, but other threads ran.
     pub waited_ns: u64,
 }
 
 impl ThreadTime {
-    /// Of a thread of any process, by its number. `None`: it has ended, or the kernel keeps no account (`CONFIG_SCHED_INFO`).
+    /// The time of a thread of any process, by its id. `None`: it has ended, or the kernel keeps no account
+    /// (`CONFIG_SCHED_INFO`).
     ///
     /// # Real-time
     /// Not for real-time threads: allocates, and reads `/proc/TID/schedstat`.
@@ -23,7 +24,7 @@ impl ThreadTime {
         Some(ThreadTime { used_ns: numbers.next()?, waited_ns: numbers.next()? })
     }
 
-    /// Both together. Wraps, so that sums may be below zero in between.
+    /// The sum. It wraps, so that intermediate sums may be below zero.
     pub fn plus(self, other: ThreadTime) -> ThreadTime {
         ThreadTime {
             used_ns: self.used_ns.wrapping_add(other.used_ns),
@@ -31,7 +32,7 @@ impl ThreadTime {
         }
     }
 
-    /// Without the other. Wraps, as [`plus`](Self::plus) does.
+    /// The difference. It wraps, like [`plus`](Self::plus).
     pub fn minus(self, other: ThreadTime) -> ThreadTime {
         ThreadTime {
             used_ns: self.used_ns.wrapping_sub(other.used_ns),

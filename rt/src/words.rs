@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Blocks of 64-bit words that one thread writes and others read, of this process or of another.
+//! Blocks of 64-bit words that one thread writes and others read, in this process or in another.
 
 use std::fmt;
 use std::io;
@@ -16,7 +16,7 @@ use crate::{AtExit, at_exit};
 
 const WORD_BYTES: usize = size_of::<AtomicU64>();
 
-/// A block of words: private, or in a file that other processes read. All zeros at first.
+/// A block of words: private, or in a file that other processes read. Initially all zeros.
 pub struct Words {
     memory: Memory,
 }
@@ -55,8 +55,8 @@ impl fmt::Debug for Words {
     }
 }
 
-/// A file of words in /dev/shm. The process that made it holds it locked as long as it lives and removes it at its end; if
-/// it was killed, whoever can lock the file may remove it.
+/// A file of words in /dev/shm. The process that created it holds its lock as long as it is alive, and removes it at its
+/// end. If that process was killed, any process that can lock the file may remove it.
 #[derive(Debug)]
 pub struct WordsFile {
     file: Arc<OwnFile>,
@@ -64,33 +64,35 @@ pub struct WordsFile {
 }
 
 impl WordsFile {
-    /// Makes a file whose name begins with `prefix`.
+    /// Creates a file whose name begins with `prefix`.
     ///
     /// # Errors
-    /// What the system said, with the path.
+    /// The system's error, with the path.
     pub fn create(prefix: &str) -> io::Result<WordsFile> {
         let file = Arc::new(OwnFile::create(prefix)?);
         let last = file.clone();
         Ok(WordsFile { file, _at_exit: at_exit(move || last.retire()) })
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         self.file.path()
     }
 
-    /// Removes the file and unlocks it, before the last of its words goes: to readers its owner has ended.
+    /// Removes the file and unlocks it, before the last of its words is dropped: for readers its owner has
+    /// ended.
     pub fn retire(&self) {
         self.file.retire();
     }
 
-    /// Maps `len` words that begin `at` words into the file, a multiple of [`page_words`]; the file grows if need be.
+    /// Maps `len` words that begin `at` words into the file, a multiple of [`page_words`]; the file grows if
+    /// necessary.
     ///
     /// # Real-time
-    /// Setup only: touches every page, so that using them later faults none.
+    /// Setup only: touches every page, so that their later use causes no page fault.
     ///
     /// # Errors
-    /// What the system said, with the path.
+    /// The system's error, with the path.
     pub fn map(&self, at: usize, len: usize) -> io::Result<Words> {
         let (start_bytes, len_bytes) = (at * WORD_BYTES, len * WORD_BYTES);
         self.file.claim(start_bytes as u64, len_bytes as u64)?;
@@ -111,7 +113,8 @@ impl Drop for WordsFile {
     }
 }
 
-/// Another process's file, to be read. What it holds are claims. It stays readable when that process has ended.
+/// Another process's file, for reading. Its content is untrusted. It remains readable after that process has
+/// ended.
 #[derive(Debug)]
 pub struct ForeignWords {
     file: PeerFile,
@@ -128,17 +131,17 @@ impl ForeignWords {
         Ok(shm::list(prefix)?.into_iter().filter_map(open).collect())
     }
 
-    /// Where it is, or was.
+    /// Its path; the file may have been removed.
     pub fn path(&self) -> &Path {
         self.file.path()
     }
 
-    /// Whether the process that made it lives.
+    /// Whether the process that created it is alive.
     pub fn is_owned(&self) -> bool {
         self.file.is_owned()
     }
 
-    /// Removes the file of a process that was killed. Does nothing if its owner lives.
+    /// Removes the file of a process that was killed. Does nothing if its owner is alive.
     pub fn remove_if_orphaned(&self) -> bool {
         self.file.remove_if_orphaned()
     }
@@ -146,13 +149,13 @@ impl ForeignWords {
     /// How many words the file has now.
     ///
     /// # Errors
-    /// What the system said, with the path.
+    /// The system's error, with the path.
     pub fn size_words(&self) -> io::Result<usize> {
         Ok(usize::try_from(self.file.size_bytes()?).unwrap_or(0) / WORD_BYTES)
     }
 
-    /// Copies `len` words that begin `at` words into the file, a multiple of [`page_words`], each as it is when it is
-    /// read, in ascending order. The writer notices nothing.
+    /// Copies `len` words that begin `at` words into the file, a multiple of [`page_words`], each with its value at
+    /// the time of reading, in ascending order. This does not affect the writer.
     ///
     /// # Errors
     /// What the system said, with the path; an error if the file is shorter.
@@ -161,7 +164,8 @@ impl ForeignWords {
         Ok((0..len).map_while(|index| map.load(index)).collect())
     }
 
-    /// Maps `len` words that begin `at` words into the file, a multiple of [`page_words`], for who reads them more than once.
+    /// Maps `len` words that begin `at` words into the file, a multiple of [`page_words`], for readers that read them more
+    /// than once.
     ///
     /// # Errors
     /// As [`read`](Self::read).
@@ -176,7 +180,7 @@ impl ForeignWords {
     }
 }
 
-/// Words of another process, mapped to be read.
+/// Words of another process, mapped for reading.
 #[derive(Debug)]
 pub struct ForeignMap {
     map: Mapping,
@@ -190,7 +194,8 @@ impl ForeignMap {
         self.len
     }
 
-    /// The word as it is now; `None` beyond the end. What is loaded after it is not older. The writer notices nothing.
+    /// The word's present value; `None` beyond the end. Values that are loaded after it are not older. This does not
+    /// affect the writer.
     pub fn load(&self, index: usize) -> Option<u64> {
         if index >= self.len {
             return None;
@@ -201,7 +206,7 @@ impl ForeignMap {
     }
 }
 
-/// Words in a page: where a mapping may begin.
+/// The number of words in a page; a mapping may begin only at a page.
 pub fn page_words() -> usize {
     page_size() / WORD_BYTES
 }

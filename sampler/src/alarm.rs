@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A task woken once, at a time that it sets itself.
+//! Wakes a task once, at a time that the task sets.
 
 use crate::events::SamplerState;
 use std::sync::Arc;
@@ -7,8 +7,8 @@ use std::task::{Context, Poll};
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::Slot;
 
-/// Wakes one task at a time that can be set anew. Its slot may be rung besides, which wakes the task too: what waits for several
-/// things needs one alarm.
+/// Wakes one task at a time that can be changed. Ringing its slot also wakes the task, so a task that waits for several things
+/// needs only one alarm.
 pub struct Alarm {
     state: Arc<SamplerState>,
     slot: Slot,
@@ -20,7 +20,7 @@ impl Alarm {
         Alarm { state, slot, at_ns: None }
     }
 
-    /// The slot behind it.
+    /// The alarm's slot.
     pub fn slot(&self) -> &Slot {
         &self.slot
     }
@@ -28,7 +28,7 @@ impl Alarm {
     /// Sets the time, in `CLOCK_MONOTONIC` nanoseconds. Nothing happens if it is the same as before.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; at most one futex wake. The sampler then looks through its timers once.
+    /// Wait-free; no allocation; at most one futex wake. The sampler then checks all its timers once.
     pub fn set(&mut self, at_ns: Option<u64>) {
         if at_ns == self.at_ns {
             return;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a sampler serves besides samples: timers and guard conditions, made from any thread.
+//! What a sampler serves in addition to samples: timers and guard conditions, created from any thread.
 
 use crate::alarm::Alarm;
 use crate::timer::Timer;
@@ -13,7 +13,7 @@ use std::time::Duration;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_transport::{Activity, Doorbell, Participant, Slot, TransportError};
 
-/// The part of a sampler that other threads hold: they make timers and guard conditions here, and stop the sampler.
+/// The part of a sampler that other threads use, to create timers and guard conditions, and to stop the sampler.
 #[derive(Clone)]
 pub struct Events {
     pub(crate) state: Arc<SamplerState>,
@@ -63,7 +63,7 @@ impl Events {
         Ok(Timer::arm(self.state.clone(), slot, first_release_ns, nanoseconds(period).max(1)))
     }
 
-    /// Watches that `activity` is seen at least once in each `period`. Nothing is expected before it was seen for the first time.
+    /// Monitors that `activity` is seen at least once in each `period`, from the first time on that it was seen.
     ///
     /// # Real-time
     /// Setup only.
@@ -78,8 +78,8 @@ impl Events {
     /// An alarm that is not set.
     ///
     /// # Real-time
-    /// As [`Doorbell::claim`]: wait-free, without allocation or syscall, unless its slot is in a window that is new, or of which none
-    /// was for a timer: then it allocates and takes a lock.
+    /// Like [`Doorbell::claim`]: wait-free, without allocation or syscall, unless its slot is in a new window, or in a window that
+    /// had no timer before: then it allocates and takes a lock.
     ///
     /// # Errors
     /// [`TransportError::Doorbell`] if there is no memory for its slot.
@@ -127,8 +127,8 @@ struct Condition {
     triggered: AtomicU64,
 }
 
-/// Wakes one task when [triggered](GuardCondition::trigger), from any thread. A clone is the same condition, with its
-/// own memory of what it has seen.
+/// Wakes one task when [triggered](GuardCondition::trigger), from any thread. A clone is the same condition, but
+/// remembers separately which triggers it has seen.
 #[derive(Clone)]
 pub struct GuardCondition {
     condition: Arc<Condition>,
@@ -136,7 +136,7 @@ pub struct GuardCondition {
 }
 
 impl GuardCondition {
-    /// Triggers the condition. Triggers that come before the task looks count as one.
+    /// Triggers the condition. All triggers before the task checks count as one.
     ///
     /// # Real-time
     /// Wait-free; no allocation; at most one futex wake.
@@ -146,13 +146,13 @@ impl GuardCondition {
         self.condition.slot.ring();
     }
 
-    /// The slot behind it.
+    /// The condition's slot.
     pub fn slot(&self) -> &Arc<Slot> {
         &self.condition.slot
     }
 
-    /// Waits until the condition was triggered since the last wait (or since it was made). Only one task may wait at a
-    /// time: a second one takes the first one's place.
+    /// Waits until the condition has been triggered since the last wait, or since it was created. Only one task may
+    /// wait at a time: a second one replaces the first.
     ///
     /// # Real-time
     /// Each poll wait-free; no allocation.
@@ -160,7 +160,7 @@ impl GuardCondition {
         poll_fn(|context| self.poll_triggered(context)).await;
     }
 
-    /// The poll behind [`triggered`](Self::triggered).
+    /// The poll function of [`triggered`](Self::triggered).
     pub fn poll_triggered(&mut self, context: &mut Context<'_>) -> Poll<()> {
         self.condition.slot.waker().register(context.waker());
         let triggered = self.condition.triggered.load(Ordering::Acquire);

@@ -104,12 +104,13 @@ fn due_ns(words: &TimerWords, release_ns: u64, period_ns: u64, now: u64, state: 
 }
 
 impl Sampler {
-    /// Wakes what is ready, waiting up to `timeout` for something to become ready; `None` waits as long as it takes.
+    /// Wakes the ready tasks; waits up to `timeout` for something to become ready, with `None` without a limit.
     /// Returns the number of events served. [`Events::stop`](crate::Events::stop) ends the wait.
     ///
     /// # Real-time
-    /// O(ready) per wake, and O(timers) for each timer, watchdog or alarm that was armed, set or dropped since the last one: a
-    /// request with a time limit is two of these. No allocation; no lock; one syscall to wait and one per thread that is woken.
+    /// O(ready) per wake, and O(timers) for each timer, watchdog or alarm that was armed, set or dropped since the last wake; a
+    /// request with a time-out causes two of these. No allocation; no lock; one syscall to wait and one per thread that is
+    /// woken.
     pub fn spin_once(&mut self, timeout: Option<Duration>) -> usize {
         let deadline_ns = timeout.map(|timeout| monotonic_ns().saturating_add(nanoseconds(timeout)));
         loop {
@@ -130,10 +131,10 @@ impl Sampler {
         self.spin_told(|_| ());
     }
 
-    /// As [`spin`](Self::spin), and tells `sleep` when it is about to sleep and when it has slept.
+    /// Like [`spin`](Self::spin), and calls `sleep` before and after each sleep.
     ///
     /// # Real-time
-    /// As [`spin`](Self::spin), and what `sleep` does, twice per wake.
+    /// Like [`spin`](Self::spin), plus the cost of `sleep`, twice per wake.
     pub fn spin_told(&mut self, mut sleep: impl FnMut(Sleep)) {
         tautline_trace::register_thread_as("sampler");
         while !self.events.is_stopped() {

@@ -6,13 +6,14 @@
 //! lock, allocates nothing. Its work per wake is O(ready), so it can be charged per message in a response-time analysis; arming,
 //! setting or dropping a timer, a watchdog or an alarm costs it O(timers) once.
 //!
-//! - [`Timer`]s are absolute: release *k* is at `start + k * period`, whatever happened before. A release that nobody
-//!   took is counted as missed, not delivered late in a bunch.
-//! - A [`Watchdog`] wakes a task when something did not happen in time; each time that it does costs its doer one store.
-//! - An [`Alarm`] wakes a task once, when it was set to.
+//! - [`Timer`]s are absolute: release *k* is at `start + k * period`, whatever happened before. A release that was
+//!   not taken is counted as missed, and is not delivered late in a burst.
+//! - A [`Watchdog`] wakes a task when an activity did not happen in time; each activity costs its thread one store.
+//! - An [`Alarm`] wakes a task once, at the time that was set.
 //! - A [`GuardCondition`] wakes a task from any thread.
-//! - [`PublisherEvents`] and [`SubscriptionEvents`] are what else happens to an end of a topic: matches, leases, losses.
-//! - [`Wait::Adaptive`] spins a while before it sleeps: wake-ups are cheaper while messages come often.
+//! - [`PublisherEvents`] and [`SubscriptionEvents`] are the QoS events of an endpoint: matches, leases, losses.
+//! - [`Wait::Adaptive`] spins for some time before it sleeps: wake-ups are cheaper while messages arrive
+//!   often.
 //!
 //! ```
 //! use std::time::Duration;

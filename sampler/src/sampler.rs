@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The sampler: made once per participant, run by one thread.
+//! The sampler: created once per participant, run by one thread.
 
 use crate::events::Events;
 use crate::hot::TimerQueue;
@@ -13,7 +13,7 @@ pub enum Wait {
     /// Sleeps at once.
     #[default]
     Block,
-    /// Spins for this long before it sleeps. While it spins nothing of lower priority runs on its core.
+    /// Spins for this time before it sleeps. While it spins, no thread of lower priority runs on its core.
     Adaptive(Duration),
 }
 
@@ -22,16 +22,17 @@ pub enum Wait {
 pub enum Sleep {
     /// The sampler is about to sleep.
     Begins,
-    /// It has slept, if nothing came first.
+    /// It has slept, unless something was pending first.
     Ends {
-        /// When a timer was to end it at the latest, in ns of `CLOCK_MONOTONIC`; `None` if no timer is armed.
+        /// The latest time at which a timer would end the sleep, in `CLOCK_MONOTONIC` ns; `None` if no timer
+        /// is armed.
         due_ns: Option<u64>,
     },
 }
 
 /// Waits for samples, timers and guard conditions, and wakes the tasks that wait for them.
 ///
-/// Runs on the thread that calls [`spin`](Sampler::spin) or [`spin_once`](Sampler::spin_once), or on one of its own
+/// Runs on the thread that calls [`spin`](Sampler::spin) or [`spin_once`](Sampler::spin_once), or on its own thread
 /// ([`start`](Sampler::start)). Give that thread the highest priority of the process.
 pub struct Sampler {
     pub(crate) events: Events,
@@ -47,11 +48,11 @@ impl Sampler {
     /// The sampler of `participant`.
     ///
     /// # Real-time
-    /// Setup only: allocates what it needs; who makes more timers than there was ever room for brings the room.
+    /// Setup only: allocates what it needs. Creating more timers than there was ever room for allocates the
+    /// additional room.
     ///
     /// # Errors
-    /// [`TransportError::Doorbell`] if the participant has one already; the same of another kind if there is no memory for
-    /// its slot.
+    /// [`TransportError::Doorbell`] if the participant already has a sampler, or if there is no memory for its slot.
     pub fn new(participant: &Participant) -> Result<Self, TransportError> {
         let seat = participant.doorbell().claim_sampler()?;
         let trace = tautline_trace::sampler_init(participant.trace_id(), "sampler");
@@ -59,22 +60,22 @@ impl Sampler {
         Ok(Sampler { events, timers: TimerQueue::new(spares), wait: Wait::Block, seat, trace, awake: false })
     }
 
-    /// The same, waiting another way.
+    /// Sets how the sampler waits.
     #[must_use = "it returns the changed sampler"]
     pub fn with_wait(mut self, wait: Wait) -> Self {
         self.wait = wait;
         self
     }
 
-    /// What other threads hold to make timers and guard conditions and to stop the sampler.
+    /// The part that other threads use, to create timers and guard conditions and to stop the sampler.
     pub fn events(&self) -> &Events {
         &self.events
     }
 
-    /// Runs the sampler on a thread of its own, which `thread` describes: give it the highest priority.
+    /// Runs the sampler on its own thread, as described by `thread`: give it the highest priority.
     ///
     /// # Errors
-    /// [`RtError`] if the thread cannot be had as described.
+    /// [`RtError`] if the thread cannot be created as described.
     pub fn start(mut self, thread: ThreadBuilder) -> Result<SamplerThread, RtError> {
         let events = self.events.clone();
         let join = thread.spawn(move || {
@@ -87,19 +88,19 @@ impl Sampler {
     }
 }
 
-/// A sampler that runs on a thread of its own. Dropping it stops the sampler and joins the thread.
+/// A sampler that runs on its own thread. Dropping it stops the sampler and joins the thread.
 pub struct SamplerThread {
     events: Events,
     join: Option<tautline_rt::JoinHandle<Sampler>>,
 }
 
 impl SamplerThread {
-    /// What other threads hold to make timers and guard conditions and to stop the sampler.
+    /// The part that other threads use, to create timers and guard conditions and to stop the sampler.
     pub fn events(&self) -> &Events {
         &self.events
     }
 
-    /// Stops the sampler, joins its thread and gives the sampler back.
+    /// Stops the sampler, joins its thread and returns the sampler.
     ///
     /// # Errors
     /// [`RtError`] if the thread panicked.

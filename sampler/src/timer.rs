@@ -68,18 +68,18 @@ impl TimerWords {
 /// One release of a timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tick {
-    /// The instant at which this release was due, in `CLOCK_MONOTONIC` nanoseconds.
+    /// The time at which this release was due, in `CLOCK_MONOTONIC` nanoseconds.
     pub release_ns: u64,
-    /// Counts the timer's releases, from 1.
+    /// The number of the release, from 1.
     pub index: u64,
-    /// Releases since the previous tick that nobody took.
+    /// Releases since the previous tick that were not taken.
     pub missed: u64,
 }
 
 /// A periodic timer: release *k* (from 1) is at `first + (k - 1) * period`. No drift; setting the system's clock does
 /// not disturb it.
 ///
-/// A task that is late gets the newest release and the number of those it missed, not all of them in a bunch.
+/// A late task gets the newest release and the number of missed releases, not all of them in a burst.
 pub struct Timer {
     state: Arc<SamplerState>,
     slot: Arc<Slot>,
@@ -107,7 +107,7 @@ impl Timer {
         self.missed
     }
 
-    /// The slot behind it.
+    /// The timer's slot.
     pub fn slot(&self) -> &Arc<Slot> {
         &self.slot
     }
@@ -120,7 +120,7 @@ impl Timer {
         poll_fn(|context| self.poll_tick(context)).await
     }
 
-    /// The poll behind [`tick`](Self::tick).
+    /// The poll function of [`tick`](Self::tick).
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The words of all timers, and the room for them in the sampler's queue: both grow on the thread that makes a timer.
+//! The words of all timers, and the room for them in the sampler's queue: both grow in the thread that creates a
+//! timer.
 
 use crate::timer::TimerWords;
 use rtrb::{Consumer, Producer, RingBuffer};

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What should happen in time, watched by the sampler.
+//! Activities that must happen in time, monitored by the sampler.
 
 use crate::events::SamplerState;
 use std::future::poll_fn;
@@ -9,19 +9,20 @@ use std::task::{Context, Poll};
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Activity, Slot};
 
-/// Something did not happen in time.
+/// An activity did not happen in time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Expiry {
-    /// When it should have happened at the latest, on `CLOCK_MONOTONIC`: one period after it last did, or after the expiry before.
+    /// The latest time at which it should have happened, on `CLOCK_MONOTONIC`: one period after it last happened, or after the
+    /// previous expiry.
     pub due_ns: u64,
-    /// How many periods passed without it, from 1.
+    /// How many periods have passed without it, from 1.
     pub count: u64,
-    /// How many of these since the last expiry that was taken.
+    /// How many of these since the last expiry that was taken from the watchdog.
     pub change: u64,
 }
 
-/// Expires when an [`Activity`] was not seen for one period, and again for each further period. Whoever does it
-/// stores the time, and nothing else; the sampler looks there when the next one would be due.
+/// Expires when an [`Activity`] was not seen for one period, and again for each further period. The active
+/// thread only stores the time; the sampler checks it when the next activity is due.
 pub struct Watchdog {
     state: Arc<SamplerState>,
     slot: Slot,
@@ -49,7 +50,7 @@ impl Watchdog {
         poll_fn(|context| self.poll_expired(context)).await
     }
 
-    /// The poll behind [`expired`](Self::expired).
+    /// The poll function of [`expired`](Self::expired).
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How a recorder tells running processes that it is there: a file whose lock it holds, and one byte in it.
+//! How a recorder notifies running processes: a file whose lock it holds, and one byte in this file.
 //!
-//! A killed recorder loses its lock, so that it never leaves tracing on.
+//! A killed recorder loses its lock, so it never leaves tracing switched on.
 
 use crate::error::TraceError;
 use rustix::fs::{FlockOperation, Mode, OFlags};
@@ -17,12 +17,12 @@ use tautline_rt::shm::{self, PeerFile, ShmError, has_name};
 const ON: &[u8] = b"1";
 const OFF: &[u8] = b"0";
 
-/// What a recorder asks for.
+/// The request of a recorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Asked {
     /// There is no recorder.
     Nothing,
-    /// A recorder collects what is left and ends.
+    /// A recorder collects the remaining events and ends.
     Finish,
     /// Record.
     Record,
@@ -80,7 +80,7 @@ pub(crate) fn asked(domain: u32) -> Asked {
     }
 }
 
-/// The lock of a domain's recorder; its file goes when it is dropped.
+/// The lock of a domain's recorder. Dropping it removes its file.
 #[derive(Debug)]
 pub(crate) struct Control {
     domain: u32,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What can go wrong while setting up.
+//! Errors of the setup.
 
 use std::io;
 use std::path::PathBuf;
@@ -11,11 +11,11 @@ impl From<ShmError> for TraceError {
     }
 }
 
-/// Why nothing can be traced.
+/// Why tracing is not possible.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TraceError {
-    /// A file in shared memory could not be made or mapped.
+    /// A file in shared memory could not be created or mapped.
     #[error("the trace file {} cannot be used: {source}; check that /dev/shm exists, is writable and is not full", path.display())]
     File {
         /// The file.
@@ -23,18 +23,18 @@ pub enum TraceError {
         /// Why.
         source: io::Error,
     },
-    /// A variable is not understood.
+    /// An environment variable has an invalid value.
     #[error("{variable}={value} is not understood: {expected}")]
     Environment {
         /// The variable.
         variable: &'static str,
-        /// What it says.
+        /// Its value.
         value: String,
-        /// What it may say.
+        /// The allowed values.
         expected: &'static str,
     },
-    /// One recorder at a time drains the rings of a domain.
-    #[error("domain {domain} is being recorded already: end that `taut trace record` first")]
+    /// The domain already has a recorder.
+    #[error("domain {domain} is already being recorded: end that `taut trace record` first")]
     SecondRecorder {
         /// The domain.
         domain: u32,

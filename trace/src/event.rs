@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What an event is, and how it lies in a ring: five words.
+//! The events, and their layout in a ring: five words each.
 
 /// Words of one event in a ring.
 pub(crate) const WORDS: usize = 5;
 /// An object's id has 56 bits; above it lies the kind.
 const OBJECT_BITS: u32 = 56;
 
-/// Names something that events speak of, unique in its process: a node, a publisher, a subscription, a callback, a timer.
+/// Identifies an object of events, unique in its process: a node, a publisher, a subscription, a callback, a timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
 pub struct ObjectId(pub u64);
 
 impl ObjectId {
-    /// Nothing: no event is recorded of it.
+    /// No object: no events are recorded for it.
     pub const NONE: ObjectId = ObjectId(0);
 
     /// Whether it is a callback of no subscription and no timer: these have odd numbers.
@@ -21,7 +21,7 @@ impl ObjectId {
     }
 }
 
-/// What happened.
+/// The kind of event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[repr(u8)]
 pub enum Kind {
@@ -29,21 +29,21 @@ pub enum Kind {
     Publish = 1,
     /// A subscription has taken a message.
     Take = 2,
-    /// A callback begins.
+    /// A callback starts.
     CallbackStart = 3,
     /// A callback has ended.
     CallbackEnd = 4,
-    /// The sampler begins to wait.
+    /// The sampler starts to wait.
     SpinStart = 5,
     /// The sampler has something to serve.
     SpinWake = 6,
-    /// The sampler waited in vain.
+    /// The sampler's wait timed out.
     SpinTimeout = 7,
     /// The sampler has served what it woke for.
     SpinEnd = 8,
     /// A mirror has received a message from a network.
     Receive = 9,
-    /// A mirror passes a message on under another id: to a network, or as a publisher of its domain.
+    /// A mirror forwards a message under another id: to a network, or as a publisher of its domain.
     Pass = 10,
 }
 
@@ -88,14 +88,14 @@ impl Kind {
 pub struct Event {
     /// `CLOCK_MONOTONIC` in nanoseconds.
     pub time_ns: u64,
-    /// What happened.
+    /// The kind of event.
     pub kind: Kind,
-    /// To what.
+    /// The object of the event.
     pub object: ObjectId,
     /// `publish`, `take` and `receive`: sequence number, source time stamp (nanoseconds since 1970), [`gid_key`] of the publisher.
-    /// `pass`: sequence number among the object's messages; what it was before: sequence number, [`gid_key`] of the publisher.
-    /// `callback_start`: the release of its message or tick on `CLOCK_MONOTONIC`. `spin_start`: the longest wait in
-    /// nanoseconds, `u64::MAX` for as long as it takes. Otherwise zeros.
+    /// `pass`: sequence number among the object's messages, original sequence number, [`gid_key`] of the original publisher.
+    /// `callback_start`: the release of its message or tick on `CLOCK_MONOTONIC`. `spin_start`: the longest wait in nanoseconds,
+    /// `u64::MAX` for as long as it takes. Otherwise zeros.
     pub arguments: [u64; 3],
 }
 
@@ -105,7 +105,7 @@ impl Event {
         [self.time_ns, (self.kind as u64) << OBJECT_BITS | self.object.0 & ((1 << OBJECT_BITS) - 1), a, b, c]
     }
 
-    /// `None` if the words, which come from another process's memory or from a file, are no event.
+    /// `None` if the words, which come from another process's memory or from a file, are not an event.
     pub fn from_words([time_ns, what, a, b, c]: [u64; WORDS]) -> Option<Event> {
         let kind = Kind::from_number(what >> OBJECT_BITS)?;
         let object = ObjectId(what & ((1 << OBJECT_BITS) - 1));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The events. Off, each costs one relaxed load and a branch that is not taken.
+//! The event functions. When tracing is off, each costs one relaxed load and a branch that is not taken.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -18,7 +18,7 @@ pub(crate) fn switch(on: bool) {
     ON.store(on, Ordering::Relaxed);
 }
 
-/// Whether events go anywhere: to this process's rings, or to LTTng where that is compiled in.
+/// Whether events are recorded: in this process's rings, or by LTTng where that is compiled in.
 ///
 /// # Real-time
 /// Wait-free; no allocation; no syscall.
@@ -52,7 +52,7 @@ pub struct MessageId {
     pub source_timestamp_ns: i64,
     /// Its publisher.
     pub gid: [u64; 2],
-    /// Where its body lies in this process.
+    /// The address of its body in this process.
     pub address: usize,
 }
 
@@ -100,8 +100,8 @@ pub fn receive(publisher: ObjectId, message: &MessageId) {
     }
 }
 
-/// A mirror is about to pass on, through a sender or publisher as message `sequence_number` of that, what was message
-/// `from_number` of the publisher `from`.
+/// A mirror is about to forward message `from_number` of the publisher `from` through a sender or publisher, as
+/// message `sequence_number` of the latter.
 ///
 /// # Real-time
 /// As [`publish`].
@@ -112,7 +112,7 @@ pub fn pass(through: ObjectId, sequence_number: u64, from: [u64; 2], from_number
     }
 }
 
-/// `callback` begins with a message or tick that was released at `release_ns` on `CLOCK_MONOTONIC`.
+/// `callback` starts with a message or tick that was released at `release_ns` on `CLOCK_MONOTONIC`.
 ///
 /// # Real-time
 /// As [`publish`].
@@ -138,7 +138,7 @@ pub fn callback_end(callback: ObjectId) {
     lttng::callback_end(callback);
 }
 
-/// `sampler` begins to wait, until the absolute time `until_ns` on `CLOCK_MONOTONIC` at most.
+/// `sampler` starts to wait, at most until the absolute time `until_ns` on `CLOCK_MONOTONIC`.
 ///
 /// # Real-time
 /// As [`publish`].
@@ -167,7 +167,7 @@ pub fn spin_wake(sampler: &SamplerObject) {
     lttng::spin_wake(sampler.node());
 }
 
-/// `sampler` waited in vain.
+/// The wait of `sampler` timed out.
 ///
 /// # Real-time
 /// As [`publish`].

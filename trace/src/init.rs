@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is told once, when something is made. Setup only: these take a lock and allocate.
+//! Descriptions that are recorded once, when an object is created. Setup only: these functions take a lock
+//! and allocate.
 
 use crate::event::ObjectId;
 #[cfg(feature = "lttng")]
@@ -10,14 +11,14 @@ use std::cell::Cell;
 
 thread_local!(static NODE: Cell<ObjectId> = const { Cell::new(ObjectId::NONE) });
 
-/// What the current thread makes as long as this lives belongs to a node.
+/// While this exists, objects that the current thread creates belong to a node.
 #[derive(Debug)]
 #[must_use = "only what is made while it lives belongs to the node"]
 pub struct NodeScope {
     before: ObjectId,
 }
 
-/// Says that `node` makes what the current thread makes next.
+/// Assigns the objects that the current thread creates next to `node`.
 pub fn in_node(node: ObjectId) -> NodeScope {
     NodeScope { before: NODE.replace(node) }
 }
@@ -46,7 +47,7 @@ pub fn node_init(context: ObjectId, name: &str, namespace: &str) -> Object {
     node
 }
 
-/// A sampler, as its events speak of it.
+/// A sampler, as an object of events.
 #[derive(Debug)]
 #[must_use = "dropping it removes the description from the trace"]
 pub struct SamplerObject {
@@ -67,7 +68,7 @@ impl SamplerObject {
     }
 }
 
-/// A sampler was made, or what waits in its place.
+/// A sampler was created, or a thread that waits in place of a sampler.
 pub fn sampler_init(context: ObjectId, name: &str) -> SamplerObject {
     let object = Object::describe(ObjectKind::Sampler, context, 0, [0; 2], name);
     SamplerObject {
@@ -95,7 +96,7 @@ pub fn subscription_init(topic: &str, depth: usize) -> Object {
     subscription
 }
 
-/// A mirror has made what it sends the messages of one publisher to a network through.
+/// A mirror has created its sender of one publisher's messages to a network.
 pub fn sender_init(topic: &str, gid: [u64; 2]) -> Object {
     Object::describe(ObjectKind::Sender, ObjectId::NONE, 0, gid, topic)
 }
@@ -124,8 +125,8 @@ pub fn timer_callback_init(timer: ObjectId, name: &str) -> Object {
     callback
 }
 
-/// A callback of something else was made, or a thread for callbacks. LTTng is not told of it and its events: in ROS 2 each
-/// callback is a subscription's, a timer's or a service's.
+/// A callback of another source was created, or a thread for callbacks. It and its events are not reported to LTTng: in
+/// ROS 2 each callback belongs to a subscription, a timer or a service.
 pub fn callback_init(name: &str) -> Object {
     Object::describe(ObjectKind::Callback, ObjectId::NONE, 0, [0; 2], name)
 }

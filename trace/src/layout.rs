@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What lies in a process's trace file, and its mapping. Every field is an atomic whose zero is a valid idle state; what
-//! another process wrote is a value to be checked, never undefined behaviour.
+//! The content of a process's trace file, and its mapping. Every field is an atomic whose zero value is a valid idle
+//! state. A value written by another process must be checked, but never causes undefined behaviour.
 
 use crate::event::WORDS;
 use crate::ring::{Ring, RingHead};
@@ -27,9 +27,9 @@ const VERSION: u32 = 1;
 pub(crate) mod state {
     /// Nothing is recorded.
     pub const OFF: u32 = 0;
-    /// Recorded because a recorder asked for it.
+    /// Events are recorded because a recorder requested it.
     pub const ASKED: u32 = 1;
-    /// Recorded from the start.
+    /// Events are recorded from the start.
     pub const ALWAYS: u32 = 2;
 }
 

@@ -2,15 +2,17 @@
 //! Trace events of the hot path: when a message was published and taken, when its callback began and ended, when the sampler
 //! woke.
 //!
-//! - The events are functions, called where they happen: [`publish`], [`take`], [`callback_start`] ... While nobody records,
-//!   each is one relaxed load and a branch.
-//! - Each thread records into a ring of its own in shared memory, which it claims before it turns real-time
-//!   ([`register_thread`]). The writer never waits; what a recorder fetches too late is overwritten, and counted.
-//! - A [`Recorder`], in any process of the same user, switches a domain's recording on and fetches the events. It is told by
-//!   the lock of a file that it is there, so that a killed one leaves nothing switched on.
-//! - A killed process loses no event: its rings stay until a recorder has fetched them.
-//! - What events speak of (nodes, topics, callbacks) is described in a table beside the rings, so that a recorder may come late.
-//! - A message that a mirror passes on gets another id: [`pass`] records both, so that its way can be followed.
+//! - The events are functions, called where the events happen: [`publish`], [`take`], [`callback_start`] ... While nothing
+//!   is recorded, each costs one relaxed load and a branch.
+//! - Each thread records into its own ring in shared memory, which it claims before it becomes real-time
+//!   ([`register_thread`]). The writer never waits. Events that a recorder fetches too late are overwritten, and
+//!   counted.
+//! - A [`Recorder`], in any process of the same user, switches a domain's recording on and fetches the events. The lock of a
+//!   file shows that a recorder exists, so a killed recorder leaves nothing switched on.
+//! - No event of a killed process is lost: its rings remain until a recorder has fetched them.
+//! - A table beside the rings describes the objects of events (nodes, topics, callbacks), so that a recorder may start late.
+//! - A message that a mirror forwards gets another id: [`pass`] records both ids, so that its path can be
+//!   followed.
 //! - With the feature `lttng` the same functions are LTTng-UST tracepoints with the names and fields of ros2_tracing and r2r.
 //!
 //! ```

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What events speak of: entries of a table in the process's file, so that a recorder that comes late knows their names.
+//! The objects of events: entries of a table in the process's file, so that a recorder that starts late knows their
+//! names.
 
 use crate::event::ObjectId;
 use crate::layout::{Map, NAME_BYTES, OBJECTS, ObjectWords};
@@ -8,7 +9,7 @@ use crate::sync::{AtomicU64, Ordering, fence};
 use std::collections::VecDeque;
 use tautline_rt::clock::monotonic_ns;
 
-/// What an object is.
+/// The kind of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[repr(u8)]
 pub enum ObjectKind {
@@ -26,7 +27,7 @@ pub enum ObjectKind {
     Callback = 6,
     /// A sampler; its parent is the context.
     Sampler = 7,
-    /// What a mirror sends one publisher's messages to a network through; its gid is the network's.
+    /// A mirror's sender of one publisher's messages to a network; its gid is the one on the network.
     Sender = 8,
 }
 
@@ -66,26 +67,26 @@ impl ObjectKind {
     }
 }
 
-/// What is known of an object.
+/// The description of an object.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Description {
     /// Unique in its process.
     pub id: ObjectId,
-    /// What it is.
+    /// Its kind.
     pub kind: ObjectKind,
-    /// To what it belongs, or [`ObjectId::NONE`].
+    /// The object to which it belongs, or [`ObjectId::NONE`].
     pub parent: ObjectId,
     /// A number that depends on the kind.
     pub detail: u64,
     /// A publisher's or a sender's gid, as two words.
     pub gid: [u64; 2],
-    /// When it was made, on `CLOCK_MONOTONIC`.
+    /// When it was created, on `CLOCK_MONOTONIC`.
     pub created_ns: u64,
-    /// A topic's or a node's fully qualified name, a callback's name; of a long one the first 192 bytes.
+    /// A topic's or a node's fully qualified name, or a callback's name; at most its first 192 bytes.
     pub name: String,
 }
 
-/// Something that events speak of, described as long as this lives.
+/// An object of events. Its description exists as long as this does.
 #[derive(Debug)]
 #[must_use = "dropping it removes the description from the trace"]
 pub struct Object {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A process's own trace file: made with the first membership of a domain, given up with the last one.
+//! A process's own trace file: created with the first membership of a domain, released with the last one.
 //!
-//! The file is mapped at one address for good; when the last membership ends, zeros take its place there. So a thread may
-//! keep a reference to its ring for ever.
+//! The file is mapped at one address permanently; when the last membership ends, zeros are mapped there instead. So a
+//! thread may keep a reference to its ring forever.
 
 use crate::control::{self, Asked};
 use crate::error::TraceError;
@@ -34,7 +34,7 @@ struct Process {
     settings: Option<TraceSettings>,
     memberships: usize,
     file: Option<OwnTraceFile>,
-    /// Where files of this process are mapped.
+    /// The address range where files of this process are mapped.
     region: Option<Map>,
     free: FreeEntries,
 }
@@ -45,12 +45,12 @@ struct OwnTraceFile {
     file: OwnFile,
     map: Map,
     mode: TraceMode,
-    /// How many threads may still come before rings of ended ones are looked for.
+    /// How many new threads may still register before rings of ended threads are searched for.
     until_look: Cell<usize>,
 }
 
-/// Says what this process lets be traced, instead of `TAUT_TRACE` and `TAUT_TRACE_EVENTS`. For the file that is made with the
-/// first membership of a domain, so call it before.
+/// Sets the trace settings of this process, instead of `TAUT_TRACE` and `TAUT_TRACE_EVENTS`. They apply to the file that is
+/// created with the first membership of a domain, so call it before.
 pub fn configure(settings: TraceSettings) {
     process().settings = Some(settings);
 }
@@ -59,16 +59,16 @@ fn process() -> MutexGuard<'static, Process> {
     PROCESS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A membership of a domain, whose end it tells when it is dropped.
+/// A membership of a domain, which ends when this is dropped.
 #[derive(Debug)]
 #[must_use = "nothing can be traced after it is dropped"]
 pub struct Membership(());
 
-/// Begins a membership of `domain`. With the first one of the process this makes its trace file, in which all of the process
-/// is recorded: of memberships of several domains at once, the first one's recorder gets all.
+/// Starts a membership of `domain`. The first membership of the process creates its trace file, in which the whole process
+/// is recorded. If the process is a member of several domains at once, the recorder of the first domain gets all events.
 ///
 /// # Errors
-/// [`TraceError`]: a variable that is not understood, a file that cannot be made.
+/// [`TraceError`]: a variable with an invalid value, a file that cannot be created.
 pub fn join(domain: u32) -> Result<Membership, TraceError> {
     let mut process = process();
     if process.memberships == 0 {
@@ -112,8 +112,9 @@ pub(crate) fn with_spare_ring(claim: impl FnOnce()) {
 /// How often to look while there is a recorder: it may be killed, and threads end.
 const PERIOD: Duration = Duration::from_millis(250);
 
-/// Looks whether a recorder is there. If one is, or rings run short, gives those of ended threads back. For a low-priority thread, when
-/// a recorder has come. Returns after how long it is to look again; `None`: not before the next one comes.
+/// Checks whether there is a recorder. If there is one, or if few rings are free, releases the rings of ended threads. For a
+/// low-priority thread, when a recorder has started. Returns the time after which to check again; `None`: only when the next recorder
+/// starts.
 pub fn attend() -> Option<Duration> {
     let is_recorded = process().file.as_ref().is_some_and(OwnTraceFile::attend);
     is_recorded.then_some(PERIOD)
@@ -274,7 +275,7 @@ fn is_ready(ring: &Ring) -> bool {
     ring.head.ready.load(Ordering::Relaxed) != 0
 }
 
-/// The process ends while threads of it may still write events.
+/// Call at the process's end, when its threads may still write events.
 pub fn leave_at_exit() {
     if let Some(own) = &process().file {
         own.leave();

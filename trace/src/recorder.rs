@@ -13,76 +13,76 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tautline_rt::shm::{self, PeerFile};
 
-/// What a recorder found. Of a process everything comes after its [`Process`](Record::Process), the events of a thread after
-/// its [`Thread`](Record::Thread).
+/// The data that a recorder finds. The data of a process follow its [`Process`](Record::Process), the events of a thread
+/// follow its [`Thread`](Record::Thread).
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum Record<'r> {
-    /// A process; `process` numbers it from here on.
+    /// A process; `process` is its number from here on.
     Process {
         /// Its number in this recording.
         process: u32,
-        /// The kernel's number of it.
+        /// Its id in the kernel.
         pid: u32,
         /// The name that `ps` shows.
         name: &'r str,
     },
-    /// Something that events of this process speak of.
+    /// An object of this process's events.
     Object {
-        /// Of which process.
+        /// The number of its process.
         process: u32,
-        /// What it is.
+        /// Its description.
         object: &'r Description,
     },
     /// A thread.
     Thread {
-        /// Of which process.
+        /// The number of its process.
         process: u32,
-        /// The kernel's number of it.
+        /// Its id in the kernel.
         tid: u32,
         /// Its name.
         name: &'r str,
     },
-    /// Events of one thread in their order.
+    /// Events of one thread, in order.
     Events {
-        /// Of which process.
+        /// The number of its process.
         process: u32,
-        /// Of which thread.
+        /// The id of its thread.
         tid: u32,
-        /// In their order.
+        /// The events, in order.
         events: &'r [Event],
     },
-    /// Events of one thread that were overwritten before they were fetched, or that were none.
+    /// Events of one thread that were overwritten before they were fetched, or that were invalid.
     Lost {
-        /// Of which process.
+        /// The number of its process.
         process: u32,
-        /// Of which thread.
+        /// The id of its thread.
         tid: u32,
-        /// How many.
+        /// Their number.
         events: u64,
     },
-    /// Events of threads that had no ring, because all were taken.
+    /// Events of threads without a ring, because all rings were in use.
     Unrecorded {
-        /// Of which process.
+        /// The number of its process.
         process: u32,
-        /// How many.
+        /// Their number.
         events: u64,
     },
-    /// Objects that found no place in the table of their process: events may speak of something without a name.
+    /// Objects for which the table of their process had no room: events may refer to objects without a name.
     Undescribed {
-        /// Of which process.
+        /// The number of its process.
         process: u32,
-        /// How many.
+        /// Their number.
         objects: u64,
     },
-    /// A process has ended, and everything of it has been fetched.
+    /// A process has ended, and all its data have been fetched.
     Ended {
-        /// Which.
+        /// The number of the process.
         process: u32,
     },
 }
 
-/// Records a domain: processes record as long as it lives.
+/// Records a domain: processes record events as long as this exists.
 ///
 /// ```
 /// use tautline_trace::{Record, Recorder};
@@ -99,7 +99,7 @@ pub struct Recorder {
     domain: u32,
     control: Control,
     processes: HashMap<PathBuf, Peer>,
-    /// Files that are no trace file; each is complained about once.
+    /// Files that are not trace files; each is reported once.
     refused: HashSet<PathBuf>,
     complaints: Vec<String>,
     next_number: u32,
@@ -110,11 +110,11 @@ impl Recorder {
     /// How often it looks for new processes.
     const SCAN_PERIOD: Duration = Duration::from_millis(100);
 
-    /// Tells the processes of `domain` to record: they see it when they next [attend](crate::attend). Those that start from now on
-    /// record at once.
+    /// Makes the processes of `domain` record: they notice it at their next [attend](crate::attend). Processes that start from now
+    /// on record at once.
     ///
     /// # Errors
-    /// [`TraceError::SecondRecorder`] if there is one already.
+    /// [`TraceError::SecondRecorder`] if there is already one.
     pub fn start(domain: u32) -> Result<Recorder, TraceError> {
         let control = Control::claim(domain)?;
         Ok(Recorder {
@@ -128,7 +128,8 @@ impl Recorder {
         })
     }
 
-    /// Fetches what has come since the last call. A thread loses events if it fills its ring between two calls.
+    /// Fetches the new events since the last call. A thread loses events if it fills its ring between two
+    /// calls.
     pub fn poll(&mut self, sink: &mut impl FnMut(Record<'_>)) {
         if Instant::now() >= self.next_scan {
             self.scan(sink);
@@ -140,7 +141,8 @@ impl Recorder {
         self.bury(sink);
     }
 
-    /// Tells every process to stop recording, waits until they have, at most two seconds, and fetches the rest.
+    /// Makes every process stop recording, waits until they have stopped, at most two seconds, and fetches the
+    /// rest.
     pub fn finish(mut self, sink: &mut impl FnMut(Record<'_>)) {
         const PATIENCE: Duration = Duration::from_secs(2);
         self.control.finish();
@@ -164,7 +166,7 @@ impl Recorder {
         self.processes.values().filter(|peer| peer.map.state().load(Ordering::Relaxed) != state::OFF).count()
     }
 
-    /// Files of this domain that could not be read, and why; each once.
+    /// Files of this domain that could not be read, with the reason; each is reported once.
     pub fn complaints(&mut self) -> Vec<String> {
         std::mem::take(&mut self.complaints)
     }
@@ -205,15 +207,15 @@ impl Recorder {
     }
 }
 
-/// The trace file of a process: what it holds are claims.
+/// The trace file of a process. Its content is untrusted.
 #[derive(Debug)]
 struct Peer {
     number: u32,
     map: Map,
     file: PeerFile,
-    /// The turn of each entry of the table that was reported.
+    /// The generation of each reported entry of the table.
     turns: HashMap<usize, u64>,
-    /// Who owned each ring, and under which name, when it was last reported.
+    /// The owner and name of each ring when it was last reported.
     owners: HashMap<usize, (u32, String)>,
     described: u64,
     unrecorded: u64,
@@ -315,8 +317,8 @@ impl Drop for Peer {
     }
 }
 
-/// Removes the files of a domain's dead processes that hold nothing a recorder would want. While there is a recorder it does
-/// that itself.
+/// Removes the files of a domain's dead processes that contain no events for a recorder. While there is a recorder, the
+/// recorder does this itself.
 pub fn remove_dead_files(domain: u32) {
     let mut files = shm::list(&control::process_prefix(domain)).unwrap_or_default();
     // Not for writing: whoever watches the folder would hear of it, and look again.

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The ring of one thread: one writer that never waits, one reader that may come late.
 //!
-//! The writer overwrites the oldest event when the ring is full. The reader finds out what it missed:
+//! The writer overwrites the oldest event when the ring is full. The reader detects what it missed:
 //!
 //! ```text
 //! writer, event number n                 reader, from number `drained`
@@ -12,7 +12,7 @@
 //! ```
 //!
 //! A reader that copied a word of event `n + capacity` sees, through the two fences, a `begun` above `n + capacity`, and
-//! throws its copy of event `n` away. Numbers never start again, whichever thread owns the ring.
+//! throws its copy of event `n` away. Numbers never restart, even if another thread gets the ring.
 
 use crate::event::WORDS;
 use crate::sync::{AtomicU32, AtomicU64, Ordering, fence};

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a process lets be traced.
+//! The trace settings of a process.
 
 use crate::error::TraceError;
 use crate::layout::{MAX_EVENTS, MIN_EVENTS};
@@ -9,15 +9,15 @@ use crate::layout::{MAX_EVENTS, MIN_EVENTS};
 pub enum TraceMode {
     /// Never. No ring is claimed.
     Off,
-    /// While a recorder is there. Rings are claimed.
+    /// While there is a recorder. Rings are claimed.
     #[default]
     Ready,
-    /// From the start. What no recorder fetches in time is overwritten; the newest events of each thread stay, also after
-    /// the process's end, until a recorder fetches them.
+    /// From the start. Events that no recorder fetches in time are overwritten. The newest events of each thread remain,
+    /// also after the process's end, until a recorder fetches them.
     On,
 }
 
-/// What a process lets be traced: how, and how much a thread keeps.
+/// The trace settings of a process: when events are recorded, and how many of them a thread keeps.
 ///
 /// ```
 /// use tautline_trace::{TraceMode, TraceSettings};
@@ -28,7 +28,7 @@ pub enum TraceMode {
 pub struct TraceSettings {
     /// Whether events are recorded.
     pub mode: TraceMode,
-    /// Events that the ring of each thread holds, 40 bytes each: a power of two.
+    /// The number of events in the ring of each thread, 40 bytes each: a power of two.
     pub ring_events: usize,
 }
 
@@ -45,7 +45,7 @@ impl From<TraceMode> for TraceSettings {
 }
 
 impl TraceSettings {
-    /// What a ring holds unless told otherwise: 2048 events, 80 KiB.
+    /// The default size of a ring: 2048 events, 80 KiB.
     pub const RING_EVENTS: usize = 2048;
 
     /// Sets the events per ring, rounded up to a power of two from 16 to 1048576.
@@ -59,7 +59,7 @@ impl TraceSettings {
     /// `TAUT_TRACE` (`off`, `ready`, `on`) and `TAUT_TRACE_EVENTS` (events per ring).
     ///
     /// # Errors
-    /// [`TraceError::Environment`] for a value that is not understood.
+    /// [`TraceError::Environment`] for an invalid value.
     pub fn of_environment() -> Result<TraceSettings, TraceError> {
         let mut settings = TraceSettings::default();
         if let Some(value) = variable("TAUT_TRACE") {

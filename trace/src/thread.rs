@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where a thread's events go: how it comes to its ring, without a lock.
+//! Where a thread's events go: how a thread gets its ring, without a lock.
 
 use crate::layout::{Map, RINGS, name_to_words};
 use crate::ring::Ring;
@@ -45,9 +45,9 @@ pub(crate) fn generation() -> u64 {
     GENERATION.load(Ordering::Relaxed)
 }
 
-/// Claims a ring for the current thread under its name, and touches all of it: afterwards its events cost no syscall.
-/// A thread that makes a publisher or a subscription and a callback's thread do so by themselves; any other thread does
-/// with its first event, if a ring is spare.
+/// Claims a ring for the current thread under its name, and touches all of it: after that its events cost no syscall. A
+/// thread that creates a publisher or a subscription, and a callback's thread, do this automatically; any other thread
+/// does it with its first event, if a ring is free.
 ///
 /// # Real-time
 /// Setup: some syscalls and page faults. Once the thread has a ring: wait-free, no syscall.
@@ -55,7 +55,7 @@ pub fn register_thread() {
     register_thread_as("");
 }
 
-/// As [`register_thread`], under a name of at most 15 bytes.
+/// Like [`register_thread`], with a name of at most 15 bytes.
 ///
 /// # Real-time
 /// As [`register_thread`].

@@ -8,11 +8,11 @@ use std::path::PathBuf;
 use tautline_doorbell::DoorbellError;
 use tautline_msgs::cdr::{DecodeError, EncodeError};
 
-/// Why a participant, a publisher or a subscription could not be made. Each says what to change.
+/// Why a participant, a publisher or a subscription could not be created. Each message says what to change.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TransportError {
-    /// A file in /dev/shm could not be made or mapped.
+    /// A file in /dev/shm could not be created or mapped.
     #[error("{} cannot be used: {source}; check that /dev/shm exists, is writable and is not full, and that the process is not at its limit of open files (ulimit -n)", path.display())]
     File {
         /// The file.
@@ -20,28 +20,28 @@ pub enum TransportError {
         /// Why.
         source: io::Error,
     },
-    /// A file of another process is not what this version makes.
+    /// A file of another process was written by another version.
     #[error("{} is of another version of Tautline: use the same one in all processes of a domain; when none of them runs, the folder it is in may be removed", path.display())]
     Version {
         /// The file.
         path: PathBuf,
     },
-    /// What a file of another process says cannot be read.
+    /// The content of another process's file cannot be read.
     #[error("{} is damaged: end its process, or remove the file", path.display())]
     Damaged {
         /// The file.
         path: PathBuf,
     },
-    /// `TAUT_SCOPE` is no scope.
+    /// `TAUT_SCOPE` is not a valid scope.
     #[error(transparent)]
     Scope(#[from] tautline_rt::domain::ScopeError),
-    /// What the environment says about tracing is not understood, or there is no memory for it.
+    /// The environment variables for tracing are invalid, or there is no memory for tracing.
     #[error(transparent)]
     Trace(#[from] tautline_trace::TraceError),
-    /// A slot, a callback's bell or the right to be the sampler cannot be had.
+    /// A slot, a callback's bell or the sampler's role is not available.
     #[error(transparent)]
     Doorbell(#[from] DoorbellError),
-    /// The domain has no place left.
+    /// The domain is full.
     #[error(
         "domain {domain} already has {limit} participants (contexts), its limit: put nodes together into fewer processes, or use another domain"
     )]
@@ -59,39 +59,39 @@ pub enum TransportError {
         /// The greatest one.
         max: u32,
     },
-    /// The name cannot be a node's.
+    /// The name is not a valid node name.
     #[error(
-        "'{name}' cannot be a node's name: it is letters, digits and '_' in a namespace that begins with '/'"
+        "'{name}' cannot be a node's name: use letters, digits and '_' in a namespace that begins with '/'"
     )]
     NodeName {
         /// The name, with its namespace.
         name: String,
     },
-    /// The name cannot be a service's.
+    /// The name is not a valid service name.
     #[error("'{service}' cannot be a service: {reason}")]
     ServiceName {
         /// The name.
         service: String,
-        /// Why not.
+        /// The reason.
         reason: &'static str,
     },
-    /// The name cannot be a topic's.
+    /// The name is not a valid topic name.
     #[error("'{topic}' cannot be a topic name: {reason}")]
     TopicName {
         /// The name.
         topic: String,
-        /// Why not.
+        /// The reason.
         reason: String,
     },
-    /// The type's name or hash cannot be one.
+    /// The type's name or hash is not valid.
     #[error("topic '{topic}': {reason}")]
     TopicType {
         /// The topic.
         topic: String,
-        /// Why not.
+        /// The reason.
         reason: String,
     },
-    /// There is no shared memory for what is to be in flight.
+    /// There is not enough shared memory for the samples in flight.
     #[error(
         "{}: {source}: it needs {bytes} bytes of /dev/shm for samples of {sample_bytes} bytes; make /dev/shm larger (mount -o remount,size=), or lower the depth, `Limits::held`, `Limits::loans` or `Limits::message_bytes`",
         named(topic)
@@ -103,23 +103,23 @@ pub enum TransportError {
         bytes: u64,
         /// Of one sample.
         sample_bytes: usize,
-        /// What the system said.
+        /// The system's error.
         source: io::Error,
     },
-    /// A limit outside what can be set.
+    /// A limit out of range.
     #[error("{}: {limit} = {requested} is outside 1 to {max}", named(topic))]
     LimitRange {
         /// The topic.
         topic: String,
-        /// Name of the field.
+        /// The name of the field.
         limit: &'static str,
-        /// The value asked for.
+        /// The requested value.
         requested: usize,
         /// The greatest value.
         max: usize,
     },
-    /// A time that nothing can keep.
-    #[error("topic '{topic}': QoS {setting} is zero, which nothing can keep; leave it out if there is none")]
+    /// A duration of zero, which cannot be met.
+    #[error("topic '{topic}': QoS {setting} is zero, which cannot be met; omit it if there is none")]
     ZeroDuration {
         /// The topic.
         topic: String,
@@ -151,7 +151,7 @@ pub(crate) fn named(topic: &str) -> String {
 /// Why no sample could be loaned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum LoanError {
-    /// As many loans as the publisher's `Limits::loans` are out already.
+    /// `Limits::loans` loans of the publisher are already in use.
     #[error("every loan of this publisher is in use: publish or drop one, or raise `Limits::loans`")]
     Exhausted,
     /// The message is longer than the type's fixed size, or than `Limits::message_bytes` of a publisher that may not grow, or
@@ -173,7 +173,7 @@ pub enum LoanError {
 /// Why a sample was not published.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum PublishError {
-    /// A keep-all subscription has no room: nothing was sent to anybody.
+    /// A keep-all subscription has no room: nothing was sent to any subscription.
     #[error(
         "a keep-all subscription's queue is full: publish again when it has taken, or await `publish_when_ready`"
     )]
@@ -186,11 +186,12 @@ pub enum PublishError {
     Encode(#[from] EncodeError),
 }
 
-/// What was not sent, and why: a loan of a message, a request or a response, as it was. Nothing was sent to anybody.
+/// What was not sent, and why: the unchanged loan of a message, a request or a response. Nothing was sent to any
+/// endpoint.
 pub struct SendError<L, E = PublishError> {
     /// Why.
     pub error: E,
-    /// The loan, to be sent again or dropped.
+    /// The loan: send it again or drop it.
     pub loan: L,
 }
 
@@ -245,7 +246,7 @@ impl From<LoanError> for PublishCdrError {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum TakeError {
     /// This subscription holds as many samples as its `Limits::held` allows.
-    #[error("this subscription holds as many samples as it may: drop one, or raise `Limits::held`")]
+    #[error("this subscription holds its maximum number of samples: drop one, or raise `Limits::held`")]
     TooManyHeld,
     /// The bytes are not a message of this type.
     #[error("the sample is not a valid message: {0}")]

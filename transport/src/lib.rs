@@ -3,18 +3,20 @@
 //!
 //! A [`Participant`] joins a domain and creates publishers and subscriptions. A [`Publisher`] loans a sample, which is
 //! written in place and published without waiting; a [`Subscription`] takes it and reads it in place. The samples lie in iceoryx2's
-//! pools and travel through iceoryx2's queues; that one is there is announced by Tautline's own [`Doorbell`], one per sampler.
+//! pools and travel through iceoryx2's queues. Tautline's own [`Doorbell`], one per sampler, announces new samples.
 //!
-//! - **Zero copy.** What lies in shared memory is the message's CDR, of a fixed size or not: written there field by field, or
-//!   as a `&mut T` if the type is [plain](tautline_msgs::Plain), and read there through its
-//!   [view](tautline_msgs::Message::View).
-//! - **Bytes below, types above.** [`RawPublisher`] and [`RawSubscription`] carry bodies of any length and look at none;
-//!   [`Publisher`] and [`Subscription`] are a thin layer over them. Ends of a topic whose [`TopicType`]s differ do not match.
-//! - **Each end by itself.** Depth, message size and whatever else an end asks for is its own; there is no limit of the topic.
+//! - **Zero copy.** Shared memory contains the message's CDR, of a fixed size or not: written there field by field, or as a
+//!   `&mut T` if the type is [plain](tautline_msgs::Plain), and read there through its [view](tautline_msgs::Message::View).
+//! - **Bytes below, types above.** [`RawPublisher`] and [`RawSubscription`] carry bodies of any length without reading them;
+//!   [`Publisher`] and [`Subscription`] are a thin layer over them. Endpoints of a topic with different [`TopicType`]s do not
+//!   match.
+//! - **Settings per endpoint.** Each endpoint has its own depth, message size and other settings; a topic has no limits.
 //! - **Nothing waits in publish.** A slow keep-last subscription loses its oldest samples and counts them; a full
 //!   keep-all one makes publish return `Full` with the loan.
-//! - **No lock between threads of different priority** on the way of a sample, in this process or another.
-//! - **Crashes.** A process may be killed at any instant: others go on, and one of them removes what it left.
+//! - **No lock between threads of different priority** on a sample's path, in this process or between
+//!   processes.
+//! - **Crashes.** A process may be killed at any instant: the other processes continue, and one of them
+//!   cleans up after it.
 //!
 //! ```
 //! # use tautline_transport::{Limits, Participant, Qos};

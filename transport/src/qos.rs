@@ -4,7 +4,7 @@
 use crate::error::TransportError;
 use std::time::Duration;
 
-/// What happens to samples on their way. Locally both keep their promise; the network tells them apart.
+/// Whether samples may be lost on the network. On one host both policies behave alike.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum Reliability {
     /// Samples may be dropped on the network.
@@ -14,30 +14,32 @@ pub enum Reliability {
     Reliable,
 }
 
-/// Whether a late joiner gets what was published before it came.
+/// Whether a late joiner gets samples that were published before it joined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum Durability {
-    /// No.
+    /// It does not.
     #[default]
     Volatile,
-    /// The last `depth` samples of each publisher that lives, even of one that stays silent.
+    /// It gets the last `depth` samples of each live publisher, even of a silent one.
     TransientLocal,
 }
 
 /// What happens when a subscription is slower than its publishers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum History {
-    /// The newest `depth` samples stay; what is overwritten is counted as lost, at that subscription alone.
+    /// The newest `depth` samples are kept; overwritten samples are counted as lost, at this subscription
+    /// only.
     #[default]
     KeepLast,
-    /// Nothing is overwritten: with `depth` samples waiting, publish() returns `Full` at once. Both ends must keep all.
+    /// Nothing is overwritten: with `depth` samples queued, publish() returns `Full` at once. Both endpoints must keep
+    /// all.
     KeepAll,
 }
 
 /// How a publisher shows that it is alive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum Liveliness {
-    /// By living: it is alive as long as its process is.
+    /// Automatically: it is alive as long as its process is.
     #[default]
     Automatic,
     /// By publishing, or by [asserting it](crate::RawPublisher::assert_liveliness), at least once in each lease.
@@ -62,10 +64,10 @@ pub struct Qos {
     pub reliability: Reliability,
     /// See [`Durability`].
     pub durability: Durability,
-    /// Longest time between two samples; what comes later is told to who [watches](crate::SubscriptionMonitor).
+    /// Longest time between two samples; a later sample is reported to a [monitor](crate::SubscriptionMonitor).
     pub deadline: Option<Duration>,
-    /// Age at which a sample is no longer delivered, counted from its publication on this host. It is the publisher's: a
-    /// subscription's is not looked at, as in ROS 2.
+    /// Age at which a sample is no longer delivered, counted from its publication on this host. Only the publisher's
+    /// value is used; a subscription's is ignored, as in ROS 2.
     pub lifespan: Option<Duration>,
     /// See [`Liveliness`].
     pub liveliness: Liveliness,
@@ -131,7 +133,7 @@ impl Qos {
         Qos { reliability, ..self }
     }
 
-    /// Lost samples are sent again on the network.
+    /// The network retransmits lost samples.
     #[must_use = "it returns the changed QoS"]
     pub const fn reliable(self) -> Self {
         self.reliability(Reliability::Reliable)
@@ -161,13 +163,13 @@ impl Qos {
         self.durability(Durability::TransientLocal)
     }
 
-    /// Sets the deadline. Zero is refused when an end is created.
+    /// Sets the deadline. Zero is refused when an endpoint is created.
     #[must_use = "it returns the changed QoS"]
     pub const fn deadline(self, deadline: Duration) -> Self {
         Qos { deadline: Some(deadline), ..self }
     }
 
-    /// Sets the lifespan. Zero is refused when an end is created.
+    /// Sets the lifespan. Zero is refused when an endpoint is created.
     #[must_use = "it returns the changed QoS"]
     pub const fn lifespan(self, lifespan: Duration) -> Self {
         Qos { lifespan: Some(lifespan), ..self }
@@ -179,7 +181,8 @@ impl Qos {
         Qos { liveliness, ..self }
     }
 
-    /// Sets the lease duration of a publisher whose liveliness is manual. Zero is refused when an end is created.
+    /// Sets the lease duration of a publisher whose liveliness is manual. Zero is refused when an endpoint is
+    /// created.
     #[must_use = "it returns the changed QoS"]
     pub const fn liveliness_lease_duration(self, lease: Duration) -> Self {
         Qos { liveliness_lease_duration: Some(lease), ..self }
@@ -209,42 +212,44 @@ impl Default for Qos {
 /// When the memory of a publisher's samples is claimed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Default)]
 pub enum Claim {
-    /// When it is made, and when a subscription joins: for as many samples as can be in flight, each of
-    /// [`Limits::message_bytes`]. Loaning, publishing and taking then fault no page and make no system call.
+    /// When the publisher is created, and when a subscription joins: for the maximum number of samples in
+    /// flight, each of [`Limits::message_bytes`]. Loaning, publishing and taking then cause no page fault and
+    /// no system call.
     #[default]
     Ahead,
-    /// When it is first needed: a loan may make system calls and fault pages, and takes no memory before. For messages that are
-    /// seldom sent and that no real-time thread sends.
+    /// When it is first needed: a loan may make system calls and cause page faults; before that no memory is used. For messages
+    /// that are sent seldom, and never by a real-time thread.
     OnUse,
 }
 
-/// What a publisher or a subscription has room for. Each end has its own; nobody else's matter.
+/// The limits of a publisher or a subscription. Each endpoint has its own limits, independent of other
+/// endpoints.
 ///
 /// A publisher has memory for `depth + held + loans` samples, where `depth` is the greatest of its subscriptions' (and its own, if it
 /// is transient local), and `held` the sum of theirs; [`topic_memory`](crate::topic_memory) computes the bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Limits {
-    /// Of a subscription: most samples that it can hold at once. 4 by default.
+    /// Of a subscription: maximum number of samples that it can hold at once. 4 by default.
     pub held: usize,
-    /// Of a publisher: most loans that it can have out at once. 4 by default.
+    /// Of a publisher: maximum number of loans at once. 4 by default.
     pub loans: usize,
     /// Of a publisher of a type whose size is not fixed: the largest message in bytes of CDR that it sends without growing its
-    /// memory. A larger one is published too, but takes a new segment: not real-time, counted, and said once in the log. 4,096 by
-    /// default.
+    /// memory. A larger message is published, too, but needs a new segment: this is not real-time, is counted, and logged once.
+    /// 4,096 by default.
     pub message_bytes: usize,
-    /// Whether a publisher of a type without a fixed size takes a larger segment for a message longer than `message_bytes`. If
-    /// not, such a message is refused ([`LoanError::TooLarge`](crate::LoanError::TooLarge)). True by default.
+    /// Whether a publisher of a type without a fixed size claims a larger segment for a message longer than `message_bytes`.
+    /// If not, such a message is refused ([`LoanError::TooLarge`](crate::LoanError::TooLarge)). True by default.
     pub may_grow: bool,
     /// When a publisher's memory is claimed. Ahead by default.
     pub claim: Claim,
 }
 
 impl Limits {
-    /// Greatest [`Qos::depth`].
+    /// Maximum of [`Qos::depth`].
     pub const MAX_DEPTH: usize = 65_536;
-    /// Greatest value of [`Limits::held`] and [`Limits::loans`].
+    /// Maximum of [`Limits::held`] and [`Limits::loans`].
     pub const MAX_HELD: usize = 4_096;
-    /// Greatest value of [`Limits::message_bytes`], and largest message: 4 GiB, what CDR's 32-bit lengths can say.
+    /// Maximum of [`Limits::message_bytes`], and largest message: 4 GiB, the limit of CDR's 32-bit lengths.
     pub const MAX_MESSAGE_BYTES: usize = 1 << 32;
 
     pub(crate) fn check(&self, topic: &str) -> Result<(), TransportError> {

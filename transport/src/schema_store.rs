@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The definitions of the types on this host's topics, one file for each type hash: how a tool reads messages of a type
-//! that it was not built with.
+//! The definitions of the types on this host's topics, one file for each type hash. With them a tool can read messages
+//! of a type that it was not built with.
 //!
-//! Whoever opens a topic with hash and definition leaves the definition here, in files that only this user can read or
-//! write. What is read is a claim: whoever can compute the hash checks it before use.
+//! A process that opens a topic with hash and definition stores the definition here, in files that only this user can
+//! read or write. A stored definition is untrusted: readers that can compute the hash check it before use.
 
 use crate::topic::topic_type::{TopicType, is_hash};
 use rustix::fs::{self, AtFlags, Mode, OFlags};
@@ -14,7 +14,7 @@ use std::os::fd::{AsFd, AsRawFd, OwnedFd};
 use std::path::{Path, PathBuf};
 use std::sync::Once;
 
-/// The longest definition that is kept or read. Those of ROS 2's own packages are below 20 KB.
+/// The longest definition that is stored or read. Definitions of ROS 2's own packages are below 20 KB.
 pub const MAX_SCHEMA_BYTES: usize = 1 << 20;
 
 const FOLDER: &str = "schemas";
@@ -25,26 +25,28 @@ const OTHERS_WRITE: Mode = Mode::WGRP.union(Mode::WOTH);
 /// The folder of this user's schemas.
 #[derive(Clone, Debug)]
 pub struct SchemaStore {
-    /// The folder that has the folder.
+    /// The parent folder.
     root: PathBuf,
 }
 
-/// A definition as a file has it. Nobody has checked yet that it is of the type whose hash names the file.
+/// A definition as read from a file. It has not been checked yet whether it belongs to the type whose hash
+/// names the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ClaimedSchema {
     /// The file.
     pub path: PathBuf,
-    /// What it says: ros2msg text.
+    /// Its content: ros2msg text.
     pub text: String,
 }
 
 impl SchemaStore {
-    /// That of the user who runs this process, and of its scope: `/tmp/tautline_<uid>[.<scope>]/schemas`.
+    /// The store of the user who runs this process, and of its scope:
+    /// `/tmp/tautline_<uid>[.<scope>]/schemas`.
     pub fn of_user() -> Self {
         Self::at(tautline_rt::domain::kept_folder())
     }
 
-    /// In this folder, which is made if its parent exists.
+    /// A store in this folder, which is created if its parent exists.
     pub fn at(root: impl Into<PathBuf>) -> Self {
         SchemaStore { root: root.into() }
     }
@@ -54,11 +56,12 @@ impl SchemaStore {
         self.root.join(FOLDER)
     }
 
-    /// Keeps a definition, unless there is one for this hash already. Readers see all of it or nothing, however many write.
+    /// Stores a definition, unless there is already one for this hash. Readers see the whole definition or nothing, even if
+    /// several processes write.
     ///
     /// # Errors
-    /// [`io::Error`]: the folder cannot be made or written, or belongs to somebody else; the hash is none; the text is longer
-    /// than [`MAX_SCHEMA_BYTES`].
+    /// [`io::Error`]: the folder cannot be created or written, or belongs to another user; the hash is invalid; the text is
+    /// longer than [`MAX_SCHEMA_BYTES`].
     pub fn keep(&self, hash: &str, text: &str) -> io::Result<()> {
         check_hash(hash)?;
         if text.len() > MAX_SCHEMA_BYTES {
@@ -95,11 +98,11 @@ impl SchemaStore {
         written
     }
 
-    /// Reads what is kept for a hash; `None` if nothing is.
+    /// Reads the definition that is stored for a hash; `None` if there is none.
     ///
     /// # Errors
-    /// [`io::Error`]: the file cannot be read, is not a file, is longer than [`MAX_SCHEMA_BYTES`] or no text; the folder
-    /// belongs to somebody else.
+    /// [`io::Error`]: the file cannot be read, is not a regular file, is longer than [`MAX_SCHEMA_BYTES`] or is not
+    /// text; the folder belongs to another user.
     pub fn read(&self, hash: &str) -> io::Result<Option<ClaimedSchema>> {
         check_hash(hash)?;
         let folder = match self.open() {

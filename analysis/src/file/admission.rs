@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whether what comes may run beside what runs: all that shares the cores of one machine, as one system.
+//! Admission: whether a new program or thread may run beside those that run already. Everything that shares
+//! the cores of one machine is analysed as one system.
 use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
@@ -10,63 +11,65 @@ use super::{
 use crate::system::{Callback, Core};
 use crate::{Overheads, Reservation, Task};
 
-/// A system file in use, as the machine sees it that is one of its hosts.
+/// A system file in use, as seen by the machine that is one of its hosts.
 #[derive(Debug, Clone, Copy)]
 pub struct Share<'f> {
     /// The file.
     pub file: &'f SystemFile,
     /// Which of its hosts the machine is.
     pub host: &'f str,
-    /// What people call it: its path.
+    /// Its name for people: its path.
     pub label: &'f str,
 }
 
-/// A real-time thread that no system file describes, by what it says of itself.
+/// A real-time thread that no system file describes, with the parameters that it states itself.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LooseThread {
     /// The name of its callback.
     pub name: String,
-    /// Whose it is: a program and its process.
+    /// Its owner: a program and its process.
     pub label: String,
-    /// Its one core; `None`: it may run on any, and counts on each.
+    /// Its only core; `None`: it may run on any core, and is counted on each.
     pub core: Option<usize>,
-    /// `SCHED_FIFO` priority, 1 to 99; of no meaning with a reservation.
+    /// `SCHED_FIFO` priority, 1 to 99; ignored if there is a reservation.
     pub priority: u8,
     /// What the kernel reserves for it, under SCHED_DEADLINE.
     pub reservation: Option<Reservation>,
-    /// Least time between two releases. Without it, or without a budget, nothing at its priority or below has a bound.
+    /// Shortest time between two releases. Without it, or without a budget, nothing at its priority or below has a
+    /// bound.
     pub period_ns: Option<u64>,
     /// How much later than nominal a release may be.
     pub jitter_ns: u64,
     /// The processor time of a job.
     pub budget_ns: Option<u64>,
-    /// When a job must have ended, after its release; `None`: nobody waits for it.
+    /// The deadline of a job, relative to its release; `None`: nobody waits for it.
     pub deadline_ns: Option<u64>,
 }
 
-/// All that shares the cores of one machine.
+/// Everything that shares the cores of one machine.
 #[derive(Debug, Clone, Default)]
 pub struct Machine<'f> {
     shares: Vec<Share<'f>>,
     threads: Vec<LooseThread>,
 }
 
-/// What asks to run.
+/// A file or a thread that is to be admitted.
 #[derive(Debug, Clone)]
 pub enum Candidate<'f> {
     /// Everything that a system file describes.
     File(Share<'f>),
-    /// One thread more.
+    /// One additional thread.
     Thread(LooseThread),
 }
 
-/// What the analysis says of a candidate.
+/// The result of the analysis for a candidate.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Admission {
-    /// All that runs and the candidate, analysed as one system; names that several files have bear their files.
+    /// Everything that runs, and the candidate, analysed as one system. A name that several files use includes
+    /// the file's name.
     pub checked: CheckedSystem,
-    /// What would miss its deadline, the candidate's own first; empty: it may run.
+    /// What would miss its deadline, the candidate's own callbacks and chains first; empty: it may run.
     pub broken: Vec<Broken>,
 }
 
@@ -78,13 +81,13 @@ pub struct Broken {
     pub kind: &'static str,
     /// Its name.
     pub name: String,
-    /// Whose it is: a system file's path, or a program.
+    /// Its owner: a system file's path, or a program.
     pub label: String,
-    /// Whether it is the candidate's.
+    /// Whether it belongs to the candidate.
     pub is_own: bool,
-    /// Its response time, or latency, beside all others; `None`: nothing bounds it.
+    /// Its response time, or latency, together with all others; `None`: nothing bounds it.
     pub response_ns: Option<u64>,
-    /// What it has to be.
+    /// The longest allowed time.
     pub deadline_ns: u64,
 }
 
@@ -103,14 +106,15 @@ impl fmt::Display for Broken {
 }
 
 impl<'f> Machine<'f> {
-    /// A file in use. One whose text is there already for this host is the same system, however many processes have it.
+    /// Adds a file in use. A file with the same text for the same host counts as the same system, whatever number of
+    /// processes use it.
     pub fn add_file(&mut self, share: Share<'f>) {
         if self.position(&share).is_none() {
             self.shares.push(share);
         }
     }
 
-    /// A thread that no file describes.
+    /// Adds a thread that no file describes.
     pub fn add_thread(&mut self, thread: LooseThread) {
         self.threads.push(thread);
     }
@@ -120,13 +124,13 @@ impl<'f> Machine<'f> {
         self.shares.is_empty() && self.threads.is_empty()
     }
 
-    /// All that runs, as one system.
+    /// Everything that runs, analysed as one system.
     pub fn check(&self) -> CheckedSystem {
         self.unite().file.check()
     }
 
-    /// What becomes of all deadlines if the candidate runs, too. It is admitted if it meets its own, and breaks none that
-    /// is met without it.
+    /// The effect on all deadlines if the candidate runs, too. It is admitted if it meets its own deadlines and breaks
+    /// none that is met without it.
     pub fn admit(&self, candidate: &Candidate<'f>) -> Admission {
         let mut with = self.clone();
         let own = match candidate {
@@ -229,7 +233,7 @@ type Key = (&'static str, Origin, usize);
 #[derive(Default)]
 struct Union {
     file: SystemFile,
-    /// Where each callback is from: what, and the callback's number there.
+    /// The origin of each callback, and the callback's number there.
     callbacks: Vec<(Origin, usize)>,
     chains: Vec<(Origin, usize)>,
     /// The next number of a thread that several callbacks share.

@@ -19,7 +19,7 @@ pub struct CheckedSystem {
     pub chains: Vec<CheckedChain>,
     /// The cores that run something.
     pub cores: Vec<CheckedCore>,
-    /// What a person should know: why something has no bound, and which assumptions are at risk.
+    /// Hints for the user: why something has no bound, and which assumptions are at risk.
     pub warnings: Vec<String>,
 }
 
@@ -40,9 +40,9 @@ pub struct CheckedCallback {
     /// What the analysis charges for one job: the execution time, two context switches, what its executor uses, and the work per
     /// message, part of which is done in the callback's thread. A job that uses more breaks the bounds.
     pub charged_ns: u64,
-    /// How each of its streams of messages, or its timer, is taken to be released.
+    /// The release pattern that the analysis assumes for each of its streams of messages, or for its timer.
     pub releases: Vec<Release>,
-    /// Response time on a machine that costs nothing; `None` without a bound.
+    /// Response time on a machine without overheads; `None` without a bound.
     pub response_ns: Option<u64>,
     /// Response time with overheads, from the arrival of the message, or from the nominal release of a period.
     pub response_overhead_ns: Option<u64>,
@@ -54,19 +54,22 @@ pub struct CheckedCallback {
     pub capacity: Option<usize>,
     /// The same on hosts that never stall.
     pub capacity_without_stall: Option<usize>,
-    /// What it waits for, if it waits for several topics and has a bound.
+    /// Its join, if it waits for several topics and has a bound.
     pub join: Option<CheckedJoin>,
 }
 
-/// What is known of a callback that waits for several topics.
+/// The bounds of a callback that waits for several topics.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct CheckedJoin {
-    /// How far apart the stamps of a set may lie, in nanoseconds: 0 for equal ones; `None`: the newest of each.
+    /// The largest distance of the stamps in a set, in nanoseconds: 0 for equal stamps; `None`: the newest of
+    /// each topic.
     pub window_ns: Option<u64>,
-    /// How many messages of a topic the synchronizer has to keep, so that it drops none that may be needed: its queue size.
+    /// The queue size of the synchronizer: how many messages of a topic it has to keep so that it drops none that may be
+    /// needed.
     pub queue_size: usize,
-    /// The topics, each with the longest time that a message of a set waits for the last one of it, in nanoseconds.
+    /// The topics, each with the longest time that a message of a set waits for the set's last message, in
+    /// nanoseconds.
     pub inputs: Vec<(String, u64)>,
 }
 
@@ -86,8 +89,8 @@ pub struct CheckedChain {
     pub deadline_ns: u64,
     /// Whether the latency is within the deadline.
     pub met: bool,
-    /// The callbacks that it passes, by their place in the file, if each triggers the next by a message on one host: no message then takes
-    /// longer than their longest responses together. Otherwise `None`.
+    /// Its callbacks, by their index in the file, if each triggers the next by a message on one host: no message then takes longer than
+    /// the sum of their longest responses. Otherwise `None`.
     pub stages: Option<Vec<usize>>,
 }
 
@@ -103,14 +106,15 @@ pub struct CheckedCore {
     pub utilisation: f64,
     /// Its tasks, with the periods and jitter they inherit.
     pub tasks: Vec<Task>,
-    /// What the machine costs there.
+    /// The overheads of the machine there.
     pub overheads: Overheads,
-    /// Longest time for which it may stand still.
+    /// Longest time for which it may stall.
     pub stall_ns: u64,
 }
 
 impl CheckedSystem {
-    /// The hosts that stall, each with its longest time in nanoseconds; none if no queue is deeper for it.
+    /// The hosts that may stall, each with its longest stall in nanoseconds; none if no queue has to be
+    /// deeper because of a stall.
     pub fn stalls(&self) -> Vec<(&str, u64)> {
         if self.callbacks.iter().all(|callback| callback.capacity == callback.capacity_without_stall) {
             return Vec::new();

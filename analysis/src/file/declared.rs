@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The file as it is written: every section with its places in the text, nothing resolved yet.
+//! The file as it is written: every section with its positions in the text, before names are resolved.
 use super::reader::At;
 use super::{Client, JoinPolicy, LinkPriority, OverrunPolicy};
 use crate::{LockProtocol, Order, Reservation};
@@ -63,7 +63,7 @@ pub(super) struct Callback {
     pub name: String,
     pub at: usize,
     pub node: Option<At<String>>,
-    /// Those that trigger it, or those that it waits for.
+    /// The topics that trigger it, or that it waits for.
     pub topics: Vec<At<String>>,
     /// Where `all` is, if it waits for all of its topics.
     pub all: Option<usize>,
@@ -73,7 +73,7 @@ pub(super) struct Callback {
     pub policy: Option<At<JoinPolicy>>,
     pub take: Option<At<u64>>,
     pub period: Option<At<u64>>,
-    /// Whether the file says anything of a trigger, be it wrong.
+    /// Whether the file has any entry about a trigger, even an invalid one.
     pub triggered: bool,
     pub wcet: Option<At<u64>>,
     pub input_max: Option<u64>,
@@ -101,7 +101,7 @@ impl Callback {
         self.policy.as_ref().map_or(JoinPolicy::ByWindow, |policy| policy.value)
     }
 
-    /// Where it says that its jobs are held to their budget, if it does.
+    /// The position of the entry that enforces the budget of its jobs, if there is one.
     pub fn holds(&self) -> Option<usize> {
         self.overrun.as_ref().filter(|overrun| overrun.value != OverrunPolicy::Tell).map(|overrun| overrun.at)
     }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Who triggers whom: topics, their publishers, and the streams of messages that reach each callback.
+//! Which callback triggers which: topics, their publishers, and the streams of messages that reach each
+//! callback.
 use std::collections::HashMap;
 
 use super::JoinPolicy;
@@ -293,7 +294,7 @@ impl<'f> Graph<'f> {
         periods.into_iter().min()
     }
 
-    /// Whose messages trigger a callback.
+    /// The callbacks whose messages trigger a callback.
     pub fn triggers(&self, index: usize) -> impl Iterator<Item = usize> {
         let topics = self.file.callbacks[index].topics.iter();
         topics.flat_map(|topic| self.publishers.get(topic.value.as_str()).into_iter().flatten().copied())

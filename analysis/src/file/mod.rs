@@ -66,7 +66,7 @@ pub struct CallbackEntry {
     pub name: String,
     /// The node it belongs to.
     pub node: String,
-    /// Whose executors run that node's callbacks.
+    /// The client library whose executors run that node's callbacks.
     pub client: Client,
     /// Name of the thread that runs it.
     pub thread: String,
@@ -78,17 +78,18 @@ pub struct CallbackEntry {
     pub priority: u8,
     /// What the kernel reserves for the thread, if it runs under SCHED_DEADLINE.
     pub reservation: Option<Reservation>,
-    /// Whether that may run on any core of its host; `core` is then where its messages are charged.
+    /// Whether the thread may run on any core of its host; its messages are then charged to `core`.
     pub floats: bool,
     /// The topics that trigger it, or that it waits for; none if it has a period.
     pub topics: Vec<String>,
     /// Whether it waits for messages of all its topics.
     pub joins: bool,
-    /// By which policy, if it does.
+    /// The policy by which it joins them, if it does.
     pub policy: JoinPolicy,
-    /// What becomes of a job that uses more than is charged to it.
+    /// What happens to a job that uses more time than the analysis charges for it.
     pub overrun: OverrunPolicy,
-    /// How far apart the stamps of these may lie, in nanoseconds: 0 for equal ones; `None`: the newest of each, whatever its stamp.
+    /// The largest distance of their stamps, in nanoseconds: 0 for equal stamps; `None`: the newest of each topic, whatever its
+    /// stamp.
     pub window_ns: Option<u64>,
     /// The topics that it publishes.
     pub publishes: Vec<String>,
@@ -115,23 +116,24 @@ pub struct TopicEntry {
     pub depth: Option<u64>,
     /// Whether it goes to other hosts.
     pub remote: bool,
-    /// Its place on a link that is busy; `None`: by size, the smaller the sooner.
+    /// Its priority on a busy link; `None`: by size, smaller messages first.
     pub priority: Option<LinkPriority>,
     /// Whether its messages are sent at once instead of together with what follows shortly.
     pub express: bool,
 }
 
-/// What becomes of a job that uses more than is charged to it. But for the first, the bounds of others do not rest on its wcet.
+/// What happens to a job that uses more time than the analysis charges for it. With every policy but the first, the bounds of
+/// other callbacks do not depend on its wcet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum OverrunPolicy {
-    /// It is counted.
+    /// The overrun is counted.
     #[default]
     Tell,
-    /// It goes on below all real-time threads.
+    /// It continues at a priority below all real-time threads.
     Demote,
-    /// It sleeps until a period after its release.
+    /// It sleeps until one period after its release.
     Suspend,
-    /// As demoted, and the callback ends with it.
+    /// As `Demote`; in addition the callback ends after this job.
     End,
 }
 
@@ -154,12 +156,13 @@ impl OverrunPolicy {
 /// How a callback that waits for messages of several topics finds those that belong together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum JoinPolicy {
-    /// By its window: `ApproximateTime`, equal stamps for a window of 0, and the newest of each without one.
+    /// Chosen by its window: `ApproximateTime` with a window, equal stamps with a window of 0, the newest of
+    /// each topic without a window.
     #[default]
     ByWindow,
-    /// The first whose stamps lie within the window.
+    /// The first set whose stamps lie within the window.
     ApproximateEpsilonTime,
-    /// The newest of each, with each message of the fastest.
+    /// The newest message of each topic, whenever the fastest topic has a message.
     LatestTime,
 }
 
@@ -177,7 +180,7 @@ impl JoinPolicy {
     }
 }
 
-/// Whose executors run a node's callbacks.
+/// The client library whose executors run a node's callbacks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs, reason = "the names say it")]
 pub enum Client {
@@ -235,7 +238,8 @@ pub struct CoreEntry {
     pub number: usize,
     /// Priority of the host's samplers.
     pub sampler_priority: u8,
-    /// Longest time for which it may stand still, in nanoseconds: queues outlast it, bounds do not contain it.
+    /// Longest time for which it may stall, in nanoseconds. Queues are deep enough for a stall; response-time
+    /// bounds do not include it.
     pub stall_ns: u64,
 }
 
@@ -255,7 +259,7 @@ pub enum FileError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system said.
+        /// The operating system's error.
         source: std::io::Error,
     },
     /// Its content is wrong.
@@ -321,17 +325,17 @@ impl SystemFile {
         }
     }
 
-    /// A number that is another one for another text: to tell whether two programs read the same file.
+    /// A hash of the text, to find out whether two programs read the same file.
     pub fn fingerprint(&self) -> u64 {
         self.fingerprint
     }
 
-    /// What the analysis sees.
+    /// The system that is analysed.
     pub fn system(&self) -> &System {
         &self.system
     }
 
-    /// The same on machines that cost nothing.
+    /// The same on machines without overheads.
     pub fn system_without_overheads(&self) -> System {
         let mut free = self.system.clone();
         free.cores.iter_mut().for_each(|core| core.overheads = crate::Overheads::NONE);

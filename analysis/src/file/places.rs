@@ -4,7 +4,7 @@ use super::declared::{Callback, Declared, Node};
 use super::problem::{Collector, suggestion};
 use super::reader::At;
 
-/// A callback's place: indices of its node, host and core (among all cores of all hosts).
+/// Where a callback runs: the indices of its node, host and core (among all cores of all hosts).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Place {
     pub node: usize,

@@ -8,7 +8,7 @@ pub struct Problem {
     pub line: usize,
     /// Column in characters, counted from 1.
     pub column: usize,
-    /// What is wrong and how to mend it, in one sentence.
+    /// What is wrong and how to fix it, in one sentence.
     pub message: String,
 }
 

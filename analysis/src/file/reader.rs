@@ -17,7 +17,7 @@ type Value<'t> = Spanned<DeValue<'t>>;
 /// A table whose keys are asked for one by one; what nobody asked for is unknown.
 pub(super) struct Section<'t> {
     table: &'t DeTable<'t>,
-    /// What it is called in messages, such as "callback `imu`".
+    /// Its name in messages, such as "callback `imu`".
     pub title: String,
     pub at: usize,
     asked: Vec<&'static str>,

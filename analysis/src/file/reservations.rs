@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Callbacks with a reservation: what the file may say of them, and what they take from every core that they may run on.
+//! Callbacks with a reservation: which entries of the file are allowed for them, and the time that they take from every
+//! core that they may run on.
 use super::Client;
 use super::declared::{Callback as Declaration, Declared};
 use super::places::Place;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Reading the sections of the file: which keys there are, and what each may be.
+//! Reads the sections of the file: their keys, and the values allowed for each.
 use super::declared::{Callback, Chain, Costs, Declared, Group, Host, Node, Policy, Topic};
 use super::problem::{Collector, suggestion};
 use super::reader::{At, Section, integer, time};

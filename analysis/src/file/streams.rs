@@ -23,7 +23,7 @@ pub(super) enum Source {
 /// The streams of releases that reach a callback, by callback.
 pub(super) struct Streams {
     sources: Vec<Vec<Source>>,
-    /// By which of its topics each of these reaches it; of no meaning for a period.
+    /// The topics by which each of these sources reaches it; unused for a period.
     topics: Vec<Vec<usize>>,
     /// Whether the callback waits for all of them.
     joins: Vec<bool>,
@@ -43,12 +43,12 @@ pub(super) enum First {
 }
 
 impl Streams {
-    /// What reaches a callback.
+    /// The sources whose releases reach a callback.
     pub fn sources(&self, callback: usize) -> &[Source] {
         &self.sources[callback]
     }
 
-    /// By which of the callback's topics each of its sources reaches it.
+    /// The topic of the callback by which each of its sources reaches it.
     pub fn topics(&self, callback: usize) -> &[usize] {
         &self.topics[callback]
     }
@@ -57,7 +57,8 @@ impl Streams {
         self.joins[callback]
     }
 
-    /// Its tasks: one for each stream; of a join before these the one that runs when all are there.
+    /// Its tasks: one for each stream. A join has one more, in front: the task that runs when all messages
+    /// are there.
     pub fn tasks(&self, callback: usize) -> Range<usize> {
         let first = self.first[callback];
         first..first + self.sources[callback].len() + usize::from(self.joins[callback])

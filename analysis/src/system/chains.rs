@@ -16,7 +16,7 @@ pub struct ChainBound {
     /// From an event outside, just missed by the first stage, to the end of the first job that reflects it. `None` if a join, by its
     /// window or its policy, may never run such a job.
     pub reaction_ns: Option<u64>,
-    /// How old what the first stage read may be when the last one ends a job that uses it.
+    /// Data age: how old the input of the first stage may be when the last stage ends a job that uses it.
     pub age_ns: u64,
     /// The deadline.
     pub deadline_ns: u64,

@@ -59,13 +59,14 @@
 use super::System;
 use crate::{AnalysisError, Release, Task};
 
-/// What makes a callback run once it has messages of several others.
+/// A callback that runs once it has messages of several others.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Join {
-    /// Indices of the callbacks that take the messages, one for each stream, in its thread. They are triggered by who
-    /// publishes, or released from outside, and put the message aside.
+    /// Indices of the callbacks that take the messages, one for each stream, in its thread. They are triggered by the
+    /// publisher, or released from outside, and store the message.
     pub inputs: Vec<usize>,
-    /// Which input of the join each of these takes the messages of, from 0: an input may have several publishers.
+    /// For each of these, the input of the join whose messages it takes, from 0: an input may have several
+    /// publishers.
     pub ports: Vec<usize>,
     /// Which messages belong together.
     pub matching: Matching,
@@ -74,25 +75,27 @@ pub struct Join {
 /// Which messages of a join belong together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Matching {
-    /// The newest of each, as soon as each has sent something new.
+    /// The newest message of each input, as soon as each input has a new one.
     Newest,
-    /// Those with equal stamps: one source has them all triggered, or several that are released together.
+    /// Messages with equal stamps: they all descend from one source, or from several sources that are
+    /// released together.
     Exact,
-    /// Those whose stamps lie within a window, by message_filters' `ApproximateTime`.
+    /// Messages whose stamps lie within a window, by message_filters' `ApproximateTime`.
     Approximate {
         /// The longest distance of two stamps of a set, in nanoseconds.
         window_ns: u64,
     },
-    /// The first whose stamps lie within a window, by message_filters' `ApproximateEpsilonTime`.
+    /// The first messages whose stamps lie within a window, by message_filters' `ApproximateEpsilonTime`.
     ApproximateEpsilon {
         /// The longest distance of two stamps of a set, in nanoseconds.
         window_ns: u64,
     },
-    /// The newest of each, with each message of the fastest, by message_filters' `LatestTime`.
+    /// The newest message of each input, whenever the fastest input has a message, by message_filters'
+    /// `LatestTime`.
     LatestTime,
 }
 
-/// What is known of a join once everyone sends, all in nanoseconds.
+/// The bounds of a join once every input has a sender, all in nanoseconds.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct JoinBound {
@@ -101,7 +104,8 @@ pub struct JoinBound {
     /// For each of [`Join::inputs`]: as [`wait_ns`](Self::wait_ns), to that of a set with this message or a later one of its input,
     /// whoever published that. `None`: sets may never come together, or for a long time not at the pace of the fastest.
     pub reflected_ns: Option<Vec<u64>>,
-    /// How many messages of one input wait at most (of exact stamps: how many different ones), one that arrives not included.
+    /// The most messages of one input that wait (with exact stamps: the most different stamps), not counting one that just
+    /// arrives.
     pub queue_size: u64,
     /// Which inputs make that [`reflected_ns`](Self::reflected_ns) is `None`, each with a distance in nanoseconds: whose messages may be
     /// this far apart, more than the window, all but the slowest of these; at the pace of the fastest, those whose messages may be

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Several cores and hosts: callbacks that trigger one another, and chains from end to end.
 //!
-//! Each core is analysed for itself. A callback that a message triggers inherits the releases of who publishes it, with
-//! jitter J + R - bcet + (longest - shortest transfer), which may lengthen response times on its core, and so on: all is
-//! repeated until nothing changes any more (compositional analysis, Richter 2005). Jitter starts at its least and only
-//! grows, so what is reached is the least fixed point. Callbacks that wait for messages of several others: [`Join`].
+//! Each core is analysed for itself. A callback that a message triggers inherits the releases of the message's
+//! publisher, with jitter J + R - bcet + (longest - shortest transfer), which may lengthen response times on its core,
+//! and so on: all is repeated until nothing changes any more (compositional analysis, Richter 2005). Jitter starts at
+//! its least and only grows, so what is reached is the least fixed point. Callbacks that wait for messages of several
+//! others: [`Join`].
 use crate::{AnalysisError, Overheads, Response, Task};
 
 mod chains;
@@ -43,24 +44,26 @@ pub struct System {
 /// One core.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Core {
-    /// What the machine and the middleware cost there.
+    /// The overheads of the machine and the middleware there.
     pub overheads: Overheads,
 }
 
 /// A task on a core.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Callback {
-    /// What it does; if something triggers it, its period, trace and jitter are replaced by inherited ones.
+    /// Its task; if something triggers it, inherited values replace its period, trace and jitter.
     pub task: Task,
     /// Index of its core.
     pub core: usize,
-    /// Which callback triggers it, by index, and the way of the message; `None` if it has releases of its own, or is a join.
+    /// The index of the callback that triggers it, and the transfer of the message; `None` if it has releases of its own, or
+    /// is a join.
     pub trigger: Option<(usize, Transfer)>,
-    /// What it waits for, if it needs messages of several others; its period, trace and jitter are then replaced.
+    /// Its join, if it needs messages of several others; inherited values then replace its period, trace and
+    /// jitter.
     pub join: Option<Join>,
 }
 
-/// How long a message is on its way from the end of one callback to the release of another.
+/// The time that a message takes from the end of one callback to the release of another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Transfer {
     /// The shortest time.
@@ -76,8 +79,8 @@ pub struct Chain {
     pub name: String,
     /// Indices of the callbacks. Where one does not trigger the next, the next reads the latest value at its own pace.
     pub stages: Vec<usize>,
-    /// The way of the message to each stage but the first that reads at its own pace; may be shorter than `stages`,
-    /// what is missing is local.
+    /// For each stage after the first: the transfer of the message to it, if it reads at its own pace. May be
+    /// shorter than `stages`: missing ones are local.
     pub transfers: Vec<Transfer>,
     /// Longest end-to-end time wanted.
     pub deadline_ns: u64,
@@ -101,7 +104,8 @@ impl Callback {
         self
     }
 
-    /// Makes it run once messages of several others are there, which these callbacks take.
+    /// Makes it run once messages of several others are there. `inputs` are the callbacks that take these
+    /// messages.
     #[must_use = "it returns the changed Callback"]
     pub fn joining(self, inputs: Vec<usize>, matching: Matching) -> Self {
         let ports = (0..inputs.len()).collect();
@@ -115,7 +119,7 @@ impl Callback {
         self
     }
 
-    /// Whether its releases are those of messages of the system, not its own.
+    /// Whether messages of the system release it, not a period of its own.
     pub fn is_triggered(&self) -> bool {
         self.trigger.is_some() || self.join.is_some()
     }
@@ -138,11 +142,11 @@ pub struct SystemReport {
     pub callbacks: Vec<Result<Response, AnalysisError>>,
     /// The bounds of each chain, or why it has none.
     pub chains: Vec<Result<ChainBound, AnalysisError>>,
-    /// For each callback that is a join, what is known of it; `None` also without a bound.
+    /// For each callback that is a join, its bounds; `None` also if there is no bound.
     pub joins: Vec<Option<JoinBound>>,
     /// For each core, whether the kernel may pause its real-time threads.
     pub throttled: Vec<bool>,
-    /// How often all was repeated until nothing changed.
+    /// The number of iterations until nothing changed.
     pub rounds: u32,
 }
 
@@ -156,8 +160,8 @@ impl SystemReport {
 }
 
 impl System {
-    /// The period of a callback: its own, or what it inherits from what triggers it, of several inputs the longest; one with several
-    /// publishers has that of all their messages. The system must have no circles.
+    /// The period of a callback: its own, or the one inherited from its trigger. With several inputs it is the longest of them; with
+    /// several publishers it is that of all their messages together. The system must have no cycles.
     pub fn period_ns(&self, callback: usize) -> u64 {
         join::period(self, callback)
     }
@@ -168,9 +172,8 @@ impl System {
     /// release.
     ///
     /// # Errors
-    /// What makes the whole system meaningless: an index that does not exist, a circle of triggers, an invalid task, a join
-    /// without a meaning.
-    /// What leaves single callbacks without a bound is in the report.
+    /// Faults that make the whole system meaningless: an index that does not exist, a cycle of triggers, an invalid task, a
+    /// join without a meaning. The report contains the faults that leave single callbacks without a bound.
     pub fn analyse(&self) -> Result<SystemReport, AnalysisError> {
         let solved = fixpoint::solve(self)?;
         let chains = self.chains.iter().map(|chain| chains::bound(self, chain, &solved)).collect();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Reading a `.db3` file of any rosbag2: schemas 1 (Dashing) to 4 (Iron and later). What is in it is a claim.
+//! Reading a `.db3` file of any rosbag2: schemas 1 (Dashing) to 4 (Iron and later). Its content is untrusted.
 
 use crate::reader::{Message, definition};
 use crate::{BagError, Stamp, Topic};
@@ -29,7 +29,7 @@ pub struct Database {
 
 impl Database {
     /// # Errors
-    /// It cannot be opened, or is no bag.
+    /// It cannot be opened, or is not a bag.
     pub fn open(path: &Path) -> Result<Self, BagError> {
         let mut bytes = whole(path)?;
         let beside = |end: &str| {
@@ -61,7 +61,7 @@ impl Database {
         self.topics.values()
     }
 
-    /// What is in it and is not told by [`read`](Self::read).
+    /// Notes on content that [`read`](Self::read) does not return.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
@@ -69,7 +69,7 @@ impl Database {
     /// Reads all messages, in the order in which they were written.
     ///
     /// # Errors
-    /// It is damaged; those of `visit`, which ends it.
+    /// The file is damaged; an error of `visit`, which stops reading.
     pub fn read<E: From<BagError>>(
         &mut self,
         visit: &mut dyn FnMut(Message<'_>) -> Result<(), E>,

@@ -31,7 +31,7 @@ const MOST_BLOB: usize = 999_999_000;
 /// What a row takes besides its message, with its entry in the index; about.
 const OF_ROW: u64 = 40;
 
-/// A bag that is written. What is not [finished](Self::finish) is nothing.
+/// A bag that is being written. It is not valid until it is [finished](Self::finish).
 pub struct SqliteWriter {
     folder: PathBuf,
     name: String,
@@ -39,7 +39,7 @@ pub struct SqliteWriter {
     topics: Vec<Topic>,
     file: Option<Open>,
     done: Vec<FileSummary>,
-    /// Two definitions of one type, of which a file holds one.
+    /// Types with two definitions, of which a file can hold only one.
     pub twice: BTreeMap<String, u64>,
 }
 
@@ -54,10 +54,11 @@ struct Open {
 }
 
 impl SqliteWriter {
-    /// A bag in a folder that is there, in files with this name.
+    /// Creates a bag in an existing folder, in files with this name.
     ///
     /// # Errors
-    /// The first file cannot be made; compression is lz4, which rosbag2 has not.
+    /// The first file cannot be created; the compression is lz4, which rosbag2 does not have for this
+    /// storage.
     pub fn create(folder: &Path, name: &str, options: Options) -> Result<Self, BagError> {
         if options.compression == Compression::Lz4 {
             let reason = "rosbag2 compresses messages in SQLite with zstd alone".to_owned();
@@ -111,7 +112,7 @@ impl SqliteWriter {
         Ok(())
     }
 
-    /// A message, of which the time of its reception is kept.
+    /// Writes a message. Only the time of its reception is kept.
     ///
     /// # Errors
     /// The disk is full; the message is longer than SQLite's limit, or later than its numbers.
@@ -158,7 +159,7 @@ impl SqliteWriter {
         Ok(())
     }
 
-    /// Ends the bag, and says in its `metadata.yaml` what it is.
+    /// Completes the bag and writes its `metadata.yaml`.
     ///
     /// # Errors
     /// It cannot be written.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where the statistics of one callback lie: in words of this process, or of a file that others read.
+//! The memory of one callback's statistics: words of this process, or of a file that other processes read.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -24,7 +24,7 @@ pub(crate) mod word {
     /// See [`kind`](super::kind).
     pub const KIND: usize = 1;
     pub const TID: usize = 2;
-    /// 0: time sharing.
+    /// 0: time-sharing.
     pub const PRIORITY: usize = 3;
     /// Plus one; 0: more than one core.
     pub const CORE: usize = 4;
@@ -76,7 +76,7 @@ pub(crate) struct Block {
     pub execution: Histogram,
     pub moments: Moments,
     pub inputs: Inputs,
-    /// Its place in a file, if it has one: dropped after the words have been left.
+    /// Its entry in a file, if it has one: dropped after the words are no longer used.
     _place: Option<Place>,
 }
 
@@ -128,7 +128,7 @@ impl Block {
         self.words[word::TID].store(u64::from(thread.tid), Ordering::Release);
     }
 
-    /// Says that the words mean something: after all else was set.
+    /// Marks the words as valid. Call it after everything else was set.
     pub fn set_state(&self, state: u64) {
         // Release: pairs with the Acquire of whoever reads the file.
         self.words[word::STATE].store(state, Ordering::Release);
@@ -140,53 +140,53 @@ impl Block {
     }
 }
 
-/// A callback's statistics at one moment.
+/// A snapshot of a callback's statistics.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct CallbackSnapshot {
-    /// Its name; of one longer than 248 bytes the beginning.
+    /// Its name; only the first 248 bytes of a longer name.
     pub name: String,
-    /// Whether it is a whole group: the jobs of all its members together.
+    /// Whether this is a whole group: the jobs of all its members together.
     pub is_group: bool,
     /// Whether its future has ended.
     pub ended: bool,
-    /// Its thread's number in the kernel; 0 while it is starting, when neither priority nor core is known.
+    /// Its thread's id in the kernel; 0 during start, when neither priority nor core is known.
     pub tid: u32,
-    /// The real-time priority that the kernel confirmed; `None` for time sharing.
+    /// The real-time priority that the kernel confirmed; `None` for time-sharing.
     pub priority: Option<u8>,
     /// The one core it may run on; `None` if there are several.
     pub core: Option<usize>,
     /// Whether execution times are measured.
     pub measures_execution: bool,
-    /// The period it was given.
+    /// Its period.
     pub period_ns: Option<u64>,
     /// The deadline that misses are counted against.
     pub deadline_ns: Option<u64>,
     /// The budget that overruns are counted against.
     pub budget_ns: Option<u64>,
-    /// The response time beyond which a job is among the [`moments`](Self::moments).
+    /// The response time beyond which a job is recorded among the [`moments`](Self::moments).
     pub bound_ns: Option<u64>,
-    /// Whether what was taken from its core is among the [`moments`](Self::moments).
+    /// Whether time taken from its core is recorded among the [`moments`](Self::moments).
     pub accounts_core_time: bool,
-    /// Jobs begun.
+    /// Jobs started.
     pub releases: u64,
     /// Jobs finished.
     pub completions: u64,
     /// Jobs that used more processor time than the budget.
     pub overruns: u64,
-    /// Jobs that were demoted or suspended: those that used more than the budget where it is held, and those that waited for them.
+    /// Jobs that were demoted or suspended: those that used more than an enforced budget, and those that waited for them.
     pub demotions: u64,
     /// Jobs that ended later than the deadline.
     pub deadline_misses: u64,
-    /// When the first job was released, in ns of `CLOCK_MONOTONIC`.
+    /// When the first job was released, in `CLOCK_MONOTONIC` ns.
     pub first_release_ns: u64,
     /// The latest release.
     pub last_release_ns: u64,
     /// The shortest time between two consecutive releases; `None` for fewer than two.
     pub least_distance_ns: Option<u64>,
-    /// Messages overwritten before they were taken, releases of a timer that nobody took.
+    /// Messages overwritten before they were taken; for a timer, releases that were not taken.
     pub lost: u64,
-    /// Most messages that waited at once.
+    /// Maximum number of messages queued at once.
     pub max_queue: u64,
     /// The depth of its deepest queue; 0 if it has none.
     pub depth: u64,
@@ -194,10 +194,10 @@ pub struct CallbackSnapshot {
     pub response: HistogramSnapshot,
     /// CPU times of jobs.
     pub execution: HistogramSnapshot,
-    /// Jobs that took longer than the bound, what they waited, or used more than their budget, and what was taken from the callback's core: the
-    /// latest 128, the oldest first.
+    /// Jobs that took longer than the bound, time that they waited or used beyond their budget, and time taken from the callback's core:
+    /// the latest 128, the oldest first.
     pub moments: Vec<Moment>,
-    /// How many older ones there were.
+    /// The number of older moments.
     pub older_moments: u64,
     /// Execution times by the size of the input, in ascending order of sizes: at most 32 classes; none if the callback states no sizes.
     pub inputs: Vec<SizeClass>,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A process's statistics in a file that other processes read, without the writers noticing.
+//! A process's statistics in a file that other processes read without affecting the writers.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -28,14 +28,14 @@ mod header {
     pub const SAMPLER_PRIORITY: usize = 6;
     pub const SYSTEM_HASH: usize = 7;
     pub const STEAL_TICKS: usize = 8;
-    /// 0: nobody looked; 1: admitted; 2: by force, with why.
+    /// 0: not checked; 1: admitted; 2: admitted by force, with the reason.
     pub const ADMITTED: usize = 9;
     // What others ask of the process: written by them.
-    /// Another one for each order; 0: none yet.
+    /// A new number for each order; 0: none yet.
     pub const ORDER: usize = 10;
-    /// The hash of the text that the system file has then.
+    /// The hash of the system file's text for this order.
     pub const ORDER_HASH: usize = 11;
-    /// 1: say whether it can be done; 2: do it.
+    /// 1: check whether it can be done; 2: do it.
     pub const ORDER_KIND: usize = 12;
     // What the process answers.
     /// The order.
@@ -51,14 +51,14 @@ mod header {
     pub const ANSWER_TEXT: Range<usize> = 736..864;
 }
 
-/// What a process tells of itself.
+/// The information that a process shares about itself.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct ProcessInfo {
-    /// Its number in the kernel.
+    /// Its process id.
     pub pid: u32,
     /// The name of its program.
     pub program: String,
-    /// Which of the system file's hosts it is; empty without one.
+    /// Its host in the system file; empty without a system file.
     pub host: String,
     /// Whether its threads have their real-time policies.
     pub realtime: bool,
@@ -70,30 +70,33 @@ pub struct ProcessInfo {
     pub system_hash: u64,
     /// `steal` of /proc/stat when it started: processor time that the hypervisor gave to others, in ticks of 10 ms.
     pub steal_ticks: u64,
-    /// The node of the system file that it plays from a bag; empty: none.
+    /// The node of the system file that it replays from a bag; empty: none.
     pub stands_in: String,
-    /// Whether it was checked against what ran already.
+    /// Whether it was checked against the running processes.
     pub admitted: Admitted,
-    /// Whether it takes up another text of its system file while it runs; said by [`StatisticsFile::orders`].
+    /// Whether it can adopt a changed text of its system file while it runs; set by
+    /// [`StatisticsFile::orders`].
     pub takes_orders: bool,
 }
 
-/// Whether a process's load was checked against that of others when it came.
+/// Whether a process's load was checked against that of other processes when it started.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum Admitted {
-    /// It was not.
+    /// It was not checked.
     #[default]
     Unchecked,
     /// All deadlines are met with it.
     Checked,
-    /// It came although some are not: the first of them; a text longer than 504 bytes is cut.
+    /// It started although some deadlines are not met: the first of them. A text longer than 504 bytes is
+    /// truncated.
     Forced(String),
 }
 
 /// A file in /dev/shm in which an executor keeps the statistics of its callbacks: see
-/// [`Executor::with_statistics`](crate::Executor::with_statistics). It is locked as long as this lives, and then removed.
+/// [`Executor::with_statistics`](crate::Executor::with_statistics). It is locked as long as this object exists, and then
+/// removed.
 ///
-/// Callbacks write into it as they would into any memory; readers map it read-only and wake nobody.
+/// Callbacks write into it like into any memory; readers map it read-only and wake no thread.
 #[derive(Debug)]
 pub struct StatisticsFile {
     places: Arc<Places>,
@@ -103,11 +106,11 @@ pub struct StatisticsFile {
 struct Places {
     file: WordsFile,
     header: Words,
-    /// Places given back.
+    /// Released entries.
     free: Mutex<Vec<usize>>,
 }
 
-/// Where a callback's statistics lie in the file; dropping it gives them back.
+/// A callback's entry in the file; dropping it releases the entry.
 #[derive(Debug)]
 pub(crate) struct Place {
     index: usize,
@@ -115,7 +118,7 @@ pub(crate) struct Place {
 }
 
 impl ProcessInfo {
-    /// This process, with nothing of a system file.
+    /// Information about this process, without a system file.
     pub fn of_this() -> ProcessInfo {
         let program = std::env::current_exe().ok();
         let program = program.as_deref().and_then(Path::file_name).unwrap_or_default();
@@ -129,13 +132,13 @@ impl ProcessInfo {
 }
 
 impl StatisticsFile {
-    /// Makes a file whose name begins with `prefix`, and removes those of processes that were killed.
+    /// Creates a file whose name begins with `prefix`, and removes such files of killed processes.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
-    /// What the system said, with the path.
+    /// The system's error, with the path.
     pub fn create(prefix: &str, about: &ProcessInfo) -> io::Result<StatisticsFile> {
         for left in ForeignStatistics::list(prefix)? {
             left.remove_if_orphaned();
@@ -159,17 +162,17 @@ impl StatisticsFile {
         Ok(StatisticsFile { places: Arc::new(Places { file, header, free: Mutex::default() }) })
     }
 
-    /// Starts the names of a domain's files.
+    /// The prefix of the names of a domain's files.
     pub fn prefix(domain: u32) -> String {
         format!("{}/stats_", tautline_rt::domain::shared_folder(domain))
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         self.places.file.path()
     }
 
-    /// Tells of what became of the process's load since.
+    /// Records the result of the admission of the process's load.
     ///
     /// # Real-time
     /// Setup only.
@@ -177,7 +180,7 @@ impl StatisticsFile {
         put_admitted(&self.places.header, admitted);
     }
 
-    /// What others ask of this process; they may from now on.
+    /// The orders of other processes to this process; it accepts them from now on.
     pub fn orders(&self) -> Orders {
         self.places.header[header::TAKES_ORDERS].store(1, Ordering::Relaxed);
         Orders { places: Arc::clone(&self.places) }
@@ -201,24 +204,25 @@ impl StatisticsFile {
     }
 }
 
-/// What others ask of a process through its statistics: to take up the text that its system file has now.
+/// Orders from other processes, through this process's statistics file: to adopt the present text of its
+/// system file.
 #[derive(Debug)]
 pub struct Orders {
     places: Arc<Places>,
 }
 
-/// One of them.
+/// One order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Order {
     number: u64,
-    /// The hash of the text that is meant.
+    /// The hash of the requested text.
     pub system_hash: u64,
-    /// Whether it is to be done, not only tried.
+    /// Whether to apply it, not only to check it.
     pub is_final: bool,
 }
 
 impl Orders {
-    /// The one that has not been answered, if there is one. What it says is a claim.
+    /// The unanswered order, if there is one. Its content is untrusted.
     pub fn next(&self) -> Option<Order> {
         let header = &self.places.header;
         // Acquire: pairs with the order in which `ForeignStatistics::order` writes, the number last.
@@ -229,7 +233,7 @@ impl Orders {
         is_new.then_some(Order { number, system_hash, is_final })
     }
 
-    /// Answers it: why it cannot be done, or that it was, or can be.
+    /// Answers it: with the reason why it cannot be done, or with success.
     pub fn answer(&self, order: &Order, answer: Result<(), String>) {
         let header = &self.places.header;
         let set = |index: usize, value: u64| header[index].store(value, Ordering::Relaxed);
@@ -275,13 +279,13 @@ impl Drop for Place {
     }
 }
 
-/// The statistics of a process, this or another one.
+/// The statistics of this or another process.
 #[derive(Debug)]
 pub struct ForeignStatistics {
     file: ForeignWords,
 }
 
-/// What a process's callbacks have done.
+/// A snapshot of the statistics of a process's callbacks.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ProcessSnapshot {
@@ -289,7 +293,7 @@ pub struct ProcessSnapshot {
     pub process: ProcessInfo,
     /// Its callbacks, in no particular order.
     pub callbacks: Vec<CallbackSnapshot>,
-    /// What is known of its sampler's thread, where core time is accounted for: no jobs, but moments.
+    /// The statistics of its sampler's thread, if core time is accounted for: no jobs, only moments.
     pub sampler: Option<CallbackSnapshot>,
 }
 
@@ -302,21 +306,22 @@ impl ForeignStatistics {
         Ok(ForeignWords::list(prefix)?.into_iter().map(|file| ForeignStatistics { file }).collect())
     }
 
-    /// Where the file is, or was.
+    /// The file's path; it may have been removed.
     pub fn path(&self) -> &Path {
         self.file.path()
     }
 
-    /// Whether the process lives.
+    /// Whether the process is alive.
     pub fn is_running(&self) -> bool {
         self.file.is_owned()
     }
 
-    /// Asks the process to take up the text with this hash that its system file has now, or only whether it could. It looks when its
-    /// participant is called (`tautline_transport::call_all`). `number` tells the order from others, such as the time; never 0.
+    /// Orders the process to adopt the present text of its system file, which has this hash, or only to check whether it could. The
+    /// process reads the order when its participant is called (`tautline_transport::call_all`). `number` identifies the order, for
+    /// example the time; never 0.
     ///
     /// # Errors
-    /// What the system said, with the path.
+    /// The system's error, with the path.
     pub fn order(&self, number: u64, system_hash: u64, is_final: bool) -> io::Result<()> {
         use std::os::unix::fs::FileExt;
         let failed =
@@ -330,10 +335,10 @@ impl ForeignStatistics {
             .map_err(failed)
     }
 
-    /// What the process has answered to the order with this number; `None`: nothing yet.
+    /// The process's answer to the order with this number; `None`: none yet.
     ///
     /// # Errors
-    /// What the system said, with the path.
+    /// The system's error, with the path.
     pub fn answer(&self, number: u64) -> io::Result<Option<Result<(), String>>> {
         let words = self.file.read(0, HEADER_WORDS)?;
         if words[header::ANSWER] != number {
@@ -347,12 +352,13 @@ impl ForeignStatistics {
         }))
     }
 
-    /// Removes the file of a process that was killed; says whether it did.
+    /// Removes the file if its process was killed; returns whether it did.
     pub fn remove_if_orphaned(&self) -> bool {
         self.file.remove_if_orphaned()
     }
 
-    /// What the process's callbacks have done so far; if it has ended, all that they did. `None`: it is just starting.
+    /// The statistics of the process's callbacks so far; if it has ended, the final ones. `None`: the process is still
+    /// starting.
     ///
     /// # Errors
     /// What the system said, with the path; an error for a file of another version of Tautline.

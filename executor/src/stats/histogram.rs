@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Histograms of durations, readable while they grow. Recording is in `hot.rs`.
+//! Histograms of durations, readable during recording. Recording is in `hot.rs`.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -18,17 +18,17 @@ pub(crate) const BUCKETS: usize = (38 - SUB_BITS as usize + 1) * SUB_BUCKETS;
 /// every value counted.
 pub(crate) const HISTOGRAM_WORDS: usize = 2 + BUCKETS;
 
-/// A histogram of durations in ns: fixed size (32 KiB), at most 1 % off, from 1 ns to 274 s (longer ones count as 274 s
-/// but keep their maximum). One thread writes, any thread may read meanwhile.
+/// A histogram of durations in ns: fixed size (32 KiB), with an error of at most 1 %, from 1 ns to 274 s (longer
+/// durations count as 274 s, but the maximum is exact). One thread writes, any thread may read meanwhile.
 #[derive(Debug)]
 pub struct Histogram {
     words: Arc<Words>,
-    /// Where in `words` it begins.
+    /// Its first index in `words`.
     at: usize,
 }
 
 impl Histogram {
-    /// An empty one.
+    /// An empty histogram.
     ///
     /// # Real-time
     /// Setup only: allocates, and touches what it allocates.
@@ -45,10 +45,10 @@ impl Histogram {
         self.words.get(self.at..self.at + HISTOGRAM_WORDS).unwrap_or(&[])
     }
 
-    /// A copy to evaluate. Values recorded meanwhile may be missing from it, or from its mean.
+    /// A copy for evaluation. Values that are recorded meanwhile may be missing in it, or in its mean.
     ///
     /// # Real-time
-    /// For other threads than the one that records: allocates 32 KiB.
+    /// Not for the recording thread: allocates 32 KiB.
     pub fn snapshot(&self) -> HistogramSnapshot {
         let words: Vec<u64> = self.words().iter().map(|word| word.load(Ordering::Acquire)).collect();
         HistogramSnapshot::of_words(&words)
@@ -83,7 +83,7 @@ const fn bounds(index: usize) -> (u64, u64) {
     (low, high)
 }
 
-/// A histogram at one moment.
+/// A snapshot of a histogram.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct HistogramSnapshot {
     counts: Box<[u64]>,
@@ -92,14 +92,14 @@ pub struct HistogramSnapshot {
     max_ns: u64,
 }
 
-/// Values between two bounds.
+/// The values between two bounds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Bucket {
     /// The lowest value of the bucket.
     pub low_ns: u64,
-    /// The highest value of the bucket, itself included.
+    /// The highest value of the bucket, inclusive.
     pub high_ns: u64,
-    /// How many were recorded.
+    /// The number of recorded values.
     pub count: u64,
 }
 
@@ -114,7 +114,7 @@ impl HistogramSnapshot {
         HistogramSnapshot { n, counts: counts.into(), sum_ns, max_ns }
     }
 
-    /// One that was taken apart into [`buckets`](Self::buckets), [`sum_ns`](Self::sum_ns) and [`max`](Self::max).
+    /// Rebuilds a snapshot from its [`buckets`](Self::buckets), [`sum_ns`](Self::sum_ns) and [`max`](Self::max).
     pub fn of_buckets(
         buckets: impl IntoIterator<Item = Bucket>,
         sum_ns: u64,
@@ -139,8 +139,8 @@ impl HistogramSnapshot {
         self.n
     }
 
-    /// The value that a share `q` (0 to 1) of all values does not exceed: the upper bound of its bucket, so at most
-    /// 1 % too high and never too low. Zero if there are no values.
+    /// The `q` quantile (0 to 1): the upper bound of its bucket, so at most 1 % too high and never too low. Zero if
+    /// there are no values.
     pub fn p(&self, q: f64) -> Duration {
         let rank = ((q.clamp(0.0, 1.0) * self.n as f64).ceil() as u64).max(1);
         let mut seen = 0;

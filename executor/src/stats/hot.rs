@@ -12,7 +12,7 @@ use super::moments::{self, Moment, MomentKind, Moments};
 use super::{CallbackStats, DeadlineMiss, Job, Overrun, QueueState, Watch};
 
 impl Histogram {
-    /// Counts one value. Only one thread may record, or values are lost.
+    /// Records one value. Only one thread may record; otherwise values are lost.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -30,7 +30,7 @@ impl Histogram {
 }
 
 impl Moments {
-    /// Keeps one in the place of the oldest. Only one thread may write.
+    /// Stores a moment in place of the oldest one. Only one thread may write.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -53,7 +53,7 @@ impl Moments {
 }
 
 impl Inputs {
-    /// Counts a job with an input of this size. Only one thread may record.
+    /// Records a job with an input of this size. Only one thread may record.
     ///
     /// # Real-time
     /// Wait-free: 32 rows and 64 execution times at most; no allocation; no syscall.
@@ -199,9 +199,9 @@ impl CallbackStats {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Violations {
     job: u64,
-    /// The budget, if it used more.
+    /// The budget, if the job used more.
     over_ns: Option<u64>,
-    /// The deadline, if it ended later.
+    /// The deadline, if the job ended later.
     late_for_ns: Option<u64>,
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Execution times by the size of the input, for callbacks that state it. Recording is in `hot.rs`.
+//! Execution times by input size, for callbacks that state it. Recording is in `hot.rs`.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -28,17 +28,17 @@ pub(crate) const fn class_of(size: u64) -> (u64, u64) {
 /// Jobs whose inputs had about the same size: see [`job::set_input_size`](crate::job::set_input_size).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SizeClass {
-    /// How many.
+    /// Number of jobs.
     pub jobs: u64,
-    /// The least size.
+    /// The smallest size.
     pub least: u64,
     /// The greatest size.
     pub greatest: u64,
     /// The longest execution time.
     pub max_ns: u64,
-    /// The size of the input that took it.
+    /// The input size of that job.
     pub size_of_max: u64,
-    /// The longest execution times, ascending: 64, or as many as there are.
+    /// The longest execution times, in ascending order, at most 64.
     pub longest_ns: Vec<u64>,
 }
 
@@ -49,12 +49,12 @@ pub struct SizeClass {
 #[derive(Debug)]
 pub(crate) struct Inputs {
     words: Arc<Words>,
-    /// Where in `words` they begin.
+    /// Their first index in `words`.
     at: usize,
 }
 
 impl Inputs {
-    /// The ones that lie `at` words into a block.
+    /// The inputs that begin `at` words into a block.
     pub fn within(words: Arc<Words>, at: usize) -> Inputs {
         Inputs { words, at }
     }
@@ -63,7 +63,7 @@ impl Inputs {
         self.words.get(self.at..self.at + INPUT_WORDS).unwrap_or(&[]).as_chunks().0
     }
 
-    /// Of words that another process may have written, in ascending order of sizes.
+    /// Reads words that another process may have written; the result is in ascending order of sizes.
     pub fn of_words(words: &[u64]) -> Vec<SizeClass> {
         let class = |row: &[u64; CLASS_WORDS]| {
             let [jobs, least, greatest, max_ns, size_of_max, longest @ ..] = *row;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a callback did, readable while it goes on, by this process and by others.
+//! A callback's statistics, readable while it runs, by this and other processes.
 
 mod block;
 mod file;
@@ -29,31 +29,31 @@ use block::{Block, HEAD_WORDS, state, word};
 pub(crate) struct Job {
     pub release_ns: u64,
     pub response_ns: u64,
-    /// `None` where execution times are off.
+    /// `None` if execution times are not measured.
     pub execution_ns: Option<u64>,
-    /// `None` where the callback does not state it.
+    /// `None` if the callback does not state it.
     pub input_size: Option<u64>,
 }
 
-/// What a stream found in its queue when it took from it: see [`job::note_queue`](crate::job::note_queue).
+/// The state of a stream's queue at a take: see [`job::note_queue`](crate::job::note_queue).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct QueueState {
-    /// Messages lost since the last note.
+    /// Messages lost since the last record.
     pub lost: u64,
-    /// Most messages that waited at once, so far.
+    /// Maximum number of messages queued at once, so far.
     pub max_queue: u64,
-    /// How many may wait.
+    /// The queue's depth.
     pub depth: u64,
 }
 
-/// What is known of a callback: written by its thread, readable from any other while it runs. Where the executor has a
-/// [`StatisticsFile`], other processes can read it too.
+/// A callback's statistics: written by its thread, readable from any other thread while it runs. If the executor has a
+/// [`StatisticsFile`], other processes can read them, too.
 #[derive(Debug)]
 pub struct CallbackStats {
     name: String,
     /// In ns, 0 for none.
     limits: [AtomicU64; 3],
-    /// From the moment the callback is spawned.
+    /// Set when the callback is spawned.
     block: OnceLock<Block>,
 }
 
@@ -149,12 +149,12 @@ impl CallbackStats {
         &self.name
     }
 
-    /// Jobs begun.
+    /// Jobs started.
     pub fn releases(&self) -> u64 {
         self.word(word::RELEASES)
     }
 
-    /// Jobs finished: at most one less than begun, except after a job that was stopped half-way.
+    /// Jobs finished: at most one less than started, except after a job that was stopped before its end.
     pub fn completions(&self) -> u64 {
         self.word(word::COMPLETIONS)
     }
@@ -174,8 +174,8 @@ impl CallbackStats {
         self.word(word::DEADLINE_MISSES)
     }
 
-    /// CPU time per job, with what the executor used to get to it (on a busy-polling thread: time from its begin to its
-    /// end); empty where [`CallbackOptions::execution_time`](crate::CallbackOptions) is off.
+    /// CPU time per job, including the executor's time before it (on a busy-polling thread: time from its start to its
+    /// end); empty if [`CallbackOptions::execution_time`](crate::CallbackOptions) is off.
     pub fn execution(&self) -> &Histogram {
         self.block.get().map_or(&NOTHING, |block| &block.execution)
     }
@@ -185,10 +185,10 @@ impl CallbackStats {
         self.block.get().map_or(&NOTHING, |block| &block.response)
     }
 
-    /// All of it, to evaluate or to keep. `None` before the callback is spawned.
+    /// A snapshot, for evaluation or storage. `None` before the callback is spawned.
     ///
     /// # Real-time
-    /// For other threads than the callback's: allocates.
+    /// Not for the callback's thread: allocates.
     pub fn snapshot(&self) -> Option<CallbackSnapshot> {
         self.block.get().map(Block::snapshot)
     }
@@ -203,18 +203,18 @@ impl CallbackStats {
         self.limit(Self::BUDGET)
     }
 
-    /// Changes the deadline, for jobs that end from now on. A deadline of zero is none.
+    /// Changes the deadline, for jobs that end from now on. A deadline of zero means none.
     pub fn set_deadline(&self, deadline: Option<Duration>) {
         self.set_limit(Self::DEADLINE, word::DEADLINE, deadline);
     }
 
-    /// Changes the budget, for jobs that end from now on. A budget of zero is none.
+    /// Changes the budget, for jobs that end from now on. A budget of zero means none.
     pub fn set_budget(&self, budget: Option<Duration>) {
         self.set_limit(Self::BUDGET, word::BUDGET, budget);
     }
 
-    /// Changes the response time beyond which a job is kept among the [moments](CallbackSnapshot::moments), for jobs that end from
-    /// now on. Zero is none.
+    /// Changes the response time beyond which a job is recorded among the [moments](CallbackSnapshot::moments), for jobs that end
+    /// from now on. Zero means none.
     pub fn set_bound(&self, bound: Option<Duration>) {
         self.set_limit(Self::BOUND, word::BOUND, bound);
     }

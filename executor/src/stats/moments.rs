@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The latest moments of a callback that somebody will ask for: when its core was taken from it, when it was later than it may be.
+//! The latest moments of a callback that need an explanation: when its core was taken from it, when it was late.
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
@@ -19,11 +19,11 @@ pub(crate) const MOMENT_WORDS: usize = 2 + CAPACITY * ENTRY_WORDS;
 pub struct Moment {
     /// What it was.
     pub kind: MomentKind,
-    /// It lies after this instant, in ns of `CLOCK_MONOTONIC`.
+    /// It lies after this time, in `CLOCK_MONOTONIC` ns.
     pub from_ns: u64,
-    /// And before this one.
+    /// And before this time.
     pub to_ns: u64,
-    /// How long it was; less than the time between the two if it is not known when in it it was.
+    /// Its length; less than the time between the two times if its exact position is not known.
     pub length_ns: u64,
 }
 
@@ -34,16 +34,17 @@ pub enum MomentKind {
     Late,
     /// The core was taken from a job while it ran, by the hypervisor or by interrupts: some time between its begin and its end.
     Taken,
-    /// Nobody served the clock that the sampler slept for: from when it was due until the sampler ran, less what it then waited for the
-    /// core.
+    /// A timer for which the sampler slept was served late: the time from its due time until the sampler ran, less the time that the
+    /// sampler then waited for the core.
     WokenLate,
-    /// A job used more processor time than its [budget](crate::CallbackOptions::budget): how much more, some time between its release
+    /// A job used more processor time than its [budget](crate::CallbackOptions::budget): the excess, at some time between its release
     /// and its end.
     Overran,
     /// The sampler served events: the processor time that it used for them.
     Served,
-    /// A job that was [`Late`](Self::Late) did not have the core: since its release, or since the job before on its thread ended, until it began,
-    /// while nobody woke its thread or others ran; and while others preempted it. Or the sampler was ready to run, and did not.
+    /// A [`Late`](Self::Late) job did not have the core: from its release, or from the end of the previous job on its thread, to its start,
+    /// while its thread was not woken or other threads ran; and while other threads preempted it. Or the sampler was ready to run, and did
+    /// not run.
     Waited,
 }
 
@@ -63,12 +64,12 @@ impl MomentKind {
 #[derive(Debug)]
 pub(crate) struct Moments {
     words: Arc<Words>,
-    /// Where in `words` they begin.
+    /// Their first index in `words`.
     at: usize,
 }
 
 impl Moments {
-    /// The ones that lie `at` words into a block.
+    /// The moments that begin `at` words into a block.
     pub fn within(words: Arc<Words>, at: usize) -> Moments {
         Moments { words, at }
     }
@@ -77,8 +78,8 @@ impl Moments {
         self.words.get(self.at..self.at + MOMENT_WORDS).unwrap_or(&[])
     }
 
-    /// Of words that another process may have written, in ascending order: the latest moments that are whole, the oldest first,
-    /// and how many older ones there were.
+    /// Reads words that another process may have written: returns the latest complete moments, the oldest first, and the number
+    /// of older ones.
     pub fn of_words(words: &[u64]) -> (Vec<Moment>, u64) {
         let [written, entries @ .., begun] = words else { return (Vec::new(), 0) };
         let mut moments = Vec::new();

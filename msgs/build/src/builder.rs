@@ -13,7 +13,8 @@ use crate::{Error, bundled};
 /// What `include_packages!` includes from `OUT_DIR`.
 const FILE: &str = "tautline_packages.rs";
 
-/// Generates all packages of a folder, or the one that the folder is: a [`Builder`] with nothing else said.
+/// Generates all packages of a folder, or the package that the folder is: a [`Builder`] with all other
+/// options at their defaults.
 ///
 /// # Errors
 ///
@@ -22,7 +23,7 @@ pub fn packages(folder: impl AsRef<Path>) -> Result<(), Error> {
     Builder::new().folder(folder).generate()
 }
 
-/// What to generate, and for whom.
+/// What to generate, and for which crate.
 ///
 /// ```no_run
 /// // build.rs of a crate that uses the messages without the runtime

@@ -12,8 +12,8 @@ pub fn packages() -> BTreeSet<&'static str> {
     DEFINITIONS.iter().filter_map(|(name, _)| name.split('/').next()).collect()
 }
 
-/// Adds the definitions of the packages for which `wanted` holds. They win over what folders have: they are those of the
-/// types that there are.
+/// Adds the definitions of the packages for which `wanted` holds. They take precedence over definitions in folders,
+/// because they belong to the types that exist already.
 pub fn add(packages: &mut Packages, wanted: impl Fn(&str) -> bool) -> Result<(), SchemaError> {
     for (name, text) in DEFINITIONS {
         let name: TypeName = name.parse()?;

@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use tautline_gen::GenerateError;
 use tautline_schema::SchemaError;
 
-/// Why there is no code. `Debug`, which is what cargo shows of a `build.rs` that fails, is the message as well.
+/// Why no code was generated. `Debug`, which is what cargo shows of a `build.rs` that fails, is the message as
+/// well.
 #[derive(thiserror::Error)]
 pub enum Error {
     /// A definition is missing or not valid; with file, line and column.

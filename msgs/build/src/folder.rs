@@ -19,7 +19,7 @@ pub struct Folder {
 }
 
 impl Folder {
-    /// Looks what it is.
+    /// Finds out what the folder is.
     pub fn open(path: &Path) -> Result<Self, Error> {
         let path = fs::canonicalize(path).map_err(|source| Error::Io { path: path.to_owned(), source })?;
         let manifest = path.join("package.xml");
@@ -42,15 +42,15 @@ impl Folder {
         }
     }
 
-    /// What it has definitions of.
+    /// The types that it has definitions of.
     pub fn types(&self) -> BTreeSet<TypeName> {
         let mut packages = Packages::new();
         self.add_to(&mut packages);
         packages.list()
     }
 
-    /// What cargo is to watch. Cargo looks at everything in a folder, so of a package only what matters is named: its folder
-    /// may be the crate's own, with the build in it.
+    /// The paths that cargo has to watch. Cargo watches everything in a folder, so only the relevant parts of a package are
+    /// named: its folder may be the crate's own, which contains the build output.
     pub fn watched(&self) -> Vec<PathBuf> {
         if self.package.is_none() {
             return vec![self.path.clone()];

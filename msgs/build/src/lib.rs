@@ -22,7 +22,8 @@
 //! use demo_msgs::msg::Track;
 //! ```
 //!
-//! Each package becomes a module; what is in it, `tautline-gen` says. A field may be of a type of another package:
+//! Each package becomes a module; the documentation of `tautline-gen` describes its content. A field may be of a
+//! type of another package:
 //!
 //! | package | its types are |
 //! |---|---|
@@ -34,8 +35,8 @@
 //! `service_msgs` and `unique_identifier_msgs` for actions, as in
 //! `tautline = { git = "https://github.com/tautline/tautline", features = ["service_msgs"] }`.
 //!
-//! A definition that is wrong fails the build with its file, line and column. Cargo builds anew when a definition
-//! changes or comes anew.
+//! A definition that is wrong fails the build with its file, line and column. Cargo builds again when a
+//! definition changes or a new one appears.
 #![forbid(unsafe_code)]
 
 mod builder;

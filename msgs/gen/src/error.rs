@@ -2,7 +2,7 @@
 
 use tautline_schema::SchemaError;
 
-/// Why there is no code.
+/// Why no code was generated.
 #[derive(Debug, thiserror::Error)]
 pub enum GenerateError {
     /// A definition is missing or not valid.
@@ -20,7 +20,7 @@ pub enum GenerateError {
         /// The package of the field's type.
         package: String,
     },
-    /// A message has the name of what is generated for another one.
+    /// A message has the same name as an item that is generated for another message.
     #[error("`{type_name}` has the name of what reads or writes `{of}` in place: rename one of the two")]
     Taken {
         /// The message.

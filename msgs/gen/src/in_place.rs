@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a field is when it is read and written in place: the type of its getter, the type of its sizes.
+//! The types by which a field is read and written in place: that of its getter and that of its sizes.
 
 use tautline_schema::{Base, FieldType, Schema, SchemaError, Shape};
 
@@ -15,16 +15,16 @@ pub struct Types<'a> {
     pub options: &'a Options,
 }
 
-/// What a message's sizes are.
+/// The type of a message's sizes.
 pub struct Sizes {
     /// `()` if there is none.
     pub ty: String,
-    /// The fields that have some, and their types.
+    /// The fields that have sizes, and the types of these.
     pub fields: Vec<(String, String)>,
 }
 
 impl Types<'_> {
-    /// What the getter of a field gives.
+    /// The return type of a field's getter.
     pub fn view(&self, ty: &FieldType) -> Result<String, SchemaError> {
         let Self { module, options, .. } = *self;
         let single = FieldType { base: ty.base.clone(), shape: Shape::Single };

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use tautline_schema::{Kind, TypeName};
 
-/// Where the generated code finds what it needs.
+/// Where the generated code finds the crates and modules that it needs.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// The path of `tautline-msgs`.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A type and all types it consists of as one text.
+//! One text with a type and all types that it consists of.
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Write};

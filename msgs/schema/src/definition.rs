@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a definition says, before the types it names are looked up.
+//! The content of a definition, before the types it names are looked up.
 
 use std::fmt;
 use std::sync::Arc;

@@ -13,7 +13,7 @@ use crate::{
     names,
 };
 
-/// A type and all types it consists of, as ROS 2 nodes tell it each other.
+/// A type and all types it consists of, as ROS 2 nodes send it to each other.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TypeDescription {
     /// The type.

@@ -20,9 +20,9 @@ impl fmt::Display for DynamicMessage {
 pub struct EchoForm {
     /// Elements of a list, and characters of a text, at most.
     pub most: usize,
-    /// Lists are said by their type and length, as with `--no-arr`.
+    /// Of lists, only type and length are printed, as with `--no-arr`.
     pub no_lists: bool,
-    /// Texts are said by their length, as with `--no-str`.
+    /// Of texts, only the length is printed, as with `--no-str`.
     pub no_texts: bool,
 }
 
@@ -34,7 +34,7 @@ impl Default for EchoForm {
 }
 
 impl DynamicMessage {
-    /// As [`Display`](fmt::Display), with what is long cut off, or left out.
+    /// As [`Display`](fmt::Display), with long parts truncated or left out.
     pub fn echo(&self, form: EchoForm) -> String {
         let mut text = String::new();
         // Writing to a `String` cannot fail.
@@ -42,7 +42,7 @@ impl DynamicMessage {
         text
     }
 
-    /// The same of what is at a path, as `ros2 topic echo --field` prints it.
+    /// The same for the value at a path, as `ros2 topic echo --field` prints it.
     ///
     /// # Errors
     ///

@@ -4,10 +4,10 @@ use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Where in a definition something is.
+/// A position in a definition.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Place {
-    /// The file's path, or what the text was called by whoever gave it.
+    /// The file's path, or the name that the caller gave to the text.
     pub file: Arc<str>,
     /// The line, from 1; 0 where there is no text (a definition read from a type description).
     pub line: u32,
@@ -24,7 +24,7 @@ impl fmt::Display for Place {
     }
 }
 
-/// Why there is no schema.
+/// Why no schema was built.
 #[derive(Debug, thiserror::Error)]
 pub enum SchemaError {
     /// A definition is not valid.

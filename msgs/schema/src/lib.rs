@@ -7,10 +7,10 @@
 //! type description ───────────────┘                 └─ DynamicMessage ─ CDR, JSON, YAML, paths
 //! ```
 //!
-//! A [`Definition`] is what one file says, or what ROS derives from it (`SetBool_Request`, `Fibonacci_SendGoal`). A
-//! [`Schema`] is a definition with all others that it needs, known to be complete, not recursive and of a size that can
-//! be handled; generators, hashes, layouts and decoders start from it. Services and actions are definitions too, whose
-//! fields are the types they consist of, as in ROS's type descriptions.
+//! A [`Definition`] is the content of one file, or what ROS derives from it (`SetBool_Request`, `Fibonacci_SendGoal`).
+//! A [`Schema`] is a definition with all others that it needs, known to be complete, not recursive and of a size that
+//! can be handled; generators, hashes, layouts and decoders start from it. Services and actions are definitions too,
+//! whose fields are the types they consist of, as in ROS's type descriptions.
 //!
 //! ```
 //! use tautline_schema::{DynamicMessage, Layout, Packages, Size};
@@ -27,8 +27,8 @@
 //! # Ok::<(), tautline_schema::SchemaError>(())
 //! ```
 //!
-//! Everything here takes input from outside and is for tools and set-up: it allocates, reports errors with the place,
-//! and never panics. The hot path uses `tautline-msgs`.
+//! Everything here accepts untrusted input and is for tools and set-up: it allocates, reports errors with their
+//! position, and never panics. The hot path uses `tautline-msgs`.
 //!
 //! | module | holds |
 //! |---|---|

@@ -63,14 +63,14 @@ impl DynamicMessage {
         Ok(Self { schema: schema.clone(), fields, trailing: 0 })
     }
 
-    /// Decodes what is on the ROS 2 wire and in bags: the encapsulation header of 4 bytes, then the body.
+    /// Decodes the format of the ROS 2 wire and of bags: the encapsulation header of 4 bytes, then the body.
     ///
     /// Allocates at most in proportion to the length of `bytes`, whatever lengths they claim.
     ///
     /// # Errors
     ///
     /// [`MessageError::Encapsulation`] for a header that is not that of plain CDR, [`MessageError::Decode`] with
-    /// field and byte for anything that the type cannot be.
+    /// field and byte for bytes that are not a value of the type.
     pub fn from_cdr(schema: &Arc<Schema>, bytes: &[u8]) -> Result<Self, MessageError> {
         let endian = match bytes {
             [0, 1, _, _, ..] => Endian::Little,
@@ -95,8 +95,9 @@ impl DynamicMessage {
         Ok(Self { schema: schema.clone(), fields, trailing })
     }
 
-    /// Whether a body is a message of this type, without decoding it: what [`from_body`](Self::from_body) would say. Nothing
-    /// is allocated but for what a `wstring` holds. Returns how many bytes follow the last field.
+    /// Whether a body is a message of this type, without decoding it: the same result as that of
+    /// [`from_body`](Self::from_body). Only the content of a `wstring` is allocated. Returns how many bytes follow the last
+    /// field.
     ///
     /// # Errors
     ///

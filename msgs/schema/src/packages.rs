@@ -22,7 +22,8 @@ pub struct Packages {
 }
 
 impl Packages {
-    /// No folders: only the messages that services and actions are derived with are known.
+    /// Without folders: only the messages that the derived types of services and actions consist of are
+    /// known.
     pub fn new() -> Self {
         Self::default()
     }

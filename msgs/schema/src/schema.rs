@@ -13,8 +13,8 @@ use crate::{
 /// Gives a type's definition, `None` if it knows none.
 pub type Lookup<'a> = dyn FnMut(&TypeName) -> Result<Option<Arc<Definition>>, SchemaError> + 'a;
 
-/// A type and all types it consists of: what decoding, hashing and generating code need. Its types are known to exist,
-/// not to be recursive, and to be of a size that can be handled.
+/// A type and all types it consists of, which decoding, hashing and code generation need. Its types are known to
+/// exist, not to be recursive, and to be of a size that can be handled.
 #[derive(Clone, Debug)]
 pub struct Schema {
     /// The type itself, then the others in the order of their names.
@@ -28,7 +28,7 @@ pub(crate) struct Node {
     pub definition: Arc<Definition>,
     /// For each field the type of its elements, if that is a message.
     pub nested: Vec<Option<usize>>,
-    /// No value is shorter in CDR: the sum of the smallest sizes of its fields, without padding.
+    /// The least size of a value in CDR: the sum of the smallest sizes of its fields, without padding.
     pub min_size: usize,
 }
 

@@ -150,7 +150,7 @@ impl EncodeError {
         Self { type_name: "", field: "", fault }
     }
 
-    /// Says where it happened, unless a message further in did.
+    /// Adds where it happened, unless an inner message has done so already.
     #[cold]
     #[doc(hidden)]
     #[must_use = "it returns the changed error"]
@@ -165,7 +165,8 @@ impl EncodeError {
 /// How many fields of a [`FieldPath`] are kept.
 const MAX_FIELDS: usize = 5;
 
-/// The way to a field: `fields[3].name`. Holds no heap memory; of more than five fields the outermost are left out.
+/// The path to a field: `fields[3].name`. Holds no heap memory; if there are more than five fields, the outermost
+/// are left out.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct FieldPath {
     /// The innermost first. Thin pointers, so that the error is not larger than what it is returned with.
@@ -179,11 +180,11 @@ pub struct FieldPath {
 const NO_INDEX: u32 = u32::MAX;
 
 impl FieldPath {
-    /// Leads nowhere: the message itself.
+    /// The empty path: the message itself.
     pub const EMPTY: Self =
         Self { names: [None; MAX_FIELDS], indices: [NO_INDEX; MAX_FIELDS], index: NO_INDEX, len: 0 };
 
-    /// Whether it leads nowhere: what is meant is the message itself.
+    /// Whether it is empty and so means the message itself.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How a field is written. Most types are their own form; `WString` and `Bounded` tell apart what Rust has one type
-//! for.
+//! How a field is written. Most types are their own form; `WString` and `Bounded` distinguish definitions for which
+//! Rust has only one type.
 
 use core::marker::PhantomData;
 

@@ -19,7 +19,7 @@ pub struct Reader<'a> {
     endian: Endian,
     /// How many bytes may follow the last field.
     slack: usize,
-    /// Where a fault is, written while it is on its way out.
+    /// The path of a fault, completed while the error is returned.
     path: Option<FieldPath>,
 }
 
@@ -132,14 +132,14 @@ impl<'a> Reader<'a> {
         Fault::new(self.at.saturating_sub(4), DecodeFault::Bound { len, bound })
     }
 
-    /// The number of `size` bytes that was read last is no value of its type.
+    /// The fault that the number of `size` bytes that was read last is not a value of its type.
     #[cold]
     #[doc(hidden)]
     pub fn no_value(&self, value: i64, type_name: &'static &'static str, size: usize) -> Fault {
         Fault::new(self.at.saturating_sub(size), DecodeFault::Value { value, type_name })
     }
 
-    /// Says in which field a fault is, on its way out.
+    /// Adds the field to the path of a fault while the error is returned.
     #[cold]
     #[doc(hidden)]
     pub fn in_field(&mut self, fault: Fault, name: &'static &'static str) -> Fault {

@@ -5,8 +5,8 @@ use core::marker::PhantomData;
 
 use crate::cdr::{Endian, Fault, Reader, View};
 
-/// A sequence or array in a body whose elements differ in length, or are padded: strings, messages with strings. Checked
-/// already; its elements are read as one goes through it.
+/// A sequence or array in a body whose elements differ in length, or are padded: strings, messages with strings. It is
+/// validated; its elements are decoded during iteration.
 pub struct Seq<'a, F> {
     body: &'a [u8],
     /// Where the first element starts, in bytes from the start of the body.
@@ -16,7 +16,7 @@ pub struct Seq<'a, F> {
 }
 
 impl<'a, F: View> Seq<'a, F> {
-    /// Goes through `len` elements.
+    /// Validates `len` elements.
     #[doc(hidden)]
     pub fn check(reader: &mut Reader<'a>, len: usize) -> Result<Self, Fault> {
         reader.expect(len, F::MIN_SIZE)?;
@@ -41,7 +41,7 @@ impl<'a, F: View> Seq<'a, F> {
     ///
     /// # Real-time
     ///
-    /// Wait-free; no allocation; no syscall. Linear in `index`: the elements before it are passed over.
+    /// Wait-free; no allocation; no syscall. Linear in `index`: the elements before it are skipped.
     pub fn get(self, index: usize) -> Option<F::Ref<'a>> {
         self.iter().nth(index)
     }
@@ -77,8 +77,7 @@ impl<'a, F: View<Ref<'a>: fmt::Debug>> fmt::Debug for Seq<'a, F> {
     }
 }
 
-/// The elements of a [`Seq`]. They were checked; should a publisher that broke the rules have changed them since, there
-/// are fewer.
+/// The elements of a [`Seq`]. They were validated; if a misbehaving publisher has changed them since, there are fewer.
 pub struct Iter<'a, F> {
     reader: Reader<'a>,
     left: usize,

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Reading in place: what a getter gives for each form.
+//! Reading in place: what a getter returns for each form.
 
 use crate::cdr::{Bound, Bounded, DecodeError, DecodeFault, Endian, Fault, Form, Reader, WStr, WString};
 use crate::plain::fits_stack;
 use crate::{Body, Message, Plain};
 
 /// A form that is read in place: a number by value; text, sequences of numbers and messages of one layout as references
-/// into the body; the rest as views that read when they are asked.
+/// into the body; everything else as views that decode on access.
 ///
 /// The body is little-endian and starts at a multiple of 8 bytes: see [`Body`](crate::Body).
 pub trait View: Form {
@@ -183,7 +183,7 @@ pub fn list<'a, T: Plain>(reader: &mut Reader<'a>, len: usize) -> Result<&'a [T]
     values(reader, len).map_err(|fault| explain::<T>(reader, start, len, fault))
 }
 
-/// An array of numbers or messages in place, given what reads any number of them.
+/// An array of numbers or messages in place; `read` reads any number of them.
 #[doc(hidden)]
 #[inline]
 pub fn array<'a, T, const N: usize>(

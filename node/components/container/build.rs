@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Lets the program find the libraries that it shares with components: beside itself, where cargo puts them, and in the toolchain
-//! that it was built with.
+//! Lets the program find the libraries that it shares with components: in its own folder, where cargo puts them, and in the
+//! toolchain with which it was built.
 
 use std::process::Command;
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A process's components: loading libraries, making components of nodes, ending them.
+//! A process's components: loads libraries, creates components with their nodes, ends them.
 
 use crate::entry::{Library, Plugin};
 use crate::error::ComponentError;
@@ -13,11 +13,11 @@ use tautline::{
     RemapRules,
 };
 
-/// Loads components into this process. They share its context, and with it one sampler; what they publish to each other is read
-/// where it was written.
+/// Loads components into this process. They share its context, and therefore one sampler. Messages between them are read where
+/// they were written.
 ///
-/// A library stays in memory once it is loaded, since nobody could tell when the last of its code has run: unloading a component
-/// ends its callbacks, and drops what these own.
+/// A loaded library stays in memory, because it is not known when its code has run for the last time. Unloading a component ends
+/// its callbacks, and drops the objects that they own.
 pub struct Container {
     context: Context,
     libraries: BTreeMap<PathBuf, (&'static Library, Version)>,
@@ -30,31 +30,32 @@ type Version = (u64, u64, Option<SystemTime>);
 
 struct Loaded {
     full_name: String,
-    /// Those that the component handed over; they may be of several nodes.
+    /// The callbacks that the component returned; they may belong to several nodes.
     handed: Vec<CallbackHandle>,
     of_node: NodeCallbacks,
-    /// That of its node, if it was given a level.
+    /// Its node's logger, if a level was set.
     logger: Option<(Logger, LogSeverity)>,
 }
 
-/// What is to be loaded.
+/// A component to load.
 #[derive(Clone, Debug, Default)]
 pub struct Load {
     /// The shared library.
     pub library: PathBuf,
-    /// Which of its components; may be left empty if it has one.
+    /// The component in it; may be empty if the library has only one.
     pub component: String,
-    /// The node's name; if empty, the last part of the component's, in lower case.
+    /// The node's name; if empty, the last part of the component's name, in lower case.
     pub name: String,
     /// The node's namespace.
     pub namespace: String,
-    /// Rules for this node alone.
+    /// Remapping rules for this node only.
     pub remap: RemapRules,
-    /// Values for its parameters, which it declares.
+    /// Values of parameters that the component declares.
     pub parameters: Vec<(String, ParameterValue)>,
     /// The level of its logger.
     pub log_level: Option<LogSeverity>,
-    /// Whether the rules and parameters of the process's command line are for this node, too; not, as in ROS 2's containers.
+    /// Whether the rules and parameters of the process's command line also apply to this node; no by default, as in ROS 2's
+    /// containers.
     pub use_global_arguments: bool,
 }
 
@@ -64,11 +65,11 @@ impl Container {
         Container { context, libraries: BTreeMap::new(), loaded: BTreeMap::new(), last_id: 0 }
     }
 
-    /// Loads a component; returns its number, from 1. A library that was not built as this process was is refused before any of
-    /// it runs.
+    /// Loads a component; returns its number, from 1. A library with another build than this process is refused before any of
+    /// its code runs.
     ///
     /// # Errors
-    /// [`ComponentError`]; nothing was made.
+    /// [`ComponentError`]; nothing was created.
     pub fn load(&mut self, load: &Load) -> Result<u64, ComponentError> {
         let library = self.library(&load.library)?;
         let plugin = find(library.plugins(), load)?;
@@ -120,8 +121,8 @@ impl Container {
         Ok(library)
     }
 
-    /// Ends a component's callbacks, those that it handed over and those of its node, and waits until they have: as long as a
-    /// callback that runs goes on.
+    /// Ends a component's callbacks, those that it returned and those of its node, and waits until they have ended. A running
+    /// callback delays this.
     ///
     /// # Errors
     /// [`ComponentError::NoSuchId`]; [`ComponentError::Callback`] if one had panicked.

@@ -3,8 +3,8 @@
 use crate::stamp::{STAMP, STAMP_BYTES};
 use tautline::{CallbackHandle, Node};
 
-/// Makes a component of the node that it is given: creates its topics, starts its callbacks, and hands these over to whoever
-/// unloads it.
+/// Creates a component with the given node: creates its topics, starts its callbacks, and returns these callbacks, so that
+/// they can be ended when the component is unloaded.
 pub type Create = fn(Node) -> tautline::Result<Vec<CallbackHandle>>;
 
 /// A component of a library.
@@ -12,14 +12,15 @@ pub type Create = fn(Node) -> tautline::Result<Vec<CallbackHandle>>;
 pub struct Plugin {
     /// Its name, such as `demo::Talker`.
     pub name: &'static str,
-    /// What makes it.
+    /// The function that creates it.
     pub create: Create,
 }
 
 /// Its address tells the copies of this library in a process apart.
 static COPY: u8 = 1;
 
-/// What a library exports: first the stamp, as plain bytes; what follows is only looked at if the stamp is right.
+/// The exported symbol of a library: first the stamp, as plain bytes. The rest is read only if the stamp is
+/// correct.
 #[repr(C)]
 pub struct Library {
     stamp: [u8; STAMP_BYTES],
@@ -28,7 +29,7 @@ pub struct Library {
 }
 
 impl Library {
-    /// What [`components!`](crate::components) exports.
+    /// The value that [`components!`](crate::components) exports.
     pub const fn new(plugins: &'static [Plugin]) -> Self {
         Library { stamp: STAMP, copy, plugins }
     }
@@ -42,7 +43,7 @@ impl Library {
         self.plugins
     }
 
-    /// The stamp as it lies in memory.
+    /// The stamp's bytes.
     pub fn stamp(&self) -> &[u8; STAMP_BYTES] {
         &self.stamp
     }

@@ -18,12 +18,12 @@ pub enum ComponentError {
         /// Why.
         source: io::Error,
     },
-    /// The file is none that could be loaded.
+    /// The file cannot be loaded as a library.
     #[error("{} is not a shared library: {reason}", path.display())]
     NoLibrary {
         /// The file.
         path: PathBuf,
-        /// Why not.
+        /// The reason.
         reason: String,
     },
     /// The library has no components.
@@ -35,7 +35,8 @@ pub enum ComponentError {
         /// The file.
         path: PathBuf,
     },
-    /// The library was built by another compiler, with another Tautline, or for another target. Nothing in it has run.
+    /// The library was built by another compiler, with another Tautline, or for another target. None of its code has
+    /// run.
     #[error(
         "{} was built with {found}; this process with {own}: build both with the same compiler and Tautline",
         path.display()
@@ -48,7 +49,7 @@ pub enum ComponentError {
         /// What this process was built with.
         own: String,
     },
-    /// The system did not load the library: it needs another build of Tautline, or another library that is not there.
+    /// The system did not load the library: it needs another build of Tautline, or a library that is missing.
     #[error(
         "{} cannot be loaded: {reason}; was it built together with this process, with the same features?",
         path.display()
@@ -56,19 +57,19 @@ pub enum ComponentError {
     Load {
         /// The file.
         path: PathBuf,
-        /// The system's word for it.
+        /// The system's error.
         reason: String,
     },
-    /// The library and this process do not use the same copy of Tautline: each would have a log, a trace and a scope of its own.
+    /// The library and this process do not use the same copy of Tautline: each would have its own log, trace and scope.
     #[error(
-        "{} and this process each have a Tautline of their own: link both against tautline-dylib, as taut-container is",
+        "{} and this process each have their own copy of Tautline: link both against tautline-dylib, as taut-container is",
         path.display()
     )]
     OtherCopy {
         /// The file.
         path: PathBuf,
     },
-    /// The file is another one than when its components were loaded; the code of then is still in memory.
+    /// The file has been replaced since its components were loaded; the old code is still in memory.
     #[error("{} was replaced since it was loaded: restart the process to load the new one", path.display())]
     Replaced {
         /// The file.
@@ -79,27 +80,27 @@ pub enum ComponentError {
     NoComponent {
         /// The file.
         path: PathBuf,
-        /// The name asked for; empty if none was, and there are several.
+        /// The requested name; empty if no name was given and there are several components.
         wanted: String,
-        /// The names there are.
+        /// The existing names.
         known: String,
     },
-    /// The component could not be made.
-    #[error("component '{component}' was not made: {source}")]
+    /// The component could not be created.
+    #[error("component '{component}' was not created: {source}")]
     Create {
         /// The component.
         component: String,
-        /// Why not.
+        /// The reason.
         source: Box<tautline::Error>,
     },
-    /// The component panicked while it was made.
-    #[error("component '{component}' panicked while it was made")]
+    /// The component panicked while it was created.
+    #[error("component '{component}' panicked while it was created")]
     Panicked {
         /// The component.
         component: String,
     },
     /// No component has this number.
-    #[error("no component has number {id}; `list` tells which there are")]
+    #[error("no component has number {id}; `list` prints the existing ones")]
     NoSuchId {
         /// The number.
         id: u64,

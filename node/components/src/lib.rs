@@ -1,13 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Nodes in shared libraries, loaded at run time into one process.
 //!
-//! A crate of type `cdylib` exports [`components!`]; a [`Container`] loads it, and makes nodes of its components that share the
-//! process's context and sampler. A library is only touched if its stamp, read from the file, says that it was built by the same
-//! compiler, with the same version of Tautline, for the same target.
+//! A crate of type `cdylib` exports [`components!`]. A [`Container`] loads it, and creates its components with nodes that share
+//! the process's context and sampler. A library is used only if its stamp, read from the file, shows that it was built by the
+//! same compiler, with the same version of Tautline, for the same target.
 //!
-//! **One copy.** Process and components link against `tautline-dylib`, which has all of Tautline in it. Two copies in one process
-//! would each have a log, a trace and a scope of their own, and types that are not the other's; a library with a copy of its own
-//! is refused.
+//! **One copy.** Process and components link against `tautline-dylib`, which contains all of Tautline. Two copies in one process
+//! would each have their own log, trace, scope and types; a library with its own copy is refused.
 
 mod container;
 mod entry;

@@ -9,18 +9,18 @@ use tautline::composition_interfaces::srv::{ListNodes, LoadNode, UnloadNode};
 use tautline::rcl_interfaces::msg;
 use tautline::{LogSeverity, Node, ParameterValue, Qos, RemapRules};
 
-/// A container for several threads.
+/// A container that several threads share.
 pub type SharedContainer = Arc<Mutex<Container>>;
 
-/// Offers `~/_container/load_node`, `unload_node` and `list_nodes` of `node`. They answer as long as the future is polled, which
-/// never ends; components are made, and their ends waited for, in its thread.
+/// Offers `~/_container/load_node`, `unload_node` and `list_nodes` of `node`. They respond as long as the future is polled; it
+/// never ends. Its thread creates components, and waits for their ends.
 ///
 /// A request's `package_name` is the path of a library, its `plugin_name` the component. The rest is as in rclcpp's containers: the
 /// node's name, namespace, remapping rules, parameters and log level, and the extra arguments `use_intra_process_comms` and
 /// `forward_global_arguments`.
 ///
 /// # Errors
-/// [`tautline::Error::Transport`] if a service cannot be had.
+/// [`tautline::Error::Transport`] if a service cannot be created.
 pub fn serve(
     container: &SharedContainer,
     node: &mut Node,

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a library says of how it was built: plain bytes at the start of its one symbol, read from the file before anything in it
-//! runs.
+//! The build stamp of a library: plain bytes at the start of its only symbol, read from the file before any of its code runs.
 
 use crate::error::ComponentError;
 use object::{Object, ObjectSegment, ObjectSymbol};
@@ -26,7 +25,7 @@ const TEXT: &str = concat!(
     "\n"
 );
 
-/// What this build of Tautline is, and a component built with it.
+/// The stamp of this build of Tautline, and of components built with it.
 pub const STAMP: [u8; STAMP_BYTES] = padded(TEXT.as_bytes());
 
 const fn padded(text: &[u8]) -> [u8; STAMP_BYTES] {

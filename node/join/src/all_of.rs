@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Something new from everyone.
+//! A new message of every input.
 
 use crate::counters::{InputCounters, JoinCounters};
 use crate::source::Source;
@@ -12,23 +12,25 @@ use std::task::{Context, Poll};
 /// How often all inputs are looked at in one poll.
 const ROUNDS: usize = 4;
 
-/// A stream of tuples with the newest message of each input, as soon as each has sent one since the tuple before. Made by [`all_of`].
+/// A stream of tuples with the newest message of each input, as soon as each input has sent one since the previous tuple. Created by
+/// [`all_of`].
 ///
-/// A message that its successor overtakes is counted as dropped. The stream ends when an input has ended of which no message waits.
+/// A message that is replaced by its successor is counted as dropped. The stream ends when an input has ended of which no message
+/// waits.
 ///
 /// # Real-time
-/// No allocation. In one poll at most as many messages of an input are taken as its queue is deep; then other tasks of the thread have
-/// their turn.
+/// No allocation. One poll takes at most as many messages of an input as its queue is deep; then other tasks of the thread get their
+/// turn.
 #[derive(Debug)]
 #[must_use = "nothing is received unless it is polled"]
 pub struct AllOf<S: AllOfInputs> {
     slots: S::Slots,
     counters: Arc<JoinCounters>,
-    /// The input whose message came last: the job that the callback's work belongs to.
+    /// The input whose message arrived last: the callback's work belongs to its job.
     last: usize,
 }
 
-/// Waits for something new of each of 2 to 9 inputs, given as a tuple.
+/// Waits for a new message of each of 2 to 9 inputs, given as a tuple.
 ///
 /// ```
 /// use futures::{executor::block_on_stream, stream};
@@ -48,7 +50,7 @@ pub fn all_of<S: AllOfInputs>(inputs: S) -> Result<AllOf<S>, JoinError> {
 }
 
 impl<S: AllOfInputs> AllOf<S> {
-    /// What became of the messages, to be read from any thread.
+    /// Counters of the messages, readable from any thread.
     pub fn counters(&self) -> Arc<JoinCounters> {
         self.counters.clone()
     }
@@ -120,10 +122,10 @@ mod sealed {
     pub trait Tuple {}
 }
 
-/// One input and the newest of it, whatever it is a stream of.
+/// One input and its newest item, of any type.
 #[doc(hidden)]
 pub trait Slot {
-    /// Takes what is there, and tells of each message whether it overtook one.
+    /// Takes the available messages, and reports for each one whether it replaced another.
     fn poll_arrival(&mut self, context: &mut Context<'_>, note: &mut dyn FnMut(bool)) -> Poll<Option<()>>;
     fn finish(&mut self);
     fn is_empty(&self) -> bool;

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 
-/// What became of the items of a join, to be read from any thread.
+/// Counters of a join's items, readable from any thread.
 #[derive(Debug)]
 pub struct JoinCounters {
     sets: AtomicU64,
@@ -10,7 +10,7 @@ pub struct JoinCounters {
     inputs: Box<[InputCounters]>,
 }
 
-/// What became of the items of one input.
+/// Counters of one input's items.
 #[derive(Debug, Default)]
 pub struct InputCounters {
     received: AtomicU64,
@@ -25,12 +25,12 @@ impl JoinCounters {
         JoinCounters { sets: AtomicU64::new(0), resets: AtomicU64::new(0), inputs }
     }
 
-    /// Sets that were passed on.
+    /// Sets that were delivered.
     pub fn sets(&self) -> u64 {
         self.sets.load(Relaxed)
     }
 
-    /// How often time leapt back, so that all that waited was dropped.
+    /// How often time jumped back, so that all waiting items were dropped.
     pub fn resets(&self) -> u64 {
         self.resets.load(Relaxed)
     }
@@ -61,19 +61,19 @@ impl InputCounters {
         self.received.load(Relaxed)
     }
 
-    /// Items that were kept and then dropped without having been in a set: others matched better, a newer one took the place, the queue
-    /// was full, or time leapt back.
+    /// Items that were kept and then dropped without having been in a set: because others matched better, a newer one replaced them,
+    /// the queue was full, or time jumped back.
     pub fn dropped(&self) -> u64 {
         self.dropped.load(Relaxed)
     }
 
-    /// Items that were not kept: out of order, or with a stamp that has been before.
+    /// Items that were not kept: out of order, or with a repeated stamp.
     pub fn refused(&self) -> u64 {
         self.refused.load(Relaxed)
     }
 
-    /// Items that came sooner after the one before than [`ApproximateTime::inter_message_lower_bound`](crate::ApproximateTime) says:
-    /// a set may have been passed on although a better one came.
+    /// Items that followed the previous one sooner than [`ApproximateTime::inter_message_lower_bound`](crate::ApproximateTime)
+    /// states: a set may have been delivered although a better one was possible.
     pub fn too_close(&self) -> u64 {
         self.too_close.load(Relaxed)
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Each message of one stream, with the newest of others.
+//! Each message of one stream, with the newest messages of other streams.
 
 use crate::counters::{InputCounters, JoinCounters};
 use crate::source::{Room, Source};
@@ -13,12 +13,15 @@ use std::task::{Context, Poll};
 /// How many messages of an input are kept: the newest, and those that the callback may still hold.
 const KEPT: usize = 2;
 
-/// A stream of each message of a trigger, with the newest message of each of the other inputs, if there has been one. Made by [`latest`].
+/// A stream of each message of a trigger, with the newest message of each of the other inputs, if there has been one. Created by
+/// [`latest`].
 ///
-/// The others are read when the trigger comes, and wake nobody. It ends with the trigger.
+/// The other inputs are read when a trigger message arrives, and wake no task. The stream ends with the
+/// trigger.
 ///
 /// # Real-time
-/// No allocation. For each message of the trigger at most as many of each other input are taken as its queue is deep.
+/// No allocation. For each trigger message, at most as many messages of each other input are taken as its queue is
+/// deep.
 #[derive(Debug)]
 #[must_use = "nothing is received unless it is polled"]
 pub struct Latest<T, S: LatestInputs> {
@@ -54,8 +57,8 @@ pub(crate) fn check_readers<S: LatestInputs>(readers: &mut S::Readers) -> Result
 }
 
 impl<T, S: LatestInputs> Latest<T, S> {
-    /// What became of the messages of the others, to be read from any thread: dropped are those that were never given out, because a
-    /// newer one was there, or because the callback held as many as are kept (two).
+    /// Counters of the other inputs' messages, readable from any thread. Messages that were never delivered count as dropped: there
+    /// was a newer one, or the callback held as many as are kept (two).
     pub fn counters(&self) -> Arc<JoinCounters> {
         self.counters.clone()
     }
@@ -77,7 +80,8 @@ impl<T: Source, S: LatestInputs> Stream for Latest<T, S> {
     }
 }
 
-/// A message that several may read. It is given back when a newer one needs its place, not when it is dropped.
+/// A message that several readers may hold. Its memory is released when a newer message needs its place, not
+/// when it is dropped.
 #[derive(Debug)]
 pub struct Kept<T>(Arc<Option<T>>);
 
@@ -124,7 +128,7 @@ mod sealed {
     pub trait Tuple {}
 }
 
-/// One of the others, whatever it is a stream of.
+/// One of the other inputs, of any type.
 #[doc(hidden)]
 pub trait Reader {
     fn catch_up(&mut self, input: usize, counters: &JoinCounters);

@@ -4,17 +4,18 @@
 //! | a callback wants | use |
 //! |---|---|
 //! | messages with the same stamp | [`Synchronizer`] with [`ExactTime`] |
-//! | messages whose stamps are close: of those that may be, the closest | [`Synchronizer`] with [`ApproximateTime`] |
-//! | messages whose stamps are close: the first that are | [`Synchronizer`] with [`ApproximateEpsilonTime`] |
-//! | something new from everyone, the newest of each | [`all_of`] |
-//! | each message of one, with the newest of the others | [`latest`] |
-//! | each message of the fastest, whichever that is, with the newest of the others | [`RateSynchronizer`] with [`LatestTime`] |
+//! | messages whose stamps are close: of all possible sets the closest | [`Synchronizer`] with [`ApproximateTime`] |
+//! | messages whose stamps are close: the first such set | [`Synchronizer`] with [`ApproximateEpsilonTime`] |
+//! | a new message of every input, the newest of each | [`all_of`] |
+//! | each message of one input, with the newest of the others | [`latest`] |
+//! | each message of the fastest input, whichever that is, with the newest of the others | [`RateSynchronizer`] with [`LatestTime`] |
 //!
-//! All are streams over items that stay where they are: samples in shared memory are neither copied nor counted. What they need is
-//! allocated when they are made, and each says how much it does for one arrival. What is not passed on is counted
-//! ([`JoinCounters`]): of each input, received = matched + dropped + refused + waiting.
+//! All are streams whose items stay in place: samples in shared memory are neither copied nor reference-counted. All memory is
+//! allocated when they are created, and each documents its work for one arrival. Messages that are not delivered are counted
+//! ([`JoinCounters`]): for each input, received = matched + dropped + refused + waiting.
 //!
-//! This crate knows streams and stamps, no topics. Whatever is to be joined is a [`Source`]; [`stamped`] makes one of any stream:
+//! This crate knows streams and stamps, but no topics. Every input of a join is a [`Source`]; [`stamped`] creates one from any
+//! stream:
 //!
 //! ```
 //! use futures::{StreamExt, executor::block_on_stream, stream};
@@ -28,7 +29,7 @@
 //! assert_eq!(block_on_stream(pairs).collect::<Vec<_>>(), [(0, 3), (100, 104), (200, 205)]);
 //! # Ok::<(), tautline_join::JoinError>(())
 //! ```
-//! The last pair is not there: whether (300, 306) is the best one shows with the next message.
+//! The last pair is missing: only the next message can show whether (300, 306) is the best one.
 #![forbid(unsafe_code)]
 
 mod all_of;
@@ -49,16 +50,16 @@ pub use rate::RateSynchronizer;
 pub use source::{Plain, Room, Source, Stamped, StampedStream, stamped};
 pub use synchronizer::{Synchronizer, SynchronizerInputs};
 
-/// Most inputs that a join has, as in message_filters.
+/// Maximum number of inputs of a join, as in message_filters.
 pub const MAX_INPUTS: usize = 9;
 
-/// Why a join cannot be made.
+/// Why a join cannot be created.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum JoinError {
     /// A queue without room.
     #[error(
-        "a synchronizer's queue size is 0: it has to keep a message until the others come; set it to 1 at least"
+        "a synchronizer's queue size is 0: it must keep a message until the others arrive; set it to at least 1"
     )]
     NoQueue,
     /// An input may not hold as many items as the join keeps.
@@ -70,9 +71,9 @@ pub enum JoinError {
     Room {
         /// Its name.
         input: String,
-        /// How many it may hold.
+        /// How many items it may hold.
         room: usize,
-        /// How many it has to.
+        /// How many items it must hold.
         needed: usize,
     },
 }

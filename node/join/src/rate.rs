@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The newest of all inputs, at the pace of the fastest.
+//! The newest messages of all inputs, at the rate of the fastest input.
 
 use crate::JoinError;
 use crate::counters::JoinCounters;
@@ -13,14 +13,14 @@ use std::task::{Context, Poll};
 /// A stream of the newest messages of all inputs, one tuple for each message of the fastest input: message_filters' `Synchronizer` with
 /// the policy [`LatestTime`]. Messages of slower inputs are in several tuples.
 ///
-/// Each message is a job on a callback thread, as in a [`Synchronizer`](crate::Synchronizer). One that finds no place, because the callback
-/// still holds two of its input, is dropped and makes no tuple.
+/// Each message is a job on a callback thread, as in a [`Synchronizer`](crate::Synchronizer). If there is no room for a message, because
+/// the callback still holds two of its input, it is dropped and makes no tuple.
 ///
-/// The stream ends when all inputs have ended, or when one has ended that sent nothing.
+/// The stream ends when all inputs have ended, or when an input has ended without sending a message.
 ///
 /// # Real-time
-/// No allocation; the clock is read once for each message. In one poll at most as many messages are taken as all queues are deep; then
-/// other tasks of the thread have their turn.
+/// No allocation; the clock is read once for each message. One poll takes at most as many messages as all queues together are deep;
+/// then other tasks of the thread get their turn.
 #[derive(Debug)]
 #[must_use = "nothing is received unless it is polled"]
 pub struct RateSynchronizer<C, S: LatestInputs> {
@@ -33,7 +33,8 @@ pub struct RateSynchronizer<C, S: LatestInputs> {
 }
 
 impl<C: FnMut() -> i64, S: LatestInputs> RateSynchronizer<C, S> {
-    /// Joins 1 to 9 inputs, given as a tuple. `clock` gives the time in nanoseconds, when a message is taken.
+    /// Joins 1 to 9 inputs, given as a tuple. `clock` returns the time in nanoseconds; it is called when a
+    /// message is taken.
     ///
     /// ```
     /// use futures::{executor::block_on_stream, stream};
@@ -64,7 +65,8 @@ impl<C: FnMut() -> i64, S: LatestInputs> RateSynchronizer<C, S> {
 }
 
 impl<C, S: LatestInputs> RateSynchronizer<C, S> {
-    /// What became of the messages, to be read from any thread: dropped are those that were never given out.
+    /// Counters of the messages, readable from any thread. Messages that were never delivered count as
+    /// dropped.
     pub fn counters(&self) -> Arc<JoinCounters> {
         self.counters.clone()
     }

@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What can be joined.
+//! The inputs of joins.
 
 use futures::stream::Fuse;
 use futures::{Stream, StreamExt};
 use std::pin::Pin;
 use std::task::{Context, Poll, Waker};
 
-/// What a source has room for.
+/// The limits of a source.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Room {
-    /// Most items that may be alive at once; no more come while there are as many.
+    /// Maximum number of live items; no more arrive while there are this many.
     pub held: usize,
-    /// Most items that wait to be taken.
+    /// Maximum number of queued items.
     pub depth: usize,
 }
 
@@ -46,7 +46,7 @@ pub trait Stamped: Source {
     fn stamp_ns(&self, item: &Self::Item) -> i64;
 }
 
-/// A source whose stamps a function tells; made by [`stamped`].
+/// A source whose stamps a function provides; created by [`stamped`].
 #[derive(Debug)]
 #[must_use = "nothing is received unless it is polled"]
 pub struct StampedStream<S, F> {
@@ -54,12 +54,12 @@ pub struct StampedStream<S, F> {
     stamp: F,
 }
 
-/// Makes a source of any stream, by a function that gives an item's stamp in nanoseconds.
+/// Creates a source from any stream, with a function that returns an item's stamp in nanoseconds.
 pub fn stamped<S: Stream + Unpin, F: Fn(&S::Item) -> i64>(stream: S, stamp: F) -> StampedStream<Plain<S>, F> {
     StampedStream { source: Plain(stream.fuse()), stamp }
 }
 
-/// A stream without limits of its own.
+/// A stream without its own limits.
 #[derive(Debug)]
 pub struct Plain<S>(Fuse<S>);
 
@@ -74,7 +74,7 @@ impl<S: Stream + Unpin> Stream for Plain<S> {
 impl<S: Stream + Unpin> Source for Plain<S> {}
 
 impl<S: Source, F: Fn(&S::Item) -> i64> StampedStream<S, F> {
-    /// A source with stamps that a function tells, in place of its own.
+    /// A source whose stamps come from a function instead of the source.
     pub fn new(source: S, stamp: F) -> Self {
         StampedStream { source, stamp }
     }

@@ -13,18 +13,19 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 /// A stream of sets: tuples of one message of each input, whose stamps are equal ([`ExactTime`](crate::ExactTime)) or close
-/// ([`ApproximateTime`](crate::ApproximateTime), [`ApproximateEpsilonTime`](crate::ApproximateEpsilonTime)). As in message_filters, and
-/// with its sets.
+/// ([`ApproximateTime`](crate::ApproximateTime), [`ApproximateEpsilonTime`](crate::ApproximateEpsilonTime)). As in message_filters,
+/// with the same sets.
 ///
-/// If time leaps back by more than [`time_jump`](Self::time_jump), as it does where a recording begins anew, all that waits is dropped.
+/// If time jumps back by more than [`time_jump`](Self::time_jump), for example when a recording restarts, all waiting messages are
+/// dropped.
 ///
-/// On a callback thread each message is a job. The one that completes a set has the callback's work in its response time; the others
-/// were only put aside.
+/// On a callback thread each message is a job. The response time of the message that completes a set includes the callback's work;
+/// the other messages were only queued.
 ///
-/// The stream ends when an input has ended of which no message waits, or when all have.
+/// The stream ends when an input has ended of which no message waits, or when all inputs have ended.
 ///
 /// # Real-time
-/// No allocation. In one poll at most as many messages are taken as fit into all queues; then other tasks of the thread have their turn.
+/// No allocation. One poll takes at most as many messages as fit into all queues; then other tasks of the thread get their turn.
 #[derive(Debug)]
 #[must_use = "nothing is received unless it is polled"]
 pub struct Synchronizer<P, S: SynchronizerInputs> {
@@ -40,8 +41,8 @@ impl<P: Policy, S: SynchronizerInputs> Synchronizer<P, S> {
     /// Joins 2 to 9 inputs, given as a tuple.
     ///
     /// # Errors
-    /// [`JoinError::NoQueue`] for a queue size of 0. [`JoinError::Room`] if an input may not hold a full queue, a message that arrives
-    /// and one that the callback works on.
+    /// [`JoinError::NoQueue`] for a queue size of 0. [`JoinError::Room`] if an input may not hold a full queue, one arriving message
+    /// and one message that the callback works on.
     pub fn new(mut policy: P, inputs: S) -> Result<Self, JoinError> {
         let queue_size = policy.queue_size();
         if queue_size == 0 {
@@ -60,14 +61,14 @@ impl<P: Policy, S: SynchronizerInputs> Synchronizer<P, S> {
         })
     }
 
-    /// A message whose stamp is by more than this before its predecessor's means that time has leapt back, one that is less has come
+    /// If a message's stamp is earlier than its predecessor's by more than this, time has jumped back; if by less, the message is
     /// out of order. 1 s by default.
     pub fn time_jump(mut self, jump: Duration) -> Self {
         self.time_jump_ns = i64::try_from(jump.as_nanos()).unwrap_or(i64::MAX);
         self
     }
 
-    /// What became of the messages, to be read from any thread.
+    /// Counters of the messages, readable from any thread.
     pub fn counters(&self) -> Arc<JoinCounters> {
         self.counters.clone()
     }
@@ -186,7 +187,7 @@ mod sealed {
     pub trait Tuple {}
 }
 
-/// One input and what of it waits, whatever it is a stream of.
+/// One input and its waiting items, of any type.
 #[doc(hidden)]
 pub trait Queue {
     fn poll_arrival(&mut self, context: &mut Context<'_>) -> Poll<Option<i64>>;
@@ -198,7 +199,7 @@ pub trait Queue {
     fn room(&self) -> (String, usize);
 }
 
-/// A source, the message that has just come, and those that wait.
+/// A source, the message that has just arrived, and the waiting messages.
 #[doc(hidden)]
 #[derive(Debug)]
 pub struct Input<S: Stamped> {

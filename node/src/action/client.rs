@@ -23,7 +23,7 @@ use tautline_rt::{PiGuard, PiMutex};
 use tautline_transport::{Decode, MAX_PENDING_REQUESTS, ServiceCodec, ServiceError, SubscriptionCounters};
 use uuid::Uuid;
 
-/// How goals, results and feedback of an action travel. Every [`Action`] is its own codec.
+/// How goals, results and feedback of an action are encoded. Every [`Action`] is its own codec.
 pub trait ActionCodec: Sized + Send + Sync + 'static {
     /// What a client asks for.
     type Goal: Send;
@@ -93,28 +93,28 @@ struct ActionClientState<P: ActionCodec> {
     name: String,
     send_goal: PiMutex<Client<P::SendGoal>>,
     get_result: PiMutex<Client<P::GetResult>>,
-    /// Of all threads that have a clone of the action client or of a goal.
+    /// Shared by all threads that have a clone of the action client or of a goal.
     cancel_goal: PiMutex<Client<CancelGoal::Service>>,
     goals: PiMutex<Vec<Goal<P>>>,
-    /// Results to wait for; when it is closed, the thread that listens ends.
+    /// Results to wait for. When it is closed, the listening thread ends.
     results: mpsc::UnboundedSender<ResultToCome>,
 }
 
 /// Ends with the goal, or because nobody waits for its result or feedback any more.
 type ResultToCome = BoxFuture<'static, Option<GoalId>>;
 
-/// A goal that was sent and that somebody still asks about.
+/// A goal that was sent and is still in use.
 struct Goal<P: ActionCodec> {
     id: GoalId,
     status: SharedStatus,
     /// Until the goal has ended.
     feedback: Option<mpsc::Sender<P::Feedback>>,
-    /// Whether it was said that feedback is lost because nobody reads it.
+    /// Whether a warning was logged that feedback is lost because it is not read.
     is_warned: bool,
-    /// Whether it needs one of the places for requests of results: from before it is sent until its result is there, or nobody
-    /// waits for that or the feedback any more.
+    /// Whether it occupies one of the slots for result requests: from before it is sent until its result has arrived, or until
+    /// neither the result nor the feedback is awaited any more.
     has_place: bool,
-    /// Its request, handles, result and feedback.
+    /// Number of live parts: its request, handles, result and feedback.
     held: usize,
 }
 
@@ -263,7 +263,7 @@ impl<P: ActionCodec> ActionClientState<P> {
 /// Tells when feedback was lost before it came to the client.
 struct Lost {
     counters: Arc<SubscriptionCounters>,
-    /// As many were lost when that was last said.
+    /// The number of lost messages at the last warning.
     said: u64,
 }
 
@@ -306,7 +306,7 @@ impl From<&tautline_ros_msgs::action_msgs::msg::GoalStatus> for StatusOf {
 /// A goal's handle, its result to come, its feedback.
 type Sent<P> = (Held<P>, GoalResult<P>, GoalFeedback<P>);
 
-/// Keeps what is known of a goal, and what listens for it.
+/// Keeps the state of a goal, and the task that listens for it.
 struct Held<P: ActionCodec> {
     id: GoalId,
     status: SharedStatus,
@@ -388,11 +388,11 @@ impl<P: ActionCodec> Drop for Held<P> {
     }
 }
 
-/// As long as somebody waits for a goal's result or feedback: then the place of the request for the result is given back.
+/// Exists as long as a goal's result or feedback is awaited; then the slot of the result request is released.
 struct Wanted<P: ActionCodec> {
-    /// Until the result is there.
+    /// The result future, until the result has arrived.
     response: Arc<PiMutex<Option<ResultFuture<P>>>>,
-    /// Ends what listens for it.
+    /// Ends the task that listens for it.
     abort: AbortHandle,
     held: Held<P>,
 }
@@ -459,7 +459,8 @@ impl<T: ActionCodec> ActionClient<T> {
         Ok(ActionClient { shared })
     }
 
-    /// Waits until the action has a server: one for each of its services. The wait counts as a pending request of each.
+    /// Waits until each of the action's services has a server. The wait counts as a pending request of each service
+    /// client.
     ///
     /// # Errors
     /// [`Error::Service`] if a client has no room for one more; of the future, if the client's node ends.
@@ -471,16 +472,16 @@ impl<T: ActionCodec> ActionClient<T> {
         Ok(try_join3(send_goal, get_result, cancel_goal).map_ok(drop))
     }
 
-    /// Sends a goal. If the server accepts it, the future ends with the goal's handle, a future of its result, and a stream of
-    /// its feedback, which ends with the goal. 1000 messages of it wait to be read, and 1000 of the whole server for the client's thread that listens; what comes
-    /// then is lost, with a warning.
+    /// Sends a goal. If the server accepts it, the future yields the goal's handle, a future of its result, and a stream of its feedback,
+    /// which ends with the goal. Up to 1000 feedback messages of the goal are queued for the reader, and up to 1000 of the whole server for
+    /// the client's listening thread; further messages are lost, with a warning.
     ///
-    /// A client has 64 goals at once whose result or feedback somebody waits for ([`MAX_PENDING_REQUESTS`]); dropping both gives a
-    /// goal's place back, as its end does.
+    /// A client can have 64 goals at once whose result or feedback is awaited ([`MAX_PENDING_REQUESTS`]). A goal's slot is
+    /// released when both are dropped, or when the goal ends.
     ///
     /// # Errors
-    /// [`Error::TooManyGoals`], and nothing was sent; [`Error::Service`]: there is no server. The future's:
-    /// [`Error::GoalRejected`]; [`Error::Service`] if the server goes; [`Error::GoalUnheard`] if the result cannot be asked for.
+    /// [`Error::TooManyGoals`]: nothing was sent; [`Error::Service`]: there is no server. Errors of the future:
+    /// [`Error::GoalRejected`]; [`Error::Service`] if the server ends; [`Error::GoalUnheard`] if the result cannot be requested.
     #[allow(clippy::type_complexity, reason = "a future of a goal, its result and its feedback")]
     pub fn send_goal_request(
         &self,
@@ -511,7 +512,7 @@ pub struct ActionClientGoal<T: ActionCodec> {
 }
 
 impl<T: ActionCodec> ActionClientGoal<T> {
-    /// What was last heard of the goal.
+    /// The last known status of the goal.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -519,14 +520,14 @@ impl<T: ActionCodec> ActionClientGoal<T> {
         self.held.status.get()
     }
 
-    /// Asks the server to cancel the goal. The future ends when the server has decided.
+    /// Requests the server to cancel the goal. The future ends when the server has decided.
     ///
     /// # Real-time
-    /// As [`Client::request`](crate::Client::request): the lock, which inherits priority, is taken only by those who cancel goals of the same
-    /// action client.
+    /// As [`Client::request`](crate::Client::request): plus a lock with priority inheritance, which only threads take that cancel goals of
+    /// the same action client.
     ///
     /// # Errors
-    /// [`Error::Service`]: there is no server. The future's: [`Error::GoalCancelRejected`],
+    /// [`Error::Service`]: there is no server. Errors of the future: [`Error::GoalCancelRejected`],
     /// [`Error::GoalCancelUnknownGoalID`], [`Error::GoalCancelAlreadyTerminated`].
     pub fn cancel(&self) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<T>> {
         self.held.shared.cancel(self.held.id)

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A server's goals: their states, who may be cancelled, who waits for a result, what has expired. No input or output.
+//! A server's goals: their states, which of them may be cancelled, who waits for a result, and which have expired. No
+//! input or output.
 
 use super::state::{GoalEvent, GoalStatus, SharedStatus};
 use std::time::Duration;
@@ -35,7 +36,7 @@ struct Goal<W> {
     id: GoalId,
     status: SharedStatus,
     accepted: Stamp,
-    /// The body of the response, and when it came, on the monotonic clock.
+    /// The body of the response, and when it arrived, on the monotonic clock.
     result: Option<(Vec<u8>, u64)>,
     waiting: Vec<W>,
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Actions: goals that are pursued with feedback until there is a result, and can be cancelled. Made of services and topics
-//! with ROS 2's names: `<action>/_action/send_goal`, `cancel_goal`, `get_result`, `feedback`, `status`.
+//! Actions: goals that are executed with feedback until there is a result, and that can be cancelled. An action consists of
+//! services and topics with ROS 2's names: `<action>/_action/send_goal`, `cancel_goal`, `get_result`, `feedback`, `status`.
 
 mod client;
 mod goals;
@@ -24,9 +24,9 @@ use tautline_transport::Qos;
 /// Each action server and each action client is a callback of its own, on a thread of ordinary priority named after the
 /// action, which answers and listens while goals are pursued elsewhere.
 impl Node {
-    /// Creates an action server: a stream of goals, each to be accepted or rejected. A goal that is dropped is rejected, one
-    /// that was accepted and is dropped without a result is aborted; of those that nobody has taken from the stream, 1000 wait and
-    /// more are rejected. The server ends with the stream and the last goal.
+    /// Creates an action server: a stream of goals, each to be accepted or rejected. A goal that is dropped is rejected; an
+    /// accepted goal that is dropped without a result is aborted. Up to 1000 goals are queued in the stream; further goals are
+    /// rejected. The server ends when the stream and the last goal are dropped.
     ///
     /// ```
     /// # #[cfg(feature = "example_interfaces")] {

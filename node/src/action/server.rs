@@ -27,10 +27,10 @@ use uuid::Uuid;
 /// Settings of an action server.
 #[derive(Clone, Debug)]
 pub struct ActionServerOptions {
-    /// How long results of goals that have ended are kept, and the goals are in what the action's status says: 10 seconds by
+    /// How long results of ended goals are kept, and how long these goals stay in the action's status: 10 seconds by
     /// default, as in ROS 2.
     pub result_timeout: Duration,
-    /// The thread that answers: of ordinary priority by default.
+    /// The options of the thread that responds: ordinary priority by default.
     pub callback: CallbackOptions,
 }
 
@@ -48,16 +48,17 @@ const CANCELS_WAITING: usize = 1000;
 type ResultResponse<T> = <<T as Action>::GetResult as Service>::Response;
 type ResultReply<T> = Reply<<T as Action>::GetResult>;
 
-/// What the goals of a server share with the thread that answers.
+/// The state that the goals of a server share with the responding thread.
 struct Server<T: Action> {
     name: String,
-    /// What goals are stamped by, and requests to cancel those of a time mean.
+    /// The clock for the goals' stamps, and for cancel requests by time.
     now: Box<dyn Fn() -> Stamp + Send + Sync>,
     /// Never held while something is published.
     state: PiMutex<State<T>>,
-    /// Taken by those who pursue goals, never by the thread that answers.
+    /// Locked by threads that execute goals, never by the responding thread.
     feedback: PiMutex<Publisher<T::FeedbackMessage>>,
-    /// Held while the status of all goals is gathered and published, so that the newest comes last. Taken before `state`.
+    /// Held while the status of all goals is collected and published, so that the newest status is published last. Taken
+    /// before `state`.
     status_of_all: PiMutex<Publisher<GoalStatusArray>>,
 }
 
@@ -75,17 +76,18 @@ impl<T: Action> Drop for User<T> {
 
 struct State<T: Action> {
     goals: Goals<ResultReply<T>>,
-    /// Of the goals that have not ended.
+    /// Entries of the goals that have not ended.
     cancels: Vec<Cancels>,
 }
 
-/// Where requests to cancel a goal go.
+/// The destination of requests to cancel a goal.
 struct Cancels {
     goal: GoalId,
     requests: mpsc::Sender<ActionServerCancelRequest>,
-    /// On the one request that was last given to whoever pursues the goal: all who ask before it is decided on share it.
+    /// The decision on the cancel request that was last delivered: all clients that request before the decision share
+    /// it.
     decision: Option<Shared<oneshot::Receiver<bool>>>,
-    /// Ends with this: who has not decided by then has rejected.
+    /// Ends with this: a request that is undecided by then is rejected.
     _end: oneshot::Sender<()>,
     ended: Shared<oneshot::Receiver<()>>,
 }
@@ -139,7 +141,7 @@ impl<T: Action> Server<T> {
             ResultOf::Unknown(reply) => self.answer_unknown(reply),
             ResultOf::TooMany(reply) => {
                 tracing::warn!(
-                    "action '{}': {MAX_WAITING} requests wait for the result of one goal: another one is told that it is unknown",
+                    "action '{}': {MAX_WAITING} requests wait for the result of one goal: a further request gets the status unknown",
                     self.name
                 );
                 self.answer_unknown(reply);
@@ -272,7 +274,7 @@ pub(super) fn create<T: Action>(
     Ok(Requests { requests, _user: user })
 }
 
-/// Keeps the server there.
+/// Keeps the server alive.
 struct Requests<T: Action> {
     requests: mpsc::Receiver<ActionServerGoalRequest<T>>,
     _user: Arc<User<T>>,
@@ -366,15 +368,15 @@ pub struct ActionServerCancelRequest {
 }
 
 impl ActionServerCancelRequest {
-    /// Accepts: the goal is being cancelled from now on, and should end with [`ActionServerGoal::cancel`]. A goal that has ended
-    /// meanwhile has ended, and whoever asked was told that it is not cancelled.
+    /// Accepts: the goal is being cancelled from now on, and should end with [`ActionServerGoal::cancel`]. If the goal has ended
+    /// meanwhile, it stays ended, and the clients are informed that it is not cancelled.
     pub fn accept(self) {
         let accepted = (self.accept)();
         // Ignored: then nobody is left to be told.
         let _ = self.decision.send(accepted);
     }
 
-    /// Rejects: the goal goes on.
+    /// Rejects: the goal continues.
     pub fn reject(self) {
         let _ = self.decision.send(false);
     }
@@ -411,14 +413,17 @@ pub struct ActionServerGoalRequest<T: Action> {
 }
 
 impl<T: Action> ActionServerGoalRequest<T> {
-    /// Accepts the goal: it is pursued from now on. Returns a handle to it and a stream of requests to cancel it, which ends with
-    /// the goal. Until one is decided on there is no other: all who ask meanwhile get the same answer.
+    /// Accepts the goal: it is executing from now on. Returns a handle to it and a stream of requests to cancel it, which ends
+    /// with the goal. Until a request is decided on, the stream yields no other: all clients that request meanwhile get the same
+    /// response.
     ///
     /// # Real-time
-    /// Allocates, and waits while other threads, that which answers among them, change goals or publish their status.
+    /// Allocates, and waits while other threads, including the responding thread, change goals or publish their
+    /// status.
     ///
     /// # Errors
-    /// [`Error::Goal`] if there is a goal of this id already; [`Error::Service`] if the client cannot be told.
+    /// [`Error::Goal`] if there is already a goal with this id; [`Error::Service`] if the client cannot be
+    /// informed.
     pub fn accept(
         mut self,
     ) -> Result<(ActionServerGoal<T>, impl Stream<Item = ActionServerCancelRequest> + Unpin + Send + use<T>)>
@@ -441,14 +446,14 @@ impl<T: Action> ActionServerGoalRequest<T> {
     /// Rejects the goal.
     ///
     /// # Errors
-    /// [`Error::Service`] if the client cannot be told.
+    /// [`Error::Service`] if the client cannot be informed.
     pub fn reject(mut self) -> Result<()> {
         self.decision.tell(false, (0, 0))
     }
 }
 
-/// A goal that was accepted. When the last clone is dropped before it has a result, it ends without one: cancelled if it was
-/// being cancelled, else aborted.
+/// A goal that was accepted. If the last clone is dropped before the goal has a result, the goal ends without one: as
+/// cancelled if it was being cancelled, otherwise as aborted.
 pub struct ActionServerGoal<T: Action> {
     /// The goal's id.
     pub uuid: Uuid,
@@ -487,10 +492,11 @@ impl<T: Action> ActionServerGoal<T> {
         self.pursued.status.get() == GoalStatus::Canceling
     }
 
-    /// Publishes feedback to all clients; that of this goal passes it on.
+    /// Publishes feedback to all clients; the client of this goal delivers it.
     ///
     /// # Real-time
-    /// Takes a lock that inherits priority, which only other threads hold that publish feedback of this action. The message's strings and sequences are copied, and freed.
+    /// Takes a lock with priority inheritance, which only threads take that publish feedback of this action. The message's strings and
+    /// sequences are copied, and freed.
     ///
     /// # Errors
     /// [`Error::Goal`] if the goal has ended; [`Error::Publish`].
@@ -506,7 +512,7 @@ impl<T: Action> ActionServerGoal<T> {
         }
     }
 
-    /// Ends the goal: it was cancelled, after a request to do so was accepted.
+    /// Ends the goal as cancelled, after a cancel request was accepted.
     ///
     /// # Errors
     /// [`Error::Goal`] if it is not being cancelled.
@@ -514,7 +520,7 @@ impl<T: Action> ActionServerGoal<T> {
         self.pursued.user.server.finish(self.pursued.id, GoalEvent::Canceled, msg)
     }
 
-    /// Ends the goal: it was given up.
+    /// Ends the goal as aborted.
     ///
     /// # Errors
     /// [`Error::Goal`] if it has ended.
@@ -522,7 +528,7 @@ impl<T: Action> ActionServerGoal<T> {
         self.pursued.user.server.finish(self.pursued.id, GoalEvent::Abort, msg)
     }
 
-    /// Ends the goal: it was reached.
+    /// Ends the goal as succeeded.
     ///
     /// # Errors
     /// [`Error::Goal`] if it has ended.

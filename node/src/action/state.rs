@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The states of a goal, as ROS 2's action design has them.
+//! The states of a goal, as in ROS 2's action design.
 //!
 //! ```text
 //!               execute              succeed
@@ -19,19 +19,19 @@ use std::sync::atomic::{AtomicI8, Ordering};
 /// The status of a goal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum GoalStatus {
-    /// There is no such goal, or nothing is known of it yet.
+    /// There is no such goal, or its status is not known yet.
     Unknown,
-    /// Accepted, but nothing is done for it yet.
+    /// Accepted, but not executing yet.
     Accepted,
-    /// It is pursued.
+    /// It is executing.
     Executing,
     /// It is being cancelled.
     Canceling,
-    /// It was reached.
+    /// It succeeded.
     Succeeded,
     /// It was cancelled.
     Canceled,
-    /// It was given up.
+    /// It was aborted.
     Aborted,
 }
 
@@ -69,14 +69,14 @@ impl GoalStatus {
         *self as i8
     }
 
-    /// What the number in ROS 2's messages stands for; [`Unknown`](Self::Unknown) for one that stands for nothing.
+    /// The status for the number in ROS 2's messages; [`Unknown`](Self::Unknown) for an invalid number.
     pub fn from_rcl(s: i8) -> Self {
         use GoalStatus::{Aborted, Accepted, Canceled, Canceling, Executing, Succeeded, Unknown};
         let all = [Unknown, Accepted, Executing, Canceling, Succeeded, Canceled, Aborted];
         usize::try_from(s).ok().and_then(|index| all.get(index)).copied().unwrap_or(Unknown)
     }
 
-    /// Whether it stays so.
+    /// Whether the status is final.
     pub fn is_terminal(&self) -> bool {
         matches!(self, GoalStatus::Succeeded | GoalStatus::Canceled | GoalStatus::Aborted)
     }

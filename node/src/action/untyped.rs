@@ -12,7 +12,7 @@ use tautline_msgs::GoalId;
 
 impl Node {
     /// Creates a client of an action of a type that is known by name, `example_interfaces/action/Fibonacci`: goals, results and
-    /// feedback are JSON. A result that is not of the type is an error; such feedback is passed over.
+    /// feedback are JSON. A result that is not valid for the type is an error; such feedback is skipped.
     ///
     /// # Errors
     /// As [`create_client_untyped`](Self::create_client_untyped) and [`create_action_client`](Self::create_action_client).

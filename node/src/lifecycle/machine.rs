@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The states of a managed node and what leads from one to another: <https://design.ros2.org/articles/node_lifecycle.html>,
+//! The states of a managed node and the transitions between them: <https://design.ros2.org/articles/node_lifecycle.html>,
 //! with the numbers and names of `lifecycle_msgs`.
 //!
 //! ```text
@@ -14,7 +14,8 @@
 
 use std::fmt;
 
-/// A state, with its number in `lifecycle_msgs/msg/State`. The last six last as long as a callback.
+/// A state, with its number in `lifecycle_msgs/msg/State`. The last six are transition states: they last as
+/// long as a callback.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u8)]
 #[allow(missing_docs, reason = "the names are ROS 2's")]
@@ -79,27 +80,27 @@ impl fmt::Display for State {
     }
 }
 
-/// What a callback of a transition says.
+/// The result of a transition's callback.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum CallbackReturn {
-    /// The node goes on to the transition's goal.
+    /// The node enters the transition's goal state.
     Success,
-    /// It goes back to where it was; from shutting down and error processing to finalized.
+    /// It returns to its previous state; from shutting down and error processing it goes to finalized.
     Failure,
-    /// It processes the error, with `on_error`.
+    /// It enters error processing, with `on_error`.
     Error,
 }
 
-/// What leads from one state to another.
+/// A transition from one state to another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Transition {
     /// The number in `lifecycle_msgs/msg/Transition`.
     pub id: u8,
-    /// ROS 2's name; those of several transitions are the same.
+    /// ROS 2's name; several transitions may have the same one.
     pub label: &'static str,
-    /// Where it begins.
+    /// Its start state.
     pub start: State,
-    /// Where it ends.
+    /// Its goal state.
     pub goal: State,
 }
 
@@ -121,7 +122,7 @@ impl Transition {
     /// To inactive.
     pub const DEACTIVATE: Transition = transition(4, "deactivate", State::Active, State::Deactivating);
 
-    /// Every transition there is, in the order of their numbers.
+    /// All transitions, in the order of their numbers.
     pub const ALL: [Transition; 25] = [
         Transition::CONFIGURE,
         Transition::CLEANUP,
@@ -155,19 +156,19 @@ impl Transition {
         Transition::ALL.into_iter().filter(move |transition| transition.start == state)
     }
 
-    /// Whether a user asks for it; the others are what callbacks lead to.
+    /// Whether a user requests it; the others result from callbacks.
     pub fn is_requested(self) -> bool {
         self.id < 10
     }
 }
 
-/// A transition that does not begin where the node is.
+/// A transition that does not start in the node's state.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("'{wanted}' is not possible in state '{state}'; possible is: {}", possible(*.state))]
 pub struct InvalidTransition {
-    /// Where the node is.
+    /// The node's state.
     pub state: State,
-    /// What was asked for: a name, or a number.
+    /// The requested transition: a name, or a number.
     pub wanted: String,
 }
 
@@ -180,7 +181,7 @@ fn requested(state: State) -> impl Iterator<Item = Transition> {
     Transition::from(state).filter(|transition| transition.is_requested())
 }
 
-/// Where a node is: a state that changes by transitions, and not otherwise.
+/// The state machine of a node: its state changes only by transitions.
 #[derive(Clone, Debug)]
 pub struct StateMachine {
     state: State,
@@ -192,20 +193,21 @@ impl StateMachine {
         StateMachine { state: State::Unconfigured }
     }
 
-    /// Where the node is.
+    /// The node's state.
     pub fn state(&self) -> State {
         self.state
     }
 
-    /// Begins the transition with the number `id`: a callback is to run, whose result is for [`finish`](Self::finish).
+    /// Starts the transition with the number `id`: the caller then runs a callback and passes its result to
+    /// [`finish`](Self::finish).
     ///
     /// # Errors
-    /// [`InvalidTransition`]; the state stays.
+    /// [`InvalidTransition`]; the state does not change.
     pub fn begin(&mut self, id: u8) -> Result<Transition, InvalidTransition> {
         self.begin_where(|transition| transition.id == id, || id.to_string())
     }
 
-    /// Begins the transition called `label`.
+    /// Starts the transition called `label`.
     ///
     /// # Errors
     /// As [`begin`](Self::begin).
@@ -228,7 +230,7 @@ impl StateMachine {
         Ok(transition)
     }
 
-    /// The callback has run. `None` if none was to.
+    /// Call when the callback has run. `None` if no transition was started.
     pub fn finish(&mut self, result: CallbackReturn) -> Option<Transition> {
         let label = match result {
             CallbackReturn::Success => SUCCESS,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Managed nodes: states, transitions between them, publishers that are silent unless the node is active.
+//! Managed nodes: states, transitions, and publishers that are silent unless the node is active.
 
 mod machine;
 mod node;

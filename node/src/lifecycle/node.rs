@@ -14,8 +14,8 @@ use tautline_rt::clock::wall_ns;
 use tautline_transport::Qos;
 use tautline_transport::{Gate, Publisher};
 
-/// What a managed node does on its way. Whatever is not written succeeds, but for `on_error`, which fails: the node is then
-/// finalized. A callback that panics returns an error.
+/// The callbacks of a managed node's transitions. A callback that is not implemented succeeds, except `on_error`, which
+/// fails: the node is then finalized. A callback that panics counts as an error.
 pub trait LifecycleCallbacks: Send + 'static {
     /// Makes what the node needs: publishers, subscriptions, timers.
     fn on_configure(&mut self, node: &mut ManagedNode) -> CallbackReturn {
@@ -54,16 +54,16 @@ pub trait LifecycleCallbacks: Send + 'static {
     }
 }
 
-/// The node inside a managed node, for its callbacks: a [`Node`] whose publishers can be made silent.
+/// The inner node of a managed node, for its callbacks: a [`Node`] whose publishers can be silenced.
 pub struct ManagedNode {
     node: Node,
     gate: Gate,
 }
 
 impl ManagedNode {
-    /// Creates a publisher that sends while the node is active. While it is not, publishing succeeds, costs an atomic load, and
-    /// is counted by [`PublisherCounters::silenced`](crate::PublisherCounters::silenced). [`Node::create_publisher`], through
-    /// the node below, makes one that always sends.
+    /// Creates a publisher that sends while the node is active. While the node is not active, publishing succeeds, costs an
+    /// atomic load, and is counted by [`PublisherCounters::silenced`](crate::PublisherCounters::silenced).
+    /// [`Node::create_publisher`] of the underlying node creates a publisher that always sends.
     ///
     /// # Errors
     /// As [`Node::create_publisher`].
@@ -71,7 +71,7 @@ impl ManagedNode {
         Ok(self.node.create_publisher(topic, qos)?.with_gate(self.gate.clone()))
     }
 
-    /// As [`create_publisher`](Self::create_publisher), for a type that is known by name.
+    /// Like [`create_publisher`](Self::create_publisher), for a type that is known by name.
     ///
     /// # Errors
     /// As [`Node::create_publisher_untyped`].
@@ -101,33 +101,31 @@ impl DerefMut for ManagedNode {
     }
 }
 
-/// Why a managed node did not begin a transition.
+/// Why a managed node did not start a transition.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LifecycleError {
-    /// It does not begin in the node's state.
+    /// The transition does not start in the node's state.
     #[error(transparent)]
     InvalidTransition(#[from] InvalidTransition),
-    /// Another transition's callback runs.
-    #[error(
-        "the node is in state '{state}', from which it goes on by itself: ask again when its callback has returned"
-    )]
+    /// The callback of another transition is running.
+    #[error("the node is in state '{state}', a transition state: try again when its callback has returned")]
     Busy {
-        /// The state that lasts as long as the callback.
+        /// The transition state, which lasts as long as the callback.
         state: State,
     },
 }
 
-/// Where a transition led.
+/// The result of a transition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Transitioned {
     /// What its callback returned.
     pub result: CallbackReturn,
-    /// Where the node is now.
+    /// The node's new state.
     pub state: State,
 }
 
-/// A node with ROS 2's lifecycle. A clone is the same node: transitions may be asked for in any thread, and through its services
-/// as long as [`serve`](LifecycleNode::serve) is polled. Each change of state is published on `~/transition_event`.
+/// A node with ROS 2's lifecycle. A clone is the same node. Transitions may be requested in any thread, and through the node's
+/// services as long as [`serve`](LifecycleNode::serve) is polled. Each change of state is published on `~/transition_event`.
 ///
 /// ```
 /// use tautline::lifecycle::{CallbackReturn, LifecycleCallbacks, LifecycleNode, ManagedNode, State};
@@ -158,7 +156,7 @@ pub struct LifecycleNode {
 
 struct LifecycleState {
     inner: Mutex<Inner>,
-    /// As in the machine, to be read while a callback runs.
+    /// A copy of the machine's state, readable while a callback runs.
     state: AtomicU8,
 }
 
@@ -173,7 +171,8 @@ impl LifecycleNode {
     /// Creates a node in state unconfigured.
     ///
     /// # Errors
-    /// As [`Node::create`]; [`Error::Transport`](crate::Error::Transport) if the topic of its transitions cannot be had.
+    /// As [`Node::create`]; [`Error::Transport`](crate::Error::Transport) if the topic of its transitions cannot be
+    /// created.
     pub fn create(
         ctx: Context,
         name: &str,
@@ -183,10 +182,10 @@ impl LifecycleNode {
         LifecycleNode::of_node(Node::create(ctx, name, namespace)?, callbacks)
     }
 
-    /// Makes a managed node of one that was created with options, or by a container for a component.
+    /// Creates a managed node from a node that was created with options, or by a container for a component.
     ///
     /// # Errors
-    /// [`Error::Transport`](crate::Error::Transport) if the topic of its transitions cannot be had.
+    /// [`Error::Transport`](crate::Error::Transport) if the topic of its transitions cannot be created.
     pub fn of_node(mut node: Node, callbacks: impl LifecycleCallbacks) -> Result<LifecycleNode> {
         let events = node.create_publisher("~/transition_event", Qos::default())?;
         let (machine, gate) = (StateMachine::new(), Gate::new());
@@ -196,7 +195,7 @@ impl LifecycleNode {
         Ok(LifecycleNode { shared: Arc::new(LifecycleState { inner, state }) })
     }
 
-    /// Where the node is. May be asked in a callback.
+    /// The node's state. May be called in a callback.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -207,7 +206,7 @@ impl LifecycleNode {
     /// Runs `on_configure`.
     ///
     /// # Errors
-    /// [`LifecycleError`]; the state stays.
+    /// [`LifecycleError`]; the state does not change.
     pub fn configure(&self) -> std::result::Result<Transitioned, LifecycleError> {
         self.change_state_by_label("configure")
     }
@@ -236,7 +235,7 @@ impl LifecycleNode {
         self.change_state_by_label("cleanup")
     }
 
-    /// Runs `on_shutdown`, from whichever state.
+    /// Runs `on_shutdown`, from any state.
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
@@ -244,7 +243,7 @@ impl LifecycleNode {
         self.change_state_by_label("shutdown")
     }
 
-    /// Does the transition with this number, as in `lifecycle_msgs/msg/Transition`.
+    /// Performs the transition with this number, as in `lifecycle_msgs/msg/Transition`.
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
@@ -254,7 +253,7 @@ impl LifecycleNode {
         Ok(inner.run(transition, &self.shared.state))
     }
 
-    /// Does the transition of this name.
+    /// Performs the transition with this name.
     ///
     /// # Errors
     /// As [`configure`](Self::configure).
@@ -264,12 +263,12 @@ impl LifecycleNode {
         Ok(inner.run(transition, &self.shared.state))
     }
 
-    /// The transitions that can be asked for now, and while a callback runs those that its result leads to.
+    /// The transitions that can be requested now; while a callback runs, those to which its result can lead.
     pub fn available_transitions(&self) -> Vec<Transition> {
         Transition::from(self.state()).collect()
     }
 
-    /// Does something with the node inside, if no callback of a transition runs.
+    /// Calls a function with the inner node, if no callback of a transition is running.
     ///
     /// # Errors
     /// [`LifecycleError::Busy`].

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The services of a managed node: what each answers, and the task that does.
+//! The services of a managed node: their responses, and the tasks that serve them.
 
 use super::machine::{CallbackReturn, State, Transition};
 use super::node::{LifecycleError, LifecycleNode, Transitioned, described};
@@ -13,14 +13,16 @@ use tautline_transport::Qos;
 
 impl LifecycleNode {
     /// Offers the node's services, as in ROS 2: `~/change_state`, `~/get_state`, `~/get_available_states`,
-    /// `~/get_available_transitions` and `~/get_transition_graph`. They answer as long as the future is polled, which never ends:
-    /// give it a callback of its own. Callbacks of transitions run there when they are asked for by service: if they make
-    /// topics, it needs a stack as large as a program's own
-    /// ([`CallbackOptions::stack_bytes`](crate::CallbackOptions::stack_bytes)). While one of them runs, the other services are
-    /// silent: [`serve_changes`](Self::serve_changes) and [`serve_states`](Self::serve_states) on two callbacks are not.
+    /// `~/get_available_transitions` and `~/get_transition_graph`. They respond as long as the future is polled. It never ends:
+    /// give it its own callback. Callbacks of transitions that are requested by service run there. If they create topics, this
+    /// callback needs a stack as large as a program's own
+    /// ([`CallbackOptions::stack_bytes`](crate::CallbackOptions::stack_bytes)). While one of them runs, the other services do
+    /// not respond. To avoid this, use [`serve_changes`](Self::serve_changes) and [`serve_states`](Self::serve_states) on two
+    /// callbacks.
     ///
     /// # Errors
-    /// [`LifecycleError::Busy`]; [`Error::Transport`](crate::Error::Transport) if a service cannot be had.
+    /// [`LifecycleError::Busy`]; [`Error::Transport`](crate::Error::Transport) if a service cannot be
+    /// created.
     pub fn serve(&self) -> error::Result<impl Future<Output = ()> + Send + use<>> {
         let (changes, states) = (self.serve_changes()?, self.serve_states()?);
         Ok(futures::future::join(changes, states).map(drop))
@@ -44,8 +46,8 @@ impl LifecycleNode {
         }))
     }
 
-    /// The part of [`serve`](Self::serve) that tells where the node is and may go: all but `~/change_state`. On a callback of its own
-    /// it answers during transitions, too.
+    /// The part of [`serve`](Self::serve) that reports the node's state and its possible transitions: all services except
+    /// `~/change_state`. On its own callback it also responds during transitions.
     ///
     /// # Errors
     /// As [`serve`](Self::serve).

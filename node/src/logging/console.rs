@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Lines as ROS 2 prints them: `[INFO] [sec.nanosec] [logger]: text`.
 //!
-//! The environment says more, as with ROS 2: `RCUTILS_CONSOLE_OUTPUT_FORMAT` has `{severity}`, `{time}`,
+//! Environment variables change the format, as in ROS 2: `RCUTILS_CONSOLE_OUTPUT_FORMAT` has `{severity}`, `{time}`,
 //! `{time_as_nanoseconds}`, `{name}`, `{message}`, `{file_name}` and `{line_number}`; `RCUTILS_COLORIZED_OUTPUT` is 0 or 1;
 //! with `RCUTILS_LOGGING_USE_STDOUT=1` lines go to standard output.
 

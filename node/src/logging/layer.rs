@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What `tracing` macros say, as lines of the log.
+//! Writes the events of `tracing` macros as lines of the log.
 
 use super::line::{Line, floor_char_boundary};
 use super::severity::LEVELS;
@@ -11,8 +11,8 @@ use tracing::{Event, Level, Metadata, Subscriber};
 use tracing_subscriber::Layer;
 use tracing_subscriber::layer::Context;
 
-/// A layer that logs the events of `tracing`: the target `a::b` is the logger `a.b`, with that logger's level; fields stand
-/// behind the message. Spans are not shown.
+/// A layer that logs the events of `tracing`: the target `a::b` becomes the logger `a.b`, with that logger's level; fields
+/// follow the message. Spans are not shown.
 ///
 /// ```
 /// use tautline::logging::TracingLayer;
@@ -26,7 +26,7 @@ pub struct TracingLayer(());
 
 impl TracingLayer {
     /// # Real-time
-    /// Setup only: starts the thread that writes what real-time threads log.
+    /// Setup only: starts the thread that writes the log lines of real-time threads.
     pub fn new() -> TracingLayer {
         output::start();
         TracingLayer(())

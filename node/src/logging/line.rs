@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A line of the log, and its form of fixed size.
+//! A line of the log, and its fixed-size form.
 
 use super::LogSeverity;
 use std::fmt::{self, Write};

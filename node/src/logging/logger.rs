@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Loggers, and what the macros do.
+//! Loggers, and the functions behind the macros.
 
 use super::line::Line;
 use super::severity::LEVELS;
@@ -12,7 +12,7 @@ use std::sync::{Arc, Weak};
 use std::time::Duration;
 use tautline_rt::clock::{monotonic_ns, wall_ns};
 
-/// A name under which lines are logged. It can stand for the `&str` that r2r's is.
+/// A name under which lines are logged. It can be used like r2r's logger, which is a `&str`.
 ///
 /// ```
 /// use std::time::Duration;
@@ -35,7 +35,8 @@ pub struct Logger {
     life: Life,
 }
 
-/// What a node's loggers share: as long as one is there, what they log goes to the node's topic. It tells no two of them apart.
+/// Shared by a node's loggers: as long as one of them exists, their lines go to the node's topic. It does not affect their
+/// equality.
 #[derive(Clone, Debug, Default)]
 struct Life(Arc<()>);
 
@@ -52,10 +53,10 @@ impl Hash for Life {
 }
 
 impl Logger {
-    /// A logger of this name; `a.b` is below `a`.
+    /// A logger with this name; `a.b` is below `a`.
     ///
     /// # Real-time
-    /// Setup only: allocates, starts the thread that writes what real-time threads log.
+    /// Setup only: allocates, starts the thread that writes the log lines of real-time threads.
     pub fn new(name: impl Into<Arc<str>>) -> Logger {
         output::start();
         Logger { name: name.into(), life: Life::default() }
@@ -81,8 +82,8 @@ impl Logger {
         Logger { name: format!("{}.{name}", self.name).into(), life: self.life.clone() }
     }
 
-    /// Sets the least severe lines that are wanted of this logger and those below it; [`LogSeverity::Unset`]: of as those
-    /// above it.
+    /// Sets the minimum severity of lines of this logger and the loggers below it; [`LogSeverity::Unset`]: that of the
+    /// loggers above it.
     ///
     /// # Real-time
     /// Allocates the first time.
@@ -90,7 +91,8 @@ impl Logger {
         LEVELS.set(&self.name, level);
     }
 
-    /// The level that was set for this logger itself; [`LogSeverity::Unset`]: that of those above it counts.
+    /// The level that was set for this logger itself; [`LogSeverity::Unset`]: the level of the loggers above
+    /// it applies.
     pub fn level(&self) -> LogSeverity {
         LEVELS.own(&self.name)
     }
@@ -103,12 +105,12 @@ impl Logger {
         LEVELS.enabled(&self.name, severity)
     }
 
-    /// For the first line only of the statement in which this stands.
+    /// Logs only the first line of the statement in which it is used.
     pub fn once(&self) -> Occasional<'_> {
         Occasional { logger: self, period: None }
     }
 
-    /// For a line each `period` at most of the statement in which this stands.
+    /// Logs at most one line per `period` of the statement in which it is used.
     pub fn throttle(&self, period: Duration) -> Occasional<'_> {
         Occasional { logger: self, period: Some(period) }
     }
@@ -137,7 +139,7 @@ pub struct Occasional<'l> {
     period: Option<Duration>,
 }
 
-/// What a log macro takes: a [`Logger`], a name, or a logger for [some lines](Occasional).
+/// The first argument of a log macro: a [`Logger`], a name, or a logger for [some lines](Occasional).
 pub trait LogTarget {
     /// The logger's name.
     fn logger(&self) -> &str;
@@ -186,12 +188,12 @@ impl<T: LogTarget + ?Sized> LogTarget for &T {
     }
 }
 
-/// A statement that logs.
+/// A log statement.
 #[doc(hidden)]
 pub struct Site {
     file: &'static str,
     line: u32,
-    /// When it last did, for those that do not always; zero: never.
+    /// When it last logged, for statements that do not log every time; zero: never.
     last_ns: AtomicU64,
 }
 
@@ -201,7 +203,7 @@ impl Site {
         Site { file, line, last_ns: AtomicU64::new(0) }
     }
 
-    /// Whether the line is wanted now.
+    /// Whether the line must be written now.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -212,8 +214,8 @@ impl Site {
     /// Writes a line.
     ///
     /// # Real-time
-    /// In a thread with a real-time policy: wait-free; no allocation, unless what is formatted allocates. In others:
-    /// waits until it is written.
+    /// In a thread with a real-time policy: wait-free; no allocation, unless a formatted argument allocates. In
+    /// other threads: waits until the line is written.
     pub fn log(&self, severity: LogSeverity, target: &impl LogTarget, text: fmt::Arguments<'_>) {
         let (logger, file, line) = (target.logger(), self.file, self.line);
         output::log(Line { time_ns: wall_ns(), severity, logger, text: "", file, line }, text);

@@ -5,13 +5,14 @@
 //! - Levels are the process's and can be changed at any time: [`set_level`], [`Logger::set_level`],
 //!   `--ros-args --log-level warn --log-level robot.arm:=debug`, or by other nodes and `taut log level`
 //!   ([`Node::make_logger_handler`](crate::Node::make_logger_handler)).
-//! - A thread with a real-time policy never waits: its line is formatted into 464 bytes (what is longer is cut off) and put
-//!   into a ring of 64 lines; a low-priority thread, `log`, writes it within 20 ms. Lines that find the ring full are
-//!   counted, and a line says how many were lost. Other threads write their lines themselves.
-//! - What the nodes' loggers, and loggers below them, log is published on `/rosout`; the topic is there with the first
-//!   line, and a node's logger counts as long as somebody has it, a clone, or one below it. Other names are only printed.
-//! - `TracingLayer` (feature `tracing-layer`) brings what `tracing` macros say the same way: Tautline's own warnings, and
-//!   those of other crates.
+//! - A thread with a real-time policy never waits: its line is formatted into 464 bytes (a longer line is truncated) and
+//!   put into a ring of 64 lines; a low-priority thread, `log`, writes it within 20 ms. If the ring is full, lines are
+//!   counted as lost, and a log line states their number. Other threads write their lines themselves.
+//! - Lines of the nodes' loggers, and of loggers below them, are published on `/rosout`. The topic is created with the
+//!   first line. A node's logger is used as long as it, a clone, or a logger below it exists. Lines of other names are
+//!   only printed.
+//! - `TracingLayer` (feature `tracing-layer`) logs the events of `tracing` macros in the same way: Tautline's own
+//!   warnings, and those of other crates.
 
 mod console;
 #[cfg(feature = "tracing-layer")]
@@ -41,7 +42,7 @@ use crate::args::Arguments;
 use line::Line;
 use std::sync::atomic::Ordering;
 
-/// Sets the least severe lines that are wanted of loggers without a level of their own.
+/// Sets the minimum severity of lines of loggers without their own level.
 pub fn set_level(level: LogSeverity) {
     severity::LEVELS.set_all(level);
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where lines go: the console and `/rosout`; and the thread that brings them there from real-time threads.
+//! The outputs of log lines: the console and `/rosout`; and the thread that writes the lines of real-time
+//! threads there.
 
 use super::line::{FixedLine, Line};
 use super::rings::{self, Drain, LINES, Lost};
@@ -44,12 +45,12 @@ thread_local! {
     static WRITING: Cell<bool> = const { Cell::new(false) };
 }
 
-/// Lines that real-time threads logged and nobody will see, because their ring was full.
+/// Lines of real-time threads that were lost because their ring was full.
 pub fn lost_lines() -> u64 {
     LOST.load(Ordering::Relaxed)
 }
 
-/// Writes what real-time threads have logged so far. A context does so when it ends.
+/// Writes the lines that real-time threads have logged so far. A context does this when it ends.
 pub fn flush() {
     if !WRITING.get() {
         Writing::begin().drain();
@@ -64,7 +65,7 @@ pub(crate) fn start() {
         // Not of rt's: its stack, which opening a topic needs, would be touched, and so be resident, in each process.
         let thread = std::thread::Builder::new().name("log".into());
         if let Err(error) = thread.spawn(write_for_ever) {
-            tracing::warn!("what real-time threads log is written only when others log: {error}");
+            tracing::warn!("lines of real-time threads are written only when other threads log: {error}");
         }
     });
 }

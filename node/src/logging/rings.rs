@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How lines leave a real-time thread: a ring of fixed size for each, which only that thread fills.
+//! Passes log lines out of real-time threads: a ring of fixed size for each thread, which only that thread
+//! fills.
 //!
-//! Rings are made ahead, by threads that may wait; a real-time thread claims one with its first line. The ring of a thread
-//! that has ended is given to another one once it is empty.
+//! Rings are created ahead of time, by threads that may wait; a real-time thread claims one with its first line. When the
+//! ring of an ended thread is empty, another thread may claim it.
 
 use super::line::FixedLine;
 use rtrb::{Consumer, Producer, RingBuffer};
@@ -20,11 +21,11 @@ const RINGS: usize = 64;
 const SPARE: usize = 4;
 
 struct Ring {
-    /// The thread that fills it; zero: nobody.
+    /// The thread that fills it; zero: none.
     tid: AtomicU32,
-    /// Whether it has memory.
+    /// Whether its memory is allocated.
     ready: AtomicBool,
-    /// Tried by its thread only, once it has memory, so it is free whenever it is tried.
+    /// Try-locked only by its thread, after its memory is allocated; so the try-lock always succeeds.
     producer: Mutex<Option<Producer<FixedLine>>>,
     lost: AtomicU64,
 }
@@ -116,7 +117,7 @@ pub(super) struct Drain {
     batch: Vec<FixedLine>,
 }
 
-/// Lines that were not kept, and whose they were.
+/// Lost lines, and their threads.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Lost {
     pub(super) lines: u64,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `/rosout`: what the nodes of a context log, for others.
+//! `/rosout`: publishes the log lines of a context's nodes.
 
 use super::line::Line;
 use tautline_transport::Participant;
@@ -24,7 +24,7 @@ mod topic {
     /// A context's publisher, made with the first line.
     pub(crate) struct Rosout {
         participant: Participant,
-        /// Made once: what was refused the first time is not tried again.
+        /// Created once: after a failure it is not tried again.
         publisher: Mutex<Option<Result<Publisher<Log>, TransportError>>>,
     }
 

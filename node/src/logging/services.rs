@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The two services by which other nodes read and set the levels of loggers.
+//! The two services with which other nodes read and set the levels of loggers.
 
 use super::LogSeverity;
 use super::severity::LEVELS;
@@ -16,13 +16,14 @@ const MOST: usize = 128;
 
 impl Node {
     /// Serves the levels of this process's loggers to other nodes, as rclcpp's nodes with `enable_logger_service` do:
-    /// `get_logger_levels` and `set_logger_levels` below the node's name, which `taut log level` asks. The future answers, on
-    /// whichever executor it is spawned. Once per node.
+    /// `get_logger_levels` and `set_logger_levels` below the node's name, which `taut log level` calls. The future responds,
+    /// on whatever executor it is spawned. Call it once per node.
     ///
-    /// A request sets at most 128 loggers of the process: each makes every log statement compare one name more.
+    /// Requests can set the levels of at most 128 loggers of the process, because each one makes every log
+    /// statement compare one more name.
     ///
     /// # Errors
-    /// [`Error::Transport`](crate::Error::Transport) if a service cannot be made.
+    /// [`Error::Transport`](crate::Error::Transport) if a service cannot be created.
     pub fn make_logger_handler(&mut self) -> Result<impl Future<Output = ()> + Send + use<>> {
         let get = self.answer::<GetLoggerLevels::Service>("get_logger_levels", |request| get(&request))?;
         let set = self.answer::<SetLoggerLevels::Service>("set_logger_levels", |request| set(&request))?;

@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How severe a log line is, and which lines of which loggers are wanted.
+//! The severity of log lines, and the levels of loggers.
 
 use std::str::FromStr;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU8, Ordering};
 
-/// How severe a log line is; the number is that of `rcl_interfaces/msg/Log`.
+/// The severity of a log line; the number is that of `rcl_interfaces/msg/Log`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[allow(missing_docs, reason = "the names say it")]
 #[repr(u8)]
 pub enum LogSeverity {
-    /// Of a logger: the level of the one above it counts.
+    /// For a logger: the level of the logger above it applies.
     Unset = 0,
     Debug = 10,
     Info = 20,

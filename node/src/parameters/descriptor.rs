@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is said about a parameter besides its value.
+//! The description of a parameter.
 
 use super::{ParameterError, ParameterValue};
 use std::fmt;
 use std::ops::RangeInclusive;
 
-/// What a parameter is for and what it may be.
+/// The purpose of a parameter and its allowed values.
 ///
 /// ```
 /// use tautline::ParameterDescriptor;
@@ -16,25 +16,25 @@ use std::ops::RangeInclusive;
 #[derive(Debug, Clone, Default, PartialEq)]
 #[must_use = "give it to Node::declare_parameter_with"]
 pub struct ParameterDescriptor {
-    /// What the parameter is for.
+    /// The purpose of the parameter.
     pub description: String,
-    /// Constraints that only a callback checks, for people to read.
+    /// Constraints that only a callback checks, as text for the user.
     pub additional_constraints: String,
-    /// Whether it keeps the value that it was declared with.
+    /// Whether it keeps its initial value.
     pub read_only: bool,
-    /// Whether it may change its type.
+    /// Whether its type may change.
     pub dynamic_typing: bool,
-    /// What a number, or each number of an array, may be.
+    /// The range of a number, or of each number of an array.
     pub range: Option<ParameterRange>,
 }
 
-/// The numbers that a parameter may have.
+/// The range of a parameter's numbers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[allow(missing_docs, reason = "a range has ends and a step")]
 pub enum ParameterRange {
-    /// Those from `from` to `to`, `step` apart unless it is zero.
+    /// From `from` to `to`, in steps of `step` unless it is zero.
     Integer { from: i64, to: i64, step: u64 },
-    /// Those from `from` to `to`, `step` apart unless it is zero.
+    /// From `from` to `to`, in steps of `step` unless it is zero.
     Double { from: f64, to: f64, step: f64 },
 }
 
@@ -51,43 +51,44 @@ impl From<RangeInclusive<f64>> for ParameterRange {
 }
 
 impl ParameterDescriptor {
-    /// Nothing said: any value of the parameter's type.
+    /// An empty description: allows any value of the parameter's type.
     pub fn new() -> ParameterDescriptor {
         ParameterDescriptor::default()
     }
 
-    /// Says what the parameter is for.
+    /// Sets the purpose of the parameter.
     pub fn description(mut self, description: impl Into<String>) -> ParameterDescriptor {
         self.description = description.into();
         self
     }
 
-    /// Says what a callback checks.
+    /// Describes the constraints that a callback checks.
     pub fn additional_constraints(mut self, constraints: impl Into<String>) -> ParameterDescriptor {
         self.additional_constraints = constraints.into();
         self
     }
 
-    /// The parameter keeps the value that it is declared with.
+    /// The parameter keeps its initial value.
     pub fn read_only(mut self) -> ParameterDescriptor {
         self.read_only = true;
         self
     }
 
-    /// The parameter may change its type. A reader of one type keeps the last value of that type.
+    /// The parameter's type may change. A reader of one type keeps the last value of that type.
     pub fn dynamic_typing(mut self) -> ParameterDescriptor {
         self.dynamic_typing = true;
         self
     }
 
-    /// What the number may be: `0..=10` for an integer, `0.0..=1.0` for a double. Of an array: each of its numbers.
+    /// The range of the number: `0..=10` for an integer, `0.0..=1.0` for a double. For an array it applies to each
+    /// number.
     pub fn range(mut self, range: impl Into<ParameterRange>) -> ParameterDescriptor {
         self.range = Some(range.into());
         self
     }
 
-    /// The numbers of the range are this far apart, counted from its start; its end is always one of them. Without a range
-    /// it says nothing.
+    /// Sets the distance between the numbers of the range, counted from its start; its end is always allowed. Without a
+    /// range it has no effect.
     pub fn step(mut self, wanted: impl Into<f64>) -> ParameterDescriptor {
         let wanted = wanted.into();
         match &mut self.range {

@@ -7,13 +7,13 @@ use std::path::PathBuf;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ParameterError {
-    /// Nobody declared it, and it was not given.
+    /// It was neither declared nor given a value.
     #[error("parameter '{name}' is not declared: declare it with `Node::declare_parameter`")]
     NotDeclared {
         /// The parameter.
         name: String,
     },
-    /// It is declared already.
+    /// It is already declared.
     #[error(
         "parameter '{name}' is declared already: declare it once, and use `Node::parameter` for further readers"
     )]
@@ -21,7 +21,7 @@ pub enum ParameterError {
         /// The parameter.
         name: String,
     },
-    /// A name that none can have.
+    /// An invalid name.
     #[error("'{name}' is not a parameter's name: {reason}")]
     InvalidName {
         /// The name.
@@ -40,18 +40,18 @@ pub enum ParameterError {
         actual: &'static str,
         /// The value.
         value: ParameterValue,
-        /// What to write instead.
+        /// A hint what to write instead.
         hint: Option<&'static str>,
     },
-    /// A text that is no value in YAML.
+    /// A text that is not a valid YAML value.
     #[error("'{text}' is not a parameter's value: {reason}")]
     InvalidValue {
         /// The text.
         text: String,
-        /// What is wrong.
+        /// The error.
         reason: String,
     },
-    /// A message's type is none that there is.
+    /// A message contains an unknown type.
     #[error("parameter '{name}': {source}")]
     UnknownType {
         /// The parameter.
@@ -59,7 +59,7 @@ pub enum ParameterError {
         /// The type.
         source: super::UnknownParameterType,
     },
-    /// A number does not fit into the type of the struct's field.
+    /// A number does not fit the type of the struct's field.
     #[error("parameter '{name}': {value} does not fit: {reason}")]
     Conversion {
         /// The parameter.
@@ -76,7 +76,7 @@ pub enum ParameterError {
         name: String,
         /// The value.
         value: ParameterValue,
-        /// The range that it has.
+        /// Its range.
         range: String,
     },
     /// It can be set only when it is declared.
@@ -85,7 +85,7 @@ pub enum ParameterError {
         /// The parameter.
         name: String,
     },
-    /// A parameter of one type stays as long as its node.
+    /// A parameter of one type cannot be undeclared.
     #[error(
         "parameter '{name}' cannot be undeclared: it was declared with one type; declare it with `ParameterDescriptor::dynamic_typing`"
     )]
@@ -96,10 +96,10 @@ pub enum ParameterError {
     /// A callback refused the values.
     #[error("refused: {reason}")]
     Rejected {
-        /// What the callback said.
+        /// The callback's reason.
         reason: String,
     },
-    /// A callback that checks parameters wants to set some.
+    /// A callback that checks parameters tried to set parameters.
     #[error(
         "parameter '{name}' cannot be changed by a callback that checks changes: do it after the change, when a reader has `changed`"
     )]
@@ -112,7 +112,7 @@ pub enum ParameterError {
     File {
         /// The file.
         path: PathBuf,
-        /// What is wrong, and in which line.
+        /// The error, with its line.
         reason: String,
     },
 }

@@ -5,7 +5,7 @@ use super::ParameterValue;
 use std::sync::Arc;
 use tautline_transport::Participant;
 
-/// What became of parameters by one change.
+/// The effects of one change on parameters.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Changes<'v> {
     pub(crate) new: &'v [(String, ParameterValue)],
@@ -56,10 +56,10 @@ mod topic {
     use tautline_ros_msgs::rcl_interfaces::msg::{Parameter, ParameterEvent};
     use tautline_transport::{Claim, Limits, Publisher, TransportError};
 
-    /// A context's publisher, made with the first change.
+    /// A context's publisher, created with the first change.
     pub(crate) struct EventTopic {
         participant: Participant,
-        /// Made once: what was refused the first time is not tried again.
+        /// Created once: after a failure it is not tried again.
         publisher: Mutex<Option<Opened>>,
     }
 

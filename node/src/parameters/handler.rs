@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The six parameter services of a node, as r2r has them.
+//! The six parameter services of a node, as in r2r.
 
 use super::ParameterValue;
 use super::services::{self, Changed};
@@ -22,11 +22,11 @@ const CHANGES: usize = 1000;
 
 impl Node {
     /// Serves the node's parameters to other nodes: `get_parameters`, `set_parameters` and the others below its name. The
-    /// future answers, on whichever executor it is spawned; the stream has what others changed, name and value. Once per
-    /// node.
+    /// future responds, on whatever executor it is spawned; the stream yields the changes by other nodes, with name and
+    /// value. Call it once per node.
     ///
     /// # Errors
-    /// [`Error::Transport`](crate::Error::Transport) if a service cannot be made.
+    /// [`Error::Transport`](crate::Error::Transport) if a service cannot be created.
     pub fn make_parameter_handler(
         &mut self,
     ) -> Result<(
@@ -98,7 +98,7 @@ fn tell(stream: &mut mpsc::Sender<(String, ParameterValue)>, changed: Changed) {
         // Nobody may want them.
         if stream.try_send(change).is_err_and(|error| error.is_full()) {
             tracing::warn!(
-                "{CHANGES} changes of parameters wait for whoever has the stream: one is left out of it"
+                "{CHANGES} parameter changes are queued in the stream: a further change is dropped from it"
             );
         }
     }

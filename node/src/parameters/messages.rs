@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Values as `rcl_interfaces` has them.
+//! Parameter values in the form of `rcl_interfaces`.
 
 use super::{ParameterValue, UnknownParameterType};
 use tautline_ros_msgs::rcl_interfaces::msg;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a node does with its parameters.
+//! A node's functions for its parameters.
 
 use super::{
     Parameter, ParameterDescriptor, ParameterError, ParameterMap, ParameterReader, ParameterValue,
@@ -20,10 +20,12 @@ pub(crate) fn given(
     all.map(|(name, value)| (name.clone(), Parameter::new(value.clone()))).collect()
 }
 
-/// What a ROS 2 parameter file gives the node of this name, `/**` and other wildcards included. Of two values the later one counts.
+/// The parameter values of a ROS 2 parameter file for the node with this name, including `/**` and other wildcards. If there are
+/// two values, the later one counts.
 ///
 /// # Errors
-/// [`Error::Parameter`](crate::Error::Parameter): it cannot be read, or is no parameter file; the line is said.
+/// [`Error::Parameter`](crate::Error::Parameter): it cannot be read, or is not a parameter file; the error
+/// names the line.
 pub fn parameters_of_file(path: &Path, fully_qualified_name: &str) -> Result<Vec<(String, ParameterValue)>> {
     let given = given(&read_parameter_file(path)?, &[], fully_qualified_name);
     Ok(given.into_iter().map(|(name, parameter)| (name, parameter.value)).collect())
@@ -37,13 +39,13 @@ pub(crate) fn read_parameter_file(path: &Path) -> Result<yaml::NodeParameters> {
 
 impl Node {
     /// Declares a parameter: it starts with the value from the command line or a parameter file, else with `default`. The
-    /// type of `default` is the parameter's.
+    /// parameter has the type of `default`.
     ///
     /// # Real-time
     /// Setup only; reading the [`ParameterReader`] is wait-free.
     ///
     /// # Errors
-    /// [`Error::Parameter`](crate::Error::Parameter): declared already; a value that was given is of another type.
+    /// [`Error::Parameter`](crate::Error::Parameter): already declared; a given value is of another type.
     pub fn declare_parameter<T: ParameterVariant>(
         &mut self,
         name: &str,
@@ -52,10 +54,10 @@ impl Node {
         self.declare_parameter_with(name, default, ParameterDescriptor::new())
     }
 
-    /// As [`declare_parameter`](Self::declare_parameter), with a description, a range and so on.
+    /// Like [`declare_parameter`](Self::declare_parameter), with a description, a range and so on.
     ///
     /// # Errors
-    /// As [`declare_parameter`](Self::declare_parameter); a value that was given is out of range.
+    /// As [`declare_parameter`](Self::declare_parameter); a given value is out of range.
     pub fn declare_parameter_with<T: ParameterVariant>(
         &mut self,
         name: &str,
@@ -84,7 +86,8 @@ impl Node {
         self.parameters.set(name, value)
     }
 
-    /// A reader of a parameter that was declared or given: as a stream, its changes.
+    /// A reader of a parameter that was declared or given a value. As a stream it yields the parameter's
+    /// changes.
     ///
     /// # Real-time
     /// Setup only; reading is wait-free.

@@ -8,24 +8,24 @@ use super::{ParameterDescriptor, ParameterError, ParameterValue};
 pub struct Parameter {
     /// Its value.
     pub value: ParameterValue,
-    /// What was said about it.
+    /// Its description.
     pub descriptor: ParameterDescriptor,
     /// If not, it was given on the command line, or put here: then nothing is checked.
     pub(crate) declared: bool,
 }
 
 impl Parameter {
-    /// A parameter with a value, of which nothing is said.
+    /// A parameter with a value and an empty description.
     pub fn new(value: ParameterValue) -> Parameter {
         Parameter { value, ..Parameter::default() }
     }
 
-    /// A parameter that is not set.
+    /// A parameter without a value.
     pub fn empty() -> Parameter {
         Parameter::default()
     }
 
-    /// A parameter that is not set yet, for [`RosParams::register_parameters`](super::RosParams::register_parameters).
+    /// A parameter without a value yet, for [`RosParams::register_parameters`](super::RosParams::register_parameters).
     pub fn with_descriptor(descriptor: ParameterDescriptor) -> Parameter {
         Parameter { descriptor, ..Parameter::default() }
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Reading a parameter from a callback, and waiting for its changes.
+//! Reads a parameter from a callback, and waits for its changes.
 
 use super::{ParameterValue, ParameterVariant};
 use futures::Stream;
@@ -10,9 +10,9 @@ use std::sync::Arc;
 use std::task::{Context, Poll};
 use tautline_rt::{LatestReader, latest};
 
-/// A parameter's value for one callback: reading never waits for whoever sets it, and drops nothing.
+/// A parameter's value for one callback: reading never waits for a thread that sets it, and drops nothing.
 ///
-/// As a stream it gives each change, or the last of several that came between two polls.
+/// As a stream it yields each change, or the last of several changes between two polls.
 ///
 /// ```
 /// use tautline::{Context, Node, Realtime};
@@ -71,12 +71,13 @@ impl<T: ParameterVariant> ParameterReader<T> {
     /// The value.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; no syscall; drops nothing: old values are dropped where new ones are set.
+    /// Wait-free; no allocation; no syscall; drops nothing: old values are dropped by the thread that sets
+    /// new ones.
     pub fn read(&mut self) -> &T {
         self.latest.read()
     }
 
-    /// Waits until the value was set to another one since it was last read.
+    /// Waits until the value has been changed since it was last read.
     ///
     /// # Real-time
     /// Each poll wait-free; no allocation.

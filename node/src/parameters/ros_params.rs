@@ -9,7 +9,7 @@ use std::fmt::Display;
 /// A struct whose fields are a node's parameters: see
 /// [`Parameters::declare_struct`](crate::Parameters::declare_struct). Usually derived.
 ///
-/// A field's documentation is the parameter's description; `#[param(...)]` says what else is known of it:
+/// A field's documentation is the parameter's description; `#[param(...)]` adds other properties:
 ///
 /// ```
 /// use tautline::RosParams;
@@ -62,7 +62,7 @@ pub trait RosParams {
     fn check_parameter(&self, param_name: &str, param_val: &ParameterValue) -> Result<()>;
 }
 
-/// For the derive: what became of a field, under the struct's name for it.
+/// For the derive: the result for a field, with the field's name in the struct.
 #[doc(hidden)]
 pub fn field<T>(result: Result<T>, prefix: &str) -> Result<T> {
     result.map_err(|error| match error {
@@ -71,7 +71,7 @@ pub fn field<T>(result: Result<T>, prefix: &str) -> Result<T> {
     })
 }
 
-/// For the derive: a name that no field has.
+/// For the derive: an error for a name that no field has.
 #[doc(hidden)]
 pub fn no_field<T>() -> Result<T> {
     Err(ParameterError::NotDeclared { name: String::new() }.into())

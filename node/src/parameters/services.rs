@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The answers of a node's parameter services.
+//! The responses of a node's parameter services.
 
 use super::{ParameterDescriptor, ParameterError, ParameterRange, ParameterType, ParameterValue, Parameters};
 use crate::error::Result;

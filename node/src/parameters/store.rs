@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A node's parameters, to be declared and set from any thread.
+//! A node's parameters, which any thread may declare and set.
 
 use super::events::{Changes, ParameterEvents};
 use super::reader::Feed;
@@ -20,22 +20,23 @@ const USE_SIM_TIME: &str = "use_sim_time";
 /// By name, in the order in which they were given or declared.
 pub(crate) type ParameterMap = IndexMap<String, Parameter>;
 
-/// A node's parameters: a handle for any thread. A clone is of the same parameters.
+/// A handle to a node's parameters, for any thread. A clone refers to the same parameters.
 ///
-/// A node that declares parameters refuses to set others; one that declares none lets any be set.
+/// A node that declares parameters refuses to set others; on a node that declares none, any parameter can be
+/// set.
 #[derive(Clone)]
 pub struct Parameters {
     shared: Arc<ParameterStore>,
 }
 
 struct ParameterStore {
-    /// Held only to look or to put, so that those that check a change can look.
+    /// Held only for a read or a write, so that callbacks that check a change can read.
     map: Arc<Mutex<ParameterMap>>,
-    /// Held during all of a change: one after the other.
+    /// Held during a whole change, so that changes are made one after the other.
     hooks: Mutex<Hooks>,
-    /// Held only to look or to put, so that callbacks may be added and ended by callbacks.
+    /// Held only for a read or a write, so that callbacks may add and end callbacks.
     checks: Mutex<Checks>,
-    /// The thread in which callbacks check a change, or follow it.
+    /// The thread in which callbacks check a change, or are notified of it.
     changing: Mutex<Option<ThreadId>>,
 }
 
@@ -95,7 +96,7 @@ impl Parameters {
     /// Setup only.
     ///
     /// # Errors
-    /// [`ParameterError`]: declared already; a value that was given is of another type, or out of range, or refused.
+    /// [`ParameterError`]: already declared; a given value is of another type, out of range, or refused.
     pub fn declare<T: ParameterVariant>(
         &self,
         name: &str,
@@ -155,7 +156,7 @@ impl Parameters {
         Ok(enabled)
     }
 
-    /// A further reader of a parameter.
+    /// Another reader of a parameter.
     ///
     /// # Real-time
     /// Setup only.
@@ -209,7 +210,7 @@ impl Parameters {
         self.set_atomically([(name.to_owned(), value.into())])
     }
 
-    /// Sets all these parameters or, if one is refused, none.
+    /// Sets all these parameters, or none if one is refused.
     ///
     /// # Real-time
     /// Not for real-time callbacks: takes locks, allocates.
@@ -295,8 +296,8 @@ impl Parameters {
         Ok(changed)
     }
 
-    /// Forgets a parameter; its readers keep the last value. As in ROS 2, only one that may change its type can go: whoever reads
-    /// another one relies on it.
+    /// Removes a parameter; its readers keep the last value. As in ROS 2, only a parameter with dynamic typing can be removed,
+    /// because readers rely on other parameters.
     ///
     /// # Errors
     /// [`ParameterError`]: not declared, read-only, of one type.
@@ -326,7 +327,7 @@ impl Parameters {
         lock(&self.shared.map).contains_key(name)
     }
 
-    /// What was said about a parameter, and its type now.
+    /// The description of a parameter, and its present type.
     ///
     /// # Errors
     /// [`ParameterError::NotDeclared`].
@@ -336,15 +337,16 @@ impl Parameters {
         Ok((parameter.value.parameter_type(), parameter.descriptor.clone()))
     }
 
-    /// The names of all parameters, in the order in which they were given or declared.
+    /// The names of all parameters, in the order in which they were given a value or declared.
     pub fn names(&self) -> Vec<String> {
         lock(&self.shared.map).keys().cloned().collect()
     }
 
-    /// Calls `check` before parameters are declared or set; if it gives a reason, none of them is.
+    /// Calls `check` before parameters are declared or set; if it returns a reason, none of them is declared
+    /// or set.
     ///
-    /// It may read parameters, add and end callbacks, and not set any. One that panics passes the panic on to whoever sets; nothing
-    /// is set then.
+    /// It may read parameters, and add and end callbacks, but not set parameters. If it panics, the panic propagates to the caller
+    /// that sets the parameters; nothing is set then.
     pub fn on_set(
         &self,
         check: impl Fn(&[(String, ParameterValue)]) -> std::result::Result<(), String> + Send + Sync + 'static,
@@ -356,11 +358,12 @@ impl Parameters {
         OnSetParameters { shared: Arc::downgrade(&self.shared), number }
     }
 
-    /// Declares the fields of a struct. From now on it is changed with them, and what is changed in it is what others get. Setting
-    /// parameters, and the services that do, lock it: do not set any while you hold its lock.
+    /// Declares the fields of a struct as parameters. From now on, setting such a parameter changes the struct, and readers get
+    /// values that were changed in the struct. Setting parameters, also by service, locks the struct: do not set any parameter
+    /// while you hold its lock.
     ///
     /// # Errors
-    /// [`ParameterError`]: declared already, or a value that was given does not fit; nothing is declared then.
+    /// [`ParameterError`]: already declared, or a given value does not fit; nothing is declared then.
     pub fn declare_struct(&self, of_struct: Arc<Mutex<dyn RosParams + Send>>) -> Result<()> {
         let mut hooks = self.hooks("")?;
         let before = lock(&self.shared.map).clone();

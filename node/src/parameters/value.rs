@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a parameter can be.
+//! The values and types of parameters.
 
 use super::ParameterError;
 use std::fmt;
@@ -41,7 +41,7 @@ pub enum ParameterType {
 }
 
 impl ParameterType {
-    /// As in messages: `integer array`.
+    /// The name as in messages: `integer array`.
     pub const fn name(self) -> &'static str {
         match self {
             ParameterType::NotSet => "not set",
@@ -150,13 +150,13 @@ impl fmt::Display for ParameterValue {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("got `{actual_type_name}`, expected `{expected_type_name}`")]
 pub struct WrongParameterType {
-    /// The type asked for.
+    /// The requested type.
     pub expected_type_name: &'static str,
     /// The value's type.
     pub actual_type_name: &'static str,
 }
 
-/// A message's type is none of `rcl_interfaces/msg/ParameterType`.
+/// The type in a message is not one of `rcl_interfaces/msg/ParameterType`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("{number} is not a type of parameters, which are 0 to 9")]
 pub struct UnknownParameterType {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Parameters as YAML says them: by ROS 2's rules for what is a number, a string and so on.
+//! Parameters in YAML, with ROS 2's rules for numbers, strings and so on.
 
 use super::ParameterValue;
 use granit_parser::{Event, Parser, ScalarStyle, StrInput};
@@ -83,7 +83,7 @@ struct Tree {
 
 enum Node {
     Nothing,
-    /// Text with what was said about its type: `!!str`, or by quotes.
+    /// Text with its stated type: `!!str`, or quotes.
     Scalar(String, Option<String>),
     Sequence(Vec<Tree>),
     Mapping(Vec<(String, Tree)>),

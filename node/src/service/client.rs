@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Clients, and waiting for servers.
+//! Clients, and waits for servers.
 
 use crate::error::{Error, Result};
 use futures::TryFutureExt;
@@ -15,9 +15,11 @@ use tautline_transport::{
     Decode, Loan, PendingResponse, RawClient, SendError, ServiceCodec, ServiceError, Unwritten,
 };
 
-/// Asks a service: with owned messages, or with requests that are written, and responses that are read, in shared memory.
+/// A client of a service: with owned messages, or with requests that are written, and responses that are read, in shared
+/// memory.
 ///
-/// May be moved to another thread, and is used by one at a time; what waits for its responses may be in any thread.
+/// May be moved between threads, but only one thread uses it at a time. The futures that wait for its responses may
+/// be in any thread.
 pub struct Client<T: ServiceCodec> {
     inner: tautline_transport::Client<T>,
     events: Events,
@@ -28,37 +30,37 @@ impl<T: ServiceCodec<Error: Into<Error>>> Client<T> {
         Client { inner, events: events.clone() }
     }
 
-    /// Sends a request. The future ends with the response, or with an error when all servers that got the request have gone.
+    /// Sends a request. The future yields the response, or an error when all servers that got the request have ended.
     /// Dropping it cancels the wait. It may outlive the client.
     ///
     /// # Real-time
-    /// As [`loan`](Self::loan) and [`send`](Self::send), and one copy of the request; the response allocates its strings and sequences, where that
-    /// of [`send`](Self::send) does not. Codecs other than Rust types add what they say: JSON allocates.
+    /// As [`loan`](Self::loan) and [`send`](Self::send), and one copy of the request; the response allocates its strings and sequences,
+    /// unlike that of [`send`](Self::send). Codecs other than Rust types have additional costs: JSON allocates.
     ///
     /// # Errors
-    /// [`Error::Service`]: there is no server, its queue is full, or too many requests wait; codecs other than Rust types have errors of
-    /// their own. Nothing was sent.
+    /// [`Error::Service`]: there is no server, its queue is full, or too many requests are pending; codecs other than Rust types have
+    /// their own errors. Nothing was sent.
     pub fn request(&self, msg: &T::Request) -> Result<ResponseFuture<T>> {
         Ok(ResponseFuture { response: self.inner.request(msg).map_err(Into::into)?, limit: None })
     }
 
-    /// [`request`](Self::request), whose future ends with an error if the response does not come in time; with a limit of zero, unless
-    /// it is there when the future is first polled.
+    /// Like [`request`](Self::request), but the future ends with an error if the response does not arrive in time; with a time-out of
+    /// zero, unless it has arrived when the future is first polled.
     ///
     /// # Real-time
-    /// As [`request`](Self::request), and claims an alarm: wait-free, O(the context's slots), copies
-    /// the service's name, and at most one futex wake to set it. Dropping the future is at most one more. After each the sampler looks
-    /// through its timers once.
+    /// Like [`request`](Self::request), and claims an alarm: wait-free, O(the context's slots), copies the service's name, and at most
+    /// one futex wake to set the alarm. Dropping the future costs at most one more. After each of these the sampler checks its timers
+    /// once.
     ///
     /// # Errors
-    /// As [`request`](Self::request); [`Error::Transport`] if the context has no slot left for the alarm. The future's:
-    /// [`Error::ServiceTimeout`].
+    /// As [`request`](Self::request); [`Error::Transport`] if the context has no slot left for the alarm. Error of the
+    /// future: [`Error::ServiceTimeout`].
     pub fn request_timeout(&self, msg: &T::Request, timeout: Duration) -> Result<ResponseFuture<T>> {
         let limit = Limit::new(&self.events, timeout, self.service_name())?;
         Ok(ResponseFuture { limit: Some(limit), ..self.request(msg)? })
     }
 
-    /// What is known at run time of the service's requests and responses.
+    /// The definitions of requests and responses that are known at run time.
     pub fn definitions(&self) -> (&<T::Request as Decode>::Definition, &<T::Response as Decode>::Definition) {
         self.inner.definitions()
     }
@@ -78,15 +80,16 @@ impl<T: ServiceCodec> Client<T> {
     /// Waits until the service has a server. The wait counts as a pending request of the client.
     ///
     /// # Errors
-    /// [`Error::Service`] if the client has no room for one more; of the future, if the client's node ends.
+    /// [`Error::Service`] if the client has no room for another pending request. Error of the future: the
+    /// client's node ends.
     pub fn wait_for_service(&self) -> Result<impl Future<Output = Result<()>> + Unpin + Send + use<T>> {
         Ok(self.inner.availability()?.map_err(Error::from))
     }
 }
 
 impl<T: Service> Client<T> {
-    /// Loans memory for a request to write in place, as `&mut T::Request`. A loan stays in its thread: see
-    /// [`Publisher::loan`](crate::Publisher::loan).
+    /// Loans memory for a request to write in place, as `&mut T::Request`. A loan must stay in its thread:
+    /// see [`Publisher::loan`](crate::Publisher::loan).
     ///
     /// # Real-time
     /// As [`Publisher::loan`](crate::Publisher::loan).
@@ -121,8 +124,9 @@ impl<T: Service> Client<T> {
     ///
     /// # Real-time
     /// Wait-free, O(responses x pending requests + servers); no allocation; at most one futex wake per sampler that sleeps, and per
-    /// callback thread of a server that sleeps and is woken directly; and one for each task whose response is taken on the way and
-    /// whose thread sleeps. A thread that takes responses right now is waited for, and has this one's priority meanwhile.
+    /// callback thread of a server that sleeps and is woken directly; and one for each task whose response is taken meanwhile and
+    /// whose thread sleeps. Waits for a thread that is taking responses at that moment, which inherits this thread's priority
+    /// meanwhile.
     ///
     /// # Errors
     /// [`SendError`], with the loan: [`ServiceError::NoServer`], [`ServiceError::RequestsFull`], [`ServiceError::TooManyPending`],
@@ -152,7 +156,7 @@ impl<T: Service> Client<T> {
     }
 }
 
-/// The response to one request, once it is there. Dropping it cancels the wait; the server is not told.
+/// The pending response to one request. Dropping it cancels the wait; the server is not notified.
 #[must_use = "the response is lost unless it is awaited"]
 pub struct ResponseFuture<T: ServiceCodec> {
     response: PendingResponse<T>,
@@ -161,7 +165,7 @@ pub struct ResponseFuture<T: ServiceCodec> {
 
 /// Until when a response is waited for.
 struct Limit {
-    /// Rings once: a timer would go on for as long as nobody polls.
+    /// Rings only once: a timer would continue to ring as long as the future is not polled.
     alarm: Alarm,
     timeout: Duration,
     service: String,

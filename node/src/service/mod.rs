@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Services: of types that the program was built with, and of types that are known at run time only.
+//! Services: of types with which the program was built, and of types that are known only at run time.
 
 mod client;
 mod server;
@@ -24,8 +24,8 @@ use tautline_transport::{Limits, Qos};
 /// A request goes to every server, as in ROS 2, and the first response counts. Without a server it is an error: wait with [`Client::wait_for_service`] first. If all servers that got it end or are
 /// killed, it ends with an error as well.
 impl Node {
-    /// Creates a service: a stream of requests, read in shared memory, and the means to answer them there. [`Server::owned`] makes a
-    /// stream of owned requests of it, each to be answered with [`respond`](ServiceRequest::respond), in any thread.
+    /// Creates a service: a stream of requests, read in shared memory, with functions to respond there. [`Server::owned`] converts
+    /// it into a stream of owned requests; respond to each with [`respond`](ServiceRequest::respond), in any thread.
     ///
     /// ```
     /// # #[cfg(feature = "example_interfaces")] {
@@ -63,7 +63,8 @@ impl Node {
         Ok(Server::new(self.participant.create_server(&name, qos.depth, limits)?))
     }
 
-    /// Creates a client of a service. Requests are always reliable, and [`Limits`] say for how many there is room.
+    /// Creates a client of a service. Requests are always reliable, and [`Limits`] state for how many there is
+    /// room.
     ///
     /// # Errors
     /// As [`create_service`](Self::create_service).
@@ -73,8 +74,8 @@ impl Node {
         Ok(Client::new(self.participant.create_client(&name, limits)?, self.context.events()))
     }
 
-    /// Sets the limits of the servers and clients of a service that this node makes from now on: `message_bytes` of what each
-    /// sends, a response or a request.
+    /// Sets the limits of the servers and clients of a service that this node creates from now on: `message_bytes` applies to
+    /// the messages that each sends, responses or requests.
     ///
     /// # Errors
     /// [`Error::Name`].

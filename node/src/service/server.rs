@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Servers: requests in place, and as an adapter of that owned ones.
+//! Servers: requests in place, and an adapter for owned requests.
 
 use crate::error::{Error, Result};
 use crate::subscription::{Samples, Source};
@@ -15,11 +15,11 @@ use tautline_transport::{
     TakeError, UnwrittenResponse,
 };
 
-/// Serves in place: a stream of [`Request`]s, each read where the client wrote it, and the means to answer them, written where
+/// A server in place: a stream of [`Request`]s, each read where the client wrote it, with functions that write responses where
 /// the client reads them.
 ///
 /// On a callback thread each request is a job: its response time counts from the request's release, and the next poll of this
-/// stream ends it. May be moved to another thread, and is used by one at a time.
+/// stream ends it. May be moved between threads, but only one thread uses it at a time.
 ///
 /// ```
 /// # #[cfg(feature = "example_interfaces")] {
@@ -65,22 +65,22 @@ impl<T: ServiceCodec> Server<T> {
     /// Writes `response` into a loan and sends it.
     ///
     /// # Real-time
-    /// As [`loan_with`](Self::loan_with) and [`Response::send`], and one copy of the message. Codecs other than Rust types add what they
-    /// say: JSON allocates.
+    /// As [`loan_with`](Self::loan_with) and [`Response::send`], and one copy of the message. Codecs other than Rust types have
+    /// additional costs: JSON allocates.
     ///
     /// # Errors
-    /// As [`loan`](Self::loan) and [`Response::send`]; codecs other than Rust types have errors of their own.
+    /// As [`loan`](Self::loan) and [`Response::send`]; codecs other than Rust types have their own errors.
     pub fn respond(&self, request: &Request<T>, response: &T::Response) -> std::result::Result<(), T::Error> {
         self.server().respond(request.id(), response)
     }
 
-    /// The stream of owned requests, copied out of shared memory, each to be answered with [`ServiceRequest::respond`], in any thread. The
-    /// service ends with the stream and the last request.
+    /// The stream of owned requests, copied out of shared memory; respond to each with [`ServiceRequest::respond`], in any thread. The
+    /// service ends when the stream and the last request are dropped.
     pub fn owned(self) -> impl Stream<Item = ServiceRequest<T>> + Unpin + Send + use<T> {
         Requests { service: Arc::new(PiMutex::new(self)) }
     }
 
-    /// Requests received, invalid, highest queue fill: to be read from any thread.
+    /// Received requests, invalid requests, highest queue fill: readable from any thread.
     pub fn counters(&self) -> Arc<SubscriptionCounters> {
         self.requests.counters()
     }
@@ -92,8 +92,9 @@ impl<T: ServiceCodec> Server<T> {
 }
 
 impl<T: Service> Server<T> {
-    /// Loans memory for the response to `request`, to write in place as `&mut T::Response`. A future that keeps it over an
-    /// `.await` is not `Send`: wait before, or run the future with [`Node::spawn_local`](crate::Node::spawn_local).
+    /// Loans memory for the response to `request`, to write in place as `&mut T::Response`. A future that holds it across
+    /// an `.await` is not `Send`: await before the loan, or run the future with
+    /// [`Node::spawn_local`](crate::Node::spawn_local).
     ///
     /// # Real-time
     /// Wait-free, O(clients); no allocation; no syscall.
@@ -110,8 +111,8 @@ impl<T: Service> Server<T> {
     /// Loans memory for a response of these lengths, to be [written](UnwrittenResponse::write) in place.
     ///
     /// # Real-time
-    /// As [`loan`](Self::loan); linear in the number of fields; a longer response than all before and than
-    /// `Limits::message_bytes` takes a larger segment: allocates, maps memory.
+    /// As [`loan`](Self::loan); linear in the number of fields; a response longer than all before and than
+    /// `Limits::message_bytes` needs a larger segment: allocates, maps memory.
     ///
     /// # Errors
     /// As [`loan`](Self::loan).
@@ -177,19 +178,19 @@ impl<T: ServiceCodec> Stream for Requests<T> {
     }
 }
 
-/// A request with an owned message, to be answered with [`respond`](Self::respond), now or later, in any thread.
+/// A request with an owned message. Respond with [`respond`](Self::respond), now or later, in any thread.
 pub struct ServiceRequest<T: ServiceCodec> {
-    /// What is asked.
+    /// The request's message.
     pub message: <T::Request as Decode>::Owned,
     reply: Reply<T>,
 }
 
 impl<T: ServiceCodec<Error: Into<Error>>> ServiceRequest<T> {
-    /// Answers the request. If its client has gone meanwhile, nothing happens, as in ROS 2.
+    /// Responds to the request. If its client has ended meanwhile, nothing happens, as in ROS 2.
     ///
     /// # Real-time
-    /// Takes a lock that inherits priority, which threads hold while they write and send an answer of this service, or take a request.
-    /// [`Server::respond`] takes none.
+    /// Takes a lock with priority inheritance, which threads hold while they write and send a response of this service, or take a
+    /// request. [`Server::respond`] takes none.
     ///
     /// # Errors
     /// [`Error::Service`](crate::Error::Service): the client's queue is full or cannot be reached, the response cannot be written.
@@ -197,7 +198,7 @@ impl<T: ServiceCodec<Error: Into<Error>>> ServiceRequest<T> {
         self.reply.respond(&msg)
     }
 
-    /// Which request of which client this is.
+    /// Identifies the request and its client.
     pub fn id(&self) -> RequestId {
         self.reply.id
     }

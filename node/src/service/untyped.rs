@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Services of types that the program was not built with: requests and responses as JSON.
+//! Services of types with which the program was not built: requests and responses as JSON.
 
 use super::{Client, Server};
 use crate::error::Result;
@@ -11,7 +11,7 @@ use tautline_transport::{Qos, ServiceType, TopicType};
 
 impl Node {
     /// Creates a client of a service of a type that is known by name, `std_srvs/srv/SetBool`: requests and responses are
-    /// JSON, and a response that is not of the type is an error.
+    /// JSON, and a response that is not valid for the type is an error.
     ///
     /// # Errors
     /// [`Error::UnknownType`](crate::Error::UnknownType), [`Error::Schema`](crate::Error::Schema) and
@@ -25,8 +25,8 @@ impl Node {
         Ok(Client::new(client, self.context.events()))
     }
 
-    /// Creates a service of a type that is known by name: requests are JSON, each an error if it is not of the type, and are answered with
-    /// JSON.
+    /// Creates a service of a type that is known by name: requests and responses are JSON. A request that is not valid for the type is an
+    /// error.
     ///
     /// # Errors
     /// As [`create_client_untyped`](Self::create_client_untyped).

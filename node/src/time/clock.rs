@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Clocks as ROS 2 has them.
+//! Clocks, as in ROS 2.
 
 use super::source::{ClockJump, JumpCallback, JumpThreshold, TimeSource};
 use crate::context::Context;
@@ -10,12 +10,12 @@ use std::task::Poll;
 use std::time::Duration;
 use tautline_rt::clock::{monotonic_ns, wall_ns};
 
-/// What a clock shows.
+/// The type of a clock.
 #[derive(Debug, Copy, Clone, PartialEq, Eq)]
 pub enum ClockType {
-    /// The system's time, or that of `/clock` in nodes with `use_sim_time`.
+    /// The system's time, or the time of `/clock` in nodes with `use_sim_time`.
     RosTime,
-    /// The system's time: since 1970, and set now and then.
+    /// The system's time since 1970; it may be set.
     SystemTime,
     /// The time since an arbitrary start; never set.
     SteadyTime,
@@ -37,7 +37,8 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// A clock of this type. One of [`ClockType::RosTime`] shows the system's time: that of a node is [`Node::clock`](crate::Node::clock).
+    /// A clock of this type. A clock of type [`ClockType::RosTime`] shows the system's time; for a node's ROS clock see
+    /// [`Node::clock`](crate::Node::clock).
     pub fn new(kind: ClockType) -> Clock {
         Clock { kind, source: None }
     }
@@ -49,7 +50,8 @@ impl Clock {
     /// The time.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; no syscall. Simulated: takes a lock while it reads what `/clock` brought.
+    /// Wait-free; no allocation; no syscall. With simulated time: takes a lock while it reads new messages of
+    /// `/clock`.
     pub fn now(&self) -> Duration {
         Duration::from_nanos(u64::try_from(self.now_ns()).unwrap_or_default())
     }
@@ -72,12 +74,12 @@ impl Clock {
         self.kind == ClockType::RosTime && self.source.as_ref().is_some_and(TimeSource::is_enabled)
     }
 
-    /// What it shows.
+    /// Its type.
     pub fn clock_type(&self) -> ClockType {
         self.kind
     }
 
-    /// A time as messages have it; what does not fit into their 32 bits is cut off.
+    /// Converts a time into its message; seconds that do not fit into 32 bits are truncated.
     pub fn to_builtin_time(d: &Duration) -> tautline_ros_msgs::builtin_interfaces::msg::Time {
         tautline_ros_msgs::builtin_interfaces::msg::Time {
             sec: d.as_secs() as i32,
@@ -85,11 +87,11 @@ impl Clock {
         }
     }
 
-    /// Waits until the clock shows `until`; no longer, if it jumps there. The context's sampler wakes it.
+    /// Waits until the clock shows `until`, also if the clock jumps there. The context's sampler wakes it.
     ///
     /// # Real-time
-    /// Setting up takes a slot of the context, and a subscription if the time is simulated; then each poll is wait-free. That
-    /// the system's clock was set is noticed within a second.
+    /// The setup claims a slot of the context, and a subscription if the time is simulated; after that each poll is
+    /// wait-free. A change of the system's clock is noticed within a second.
     ///
     /// # Errors
     /// [`Error::Transport`]: no slot is left, or `/clock` cannot be subscribed to.
@@ -124,11 +126,11 @@ impl Clock {
         }
     }
 
-    /// Calls `callback` after the clock of `/clock` has jumped as far as `threshold` says, or the clock has come to show
-    /// another time; in the thread that reads the jump. For a clock of a node with [`ClockType::RosTime`].
+    /// Calls `callback` after the time of `/clock` has jumped by at least `threshold`, or after the clock's time source
+    /// has changed, in the thread that reads the jump. For a node's clock with [`ClockType::RosTime`].
     ///
     /// # Errors
-    /// [`Error::ClockTypeNotRosTime`]: no other clock knows of jumps.
+    /// [`Error::ClockTypeNotRosTime`]: other clocks do not jump.
     pub fn on_jump(
         &self,
         threshold: JumpThreshold,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Clocks, and time that is simulated.
+//! Clocks and simulated time.
 
 mod clock;
 mod node;

@@ -15,15 +15,15 @@ impl Node {
         Clock::of_source(self.time_source.clone())
     }
 
-    /// What gives the node's ROS clock its time.
+    /// The time source of the node's ROS clock.
     pub fn time_source(&self) -> TimeSource {
         self.time_source.clone()
     }
 
     /// Creates a timer on the node's ROS clock, whose first release is one period from now. On simulated time it pauses, runs
-    /// and jumps with `/clock`: a jump forward is one release, and the others it skipped are counted as missed; one back
-    /// begins a new period. While the clock shows the system's time, releases are on the monotonic clock, as those of
-    /// [`create_wall_timer`](Self::create_wall_timer): setting the system's time does not disturb them.
+    /// and jumps with `/clock`: a jump forward causes one release, and the skipped releases are counted as missed; a jump
+    /// back starts a new period. While the clock shows the system's time, releases are on the monotonic clock, as with
+    /// [`create_wall_timer`](Self::create_wall_timer): setting the system's time does not affect them.
     ///
     /// # Errors
     /// [`Error::ZeroPeriod`]; [`Error::ShortPeriod`] below 1 µs; [`Error::Transport`] if there is no memory for its slot; [`Error::ClockUsers`].

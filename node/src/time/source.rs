@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Simulated time: what `/clock` says, for the clocks and timers of a node.
+//! Simulated time: the time of `/clock`, for the clocks and timers of a node.
 //!
-//! There is no thread for it. Whoever asks for the time, or waits for it, reads what `/clock` has brought; the sampler
-//! wakes all who wait when something came.
+//! It needs no thread. A thread that reads the time, or waits for it, reads the new messages of `/clock`; the sampler
+//! wakes all waiting tasks when a message has arrived.
 
 use super::Clock;
 use crate::error::{Error, Result};
@@ -17,7 +17,7 @@ use tautline_rt::PiMutex;
 use tautline_transport::{Limits, Participant, Qos, Subscription};
 
 /// Gives a node's ROS clock the time of `/clock` when the parameter `use_sim_time` is set, at the start or later, or after
-/// [`enable_sim_time`](Self::enable_sim_time). Until the first message the time is 0. A clone is of the same node.
+/// [`enable_sim_time`](Self::enable_sim_time). Until the first message the time is 0. A clone belongs to the same node.
 #[derive(Clone)]
 pub struct TimeSource {
     shared: Arc<TimeSourceState>,
@@ -30,7 +30,7 @@ struct TimeSourceState {
     now_ns: AtomicI64,
     /// Held while a message is taken, also by real-time threads.
     reading: PiMutex<Reading>,
-    /// Held while another time comes to be shown.
+    /// Held while the clock's time source changes.
     switching: Mutex<()>,
     waiting: Arc<Waiting>,
     callbacks: PiMutex<Callbacks>,
@@ -52,16 +52,16 @@ struct Callbacks {
 /// How a clock has jumped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClockJump {
-    /// Whether the clock shows another time from now on.
+    /// Whether the clock's time source has changed.
     pub change: ClockChange,
-    /// How far, in nanoseconds; negative: back.
+    /// The distance in nanoseconds; negative: back.
     pub delta_ns: i64,
 }
 
-/// Whether a ROS clock came to show another time.
+/// Whether a ROS clock's time source has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ClockChange {
-    /// It shows simulated time as before.
+    /// No change: it still shows simulated time.
     NoChange,
     /// It showed the system's time, and now that of `/clock`.
     Activated,
@@ -69,14 +69,14 @@ pub enum ClockChange {
     Deactivated,
 }
 
-/// Of which jumps a callback wants to know. Each message of `/clock` is one forward.
+/// The jumps for which a callback is called. Each message of `/clock` is a jump forward.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct JumpThreshold {
-    /// Those forward that are at least this far.
+    /// Jumps forward by at least this time.
     pub min_forward: Option<Duration>,
-    /// Those back that are at least this far.
+    /// Jumps back by at least this time.
     pub min_backward: Option<Duration>,
-    /// Those that come from a [`ClockChange`].
+    /// Jumps caused by a [`ClockChange`].
     pub on_clock_change: bool,
 }
 
@@ -110,7 +110,7 @@ pub struct JumpCallback {
 /// Most that wait for a node's simulated time at once.
 const WAITING: usize = 64;
 
-/// Those that the sampler wakes when `/clock` brought something.
+/// The tasks that the sampler wakes when a message of `/clock` has arrived.
 struct Waiting {
     claimed: AtomicU64,
     wakers: [AtomicWaker; WAITING],
@@ -159,12 +159,12 @@ impl TimeSource {
         TimeSource { shared: Arc::new(shared) }
     }
 
-    /// A clock that shows what the node's ROS clock does.
+    /// A clock that shows the time of the node's ROS clock.
     pub fn clock(&self) -> Clock {
         Clock::of_source(self.clone())
     }
 
-    /// Shows the time of `/clock`.
+    /// Switches to the time of `/clock`.
     ///
     /// # Errors
     /// [`Error::Transport`]: `/clock` cannot be subscribed to.
@@ -172,13 +172,13 @@ impl TimeSource {
         self.set_enabled(true)
     }
 
-    /// Shows the system's time.
+    /// Switches to the system's time.
     pub fn disable_sim_time(&self) {
         // Only enabling can fail.
         let _ = self.set_enabled(false);
     }
 
-    /// Whether it shows the time of `/clock`.
+    /// Whether the time of `/clock` is used.
     pub fn is_enabled(&self) -> bool {
         self.shared.enabled.load(Ordering::Acquire)
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Timers on a node's ROS clock: on the sampler's, or on simulated time.
+//! Timers on a node's ROS clock: on the sampler's clock, or on simulated time.
 
 use super::source::ClockWaiter;
 use crate::error::Result;
@@ -29,7 +29,7 @@ enum On {
 /// When the next release is, in simulated time.
 #[derive(Debug, Default)]
 struct Schedule {
-    /// With the time at the last look; `None`: the time is not known yet.
+    /// The next release, and the time at the last check; `None`: the time is not known yet.
     next: Option<(i64, i64)>,
 }
 
@@ -85,7 +85,7 @@ impl RosTimer {
         if simulated.is_some() != matches!(self.on, On::Simulated(_)) {
             match On::of(&self.waiter, &self.events, self.period_ns) {
                 Ok(on) => self.on = on,
-                Err(error) => tracing::warn!("a timer stays on the clock that it was on: {error}"),
+                Err(error) => tracing::warn!("a timer keeps its previous clock: {error}"),
             }
         }
         let (tick, since) = match (&mut self.on, simulated) {

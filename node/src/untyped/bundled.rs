@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The definitions of the packages that `tautline-ros-msgs` has types of, as a part of the program.
+//! The definitions of the packages of `tautline-ros-msgs`, included in the program.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use tautline_schema::{Definition, Packages, SchemaError, TypeName};
 // Names (`std_msgs/msg/String`) and texts.
 include!(concat!(env!("OUT_DIR"), "/definitions.rs"));
 
-/// The definitions of ROS's types that are a part of this program.
+/// The definitions of ROS types that are included in this program.
 ///
 /// ```
 /// let mut bundled = tautline::Bundled::default();
@@ -24,15 +24,15 @@ pub struct Bundled {
 }
 
 impl Bundled {
-    /// The names of all, as `std_msgs/msg/String`.
+    /// The names of all types, such as `std_msgs/msg/String`.
     pub fn names() -> impl Iterator<Item = &'static str> {
         DEFINITIONS.iter().map(|(name, _)| *name)
     }
 
-    /// The definition of a type, or of what is derived from a service or action; `None` if it is not bundled.
+    /// The definition of a type, or of a type derived from a service or action; `None` if it is not bundled.
     ///
     /// # Errors
-    /// A definition that is not valid, which none of a released version is.
+    /// An invalid definition; a released version contains none.
     pub fn definition(&mut self, name: &TypeName) -> Result<Option<Arc<Definition>>, SchemaError> {
         if !self.parsed.contains(name.package()) {
             // All of the package: some are derived from others.

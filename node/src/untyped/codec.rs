@@ -8,9 +8,9 @@ use tautline_msgs::{Body, HEADER, split_header};
 use tautline_schema::{self as schema, DynamicMessage, MessageError, Schema};
 use tautline_transport::{Codec, Decode, Publisher, ServiceCodec};
 
-/// A message, request or response of a type that is known by its definition: an object of its fields, those left out having their
-/// defaults. Nothing is sent that is not of the type, and [`Error::Message`] says with the field why not; what comes is copied, and is an
-/// error if it is not of the type.
+/// A message, request or response of a type that is known by its definition: an object of its fields. Omitted fields have their defaults.
+/// A value that is not valid for the type is not sent; [`Error::Message`] names the field and the reason. Received messages are copied; a
+/// message that is not valid for the type is an error.
 ///
 /// Not for real-time threads: each message allocates.
 #[derive(Clone, Debug, PartialEq)]
@@ -76,8 +76,8 @@ impl ServiceCodec for Json {
     }
 }
 
-/// Messages of whatever type as CDR, of which nobody has looked whether they are of the type: the body in shared memory, or a copy of it
-/// behind the 4 bytes of the encapsulation header.
+/// Messages of any type as CDR. It is not checked whether they are valid for the type. Read the body in shared memory, or a copy of it
+/// after the 4 bytes of the encapsulation header.
 #[derive(Clone, Copy, Debug)]
 pub enum Cdr {}
 

@@ -8,12 +8,12 @@ use std::sync::Arc;
 use tautline_schema::{Packages, Schema, SchemaError, TypeName};
 use tautline_transport::{ClaimedSchema, SchemaStore, TopicType};
 
-/// The definition of the type `name`, with all types it consists of, for `topic`, which exists with the type `existing` or
-/// does not exist yet: what was kept for the topic's hash, after computing the hash anew; else from the packages of
-/// `AMENT_PREFIX_PATH`; else from those that are bundled.
+/// The definition of the type `name`, with all types of which it consists, for `topic`, which exists with the type
+/// `existing` or does not exist yet. It is the definition stored for the topic's hash, after the hash has been recomputed;
+/// otherwise that of the packages in `AMENT_PREFIX_PATH`; otherwise the bundled one.
 ///
-/// Of the latter two the one with the topic's hash is taken. If none has it, the first one is: the end that is made with it
-/// then matches no other, which a warning says with both hashes.
+/// Of the latter two, the definition with the topic's hash is used. If none has this hash, the first one is used: an
+/// endpoint created with it then matches no other endpoint, and a warning names both hashes.
 ///
 /// # Errors
 /// [`Error::UnknownType`] if there is none; [`Error::StoredDefinition`] or [`Error::Schema`] if it cannot be used.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Topics of types that the program was not built with: messages as JSON, or as the CDR of the ROS 2 wire.
+//! Topics of types with which the program was not built: messages as JSON, or as the CDR of the ROS 2 wire.
 
 mod bundled;
 mod codec;
@@ -25,8 +25,9 @@ const LOOK_PERIOD: Duration = Duration::from_millis(20);
 /// keeps the definitions of its types in `/tmp/tautline_<uid>/schemas`); the packages of `AMENT_PREFIX_PATH`; those that are
 /// bundled; the nodes of other hosts that publish the topic, through this host's gateway.
 impl Node {
-    /// Subscribes to a topic of a type that is known by name: a stream of samples, each to be copied as JSON, led by the type's definition;
-    /// an error if it is not of the type. [`Subscription::owned`] makes a stream of these copies.
+    /// Subscribes to a topic of a type that is known by name: a stream of samples, each of which can be copied as JSON by the type's
+    /// definition; the copy is an error if the sample is not valid for the type. [`Subscription::owned`] converts it into a stream of these
+    /// copies.
     ///
     /// ```
     /// # use futures::{StreamExt, executor::block_on};
@@ -56,8 +57,8 @@ impl Node {
     }
 
     /// Subscribes to a topic of a type that is known by name: a stream of samples whose view is the body of the message's CDR;
-    /// [`Subscription::owned`] makes a stream of copies of it, each with the 4 bytes of the encapsulation header. Nobody has looked whether
-    /// they are messages of the type. Its definition need not be known; if it is, the topic must agree with its hash.
+    /// [`Subscription::owned`] converts it into a stream of copies, each with the 4 bytes of the encapsulation header. It is not checked
+    /// whether they are messages of the type. The type's definition need not be known; if it is, the topic's hash must agree with it.
     ///
     /// # Errors
     /// [`Error::Schema`] and [`Error::StoredDefinition`] if there is a definition but it is wrong; as
@@ -87,8 +88,8 @@ impl Node {
         self.create_publisher_of(topic, &type_of(&schema), schema, qos)
     }
 
-    /// The definition of the type `topic_type` for `topic`, looked for as [`find_schema`] does. If only nodes of other hosts
-    /// know it, the gateway of this host is had to ask them, and waited for, for a few seconds.
+    /// The definition of the type `topic_type` for `topic`, searched as in [`find_schema`]. If only nodes of other hosts
+    /// know it, this host's gateway is made to request it from them; this function waits for that for a few seconds.
     ///
     /// # Errors
     /// As [`subscribe_untyped`](Self::subscribe_untyped).
@@ -125,7 +126,8 @@ impl Node {
     }
 }
 
-/// All that a topic can know of a type: its name, its hash, its definition, and its size if that is fixed.
+/// Everything that a topic can know about a type: its name, its hash, its definition, and its size if that is
+/// fixed.
 pub fn type_of(schema: &Schema) -> TopicType {
     let topic_type = TopicType::new(schema.name().to_string())
         .with_hash(schema.hash().to_string())

@@ -6,7 +6,7 @@ use futures::future::BoxFuture;
 use tautline::codec::ActionCodec;
 use tautline::{Action, ActionServerCancelRequest, GoalStatus, Json, Result};
 
-/// An action client as r2r has it; beneath it is a [`tautline::ActionClient`]. A clone is the same client.
+/// An action client with r2r's API; it wraps a [`tautline::ActionClient`]. A clone is the same client.
 #[derive(Debug)]
 pub struct ActionClient<T: ActionCodec>(tautline::ActionClient<T>);
 
@@ -37,12 +37,12 @@ impl<T: ActionCodec> ActionClient<T> {
     }
 }
 
-/// A goal as r2r has it; beneath it is a [`tautline::ActionClientGoal`]. A clone is the same goal.
+/// A goal with r2r's API; it wraps a [`tautline::ActionClientGoal`]. A clone is the same goal.
 #[derive(Debug)]
 pub struct ActionClientGoal<T: ActionCodec>(tautline::ActionClientGoal<T>);
 
 impl<T: ActionCodec> ActionClientGoal<T> {
-    /// What was last heard of the goal.
+    /// The last known status of the goal.
     ///
     /// # Errors
     /// None.
@@ -56,8 +56,8 @@ pub type ActionClientUntyped = ActionClient<Json>;
 /// A goal of a type that is known by name.
 pub type ActionClientGoalUntyped = ActionClientGoal<Json>;
 
-/// A goal that a client sent, to be accepted or rejected, as r2r has it; beneath it is a [`tautline::ActionServerGoalRequest`]. Dropping it
-/// rejects it.
+/// A goal that a client sent, to be accepted or rejected, with r2r's API; it wraps a [`tautline::ActionServerGoalRequest`]. Dropping it
+/// rejects the goal.
 #[derive(Debug)]
 pub struct ActionServerGoalRequest<T: Action>(tautline::ActionServerGoalRequest<T>);
 
@@ -83,7 +83,7 @@ impl<T: Action> ActionServerGoalRequest<T> {
     }
 }
 
-/// A goal that was accepted, as r2r has it; beneath it is a [`tautline::ActionServerGoal`].
+/// A goal that was accepted, with r2r's API; it wraps a [`tautline::ActionServerGoal`].
 #[derive(Debug)]
 pub struct ActionServerGoal<T: Action>(tautline::ActionServerGoal<T>);
 

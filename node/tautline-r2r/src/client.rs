@@ -5,7 +5,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use tautline::codec::ServiceCodec;
 use tautline::{Error, Json, ResponseFuture, Result};
 
-/// What can wait for its server: see [`Node::is_available`](crate::Node::is_available).
+/// A client that can wait for its server: see [`Node::is_available`](crate::Node::is_available).
 pub trait IsAvailablePollable {
     /// A wait, if there is room for one.
     ///
@@ -15,7 +15,7 @@ pub trait IsAvailablePollable {
     fn wait(&self) -> Result<BoxFuture<'static, Result<()>>>;
 }
 
-/// A client as r2r has it, for several threads; beneath it is a [`tautline::Client`].
+/// A client with r2r's API, for several threads; it wraps a [`tautline::Client`].
 #[derive(Debug)]
 pub struct Client<T: ServiceCodec>(Mutex<tautline::Client<T>>);
 
@@ -23,7 +23,7 @@ impl<T: ServiceCodec<Error: Into<Error>>> Client<T> {
     /// As [`tautline::Client::request`].
     ///
     /// # Real-time
-    /// Takes a lock that other threads hold which use this client.
+    /// Takes a lock that other threads hold while they use this client.
     ///
     /// # Errors
     /// As there.
@@ -48,7 +48,7 @@ fn lock<T: ServiceCodec>(client: &Mutex<tautline::Client<T>>) -> MutexGuard<'_, 
     client.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A client of a type that is known by name, as r2r has it, for several threads; beneath it is a [`tautline::Client`] of [`Json`].
+/// A client of a type that is known by name, with r2r's API, for several threads; it wraps a [`tautline::Client`] of [`Json`].
 #[derive(Debug)]
 pub struct ClientUntyped(pub(crate) Client<Json>);
 

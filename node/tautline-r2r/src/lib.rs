@@ -7,9 +7,9 @@
 //! r2r = { package = "tautline-r2r", version = "0.1", features = ["ros_all"] }
 //! ```
 //!
-//! What is here exists for r2r's sake alone: its [`QosProfile`], getters that return a `Result`, a mutex of parameters, second names.
-//! Everything else is [`tautline`]'s, to which [`Node`], [`Publisher`] and the others dereference, so that a program moves over line by
-//! line. docs/r2r.md compares the two name by name.
+//! This crate contains only what exists for r2r: its [`QosProfile`], getters that return a `Result`, a mutex of parameters, alternative
+//! names. Everything else belongs to [`tautline`]. [`Node`], [`Publisher`] and the other types dereference to those of [`tautline`], so
+//! a program can be ported line by line. docs/r2r.md compares the two APIs name by name.
 //!
 //! ```
 //! use futures::{StreamExt, executor::LocalPool, task::LocalSpawnExt};
@@ -85,7 +85,7 @@ pub use tautline::*;
 pub use time::{Clock, TimeSource, Timer};
 pub use untyped::WrappedNativeMsgUntyped;
 
-/// What the macros' code calls.
+/// Functions that the macros' code calls.
 #[doc(hidden)]
 pub mod __private {
     pub use tautline::__private::{Site, field, no_field};

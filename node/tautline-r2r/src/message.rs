@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What programs for r2r use by names that nothing else here has.
+//! Names that exist only for programs written for r2r.
 
 use std::fmt::Debug;
 use std::ops::{Deref, DerefMut};
 use tautline::msgs::serde::{Serialize, de::DeserializeOwned};
 use tautline::{Message, Result};
 
-/// A message as r2r's programs know it. Every generated type is one.
+/// A message in r2r's API. Every generated type implements it.
 ///
 /// ```
 /// use tautline_r2r::{WrappedTypesupport, std_msgs::msg::String as Text};
@@ -40,7 +40,7 @@ pub trait WrappedTypesupport: Message + Serialize + DeserializeOwned + Default +
 
 impl<T: Message + Serialize + DeserializeOwned + Default + Debug + Clone> WrappedTypesupport for T {}
 
-/// A message in the form in which r2r hands it to C. Here it is the message.
+/// A message in the form in which r2r passes it to C. Here it is the message itself.
 ///
 /// ```
 /// use tautline_r2r::{NativeMsg, std_msgs::msg::Int32};
@@ -54,7 +54,7 @@ impl<T: Message + Serialize + DeserializeOwned + Default + Debug + Clone> Wrappe
 pub struct NativeMsg<T>(T);
 
 impl<T: WrappedTypesupport> NativeMsg<T> {
-    /// A message of defaults.
+    /// A message with default values.
     pub fn new() -> Self {
         NativeMsg(T::default())
     }

@@ -14,13 +14,13 @@ use tautline::{
     Action, Context, Message, Parameter, ParameterValue, Result, RosParams, Service, ServiceRequest,
 };
 
-/// A node as r2r has it; beneath it is a [`tautline::Node`].
+/// A node with r2r's API; it wraps a [`tautline::Node`].
 #[derive(Debug)]
 pub struct Node {
     inner: tautline::Node,
     ros_clock: Arc<Mutex<Clock>>,
-    /// The parameters that were declared, or given by the command line. What is put here directly is neither checked nor seen by
-    /// readers: see [`set_parameter`](tautline::Node::set_parameter).
+    /// The parameters that were declared, or set by the command line. Values that are inserted here directly are neither checked
+    /// nor seen by readers: see [`set_parameter`](tautline::Node::set_parameter).
     pub params: Arc<Mutex<IndexMap<String, Parameter>>>,
 }
 
@@ -175,7 +175,7 @@ impl Node {
     }
 
     /// As [`tautline::Node::make_parameter_handler`], for a struct whose fields are the parameters. It takes the values from the
-    /// command line now, and what others set later.
+    /// command line now, and values that other nodes set later.
     ///
     /// # Errors
     /// As there, and as [`tautline::Parameters::declare_struct`].
@@ -256,7 +256,7 @@ impl Node {
         self.ros_clock.clone()
     }
 
-    /// What gives the node's ROS clock its time.
+    /// The time source of the node's ROS clock.
     pub fn get_time_source(&self) -> TimeSource {
         self.inner.time_source().into()
     }
@@ -293,7 +293,7 @@ pub struct TopicEndpointInfo {
     pub node_namespace: String,
     /// The topic's type, `package/msg/Name`.
     pub topic_type: String,
-    /// Its identifier, which is that of its messages.
+    /// Its identifier, which is also in its messages.
     pub endpoint_gid: [u8; 16],
     /// The quality of service that it offers.
     pub qos_profile: QosProfile,

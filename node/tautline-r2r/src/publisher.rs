@@ -4,7 +4,7 @@ use crate::message::NativeMsg;
 use futures::TryFutureExt;
 use tautline::{Error, Json, Loan, Message, Plain, Result};
 
-/// A publisher as r2r has it; beneath it is a [`tautline::Publisher`].
+/// A publisher with r2r's API; it wraps a [`tautline::Publisher`].
 #[derive(Debug)]
 pub struct Publisher<T: Message>(tautline::Publisher<T>);
 
@@ -20,7 +20,7 @@ impl<T: Message> Publisher<T> {
     /// [`tautline::Publisher::loan`]. The loan is published with its own [`publish`](Loan::publish).
     ///
     /// # Errors
-    /// [`Error::Publish`]: as many loans are out as may be.
+    /// [`Error::Publish`]: the maximum number of loans is in use.
     pub fn borrow_loaned_message(&self) -> Result<Loan<'_, T>>
     where
         T: Plain,
@@ -28,7 +28,7 @@ impl<T: Message> Publisher<T> {
         Ok(self.0.loan()?)
     }
 
-    /// Publishes a message in the form that r2r has for C.
+    /// Publishes a message in r2r's form for C.
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
@@ -36,7 +36,7 @@ impl<T: Message> Publisher<T> {
         self.publish(msg)
     }
 
-    /// Number of subscriptions on this host; those of this process count, too.
+    /// Number of subscriptions on this host, including those of this process.
     ///
     /// # Errors
     /// None.
@@ -55,7 +55,7 @@ impl<T: Message> Publisher<T> {
     }
 }
 
-/// A publisher of a type that is known by its definition, as r2r has it; beneath it is a [`tautline::Publisher`] of [`Json`].
+/// A publisher of a type that is known by its definition, with r2r's API; it wraps a [`tautline::Publisher`] of [`Json`].
 #[derive(Debug)]
 pub struct PublisherUntyped(tautline::Publisher<Json>);
 
@@ -68,7 +68,7 @@ impl PublisherUntyped {
         self.0.publish(&Json(msg))
     }
 
-    /// Number of subscriptions on this host; those of this process count, too.
+    /// Number of subscriptions on this host, including those of this process.
     ///
     /// # Errors
     /// None.

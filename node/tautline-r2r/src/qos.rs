@@ -4,7 +4,7 @@
 use std::time::Duration;
 use tautline::{Durability, History, Liveliness, Qos, Reliability};
 
-/// How many samples stay for a slow subscription.
+/// How many samples are kept for a slow subscription.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum HistoryPolicy {
     /// Nothing is overwritten; `depth` bounds the queue (0: 100), and publishing to a full one is refused.
@@ -15,23 +15,23 @@ pub enum HistoryPolicy {
     SystemDefault,
 }
 
-/// What the network does about samples that get lost.
+/// What the network does about lost samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ReliabilityPolicy {
     /// Nothing.
     BestEffort,
-    /// It sends them again.
+    /// It retransmits them.
     Reliable,
     /// As reliable.
     SystemDefault,
 }
 
-/// Whether late joiners get what was published before they came.
+/// Whether late joiners get samples that were published before they joined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DurabilityPolicy {
     /// The last `depth` samples.
     TransientLocal,
-    /// No.
+    /// They do not.
     Volatile,
     /// As volatile.
     SystemDefault,
@@ -40,7 +40,7 @@ pub enum DurabilityPolicy {
 /// How a publisher shows that it is alive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LivelinessPolicy {
-    /// By living: it is alive as long as its process is.
+    /// Automatically: it is alive as long as its process is.
     Automatic,
     /// By publishing, or by asserting it, at least once in each lease.
     ManualByTopic,
@@ -67,13 +67,13 @@ pub struct QosProfile {
     pub durability: DurabilityPolicy,
     /// Longest time between samples; 0 is none.
     pub deadline: Duration,
-    /// Age at which samples expire; 0 is none. Only a publisher's counts.
+    /// Age at which samples expire; 0 means none. Only a publisher's value is used.
     pub lifespan: Duration,
     /// See [`LivelinessPolicy`].
     pub liveliness: LivelinessPolicy,
     /// Time after which a silent publisher whose liveliness is manual counts as dead; 0 is none.
     pub liveliness_lease_duration: Duration,
-    /// Leaves ROS's prefixes away; there are none in Tautline.
+    /// Omits ROS's prefixes; Tautline has none.
     pub avoid_ros_namespace_conventions: bool,
 }
 
@@ -122,7 +122,7 @@ impl QosProfile {
         Self::common().keep_last(1000)
     }
 
-    /// What the system chooses: keep last 10, reliable, volatile.
+    /// The system's default: keep last 10, reliable, volatile.
     pub const fn system_default() -> Self {
         QosProfile {
             history: HistoryPolicy::SystemDefault,
@@ -163,7 +163,7 @@ impl QosProfile {
         QosProfile { reliability, ..self }
     }
 
-    /// Lets the network send lost samples again.
+    /// Lets the network retransmit lost samples.
     #[must_use = "it returns the changed QosProfile"]
     pub const fn reliable(self) -> Self {
         self.reliability(ReliabilityPolicy::Reliable)
@@ -181,7 +181,7 @@ impl QosProfile {
         QosProfile { durability, ..self }
     }
 
-    /// Late joiners get what comes.
+    /// Late joiners get only samples that are published later.
     #[must_use = "it returns the changed QosProfile"]
     pub const fn volatile(self) -> Self {
         self.durability(DurabilityPolicy::Volatile)
@@ -217,7 +217,7 @@ impl QosProfile {
         QosProfile { liveliness_lease_duration, ..self }
     }
 
-    /// Sets whether ROS's prefixes are left away.
+    /// Sets whether ROS's prefixes are omitted.
     #[must_use = "it returns the changed QosProfile"]
     pub const fn avoid_ros_namespace_conventions(self, avoid_ros_namespace_conventions: bool) -> Self {
         QosProfile { avoid_ros_namespace_conventions, ..self }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use tautline::builtin_interfaces::msg::Time;
 use tautline::{ClockType, Error, Result};
 
-/// A clock as r2r has it; beneath it is a [`tautline::Clock`]. A clone shows the same time.
+/// A clock with r2r's API; it wraps a [`tautline::Clock`]. A clone shows the same time.
 ///
 /// ```
 /// use tautline_r2r::{Clock, ClockType};
@@ -22,7 +22,7 @@ use tautline::{ClockType, Error, Result};
 pub struct Clock(tautline::Clock);
 
 impl Clock {
-    /// A clock of this type. One of [`ClockType::RosTime`] shows the system's time until it is
+    /// A clock of this type. A clock of type [`ClockType::RosTime`] shows the system's time until it is
     /// [attached](TimeSource::attach_ros_clock) to a node's time source: see [`Node::get_ros_clock`].
     ///
     /// # Errors
@@ -39,7 +39,7 @@ impl Clock {
         Ok(self.0.now())
     }
 
-    /// What it shows.
+    /// Its type.
     pub fn get_clock_type(&self) -> ClockType {
         self.0.clock_type()
     }
@@ -50,12 +50,12 @@ impl Clock {
     }
 }
 
-/// A time source as r2r has it; beneath it is a [`tautline::TimeSource`].
+/// A time source with r2r's API; it wraps a [`tautline::TimeSource`].
 #[derive(Clone, Debug)]
 pub struct TimeSource(tautline::TimeSource);
 
 impl TimeSource {
-    /// From now on `clock`, of type [`ClockType::RosTime`], shows what the node's ROS clock does.
+    /// From now on `clock`, of type [`ClockType::RosTime`], shows the time of the node's ROS clock.
     ///
     /// # Errors
     /// [`Error::ClockTypeNotRosTime`].
@@ -78,7 +78,7 @@ impl TimeSource {
     }
 }
 
-/// A timer as r2r has it; beneath it is a [`tautline::Timer`].
+/// A timer with r2r's API; it wraps a [`tautline::Timer`].
 #[derive(Debug)]
 #[must_use = "nothing happens unless it is awaited; dropping it ends it"]
 pub struct Timer(
@@ -88,8 +88,8 @@ pub struct Timer(
 );
 
 impl Timer {
-    /// Waits for the next release and returns the time since the one before: one period, or several if releases were missed.
-    /// The first time: one period.
+    /// Waits for the next release and returns the time since the previous one: one period, or several if releases were
+    /// missed. The first time it returns one period.
     ///
     /// # Errors
     /// [`Error::NodeEnded`]: the node was dropped.

@@ -23,7 +23,8 @@ pub struct WrappedNativeMsgUntyped {
 }
 
 impl WrappedNativeMsgUntyped {
-    /// A message of defaults of the type `package/msg/Name`. Its definition is looked for as [`find_schema`] does.
+    /// A message of the type `package/msg/Name` with default values. Its definition is searched as in
+    /// [`find_schema`].
     ///
     /// # Errors
     /// [`Error::UnknownType`](tautline::Error::UnknownType) if the definition is not found, [`Error::Schema`](tautline::Error::Schema)
@@ -37,7 +38,8 @@ impl WrappedNativeMsgUntyped {
     /// Reads the CDR of a message, with its encapsulation header.
     ///
     /// # Errors
-    /// [`Error::Message`](tautline::Error::Message) with field and byte if it is none of the type; this one is then what it was.
+    /// [`Error::Message`](tautline::Error::Message) with field and byte if it is not valid for the type; this message is then
+    /// unchanged.
     pub fn from_serialized_bytes(&mut self, data: &[u8]) -> Result<()> {
         *self.message.get_mut() = DynamicMessage::from_cdr(&self.schema, data)?;
         Ok(())
@@ -51,10 +53,11 @@ impl WrappedNativeMsgUntyped {
         Ok(self.message.borrow().to_json_value())
     }
 
-    /// Reads a message from JSON: an object of its fields, those left out having their defaults.
+    /// Reads a message from JSON: an object of its fields. Omitted fields get their defaults.
     ///
     /// # Errors
-    /// [`Error::Message`](tautline::Error::Message) with the field if it is none of the type; this one is then what it was.
+    /// [`Error::Message`](tautline::Error::Message) with the field if it is not valid for the type; this message is then
+    /// unchanged.
     #[allow(clippy::wrong_self_convention, reason = "the name is r2r's")]
     pub fn from_json(&self, json: serde_json::Value) -> Result<()> {
         *self.message.borrow_mut() = DynamicMessage::from_json_value(&self.schema, &json)?;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The side that looks transforms up.
+//! The reading side of the buffer.
 
 use std::fmt::Write;
 use std::sync::Arc;
@@ -14,7 +14,7 @@ use crate::tree::{Path, PathError, TransformTree};
 use crate::wait::WaitFor;
 use crate::writer::Writer;
 
-/// Looks up transforms between frames. Clones look into the same buffer; any number of threads may.
+/// Looks up transforms between frames. Clones refer to the same buffer; any number of threads may use it.
 #[derive(Clone)]
 pub struct Buffer {
     pub(crate) tree: Arc<TransformTree>,
@@ -23,37 +23,38 @@ pub struct Buffer {
 /// For which time a transform is looked up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Time {
-    /// The latest one for which all frames on the way have samples: tf2's `TimePointZero`.
+    /// The latest time for which all frames on the path have samples: tf2's `TimePointZero`.
     Latest,
     /// A stamp, in nanoseconds.
     At(i64),
 }
 
-/// A transform and the time at which it holds.
+/// A transform and the time for which it is valid.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stamped {
-    /// The time: as asked for, or the latest common one. Nothing: it was asked for the latest, and all are static.
+    /// The time: as requested, or the latest common time. `None`: the latest was requested, and all transforms are
+    /// static.
     pub stamp_ns: Option<i64>,
     /// Takes coordinates in the source frame to coordinates in the target frame.
     pub transform: Transform,
 }
 
-/// What a buffer knows of a frame.
+/// Information about a frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameInfo {
     /// Its name.
     pub name: FrameName,
-    /// The newest parent, and of which kind the frame's samples are. Nothing for roots.
+    /// The newest parent, and the kind of the frame's samples. `None` for roots.
     pub parent: Option<(FrameName, Kind)>,
-    /// Oldest and newest stamp; of a static one, its stamp.
+    /// Oldest and newest stamp; for a static transform, its stamp.
     pub stamps_ns: Option<(i64, i64)>,
-    /// How many samples there are.
+    /// The number of samples.
     pub samples: usize,
-    /// Samples per second, on average from the oldest to the newest; zero if there is but one.
+    /// Average number of samples per second from the oldest to the newest; zero if there is only one.
     pub rate_hz: f64,
 }
 
-/// A frame, by name or by number. A name is hashed at each lookup; a slash in front is taken off.
+/// A frame, by name or by number. A name is hashed at each lookup; a leading slash is removed.
 pub trait Frame: sealed::Sealed {
     #[doc(hidden)]
     fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError>;
@@ -100,7 +101,7 @@ impl Frame for FrameId {
 }
 
 impl Buffer {
-    /// A buffer, and what sets its transforms.
+    /// Creates a buffer, and the writer that sets its transforms.
     ///
     /// # Real-time
     /// Setup only: allocates, and touches, [`Limits::bytes`].
@@ -113,10 +114,10 @@ impl Buffer {
         Ok((Writer::new(tree.clone()), Buffer { tree }))
     }
 
-    /// The number of a frame that some transform has named.
+    /// The number of a frame that a transform has named.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; no syscall. Compares one or two names, in the worst case all.
+    /// Wait-free; no allocation; no syscall. Compares one or two names; in the worst case all.
     pub fn frame(&self, name: &str) -> Option<FrameId> {
         Frame::find(&name, self).ok()
     }
@@ -128,15 +129,15 @@ impl Buffer {
 
     /// The transform that takes coordinates in `source` to coordinates in `target`.
     ///
-    /// Between two samples it is interpolated; it is never extrapolated. Each transform on the way was in the buffer at
-    /// some moment of the lookup, and none is older than a [`Writer::clear`] that others are newer than. If the tree
-    /// changes meanwhile, the way may go through the old place of one frame and the new place of another: ask for a time
-    /// at which it did not change.
+    /// Between two samples it is interpolated; it is never extrapolated. Each transform on the path was in the buffer at
+    /// some moment during the lookup, and a lookup never combines transforms from before and after a [`Writer::clear`].
+    /// If the tree changes meanwhile, the path may use the old position of one frame and the new position of another:
+    /// request a time at which the tree did not change.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; no syscall. At most 2 × [`MAX_DEPTH`](crate::MAX_DEPTH) frames, of which each costs
-    /// log2(samples) + 4 slots, and those of late samples around the time. Twice that for what is not there, three times
-    /// for [`Time::Latest`], and all of it up to three times if there is a `clear` meanwhile.
+    /// Wait-free; no allocation; no syscall. At most 2 × [`MAX_DEPTH`](crate::MAX_DEPTH) frames, each of which costs
+    /// log2(samples) + 4 slots, plus the slots of late samples around the time. Twice that if the transform does not
+    /// exist, three times for [`Time::Latest`], and all of it up to three times if there is a `clear` meanwhile.
     ///
     /// # Errors
     /// See [`LookupError`].
@@ -146,13 +147,13 @@ impl Buffer {
     }
 
     /// The transform that takes coordinates in `source` at `source_time` to coordinates in `target` at `target_time`, if
-    /// what is fixed in `fixed` does not move in between. Its stamp is that of `target_time`.
+    /// objects that are fixed in `fixed` do not move in between. Its stamp is that of `target_time`.
     ///
     /// # Real-time
     /// As two calls of [`lookup`](Self::lookup).
     ///
     /// # Errors
-    /// See [`LookupError`]; it names `fixed` and that frame from or to which there is no way.
+    /// See [`LookupError`]; it names `fixed` and the frame from or to which there is no path.
     pub fn lookup_full(
         &self,
         target: impl Frame,
@@ -191,15 +192,16 @@ impl Buffer {
     }
 
     /// Waits until there is a transform: a future, which the writer's [`set`](Writer::set) wakes. It also ends if the time
-    /// is further before a frame's newest stamp than [`Limits::cache_time`]: such a transform will not come. There is no
-    /// time-out: drop it to give up.
+    /// is earlier than a frame's newest stamp by more than [`Limits::cache_time`], because such a transform can no longer
+    /// be set. There is no time-out: drop the future to give up.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; no syscall. Each poll looks up at most three times; the first one that has to wait looks
-    /// for one of [`Limits::waiters`] places. A waker is cloned.
+    /// Wait-free; no allocation; no syscall. Each poll makes at most three lookups; the first poll that must wait
+    /// searches for one of [`Limits::waiters`] entries. A waker is cloned.
     ///
     /// # Errors
-    /// If a name names no frame, by being empty for example. One that is not there yet is waited for.
+    /// If a name is not a valid frame name, for example empty. The future waits for a frame that does not
+    /// exist yet.
     pub fn wait_for(
         &self,
         target: impl Frame,
@@ -209,7 +211,7 @@ impl Buffer {
         Ok(WaitFor::new(self.clone(), target.name(self)?, source.name(self)?, time))
     }
 
-    /// What was set and refused so far.
+    /// Counters of transforms that were set and refused so far.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -217,7 +219,7 @@ impl Buffer {
         self.tree.counts.read()
     }
 
-    /// What the buffer was made with.
+    /// The limits of the buffer.
     pub fn limits(&self) -> Limits {
         self.tree.limits
     }

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the writer took and refused.
+//! Counters of the writer.
 
 use crate::sync::{AtomicU64, Ordering};
 
 macro_rules! counters {
     ($($(#[$doc:meta])* $name:ident,)*) => {
-        /// What has been set since the buffer was made. Each is exact; they are not of one moment.
+        /// Counters since the buffer was created. Each counter is exact, but they are not read at the same
+        /// moment.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
         pub struct BufferCounters {
             $($(#[$doc])* pub $name: u64,)*
@@ -25,15 +26,16 @@ macro_rules! counters {
 }
 
 counters! {
-    /// Transforms that were taken.
+    /// Transforms that were accepted.
     set,
-    /// Of those, the ones whose stamp was below the newest of their frame.
+    /// Accepted transforms whose stamp was earlier than the newest of their frame.
     out_of_order,
-    /// Refused: a name is empty, too long or the same as the other one, a number is not finite, a rotation is not of length 1.
+    /// Refused: a name is empty or too long, parent and child are the same, a number is not finite, or a rotation does not
+    /// have length 1.
     invalid,
-    /// Refused: too old, or below what has left the ring (TF_OLD_DATA).
+    /// Refused: too old, or older than samples that have already left the ring (TF_OLD_DATA).
     old,
-    /// Refused: there is one with this stamp (TF_REPEATED_DATA).
+    /// Refused: there is already a sample with this stamp (TF_REPEATED_DATA).
     repeated,
     /// Refused: there is no room for another name.
     frames_full,

@@ -7,7 +7,8 @@ use crate::buffer::Buffer;
 use crate::names::{FrameId, FrameName};
 use crate::tree::MAX_DEPTH;
 
-/// A frame of a buffer, which knows its name: for errors, which are small that way and allocate nothing. The buffer stays as long.
+/// A frame of a buffer, from which its name can be read: for errors, which are then small and allocate nothing. It keeps the
+/// buffer alive.
 #[derive(Clone)]
 pub struct NamedFrame {
     buffer: Buffer,
@@ -46,19 +47,20 @@ impl fmt::Debug for NamedFrame {
     }
 }
 
-/// Why there is no transform from `source` to `target`. The kinds are tf2's, and what a bounded buffer adds.
+/// Why there is no transform from `source` to `target`. The kinds are those of tf2, and the additional ones
+/// of a bounded buffer.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LookupError {
-    /// It is not the name of a frame. tf2: `InvalidArgumentException`.
+    /// It is not a valid frame name. tf2: `InvalidArgumentException`.
     #[error(
-        "'{name}' is no frame's name: take one of 1 to {} bytes without a zero byte",
+        "'{name}' is not a frame name: use one of 1 to {} bytes without a zero byte",
         FrameName::MAX_BYTES
     )]
     InvalidArgument {
-        /// What there is of it.
+        /// The name, truncated if it is too long.
         name: FrameName,
     },
-    /// Nothing was set with this name. tf2: `LookupException`.
+    /// No transform was set with this name. tf2: `LookupException`.
     #[error(
         "frame '{frame}' does not exist: no transform has named it as parent or child. Check its spelling, or wait for it (Buffer::wait_for)"
     )]
@@ -66,26 +68,26 @@ pub enum LookupError {
         /// The frame.
         frame: FrameName,
     },
-    /// Both are there, in two trees. tf2: `ConnectivityException`.
+    /// Both frames exist, but in two trees. tf2: `ConnectivityException`.
     #[error(
         "no transform from '{source_frame}' to '{target}': they are not in one tree. See Buffer::frames for the parents, and who should broadcast the missing one"
     )]
     Connectivity {
-        /// Where to.
+        /// The target frame.
         target: NamedFrame,
-        /// Where from.
+        /// The source frame.
         source_frame: NamedFrame,
     },
-    /// A frame on the way has no samples around the time asked for. tf2: `ExtrapolationException`.
+    /// A frame on the path has no samples around the requested time. tf2: `ExtrapolationException`.
     #[error("no transform from '{source_frame}' to '{target}' at {}: {}", Seconds(*.asked_ns), Span(.frame, *.asked_ns, *.oldest_ns, *.newest_ns))]
     Extrapolation {
-        /// Where to.
+        /// The target frame.
         target: NamedFrame,
-        /// Where from.
+        /// The source frame.
         source_frame: NamedFrame,
-        /// The frame on the way.
+        /// The frame on the path.
         frame: NamedFrame,
-        /// The time asked for.
+        /// The requested time.
         asked_ns: i64,
         /// Its oldest stamp.
         oldest_ns: i64,
@@ -94,12 +96,12 @@ pub enum LookupError {
     },
     /// A frame is its own ancestor.
     #[error(
-        "no transform from '{source_frame}' to '{target}': the tree has a cycle through '{frame}'. Two broadcasters disagree who is whose parent: see Buffer::frames"
+        "no transform from '{source_frame}' to '{target}': the tree has a cycle through '{frame}'. Two broadcasters disagree about a frame's parent: see Buffer::frames"
     )]
     Cycle {
-        /// Where to.
+        /// The target frame.
         target: NamedFrame,
-        /// Where from.
+        /// The source frame.
         source_frame: NamedFrame,
         /// A frame of the cycle.
         frame: NamedFrame,
@@ -109,19 +111,19 @@ pub enum LookupError {
         "no transform from '{source_frame}' to '{target}': more than {MAX_DEPTH} transforms to the root (MAX_DEPTH). Join fixed frames into one static transform"
     )]
     TooDeep {
-        /// Where to.
+        /// The target frame.
         target: NamedFrame,
-        /// Where from.
+        /// The source frame.
         source_frame: NamedFrame,
     },
-    /// Each of several times that it was looked for, whole rings of samples or a `clear` came between.
+    /// Each of several lookups was interrupted by whole rings of new samples, or by a `clear`.
     #[error(
         "no transform from '{source_frame}' to '{target}': it was overwritten while being read. Raise Limits::samples or the reader's priority, or ask again"
     )]
     Overtaken {
-        /// Where to.
+        /// The target frame.
         target: NamedFrame,
-        /// Where from.
+        /// The source frame.
         source_frame: NamedFrame,
     },
 }
@@ -129,10 +131,10 @@ pub enum LookupError {
 /// Why a wait ended without a transform.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum WaitError {
-    /// It is not there and will not come.
+    /// The transform does not exist and can no longer be set.
     #[error(transparent)]
     Lookup(#[from] LookupError),
-    /// As many wait as there may.
+    /// The maximum number of futures is waiting.
     #[error("{waiters} futures wait for transforms already: raise Limits::waiters")]
     WaitersFull {
         /// The limit.
@@ -140,16 +142,16 @@ pub enum WaitError {
     },
 }
 
-/// Why a transform was not taken. Nothing has changed but a counter.
+/// Why a transform was not accepted. Only a counter has changed.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum SetError {
-    /// It is not the name of a frame (TF_NO_FRAME_ID, TF_NO_CHILD_FRAME_ID).
+    /// It is not a valid frame name (TF_NO_FRAME_ID, TF_NO_CHILD_FRAME_ID).
     #[error(
-        "'{name}' is no frame's name: take one of 1 to {} bytes without a zero byte",
+        "'{name}' is not a frame name: use one of 1 to {} bytes without a zero byte",
         FrameName::MAX_BYTES
     )]
     InvalidName {
-        /// What there is of it.
+        /// The name, truncated if it is too long.
         name: FrameName,
     },
     /// Parent and child are the same (TF_SELF_TRANSFORM).
@@ -158,7 +160,7 @@ pub enum SetError {
         /// The frame.
         frame: FrameName,
     },
-    /// A number is infinite or none (TF_NAN_INPUT).
+    /// A number is infinite or NaN (TF_NAN_INPUT).
     #[error("the transform of '{child}' has a number that is not finite: check what computes it")]
     NotFinite {
         /// The frame.
@@ -174,17 +176,17 @@ pub enum SetError {
         /// The squared length.
         squared_length: f64,
     },
-    /// It is older than what is kept (TF_OLD_DATA).
-    #[error("the transform of '{child}' at {} is too old: only what is after {} is kept. Send it sooner, or raise Limits::cache_time and Limits::samples; after time was set back, call Writer::clear", Seconds(*.stamp_ns), Seconds(*.above_ns))]
+    /// It is older than the kept samples (TF_OLD_DATA).
+    #[error("the transform of '{child}' at {} is too old: only samples after {} are kept. Send it sooner, or raise Limits::cache_time and Limits::samples; after time was set back, call Writer::clear", Seconds(*.stamp_ns), Seconds(*.above_ns))]
     Old {
         /// The frame.
         child: FrameName,
         /// Its stamp.
         stamp_ns: i64,
-        /// Stamps above this one are taken.
+        /// Only later stamps than this one are accepted.
         above_ns: i64,
     },
-    /// There is one with this stamp (TF_REPEATED_DATA).
+    /// There is already a sample with this stamp (TF_REPEATED_DATA).
     #[error("there is a transform of '{child}' at {} already: the first one stays. Let one broadcaster send it, once per stamp", Seconds(*.stamp_ns))]
     Repeated {
         /// The frame.

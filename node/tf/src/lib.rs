@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A real-time-safe transform buffer: what tf2's `BufferCore` is for ROS 2, with bounded memory and wait-free lookups.
+//! A real-time-safe transform buffer: the equivalent of ROS 2's tf2 `BufferCore`, with bounded memory and wait-free
+//! lookups.
 //!
-//! One [`Writer`] sets rigid transforms between named frames; any number of threads look them up in a [`Buffer`], at a time
-//! or at the latest common one, while it does. All memory is allocated when the buffer is made. Nobody takes a lock: a
-//! reader never holds up the writer, and a writer that is preempted anywhere never holds up a reader.
+//! One [`Writer`] sets rigid transforms between named frames; any number of threads look them up in a [`Buffer`] at the
+//! same time, for a given time or for the latest common one. All memory is allocated when the buffer is created. There is
+//! no lock: a reader never delays the writer, and a writer that is preempted at any point never delays a reader.
 //!
 //! ```
 //! use tautline_tf::{Buffer, Kind, Limits, LookupError, Time, Transform, TransformStamped};
@@ -31,31 +32,34 @@
 //! ```
 //!
 //! # As in tf2
-//! - Which transform is meant, the checks of [`Writer::set`], interpolation, the latest common time, lookups through a fixed
-//!   frame, errors by kind, a frame that gets a new parent or another [`Kind`].
-//! - What cannot be reached at a time above the first common frame does not matter.
+//! - The direction of a transform, the checks of [`Writer::set`], interpolation, the latest common time, lookups through a
+//!   fixed frame, the kinds of errors, a frame that gets a new parent or another [`Kind`].
+//! - A part of the tree above the first common frame does not matter, even if it has no transform for the
+//!   time.
 //!
 //! # What differs
-//! - Each frame keeps a fixed number of samples ([`Limits::samples`]) beside [`Limits::cache_time`]. The one that was set first
-//!   goes first, and what is older goes with it; so a sample that comes late takes the place of one that was set in time.
-//! - Samples older than the cache time are not found from the moment on at which the newest is set; tf2 removes them at the
-//!   next one.
+//! - Each frame keeps a fixed number of samples ([`Limits::samples`]) in addition to the limit [`Limits::cache_time`]. The
+//!   sample that was set first is removed first, together with all older samples. So a late sample replaces one that was set in
+//!   time.
+//! - Samples older than the cache time are no longer found as soon as the newest sample is set; tf2 removes them only at
+//!   the next sample.
 //! - A second sample with the same stamp is refused ([`SetError::Repeated`]), even if it is equal.
-//! - Rotations are normalised when they are set. What is infinite is refused as what is not a number.
-//! - A slash in front of a name is taken off in lookups, too, where tf2 refuses it.
+//! - Rotations are normalised when they are set. Infinite numbers are refused in the same way as NaN.
+//! - A leading slash of a name is also removed in lookups, where tf2 refuses it.
 //! - Names have at most [`FrameName::MAX_BYTES`] bytes, paths at most [`MAX_DEPTH`] transforms to the root (tf2: 1000). A cycle
-//!   is an error of its own.
-//! - A frame that was cleared is as one that never had a parent: [`LookupError::Connectivity`].
-//! - A transform of static ones alone has no stamp at [`Time::Latest`], where tf2 says zero.
-//! - Names of broadcasters are not kept: [`Writer::set`] tells its caller what was refused.
+//!   is a separate error.
+//! - A cleared frame is treated like a frame that never had a parent: [`LookupError::Connectivity`].
+//! - At [`Time::Latest`], a transform that consists only of static ones has no stamp, where tf2 returns zero.
+//! - Names of broadcasters are not kept: [`Writer::set`] returns to its caller why a transform was refused.
 //!
 //! # Design
-//! - A frame's samples lie in a ring by the order in which they were set, and are linked by their stamps (`ring.rs`). A
-//!   lookup is a binary search in the ring, and follows links only past samples that came late.
-//! - Nothing moves when a sample comes late: it is written, then linked. So no reader has to start again because of it.
-//! - A sample is a sequence lock of atomics (`slot.rs`). A reader whose sample was overwritten does not try again either:
-//!   it has learnt that it is older than what the buffer holds.
-//! - [`Writer::clear`] is counted, and lookups that it came between look again, three times at most.
+//! - A frame's samples lie in a ring in the order in which they were set, and are linked by their stamps (`ring.rs`). A
+//!   lookup is a binary search in the ring, and follows links only past late samples.
+//! - A late sample moves no other sample: it is written, then linked. So no reader must restart because of it.
+//! - A sample is a sequence lock of atomics (`slot.rs`). A reader whose sample was overwritten does not retry: it then
+//!   knows that the sample is older than everything in the buffer.
+//! - Calls of [`Writer::clear`] are counted, and lookups that were interrupted by one retry, at most three
+//!   times.
 #![forbid(unsafe_code)]
 
 mod buffer;

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How much a buffer holds. All of its memory follows from this.
+//! The limits of a buffer. They determine all of its memory.
 
 use std::time::Duration;
 
 use crate::tree::TransformTree;
 
-/// What a [`Buffer`](crate::Buffer) holds. Its memory is allocated when it is made, and never after.
+/// The limits of a [`Buffer`](crate::Buffer). Its memory is allocated when it is created, and never later.
 ///
 /// ```
 /// # use tautline_tf::Limits;
@@ -14,12 +14,12 @@ use crate::tree::TransformTree;
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Frames that may be named, roots among them. From 2 to 2^24. Frames are never removed.
+    /// Maximum number of frames, including roots. From 2 to 2^24. Frames are never removed.
     pub frames: usize,
-    /// Samples that are kept of each frame. From 2 to 2^24, rounded up to a power of two. At `cache_time` of 10 s, 1000 of
-    /// them hold a broadcaster of 100 Hz.
+    /// Number of samples kept per frame. From 2 to 2^24, rounded up to a power of two. With a `cache_time` of 10 s, 1000
+    /// samples are enough for a broadcaster at 100 Hz.
     pub samples: usize,
-    /// Samples older than a frame's newest by more than this are as if they were not there. As in tf2, 10 s by default.
+    /// Samples older than a frame's newest sample by more than this are ignored. As in tf2, 10 s by default.
     pub cache_time: Duration,
     /// How many futures of [`Buffer::wait_for`](crate::Buffer::wait_for) may wait at a time. At most 2^24.
     pub waiters: usize,
@@ -27,15 +27,15 @@ pub struct Limits {
 
 /// A limit is out of its range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("Limits::{limit} is {is}: take one from {least} to {most}")]
+#[error("Limits::{limit} is {is}: use a value from {least} to {most}")]
 pub struct LimitsError {
     /// The field of [`Limits`].
     pub limit: &'static str,
-    /// What it is.
+    /// Its value.
     pub is: usize,
-    /// The smallest that is possible.
+    /// The minimum.
     pub least: usize,
-    /// The largest that is possible.
+    /// The maximum.
     pub most: usize,
 }
 

@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The names of frames: a hash table that one thread writes and any thread reads, and that forgets nothing.
+//! The names of frames: a hash table that one thread writes and any thread reads. Names are never removed.
 
 use std::fmt;
 
 use crate::sync::{AtomicU64, Ordering};
 
-/// Number of a frame in one [`Buffer`](crate::Buffer): names are looked up once, numbers are free.
+/// Number of a frame in one [`Buffer`](crate::Buffer): a name is looked up only once, and the number costs no
+/// lookup.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct FrameId(pub(crate) u32);
 
-/// The name of a frame, in place: errors carry names without an allocation.
+/// The name of a frame, stored inline, so that errors contain names without an allocation.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct FrameName([u8; FrameName::MAX_BYTES]);
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The samples of one frame: a ring in the order in which they were set, and a list in the order of their stamps.
 //!
-//! Samples are numbered as they are set; number n lies at n modulo the ring. Each also names the sample that is next
-//! older by its stamp. `newest` is the only word that readers share beside the slots:
+//! Samples are numbered in the order in which they are set; number n lies at n modulo the ring's length. Each sample
+//! also names the sample with the next older stamp. `newest` is the only word besides the slots that readers share:
 //!
 //! ```text
 //!  number    7      8      9      10     11          newest = 10
@@ -11,10 +11,9 @@
 //!  newest_ns 70     80     90     100    100         never falls: binary search
 //! ```
 //!
-//! To find what encloses a stamp, a reader searches by number for the first sample that was the newest when it was set
-//! and is above the stamp, and follows the list from there: past late samples only. Nothing that readers can see moves,
-//! so they never try again. One that finds a number gone has learnt that the sample, and with it all that is older, has
-//! left the ring.
+//! To find the samples around a stamp, a reader searches by number for the first sample that was the newest when it was
+//! set and is later than the stamp, and follows the list from there, only past late samples. Nothing that readers can
+//! see moves, so they never retry. If a number is missing, the sample and all older samples have left the ring.
 
 use crate::slot::Slot;
 use crate::sync::{AtomicU64, Ordering};
@@ -23,12 +22,12 @@ use crate::transform::Transform;
 /// How often something is read again that the writer has overwritten a whole ring of samples, or a `clear`, later.
 pub(crate) const TRIES: usize = 3;
 
-/// Whether a transform holds at its stamp, or always.
+/// Whether a transform is valid at its stamp, or always.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Kind {
-    /// Holds at every time, whatever its stamp: `/tf_static`.
+    /// Valid at every time, whatever its stamp: `/tf_static`.
     Static,
-    /// Holds at its stamp, and between stamps interpolated: `/tf`.
+    /// Valid at its stamp, and interpolated between stamps: `/tf`.
     Dynamic,
 }
 
@@ -58,13 +57,13 @@ pub(crate) struct Edge {
 /// Why there is no edge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Miss {
-    /// The stamp is not from oldest to newest.
+    /// The stamp is not between the oldest and the newest.
     Extrapolation { oldest_ns: i64, newest_ns: i64 },
     /// The writer has set whole rings of samples while this one was read.
     Overtaken,
 }
 
-/// What the writer remembers of a frame.
+/// The writer's state of a frame.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct Head {
     next: u64,
@@ -78,7 +77,7 @@ struct Run {
     newest: u64,
     newest_ns: i64,
     parent: u32,
-    /// The newest stamp that has left the ring: what is not above it is not taken any more.
+    /// The newest stamp that has left the ring: samples that are not later are no longer accepted.
     gone_ns: Option<i64>,
 }
 
@@ -90,7 +89,7 @@ pub(crate) struct New {
     pub(crate) transform: Transform,
 }
 
-/// How a sample was taken.
+/// How a sample was stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Taken {
     /// Its stamp is not the newest.
@@ -99,10 +98,10 @@ pub(crate) struct Taken {
     pub(crate) moved: bool,
 }
 
-/// Why a sample was not taken.
+/// Why a sample was not stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Refused {
-    /// Only what is above this stamp is kept.
+    /// Only samples later than this stamp are kept.
     Old {
         above_ns: i64,
     },

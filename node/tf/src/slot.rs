@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One sample in memory that is written again and again: a sequence lock made of atomics, whose readers never wait.
+//! One sample in memory that is reused: a sequence lock made of atomics, whose readers never wait.
 //!
 //! ```text
 //! writer, sample number n                reader, for sample number n
@@ -10,7 +10,7 @@
 //! ```
 //!
 //! A reader that copied a word of a later sample sees, through the two fences, a number that is not n + 1. It does not
-//! try again: the sample that it came for is gone for good, as numbers never come twice.
+//! retry: the wanted sample has been overwritten permanently, because numbers are never reused.
 
 use crate::ring::{Kind, Sample};
 use crate::sync::{AtomicU64, Ordering, fence};
@@ -20,11 +20,12 @@ use crate::transform::Transform;
 const TRANSFORM_WORDS: usize = if cfg!(taut_loom) { 1 } else { 7 };
 const WORDS: usize = 4 + TRANSFORM_WORDS;
 
-/// A place for a sample.
+/// A slot for a sample.
 pub(crate) struct Slot {
     /// Number of the sample + 1; zero: none, or one is being written.
     number: AtomicU64,
-    /// Number + 1 of the sample of this frame that is next older; zero: none. Changes when a late sample gets between.
+    /// Number + 1 of the next older sample of this frame; zero: none. Changes when a late sample is inserted between
+    /// them.
     older: AtomicU64,
     words: [AtomicU64; WORDS],
 }

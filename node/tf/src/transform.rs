@@ -21,12 +21,12 @@ impl Transform {
     /// The transform that changes nothing.
     pub const IDENTITY: Transform = Transform { translation: [0.0; 3], rotation: [0.0, 0.0, 0.0, 1.0] };
 
-    /// A transform of a translation in metres and a unit quaternion (x, y, z, w).
+    /// A transform with a translation in metres and a unit quaternion (x, y, z, w).
     pub const fn new(translation: [f64; 3], rotation: [f64; 4]) -> Transform {
         Transform { translation, rotation }
     }
 
-    /// The transform back: `t * t.inverse()` is the identity.
+    /// The inverse transform: `t * t.inverse()` is the identity.
     #[must_use = "it returns another transform, and leaves this one as it is"]
     pub fn inverse(&self) -> Transform {
         let rotation = self.quat().conjugate();
@@ -39,7 +39,7 @@ impl Transform {
         (self.quat() * DVec3::from(point) + self.vec()).to_array()
     }
 
-    /// Transforms a vector without a place, such as a velocity: rotated only.
+    /// Transforms a free vector, such as a velocity: only rotated.
     #[must_use = "it returns the result, and changes nothing in place"]
     pub fn vector(&self, vector: [f64; 3]) -> [f64; 3] {
         (self.quat() * DVec3::from(vector)).to_array()
@@ -52,7 +52,7 @@ impl Transform {
         (pose.translation, pose.rotation)
     }
 
-    /// Transforms the points of a cloud where they lie. Each is computed in f64, and rounded once.
+    /// Transforms the points of a cloud in place. Each is computed in f64, and rounded once.
     ///
     /// ```
     /// # use tautline_tf::Transform;

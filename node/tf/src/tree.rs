@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The memory of a buffer, and paths through its tree.
+//! The memory of a buffer, and the paths in its tree.
 
 use crate::counters::AtomicBufferCounters;
 use crate::limits::Limits;
@@ -10,7 +10,7 @@ use crate::sync::{AtomicU64, Ordering};
 use crate::transform::Transform;
 use crate::wait::Waiters;
 
-/// The most transforms from a frame to the root of its tree.
+/// Maximum number of transforms from a frame to the root of its tree.
 pub const MAX_DEPTH: usize = 64;
 
 pub(crate) struct TransformTree {

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Futures that wait for a transform, in places that were allocated with the buffer.
+//! Futures that wait for a transform, in entries that were allocated with the buffer.
 //!
-//! A waiter says in its place what it waits for, then looks once more; the writer sets, then looks at the places. With
-//! a sequentially consistent fence between the two steps of either side, at least one of them sees the other.
+//! A waiter first writes into its entry what it waits for, and then looks up once more; the writer first sets a
+//! transform, and then checks the entries. With a sequentially consistent fence between the two steps on each side, at
+//! least one of them sees the other.
 //!
 //! ```text
 //!  FREE --claim--> ANY  <--> FRAME + n (a sample of frame n, at the time asked for or later)
@@ -82,8 +83,8 @@ impl Waiters {
     }
 }
 
-/// Waits for a transform: see [`Buffer::wait_for`]. Takes one of [`Limits::waiters`](crate::Limits::waiters) places from its
-/// first poll that waits until it is ready or dropped.
+/// Waits for a transform: see [`Buffer::wait_for`]. Occupies one of [`Limits::waiters`](crate::Limits::waiters) entries from
+/// the first poll that waits until it is ready or dropped.
 #[must_use = "futures do nothing unless polled"]
 pub struct WaitFor {
     buffer: Buffer,

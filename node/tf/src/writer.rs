@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The one side that sets transforms.
+//! The writing side of the buffer.
 
 use std::sync::Arc;
 
@@ -16,9 +16,9 @@ const ROTATION_TOLERANCE: f64 = 10e-3;
 /// The pose of frame `child` in frame `parent` at a time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TransformStamped<'n> {
-    /// `header.frame_id`. A slash in front is taken off.
+    /// `header.frame_id`. A leading slash is removed.
     pub parent: &'n str,
-    /// `child_frame_id`. A slash in front is taken off.
+    /// `child_frame_id`. A leading slash is removed.
     pub child: &'n str,
     /// `header.stamp`, in nanoseconds.
     pub stamp_ns: i64,
@@ -26,7 +26,7 @@ pub struct TransformStamped<'n> {
     pub transform: Transform,
 }
 
-/// Sets the transforms of its [`Buffer`](crate::Buffer). There is one.
+/// Sets the transforms of its [`Buffer`](crate::Buffer). Each buffer has one writer.
 pub struct Writer {
     tree: Arc<TransformTree>,
     heads: Box<[Head]>,
@@ -38,20 +38,21 @@ impl Writer {
         Writer { tree, heads }
     }
 
-    /// Takes a transform, and wakes who waits for it. A frame whose transform is of the other kind than before forgets
-    /// what it had, as in tf2, and may get a new parent, which it has from this stamp on. Whether the tree has a cycle
-    /// then is found by lookups.
+    /// Stores a transform, and wakes the futures that wait for it. If a frame's transform is of another kind than
+    /// before, its previous samples are removed, as in tf2. A frame may get a new parent, which is valid from this
+    /// stamp on. Lookups detect whether the tree then has a cycle.
     ///
-    /// A stamp below the newest of its frame is put in its place. It counts among the samples as the one set last: the
-    /// ring forgets the sample that was set first, and with it what is older.
+    /// A sample with a stamp earlier than the newest of its frame is inserted in order of stamps. It still counts as
+    /// the sample set last: the ring removes the sample that was set first, together with all older samples.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; no syscall but the wakes. Two names are looked up and one sample is written. One that comes
-    /// late is preceded by a search of log2(samples) + 4 slots, and of the late samples around its stamp, at most all.
-    /// Then a look at each of [`Limits::waiters`](crate::Limits::waiters), if any waits.
+    /// Wait-free; no allocation; no syscall but the wakes. Two names are looked up and one sample is written. For a late
+    /// sample there is first a search of log2(samples) + 4 slots, and of the late samples around its stamp, at most all.
+    /// Then each of [`Limits::waiters`](crate::Limits::waiters) is checked, if any future waits.
     ///
     /// # Errors
-    /// Invalid, old or repeated ones are refused, and what is more than [`Limits::frames`](crate::Limits::frames).
+    /// Invalid, old or repeated transforms are refused, and frames beyond
+    /// [`Limits::frames`](crate::Limits::frames).
     pub fn set(&mut self, transform: &TransformStamped<'_>, kind: Kind) -> Result<(), SetError> {
         let set =
             self.check(transform).and_then(|(parent, child)| self.place(transform, kind, parent, child));
@@ -115,8 +116,9 @@ impl Writer {
         Ok(())
     }
 
-    /// Forgets all samples but those of static transforms, as tf2's `clear`: for simulated time that is set back. Names
-    /// stay. A lookup meanwhile finds what was there before or nothing, never some of the frames before and some after.
+    /// Removes all samples except those of static transforms, like tf2's `clear`: for simulated time that is set back.
+    /// Names remain. A lookup at the same time finds either the state before or nothing, never some frames from before
+    /// and some from after.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall. One store for each frame.

@@ -25,7 +25,7 @@ fn lookups() {
     let at = |seconds: i64| Time::At(seconds * 1_000_000_000);
     assert_says(
         lookup("map", "", at(2)),
-        "'' is no frame's name: take one of 1 to 64 bytes without a zero byte",
+        "'' is not a frame name: use one of 1 to 64 bytes without a zero byte",
     );
     assert_says(
         lookup("map", "laser", at(2)),
@@ -54,7 +54,7 @@ fn lookups() {
     }
     assert_says(
         lookup("map", "world", at(2)),
-        "no transform from 'world' to 'map': the tree has a cycle through 'world'. Two broadcasters disagree who is whose parent: see Buffer::frames",
+        "no transform from 'world' to 'map': the tree has a cycle through 'world'. Two broadcasters disagree about a frame's parent: see Buffer::frames",
     );
 }
 
@@ -88,7 +88,7 @@ fn sets() {
     let nan = Transform::new([0.0, f64::NAN, 0.0], [0.0, 0.0, 0.0, 1.0]);
     assert_says(
         try_set("map", &long, 0, at_x(0.0)).unwrap_err(),
-        &format!("'{}' is no frame's name: take one of 1 to 64 bytes without a zero byte", &long[1..]),
+        &format!("'{}' is not a frame name: use one of 1 to 64 bytes without a zero byte", &long[1..]),
     );
     assert!(matches!(try_set("", "base", 0, at_x(0.0)), Err(SetError::InvalidName { .. })));
     assert_says(
@@ -111,7 +111,7 @@ fn sets() {
     );
     assert_says(
         try_set("map", "base", 9_999_999_999, at_x(0.0)).unwrap_err(),
-        "the transform of 'base' at 9.999999999 s is too old: only what is after 9.999999999 s is kept. Send it sooner, or raise Limits::cache_time and Limits::samples; after time was set back, call Writer::clear",
+        "the transform of 'base' at 9.999999999 s is too old: only samples after 9.999999999 s are kept. Send it sooner, or raise Limits::cache_time and Limits::samples; after time was set back, call Writer::clear",
     );
     for child in ["a", "b", "c", "d", "e"] {
         try_set("map", child, 0, at_x(0.0)).unwrap();
@@ -130,9 +130,12 @@ fn sets() {
 #[test]
 fn limits() {
     for (limits, text) in [
-        (Limits { frames: 1, ..LIMITS }, "Limits::frames is 1: take one from 2 to 16777216"),
-        (Limits { samples: 0, ..LIMITS }, "Limits::samples is 0: take one from 2 to 16777216"),
-        (Limits { waiters: 1 << 30, ..LIMITS }, "Limits::waiters is 1073741824: take one from 0 to 16777216"),
+        (Limits { frames: 1, ..LIMITS }, "Limits::frames is 1: use a value from 2 to 16777216"),
+        (Limits { samples: 0, ..LIMITS }, "Limits::samples is 0: use a value from 2 to 16777216"),
+        (
+            Limits { waiters: 1 << 30, ..LIMITS },
+            "Limits::waiters is 1073741824: use a value from 0 to 16777216",
+        ),
     ] {
         assert_says(Buffer::new(limits).err().unwrap(), text);
     }

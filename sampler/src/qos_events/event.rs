@@ -4,11 +4,11 @@ use crate::Expiry;
 use std::collections::VecDeque;
 use tautline_transport::{IncompatibleQos, IncompatibleType, LivelinessChanged, Matched, MessageLost};
 
-/// What happens to a publisher.
+/// A QoS event of a publisher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum PublisherEvent {
-    /// Subscriptions came or went.
+    /// Subscriptions appeared or disappeared.
     Matched(Matched),
     /// Subscriptions request what the publisher does not offer: they get nothing from it.
     OfferedIncompatibleQos(IncompatibleQos),
@@ -16,23 +16,23 @@ pub enum PublisherEvent {
     IncompatibleType(IncompatibleType),
     /// Nothing was published in time.
     OfferedDeadlineMissed(DeadlineMissed),
-    /// The publisher, whose liveliness is manual, did not show in time that it is alive.
+    /// The publisher, whose liveliness is manual, did not assert its liveliness in time.
     LivelinessLost(LivelinessLost),
 }
 
-/// What happens to a subscription.
+/// A QoS event of a subscription.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SubscriptionEvent {
-    /// Publishers came or went.
+    /// Publishers appeared or disappeared.
     Matched(Matched),
     /// Publishers do not offer what the subscription requests: it gets nothing from them.
     RequestedIncompatibleQos(IncompatibleQos),
     /// Publishers of the topic are of another type: the subscription gets nothing from them.
     IncompatibleType(IncompatibleType),
-    /// Nothing came in time.
+    /// No message arrived in time.
     RequestedDeadlineMissed(DeadlineMissed),
-    /// Publishers came to life, or died.
+    /// Publishers became alive, or died.
     LivelinessChanged(LivelinessChanged),
     /// Messages were overwritten before they were taken.
     MessageLost(MessageLost),
@@ -41,20 +41,20 @@ pub enum SubscriptionEvent {
 /// Deadlines passed without a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DeadlineMissed {
-    /// All so far.
+    /// Missed deadlines so far.
     pub total_count: u64,
-    /// Those since the last event.
+    /// Missed deadlines since the last event.
     pub total_count_change: u64,
-    /// When the last one passed, in `CLOCK_MONOTONIC` nanoseconds.
+    /// Time of the last missed deadline, in `CLOCK_MONOTONIC` nanoseconds.
     pub due_ns: u64,
 }
 
-/// Leases passed without a sign of life.
+/// Leases expired without an assertion of liveliness.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LivelinessLost {
-    /// How often so far.
+    /// Expired leases so far.
     pub total_count: u64,
-    /// How often since the last event.
+    /// Expired leases since the last event.
     pub total_count_change: u64,
 }
 

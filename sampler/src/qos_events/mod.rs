@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What happens to a publisher or a subscription besides its messages, as streams that the sampler wakes.
+//! QoS events of a publisher or a subscription, as streams that the sampler wakes.
 
 mod event;
 mod publisher;

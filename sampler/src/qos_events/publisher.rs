@@ -8,8 +8,8 @@ use std::pin::Pin;
 use std::task::{Context, Poll};
 use tautline_transport::{PublisherMonitor, RawPublisher, TransportError};
 
-/// What happens to a publisher: subscriptions that come, go or do not fit, its deadline missed, its liveliness lost. A stream for
-/// any task, that ends with the publisher. The sampler wakes it; the publisher does nothing more for it than to store a time.
+/// The QoS events of a publisher: subscriptions that appear, disappear or are incompatible, a missed deadline, lost liveliness. A
+/// stream for any task, which ends with the publisher. The sampler wakes it; the publisher only stores a time for it.
 #[must_use = "no events are reported unless it is polled"]
 pub struct PublisherEvents {
     // Before what is rung for it.
@@ -23,7 +23,7 @@ pub struct PublisherEvents {
 /// A lease that is to be kept.
 struct Lease {
     watchdog: Watchdog,
-    /// When the expiry that was told last was due, and how many there were by then.
+    /// The time of the last reported expiry, and the number of expiries by then.
     told: Option<(u64, u64)>,
     period_ns: u64,
     lost: u64,
@@ -46,13 +46,13 @@ impl Lease {
 }
 
 impl PublisherEvents {
-    /// Those of `publisher`, which has one such stream: a second one takes the first one's place.
+    /// The events of `publisher`. A publisher has one such stream: a second one replaces the first.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError::Doorbell`] if there is no memory for its slots, three at most.
+    /// [`TransportError::Doorbell`] if there is no memory for its slots, at most three.
     pub fn new(events: &Events, publisher: &RawPublisher) -> Result<Self, TransportError> {
         let alarm = events.alarm()?;
         let monitor = publisher.monitor(alarm.slot());

@@ -9,8 +9,8 @@ use std::task::{Context, Poll};
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{RawSubscription, SubscriptionMonitor, TransportError};
 
-/// What happens to a subscription: publishers that come, go or do not fit, that come to life or die; its deadline missed; messages
-/// lost. As [`PublisherEvents`](crate::PublisherEvents).
+/// The QoS events of a subscription: publishers that appear, disappear or are incompatible, that become alive or die; a missed
+/// deadline; lost messages. Otherwise like [`PublisherEvents`](crate::PublisherEvents).
 #[must_use = "no events are reported unless it is polled"]
 pub struct SubscriptionEvents {
     // Before what is rung for it.
@@ -22,7 +22,7 @@ pub struct SubscriptionEvents {
 }
 
 impl SubscriptionEvents {
-    /// Those of `subscription`, which has one such stream: a second one takes the first one's place.
+    /// The events of `subscription`. A subscription has one such stream: a second one replaces the first.
     ///
     /// # Real-time
     /// Setup only.

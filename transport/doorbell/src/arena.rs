@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a doorbell is in shared memory, and typed access to its words.
+//! A doorbell's layout in shared memory, and typed access to its words.
 //!
-//! Memory is given: the participant's own, or a peer's that was mapped. The first [`MAIN_BYTES`] have the bells and the first
-//! slots; each further window of slots, twice as many as all before it, is memory of its own that comes when it is needed.
+//! The caller provides the memory: the participant's own, or a mapped part of a peer's. The first [`MAIN_BYTES`] contain the
+//! bells and the first slots. Each further window has as many slots as all windows before it; it is separate memory, which is
+//! added when it is needed.
 
 use crate::hot::{Bell, BellBit, Flags, Route, drain_bits, has_bits, mark_in};
 use crate::sync::{AtomicU32, AtomicU64, Ordering, fence};
@@ -14,19 +15,19 @@ use tautline_rt::shm::Region;
 const MAGIC: u64 = u64::from_le_bytes(*b"tautbell");
 const VERSION: u32 = 6;
 
-/// Windows of an arena, the first one included.
+/// Number of windows of an arena, including the first one.
 pub const WINDOWS: usize = 12;
 
-/// Slots of an arena whose windows are all there.
+/// Number of slots of an arena with all its windows.
 pub const MAX_SLOTS: usize = NEAR_SLOTS << (WINDOWS - 1);
 
 /// Callback threads of a context that publishers can wake themselves.
 pub(crate) const THREADS: usize = 256;
 
-/// Bytes of an arena's first part.
+/// Size of an arena's first part in bytes.
 pub const MAIN_BYTES: usize = size_of::<Main>();
 
-/// Who sleeps on a bell of an arena.
+/// The thread that sleeps on a bell of an arena.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sleeper {
     /// The sampler.
@@ -49,24 +50,24 @@ struct Main {
 #[repr(C)]
 struct SlotWords {
     flags: Flags,
-    /// The slot that is rung for the events of what is here, and 1. 0: there is none.
+    /// Index + 1 of the slot that is rung for the events of this slot's owner. 0: there is none.
     events: AtomicU32,
-    /// Which bell publishers ring for what is here.
+    /// The bell that publishers ring for this slot.
     route: Route,
-    /// When each kind of [`Activity`] was last seen.
+    /// The time when each kind of [`Activity`] was last seen.
     activities: [AtomicU64; ACTIVITIES],
 }
 
 /// Kinds of an [`Activity`].
 const ACTIVITIES: usize = 2;
 
-/// Something that a publisher or a subscription shows by storing the time: of which slot, and what. The time is in
-/// `CLOCK_MONOTONIC` nanoseconds; 0 is never.
+/// An activity of a publisher or a subscription, which is recorded by storing the time: its slot, and its kind.
+/// The time is in `CLOCK_MONOTONIC` nanoseconds; 0 means never.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Activity {
     /// The slot's index.
     pub slot: usize,
-    /// What happened.
+    /// The kind of activity.
     pub kind: ActivityKind,
 }
 
@@ -75,17 +76,17 @@ pub struct Activity {
 pub enum ActivityKind {
     /// A sample was published by this publisher, or for this subscription.
     Sample,
-    /// This publisher showed that it is alive.
+    /// This publisher asserted its liveliness.
     Liveliness,
 }
 
 impl Activity {
-    /// As one number that is not 0.
+    /// Packs it into one number that is not 0.
     pub fn to_word(self) -> u64 {
         (self.slot * ACTIVITIES + self.kind as usize) as u64 + 1
     }
 
-    /// What [`to_word`](Self::to_word) gave the number for.
+    /// Unpacks a number from [`to_word`](Self::to_word).
     pub fn from_word(word: u64) -> Option<Self> {
         let index = usize::try_from(word.checked_sub(1)?).ok()?;
         let kind = if index % ACTIVITIES == 0 { ActivityKind::Sample } else { ActivityKind::Liveliness };
@@ -93,7 +94,7 @@ impl Activity {
     }
 }
 
-/// The window that `slot` lies in, and its index there.
+/// The window of `slot`, and the slot's index there.
 pub fn place(slot: usize) -> (usize, usize) {
     match slot / NEAR_SLOTS {
         0 => (0, slot),
@@ -104,27 +105,28 @@ pub fn place(slot: usize) -> (usize, usize) {
     }
 }
 
-/// The first slot of a window. A window but the first has as many slots as there are before it.
+/// The first slot of a window. Every window except the first has as many slots as all windows before it.
 pub fn first_slot(window: usize) -> usize {
     if window == 0 { 0 } else { NEAR_SLOTS << (window - 1) }
 }
 
-/// How many slots a window has.
+/// The number of slots of a window.
 pub fn window_slots(window: usize) -> usize {
     if window == 0 { NEAR_SLOTS } else { first_slot(window) }
 }
 
-/// Bytes of a window but the first, which lies in the main part.
+/// Size in bytes of a window other than the first, which lies in the main part.
 pub fn window_bytes(window: usize) -> usize {
     window_slots(window) / 8 + window_slots(window) * size_of::<SlotWords>()
 }
 
-/// The window that `slot` lies in.
+/// The window of `slot`.
 pub fn window_of(slot: usize) -> usize {
     place(slot).0
 }
 
-/// An arena: this process's own, or a peer's. What a peer's holds are claims; indices are checked wherever they are used.
+/// An arena: this process's own, or a peer's. The content of a peer's arena is untrusted; indices are checked wherever
+/// they are used.
 #[derive(Debug)]
 pub struct Arena {
     id: ArenaId,
@@ -133,7 +135,8 @@ pub struct Arena {
 }
 
 impl Arena {
-    /// Makes an arena in fresh memory, which is zeros and at least [`MAIN_BYTES`] long, at the start of a page.
+    /// Creates an arena in new memory, which is zero, at least [`MAIN_BYTES`] long, and starts at a page
+    /// boundary.
     ///
     /// # Panics
     /// If the memory is too short.
@@ -149,7 +152,7 @@ impl Arena {
     /// A peer's arena.
     ///
     /// # Errors
-    /// [`DoorbellError::Version`]: there is none here, or one of another version.
+    /// [`DoorbellError::Version`]: the memory contains no arena, or one of another version.
     pub fn open(id: ArenaId, main: Region) -> Result<Self, DoorbellError> {
         if main.len_bytes() < MAIN_BYTES {
             return Err(DoorbellError::Version);
@@ -162,7 +165,8 @@ impl Arena {
         Ok(arena)
     }
 
-    /// Gives the arena the memory of a window; one that it has already stays. Memory that is too short is not taken.
+    /// Adds the memory of a window to the arena. A window that it already has is kept. Memory that is too short is
+    /// ignored.
     pub fn add_window(&self, window: usize, memory: Region) {
         if window != 0
             && memory.len_bytes() >= window_bytes(window)
@@ -173,12 +177,12 @@ impl Arena {
         }
     }
 
-    /// Whether `slot` can be rung: the memory of its window is there.
+    /// Whether `slot` can be rung, because the memory of its window exists.
     pub fn has(&self, slot: usize) -> bool {
         self.words(slot).is_some()
     }
 
-    /// Which arena it is.
+    /// The arena's id.
     pub fn id(&self) -> ArenaId {
         self.id
     }
@@ -221,10 +225,10 @@ impl Arena {
         self.main().threads.get(thread)
     }
 
-    /// Finishes the rings of processes that were killed within them.
+    /// Completes the rings of processes that were killed while they rang.
     ///
     /// # Real-time
-    /// For a low-priority thread, now and then.
+    /// Call it occasionally in a low-priority thread.
     pub fn rescue(&self) {
         for window in 1..WINDOWS {
             if self.window(window).is_some_and(|(pending, _)| has_bits(pending)) {
@@ -245,8 +249,8 @@ impl Arena {
         self.bell().wake_if_sleeping();
     }
 
-    /// The first step of [`ring`](Self::ring), of several slots maybe: [`wake`](Self::wake) follows, after a sequentially
-    /// consistent fence.
+    /// The first step of [`ring`](Self::ring), also for several slots. [`wake`](Self::wake) must follow, after a
+    /// sequentially consistent fence.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -279,8 +283,8 @@ impl Arena {
         count
     }
 
-    /// Marks the sample that was just queued at the subscription behind `slot`, if it wants to be rung for it. Returns which bell's
-    /// sleeper [`wake`](Self::wake) is to wake, after a sequentially consistent fence.
+    /// Marks the sample that was just queued for the subscription of `slot`, if it wants to be rung. Returns the sleeper that
+    /// [`wake`](Self::wake) must wake, after a sequentially consistent fence.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -298,7 +302,7 @@ impl Arena {
         })
     }
 
-    /// Wakes whoever sleeps on a bell that was marked.
+    /// Wakes the thread that sleeps on a marked bell.
     ///
     /// # Real-time
     /// Wait-free; at most one futex wake.
@@ -320,15 +324,15 @@ impl Arena {
         }
     }
 
-    /// A slot's flags; none if a peer's claim is no slot.
+    /// A slot's flags; `None` if the index, which may come from a peer, is not a slot.
     pub fn flags(&self, slot: usize) -> Option<&Flags> {
         self.words(slot).map(|words| &words.flags)
     }
 
-    /// Rings the events of what is behind `slot`, if somebody wants to know of them.
+    /// Rings the event slot of `slot`, if its events are monitored.
     ///
     /// # Real-time
-    /// Wait-free; no allocation; at most one futex wake, and none if nobody wants to know.
+    /// Wait-free; no allocation; at most one futex wake, and none if its events are not monitored.
     pub fn ring_events(&self, slot: usize) {
         // What happened is visible before the word is read: whoever sets it either is rung or sees it.
         fence(Ordering::SeqCst);
@@ -338,7 +342,7 @@ impl Arena {
         }
     }
 
-    /// The slot to ring for the events of what is behind `slot`. The caller looks for what happened before after this.
+    /// Sets the slot to ring for the events of `slot`. After this call, check for events that happened before.
     pub fn set_events(&self, slot: usize, events: usize) {
         if let Some(words) = self.words(slot) {
             words.events.store(events as u32 + 1, Ordering::Relaxed);
@@ -346,7 +350,7 @@ impl Arena {
         }
     }
 
-    /// Nobody wants to know of the events any more, unless another one does by now.
+    /// Removes the event slot, unless another one has been set meanwhile.
     pub fn clear_events(&self, slot: usize, events: usize) {
         if let Some(words) = self.words(slot) {
             let ours = events as u32 + 1;
@@ -385,7 +389,7 @@ impl Arena {
         words.activities.iter().for_each(|activity| activity.store(0, Ordering::Relaxed));
     }
 
-    /// How often whoever sleeps on a bell is woken by what happens `meanwhile`. For tests.
+    /// How often the sleeper of a bell is woken while `meanwhile` runs. For tests.
     #[doc(hidden)]
     #[cfg(not(taut_loom))]
     pub fn count_wakes(&self, sleeper: Sleeper, meanwhile: impl FnOnce()) -> u32 {

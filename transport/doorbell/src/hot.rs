@@ -10,12 +10,12 @@
 //! ```
 //!
 //! The fences order each side's store before its load: either the ringer sees SLEEPING and wakes, or the sampler sees
-//! the bit and does not sleep. Counting in step 3 changes the state, so that a sampler between its steps 2 and 3 does
-//! not fall asleep. Only the sampler takes SLEEPING away: a ringer never relies on another one, who may have been
-//! preempted, or killed, anywhere before its wake.
+//! the bit and does not sleep. The count in step 3 changes the state, so that a sampler between its steps 2 and 3
+//! does not fall asleep. Only the sampler clears SLEEPING: a ringer never relies on another ringer, which may have
+//! been preempted or killed at any point before its wake.
 //!
-//! Slots beyond the first [`NEAR_SLOTS`](crate::NEAR_SLOTS) lie in windows of their own, with a bitmap each: step 1 then sets the
-//! bit there, and after it the window's bit here.
+//! Slots beyond the first [`NEAR_SLOTS`](crate::NEAR_SLOTS) lie in further windows, each with its own bitmap: step 1 then sets
+//! the bit there, and after that the window's bit here.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -34,7 +34,7 @@ const ONE_RING: u32 = 2;
 #[repr(C, align(64))]
 pub(crate) struct Bell<const WORDS: usize = SAMPLED> {
     state: FutexWord,
-    /// A bit for each window in which something is pending.
+    /// One bit for each window in which something is pending.
     far: AtomicU32,
     pending: Pending<WORDS>,
 }
@@ -184,10 +184,11 @@ pub(crate) fn has_bits(pending: &[AtomicU64]) -> bool {
     pending.iter().any(|word| word.load(Ordering::Relaxed) != 0)
 }
 
-/// What others must know of a slot. Written by its owner alone; zero says nothing special.
+/// A slot's properties that other processes must know. Only its owner writes them; zero means no special
+/// property.
 ///
-/// A subscription that finds sample after sample need not be rung for each: it is *draining*. Before it sleeps it says that
-/// it is no longer, and looks once more:
+/// A subscription that finds sample after sample need not be rung for each of them: it is *draining*. Before it sleeps, it
+/// clears this flag and checks its queue once more:
 ///
 /// ```text
 ///  publisher                                  subscription
@@ -196,8 +197,8 @@ pub(crate) fn has_bits(pending: &[AtomicU64]) -> bool {
 ///  3 flags have no DRAINING? ring             3 nothing queued? sleep until rung
 /// ```
 ///
-/// As with the bell, either the publisher sees that it must ring, or the subscription sees the sample. The same holds for one
-/// that polled by itself (`QUIET`) and does so no longer.
+/// As with the bell, either the publisher sees that it must ring, or the subscription sees the sample. The same holds for a
+/// subscription that stops busy polling (`QUIET`).
 #[repr(transparent)]
 pub struct Flags(AtomicU32);
 
@@ -223,12 +224,12 @@ impl Flags {
         self.0.store(if is_set { flags | flag } else { flags & !flag }, Ordering::Relaxed);
     }
 
-    /// Says whether the subscription has a deadline. For the slot's owner.
+    /// Sets whether the subscription has a deadline. For the slot's owner.
     pub fn set_deadline(&self, has_deadline: bool) {
         self.put(Self::DEADLINE, has_deadline);
     }
 
-    /// Whether publishers note when they send: see [`Activity`](crate::Activity).
+    /// Whether publishers record when they send: see [`Activity`](crate::Activity).
     ///
     /// # Real-time
     /// Wait-free: one load.
@@ -236,8 +237,8 @@ impl Flags {
         self.has(Self::DEADLINE)
     }
 
-    /// Says whether publishers need not ring, because the subscription polls by itself. For the slot's owner, who looks into its queue
-    /// once more after it said that they must.
+    /// Sets whether publishers need not ring, because the subscription polls without a doorbell. For the slot's owner, which must
+    /// check its queue once more after it has cleared this flag.
     ///
     /// # Real-time
     /// Wait-free: a load, a store and a fence.
@@ -246,7 +247,8 @@ impl Flags {
         fence(Ordering::SeqCst);
     }
 
-    /// Whether a publisher rings. Its sample is queued before this, with a sequentially consistent fence between.
+    /// Whether a publisher must ring. Call it after the sample was queued, with a sequentially consistent fence
+    /// in between.
     ///
     /// # Real-time
     /// Wait-free: one load.
@@ -262,7 +264,7 @@ impl Flags {
         self.put(Self::DRAINING, true);
     }
 
-    /// Publishers ring again. The owner looks into its queue after this, before it sleeps.
+    /// Publishers ring again. The owner must check its queue after this, before it sleeps.
     ///
     /// # Real-time
     /// Wait-free: a load, a store and a fence.

@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The doorbell: how a publisher in any process tells a sampler, or a callback's thread, that something is there.
+//! The doorbell: how a publisher in any process notifies a sampler, or a callback's thread, of new data.
 //!
 //! Each sampler owns one [`Arena`], shared memory that any process of its user may map:
 //!
 //! - a bell: a bitmap of pending slots and an eventcount on which the sampler sleeps;
 //! - small bells for callback threads that publishers wake themselves: see [`ThreadBell`];
-//! - per slot some words: flags, which bell is rung for it, which slot wants to know of its events.
+//! - per slot some words: flags, the bell that is rung for it, the slot that is rung for its events.
 //!
-//! A subscription, a publisher, a timer and a guard condition each own a [`Slot`] of a [`Doorbell`]. Whose memory an arena is, and
-//! how others find it, is not this crate's business: it is given [`Region`]s.
+//! A subscription, a publisher, a timer and a guard condition each own a [`Slot`] of a [`Doorbell`]. The caller provides the
+//! memory of an arena as [`Region`]s, and determines how other processes find it.
 //!
-//! Ringing is wait-free: one atomic store, a fence and, if the sleeper sleeps, one futex wake. No wake-up is lost, whoever is
-//! preempted or killed on the way: `hot.rs` has the protocol, `loom.rs` its model.
+//! Ringing is wait-free: one atomic store, a fence and, if the sleeper sleeps, one futex wake. No wake-up is lost, even if a
+//! process is preempted or killed meanwhile: `hot.rs` has the protocol, `loom.rs` its model.
 
 mod arena;
 mod hot;
@@ -40,25 +40,26 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use tautline_rt::shm::Region;
 
-/// Slots that an arena has from the start.
+/// Number of slots that an arena has initially.
 #[cfg(not(taut_loom))]
 pub const NEAR_SLOTS: usize = 1024;
 #[cfg(taut_loom)]
 #[allow(missing_docs)]
 pub const NEAR_SLOTS: usize = 64;
 
-/// Identifies an arena among all of a domain: its participant. Random: process ids repeat, and containers share `/dev/shm`.
+/// Identifies an arena in a domain, by its participant. The number is random, because process ids repeat, and containers
+/// share `/dev/shm`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct ArenaId(pub u64);
 
-/// Why a doorbell, or a part of one, cannot be had.
+/// Why a doorbell, or a part of it, is not available.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum DoorbellError {
-    /// The memory is no arena of this version.
+    /// The memory is not an arena of this version.
     #[error("its doorbell is of another version of Tautline: use the same one in all processes")]
     Version,
-    /// All slots are taken.
+    /// All slots are in use.
     #[error(
         "this context already has {limit} subscriptions, publishers, timers and guard conditions, its limit; make a second Context for more"
     )]
@@ -82,15 +83,15 @@ pub enum DoorbellError {
         /// The limit.
         limit: usize,
     },
-    /// A doorbell has one sampler.
-    #[error("this participant has a sampler already: use that one, or drop it first")]
+    /// The doorbell already has a sampler.
+    #[error("this participant already has a sampler: use that one, or drop it first")]
     SecondSampler,
 }
 
-/// Gives an arena the memory of a further window: see [`window_bytes`].
+/// Provides the memory of a further window of an arena: see [`window_bytes`].
 pub type GrowArena = Box<dyn Fn(usize) -> io::Result<Region> + Send + Sync>;
 
-/// A sampler's own doorbell: its arena, and the wakers behind the slots.
+/// A sampler's own doorbell: its arena, and the wakers of its slots.
 pub struct Doorbell {
     arena: Arena,
     windows: [OnceLock<Window>; WINDOWS],
@@ -113,7 +114,7 @@ impl Window {
 }
 
 impl Doorbell {
-    /// The doorbell of a new sampler. `grow` is asked for more memory when all slots are taken.
+    /// The doorbell of a new sampler. `grow` is called for more memory when all slots are in use.
     ///
     /// # Real-time
     /// Setup only: allocates.
@@ -129,7 +130,7 @@ impl Doorbell {
         })
     }
 
-    /// What others see of it.
+    /// The part that other processes see.
     pub fn arena(&self) -> &Arena {
         &self.arena
     }
@@ -141,16 +142,16 @@ impl Doorbell {
     /// Claims a bell for a callback thread that publishers wake themselves.
     ///
     /// # Errors
-    /// [`DoorbellError::ThreadBells`] if all are taken.
+    /// [`DoorbellError::ThreadBells`] if all are in use.
     pub fn claim_thread_bell(self: &Arc<Self>) -> Result<Arc<ThreadBell>, DoorbellError> {
         ThreadBell::claim(self)
     }
 
-    /// Claims a slot, clean of its previous owner's state. It is free again when the returned guard is dropped.
+    /// Claims a slot, without its previous owner's state. It is free again when the returned guard is dropped.
     ///
     /// # Real-time
-    /// Wait-free, O(slots); no allocation; no syscall. When as many slots are taken as ever before and that is [`NEAR_SLOTS`], or a
-    /// power of two times that: allocates and maps memory.
+    /// Wait-free, O(slots); no allocation; no syscall. Allocates and maps memory when the number of slots in use is as high as ever
+    /// before and is [`NEAR_SLOTS`], or a power of two times that.
     ///
     /// # Errors
     /// [`DoorbellError::Slots`], [`DoorbellError::Memory`].
@@ -185,10 +186,10 @@ impl Doorbell {
         Ok(())
     }
 
-    /// Claims the right to drain this doorbell and to sleep on it, which one sampler has.
+    /// Claims the exclusive right to drain this doorbell and to sleep on it.
     ///
     /// # Errors
-    /// [`DoorbellError::SecondSampler`] if another one lives.
+    /// [`DoorbellError::SecondSampler`] if there is already a sampler.
     pub fn claim_sampler(self: &Arc<Self>) -> Result<SamplerSeat, DoorbellError> {
         if self.sampled.swap(true, Ordering::AcqRel) {
             return Err(DoorbellError::SecondSampler);
@@ -228,13 +229,13 @@ impl Doorbell {
     }
 }
 
-/// The right of one sampler to drain a doorbell; free again when dropped.
+/// The exclusive right of one sampler to drain a doorbell; released when dropped.
 pub struct SamplerSeat {
     doorbell: Arc<Doorbell>,
 }
 
 impl SamplerSeat {
-    /// Takes every pending slot: wakes the task registered there and tells `each` which slot it was. Returns how many.
+    /// Takes every pending slot: wakes the task registered there and calls `each` with the slot. Returns their number.
     ///
     /// # Real-time
     /// O(pending + 16), and O(slots / 64) beyond the first [`NEAR_SLOTS`] slots; no allocation; a syscall for each waker whose thread
@@ -274,7 +275,7 @@ impl Slot {
         self.index
     }
 
-    /// The waker that a ring of this slot wakes. Register before looking at the source.
+    /// The waker that a ring of this slot wakes. Register it before you check the source.
     ///
     /// # Panics
     /// Never: a claimed slot has one.
@@ -290,12 +291,12 @@ impl Slot {
         self.doorbell.arena.ring(self.index);
     }
 
-    /// An activity of this slot, to be watched.
+    /// An activity of this slot, for a watchdog.
     pub fn activity(&self, kind: ActivityKind) -> Activity {
         Activity { slot: self.index, kind }
     }
 
-    /// Stores that it was seen at `now_ns`.
+    /// Records that the activity was seen at `now_ns`.
     ///
     /// # Real-time
     /// Wait-free: one store; no syscall.
@@ -303,14 +304,15 @@ impl Slot {
         self.doorbell.arena.set_activity(self.activity(kind), now_ns);
     }
 
-    /// What the slot belongs to has ended, though others still hold it: they are told, and so is the task that waits there.
+    /// Marks the slot's owner as ended, even if others still hold the slot: they see the mark, and the task that waits
+    /// there is woken.
     pub fn retire(&self) {
         self.retired.store(true, Ordering::Release);
         self.doorbell.wake(self.index);
         self.doorbell.arena.ring_events(self.index);
     }
 
-    /// Whether what it belongs to has ended.
+    /// Whether the slot's owner has ended.
     ///
     /// # Real-time
     /// Wait-free: one load.
@@ -318,12 +320,12 @@ impl Slot {
         self.retired.load(Ordering::Acquire)
     }
 
-    /// Whose slot it is.
+    /// The doorbell of this slot.
     pub fn doorbell(&self) -> &Arc<Doorbell> {
         &self.doorbell
     }
 
-    /// What others must know of it.
+    /// The slot's properties that other processes must know.
     ///
     /// # Panics
     /// Never: a claimed slot has them.

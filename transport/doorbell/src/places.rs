@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Slots, or the bells of threads: which are free. Claimed and given back by any thread without a lock, for a request that is
-//! waited for with a time limit claims a slot in a callback.
+//! The free list of slots, or of thread bells. Any thread can claim and release an entry without a lock, because a request
+//! with a time-out claims a slot in a callback.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -9,7 +9,7 @@ use crate::sync::{AtomicU64, Ordering};
 /// They are claimed in turn: each rests as long as possible before it is used again, so that a publisher that has not yet noticed
 /// the end of a subscription does not ring its successor (harmless, but a spurious wake-up).
 pub(super) struct FreePlaces {
-    /// A bit for each that is free.
+    /// One bit for each free entry.
     free: Box<[AtomicU64]>,
     /// Where the next search begins.
     next: AtomicU64,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A flag of this process that wakes whoever sleeps for it, one of several sleepers that come and go.
+//! A flag of this process that wakes its waiters. Several waiters may be attached and detached.
 //!
 //! ```text
 //!  who sets it                               who waits
@@ -8,15 +8,16 @@
 //!  3 wakes each of waiters                   3 no flag? sleep until woken
 //! ```
 //!
-//! Either who sets it sees the waiter, or that one sees the flag. Setting takes no lock and allocates nothing: it may be done in a signal
-//! handler.
+//! Either the thread that sets the flag sees the waiter, or the waiter sees the flag. Setting takes no lock and allocates nothing, so it
+//! may be done in a signal handler.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use crate::sync::{AtomicBool, AtomicPtr, Ordering, fence};
 use core::ptr::null_mut;
 
-/// What can be woken from any thread: one that is not asleep will not fall asleep before it has looked again.
+/// A waiter that can be woken from any thread. If it is not asleep, it will check again before it falls
+/// asleep.
 pub trait Wakeable {
     /// Wakes it.
     ///
@@ -42,7 +43,7 @@ impl<W> Default for Signal<W> {
 }
 
 impl<W: Wakeable> Signal<W> {
-    /// Sets the flag, and wakes who waits. May be called in a signal handler.
+    /// Sets the flag, and wakes its waiters. May be called in a signal handler.
     ///
     /// # Real-time
     /// Wait-free; no allocation; a futex wake for each waiter that sleeps.
@@ -66,7 +67,7 @@ impl<W: Wakeable> Signal<W> {
         self.is_set.load(Ordering::Acquire)
     }
 
-    /// Takes the flag back, and says whether it was set.
+    /// Clears the flag, and returns whether it was set.
     ///
     /// # Real-time
     /// Wait-free.
@@ -74,8 +75,8 @@ impl<W: Wakeable> Signal<W> {
         self.is_set.swap(false, Ordering::AcqRel)
     }
 
-    /// Has `waiter` woken from now on, until it is [detached](Self::detach); the caller looks at the flag after this. False if the flag
-    /// has as many waiters as it can have.
+    /// Wakes `waiter` from now on, until it is [detached](Self::detach). Check the flag after this call. Returns false if the flag
+    /// already has its maximum number of waiters.
     ///
     /// # Safety
     /// `waiter` lives until it is detached, and after that as long as a call of [`set`](Self::set) may last.
@@ -88,7 +89,7 @@ impl<W: Wakeable> Signal<W> {
         is_attached
     }
 
-    /// Takes `waiter` back, once, if it is attached.
+    /// Detaches `waiter`, once, if it is attached.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Rings from four processes, as many as `TAUT_STRESS_RINGS` says: none may be lost. What loom proves of the algorithm,
-//! this tries on the kernel's futex and the machine's memory.
+//! Rings from four processes, `TAUT_STRESS_RINGS` in number: none may be lost. loom proves the algorithm; this test
+//! checks it with the kernel's futex and the machine's memory.
 //!
-//! Each ringer writes a message's number, rings, and waits until the sampler acknowledged it. So a lost wake-up shows:
-//! the sampler's time-out passes although something is pending. No janitor runs, which could hide one.
+//! Each ringer writes a message's number, rings, and waits until the sampler acknowledged it. So a lost wake-up is
+//! visible: the sampler's time-out passes although something is pending. No janitor runs, because it could hide a lost
+//! wake-up.
 
 use crate::{Arena, ArenaId, MAIN_BYTES};
 use rand::rngs::StdRng;

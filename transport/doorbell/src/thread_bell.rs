@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The bell of one callback thread: publishers wake that thread themselves, and no sampler is between.
+//! The bell of one callback thread: publishers wake that thread directly, without a sampler in between.
 //!
-//! Each subscription that is polled there has a bit of the bell, to which its slot's route leads. The
-//! thread sleeps on this bell alone, so everything else that wakes its tasks rings its last bit.
+//! Each subscription that is polled by this thread has a bit of the bell; its slot's route points to this
+//! bit. The thread sleeps only on this bell, so everything else that wakes its tasks rings the bell's last
+//! bit.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -23,7 +24,7 @@ const FREE: usize = usize::MAX;
 pub struct ThreadBell {
     doorbell: Arc<Doorbell>,
     thread: usize,
-    /// The slots behind the bits.
+    /// The slots of the bits.
     slots: [AtomicUsize; OTHERS],
 }
 
@@ -51,7 +52,7 @@ impl ThreadBell {
         self.doorbell.arena().thread_bell(self.thread)
     }
 
-    /// Wakes the thread if it sleeps; else it will not fall asleep before it has looked again.
+    /// Wakes the thread if it sleeps. If it does not, it will check again before it falls asleep.
     ///
     /// # Real-time
     /// Wait-free; no allocation; at most one futex wake.
@@ -61,12 +62,12 @@ impl ThreadBell {
         }
     }
 
-    /// Looks for `spin` whether something has rung since the last return, then sleeps until something does; wakes the tasks that it
-    /// was rung for. For the one thread whose bell it is.
+    /// Polls for the time `spin` whether something has rung since the last return, then sleeps until something rings. Wakes the
+    /// tasks that were rung for. Only for the thread that owns this bell.
     ///
     /// # Real-time
-    /// O(subscriptions that were rung for), at most 63; no allocation; no lock; a syscall to sleep, none if something is pending
-    /// before `spin` is over.
+    /// O(subscriptions that were rung for), at most 63; no allocation; no lock; one syscall to sleep, none if something becomes
+    /// pending before `spin` is over.
     pub fn wait(&self, spin: Duration) {
         let Some(bell) = self.bell() else { return };
         while !self.take(bell) {
@@ -76,7 +77,8 @@ impl ThreadBell {
         }
     }
 
-    /// As [`wait`](Self::wait), at most until the `CLOCK_MONOTONIC` time `deadline_ns`. Whether something rang.
+    /// Like [`wait`](Self::wait), but at most until the `CLOCK_MONOTONIC` time `deadline_ns`. Returns whether
+    /// something rang.
     ///
     /// # Real-time
     /// As [`wait`](Self::wait).
@@ -105,8 +107,8 @@ impl ThreadBell {
         true
     }
 
-    /// Routes the rings for `slot` to this bell. `None`: all bits are taken, or the slot is of another arena, whose publishers know nothing
-    /// of this bell.
+    /// Routes the rings for `slot` to this bell. `None`: all bits are in use, or the slot belongs to another arena, whose publishers do not
+    /// know this bell.
     pub fn route(self: &Arc<Self>, slot: &Slot) -> Option<BellRoute> {
         if !Arc::ptr_eq(&self.doorbell, slot.doorbell()) {
             return None;

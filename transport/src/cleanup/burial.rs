@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is done for a file whose owner has died.
+//! Cleanup of a file whose owner has died.
 //!
-//! A participant's lock is free only if its process has gone. What it sent stays where it is until those that are to take it have
-//! mapped it; then it loses its place among the members, they are called, and at last its file loses its name. Whoever is killed in
-//! the middle of this leaves it to be done again. However many die at once, none waits for another one's burial.
+//! A participant's lock is free only if its process has ended. The samples that it sent remain until the subscriptions that are to
+//! take them have mapped them. Then its entry among the members is freed, the other members are called, and finally its file is
+//! unlinked. If the process that does this is killed meanwhile, another process starts the cleanup again. If several participants
+//! die at once, none waits for the cleanup of another.
 
 use crate::error::TransportError;
 use crate::graph::domain::{Domain, has_owner};
@@ -22,18 +23,18 @@ use tautline_rt::shm::{self, PeerFile, ShmError};
 
 /// How long a dead publisher's samples wait for subscriptions that have not found them yet.
 const PATIENCE: Duration = Duration::from_millis(20);
-/// How often it is looked whether they have.
+/// How often this is checked.
 pub(super) const PERIOD: Duration = Duration::from_millis(1);
 
-/// What became of a file.
+/// The state of a file.
 pub(super) enum Found {
-    /// Its owner lives, or dies right now.
+    /// Its owner is alive, or is ending right now.
     Owned,
-    /// Its owner has died: to be [buried](bury).
+    /// Its owner has died: to be [cleaned up](bury).
     Dead(Dead),
-    /// Its owner has died, and it is to stay.
+    /// Its owner has died, but the file must stay.
     Kept,
-    /// It is there no more.
+    /// The file no longer exists.
     Gone,
 }
 
@@ -47,19 +48,19 @@ pub(super) fn names(domain: u32) -> Result<Vec<String>, TransportError> {
     Ok(names.filter(|name| has_owner(name)).map(str::to_owned).collect())
 }
 
-/// A participant that has died, or a file that is nobody's.
+/// A participant that has died, or a file without an owner.
 pub(super) struct Dead {
-    /// Locked until all is done: who comes next finds a file without a name, or a free lock.
+    /// Locked until the cleanup is complete: the next process finds either no file, or a free lock.
     file: PeerFile,
     id: Option<u64>,
     /// What its publishers have sent.
     sent: Vec<View>,
     until: Instant,
-    /// Those that are to find what it sent have been called.
+    /// The participants that are to map its samples have been called.
     has_called: bool,
 }
 
-/// Looks whether the owner of the file `name` lives.
+/// Checks whether the owner of the file `name` is alive.
 ///
 /// # Errors
 /// The system refuses, at its limit of open files for one.
@@ -88,7 +89,7 @@ pub(super) fn look_after(domain: &Domain, name: &str) -> Result<Found, Transport
     Ok(Found::Dead(Dead { file, id, sent, until: Instant::now() + PATIENCE, has_called: false }))
 }
 
-/// Buries those for whose samples nobody is waited for any more; the others stay in the list.
+/// Cleans up the participants whose samples no subscription still has to map; the others stay in the list.
 pub(super) fn bury(domain: &Domain, dead: &mut Vec<Dead>) {
     if dead.is_empty() {
         return;
@@ -120,7 +121,7 @@ pub(super) fn bury(domain: &Domain, dead: &mut Vec<Dead>) {
 }
 
 impl Dead {
-    /// The places of those that have not found yet what was sent to them.
+    /// The entries of the participants that have not mapped yet what was sent to them.
     fn awaited(&self, places: &BTreeMap<u64, usize>) -> BTreeSet<usize> {
         let behind = self.sent.iter().flat_map(|view| {
             let grown = view.head().grown.load(Ordering::Acquire);

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The janitor: an ordinary thread of each participant that does what no real-time thread may wait for. It sleeps until somebody calls
-//! it: who made or ended a port that concerns this participant, who found one dead, a thread of its own.
+//! The janitor: an ordinary thread of each participant, for work that no real-time thread may wait for. It sleeps until it is called:
+//! by a participant that created or ended a port that concerns this one, by the warden that found a dead participant, or by a thread
+//! of its own process.
 //!
-//! It finds publishers and subscriptions for this participant's ports (see [`matching`](crate::topic::matching)), finishes rings that a
-//! killed process began, looks whether this process is to be traced, and says if somebody removed this participant's file.
+//! It finds publishers and subscriptions for this participant's ports (see [`matching`](crate::topic::matching)), completes rings that
+//! a killed process began, checks whether this process is to be traced, and reports if this participant's file was removed.
 
 use crate::error::TransportError;
 use crate::graph::domain::Domain;

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What happens when processes come, go and die: threads of low priority that do what no real-time thread may wait for.
+//! Handles processes that join, leave and die, in threads of low priority: no real-time thread may wait for this work.
 //!
-//! - Each participant's [`Janitor`] sleeps until it is called, and then looks what there is to do for its ports.
-//! - One participant's [`Warden`] watches all others; those of the others watch that one, to take its place. What it does for the dead
-//!   is in [`burial`].
+//! - Each participant's [`Janitor`] sleeps until it is called, and then does what is necessary for its ports.
+//! - One participant's [`Warden`] watches all other participants. The wardens of the others watch this one, to take its place. The
+//!   cleanup after a dead participant is in [`burial`].
 
 mod burial;
 mod janitor;
@@ -16,7 +16,8 @@ use crate::error::TransportError;
 use crate::graph::domain::Domain;
 use tautline_rt::{Policy, Realtime, RtError, ThreadBuilder};
 
-/// Starts recording a domain: see [`Recorder`](tautline_trace::Recorder). Tells its participants, which record from a moment later on.
+/// Starts recording a domain: see [`Recorder`](tautline_trace::Recorder). Notifies its participants, which start to record a moment
+/// later.
 ///
 /// # Errors
 /// [`TransportError`]: there is a recorder already, or no such domain.
@@ -29,7 +30,8 @@ pub fn start_recorder(domain: u32) -> Result<tautline_trace::Recorder, Transport
     Ok(recorder)
 }
 
-/// Has every participant of a domain look whether there is something to do: see [`Participant::attend`](crate::Participant::attend).
+/// Makes every participant of a domain check whether there is something to do: see
+/// [`Participant::attend`](crate::Participant::attend).
 ///
 /// # Errors
 /// [`TransportError`]: no such domain.

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The warden: the one participant of a domain that notices when others die.
+//! The warden: the one participant of a domain that detects dead participants.
 //!
-//! The kernel tells it: a process that dies closes its files, and whoever watches the domain's folder hears that. Then it looks
-//! whether the owner's lock is free. That works from another container, where the dead one's process number means nothing.
+//! The kernel notifies it: the files of a process that dies are closed, and inotify reports this to the process that watches
+//! the domain's folder. The warden then checks whether the owner's lock is free. This also works from another container, where
+//! the dead process's id has no meaning.
 //!
-//! Who the warden is says the lock of a pipe in the folder, which the warden alone has open for writing. All others sleep on its read
-//! end, which the kernel hangs up when the warden dies; then they try to lock it, and one gets it.
+//! The lock of a pipe in the folder determines which participant is the warden. Only the warden has the pipe open for writing. All
+//! other participants sleep on its read end, which the kernel hangs up when the warden dies. Then they try to lock the pipe, and one
+//! of them gets the lock.
 
 use super::burial::{self, Dead, Found};
 use crate::error::TransportError;
@@ -47,7 +49,8 @@ pub(crate) struct Warden {
 }
 
 impl Warden {
-    /// If there is no warden this participant becomes it, and has buried all dead ones when this returns.
+    /// If there is no warden, this participant becomes the warden, and has cleaned up after all dead
+    /// participants when this returns.
     pub(crate) fn start(domain: &Arc<Domain>) -> Result<Self, TransportError> {
         let candidate = Candidate::new(domain)?;
         let warden = match candidate.elect()? {
@@ -75,7 +78,8 @@ enum Election {
     Won(ActiveWarden),
     /// Another participant is the warden.
     Lost,
-    /// Somebody removed the domain's files while they were used: those who came then have a domain, and a warden, of their own.
+    /// The domain's files were removed while they were in use: participants that joined after that have another domain, with
+    /// its own warden.
     Removed,
 }
 
@@ -225,13 +229,13 @@ fn watch(folder: Option<&Path>) -> Option<OwnedFd> {
 struct ActiveWarden {
     _pipe: OwnedFd,
     watch: Option<OwnedFd>,
-    /// Files to look at, and when; how often they were looked at.
+    /// Files to check, and when; how often they were checked.
     suspects: BTreeMap<String, (u64, usize)>,
-    /// Those that have died and are not buried yet.
+    /// Participants that have died and are not cleaned up yet.
     dead: Vec<Dead>,
-    /// Files of dead ones that are to stay, until somebody removes them.
+    /// Files of dead participants that must stay until they are removed from outside.
     kept: BTreeSet<String>,
-    /// When all files are looked at, because they could not be listed before; 0: no need.
+    /// When to check all files, because they could not be listed before; 0: not necessary.
     look_all_ns: u64,
 }
 
@@ -249,7 +253,7 @@ impl ActiveWarden {
         }
     }
 
-    /// Buries all that are dead by now.
+    /// Cleans up after all participants that are dead by now.
     fn bury_all(&mut self, domain: &Domain) {
         self.suspect_all(domain);
         self.look(domain);
@@ -302,7 +306,7 @@ impl ActiveWarden {
         self.watch = Some(watch);
     }
 
-    /// Looks at those that are due, and buries the dead.
+    /// Checks the files that are due, and cleans up after dead participants.
     fn look(&mut self, domain: &Domain) {
         let now_ns = monotonic_ns();
         if self.look_all_ns != 0 && self.look_all_ns <= now_ns {

@@ -1,18 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Who is in a domain: one file in its folder, with a place for each participant, and a word that moves when anything changes.
+//! The participants of a domain: one file in its folder, with an entry for each participant, and a word that changes when
+//! anything in the domain changes.
 //!
 //! | in the file | written by |
 //! |---|---|
-//! | the domain's id, a random number | who makes the file |
-//! | the epoch, a futex word: moves when a node, a port or a participant appears or goes | who makes that change |
-//! | a member's id | the participant that takes the place; whoever buries it sets it to 0 |
-//! | a member's generation: moves when its record changes | that participant |
-//! | what has grown: moves when its publishers have other segments of samples | that participant |
-//! | a member's calls, a futex word on which its janitor sleeps | whoever wants that one to look |
+//! | the domain's id, a random number | the process that creates the file |
+//! | the epoch, a futex word: changes when a node, a port or a participant appears or disappears | the process that makes this change |
+//! | a member's id | the participant that takes the entry; the process that cleans up after it sets it to 0 |
+//! | a member's generation: changes when its record changes | that participant |
+//! | a growth count: changes when the segments of its publishers' samples change | that participant |
+//! | a member's calls, a futex word on which its janitor sleeps | any process that wakes this janitor |
 //!
-//! Every member holds a shared lock of the file. Who leaves and gets it for itself alone is the last one, and removes the domain's
-//! files: killed processes hold no locks. So does who is the last one when its process ends, though threads of it run on; who is not is
-//! buried by the others when it is dead: until then its threads may hold samples.
+//! Every member holds a shared lock of the file. A leaving member that gets the lock exclusively is the last one, and removes the
+//! domain's files; killed processes hold no locks. The last member does the same at the end of its process, although threads of the
+//! process still run. If it is not the last one, the other members clean up after it when it is dead: until then its threads may hold
+//! samples.
 
 use crate::error::TransportError;
 use crate::participant::file::id_of;
@@ -50,19 +52,20 @@ const PATIENCE: Duration = Duration::from_secs(2);
 struct Layout {
     magic: AtomicU64,
     epoch: FutexWord,
-    /// Places from here on were never taken.
+    /// Entries from this index on were never used.
     end: AtomicU32,
-    /// Tells this domain from those of other hosts, users and scopes, and from itself at another time.
+    /// Distinguishes this domain from domains of other hosts, users and scopes, and from the same domain at
+    /// another time.
     id: AtomicU64,
     members: [Member; MEMBERS],
 }
 
 #[repr(C, align(64))]
 struct Member {
-    /// Its participant; 0: the place is free.
+    /// Its participant; 0: the entry is free.
     id: AtomicU64,
     generation: AtomicU64,
-    /// Moves when one of its publishers has other segments of samples than before.
+    /// Changes when the segments of samples of one of its publishers change.
     grown: AtomicU32,
     calls: FutexWord,
 }
@@ -331,7 +334,7 @@ fn layout(map: &Mapping) -> &Layout {
 enum Opened {
     /// And locked.
     Whole(OwnedFd, Mapping),
-    /// It is none of this version.
+    /// It is of another version.
     Other,
     Missing,
     /// It is being removed.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Waking tasks when the graph changes: one thread sleeps on the domain's epoch for all tasks of a participant.
+//! Wakes tasks when the graph changes: one thread sleeps on the domain's epoch for all tasks of a participant.
 
 use super::domain::Domain;
 use crate::cleanup::low_priority_thread;
@@ -12,10 +12,12 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::task::{Context, Poll};
 use tautline_rt::JoinHandle;
 
-/// A stream that yields when a node, publisher, subscription, service or client of the domain appeared or went since it last
-/// did, or since it was made; several changes may be one event. Ends with its participant.
+/// A stream that yields an item when a node, publisher, subscription, service or client of the domain has appeared or
+/// disappeared since its last item, or since the stream was created. Several changes may be one item. The stream ends with
+/// its participant.
 ///
-/// Whoever waits for a state of the graph makes the stream first, then looks, then awaits the next event, then looks again.
+/// To wait for a state of the graph, create the stream first, then read the graph, then await the next event, then read the
+/// graph again.
 pub struct GraphEvents {
     domain: Arc<Domain>,
     listener: Arc<Listener>,

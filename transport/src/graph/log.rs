@@ -1,20 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A participant's record: what it says of its nodes and ports, as a log that only grows, so that who has read it once reads only
-//! what is new.
+//! A participant's record of its nodes and ports: an append-only log, so that a reader that has read it once reads only new
+//! entries.
 //!
-//! The record is one part of the participant's file: a word that says how many bytes are valid, a word that says how often it was
-//! written anew, then entries. When there is no
-//! room for one more, the entries that still count are written into a part of their own, and only then the head of the file says
-//! that the record lies there. So whoever reads gets whole entries, wherever the writer is stopped or killed. Who was reading the
-//! former part looks at the head once more, and begins anew.
+//! The record is one part of the participant's file: a word with the number of valid bytes, a word that counts how often the
+//! record was rewritten, then entries. When there is no room for another entry, the entries that are still valid are written into
+//! a new part, and only after that the head of the file points to this part. So a reader gets whole entries, at whatever point
+//! the writer is stopped or killed. A reader of the former part reads the head again, and starts again.
 //!
 //! | in an entry | bytes |
 //! |---|--:|
 //! | its length, these words included, a multiple of 8 | 4 |
 //! | its kind | 4 |
-//! | its number, by which a later entry takes it back | 8 |
-//! | the hash of the name of its topic, or of its node's, by which it is found | 8 |
-//! | what it says, and zeros | the rest |
+//! | its number, with which a later entry revokes it | 8 |
+//! | the hash of the name of its topic, or of its node, for lookup | 8 |
+//! | its content, and zeros | the rest |
 
 use crate::error::TransportError;
 use crate::participant::file::{Head, OwnMemory, PAGE, Peer, Place};
@@ -32,25 +31,26 @@ const MAX_BYTES: u64 = 64 << 20;
 const PREFACE_BYTES: usize = 16;
 const HEAD_BYTES: usize = 24;
 
-/// What an entry is about. Kinds that a reader does not know are passed over.
+/// The kind of an entry. A reader skips kinds that it does not know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u32)]
 pub(crate) enum Kind {
-    /// The entry with this number counts no more.
+    /// The entry with this number is no longer valid.
     Gone = 1,
     Node = 2,
     /// A publisher or subscription of this participant.
     Port = 3,
-    /// A publisher or subscription of another host, of which a gateway tells.
+    /// A publisher or subscription of another host, announced by a gateway.
     RemotePort = 4,
     /// A service or client of another host.
     RemoteService = 5,
-    /// The participant's ports stand for those of other hosts: it is a gateway's or a bridge's.
+    /// The participant's ports are proxies for those of other hosts: it belongs to a gateway or a bridge.
     Relay = 6,
-    /// The publisher with this number has ended, and what it sent waits for subscriptions that have not found it yet. Says what its
-    /// port said.
+    /// The publisher with this number has ended, and its samples wait for subscriptions that have not found them yet. The content
+    /// is that of the port's entry.
     Ended = 7,
-    /// The publisher elsewhere that has this tag, in place of a hash, has ended by itself: it did not die.
+    /// A publisher elsewhere has ended normally: it did not die. The entry has the publisher's tag in place
+    /// of a hash.
     RemoteEnded = 8,
 }
 
@@ -62,7 +62,7 @@ impl Kind {
     }
 }
 
-/// An entry of a record. Another process's is a claim.
+/// An entry of a record. Entries of another process are untrusted.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Entry {
     pub(crate) kind: Kind,
@@ -114,10 +114,10 @@ pub(crate) fn hash_of_bytes(bytes: &[u8]) -> u64 {
 pub(crate) struct Log {
     memory: Arc<OwnMemory>,
     part: Option<(Range, Arc<Mapping>)>,
-    /// Where it lay before, which somebody may still be reading.
+    /// Its previous position, where another process may still read it.
     former: Option<Range>,
     used: usize,
-    /// The entries that count, as bytes.
+    /// The valid entries, as bytes.
     live: BTreeMap<u64, Vec<u8>>,
     live_bytes: usize,
     next_number: u64,
@@ -250,10 +250,10 @@ fn write(words: &[AtomicU64], at: usize, bytes: &[u8]) {
     }
 }
 
-/// How far somebody has read the record of a participant.
+/// A reader's position in the record of a participant.
 #[derive(Debug, Default)]
 pub(crate) struct Reader {
-    /// As the head says where the record lies, and how often it was written anew: it may come to lie where it lay before.
+    /// The record's position and rewrite count from the head: a rewritten record may get a former position again.
     place: u64,
     turn: u64,
     part: Option<Arc<Mapping>>,

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What exists in a domain: nodes, topics, services, and who has which end of them, in this process, on this host, on others.
+//! What exists in a domain: nodes, topics, services, and their endpoints, in this process, on this host and on other hosts.
 //!
-//! The graph is state that is maintained, not a question that is asked. Each participant keeps one record of its nodes and ports
-//! ([`log`], [`own`]), which others map and read on from where they were ([`model`] for whole pictures, the topics' matching for
-//! single ones). Who is in the domain, and when anything changed, says one file ([`domain`]). Looking opens no topic, takes no
-//! place, waits for nobody.
+//! The graph is maintained state, not the result of a query. Each participant keeps one record of its nodes and ports ([`log`],
+//! [`own`]). Other participants map the record and continue to read from their last position ([`model`] for the whole graph, the
+//! topics' matching for single entries). One file lists the participants of the domain and counts changes ([`domain`]). Reading
+//! the graph opens no topic, occupies nothing and waits for no process.
 //!
-//! A gateway says in its record what other hosts have.
+//! A gateway announces the entities of other hosts in its record.
 
 pub(crate) mod domain;
 mod events;
@@ -70,13 +70,13 @@ pub struct NodeInfo {
     pub pid: Option<u32>,
     /// Whether it is on another host, or in ROS.
     pub is_remote: bool,
-    /// Where it was first.
+    /// Its origin.
     pub origin: Origin,
-    /// The participant that tells of it, if it is elsewhere.
+    /// The participant that announces it, if it is elsewhere.
     pub teller: Option<u64>,
 }
 
-/// Which end of a topic.
+/// The kind of a topic's endpoint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum EndpointKind {
     /// It publishes.
@@ -88,17 +88,18 @@ pub enum EndpointKind {
 /// A publisher or a subscription of the domain.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TopicEndpoint {
-    /// Which of both.
+    /// Its kind.
     pub kind: EndpointKind,
     /// The topic's fully qualified name.
     pub topic: String,
-    /// What this end knows of the type of its messages. Ends of one topic whose types differ do not match.
+    /// What this endpoint knows about the type of its messages. Endpoints of one topic with different types
+    /// do not match.
     pub topic_type: TopicType,
     /// Its identifier.
     pub gid: Gid,
-    /// The quality of service that was asked for.
+    /// The requested quality of service.
     pub qos: Qos,
-    /// Its node; `None` if it was made without one.
+    /// Its node; `None` if it was created without one.
     pub node: Option<NodeName>,
     /// Its process, if it is on this host.
     pub pid: Option<u32>,
@@ -106,13 +107,13 @@ pub struct TopicEndpoint {
     pub is_remote: bool,
     /// Whether it belongs to the participant that asked.
     pub is_own: bool,
-    /// Where it was first.
+    /// Its origin.
     pub origin: Origin,
-    /// The participant that tells of it, if it is elsewhere.
+    /// The participant that announces it, if it is elsewhere.
     pub teller: Option<u64>,
 }
 
-/// Which end of a service.
+/// The kind of a service's endpoint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum ServiceKind {
     /// It answers requests.
@@ -124,7 +125,7 @@ pub enum ServiceKind {
 /// A service or a client of the domain.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServiceEndpoint {
-    /// Which of both.
+    /// Its kind.
     pub kind: ServiceKind,
     /// The service's fully qualified name.
     pub name: String,
@@ -134,21 +135,21 @@ pub struct ServiceEndpoint {
     pub type_hash: Option<String>,
     /// Its identifier.
     pub gid: Gid,
-    /// Its node; `None` if it was made without one.
+    /// Its node; `None` if it was created without one.
     pub node: Option<NodeName>,
     /// Its process, if it is on this host.
     pub pid: Option<u32>,
     /// Whether it is on another host, or in ROS.
     pub is_remote: bool,
-    /// Where it was first.
+    /// Its origin.
     pub origin: Origin,
-    /// The participant that tells of it, if it is elsewhere.
+    /// The participant that announces it, if it is elsewhere.
     pub teller: Option<u64>,
 }
 
-/// What exists in a domain: on this host and, if it has gateways or bridges, on others and in ROS. What these open here for
-/// others' publishers and subscriptions is left out: those are listed themselves, each once, as the one with the least [`Rank`] of
-/// those that tell of it does.
+/// What exists in a domain: on this host and, if it has gateways or bridges, on other hosts and in ROS. The local ports that
+/// gateways and bridges open for remote publishers and subscriptions are not listed. The remote endpoints themselves are listed,
+/// each once, as announced by the participant with the least [`Rank`].
 #[derive(Clone, Debug, Default)]
 pub struct GraphSnapshot {
     /// Nodes, sorted by namespace and name.
@@ -157,15 +158,16 @@ pub struct GraphSnapshot {
     pub endpoints: Vec<Arc<TopicEndpoint>>,
     /// Services and clients, sorted by name.
     pub services: Vec<Arc<ServiceEndpoint>>,
-    /// For who tells of others' ends itself: the least rank, by tag, with which other participants tell of something.
+    /// For gateways and bridges: for each tag the least rank with which other participants announce it.
     pub rivals: HashMap<u64, Rank>,
-    /// For who tells of others' ends itself: the tags of the publishers that have ended by themselves, the last few of them. What is
-    /// gone and not among these has died.
+    /// For gateways and bridges: the tags of the latest publishers that ended normally. A publisher that has disappeared and is not
+    /// listed here has died.
     pub ended: Vec<u64>,
 }
 
 impl GraphSnapshot {
-    /// The type of a topic, if all of its ends agree on one, as far as any of them knows it; `None` also if there is no such topic.
+    /// The type of a topic, as far as its endpoints know it, if they all agree; `None` if they do not, or if there is no such
+    /// topic.
     pub fn topic_type(&self, topic: &str) -> Option<TopicType> {
         let from = self.endpoints.partition_point(|end| end.topic.as_str() < topic);
         let mut ends = self.endpoints[from..].iter().take_while(|end| end.topic == topic);
@@ -185,7 +187,8 @@ pub struct TopicInfo {
     pub subscriptions: Vec<Arc<TopicEndpoint>>,
 }
 
-/// A node that others see until this, its clones and everything that was made for it are dropped.
+/// A node that other processes see until this handle, its clones and everything that was created for the node
+/// are dropped.
 #[derive(Clone)]
 pub struct NodeHandle {
     pub(crate) entry: Arc<Entry>,
@@ -197,11 +200,12 @@ impl NodeHandle {
         &self.entry.node
     }
 
-    /// Ends what was made for the node, and what is made from now on: streams end once they have given out what had come, nothing
-    /// can be published or asked any more. Others see the node until all of that is dropped.
+    /// Ends everything that was created for the node, or is created for it from now on: streams end after they have delivered
+    /// what had arrived, and publishing and requests return errors. Other processes see the node until all of this is dropped.
     ///
     /// # Real-time
-    /// Not for real-time threads: waits for a lock; O(what was made), a syscall for each thread that waits for something of it.
+    /// Not for real-time threads: waits for a lock; O(objects created for the node), one syscall for each thread that waits for
+    /// one of them.
     pub fn end(&self) {
         self.entry.end();
     }
@@ -214,7 +218,7 @@ impl NodeHandle {
         self.entry.has_ended()
     }
 
-    /// What has this slot ends with the node.
+    /// The owner of this slot ends with the node.
     ///
     /// # Real-time
     /// Setup only.
@@ -242,26 +246,28 @@ impl Participant {
         Ok(NodeHandle { entry: self.state.record.add_node(node)? })
     }
 
-    /// The same membership; publishers and subscriptions that are created through this one are the node's.
+    /// The same membership; publishers and subscriptions that are created through the result belong to the
+    /// node.
     #[must_use = "only what is created through the returned participant is the node's"]
     pub fn for_node(&self, node: &NodeHandle) -> Participant {
         Participant { state: self.state.clone(), node: Some(node.entry.clone()) }
     }
 
-    /// Everything that exists in the domain. The same as before, without a look at anything else, if nothing has changed.
+    /// Everything that exists in the domain. If nothing has changed since the last call, returns the same snapshot after
+    /// one check.
     ///
     /// # Real-time
     /// Not for real-time threads: waits for a lock, maps files, allocates.
     ///
     /// # Errors
     /// [`TransportError`]: the system refuses to map another participant's record, at the limit of open files for one. A record that
-    /// is damaged or of another version is passed over, and said once in the log.
+    /// is damaged or of another version is skipped, and logged once.
     pub fn graph(&self) -> Result<Arc<GraphSnapshot>, TransportError> {
         self.state.model().look(&self.state.domain)
     }
 
-    /// How many nodes of the domain have this name. For who wants nothing else of the [`graph`](Self::graph), which takes time and
-    /// memory in proportion to all that there is.
+    /// How many nodes of the domain have this name. Cheaper than [`graph`](Self::graph), which takes time and memory in proportion
+    /// to the size of the whole graph.
     ///
     /// # Real-time
     /// As [`graph`](Self::graph).
@@ -269,7 +275,7 @@ impl Participant {
         self.state.matcher.nodes(log::hash_of(&name.full_name()))
     }
 
-    /// The topics of the domain, sorted by name, without those that make services.
+    /// The topics of the domain, sorted by name, without the topics that services consist of.
     ///
     /// # Real-time
     /// As [`graph`](Self::graph).
@@ -305,7 +311,8 @@ impl Participant {
         Ok(self.graph()?.topic_type(topic))
     }
 
-    /// The type of a service, as far as its servers and clients know it; `None` if it has neither, or they disagree.
+    /// The type of a service, as far as its servers and clients know it; `None` if it has none of these, or if they
+    /// disagree.
     ///
     /// # Real-time
     /// As [`graph`](Self::graph).
@@ -323,8 +330,8 @@ impl Participant {
         Ok(types.try_fold(first, |known, other| known.join(&other)))
     }
 
-    /// A number that changes when a node, publisher, subscription, service or client of the domain appears or goes. Read it
-    /// before [`graph`](Self::graph): if it is the same later, so is the graph.
+    /// A number that changes when a node, publisher, subscription, service or client of the domain appears or disappears.
+    /// Read it before [`graph`](Self::graph): if it is the same later, so is the graph.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -332,7 +339,8 @@ impl Participant {
         self.state.domain.epoch()
     }
 
-    /// Sleeps until [`graph_epoch`](Self::graph_epoch) is not `since`, at most for `timeout`. Returns the epoch.
+    /// Sleeps until [`graph_epoch`](Self::graph_epoch) differs from `since`, at most for `timeout`. Returns the
+    /// epoch.
     ///
     /// # Real-time
     /// Waits.
@@ -340,8 +348,8 @@ impl Participant {
         self.state.domain.wait(since, Some(timeout))
     }
 
-    /// Tells this domain from those of other hosts, users and scopes, and from itself at another time: a random number, made with
-    /// the domain's first participant.
+    /// Distinguishes this domain from domains of other hosts, users and scopes, and from the same domain at another time: a
+    /// random number, created with the domain's first participant.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -349,7 +357,8 @@ impl Participant {
         self.state.domain.id()
     }
 
-    /// This participant's own number, by which it is the [`teller`](TopicEndpoint::teller) of what it tells.
+    /// This participant's own number. It is the [`teller`](TopicEndpoint::teller) of everything that this
+    /// participant announces.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -357,22 +366,23 @@ impl Participant {
         self.state.memory.id()
     }
 
-    /// Says what other hosts have, in place of what it said before, and that this participant's own ports stand for
-    /// their ends. For a gateway: it has a participant for itself.
+    /// Announces the entities of other hosts, in place of the previous announcement, and marks this participant's
+    /// own ports as proxies for them. For gateways and bridges, which have a participant of their own.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError::File`] if there is no shared memory for it; some of it may have been said then.
+    /// [`TransportError::File`] if there is no shared memory for it; a part may have been announced by then.
     pub fn set_remote(&self, remote: &RemoteGraph) -> Result<(), TransportError> {
         self.state.matcher.set_remote(remote)
     }
 
-    /// Wakes a task when something of the domain appears or goes. What happens between two polls is one event.
+    /// Wakes a task when something in the domain appears or disappears. All changes between two polls are one
+    /// event.
     ///
     /// # Real-time
-    /// Setup only: the first one starts a thread, an ordinary one of low priority, which sleeps until something changes.
+    /// Setup only: the first call starts an ordinary thread of low priority, which sleeps until something changes.
     ///
     /// # Errors
     /// [`TransportError::Thread`] if the thread cannot be started.

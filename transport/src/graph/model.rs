@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The whole graph, kept up to date: of each participant what its record says. A look costs what has changed since the last one.
+//! The whole graph, kept up to date from each participant's record. The cost of an update depends only on what has changed since
+//! the last one.
 
 use super::domain::Domain;
 use super::log::{Entry, Kind, Reader};
@@ -28,28 +29,28 @@ const MOST_ENDED: usize = 4096;
 /// What this process knows of a domain's graph.
 #[derive(Default)]
 pub(crate) struct Model {
-    /// The participant that asks, and whether it tells of others' ends.
+    /// The participant that reads the graph, and whether it announces remote endpoints itself.
     own: u64,
     is_teller: bool,
     /// The domain's when `snapshot` was made.
     pub(super) epoch: Option<u32>,
     members: HashMap<u64, Member>,
-    /// What is listed, in its order; the last part of a key says where.
+    /// The listed entries, in order; the last part of a key names the source.
     nodes: BTreeSet<(Arc<NodeInfo>, Gid)>,
     endpoints: BTreeMap<(String, EndpointKind, Gid, Gid), Arc<TopicEndpoint>>,
     services: BTreeMap<(String, ServiceKind, Gid, Gid), Arc<ServiceEndpoint>>,
-    /// Who tells of what is elsewhere, by its tag, the best first.
+    /// The announcers of remote entities, by tag, the best one first.
     told: HashMap<u64, Vec<(Rank, Gid)>>,
-    /// Tags of publishers that have ended by themselves, and since when that is known.
+    /// Tags of publishers that ended normally, and since when this is known.
     ended: VecDeque<(Instant, u64)>,
     /// Processes that ended without ending what they had, if this is a visitor's.
     pub(super) deaths: Vec<Death>,
     snapshot: Arc<GraphSnapshot>,
 }
 
-/// What a participant's record says.
+/// The content of a participant's record.
 struct Member {
-    /// `None`: it is passed over.
+    /// `None`: it is skipped.
     peer: Option<Peer>,
     generation: u64,
     reader: Reader,

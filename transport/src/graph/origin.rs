@@ -1,29 +1,31 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where something was first, and how word of it came here: what keeps gateways and bridges, which pass on what others have, from
-//! passing anything on twice or in circles.
+//! The origin of an entity, and the path of its announcements. With it gateways and bridges, which forward announcements, avoid
+//! duplicates and loops.
 
 use super::log::hash_of_bytes;
 use super::record::is_token_char;
 use crate::topic::header::Gid;
 use serde::{Deserialize, Serialize};
 
-/// Where an end or a node was first, and the domains by which word of it came.
+/// The origin of an endpoint or a node, and the domains that its announcement has passed.
 ///
-/// Two ways may lead here, of a ring for example: what has the same tag is the same end, and of those that tell of it the one with the
-/// least [`Rank`] counts. Word that has been here before is not believed: so there are no circles, however hosts are connected.
+/// Two paths may lead to this domain, for example in a ring. Entities with the same tag are the same entity, and of its announcers the
+/// one with the least [`Rank`] counts. An announcement that has been in this domain before is ignored. So there are no loops, however
+/// hosts are connected.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Origin {
-    /// Tells it from everything else: [`Gid::tag`] of its gid where it is. 0: not known; it is taken for one of its own.
+    /// Identifies the entity: [`Gid::tag`] of its gid at its origin. 0: not known; it counts as an entity of its own.
     #[serde(skip_serializing_if = "is_zero", default)]
     pub tag: u64,
-    /// The domains that told others of it, the first one first: [`Participant::domain_id`](crate::Participant::domain_id). At most
+    /// The domains that announced it, the first one first: [`Participant::domain_id`](crate::Participant::domain_id). At most
     /// [`MOST_HOPS`](Self::MOST_HOPS).
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub path: Vec<u64>,
     /// How often it crossed a ROS 2 graph, which keeps no sequence numbers.
     #[serde(skip_serializing_if = "is_no", default)]
     pub ros: u8,
-    /// Where it is, for people: a host's name, or `ros` and the domain. Letters, digits and underscores; may be empty.
+    /// Its location, for display: a host's name, or `ros` and the domain. Letters, digits and underscores; may be
+    /// empty.
     #[serde(skip_serializing_if = "String::is_empty", default)]
     pub place: String,
 }
@@ -36,63 +38,65 @@ fn is_no(value: &u8) -> bool {
     *value == 0
 }
 
-/// How good word of something is: less is better. Ordered by how many domains it came through, how often over ROS, who tells.
+/// The rank of an announcement: less is better. Ordered by the number of domains on its path, then by how often it crossed
+/// ROS, then by announcer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Rank {
-    /// Domains that it came through.
+    /// Domains on its path.
     pub hops: usize,
     /// How often it crossed a ROS 2 graph.
     pub ros: u8,
-    /// Who tells: any number, by which equals are told apart.
+    /// The announcer: any number that distinguishes announcements that are otherwise equal.
     pub teller: u128,
 }
 
 impl Origin {
-    /// Longest path: what has come further is not passed on.
+    /// Longest path: announcements with a longer path are not forwarded.
     pub const MOST_HOPS: usize = 8;
     /// Longest [`place`](Self::place) in bytes.
     pub const MOST_PLACE_BYTES: usize = 40;
 
-    /// Of something that is here: `place` is cut, and what no place can have becomes an underscore.
+    /// The origin of a local entity. `place` is truncated, and characters that are not allowed in it become
+    /// underscores.
     pub fn here(gid: Gid, place: &str) -> Self {
         let place = place.chars().take(Self::MOST_PLACE_BYTES);
         let place = place.map(|c| if is_token_char(c) { c } else { '_' }).collect();
         Origin { tag: gid.tag(), place, ..Origin::default() }
     }
 
-    /// The tag of something that has no gid but this text: as [`Gid::tag`].
+    /// The tag of an entity that has this text instead of a gid: like [`Gid::tag`].
     pub fn tag_of(text: &str) -> u64 {
         hash_of_bytes(text.as_bytes()).max(1)
     }
 
-    /// As `domain` tells others of it.
+    /// This origin as `domain` announces it.
     #[must_use = "it returns the changed origin"]
     pub fn told_by(mut self, domain: u64) -> Self {
         self.path.push(domain);
         self
     }
 
-    /// Whether it is of the domain that has it.
+    /// Whether the entity belongs to the domain that has this origin.
     pub fn is_here(&self) -> bool {
         self.path.is_empty() && self.ros == 0 && self.place.is_empty()
     }
 
-    /// Whether `domain` may believe it: it has not been there, and has not come too far.
+    /// Whether `domain` may accept it: the path does not contain `domain`, and is not too long.
     pub fn is_new_to(&self, domain: u64) -> bool {
         self.path.len() <= Self::MOST_HOPS && !self.path.contains(&domain)
     }
 
-    /// Whether a domain that has it may tell others.
+    /// Whether a domain that has it may announce it to others.
     pub fn may_go_on(&self) -> bool {
         self.path.len() < Self::MOST_HOPS
     }
 
-    /// How good this is as `teller` tells it.
+    /// The rank of this origin when `teller` announces it.
     pub fn rank(&self, teller: u128) -> Rank {
         Rank { hops: self.path.len(), ros: self.ros, teller }
     }
 
-    /// Whether it is one that an honest process or host writes.
+    /// Whether it is well-formed.
     pub fn is_valid(&self) -> bool {
         self.path.len() <= Self::MOST_HOPS
             && self.place.len() <= Self::MOST_PLACE_BYTES
@@ -101,7 +105,8 @@ impl Origin {
 }
 
 impl Gid {
-    /// A number that stands for it: 64 bits of a hash (FNV-1a), never 0. 0 stands for the gid of zeros, which is nobody's.
+    /// A number that represents this gid: 64 bits of a hash (FNV-1a), never 0. 0 represents the gid of zeros, which no
+    /// endpoint has.
     pub fn tag(&self) -> u64 {
         if *self == Gid::default() { 0 } else { hash_of_bytes(&self.0).max(1) }
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A participant's own record: its nodes and ports, and what it knows of other hosts.
+//! A participant's own record: its nodes and ports, and what it knows about other hosts.
 
 use super::domain::Domain;
 use super::log::{self, Kind, Log, hash_of};
@@ -16,7 +16,7 @@ use tautline_doorbell::Slot;
 pub(crate) struct OwnRecord {
     domain: Arc<Domain>,
     memory: Arc<OwnMemory>,
-    /// Where this participant is among the members.
+    /// This participant's index among the members.
     place: OnceLock<usize>,
     state: Mutex<State>,
 }
@@ -26,7 +26,7 @@ struct State {
     remote: Remote,
 }
 
-/// What was said of other hosts: the entries, by the topics' hashes and what they say.
+/// What was announced of other hosts: the entries, by their topics' hashes and content.
 #[derive(Default)]
 struct Remote {
     marker: Option<u64>,
@@ -257,13 +257,13 @@ fn wanted(remote: &RemoteGraph, nodes: &HashMap<NodeName, u64>) -> Vec<(Kind, u6
     ended.chain(ports).chain(services).collect()
 }
 
-/// A node that is there until this is dropped.
+/// A node that exists until this is dropped.
 pub(crate) struct Entry {
     record: Arc<OwnRecord>,
     pub(crate) number: u64,
     pub(crate) node: NodeName,
     has_ended: AtomicBool,
-    /// The slots of what ends with it.
+    /// The slots of the objects that end with it.
     slots: Mutex<Vec<Weak<Slot>>>,
 }
 

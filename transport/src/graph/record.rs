@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the entries of a record say, as JSON. Read from another participant's record: claims, each checked before it is used.
+//! The content of a record's entries, as JSON. Content read from another participant's record is untrusted: each value is
+//! checked before it is used.
 
 use super::{EndpointKind, NodeName, Origin, ServiceEndpoint, ServiceKind, TopicEndpoint};
 use crate::qos::{Durability, History, Limits, Liveliness, Qos, Reliability};
@@ -317,7 +318,7 @@ impl NodeRecord {
 }
 
 impl NodeName {
-    /// Whether a node can have this name.
+    /// Whether this is a valid node name.
     pub fn is_valid(&self) -> bool {
         self.name.len() <= MAX_NAME_BYTES
             && is_token(&self.name)

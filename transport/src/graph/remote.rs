@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is elsewhere: as who passes on between here and there tells of it, and as text.
+//! Entities elsewhere, as a gateway or bridge announces them, and as text.
 
 use super::record::{NodeRecord, RemotePortRecord, RemoteServiceRecord};
 use super::{NodeName, Origin, ServiceEndpoint, TopicEndpoint};
@@ -11,24 +11,26 @@ use std::collections::{BTreeSet, HashMap};
 pub struct RemoteNode {
     /// Its name. Two nodes may have the same.
     pub name: NodeName,
-    /// Where it was first.
+    /// Its origin.
     pub origin: Origin,
 }
 
-/// What other hosts have: see [`Participant::set_remote`](crate::Participant::set_remote). What no honest host has, such as a name with
-/// control characters, is left out, and so are ends without a node; `pid`, `is_remote`, `is_own` and `teller` are not looked at.
+/// The entities of other hosts: see [`Participant::set_remote`](crate::Participant::set_remote). Invalid entities, such as names with
+/// control characters, are left out, and so are endpoints without a node. `pid`, `is_remote`, `is_own` and `teller` are ignored.
 ///
-/// Its text, for whoever tells others of it, is read as a claim: what is left out is left out there too.
+/// Its text form, for relays that announce it further, is read as untrusted data: the same entities are left
+/// out there.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(into = "Text", from = "Text")]
 pub struct RemoteGraph {
-    /// Nodes. What an end's node is called need not be among them.
+    /// Nodes. The node of an endpoint need not be listed here.
     pub nodes: Vec<RemoteNode>,
     /// Publishers and subscriptions.
     pub endpoints: Vec<TopicEndpoint>,
     /// Services and clients.
     pub services: Vec<ServiceEndpoint>,
-    /// Publishers that have ended by themselves, by their tags: those of which that is not said have died. Not in the text.
+    /// The tags of publishers that ended normally; publishers that disappear without being listed here have died. Not part
+    /// of the text.
     pub ended: BTreeSet<u64>,
 }
 
@@ -61,7 +63,7 @@ impl RemoteGraph {
     }
 }
 
-/// As text: the records of all nodes, by whose places ends name theirs, and of all ends.
+/// The text form: the records of all nodes, whose indices the endpoints refer to, and of all endpoints.
 #[derive(Serialize, Deserialize)]
 struct Text {
     #[serde(default)]

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Looking at a domain without being in it.
+//! Reading a domain without joining it.
 
 use super::domain::Domain;
 use super::model::{Model, VISITOR};
@@ -15,7 +15,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-/// Looks at a domain of this user, host and scope without being in it: for tools. Changes nothing there, and costs nobody anything.
+/// Reads a domain of this user, host and scope without joining it: for tools. It changes nothing there, and costs other processes
+/// nothing.
 ///
 /// ```
 /// let mut visitor = tautline_transport::Visitor::new(121)?;
@@ -24,39 +25,40 @@ use std::time::{Duration, Instant};
 /// ```
 pub struct Visitor {
     number: u32,
-    /// `None`: it is not there yet.
+    /// `None`: it does not exist yet.
     domain: Option<Arc<Domain>>,
     model: Model,
-    /// When it was last looked who lives.
+    /// When it was last checked which processes are alive.
     looked: Instant,
-    /// Of publishers that were asked for.
+    /// Of requested publishers.
     views: HashMap<Gid, View>,
 }
 
-/// A process that ended without ending what it had in the domain: it was killed, crashed, or left by `exit`.
+/// A process that ended without ending its entities in the domain: it was killed, crashed, or called `exit`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Death {
     /// The process.
     pub pid: u32,
-    /// Its nodes, but for those of other hosts that a gateway or bridge told of.
+    /// Its nodes, without those of other hosts that a gateway or bridge announced.
     pub nodes: Vec<NodeName>,
 }
 
 impl Visitor {
-    /// Of the domain with this number, which need not be there yet.
+    /// A visitor of the domain with this number, which need not exist yet.
     ///
     /// # Real-time
-    /// Not for real-time threads, as all of it: maps files, allocates.
+    /// Not for real-time threads, like all functions of this type: maps files, allocates.
     ///
     /// # Errors
-    /// A number that is no domain's, a `TAUT_SCOPE` that is no scope.
+    /// A number that is not a domain, or an invalid `TAUT_SCOPE`.
     pub fn new(domain: u32) -> Result<Self, TransportError> {
         check_domain(domain)?;
         let (model, views) = (Model::new(VISITOR), HashMap::new());
         Ok(Visitor { number: domain, domain: None, model, looked: Instant::now(), views })
     }
 
-    /// Everything that exists there now. The same as before, without a look at anything else, if nothing has changed.
+    /// Everything that exists there now. If nothing has changed since the last call, returns the same snapshot after
+    /// one check.
     ///
     /// # Errors
     /// As [`Participant::graph`](crate::Participant::graph).
@@ -74,12 +76,13 @@ impl Visitor {
         Ok(graph)
     }
 
-    /// Who died among the processes that the [`graph`](Self::graph) showed, since this was last asked: at most 4,096.
+    /// The processes of the [`graph`](Self::graph) that have died since the last call: at most 4,096.
     pub fn take_deaths(&mut self) -> Vec<Death> {
         std::mem::take(&mut self.model.deaths)
     }
 
-    /// Why participants that live are left out of the [`graph`](Self::graph): they are of another version of Tautline, or damaged.
+    /// Why live participants are left out of the [`graph`](Self::graph): their files are of another version of Tautline, or
+    /// damaged.
     pub fn left_out(&self) -> Vec<TransportError> {
         let Some(domain) = &self.domain else { return Vec::new() };
         let number = domain.number();
@@ -87,7 +90,7 @@ impl Visitor {
         living.filter_map(|member| Peer::open(number, member.id).err()).collect()
     }
 
-    /// What a publisher of this host has sent, by its own count. `None`: it has gone, or is elsewhere; ask for the
+    /// What a publisher of this host has sent, by its own count. `None`: it has ended, or is elsewhere. Call
     /// [`graph`](Self::graph) first.
     ///
     /// # Errors
@@ -96,8 +99,8 @@ impl Visitor {
         Ok(self.view(publisher)?.map(|view| view.head_map().sent()))
     }
 
-    /// How many messages of a publisher of this host made way for newer ones before they were taken: of each subscription that it is
-    /// connected to now, observers included, since they were connected. Empty as [`sent`](Self::sent) is `None`.
+    /// How many messages of a publisher of this host were overwritten by newer ones before they were taken: for each subscription
+    /// that it is connected to now, observers included, since the connection was made. Empty where [`sent`](Self::sent) is `None`.
     ///
     /// # Errors
     /// As [`sent`](Self::sent).
@@ -137,7 +140,7 @@ impl Visitor {
         }
     }
 
-    /// Sleeps until something appears in the domain or goes, at most for `timeout`.
+    /// Sleeps until something appears in the domain or disappears, at most for `timeout`.
     ///
     /// # Real-time
     /// Waits.

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The file of a participant: everything that it shares with others.
+//! The file of a participant: everything that it shares with other participants.
 //!
 //! | from | holds |
 //! |---|---|
-//! | 0 | the [`Head`]: what it is, and where the rest lies |
+//! | 0 | the [`Head`]: type and version, and the positions of the other parts |
 //! | 4096 | the arena: its doorbell |
-//! | after it | what comes and goes: the record, more slots, publishers' memory |
+//! | after it | dynamic parts: the record, more slots, publishers' memory |
 //!
 //! The participant holds the file's lock as long as it lives. Peers map what they need of it, and keep no descriptor.
 
@@ -32,25 +32,26 @@ const FIRST_BYTES: usize = PAGE as usize + MAIN_BYTES.next_multiple_of(PAGE as u
 /// Where files end at the latest: more than memory will be.
 const END: u64 = 1 << 46;
 
-/// What a participant's file begins with. Any bytes are one: what peers find there are claims.
+/// The head of a participant's file. All bit patterns are valid values; peers treat its content as untrusted.
 #[repr(C)]
 pub(crate) struct Head {
     magic: AtomicU64,
     version: AtomicU32,
     pub(crate) pid: AtomicU32,
-    /// Where the record lies: see [`Place`].
+    /// The position of the record: see [`Place`].
     pub(crate) record: AtomicU64,
-    /// Where the slots' windows but the first lie.
+    /// The positions of all windows of slots except the first.
     windows: [AtomicU64; WINDOWS],
 }
 
-/// Where a part of a file lies, as one word: pages of 4 KiB, the offset's above the length's. 0 is nowhere.
+/// The position of a part of a file, packed into one word: offset (high bits) and length in pages of 4 KiB. 0
+/// means none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Place;
 
 impl Place {
     const LEN_BITS: u32 = 24;
-    /// How long a part is at most: 64 GiB, less a page.
+    /// The maximum length of a part: 64 GiB less one page.
     const MAX_LEN: u64 = ((1 << Self::LEN_BITS) - 1) * PAGE;
 
     pub(crate) fn to_word(range: Range) -> u64 {
@@ -74,7 +75,7 @@ pub(crate) struct OwnMemory {
     file: OwnFile,
     first: Arc<Mapping>,
     ranges: Mutex<Ranges>,
-    /// How long the file is.
+    /// The length of the file.
     len: Mutex<u64>,
     stand_in: Mutex<Option<OwnFile>>,
 }
@@ -218,7 +219,7 @@ impl OwnMemory {
     }
 }
 
-/// Another participant's file, or this one's as others see it.
+/// Another participant's file, or this participant's file as other participants see it.
 #[derive(Debug)]
 pub(crate) struct Peer {
     pub(crate) id: u64,

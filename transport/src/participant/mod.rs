@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A process's membership of a domain: its file, its doorbell, its record, and the threads that look after them.
+//! A process's membership of a domain: its file, its doorbell, its record, and the threads that maintain them.
 
 pub(crate) mod file;
 pub(crate) mod ranges;
@@ -110,17 +110,17 @@ pub(crate) fn check_domain(domain: u32) -> Result<(), TransportError> {
 }
 
 impl Participant {
-    /// Joins `domain`: makes a file in /dev/shm, starts the janitor (an ordinary, low-priority thread that connects publishers and
-    /// subscriptions of other processes) and the warden (one that notices processes that died).
+    /// Joins `domain`: creates a file in /dev/shm, starts the janitor (an ordinary, low-priority thread that connects publishers
+    /// and subscriptions of other processes) and the warden (a thread that detects dead processes).
     ///
-    /// Sets iceoryx2's log level, which is the process's, to fatal: what it would print comes back as an error here. Raises the
-    /// process's limit of open files to what is allowed.
+    /// Sets iceoryx2's log level, which applies to the whole process, to fatal: iceoryx2's errors are returned as errors here
+    /// instead. Raises the process's limit of open files to the hard limit.
     ///
     /// # Real-time
     /// Setup only: allocates, starts threads.
     ///
     /// # Errors
-    /// [`TransportError`]: shared memory cannot be made or belongs to another user.
+    /// [`TransportError`]: shared memory cannot be created or belongs to another user.
     pub fn new(domain: u32) -> Result<Self, TransportError> {
         check_domain(domain)?;
         set_log_level(LogLevel::Fatal);
@@ -171,8 +171,8 @@ impl Participant {
         Ok(Participant { state: Arc::new(state), node: None })
     }
 
-    /// Has the participant's janitor call this each time that it looks around, because somebody asked for it: an ordinary thread of low
-    /// priority, which must not be kept waiting. Only the first one that is given counts. It must not keep the participant.
+    /// Makes the participant's janitor call `attendant` each time that it is woken. The janitor is an ordinary thread of low priority;
+    /// the function must not block it. Only the first function that is passed is used. It must not hold the participant.
     pub fn attend(&self, attendant: impl Fn() + Send + Sync + 'static) {
         self.state.janitor.attend(Box::new(attendant));
     }
@@ -182,7 +182,7 @@ impl Participant {
         self.state.domain.number()
     }
 
-    /// What trace events call this participant.
+    /// This participant's id in trace events.
     pub fn trace_id(&self) -> tautline_trace::ObjectId {
         self.state.trace.id()
     }
@@ -195,7 +195,7 @@ impl Participant {
     /// Claims a slot for a timer or a guard condition.
     ///
     /// # Errors
-    /// [`TransportError::Doorbell`] if all are taken.
+    /// [`TransportError::Doorbell`] if all slots are in use.
     pub fn claim_slot(&self) -> Result<Slot, TransportError> {
         Ok(self.state.doorbell.claim()?)
     }
@@ -206,7 +206,7 @@ impl Participant {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: no shared memory, a QoS that cannot be kept.
+    /// [`TransportError`]: no shared memory, an invalid QoS.
     pub fn create_publisher<T: Message>(
         &self,
         topic: &str,
@@ -216,8 +216,8 @@ impl Participant {
         self.create_publisher_of(topic, &TopicType::of::<T>(), (), qos, limits)
     }
 
-    /// The same for who knows more of the type than `T` tells: the hash of one that is only written in Rust, the definition of one that
-    /// is known at run time.
+    /// The same for callers that know more about the type than `T` states: the hash of a type that is only defined in Rust, or the
+    /// definition of a type that is known at run time.
     ///
     /// # Real-time
     /// Setup only.
@@ -238,10 +238,11 @@ impl Participant {
     /// Creates a subscription of `topic`, a fully qualified name. What is published from now on is queued.
     ///
     /// # Real-time
-    /// Setup only. Waits up to 100 ms for the processes of publishers that are there, of which one may be stopped.
+    /// Setup only. Waits up to 100 ms for the processes of existing publishers, because one of them may be
+    /// stopped.
     ///
     /// # Errors
-    /// [`TransportError`]: no shared memory, a QoS that cannot be kept.
+    /// [`TransportError`]: no shared memory, an invalid QoS.
     pub fn create_subscription<T: Message>(
         &self,
         topic: &str,
@@ -251,7 +252,8 @@ impl Participant {
         self.create_subscription_of(topic, &TopicType::of::<T>(), (), qos, limits)
     }
 
-    /// The same for who knows more of the type than `T` tells, as [`create_publisher_of`](Self::create_publisher_of).
+    /// The same for callers that know more about the type than `T` states, like
+    /// [`create_publisher_of`](Self::create_publisher_of).
     ///
     /// # Real-time
     /// As [`create_subscription`](Self::create_subscription).
@@ -275,7 +277,7 @@ impl Participant {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: no shared memory, a QoS that cannot be kept.
+    /// [`TransportError`]: no shared memory, an invalid QoS.
     pub fn create_raw_publisher(
         &self,
         topic: &str,
@@ -292,7 +294,7 @@ impl Participant {
     /// As [`create_subscription`](Self::create_subscription).
     ///
     /// # Errors
-    /// [`TransportError`]: no shared memory, a QoS that cannot be kept.
+    /// [`TransportError`]: no shared memory, an invalid QoS.
     pub fn create_raw_subscription(
         &self,
         topic: &str,
@@ -303,7 +305,7 @@ impl Participant {
         RawSubscription::create(self, topic, topic_type, qos, limits, SubscriptionRole::default())
     }
 
-    /// As [`create_raw_publisher`](Self::create_raw_publisher), for what others published: every subscription gets it, whatever
+    /// Like [`create_raw_publisher`](Self::create_raw_publisher), for relayed messages: every subscription gets them, whatever
     /// it requests.
     ///
     /// # Real-time
@@ -322,8 +324,8 @@ impl Participant {
         RawPublisher::create(self, topic, topic_type, qos, limits, role)
     }
 
-    /// As [`create_raw_subscription`](Self::create_raw_subscription), for what is passed on: it gets what every publisher sends,
-    /// whatever that offers.
+    /// Like [`create_raw_subscription`](Self::create_raw_subscription), for messages to be relayed: it gets the messages of
+    /// every publisher, whatever the publisher offers.
     ///
     /// # Real-time
     /// As [`create_subscription`](Self::create_subscription).
@@ -341,12 +343,13 @@ impl Participant {
         RawSubscription::create(self, topic, topic_type, qos, limits, role)
     }
 
-    /// A subscription that looks on: a tool's. It gets what every publisher on this host sends, whatever that offers, and what is kept
-    /// for late joiners, at most `depth` of each. Nobody sees it: it is in no count, no list and no event, matches nothing, asks
-    /// nothing of a gateway, and is never waited for. It is not rung, so it is to be [taken](RawSubscription::try_take) from at intervals.
+    /// An observer: a subscription for tools. It gets the messages of every publisher on this host, whatever the publisher offers, and the
+    /// samples kept for late joiners, at most `depth` of each. It is invisible: it appears in no count, list or event, matches nothing,
+    /// makes no gateway fetch messages, and no publisher waits for it. It is not rung, so [take](RawSubscription::try_take) from it at
+    /// intervals.
     ///
-    /// What it costs its publishers is a queue of `depth`, which the publishing thread puts each sample into, and samples for
-    /// `limits.held`; and for `depth`, if that is more than any subscription's.
+    /// Its cost for each publisher: a queue of `depth`, into which the publishing thread puts each sample, and memory for
+    /// `limits.held` samples, plus memory for `depth` samples if `depth` is greater than that of every subscription.
     ///
     /// # Real-time
     /// As [`create_subscription`](Self::create_subscription).

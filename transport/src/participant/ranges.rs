@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which parts of a stretch of memory are free. Knows offsets, no memory.
+//! Which parts of a memory region are free. Works with offsets only, not with memory.
 
 use std::collections::BTreeMap;
 

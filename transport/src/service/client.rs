@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Clients of bytes: what they consist of, and how they learn of servers. What is done for each request is in `hot.rs`.
+//! Untyped clients: their parts, and how they discover servers. The work for each request is in `hot.rs`.
 
 use super::pending::Table;
 use super::{RESPONSES_DEPTH, ServiceError, ServiceType, response_limits, topics};
@@ -17,16 +17,17 @@ use std::task::Waker;
 use tautline_doorbell::Slot;
 use tautline_rt::{LatestReader, PiMutex};
 
-/// Sends requests of bytes to a service and gets the responses. What is above knows the type.
+/// Sends requests as bytes to a service and gets the responses. The layer above knows the type.
 ///
-/// May be moved to another thread, and is used by one at a time; what waits for its answers may be in any thread.
+/// May be moved between threads, but only one thread uses it at a time. The futures that wait for its responses
+/// may be in any thread.
 pub struct RawClient {
     pub(super) state: Arc<ClientState>,
     /// Of the last request.
     pub(super) sequence_number: Cell<u64>,
 }
 
-/// The response to one request, once it is there. Dropping it cancels the wait; the server is not told.
+/// The pending response to one request. Dropping it cancels the wait; the server is not notified.
 #[must_use = "the response is lost unless it is awaited"]
 pub struct RawPending {
     pub(super) state: Arc<ClientState>,
@@ -87,14 +88,14 @@ impl OfClient<RawPublisher> {
 
 /// The servers, each with a bit, the least recently used one first.
 pub(super) struct Servers {
-    /// Those that this client's requests go to.
+    /// The servers' endpoints that receive this client's requests.
     asked: LatestReader<Arc<EndpointList>>,
-    /// Those whose responses come here.
+    /// The servers' endpoints whose responses arrive here.
     answering: LatestReader<Arc<EndpointList>>,
     is_first: bool,
     known: Vec<Known>,
     next: u32,
-    /// Those that went and those that are there, since that was last asked for.
+    /// The servers that have disappeared and those that exist, since the last query.
     change: Option<(u64, u64)>,
 }
 
@@ -208,14 +209,15 @@ impl ClientEndpoints {
 }
 
 impl Participant {
-    /// Creates a client of `service`, a fully qualified name. What waits for an answer is limited to
+    /// Creates a client of `service`, a fully qualified name. The number of pending requests is limited to
     /// [`MAX_PENDING_REQUESTS`](super::MAX_PENDING_REQUESTS).
     ///
     /// # Real-time
-    /// Setup only. Waits up to 100 ms for the processes of servers that are there, of which one may be stopped.
+    /// Setup only. Waits up to 100 ms for the processes of existing servers, because one of them may be
+    /// stopped.
     ///
     /// # Errors
-    /// [`TransportError`]: no shared memory, a name that is none, a limit that cannot be kept.
+    /// [`TransportError`]: no shared memory, an invalid name, a limit out of range.
     pub fn create_raw_client(
         &self,
         service: &str,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A request and its response: sending, taking, answering, collecting.
+//! A request and its response: sending, taking, responding, collecting.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -40,8 +40,9 @@ impl RawClient {
     ///
     /// # Real-time
     /// Wait-free, O(responses x pending requests + servers); no allocation; at most one futex wake per sampler that sleeps, and per
-    /// callback thread of a server that sleeps and is woken directly; and one for each task whose response is taken on the way and
-    /// whose thread sleeps. A thread that takes responses right now is waited for, and has this one's priority meanwhile.
+    /// callback thread of a server that sleeps and is woken directly; and one for each task whose response is taken meanwhile and
+    /// whose thread sleeps. Waits for a thread that is taking responses at that moment, which inherits this thread's priority
+    /// meanwhile.
     ///
     /// # Errors
     /// [`SendError`], with the loan: [`ServiceError::NoServer`], [`ServiceError::RequestsFull`], [`ServiceError::TooManyPending`],
@@ -226,7 +227,7 @@ impl RawServer {
         self.requests.poll_take(context)
     }
 
-    /// Whether this client can be answered now.
+    /// Whether a response can be sent to this client now.
     ///
     /// # Real-time
     /// Wait-free, O(clients); no allocation; no syscall.
@@ -251,7 +252,7 @@ impl RawServer {
     ///
     /// # Real-time
     /// As [`RawPublisher::loan`], and O(clients). A server has memory for 16 responses more than `Limits::loans`; if clients leave more
-    /// untaken, it takes more: allocates, maps memory.
+    /// responses untaken, the server needs more memory: allocates, maps memory.
     ///
     /// # Errors
     /// [`ServiceError::ClientGone`], [`ServiceError::ClientUnreachable`], [`ServiceError::Loan`].
@@ -261,8 +262,8 @@ impl RawServer {
         Ok(RawResponse { server: self, loan, id })
     }
 
-    /// Ends the request `id` without an answer: its client gets [`ServiceError::ServerGone`]. For who serves on behalf of others
-    /// that have gone.
+    /// Ends the request `id` without a response: its client gets [`ServiceError::ServerGone`]. For relays that serve on behalf
+    /// of servers that have ended.
     ///
     /// # Real-time
     /// As [`loan`](Self::loan) and [`RawResponse::send`].
@@ -315,7 +316,7 @@ impl RawResponse<'_> {
         self.loan.truncate(len_bytes);
     }
 
-    /// Sends the response to the client that asked.
+    /// Sends the response to the requesting client.
     ///
     /// # Real-time
     /// As [`RawLoan::publish`], and O(clients).

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Services: a request goes to every server, the first answer comes back to the client that asked.
+//! Services: a request goes to every server, and the first response comes back to the requesting client.
 //!
-//! A service is two topics: of requests, which all its clients publish and all its servers subscribe to, and of responses, the other
-//! way round. A server's publisher of responses sends each to one client's subscription: an answer wakes only who asked. A
-//! request carries its client's identifier and number in its header, as any sample does; the response repeats both, as on
-//! the ROS 2 wire. Queues keep all: a full one is an error, nothing is lost.
+//! A service consists of two topics: one for requests, which all its clients publish and all its servers subscribe to, and one for
+//! responses, the other way round. A server's publisher sends each response to the subscription of one client, so a response wakes
+//! only the requesting client. A request carries its client's identifier and its number in its header, like every sample; the
+//! response repeats both, as on the ROS 2 wire. Queues keep all: a full queue is an error, and nothing is lost.
 //!
-//! A client has its subscription to responses before it has its publisher of requests, and counts a server once both its ends are
-//! connected: whoever is asked can answer. A request whose servers have all gone ends with [`ServiceError::ServerGone`].
+//! A client creates its subscription to responses before its publisher of requests, and counts a server only when both of the
+//! server's endpoints are connected. So every server that gets a request can respond. A request whose servers have all ended
+//! fails with [`ServiceError::ServerGone`].
 
 mod client;
 mod hot;
@@ -32,7 +33,7 @@ use std::sync::Arc;
 use tautline_msgs::cdr::{DecodeError, EncodeError};
 use tautline_msgs::{Definition, Message, Service};
 
-/// What clients and servers of a service agree on.
+/// The type of a service, on which clients and servers must agree.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ServiceType {
     /// The service: its name `package/srv/Name`, its hash, the size of its requests, its definition.
@@ -51,7 +52,7 @@ impl ServiceType {
         ServiceType { request, response: TopicType::of::<S::Response>() }
     }
 
-    /// A service of which only the name, and perhaps the hash, are known.
+    /// A service type of which only the name, and perhaps the hash, is known.
     pub fn new(name: &str, hash: Option<&str>) -> Self {
         let request = TopicType::new(name.to_owned());
         let request = match hash {
@@ -90,8 +91,8 @@ fn topics(service: &str) -> Result<[String; 2], TransportError> {
 
 impl Participant {
     /// Two [observers](Self::create_observer) of a service, for a tool: of the requests that clients on this host send to servers on it,
-    /// and of the responses. What identifies both is the request's client and number: [`RequestId::of`] their information. At most
-    /// `depth` of each end wait. Losses of responses are counted a little late: when the next one is taken.
+    /// and of the responses. A request and its response have the same [`RequestId::of`] their message information. At most `depth`
+    /// messages of each endpoint are queued. Lost responses are counted only when the next response is taken.
     ///
     /// # Real-time
     /// Setup only.
@@ -112,38 +113,38 @@ impl Participant {
     }
 }
 
-/// Why a request was not answered, or an answer not sent. It names the service.
+/// Why a request got no response, or a response was not sent. Each variant names the service.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ServiceError {
-    /// Nobody serves it. Nothing was sent.
+    /// The service has no server. Nothing was sent.
     #[error("service '{service}' has no server: start one, or wait for one with `wait_for_service`")]
     NoServer {
         /// The service.
         service: Arc<str>,
     },
-    /// Every server that got the request has ended or was killed without an answer; or it was passed on to another host, where
-    /// nobody gave one.
-    #[error("service '{service}': its server has gone without an answer; ask again when there is one")]
+    /// Every server that got the request has ended or was killed without a response; or the request was relayed to another
+    /// host, and no server there responded.
+    #[error("service '{service}': its server ended without a response; request again when there is a server")]
     ServerGone {
         /// The service.
         service: Arc<str>,
     },
-    /// A server has not taken as many requests of this client as its queue holds. Nothing was sent.
+    /// The queue of a server for this client's requests is full. Nothing was sent.
     #[error(
-        "service '{service}': a server's queue of this client's requests is full; wait for an answer, or give the server a deeper queue"
+        "service '{service}': a server's queue of this client's requests is full; wait for a response, or give the server a deeper queue"
     )]
     RequestsFull {
         /// The service.
         service: Arc<str>,
     },
-    /// A client has not taken as many responses as its queue holds. Nothing was sent.
-    #[error("service '{service}': the client takes no responses, its queue of them is full")]
+    /// The client's queue of responses is full. Nothing was sent.
+    #[error("service '{service}': the client takes no responses, and its queue of responses is full")]
     ResponsesFull {
         /// The service.
         service: Arc<str>,
     },
-    /// As many requests wait for their answers as a client can have. Nothing was sent.
+    /// The client has its maximum number of pending requests. Nothing was sent.
     #[error(
         "service '{service}': {MAX_PENDING_REQUESTS} requests of this client wait already; await or drop one, or make a second client"
     )]
@@ -151,13 +152,14 @@ pub enum ServiceError {
         /// The service.
         service: Arc<str>,
     },
-    /// The client has gone.
-    #[error("service '{service}': the client that asked has gone")]
+    /// The client has ended.
+    #[error("service '{service}': the requesting client has ended")]
     ClientGone {
         /// The service.
         service: Arc<str>,
     },
-    /// The client is there and waits, and its responses cannot be reached: its process's log says why.
+    /// The client exists and waits, but its subscription to responses cannot be reached: its process's log
+    /// has the reason.
     #[error(
         "service '{service}': the client that asked cannot be reached, and waits; is /dev/shm full, or its process stopped or at its limit of open files (ulimit -n)?"
     )]
@@ -181,7 +183,7 @@ pub enum ServiceError {
         /// Why.
         source: Box<EncodeError>,
     },
-    /// The response is not one of the service's type.
+    /// The response is not valid for the service's type.
     #[error("service '{service}': the response is not valid: {source}")]
     Invalid {
         /// The service.

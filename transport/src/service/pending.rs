@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The requests of a client that wait for an answer: a table of fixed size, without a lock.
+//! The pending requests of a client: a table of fixed size, without a lock.
 //!
 //! ```text
 //!          claim          arm             answer, fail           put             take (future)
@@ -8,8 +8,9 @@
 //!      +--- release (dropped) ------+    release (dropped)   +----> abandoned ----> free (who was writing)
 //! ```
 //!
-//! A place's state contains the number of the request that it waits with, which no other request of the client has: whoever
-//! completes a request that has gone meanwhile fails, whatever the place was claimed for since.
+//! The state of a table entry contains the number of its pending request. No other request of the client has this number.
+//! So an attempt to complete a request that has been cancelled meanwhile fails, even if the entry is used for another
+//! request by then.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -20,23 +21,24 @@ use futures::task::AtomicWaker;
 use std::sync::Arc;
 use std::task::Wake;
 
-/// Most requests of one client that wait at once, those for a server to appear included: the bits of a word.
+/// Maximum number of pending requests of one client, including waits for a server to appear: the number of
+/// bits in a word.
 pub const MAX_PENDING_REQUESTS: usize = 64;
 
 /// Fewer in the model, which looks at every interleaving.
 const PLACES: usize = if cfg!(taut_loom) { 2 } else { MAX_PENDING_REQUESTS };
 
-/// What became of a request.
+/// The outcome of a request.
 #[derive(Debug)]
 pub(crate) enum Outcome<R = RawSample> {
     Response(R),
-    /// Every server that got the request has gone, or whoever passes requests on has no answer for this one.
+    /// Every server that got the request has ended, or the relay that forwarded it got no response.
     ServerGone,
-    /// There is a server: what is waited for without a request.
+    /// There is a server: the outcome of a wait without a request.
     Available,
 }
 
-/// What a place is used for: the lowest bits of its state. The number of its request is above them.
+/// The phase of an entry: the lowest bits of its state. The number of its request is above them.
 const PHASE: u64 = 0b111;
 const FREE: u64 = 0;
 const CLAIMED: u64 = 1;
@@ -63,7 +65,8 @@ struct Place<R> {
     state: AtomicU64,
     /// The servers that may answer, by their bits.
     servers: AtomicU64,
-    /// Touched by who is writing, by the future when done, by who frees it.
+    /// Accessed by the thread that writes the outcome, by the future when it is done, and by the thread that
+    /// frees the entry.
     outcome: UnsafeCell<Option<Outcome<R>>>,
 }
 
@@ -77,7 +80,7 @@ impl<R> Default for Place<R> {
 // from then on: the atomics hand it over. An Outcome is Send.
 unsafe impl<R: Send> Sync for Place<R> {}
 
-/// The tasks that wait. Apart from the table, so that a doorbell that holds it as a waker owns nothing else.
+/// The waiting tasks. Separate from the table, so that a doorbell that holds it as a waker owns nothing else.
 pub(crate) struct Waiters {
     occupied: AtomicU64,
     wakers: [AtomicWaker; PLACES],
@@ -111,7 +114,7 @@ impl Wake for Waiters {
 
 pub(crate) struct Table<R = RawSample> {
     waiters: Arc<Waiters>,
-    /// The servers there are, by their bits.
+    /// The existing servers, by their bits.
     alive: AtomicU64,
     places: [Place<R>; PLACES],
 }
@@ -129,7 +132,7 @@ impl<R> Table<R> {
         &self.waiters
     }
 
-    /// The servers there are, by their bits.
+    /// The existing servers, by their bits.
     pub(crate) fn alive(&self) -> u64 {
         self.alive.load(Ordering::SeqCst)
     }

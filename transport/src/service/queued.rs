@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Clients that take responses in the order in which they come, for who keeps the account of its requests itself.
+//! Clients that take responses in the order of arrival, for callers that keep track of their requests themselves.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -18,30 +18,31 @@ use core::task::Waker;
 use std::sync::Arc;
 use tautline_doorbell::Slot;
 
-/// Sends requests of bytes to a service and takes the responses as they come, whichever request they answer and whoever answers it:
-/// the response of each server. Any number of requests may wait.
+/// Sends requests as bytes to a service and takes all responses in the order of arrival: each server's response to each request.
+/// Any number of requests may be pending.
 ///
-/// May be moved to another thread, and is used by one at a time.
+/// May be moved between threads, but only one thread uses it at a time.
 pub struct QueuedClient {
     service: Arc<str>,
     publisher: RawPublisher,
     responses: RawSubscription,
     servers: RefCell<Servers>,
-    /// Rung when servers appear or go.
+    /// Rung when servers appear or disappear.
     changes: Slot,
-    /// Of the last request.
+    /// The number of the last request.
     sequence_number: Cell<u64>,
 }
 
 impl Participant {
-    /// Creates a client of `service`, a fully qualified name. Of each server `depth` responses can wait here; a server that has more
-    /// is told ([`ServiceError::ResponsesFull`]).
+    /// Creates a client of `service`, a fully qualified name. Up to `depth` responses of each server are queued here; a server that
+    /// sends more gets [`ServiceError::ResponsesFull`].
     ///
     /// # Real-time
-    /// Setup only. Waits up to 100 ms for the processes of servers that are there, of which one may be stopped.
+    /// Setup only. Waits up to 100 ms for the processes of existing servers, because one of them may be
+    /// stopped.
     ///
     /// # Errors
-    /// [`TransportError`]: no shared memory, a name that is none, a limit that cannot be kept.
+    /// [`TransportError`]: no shared memory, an invalid name, a limit out of range.
     pub fn create_queued_client(
         &self,
         service: &str,
@@ -93,7 +94,8 @@ impl QueuedClient {
         servers.count()
     }
 
-    /// What is woken, once, when servers appear or go, or have room for requests again. The caller looks after this.
+    /// Registers a waker that is woken, once, when servers appear or disappear, or have room for requests again.
+    /// Check for servers and room after this call.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -113,7 +115,7 @@ impl QueuedClient {
         self.publisher.loan(len_bytes).map_err(|source| self.loan_error(source))
     }
 
-    /// The number of a further request, from 1: for [`send`](Self::send), now or later.
+    /// The number of a new request, from 1: for [`send`](Self::send), now or later.
     pub fn reserve(&self) -> u64 {
         let number = self.sequence_number.get() + 1;
         self.sequence_number.set(number);
@@ -148,11 +150,12 @@ impl QueuedClient {
         })
     }
 
-    /// Takes the oldest response of a server, if there is one. Its information has the number of its request; that nobody answers one
-    /// is passed over.
+    /// Takes the oldest response of a server, if there is one. Its message information has the number of its request. Notices that a
+    /// request gets no response are skipped.
     ///
     /// # Real-time
-    /// As [`RawSubscription::try_take_valid`](crate::RawSubscription::try_take_valid): 16 are passed over, of all kinds.
+    /// As [`RawSubscription::try_take_valid`](crate::RawSubscription::try_take_valid): at most 16 samples of all kinds
+    /// are skipped.
     ///
     /// # Errors
     /// [`TakeError`].

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Servers of bytes. What is done for each request is in `hot.rs`.
+//! Untyped servers. The work for each request is in `hot.rs`.
 
 use super::{ServiceType, topics};
 use crate::error::TransportError;
@@ -11,25 +11,25 @@ use crate::topic::subscription::{RawSubscription, SubscriptionRole};
 use std::fmt;
 use std::sync::Arc;
 
-/// Which request of which client.
+/// Identifies a request of a client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct RequestId {
     /// The client.
     pub client: Gid,
-    /// Counts the client's requests, from 1.
+    /// The request's number, counted by the client from 1.
     pub sequence_number: u64,
 }
 
 impl RequestId {
-    /// The request that this is the information of.
+    /// The id of the request whose message information is `info`.
     pub fn of(info: MessageInfo) -> Self {
         RequestId { client: info.publisher_gid, sequence_number: info.sequence_number }
     }
 }
 
-/// Takes requests of bytes and answers them. What is above knows the type.
+/// Takes requests as bytes and responds to them. The layer above knows the type.
 ///
-/// May be moved to another thread, and is used by one at a time.
+/// May be moved between threads, but only one thread uses it at a time.
 pub struct RawServer {
     pub(super) service: Arc<str>,
     pub(super) requests: RawSubscription,
@@ -37,7 +37,7 @@ pub struct RawServer {
     pub(super) responses: RawPublisher,
 }
 
-/// Memory for a response. Dropping it gives it back unsent.
+/// Memory for a response. Dropping it returns the memory without sending.
 #[must_use = "the client gets no response until send() is called"]
 pub struct RawResponse<'s> {
     pub(super) server: &'s RawServer,
@@ -46,13 +46,14 @@ pub struct RawResponse<'s> {
 }
 
 impl Participant {
-    /// Creates a server of `service`, a fully qualified name. `depth` is how many requests of one client can wait here.
+    /// Creates a server of `service`, a fully qualified name. `depth` is the number of requests of one client that can
+    /// be queued here.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: no shared memory, a name that is none, a limit that cannot be kept.
+    /// [`TransportError`]: no shared memory, an invalid name, a limit out of range.
     pub fn create_raw_server(
         &self,
         service: &str,
@@ -86,7 +87,7 @@ impl RawServer {
         &self.requests
     }
 
-    /// Number of clients on this host that this server answers.
+    /// Number of clients on this host that this server serves.
     ///
     /// # Real-time
     /// Wait-free: one load.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Clients and servers of a service's type: a thin layer over those of bytes.
+//! Typed clients and servers: a thin layer over the untyped ones.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -21,7 +21,7 @@ use std::sync::Arc;
 use tautline_msgs::cdr::{EncodeError, Fill, WriteError};
 use tautline_msgs::{Plain, Service};
 
-/// How the requests and responses of a service are written and read. Every [`Service`] is its own.
+/// How the requests and responses of a service are written and read. Every [`Service`] is its own codec.
 pub trait ServiceCodec: Sized + 'static {
     /// What a client sends.
     type Request: Codec;
@@ -47,25 +47,26 @@ impl<S: Service> ServiceCodec for S {
 /// What must be known at run time of requests or responses.
 type Definition<T> = <T as Decode>::Definition;
 
-/// Asks a service: requests written in place, responses read in place.
+/// A client of a service: requests are written in place, responses are read in place.
 ///
-/// May be moved to another thread, and is used by one at a time; what waits for its answers may be in any thread.
+/// May be moved between threads, but only one thread uses it at a time. The futures that wait for its responses
+/// may be in any thread.
 pub struct Client<S: ServiceCodec> {
     raw: RawClient,
     request: Definition<S::Request>,
     response: Definition<S::Response>,
 }
 
-/// The response to one request, once it is there. Dropping it cancels the wait; the server is not told.
+/// The pending response to one request. Dropping it cancels the wait; the server is not notified.
 #[must_use = "the response is lost unless it is awaited"]
 pub struct PendingResponse<S: ServiceCodec> {
     raw: RawPending,
     definition: Definition<S::Response>,
 }
 
-/// Takes requests, read in place, and answers them in place.
+/// A server of a service: requests are read in place, responses are written in place.
 ///
-/// May be moved to another thread, and is used by one at a time.
+/// May be moved between threads, but only one thread uses it at a time.
 pub struct Server<S: ServiceCodec> {
     raw: RawServer,
     request: Definition<S::Request>,
@@ -77,7 +78,7 @@ pub struct Request<S: ServiceCodec> {
     message: Sample<S::Request>,
 }
 
-/// A response that is written in place. Dropping it gives it back unsent.
+/// A response that is written in place. Dropping it returns the memory without sending.
 #[must_use = "the client gets no response until send() is called"]
 pub struct Response<'s, S: Service> {
     server: &'s RawServer,
@@ -85,7 +86,7 @@ pub struct Response<'s, S: Service> {
     loan: Loan<'s, S::Response>,
 }
 
-/// Memory for a response of stated lengths, not written yet. Dropping it gives it back.
+/// Memory for a response of stated lengths, not written yet. Dropping it returns the memory.
 #[must_use = "the client gets no response until it is written and sent"]
 pub struct UnwrittenResponse<'s, 'z, S: Service>
 where
@@ -103,7 +104,7 @@ impl Participant {
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: no shared memory, a name that is none, a limit that cannot be kept.
+    /// [`TransportError`]: no shared memory, an invalid name, a limit out of range.
     pub fn create_client<S: Service>(
         &self,
         service: &str,
@@ -112,13 +113,14 @@ impl Participant {
         Ok(Client::new(self.create_raw_client(service, &ServiceType::of::<S>(), limits)?, (), ()))
     }
 
-    /// Creates a server of `service`, a fully qualified name. `depth` is how many requests of one client can wait here.
+    /// Creates a server of `service`, a fully qualified name. `depth` is the number of requests of one client that can
+    /// be queued here.
     ///
     /// # Real-time
     /// Setup only.
     ///
     /// # Errors
-    /// [`TransportError`]: no shared memory, a name that is none, a limit that cannot be kept.
+    /// [`TransportError`]: no shared memory, an invalid name, a limit out of range.
     pub fn create_server<S: Service>(
         &self,
         service: &str,
@@ -130,12 +132,13 @@ impl Participant {
 }
 
 impl<S: ServiceCodec> Client<S> {
-    /// Of a client of bytes that are those of `S`, with what must be known at run time of requests and responses.
+    /// Wraps an untyped client whose bytes are those of `S`, with the definitions of requests and responses that
+    /// must be known at run time.
     pub fn new(raw: RawClient, request: Definition<S::Request>, response: Definition<S::Response>) -> Self {
         Client { raw, request, response }
     }
 
-    /// The client of bytes below.
+    /// The untyped client.
     pub fn raw(&self) -> &RawClient {
         &self.raw
     }
@@ -145,7 +148,7 @@ impl<S: ServiceCodec> Client<S> {
         self.raw.service()
     }
 
-    /// What is known at run time of requests and responses.
+    /// The definitions of requests and responses that are known at run time.
     pub fn definitions(&self) -> (&Definition<S::Request>, &Definition<S::Response>) {
         (&self.request, &self.response)
     }
@@ -166,7 +169,8 @@ impl<S: ServiceCodec> Client<S> {
     /// Writes `message` into a loan and sends it.
     ///
     /// # Real-time
-    /// As [`send`](Self::send) and the loan, and one copy of the message. Codecs other than Rust types add what they say.
+    /// Like [`send`](Self::send) and the loan, and one copy of the message. Codecs other than Rust types have additional
+    /// costs, which they document.
     ///
     /// # Errors
     /// [`ServiceError`], or those of a codec other than a Rust type; nothing was sent.
@@ -265,12 +269,13 @@ impl<S: ServiceCodec> Future for PendingResponse<S> {
 }
 
 impl<S: ServiceCodec> Server<S> {
-    /// Of a server of bytes that are those of `S`, with what must be known at run time of requests and responses.
+    /// Wraps an untyped server whose bytes are those of `S`, with the definitions of requests and responses that
+    /// must be known at run time.
     pub fn new(raw: RawServer, request: Definition<S::Request>, response: Definition<S::Response>) -> Self {
         Server { raw, request, response }
     }
 
-    /// The server of bytes below.
+    /// The untyped server.
     pub fn raw(&self) -> &RawServer {
         &self.raw
     }
@@ -285,8 +290,8 @@ impl<S: ServiceCodec> Server<S> {
         self.raw.requests()
     }
 
-    /// Takes the oldest request, if there is one; invalid ones are counted and passed over, and their clients told that there is no
-    /// answer ([`RawServer::refuse`]).
+    /// Takes the oldest request, if there is one. Invalid requests are counted and skipped, and their clients are notified that
+    /// there is no response ([`RawServer::refuse`]).
     ///
     /// # Real-time
     /// As [`Subscription::try_take_valid`](crate::Subscription::try_take_valid), and [`RawServer::refuse`] for each invalid one.
@@ -315,7 +320,8 @@ impl<S: ServiceCodec> Server<S> {
     /// Writes `message` into a loan and sends it.
     ///
     /// # Real-time
-    /// As the loan and [`Response::send`], and one copy of the message. Codecs other than Rust types add what they say.
+    /// Like the loan and [`Response::send`], and one copy of the message. Codecs other than Rust types have additional
+    /// costs, which they document.
     ///
     /// # Errors
     /// [`ServiceError`], or those of a codec other than a Rust type; nothing was sent.
@@ -367,7 +373,7 @@ impl<S: Service> Server<S> {
 }
 
 impl<S: ServiceCodec> Request<S> {
-    /// Which request of which client: what it is answered by.
+    /// Identifies the request and its client; a response needs it.
     pub fn id(&self) -> RequestId {
         RequestId::of(self.message.info())
     }
@@ -408,7 +414,7 @@ where
 }
 
 impl<S: Service> Response<'_, S> {
-    /// Sends the response to the client that asked.
+    /// Sends the response to the requesting client.
     ///
     /// # Real-time
     /// As [`RawResponse::send`](crate::RawResponse::send).

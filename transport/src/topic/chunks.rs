@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A sorted list that is cheap to copy: it is made of chunks that copies have in common, and a change makes one chunk anew. So whoever
-//! sets up can hand a thousand ends over again and again, of which one has changed.
+//! A sorted list that is cheap to copy: it consists of chunks that copies share, and a change replaces only one chunk. So setup code
+//! can hand over a list of a thousand endpoints again and again, even if only one of them has changed.
 
 use super::header::Gid;
 use std::sync::Arc;
@@ -16,7 +16,7 @@ pub(crate) trait Keyed: Clone {
 /// In the order of their keys, so those of a participant are next to each other.
 #[derive(Clone)]
 pub(crate) struct Chunks<T> {
-    /// None is empty.
+    /// No chunk is empty.
     chunks: Vec<Arc<Vec<T>>>,
     len: usize,
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whether what a publisher offers is what a subscription requests: ROS 2's rules.
+//! Whether a publisher's offered QoS is compatible with a subscription's requested QoS: ROS 2's rules.
 
 use crate::qos::{Durability, Liveliness, Qos, Reliability};
 use std::fmt;
@@ -8,9 +8,9 @@ use std::time::Duration;
 /// A part of the quality of service that a publisher and a subscription must agree on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum QosPolicyKind {
-    /// A subscription that requests reliable needs a publisher that is.
+    /// A subscription that requests reliable needs a reliable publisher.
     Reliability,
-    /// A subscription that requests transient local needs a publisher that is.
+    /// A subscription that requests transient local needs a transient-local publisher.
     Durability,
     /// The publisher's deadline must not be longer than the subscription's.
     Deadline,
@@ -33,8 +33,8 @@ impl fmt::Display for QosPolicyKind {
 }
 
 impl Qos {
-    /// The first policy that keeps a publisher with this quality of service and a subscription that requests `requested`
-    /// apart; `None` if they fit. History, depth and lifespan never do.
+    /// The first policy in which a publisher with this quality of service is incompatible with a subscription that
+    /// requests `requested`; `None` if they are compatible. History, depth and lifespan are always compatible.
     ///
     /// ```
     /// use tautline_transport::{Qos, QosPolicyKind};

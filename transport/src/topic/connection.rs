@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What one publisher and one subscription have in common: a block of shared memory with two queues of iceoryx2's, the halves of its
+//! The connection of one publisher and one subscription: a block of shared memory with two queues of iceoryx2, the two halves of its
 //! zero-copy connection.
 //!
-//! The publisher submits where its samples lie; a full queue gives the oldest back to it. The subscription returns what it has read.
-//! Beside the queues are some words that each writes for the other.
+//! The publisher submits the offsets of its samples; a full queue returns the oldest offset to it. The subscription returns the
+//! samples that it has read. Beside the queues are some words that each side writes for the other.
 //!
-//! The block lies in the publisher's part of its participant's file. The queues refer to their memory relative to where they lie
-//! themselves, so it is at different addresses in different processes.
+//! The block lies in the publisher's part of its participant's file. The queues refer to their memory by offsets relative to
+//! their own position, so the block may be at different addresses in different processes.
 
 use super::header::Gid;
 use crate::graph::record::PortRecord;
@@ -26,11 +26,11 @@ const MAGIC: u64 = u64::from_le_bytes(*b"tautcon1");
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u32)]
 pub(crate) enum ReaderState {
-    /// Its participant has not found it yet.
+    /// The subscription's participant has not found the connection yet.
     Unknown = 0,
-    /// It takes from it, or has mapped what is needed for that.
+    /// The subscription takes from the connection, or has mapped the memory that it needs for this.
     Attached = 1,
-    /// It is done with it, and with all samples that came through it.
+    /// The subscription no longer uses the connection or any sample that came through it.
     Closed = 2,
 }
 
@@ -39,7 +39,8 @@ pub(crate) enum ReaderState {
 pub(crate) struct Block {
     magic: AtomicU64,
     subscription: [AtomicU64; 2],
-    /// Where the queues' memory lies in its part of the file, and how long it is, once all of it has been claimed.
+    /// The position of the queues' memory in its part of the file, and its length, once all of it has been
+    /// claimed.
     claimed_queues: [AtomicU64; 2],
     pub(crate) out: Out,
     pub(crate) back: Back,

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The memory that a publisher shares with its subscriptions besides its samples: a head, by which all else is found, and the
-//! connections. It lies in its participant's file, in parts of which there are more when there are more subscriptions.
+//! The memory that a publisher shares with its subscriptions in addition to its samples: a head, from which everything else
+//! is found, and the connections. It lies in its participant's file, in one or more parts: more subscriptions need more
+//! parts.
 //!
-//! Made and changed by the publisher's participant alone; the subscriptions' participants read, and write into their connections.
+//! Only the publisher's participant creates and changes this memory. The subscriptions' participants read it, and write only into
+//! their connections.
 
 use super::connection::{BLOCK_BYTES, Connection, Shape};
 use super::header::Gid;
@@ -33,7 +35,8 @@ pub(crate) struct PublisherHead {
     pub(crate) grown: AtomicU32,
     /// Where the parts lie: see [`Place`].
     pub(crate) parts: [AtomicU64; PARTS],
-    /// Where the directory lies: its offset in the file above the number of its entries.
+    /// The position of the directory: its offset in the file (high bits) and the number of its entries (low
+    /// bits).
     directory: AtomicU64,
     pub(crate) segments: [SegmentWords; SEGMENTS],
     traffic: TrafficWords,
@@ -60,7 +63,7 @@ const HEAD_BYTES: u64 = size_of::<PublisherHead>().next_multiple_of(ALIGNMENT as
 #[repr(C)]
 struct DirectoryEntry {
     key: AtomicU64,
-    /// Of the block, in the file; 0: the entry is free.
+    /// The offset of the block in the file; 0: the entry is free.
     block: AtomicU64,
 }
 
@@ -111,9 +114,9 @@ fn find(parts: &[(Range, Arc<Mapping>)], offset: u64) -> Option<(&Arc<Mapping>, 
 pub(crate) struct Control {
     memory: Arc<OwnMemory>,
     parts: Vec<(Range, Arc<Mapping>)>,
-    /// What is free in each part.
+    /// The free ranges of each part.
     free: Vec<Ranges>,
-    /// The pages of each part that have memory.
+    /// The pages of each part for which memory is claimed.
     claimed: Vec<Vec<bool>>,
 }
 
@@ -396,14 +399,14 @@ impl Control {
     }
 }
 
-/// What a publisher has sent since it was made, by its own count.
+/// What a publisher has sent since it was created, by its own count.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Sent {
-    /// Messages; of a service's responses, of all clients.
+    /// Messages; for a service's responses, those to all clients.
     pub messages: u64,
     /// Bytes of their bodies, as CDR without its header of 4 bytes.
     pub bytes: u64,
-    /// When the last one was, in `CLOCK_MONOTONIC` nanoseconds; 0: there was none.
+    /// Time of the last message, in `CLOCK_MONOTONIC` nanoseconds; 0: there was none.
     pub last_ns: u64,
 }
 

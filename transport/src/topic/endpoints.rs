@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The endpoints of a topic that a publisher or a subscription has to do with: those that it matches, and those that it cannot match.
+//! The endpoints of a topic that concern a publisher or a subscription: those that it matches, and those that it cannot match.
 //!
-//! Kept by whoever matches; a monitor gets a copy when something changed, without a lock.
+//! The matching code maintains them; a monitor gets a copy when something has changed, without a lock.
 
 use super::compatibility::QosPolicyKind;
 use super::header::Gid;
@@ -67,7 +67,7 @@ pub(crate) struct EndpointList {
 #[derive(Default)]
 pub(crate) struct Endpoints {
     list: BTreeMap<Gid, Endpoint>,
-    /// Of this host.
+    /// Endpoints of this host.
     matched: usize,
     killed: u64,
     monitors: Vec<LatestWriter<Arc<EndpointList>>>,

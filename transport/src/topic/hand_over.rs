@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whose one side's half of a connection is: the thread's that publishes or takes, or whoever's that sets up. Without a lock.
+//! Ownership of one side's half of a connection: it belongs either to the thread that publishes or takes, or to the setup
+//! code. Without a lock.
 //!
 //! ```text
 //!                adopt (thread)                 finish (thread)
@@ -12,9 +13,10 @@
 //!   hold (setup)
 //! ```
 //!
-//! A new half is setup's before it is in a table that was handed over to the thread. From then on setup takes it for a moment
-//! ([`hold`](HandOver::hold)), which may fail, and hands over a table again, for the thread may have passed it over meanwhile.
-//! What setup [retires](HandOver::retire) while it is the thread's the thread finishes when it next finds a table.
+//! A new half belongs to the setup code until it is in a table that was handed over to the thread. After that, setup code can
+//! take it for a moment ([`hold`](HandOver::hold)); this may fail. Then it hands over a table again, because the thread may
+//! have skipped the half meanwhile. If setup code [retires](HandOver::retire) a half that belongs to the thread, the thread
+//! finishes it when it next gets a table.
 
 use crate::sync::{AtomicU32, Ordering};
 

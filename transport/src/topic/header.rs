@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What travels with every sample.
+//! The header of every sample.
 
 use std::fmt;
 
-/// Global identifier of a publisher, subscription, client or server, unique among all of a domain: 16 bytes, as in the rmw_zenoh
+/// Global identifier of a publisher, subscription, client or server, unique in a domain: 16 bytes, as in the rmw_zenoh
 /// attachment.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default)]
 #[repr(C)]
@@ -25,7 +25,7 @@ impl Gid {
         Gid((u128::from(low) | u128::from(high) << 64).to_le_bytes())
     }
 
-    /// Of a port on this host: its participant's [`id`](crate::Participant::id).
+    /// For a port on this host: its participant's [`id`](crate::Participant::id).
     pub fn participant(self) -> u64 {
         self.words()[0]
     }
@@ -42,17 +42,17 @@ impl fmt::Debug for Gid {
     }
 }
 
-/// Where a message comes from and when it was sent. Of a message from another host, number, time and publisher are what
-/// they were there.
+/// The origin of a message and the time when it was sent. For a message from another host, number, time and publisher
+/// are the original ones.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub struct MessageInfo {
-    /// Counts the publisher's messages, from 1.
+    /// The publisher's sequence number, from 1.
     pub sequence_number: u64,
     /// When the message was published, by the system's clock: nanoseconds since 1970.
     pub source_timestamp_ns: i64,
     /// When the message appeared on this host, on `CLOCK_MONOTONIC`: the release of its callback.
     pub released_ns: u64,
-    /// Who published it.
+    /// Its publisher.
     pub publisher_gid: Gid,
 }
 
@@ -60,7 +60,7 @@ pub struct MessageInfo {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SampleKind {
     Message,
-    /// In place of a response: nobody answers this request.
+    /// In place of a response: this request gets no response.
     NoAnswer,
 }
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Samples that may be dropped in any thread, without a lock.
 //!
-//! What came through a queue goes back through a queue, and both have one user on this side: the thread that takes. So a sample
-//! never leaves its subscription: it stays on a shelf, and what the user holds is its index and the address of its body. To drop it
-//! is to set a bit; the subscription takes the marked ones off the shelf when it next takes.
+//! A sample that came through a queue goes back through a queue, and both queues have one user on this side: the thread that takes.
+//! So a borrowed sample never leaves its subscription. It stays in a table, and the user holds its index and the address of its
+//! body. Dropping the sample sets a bit; the subscription removes the marked samples from the table at its next take.
 //!
 //! ```text
 //!             lend (subscription)       drop Lent (any thread)      reclaim (subscription)
@@ -17,7 +17,7 @@ use std::cell::{RefCell, UnsafeCell};
 use std::sync::Arc;
 use std::task::Waker;
 
-/// Holds the samples that are out, for one subscription.
+/// The table of one subscription's borrowed samples.
 pub(crate) struct Shelf<S> {
     state: Arc<ShelfState<S>>,
     free: RefCell<Vec<usize>>,
@@ -27,13 +27,14 @@ pub(crate) struct Shelf<S> {
 unsafe impl<S> Send for Shelf<S> {}
 
 struct ShelfState<S> {
-    /// A place is touched by the Shelf while it is free or back, and by nobody while it is out.
+    /// An entry is accessed by the Shelf while it is free or returned, and by no thread while its sample is
+    /// borrowed.
     places: Box<[UnsafeCell<Option<S>>]>,
     back: Box<[AtomicU64]>,
-    /// Somebody was refused a sample because all places are out: the next one that comes back wakes it.
+    /// A task was refused a sample because all entries are in use: the next sample that is returned wakes it.
     starved: AtomicU32,
     waker: AtomicWaker,
-    /// Dropped after all samples, when the shelf and the last of them that was out are gone.
+    /// Dropped after all samples, when the table and the last borrowed sample have been dropped.
     _end: Box<dyn Any + Send + Sync>,
 }
 
@@ -45,7 +46,7 @@ unsafe impl<S> Send for ShelfState<S> {}
 unsafe impl<S> Sync for ShelfState<S> {}
 
 impl<S> Shelf<S> {
-    /// `end` is dropped when the shelf and everything that was ever on it is gone.
+    /// `end` is dropped when the table and all samples that were ever in it have been dropped.
     pub(crate) fn new(places: usize, end: impl Any + Send + Sync) -> Self {
         let state = ShelfState {
             places: (0..places).map(|_| UnsafeCell::new(None)).collect(),
@@ -57,7 +58,7 @@ impl<S> Shelf<S> {
         Shelf { state: Arc::new(state), free: RefCell::new((0..places).rev().collect()) }
     }
 
-    /// Drops the samples that came back. Returns false if every place is out even so.
+    /// Drops the samples that were returned. Returns false if all entries are still in use.
     ///
     /// # Real-time
     /// Wait-free, O(places / 64 + samples back); no allocation; no syscall.
@@ -82,7 +83,7 @@ impl<S> Shelf<S> {
         !free.is_empty()
     }
 
-    /// Puts a sample on the shelf. `None` if every place is out: see [`reclaim`](Self::reclaim).
+    /// Puts a sample into the table. `None` if all entries are in use: see [`reclaim`](Self::reclaim).
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -93,7 +94,7 @@ impl<S> Shelf<S> {
         Some(Lent { state: self.state.clone(), place })
     }
 
-    /// Wakes `waker` when a sample next comes back. True if one came back meanwhile: look again.
+    /// Wakes `waker` when the next sample is returned. True if one was returned meanwhile: try again.
     pub(crate) fn wake_when_back(&self, waker: &Waker) -> bool {
         self.state.waker.register(waker);
         self.state.starved.store(1, Ordering::Relaxed);
@@ -103,7 +104,7 @@ impl<S> Shelf<S> {
     }
 }
 
-/// One sample that is out. May be dropped in any thread, also after its subscription.
+/// One borrowed sample. May be dropped in any thread, also after its subscription.
 pub(crate) struct Lent<S> {
     state: Arc<ShelfState<S>>,
     place: usize,
@@ -111,8 +112,8 @@ pub(crate) struct Lent<S> {
 
 impl<S> Drop for Lent<S> {
     /// # Real-time
-    /// Wait-free; no allocation; no syscall, unless the subscription's task waits for a sample to come back. The last one
-    /// after its subscription was dropped frees the shelf and what it refers to.
+    /// Wait-free; no allocation; no syscall, unless the subscription's task waits for a sample to come back. If the
+    /// subscription was dropped before, dropping its last sample frees the table and everything that it refers to.
     fn drop(&mut self) {
         let Some(word) = self.state.back.get(self.place / 64) else { return };
         word.fetch_or(1 << (self.place % 64), Ordering::Release);

@@ -24,7 +24,7 @@ pub(crate) fn grown_sample_bytes(len_bytes: usize) -> usize {
     sample_bytes(len_bytes).next_power_of_two()
 }
 
-/// What the subscriptions of a publisher ask of its memory.
+/// What the subscriptions of a publisher require of its memory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Demand {
     /// The greatest depth, and what is kept for late joiners.
@@ -63,24 +63,24 @@ impl Demand {
     }
 }
 
-/// Shared memory of one publisher.
+/// The shared memory of one publisher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TopicMemory {
     /// Samples that can be in flight.
     pub samples: usize,
-    /// Bytes of one.
+    /// Bytes of one sample.
     pub sample_bytes: usize,
-    /// Bytes that are claimed with [`Claim::Ahead`](crate::Claim::Ahead): for all samples. With
-    /// [`Claim::OnUse`](crate::Claim::OnUse) it is the most that is ever claimed.
+    /// Bytes that are claimed with [`Claim::Ahead`](crate::Claim::Ahead), for all samples. With
+    /// [`Claim::OnUse`](crate::Claim::OnUse) this is the maximum that is ever claimed.
     pub claimed_bytes: usize,
 }
 
-/// The memory of one publisher of messages of `body_bytes` that offers `qos`, with `subscriptions` subscriptions of at most `depth`, of
-/// which each may hold `limits.held` samples.
+/// The memory of one publisher of messages of `body_bytes` that offers `qos`, with `subscriptions` subscriptions of depth `depth` at
+/// most, each of which may hold `limits.held` samples.
 ///
 /// For a type without a fixed size `body_bytes` is the largest message, and `limits.message_bytes` is at least that. If it
-/// is not, each larger message doubles the samples' size until it fits, in a new segment of as many samples; the old
-/// segment goes when its last sample has come back.
+/// is not, the size of a sample doubles until a larger message fits, in a new segment with the same number of samples; the
+/// old segment is released when its last sample has been returned.
 ///
 /// ```
 /// # use tautline_transport::{Limits, Qos, topic_memory};

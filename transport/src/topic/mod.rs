@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Topics: publishers and subscriptions, what lies in shared memory between them, and how they find each other.
+//! Topics: publishers and subscriptions, the shared memory between them, and how they find each other.
 //!
-//! A publisher has memory of its own in its participant's file: samples ([`pool`]), and for each subscription a [`connection`], two
-//! queues of iceoryx2's. Who sets up ([`matching`]) makes and breaks connections; the threads that publish and take only use them.
+//! A publisher has its own memory in its participant's file: samples ([`pool`]), and for each subscription a [`connection`], which
+//! consists of two queues of iceoryx2. Setup code ([`matching`]) creates and removes connections; the threads that publish and take
+//! only use them.
 
 pub(crate) mod chunks;
 pub(crate) mod compatibility;
@@ -29,7 +30,7 @@ use crate::schema_store;
 use endpoints::Mismatch;
 use topic_type::TopicType;
 
-/// A topic as one end sees it.
+/// A topic as one endpoint sees it.
 #[derive(Clone, Debug)]
 pub(crate) struct Topic {
     pub(crate) name: String,

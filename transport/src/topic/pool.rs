@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A publisher's samples: where they lie, which are free, who uses the others.
+//! A publisher's samples: their positions, which of them are free, and who uses the others.
 //!
 //! Samples of one size lie in a segment, which is part of the participant's file; a publisher gets more segments when more or larger
-//! samples are needed. Which are free is iceoryx2's lock-free pool allocator's business. A sample counts the references to it: its
-//! loan, each subscription that it was sent to, and the history of a publisher that keeps some for late joiners. With the last one
-//! it is free.
+//! samples are needed. iceoryx2's lock-free pool allocator knows which samples are free. Each sample has a reference count: its
+//! loan, each subscription that it was sent to, and the history of a publisher that keeps samples for late joiners each hold a
+//! reference. When the last reference is released, the sample is free.
 
 use super::header::{HEADER_BYTES, SampleHeader};
 use super::memory::SAMPLE_ALIGNMENT;
@@ -31,9 +31,9 @@ pub(crate) struct Segment {
     pub(crate) map: Arc<Mapping>,
     sample_bytes: usize,
     samples: usize,
-    /// How many samples of the publisher come before the first of this segment.
+    /// The number of the publisher's samples before the first one of this segment.
     first: usize,
-    /// Boxed: what it says of its books is relative to where it lies.
+    /// Boxed, because it contains offsets relative to its own position.
     free: Box<PoolAllocator>,
     _books: Box<[u64]>,
     references: Box<[AtomicU32]>,
@@ -181,7 +181,7 @@ fn layout(sample_bytes: usize) -> Layout {
 #[derive(Clone, Default)]
 pub(crate) struct Pool {
     segments: Vec<Option<Arc<Segment>>>,
-    /// The id after that of the newest segment.
+    /// The id of the next segment.
     next: usize,
 }
 

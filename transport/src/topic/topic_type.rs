@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a topic carries: the name, hash and size of its type, as far as who opens it knows them.
+//! The type of a topic: its name, hash and size, as far as the endpoint that opens the topic knows them.
 
 use crate::error::TransportError;
 use crate::graph::record::{MAX_NAME_BYTES, is_type};
@@ -10,7 +10,7 @@ use tautline_msgs::{Message, definition_text};
 const HASH_PREFIX: &str = "RIHS01_";
 const HASH_DIGITS: usize = 64;
 
-/// The type of a topic's messages. What is not known is left out, and then agrees with everything.
+/// The type of a topic's messages. Unknown properties are omitted, and agree with every value.
 ///
 /// ```
 /// # use tautline_transport::TopicType;
@@ -26,8 +26,8 @@ pub struct TopicType {
     /// Length of every body in bytes, if the type's size is fixed and known: CDR without the 4 encapsulation bytes and
     /// without trailing padding.
     pub body_bytes: Option<usize>,
-    /// The definition as ros2msg text, with those of the types it uses. If the hash is known too, opening a topic keeps it in
-    /// the [`SchemaStore`](crate::SchemaStore).
+    /// The definition as ros2msg text, with those of the types it uses. If the hash is known, too, opening a topic stores the
+    /// definition in the [`SchemaStore`](crate::SchemaStore).
     pub definition: Option<Cow<'static, str>>,
 }
 
@@ -72,7 +72,7 @@ impl TopicType {
         if facts.is_empty() { self.name.to_string() } else { format!("{} ({})", self.name, facts.join(", ")) }
     }
 
-    /// Whether both can be the same type: messages go from one to the other.
+    /// Whether both can be the same type, so that messages can be delivered between them.
     pub fn agrees_with(&self, other: &TopicType) -> bool {
         fn agree<V: PartialEq>(one: &Option<V>, other: &Option<V>) -> bool {
             one.is_none() || other.is_none() || one == other
@@ -82,7 +82,7 @@ impl TopicType {
             && agree(&self.body_bytes, &other.body_bytes)
     }
 
-    /// What is known of the type by both together; `None` if they do not agree.
+    /// The combined knowledge of both about the type; `None` if they do not agree.
     pub fn join(self, other: &TopicType) -> Option<TopicType> {
         self.agrees_with(other).then(|| TopicType {
             hash: self.hash.or_else(|| other.hash.clone()),

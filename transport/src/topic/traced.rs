@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a mirror (a gateway, a bridge) tells a trace of the messages that it passes on. What it publishes in its domain
-//! [`as`](crate::RawLoan::publish_as) another publisher's message is told by publishing.
+//! What a mirror (a gateway or a bridge) records in a trace about the messages that it forwards. Messages that it
+//! publishes in its domain [`as`](crate::RawLoan::publish_as) another publisher's are recorded by publishing.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 
 use crate::topic::header::{Gid, MessageInfo};
 use tautline_trace::{MessageId, Object, ObjectId};
 
-/// What a mirror sends the messages of one publisher to a network through, as traces speak of it.
+/// A mirror's sender of one publisher's messages to a network, as an object in traces.
 #[derive(Debug)]
 pub struct TracedSender(Object);
 
 impl TracedSender {
-    /// `gid` is the publisher's on the network, where its messages are known by it and their number.
+    /// `gid` is the publisher's GID on the network. There it identifies a message together with the message's
+    /// number.
     ///
     /// # Real-time
     /// Setup only: takes a lock, allocates.
@@ -19,7 +20,8 @@ impl TracedSender {
         TracedSender(tautline_trace::sender_init(topic, gid.words()))
     }
 
-    /// The sample that came through the port `from` under a number there goes out under `sequence_number`.
+    /// The sample that came through the port `from`, with its number in that port, is sent as number
+    /// `sequence_number`.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -28,7 +30,7 @@ impl TracedSender {
     }
 }
 
-/// One sample on its way out of the domain.
+/// One sample that is about to leave the domain.
 #[derive(Clone, Copy, Debug)]
 pub struct TracedSample {
     sender: ObjectId,
@@ -37,7 +39,7 @@ pub struct TracedSample {
 }
 
 impl TracedSample {
-    /// The sample is about to be handed to the network: by the thread that does so.
+    /// Records that the sample is about to be passed to the network. Call it in the thread that does this.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall, except in the first event of a thread while it is traced.
@@ -47,12 +49,12 @@ impl TracedSample {
     }
 }
 
-/// The port that a mirror publishes through, as traces speak of it.
+/// The port through which a mirror publishes, as an object in traces.
 #[derive(Clone, Copy, Debug)]
 pub struct TracedPort(pub(crate) ObjectId);
 
 impl TracedPort {
-    /// A message has come from a network; `source` is what identifies it there.
+    /// Records that a message has arrived from a network; `source` identifies it there.
     ///
     /// # Real-time
     /// As [`TracedSample::record`].

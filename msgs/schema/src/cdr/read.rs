@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Bytes, which may be anything, to values.
+//! Decodes bytes, which may have any content, into values.
 
 use std::mem::size_of;
 
 use crate::{Base, DecodeFault, FieldType, List, Primitive, Schema, Shape, Value};
 
-/// What is wrong and where. The path is put together on the way out, so that success costs nothing.
+/// What is wrong and where. The path is built while the error is returned, so that success costs nothing.
 pub struct Failure {
     pub path: String,
     pub offset: usize,

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Whether bytes are a message, without making values of them: what the reader would say, at the cost of looking.
+//! Checks whether bytes are a message without building values: the same result as the reader's, at the cost of
+//! one pass over the bytes.
 
 use super::read::{Reader, Result, SLACK};
 use crate::{Base, DecodeFault, FieldType, Primitive, Shape};

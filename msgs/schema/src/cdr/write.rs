@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Values, known to fit their schema, to bytes.
+//! Encodes values, which are known to fit their schema, into bytes.
 
 use crate::{Base, FieldType, List, Schema, Shape, Value};
 

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the layouts of the types of a schema are made of.
+//! The facts from which the layouts of a schema's types are computed.
 
 use super::position::Position;
 use super::{NotPlain, Plain};
 use crate::{Base, FieldType, Schema, Shape};
 
-/// What is known of each type of a schema.
+/// The facts about each type of a schema.
 pub struct Facts<'a> {
     schema: &'a Schema,
     pub plain: Vec<Result<Plain, NotPlain>>,

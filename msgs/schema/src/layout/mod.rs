@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where the fields of a message lie in its CDR, and whether that is where C places them.
+//! The positions of a message's fields in its CDR, and whether C places them at the same positions.
 //!
 //! XCDR1 aligns each primitive to its size, counted from the start of the body; structs and arrays add no alignment.
 //! A message is *plain* if it has a fixed size and C's layout of its struct is the same: the rules that the derive of

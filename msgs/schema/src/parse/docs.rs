@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which comment belongs to what: the rules of `rosidl_adapter`.
+//! Assigns comments to the message, its fields and constants by the rules of `rosidl_adapter`.
 
 use super::Numbered;
 use crate::Definition;

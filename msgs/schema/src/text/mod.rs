@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Messages from and to JSON and YAML, led by the schema.
+//! Converts messages from and to JSON and YAML according to the schema.
 
 mod read;
 mod write;
@@ -63,7 +63,7 @@ impl DynamicMessage {
         serde_json::to_string(self).unwrap_or_default()
     }
 
-    /// What [`to_json`](Self::to_json) writes, as a value.
+    /// The same as [`to_json`](Self::to_json), as a value.
     pub fn to_json_value(&self) -> serde_json::Value {
         serde_json::to_value(self).unwrap_or_default()
     }

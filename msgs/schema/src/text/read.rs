@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Messages from anything that serde reads, led by the schema.
+//! Reads messages from any serde format according to the schema.
 
 use std::fmt;
 

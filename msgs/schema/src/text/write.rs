@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Messages to anything that serde writes.
+//! Writes messages to any serde format.
 
 use serde::ser::{Serialize, SerializeMap, Serializer};
 

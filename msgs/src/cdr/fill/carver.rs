@@ -2,7 +2,7 @@
 
 use crate::cdr::{EncodeError, EncodeFault};
 
-/// A body's memory, taken from its start piece by piece.
+/// Divides the memory of a body, from its start, piece by piece.
 #[derive(Debug)]
 pub struct Carver<'a> {
     rest: &'a mut [u8],

@@ -4,7 +4,7 @@ use core::fmt;
 
 use crate::cdr::{Carver, EncodeError, Fill, Piece, WriteError, WriteFault};
 
-/// The place of a sequence or array whose elements differ in length: strings, messages with strings.
+/// The memory for a sequence or array whose elements differ in length: strings, messages with strings.
 pub struct Elements<'a, 's, F: Fill> {
     /// Empty once writing has begun.
     region: &'a mut [u8],
@@ -17,7 +17,7 @@ pub struct Elements<'a, 's, F: Fill> {
 }
 
 impl<'a, 's, F: Fill> Elements<'a, 's, F> {
-    /// Takes the region of `len` elements; those without sizes have none but empty strings and sequences.
+    /// Takes the region of `len` elements; elements without sizes have only empty strings and sequences.
     #[doc(hidden)]
     pub fn carve(
         sizes: &'s [F::Sizes<'s>],

@@ -154,7 +154,7 @@ pub enum WriteFault {
     /// A field was not written.
     #[error("it was not set: set it, or give the rest its defaults with `default_rest`")]
     Unset,
-    /// A text or list has not the length that was stated.
+    /// A text or list does not have the length that was stated.
     #[error("its length is {len}, but {stated} was stated in the sizes: state the one it has")]
     Length {
         /// The length given.
@@ -165,10 +165,10 @@ pub enum WriteFault {
     /// The elements of a list were written before, one by one or by `default_rest`.
     #[error("its elements were written before: set them once, and the rest with `default_rest` after them")]
     Again,
-    /// What was written is no value of the type: its writer was replaced by one of other memory.
+    /// What was written is not a value of the type: its writer was replaced by one of another memory.
     #[error("it was not written where it lies: set it through the writer that is passed in")]
     Elsewhere,
-    /// The lengths stated do not go, or the memory is too short.
+    /// The stated lengths are not allowed, or the memory is too short.
     #[error(transparent)]
     Encode(EncodeFault),
 }
@@ -179,7 +179,7 @@ impl WriteError {
         Self { type_name: "", field: "", fault }
     }
 
-    /// Says where it happened, unless a message further in did.
+    /// Adds where it happened, unless an inner message has done so already.
     #[cold]
     #[doc(hidden)]
     #[must_use = "it returns the changed error"]
@@ -221,7 +221,7 @@ pub fn sized_len<T: Fill>(sizes: T::Sizes<'_>) -> usize {
 /// Writes a body in place: divides `memory` by the lengths `sizes`, lets `write` set the fields, and checks that each was
 /// set. Returns the length of the body, [`sized_len`].
 ///
-/// What was not written of a sequence holds what was in `memory` before.
+/// The parts of a sequence that were not written keep the previous content of `memory`.
 ///
 /// # Real-time
 ///

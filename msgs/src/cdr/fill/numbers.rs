@@ -4,7 +4,7 @@
 use crate::Plain;
 use crate::cdr::{Carver, EncodeError, EncodeFault, Piece, WriteError, WriteFault};
 
-/// The place of a number, or of a message whose memory is its CDR.
+/// The memory for a number, or for a message whose memory is its CDR.
 #[derive(Debug)]
 pub struct Field<'a, T> {
     place: &'a mut T,
@@ -19,7 +19,7 @@ impl<T: Plain> Field<'_, T> {
         self.set = true;
     }
 
-    /// To write it in place; counts as set. Holds zeros or an earlier message.
+    /// The value, to be written in place; it then counts as set. It holds zeros or an earlier message.
     #[inline]
     pub fn value_mut(&mut self) -> &mut T {
         self.set = true;
@@ -41,7 +41,7 @@ impl<T: Plain + Default> Piece<T> for Field<'_, T> {
     }
 }
 
-/// The place of a sequence or array of numbers, or of messages whose memory is their CDR.
+/// The memory for a sequence or array of numbers, or of messages whose memory is their CDR.
 #[derive(Debug)]
 pub struct Slice<'a, T> {
     place: &'a mut [T],
@@ -49,7 +49,8 @@ pub struct Slice<'a, T> {
 }
 
 impl<T: Plain> Slice<'_, T> {
-    /// To write the elements in place; counts as set. Holds whatever the memory held before.
+    /// The elements, to be written in place; they then count as set. They hold the previous content of the
+    /// memory.
     #[inline]
     pub fn slice_mut(&mut self) -> &mut [T] {
         self.set = true;
@@ -100,7 +101,7 @@ impl<T: Plain + Default, V: AsRef<[T]>> Piece<V> for Slice<'_, T> {
     }
 }
 
-/// One value's place.
+/// The memory for one value.
 #[inline]
 pub fn field<'a, T: Plain>(carver: &mut Carver<'a>) -> Result<Field<'a, T>, EncodeError> {
     match place(1, carver)? {
@@ -109,7 +110,7 @@ pub fn field<'a, T: Plain>(carver: &mut Carver<'a>) -> Result<Field<'a, T>, Enco
     }
 }
 
-/// The place of `len` values.
+/// The memory for `len` values.
 #[inline]
 pub fn values<'a, T: Plain>(len: usize, carver: &mut Carver<'a>) -> Result<Slice<'a, T>, EncodeError> {
     Ok(Slice { place: place(len, carver)?, set: false })

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! For tests: where sizes come from when they are not written by hand.
+//! For tests: computes sizes that are not written by hand.
 
-/// Says lengths, and keeps lists of them.
+/// Gives lengths, and stores lists of them.
 pub trait SizeSource<'s> {
     /// A length; `actual` is that of the value, if there is one.
     fn len(&mut self, actual: Option<usize>) -> usize;

@@ -4,7 +4,7 @@
 use super::{length_end, one_by_one};
 use crate::cdr::{BoundFill, Carver, EncodeError, EncodeFault, Fill, Piece, WString, WriteError, WriteFault};
 
-/// The place of a string.
+/// The memory for a string.
 #[derive(Debug)]
 pub struct Text<'a> {
     /// Without the zero byte at its end.
@@ -18,8 +18,8 @@ impl Text<'_> {
     ///
     /// # Errors
     ///
-    /// [`WriteFault::Length`] if it has not as many bytes as was stated, [`EncodeFault::Bound`] if it has more characters
-    /// than the definition allows.
+    /// [`WriteFault::Length`] if its number of bytes is not the stated one, [`EncodeFault::Bound`] if it has more
+    /// characters than the definition allows.
     #[inline]
     pub fn set(&mut self, text: &str) -> Result<(), WriteError> {
         if text.len() != self.place.len() {
@@ -49,7 +49,7 @@ impl Piece<String> for Text<'_> {
     }
 }
 
-/// The place of a `wstring`.
+/// The memory for a `wstring`.
 #[derive(Debug)]
 pub struct WText<'a> {
     place: &'a mut [u8],
@@ -62,8 +62,8 @@ impl WText<'_> {
     ///
     /// # Errors
     ///
-    /// [`WriteFault::Length`] if it has not as many UTF-16 units as was stated, [`EncodeFault::Bound`] if it has more
-    /// characters than the definition allows.
+    /// [`WriteFault::Length`] if its number of UTF-16 units is not the stated one, [`EncodeFault::Bound`] if it has
+    /// more characters than the definition allows.
     pub fn set(&mut self, text: &str) -> Result<(), WriteError> {
         let (len, stated) = (text.encode_utf16().count(), self.place.len() / 4);
         if len != stated {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut-container`: a process that components are loaded into. A program of its own, for it shares Tautline with them as one
-//! library.
+//! `taut-container`: a process into which components are loaded. It is a separate program, because it and its components use
+//! Tautline as one shared library.
 #![forbid(unsafe_code)]
 
 use clap::Parser;

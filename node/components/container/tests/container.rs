@@ -120,7 +120,7 @@ fn unknown_and_broken_components_are_named() {
     assert!(load(":demo::Counter2").contains(&format!("no component 'demo::Counter2'; it has: {known}")));
     assert!(load("").contains(known), "it has several");
     let text = load(":demo::Broken");
-    assert!(text.contains("component 'demo::Broken' panicked while it was made"), "{text}");
+    assert!(text.contains("component 'demo::Broken' panicked while it was created"), "{text}");
 }
 
 /// This test has a Tautline of its own in it, as every ordinary program.

@@ -5,16 +5,16 @@ use super::{Arrival, Policy, nanos};
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Sets of messages whose stamps are close: message_filters' `ApproximateTime`, with its sets.
+/// Sets of messages whose stamps are close: message_filters' `ApproximateTime`, with the same sets.
 ///
-/// A set has one message of each input, and no two sets cross. The latest of the oldest messages that wait is the *pivot*: the next set
-/// contains it, and of those that do the one whose stamps are closest together. A set is passed on when nothing that may still come can
-/// be better: at the latest when each input has sent something later than the pivot.
+/// A set has one message of each input, and no two sets cross. The latest of the oldest waiting messages is the *pivot*. The next set
+/// is, of all sets that contain the pivot, the one whose stamps are closest together. A set is delivered when no later message can make
+/// a better one: at the latest when each input has sent a message later than the pivot.
 ///
-/// A message of an input that comes out of order is refused.
+/// A message that arrives out of order in its input is refused.
 ///
 /// # Real-time
-/// For each message that comes, and each set, at most two steps for each message that waits, linear in the number of inputs; no allocation.
+/// For each new message, and each set, at most two steps per waiting message, linear in the number of inputs; no allocation.
 #[derive(Clone, Debug)]
 pub struct ApproximateTime {
     queue_size: usize,
@@ -30,7 +30,7 @@ pub struct ApproximateTime {
 struct Channel {
     stamps: VecDeque<i64>,
     next: usize,
-    /// A message was dropped that may have belonged to the next set, so that its successor must not be the pivot.
+    /// A message was dropped that may have belonged to the next set, so its successor must not be the pivot.
     has_dropped: bool,
     newest_ns: Option<i64>,
 }
@@ -45,7 +45,7 @@ struct Candidate {
 }
 
 impl ApproximateTime {
-    /// At most `queue_size` messages of each input wait; the oldest is dropped for one more.
+    /// At most `queue_size` messages of each input wait; a further message replaces the oldest one.
     #[must_use = "give it to a Synchronizer"]
     pub fn new(queue_size: usize) -> Self {
         ApproximateTime {
@@ -58,23 +58,24 @@ impl ApproximateTime {
         }
     }
 
-    /// The stamps of a set lie at most so far apart (message_filters: `setMaxIntervalDuration`, in Python `slop`). No limit by default.
+    /// The maximum distance between the stamps of a set (message_filters: `setMaxIntervalDuration`, in Python `slop`). No limit by
+    /// default.
     #[must_use = "it returns the changed policy"]
     pub fn max_interval(mut self, interval: Duration) -> Self {
         self.max_interval_ns = nanos(interval);
         self
     }
 
-    /// How much closer together a later set must be to be preferred, as a part of how much later it is (`setAgePenalty`). 0.1 by
-    /// default; a negative one or one that is no number is taken as 0.
+    /// How much closer together a later set must be to be preferred, as a fraction of how much later it is (`setAgePenalty`).
+    /// 0.1 by default; a negative value or NaN counts as 0.
     #[must_use = "it returns the changed policy"]
     pub fn age_penalty(mut self, penalty: f64) -> Self {
         self.age_penalty = penalty.max(0.0);
         self
     }
 
-    /// A promise: the stamps of input `input` (from 0) are at least so far apart (`setInterMessageLowerBound`). Sets are then passed on
-    /// earlier. Messages that break the promise are counted. An input that is not there is ignored.
+    /// Guarantees that the stamps of input `input` (from 0) are at least `bound` apart (`setInterMessageLowerBound`). Sets are then
+    /// delivered earlier. Messages that violate this are counted. An input that does not exist is ignored.
     #[must_use = "it returns the changed policy"]
     pub fn inter_message_lower_bound(mut self, input: usize, bound: Duration) -> Self {
         if let Some(slot) = self.lower_bounds_ns.get_mut(input) {

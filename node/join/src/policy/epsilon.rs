@@ -1,21 +1,22 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Stamps that are within a tolerance of the oldest.
+//! Sets of stamps within a tolerance of the oldest one.
 
 use super::{Arrival, Policy, nanos};
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Sets of messages whose stamps are at most a tolerance apart: message_filters' `ApproximateEpsilonTime`, with its sets.
+/// Sets of messages whose stamps are at most a tolerance apart: message_filters' `ApproximateEpsilonTime`, with the same
+/// sets.
 ///
-/// Once a message of each input waits, the oldest ones of all are a set if none is more than `epsilon` later than the first of them.
-/// Otherwise the first is dropped, together with those that are within `epsilon` of it, and so on. So a set is passed on with its last
-/// message, where [`ApproximateTime`](super::ApproximateTime) waits for later ones; but sets are not the closest that there are, and of
-/// three or more inputs none may come although stamps lie close enough.
+/// When a message of each input waits, the oldest message of every input form a set if none is more than `epsilon` later than the first
+/// of them. Otherwise the first is dropped, together with those within `epsilon` of it, and so on. So a set is delivered with its last
+/// message, whereas [`ApproximateTime`](super::ApproximateTime) waits for later messages. But the sets are not the closest possible
+/// ones, and with three or more inputs there may be no set although stamps are close enough.
 ///
-/// A message of an input that comes out of order is refused.
+/// A message that arrives out of order in its input is refused.
 ///
 /// # Real-time
-/// For each message that comes, and each set, at most one step for each message that waits, linear in the number of inputs; no allocation.
+/// For each new message, and each set, at most one step per waiting message, linear in the number of inputs; no allocation.
 #[derive(Clone, Debug)]
 pub struct ApproximateEpsilonTime {
     queue_size: usize,
@@ -31,8 +32,8 @@ struct Channel {
 }
 
 impl ApproximateEpsilonTime {
-    /// The stamps of a set lie at most `epsilon` apart. At most `queue_size` messages of each input wait; the oldest is dropped for one
-    /// more.
+    /// The stamps of a set are at most `epsilon` apart. At most `queue_size` messages of each input wait; a further message replaces
+    /// the oldest one.
     #[must_use = "give it to a Synchronizer"]
     pub fn new(queue_size: usize, epsilon: Duration) -> Self {
         ApproximateEpsilonTime { queue_size, epsilon_ns: nanos(epsilon), channels: Vec::new() }

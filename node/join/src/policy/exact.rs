@@ -6,24 +6,24 @@ use std::collections::VecDeque;
 
 /// Sets of messages with the same stamp: message_filters' `ExactTime` and `TimeSynchronizer`.
 ///
-/// A set is passed on with its last message; what is older is dropped then. At most `queue_size` different stamps wait; the oldest is
-/// dropped for one more. Messages of one input may come out of order; one whose stamp its input has waiting already, or that is no
-/// later than the last set, is refused.
+/// A set is delivered with its last message; older messages are dropped then. At most `queue_size` different stamps wait; a further
+/// stamp replaces the oldest one. Messages of one input may arrive out of order. A message is refused if its input already has a
+/// waiting message with the same stamp, or if it is not later than the last set.
 ///
 /// # Real-time
-/// For each message at most one step for each message that waits; no allocation.
+/// For each message at most one step per waiting message; no allocation.
 #[derive(Clone, Debug)]
 pub struct ExactTime {
     queue_size: usize,
     /// By input, in ascending order.
     channels: Vec<VecDeque<i64>>,
-    /// The stamp that came last, until it is decided on.
+    /// The stamp that arrived last, until it is handled.
     fresh: Option<i64>,
     last_set: Option<i64>,
 }
 
 impl ExactTime {
-    /// At most so many different stamps wait.
+    /// At most `queue_size` different stamps wait.
     #[must_use = "give it to a Synchronizer"]
     pub fn new(queue_size: usize) -> Self {
         ExactTime { queue_size, channels: Vec::new(), fresh: None, last_set: None }

@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which input is the fastest.
 
-/// What is a set by the rates at which messages come: message_filters' `LatestTime`.
+/// Forms sets by the rates of the inputs: message_filters' `LatestTime`.
 ///
-/// Each message of the *pivot* makes a set, of the newest of all inputs. The pivot is the input with the highest rate among those that
-/// are not late, so that another one takes over if it slows down or stops. A rate is known from an input's second message on.
+/// Each message of the *pivot* makes a set of the newest messages of all inputs. The pivot is the input with the highest rate among
+/// those that are not late. So another input takes over if the pivot slows down or stops. A rate is known from an input's second
+/// message on.
 ///
-/// A rate is a moving average of 1 / (time between two messages), and its error one of the distances from it. A rate that is more than
-/// [`margin_factor`](RateConfig::margin_factor) errors away begins anew; an input is late if a message that came now would be that much
-/// too slow. If the clock goes back, the rate of an input begins anew with its next message.
+/// A rate is a moving average of 1 / (time between two messages), and its error is a moving average of the distances from this average.
+/// If a new value is more than [`margin_factor`](RateConfig::margin_factor) errors away, the average restarts. An input is late if a
+/// message that arrived now would be too slow by that much. If the clock goes back, the rate of an input restarts with its next
+/// message.
 ///
 /// # Real-time
 /// For each message one step for each input; no allocation.
@@ -17,14 +19,14 @@ pub struct LatestTime {
     rates: [Rate; crate::MAX_INPUTS],
 }
 
-/// How rates are estimated, and when they are taken to have changed.
+/// How rates are estimated, and when a rate counts as changed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RateConfig {
-    /// The weight of what came last in a rate, 0 to 1.
+    /// The weight of the newest value in a rate, 0 to 1.
     pub rate_ema_alpha: f64,
-    /// The weight of what came last in a rate's error, 0 to 1.
+    /// The weight of the newest value in a rate's error, 0 to 1.
     pub error_ema_alpha: f64,
-    /// How many errors from the rate are a change.
+    /// The distance from the rate, in errors, that counts as a change.
     pub margin_factor: f64,
 }
 
@@ -59,7 +61,7 @@ impl LatestTime {
         LatestTime { rates: [Rate::default(); crate::MAX_INPUTS] }
     }
 
-    /// How the rates of all inputs are estimated (`setRateConfig`). A weight that is not in 0 to 1, or a factor below 0, is taken as the
+    /// How the rates of all inputs are estimated (`setRateConfig`). A weight outside of 0 to 1, or a factor below 0, is replaced by the
     /// default.
     #[must_use = "it returns the changed policy"]
     pub fn rate_config(mut self, config: RateConfig) -> Self {
@@ -67,7 +69,8 @@ impl LatestTime {
         self
     }
 
-    /// The same for input `input` (from 0) alone (`setRateConfigPerMessage`). An input that is not there is ignored.
+    /// The same for input `input` (from 0) only (`setRateConfigPerMessage`). An input that does not exist is
+    /// ignored.
     #[must_use = "it returns the changed policy"]
     pub fn rate_config_of(mut self, input: usize, config: RateConfig) -> Self {
         if let Some(rate) = self.rates.get_mut(input) {
@@ -76,7 +79,8 @@ impl LatestTime {
         self
     }
 
-    /// A message of an input has come at this time; whether it makes a set, if one of each input has come.
+    /// Records that a message of an input has arrived at this time. Returns whether it makes a set, provided
+    /// that each input has a message.
     pub fn arrived(&mut self, input: usize, now_ns: i64) -> bool {
         let Some(hz) = self.rates.get_mut(input).and_then(|rate| rate.update(now_ns)) else { return false };
         let is_faster = |(i, other): (usize, &Rate)| {

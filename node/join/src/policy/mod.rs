@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which messages belong together, decided from their stamps, and by [`LatestTime`] from the rates at which they come.
+//! Which messages belong together, decided by their stamps, or with [`LatestTime`] by the rates at which they arrive.
 
 mod approximate;
 mod epsilon;
@@ -11,8 +11,8 @@ pub use epsilon::ApproximateEpsilonTime;
 pub use exact::ExactTime;
 pub use latest_time::{LatestTime, RateConfig};
 
-/// Decides which of the messages that wait are a set. It sees stamps in nanoseconds; whoever calls it keeps the messages, one queue for
-/// each input, and does to them what it says.
+/// Decides which of the waiting messages form a set. It sees only stamps in nanoseconds. The caller keeps the messages, one queue for
+/// each input, and carries out the decisions.
 pub trait Policy {
     /// Most messages of one input that wait.
     fn queue_size(&self) -> usize;
@@ -31,12 +31,12 @@ pub trait Policy {
     fn clear(&mut self);
 }
 
-/// What is to be done with a message that has come.
+/// What to do with a message that has arrived.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arrival {
-    /// It waits, with so many messages of its input before it.
+    /// It waits, with this number of messages of its input before it.
     Wait(usize),
-    /// As the last of its input, and it came sooner after the one before than was promised.
+    /// It waits as the last of its input, but followed the previous one sooner than guaranteed.
     WaitTooClose(usize),
     /// It is dropped.
     Refuse,

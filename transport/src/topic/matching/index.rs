@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which ports other participants have, by the hash of their topics' names. What a port is like stays in its participant's record until
-//! somebody asks.
+//! The ports of other participants, by the hash of their topics' names. A port's properties stay in its participant's record until they
+//! are needed.
 
 use crate::error::TransportError;
 use crate::graph::domain::{Domain, Seen};
@@ -21,13 +21,13 @@ pub(super) struct Index {
     own: u64,
     epoch: Option<u32>,
     members: HashMap<u64, Member>,
-    /// Those of them whose records were read to the end, by their places, as they were then.
+    /// The members whose records were read to the end, by index, with their state at that time.
     last: Vec<Seen>,
     by_topic: HashMap<u64, TopicPorts>,
-    /// Topics of which other hosts have others than before.
+    /// Topics whose remote endpoints have changed.
     remote_changes: BTreeSet<u64>,
     retries: Vec<Found>,
-    /// Participants whose records cannot be read: said once.
+    /// Participants whose records cannot be read: logged once.
     refused: HashSet<u64>,
 }
 
@@ -75,25 +75,26 @@ struct Member {
     grown: u32,
     peer: Arc<Peer>,
     reader: Reader,
-    /// The topics of its ports, and of those of other hosts that it tells of.
+    /// The topics of its ports, and of the remote ports that it announces.
     ports: HashMap<u64, u64>,
     remote: HashMap<u64, u64>,
-    /// The tags of publishers elsewhere that it says have ended.
+    /// The tags of remote publishers whose end it announces.
     ended: HashMap<u64, u64>,
     /// The names of its nodes, hashed.
     nodes: HashMap<u64, u64>,
 }
 
-/// A port: whose, and on what topic.
+/// A port: its identifier, and the hash of its topic.
 pub(super) type Found = (Gid, u64);
 
-/// What has changed since the last look.
+/// What has changed since the last update.
 #[derive(Debug, Default)]
 pub(super) struct IndexUpdate {
     pub(super) added: Vec<Found>,
-    /// Publishers that have ended before they were seen, and what they sent is still there; with what their ports said.
+    /// Publishers that ended before they were seen, but whose samples still exist; with the content of their ports'
+    /// entries.
     pub(super) ended: Vec<(Found, Vec<u8>)>,
-    /// Ports that have gone: whose, on what topic, and whether with their process.
+    /// Ports that have disappeared: identifier, topic, and whether together with their process.
     pub(super) removed: Vec<(Gid, u64, bool)>,
     /// A participant has gone.
     pub(super) gone: bool,

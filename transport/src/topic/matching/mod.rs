@@ -1,15 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Who finds publishers and subscriptions for each other, and connects them.
+//! Matching: finds publishers and subscriptions for each other, and connects them.
 //!
-//! Each participant connects its own publishers: it alone writes into their memory. Whoever makes a port says so in its record first
-//! and looks for others after that, so of two that are made at once at least one sees the other:
+//! Each participant connects its own publishers: only this participant writes into their memory. A participant that creates a port
+//! first writes it to its record, and then reads the other records. So if two ports are created at the same time, at least one sees
+//! the other:
 //!
-//! - A new publisher connects all subscriptions that it finds, of whatever participant, before anybody can publish with it.
-//! - A new subscription connects itself to the publishers of its own participant, and calls the janitors of the others, which connect
-//!   it ([`Matcher::look`]). It waits for them, not for ever: a process may be stopped.
-//! - What is connected a subscription's participant finds in the publisher's memory, and maps what is needed to take from it.
+//! - A new publisher connects all subscriptions that it finds, of any participant, before it can be used to publish.
+//! - A new subscription connects itself to the publishers of its own participant, and calls the janitors of the other participants,
+//!   which connect it ([`Matcher::look`]). It waits for them for a limited time, because a process may be stopped.
+//! - The subscription's participant finds new connections in the publisher's memory, and maps the memory that is needed to
+//!   take from them.
 //!
-//! So threads that publish and take find everything done. All of this is guarded by one lock per participant, which they do not take.
+//! So threads that publish and take find everything prepared. One lock per participant guards this work; those threads never take it.
 
 mod index;
 mod source;
@@ -53,15 +55,16 @@ struct State {
     peer_publishers: PeerPublishers,
     publishers: BTreeMap<u64, Arc<PublisherCore>>,
     subscriptions: BTreeMap<u64, Arc<SubscriptionCore>>,
-    /// The same by the hash of their topics' names.
+    /// The same ports by the hash of their topics' names.
     by_topic: HashMap<u64, OwnPorts>,
-    /// Publishers with subscriptions that have gone and still hold samples.
+    /// Publishers with subscriptions that have ended and still hold samples.
     held_up: BTreeSet<u64>,
-    /// Publishers of others that have ended before anybody here had seen them, until what they sent was found.
+    /// Publishers of other participants that ended before this participant saw them, until their samples have
+    /// been found.
     ended: Vec<(Gid, PortRecord)>,
-    /// Publishers that have ended, until nobody uses what they sent.
+    /// Publishers that have ended, until none of their samples is in use.
     departing: BTreeMap<u64, Arc<PublisherCore>>,
-    /// Subscriptions that have gone, until their samples are back.
+    /// Subscriptions that have ended, until their samples have been returned.
     returning: Vec<Arc<SubscriptionCore>>,
 }
 
@@ -72,17 +75,17 @@ struct OwnPorts {
     subscriptions: BTreeSet<u64>,
 }
 
-/// What a change of the domain, or of an own port, makes necessary.
+/// The work that a change of the domain, or of an own port, makes necessary.
 #[derive(Default)]
 struct Work {
-    /// Own ports that something was done to.
+    /// Own ports that were changed.
     publishers: BTreeMap<u64, Arc<PublisherCore>>,
     subscriptions: BTreeMap<u64, Arc<SubscriptionCore>>,
-    /// Participants whose janitors are to look.
+    /// Participants whose janitors must be called.
     calls: BTreeSet<u64>,
-    /// Publishers that subscriptions of this participant are done with.
+    /// Publishers that subscriptions of this participant no longer use.
     closed: BTreeSet<Gid>,
-    /// Own publishers that nothing is left of.
+    /// Own publishers of which nothing remains.
     released: Vec<u64>,
     outcome: LookOutcome,
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Where a subscription gets what a publisher sends: the publisher's memory, of this participant or mapped from another's file.
+//! Where a subscription gets a publisher's samples: the publisher's memory, of this participant or mapped from another
+//! participant's file.
 
 use crate::error::TransportError;
 use crate::participant::ArenaOwner;

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What becomes of a publisher's or a subscription's matches, of their liveliness and of lost messages: a monitor compares what
-//! is there with what it saw before.
+//! Changes of a publisher's or a subscription's matches, of liveliness, and lost messages: a monitor compares the present state
+//! with the state that it saw before.
 //!
-//! A monitor belongs to whoever wants to know, in any thread; the publisher or subscription goes on without noticing it. It is
-//! told when to look by a ring of the slot it was made with: when the other endpoints of the topic change, when messages are lost, and
-//! when the publisher or subscription ends. What is due at a time is told by the sampler, from an [`Activity`](crate::Activity).
+//! A monitor may be used in any thread, and does not affect the publisher or subscription. The slot that it was created with is rung
+//! when it must check: when the other endpoints of the topic change, when messages are lost, and when the publisher or subscription
+//! ends. The sampler reports what is due at a certain time, from an [`Activity`](crate::Activity).
 //!
-//! A gateway's ports are no endpoints of the topic: the endpoints on other hosts are, for which they stand.
+//! A gateway's ports are not endpoints of the topic; the remote endpoints that they represent are.
 
 mod publisher;
 mod subscription;
@@ -21,58 +21,60 @@ use std::sync::Arc;
 use tautline_doorbell::Slot;
 use tautline_rt::LatestReader;
 
-/// How many endpoints of the topic fit this one: `total_count` have come so far, `current_count` are there.
+/// How many endpoints of the topic match this one: `total_count` have appeared so far, `current_count` exist
+/// now.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Matched {
-    /// All that ever matched.
+    /// All endpoints that ever matched.
     pub total_count: u64,
-    /// Those that came since the last event.
+    /// Endpoints that appeared since the last event.
     pub total_count_change: u64,
-    /// Those that are there.
+    /// Endpoints that match now.
     pub current_count: u64,
-    /// How many more, or fewer, than at the last event.
+    /// The change of `current_count` since the last event.
     pub current_count_change: i64,
 }
 
-/// Endpoints of the topic were found that do not fit this one.
+/// Incompatible endpoints of the topic were found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct IncompatibleQos {
-    /// All that were found.
+    /// All incompatible endpoints that were found.
     pub total_count: u64,
-    /// Those found since the last event.
+    /// Incompatible endpoints found since the last event.
     pub total_count_change: u64,
-    /// What kept the last of them apart.
+    /// The incompatible policy of the last one.
     pub last_policy_kind: QosPolicyKind,
 }
 
-/// Endpoints of the topic were found whose type is another one.
+/// Endpoints of the topic with another type were found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct IncompatibleType {
-    /// All that were found.
+    /// All incompatible endpoints that were found.
     pub total_count: u64,
-    /// Those found since the last event.
+    /// Incompatible endpoints found since the last event.
     pub total_count_change: u64,
 }
 
 /// How many of the matched publishers are alive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct LivelinessChanged {
-    /// Those that are alive.
+    /// Publishers that are alive.
     pub alive_count: u64,
-    /// Those that let their lease pass, and those found killed, or on other hosts no longer found, since the last event.
+    /// Publishers that let their lease expire, and publishers that were killed or, on other hosts, are no longer
+    /// announced, since the last event.
     pub not_alive_count: u64,
-    /// The difference from the last event.
+    /// The change since the last event.
     pub alive_count_change: i64,
-    /// The difference from the last event.
+    /// The change since the last event.
     pub not_alive_count_change: i64,
 }
 
 /// Messages were overwritten before they were taken: see [`SubscriptionCounters::lost`](crate::SubscriptionCounters::lost).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MessageLost {
-    /// All so far.
+    /// All lost messages so far.
     pub total_count: u64,
-    /// Those since the last event.
+    /// Messages lost since the last event.
     pub total_count_change: u64,
 }
 
@@ -99,7 +101,7 @@ impl Drop for Events {
 struct EndpointTracker {
     list: LatestReader<Arc<EndpointList>>,
     is_first: bool,
-    /// As at the last look, in the order of their gids.
+    /// The endpoints at the last check, in the order of their gids.
     known: Vec<Known>,
     former: Vec<Known>,
     matched: u64,
@@ -115,13 +117,13 @@ struct Known {
     mismatch: Option<Mismatch>,
 }
 
-/// What became of them.
+/// What has changed.
 #[derive(Default)]
 struct Changes {
     matched: Option<Matched>,
     incompatible_qos: Option<IncompatibleQos>,
     incompatible_type: Option<IncompatibleType>,
-    /// How many went without a word.
+    /// How many disappeared without a normal end.
     killed: u64,
 }
 

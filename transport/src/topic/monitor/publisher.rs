@@ -8,27 +8,27 @@ use std::sync::Arc;
 use std::time::Duration;
 use tautline_doorbell::{Activity, ActivityKind, Slot};
 
-/// Tells what becomes of a publisher's matches. See [`RawPublisher::monitor`].
+/// Reports changes of a publisher's matches. See [`RawPublisher::monitor`].
 pub struct PublisherMonitor {
     core: Arc<PublisherCore>,
     endpoints: EndpointTracker,
     _events: Events,
 }
 
-/// What changed since a publisher's monitor last looked.
+/// What has changed since a publisher's monitor last checked.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PublisherChanges {
-    /// Subscriptions came or went.
+    /// Subscriptions appeared or disappeared.
     pub matched: Option<Matched>,
-    /// Subscriptions came that request what the publisher does not offer.
+    /// Subscriptions appeared that request what the publisher does not offer.
     pub incompatible_qos: Option<IncompatibleQos>,
-    /// Subscriptions of another type came.
+    /// Subscriptions of another type appeared.
     pub incompatible_type: Option<IncompatibleType>,
 }
 
 impl RawPublisher {
-    /// What tells of this publisher's subscriptions, when `events` is rung. There is one at a time: a second one takes the first
-    /// one's place.
+    /// A monitor that reports changes of this publisher's subscriptions when `events` is rung. A publisher has one monitor at a
+    /// time: a second one replaces the first.
     ///
     /// # Real-time
     /// Setup only.
@@ -41,16 +41,17 @@ impl RawPublisher {
 }
 
 impl PublisherMonitor {
-    /// What changed. The first time: since there was nothing.
+    /// What has changed since the last call; the first time, compared with an empty state.
     ///
     /// # Real-time
-    /// One load if nothing changed; else O(subscriptions), and allocates if there are more than ever before. No syscall.
+    /// One load if nothing has changed; otherwise O(subscriptions), and allocates if there are more than ever before. No
+    /// syscall.
     pub fn look(&mut self) -> PublisherChanges {
         let Changes { matched, incompatible_qos, incompatible_type, .. } = self.endpoints.update();
         PublisherChanges { matched, incompatible_qos, incompatible_type }
     }
 
-    /// Whether the publisher has gone.
+    /// Whether the publisher has ended.
     pub fn has_ended(&self) -> bool {
         self.core.slot.is_retired()
     }
@@ -65,12 +66,12 @@ impl PublisherMonitor {
         &self.core.topic.name
     }
 
-    /// When the publisher last published; kept only if it has a deadline, which it has to keep.
+    /// When the publisher last published, and its deadline; recorded only if it has a deadline.
     pub fn deadline(&self) -> Option<(Activity, Duration)> {
         Some((self.core.slot.activity(ActivityKind::Sample), self.qos().deadline?))
     }
 
-    /// When it last showed that it is alive, and its lease, if it has to.
+    /// When it last asserted its liveliness, and its lease, if its liveliness is manual.
     pub fn lease(&self) -> Option<(Activity, Duration)> {
         let lease = self
             .qos()

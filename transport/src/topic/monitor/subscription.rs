@@ -12,7 +12,7 @@ use std::time::Duration;
 use tautline_doorbell::{Activity, ActivityKind, Slot};
 use tautline_rt::clock::nanoseconds;
 
-/// Tells what becomes of a subscription's publishers and of what they send. See [`RawSubscription::monitor`].
+/// Reports changes of a subscription's publishers, and lost messages. See [`RawSubscription::monitor`].
 pub struct SubscriptionMonitor {
     core: Arc<SubscriptionCore>,
     counters: Arc<SubscriptionCounters>,
@@ -21,25 +21,25 @@ pub struct SubscriptionMonitor {
     lost: u64,
     alive: u64,
     not_alive: u64,
-    /// Of those not alive.
+    /// Of the publishers that are not alive.
     killed: u64,
     _events: Events,
 }
 
-/// What changed since a subscription's monitor last looked.
+/// What has changed since a subscription's monitor last checked.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SubscriptionChanges {
-    /// Publishers came or went.
+    /// Publishers appeared or disappeared.
     pub matched: Option<Matched>,
-    /// Publishers came that do not offer what the subscription requests.
+    /// Publishers appeared that do not offer what the subscription requests.
     pub incompatible_qos: Option<IncompatibleQos>,
-    /// Publishers of another type came.
+    /// Publishers of another type appeared.
     pub incompatible_type: Option<IncompatibleType>,
-    /// Publishers came to life or died.
+    /// Publishers became alive or died.
     pub liveliness: Option<LivelinessChanged>,
     /// Messages were lost.
     pub message_lost: Option<MessageLost>,
-    /// When to look again though nothing rings: when the next lease of a publisher ends.
+    /// When to check again even if nothing rings: when the next lease of a publisher ends.
     pub look_again_ns: Option<u64>,
 }
 
@@ -47,8 +47,8 @@ pub struct SubscriptionChanges {
 const SHORTEST_NS: u64 = 1_000_000;
 
 impl RawSubscription {
-    /// What tells of this subscription's publishers, when `events` is rung. There is one at a time: a second one takes the first
-    /// one's place.
+    /// A monitor that reports changes of this subscription's publishers when `events` is rung. A subscription has one monitor at
+    /// a time: a second one replaces the first.
     ///
     /// # Real-time
     /// Setup only.
@@ -62,7 +62,8 @@ impl RawSubscription {
 }
 
 impl SubscriptionMonitor {
-    /// What changed by `now_ns`, on `CLOCK_MONOTONIC`. The first time: since there was nothing.
+    /// What has changed since the last call, by the `CLOCK_MONOTONIC` time `now_ns`; the first time, compared
+    /// with an empty state.
     ///
     /// # Real-time
     /// O(publishers); no syscall; allocates if there are more publishers than ever before.
@@ -116,7 +117,7 @@ impl SubscriptionMonitor {
         Some(changed)
     }
 
-    /// Whether the subscription has gone.
+    /// Whether the subscription has ended.
     pub fn has_ended(&self) -> bool {
         self.core.slot.is_retired()
     }
@@ -131,7 +132,8 @@ impl SubscriptionMonitor {
         &self.core.topic.name
     }
 
-    /// When a sample last came, taken or not, and how long the next one may take, if the subscription has a deadline.
+    /// When the last sample arrived, taken or not, and the deadline of the next one, if the subscription has a
+    /// deadline.
     pub fn deadline(&self) -> Option<(Activity, Duration)> {
         Some((self.core.slot.activity(ActivityKind::Sample), self.qos().deadline?))
     }

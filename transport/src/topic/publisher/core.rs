@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The part of a publisher that is set up: its memory, and which subscriptions it is connected to. Shared by the publisher and by whoever
-//! finds subscriptions for it; the thread that publishes works with what is handed over to it: see [`sender`](super::sender).
+//! The setup part of a publisher: its memory, and the subscriptions that it is connected to. The publisher and the matching code share
+//! it. The thread that publishes works with a table that is handed over to it: see [`sender`](super::sender).
 
 use super::PublisherRole;
 use super::history::History;
@@ -43,7 +43,7 @@ pub(crate) struct PublisherCore {
     pub(crate) is_relay: bool,
     /// Each sample goes to one subscription: responses.
     pub(crate) is_addressed: bool,
-    /// Of a server's responses: the port of its requests.
+    /// For a server's responses: the port of its requests.
     partner: Option<u64>,
     pub(crate) slot: Arc<Slot>,
     pub(crate) history: Option<History>,
@@ -55,26 +55,28 @@ pub(crate) struct PublisherCore {
     setup: Mutex<Setup>,
 }
 
-/// Guarded by a lock that publishing never takes, but for a message that is longer than all before.
+/// Guarded by a lock that publishing never takes, except for a message that is longer than all messages
+/// before.
 struct Setup {
     memory: Arc<OwnMemory>,
     record: Arc<OwnRecord>,
     control: Option<Control>,
     pool: Pool,
-    /// Of the samples that are loaned. There may be segments of shorter ones, until nobody uses them.
+    /// The size of the samples that are loaned. There may also be segments with shorter samples, until none
+    /// of these is in use.
     sample_bytes: usize,
-    /// There are other segments than when this was last asked.
+    /// The segments have changed since this was last checked.
     has_grown: bool,
-    /// Of those that there were after so many changes.
+    /// Views of the segments, with the number of changes at which they were made.
     views: Option<(SegmentViews, u32)>,
     proxies: Chunks<ReaderProxy>,
-    /// Those that are in no table yet that was handed over.
+    /// Senders that are not yet in a table that was handed over.
     unserved: Vec<Arc<Sender>>,
-    /// How many of those are retired.
+    /// How many of them are retired.
     retired: usize,
-    /// How long their lists of samples that are out are at least, or will be, in words.
+    /// Minimum length of their lists of samples in use, now or soon, in words.
     words: usize,
-    /// What they ask for.
+    /// What they require.
     demand: Demand,
     endpoints: Endpoints,
     table: LatestWriter<Arc<Table>>,

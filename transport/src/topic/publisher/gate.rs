@@ -3,19 +3,19 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Lets publishers send, or keeps them silent: many may have the same one. A clone is the same gate.
+/// Lets publishers send, or silences them. Several publishers may share one gate. A clone is the same gate.
 #[derive(Clone, Debug, Default)]
 pub struct Gate {
     is_open: Arc<AtomicBool>,
 }
 
 impl Gate {
-    /// A gate that is shut.
+    /// A closed gate.
     pub fn new() -> Self {
         Gate::default()
     }
 
-    /// Opens or shuts it. What is being published meanwhile may still be sent.
+    /// Opens or closes it. Messages that are being published at that moment may still be sent.
     ///
     /// # Real-time
     /// Wait-free; no syscall.

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Transient local: the last samples of a publisher are kept for late joiners.
 //!
-//! The publisher has one more reference to each of them. Who sets up a late joiner's connection submits them there, before the
-//! publisher knows of it; so a late joiner takes its history like everything else, without a copy, even of a publisher that stays
-//! silent for ever.
+//! The publisher holds one more reference to each of these samples. The setup code of a late joiner's connection submits them to
+//! the connection before the publisher knows of it. So a late joiner takes its history like all other samples, without a copy,
+//! even from a publisher that stays silent forever.
 //!
-//! Whoever sets up has no right to a sample that the publisher may give back at any moment. So it first adds a reference to a sample
-//! that has some, and then looks whether it is still the one that is kept.
+//! The publisher may release a kept sample at any moment, so the setup code may not simply use it. It first adds a reference to a
+//! sample that still has references, and then checks whether this sample is still the one that is kept.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -16,7 +16,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// What is said of a place where nothing is kept.
 const NONE: u64 = u64::MAX;
 
-/// Where the samples that are kept lie, each at the place of its number.
+/// The positions of the kept samples, each at the index of its number.
 pub(crate) struct History {
     kept: Box<[AtomicU64]>,
 }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Loaning and publishing.
 //!
-//! In `publish`, in this order: subscriptions that came or went are taken over; room is checked if this publisher keeps all; the
-//! header is written; the sample is kept for late joiners, if that is asked for, and submitted to every subscription; the doorbells
-//! are rung.
+//! Steps of `publish`, in this order: new and ended subscriptions are taken over; room is checked if this publisher keeps all; the
+//! header is written; the sample is kept for late joiners, if required, and submitted to every subscription; the doorbells are
+//! rung.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -29,11 +29,11 @@ use tautline_rt::clock::{monotonic_ns, wall_ns};
 /// or held is out.
 const TAKEN_BACK: usize = 2;
 
-/// A body to write in place: `&mut [u8]` in shared memory, at an address that is a multiple of 8. Dropping it gives it
-/// back unsent.
+/// A body to write in place: `&mut [u8]` in shared memory, at an address that is a multiple of 8. Dropping it returns
+/// the memory without sending.
 pub struct RawLoan<'p> {
     publisher: &'p RawPublisher,
-    /// It stays as long as one of its samples is out: this one.
+    /// It exists as long as one of its samples is in use, such as this one.
     segment: NonNull<Segment>,
     index: usize,
     payload: NonNull<[u8]>,
@@ -43,24 +43,26 @@ pub struct RawLoan<'p> {
 /// What is left behind where there is no room.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum WhenFull {
-    /// Nothing: the caller tries again when it likes.
+    /// Nothing: the caller tries again later.
     Leave,
-    /// A request to be rung at the next take.
+    /// Request a ring at the subscription's next take.
     Ask,
 }
 
-/// What a sample's header says of its origin.
+/// The origin in a sample's header.
 #[derive(Clone, Copy)]
 pub(crate) enum Stamp {
     /// Published and released now.
     Now,
     /// Published now, released at this `CLOCK_MONOTONIC` time.
     ReleasedAt(u64),
-    /// Of a service's request and its response: published and released now, told apart by what the client says.
+    /// For a service's request and its response: published and released now, identified by the client's
+    /// information.
     OfRequest(MessageInfo),
-    /// Published elsewhere, released now, to be delivered for so many nanoseconds.
+    /// Published elsewhere, released now; may be delivered for this number of nanoseconds.
     As(MessageInfo, u64),
-    /// Published before: its number, if it is not 0, its time stamp, and when it is released now.
+    /// Published earlier, and recorded: its number, if it is not 0, its time stamp, and the time of its new
+    /// release.
     Again(MessageInfo),
 }
 
@@ -85,14 +87,14 @@ impl RawPublisher {
     /// write every byte.
     ///
     /// # Real-time
-    /// Lock-free, O(subscriptions), and O(samples that came back) if no other is free: tries again only while the janitor gives samples
-    /// of a subscription back that has gone; no allocation; no syscall. For a type without a fixed size, a body that
-    /// is longer than `Limits::message_bytes` and than all before takes a larger segment, and a publisher whose memory is claimed on
-    /// use may take more samples: allocates, maps memory, takes a lock.
+    /// Lock-free, O(subscriptions), and O(returned samples) if no other sample is free: retries only while the janitor returns samples
+    /// of a subscription that has ended; no allocation; no syscall. For a type without a fixed size, a body that is longer than
+    /// `Limits::message_bytes` and than all bodies before needs a larger segment, and a publisher whose memory is claimed on use may
+    /// need more samples: allocates, maps memory, takes a lock.
     ///
     /// # Errors
-    /// [`LoanError::Exhausted`]: `Limits::loans` are out already. [`LoanError::TooLarge`]: longer than the topic's fixed size,
-    /// rounded up to 8, or than `Limits::message_bytes` without `Limits::may_grow`, or than
+    /// [`LoanError::Exhausted`]: `Limits::loans` loans are already in use. [`LoanError::TooLarge`]: longer than the topic's
+    /// fixed size, rounded up to 8, or than `Limits::message_bytes` without `Limits::may_grow`, or than
     /// [`Limits::MAX_MESSAGE_BYTES`](crate::Limits::MAX_MESSAGE_BYTES). [`LoanError::OutOfMemory`].
     pub fn loan(&self, len_bytes: usize) -> Result<RawLoan<'_>, LoanError> {
         if len_bytes > self.most_bytes {
@@ -275,7 +277,8 @@ impl RawPublisher {
         })
     }
 
-    /// Says that this publisher is alive, as publishing does: for one whose liveliness is manual and that has nothing to say.
+    /// Asserts that this publisher is alive, as publishing does: for publishers with manual liveliness that have nothing to
+    /// publish.
     ///
     /// # Real-time
     /// Wait-free, O(subscriptions); no allocation; no syscall.
@@ -302,8 +305,8 @@ impl RawPublisher {
         }
     }
 
-    /// Whether every subscription there is has taken all that was sent, as far as it is known. Those that come or go meanwhile may be
-    /// counted or not.
+    /// Whether every existing subscription has taken all samples that were sent, as far as known. Subscriptions that appear or
+    /// disappear meanwhile may or may not count.
     ///
     /// # Real-time
     /// Wait-free, O(subscriptions); no allocation; no syscall.
@@ -381,7 +384,8 @@ impl<'p> RawLoan<'p> {
         unsafe { self.payload.as_mut() }
     }
 
-    /// Shortens the body to its first bytes, if it is longer: for who loaned as much as a message can take.
+    /// Shortens the body to its first `len_bytes` bytes, if it is longer: for callers that loaned the maximum
+    /// length of a message.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -413,8 +417,8 @@ impl<'p> RawLoan<'p> {
     /// # Real-time
     /// As [`loan`](RawPublisher::loan), O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per
     /// callback thread that sleeps and is woken directly; no other syscall.
-    /// When subscriptions have come or gone since the last call: O(subscriptions x samples / 64) besides. A publisher whose memory
-    /// is claimed on use may make system calls.
+    /// When subscriptions have appeared or disappeared since the last call: in addition O(subscriptions x samples / 64). A
+    /// publisher whose memory is claimed on use may make system calls.
     ///
     /// # Errors
     /// [`SendError`], with the loan: nothing was sent.
@@ -422,8 +426,8 @@ impl<'p> RawLoan<'p> {
         self.publish_with(Sending::of(Stamp::Now))
     }
 
-    /// Publishes with a release time of the caller's: what response times are measured from, such as the instant at
-    /// which a periodic publisher should have woken. In `CLOCK_MONOTONIC` nanoseconds.
+    /// Publishes with a release time set by the caller, in `CLOCK_MONOTONIC` nanoseconds. Response times are
+    /// measured from the release time, for example the time at which a periodic publisher should have woken.
     ///
     /// # Real-time
     /// As [`publish`](Self::publish).
@@ -435,7 +439,7 @@ impl<'p> RawLoan<'p> {
     }
 
     /// Publishes a message that came from another host: subscriptions read its number, time stamp and publisher in their
-    /// [`MessageInfo`]. It is released here and now, and losses are counted by this publisher's own numbers, so messages of
+    /// [`MessageInfo`]. Its release time is now, and losses are counted by this publisher's own numbers, so messages of
     /// many remote publishers may go through one port.
     ///
     /// # Real-time
@@ -447,8 +451,8 @@ impl<'p> RawLoan<'p> {
         self.publish_with(Sending::of(Stamp::As(source, NEVER)))
     }
 
-    /// As [`publish_as`](Self::publish_as), for a message that is still to be delivered for `left`: what its publisher's lifespan
-    /// leaves of it.
+    /// Like [`publish_as`](Self::publish_as), for a message that may still be delivered for the time `left`, the rest of its
+    /// publisher's lifespan.
     ///
     /// # Real-time
     /// As [`publish`](Self::publish).
@@ -464,8 +468,8 @@ impl<'p> RawLoan<'p> {
         self.publish_with(Sending::of(Stamp::As(source, left_ns)))
     }
 
-    /// Publishes a message that was recorded: subscriptions read in their [`MessageInfo`] the number and time stamp that it had then (of
-    /// the number 0, that of this publisher), and `source.released_ns` as its release now. It is this publisher's all the same.
+    /// Publishes a recorded message: subscriptions read in their [`MessageInfo`] its recorded number and time stamp (for the number 0,
+    /// this publisher's number), and `source.released_ns` as its new release time. The message still counts as one of this publisher.
     ///
     /// # Real-time
     /// As [`publish`](Self::publish).
@@ -477,13 +481,13 @@ impl<'p> RawLoan<'p> {
     }
 
     /// Publishes as soon as every keep-all subscription has room. Only one loan of a publisher may wait at a time: a second
-    /// one takes the first one's place, which then waits until it is polled for another reason.
+    /// one replaces the first, which then waits until it is polled for another reason.
     ///
     /// # Real-time
     /// Each poll as [`publish`](Self::publish); woken through this process's sampler when a subscription has taken.
     ///
     /// # Errors
-    /// [`PublishError::Loan`]: there is no memory.
+    /// [`PublishError::Loan`]: out of memory.
     pub async fn publish_when_ready(self) -> Result<(), PublishError> {
         let mut waiting = Some(self);
         poll_fn(|context| {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Publishers of bytes: loan, write in place, publish. What is above knows the type.
+//! Untyped publishers: loan, write in place, publish. The layer above knows the type.
 
 pub(crate) mod core;
 mod gate;
@@ -29,32 +29,32 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use tautline_doorbell::{ActivityKind, Slot};
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 
-/// Publishes bodies of CDR on one topic, of whatever type. What is written is not looked at.
+/// Publishes CDR bodies of any type on one topic. The bodies are not inspected.
 ///
-/// May be moved to another thread, and is used by one at a time.
+/// May be moved between threads, but only one thread uses it at a time.
 pub struct RawPublisher {
     core: Arc<PublisherCore>,
     publish_state: RefCell<PublishState>,
-    /// How many loans are out.
+    /// The number of loans in use.
     loaned: Cell<usize>,
     keep_all: bool,
     gate: Option<Gate>,
-    /// Whether it has to show that it is alive.
+    /// Whether its liveliness is manual.
     is_manual: bool,
     /// `u64::MAX` without one.
     lifespan_ns: u64,
     trace: tautline_trace::Object,
-    /// The longest body that it sends.
+    /// The length of the longest body that it sends.
     most_bytes: usize,
     /// Bytes of a sample that fits without a larger segment.
     sample_bytes: Cell<usize>,
     counters: Arc<PublisherCounters>,
     participant: Arc<ParticipantState>,
-    /// Whose it is: that is there at least as long.
+    /// Its node, which exists at least as long.
     _node: Option<Arc<Entry>>,
 }
 
-/// What happened to one publisher's memory, readable from any thread.
+/// Counters of one publisher, readable from any thread.
 #[derive(Debug, Default)]
 pub struct PublisherCounters {
     growths: AtomicU64,
@@ -62,14 +62,14 @@ pub struct PublisherCounters {
 }
 
 impl PublisherCounters {
-    /// How often a message was longer than any before and than `Limits::message_bytes`, or needed a sample that was not claimed
-    /// ahead, so that a segment had to be made: allocations and system calls in a loan. 0 is what a real-time publisher should
-    /// read.
+    /// How often a new segment was created, with allocations and system calls in a loan: because a message was longer than
+    /// `Limits::message_bytes` and all messages before, or needed a sample that was not claimed ahead. For a real-time
+    /// publisher this should be 0.
     pub fn growths(&self) -> u64 {
         self.growths.load(Ordering::Relaxed)
     }
 
-    /// Messages that were not sent because the publisher's [`Gate`] was shut.
+    /// Messages that were not sent because the publisher's [`Gate`] was closed.
     pub fn silenced(&self) -> u64 {
         self.silenced.load(Ordering::Relaxed)
     }
@@ -128,7 +128,8 @@ impl RawPublisher {
         })
     }
 
-    /// The same, silent while `gate` is shut: publishing then succeeds, and is counted, but nothing is sent.
+    /// The same publisher, silent while `gate` is closed: publishing then succeeds, and is counted, but
+    /// nothing is sent.
     #[must_use = "it returns the changed publisher"]
     pub fn with_gate(mut self, gate: Gate) -> Self {
         self.gate = Some(gate);
@@ -145,7 +146,7 @@ impl RawPublisher {
         &self.core.topic.name
     }
 
-    /// The quality of service that was asked for.
+    /// The requested quality of service.
     pub fn qos(&self) -> Qos {
         self.core.qos
     }
@@ -155,7 +156,7 @@ impl RawPublisher {
         self.core.gid
     }
 
-    /// For a mirror that publishes through it, and tells a trace what it has received.
+    /// For a mirror that publishes through this port, and records in a trace what it has received.
     pub fn traced(&self) -> TracedPort {
         TracedPort(self.trace.id())
     }
@@ -169,12 +170,12 @@ impl RawPublisher {
         Limits { message_bytes, may_grow, ..limits }
     }
 
-    /// What this publisher knows of the topic's type.
+    /// What this publisher knows about the topic's type.
     pub fn topic_type(&self) -> &TopicType {
         &self.core.topic.topic_type
     }
 
-    /// How many samples were sent.
+    /// The number of samples sent.
     pub fn sent(&self) -> u64 {
         self.core.published.load(Ordering::Acquire)
     }
@@ -203,7 +204,8 @@ impl RawPublisher {
         }
     }
 
-    /// Number of subscriptions on this host that match. Those that a gateway stands for are not counted.
+    /// Number of matching subscriptions on this host. Remote subscriptions that a gateway represents are not
+    /// counted.
     ///
     /// # Real-time
     /// Wait-free: one load.
@@ -211,17 +213,18 @@ impl RawPublisher {
         self.core.matched.load(Ordering::Acquire)
     }
 
-    /// As [`subscription_count`](Self::subscription_count), to be asked from any thread.
+    /// Like [`subscription_count`](Self::subscription_count), readable from any thread.
     pub fn matched(&self) -> MatchedCount {
         MatchedCount(self.core.matched.clone())
     }
 
-    /// Waits until the topic has a subscription, on this host or on one that a gateway tells of. The future borrows nothing of
-    /// the publisher, looks when the graph changes and not otherwise, and allocates: it is not for callbacks with deadlines.
+    /// Waits until the topic has a subscription, on this host or on a host that a gateway announces. The future borrows
+    /// nothing from the publisher. It checks only when the graph changes, and allocates: it is not for callbacks with
+    /// deadlines.
     ///
     /// # Errors
-    /// [`TransportError::Thread`] if the thread that looks at the graph, one for all of a participant, cannot be started. The
-    /// future's: those of [`Participant::graph`].
+    /// [`TransportError::Thread`] if the thread that watches the graph, one per participant, cannot be started. Errors of the
+    /// future: those of [`Participant::graph`].
     pub fn wait_for_subscriptions(
         &self,
     ) -> Result<impl Future<Output = Result<(), TransportError>> + Send + use<>, TransportError> {
@@ -241,7 +244,7 @@ impl RawPublisher {
     }
 }
 
-/// How many ends of the other kind match an end of a topic: a count that any thread may read.
+/// The number of endpoints that match an endpoint of a topic: a count that any thread may read.
 #[derive(Clone)]
 pub struct MatchedCount(pub(crate) Arc<AtomicUsize>);
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One subscription as its publisher sees it, and the table of all of them.
+//! Reader proxies: one subscription as its publisher sees it, and the table of all subscriptions.
 //!
-//! Subscriptions come and go by the hands of whoever sets things up: under the publisher's setup lock. The thread that publishes takes
-//! no lock: it finds a new table ([`Table`]) when it next publishes. Who may use a sender's sending half (the publisher's end of the
-//! queues, and the list of samples that are out) its [`HandOver`] says. Setup holds a new one if the publisher published something
-//! meanwhile that a late joiner is to get; one that is retired is drained by whoever has it.
+//! Setup code adds and removes subscriptions under the publisher's setup lock. The thread that publishes takes no lock: it finds a new
+//! table ([`Table`]) when it next publishes. A sender's [`HandOver`] states who may use its sending half (the publisher's end of the
+//! queues, and the list of samples in use). Setup code holds a new one if the publisher has meanwhile published something that a late
+//! joiner must get; a retired one is drained by its present owner.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -24,15 +24,16 @@ use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering, fence};
 use tautline_doorbell::{Activity, ActivityKind, Flags, Sleeper};
 use tautline_rt::{LatestReader, clock::monotonic_ns};
 
-/// What a publisher knows of a subscription.
+/// What a publisher knows about a subscription.
 pub(crate) struct Sender {
     pub(crate) subscription: Gid,
     pub(crate) depth: u64,
-    /// Samples that its queues have memory for, the longer one.
+    /// The number of samples for which its queues have memory (of the longer queue).
     places: usize,
     /// A publisher that keeps all must not overwrite in its queue.
     pub(crate) keeps_all: bool,
-    /// It looks on: it gets what is sent to one subscription as well, and is never waited for.
+    /// It is an observer: it also gets samples that are sent to one subscription only, and the publisher
+    /// never waits for it.
     pub(crate) is_observer: bool,
     /// Of a client's responses: the port of its requests.
     pub(crate) partner: Option<u64>,
@@ -40,28 +41,28 @@ pub(crate) struct Sender {
     slot: usize,
     connection: Connection,
     turn: HandOver,
-    /// The subscription has gone, and samples of it are out.
+    /// The subscription has ended, and some of its samples are still in use.
     leaving: AtomicBool,
-    /// As far as it was preloaded; all there is if it gets nothing that was published before.
+    /// The number up to which it was preloaded; everything, if it gets no sample that was published before.
     loaded: AtomicU64,
-    /// How many samples the list of those that are out has room for.
+    /// The capacity of the list of samples in use.
     room: AtomicUsize,
     half: UnsafeCell<Half>,
 }
 
 /// The sending half.
 struct Half {
-    /// The samples that were submitted and did not come back: a bit for each number.
+    /// The samples that were submitted and not returned yet: one bit for each number.
     out: Box<[u64]>,
-    /// The number of the last sample that was submitted, or was there when it was preloaded.
+    /// The number of the last sample that was submitted, or that existed when it was preloaded.
     last: u64,
-    /// It gets what is kept for late joiners.
+    /// It gets the samples kept for late joiners.
     wants_history: bool,
-    /// How many samples have gone through.
+    /// The number of samples submitted so far.
     submitted: u64,
-    /// For how many the memory of the queues is claimed, if that is claimed as it is used.
+    /// The number of samples for which the queues' memory is claimed, if it is claimed on use.
     claimed: usize,
-    /// Who is to be woken for the sample that is being published.
+    /// The sleeper to wake for the sample that is being published.
     sleeper: Option<Sleeper>,
 }
 
@@ -71,14 +72,14 @@ unsafe impl Sync for Sender {}
 // SAFETY: as above; nothing in it belongs to a thread.
 unsafe impl Send for Sender {}
 
-/// What the thread that publishes works with: made anew when subscriptions or segments have come or gone.
+/// The working table of the publishing thread: replaced when subscriptions or segments are added or removed.
 pub(crate) struct Table {
-    /// Those of a participant next to each other.
+    /// Grouped by participant.
     pub(super) proxies: Chunks<ReaderProxy>,
     pub(crate) pool: Pool,
-    /// What samples are loaned from: the segments of this size.
+    /// The sample size of the segments from which samples are loaned.
     pub(crate) sample_bytes: usize,
-    /// Whether memory of queues is claimed as it is used.
+    /// Whether memory of queues is claimed on use.
     pub(crate) claims_on_use: bool,
 }
 

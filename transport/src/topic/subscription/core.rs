@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The part of a subscription that is set up: which publishers it is connected to. Shared by the subscription and by whoever finds
-//! publishers for it; the thread that takes works with what is handed over to it: see [`receiver`](super::receiver).
+//! The setup part of a subscription: the publishers that it is connected to. The subscription and the matching code share it. The
+//! thread that takes works with a table that is handed over to it: see [`receiver`](super::receiver).
 
 use super::receiver::{Entry, Receiver, Table, TakeState};
 use super::{LivelinessSource, SubscriptionRole};
@@ -31,7 +31,7 @@ pub(crate) struct SubscriptionCore {
     pub(crate) limits: Limits,
     pub(crate) is_relay: bool,
     is_observer: bool,
-    /// Of a client's responses: the port of its requests.
+    /// For a client's responses: the port of its requests.
     partner: Option<u64>,
     pub(crate) slot: Arc<Slot>,
     /// Publishers on this host that match.
@@ -42,16 +42,16 @@ pub(crate) struct SubscriptionCore {
     pub(crate) is_returned: AtomicBool,
     /// The thread that takes wants whoever sets up to look: a sample cannot be reached, or an ended publisher has nothing left.
     pub(crate) has_called: AtomicBool,
-    /// Publishers that are expected, and that are to be closed.
+    /// Publishers that are expected, and publishers that must be closed.
     unfinished: AtomicUsize,
     setup: Mutex<Setup>,
 }
 
 struct Setup {
     proxies: Chunks<WriterProxy>,
-    /// Those of them that have ended, in that order.
+    /// The publishers that have ended, in the order of their ends.
     ended: Vec<Gid>,
-    /// Publishers that have ended and that a sample, or the table of the taking thread, still refers to.
+    /// Publishers that have ended, but to which a sample, or the table of the taking thread, still refers.
     closing: Vec<WriterProxy>,
     /// Publishers whose participant has not made a connection yet.
     expected: Vec<DiscoveredPublisher>,
@@ -79,7 +79,7 @@ pub(crate) struct DiscoveredPublisher {
     gid: Gid,
     port: PortRecord,
     source: Source,
-    /// It has gone; whether with its participant.
+    /// It has ended; the value states whether together with its participant.
     gone: Option<bool>,
 }
 

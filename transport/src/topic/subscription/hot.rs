@@ -18,7 +18,7 @@ use futures::Stream;
 use tautline_msgs::cdr::{DecodeError, DecodeFault, FieldPath};
 use tautline_rt::clock::monotonic_ns;
 
-/// A body in shared memory. At most `Limits::held` of one subscription are alive at once; they may be dropped in any
+/// A body in shared memory. A subscription lends at most `Limits::held` samples at once; they may be dropped in any
 /// thread.
 pub struct RawSample {
     /// The body and what follows it, up to a multiple of 8.
@@ -37,8 +37,8 @@ unsafe impl Send for RawSample {}
 unsafe impl Sync for RawSample {}
 
 impl RawSample {
-    /// The message's CDR, without the 4 encapsulation bytes, at an address that is a multiple of 8. Nobody has looked
-    /// whether it is a message of the topic's type.
+    /// The message's CDR, without the 4 encapsulation bytes, at an address that is a multiple of 8. It has not been
+    /// checked whether it is a message of the topic's type.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
@@ -48,7 +48,7 @@ impl RawSample {
 
     /// The body and what follows it, up to a multiple of 8.
     pub(crate) fn payload(&self) -> &[u8] {
-        // SAFETY: `payload` are the bytes of a sample that `_lent` keeps on its shelf, mapped. A publisher does not write
+        // SAFETY: `payload` are the bytes of a sample that `_lent` keeps borrowed and mapped. A publisher does not write
         // to a sample that a subscription holds.
         unsafe { self.payload.as_ref() }
     }
@@ -65,19 +65,20 @@ impl RawSample {
         self.kind
     }
 
-    /// Whether it is a message: not a server's word that there will be no answer, which besides clients only
-    /// [`create_service_observer`](crate::Participant::create_service_observer)'s subscriptions meet.
+    /// Whether it is a message, and not a server's notice that there will be no response. Only clients and
+    /// subscriptions of [`create_service_observer`](crate::Participant::create_service_observer) get such
+    /// notices.
     pub fn is_message(&self) -> bool {
         self.kind == SampleKind::Message
     }
 
-    /// The publisher on this host that the message came through: [`MessageInfo::publisher_gid`], unless that one is on
-    /// another host.
+    /// The publisher on this host through which the message came: [`MessageInfo::publisher_gid`], unless the original
+    /// publisher is on another host.
     pub fn port_gid(&self) -> Gid {
         self.port_gid
     }
 
-    /// Counts what went through that port, from 1, whoever published it first.
+    /// The message's number in that port, from 1, independent of its original publisher.
     pub fn port_sequence_number(&self) -> u64 {
         self.port_sequence_number
     }
@@ -90,14 +91,14 @@ impl core::fmt::Debug for RawSample {
 }
 
 impl RawSubscription {
-    /// Takes the oldest sample of a publisher, if there is one. Samples that have expired are passed over: after 16 in one call it
-    /// returns `None` and rings this subscription's doorbell, as if what is behind them had just been published.
+    /// Takes the oldest sample of a publisher, if there is one. Expired samples are skipped: after 16 of them in one call it
+    /// returns `None` and rings this subscription's doorbell, as if the samples behind them had just been published.
     ///
     /// # Real-time
-    /// Lock-free, O(publishers), at most 16 samples looked at: a publisher that overwrites what is being taken makes it take what
-    /// comes next. No allocation; no syscall, except one futex wake if a keep-all publisher waits for room and its sampler sleeps, one
-    /// if messages were lost and somebody watches for that, one if 16 were passed over and this process's sampler sleeps, and one
-    /// for each publisher that has ended, or sends from memory that is not mapped here yet.
+    /// Lock-free, O(publishers), at most 16 samples checked: if a publisher overwrites the sample that is being taken, the next one is
+    /// taken. No allocation; no syscall, except one futex wake if a keep-all publisher waits for room and its sampler sleeps, one if
+    /// messages were lost and a monitor watches for that, one if 16 samples were skipped and this process's sampler sleeps, and one
+    /// for each publisher that has ended, or that sends from memory that is not mapped here yet.
     ///
     /// # Errors
     /// [`TakeError`]. A sample whose header is invalid is consumed.
@@ -110,18 +111,19 @@ impl RawSubscription {
         taken
     }
 
-    /// Whether there is something to take; it may have expired.
+    /// Whether there is a sample to take; it may have expired.
     ///
     /// # Real-time
-    /// Lock-free, O(publishers): a publisher that overwrites what is looked at makes it look again; no allocation; no syscall, except
-    /// one futex wake if something comes from memory that is not mapped here yet.
+    /// Lock-free, O(publishers): if a publisher overwrites the checked sample, it checks again; no allocation; no syscall, except one
+    /// futex wake if a sample lies in memory that is not mapped here yet.
     pub fn has_samples(&self) -> bool {
         let mut take_state = self.take_state.borrow_mut();
         take_state.refresh();
         take_state.has_samples(|outcome| self.note_outcome(outcome))
     }
 
-    /// How many messages came that were neither taken nor counted as lost: at most the depth of them can still be taken.
+    /// How many messages have arrived and were neither taken nor counted as lost. At most `depth` of them can still be
+    /// taken.
     ///
     /// # Real-time
     /// O(publishers); no allocation; no syscall.
@@ -138,7 +140,8 @@ impl RawSubscription {
         take_state.has(publisher)
     }
 
-    /// Whether the participant that has this port is in the domain: who was buried may still be in one of its topics' tables.
+    /// Whether the participant of this port is in the domain: a participant that was cleaned up may still be in one of its
+    /// topics' tables.
     pub(crate) fn has_participant_of(&self, port: Gid) -> bool {
         self.registration.participant.domain.members().any(|member| member.id == port.participant())
     }
@@ -237,8 +240,8 @@ impl RawSubscription {
         add(&self.counters.invalid, 1);
     }
 
-    /// Takes the oldest valid sample, if there is one. Invalid ones are counted and passed over, like those that
-    /// [`try_take`](Self::try_take) passes over: 16 of all kinds in one call. Refusals are counted.
+    /// Takes the oldest valid sample, if there is one. Invalid samples are counted and skipped, like those that
+    /// [`try_take`](Self::try_take) skips: at most 16 of all kinds in one call. Refusals are counted.
     ///
     /// # Real-time
     /// As [`try_take`](Self::try_take).
@@ -268,12 +271,12 @@ impl RawSubscription {
         }
     }
 
-    /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it. `None`: its node, if it has one, had
-    /// ended before the look, and all that had come was given out.
+    /// Polls for a sample. Registers the task before the check, so that a ring after the check wakes it. `None`: its node, if it has one,
+    /// had ended before the check, and all samples that had arrived were delivered.
     ///
     /// # Real-time
-    /// As [`try_take_valid`](Self::try_take_valid), but the task is woken itself: after 16 samples that are passed over other tasks
-    /// of the thread have a turn.
+    /// Like [`try_take_valid`](Self::try_take_valid), but the task itself is woken: after 16 skipped samples other tasks of the
+    /// thread get a turn.
     pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Option<RawSample>> {
         self.poll_within(context, &mut PollBudget::new())
     }
@@ -297,7 +300,7 @@ impl RawSubscription {
                 Ok(None) if has_ended => return Poll::Ready(None),
                 Ok(None) => return Poll::Pending,
                 Err(TakeError::Invalid(_)) => {}
-                // Not rung for, so that it may drain on: the shelf wakes.
+                // Not rung, so that it may continue to drain: the return of a borrowed sample wakes it.
                 Err(TakeError::TooManyHeld) => {
                     add(&self.counters.refused, 1);
                     budget.spend();

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Subscriptions to bytes: take a sample and read it in place, or poll for one from a task. What is above knows the type.
+//! Untyped subscriptions: take a sample and read it in place, or poll for one from a task. The layer above knows the
+//! type.
 
 pub(crate) mod core;
 mod hot;
@@ -26,38 +27,38 @@ use std::sync::{Arc, Weak};
 use std::task::Waker;
 use tautline_doorbell::{BellRoute, Slot, ThreadBell};
 
-/// Receives bodies of CDR from one topic, of whatever type. A stream of [`RawSample`]s, or
+/// Receives CDR bodies of any type from one topic. A stream of [`RawSample`]s, or
 /// [`try_take`](RawSubscription::try_take).
 ///
-/// May be moved to another thread, and is used by one at a time. Its samples may be dropped anywhere; their memory goes
-/// back to the publisher when this subscription next takes.
+/// May be moved between threads, but only one thread uses it at a time. Its samples may be dropped in any thread; their
+/// memory returns to the publisher at this subscription's next take.
 pub struct RawSubscription {
     // Dropped in this order.
     take_state: RefCell<TakeState>,
     shelf: Shelf<Held>,
-    /// What the polls before found.
+    /// The result of the previous polls.
     poll_state: Cell<PollState>,
     /// The callback thread that publishers wake.
     thread: RefCell<Option<BellRoute>>,
     trace: tautline_trace::Object,
     counters: Arc<SubscriptionCounters>,
     registration: Registration,
-    /// Whose it is: that is there at least as long.
+    /// Its node, which exists at least as long.
     _node: Option<Arc<Entry>>,
 }
 
 /// How polls go.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum PollState {
-    /// The last one found nothing: publishers ring.
+    /// The last poll found nothing: publishers ring.
     Waiting,
-    /// It found a sample.
+    /// The last poll found a sample.
     Took,
-    /// Those before it did, too: publishers need not ring.
+    /// The polls before it found samples, too: publishers need not ring.
     Draining,
 }
 
-/// What happened to the messages of one subscription, readable from any thread.
+/// Counters of one subscription's messages, readable from any thread.
 #[derive(Debug, Default)]
 pub struct SubscriptionCounters {
     received: AtomicU64,
@@ -74,27 +75,27 @@ impl SubscriptionCounters {
         self.received.load(Ordering::Relaxed)
     }
 
-    /// Messages that were overwritten before they were taken: what is missing in the numbers of each publisher.
+    /// Messages that were overwritten before they were taken: the gaps in the numbers of each publisher.
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }
 
-    /// Samples thrown away because their bytes are not a valid message.
+    /// Samples dropped because their bytes are not a valid message.
     pub fn invalid(&self) -> u64 {
         self.invalid.load(Ordering::Relaxed)
     }
 
-    /// Polls of the stream that found it unable to take: too many samples held.
+    /// Polls of the stream that could not take because too many samples were held.
     pub fn refused(&self) -> u64 {
         self.refused.load(Ordering::Relaxed)
     }
 
-    /// Messages not delivered because they were older than their publisher's lifespan when they were to be taken.
+    /// Messages not delivered because they were older than their publisher's lifespan at take.
     pub fn expired(&self) -> u64 {
         self.expired.load(Ordering::Relaxed)
     }
 
-    /// Most messages of one publisher that waited at once, in samples, seen when taking; at most the depth.
+    /// Maximum number of queued messages of one publisher, as seen at a take; at most the depth.
     pub fn max_queue(&self) -> u64 {
         self.max_queue.load(Ordering::Relaxed)
     }
@@ -164,7 +165,7 @@ impl RawSubscription {
         self.core().gid
     }
 
-    /// The quality of service that was asked for.
+    /// The requested quality of service.
     pub fn qos(&self) -> Qos {
         self.core().qos
     }
@@ -174,7 +175,7 @@ impl RawSubscription {
         self.core().limits
     }
 
-    /// What this subscription knows of the topic's type.
+    /// What this subscription knows about the topic's type.
     pub fn topic_type(&self) -> &TopicType {
         &self.core().topic.topic_type
     }
@@ -184,12 +185,12 @@ impl RawSubscription {
         self.counters.clone()
     }
 
-    /// What trace events call this subscription.
+    /// This subscription's id in trace events.
     pub fn trace_id(&self) -> tautline_trace::ObjectId {
         self.trace.id()
     }
 
-    /// Number of publishers on this host that match; those of a gateway or bridge are among them.
+    /// Number of matching publishers on this host, including those of a gateway or bridge.
     ///
     /// # Real-time
     /// Wait-free: one load.
@@ -197,12 +198,12 @@ impl RawSubscription {
         self.core().matched.load(Ordering::Acquire)
     }
 
-    /// As [`publisher_count`](Self::publisher_count), to be asked from any thread.
+    /// Like [`publisher_count`](Self::publisher_count), readable from any thread.
     pub fn matched(&self) -> MatchedCount {
         MatchedCount(self.core().matched.clone())
     }
 
-    /// Whether its node has ended: nothing comes any more.
+    /// Whether its node has ended: no more samples arrive.
     ///
     /// # Real-time
     /// Wait-free: one load.
@@ -210,12 +211,12 @@ impl RawSubscription {
         self.slot().is_retired()
     }
 
-    /// Says which callback thread publishers wake, instead of the sampler: that which polls this subscription from now on, and
-    /// sleeps on `bell` alone. `None`: the sampler again. The caller looks into the queue after this.
+    /// Sets which callback thread publishers wake instead of the sampler: the thread that polls this subscription from now on,
+    /// and sleeps only on `bell`. `None`: the sampler again. Check the queue after this call.
     ///
     /// # Real-time
-    /// Wait-free, O(subscriptions of the thread); no allocation; no syscall. If the bell's 63 places are taken, or if it is another
-    /// participant's, the sampler is rung as before. Says whether publishers wake that thread.
+    /// Wait-free, O(subscriptions of the thread); no allocation; no syscall. If all 63 bits of the bell are in use, or if it
+    /// belongs to another participant, the sampler is rung as before. Returns whether publishers wake that thread.
     pub fn wake_thread(&self, bell: Option<&Arc<ThreadBell>>) -> bool {
         let mut thread = self.thread.borrow_mut();
         // The former route ends before the new one begins: both set it.
@@ -224,8 +225,8 @@ impl RawSubscription {
         thread.is_some()
     }
 
-    /// What who drains the doorbell wakes, once, when something comes: for one that is not [polled](Self::poll_take). The caller looks
-    /// into the queue after this.
+    /// Registers a waker that is woken, once, when a sample arrives, by the thread that drains the doorbell: for a subscription that
+    /// is not [polled](Self::poll_take). Check the queue after this call.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -233,8 +234,8 @@ impl RawSubscription {
         self.slot().waker().register(waker);
     }
 
-    /// Says whether this subscription polls by itself, without a doorbell (a busy-polling callback). If it no longer does, its
-    /// doorbell is rung once, for what came meanwhile.
+    /// Sets whether this subscription is polled without a doorbell (by a busy-polling callback). If it no longer is, its
+    /// doorbell is rung once, for samples that arrived meanwhile.
     ///
     /// # Real-time
     /// Wait-free; no allocation; at most one futex wake.

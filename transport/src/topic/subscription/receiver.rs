@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One publisher as its subscription sees it, and the table of all of them.
+//! Writer proxies: one publisher as its subscription sees it, and the table of all publishers.
 //!
-//! As on the other side, publishers come and go by the hands of whoever sets things up, and the thread that takes finds a new
-//! [`Table`] when it next takes. A receiver is the taking thread's from when that has seen it until it has settled what an ended
-//! publisher sent; what no take has seen of an ended publisher setup may forget. [`HandOver`] says whose it is.
+//! As on the publishing side, setup code adds and removes publishers, and the thread that takes finds a new [`Table`] at its
+//! next take. A receiver belongs to the taking thread from the time when that thread has seen it until the thread has settled
+//! the samples of an ended publisher. Setup code may remove an ended publisher that no take has seen. [`HandOver`] states the
+//! owner.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -27,9 +28,10 @@ use tautline_rt::shm::Mapping;
 pub(crate) struct Receiver {
     pub(crate) publisher: Gid,
     connection: Arc<Connection>,
-    /// What it sends goes to others, one at a time: its numbers are theirs.
+    /// Its samples are addressed to other subscriptions, each sample to one of them: its number counts only
+    /// that subscription's samples.
     is_others: bool,
-    /// Says whether there are other segments than those that were mapped.
+    /// Shows whether the segments have changed since they were mapped.
     head: Option<Head>,
     /// Where the publisher is rung when it waits for room.
     owner: ArenaOwner,
@@ -38,13 +40,13 @@ pub(crate) struct Receiver {
     half: UnsafeCell<Half>,
 }
 
-/// What the thread that takes keeps.
+/// The taking thread's half.
 struct Half {
     /// The number of the sample that is expected next; 0 before the first one.
     next: u64,
-    /// Taken from the queue, but in a segment that is not mapped here yet.
+    /// A sample that was taken from the queue, but lies in a segment that is not mapped here yet.
     parked: Option<u64>,
-    /// Of others' samples: how many were overwritten, and counted.
+    /// Of samples that are addressed to other subscriptions: how many were overwritten, and counted.
     overwritten: u64,
 }
 
@@ -66,7 +68,7 @@ pub(crate) struct SegmentView {
 /// By their ids.
 pub(crate) type SegmentViews = Arc<[Option<SegmentView>]>;
 
-/// What the thread that takes works with: made anew when publishers, or segments of theirs, have come or gone.
+/// The working table of the taking thread: replaced when publishers, or their segments, are added or removed.
 #[derive(Default)]
 pub(crate) struct Table {
     pub(super) proxies: Chunks<WriterProxy>,
@@ -83,13 +85,13 @@ impl Table {
 pub(crate) struct Entry {
     pub(crate) receiver: Arc<Receiver>,
     pub(crate) segments: SegmentViews,
-    /// How often they had changed when these were all.
+    /// The change count of the segments at which this list was complete.
     pub(crate) grown: u32,
-    /// All that it sent is in its queue, and all segments that could be mapped are.
+    /// All its samples are in its queue, and all segments that could be mapped are mapped.
     pub(crate) has_ended: bool,
 }
 
-/// A sample that lies on the shelf: it goes back to its publisher when it is dropped.
+/// A borrowed sample: it returns to its publisher when it is dropped.
 pub(crate) struct Held {
     receiver: Arc<Receiver>,
     chunk: u64,
@@ -116,7 +118,7 @@ impl Drop for Held {
 pub(crate) struct Taken {
     pub(crate) held: Held,
     pub(crate) header: SampleHeader,
-    /// All of the sample behind its header.
+    /// The whole sample after its header.
     pub(crate) payload: NonNull<[u8]>,
     /// Samples missing before this one.
     pub(crate) lost: u64,
@@ -127,12 +129,13 @@ pub(crate) struct Taken {
 /// What came of a look at a publisher's queue.
 pub(crate) enum TakeOutcome {
     Taken(Taken),
-    /// A sample is there and cannot be reached yet: whoever sets up maps its segment and rings. There may be more behind it.
+    /// A sample exists, but cannot be reached yet: setup code maps its segment and rings. There may be more samples behind
+    /// it.
     Parked,
-    /// One that could never be reached was passed over. There may be more behind it.
+    /// A sample that could never be reached was skipped. There may be more samples behind it.
     Passed,
     Empty,
-    /// The publisher has ended and nothing of it is left; so many samples never came.
+    /// The publisher has ended and nothing of it is left; this number of its samples never arrived.
     Settled(u64),
 }
 
@@ -166,7 +169,7 @@ impl Receiver {
         &self.connection
     }
 
-    /// Whether nothing more comes from it, or goes back to it but what is on the shelf.
+    /// Whether no more samples arrive from it, and only the borrowed samples still have to be returned to it.
     pub(crate) fn is_done(&self) -> bool {
         self.turn.is_done()
     }
@@ -337,9 +340,9 @@ fn locate(chunk: u64, segments: &SegmentViews) -> Option<(&SegmentView, NonNull<
 /// What the thread that takes knows of publishers.
 pub(crate) struct TakeState {
     table: LatestReader<Arc<Table>>,
-    /// The receiver that the next look begins with.
+    /// The receiver with which the next take begins.
     next: usize,
-    /// How many samples in a row came from it.
+    /// How many samples in a row were taken from it.
     in_a_row: usize,
 }
 

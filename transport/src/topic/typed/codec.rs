@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How messages are written and read. A Rust type is its own codec, in place in shared memory; what is above has others, for types that
-//! are known at run time only.
+//! How messages are written and read. A Rust type is its own codec, in place in shared memory; the layer above has other codecs, for
+//! types that are known only at run time.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
@@ -13,8 +13,8 @@ use tautline_msgs::{Body, Message, split_header};
 /// How the samples of a topic are read. Every [`Message`] is read in place, as its own [`view`](Message::view) does.
 ///
 /// # Real-time
-/// Of a Rust type wait-free, without allocation but for [`owned`](Decode::owned). Others check nothing before they are copied, and
-/// allocate for each copy.
+/// For a Rust type wait-free, without allocation except in [`owned`](Decode::owned). Other codecs check nothing before a message
+/// is copied, and allocate for each copy.
 pub trait Decode: Sized + 'static {
     /// What must be known of the type at run time: nothing of a Rust type. It is cloned for each sample, without allocation.
     type Definition: Clone + Send + Sync + Unpin + 'static;
@@ -37,10 +37,10 @@ pub trait Decode: Sized + 'static {
     fn owned(definition: &Self::Definition, view: Self::View<'_>) -> Self::Owned;
 }
 
-/// How the messages of a topic are written, besides how they are read.
+/// How the messages of a topic are written, in addition to how they are read.
 ///
 /// # Real-time
-/// Of a Rust type wait-free, without allocation; others allocate for each message.
+/// For a Rust type wait-free, without allocation; other codecs allocate for each message.
 pub trait Codec: Decode {
     /// Why a value is no message.
     type Invalid;

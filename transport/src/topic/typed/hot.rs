@@ -22,15 +22,15 @@ impl<T: Message> Publisher<T> {
     /// Loans a sample to write in place, as `&mut T`. Its content is a valid `T` but otherwise unspecified: zeros, or an
     /// earlier message of this publisher; write what the message needs.
     ///
-    /// A loan stays in its thread: a future that keeps one over an `.await` is not `Send`, even if the loan was published by then.
-    /// Loan and publish in a block or function of its own, or run the future with `Node::spawn_local`.
+    /// A loan must stay in its thread: a future that holds one across an `.await` is not `Send`, even if the loan was published
+    /// before. Loan and publish in a separate block or function, or run the future with `Node::spawn_local`.
     ///
     /// # Real-time
-    /// As [`RawPublisher::loan`]: lock-free, O(subscriptions), and O(samples that came back) if no other is free; no allocation; no
-    /// syscall. For a type with bool, char or enum fields, O(number of these) to check that the memory holds a valid `T`.
+    /// Like [`RawPublisher::loan`]: lock-free, O(subscriptions), and O(returned samples) if no other sample is free; no allocation;
+    /// no syscall. For a type with bool, char or enum fields, O(number of these) to check that the memory holds a valid `T`.
     ///
     /// # Errors
-    /// [`LoanError::Exhausted`]: `Limits::loans` are out already.
+    /// [`LoanError::Exhausted`]: `Limits::loans` loans are already in use.
     pub fn loan(&self) -> Result<Loan<'_, T>, LoanError>
     where
         T: Plain,
@@ -41,9 +41,9 @@ impl<T: Message> Publisher<T> {
     /// Loans a sample for a message of these lengths, to be [written](Unwritten::write) in place.
     ///
     /// # Real-time
-    /// As [`RawPublisher::loan`]: lock-free, O(subscriptions), and O(samples that came back) if no other is free; no allocation; no
-    /// syscall; linear in the number of fields and of elements that have sizes of their own. A message that is longer than
-    /// `Limits::message_bytes` and than all before takes a larger segment: allocates, maps memory.
+    /// Like [`RawPublisher::loan`]: lock-free, O(subscriptions), and O(returned samples) if no other sample is free; no allocation;
+    /// no syscall; linear in the number of fields and of elements with their own sizes. A message that is longer than
+    /// `Limits::message_bytes` and than all messages before needs a larger segment: allocates, maps memory.
     ///
     /// # Errors
     /// [`LoanError`]: see [`RawPublisher::loan`](crate::RawPublisher::loan).
@@ -60,7 +60,7 @@ impl<T: Codec> Publisher<T> {
     ///
     /// # Real-time
     /// As [`RawPublisher::loan`](crate::RawPublisher::loan) and [`Loan::publish`], and one copy of the message. Codecs other than Rust
-    /// types add what they say.
+    /// types have additional costs, which they document.
     ///
     /// # Errors
     /// [`PublishError`], or those of a codec other than a Rust type; nothing was sent.
@@ -70,21 +70,23 @@ impl<T: Codec> Publisher<T> {
         Ok(raw.publish().map_err(PublishError::from)?)
     }
 
-    /// Publishes what is on the ROS 2 wire and in bags: the encapsulation header of 4 bytes, then the body. It is checked that they are a
-    /// message of the type; what other middleware appended is left out. Big-endian ones are decoded and written anew.
+    /// Publishes a message in the form of the ROS 2 wire and of bags: the encapsulation header of 4 bytes, then the body. The bytes are
+    /// checked to be a message of the type; padding appended by other middleware is removed. Big-endian messages are decoded and encoded
+    /// again.
     ///
     /// # Real-time
     /// As [`publish`](Publisher::publish), and [`Message::view`]. Big-endian messages allocate their strings and
     /// sequences, and codecs other than Rust types for each message.
     ///
     /// # Errors
-    /// [`PublishCdrError`](crate::PublishCdrError), or those of a codec other than a Rust type: with field and byte if these are no message of the type.
+    /// [`PublishCdrError`](crate::PublishCdrError), or those of a codec other than a Rust type: with field and byte if the bytes are not a
+    /// message of the type.
     pub fn publish_raw(&self, cdr: &[u8]) -> Result<(), T::CdrError> {
         T::publish_cdr(self, cdr)
     }
 }
 
-/// A sample for a message of stated lengths, not written yet. Dropping it gives it back.
+/// A sample for a message of stated lengths, not written yet. Dropping it returns the memory.
 ///
 /// ```
 /// # use tautline_transport::{Limits, Participant, Qos};
@@ -132,15 +134,15 @@ impl<'p, 's, T: Message + Fill> Unwritten<'p, 's, T> {
         Ok(Unwritten { raw, sizes })
     }
 
-    /// Lets `write` set each field in place, and checks that none was forgotten. What it does not write of a sequence's
-    /// `slice_mut` holds zeros, or an earlier message of this publisher.
+    /// Lets `write` set each field in place, and checks that no field was omitted. Parts of a sequence's `slice_mut`
+    /// that it does not write contain zeros, or an earlier message of this publisher.
     ///
     /// # Real-time
     /// Wait-free but for `write`; no allocation; no syscall. Linear in the number of fields, and of bools in sequences and
     /// arrays.
     ///
     /// # Errors
-    /// [`WriteError`]: a length over its bound, a field that was not set, an error of `write`. The loan is given back.
+    /// [`WriteError`]: a length over its bound, a field that was not set, an error of `write`. The loan is returned.
     pub fn write(
         mut self,
         write: impl for<'a> FnOnce(&mut T::Writer<'a, 's>) -> Result<(), WriteError>,
@@ -161,8 +163,8 @@ impl<T: Message + Fill> fmt::Debug for Unwritten<'_, '_, T> {
     }
 }
 
-/// A message in a loan, ready to be published; one of a plain type is a `&mut T` in shared memory. Dropping it gives it
-/// back unsent.
+/// A message in a loan, ready to be published; for a plain type it is a `&mut T` in shared memory. Dropping it returns
+/// the memory without sending.
 #[must_use = "nothing is sent before it is published"]
 pub struct Loan<'p, T: Message> {
     /// If `T` is plain, its payload starts with a valid `T`.
@@ -194,8 +196,8 @@ impl<'p, T: Message> Loan<'p, T> {
     /// # Real-time
     /// As [`RawLoan::publish`]: lock-free, O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per
     /// callback thread that sleeps and is woken directly; no other syscall.
-    /// When subscriptions have come or gone since the last call: O(subscriptions x samples / 64) besides. For a plain type with
-    /// padding between its fields, O(number of these) to zero it.
+    /// When subscriptions have appeared or disappeared since the last call: in addition O(subscriptions x samples / 64). For a
+    /// plain type with padding between its fields, O(number of these) to zero it.
     ///
     /// # Errors
     /// [`SendError`], with the loan: nothing was sent.
@@ -204,8 +206,8 @@ impl<'p, T: Message> Loan<'p, T> {
         published.map_err(|unpublished| unpublished.map(Loan::back))
     }
 
-    /// Publishes with a release time of the caller's: what response times are measured from, such as the instant at
-    /// which a periodic publisher should have woken. In `CLOCK_MONOTONIC` nanoseconds.
+    /// Publishes with a release time set by the caller, in `CLOCK_MONOTONIC` nanoseconds. Response times are
+    /// measured from the release time, for example the time at which a periodic publisher should have woken.
     ///
     /// # Real-time
     /// As [`publish`](Self::publish).
@@ -218,7 +220,7 @@ impl<'p, T: Message> Loan<'p, T> {
     }
 
     /// Publishes as soon as every keep-all subscription has room. Only one loan of a publisher may wait at a time: a second
-    /// one takes the first one's place, which then waits until it is polled for another reason.
+    /// one replaces the first, which then waits until it is polled for another reason.
     ///
     /// # Real-time
     /// Each poll as [`publish`](Self::publish); woken through this process's sampler when a subscription has taken.
@@ -269,8 +271,9 @@ impl<T: Message> fmt::Debug for Loan<'_, T> {
     }
 }
 
-/// A message in shared memory, checked when it was taken: read in place through its [`view`](Sample::view); one of a plain
-/// type derefs to `T`. At most `Limits::held` of one subscription are alive at once; they may be dropped in any thread.
+/// A message in shared memory, checked when it was taken: read in place through its [`view`](Sample::view); a sample of a
+/// plain type derefs to `T`. A subscription lends at most `Limits::held` samples at once; they may be dropped in any
+/// thread.
 pub struct Sample<T: Decode> {
     /// Borrows from `raw`, whatever its lifetime says; given out only for as long as that is borrowed. `MaybeUninit`, though
     /// always set: passing a reference to a function promises that its memory stays as it is until that returns, but the
@@ -294,8 +297,8 @@ impl<T: Decode> Sample<T> {
         Ok(Sample { view, raw, definition: definition.clone() })
     }
 
-    /// Reads the message in place: `&T` for a plain type, else getters. Costs nothing: the message was checked when it was
-    /// taken.
+    /// Reads the message in place: `&T` for a plain type, otherwise a view with getters. This costs nothing, because the
+    /// message was checked when it was taken.
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
@@ -304,7 +307,7 @@ impl<T: Decode> Sample<T> {
         T::shorten(unsafe { self.view.assume_init() })
     }
 
-    /// The message as an owned one: allocates its strings and sequences.
+    /// The message as an owned value: allocates its strings and sequences.
     pub fn to_owned(&self) -> T::Owned {
         T::owned(&self.definition, self.view())
     }
@@ -377,7 +380,7 @@ where
 }
 
 impl<T: Decode> Subscription<T> {
-    /// Takes the oldest sample of a publisher, if there is one. Passes over what [`RawSubscription::try_take`] passes over.
+    /// Takes the oldest sample of a publisher, if there is one. Skips the same samples as [`RawSubscription::try_take`].
     ///
     /// # Real-time
     /// As [`RawSubscription::try_take`]. The message is checked: see [`Message::view`].
@@ -391,11 +394,11 @@ impl<T: Decode> Subscription<T> {
         check(&self.raw, &self.definition, raw).map(Some).map_err(TakeError::Invalid)
     }
 
-    /// Takes the oldest valid sample, if there is one. Invalid ones are counted and passed over, like those that
-    /// [`try_take`](Self::try_take) passes over: 16 of all kinds in one call. Refusals are counted.
+    /// Takes the oldest valid sample, if there is one. Invalid samples are counted and skipped, like those that
+    /// [`try_take`](Self::try_take) skips: at most 16 of all kinds in one call. Refusals are counted.
     ///
     /// # Real-time
-    /// As [`try_take`](Self::try_take): of at most 16 samples the message is checked.
+    /// Like [`try_take`](Self::try_take): the messages of at most 16 samples are checked.
     ///
     /// # Errors
     /// [`TakeError`], but not [`TakeError::Invalid`].
@@ -403,11 +406,11 @@ impl<T: Decode> Subscription<T> {
         take_valid(&self.raw, &self.definition, |_| ())
     }
 
-    /// Polls for a sample. Registers the task before looking, so that a ring after the look wakes it.
+    /// Polls for a sample. Registers the task before the check, so that a ring after the check wakes it.
     ///
     /// # Real-time
-    /// As [`try_take_valid`](Self::try_take_valid), but the task is woken itself: after 16 samples that are passed over other tasks
-    /// of the thread have a turn.
+    /// Like [`try_take_valid`](Self::try_take_valid), but the task itself is woken: after 16 skipped samples other tasks of the
+    /// thread get a turn.
     pub fn poll_take(&self, context: &mut Context<'_>) -> Poll<Option<Sample<T>>> {
         poll_take(&self.raw, &self.definition, context, |_| ())
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Publishers and subscriptions of a type: a thin layer over those of bytes.
+//! Typed publishers and subscriptions: a thin layer over the untyped ones.
 
 mod codec;
 mod hot;
@@ -15,10 +15,10 @@ use crate::topic::publisher::{Gate, PublisherCounters, RawPublisher};
 use crate::topic::subscription::{RawSubscription, SubscriptionCounters};
 use std::sync::Arc;
 
-/// Publishes messages of type `T` on one topic: written in place after [`loan`](Publisher::loan) or, where sizes differ,
-/// [`loan_with`](Publisher::loan_with); or owned ones, with [`publish`](Publisher::publish).
+/// Publishes messages of type `T` on one topic: written in place after [`loan`](Publisher::loan) or, for variable sizes,
+/// [`loan_with`](Publisher::loan_with); or owned messages, with [`publish`](Publisher::publish).
 ///
-/// May be moved to another thread, and is used by one at a time.
+/// May be moved between threads, but only one thread uses it at a time.
 pub struct Publisher<T: Codec> {
     raw: RawPublisher,
     definition: T::Definition,
@@ -30,18 +30,18 @@ impl<T: Codec> Publisher<T> {
         Publisher { raw, definition }
     }
 
-    /// The same, silent while `gate` is shut: see [`RawPublisher::with_gate`].
+    /// The same publisher, silent while `gate` is closed: see [`RawPublisher::with_gate`].
     #[must_use = "it returns the changed publisher"]
     pub fn with_gate(self, gate: Gate) -> Self {
         Publisher { raw: self.raw.with_gate(gate), ..self }
     }
 
-    /// The publisher of bytes below.
+    /// The untyped publisher.
     pub fn raw(&self) -> &RawPublisher {
         &self.raw
     }
 
-    /// What is known of the type at run time.
+    /// The type's definition that is known at run time.
     pub fn definition(&self) -> &T::Definition {
         &self.definition
     }
@@ -51,7 +51,7 @@ impl<T: Codec> Publisher<T> {
         self.raw.topic()
     }
 
-    /// The quality of service that was asked for.
+    /// The requested quality of service.
     pub fn qos(&self) -> Qos {
         self.raw.qos()
     }
@@ -71,7 +71,7 @@ impl<T: Codec> Publisher<T> {
         self.raw.counters()
     }
 
-    /// Says that this publisher is alive: see [`RawPublisher::assert_liveliness`].
+    /// Asserts that this publisher is alive: see [`RawPublisher::assert_liveliness`].
     ///
     /// # Real-time
     /// Wait-free, O(subscriptions); no allocation; no syscall.
@@ -79,7 +79,7 @@ impl<T: Codec> Publisher<T> {
         self.raw.assert_liveliness();
     }
 
-    /// Number of subscriptions on this host that match.
+    /// Number of matching subscriptions on this host.
     ///
     /// # Real-time
     /// Wait-free: one load.
@@ -115,8 +115,8 @@ impl<T: Codec> std::fmt::Debug for Publisher<T> {
 
 /// Receives messages of type `T` from one topic. A stream of [`Sample`]s, or [`try_take`](Subscription::try_take).
 ///
-/// May be moved to another thread, and is used by one at a time. Its samples may be dropped anywhere; their memory goes
-/// back to the publisher when this subscription next takes.
+/// May be moved between threads, but only one thread uses it at a time. Its samples may be dropped in any thread; their
+/// memory returns to the publisher at this subscription's next take.
 pub struct Subscription<T: Decode> {
     raw: RawSubscription,
     definition: T::Definition,
@@ -128,12 +128,12 @@ impl<T: Decode> Subscription<T> {
         Subscription { raw, definition }
     }
 
-    /// The subscription to bytes below.
+    /// The untyped subscription.
     pub fn raw(&self) -> &RawSubscription {
         &self.raw
     }
 
-    /// What is known of the type at run time.
+    /// The type's definition that is known at run time.
     pub fn definition(&self) -> &T::Definition {
         &self.definition
     }
@@ -143,7 +143,7 @@ impl<T: Decode> Subscription<T> {
         self.raw.topic()
     }
 
-    /// The quality of service that was asked for.
+    /// The requested quality of service.
     pub fn qos(&self) -> Qos {
         self.raw.qos()
     }
@@ -158,17 +158,17 @@ impl<T: Decode> Subscription<T> {
         self.raw.counters()
     }
 
-    /// What trace events call this subscription.
+    /// This subscription's id in trace events.
     pub fn trace_id(&self) -> tautline_trace::ObjectId {
         self.raw.trace_id()
     }
 
-    /// Number of publishers on this host that match.
+    /// Number of matching publishers on this host.
     pub fn publisher_count(&self) -> usize {
         self.raw.publisher_count()
     }
 
-    /// Says whether this subscription polls by itself, without a doorbell (a busy-polling callback). See
+    /// Sets whether this subscription is polled without a doorbell (by a busy-polling callback). See
     /// [`RawSubscription::set_quiet`].
     pub fn set_quiet(&self, quiet: bool) {
         self.raw.set_quiet(quiet);
