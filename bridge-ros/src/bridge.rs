@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::Duration;
 use tautline_relay::{
-    Budget, Control, Event, Guard, Instance, InstanceError, InstanceLock, Parts, RelayError, Rules, Services,
+    Budget, MirrorControl, Event, Guard, Instance, InstanceError, InstanceLock, Parts, RelayError, Rules, Services,
     watch_domain,
 };
 use tautline_rt::{JoinHandle, Realtime, RtError, ThreadInfo};
@@ -199,7 +199,7 @@ impl Bridge {
             let (participant, relay) = (participant.clone(), outgoing);
             let (rules, service_rules) = (options.rules, options.services);
             let parts = Parts { participant, far, relay, services, transit, rules, service_rules };
-            let control = Control::new(parts);
+            let control = MirrorControl::new(parts);
             priorities.thread("ros-control").spawn(move || move || control.run(&received, &state.stop))?
         };
         bridge.hold(control);

@@ -14,7 +14,7 @@ use std::collections::HashMap;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
-use tautline_relay::{Delivery, EarlyLimits, InKey, Ingress, IngressUpdate, Job, Source, Worker, commanded};
+use tautline_relay::{Delivery, EarlyLimits, InKey, Ingress, IngressUpdate, Job, MessageMeta, Worker, commanded};
 use tautline_rt::{ThreadBuilder, ThreadInfo};
 use tautline_transport::Gid;
 
@@ -85,10 +85,10 @@ struct Loop {
     guard: Arc<GuardCondition>,
     wait_set: WaitSet,
     buffer: SerializedMessage,
-    routes: Vec<(InKey, Route)>,
+    routes: Vec<(InKey, IngressRoute)>,
 }
 
-struct Route {
+struct IngressRoute {
     subscription: RosSubscription,
     ingress: Ingress,
     /// Replaced subscriptions, the oldest first, and until when each is still taken from: a volatile publisher does not send to
@@ -136,7 +136,7 @@ impl Loop {
 
     fn open(&mut self, key: InKey, subscription: RosSubscription, ingress: Ingress) {
         let (previous, last) = Default::default();
-        let mut route = Route { subscription, ingress, previous, last, has_more: true };
+        let mut route = IngressRoute { subscription, ingress, previous, last, has_more: true };
         if let Some(old) = self.end(&key) {
             route.take_over(old, key.is_kept());
         }
@@ -144,7 +144,7 @@ impl Loop {
     }
 
     /// Messages that have arrived are still forwarded or dropped.
-    fn end(&mut self, key: &InKey) -> Option<Route> {
+    fn end(&mut self, key: &InKey) -> Option<IngressRoute> {
         let at = self.routes.iter().position(|(other, _)| other == key)?;
         let (_, mut route) = self.routes.swap_remove(at);
         // Bounded, because a publisher could be faster.
@@ -158,14 +158,14 @@ impl Loop {
     }
 }
 
-impl Route {
+impl IngressRoute {
     /// In the order in which messages are taken.
     fn subscriptions(&self) -> impl Iterator<Item = &RosSubscription> {
         self.previous.iter().map(|(subscription, _)| subscription).chain([&self.subscription])
     }
 
     /// Continues where the old route ended.
-    fn take_over(&mut self, old: Route, is_kept: bool) {
+    fn take_over(&mut self, old: IngressRoute, is_kept: bool) {
         if !is_kept {
             self.previous = old.previous;
             self.previous.push((old.subscription, Instant::now() + RENEWAL_TIME));
@@ -218,7 +218,7 @@ impl Route {
             }
             *last = info.source_timestamp_ns;
         }
-        let source = Source {
+        let source = MessageMeta {
             publisher: info.gid,
             number: info.sequence_number,
             are_numbers_whole: true,

@@ -6,7 +6,7 @@
 use crate::rcl::{RclError, RosPublisher, SerializedMessage};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use tautline_relay::{EarlyLimits, Egress, Last, Outbound, Relay, Taken, TopicKey};
+use tautline_relay::{EarlyLimits, Egress, Last, Outbound, Relay, OutboundSample, TopicKey};
 use tautline_rt::clock::monotonic_ns;
 
 /// XCDR1, little endian.
@@ -42,7 +42,7 @@ impl Egress for Ros {
     // Until a publisher in ROS has matched its subscriptions.
     const EARLY: EarlyLimits = EarlyLimits { samples: 1000, bytes: 64 << 20, time: Duration::from_secs(3) };
 
-    fn pass(&mut self, topic: &mut Outbound, writer: &mut Writer, sample: Taken) {
+    fn pass(&mut self, topic: &mut Outbound, writer: &mut Writer, sample: OutboundSample) {
         if !writer.last.lock().unwrap_or_else(PoisonError::into_inner).admits(&sample) {
             return;
         }

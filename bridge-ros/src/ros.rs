@@ -9,7 +9,7 @@ use crate::ros_graph::{self, RosGraph};
 use crate::services::{Nodes, RosServices};
 use crate::shown::ShownNodes;
 use crate::stats::{IncompatibleQos, ServiceNames, TopicNames};
-use crate::table::{OwnTable, Table, Tables};
+use crate::table::{OwnTable, OriginTable, Tables};
 use crate::types::Types;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -102,7 +102,7 @@ impl RosSide {
         let mut ends = ros_graph::services(&self.node, others, &self.place);
         let tables = &self.graph.tables;
         let told = || {
-            let of = |table: &Arc<Table>| u128::from(table.bridge);
+            let of = |table: &Arc<OriginTable>| u128::from(table.bridge);
             tables.iter().flat_map(move |table| table.graph.services.iter().map(move |end| (end, of(table))))
         };
         // Servers of other bridges have the names of the nodes that they mirror.
@@ -167,7 +167,7 @@ impl RosSide {
             let (name, node) = (choice.far_topic, of_node(&end.node, end.pid));
             graph.services.push(ServiceEndpoint { name, node, origin, ..(**end).clone() });
         }
-        if let Err(reason) = self.own_table.say(Table { bridge: here.own, graph }) {
+        if let Err(reason) = self.own_table.say(OriginTable { bridge: here.own, graph }) {
             tracing::warn!("endpoints are not announced to other bridges of the ROS domain: {reason}");
         }
     }

@@ -2,7 +2,7 @@
 //! The ROS graph without this bridge's endpoints, also in Tautline's terms, for nodes and tools.
 
 use crate::rcl::{Node, RclError, RosEndpoint};
-use crate::table::{self, Table, Tables};
+use crate::table::{self, OriginTable, Tables};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -29,7 +29,7 @@ pub(crate) struct RosGraph {
     /// By topic, all publishers that are identified.
     pub(crate) publishers: HashMap<String, BTreeSet<Gid>>,
     /// Other bridges' tables.
-    pub(crate) tables: Vec<Arc<Table>>,
+    pub(crate) tables: Vec<Arc<OriginTable>>,
     /// GID prefixes of nodes' endpoints.
     processes: HashMap<NodeName, [u8; 12]>,
     unknown: HashMap<Gid, Instant>,

@@ -27,7 +27,7 @@ const TURN: usize = 16;
 
 /// One bridge's table.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Table {
+pub(crate) struct OriginTable {
     /// The bridge's identifier.
     pub(crate) bridge: u64,
     /// The nodes that it shows in ROS and what its endpoints mirror, with names in ROS, and publishers with their GIDs in ROS.
@@ -40,7 +40,7 @@ pub(crate) struct Tables(Arc<Mutex<BTreeMap<Gid, Heard>>>);
 
 struct Heard {
     /// `None`: it could not be parsed, which is logged once.
-    table: Option<Arc<Table>>,
+    table: Option<Arc<OriginTable>>,
     /// Whether its publisher was seen in ROS's graph: a table may arrive before that, or after the publisher has ended.
     is_seen: bool,
     since: Instant,
@@ -80,7 +80,7 @@ impl Tables {
     }
 
     /// The tables of `publishers`, which are all present publishers of the topic.
-    pub(crate) fn of(&self, publishers: &BTreeSet<Gid>) -> Vec<Arc<Table>> {
+    pub(crate) fn of(&self, publishers: &BTreeSet<Gid>) -> Vec<Arc<OriginTable>> {
         let mut all = self.all();
         all.retain(|gid, heard| {
             let is_there = publishers.contains(gid);
@@ -93,14 +93,14 @@ impl Tables {
 }
 
 /// Parses a message, which is untrusted.
-fn parse(bytes: &[u8]) -> Option<Table> {
+fn parse(bytes: &[u8]) -> Option<OriginTable> {
     let (head, body) = bytes.split_at_checked(ENCAPSULATION.len())?;
     let (len, text) = body.split_at_checked(4)?;
     let len = usize::try_from(u32::from_le_bytes(len.try_into().ok()?)).ok()?;
     if head[..2] != ENCAPSULATION[..2] || len > MAX_BYTES {
         return None;
     }
-    let mut table: Table = serde_json::from_slice(text.get(..len.checked_sub(1)?)?).ok()?;
+    let mut table: OriginTable = serde_json::from_slice(text.get(..len.checked_sub(1)?)?).ok()?;
     table.graph.nodes.truncate(MAX_ENDS);
     table.graph.endpoints.truncate(MAX_ENDS);
     table.graph.services.truncate(MAX_ENDS);
@@ -111,7 +111,7 @@ fn parse(bytes: &[u8]) -> Option<Table> {
 pub(crate) struct OwnTable {
     publisher: RosPublisher,
     buffer: SerializedMessage,
-    said: Option<Table>,
+    said: Option<OriginTable>,
 }
 
 fn qos() -> Qos {
@@ -134,7 +134,7 @@ impl OwnTable {
     ///
     /// # Errors
     /// Why that failed; an oversized table is reported once.
-    pub(crate) fn say(&mut self, table: Table) -> Result<(), String> {
+    pub(crate) fn say(&mut self, table: OriginTable) -> Result<(), String> {
         if self.said.as_ref() == Some(&table) {
             return Ok(());
         }
@@ -175,7 +175,7 @@ mod tests {
 
     #[test]
     fn what_is_said_is_read_and_nothing_else() {
-        let table = Table { bridge: 3, graph: RemoteGraph::default() };
+        let table = OriginTable { bridge: 3, graph: RemoteGraph::default() };
         let text = message(&serde_json::to_string(&table).unwrap());
         assert_eq!(parse(&text), Some(table));
         for end in 0..text.len() - 1 {
@@ -190,7 +190,7 @@ mod tests {
         let tables = Tables::default();
         let gid = Gid([9; 16]);
         let hear = |since| {
-            let table = Some(Arc::<Table>::default());
+            let table = Some(Arc::<OriginTable>::default());
             tables.all().insert(gid, Heard { table, is_seen: false, since })
         };
         let none = BTreeSet::new();

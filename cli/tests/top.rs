@@ -63,7 +63,7 @@ fn what_runs_is_shown_until_it_dies() {
     assert_eq!(
         picture()["topics"],
         Value::Array(Vec::new()),
-        "who was killed is not there, though nobody buried it"
+        "who was killed is not there, though nobody cleaned up after it"
     );
 
     let refused = taut(&["top"]).stdin(Stdio::null()).output().unwrap();

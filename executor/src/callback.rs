@@ -7,18 +7,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tautline_rt::{JoinHandle, OwnPriority, RtError, ThreadInfo, current_tid};
 
-use crate::hot::Control;
+use crate::hot::TaskControl;
 use crate::registry::ThreadRegistration;
 use crate::{CallbackStats, ExecutorError, Panic};
 
 /// A handle to a callback and its thread. Dropping it has no effect, because the executor keeps the thread.
 #[derive(Debug, Clone)]
 pub struct CallbackHandle {
-    callback: Arc<Callback>,
+    callback: Arc<CallbackShared>,
 }
 
 impl CallbackHandle {
-    pub(crate) fn new(callback: Arc<Callback>) -> CallbackHandle {
+    pub(crate) fn new(callback: Arc<CallbackShared>) -> CallbackHandle {
         CallbackHandle { callback }
     }
 
@@ -62,12 +62,12 @@ impl CallbackHandle {
 }
 
 /// What the executor and the handles share.
-pub(crate) struct Callback {
+pub(crate) struct CallbackShared {
     pub stats: Arc<CallbackStats>,
     /// The members of a group.
     pub members: Vec<Arc<CallbackStats>>,
     pub priority: Arc<OwnPriority>,
-    pub control: Arc<Control>,
+    pub control: Arc<TaskControl>,
     pub end: Arc<Completion>,
     pub info: ThreadInfo,
     pub thread: Mutex<Thread>,
@@ -79,7 +79,7 @@ pub(crate) struct Thread {
     pub panic: Option<Panic>,
 }
 
-impl Callback {
+impl CallbackShared {
     /// Waits for the thread; later callers get the same result.
     pub fn join(&self) -> Result<Option<Panic>, ExecutorError> {
         let name = || self.stats.name().to_owned();
@@ -97,7 +97,7 @@ impl Callback {
     }
 }
 
-impl fmt::Debug for Callback {
+impl fmt::Debug for CallbackShared {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Callback").field("name", &self.stats.name()).field("thread", &self.info).finish()
     }

@@ -17,11 +17,11 @@ use tautline_rt::{
 };
 
 use crate::account::{CoreTimeAccount, SamplerStatistics};
-use crate::callback::{Callback, Completion, CompletionGuard, Thread};
+use crate::callback::{CallbackShared, Completion, CompletionGuard, Thread};
 use crate::group::{CallbackGroup, MemberInfo};
 use crate::hot::{
-    self, BudgetEnforcer, CallbackThread, Control, Controlled, GroupFuture, Measured, Parker, Stopwatch,
-    Waiting,
+    self, BudgetEnforcer, CallbackThread, Controlled, GroupFuture, Measured, Parker, Stopwatch, TaskControl,
+    WaitMode,
 };
 use crate::registry::{RegisteredThread, Registry};
 use crate::settings::{CallbackSettings, Callbacks};
@@ -243,7 +243,7 @@ impl Executor {
         for member in &members {
             member.stats.place(self.statistics.as_ref(), kind::CALLBACK).map_err(no_statistics)?;
         }
-        let (control, end) = (Arc::<Control>::default(), Arc::<Completion>::default());
+        let (control, end) = (Arc::<TaskControl>::default(), Arc::<Completion>::default());
         let all_stats = members.iter().map(|member| &member.stats).chain([&stats]).cloned().collect();
         let guard = CompletionGuard { end: Arc::clone(&end), stats: all_stats, _registration: registration };
         // A thread that waits for the next period of its reservation looks like one that something took the core from.
@@ -295,9 +295,9 @@ impl Executor {
             });
             let mut pool = LocalPool::new();
             let waiting = match parker {
-                _ if busy => Waiting::Busy,
-                Some(parker) => Waiting::On(Arc::clone(&parker), hot::waker_of(&parker), spin),
-                None => Waiting::InPool,
+                _ if busy => WaitMode::Busy,
+                Some(parker) => WaitMode::On(Arc::clone(&parker), hot::waker_of(&parker), spin),
+                None => WaitMode::InPool,
             };
             let future = Controlled { future, control: Arc::clone(&thread_control), waiting };
             let spawned = pool.spawner().spawn_local_obj(LocalFutureObj::new(Box::new(future)));
@@ -330,7 +330,7 @@ impl Executor {
         }
         let thread = Mutex::new(Thread { running: Some(thread), panic: None });
         let members = members.into_iter().map(|member| member.stats).collect();
-        let callback = Arc::new(Callback { stats, members, priority, control, end, info, thread });
+        let callback = Arc::new(CallbackShared { stats, members, priority, control, end, info, thread });
         self.keep(Arc::clone(&callback));
         Ok(CallbackHandle::new(callback))
     }
@@ -364,7 +364,7 @@ impl Executor {
     }
 
     /// Remembers a callback and forgets those that have ended well, so that the list does not grow for ever.
-    fn keep(&self, callback: Arc<Callback>) {
+    fn keep(&self, callback: Arc<CallbackShared>) {
         let mut callbacks = self.callbacks.lock().unwrap_or_else(PoisonError::into_inner);
         callbacks.retain(|old| !(old.end.has_come() && matches!(old.join(), Ok(None))));
         callbacks.push(callback);

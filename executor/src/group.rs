@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use futures::Stream;
 
-use crate::hot::{Member, StreamMember};
+use crate::hot::{GroupMember, StreamMember};
 use crate::{CallbackOptions, CallbackStats};
 
 /// Several callbacks on one thread. They run one at a time, to completion, in order of release (ROS 2's mutually
@@ -56,13 +56,13 @@ use crate::{CallbackOptions, CallbackStats};
 #[must_use = "hand it to Executor::spawn_group"]
 pub struct CallbackGroup {
     /// Members are created in their thread, because a callback's future need not be `Send`.
-    recipes: Vec<Box<dyn FnOnce() -> Box<dyn Member> + Send>>,
+    recipes: Vec<Box<dyn FnOnce() -> Box<dyn GroupMember> + Send>>,
     members: Vec<MemberInfo>,
-    kept: Vec<Kept>,
+    kept: Vec<GroupGuard>,
 }
 
 /// An object of any type that is dropped with a group.
-pub(crate) type Kept = Box<dyn std::any::Any + Send>;
+pub(crate) type GroupGuard = Box<dyn std::any::Any + Send>;
 
 /// What the executor has to know of a member.
 pub(crate) struct MemberInfo {
@@ -137,7 +137,7 @@ impl CallbackGroup {
     }
 
     /// Makes the members, in the thread that will run them; and what is kept as long as they are.
-    pub(crate) fn into_members(self) -> (Box<[Box<dyn Member>]>, Vec<Kept>) {
+    pub(crate) fn into_members(self) -> (Box<[Box<dyn GroupMember>]>, Vec<GroupGuard>) {
         (self.recipes.into_iter().map(|make| make()).collect(), self.kept)
     }
 }

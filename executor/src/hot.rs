@@ -19,7 +19,7 @@ use tautline_rt::{BudgetTimer, Refill, RemainingBudget};
 use tautline_trace::{Object, ObjectId};
 
 use crate::account::CoreTimeAccount;
-use crate::group::Kept;
+use crate::group::GroupGuard;
 use crate::options::Watch;
 use crate::stats::{self, CallbackStats, QueueState};
 
@@ -31,7 +31,7 @@ thread_local! {
 pub(crate) struct CallbackThread {
     /// Records jobs; `None` in a group, which measures its members itself.
     pub measured: Option<Measured>,
-    pub control: Arc<Control>,
+    pub control: Arc<TaskControl>,
     pub busy: bool,
     pub parker: Option<Arc<dyn Parker>>,
     /// The queue state that a group's member found, until the group records it.
@@ -65,7 +65,7 @@ pub(crate) struct BudgetEnforcer {
 enum Enforcement {
     Demote {
         /// Ends the callback with a demoted job, if enabled.
-        ends: Option<Arc<Control>>,
+        ends: Option<Arc<TaskControl>>,
         /// When the last demoted job ended: jobs released before that have waited for it.
         overran_until_ns: Cell<u64>,
     },
@@ -77,7 +77,7 @@ enum Enforcement {
 }
 
 impl BudgetEnforcer {
-    pub const fn demoting(timer: BudgetTimer, ends: Option<Arc<Control>>) -> BudgetEnforcer {
+    pub const fn demoting(timer: BudgetTimer, ends: Option<Arc<TaskControl>>) -> BudgetEnforcer {
         let how = Enforcement::Demote { ends, overran_until_ns: Cell::new(0) };
         BudgetEnforcer { timer, how, running: Cell::new(0) }
     }
@@ -276,7 +276,7 @@ pub fn busy_polling() -> bool {
 /// # Real-time
 /// Wait-free; no allocation; no syscall.
 pub fn stop_requested() -> bool {
-    // Acquire: pairs with the Release in `Control::stop`.
+    // Acquire: pairs with the Release in `TaskControl::stop`.
     current(|thread| thread.control.stopped.load(Ordering::Acquire)).unwrap_or(false)
 }
 
@@ -284,13 +284,13 @@ pub fn stop_requested() -> bool {
 
 /// The state shared by a callback's thread and its handle.
 #[derive(Default)]
-pub(crate) struct Control {
+pub(crate) struct TaskControl {
     started: AtomicBool,
     stopped: AtomicBool,
     waker: AtomicWaker,
 }
 
-impl Control {
+impl TaskControl {
     /// Lets the future be polled.
     pub fn start(&self) {
         self.started.store(true, Ordering::Release);
@@ -355,7 +355,7 @@ pub fn parks_on(known: Option<&Arc<dyn Parker>>) -> bool {
 }
 
 /// How a callback thread waits for its future.
-pub(crate) enum Waiting {
+pub(crate) enum WaitMode {
     /// Like the pool, which parks the thread.
     InPool,
     /// On its own parker, after a spin.
@@ -367,8 +367,8 @@ pub(crate) enum Waiting {
 /// A callback's future: held back until started, ended when stopped, polled again and again when busy.
 pub(crate) struct Controlled {
     pub future: Pin<Box<dyn Future<Output = ()>>>,
-    pub control: Arc<Control>,
-    pub waiting: Waiting,
+    pub control: Arc<TaskControl>,
+    pub waiting: WaitMode,
 }
 
 impl Drop for Controlled {
@@ -385,7 +385,7 @@ impl Future for Controlled {
         let Controlled { future, control, waiting } = &mut *self;
         // Before the flags are read, so that a change after reading them wakes.
         control.waker.register(cx.waker());
-        // Acquire: each pairs with the Release in `Control`.
+        // Acquire: each pairs with the Release in `TaskControl`.
         if control.stopped.load(Ordering::Acquire) {
             return Poll::Ready(());
         }
@@ -395,13 +395,13 @@ impl Future for Controlled {
         // The loops of those that do not park stay here: a turn through the pool would cost more than the poll, and nobody else
         // is in this pool.
         match waiting {
-            Waiting::InPool => future.as_mut().poll(cx),
-            Waiting::Busy => loop {
+            WaitMode::InPool => future.as_mut().poll(cx),
+            WaitMode::Busy => loop {
                 if future.as_mut().poll(cx).is_ready() || control.stopped.load(Ordering::Acquire) {
                     return Poll::Ready(());
                 }
             },
-            Waiting::On(parker, waker, spin) => {
+            WaitMode::On(parker, waker, spin) => {
                 control.waker.register(waker);
                 let mut cx = Context::from_waker(waker);
                 loop {
@@ -503,11 +503,11 @@ pub fn note_queue(queue: QueueState) {
 
 /// All members of a group, as one future. One poll runs at most one job, then yields to the stop flag.
 pub(crate) struct GroupFuture {
-    pub members: Box<[Box<dyn Member>]>,
+    pub members: Box<[Box<dyn GroupMember>]>,
     pub running: Option<usize>,
     /// Counts the jobs of all members.
     pub total: Measured,
-    pub _kept: Vec<Kept>,
+    pub _kept: Vec<GroupGuard>,
 }
 
 impl Future for GroupFuture {
@@ -535,7 +535,7 @@ impl Future for GroupFuture {
 
 /// Asks every member for its next item and picks the one released first, the first added among equals.
 /// Pending: no item yet. `None`: all streams have ended.
-fn oldest(members: &mut [Box<dyn Member>], cx: &mut Context<'_>) -> Poll<Option<usize>> {
+fn oldest(members: &mut [Box<dyn GroupMember>], cx: &mut Context<'_>) -> Poll<Option<usize>> {
     let mut oldest: Option<(u64, usize)> = None;
     let mut waiting = false;
     for (index, member) in members.iter_mut().enumerate() {
@@ -555,7 +555,7 @@ fn oldest(members: &mut [Box<dyn Member>], cx: &mut Context<'_>) -> Poll<Option<
 }
 
 /// A stream and its callback, with their types hidden.
-pub(crate) trait Member {
+pub(crate) trait GroupMember {
     /// The release of the next item, which is taken from the stream and kept; `None` after the last item.
     fn look_ahead(&mut self, cx: &mut Context<'_>) -> Poll<Option<u64>>;
 
@@ -580,7 +580,7 @@ pub(crate) struct StreamMember<S: Stream, F, Fut> {
     pub traced: ObjectId,
 }
 
-impl<S, F, Fut> Member for StreamMember<S, F, Fut>
+impl<S, F, Fut> GroupMember for StreamMember<S, F, Fut>
 where
     S: Stream,
     F: FnMut(S::Item) -> Fut,

@@ -5,11 +5,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tautline_rt::{Policy, RtError, policy_of, set_policy_of};
 
-use crate::callback::Callback;
+use crate::callback::CallbackShared;
 use crate::{CallbackOptions, ExecutorError};
 
 /// All callbacks of an executor, some of those that have ended among them.
-pub(crate) type Callbacks = Arc<Mutex<Vec<Arc<Callback>>>>;
+pub(crate) type Callbacks = Arc<Mutex<Vec<Arc<CallbackShared>>>>;
 
 /// Access to the callbacks of an [`Executor`](crate::Executor), without keeping the executor alive: see
 /// [`Executor::settings`](crate::Executor::settings).
@@ -42,7 +42,7 @@ impl CallbackSettings {
                 Some((callback, all.find(|stats| stats.name() == options.name)?))
             })
             .collect();
-        let mut changed: Vec<(&Callback, Policy)> = Vec::new();
+        let mut changed: Vec<(&CallbackShared, Policy)> = Vec::new();
         for (callback, _) in &found {
             match set(callback, &options.name, options.policy) {
                 Ok(former) => changed.push((callback, former)),
@@ -64,7 +64,7 @@ impl CallbackSettings {
 }
 
 /// Sets the thread's policy, and says which it had.
-fn set(callback: &Callback, name: &str, policy: Policy) -> Result<Policy, ExecutorError> {
+fn set(callback: &CallbackShared, name: &str, policy: Policy) -> Result<Policy, ExecutorError> {
     let failed = |source: RtError| ExecutorError::Thread { name: name.to_owned(), source };
     let tid = callback.info.tid;
     let former = match callback.info.policy {

@@ -132,7 +132,7 @@ impl<T: HasStamp> join::Stamped for Subscription<T> {
 }
 
 /// The source of samples: a subscription to messages, or a server's subscription to requests.
-pub(crate) trait Source {
+pub(crate) trait SampleSource {
     type Sample;
 
     fn raw(&self) -> &RawSubscription;
@@ -141,7 +141,7 @@ pub(crate) trait Source {
     fn released_ns(sample: &Self::Sample) -> u64;
 }
 
-impl<T: Decode> Source for tautline_transport::Subscription<T> {
+impl<T: Decode> SampleSource for tautline_transport::Subscription<T> {
     type Sample = Sample<T>;
 
     fn raw(&self) -> &RawSubscription {
@@ -195,7 +195,7 @@ pub(crate) struct Samples<S> {
     noted_lost: u64,
 }
 
-impl<S: Source> Samples<S> {
+impl<S: SampleSource> Samples<S> {
     pub(crate) fn new(source: S) -> Self {
         let raw = source.raw();
         let counters = raw.counters();

@@ -12,7 +12,7 @@ pub(crate) type Function = Option<(unsafe extern "C" fn(*const c_void, usize), *
 
 /// Holds a callback.
 #[derive(Default)]
-pub(crate) struct Callback {
+pub(crate) struct EventCallback {
     function: Mutex<Sent>,
     is_set: AtomicBool,
     /// Calls in progress.
@@ -33,7 +33,7 @@ thread_local! {
 /// Interval of the check whether a call has returned.
 const LOOK: Duration = Duration::from_micros(50);
 
-impl Callback {
+impl EventCallback {
     /// Sets the callback. The previous one may still be running; see [`settle`](Self::settle).
     pub(crate) fn replace(&self, function: Function) {
         self.is_set.store(function.is_some(), Ordering::Release);
@@ -62,9 +62,9 @@ impl Callback {
     }
 }
 
-/// A call in progress: [`Callback::settle`] waits for it.
+/// A call in progress: [`EventCallback::settle`] waits for it.
 pub(crate) struct Call<'c> {
-    callback: &'c Callback,
+    callback: &'c EventCallback,
     function: (unsafe extern "C" fn(*const c_void, usize), *const c_void),
 }
 

@@ -3,7 +3,7 @@
 
 use crate::bindings::*;
 use crate::context::Watchers;
-use crate::end::{End, Port};
+use crate::end::{ReceivingEndpoint, MessageQueue};
 use crate::error::{Error, Result, answer, made};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
 use crate::node::Node;
@@ -23,7 +23,7 @@ pub(crate) struct Client {
     qos: rmw_qos_profile_t,
     depth: Depth,
     gid: Gid,
-    end: Arc<End<Asking>>,
+    end: Arc<ReceivingEndpoint<Asking>>,
 }
 
 pub(crate) struct Asking {
@@ -35,7 +35,7 @@ pub(crate) struct Asking {
 /// Maximum of requests per client that wait for a server; more are refused.
 const MOST_UNSENT: usize = Depth::ROOM;
 
-impl Port for Asking {
+impl MessageQueue for Asking {
     const IS_TOPIC: bool = false;
 
     fn subscription(&self) -> &RawSubscription {
@@ -109,13 +109,13 @@ impl Client {
     }
 
     /// The endpoint, whose responses wake wait sets.
-    pub(crate) fn end(&self) -> &End<Asking> {
+    pub(crate) fn end(&self) -> &ReceivingEndpoint<Asking> {
         &self.end
     }
 }
 
 /// Sends waiting requests when a server appears or has room, and signals new servers, until the client is destroyed.
-async fn serve(end: Weak<End<Asking>>, watchers: Arc<Watchers>) {
+async fn serve(end: Weak<ReceivingEndpoint<Asking>>, watchers: Arc<Watchers>) {
     let mut servers = 0;
     poll_fn(|context| {
         let Some(end) = end.upgrade() else { return Poll::Ready(()) };
@@ -155,7 +155,7 @@ pub unsafe extern "C" fn rmw_create_client(
         let (limits, depth) = unsafe { (of.request.limits(), Depth::of(profile, &wanted)) };
         let raw = node.participant.create_queued_client(name, &of.service_type, depth.room, limits)?;
         let gid = raw.gid();
-        let end = End::new(node, Asking { raw, unsent: VecDeque::new() })?;
+        let end = ReceivingEndpoint::new(node, Asking { raw, unsent: VecDeque::new() })?;
         let (served, watchers) = (Arc::downgrade(&end), node.context().watchers().clone());
         node.context().helper.run(move || serve(served, watchers));
         let client = Client { node, of, qos: qos::to_ros(&wanted, false), depth, gid, end };

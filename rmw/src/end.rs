@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A receiving endpoint: used by one thread at a time, and woken by its publishers.
 
-use crate::callback::{Callback, Function};
+use crate::callback::{EventCallback, Function};
 use crate::error::Result;
 use crate::helper::Helper;
 use crate::job::{self, Jobs};
@@ -15,14 +15,14 @@ use tautline_rt::PiMutex;
 use tautline_transport::{MessageInfo, RawSample, RawSubscription, TakeError, Wakeable};
 
 /// An endpoint with a queue of messages.
-pub(crate) trait Port: Send + 'static {
+pub(crate) trait MessageQueue: Send + 'static {
     /// Whether it belongs to a topic, not to a service.
     const IS_TOPIC: bool;
 
     fn subscription(&self) -> &RawSubscription;
 }
 
-impl Port for RawSubscription {
+impl MessageQueue for RawSubscription {
     const IS_TOPIC: bool = true;
 
     fn subscription(&self) -> &RawSubscription {
@@ -31,18 +31,18 @@ impl Port for RawSubscription {
 }
 
 /// A port that several ROS threads use in turn.
-pub(crate) struct End<P> {
-    side: PiMutex<(P, Route)>,
+pub(crate) struct ReceivingEndpoint<P> {
+    side: PiMutex<(P, WakeTarget)>,
     jobs: Arc<Jobs>,
     /// Called for new messages.
-    callback: Callback,
+    callback: EventCallback,
     /// Whether the helper has a task that calls it.
     is_served: AtomicBool,
 }
 
 /// Where a port's rings go.
 #[derive(Default)]
-struct Route {
+struct WakeTarget {
     to: Option<Arc<Waiter>>,
     /// The helper's task for new messages.
     task: Option<Waker>,
@@ -50,11 +50,11 @@ struct Route {
     told: u64,
 }
 
-impl<P: Port> End<P> {
+impl<P: MessageQueue> ReceivingEndpoint<P> {
     pub(crate) fn new(node: &Node, port: P) -> Result<Arc<Self>> {
         let jobs = Jobs::new(node, port.subscription(), P::IS_TOPIC)?;
         let (route, callback, is_served) = Default::default();
-        Ok(Arc::new(End { side: PiMutex::new((port, route)), jobs, callback, is_served }))
+        Ok(Arc::new(ReceivingEndpoint { side: PiMutex::new((port, route)), jobs, callback, is_served }))
     }
 
     /// Uses the port.
@@ -206,7 +206,7 @@ impl<P: Port> End<P> {
     }
 }
 
-impl Route {
+impl WakeTarget {
     /// Routes the rings to the helper.
     fn hear(&mut self, subscription: &RawSubscription, task: &Waker) {
         if self.to.take().is_some() {

@@ -2,7 +2,7 @@
 //! QoS events: the helper receives an endpoint's events, adds them up, and wakes waits or calls callbacks.
 
 use crate::bindings::*;
-use crate::callback::{Call, Callback, Function};
+use crate::callback::{Call, EventCallback, Function};
 use crate::error::{Error, Result, answer};
 use crate::handle::{IDENTIFIER, behind, check_identifier, place};
 use crate::helper::Helper;
@@ -22,26 +22,26 @@ const KINDS: usize = RMW_EVENT_INVALID as usize;
 /// The events of one endpoint, by kind.
 #[derive(Default)]
 pub(crate) struct Happened {
-    kinds: [Kind; KINDS],
+    kinds: [EventQueueSlot; KINDS],
     is_served: AtomicBool,
 }
 
-struct Kind {
+struct EventQueueSlot {
     /// Set while there is an event to take.
     signal: Signal,
-    state: PiMutex<State>,
-    callback: Callback,
+    state: PiMutex<EventState>,
+    callback: EventCallback,
 }
 
-impl Default for Kind {
+impl Default for EventQueueSlot {
     fn default() -> Self {
         let (signal, callback) = Default::default();
-        Kind { signal, state: PiMutex::new(State::default()), callback }
+        EventQueueSlot { signal, state: PiMutex::new(EventState::default()), callback }
     }
 }
 
 #[derive(Default)]
-struct State {
+struct EventState {
     counts: Counts,
     /// Events since the last take for which no callback was called.
     untold: usize,
@@ -62,7 +62,7 @@ struct Counts {
 }
 
 /// The target of an `rmw_event_t`; its endpoint keeps it alive.
-pub(crate) struct Source {
+pub(crate) struct EventTarget {
     happened: Arc<Happened>,
     kind: usize,
 }
@@ -123,9 +123,9 @@ impl Happened {
     }
 }
 
-impl Kind {
+impl EventQueueSlot {
     /// Begins a call for unreported events, if a callback is set.
-    fn begin(&self, state: &mut State) -> Option<(Call<'_>, usize)> {
+    fn begin(&self, state: &mut EventState) -> Option<(Call<'_>, usize)> {
         let call = self.callback.begin()?;
         Some((call, std::mem::take(&mut state.untold)))
     }
@@ -231,16 +231,16 @@ impl Event {
 /// The flag of an event in a wait set.
 pub(crate) fn signal_of(event: &rmw_event_t) -> Option<&Signal> {
     // SAFETY: null, or set by `init`; the endpoint keeps the target alive.
-    let source = unsafe { event.data.cast::<Source>().as_ref() }?;
+    let source = unsafe { event.data.cast::<EventTarget>().as_ref() }?;
     source.happened.kinds.get(source.kind).map(|kind| &kind.signal)
 }
 
 /// The targets of its events, one per kind: the endpoint owns them, because rmw does not free events.
-pub(crate) struct Sources(Vec<Source>);
+pub(crate) struct Sources(Vec<EventTarget>);
 
 impl Sources {
     pub(crate) fn new(happened: &Arc<Happened>) -> Self {
-        Sources((0..KINDS).map(|kind| Source { happened: happened.clone(), kind }).collect())
+        Sources((0..KINDS).map(|kind| EventTarget { happened: happened.clone(), kind }).collect())
     }
 }
 
@@ -307,12 +307,12 @@ pub extern "C" fn rmw_event_type_is_supported(kind: rmw_event_type_t) -> bool {
 }
 
 /// The source of an event.
-unsafe fn source_of<'s>(event: *const rmw_event_t) -> Result<&'s Source> {
+unsafe fn source_of<'s>(event: *const rmw_event_t) -> Result<&'s EventTarget> {
     // SAFETY: rmw's contract.
     let event = unsafe { event.as_ref() }.ok_or_else(|| Error::null("the event"))?;
     check_identifier(event.implementation_identifier, "the event")?;
     // SAFETY: it is ours.
-    unsafe { event.data.cast::<Source>().as_ref() }.ok_or_else(|| Error::null("the event's data"))
+    unsafe { event.data.cast::<EventTarget>().as_ref() }.ok_or_else(|| Error::null("the event's data"))
 }
 
 /// # Safety

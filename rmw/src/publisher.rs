@@ -8,9 +8,9 @@ use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
 use crate::node::Node;
-use crate::qos::{self, Role};
+use crate::qos::{self, EndpointRole};
 use crate::serialization::little_body;
-use crate::topic::Asked;
+use crate::topic::EndpointArgs;
 use crate::types::MessageType;
 use std::ffi::{c_char, c_void};
 use std::sync::Arc;
@@ -229,10 +229,10 @@ pub unsafe extern "C" fn rmw_create_publisher(
         let (options, asked) = unsafe {
             let options = options.as_ref().ok_or_else(|| Error::null("the options"))?;
             let flows = options.require_unique_network_flow_endpoints;
-            (options, Asked::new(node, support, topic, profile, flows)?)
+            (options, EndpointArgs::new(node, support, topic, profile, flows)?)
         };
-        let Asked { node, message_type, name, profile } = asked;
-        let wanted = qos::from_ros(profile, Role::Publisher, std::iter::empty())?;
+        let EndpointArgs { node, message_type, name, profile } = asked;
+        let wanted = qos::from_ros(profile, EndpointRole::Publisher, std::iter::empty())?;
         let raw = node.participant.create_raw_publisher(
             name,
             &message_type.topic_type,

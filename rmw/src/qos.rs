@@ -19,7 +19,7 @@ const ALL: usize = 5_000;
 
 /// The kind of endpoint of a profile.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Role {
+pub(crate) enum EndpointRole {
     Publisher,
     Subscription,
     Service,
@@ -53,11 +53,11 @@ fn is_best_available(time: &rmw_time_s) -> bool {
 /// from `others`, the topic's endpoints, as in rmw_dds_common.
 pub(crate) fn from_ros<'e>(
     profile: &rmw_qos_profile_t,
-    role: Role,
+    role: EndpointRole,
     others: impl Iterator<Item = &'e TopicEndpoint> + Clone,
 ) -> Result<Qos> {
     // A subscription adapts to existing publishers; a publisher offers the most; a service uses the service defaults.
-    let publishers = others.filter(|end| end.kind == EndpointKind::Publisher && role == Role::Subscription);
+    let publishers = others.filter(|end| end.kind == EndpointKind::Publisher && role == EndpointRole::Subscription);
     let all = |fits: fn(&TopicEndpoint) -> bool| publishers.clone().all(fits);
     let reliability = match profile.reliability {
         RMW_QOS_POLICY_RELIABILITY_SYSTEM_DEFAULT | RMW_QOS_POLICY_RELIABILITY_RELIABLE => {
@@ -75,7 +75,7 @@ pub(crate) fn from_ros<'e>(
     let durability = match profile.durability {
         RMW_QOS_POLICY_DURABILITY_SYSTEM_DEFAULT | RMW_QOS_POLICY_DURABILITY_VOLATILE => Durability::Volatile,
         RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL => Durability::TransientLocal,
-        RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE if role == Role::Service => Durability::Volatile,
+        RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE if role == EndpointRole::Service => Durability::Volatile,
         RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE
             if all(|end| end.qos.durability == Durability::TransientLocal) =>
         {
@@ -236,8 +236,8 @@ pub unsafe extern "C" fn rmw_qos_profile_check_compatible(
             return Err(Error::invalid("reason is null, and its size is not zero"));
         }
         let none = std::iter::empty();
-        let offered = from_ros(&settled(&publisher, &subscription), Role::Publisher, none.clone())?;
-        let requested = from_ros(&settled(&subscription, &publisher), Role::Subscription, none)?;
+        let offered = from_ros(&settled(&publisher, &subscription), EndpointRole::Publisher, none.clone())?;
+        let requested = from_ros(&settled(&subscription, &publisher), EndpointRole::Subscription, none)?;
         let text = match offered.incompatibility(&requested) {
             Some(policy) => {
                 *compatibility = RMW_QOS_COMPATIBILITY_ERROR;

@@ -2,11 +2,11 @@
 //! Servers of services.
 
 use crate::bindings::*;
-use crate::end::{End, Port};
+use crate::end::{ReceivingEndpoint, MessageQueue};
 use crate::error::{Error, Result, answer, made};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
 use crate::node::{Node, check_full_name};
-use crate::qos::{self, Role};
+use crate::qos::{self, EndpointRole};
 use crate::subscription::received_ns;
 use crate::types::ServiceSupport;
 use std::ffi::{c_char, c_void};
@@ -20,10 +20,10 @@ pub(crate) struct Service {
     of: ServiceSupport,
     qos: rmw_qos_profile_t,
     depth: Depth,
-    end: Arc<End<RawServer>>,
+    end: Arc<ReceivingEndpoint<RawServer>>,
 }
 
-impl Port for RawServer {
+impl MessageQueue for RawServer {
     const IS_TOPIC: bool = false;
 
     fn subscription(&self) -> &RawSubscription {
@@ -44,7 +44,7 @@ impl Service {
     }
 
     /// The endpoint, whose requests wake wait sets.
-    pub(crate) fn end(&self) -> &End<RawServer> {
+    pub(crate) fn end(&self) -> &ReceivingEndpoint<RawServer> {
         &self.end
     }
 
@@ -60,7 +60,7 @@ impl Service {
 pub(crate) fn profile_of(profile: *const rmw_qos_profile_t) -> Result<Qos> {
     // SAFETY: rmw's contract.
     let profile = unsafe { profile.as_ref() }.ok_or_else(|| Error::null("the QoS profile"))?;
-    qos::from_ros(profile, Role::Service, std::iter::empty())
+    qos::from_ros(profile, EndpointRole::Service, std::iter::empty())
 }
 
 /// A service's name, checked against ROS's rules unless the profile disables that.
@@ -162,7 +162,7 @@ pub unsafe extern "C" fn rmw_create_service(
         let raw =
             node.participant.create_raw_server(name, &of.service_type, depth.room, of.response.limits())?;
         let service =
-            Service { node, of, qos: qos::to_ros(&wanted, false), depth, end: End::new(node, raw)? };
+            Service { node, of, qos: qos::to_ros(&wanted, false), depth, end: ReceivingEndpoint::new(node, raw)? };
         let service_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anyone can see it.
         unsafe {

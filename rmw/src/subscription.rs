@@ -3,14 +3,14 @@
 
 use crate::bindings::*;
 use crate::cdr::Length;
-use crate::end::End;
+use crate::end::ReceivingEndpoint;
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
 use crate::node::Node;
-use crate::qos::{self, Role};
+use crate::qos::{self, EndpointRole};
 use crate::serialization::write_serialized;
-use crate::topic::Asked;
+use crate::topic::EndpointArgs;
 use crate::types::{HELD, MessageType};
 use std::ffi::{c_char, c_void};
 use std::sync::Arc;
@@ -34,7 +34,7 @@ pub(crate) struct Subscription {
     received: AtomicU64,
     /// Loans that ROS reads in place.
     loans: PiMutex<Vec<RawSample>>,
-    end: Arc<End<RawSubscription>>,
+    end: Arc<ReceivingEndpoint<RawSubscription>>,
 }
 
 /// Maximum of invalid or ignored samples that one take skips; the subscription stays ready for the rest.
@@ -54,7 +54,7 @@ impl Subscription {
     }
 
     /// The endpoint, whose messages wake wait sets.
-    pub(crate) fn end(&self) -> &End<RawSubscription> {
+    pub(crate) fn end(&self) -> &ReceivingEndpoint<RawSubscription> {
         &self.end
     }
 
@@ -272,12 +272,12 @@ pub unsafe extern "C" fn rmw_create_subscription(
         let (options, asked) = unsafe {
             let options = options.as_ref().ok_or_else(|| Error::null("the options"))?;
             let flows = options.require_unique_network_flow_endpoints;
-            (options, Asked::new(node, support, topic, profile, flows)?)
+            (options, EndpointArgs::new(node, support, topic, profile, flows)?)
         };
-        let Asked { node, message_type, name, profile } = asked;
+        let EndpointArgs { node, message_type, name, profile } = asked;
         let graph = node.participant.graph()?;
         let of_topic = graph.endpoints.iter().filter(|end| end.topic == name).map(|end| &**end);
-        let wanted = qos::from_ros(profile, Role::Subscription, of_topic)?;
+        let wanted = qos::from_ros(profile, EndpointRole::Subscription, of_topic)?;
         let raw = node.participant.create_raw_subscription(
             name,
             &message_type.topic_type,
@@ -296,7 +296,7 @@ pub unsafe extern "C" fn rmw_create_subscription(
             matched,
             received: AtomicU64::new(0),
             loans: PiMutex::new(Vec::new()),
-            end: End::new(node, raw)?,
+            end: ReceivingEndpoint::new(node, raw)?,
         };
         let topic_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anyone can see it.

@@ -9,14 +9,14 @@ use crate::types::MessageType;
 use std::ffi::c_char;
 
 /// Checked arguments for creating a topic endpoint.
-pub(crate) struct Asked<'a> {
+pub(crate) struct EndpointArgs<'a> {
     pub(crate) node: &'a Node,
     pub(crate) message_type: MessageType,
     pub(crate) name: &'a str,
     pub(crate) profile: &'a rmw_qos_profile_t,
 }
 
-impl Asked<'_> {
+impl EndpointArgs<'_> {
     /// # Safety
     /// As documented by rmw for both functions that create endpoints.
     pub(crate) unsafe fn new(
@@ -44,6 +44,6 @@ impl Asked<'_> {
                 "unique network flow endpoints: there is no network flow in shared memory",
             ));
         }
-        Ok(Asked { node, message_type, name, profile })
+        Ok(EndpointArgs { node, message_type, name, profile })
     }
 }

@@ -178,21 +178,21 @@ fn no_support() -> Error {
 
 /// A type's information besides its structs.
 #[derive(Clone)]
-struct Known {
+struct CachedType {
     hash: String,
     schema: Arc<Schema>,
     definition: String,
 }
 
 /// Types found before.
-static KNOWN: Mutex<Option<HashMap<String, Known>>> = Mutex::new(None);
+static KNOWN: Mutex<Option<HashMap<String, CachedType>>> = Mutex::new(None);
 
 /// # Safety
 /// `description` comes from its generator.
 unsafe fn known(
     hash: &rosidl_type_hash_t,
     description: &rosidl_runtime_c__type_description__TypeDescription,
-) -> Result<Known> {
+) -> Result<CachedType> {
     if hash.version != HASH_VERSION {
         return Err(no_support());
     }
@@ -212,7 +212,7 @@ unsafe fn known(
             "the description of {name} does not match its hash: rebuild its package"
         )));
     }
-    let known = Known { definition: schema.to_text(), schema: Arc::new(schema), hash: hash.clone() };
+    let known = CachedType { definition: schema.to_text(), schema: Arc::new(schema), hash: hash.clone() };
     types.insert(hash, known.clone());
     Ok(known)
 }

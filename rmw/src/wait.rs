@@ -78,7 +78,7 @@ impl Array<'_> {
 }
 
 /// The entities to wait for.
-struct Wanted<'a> {
+struct WaitEntities<'a> {
     subscriptions: Array<'a>,
     guards: Array<'a>,
     services: Array<'a>,
@@ -86,7 +86,7 @@ struct Wanted<'a> {
     events: Array<'a>,
 }
 
-impl Wanted<'_> {
+impl WaitEntities<'_> {
     fn subscriptions(&self) -> impl Iterator<Item = &Subscription> {
         // SAFETY: rmw's contract of `rmw_wait`: the pointers are our data of such handles, and live. Also below.
         unsafe { self.subscriptions.all() }
@@ -187,7 +187,7 @@ impl Wanted<'_> {
 
 /// Detaches the waiter when dropped.
 struct Attached<'a> {
-    wanted: &'a Wanted<'a>,
+    wanted: &'a WaitEntities<'a>,
     waiter: &'a Arc<Waiter>,
 }
 
@@ -264,7 +264,7 @@ pub unsafe extern "C" fn rmw_wait(
         let (wait_set, timeout, mut wanted) = unsafe {
             let none = || (std::ptr::null_mut(), 0);
             let array = |(data, count)| Array::new(data, count);
-            let wanted = Wanted {
+            let wanted = WaitEntities {
                 subscriptions: array(
                     subscriptions.as_ref().map_or_else(none, |all| (all.subscribers, all.subscriber_count)),
                 ),

@@ -25,7 +25,7 @@ use crate::clock::{nanoseconds, thread_cpu_ns};
 use crate::{Policy, RtError, current_tid, set_policy_of};
 
 /// The data of the signal handler, in the thread that gets the signal. No other thread accesses it.
-struct State {
+struct HandlerState {
     timer: Cell<libc::timer_t>,
     /// The priority object that must know that the thread is demoted; null: none. Kept alive by the
     /// `BudgetTimer`.
@@ -43,8 +43,8 @@ struct State {
 
 thread_local! {
     // Without a destructor, and made before the first signal can come: a handler may use it.
-    static STATE: State = const {
-        State {
+    static STATE: HandlerState = const {
+        HandlerState {
             timer: Cell::new(ptr::null_mut()),
             own: Cell::new(ptr::null()),
             end_ns: AtomicU64::new(0),
@@ -338,7 +338,7 @@ fn unmark(timer: libc::timer_t) -> libc::timer_t {
 }
 
 /// Lets the timer expire once, so much later; 0: never.
-fn set(state: &State, after_ns: u64) {
+fn set(state: &HandlerState, after_ns: u64) {
     let timer = state.timer.get();
     if timer.is_null() {
         return;
@@ -352,7 +352,7 @@ fn set(state: &State, after_ns: u64) {
     unsafe { libc::timer_settime(unmark(timer), 0, &raw const once, ptr::null_mut()) };
 }
 
-fn demote(state: &State) {
+fn demote(state: &HandlerState) {
     // SAFETY: set by `BudgetTimer::new` to what that keeps, and to null before it lets go of it, in this thread.
     let Some(own) = (unsafe { state.own.get().as_ref() }) else { return };
     own.lowered.store(true, Ordering::SeqCst);
@@ -364,7 +364,7 @@ fn demote(state: &State) {
 }
 
 /// Sleeps until the next refill, in the signal handler. No longer than until then: who sets the time bounds it.
-fn suspend(state: &State, budget_ns: u64) {
+fn suspend(state: &HandlerState, budget_ns: u64) {
     state.suspended.store(true, Ordering::Relaxed);
     let at_ns = state.refill_at_ns.load(Ordering::Relaxed);
     let at = libc::timespec {

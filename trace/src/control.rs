@@ -19,7 +19,7 @@ const OFF: &[u8] = b"0";
 
 /// The request of a recorder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Asked {
+pub(crate) enum RecorderRequest {
     /// There is no recorder.
     Nothing,
     /// A recorder collects the remaining events and ends.
@@ -62,34 +62,34 @@ fn path(domain: u32) -> PathBuf {
 }
 
 /// Looks whether a recorder is there.
-pub(crate) fn asked(domain: u32) -> Asked {
+pub(crate) fn asked(domain: u32) -> RecorderRequest {
     let path = path(domain);
-    let Ok(file) = PeerFile::open(path.clone(), false) else { return Asked::Nothing };
+    let Ok(file) = PeerFile::open(path.clone(), false) else { return RecorderRequest::Nothing };
     if rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared).is_ok() {
         // Its recorder was killed, or has not come to lock it and will look whether it still has a name. Who locks it alone
         // while it has one unlinks this file, and not the next recorder's of the same name.
         if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() && has_name(&file) {
             let _ = rustix::fs::unlink(&path);
         }
-        return Asked::Nothing;
+        return RecorderRequest::Nothing;
     }
     let mut byte = [0];
     match rustix::io::pread(&file, &mut byte, 0) {
-        Ok(1) if byte == ON => Asked::Record,
-        _ => Asked::Finish,
+        Ok(1) if byte == ON => RecorderRequest::Record,
+        _ => RecorderRequest::Finish,
     }
 }
 
 /// The lock of a domain's recorder. Dropping it removes its file.
 #[derive(Debug)]
-pub(crate) struct Control {
+pub(crate) struct RecorderLock {
     domain: u32,
     path: PathBuf,
     file: OwnedFd,
 }
 
-impl Control {
-    pub(crate) fn claim(domain: u32) -> Result<Control, TraceError> {
+impl RecorderLock {
+    pub(crate) fn claim(domain: u32) -> Result<RecorderLock, TraceError> {
         // Processes hold the lock for a moment when they look.
         const PATIENCE: Duration = Duration::from_millis(500);
         let (path, mut patience) = (path(domain), Patience::new(PATIENCE));
@@ -104,7 +104,7 @@ impl Control {
             shm::check_owner(&file).map_err(|source| TraceError::File { path: path.clone(), source })?;
             match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
                 Ok(()) if has_name(&file) => {
-                    let control = Control { domain, path: path.clone(), file };
+                    let control = RecorderLock { domain, path: path.clone(), file };
                     control.write(ON).map_err(refuse)?;
                     return Ok(control);
                 }
@@ -125,7 +125,7 @@ impl Control {
     }
 }
 
-impl Drop for Control {
+impl Drop for RecorderLock {
     fn drop(&mut self) {
         let _ = rustix::fs::unlink(&self.path);
         leave_folder(self.domain);

@@ -24,7 +24,7 @@ impl ObjectId {
 /// The kind of event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[repr(u8)]
-pub enum Kind {
+pub enum EventKind {
     /// A publisher sends a message: stamped before any subscription can take it.
     Publish = 1,
     /// A subscription has taken a message.
@@ -47,39 +47,39 @@ pub enum Kind {
     Pass = 10,
 }
 
-impl Kind {
+impl EventKind {
     /// Every kind, in order of its number.
-    pub const ALL: [Kind; 10] = [
-        Kind::Publish,
-        Kind::Take,
-        Kind::CallbackStart,
-        Kind::CallbackEnd,
-        Kind::SpinStart,
-        Kind::SpinWake,
-        Kind::SpinTimeout,
-        Kind::SpinEnd,
-        Kind::Receive,
-        Kind::Pass,
+    pub const ALL: [EventKind; 10] = [
+        EventKind::Publish,
+        EventKind::Take,
+        EventKind::CallbackStart,
+        EventKind::CallbackEnd,
+        EventKind::SpinStart,
+        EventKind::SpinWake,
+        EventKind::SpinTimeout,
+        EventKind::SpinEnd,
+        EventKind::Receive,
+        EventKind::Pass,
     ];
 
     /// The name that exports print.
     pub const fn name(self) -> &'static str {
         match self {
-            Kind::Publish => "publish",
-            Kind::Take => "take",
-            Kind::CallbackStart => "callback_start",
-            Kind::CallbackEnd => "callback_end",
-            Kind::SpinStart => "spin_start",
-            Kind::SpinWake => "spin_wake",
-            Kind::SpinTimeout => "spin_timeout",
-            Kind::SpinEnd => "spin_end",
-            Kind::Receive => "receive",
-            Kind::Pass => "pass",
+            EventKind::Publish => "publish",
+            EventKind::Take => "take",
+            EventKind::CallbackStart => "callback_start",
+            EventKind::CallbackEnd => "callback_end",
+            EventKind::SpinStart => "spin_start",
+            EventKind::SpinWake => "spin_wake",
+            EventKind::SpinTimeout => "spin_timeout",
+            EventKind::SpinEnd => "spin_end",
+            EventKind::Receive => "receive",
+            EventKind::Pass => "pass",
         }
     }
 
-    fn from_number(number: u64) -> Option<Kind> {
-        Kind::ALL.into_iter().find(|kind| *kind as u64 == number)
+    fn from_number(number: u64) -> Option<EventKind> {
+        EventKind::ALL.into_iter().find(|kind| *kind as u64 == number)
     }
 }
 
@@ -89,7 +89,7 @@ pub struct Event {
     /// `CLOCK_MONOTONIC` in nanoseconds.
     pub time_ns: u64,
     /// The kind of event.
-    pub kind: Kind,
+    pub kind: EventKind,
     /// The object of the event.
     pub object: ObjectId,
     /// `publish`, `take` and `receive`: sequence number, source time stamp (nanoseconds since 1970), [`gid_key`] of the publisher.
@@ -107,7 +107,7 @@ impl Event {
 
     /// `None` if the words, which come from another process's memory or from a file, are not an event.
     pub fn from_words([time_ns, what, a, b, c]: [u64; WORDS]) -> Option<Event> {
-        let kind = Kind::from_number(what >> OBJECT_BITS)?;
+        let kind = EventKind::from_number(what >> OBJECT_BITS)?;
         let object = ObjectId(what & ((1 << OBJECT_BITS) - 1));
         Some(Event { time_ns, kind, object, arguments: [a, b, c] })
     }
@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn every_kind_comes_back_and_nothing_else_does() {
-        for kind in Kind::ALL {
+        for kind in EventKind::ALL {
             let event =
                 Event { time_ns: 7, kind, object: ObjectId(u64::MAX >> 8), arguments: [1, 2, u64::MAX] };
             assert_eq!(Event::from_words(event.words()), Some(event));

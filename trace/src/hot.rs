@@ -3,11 +3,11 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use crate::event::{Event, Kind, ObjectId, gid_key};
+use crate::event::{Event, EventKind, ObjectId, gid_key};
 use crate::init::SamplerObject;
 #[cfg(feature = "lttng")]
 use crate::lttng;
-use crate::thread::{self, Place};
+use crate::thread::{self, EventSink};
 use core::sync::atomic::{AtomicBool, Ordering};
 use tautline_rt::clock::monotonic_ns;
 
@@ -30,16 +30,18 @@ pub fn is_on() -> bool {
 /// Records in the current thread's ring.
 #[cold]
 #[inline(never)]
-fn record(kind: Kind, object: ObjectId, arguments: [u64; 3]) {
+fn record(kind: EventKind, object: ObjectId, arguments: [u64; 3]) {
     if object == ObjectId::NONE {
         return;
     }
     match thread::place() {
-        Place::Ring(ring) => ring.push(Event { time_ns: monotonic_ns(), kind, object, arguments }.to_words()),
-        Place::Counted(unrecorded) => {
+        EventSink::Ring(ring) => {
+            ring.push(Event { time_ns: monotonic_ns(), kind, object, arguments }.to_words())
+        }
+        EventSink::Counted(unrecorded) => {
             unrecorded.fetch_add(1, crate::sync::Ordering::Relaxed);
         }
-        Place::Nowhere => {}
+        EventSink::Nowhere => {}
     }
 }
 
@@ -70,7 +72,7 @@ impl MessageId {
 #[inline(always)]
 pub fn publish(publisher: ObjectId, message: &MessageId) {
     if ON.load(Ordering::Relaxed) {
-        record(Kind::Publish, publisher, message.arguments());
+        record(EventKind::Publish, publisher, message.arguments());
     }
     #[cfg(feature = "lttng")]
     lttng::publish(publisher, message);
@@ -83,7 +85,7 @@ pub fn publish(publisher: ObjectId, message: &MessageId) {
 #[inline(always)]
 pub fn take(subscription: ObjectId, message: &MessageId) {
     if ON.load(Ordering::Relaxed) {
-        record(Kind::Take, subscription, message.arguments());
+        record(EventKind::Take, subscription, message.arguments());
     }
     #[cfg(feature = "lttng")]
     lttng::take(subscription, message);
@@ -96,7 +98,7 @@ pub fn take(subscription: ObjectId, message: &MessageId) {
 #[inline(always)]
 pub fn receive(publisher: ObjectId, message: &MessageId) {
     if ON.load(Ordering::Relaxed) {
-        record(Kind::Receive, publisher, message.arguments());
+        record(EventKind::Receive, publisher, message.arguments());
     }
 }
 
@@ -108,7 +110,7 @@ pub fn receive(publisher: ObjectId, message: &MessageId) {
 #[inline(always)]
 pub fn pass(through: ObjectId, sequence_number: u64, from: [u64; 2], from_number: u64) {
     if ON.load(Ordering::Relaxed) {
-        record(Kind::Pass, through, [sequence_number, from_number, gid_key(from)]);
+        record(EventKind::Pass, through, [sequence_number, from_number, gid_key(from)]);
     }
 }
 
@@ -119,7 +121,7 @@ pub fn pass(through: ObjectId, sequence_number: u64, from: [u64; 2], from_number
 #[inline(always)]
 pub fn callback_start(callback: ObjectId, release_ns: u64) {
     if ON.load(Ordering::Relaxed) {
-        record(Kind::CallbackStart, callback, [release_ns, 0, 0]);
+        record(EventKind::CallbackStart, callback, [release_ns, 0, 0]);
     }
     #[cfg(feature = "lttng")]
     lttng::callback_start(callback);
@@ -132,7 +134,7 @@ pub fn callback_start(callback: ObjectId, release_ns: u64) {
 #[inline(always)]
 pub fn callback_end(callback: ObjectId) {
     if ON.load(Ordering::Relaxed) {
-        record(Kind::CallbackEnd, callback, [0; 3]);
+        record(EventKind::CallbackEnd, callback, [0; 3]);
     }
     #[cfg(feature = "lttng")]
     lttng::callback_end(callback);
@@ -147,7 +149,7 @@ pub fn spin_start(sampler: &SamplerObject, until_ns: Option<u64>) {
     if is_on() {
         let timeout_ns = until_ns.map_or(u64::MAX, |until| until.saturating_sub(monotonic_ns()));
         if ON.load(Ordering::Relaxed) {
-            record(Kind::SpinStart, sampler.id(), [timeout_ns, 0, 0]);
+            record(EventKind::SpinStart, sampler.id(), [timeout_ns, 0, 0]);
         }
         #[cfg(feature = "lttng")]
         lttng::spin_start(sampler.node(), timeout_ns);
@@ -161,7 +163,7 @@ pub fn spin_start(sampler: &SamplerObject, until_ns: Option<u64>) {
 #[inline(always)]
 pub fn spin_wake(sampler: &SamplerObject) {
     if ON.load(Ordering::Relaxed) {
-        record(Kind::SpinWake, sampler.id(), [0; 3]);
+        record(EventKind::SpinWake, sampler.id(), [0; 3]);
     }
     #[cfg(feature = "lttng")]
     lttng::spin_wake(sampler.node());
@@ -174,7 +176,7 @@ pub fn spin_wake(sampler: &SamplerObject) {
 #[inline(always)]
 pub fn spin_timeout(sampler: &SamplerObject) {
     if ON.load(Ordering::Relaxed) {
-        record(Kind::SpinTimeout, sampler.id(), [0; 3]);
+        record(EventKind::SpinTimeout, sampler.id(), [0; 3]);
     }
     #[cfg(feature = "lttng")]
     lttng::spin_timeout(sampler.node());
@@ -187,7 +189,7 @@ pub fn spin_timeout(sampler: &SamplerObject) {
 #[inline(always)]
 pub fn spin_end(sampler: &SamplerObject) {
     if ON.load(Ordering::Relaxed) {
-        record(Kind::SpinEnd, sampler.id(), [0; 3]);
+        record(EventKind::SpinEnd, sampler.id(), [0; 3]);
     }
     #[cfg(feature = "lttng")]
     lttng::spin_end(sampler.node());

@@ -54,7 +54,7 @@ mod thread;
 
 pub use control::is_trace_file;
 pub use error::TraceError;
-pub use event::{Event, Kind, ObjectId, gid_key};
+pub use event::{Event, EventKind, ObjectId, gid_key};
 pub use hot::{
     MessageId, callback_end, callback_start, is_on, pass, publish, receive, spin_end, spin_start,
     spin_timeout, spin_wake, take,

@@ -91,7 +91,7 @@ pub struct Description {
 #[must_use = "dropping it removes the description from the trace"]
 pub struct Object {
     id: ObjectId,
-    entry: Option<process::Entry>,
+    entry: Option<process::ObjectEntry>,
 }
 
 impl Object {

@@ -4,7 +4,7 @@
 //! The file is mapped at one address permanently; when the last membership ends, zeros are mapped there instead. So a
 //! thread may keep a reference to its ring forever.
 
-use crate::control::{self, Asked};
+use crate::control::{self, RecorderRequest};
 use crate::error::TraceError;
 use crate::hot;
 use crate::layout::{Map, RINGS, name_to_words, state};
@@ -165,14 +165,14 @@ impl OwnTraceFile {
     fn attend(&self) -> bool {
         let asked = control::asked(self.domain);
         if self.mode != TraceMode::On {
-            let wanted = if asked == Asked::Record { state::ASKED } else { state::OFF };
+            let wanted = if asked == RecorderRequest::Record { state::ASKED } else { state::OFF };
             if self.map.state().load(Ordering::Relaxed) != wanted {
                 if wanted == state::ASKED {
                     // Of a thread that was switched off between its look and its event: not the next recording's.
                     self.discard();
                 }
                 hot::switch(wanted == state::ASKED);
-                if asked == Asked::Nothing {
+                if asked == RecorderRequest::Nothing {
                     // The recorder was killed. What it left would turn up in the next recording.
                     self.discard();
                 }
@@ -181,11 +181,11 @@ impl OwnTraceFile {
             }
         }
         // Else before others get memory.
-        if asked != Asked::Nothing || self.missing_rings(SPARE_RINGS) > 0 {
+        if asked != RecorderRequest::Nothing || self.missing_rings(SPARE_RINGS) > 0 {
             self.give_back_rings(asked);
         }
         self.prepare_rings(SPARE_RINGS);
-        asked != Asked::Nothing
+        asked != RecorderRequest::Nothing
     }
 
     fn discard(&self) {
@@ -213,7 +213,7 @@ impl OwnTraceFile {
     }
 
     /// A ring whose thread has ended is free when a recorder has everything; without a recorder also when rings run short.
-    fn give_back_rings(&self, asked: Asked) {
+    fn give_back_rings(&self, asked: RecorderRequest) {
         let owners = |index: &usize| self.map.ring(*index).head.tid.load(Ordering::Relaxed);
         let free = self.free_rings();
         for index in 0..RINGS {
@@ -222,7 +222,7 @@ impl OwnTraceFile {
                 continue;
             }
             if !ring.is_drained() {
-                if asked != Asked::Nothing || free >= RINGS / 4 {
+                if asked != RecorderRequest::Nothing || free >= RINGS / 4 {
                     continue;
                 }
                 let committed = ring.head.committed.load(Ordering::Relaxed);
@@ -257,7 +257,7 @@ impl OwnTraceFile {
     /// What nobody has fetched stays for a recorder: the one that asked for it, or any if it was recorded from the start.
     fn leave(&self) {
         hot::switch(false);
-        let wanted = self.mode == TraceMode::On || control::asked(self.domain) != Asked::Nothing;
+        let wanted = self.mode == TraceMode::On || control::asked(self.domain) != RecorderRequest::Nothing;
         if !wanted || self.map.is_drained() {
             self.file.retire();
             control::leave_folder(self.domain);
@@ -286,12 +286,12 @@ pub fn leave_at_exit() {
 
 /// An entry of the table of a generation.
 #[derive(Debug)]
-pub(crate) struct Entry {
+pub(crate) struct ObjectEntry {
     index: usize,
     generation: u64,
 }
 
-pub(crate) fn describe(object: &Description) -> Option<Entry> {
+pub(crate) fn describe(object: &Description) -> Option<ObjectEntry> {
     let mut process = process();
     let Process { file: Some(own), free, .. } = &mut *process else { return None };
     let index = free.take().filter(|index| {
@@ -305,10 +305,10 @@ pub(crate) fn describe(object: &Description) -> Option<Entry> {
     own.map.layout().objects[index].write(object);
     // Release: pairs with the Acquire of the recorder, which then looks at the table.
     own.map.described().fetch_add(1, Ordering::Release);
-    Some(Entry { index, generation: thread::generation() })
+    Some(ObjectEntry { index, generation: thread::generation() })
 }
 
-pub(crate) fn forget(entry: Entry) {
+pub(crate) fn forget(entry: ObjectEntry) {
     let mut process = process();
     if process.file.is_some() && entry.generation == thread::generation() {
         process.free.give_back(entry.index);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The recorder's side: finds the processes of a domain, switches their recording on, fetches their events.
 
-use crate::control::{self, Asked, Control};
+use crate::control::{self, RecorderLock, RecorderRequest};
 use crate::error::TraceError;
 use crate::event::Event;
 use crate::layout::{Map, RINGS, state, words_to_name};
@@ -97,7 +97,7 @@ pub enum Record<'r> {
 #[derive(Debug)]
 pub struct Recorder {
     domain: u32,
-    control: Control,
+    control: RecorderLock,
     processes: HashMap<PathBuf, Peer>,
     /// Files that are not trace files; each is reported once.
     refused: HashSet<PathBuf>,
@@ -116,7 +116,7 @@ impl Recorder {
     /// # Errors
     /// [`TraceError::SecondRecorder`] if there is already one.
     pub fn start(domain: u32) -> Result<Recorder, TraceError> {
-        let control = Control::claim(domain)?;
+        let control = RecorderLock::claim(domain)?;
         Ok(Recorder {
             domain,
             control,
@@ -138,7 +138,7 @@ impl Recorder {
         for peer in self.processes.values_mut() {
             peer.fetch(sink);
         }
-        self.bury(sink);
+        self.remove_dead(sink);
     }
 
     /// Makes every process stop recording, waits until they have stopped, at most two seconds, and fetches the
@@ -153,12 +153,12 @@ impl Recorder {
             for peer in self.processes.values_mut() {
                 peer.fetch(sink);
             }
-            self.bury(sink);
+            self.remove_dead(sink);
         }
         for peer in self.processes.values_mut() {
             peer.fetch(sink);
         }
-        self.bury(sink);
+        self.remove_dead(sink);
     }
 
     /// How many processes are being recorded now.
@@ -193,7 +193,7 @@ impl Recorder {
     }
 
     /// Removes the files of processes that have ended.
-    fn bury(&mut self, sink: &mut impl FnMut(Record<'_>)) {
+    fn remove_dead(&mut self, sink: &mut impl FnMut(Record<'_>)) {
         self.processes.retain(|_, peer| {
             // Not locked: its owner died, or needs it no more.
             if peer.file.is_owned() {
@@ -323,7 +323,7 @@ pub fn remove_dead_files(domain: u32) {
     let mut files = shm::list(&control::process_prefix(domain)).unwrap_or_default();
     // Not for writing: whoever watches the folder would hear of it, and look again.
     files.retain(|path| PeerFile::open(path.clone(), false).is_ok_and(|file| !file.is_owned()));
-    if files.is_empty() || control::asked(domain) != Asked::Nothing {
+    if files.is_empty() || control::asked(domain) != RecorderRequest::Nothing {
         return;
     }
     for path in files {

@@ -10,7 +10,7 @@ use std::cell::Cell;
 
 /// Where the current thread's events go.
 #[derive(Clone, Copy)]
-pub(crate) enum Place {
+pub(crate) enum EventSink {
     /// Nowhere: there is no file.
     Nowhere,
     /// No ring is free: they are counted.
@@ -21,7 +21,7 @@ pub(crate) enum Place {
 
 thread_local! {
     // With the generation it is of. Needs no destructor: the ring of an ended thread is given back by `process::attend`.
-    static PLACE: Cell<(u64, Place)> = const { Cell::new((0, Place::Nowhere)) };
+    static PLACE: Cell<(u64, EventSink)> = const { Cell::new((0, EventSink::Nowhere)) };
 }
 
 /// Counts the files that this process has had; zero before the first. Rings are of one of them.
@@ -60,17 +60,17 @@ pub fn register_thread() {
 /// # Real-time
 /// As [`register_thread`].
 pub fn register_thread_as(name: &str) {
-    if !matches!(cached(), Some(Place::Ring(_))) {
+    if !matches!(cached(), Some(EventSink::Ring(_))) {
         process::with_spare_ring(|| _ = place());
     }
-    if let Place::Ring(ring) = place()
+    if let EventSink::Ring(ring) = place()
         && !name.is_empty()
     {
         set_name(ring, name.as_bytes());
     }
 }
 
-fn cached() -> Option<Place> {
+fn cached() -> Option<EventSink> {
     PLACE.try_with(Cell::get).ok().filter(|(of, _)| *of == generation()).map(|(_, place)| place)
 }
 
@@ -78,12 +78,12 @@ fn cached() -> Option<Place> {
 ///
 /// # Real-time
 /// Wait-free; no allocation; some syscalls when it finds its ring, otherwise none.
-pub(crate) fn place() -> Place {
+pub(crate) fn place() -> EventSink {
     // Acquire: pairs with the Release in `change_map`.
     let generation = GENERATION.load(Ordering::Acquire);
     // No thread-local any more: the thread is going down.
-    let Ok((of, place)) = PLACE.try_with(Cell::get) else { return Place::Nowhere };
-    if of == generation && matches!(place, Place::Ring(_)) {
+    let Ok((of, place)) = PLACE.try_with(Cell::get) else { return EventSink::Nowhere };
+    if of == generation && matches!(place, EventSink::Ring(_)) {
         return place;
     }
     let place = find_place();
@@ -92,21 +92,21 @@ pub(crate) fn place() -> Place {
 }
 
 #[cold]
-fn find_place() -> Place {
+fn find_place() -> EventSink {
     // SAFETY: null, or a leaked Map, whose memory is never unmapped. Acquire: pairs with the Release in `change_map`.
-    let Some(map) = (unsafe { MAP.load(Ordering::Acquire).as_ref() }) else { return Place::Nowhere };
+    let Some(map) = (unsafe { MAP.load(Ordering::Acquire).as_ref() }) else { return EventSink::Nowhere };
     // A thread without a ring comes here with every event: no syscall if there is none to be had.
     if !(0..RINGS).any(|index| map.ring(index).is_spare()) {
-        return Place::Counted(map.unrecorded());
+        return EventSink::Counted(map.unrecorded());
     }
     let tid = tautline_rt::current_tid();
     let Some(ring) = (0..RINGS).map(|index| map.ring(index)).find(|ring| ring.claim(tid)) else {
-        return Place::Counted(map.unrecorded());
+        return EventSink::Counted(map.unrecorded());
     };
     let mut name = [0u8; 16];
     let named = if tid == std::process::id() { copy(&mut name, b"main") } else { comm(&mut name) };
     set_name(ring, name.get(..named).unwrap_or_default());
-    Place::Ring(ring)
+    EventSink::Ring(ring)
 }
 
 fn set_name(ring: Ring<'_>, name: &[u8]) {

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Write};
 use std::path::PathBuf;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
-use tautline_trace::{Kind, MessageId, Record, Recorder, TraceError, TraceMode, TraceSettings};
+use tautline_trace::{EventKind, MessageId, Record, Recorder, TraceError, TraceMode, TraceSettings};
 
 /// Everything of a recording, by process name or thread name.
 #[derive(Default, Debug)]
@@ -18,7 +18,7 @@ struct Seen {
     threads: BTreeMap<u32, String>,
     /// Sequence numbers of publications, by thread.
     published: BTreeMap<u32, Vec<u64>>,
-    kinds: Vec<Kind>,
+    kinds: Vec<EventKind>,
     lost: u64,
     unrecorded: u64,
 }
@@ -31,7 +31,7 @@ impl Seen {
             Record::Thread { tid, name, .. } => drop(self.threads.insert(tid, name.to_owned())),
             Record::Events { tid, events, .. } => {
                 self.kinds.extend(events.iter().map(|event| event.kind));
-                let published = events.iter().filter(|event| event.kind == Kind::Publish);
+                let published = events.iter().filter(|event| event.kind == EventKind::Publish);
                 self.published.entry(tid).or_default().extend(published.map(|event| event.arguments[0]));
             }
             Record::Lost { events, .. } => self.lost += events,

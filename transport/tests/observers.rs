@@ -162,7 +162,7 @@ fn what_publishers_send_can_be_read_without_a_subscription() {
     assert_eq!(visitor.sent(&ends[&gid]).unwrap(), None);
 }
 
-/// Who publishes alone, and is killed: nobody buries it, and it is not there.
+/// Who publishes alone, and is killed: nobody cleans up after it, and it is not there.
 #[test]
 fn the_dead_are_not_seen_though_nobody_buried_them() {
     let domain = domain(229);

@@ -348,7 +348,7 @@ pub fn miri(steps: &mut Steps) {
     let messages = "+nightly miri test -p tautline-msgs --test cdr --test validate --test owned -- \
                     --skip lengths_are_not_believed --skip encoding_does_not_allocate";
     steps.command("miri: messages", &mut cargo(messages));
-    let samples = "+nightly miri test -p tautline-transport --lib -- lending pending";
+    let samples = "+nightly miri test -p tautline-transport --lib -- borrowed pending";
     steps.command("miri: samples", &mut cargo(samples));
     let rings = "+nightly miri test -p tautline-trace --lib -- ring object";
     steps.command("miri: rings", &mut cargo(rings));

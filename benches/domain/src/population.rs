@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Processes with a node each: what they cost when nothing happens, what it costs to look at them and to come to them, and how soon
-//! they are buried.
+//! they are cleaned up after.
 
 use crate::job::{DOMAIN, Job, Said, say_and_stay, wait_until};
 use crate::place::{Gate, shared_bytes};
@@ -149,7 +149,7 @@ fn deaths(bench: &Bench<'_>, size: usize, processes: &mut Vec<Process<'_, Said>>
             let mut victim = processes.swap_remove(index);
             of_wardens.push(death(&participant, &publisher, &mut victim)?);
         }
-        rows.extend(rows_of(size, "a killed warden, which buries the others,", &of_wardens));
+        rows.extend(rows_of(size, "a killed warden, which cleans up after the others,", &of_wardens));
     }
     Ok(rows)
 }
@@ -188,7 +188,7 @@ fn death(
     let mut death = [None; TRACES.len()];
     let start_ns = monotonic_ns();
     victim.kill();
-    let buried = look_until("a killed process is buried", || {
+    let cleaned = look_until("a killed process is cleaned up after", || {
         let has_gone = |trace: usize| -> Result<bool> {
             Ok(match trace {
                 0 => !participant.graph()?.nodes.iter().any(|node| node.pid == Some(pid)),
@@ -203,7 +203,7 @@ fn death(
         }
         Ok(death.iter().all(Option::is_some))
     });
-    if let Err(error) = buried {
+    if let Err(error) = cleaned {
         let left = std::iter::zip(TRACES, death).filter(|(_, at)| at.is_none());
         let left: Vec<&str> = left.map(|(what, _)| what).collect();
         return Err(format!("{error}: what is left of it is {}", left.join(", ")).into());

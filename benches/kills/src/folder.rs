@@ -131,7 +131,7 @@ pub fn waited(tid: u32) -> Duration {
     Duration::from_nanos(ThreadTime::of(tid).unwrap_or_default().waited_ns)
 }
 
-/// Time in which a burial, and this program's notice of it, did not get a core, up to some moment.
+/// Time in which a cleanup, and this program's notice of it, did not get a core, up to some moment.
 #[derive(Clone, Copy, Debug)]
 struct Delays {
     stolen: Duration,
@@ -166,7 +166,7 @@ impl Delays {
 pub struct Stay {
     pub worst: Duration,
     pub files: usize,
-    /// Those that stayed longer than they may, and for how long whoever buries them had a core, or could have had one.
+    /// Those that stayed longer than they may, and for how long whoever cleans up after them had a core, or could have had one.
     pub late: Vec<(PathBuf, Duration)>,
 }
 

@@ -22,7 +22,7 @@ const DOMAIN: u32 = 0;
 const LIFE: Duration = Duration::from_millis(80);
 /// Within this the graph answers, and a new participant has made a topic and got a message through it.
 const ANSWER: Duration = Duration::from_millis(100);
-/// So long 99 of 100 files of the dead may stay, without the time in which others had the core that their burial was to run on.
+/// So long 99 of 100 files of the dead may stay, without the time in which others had the core that their cleanup was to run on.
 const STAY: Duration = Duration::from_millis(50);
 /// And the others.
 const STAY_LATE: Duration = Duration::from_millis(500);
@@ -73,7 +73,7 @@ pub fn run(options: &Options) -> Result<()> {
     place.check()?;
     println!(
         "{killed} kills in {:.1} s; at most: graph {}, a newcomer's message {}, files of the dead {}, {} of {} longer than {STAY:?} plus \
-         what their burial waited for a core; nothing was lost uncounted, and nothing is left",
+         what their cleanup waited for a core; nothing was lost uncounted, and nothing is left",
         start.elapsed().as_secs_f64(),
         ms(worst.graph),
         ms(worst.met),
@@ -83,7 +83,7 @@ pub fn run(options: &Options) -> Result<()> {
     );
     if !options.common.no_limits && 100 * worst.late > worst.files {
         return Err(format!(
-            "more than 1 of 100 files of the dead stayed longer than {STAY:?} plus what their burial waited for a core"
+            "more than 1 of 100 files of the dead stayed longer than {STAY:?} plus what their cleanup waited for a core"
         )
         .into());
     }

@@ -31,7 +31,7 @@ pub enum Scene {
     Ends,
     /// Subscriptions find the friend's publishers, hold samples, go.
     Attach,
-    /// A process is the first one of the domain, buries another one, and is the last one to go.
+    /// A process is the first one of the domain, cleans up after another one, and is the last one to go.
     Warden,
 }
 
@@ -162,7 +162,7 @@ fn warden(domain: u32, mut commands: impl Iterator<Item = String>) -> Result<()>
         while numbers.try_take()?.is_some() {}
         Ok(numbers.publisher_count() == 0)
     })?;
-    say(&Said::At("buried".into()));
+    say(&Said::At("cleaned up".into()));
     // The friend has left.
     commands.next();
     Ok(())

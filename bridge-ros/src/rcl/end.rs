@@ -7,7 +7,7 @@ use r2r_rcl::*;
 use std::sync::Arc;
 
 /// rcl's object of one entity, boxed because nodes and wait sets keep its address.
-pub(super) struct End<T> {
+pub(super) struct RclEntity<T> {
     raw: *mut T,
     fini: Fini<T>,
     node: Arc<Node>,
@@ -16,9 +16,9 @@ pub(super) struct End<T> {
 type Fini<T> = unsafe extern "C" fn(*mut T, *mut rcl_node_t) -> rcl_ret_t;
 
 // SAFETY: rcl's objects may move between threads; they are created and destroyed under the node's lock.
-unsafe impl<T> Send for End<T> {}
+unsafe impl<T> Send for RclEntity<T> {}
 
-impl<T> End<T> {
+impl<T> RclEntity<T> {
     /// Initialises `zero` with `init`. `what` names the step in an error.
     ///
     /// # Safety
@@ -38,7 +38,7 @@ impl<T> End<T> {
             drop(unsafe { Box::from_raw(raw) });
             return Err(error);
         }
-        Ok(End { raw, fini, node: node.clone() })
+        Ok(RclEntity { raw, fini, node: node.clone() })
     }
 
     /// Initialised until it is dropped.
@@ -51,7 +51,7 @@ impl<T> End<T> {
     }
 }
 
-impl<T> Drop for End<T> {
+impl<T> Drop for RclEntity<T> {
     fn drop(&mut self) {
         let _making = self.node.making();
         // SAFETY: initialised by `make`, exclusive, and its node lives.

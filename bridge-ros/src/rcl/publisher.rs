@@ -2,7 +2,7 @@
 //! Publishes serialized bytes in ROS.
 
 use super::context::{Node, text};
-use super::end::End;
+use super::end::RclEntity;
 use super::error::{RclError, check};
 use super::events::Incompatible;
 use super::serialized::SerializedMessage;
@@ -15,7 +15,7 @@ use tautline_transport::{Gid, Qos, TracedSender};
 
 /// A publisher of bytes.
 pub struct RosPublisher {
-    end: End<rcl_publisher_t>,
+    end: RclEntity<rcl_publisher_t>,
     gid: Gid,
     incompatible: Option<Incompatible>,
     traced: TracedSender,
@@ -24,7 +24,7 @@ pub struct RosPublisher {
     _support: MessageSupport,
 }
 
-// SAFETY: like `End`, and so is its event.
+// SAFETY: like `RclEntity`, and so is its event.
 unsafe impl Send for RosPublisher {}
 // SAFETY: publishing is thread-safe.
 unsafe impl Sync for RosPublisher {}
@@ -42,7 +42,7 @@ impl RosPublisher {
             options.qos = to_ros(qos);
             let init = |raw| rcl_publisher_init(raw, node.raw(), support.raw(), name.as_ptr(), &options);
             let zero = rcl_get_zero_initialized_publisher();
-            let end = End::make("making a publisher", node, zero, init, rcl_publisher_fini)?;
+            let end = RclEntity::make("making a publisher", node, zero, init, rcl_publisher_fini)?;
             let mut gid = rmw_gid_t { implementation_identifier: std::ptr::null(), data: [0; 16] };
             let known = rmw_get_gid_for_publisher(rcl_publisher_get_rmw_handle(end.raw()), &mut gid);
             let gid = node.context().publisher(super::graph::gid(&gid.data));

@@ -2,7 +2,7 @@
 //! Servers and clients in ROS.
 
 use super::context::{Node, text};
-use super::end::End;
+use super::end::RclEntity;
 use super::error::{RclError, check, taken};
 use super::service_support::{RosStruct, ServiceSupport};
 use r2r_rcl::*;
@@ -10,13 +10,13 @@ use std::sync::Arc;
 
 /// A server in ROS.
 pub struct RosServer {
-    end: End<rcl_service_t>,
+    end: RclEntity<rcl_service_t>,
     _support: ServiceSupport,
 }
 
 /// A client in ROS.
 pub struct RosClient {
-    end: End<rcl_client_t>,
+    end: RclEntity<rcl_client_t>,
     _support: ServiceSupport,
 }
 
@@ -37,7 +37,7 @@ impl RosServer {
             options.qos.depth = DEPTH;
             let init = |raw| rcl_service_init(raw, node.raw(), support.raw(), name.as_ptr(), &options);
             let zero = rcl_get_zero_initialized_service();
-            let end = End::make("making a service", node, zero, init, rcl_service_fini)?;
+            let end = RclEntity::make("making a service", node, zero, init, rcl_service_fini)?;
             Ok(RosServer { end, _support: support.clone() })
         }
     }
@@ -82,7 +82,7 @@ impl RosClient {
             options.qos.depth = DEPTH;
             let init = |raw| rcl_client_init(raw, node.raw(), support.raw(), name.as_ptr(), &options);
             let zero = rcl_get_zero_initialized_client();
-            let end = End::make("making a client", node, zero, init, rcl_client_fini)?;
+            let end = RclEntity::make("making a client", node, zero, init, rcl_client_fini)?;
             Ok(RosClient { end, _support: support.clone() })
         }
     }

@@ -4,7 +4,7 @@
 
 use super::error::{RclError, check};
 use super::serialized::SerializedMessage;
-use super::type_support::{Found, TypeSupportError, find, load_library, message_handle};
+use super::type_support::{InstalledType, TypeSupportError, find, load_library, message_handle};
 use libloading::Library;
 use r2r_rcl::*;
 use std::ffi::c_void;
@@ -39,7 +39,7 @@ impl ServiceSupport {
     /// # Errors
     /// [`TypeSupportError`].
     pub fn load(name: &str) -> Result<Self, TypeSupportError> {
-        let Found { package, full, library: support, unknown } = find(name, "srv")?;
+        let InstalledType { package, full, library: support, unknown } = find(name, "srv")?;
         let (structs, _) = load_library(package, "rosidl_generator_c")?;
         type Get = unsafe extern "C" fn() -> *const rosidl_service_type_support_t;
         let symbol = format!("rosidl_typesupport_c__get_service_type_support_handle__{full}");

@@ -2,7 +2,7 @@
 //! Takes serialized bytes from ROS.
 
 use super::context::{Node, text};
-use super::end::End;
+use super::end::RclEntity;
 use super::error::{RclError, taken};
 use super::serialized::SerializedMessage;
 use super::type_support::MessageSupport;
@@ -13,7 +13,7 @@ use tautline_transport::{Gid, Qos};
 
 /// A subscription to bytes.
 pub struct RosSubscription {
-    end: End<rcl_subscription_t>,
+    end: RclEntity<rcl_subscription_t>,
     _support: MessageSupport,
 }
 
@@ -44,7 +44,7 @@ impl RosSubscription {
             options.qos = to_ros(qos);
             let init = |raw| rcl_subscription_init(raw, node.raw(), support.raw(), name.as_ptr(), &options);
             let zero = rcl_get_zero_initialized_subscription();
-            let end = End::make("making a subscription", node, zero, init, rcl_subscription_fini);
+            let end = RclEntity::make("making a subscription", node, zero, init, rcl_subscription_fini);
             let _ = rcl_subscription_options_fini(&mut options);
             Ok(RosSubscription { end: end?, _support: support.clone() })
         }

@@ -57,7 +57,7 @@ impl MessageSupport {
     /// # Errors
     /// [`TypeSupportError`].
     pub fn load(name: &str) -> Result<Self, TypeSupportError> {
-        let Found { full, library, unknown, .. } = find(name, "msg")?;
+        let InstalledType { full, library, unknown, .. } = find(name, "msg")?;
         // SAFETY: rosidl generated the library for this type.
         let raw = unsafe { message_handle(&library, &full) }.ok_or(unknown)?;
         // SAFETY: constant data of the library; the library's function takes the handle itself.
@@ -79,7 +79,7 @@ impl MessageSupport {
 }
 
 /// A type whose package is installed.
-pub(super) struct Found<'n> {
+pub(super) struct InstalledType<'n> {
     pub(super) package: &'n str,
     /// Its name in C: `std_msgs__msg__String`.
     pub(super) full: String,
@@ -88,7 +88,7 @@ pub(super) struct Found<'n> {
 }
 
 /// Finds the type `name` of a `kind`, `msg` or `srv`.
-pub(super) fn find<'n>(name: &'n str, kind: &'static str) -> Result<Found<'n>, TypeSupportError> {
+pub(super) fn find<'n>(name: &'n str, kind: &'static str) -> Result<InstalledType<'n>, TypeSupportError> {
     // Messages and services of an action are in its package's folder `action`.
     let in_folder = |folder| split(name, folder).map(|(package, base)| (package, folder, base));
     let Some((package, folder, base)) = in_folder(kind).or_else(|| in_folder("action")) else {
@@ -101,7 +101,7 @@ pub(super) fn find<'n>(name: &'n str, kind: &'static str) -> Result<Found<'n>, T
     let (library, at) = load_library(package, "rosidl_typesupport_c")?;
     let full = format!("{package}__{folder}__{base}");
     let unknown = TypeSupportError::Unknown { package: package.to_owned(), kind, name: base.to_owned(), at };
-    Ok(Found { package, full, library, unknown })
+    Ok(InstalledType { package, full, library, unknown })
 }
 
 /// The type support of the message `full` in `library`.

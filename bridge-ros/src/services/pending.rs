@@ -11,11 +11,11 @@ pub(super) const SILENT_TIME: Duration = Duration::from_secs(30);
 
 /// By ROS's sequence number, which increases.
 pub(super) struct Pending {
-    asked: BTreeMap<i64, Asked>,
+    asked: BTreeMap<i64, PendingRequest>,
     most: usize,
 }
 
-struct Asked {
+struct PendingRequest {
     id: RequestId,
     /// Servers that received it and may still exist.
     servers: BTreeSet<ServerId>,
@@ -37,7 +37,7 @@ impl Pending {
     }
 
     pub(super) fn add(&mut self, number: i64, id: RequestId, servers: BTreeSet<ServerId>, since: Instant) {
-        self.asked.insert(number, Asked { id, servers, since });
+        self.asked.insert(number, PendingRequest { id, servers, since });
     }
 
     /// Removes an answered request. Of several servers, the first response counts.

@@ -93,7 +93,7 @@ pub struct Observers {
     /// Topics whose publishers are elsewhere, which was said.
     elsewhere: HashSet<String>,
     to_taker: Sender<Observer>,
-    to_keeper: Sender<Kept>,
+    to_writer: Sender<Kept>,
 }
 
 /// What the other threads are told of it: each topic, then the observer of the same number.
@@ -110,7 +110,7 @@ impl Observers {
         // Clients publish requests.
         let clients = graph.services.iter().map(|end| end.gid);
         let before = publishers.map(|end| end.gid).chain(clients).collect();
-        let ((to_taker, observers), (to_keeper, topics)) = (channel(), channel());
+        let ((to_taker, observers), (to_writer, topics)) = (channel(), channel());
         let here = Observers {
             participant,
             choice,
@@ -126,7 +126,7 @@ impl Observers {
             unknown: HashSet::new(),
             elsewhere: HashSet::new(),
             to_taker,
-            to_keeper,
+            to_writer,
         };
         Ok((here, NewObservers { observers, topics }))
     }
@@ -209,7 +209,7 @@ impl Observers {
 
     fn add(&mut self, topic: RecordedTopic, kept: Kept) {
         // The writer ends before this only with an error of its own, which is told.
-        let _ = self.to_keeper.send(kept);
+        let _ = self.to_writer.send(kept);
         self.numbers.entry(topic.topic.name.clone()).or_default().push(self.topics.len());
         self.topics.push(topic);
     }

@@ -7,7 +7,7 @@ use super::recording::Recording;
 use serde_json::{Value, json};
 use std::collections::HashMap;
 use std::io::{self, Write};
-use tautline_trace::{Kind, ObjectId};
+use tautline_trace::{EventKind, ObjectId};
 
 /// A publication is an instant; arrows begin at slices only. Shorter if the thread does something else before.
 const PUBLISH_NS: u64 = 1_000;
@@ -126,13 +126,13 @@ fn others(recording: &Recording, events: &mut Vec<(u64, u8, Value)>) {
         };
         let until = following.insert((process, tid), time_ns).unwrap_or(u64::MAX);
         match event.kind {
-            Kind::Publish => {
+            EventKind::Publish => {
                 let duration_ns = PUBLISH_NS.min(until.saturating_sub(time_ns) / 2);
                 let mut slice = slice(&format!("publish {name}"), "publish", duration_ns);
                 slice["args"] = json!({"sequence_number": key(event.arguments).sequence_number});
                 events.push((time_ns, SLICE, slice));
             }
-            Kind::Take | Kind::Receive | Kind::Pass => {
+            EventKind::Take | EventKind::Receive | EventKind::Pass => {
                 let arguments = json!({"sequence_number": key(event.arguments).sequence_number});
                 let what = event.kind.name();
                 let instant = json!({
@@ -141,23 +141,23 @@ fn others(recording: &Recording, events: &mut Vec<(u64, u8, Value)>) {
                 });
                 events.push((time_ns, SLICE, instant));
             }
-            Kind::SpinEnd => {
+            EventKind::SpinEnd => {
                 spin.insert((process, tid), time_ns);
             }
-            Kind::SpinWake => {
+            EventKind::SpinWake => {
                 let end = spin.remove(&(process, tid)).unwrap_or(time_ns);
                 events.push((time_ns, SLICE, slice("serve", "sampler", end.saturating_sub(time_ns))));
                 spin.insert((process, tid), time_ns);
             }
-            Kind::SpinTimeout => {
+            EventKind::SpinTimeout => {
                 spin.insert((process, tid), time_ns);
             }
-            Kind::SpinStart => {
+            EventKind::SpinStart => {
                 if let Some(end) = spin.remove(&(process, tid)) {
                     events.push((time_ns, SLICE, slice("wait", "sampler", end.saturating_sub(time_ns))));
                 }
             }
-            Kind::CallbackStart | Kind::CallbackEnd => {}
+            EventKind::CallbackStart | EventKind::CallbackEnd => {}
         }
     }
 }

@@ -3,7 +3,7 @@
 
 use super::recording::Recording;
 use std::io::{self, Write};
-use tautline_trace::{Description, Event, Kind};
+use tautline_trace::{Description, Event, EventKind};
 
 const HEAD: &str = "time_ns,pid,process,tid,thread,event,object_id,object,parent_id,sequence_number,source_timestamp_ns,\
                     publisher,release_ns,timeout_ns,from_sequence_number,from_publisher";
@@ -31,13 +31,15 @@ pub fn write(recording: &Recording, to: &mut dyn Write) -> io::Result<()> {
         let (label, parent) = known.map_or((String::new(), 0), |known| (quoted(&known.name), known.parent.0));
         let [a, b, c] = arguments;
         let more = match kind {
-            Kind::Publish | Kind::Take | Kind::Receive => format!("{a},{},{c:016x},,,,", b.cast_signed()),
-            Kind::Pass => {
+            EventKind::Publish | EventKind::Take | EventKind::Receive => {
+                format!("{a},{},{c:016x},,,,", b.cast_signed())
+            }
+            EventKind::Pass => {
                 let publisher = known.map_or(0, |known| tautline_trace::gid_key(known.gid));
                 format!("{a},,{publisher:016x},,,{b},{c:016x}")
             }
-            Kind::CallbackStart => format!(",,,{a},,,"),
-            Kind::SpinStart if a != u64::MAX => format!(",,,,{a},,"),
+            EventKind::CallbackStart => format!(",,,{a},,,"),
+            EventKind::SpinStart if a != u64::MAX => format!(",,,,{a},,"),
             _ => ",,,,,,".to_owned(),
         };
         writeln!(

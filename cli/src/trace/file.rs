@@ -240,13 +240,13 @@ fn add_events(recording: &mut Recording, content: &[u8]) -> Option<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tautline_trace::Kind;
+    use tautline_trace::EventKind;
 
     fn sample() -> Vec<u8> {
         let mut writer = Writer::new(Vec::new()).unwrap();
         writer.record(&Record::Process { process: 0, pid: 12, name: "talker" }).unwrap();
         writer.record(&Record::Thread { process: 0, tid: 13, name: "main" }).unwrap();
-        let event = Event { time_ns: 5, kind: Kind::Publish, object: ObjectId(1), arguments: [1, 2, 3] };
+        let event = Event { time_ns: 5, kind: EventKind::Publish, object: ObjectId(1), arguments: [1, 2, 3] };
         writer.record(&Record::Events { process: 0, tid: 13, events: &[event, event] }).unwrap();
         writer.record(&Record::Lost { process: 0, tid: 13, events: 4 }).unwrap();
         writer.entry(&Entry::Finished { monotonic_ns: 9 }).unwrap();

@@ -243,7 +243,7 @@ fn places(recordings: &[Recording], from: Place, to: Place) -> String {
 mod tests {
     use super::*;
     use crate::trace::recording::TimedEvent;
-    use tautline_trace::{Description, Event, Kind, ObjectId, ObjectKind, gid_key};
+    use tautline_trace::{Description, Event, EventKind, ObjectId, ObjectKind, gid_key};
 
     /// What a recording says, a line per event. Objects are known by their gid's first word.
     #[derive(Default)]
@@ -266,27 +266,34 @@ mod tests {
             self
         }
 
-        fn event(mut self, process: u32, time_ns: u64, kind: Kind, object: u64, arguments: [u64; 3]) -> Self {
+        fn event(
+            mut self,
+            process: u32,
+            time_ns: u64,
+            kind: EventKind,
+            object: u64,
+            arguments: [u64; 3],
+        ) -> Self {
             let event = Event { time_ns, kind, object: ObjectId(object), arguments };
             self.0.events.push(TimedEvent { process, tid: process, event });
             self
         }
 
         fn publish(self, process: u32, time_ns: u64, port: u64, number: u64) -> Self {
-            self.event(process, time_ns, Kind::Publish, port, [number, 0, gid_key([port, 0])])
+            self.event(process, time_ns, EventKind::Publish, port, [number, 0, gid_key([port, 0])])
         }
 
         fn take(self, process: u32, time_ns: u64, subscription: u64, port: u64, number: u64) -> Self {
-            self.event(process, time_ns, Kind::Take, subscription, [number, 0, gid_key([port, 0])])
+            self.event(process, time_ns, EventKind::Take, subscription, [number, 0, gid_key([port, 0])])
         }
 
         fn receive(self, process: u32, time_ns: u64, port: u64, sender: u64, number: u64) -> Self {
-            self.event(process, time_ns, Kind::Receive, port, [number, 0, gid_key([sender, 0])])
+            self.event(process, time_ns, EventKind::Receive, port, [number, 0, gid_key([sender, 0])])
         }
 
         fn pass(self, process: u32, time_ns: u64, through: (u64, u64), from: (u64, u64)) -> Self {
             let ((object, number), (from, from_number)) = (through, from);
-            self.event(process, time_ns, Kind::Pass, object, [number, from_number, gid_key([from, 0])])
+            self.event(process, time_ns, EventKind::Pass, object, [number, from_number, gid_key([from, 0])])
         }
     }
 

@@ -3,7 +3,7 @@
 
 use super::recording::Recording;
 use std::collections::HashMap;
-use tautline_trace::{Kind, ObjectId};
+use tautline_trace::{EventKind, ObjectId};
 
 /// Where a message was published.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,7 +37,7 @@ pub struct Run {
 
 /// Where each message was published.
 pub fn publications(recording: &Recording) -> HashMap<MessageKey, Publication> {
-    let published = recording.events.iter().filter(|timed| timed.event.kind == Kind::Publish);
+    let published = recording.events.iter().filter(|timed| timed.event.kind == EventKind::Publish);
     let place = |timed: &super::recording::TimedEvent| Publication {
         process: timed.process,
         tid: timed.tid,
@@ -65,10 +65,10 @@ pub fn runs(recording: &Recording) -> Vec<Run> {
     for timed in &recording.events {
         let (process, tid, event) = (timed.process, timed.tid, timed.event);
         match event.kind {
-            Kind::Take => {
+            EventKind::Take => {
                 taken.insert((process, tid, event.object), key(event.arguments));
             }
-            Kind::CallbackStart => {
+            EventKind::CallbackStart => {
                 let source = recording.object(process, event.object).map(|callback| callback.parent);
                 let message = source.and_then(|source| taken.remove(&(process, tid, source)));
                 if let Some(before) =
@@ -86,7 +86,7 @@ pub fn runs(recording: &Recording) -> Vec<Run> {
                     message,
                 });
             }
-            Kind::CallbackEnd => {
+            EventKind::CallbackEnd => {
                 // Not the running one's: of one that another has ended.
                 let running = open.get(&(process, tid)).and_then(|index| runs.get_mut(*index));
                 if let Some(run) = running.filter(|run| run.callback == event.object) {
@@ -112,10 +112,10 @@ pub fn messages_lost(recording: &Recording) -> HashMap<(u32, ObjectId), u64> {
     for timed in &recording.events {
         let since_ns = *recorded_ns.entry(timed.process).or_insert(timed.event.time_ns);
         let MessageKey { publisher, sequence_number } = key(timed.event.arguments);
-        if timed.event.kind == Kind::Publish {
+        if timed.event.kind == EventKind::Publish {
             published.entry(publisher).or_default().push((sequence_number, timed.event.time_ns));
         }
-        if timed.event.kind != Kind::Take {
+        if timed.event.kind != EventKind::Take {
             continue;
         }
         let (process, subscription) = (timed.process, timed.event.object);
@@ -160,13 +160,13 @@ mod tests {
             name: "/n".to_owned(),
         };
         recording.process(SUBSCRIBER).objects.insert(SUBSCRIPTION, object);
-        let mut add = |process: u32, kind: Kind, time_ns: u64, number: u64| {
+        let mut add = |process: u32, kind: EventKind, time_ns: u64, number: u64| {
             let event = Event { time_ns, kind, object: SUBSCRIPTION, arguments: [number, 0, 9] };
             recording.events.push(TimedEvent { process, tid: 1, event });
         };
-        (1..=9).for_each(|number| add(PUBLISHER, Kind::Publish, 10 * number, number));
-        add(SUBSCRIBER, Kind::SpinStart, 30, 0);
-        taken.iter().for_each(|(time_ns, number)| add(SUBSCRIBER, Kind::Take, *time_ns, *number));
+        (1..=9).for_each(|number| add(PUBLISHER, EventKind::Publish, 10 * number, number));
+        add(SUBSCRIBER, EventKind::SpinStart, 30, 0);
+        taken.iter().for_each(|(time_ns, number)| add(SUBSCRIBER, EventKind::Take, *time_ns, *number));
         recording.finish();
         recording
     }

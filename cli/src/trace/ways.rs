@@ -5,7 +5,7 @@
 use super::messages::{MessageKey, key};
 use super::recording::Recording;
 use std::collections::{HashMap, HashSet};
-use tautline_trace::{Kind, ObjectId, ObjectKind, gid_key};
+use tautline_trace::{EventKind, ObjectId, ObjectKind, gid_key};
 
 /// A process of one of the recordings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -124,13 +124,13 @@ impl<'r> Ways<'r> {
             let topic = object.map_or("", |object| &*object.name);
             let message = key(event.arguments);
             match event.kind {
-                Kind::Publish => drop(self.published.insert(message, (at, topic))),
-                Kind::Take => {
+                EventKind::Publish => drop(self.published.insert(message, (at, topic))),
+                EventKind::Take => {
                     taken.insert((process, message), (at, event.object));
                     self.taken.push(Take { message, at, subscription: event.object, topic });
                 }
-                Kind::Receive => drop(received.insert((process, message), at)),
-                Kind::Pass => {
+                EventKind::Receive => drop(received.insert((process, message), at)),
+                EventKind::Pass => {
                     // Without it nothing is known of what the message became: that is warned of.
                     let Some(through) = object else { continue };
                     let [sequence_number, from_number, from_publisher] = event.arguments;

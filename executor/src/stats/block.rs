@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use tautline_rt::{ThreadInfo, Words};
 
-use super::file::Place;
+use super::file::StatsSlot;
 use super::histogram::{HISTOGRAM_WORDS, Histogram, HistogramSnapshot};
 use super::inputs::{INPUT_WORDS, Inputs, SizeClass};
 use super::moments::{MOMENT_WORDS, Moment, Moments};
@@ -77,7 +77,7 @@ pub(crate) struct Block {
     pub moments: Moments,
     pub inputs: Inputs,
     /// Its entry in a file, if it has one: dropped after the words are no longer used.
-    _place: Option<Place>,
+    _place: Option<StatsSlot>,
 }
 
 impl Drop for Block {
@@ -91,7 +91,7 @@ impl Block {
         Block::new(Words::private(BLOCK_WORDS), None)
     }
 
-    pub fn new(words: Words, place: Option<Place>) -> Block {
+    pub fn new(words: Words, place: Option<StatsSlot>) -> Block {
         let words = Arc::new(words);
         let response = Histogram::within(Arc::clone(&words), HEAD_WORDS);
         let execution = Histogram::within(Arc::clone(&words), HEAD_WORDS + HISTOGRAM_WORDS);

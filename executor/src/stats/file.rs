@@ -112,7 +112,7 @@ struct Places {
 
 /// A callback's entry in the file; dropping it releases the entry.
 #[derive(Debug)]
-pub(crate) struct Place {
+pub(crate) struct StatsSlot {
     index: usize,
     places: Arc<Places>,
 }
@@ -200,7 +200,7 @@ impl StatisticsFile {
             // Release: pairs with the Acquire in `ForeignWords::read`; the file has grown by then.
             None => count.store(next + 1, Ordering::Release),
         }
-        Ok(Block::new(words, Some(Place { index, places: Arc::clone(places) })))
+        Ok(Block::new(words, Some(StatsSlot { index, places: Arc::clone(places) })))
     }
 }
 
@@ -272,7 +272,7 @@ fn place(index: usize, page_words: usize) -> usize {
     HEADER_WORDS.next_multiple_of(page_words) + index * BLOCK_WORDS.next_multiple_of(page_words)
 }
 
-impl Drop for Place {
+impl Drop for StatsSlot {
     /// What the callback did can be read until the place is another's.
     fn drop(&mut self) {
         self.places.free.lock().unwrap_or_else(PoisonError::into_inner).push(self.index);

@@ -233,7 +233,7 @@ impl<P: ActionCodec> ActionClientState<P> {
             }
             goals.push(goal_sent);
         }
-        let held = Held { id, status, shared: self.clone() };
+        let held = GoalHandleState { id, status, shared: self.clone() };
         let response = self.send_goal.lock().request(&P::goal_request(id, goal))?;
         Ok(async move {
             if !P::is_accepted(response.await?)? {
@@ -304,16 +304,16 @@ impl From<&tautline_ros_msgs::action_msgs::msg::GoalStatus> for StatusOf {
 }
 
 /// A goal's handle, its result to come, its feedback.
-type Sent<P> = (Held<P>, GoalResult<P>, GoalFeedback<P>);
+type Sent<P> = (GoalHandleState<P>, GoalResult<P>, GoalFeedback<P>);
 
 /// Keeps the state of a goal, and the task that listens for it.
-struct Held<P: ActionCodec> {
+struct GoalHandleState<P: ActionCodec> {
     id: GoalId,
     status: SharedStatus,
     shared: Arc<ActionClientState<P>>,
 }
 
-impl<P: ActionCodec> Held<P> {
+impl<P: ActionCodec> GoalHandleState<P> {
     /// Listens for the result and the feedback of a goal that was accepted.
     fn listen(self, response: ResultFuture<P>, received: mpsc::Receiver<P::Feedback>) -> Sent<P> {
         let (id, shared) = (self.id, self.shared.clone());
@@ -350,7 +350,7 @@ impl<P: ActionCodec> Held<P> {
             // The context has ended, and with it whoever listened.
             shared.end(id);
         }
-        let wanted = Arc::new(Wanted { response, abort, held: self.clone() });
+        let wanted = Arc::new(GoalInterest { response, abort, held: self.clone() });
         let feedback = GoalFeedback { received, _wanted: wanted.clone() };
         (self, GoalResult { result, wanted }, feedback)
     }
@@ -367,16 +367,16 @@ impl<P: ActionCodec> Held<P> {
     }
 }
 
-impl<P: ActionCodec> Clone for Held<P> {
+impl<P: ActionCodec> Clone for GoalHandleState<P> {
     fn clone(&self) -> Self {
         if let Some(goal) = self.shared.goals().iter_mut().find(|goal| goal.id == self.id) {
             goal.held += 1;
         }
-        Held { id: self.id, status: self.status.clone(), shared: self.shared.clone() }
+        GoalHandleState { id: self.id, status: self.status.clone(), shared: self.shared.clone() }
     }
 }
 
-impl<P: ActionCodec> Drop for Held<P> {
+impl<P: ActionCodec> Drop for GoalHandleState<P> {
     fn drop(&mut self) {
         let mut goals = self.shared.goals();
         if let Some(index) = goals.iter().position(|goal| goal.id == self.id) {
@@ -389,15 +389,15 @@ impl<P: ActionCodec> Drop for Held<P> {
 }
 
 /// Exists as long as a goal's result or feedback is awaited; then the slot of the result request is released.
-struct Wanted<P: ActionCodec> {
+struct GoalInterest<P: ActionCodec> {
     /// The result future, until the result has arrived.
     response: Arc<PiMutex<Option<ResultFuture<P>>>>,
     /// Ends the task that listens for it.
     abort: AbortHandle,
-    held: Held<P>,
+    held: GoalHandleState<P>,
 }
 
-impl<P: ActionCodec> Drop for Wanted<P> {
+impl<P: ActionCodec> Drop for GoalInterest<P> {
     fn drop(&mut self) {
         // First, so that whoever finds a place by the count finds one for the request.
         let response = self.response.lock().take();
@@ -412,7 +412,7 @@ impl<P: ActionCodec> Drop for Wanted<P> {
 /// The result of a goal, once it is there.
 struct GoalResult<P: ActionCodec> {
     result: oneshot::Receiver<Result<Outcome<P>>>,
-    wanted: Arc<Wanted<P>>,
+    wanted: Arc<GoalInterest<P>>,
 }
 
 impl<P: ActionCodec> Future for GoalResult<P> {
@@ -431,7 +431,7 @@ impl<P: ActionCodec> Future for GoalResult<P> {
 /// The feedback of a goal, until that has ended.
 struct GoalFeedback<P: ActionCodec> {
     received: mpsc::Receiver<P::Feedback>,
-    _wanted: Arc<Wanted<P>>,
+    _wanted: Arc<GoalInterest<P>>,
 }
 
 impl<P: ActionCodec> Stream for GoalFeedback<P> {
@@ -508,7 +508,7 @@ impl<T: ActionCodec> ActionClient<T> {
 pub struct ActionClientGoal<T: ActionCodec> {
     /// The goal's id.
     pub uuid: Uuid,
-    held: Held<T>,
+    held: GoalHandleState<T>,
 }
 
 impl<T: ActionCodec> ActionClientGoal<T> {

@@ -54,7 +54,7 @@ struct Server<T: Action> {
     /// The clock for the goals' stamps, and for cancel requests by time.
     now: Box<dyn Fn() -> Stamp + Send + Sync>,
     /// Never held while something is published.
-    state: PiMutex<State<T>>,
+    state: PiMutex<ServerState<T>>,
     /// Locked by threads that execute goals, never by the responding thread.
     feedback: PiMutex<Publisher<T::FeedbackMessage>>,
     /// Held while the status of all goals is collected and published, so that the newest status is published last. Taken
@@ -74,7 +74,7 @@ impl<T: Action> Drop for User<T> {
     }
 }
 
-struct State<T: Action> {
+struct ServerState<T: Action> {
     goals: Goals<ResultReply<T>>,
     /// Entries of the goals that have not ended.
     cancels: Vec<Cancels>,
@@ -93,7 +93,7 @@ struct Cancels {
 }
 
 impl<T: Action> Server<T> {
-    fn state(&self) -> PiGuard<'_, State<T>> {
+    fn state(&self) -> PiGuard<'_, ServerState<T>> {
         self.state.lock()
     }
 
@@ -225,7 +225,7 @@ pub(super) fn create<T: Action>(
         let mut end = end.clone();
         futures::stream::poll_fn(move |context| end.poll_triggered(context).map(Some)).fuse()
     };
-    let state = State { goals: Goals::new(options.result_timeout), cancels: Vec::new() };
+    let state = ServerState { goals: Goals::new(options.result_timeout), cancels: Vec::new() };
     let server = Arc::new(Server {
         name: action.to_owned(),
         now: clock(node),

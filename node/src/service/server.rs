@@ -2,7 +2,7 @@
 //! Servers: requests in place, and an adapter for owned requests.
 
 use crate::error::{Error, Result};
-use crate::subscription::{Samples, Source};
+use crate::subscription::{SampleSource, Samples};
 use futures::Stream;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -138,7 +138,7 @@ impl<T: ServiceCodec> Stream for Server<T> {
     }
 }
 
-impl<T: ServiceCodec> Source for tautline_transport::Server<T> {
+impl<T: ServiceCodec> SampleSource for tautline_transport::Server<T> {
     type Sample = Request<T>;
 
     fn raw(&self) -> &RawSubscription {

@@ -32,7 +32,7 @@ struct TimeSourceState {
     reading: PiMutex<Reading>,
     /// Held while the clock's time source changes.
     switching: Mutex<()>,
-    waiting: Arc<Waiting>,
+    waiting: Arc<ClockWaiters>,
     callbacks: PiMutex<Callbacks>,
 }
 
@@ -111,12 +111,12 @@ pub struct JumpCallback {
 const WAITING: usize = 64;
 
 /// The tasks that the sampler wakes when a message of `/clock` has arrived.
-struct Waiting {
+struct ClockWaiters {
     claimed: AtomicU64,
     wakers: [AtomicWaker; WAITING],
 }
 
-impl Waiting {
+impl ClockWaiters {
     /// # Real-time
     /// One wake for each that waits; no allocation; no lock.
     fn wake_all(&self) {
@@ -129,8 +129,8 @@ impl Waiting {
     }
 }
 
-impl ArcWake for Waiting {
-    fn wake_by_ref(arc_self: &Arc<Waiting>) {
+impl ArcWake for ClockWaiters {
+    fn wake_by_ref(arc_self: &Arc<ClockWaiters>) {
         arc_self.wake_all();
     }
 }
@@ -143,8 +143,10 @@ pub(crate) struct ClockWaiter {
 
 impl TimeSource {
     pub(crate) fn new(participant: Participant, topic: String) -> TimeSource {
-        let waiting =
-            Arc::new(Waiting { claimed: AtomicU64::new(0), wakers: [const { AtomicWaker::new() }; WAITING] });
+        let waiting = Arc::new(ClockWaiters {
+            claimed: AtomicU64::new(0),
+            wakers: [const { AtomicWaker::new() }; WAITING],
+        });
         let reading = Reading { subscription: None, waker: waker(waiting.clone()) };
         let shared = TimeSourceState {
             participant,

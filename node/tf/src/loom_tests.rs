@@ -12,7 +12,7 @@ use crate::buffer::{Buffer, Time};
 
 use crate::limits::Limits;
 use crate::names::FrameId;
-use crate::ring::{Edge, Head, Kind, Miss, New, Refused, Ring};
+use crate::ring::{Edge, FrameHead, Kind, Miss, New, Refused, Ring};
 use crate::slot::Slot;
 use crate::sync::AtomicU64;
 use crate::transform::Transform;
@@ -36,7 +36,7 @@ impl Memory {
     }
 
     /// Each sample's x is its stamp, and so is what is interpolated.
-    fn set(&self, head: &mut Head, stamp_ns: i64) -> Result<(), Refused> {
+    fn set(&self, head: &mut FrameHead, stamp_ns: i64) -> Result<(), Refused> {
         let transform = Transform::new([stamp_ns as f64, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]);
         let new = New { stamp_ns, parent: 1, kind: Kind::Dynamic, transform };
         self.ring().set(head, &new, CACHE_NS).map(|_| ())
@@ -66,7 +66,7 @@ fn assert_whole(found: Result<Option<Edge>, Miss>, asked_ns: i64) {
 fn loom_no_sample_is_torn_when_the_ring_wraps() {
     model(|| {
         let memory = Memory::new(2);
-        let mut head = Head::default();
+        let mut head = FrameHead::default();
         memory.set(&mut head, 10).unwrap();
         memory.set(&mut head, 20).unwrap();
         let writer = memory.clone();
@@ -83,7 +83,7 @@ fn loom_no_sample_is_torn_when_the_ring_wraps() {
 fn loom_the_newest_sample_is_found_though_it_is_replaced() {
     model(|| {
         let memory = Memory::new(2);
-        let mut head = Head::default();
+        let mut head = FrameHead::default();
         memory.set(&mut head, 10).unwrap();
         let writer = memory.clone();
         let writing =
@@ -100,7 +100,7 @@ fn loom_the_newest_sample_is_found_though_it_is_replaced() {
 fn loom_a_late_sample_is_seen_whole_or_not_at_all() {
     model(|| {
         let memory = Memory::new(2);
-        let mut head = Head::default();
+        let mut head = FrameHead::default();
         memory.set(&mut head, 10).unwrap();
         memory.set(&mut head, 30).unwrap();
         let writer = memory.clone();
@@ -116,7 +116,7 @@ fn loom_a_late_sample_is_seen_whole_or_not_at_all() {
 fn loom_a_late_sample_that_takes_no_place_hides_nothing() {
     model(|| {
         let memory = Memory::new(4);
-        let mut head = Head::default();
+        let mut head = FrameHead::default();
         memory.set(&mut head, 10).unwrap();
         memory.set(&mut head, 30).unwrap();
         let writer = memory.clone();
@@ -131,7 +131,7 @@ fn loom_a_late_sample_that_takes_no_place_hides_nothing() {
 fn loom_a_cleared_ring_gives_nothing_or_what_was_there() {
     model(|| {
         let memory = Memory::new(2);
-        let mut head = Head::default();
+        let mut head = FrameHead::default();
         memory.set(&mut head, 10).unwrap();
         memory.set(&mut head, 20).unwrap();
         let writer = memory.clone();
@@ -156,8 +156,8 @@ fn loom_no_path_is_half_from_before_a_clear() {
     builder.check(|| {
         let limits = Limits { frames: 3, samples: 2, waiters: 0, ..Limits::default() };
         let tree = Arc::new(TransformTree::new(limits));
-        let mut heads = [Head::default(); 3];
-        let set = |tree: &TransformTree, heads: &mut [Head; 3], child: u32, x: f64| {
+        let mut heads = [FrameHead::default(); 3];
+        let set = |tree: &TransformTree, heads: &mut [FrameHead; 3], child: u32, x: f64| {
             let transform = Transform::new([x, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]);
             let new = New { stamp_ns: 10, parent: 0, kind: Kind::Dynamic, transform };
             let ring = tree.ring(FrameId(child)).unwrap();

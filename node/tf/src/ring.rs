@@ -65,7 +65,7 @@ pub(crate) enum Miss {
 
 /// The writer's state of a frame.
 #[derive(Clone, Copy, Default)]
-pub(crate) struct Head {
+pub(crate) struct FrameHead {
     next: u64,
     run: Option<Run>,
 }
@@ -91,7 +91,7 @@ pub(crate) struct New {
 
 /// How a sample was stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Taken {
+pub(crate) struct StoreResult {
     /// Its stamp is not the newest.
     pub(crate) late: bool,
     /// The frame has a parent that it did not have before, or is of the other kind.
@@ -129,7 +129,7 @@ impl Ring<'_> {
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall. Writes one slot; if the stamp is not the newest, searches as `at` does.
-    pub(crate) fn set(&self, head: &mut Head, new: &New, cache_ns: i64) -> Result<Taken, Refused> {
+    pub(crate) fn set(&self, head: &mut FrameHead, new: &New, cache_ns: i64) -> Result<StoreResult, Refused> {
         let number = head.next;
         let run = head.run.filter(|run| run.kind == new.kind);
         let mut next = run.unwrap_or(Run {
@@ -171,8 +171,8 @@ impl Ring<'_> {
             // Release: pairs with the Acquire in `newest`.
             None => self.newest.store(number + 1, Ordering::Release),
         }
-        *head = Head { next: number + 1, run: Some(next) };
-        Ok(Taken { late, moved: run.is_none_or(|run| run.parent != new.parent) })
+        *head = FrameHead { next: number + 1, run: Some(next) };
+        Ok(StoreResult { late, moved: run.is_none_or(|run| run.parent != new.parent) })
     }
 
     /// The samples between which one belongs that came late.
@@ -202,7 +202,7 @@ impl Ring<'_> {
     }
 
     /// Forgets all samples, unless they are static. Only the writer may.
-    pub(crate) fn clear(&self, head: &mut Head) {
+    pub(crate) fn clear(&self, head: &mut FrameHead) {
         if head.run.is_some_and(|run| run.kind == Kind::Dynamic) {
             head.run = None;
             self.newest.store(0, Ordering::Release);

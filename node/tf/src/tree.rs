@@ -4,7 +4,7 @@
 use crate::counters::AtomicBufferCounters;
 use crate::limits::Limits;
 use crate::names::{FrameId, Names};
-use crate::ring::{Edge, Head, Miss, Ring, TRIES};
+use crate::ring::{Edge, FrameHead, Miss, Ring, TRIES};
 use crate::slot::Slot;
 use crate::sync::{AtomicU64, Ordering};
 use crate::transform::Transform;
@@ -74,7 +74,7 @@ impl TransformTree {
     }
 
     pub(crate) fn bytes(limits: &Limits) -> usize {
-        let of_frame = size_of::<AtomicU64>() + limits.ring() * size_of::<Slot>() + size_of::<Head>();
+        let of_frame = size_of::<AtomicU64>() + limits.ring() * size_of::<Slot>() + size_of::<FrameHead>();
         // The two words are the Arc's.
         limits.frames * of_frame
             + Names::bytes(limits.frames)
@@ -90,7 +90,7 @@ impl TransformTree {
     }
 
     /// Forgets all samples but static ones. Only the writer may.
-    pub(crate) fn clear(&self, heads: &mut [Head]) {
+    pub(crate) fn clear(&self, heads: &mut [FrameHead]) {
         for (number, head) in (0..).zip(heads) {
             if let Some(ring) = self.ring(FrameId(number)) {
                 ring.clear(head);

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use crate::counters::count;
 use crate::error::SetError;
 use crate::names::{FrameId, FrameName};
-use crate::ring::{Head, Kind, New, Refused};
+use crate::ring::{FrameHead, Kind, New, Refused};
 use crate::transform::Transform;
 use crate::tree::TransformTree;
 
@@ -29,12 +29,12 @@ pub struct TransformStamped<'n> {
 /// Sets the transforms of its [`Buffer`](crate::Buffer). Each buffer has one writer.
 pub struct Writer {
     tree: Arc<TransformTree>,
-    heads: Box<[Head]>,
+    heads: Box<[FrameHead]>,
 }
 
 impl Writer {
     pub(crate) fn new(tree: Arc<TransformTree>) -> Writer {
-        let heads = vec![Head::default(); tree.limits.frames].into_boxed_slice();
+        let heads = vec![FrameHead::default(); tree.limits.frames].into_boxed_slice();
         Writer { tree, heads }
     }
 

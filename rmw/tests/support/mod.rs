@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use tautline_transport::Participant;
 
-/// A domain of rclpy nodes. This process is in it to the end, for it buries who was killed.
+/// A domain of rclpy nodes. This process is in it to the end, for it cleans up after who was killed.
 pub struct Domain {
     pub number: u32,
     pub venv: PathBuf,
@@ -58,7 +58,7 @@ impl Drop for Domain {
     fn drop(&mut self) {
         // Peers end without a word.
         if !std::thread::panicking() {
-            wait_until("all others to be buried", || self.others() == 0);
+            wait_until("all others to be cleaned up after", || self.others() == 0);
         }
     }
 }

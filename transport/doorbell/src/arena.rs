@@ -5,7 +5,7 @@
 //! bells and the first slots. Each further window has as many slots as all windows before it; it is separate memory, which is
 //! added when it is needed.
 
-use crate::hot::{Bell, BellBit, Flags, Route, drain_bits, has_bits, mark_in};
+use crate::hot::{Bell, BellBit, BellRouting, Flags, drain_bits, has_bits, mark_in};
 use crate::sync::{AtomicU32, AtomicU64, Ordering, fence};
 use crate::{ArenaId, DoorbellError, NEAR_SLOTS};
 use std::slice;
@@ -53,7 +53,7 @@ struct SlotWords {
     /// Index + 1 of the slot that is rung for the events of this slot's owner. 0: there is none.
     events: AtomicU32,
     /// The bell that publishers ring for this slot.
-    route: Route,
+    route: BellRouting,
     /// The time when each kind of [`Activity`] was last seen.
     activities: [AtomicU64; ACTIVITIES],
 }

@@ -280,7 +280,7 @@ impl Flags {
 /// The owner changes it as it stops [draining](Flags): it looks into its queue after that. Whoever still rings the bell of
 /// before had queued its sample by then.
 #[repr(transparent)]
-pub(crate) struct Route(AtomicU32);
+pub(crate) struct BellRouting(AtomicU32);
 
 /// A place at a callback thread's bell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -290,7 +290,7 @@ pub(crate) struct BellBit {
     pub(crate) bit: usize,
 }
 
-impl Route {
+impl BellRouting {
     /// # Real-time
     /// Wait-free: one load.
     pub(crate) fn get(&self) -> Option<BellBit> {
@@ -328,9 +328,9 @@ impl Flags {
 }
 
 #[cfg(all(test, taut_loom))]
-impl Route {
+impl BellRouting {
     pub(crate) fn new() -> Self {
-        Route(AtomicU32::new(0))
+        BellRouting(AtomicU32::new(0))
     }
 }
 

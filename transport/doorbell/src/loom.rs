@@ -2,7 +2,7 @@
 //! Every interleaving of ringers and a sampler: no ring is lost, whatever else the memory model allows.
 //! Run by `cargo xtask test` (`RUSTFLAGS="--cfg taut_loom" cargo test -p tautline-doorbell --lib loom`).
 
-use crate::hot::{Bell, BellBit, Flags, Route, drain_bits, mark_in};
+use crate::hot::{Bell, BellBit, BellRouting, Flags, drain_bits, mark_in};
 use crate::places::FreePlaces;
 use crate::sync::AtomicU64;
 use crate::{Signal, Wakeable};
@@ -190,7 +190,7 @@ fn loom_a_sample_is_seen_by_a_reader_that_changes_its_bell() {
     // As a subscription that a directly woken thread begins to poll.
     model(|| {
         let (own, sampler) = (Arc::new(Bell::<1>::new()), Arc::new(Bell::<1>::new()));
-        let route = Arc::new(Route::new());
+        let route = Arc::new(BellRouting::new());
         let queued = Arc::new(AtomicU32::new(0));
         let publisher = {
             let (own, sampler, route, queued) = (own.clone(), sampler.clone(), route.clone(), queued.clone());

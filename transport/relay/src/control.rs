@@ -3,7 +3,7 @@
 
 mod failed;
 
-use crate::ingress::{Delivery, Ingress, IngressUpdate, Port, Senders};
+use crate::ingress::{Delivery, Ingress, IngressPort, IngressUpdate, Senders};
 use crate::limiter::Limiter;
 use crate::mirror::{Action, Far, InKey, Inward, Mirror, Outward, Side, TopicKey};
 use crate::relay::Relay;
@@ -24,7 +24,7 @@ use tautline_transport::{
     RawSubscription, RemoteGraph, RemoteNode, ServiceEndpoint, TopicEndpoint, TopicType, TransportError,
 };
 
-/// The far side of a mirror: a network or a ROS 2 graph. [`Control`] calls it from one thread.
+/// The far side of a mirror: a network or a ROS 2 graph. [`MirrorControl`] calls it from one thread.
 pub trait FarSide: Sized {
     /// Its kind.
     const SIDE: Side;
@@ -265,7 +265,7 @@ pub struct Parts<F: FarSide> {
 }
 
 /// Keeps both sides of a mirror in step.
-pub struct Control<F: FarSide> {
+pub struct MirrorControl<F: FarSide> {
     services: Services<F::Services>,
     relay: Relay<F::Egress>,
     writers: Writers<F::Writer>,
@@ -280,7 +280,7 @@ pub struct Control<F: FarSide> {
     out: BTreeMap<TopicKey, Outward>,
     /// Topics whose samples are not taken until a writer has matched.
     waiting: BTreeMap<TopicKey, (Outward, Instant)>,
-    inward: BTreeMap<InKey, Taken>,
+    inward: BTreeMap<InKey, TakenClass>,
     failed: Failed,
     /// As last read.
     publishers: HashMap<String, BTreeSet<Gid>>,
@@ -289,7 +289,7 @@ pub struct Control<F: FarSide> {
 }
 
 /// A class that is taken.
-struct Taken {
+struct TakenClass {
     inward: Inward,
     /// Whether it has a port that offers `inward.offered`: as soon as there is a publisher.
     has_port: bool,
@@ -297,13 +297,13 @@ struct Taken {
     senders: Senders,
 }
 
-impl<F: FarSide> Control<F> {
+impl<F: FarSide> MirrorControl<F> {
     /// From its parts; starts nothing.
     pub fn new(parts: Parts<F>) -> Self {
         let Parts { participant, far, relay, services, transit, rules, service_rules } = parts;
         let (stats, out, waiting, inward) = Default::default();
         let (failed, publishers, problems) = Default::default();
-        Control {
+        MirrorControl {
             services,
             relay,
             writers: Writers::default(),
@@ -530,7 +530,7 @@ impl<F: FarSide> Control<F> {
             }
             Action::StartIn(key, inward) => {
                 // The installed type may satisfy both the old and the new hash.
-                let is_same = |taken: &Taken| {
+                let is_same = |taken: &TakenClass| {
                     taken.inward.qos == inward.qos
                         && (!taken.has_port || taken.inward.offered == inward.offered)
                 };
@@ -564,7 +564,7 @@ impl<F: FarSide> Control<F> {
             port: port.map(Box::new),
         };
         self.far.change_in(key, change);
-        self.inward.insert(key.clone(), Taken { inward: inward.clone(), has_port, senders });
+        self.inward.insert(key.clone(), TakenClass { inward: inward.clone(), has_port, senders });
         Ok(())
     }
 
@@ -623,19 +623,19 @@ impl<F: FarSide> Control<F> {
 
     fn start_in(&mut self, key: &InKey, inward: &Inward) -> Result<(), String> {
         // Keep the port's samples for late joiners if possible.
-        let has_same = |taken: &Taken| taken.has_port && taken.inward.offered == inward.offered;
+        let has_same = |taken: &TakenClass| taken.has_port && taken.inward.offered == inward.offered;
         let keeps_port = self.inward.get(key).is_some_and(has_same);
         let (port, schema) = match keeps_port {
             true => {
                 let found = self.far.find_type(&key.topic, inward.type_hash.as_deref())?;
-                (Port::Same, found.schema)
+                (IngressPort::Same, found.schema)
             }
             false => {
                 let (port, schema) = self.port(key, inward)?;
-                (port.map_or(Port::None, |port| Port::New(Box::new(port))), schema)
+                (port.map_or(IngressPort::None, |port| IngressPort::New(Box::new(port))), schema)
             }
         };
-        let has_port = !matches!(port, Port::None);
+        let has_port = !matches!(port, IngressPort::None);
         let senders = senders(&self.publishers, key, &inward.publishers, has_port);
         let counters = self.stats.counters(key.topic.clone(), Direction::In);
         let limiter = Limiter::new(inward.min_period);
@@ -647,7 +647,7 @@ impl<F: FarSide> Control<F> {
             }
             return Err(reason);
         }
-        self.inward.insert(key.clone(), Taken { inward: inward.clone(), has_port, senders });
+        self.inward.insert(key.clone(), TakenClass { inward: inward.clone(), has_port, senders });
         Ok(())
     }
 

@@ -15,7 +15,7 @@ use tautline_transport::{Gid, LoanError, MessageInfo, PublishError, RawPublisher
 const TRAILING_BYTES: usize = 8;
 
 /// The port for incoming messages.
-pub enum Port {
+pub enum IngressPort {
     /// There is no publisher.
     None,
     /// The key's existing port, with its samples for late joiners.
@@ -34,7 +34,7 @@ pub struct Senders {
 
 /// The role of a message's publisher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Sender {
+enum SenderRole {
     Wanted(Option<Duration>),
     Other,
     /// Not known yet: its messages are held.
@@ -51,11 +51,11 @@ impl Senders {
         }
     }
 
-    fn find(&self, gid: &Gid) -> Sender {
+    fn find(&self, gid: &Gid) -> SenderRole {
         match self.wanted.get(gid) {
-            Some(lifespan) => Sender::Wanted(*lifespan),
-            None if self.others.contains(gid) => Sender::Other,
-            None => Sender::Unknown,
+            Some(lifespan) => SenderRole::Wanted(*lifespan),
+            None if self.others.contains(gid) => SenderRole::Other,
+            None => SenderRole::Unknown,
         }
     }
 }
@@ -88,7 +88,7 @@ impl Body for [u8] {
 
 /// Metadata of a message from the far side.
 #[derive(Clone, Copy, Debug)]
-pub struct Source {
+pub struct MessageMeta {
     /// Its publisher.
     pub publisher: Gid,
     /// Its sequence number, if known.
@@ -128,13 +128,13 @@ pub enum Refused {
 /// A message of an unknown publisher.
 struct Early {
     body: Vec<u8>,
-    source: Source,
+    source: MessageMeta,
     since: Instant,
 }
 
 /// Where messages of a topic, or of a class of it, enter the domain.
 pub struct Ingress {
-    port: Port,
+    port: IngressPort,
     /// `None`: the definition is not known.
     schema: Option<Arc<Schema>>,
     counters: Arc<TopicCounters>,
@@ -158,7 +158,7 @@ pub struct Delivery {
 impl Ingress {
     /// A new ingress.
     pub fn new(
-        port: Port,
+        port: IngressPort,
         schema: Option<Arc<Schema>>,
         counters: Arc<TopicCounters>,
         limiter: Limiter,
@@ -172,7 +172,7 @@ impl Ingress {
     /// Continues where the old one ended: sequence numbers reveal duplicates. But samples that a new port must keep for late
     /// joiners have to pass through it, so existing subscriptions get them again.
     pub fn take_over(&mut self, old: Ingress, is_kept: bool) {
-        let is_same_port = matches!(self.port, Port::Same);
+        let is_same_port = matches!(self.port, IngressPort::Same);
         if is_same_port {
             self.port = old.port;
         }
@@ -189,7 +189,7 @@ impl Ingress {
             self.limiter = limiter;
         }
         if let Some(port) = port {
-            self.port = Port::New(port);
+            self.port = IngressPort::New(port);
         }
         self.senders = senders;
         self.settle();
@@ -207,7 +207,7 @@ impl Ingress {
 
     /// Whether this publisher's messages come another way.
     pub fn leaves(&self, publisher: &Gid) -> bool {
-        self.senders.find(publisher) == Sender::Other
+        self.senders.find(publisher) == SenderRole::Other
     }
 
     /// Forwards a message, holds it, or ignores it if it comes another way.
@@ -215,18 +215,18 @@ impl Ingress {
     /// # Real-time
     /// One look-up, one loan, one copy; validation in time linear in the body if the definition is known. The body of an unknown
     /// publisher is copied to the heap.
-    pub fn receive<B: Body + ?Sized>(&mut self, body: &B, source: Source) {
+    pub fn receive<B: Body + ?Sized>(&mut self, body: &B, source: MessageMeta) {
         match self.senders.find(&source.publisher) {
-            Sender::Wanted(lifespan) => self.pass(body, source, lifespan),
-            Sender::Other => {}
-            Sender::Unknown => match self.delivery.early {
+            SenderRole::Wanted(lifespan) => self.pass(body, source, lifespan),
+            SenderRole::Other => {}
+            SenderRole::Unknown => match self.delivery.early {
                 Some(limits) => self.keep_early(body, source, limits),
                 None => self.pass(body, source, None),
             },
         }
     }
 
-    fn pass<B: Body + ?Sized>(&mut self, body: &B, source: Source, lifespan: Option<Duration>) {
+    fn pass<B: Body + ?Sized>(&mut self, body: &B, source: MessageMeta, lifespan: Option<Duration>) {
         if let Some(number) = source.number.filter(|_| source.are_numbers_whole) {
             match self.numbers.missing(source.publisher, number) {
                 Some(missing) => self.counters.lost(missing),
@@ -244,10 +244,10 @@ impl Ingress {
     fn publish<B: Body + ?Sized>(
         &mut self,
         body: &B,
-        source: Source,
+        source: MessageMeta,
         lifespan: Option<Duration>,
     ) -> Result<usize, Refused> {
-        let Port::New(port) = &self.port else { return Err(Refused::Unknown) };
+        let IngressPort::New(port) = &self.port else { return Err(Refused::Unknown) };
         let info = MessageInfo {
             sequence_number: source.number.unwrap_or(0),
             source_timestamp_ns: source.timestamp_ns,
@@ -284,7 +284,7 @@ impl Ingress {
         Ok(len_bytes)
     }
 
-    fn keep_early<B: Body + ?Sized>(&mut self, body: &B, source: Source, limits: EarlyLimits) {
+    fn keep_early<B: Body + ?Sized>(&mut self, body: &B, source: MessageMeta, limits: EarlyLimits) {
         let len_bytes = body.len_bytes();
         if self.early.len() >= limits.samples || self.early_bytes + len_bytes > limits.bytes {
             return self.counters.dropped(Refused::Unknown);
@@ -300,9 +300,9 @@ impl Ingress {
         self.early_bytes = 0;
         for early in std::mem::take(&mut self.early) {
             match self.senders.find(&early.source.publisher) {
-                Sender::Wanted(lifespan) => self.pass(&*early.body, early.source, lifespan),
-                Sender::Other => {}
-                Sender::Unknown => {
+                SenderRole::Wanted(lifespan) => self.pass(&*early.body, early.source, lifespan),
+                SenderRole::Other => {}
+                SenderRole::Unknown => {
                     self.early_bytes += early.body.len();
                     self.early.push(early);
                 }
@@ -361,8 +361,8 @@ mod tests {
         is_ordered: true,
     };
 
-    fn source(publisher: Gid, number: u64) -> Source {
-        Source { publisher, number: Some(number), are_numbers_whole: true, timestamp_ns: wall_ns() }
+    fn source(publisher: Gid, number: u64) -> MessageMeta {
+        MessageMeta { publisher, number: Some(number), are_numbers_whole: true, timestamp_ns: wall_ns() }
     }
 
     /// A message in slices.
@@ -390,7 +390,7 @@ mod tests {
             let senders = Senders::of(&known.iter().copied().collect(), &publishers, has_port);
             [wanted, other, new].map(|gid| senders.find(&gid))
         };
-        use Sender::{Other, Unknown, Wanted};
+        use SenderRole::{Other, Unknown, Wanted};
         assert_eq!(found(&[wanted, other], true), [Wanted(None), Other, Unknown]);
         assert_eq!(found(&[wanted, other, new], true), [Wanted(None), Other, Other]);
         // Its port failed: its messages are held for the retry.
@@ -413,7 +413,7 @@ mod tests {
             Senders::of(&[one, other].into(), &wanted.iter().copied().collect(), true)
         };
         let mut ingress = Ingress::new(
-            Port::New(Box::new(port)),
+            IngressPort::New(Box::new(port)),
             Some(Arc::new(schema)),
             counters.clone(),
             Limiter::new(None),
@@ -462,7 +462,7 @@ mod tests {
         let hour_ns = HOUR.as_nanos() as i64;
         ingress.change(change(&[(one, Some(HOUR))]));
         for (number, age_ns) in [(1, hour_ns + 1), (2, hour_ns / 2), (3, -hour_ns / 2)] {
-            let source = Source { timestamp_ns: wall_ns() - age_ns, ..source(one, number) };
+            let source = MessageMeta { timestamp_ns: wall_ns() - age_ns, ..source(one, number) };
             ingress.receive(&text[..], source);
         }
         assert_eq!((std::iter::from_fn(take).count(), dropped(Refused::Expired)), (2, 1));

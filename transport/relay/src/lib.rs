@@ -2,7 +2,7 @@
 //! The common part of the gateway and the ROS 2 bridge: mirrors between a domain and a [`FarSide`].
 //!
 //! The mirror decides from both graphs what is mirrored, and [`Transit`] which endpoints are announced and carried, so that no
-//! message arrives twice or loops; both are pure. [`Control`] is the thread that executes their decisions. A [`Relay`] is the
+//! message arrives twice or loops; both are pure. [`MirrorControl`] is the thread that executes their decisions. A [`Relay`] is the
 //! thread that takes samples of all topics, waiting on the doorbell like a sampler, and gives each to an [`Egress`]; samples are
 //! held until their publisher's counterpart exists. Messages from the far side pass an [`Ingress`]. Local publishers are not
 //! affected. [`show_until`] is the main loop of such a program.
@@ -30,9 +30,9 @@ mod writers;
 
 pub use budget::{Budget, Guard, ThreadLister};
 pub use control::{
-    Control, Event, FarGraph, FarSide, FoundType, LocalGraph, Parts, Publisher, Report, watch_domain,
+    Event, FarGraph, FarSide, FoundType, LocalGraph, MirrorControl, Parts, Publisher, Report, watch_domain,
 };
-pub use ingress::{Body, Delivery, Ingress, IngressUpdate, Source};
+pub use ingress::{Body, Delivery, Ingress, IngressUpdate, MessageMeta};
 pub use instance::{Instance, InstanceError, InstanceLock};
 pub use limiter::Limiter;
 pub use mirror::{InKey, Inward, Side, TopicKey};
@@ -42,7 +42,7 @@ pub use program::{
     DomainError, SignalError, counted, domain_of, parse_interval, show_until, stop_on_signals,
 };
 pub use relay::{Relay, RelayError};
-pub use route::{EarlyLimits, Egress, Last, Outbound, Taken};
+pub use route::{EarlyLimits, Egress, Last, Outbound, OutboundSample};
 pub use rules::{Direction, QosOverride, Rule, Rules};
 pub use services::{
     Arrived, FarClient, FarServer, FarServices, OfferedService, Response, ServerId, ServiceStats, Services,

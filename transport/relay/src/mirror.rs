@@ -243,7 +243,7 @@ pub struct Mirror {
 
 /// Everything to be mirrored.
 #[derive(Default)]
-struct Wanted {
+struct MirrorPlan {
     writers: BTreeMap<(TopicKey, Gid), WantedWriter>,
     out: BTreeMap<TopicKey, Outward>,
     inward: BTreeMap<InKey, Inward>,
@@ -343,8 +343,8 @@ impl Mirror {
         actions
     }
 
-    fn wanted<'e>(&self, here: impl IntoIterator<Item = &'e TopicEndpoint>, there: &[Far<'e>]) -> Wanted {
-        let mut wanted = Wanted::default();
+    fn wanted<'e>(&self, here: impl IntoIterator<Item = &'e TopicEndpoint>, there: &[Far<'e>]) -> MirrorPlan {
+        let mut wanted = MirrorPlan::default();
         let far = grouped(there.iter().copied(), |(end, _)| &*end.topic);
         for (topic, ends) in grouped(here, |end| &*end.topic) {
             let Some(choice) = self.rules.choice(topic) else { continue };
@@ -391,7 +391,7 @@ struct Ends<'e> {
     hash: Option<&'e str>,
 }
 
-impl Wanted {
+impl MirrorPlan {
     /// Adds a topic with endpoints `here` and `there`, where each type is a separate topic.
     fn of_each_type(
         &mut self,

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The thread that takes the samples of all topics.
 
-use crate::route::{Egress, Route, Sources};
+use crate::route::{Egress, Sources, TopicRoute};
 use crate::waker::RelayWaker;
 use crate::worker::{Job, Worker, commanded};
 use futures::task::waker;
@@ -105,7 +105,7 @@ struct Loop<O: Egress> {
     seat: SamplerSeat,
     waker: Arc<RelayWaker>,
     sources: Sources,
-    routes: HashMap<O::Key, Route<O>>,
+    routes: HashMap<O::Key, TopicRoute<O>>,
     egress: O,
 }
 
@@ -146,7 +146,9 @@ impl<O: Egress> Loop<O> {
                 route.change(subscription, topic, sources, egress);
                 route
             }
-            Entry::Vacant(place) => place.insert(Route::new(subscription, topic, waker(self.waker.clone()))),
+            Entry::Vacant(place) => {
+                place.insert(TopicRoute::new(subscription, topic, waker(self.waker.clone())))
+            }
         };
         senders.into_iter().for_each(|(gid, sender)| route.open(gid, sender, egress));
     }

@@ -26,7 +26,7 @@ pub trait Egress: Send + 'static {
     const EARLY: EarlyLimits;
 
     /// Forwards a sample. After a change of subscription or port, samples come again: see [`Last`].
-    fn pass(&mut self, topic: &mut Self::Topic, sender: &mut Self::Sender, sample: Taken);
+    fn pass(&mut self, topic: &mut Self::Topic, sender: &mut Self::Sender, sample: OutboundSample);
 
     /// A sample was dropped: its publisher got no counterpart in time, or too many samples were held.
     fn dropped(topic: &Self::Topic);
@@ -55,7 +55,7 @@ pub struct EarlyLimits {
 }
 
 /// A sample to forward.
-pub enum Taken {
+pub enum OutboundSample {
     /// Still in shared memory.
     Now(RawSample),
     /// A copy, held for its publisher's counterpart.
@@ -71,28 +71,28 @@ pub struct Early {
     since: Instant,
 }
 
-impl Taken {
+impl OutboundSample {
     /// Its port, and its sequence number there, from 1.
     pub fn port(&self) -> (Gid, u64) {
         match self {
-            Taken::Now(sample) => (sample.port_gid(), sample.port_sequence_number()),
-            Taken::Early(early) => (early.port, early.number),
+            OutboundSample::Now(sample) => (sample.port_gid(), sample.port_sequence_number()),
+            OutboundSample::Early(early) => (early.port, early.number),
         }
     }
 
     /// The message info of its header.
     pub fn info(&self) -> MessageInfo {
         match self {
-            Taken::Now(sample) => sample.info(),
-            Taken::Early(early) => early.info,
+            OutboundSample::Now(sample) => sample.info(),
+            OutboundSample::Early(early) => early.info,
         }
     }
 
     /// The message, without encapsulation.
     pub fn body(&self) -> &[u8] {
         match self {
-            Taken::Now(sample) => sample.body(),
-            Taken::Early(early) => &early.body,
+            OutboundSample::Now(sample) => sample.body(),
+            OutboundSample::Early(early) => &early.body,
         }
     }
 }
@@ -110,7 +110,7 @@ pub struct Last {
 
 impl Last {
     /// Whether it is new; marks it as forwarded. A port's numbers increase; a port that replaces another may repeat its samples.
-    pub fn admits(&mut self, sample: &Taken) -> bool {
+    pub fn admits(&mut self, sample: &OutboundSample) -> bool {
         let (port, number) = sample.port();
         self.admits_numbers(port, number, sample.info().sequence_number)
     }
@@ -137,7 +137,7 @@ pub(crate) struct Sources {
 /// Samples taken from one topic before the next topic's turn.
 const TURN: usize = 16;
 
-pub(crate) struct Route<O: Egress> {
+pub(crate) struct TopicRoute<O: Egress> {
     subscription: Box<RawSubscription>,
     topic: O::Topic,
     senders: HashMap<Gid, O::Sender>,
@@ -154,10 +154,10 @@ impl Sources {
     }
 }
 
-impl<O: Egress> Route<O> {
+impl<O: Egress> TopicRoute<O> {
     pub(crate) fn new(subscription: Box<RawSubscription>, topic: O::Topic, thread: Waker) -> Self {
         let (senders, early) = (HashMap::new(), VecDeque::new());
-        Route { subscription, topic, senders, early, early_bytes: 0, lost: 0, flag: Flag::new(thread) }
+        TopicRoute { subscription, topic, senders, early, early_bytes: 0, lost: 0, flag: Flag::new(thread) }
     }
 
     /// Takes from another subscription from now on.
@@ -211,7 +211,7 @@ impl<O: Egress> Route<O> {
         }
         let publisher = sample.info().publisher_gid;
         match self.senders.get_mut(&publisher) {
-            Some(sender) => egress.pass(&mut self.topic, sender, Taken::Now(sample)),
+            Some(sender) => egress.pass(&mut self.topic, sender, OutboundSample::Now(sample)),
             None if sources.are_passed_over().contains(&publisher) => {}
             None => self.keep_early(&sample),
         }
@@ -235,7 +235,7 @@ impl<O: Egress> Route<O> {
         for early in std::mem::take(&mut self.early) {
             if early.info.publisher_gid == gid {
                 self.early_bytes -= early.body.len();
-                egress.pass(&mut self.topic, &mut sender, Taken::Early(early));
+                egress.pass(&mut self.topic, &mut sender, OutboundSample::Early(early));
             } else {
                 self.early.push_back(early);
             }

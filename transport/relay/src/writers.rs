@@ -11,12 +11,12 @@ pub(crate) const MATCH_TIME: Duration = Duration::from_secs(3);
 
 /// Writers by topic and mirrored publisher.
 pub struct Writers<W> {
-    held: HashMap<(TopicKey, Gid), Held<W>>,
+    held: HashMap<(TopicKey, Gid), OpenedWriter<W>>,
     /// Next check for writers to open.
     next: Option<Instant>,
 }
 
-struct Held<W> {
+struct OpenedWriter<W> {
     writer: W,
     opened: Instant,
     /// Whether samples are sent through it.
@@ -43,7 +43,8 @@ impl<W> Default for Writers<W> {
 impl<W: FarWriter> Writers<W> {
     pub(crate) fn insert(&mut self, key: TopicKey, gid: Gid, writer: W) {
         self.take();
-        self.held.insert((key, gid), Held { writer, opened: Instant::now(), is_open: false, later: None });
+        self.held
+            .insert((key, gid), OpenedWriter { writer, opened: Instant::now(), is_open: false, later: None });
     }
 
     pub(crate) fn remove(&mut self, key: &TopicKey, gid: Gid) {

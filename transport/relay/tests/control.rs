@@ -9,10 +9,10 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 use tautline_relay::OfferedService;
 use tautline_relay::{
-    Arrived, Control, Delivery, EarlyLimits, Egress, Event, FarClient, FarGraph, FarServer, FarServices,
-    FarSide, FarWriter, FoundType, InKey, Ingress, IngressUpdate, Inward, LocalGraph, Outbound, Parts,
-    Publisher, Relay, Report, Response, Rules, ServerId, Services, Side, SoughtService, Source, Taken,
-    TakenRequest, TopicKey, Transit, Writers,
+    Arrived, Delivery, EarlyLimits, Egress, Event, FarClient, FarGraph, FarServer, FarServices, FarSide,
+    FarWriter, FoundType, InKey, Ingress, IngressUpdate, Inward, LocalGraph, MessageMeta, MirrorControl,
+    Outbound, OutboundSample, Parts, Publisher, Relay, Report, Response, Rules, ServerId, Services, Side,
+    SoughtService, TakenRequest, TopicKey, Transit, Writers,
 };
 use tautline_rt::ThreadBuilder;
 use tautline_transport::{
@@ -60,7 +60,7 @@ impl Egress for Log {
 
     const EARLY: EarlyLimits = EarlyLimits { samples: 8, bytes: 1000, time: Duration::from_secs(2) };
 
-    fn pass(&mut self, topic: &mut Outbound, (): &mut (), sample: Taken) {
+    fn pass(&mut self, topic: &mut Outbound, (): &mut (), sample: OutboundSample) {
         drop(self.gate.lock().unwrap());
         topic.counters.passed(sample.body().len(), sample.info().source_timestamp_ns);
         let _ = self.passed.send(sample.body().to_vec());
@@ -349,7 +349,7 @@ impl Mirroring {
         let stop = Arc::<AtomicBool>::default();
         let thread = {
             let stop = stop.clone();
-            std::thread::spawn(move || Control::new(parts).run(&received, &stop))
+            std::thread::spawn(move || MirrorControl::new(parts).run(&received, &stop))
         };
         Mirroring { world, passed, gate, events, stop, thread }
     }
@@ -370,7 +370,7 @@ impl Mirroring {
 
     /// Somebody there published this.
     fn comes_in(&self, publisher: u8, number: u64, body: &[u8]) {
-        let source = Source {
+        let source = MessageMeta {
             publisher: Gid([publisher; 16]),
             number: Some(number),
             are_numbers_whole: true,

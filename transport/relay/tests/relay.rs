@@ -3,7 +3,7 @@
 
 use std::sync::mpsc;
 use std::time::Duration;
-use tautline_relay::{EarlyLimits, Egress, Relay, Taken};
+use tautline_relay::{EarlyLimits, Egress, OutboundSample, Relay};
 use tautline_rt::ThreadBuilder;
 use tautline_transport::{Limits, Participant, Qos, RawPublisher, TopicType};
 
@@ -17,8 +17,8 @@ impl Egress for Log {
 
     const EARLY: EarlyLimits = EarlyLimits { samples: 3, bytes: 1000, time: Duration::from_secs(3600) };
 
-    fn pass(&mut self, log: &mut Self::Topic, sender: &mut Self::Sender, sample: Taken) {
-        let when = if matches!(sample, Taken::Early(_)) { "early" } else { "now" };
+    fn pass(&mut self, log: &mut Self::Topic, sender: &mut Self::Sender, sample: OutboundSample) {
+        let when = if matches!(sample, OutboundSample::Early(_)) { "early" } else { "now" };
         assert_eq!(sample.body(), [7; 10]);
         let _ = log.send(format!("{sender} {} {when}", sample.port().1));
     }

@@ -3,9 +3,9 @@
 //!
 //! - Each participant's [`Janitor`] sleeps until it is called, and then does what is necessary for its ports.
 //! - One participant's [`Warden`] watches all other participants. The wardens of the others watch this one, to take its place. The
-//!   cleanup after a dead participant is in [`burial`].
+//!   cleanup after a dead participant is in [`dead_participant`].
 
-mod burial;
+mod dead_participant;
 mod janitor;
 mod warden;
 

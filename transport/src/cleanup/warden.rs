@@ -9,7 +9,7 @@
 //! other participants sleep on its read end, which the kernel hangs up when the warden dies. Then they try to lock the pipe, and one
 //! of them gets the lock.
 
-use super::burial::{self, Dead, Found};
+use super::dead_participant::{self, Dead, FileState};
 use crate::error::TransportError;
 use crate::graph::domain::{Domain, WARDEN, has_owner};
 use crate::participant::file::{file_error, id_of};
@@ -140,7 +140,7 @@ impl Candidate {
             look_all_ns: 0,
         };
         // After it began to listen: what happens meanwhile is heard.
-        warden.bury_all(&self.domain);
+        warden.clean_up_all(&self.domain);
         Ok(Election::Won(warden))
     }
 
@@ -152,7 +152,7 @@ impl Candidate {
                 Some(warden) => {
                     if self.is_stopped(warden.watch.as_ref(), warden.pause()) {
                         // Nobody may come after this one.
-                        return warden.bury_all(&self.domain);
+                        return warden.clean_up_all(&self.domain);
                     }
                     warden.listen(&self.domain);
                     warden.look(&self.domain);
@@ -247,19 +247,19 @@ impl ActiveWarden {
     }
 
     fn suspect_all(&mut self, domain: &Domain) {
-        match burial::names(domain.number()) {
+        match dead_participant::names(domain.number()) {
             Ok(names) => names.iter().for_each(|name| self.suspect(name)),
             Err(_) => self.look_all_ns = monotonic_ns() + RETRY.as_nanos() as u64,
         }
     }
 
     /// Cleans up after all participants that are dead by now.
-    fn bury_all(&mut self, domain: &Domain) {
+    fn clean_up_all(&mut self, domain: &Domain) {
         self.suspect_all(domain);
         self.look(domain);
         while !self.dead.is_empty() {
-            std::thread::sleep(burial::PERIOD);
-            burial::bury(domain, &mut self.dead);
+            std::thread::sleep(dead_participant::PERIOD);
+            dead_participant::clean_up(domain, &mut self.dead);
         }
     }
 
@@ -270,8 +270,8 @@ impl ActiveWarden {
         let look = self.watch.is_none().then_some(PERIOD);
         let look_all = (self.look_all_ns != 0)
             .then(|| Duration::from_nanos(self.look_all_ns.saturating_sub(monotonic_ns())));
-        let bury = (!self.dead.is_empty()).then_some(burial::PERIOD);
-        [next, look, look_all, bury].into_iter().flatten().min()
+        let clean_up = (!self.dead.is_empty()).then_some(dead_participant::PERIOD);
+        [next, look, look_all, clean_up].into_iter().flatten().min()
     }
 
     /// Hears what has happened.
@@ -319,17 +319,17 @@ impl ActiveWarden {
             let looks = self.suspects.remove(&name).map_or(0, |(_, looks)| looks);
             // How long until it is looked at again.
             let again = AGAIN.get(looks).copied();
-            let pause = match burial::look_after(domain, &name) {
-                Ok(Found::Gone) => None,
-                Ok(Found::Dead(dead)) => {
+            let pause = match dead_participant::look_after(domain, &name) {
+                Ok(FileState::Gone) => None,
+                Ok(FileState::Dead(dead)) => {
                     self.dead.push(dead);
                     None
                 }
-                Ok(Found::Kept) => {
+                Ok(FileState::Kept) => {
                     self.kept.insert(name.clone());
                     None
                 }
-                Ok(Found::Owned) => again.filter(|_| self.watch.is_some()),
+                Ok(FileState::Owned) => again.filter(|_| self.watch.is_some()),
                 Err(error) if error.is_passing() => Some(again.unwrap_or(RETRY)),
                 // Another user's, or a folder: it stays.
                 Err(_) => None,
@@ -338,6 +338,6 @@ impl ActiveWarden {
                 self.suspects.insert(name, (now_ns + pause.as_nanos() as u64, looks + 1));
             }
         }
-        burial::bury(domain, &mut self.dead);
+        dead_participant::clean_up(domain, &mut self.dead);
     }
 }

@@ -57,11 +57,11 @@ struct Layout {
     /// Distinguishes this domain from domains of other hosts, users and scopes, and from the same domain at
     /// another time.
     id: AtomicU64,
-    members: [Member; MEMBERS],
+    members: [MemberSlot; MEMBERS],
 }
 
 #[repr(C, align(64))]
-struct Member {
+struct MemberSlot {
     /// Its participant; 0: the entry is free.
     id: AtomicU64,
     generation: AtomicU64,
@@ -217,7 +217,7 @@ impl Domain {
     /// Takes a place for a participant.
     pub(crate) fn add(&self, id: u64) -> Result<usize, TransportError> {
         // Looked at before: places that are taken stay in everybody's cache.
-        let take = |member: &Member| {
+        let take = |member: &MemberSlot| {
             member.id.load(Ordering::Relaxed) == 0
                 && member.id.compare_exchange(0, id, Ordering::AcqRel, Ordering::Relaxed).is_ok()
         };
@@ -230,7 +230,7 @@ impl Domain {
 
     /// Frees the place of a participant, if it has one. True if it had.
     pub(crate) fn remove(&self, id: u64) -> bool {
-        let free = |member: &Member| {
+        let free = |member: &MemberSlot| {
             member.id.load(Ordering::Relaxed) == id
                 && member.id.compare_exchange(id, 0, Ordering::AcqRel, Ordering::Relaxed).is_ok()
         };

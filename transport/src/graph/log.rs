@@ -16,7 +16,7 @@
 //! | its content, and zeros | the rest |
 
 use crate::error::TransportError;
-use crate::participant::file::{Head, OwnMemory, PAGE, Peer, Place};
+use crate::participant::file::{OwnMemory, PAGE, PackedRange, ParticipantHeader, Peer};
 use crate::participant::ranges::Range;
 use rustix::io::Errno;
 use std::collections::BTreeMap;
@@ -34,7 +34,7 @@ const HEAD_BYTES: usize = 24;
 /// The kind of an entry. A reader skips kinds that it does not know.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[repr(u32)]
-pub(crate) enum Kind {
+pub(crate) enum EntryKind {
     /// The entry with this number is no longer valid.
     Gone = 1,
     Node = 2,
@@ -54,9 +54,9 @@ pub(crate) enum Kind {
     RemoteEnded = 8,
 }
 
-impl Kind {
+impl EntryKind {
     fn from_word(word: u32) -> Option<Self> {
-        use Kind::{Ended, Gone, Node, Port, Relay, RemoteEnded, RemotePort, RemoteService};
+        use EntryKind::{Ended, Gone, Node, Port, Relay, RemoteEnded, RemotePort, RemoteService};
         let all = [Gone, Node, Port, RemotePort, RemoteService, Relay, Ended, RemoteEnded];
         all.into_iter().find(|kind| *kind as u32 == word)
     }
@@ -64,14 +64,14 @@ impl Kind {
 
 /// An entry of a record. Entries of another process are untrusted.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Entry {
-    pub(crate) kind: Kind,
+pub(crate) struct LogEntry {
+    pub(crate) kind: EntryKind,
     pub(crate) number: u64,
     pub(crate) hash: u64,
     pub(crate) body: Vec<u8>,
 }
 
-impl Entry {
+impl LogEntry {
     fn encode(&self) -> Vec<u8> {
         let len = (HEAD_BYTES + self.body.len()).next_multiple_of(8);
         let mut bytes = Vec::with_capacity(len);
@@ -85,7 +85,7 @@ impl Entry {
     }
 
     /// The first entry of `bytes`, unless its kind is not known, and how long it is. `None`: it is no entry.
-    fn decode(bytes: &[u8]) -> Option<(Option<Entry>, usize)> {
+    fn decode(bytes: &[u8]) -> Option<(Option<LogEntry>, usize)> {
         let word = |at: usize| Some(u64::from_ne_bytes(bytes.get(at..at + 8)?.try_into().ok()?));
         let first = word(0)?.to_ne_bytes();
         let [len, kind] =
@@ -96,7 +96,7 @@ impl Entry {
         }
         let (number, hash) = (word(8)?, word(16)?);
         let body = bytes[HEAD_BYTES..len].to_vec();
-        Some((Kind::from_word(kind).map(|kind| Entry { kind, number, hash, body }), len))
+        Some((EntryKind::from_word(kind).map(|kind| LogEntry { kind, number, hash, body }), len))
     }
 }
 
@@ -157,7 +157,7 @@ impl Log {
     ///
     /// # Errors
     /// There is no memory for it: then nothing has changed.
-    pub(crate) fn add(&mut self, entry: &Entry) -> io::Result<()> {
+    pub(crate) fn add(&mut self, entry: &LogEntry) -> io::Result<()> {
         let bytes = entry.encode();
         self.live_bytes += bytes.len();
         self.live.insert(entry.number, bytes.clone());
@@ -171,13 +171,13 @@ impl Log {
     pub(crate) fn remove(&mut self, number: u64) -> io::Result<()> {
         let Some(bytes) = self.live.remove(&number) else { return Ok(()) };
         self.live_bytes -= bytes.len();
-        self.append(&Entry { kind: Kind::Gone, number, hash: 0, body: Vec::new() }.encode())
+        self.append(&LogEntry { kind: EntryKind::Gone, number, hash: 0, body: Vec::new() }.encode())
     }
 
     /// Makes the entry of a port that of one that has ended. As [`remove`](Self::remove) without memory.
     pub(crate) fn end(&mut self, number: u64) -> io::Result<()> {
         let Some(entry) = self.live.get_mut(&number) else { return Ok(()) };
-        entry[4..8].copy_from_slice(&(Kind::Ended as u32).to_ne_bytes());
+        entry[4..8].copy_from_slice(&(EntryKind::Ended as u32).to_ne_bytes());
         let bytes = entry.clone();
         self.append(&bytes)
     }
@@ -188,7 +188,7 @@ impl Log {
     }
 
     /// How many entries that count are of this kind and have this hash.
-    pub(crate) fn count(&self, kind: Kind, hash: u64) -> usize {
+    pub(crate) fn count(&self, kind: EntryKind, hash: u64) -> usize {
         let is_one = |bytes: &&Vec<u8>| {
             bytes[4..8] == (kind as u32).to_ne_bytes() && bytes[16..HEAD_BYTES] == hash.to_ne_bytes()
         };
@@ -231,7 +231,7 @@ impl Log {
         turn.store(self.turn, Ordering::Relaxed);
         valid.store(used as u64, Ordering::Relaxed);
         // Release: pairs with the Acquire in `Reader::read`; the part is whole.
-        self.memory.head().record.store(Place::to_word(range), Ordering::Release);
+        self.memory.head().record.store(PackedRange::to_word(range), Ordering::Release);
         // What is written into the former part from here on comes after this: who reads it, too.
         std::sync::atomic::fence(Ordering::SeqCst);
         self.used = used;
@@ -266,7 +266,7 @@ pub(crate) struct LogUpdate {
     /// The record was written anew: what was known of it before counts no more.
     pub(crate) anew: bool,
     /// Each with its position in the record, by which [`Reader::entry`] finds it as long as it is not written anew.
-    pub(crate) entries: Vec<(Entry, usize)>,
+    pub(crate) entries: Vec<(LogEntry, usize)>,
     /// The record is damaged from here on.
     pub(crate) is_damaged: bool,
 }
@@ -287,7 +287,7 @@ impl Reader {
             let place = peer.head().record.load(Ordering::Acquire);
             let turn = |part: &Arc<Mapping>| split(part).1.load(Ordering::Relaxed);
             if place != self.place || self.part.as_ref().map(turn) != Some(self.turn) {
-                let Some(range) = Place::from_word(place).filter(|range| range.len <= MAX_BYTES) else {
+                let Some(range) = PackedRange::from_word(place).filter(|range| range.len <= MAX_BYTES) else {
                     update.is_damaged = place != 0;
                     return Ok(update);
                 };
@@ -310,7 +310,7 @@ impl Reader {
             };
             let mut at = 0;
             while at < bytes.len() {
-                let Some((entry, len)) = Entry::decode(&bytes[at..]) else {
+                let Some((entry, len)) = LogEntry::decode(&bytes[at..]) else {
                     update.is_damaged = true;
                     return Ok(update);
                 };
@@ -326,7 +326,7 @@ impl Reader {
     }
 
     /// The entry at a position that `read` gave. `None`: the record was written anew meanwhile, or is damaged.
-    pub(crate) fn entry(&self, head: &Head, position: usize) -> Option<Entry> {
+    pub(crate) fn entry(&self, head: &ParticipantHeader, position: usize) -> Option<LogEntry> {
         // Not where nothing lies any more: that would take memory.
         if head.record.load(Ordering::Acquire) != self.place {
             return None;
@@ -337,7 +337,7 @@ impl Reader {
         if head.record.load(Ordering::Relaxed) != self.place || turn != self.turn {
             return None;
         }
-        Entry::decode(&bytes)?.0
+        LogEntry::decode(&bytes)?.0
     }
 
     /// A copy of what is valid, from where was read last, or of one entry.
@@ -395,12 +395,12 @@ mod tests {
         reader.read(peer).unwrap()
     }
 
-    fn entry(log: &mut Log, body: &str) -> Entry {
-        Entry { kind: Kind::Port, number: log.number(), hash: hash_of(body), body: body.into() }
+    fn entry(log: &mut Log, body: &str) -> LogEntry {
+        LogEntry { kind: EntryKind::Port, number: log.number(), hash: hash_of(body), body: body.into() }
     }
 
     /// Bodies come back with the zeros that follow them.
-    fn text(entry: &Entry) -> &str {
+    fn text(entry: &LogEntry) -> &str {
         std::str::from_utf8(&entry.body).unwrap().trim_end_matches('\0')
     }
 
@@ -421,7 +421,7 @@ mod tests {
         let update = read(&mut reader, &both.peer);
         assert!(!update.anew);
         let found: Vec<_> = update.entries.iter().map(|(entry, _)| (entry.kind, entry.number)).collect();
-        assert_eq!(found, [(Kind::Port, 3), (Kind::Gone, 1)]);
+        assert_eq!(found, [(EntryKind::Port, 3), (EntryKind::Gone, 1)]);
         assert_eq!(text(&reader.entry(both.peer.head(), update.entries[0].1).unwrap()), "/camera/left/image");
     }
 
@@ -445,7 +445,7 @@ mod tests {
                 }
                 for (entry, position) in &update.entries {
                     match entry.kind {
-                        Kind::Gone => drop(known.remove(&entry.number)),
+                        EntryKind::Gone => drop(known.remove(&entry.number)),
                         _ => drop(known.insert(entry.number, text(entry).to_owned())),
                     }
                     positions.insert(entry.number, *position);
@@ -455,7 +455,7 @@ mod tests {
                     .live
                     .iter()
                     .map(|(number, bytes)| {
-                        (*number, text(&Entry::decode(bytes).unwrap().0.unwrap()).to_owned())
+                        (*number, text(&LogEntry::decode(bytes).unwrap().0.unwrap()).to_owned())
                     })
                     .collect();
                 assert_eq!(known, written);
@@ -479,7 +479,8 @@ mod tests {
                     let update = read(&mut reader, peer);
                     assert!(!update.is_damaged);
                     anew += u32::from(update.anew);
-                    for (entry, _) in update.entries.iter().filter(|(entry, _)| entry.kind == Kind::Port) {
+                    for (entry, _) in update.entries.iter().filter(|(entry, _)| entry.kind == EntryKind::Port)
+                    {
                         assert_eq!(
                             text(entry),
                             entry.number.to_string().repeat(1 + entry.number as usize % 40)
@@ -499,7 +500,7 @@ mod tests {
                 let number = log.number();
                 assert_eq!(number, n);
                 let body = number.to_string().repeat(1 + n as usize % 40).into();
-                log.add(&Entry { kind: Kind::Port, number, hash: 0, body }).unwrap();
+                log.add(&LogEntry { kind: EntryKind::Port, number, hash: 0, body }).unwrap();
                 if n > 20 {
                     log.remove(n - 20).unwrap();
                 }

@@ -22,7 +22,7 @@ pub use events::GraphEvents;
 pub(crate) use events::GraphWatcher;
 pub(crate) use model::Model;
 pub use origin::{Origin, Rank};
-pub(crate) use own::{Entry, OwnRecord};
+pub(crate) use own::{NodeEntry, OwnRecord};
 pub use remote::{RemoteGraph, RemoteNode};
 pub use visitor::{Death, Visitor, graph_of};
 
@@ -191,7 +191,7 @@ pub struct TopicInfo {
 /// are dropped.
 #[derive(Clone)]
 pub struct NodeHandle {
-    pub(crate) entry: Arc<Entry>,
+    pub(crate) entry: Arc<NodeEntry>,
 }
 
 impl NodeHandle {

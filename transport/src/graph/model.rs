@@ -3,7 +3,7 @@
 //! the last one.
 
 use super::domain::Domain;
-use super::log::{Entry, Kind, Reader};
+use super::log::{EntryKind, LogEntry, Reader};
 use super::record::{NodeRecord, PortKind, PortRecord, RemotePortRecord, RemoteServiceRecord};
 use super::visitor::Death;
 use super::{
@@ -11,7 +11,7 @@ use super::{
     TopicEndpoint, is_of_service, service_of,
 };
 use crate::error::TransportError;
-use crate::participant::file::{Peer, Place};
+use crate::participant::file::{PackedRange, Peer};
 use crate::participant::ranges::Range;
 use crate::topic::header::Gid;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet, VecDeque};
@@ -34,7 +34,7 @@ pub(crate) struct Model {
     is_teller: bool,
     /// The domain's when `snapshot` was made.
     pub(super) epoch: Option<u32>,
-    members: HashMap<u64, Member>,
+    members: HashMap<u64, ParticipantRecord>,
     /// The listed entries, in order; the last part of a key names the source.
     nodes: BTreeSet<(Arc<NodeInfo>, Gid)>,
     endpoints: BTreeMap<(String, EndpointKind, Gid, Gid), Arc<TopicEndpoint>>,
@@ -49,7 +49,7 @@ pub(crate) struct Model {
 }
 
 /// The content of a participant's record.
-struct Member {
+struct ParticipantRecord {
     /// `None`: it is skipped.
     peer: Option<Peer>,
     generation: u64,
@@ -61,9 +61,9 @@ struct Member {
     remote_services: BTreeMap<u64, RemoteServiceRecord>,
 }
 
-impl Member {
+impl ParticipantRecord {
     fn new(peer: Option<Peer>) -> Self {
-        Member {
+        ParticipantRecord {
             peer,
             generation: 0,
             reader: Reader::default(),
@@ -91,20 +91,20 @@ impl Member {
             .collect()
     }
 
-    fn add(&mut self, entry: &Entry) {
+    fn add(&mut self, entry: &LogEntry) {
         let (number, body) = (entry.number, &entry.body);
         match entry.kind {
-            Kind::Gone | Kind::Ended => {}
-            Kind::Node => self.nodes.extend(NodeRecord::parse(body).map(|node| (number, node))),
-            Kind::Port => self.ports.extend(PortRecord::parse(body).map(|port| (number, port))),
-            Kind::RemotePort => {
+            EntryKind::Gone | EntryKind::Ended => {}
+            EntryKind::Node => self.nodes.extend(NodeRecord::parse(body).map(|node| (number, node))),
+            EntryKind::Port => self.ports.extend(PortRecord::parse(body).map(|port| (number, port))),
+            EntryKind::RemotePort => {
                 self.remote_ports.extend(RemotePortRecord::parse(body).map(|port| (number, port)));
             }
-            Kind::RemoteService => {
+            EntryKind::RemoteService => {
                 self.remote_services.extend(RemoteServiceRecord::parse(body).map(|end| (number, end)));
             }
-            Kind::Relay => self.is_relay = true,
-            Kind::RemoteEnded => {}
+            EntryKind::Relay => self.is_relay = true,
+            EntryKind::RemoteEnded => {}
         }
     }
 
@@ -251,10 +251,10 @@ impl Model {
     pub(super) fn memory_of(&self, publisher: Gid) -> Option<(&Peer, Range)> {
         let member = self.members.get(&publisher.participant())?;
         let port = member.ports.get(&publisher.number()).filter(|port| port.kind == PortKind::Publisher)?;
-        Some((member.peer.as_ref()?, Place::from_word(port.at)?))
+        Some((member.peer.as_ref()?, PackedRange::from_word(port.at)?))
     }
 
-    /// Leaves out who has died and was not buried: nobody else may be there to do that.
+    /// Leaves out who has died and was not cleaned up after: nobody else may be there to do that.
     pub(super) fn forget_dead(&mut self, domain: &Domain) {
         let dead: Vec<u64> =
             self.members.keys().filter(|id| !Peer::lives(domain.number(), **id)).copied().collect();
@@ -286,16 +286,16 @@ impl Model {
     }
 
     /// A participant has gone, and may have said before that its publishers have ended.
-    fn hear_last(&mut self, id: u64, member: &mut Member) {
+    fn hear_last(&mut self, id: u64, member: &mut ParticipantRecord) {
         let Some(peer) = member.peer.as_ref().filter(|_| self.is_teller) else { return };
         // What is damaged says of nobody that it has ended.
         let Some(update) = member.reader.read(peer).ok().filter(|update| !update.is_damaged) else { return };
-        let of_kind = |is_it: fn(Kind) -> bool| {
+        let of_kind = |is_it: fn(EntryKind) -> bool| {
             let entries = update.entries.iter().filter(move |(entry, _)| is_it(entry.kind));
             entries.map(|(entry, _)| entry.number).collect::<BTreeSet<u64>>()
         };
-        let ended = of_kind(|kind| matches!(kind, Kind::Gone | Kind::Ended));
-        let still = of_kind(|kind| kind == Kind::Port);
+        let ended = of_kind(|kind| matches!(kind, EntryKind::Gone | EntryKind::Ended));
+        let still = of_kind(|kind| kind == EntryKind::Port);
         for (number, port) in &member.ports {
             if ended.contains(number) || update.anew && !still.contains(number) {
                 self.note_gone(id, member.is_relay, *number, port);
@@ -304,7 +304,7 @@ impl Model {
     }
 
     /// A participant has gone. Whoever ends by himself says so of all that he has before.
-    fn note_death(&mut self, id: u64, member: &mut Member) {
+    fn note_death(&mut self, id: u64, member: &mut ParticipantRecord) {
         if self.own != VISITOR {
             return;
         }
@@ -346,13 +346,13 @@ impl Model {
             Some(member) => member,
             None if self.own == VISITOR && !Peer::lives(domain, id) => return Ok(()),
             None => match Peer::open(domain, id) {
-                Ok(Some(peer)) => Member::new(Some(peer)),
+                Ok(Some(peer)) => ParticipantRecord::new(Some(peer)),
                 // Its end is on the way.
                 Ok(None) => return Ok(()),
                 Err(error) if error.is_passing() => return Err(error),
                 Err(error) => {
                     complain(&error);
-                    Member::new(None)
+                    ParticipantRecord::new(None)
                 }
             },
         };
@@ -364,34 +364,36 @@ impl Model {
         read
     }
 
-    fn read(&mut self, id: u64, member: &mut Member) -> Result<(), TransportError> {
+    fn read(&mut self, id: u64, member: &mut ParticipantRecord) -> Result<(), TransportError> {
         let Some(peer) = &member.peer else { return Ok(()) };
         let update = member.reader.read(peer)?;
         let mut former = BTreeMap::new();
         if update.anew {
             self.unlist(id, member);
             former = std::mem::take(&mut member.ports);
-            *member =
-                Member { reader: std::mem::take(&mut member.reader), ..Member::new(member.peer.take()) };
+            *member = ParticipantRecord {
+                reader: std::mem::take(&mut member.reader),
+                ..ParticipantRecord::new(member.peer.take())
+            };
         }
         for (entry, _) in &update.entries {
             match entry.kind {
-                Kind::Gone | Kind::Ended => {
+                EntryKind::Gone | EntryKind::Ended => {
                     if let Some(port) = member.ports.get(&entry.number) {
                         self.note_gone(id, member.is_relay, entry.number, port);
                     }
                     self.change(id, member, entry.number, false);
                     member.remove(entry.number);
                 }
-                Kind::Relay => {
+                EntryKind::Relay => {
                     self.is_teller |= id == self.own;
                     self.unlist(id, member);
                     member.is_relay = true;
                     member.numbers().into_iter().for_each(|number| self.change(id, member, number, true));
                 }
                 // Not what this one itself says.
-                Kind::RemoteEnded if id == self.own => {}
-                Kind::RemoteEnded => self.note_ended(entry.hash),
+                EntryKind::RemoteEnded if id == self.own => {}
+                EntryKind::RemoteEnded => self.note_ended(entry.hash),
                 _ => {
                     former.remove(&entry.number);
                     member.add(entry);
@@ -410,17 +412,17 @@ impl Model {
         {
             complain(&TransportError::Damaged { path: peer.path().to_owned() });
             self.unlist(id, member);
-            *member = Member::new(None);
+            *member = ParticipantRecord::new(None);
         }
         Ok(())
     }
 
-    fn unlist(&mut self, id: u64, member: &Member) {
+    fn unlist(&mut self, id: u64, member: &ParticipantRecord) {
         member.numbers().into_iter().for_each(|number| self.change(id, member, number, false));
     }
 
     /// Lists what a participant says under a number, or takes it from the list.
-    fn change(&mut self, id: u64, member: &Member, number: u64, is_listed: bool) {
+    fn change(&mut self, id: u64, member: &ParticipantRecord, number: u64, is_listed: bool) {
         let gid = Gid::of(id, number);
         let listed = member.listed(self.own, id, number);
         if let Some((origin, Some(teller))) = listed.as_ref().map(Listed::origin)

@@ -2,7 +2,7 @@
 //! A participant's own record: its nodes and ports, and what it knows about other hosts.
 
 use super::domain::Domain;
-use super::log::{self, Kind, Log, hash_of};
+use super::log::{self, EntryKind, Log, hash_of};
 use super::record::{NodeRecord, PortRecord, to_body};
 use super::{NodeName, RemoteGraph, RemoteNode};
 use crate::error::TransportError;
@@ -18,10 +18,10 @@ pub(crate) struct OwnRecord {
     memory: Arc<OwnMemory>,
     /// This participant's index among the members.
     place: OnceLock<usize>,
-    state: Mutex<State>,
+    state: Mutex<OwnRecordState>,
 }
 
-struct State {
+struct OwnRecordState {
     log: Log,
     remote: Remote,
 }
@@ -37,11 +37,11 @@ struct Remote {
 /// The entries of nodes: two may have one name.
 type RemoteNodes = BTreeMap<RemoteNode, Vec<u64>>;
 
-type RemoteEntries = HashMap<(Kind, u64, Vec<u8>), Vec<u64>>;
+type RemoteEntries = HashMap<(EntryKind, u64, Vec<u8>), Vec<u64>>;
 
 impl OwnRecord {
     pub(crate) fn new(domain: &Arc<Domain>, memory: &Arc<OwnMemory>) -> Arc<Self> {
-        let state = State { log: Log::new(memory.clone()), remote: Remote::default() };
+        let state = OwnRecordState { log: Log::new(memory.clone()), remote: Remote::default() };
         let (domain, memory) = (domain.clone(), memory.clone());
         Arc::new(OwnRecord { domain, memory, place: OnceLock::new(), state: Mutex::new(state) })
     }
@@ -57,7 +57,7 @@ impl OwnRecord {
     }
 
     /// Its lock is taken while things are set up and when they end, never by publish or take.
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, OwnRecordState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -87,7 +87,7 @@ impl OwnRecord {
     /// Makes a port known to others.
     pub(crate) fn add_port(&self, number: u64, port: &PortRecord) -> Result<(), TransportError> {
         let hash = hash_of(&port.topic);
-        let entry = log::Entry { kind: Kind::Port, number, hash, body: to_body(port) };
+        let entry = log::LogEntry { kind: EntryKind::Port, number, hash, body: to_body(port) };
         self.state().log.add(&entry).map_err(self.failed())?;
         self.changed();
         Ok(())
@@ -118,7 +118,7 @@ impl OwnRecord {
         self.changed();
     }
 
-    pub(crate) fn add_node(self: &Arc<Self>, node: NodeName) -> Result<Arc<Entry>, TransportError> {
+    pub(crate) fn add_node(self: &Arc<Self>, node: NodeName) -> Result<Arc<NodeEntry>, TransportError> {
         if !node.is_valid() {
             return Err(TransportError::NodeName { name: node.full_name() });
         }
@@ -127,18 +127,18 @@ impl OwnRecord {
             let number = state.log.number();
             let hash = hash_of(&node.full_name());
             let body = to_body(&NodeRecord { name: node.clone(), origin: None });
-            let entry = log::Entry { kind: Kind::Node, number, hash, body };
+            let entry = log::LogEntry { kind: EntryKind::Node, number, hash, body };
             state.log.add(&entry).map_err(self.failed())?;
             number
         };
         self.changed();
         let (record, has_ended, slots) = (self.clone(), AtomicBool::new(false), Mutex::default());
-        Ok(Arc::new(Entry { record, number, node, has_ended, slots }))
+        Ok(Arc::new(NodeEntry { record, number, node, has_ended, slots }))
     }
 
     /// How many nodes it has whose name has this hash.
     pub(crate) fn nodes(&self, hash: u64) -> usize {
-        self.state().log.count(Kind::Node, hash)
+        self.state().log.count(EntryKind::Node, hash)
     }
 
     /// Whether it says, or said, what other hosts have.
@@ -164,10 +164,10 @@ impl OwnRecord {
     }
 }
 
-impl State {
-    fn add(&mut self, kind: Kind, hash: u64, body: Vec<u8>) -> io::Result<u64> {
+impl OwnRecordState {
+    fn add(&mut self, kind: EntryKind, hash: u64, body: Vec<u8>) -> io::Result<u64> {
         let number = self.log.number();
-        self.log.add(&log::Entry { kind, number, hash, body })?;
+        self.log.add(&log::LogEntry { kind, number, hash, body })?;
         Ok(number)
     }
 
@@ -175,7 +175,7 @@ impl State {
     fn set_remote(&mut self, remote: &RemoteGraph, topics: &mut BTreeSet<u64>) -> io::Result<bool> {
         let mut changed = false;
         if self.remote.marker.is_none() {
-            self.remote.marker = Some(self.add(Kind::Relay, 0, Vec::new())?);
+            self.remote.marker = Some(self.add(EntryKind::Relay, 0, Vec::new())?);
             changed = true;
         }
         let mut former = (std::mem::take(&mut self.remote.nodes), std::mem::take(&mut self.remote.entries));
@@ -207,7 +207,7 @@ impl State {
                     changed = true;
                     let RemoteNode { name, origin } = node.clone();
                     let hash = hash_of(&name.full_name());
-                    self.add(Kind::Node, hash, to_body(&NodeRecord { name, origin: Some(origin) }))?
+                    self.add(EntryKind::Node, hash, to_body(&NodeRecord { name, origin: Some(origin) }))?
                 }
             };
             numbers.entry(node.name.clone()).or_insert(number);
@@ -248,17 +248,17 @@ impl State {
 }
 
 /// What is to be said of ends, with the hashes of their names; `nodes` are the entries of theirs.
-fn wanted(remote: &RemoteGraph, nodes: &HashMap<NodeName, u64>) -> Vec<(Kind, u64, Vec<u8>)> {
+fn wanted(remote: &RemoteGraph, nodes: &HashMap<NodeName, u64>) -> Vec<(EntryKind, u64, Vec<u8>)> {
     let (ports, services) = remote.records(nodes);
-    let ports = ports.iter().map(|port| (Kind::RemotePort, hash_of(port.topic()), to_body(port)));
-    let services = services.iter().map(|end| (Kind::RemoteService, hash_of(end.name()), to_body(end)));
-    let ended = remote.ended.iter().map(|tag| (Kind::RemoteEnded, *tag, Vec::new()));
+    let ports = ports.iter().map(|port| (EntryKind::RemotePort, hash_of(port.topic()), to_body(port)));
+    let services = services.iter().map(|end| (EntryKind::RemoteService, hash_of(end.name()), to_body(end)));
+    let ended = remote.ended.iter().map(|tag| (EntryKind::RemoteEnded, *tag, Vec::new()));
     // Before what has ended is taken back.
     ended.chain(ports).chain(services).collect()
 }
 
 /// A node that exists until this is dropped.
-pub(crate) struct Entry {
+pub(crate) struct NodeEntry {
     record: Arc<OwnRecord>,
     pub(crate) number: u64,
     pub(crate) node: NodeName,
@@ -267,7 +267,7 @@ pub(crate) struct Entry {
     slots: Mutex<Vec<Weak<Slot>>>,
 }
 
-impl Entry {
+impl NodeEntry {
     pub(crate) fn adopt(&self, slot: &Arc<Slot>) {
         let mut slots = self.slots();
         if self.has_ended() {
@@ -298,7 +298,7 @@ impl Entry {
     }
 }
 
-impl Drop for Entry {
+impl Drop for NodeEntry {
     fn drop(&mut self) {
         self.record.remove(self.number);
     }

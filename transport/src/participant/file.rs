@@ -3,7 +3,7 @@
 //!
 //! | from | holds |
 //! |---|---|
-//! | 0 | the [`Head`]: type and version, and the positions of the other parts |
+//! | 0 | the [`ParticipantHeader`]: type and version, and the positions of the other parts |
 //! | 4096 | the arena: its doorbell |
 //! | after it | dynamic parts: the record, more slots, publishers' memory |
 //!
@@ -34,11 +34,11 @@ const END: u64 = 1 << 46;
 
 /// The head of a participant's file. All bit patterns are valid values; peers treat its content as untrusted.
 #[repr(C)]
-pub(crate) struct Head {
+pub(crate) struct ParticipantHeader {
     magic: AtomicU64,
     version: AtomicU32,
     pub(crate) pid: AtomicU32,
-    /// The position of the record: see [`Place`].
+    /// The position of the record: see [`PackedRange`].
     pub(crate) record: AtomicU64,
     /// The positions of all windows of slots except the first.
     windows: [AtomicU64; WINDOWS],
@@ -47,9 +47,9 @@ pub(crate) struct Head {
 /// The position of a part of a file, packed into one word: offset (high bits) and length in pages of 4 KiB. 0
 /// means none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Place;
+pub(crate) struct PackedRange;
 
-impl Place {
+impl PackedRange {
     const LEN_BITS: u32 = 24;
     /// The maximum length of a part: 64 GiB less one page.
     const MAX_LEN: u64 = ((1 << Self::LEN_BITS) - 1) * PAGE;
@@ -65,7 +65,7 @@ impl Place {
     }
 }
 
-fn head(first: &Mapping) -> &Head {
+fn head(first: &Mapping) -> &ParticipantHeader {
     // SAFETY: the first part of a file, which is longer than a Head, mapped at the start of a page; any bytes are one.
     unsafe { first.start().cast().as_ref() }
 }
@@ -122,7 +122,7 @@ impl OwnMemory {
         self.file.path()
     }
 
-    pub(crate) fn head(&self) -> &Head {
+    pub(crate) fn head(&self) -> &ParticipantHeader {
         head(&self.first)
     }
 
@@ -147,7 +147,7 @@ impl OwnMemory {
         let memory = Region::new(&memory, 0, bytes).ok_or_else(|| io::Error::other("too short"))?;
         if let Some(place) = self.head().windows.get(window) {
             // Release: pairs with the Acquire in `Peer::reach`; the memory is there.
-            place.store(Place::to_word(range), Ordering::Release);
+            place.store(PackedRange::to_word(range), Ordering::Release);
         }
         Ok(memory)
     }
@@ -158,7 +158,7 @@ impl OwnMemory {
 
     /// Takes a part of the file that is at least `len` bytes long, without memory yet. It reads as zeros.
     pub(crate) fn reserve(&self, len: u64) -> io::Result<Range> {
-        if len > Place::MAX_LEN {
+        if len > PackedRange::MAX_LEN {
             return Err(io::Error::other("a piece of shared memory is shorter than 64 GiB"));
         }
         let none = || io::Error::other("the file of this participant is at its greatest length");
@@ -254,12 +254,12 @@ impl Peer {
         Ok(Some(Peer { id, path, first, arena, brought_in: Once::new() }))
     }
 
-    /// Whether a participant lives: for who is none itself, and may come when all have died and nobody has buried them.
+    /// Whether a participant lives: for who is none itself, and may come when all have died and nobody has cleaned up after them.
     pub(crate) fn lives(domain: u32, id: u64) -> bool {
         PeerFile::open(path(domain, id), false).is_ok_and(|file| file.is_owned())
     }
 
-    pub(crate) fn head(&self) -> &Head {
+    pub(crate) fn head(&self) -> &ParticipantHeader {
         head(&self.first)
     }
 
@@ -285,7 +285,7 @@ impl Peer {
         }
         let window = window_of(slot);
         let Some(place) = self.head().windows.get(window).filter(|_| window != 0) else { return Ok(false) };
-        let Some(range) = Place::from_word(place.load(Ordering::Acquire)) else { return Ok(false) };
+        let Some(range) = PackedRange::from_word(place.load(Ordering::Acquire)) else { return Ok(false) };
         let Some(map) = self.map(range, true)? else { return Ok(false) };
         if let Some(memory) = Region::new(&map, 0, window_bytes(window)) {
             let _ = map.populate(0, map.len_bytes(), true);

@@ -7,7 +7,7 @@ pub(crate) mod ranges;
 use crate::cleanup::{Janitor, Warden};
 use crate::error::TransportError;
 use crate::graph::domain::Domain;
-use crate::graph::{Entry, GraphWatcher, Model, OwnRecord};
+use crate::graph::{GraphWatcher, Model, NodeEntry, OwnRecord};
 use crate::qos::{Limits, Qos};
 use crate::topic::matching::Matcher;
 use crate::topic::publisher::{PublisherRole, RawPublisher};
@@ -30,7 +30,7 @@ pub const MAX_DOMAIN: u32 = 232;
 pub struct Participant {
     pub(crate) state: Arc<ParticipantState>,
     /// Whose the publishers and subscriptions are that this one creates.
-    pub(crate) node: Option<Arc<Entry>>,
+    pub(crate) node: Option<Arc<NodeEntry>>,
 }
 
 pub(crate) struct ParticipantState {
@@ -63,7 +63,7 @@ struct Membership {
 impl Drop for Membership {
     fn drop(&mut self) {
         // What publishers sent may be wanted by somebody who has not found it yet. Then it stays for that one, and the domain's warden
-        // buries this participant like one that was killed.
+        // cleans up after this participant as after one that was killed.
         if self.matcher.is_awaited() {
             return;
         }
@@ -145,7 +145,7 @@ impl Participant {
             place,
         };
         let left = domain.clone();
-        // If others are there, one of them buries this participant like one that was killed: its threads run until then.
+        // If others are there, one of them cleans up after this participant as after one that was killed: its threads run until then.
         let at_exit = at_exit(move || {
             tautline_trace::leave_at_exit();
             left.leave();

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Untyped clients: their parts, and how they discover servers. The work for each request is in `hot.rs`.
 
-use super::pending::Table;
+use super::pending::PendingTable;
 use super::{RESPONSES_DEPTH, ServiceError, ServiceType, response_limits, topics};
 use crate::error::{SendError, TransportError};
 use crate::participant::Participant;
@@ -55,7 +55,7 @@ pub(super) struct ClientState {
     pub(super) publisher: OfClient<RawPublisher>,
     /// Threads of several priorities may wait for answers: whoever looks into it has the highest of them meanwhile.
     pub(super) inbox: PiMutex<Inbox>,
-    pub(super) table: Table,
+    pub(super) table: PendingTable,
     /// Wakes every task that waits.
     pub(super) waker: Waker,
 }
@@ -93,7 +93,7 @@ pub(super) struct Servers {
     /// The servers' endpoints whose responses arrive here.
     answering: LatestReader<Arc<EndpointList>>,
     is_first: bool,
-    known: Vec<Known>,
+    known: Vec<KnownServer>,
     next: u32,
     /// The servers that have disappeared and those that exist, since the last query.
     change: Option<(u64, u64)>,
@@ -101,7 +101,7 @@ pub(super) struct Servers {
 
 /// A server by both of its endpoints.
 #[derive(Clone, Copy)]
-struct Known {
+struct KnownServer {
     asked: Gid,
     answering: Gid,
     bit: u64,
@@ -153,7 +153,7 @@ impl Servers {
                 let bit = 1 << (self.next % u64::BITS);
                 self.next = self.next.wrapping_add(1);
                 alive |= bit;
-                self.known.push(Known { asked: server, answering: endpoint.gid, bit });
+                self.known.push(KnownServer { asked: server, answering: endpoint.gid, bit });
             }
         }
         self.change = Some((gone, alive));
@@ -232,7 +232,7 @@ impl Participant {
             response_limits(limits),
             limits,
         )?;
-        let table = Table::new();
+        let table = PendingTable::new();
         let waker = Waker::from(table.waiters().clone());
         let state = ClientState {
             service: service.into(),

@@ -61,7 +61,7 @@ fn in_phase(state: u64, phase: u64) -> u64 {
     state & !PHASE | phase
 }
 
-struct Place<R> {
+struct PendingSlot<R> {
     state: AtomicU64,
     /// The servers that may answer, by their bits.
     servers: AtomicU64,
@@ -70,15 +70,19 @@ struct Place<R> {
     outcome: UnsafeCell<Option<Outcome<R>>>,
 }
 
-impl<R> Default for Place<R> {
+impl<R> Default for PendingSlot<R> {
     fn default() -> Self {
-        Place { state: AtomicU64::new(FREE), servers: AtomicU64::new(0), outcome: UnsafeCell::new(None) }
+        PendingSlot {
+            state: AtomicU64::new(FREE),
+            servers: AtomicU64::new(0),
+            outcome: UnsafeCell::new(None),
+        }
     }
 }
 
 // SAFETY: `outcome` is touched by whoever moved `state` to `writing`, until that is `done`, and by the owner of the place
 // from then on: the atomics hand it over. An Outcome is Send.
-unsafe impl<R: Send> Sync for Place<R> {}
+unsafe impl<R: Send> Sync for PendingSlot<R> {}
 
 /// The waiting tasks. Separate from the table, so that a doorbell that holds it as a waker owns nothing else.
 pub(crate) struct Waiters {
@@ -112,20 +116,20 @@ impl Wake for Waiters {
     }
 }
 
-pub(crate) struct Table<R = RawSample> {
+pub(crate) struct PendingTable<R = RawSample> {
     waiters: Arc<Waiters>,
     /// The existing servers, by their bits.
     alive: AtomicU64,
-    places: [Place<R>; PLACES],
+    places: [PendingSlot<R>; PLACES],
 }
 
-impl<R> Table<R> {
+impl<R> PendingTable<R> {
     #[allow(clippy::disallowed_methods, reason = "when a client is made")]
     pub(crate) fn new() -> Self {
         let waiters =
             Waiters { occupied: AtomicU64::new(0), wakers: core::array::from_fn(|_| AtomicWaker::new()) };
-        let places = core::array::from_fn(|_| Place::default());
-        Table { waiters: Arc::new(waiters), alive: AtomicU64::new(0), places }
+        let places = core::array::from_fn(|_| PendingSlot::default());
+        PendingTable { waiters: Arc::new(waiters), alive: AtomicU64::new(0), places }
     }
 
     pub(crate) fn waiters(&self) -> &Arc<Waiters> {
@@ -142,7 +146,7 @@ impl<R> Table<R> {
     /// # Real-time
     /// Wait-free, O(places); no allocation; no syscall.
     pub(crate) fn claim(&self) -> Option<usize> {
-        let claim = |place: &Place<R>| {
+        let claim = |place: &PendingSlot<R>| {
             // Acquire: pairs with the Release that freed it.
             place.state.compare_exchange(FREE, CLAIMED, Ordering::Acquire, Ordering::Relaxed).is_ok()
         };
@@ -215,7 +219,7 @@ impl<R> Table<R> {
         }
     }
 
-    fn free(&self, index: usize, place: &Place<R>) {
+    fn free(&self, index: usize, place: &PendingSlot<R>) {
         if let Some(waker) = self.waiters.wakers.get(index) {
             drop(waker.take());
         }
@@ -230,7 +234,7 @@ impl<R> Table<R> {
     /// Wait-free, O(pending requests); no allocation; a syscall if the task's thread sleeps.
     pub(crate) fn answer(&self, sequence_number: u64, outcome: Outcome<R>) {
         let Some(state) = waiting(sequence_number).filter(|&state| asks(state)) else { return };
-        let asked = |(_, place): &(usize, &Place<R>)| place.state.load(Ordering::Relaxed) == state;
+        let asked = |(_, place): &(usize, &PendingSlot<R>)| place.state.load(Ordering::Relaxed) == state;
         if let Some((index, place)) = self.occupied().find(asked) {
             self.complete(index, place, state, outcome);
         }
@@ -268,7 +272,7 @@ impl<R> Table<R> {
         }
     }
 
-    fn lose(&self, index: usize, place: &Place<R>, gone: u64) {
+    fn lose(&self, index: usize, place: &PendingSlot<R>, gone: u64) {
         let state = place.state.load(Ordering::SeqCst);
         if !asks(state) || state & PHASE != WAITING {
             return;
@@ -279,13 +283,13 @@ impl<R> Table<R> {
         }
     }
 
-    fn occupied(&self) -> impl Iterator<Item = (usize, &Place<R>)> {
+    fn occupied(&self) -> impl Iterator<Item = (usize, &PendingSlot<R>)> {
         bits(self.waiters.occupied.load(Ordering::SeqCst))
             .filter_map(|index| Some((index, self.places.get(index)?)))
     }
 
     /// Puts the outcome in if the place still waits as `state` says.
-    fn complete(&self, index: usize, place: &Place<R>, state: u64, outcome: Outcome<R>) {
+    fn complete(&self, index: usize, place: &PendingSlot<R>, state: u64, outcome: Outcome<R>) {
         let writing = in_phase(state, WRITING);
         if place.state.compare_exchange(state, writing, Ordering::AcqRel, Ordering::Relaxed).is_err() {
             return;
@@ -319,7 +323,7 @@ mod tests {
 
     #[test]
     fn any_number_is_answered_once_or_not_at_all() {
-        let table = Table::<u32>::new();
+        let table = PendingTable::<u32>::new();
         table.servers_changed(0, 1);
         let index = table.claim().expect("a place");
         table.arm(index, 7);
@@ -338,7 +342,7 @@ mod tests {
 
     #[test]
     fn a_request_ends_with_the_last_server_that_got_it() {
-        let table = Table::<u32>::new();
+        let table = PendingTable::<u32>::new();
         table.servers_changed(0, 0b11);
         let index = table.claim().expect("a place");
         table.arm(index, 1);
@@ -368,10 +372,10 @@ mod loom_tests {
         }
     }
 
-    type Model = loom::sync::Arc<Table<DropProbe>>;
+    type Model = loom::sync::Arc<PendingTable<DropProbe>>;
 
     fn table() -> Model {
-        let table = Table::new();
+        let table = PendingTable::new();
         table.servers_changed(0, 1);
         loom::sync::Arc::new(table)
     }

@@ -9,7 +9,7 @@
 use super::connection::{BLOCK_BYTES, Connection, Shape};
 use super::header::Gid;
 use super::pool::{SEGMENTS, Segment};
-use crate::participant::file::{OwnMemory, PAGE, Place};
+use crate::participant::file::{OwnMemory, PAGE, PackedRange};
 use crate::participant::ranges::{Range, Ranges};
 use std::io;
 use std::sync::Arc;
@@ -33,7 +33,7 @@ pub(crate) struct PublisherHead {
     ended: AtomicU32,
     /// Moves when there is a segment more or less.
     pub(crate) grown: AtomicU32,
-    /// Where the parts lie: see [`Place`].
+    /// Where the parts lie: see [`PackedRange`].
     pub(crate) parts: [AtomicU64; PARTS],
     /// The position of the directory: its offset in the file (high bits) and the number of its entries (low
     /// bits).
@@ -111,7 +111,7 @@ fn find(parts: &[(Range, Arc<Mapping>)], offset: u64) -> Option<(&Arc<Mapping>, 
 }
 
 /// The publisher's side.
-pub(crate) struct Control {
+pub(crate) struct PublisherControl {
     memory: Arc<OwnMemory>,
     parts: Vec<(Range, Arc<Mapping>)>,
     /// The free ranges of each part.
@@ -136,10 +136,10 @@ pub(crate) struct ConnectionPlace {
     subscription: Gid,
 }
 
-impl Control {
+impl PublisherControl {
     pub(crate) fn create(memory: &Arc<OwnMemory>, gid: Gid) -> io::Result<Self> {
         let (parts, free, claimed) = Default::default();
-        let mut control = Control { memory: memory.clone(), parts, free, claimed };
+        let mut control = PublisherControl { memory: memory.clone(), parts, free, claimed };
         match control.begin(gid) {
             Ok(()) => Ok(control),
             Err(error) => {
@@ -161,7 +161,7 @@ impl Control {
         let [low, high] = gid.words();
         head.gid[0].store(low, Ordering::Relaxed);
         head.gid[1].store(high, Ordering::Relaxed);
-        head.parts[0].store(Place::to_word(self.parts[0].0), Ordering::Relaxed);
+        head.parts[0].store(PackedRange::to_word(self.parts[0].0), Ordering::Relaxed);
         let offset = self.parts[0].0.offset + entries.range.offset;
         head.directory.store(directory_word(offset, FIRST_ENTRIES), Ordering::Relaxed);
         // Release: pairs with the Acquire in `View::open`.
@@ -175,7 +175,7 @@ impl Control {
 
     /// Where the first part lies: what the publisher's entry in the record says.
     pub(crate) fn place(&self) -> u64 {
-        Place::to_word(self.parts[0].0)
+        PackedRange::to_word(self.parts[0].0)
     }
 
     /// What counts what is sent; not to be used once this was [released](Self::release).
@@ -205,7 +205,7 @@ impl Control {
         self.claimed.push(vec![false; (len / PAGE) as usize]);
         if index > 0 {
             // Release: pairs with the Acquire of who maps it.
-            self.head().parts[index].store(Place::to_word(range), Ordering::Release);
+            self.head().parts[index].store(PackedRange::to_word(range), Ordering::Release);
         }
         Ok(())
     }
@@ -371,7 +371,7 @@ impl Control {
         if let Some(words) = self.head().segments.get(segment.id()) {
             words.sample_bytes.store(segment.sample_bytes() as u64, Ordering::Relaxed);
             // Release: pairs with the Acquire of who maps it.
-            words.place.store(Place::to_word(segment.range), Ordering::Release);
+            words.place.store(PackedRange::to_word(segment.range), Ordering::Release);
             self.head().grown.fetch_add(1, Ordering::Release);
         }
     }
@@ -429,9 +429,9 @@ impl Traffic {
 }
 
 /// The head of a publisher's memory, mapped.
-pub(crate) struct Head(Arc<Mapping>);
+pub(crate) struct MappedControl(Arc<Mapping>);
 
-impl Head {
+impl MappedControl {
     /// How often its segments have changed.
     ///
     /// # Real-time
@@ -477,7 +477,7 @@ impl View {
         found.then_some(view)
     }
 
-    pub(crate) fn of_own(control: &Control) -> Self {
+    pub(crate) fn of_own(control: &PublisherControl) -> Self {
         View { parts: control.parts() }
     }
 
@@ -486,14 +486,14 @@ impl View {
     }
 
     /// Its head alone.
-    pub(crate) fn head_map(&self) -> Head {
-        Head(self.parts[0].1.clone())
+    pub(crate) fn head_map(&self) -> MappedControl {
+        MappedControl(self.parts[0].1.clone())
     }
 
     /// Parts that are there and not mapped yet.
     pub(crate) fn missing(&self) -> Vec<Range> {
         let words = self.head().parts.iter().map(|place| place.load(Ordering::Acquire));
-        let places = words.filter_map(Place::from_word);
+        let places = words.filter_map(PackedRange::from_word);
         places.filter(|place| !self.parts.iter().any(|(range, _)| range == place)).collect()
     }
 
@@ -503,7 +503,7 @@ impl View {
 
     /// The connection of a subscription, if the publisher's participant has made one.
     pub(crate) fn find(&self, subscription: Gid) -> Option<Connection> {
-        // Acquire: pairs with the Release in `Control::enter`.
+        // Acquire: pairs with the Release in `PublisherControl::enter`.
         let entries = directory(&self.parts, self.head().directory.load(Ordering::Acquire))?;
         let wanted = key(subscription);
         entries.iter().filter(|entry| entry.key.load(Ordering::Relaxed) == wanted).find_map(|entry| {
@@ -543,7 +543,7 @@ mod tests {
     }
 
     fn view(peer: &Peer, place: u64, of: Gid) -> View {
-        let first = Place::from_word(place).unwrap();
+        let first = PackedRange::from_word(place).unwrap();
         let map = peer.map(first, true).unwrap().unwrap();
         View::open(first, map, of).unwrap()
     }
@@ -562,7 +562,7 @@ mod tests {
         let memory = Arc::new(OwnMemory::create(220).unwrap());
         memory.create_arena();
         let peer = Peer::open(220, memory.id()).unwrap().unwrap();
-        let mut control = Control::create(&memory, gid(1)).unwrap();
+        let mut control = PublisherControl::create(&memory, gid(1)).unwrap();
         let mut early = view(&peer, control.place(), gid(1));
         assert!(early.find(gid(100)).is_none());
         let mut made: Vec<_> =
@@ -591,7 +591,7 @@ mod tests {
         assert!(!late.has_ended());
         control.end();
         assert!(late.has_ended());
-        let place = Place::from_word(control.place()).unwrap();
+        let place = PackedRange::from_word(control.place()).unwrap();
         drop(made);
         control.release();
         let map = peer.map(place, true).unwrap().unwrap();
@@ -606,7 +606,7 @@ mod tests {
         let memory = Arc::new(OwnMemory::create(221).unwrap());
         let blocks =
             || std::os::unix::fs::MetadataExt::blocks(&std::fs::metadata(memory.path()).unwrap()) * 512;
-        let mut control = Control::create(&memory, gid(1)).unwrap();
+        let mut control = PublisherControl::create(&memory, gid(1)).unwrap();
         let before = blocks();
         let shape = Shape { depth: 1000, held: 4, loans: 1, is_observer: false };
         let made: Vec<_> = (0..100).map(|n| control.connect(gid(n), shape, 0).unwrap()).collect();
@@ -624,7 +624,7 @@ mod tests {
         let memory = Arc::new(OwnMemory::create(219).unwrap());
         memory.create_arena();
         let peer = Peer::open(219, memory.id()).unwrap().unwrap();
-        let mut control = Control::create(&memory, gid(1)).unwrap();
+        let mut control = PublisherControl::create(&memory, gid(1)).unwrap();
         let _made = control.connect(gid(7), SHAPE, 10).unwrap();
         let view = view(&peer, control.place(), gid(1));
         let head = control.head();

@@ -5,6 +5,7 @@
 //! consists of two queues of iceoryx2. Setup code ([`matching`]) creates and removes connections; the threads that publish and take
 //! only use them.
 
+pub(crate) mod borrowed;
 pub(crate) mod chunks;
 pub(crate) mod compatibility;
 pub(crate) mod connection;
@@ -12,7 +13,6 @@ pub(crate) mod control;
 pub(crate) mod endpoints;
 pub(crate) mod hand_over;
 pub(crate) mod header;
-pub(crate) mod lending;
 pub(crate) mod matching;
 pub(crate) mod memory;
 pub(crate) mod monitor;

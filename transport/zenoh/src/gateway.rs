@@ -15,8 +15,8 @@ use crate::wire::{Token, token_wildcard};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use tautline_relay::{
-    Budget, Control, Event, Filter, Guard, Instance, InstanceError, InstanceLock, Parts, RelayError, Rules,
-    Services, watch_domain,
+    Budget, Event, Filter, Guard, Instance, InstanceError, InstanceLock, MirrorControl, Parts, RelayError,
+    Rules, Services, watch_domain,
 };
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 use tautline_schema::SchemaError;
@@ -223,7 +223,7 @@ impl Gateway {
                 NetworkSide::new(options.clone(), participant.clone(), session, descriptions, state.clone());
             let (participant, service_rules) = (participant.clone(), rules.clone());
             let parts = Parts { participant, far, relay: outgoing, services, transit, rules, service_rules };
-            let control = Control::new(parts);
+            let control = MirrorControl::new(parts);
             Some(thread("gw-control").spawn(move || {
                 move || {
                     let _heard = (tokens, ends);

@@ -4,12 +4,12 @@
 //!
 //! This runs in Zenoh's thread and never waits: a slow subscription loses its oldest samples.
 
-use crate::kept::{Kept, Placed, Publisher, Request};
+use crate::kept::{KeptSamples, Placed, Publisher, Request};
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
-use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, Source};
+use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, MessageMeta};
 use tautline_rt::PiMutex;
 use tautline_rt::clock::wall_ns;
 use tautline_transport::{Durability, Reliability};
@@ -59,8 +59,9 @@ impl Incoming {
     ) -> zenoh::Result<Self> {
         let qos = &inward.qos;
         let is_kept = qos.durability == Durability::TransientLocal;
-        let kept = is_kept.then(|| Kept::new(qos.depth, qos.reliability == Reliability::Reliable));
-        let gate = Arc::new(Gate(PiMutex::new(Some(Way { kept, port: Port { ingress, max_bytes } }))));
+        let kept = is_kept.then(|| KeptSamples::new(qos.depth, qos.reliability == Reliability::Reliable));
+        let gate =
+            Arc::new(Gate(PiMutex::new(Some(Way { kept, port: SampleAdmission { ingress, max_bytes } }))));
         let of_group = gate.clone();
         // Newer publishers of images and the like use this key.
         let cpu_group = session.declare_subscriber(key.cpu_group()).allowed_origin(Locality::Remote);
@@ -120,7 +121,7 @@ impl Requests {
         publisher.filter(|_| sample.kind() == SampleKind::Put)
     }
 
-    fn with_kept(&self, act: impl FnOnce(&mut Kept<Sample>) -> Option<Request>) -> Option<Request> {
+    fn with_kept(&self, act: impl FnOnce(&mut KeptSamples<Sample>) -> Option<Request>) -> Option<Request> {
         self.gate.upgrade()?.with(|way| act(way.kept.as_mut()?))
     }
 
@@ -233,8 +234,8 @@ impl Gate {
 
 struct Way {
     /// Of a transient-local topic.
-    kept: Option<Kept<Sample>>,
-    port: Port,
+    kept: Option<KeptSamples<Sample>>,
+    port: SampleAdmission,
 }
 
 impl Way {
@@ -268,23 +269,23 @@ impl Way {
 }
 
 /// Admits what is a sample.
-struct Port {
+struct SampleAdmission {
     ingress: Ingress,
     max_bytes: usize,
 }
 
-impl Port {
+impl SampleAdmission {
     fn take(&mut self, sample: &Sample, are_numbers_whole: bool) {
         match self.check(sample) {
             Ok(source) => {
-                self.ingress.receive(&Payload(sample.payload()), Source { are_numbers_whole, ..source });
+                self.ingress.receive(&Payload(sample.payload()), MessageMeta { are_numbers_whole, ..source });
             }
             Err(reason) => self.ingress.counters().dropped(reason),
         }
     }
 
     /// The metadata of a sample, after checking its frame.
-    fn check(&self, sample: &Sample) -> Result<Source, Dropped> {
+    fn check(&self, sample: &Sample) -> Result<MessageMeta, Dropped> {
         if sample.kind() != SampleKind::Put {
             return Err(Dropped::Deletion);
         }
@@ -301,7 +302,7 @@ impl Port {
             return Err(Malformed::PayloadTooLong.into());
         }
         let (publisher, number) = (attachment.gid, Some(number));
-        Ok(Source { publisher, number, are_numbers_whole: true, timestamp_ns })
+        Ok(MessageMeta { publisher, number, are_numbers_whole: true, timestamp_ns })
     }
 }
 

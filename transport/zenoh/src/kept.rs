@@ -76,7 +76,7 @@ fn after(publisher: Publisher, number: u64, base: u64) -> i64 {
     }
 }
 
-/// A request to a publisher's cache; [`Kept::answered`] must follow.
+/// A request to a publisher's cache; [`KeptSamples::answered`] must follow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Request {
     pub(crate) publisher: Publisher,
@@ -104,17 +104,17 @@ impl What {
 }
 
 /// The state of a topic's publishers.
-pub(crate) struct Kept<S> {
+pub(crate) struct KeptSamples<S> {
     /// As many kept samples are requested of each publisher.
     depth: usize,
     /// Whether lost samples are requested.
     recovers: bool,
     /// Until it is known which publishers exist, all samples wait.
     is_starting: bool,
-    publishers: HashMap<Publisher, State<S>>,
+    publishers: HashMap<Publisher, PublisherState<S>>,
 }
 
-struct State<S> {
+struct PublisherState<S> {
     /// Requests without an answer.
     requests: usize,
     /// Until the first answer.
@@ -129,7 +129,7 @@ struct State<S> {
     asked: Option<u32>,
 }
 
-impl<S: Placed> Kept<S> {
+impl<S: Placed> KeptSamples<S> {
     /// Maximum of publishers; beyond it, which a hostile peer can cause, no more is requested and samples are not ordered.
     const MOST: usize = 1024;
     /// Maximum of requests to a publisher: after its host was away, an earlier one may still be without an answer.
@@ -138,7 +138,7 @@ impl<S: Placed> Kept<S> {
     const TOGETHER: usize = 64;
 
     pub(crate) fn new(depth: usize, recovers: bool) -> Self {
-        Kept { depth, recovers, is_starting: true, publishers: HashMap::new() }
+        KeptSamples { depth, recovers, is_starting: true, publishers: HashMap::new() }
     }
 
     fn most(&self, publisher: Publisher) -> usize {
@@ -256,7 +256,7 @@ impl<S: Placed> Kept<S> {
         (late, lost.and_then(|from| self.request(publisher, What::From(from))))
     }
 
-    fn state(&mut self, publisher: Publisher) -> Option<&mut State<S>> {
+    fn state(&mut self, publisher: Publisher) -> Option<&mut PublisherState<S>> {
         if self.publishers.len() >= Self::MOST && !self.publishers.contains_key(&publisher) {
             self.publishers.retain(|_, state| state.requests > 0 || !state.waiting.is_empty());
             if self.publishers.len() >= Self::MOST {
@@ -280,14 +280,14 @@ fn sort<S: Placed>(publisher: Publisher, samples: &mut [S]) {
     }
 }
 
-impl<S> Default for State<S> {
+impl<S> Default for PublisherState<S> {
     fn default() -> Self {
         let (requests, is_waiting, waiting, delivered, is_whole, asked) = Default::default();
-        State { requests, is_waiting, waiting, delivered, is_whole, asked }
+        PublisherState { requests, is_waiting, waiting, delivered, is_whole, asked }
     }
 }
 
-impl<S: Placed> State<S> {
+impl<S: Placed> PublisherState<S> {
     /// Delivers a sample, unless it or a newer one was delivered before.
     fn deliver(&mut self, publisher: Publisher, number: u64, sample: S, deliver: &mut impl FnMut(S)) {
         match &mut self.delivered {
@@ -336,13 +336,13 @@ mod tests {
     }
 
     /// When all publishers are known.
-    fn kept(depth: usize) -> Kept<Test> {
-        let mut kept = Kept::new(depth, true);
+    fn kept(depth: usize) -> KeptSamples<Test> {
+        let mut kept = KeptSamples::new(depth, true);
         kept.started(&mut |_| panic!("nothing was published"));
         kept
     }
 
-    fn published(kept: &mut Kept<Test>, publisher: Publisher, numbers: &[u64]) -> Vec<u64> {
+    fn published(kept: &mut KeptSamples<Test>, publisher: Publisher, numbers: &[u64]) -> Vec<u64> {
         let mut delivered = Vec::new();
         for &number in numbers {
             let request =
@@ -354,7 +354,7 @@ mod tests {
 
     /// What is delivered, what is late, and from where lost samples are requested.
     fn answered(
-        kept: &mut Kept<Test>,
+        kept: &mut KeptSamples<Test>,
         publisher: Publisher,
         numbers: &[u64],
     ) -> (Vec<u64>, u64, Option<u32>) {
@@ -394,7 +394,7 @@ mod tests {
 
     #[test]
     fn at_the_start_all_wait_until_publishers_are_known() {
-        let mut kept = Kept::new(3, true);
+        let mut kept = KeptSamples::new(3, true);
         for (publisher, numbers) in [(ONE, [5, 6]), (OTHER, [7, 8]), (BY_TIME, [2, 1])] {
             assert!(published(&mut kept, publisher, &numbers).is_empty());
         }
@@ -433,7 +433,7 @@ mod tests {
         assert_eq!(kept.told(ONE, 9), None, "it is on its way");
         assert_eq!(answered(&mut kept, ONE, &[8, 9]), (vec![8, 9], 0, None));
         assert_eq!(kept.told(OTHER, 9), None, "a publisher that was never seen");
-        let mut careless = Kept::new(4, false);
+        let mut careless = KeptSamples::new(4, false);
         careless.started(&mut none);
         assert_eq!(published(&mut careless, ONE, &[1, 3]), [1, 3]);
         assert_eq!(careless.told(ONE, 9), None);
@@ -480,7 +480,7 @@ mod tests {
     fn there_is_a_most() {
         let mut kept = kept(1);
         let publisher = |n: usize| Publisher([2; 16], Some(n as u32));
-        assert!((0..Kept::<Test>::MOST).all(|n| kept.appeared(publisher(n)).is_some()));
+        assert!((0..KeptSamples::<Test>::MOST).all(|n| kept.appeared(publisher(n)).is_some()));
         assert_eq!(kept.appeared(ONE), None);
         assert_eq!(published(&mut kept, ONE, &[2, 1]), [2, 1]);
         answered(&mut kept, publisher(0), &[]);

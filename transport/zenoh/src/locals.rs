@@ -11,7 +11,7 @@ use tautline_transport::{Gid, Liveliness, Origin, Qos, ServiceEndpoint, ServiceK
 use zenoh::key_expr::keyexpr;
 
 /// An endpoint of a topic or service, from the graph.
-struct End<'a> {
+struct EndpointView<'a> {
     kind: EndpointKind,
     name: &'a str,
     type_name: &'a str,
@@ -23,9 +23,9 @@ struct End<'a> {
     origin: &'a Origin,
 }
 
-impl<'a> End<'a> {
+impl<'a> EndpointView<'a> {
     fn of_topic(end: &'a TopicEndpoint) -> Self {
-        End {
+        EndpointView {
             kind: match end.kind {
                 tautline_transport::EndpointKind::Publisher => EndpointKind::Publisher,
                 tautline_transport::EndpointKind::Subscription => EndpointKind::Subscription,
@@ -42,7 +42,7 @@ impl<'a> End<'a> {
     }
 
     fn of_service(end: &'a ServiceEndpoint) -> Self {
-        End {
+        EndpointView {
             kind: match end.kind {
                 ServiceKind::Server => EndpointKind::Service,
                 ServiceKind::Client => EndpointKind::Client,
@@ -66,8 +66,9 @@ pub(crate) fn list(
     here: &mut LocalGraph,
     mut hash_of: impl FnMut(&str, &TypeName) -> Option<TypeHash>,
 ) -> Vec<LocalEndpoint> {
-    let topics = here.endpoints.iter().map(|end| End::of_topic(end));
-    let ends: Vec<End> = topics.chain(here.services.iter().map(|end| End::of_service(end))).collect();
+    let topics = here.endpoints.iter().map(|end| EndpointView::of_topic(end));
+    let ends: Vec<EndpointView> =
+        topics.chain(here.services.iter().map(|end| EndpointView::of_service(end))).collect();
     let mut stated = HashMap::new();
     for end in &ends {
         if let Some(hash) = end.hash {

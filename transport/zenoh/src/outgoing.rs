@@ -12,7 +12,7 @@ use std::any::Any;
 use std::sync::{Arc, OnceLock, mpsc};
 use std::time::{Duration, Instant};
 use tautline_relay::{
-    EarlyLimits, Egress, FarWriter, Last, Outbound, Relay, RelayError, Taken, TopicCounters,
+    EarlyLimits, Egress, FarWriter, Last, Outbound, OutboundSample, Relay, RelayError, TopicCounters,
 };
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder};
@@ -113,12 +113,12 @@ pub(crate) struct Network {
 impl Egress for Network {
     type Key = tautline_relay::TopicKey;
     type Topic = Outbound;
-    type Sender = Sender;
+    type Sender = NetworkSender;
 
     // Until the control thread has discovered the publisher.
     const EARLY: EarlyLimits = EarlyLimits { samples: 64, bytes: 4 << 20, time: Duration::from_secs(2) };
 
-    fn pass(&mut self, topic: &mut Outbound, sender: &mut Sender, sample: Taken) {
+    fn pass(&mut self, topic: &mut Outbound, sender: &mut NetworkSender, sample: OutboundSample) {
         let (info, len_bytes) = (sample.info(), sample.body().len());
         if !sender.last.admits(&sample) {
             return;
@@ -130,7 +130,9 @@ impl Egress for Network {
         let traced = sender.traced.sample(sample.port(), info.sequence_number);
         let payload = match sample {
             // Samples that may outlive the put are copied: a subscription has few samples to lend.
-            Taken::Now(sample) if !sender.may_wait() && len_bytes >= IN_PLACE_BYTES => in_place(sample),
+            OutboundSample::Now(sample) if !sender.may_wait() && len_bytes >= IN_PLACE_BYTES => {
+                in_place(sample)
+            }
             sample => copied(sample.body()),
         };
         self.put(sender, payload, &info, len_bytes, traced, &topic.counters);
@@ -148,7 +150,7 @@ impl Egress for Network {
 impl Network {
     fn put(
         &self,
-        sender: &Sender,
+        sender: &NetworkSender,
         payload: ZBytes,
         info: &MessageInfo,
         len_bytes: usize,
@@ -165,12 +167,12 @@ impl Network {
             }
         };
         let (publisher, counters) = (publisher.clone(), counters.clone());
-        queue.push(Waiting { publisher, payload, attachment, len_bytes, traced, counters });
+        queue.push(QueuedSample { publisher, payload, attachment, len_bytes, traced, counters });
     }
 }
 
 /// A local publisher's counterpart on the network.
-pub(crate) struct Sender {
+pub(crate) struct NetworkSender {
     session: Session,
     key: TopicKey,
     writer: Identity,
@@ -190,7 +192,7 @@ enum AnyPublisher {
     Keeping(AdvancedPublisher<'static>),
 }
 
-impl Sender {
+impl NetworkSender {
     /// Declares the publisher.
     pub(crate) fn declare(
         session: &Session,
@@ -204,7 +206,7 @@ impl Sender {
         let publisher = Arc::new(declare(session, key, writer, urgency, is_bulk)?);
         let (session, key, writer, last) = (session.clone(), key.clone(), writer.clone(), Last::default());
         let traced = TracedSender::new(&key.topic, writer.wire_gid);
-        Ok(Sender { session, key, writer, publisher, urgency, is_guess, is_bulk, last, traced })
+        Ok(NetworkSender { session, key, writer, publisher, urgency, is_guess, is_bulk, last, traced })
     }
 
     /// Adapts the priority to the size of samples.
@@ -291,7 +293,7 @@ impl AnyPublisher {
 
 /// A queue of samples that may wait, and its thread.
 struct Queue {
-    samples: Option<mpsc::SyncSender<Waiting>>,
+    samples: Option<mpsc::SyncSender<QueuedSample>>,
     thread: Option<JoinHandle<()>>,
 }
 
@@ -302,7 +304,7 @@ impl Queue {
         Ok(Queue { samples: Some(samples), thread: Some(thread) })
     }
 
-    fn push(&self, sample: Waiting) {
+    fn push(&self, sample: QueuedSample) {
         let Some(samples) = &self.samples else { return };
         if let Err(mpsc::TrySendError::Full(sample) | mpsc::TrySendError::Disconnected(sample)) =
             samples.try_send(sample)
@@ -323,7 +325,7 @@ impl Drop for Queue {
 }
 
 /// A sample that may wait for its link.
-struct Waiting {
+struct QueuedSample {
     publisher: Arc<AnyPublisher>,
     payload: ZBytes,
     attachment: Attachment,
@@ -332,8 +334,10 @@ struct Waiting {
     counters: Arc<TopicCounters>,
 }
 
-fn send_waiting(samples: &mpsc::Receiver<Waiting>) {
-    while let Ok(Waiting { publisher, payload, attachment, len_bytes, traced, counters }) = samples.recv() {
+fn send_waiting(samples: &mpsc::Receiver<QueuedSample>) {
+    while let Ok(QueuedSample { publisher, payload, attachment, len_bytes, traced, counters }) =
+        samples.recv()
+    {
         sent(&counters, publisher.put(payload, &attachment, traced), len_bytes, &attachment);
     }
 }

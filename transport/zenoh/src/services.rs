@@ -253,14 +253,14 @@ enum Outcome {
 }
 
 /// A pending query. Dropped with it, when no more replies come.
-struct Asked {
+struct PendingQuery {
     outcomes: Arc<Inbox<Outcome>>,
     key: String,
     id: RequestId,
     is_answered: AtomicBool,
 }
 
-impl Asked {
+impl PendingQuery {
     fn hear(&self, reply: &Reply) {
         match reply.result() {
             Ok(sample) => {
@@ -276,7 +276,7 @@ impl Asked {
     }
 }
 
-impl Drop for Asked {
+impl Drop for PendingQuery {
     fn drop(&mut self) {
         if !self.is_answered.load(Ordering::Relaxed) {
             // Bounded: one per sent request.
@@ -309,7 +309,7 @@ impl FarClient for Client {
             gid: id.client,
         };
         let (outcomes, key, is_answered) = (self.outcomes.clone(), self.key.clone(), AtomicBool::new(false));
-        let asked = Asked { outcomes, key, id, is_answered };
+        let asked = PendingQuery { outcomes, key, id, is_answered };
         let query = self
             .session
             .get(&self.key)

@@ -7,7 +7,7 @@ use crate::graph::Graph;
 use crate::incoming::{self, Incoming};
 use crate::locals::{self, wire_node, wire_qos};
 use crate::origin::{ended, ended_tag};
-use crate::outgoing::{Identity, Network, Sender, Writer};
+use crate::outgoing::{Identity, Network, NetworkSender, Writer};
 use crate::services::NetworkServices;
 use crate::stats::{ServiceNames, TopicNames};
 use crate::tokens::{TokenChange, Tokens};
@@ -353,9 +353,13 @@ impl FarSide for NetworkSide {
         self.tokens.wire_gid(publisher) == Some(writer.identity.wire_gid)
     }
 
-    fn sender(&mut self, key: &tautline_relay::TopicKey, writer: &Writer) -> Result<Sender, String> {
-        let sender =
-            Sender::declare(&self.session, &self.wire_key(key)?, &writer.identity, &self.options.rules);
+    fn sender(&mut self, key: &tautline_relay::TopicKey, writer: &Writer) -> Result<NetworkSender, String> {
+        let sender = NetworkSender::declare(
+            &self.session,
+            &self.wire_key(key)?,
+            &writer.identity,
+            &self.options.rules,
+        );
         sender.map_err(|error| error.to_string())
     }
 

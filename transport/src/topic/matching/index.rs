@@ -4,7 +4,7 @@
 
 use crate::error::TransportError;
 use crate::graph::domain::{Domain, Seen};
-use crate::graph::log::{Kind, Reader};
+use crate::graph::log::{EntryKind, Reader};
 use crate::graph::record::{PortKind, PortRecord, RemotePortRecord};
 use crate::graph::{EndpointKind, NodeName, Rank};
 use crate::participant::file::{Peer, Peers};
@@ -20,13 +20,13 @@ const MOST_REMOTE: usize = 256;
 pub(super) struct Index {
     own: u64,
     epoch: Option<u32>,
-    members: HashMap<u64, Member>,
+    members: HashMap<u64, IndexedParticipant>,
     /// The members whose records were read to the end, by index, with their state at that time.
     last: Vec<Seen>,
     by_topic: HashMap<u64, TopicPorts>,
     /// Topics whose remote endpoints have changed.
     remote_changes: BTreeSet<u64>,
-    retries: Vec<Found>,
+    retries: Vec<PortKey>,
     /// Participants whose records cannot be read: logged once.
     refused: HashSet<u64>,
 }
@@ -70,7 +70,7 @@ impl Positions {
     }
 }
 
-struct Member {
+struct IndexedParticipant {
     generation: u64,
     grown: u32,
     peer: Arc<Peer>,
@@ -85,15 +85,15 @@ struct Member {
 }
 
 /// A port: its identifier, and the hash of its topic.
-pub(super) type Found = (Gid, u64);
+pub(super) type PortKey = (Gid, u64);
 
 /// What has changed since the last update.
 #[derive(Debug, Default)]
 pub(super) struct IndexUpdate {
-    pub(super) added: Vec<Found>,
+    pub(super) added: Vec<PortKey>,
     /// Publishers that ended before they were seen, but whose samples still exist; with the content of their ports'
     /// entries.
-    pub(super) ended: Vec<(Found, Vec<u8>)>,
+    pub(super) ended: Vec<(PortKey, Vec<u8>)>,
     /// Ports that have disappeared: identifier, topic, and whether together with their process.
     pub(super) removed: Vec<(Gid, u64, bool)>,
     /// A participant has gone.
@@ -200,7 +200,16 @@ impl Index {
                 let Some(peer) = peers.get(domain, id)? else { return Ok(()) };
                 let (generation, grown, reader) = Default::default();
                 let (ports, remote, ended, nodes) = Default::default();
-                place.insert(Member { generation, grown, peer, reader, ports, remote, ended, nodes })
+                place.insert(IndexedParticipant {
+                    generation,
+                    grown,
+                    peer,
+                    reader,
+                    ports,
+                    remote,
+                    ended,
+                    nodes,
+                })
             }
         };
         let peer = member.peer.clone();
@@ -214,21 +223,21 @@ impl Index {
         for (entry, position) in read.entries {
             let (number, hash, gid) = (entry.number, entry.hash, Gid::of(id, entry.number));
             match entry.kind {
-                Kind::Port => {
+                EntryKind::Port => {
                     member.ports.insert(number, hash);
                     self.by_topic.entry(hash).or_default().ports.insert(gid, position);
                     if former.0.remove(&number).is_none() {
                         update.added.push((gid, hash));
                     }
                 }
-                Kind::RemotePort => {
+                EntryKind::RemotePort => {
                     member.remote.insert(number, hash);
                     self.by_topic.entry(hash).or_default().remote.insert(gid, position);
                     if former.1.remove(&number).is_none() {
                         self.remote_changes.insert(hash);
                     }
                 }
-                Kind::Gone => {
+                EntryKind::Gone => {
                     // One that came and went between two looks is not reported.
                     update.added.retain(|(added, ..)| *added != gid);
                     if let Some(hash) = member.ports.remove(&number) {
@@ -242,12 +251,12 @@ impl Index {
                         self.remote_changes.insert(hash);
                     }
                 }
-                Kind::Ended => {
+                EntryKind::Ended => {
                     let known = member.ports.remove(&number).or_else(|| former.0.remove(&number));
                     if known.is_some() {
                         remove(&mut self.by_topic, hash, |topic| topic.ports.remove(gid));
                     }
-                    let is_new = |(added, _): &Found| *added == gid;
+                    let is_new = |(added, _): &PortKey| *added == gid;
                     if known.is_none() || update.added.extract_if(.., |added| is_new(added)).next().is_some()
                     {
                         update.ended.push(((gid, hash), entry.body));
@@ -255,9 +264,9 @@ impl Index {
                         update.removed.push((gid, hash, false));
                     }
                 }
-                Kind::Node => drop(member.nodes.insert(number, hash)),
-                Kind::RemoteEnded => drop(member.ended.insert(number, hash)),
-                Kind::RemoteService | Kind::Relay => {}
+                EntryKind::Node => drop(member.nodes.insert(number, hash)),
+                EntryKind::RemoteEnded => drop(member.ended.insert(number, hash)),
+                EntryKind::RemoteService | EntryKind::Relay => {}
             }
         }
         // What was there before the record was written anew, and is no longer.
@@ -296,7 +305,7 @@ impl Index {
     }
 
     /// What is to be found again by the next look.
-    pub(super) fn try_again(&mut self, found: Found) {
+    pub(super) fn try_again(&mut self, found: PortKey) {
         self.retries.push(found);
     }
 
@@ -306,7 +315,7 @@ impl Index {
     }
 
     /// What is said of a port. `None` if it has gone, or is to be found again by the next look.
-    pub(super) fn port(&mut self, (gid, hash): Found) -> Option<PortRecord> {
+    pub(super) fn port(&mut self, (gid, hash): PortKey) -> Option<PortRecord> {
         let position = self.by_topic.get(&hash)?.ports.get(gid)?;
         let member = self.members.get(&gid.participant())?;
         let Some(entry) = member.reader.entry(member.peer.head(), position) else {
@@ -314,7 +323,7 @@ impl Index {
             self.retries.push((gid, hash));
             return None;
         };
-        (entry.kind == Kind::Port && Gid::of(gid.participant(), entry.number) == gid)
+        (entry.kind == EntryKind::Port && Gid::of(gid.participant(), entry.number) == gid)
             .then(|| PortRecord::parse(&entry.body))?
     }
 

@@ -18,14 +18,14 @@ mod source;
 #[cfg(all(test, not(taut_loom)))]
 mod tests;
 
-pub(crate) use source::Source;
+pub(crate) use source::PublisherMemory;
 
 use crate::error::TransportError;
 use crate::graph::domain::Domain;
 use crate::graph::log::hash_of;
 use crate::graph::own::OwnRecord;
 use crate::graph::record::{PortKind, PortRecord};
-use crate::graph::{Entry, RemoteGraph};
+use crate::graph::{NodeEntry, RemoteGraph};
 use crate::participant::ArenaOwner;
 use crate::participant::file::Peers;
 use crate::topic::header::Gid;
@@ -45,10 +45,10 @@ const PATIENCE: Duration = Duration::from_millis(100);
 pub(crate) struct Matcher {
     domain: Arc<Domain>,
     record: Arc<OwnRecord>,
-    state: Mutex<State>,
+    state: Mutex<MatcherState>,
 }
 
-struct State {
+struct MatcherState {
     domain: Arc<Domain>,
     peers: Peers,
     index: Index,
@@ -111,7 +111,7 @@ impl Work {
 
 impl Matcher {
     pub(crate) fn new(domain: &Arc<Domain>, own: u64, record: &Arc<OwnRecord>) -> Self {
-        let state = State {
+        let state = MatcherState {
             domain: domain.clone(),
             peers: Peers::default(),
             index: Index::new(own),
@@ -127,12 +127,12 @@ impl Matcher {
         Matcher { domain: domain.clone(), record: record.clone(), state: Mutex::new(state) }
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, MatcherState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Does `what` with the lock held, and what it makes necessary; then calls whom that concerns.
-    fn work<T>(&self, what: impl FnOnce(&mut State, &mut Work) -> T) -> (T, LookOutcome) {
+    fn work<T>(&self, what: impl FnOnce(&mut MatcherState, &mut Work) -> T) -> (T, LookOutcome) {
         let mut work = Work::default();
         let result = {
             let mut state = self.state();
@@ -151,7 +151,7 @@ impl Matcher {
     }
 
     /// As [`work`](Self::work), for others than the janitor, which does later what cannot be done now.
-    fn work_and_leave<T>(&self, what: impl FnOnce(&mut State, &mut Work) -> T) -> T {
+    fn work_and_leave<T>(&self, what: impl FnOnce(&mut MatcherState, &mut Work) -> T) -> T {
         let (result, outcome) = self.work(what);
         if let Some(place) = self.record.place().filter(|_| outcome.is_pending) {
             self.domain.call(place);
@@ -163,7 +163,7 @@ impl Matcher {
     pub(crate) fn add_publisher(
         &self,
         core: &Arc<PublisherCore>,
-        node: Option<&Entry>,
+        node: Option<&NodeEntry>,
     ) -> Result<(), TransportError> {
         let port = core.record(node.map(|node| node.number));
         let added = self.work_and_leave(|state, work| {
@@ -179,7 +179,7 @@ impl Matcher {
     pub(crate) fn add_subscription(
         &self,
         core: &Arc<SubscriptionCore>,
-        node: Option<&Entry>,
+        node: Option<&NodeEntry>,
     ) -> Result<(), TransportError> {
         let port = core.record(node.map(|node| node.number));
         let added = self.work_and_leave(|state, work| {
@@ -298,7 +298,7 @@ impl Matcher {
     /// For the janitor: looks at what has changed in the domain since the last time, and does what is to be done for this participant's
     /// ports.
     pub(crate) fn look(&self) -> LookOutcome {
-        let look = |state: &mut State, work: &mut Work| {
+        let look = |state: &mut MatcherState, work: &mut Work| {
             state.look(work);
             // Who is done with an ended publisher elsewhere has called.
             let departing: Vec<u64> = state.departing.keys().copied().collect();
@@ -310,13 +310,13 @@ impl Matcher {
     /// The participant ends. True if somebody may still look for what its publishers have sent.
     pub(crate) fn is_awaited(&self) -> bool {
         let mut state = self.state();
-        let State { index, peers, departing, domain, .. } = &mut *state;
+        let MatcherState { index, peers, departing, domain, .. } = &mut *state;
         index.look(domain, peers);
         departing.values().any(|core| core.is_awaited(|gid| index.has(gid, core.hash())))
     }
 }
 
-impl State {
+impl MatcherState {
     fn own_publishers(&self, hash: u64) -> Vec<Arc<PublisherCore>> {
         let own = self.by_topic.get(&hash).into_iter().flat_map(|own| &own.publishers);
         own.filter_map(|number| self.publishers.get(number).cloned()).collect()
@@ -403,7 +403,7 @@ impl State {
         work.subscription(subscription);
         let owner = ArenaOwner::Own(subscription.slot.doorbell().clone());
         publisher.connect(&DiscoveredSubscription { gid: subscription.gid, port: requested, owner })?;
-        let source = Source::Own(publisher.clone());
+        let source = PublisherMemory::Own(publisher.clone());
         subscription.expect(DiscoveredPublisher::new(publisher.gid, offered.clone(), source));
         subscription.attach().map(drop)
     }

@@ -4,10 +4,10 @@
 
 use crate::error::TransportError;
 use crate::participant::ArenaOwner;
-use crate::participant::file::{Peer, Place};
+use crate::participant::file::{PackedRange, Peer};
 use crate::participant::ranges::Range;
 use crate::topic::connection::Connection;
-use crate::topic::control::{Head, View};
+use crate::topic::control::{MappedControl, View};
 use crate::topic::header::Gid;
 use crate::topic::pool::SEGMENTS;
 use crate::topic::publisher::core::PublisherCore;
@@ -19,12 +19,12 @@ use tautline_rt::shm::Mapping;
 
 /// A publisher's memory.
 #[derive(Clone)]
-pub(crate) enum Source {
+pub(crate) enum PublisherMemory {
     Own(Arc<PublisherCore>),
     Peer(Arc<PeerPublisher>),
 }
 
-impl Source {
+impl PublisherMemory {
     /// The connection of a subscription, if there is one by now. Another participant's publisher is to serve it, unless it has gone: a
     /// subscription that is attached gets what is published from then on.
     pub(crate) fn connection(
@@ -34,8 +34,8 @@ impl Source {
     ) -> Result<Option<Connection>, TransportError> {
         match self {
             // Handed over to its thread before whoever attaches it lets go of the lock.
-            Source::Own(core) => Ok(core.view().and_then(|view| view.find(subscription))),
-            Source::Peer(peer) => {
+            PublisherMemory::Own(core) => Ok(core.view().and_then(|view| view.find(subscription))),
+            PublisherMemory::Peer(peer) => {
                 let connection = peer.connection(subscription)?;
                 Ok(connection.filter(|connection| has_gone || connection.block().out.is_served()))
             }
@@ -45,32 +45,32 @@ impl Source {
     /// The publisher's segments of samples, mapped, and how often they have changed. The same as before if there are no others.
     pub(crate) fn segments(&self) -> Result<(SegmentViews, u32), TransportError> {
         match self {
-            Source::Own(core) => Ok(core.segment_views()),
-            Source::Peer(peer) => peer.segments(),
+            PublisherMemory::Own(core) => Ok(core.segment_views()),
+            PublisherMemory::Peer(peer) => peer.segments(),
         }
     }
 
     /// The head of its memory; `None` if that has gone.
-    pub(crate) fn head(&self) -> Option<Head> {
+    pub(crate) fn head(&self) -> Option<MappedControl> {
         match self {
-            Source::Own(core) => core.view().map(|view| view.head_map()),
-            Source::Peer(peer) => Some(peer.state().view.head_map()),
+            PublisherMemory::Own(core) => core.view().map(|view| view.head_map()),
+            PublisherMemory::Peer(peer) => Some(peer.state().view.head_map()),
         }
     }
 
     /// Where the publisher is rung.
     pub(crate) fn owner(&self) -> ArenaOwner {
         match self {
-            Source::Own(core) => ArenaOwner::Own(core.slot.doorbell().clone()),
-            Source::Peer(peer) => ArenaOwner::Peer(peer.peer.clone()),
+            PublisherMemory::Own(core) => ArenaOwner::Own(core.slot.doorbell().clone()),
+            PublisherMemory::Peer(peer) => ArenaOwner::Peer(peer.peer.clone()),
         }
     }
 
     /// Whether the publisher said that it ended.
     pub(crate) fn has_ended(&self) -> bool {
         match self {
-            Source::Own(_) => true,
-            Source::Peer(peer) => peer.state().view.has_ended(),
+            PublisherMemory::Own(_) => true,
+            PublisherMemory::Peer(peer) => peer.state().view.has_ended(),
         }
     }
 }
@@ -78,17 +78,17 @@ impl Source {
 /// A publisher of another participant, whose memory is mapped once for all subscriptions of this one.
 pub(crate) struct PeerPublisher {
     peer: Arc<Peer>,
-    state: Mutex<State>,
+    state: Mutex<PeerPublisherState>,
 }
 
-struct State {
+struct PeerPublisherState {
     view: View,
     segments: SegmentViews,
     grown: Option<u32>,
 }
 
 impl PeerPublisher {
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, PeerPublisherState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -130,7 +130,7 @@ impl PeerPublisher {
                 continue;
             }
             *known = None;
-            if let Some(range) = Place::from_word(place).filter(|_| sample_bytes > 0)
+            if let Some(range) = PackedRange::from_word(place).filter(|_| sample_bytes > 0)
                 && let Some(map) = self.map_segment(range)?
             {
                 *known = Some(SegmentView { map, sample_bytes, place });
@@ -165,17 +165,17 @@ impl PeerPublishers {
         peer: &Arc<Peer>,
         gid: Gid,
         at: u64,
-    ) -> Result<Option<Source>, TransportError> {
+    ) -> Result<Option<PublisherMemory>, TransportError> {
         if let Some(known) = self.known.get(&gid).and_then(Weak::upgrade) {
-            return Ok(Some(Source::Peer(known)));
+            return Ok(Some(PublisherMemory::Peer(known)));
         }
-        let Some(first) = Place::from_word(at) else { return Ok(None) };
+        let Some(first) = PackedRange::from_word(at) else { return Ok(None) };
         let Some(map) = peer.map(first, true)? else { return Ok(None) };
         let Some(view) = View::open(first, map, gid) else { return Ok(None) };
-        let state = Mutex::new(State { view, segments: Arc::from([]), grown: None });
+        let state = Mutex::new(PeerPublisherState { view, segments: Arc::from([]), grown: None });
         let publisher = Arc::new(PeerPublisher { peer: peer.clone(), state });
         self.known.insert(gid, Arc::downgrade(&publisher));
-        Ok(Some(Source::Peer(publisher)))
+        Ok(Some(PublisherMemory::Peer(publisher)))
     }
 
     /// Those of a participant that have other segments than were mapped.

@@ -102,8 +102,8 @@ struct EndpointTracker {
     list: LatestReader<Arc<EndpointList>>,
     is_first: bool,
     /// The endpoints at the last check, in the order of their gids.
-    known: Vec<Known>,
-    former: Vec<Known>,
+    known: Vec<KnownEndpoint>,
+    former: Vec<KnownEndpoint>,
     matched: u64,
     total: u64,
     incompatible_qos: u64,
@@ -112,7 +112,7 @@ struct EndpointTracker {
 }
 
 #[derive(Clone, Copy)]
-struct Known {
+struct KnownEndpoint {
     gid: Gid,
     mismatch: Option<Mismatch>,
 }
@@ -182,7 +182,7 @@ impl EndpointTracker {
                 Some(Mismatch::Type) if is_new => self.incompatible_type += 1,
                 Some(_) => {}
             }
-            self.known.push(Known { gid: endpoint.gid, mismatch: endpoint.mismatch });
+            self.known.push(KnownEndpoint { gid: endpoint.gid, mismatch: endpoint.mismatch });
         }
         let killed = list.killed - self.killed;
         self.killed = list.killed;

@@ -4,7 +4,7 @@
 
 use super::PublisherRole;
 use super::history::History;
-use super::sender::{PublishState, Sender, SpareList, Table, words_for};
+use super::sender::{PublishState, ReaderChannel, ReaderTable, SpareList, words_for};
 use crate::error::TransportError;
 use crate::graph::log::hash_of;
 use crate::graph::own::OwnRecord;
@@ -15,7 +15,7 @@ use crate::qos::{Claim, Durability, Limits, Qos};
 use crate::topic::Topic;
 use crate::topic::chunks::{Chunks, Keyed};
 use crate::topic::connection::{ReaderState, Shape};
-use crate::topic::control::{ConnectionPlace, Control, Traffic, View};
+use crate::topic::control::{ConnectionPlace, PublisherControl, Traffic, View};
 use crate::topic::endpoints::{Endpoint, Endpoints, Mismatch};
 use crate::topic::header::Gid;
 use crate::topic::memory::{Demand, grown_sample_bytes, sample_bytes};
@@ -60,7 +60,7 @@ pub(crate) struct PublisherCore {
 struct Setup {
     memory: Arc<OwnMemory>,
     record: Arc<OwnRecord>,
-    control: Option<Control>,
+    control: Option<PublisherControl>,
     pool: Pool,
     /// The size of the samples that are loaned. There may also be segments with shorter samples, until none
     /// of these is in use.
@@ -71,7 +71,7 @@ struct Setup {
     views: Option<(SegmentViews, u32)>,
     proxies: Chunks<ReaderProxy>,
     /// Senders that are not yet in a table that was handed over.
-    unserved: Vec<Arc<Sender>>,
+    unserved: Vec<Arc<ReaderChannel>>,
     /// How many of them are retired.
     retired: usize,
     /// Minimum length of their lists of samples in use, now or soon, in words.
@@ -79,7 +79,7 @@ struct Setup {
     /// What they require.
     demand: Demand,
     endpoints: Endpoints,
-    table: LatestWriter<Arc<Table>>,
+    table: LatestWriter<Arc<ReaderTable>>,
     is_stale: bool,
 }
 
@@ -87,7 +87,7 @@ struct Setup {
 #[derive(Clone)]
 pub(super) struct ReaderProxy {
     subscription: Gid,
-    pub(super) sender: Arc<Sender>,
+    pub(super) sender: Arc<ReaderChannel>,
     place: ConnectionPlace,
     /// A longer list for the publishing thread to take, if it has not done so.
     pub(super) spare: Option<Arc<SpareList>>,
@@ -119,7 +119,7 @@ impl PublisherCore {
     ) -> Result<(Arc<Self>, PublishState), TransportError> {
         let history = (qos.durability == Durability::TransientLocal).then(|| History::new(qos.depth));
         let sample_bytes = sample_bytes(topic.topic_type.body_bytes.unwrap_or(limits.message_bytes));
-        let control = Control::create(memory, gid).map_err(|source| TransportError::Memory {
+        let control = PublisherControl::create(memory, gid).map_err(|source| TransportError::Memory {
             topic: topic.name.clone(),
             bytes: 4096,
             sample_bytes,
@@ -127,7 +127,7 @@ impl PublisherCore {
         })?;
         let traffic = control.traffic();
         let claims_on_use = limits.claim == Claim::OnUse;
-        let first = Arc::new(Table::empty(sample_bytes, claims_on_use));
+        let first = Arc::new(ReaderTable::empty(sample_bytes, claims_on_use));
         let (table, reader) = latest(first);
         let setup = Setup {
             memory: memory.clone(),
@@ -188,7 +188,7 @@ impl PublisherCore {
             relay: self.is_relay,
             observer: false,
             slot: self.slot.index() as u32,
-            at: setup.control.as_ref().map_or(0, Control::place),
+            at: setup.control.as_ref().map_or(0, PublisherControl::place),
             partner: self.partner,
         }
     }
@@ -234,7 +234,7 @@ impl PublisherCore {
         let (connection, place) = connected.map_err(refuse)?;
         let owner = (target.owner.clone(), slot);
         let samples = pool.end().max(*words * 64);
-        let sender = Sender::new(target.gid, shape, &target.port, owner, connection, samples);
+        let sender = ReaderChannel::new(target.gid, shape, &target.port, owner, connection, samples);
         let history = self.history.as_ref().filter(|_| qos.durability == Durability::TransientLocal);
         if let Some(history) = history {
             if is_on_use {
@@ -553,7 +553,7 @@ impl PublisherCore {
                 }
             }
         }
-        let table = Table {
+        let table = ReaderTable {
             proxies: setup.proxies.clone(),
             pool: setup.pool.clone(),
             sample_bytes: setup.sample_bytes,
@@ -605,7 +605,7 @@ impl PublisherCore {
     pub(crate) fn release(&self, is_there: impl Fn(u64) -> bool, is_listed: impl Fn(Gid) -> bool) -> bool {
         let mut setup = self.setup();
         let Setup { proxies, pool, retired, .. } = &mut *setup;
-        let is_done = |sender: &Sender| match sender.block().back.state() {
+        let is_done = |sender: &ReaderChannel| match sender.block().back.state() {
             ReaderState::Unknown => !is_listed(sender.subscription),
             ReaderState::Attached => !is_there(sender.subscription.participant()),
             ReaderState::Closed => true,
@@ -631,7 +631,7 @@ impl PublisherCore {
         let setup = self.setup();
         let Some(control) = &setup.control else { return false };
         let grown = control.head().grown.load(Ordering::Acquire);
-        let is_behind = |sender: &Sender| sender.block().back.is_behind(grown);
+        let is_behind = |sender: &ReaderChannel| sender.block().back.is_behind(grown);
         setup
             .proxies
             .iter()

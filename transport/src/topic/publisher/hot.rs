@@ -8,7 +8,7 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use super::RawPublisher;
-use super::sender::{PublishState, Sender};
+use super::sender::{PublishState, ReaderChannel};
 use crate::error::{LoanError, PublishError, SendError};
 use crate::qos::Claim;
 use crate::topic::header::{Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
@@ -314,7 +314,7 @@ impl RawPublisher {
         let mut publish_state = self.publish_state.borrow_mut();
         publish_state.refresh(self.core.history.as_ref());
         // Acquire: pairs with the Release of the subscription's take.
-        let is_taken = |sender: &Sender| {
+        let is_taken = |sender: &ReaderChannel| {
             sender.block().back.taken.load(Ordering::Acquire)
                 >= sender.block().out.sent.load(Ordering::Relaxed)
         };
@@ -326,7 +326,7 @@ impl RawPublisher {
         let mut publish_state = self.publish_state.borrow_mut();
         publish_state.refresh(self.core.history.as_ref());
         let [participant, number] = partner.words();
-        let is_it = |sender: &&Sender| {
+        let is_it = |sender: &&ReaderChannel| {
             sender.partner == Some(number) && sender.subscription.participant() == participant
         };
         publish_state.table().receiving(None).find(is_it).map(|sender| sender.subscription)

@@ -12,7 +12,7 @@ pub use hot::RawLoan;
 pub(crate) use hot::{Sending, Stamp, WhenFull};
 
 use crate::error::TransportError;
-use crate::graph::{EndpointKind, Entry, TopicEndpoint};
+use crate::graph::{EndpointKind, NodeEntry, TopicEndpoint};
 use crate::participant::{Participant, ParticipantState};
 use crate::qos::{History, Limits, Liveliness, Qos};
 use crate::topic::Topic;
@@ -51,7 +51,7 @@ pub struct RawPublisher {
     counters: Arc<PublisherCounters>,
     participant: Arc<ParticipantState>,
     /// Its node, which exists at least as long.
-    _node: Option<Arc<Entry>>,
+    _node: Option<Arc<NodeEntry>>,
 }
 
 /// Counters of one publisher, readable from any thread.

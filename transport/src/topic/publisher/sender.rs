@@ -2,7 +2,7 @@
 //! Reader proxies: one subscription as its publisher sees it, and the table of all subscriptions.
 //!
 //! Setup code adds and removes subscriptions under the publisher's setup lock. The thread that publishes takes no lock: it finds a new
-//! table ([`Table`]) when it next publishes. A sender's [`HandOver`] states who may use its sending half (the publisher's end of the
+//! table ([`ReaderTable`]) when it next publishes. A sender's [`HandOver`] states who may use its sending half (the publisher's end of the
 //! queues, and the list of samples in use). Setup code holds a new one if the publisher has meanwhile published something that a late
 //! joiner must get; a retired one is drained by its present owner.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
@@ -25,7 +25,7 @@ use tautline_doorbell::{Activity, ActivityKind, Flags, Sleeper};
 use tautline_rt::{LatestReader, clock::monotonic_ns};
 
 /// What a publisher knows about a subscription.
-pub(crate) struct Sender {
+pub(crate) struct ReaderChannel {
     pub(crate) subscription: Gid,
     pub(crate) depth: u64,
     /// The number of samples for which its queues have memory (of the longer queue).
@@ -47,11 +47,11 @@ pub(crate) struct Sender {
     loaded: AtomicU64,
     /// The capacity of the list of samples in use.
     room: AtomicUsize,
-    half: UnsafeCell<Half>,
+    half: UnsafeCell<SendHalf>,
 }
 
 /// The sending half.
-struct Half {
+struct SendHalf {
     /// The samples that were submitted and not returned yet: one bit for each number.
     out: Box<[u64]>,
     /// The number of the last sample that was submitted, or that existed when it was preloaded.
@@ -68,12 +68,12 @@ struct Half {
 
 // SAFETY: `half` is used by one side at a time: `turn` says whose it is, and hands it over with Release and Acquire. The rest is
 // atomics and what does not change.
-unsafe impl Sync for Sender {}
+unsafe impl Sync for ReaderChannel {}
 // SAFETY: as above; nothing in it belongs to a thread.
-unsafe impl Send for Sender {}
+unsafe impl Send for ReaderChannel {}
 
 /// The working table of the publishing thread: replaced when subscriptions or segments are added or removed.
-pub(crate) struct Table {
+pub(crate) struct ReaderTable {
     /// Grouped by participant.
     pub(super) proxies: Chunks<ReaderProxy>,
     pub(crate) pool: Pool,
@@ -106,7 +106,7 @@ pub(crate) fn words_for(samples: usize) -> usize {
     samples.div_ceil(64)
 }
 
-impl Sender {
+impl ReaderChannel {
     #[allow(clippy::too_many_arguments, clippy::disallowed_macros, reason = "set-up")]
     pub(crate) fn new(
         subscription: Gid,
@@ -118,8 +118,8 @@ impl Sender {
     ) -> Self {
         connection.block().out.alive_ns.store(monotonic_ns(), Ordering::Relaxed);
         let out = vec![0; words_for(samples)].into_boxed_slice();
-        let half = Half { out, last: 0, wants_history: false, submitted: 0, claimed: 0, sleeper: None };
-        Sender {
+        let half = SendHalf { out, last: 0, wants_history: false, submitted: 0, claimed: 0, sleeper: None };
+        ReaderChannel {
             subscription,
             depth: shape.depth as u64,
             places: shape.returned_len(),
@@ -352,7 +352,7 @@ impl Sender {
     }
 }
 
-impl Half {
+impl SendHalf {
     /// Takes a longer list in place of the one that it has, and leaves that.
     fn enlarge(&mut self, longer: &mut Box<[u64]>) {
         if longer.len() > self.out.len() {
@@ -395,13 +395,13 @@ impl WokenSleepers {
     }
 }
 
-impl Table {
+impl ReaderTable {
     /// The subscriptions that a sample goes to: all, or one and those that look on; not those that have gone and only hold samples.
     ///
     /// # Real-time
     /// O(subscriptions).
-    pub(crate) fn receiving(&self, to: Option<Gid>) -> impl Iterator<Item = &Sender> {
-        let is_meant = move |sender: &&Sender| {
+    pub(crate) fn receiving(&self, to: Option<Gid>) -> impl Iterator<Item = &ReaderChannel> {
+        let is_meant = move |sender: &&ReaderChannel| {
             to.is_none_or(|to| sender.subscription == to || sender.is_observer)
                 && !sender.leaving.load(Ordering::Relaxed)
         };
@@ -409,24 +409,24 @@ impl Table {
     }
 
     /// Those whose sending half is the publishing thread's.
-    fn live(&self) -> impl Iterator<Item = &Sender> {
+    fn live(&self) -> impl Iterator<Item = &ReaderChannel> {
         self.proxies.iter().map(|proxy| &*proxy.sender).filter(|sender| sender.is_live())
     }
 
     pub(crate) fn empty(sample_bytes: usize, claims_on_use: bool) -> Self {
-        Table { proxies: Default::default(), pool: Pool::default(), sample_bytes, claims_on_use }
+        ReaderTable { proxies: Default::default(), pool: Pool::default(), sample_bytes, claims_on_use }
     }
 }
 
 /// What the thread that publishes knows of subscriptions and samples.
 pub(crate) struct PublishState {
-    table: LatestReader<Arc<Table>>,
+    table: LatestReader<Arc<ReaderTable>>,
     /// The number of the last sample that was published.
     pub(crate) sequence_number: u64,
 }
 
 impl PublishState {
-    pub(crate) fn new(table: LatestReader<Arc<Table>>) -> Self {
+    pub(crate) fn new(table: LatestReader<Arc<ReaderTable>>) -> Self {
         PublishState { table, sequence_number: 0 }
     }
 
@@ -487,7 +487,7 @@ impl PublishState {
 
     /// The table. Call [`refresh`](Self::refresh) before.
     #[inline]
-    pub(crate) fn table(&self) -> &Table {
+    pub(crate) fn table(&self) -> &ReaderTable {
         // One that came since is adopted by the next `refresh`.
         self.table.current()
     }
@@ -535,7 +535,7 @@ impl PublishState {
     }
 }
 
-impl Sender {
+impl ReaderChannel {
     /// What was published between its preloading and now and is kept: it missed that.
     ///
     /// # Safety

@@ -2,7 +2,7 @@
 //! The setup part of a subscription: the publishers that it is connected to. The subscription and the matching code share it. The
 //! thread that takes works with a table that is handed over to it: see [`receiver`](super::receiver).
 
-use super::receiver::{Entry, Receiver, Table, TakeState};
+use super::receiver::{Receiver, TakeState, WriterEntry, WriterTable};
 use super::{LivelinessSource, SubscriptionRole};
 use crate::error::TransportError;
 use crate::graph::log::hash_of;
@@ -13,7 +13,7 @@ use crate::topic::chunks::{Chunks, Keyed};
 use crate::topic::connection::ReaderState;
 use crate::topic::endpoints::{Endpoint, EndpointList, Endpoints, Mismatch};
 use crate::topic::header::Gid;
-use crate::topic::matching::Source;
+use crate::topic::matching::PublisherMemory;
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -56,7 +56,7 @@ struct Setup {
     /// Publishers whose participant has not made a connection yet.
     expected: Vec<DiscoveredPublisher>,
     endpoints: Endpoints,
-    table: LatestWriter<Arc<Table>>,
+    table: LatestWriter<Arc<WriterTable>>,
     is_stale: bool,
 }
 
@@ -64,8 +64,8 @@ struct Setup {
 #[derive(Clone)]
 pub(super) struct WriterProxy {
     publisher: Gid,
-    source: Source,
-    pub(super) entry: Entry,
+    source: PublisherMemory,
+    pub(super) entry: WriterEntry,
 }
 
 impl Keyed for WriterProxy {
@@ -78,13 +78,13 @@ impl Keyed for WriterProxy {
 pub(crate) struct DiscoveredPublisher {
     gid: Gid,
     port: PortRecord,
-    source: Source,
+    source: PublisherMemory,
     /// It has ended; the value states whether together with its participant.
     gone: Option<bool>,
 }
 
 impl DiscoveredPublisher {
-    pub(crate) fn new(gid: Gid, port: PortRecord, source: Source) -> Self {
+    pub(crate) fn new(gid: Gid, port: PortRecord, source: PublisherMemory) -> Self {
         DiscoveredPublisher { gid, port, source, gone: None }
     }
 }
@@ -98,7 +98,7 @@ impl SubscriptionCore {
         role: SubscriptionRole,
         slot: Arc<Slot>,
     ) -> (Arc<Self>, TakeState) {
-        let (table, reader) = latest(Arc::<Table>::default());
+        let (table, reader) = latest(Arc::<WriterTable>::default());
         let setup = Setup {
             proxies: Chunks::default(),
             ended: Vec::new(),
@@ -236,7 +236,7 @@ impl SubscriptionCore {
         let liveliness = has_lease.then(|| LivelinessSource::of(&receiver));
         let PortRecord { relay: is_relay, partner, .. } = *port;
         setup.endpoints.set(Endpoint { is_relay, partner, liveliness, ..Endpoint::new(*gid, qos) });
-        let entry = Entry { receiver, segments, grown, has_ended: false };
+        let entry = WriterEntry { receiver, segments, grown, has_ended: false };
         setup.proxies.insert(WriterProxy { publisher: *gid, source: source.clone(), entry });
         setup.is_stale = true;
         if let Some(is_dead) = gone {
@@ -384,7 +384,7 @@ fn end(setup: &mut Setup, publisher: Gid, is_dead: bool) {
 
 fn hand_over(setup: &mut Setup) {
     setup.is_stale = false;
-    setup.table.write(Arc::new(Table { proxies: setup.proxies.clone() }));
+    setup.table.write(Arc::new(WriterTable { proxies: setup.proxies.clone() }));
 }
 
 /// Publishers that are done, once neither the taking thread's table nor a sample refers to them any more, may have their memory again.

@@ -3,12 +3,12 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::receiver::{Held, TakeOutcome, Taken};
+use super::receiver::{BorrowedChunk, TakeOutcome, TakenSample};
 use super::{PollState, RawSubscription, SubscriptionCounters};
 use crate::error::TakeError;
 use crate::qos::History;
+use crate::topic::borrowed::BorrowedSample;
 use crate::topic::header::{Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
-use crate::topic::lending::Lent;
 use crate::topic::memory::padded;
 use core::pin::Pin;
 use core::ptr::NonNull;
@@ -28,7 +28,7 @@ pub struct RawSample {
     kind: SampleKind,
     port_gid: Gid,
     port_sequence_number: u64,
-    _lent: Lent<Held>,
+    _lent: BorrowedSample<BorrowedChunk>,
 }
 
 // SAFETY: a RawSample reads its payload through `&[u8]`, and `_lent` may be dropped anywhere.
@@ -161,7 +161,7 @@ impl RawSubscription {
         let mut take_state = self.take_state.borrow_mut();
         take_state.refresh();
         while !budget.is_spent() {
-            if !self.shelf.reclaim() {
+            if !self.borrowed.reclaim() {
                 return Err(TakeError::TooManyHeld);
             }
             let Some(taken) = take_state.take(|outcome| self.note_outcome(outcome)) else {
@@ -203,8 +203,8 @@ impl RawSubscription {
         }
     }
 
-    fn lend(&self, taken: Taken) -> Result<RawSample, TakeError> {
-        let Taken { held, header, payload, .. } = taken;
+    fn lend(&self, taken: TakenSample) -> Result<RawSample, TakeError> {
+        let TakenSample { held, header, payload, .. } = taken;
         let port_gid = held.publisher();
         // The length is another process's claim.
         let (body_bytes, kind) = header.body();
@@ -215,7 +215,7 @@ impl RawSubscription {
             let (type_name, path) = ("sample", FieldPath::EMPTY);
             return Err(TakeError::Invalid(DecodeError { type_name, path, offset: 0, fault }));
         };
-        let lent = self.shelf.lend(held).ok_or(TakeError::TooManyHeld)?;
+        let lent = self.borrowed.lend(held).ok_or(TakeError::TooManyHeld)?;
         tautline_trace::take(self.trace.id(), &header.trace_id(port_gid, payload.addr().get()));
         Ok(RawSample {
             payload: body,
@@ -304,7 +304,7 @@ impl RawSubscription {
                 Err(TakeError::TooManyHeld) => {
                     add(&self.counters.refused, 1);
                     budget.spend();
-                    if !self.shelf.wake_when_back(context.waker()) {
+                    if !self.borrowed.wake_when_back(context.waker()) {
                         budget.spend_all();
                         return Poll::Pending;
                     }

@@ -10,17 +10,17 @@ pub(crate) use hot::PollBudget;
 pub use hot::RawSample;
 
 use crate::error::TransportError;
-use crate::graph::Entry;
+use crate::graph::NodeEntry;
 use crate::participant::{Participant, ParticipantState};
 use crate::qos::{Limits, Qos};
 use crate::topic::Topic;
+use crate::topic::borrowed::BorrowTable;
 use crate::topic::connection::Connection;
 use crate::topic::header::Gid;
-use crate::topic::lending::Shelf;
 use crate::topic::publisher::MatchedCount;
 use crate::topic::topic_type::TopicType;
 use core::SubscriptionCore;
-use receiver::{Held, Receiver, TakeState};
+use receiver::{BorrowedChunk, Receiver, TakeState};
 use std::cell::{Cell, RefCell};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
@@ -35,7 +35,7 @@ use tautline_doorbell::{BellRoute, Slot, ThreadBell};
 pub struct RawSubscription {
     // Dropped in this order.
     take_state: RefCell<TakeState>,
-    shelf: Shelf<Held>,
+    borrowed: BorrowTable<BorrowedChunk>,
     /// The result of the previous polls.
     poll_state: Cell<PollState>,
     /// The callback thread that publishers wake.
@@ -44,7 +44,7 @@ pub struct RawSubscription {
     counters: Arc<SubscriptionCounters>,
     registration: Registration,
     /// Its node, which exists at least as long.
-    _node: Option<Arc<Entry>>,
+    _node: Option<Arc<NodeEntry>>,
 }
 
 /// How polls go.
@@ -134,7 +134,7 @@ impl RawSubscription {
         let returned = LastSampleGuard { core: Arc::downgrade(&core), participant: state.clone() };
         let subscription = RawSubscription {
             take_state: RefCell::new(take_state),
-            shelf: Shelf::new(limits.held, returned),
+            borrowed: BorrowTable::new(limits.held, returned),
             poll_state: Cell::new(PollState::Waiting),
             thread: RefCell::new(None),
             trace,

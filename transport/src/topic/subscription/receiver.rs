@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Writer proxies: one publisher as its subscription sees it, and the table of all publishers.
 //!
-//! As on the publishing side, setup code adds and removes publishers, and the thread that takes finds a new [`Table`] at its
+//! As on the publishing side, setup code adds and removes publishers, and the thread that takes finds a new [`WriterTable`] at its
 //! next take. A receiver belongs to the taking thread from the time when that thread has seen it until the thread has settled
 //! the samples of an ended publisher. Setup code may remove an ended publisher that no take has seen. [`HandOver`] states the
 //! owner.
@@ -12,7 +12,7 @@ use super::core::WriterProxy;
 use crate::participant::ArenaOwner;
 use crate::topic::chunks::Chunks;
 use crate::topic::connection::{Block, Connection};
-use crate::topic::control::Head;
+use crate::topic::control::MappedControl;
 use crate::topic::hand_over::HandOver;
 use crate::topic::header::{Gid, HEADER_BYTES, SampleHeader};
 use crate::topic::memory::SAMPLE_ALIGNMENT;
@@ -32,16 +32,16 @@ pub(crate) struct Receiver {
     /// that subscription's samples.
     is_others: bool,
     /// Shows whether the segments have changed since they were mapped.
-    head: Option<Head>,
+    head: Option<MappedControl>,
     /// Where the publisher is rung when it waits for room.
     owner: ArenaOwner,
     slot: usize,
     turn: HandOver,
-    half: UnsafeCell<Half>,
+    half: UnsafeCell<TakeHalf>,
 }
 
 /// The taking thread's half.
-struct Half {
+struct TakeHalf {
     /// The number of the sample that is expected next; 0 before the first one.
     next: u64,
     /// A sample that was taken from the queue, but lies in a segment that is not mapped here yet.
@@ -70,19 +70,19 @@ pub(crate) type SegmentViews = Arc<[Option<SegmentView>]>;
 
 /// The working table of the taking thread: replaced when publishers, or their segments, are added or removed.
 #[derive(Default)]
-pub(crate) struct Table {
+pub(crate) struct WriterTable {
     pub(super) proxies: Chunks<WriterProxy>,
 }
 
-impl Table {
-    fn entries(&self) -> impl Iterator<Item = &Entry> {
+impl WriterTable {
+    fn entries(&self) -> impl Iterator<Item = &WriterEntry> {
         self.proxies.iter().map(|proxy| &proxy.entry)
     }
 }
 
 /// A publisher in the table.
 #[derive(Clone)]
-pub(crate) struct Entry {
+pub(crate) struct WriterEntry {
     pub(crate) receiver: Arc<Receiver>,
     pub(crate) segments: SegmentViews,
     /// The change count of the segments at which this list was complete.
@@ -92,20 +92,20 @@ pub(crate) struct Entry {
 }
 
 /// A borrowed sample: it returns to its publisher when it is dropped.
-pub(crate) struct Held {
+pub(crate) struct BorrowedChunk {
     receiver: Arc<Receiver>,
     chunk: u64,
     /// Its segment stays mapped.
     _map: Arc<Mapping>,
 }
 
-impl Held {
+impl BorrowedChunk {
     pub(crate) fn publisher(&self) -> Gid {
         self.receiver.publisher
     }
 }
 
-impl Drop for Held {
+impl Drop for BorrowedChunk {
     /// # Real-time
     /// Wait-free; no syscall: whoever sets up has the receiver and the mapping as long as one of these is left.
     fn drop(&mut self) {
@@ -115,8 +115,8 @@ impl Drop for Held {
 }
 
 /// A sample that was taken.
-pub(crate) struct Taken {
-    pub(crate) held: Held,
+pub(crate) struct TakenSample {
+    pub(crate) held: BorrowedChunk,
     pub(crate) header: SampleHeader,
     /// The whole sample after its header.
     pub(crate) payload: NonNull<[u8]>,
@@ -128,7 +128,7 @@ pub(crate) struct Taken {
 
 /// What came of a look at a publisher's queue.
 pub(crate) enum TakeOutcome {
-    Taken(Taken),
+    Taken(TakenSample),
     /// A sample exists, but cannot be reached yet: setup code maps its segment and rings. There may be more samples behind
     /// it.
     Parked,
@@ -145,7 +145,7 @@ impl Receiver {
         publisher: Gid,
         is_others: bool,
         connection: Connection,
-        head: Option<Head>,
+        head: Option<MappedControl>,
         owner: ArenaOwner,
         slot: usize,
     ) -> Self {
@@ -157,7 +157,7 @@ impl Receiver {
             owner,
             slot,
             turn: HandOver::new(),
-            half: UnsafeCell::new(Half { next: 0, parked: None, overwritten: 0 }),
+            half: UnsafeCell::new(TakeHalf { next: 0, parked: None, overwritten: 0 }),
         }
     }
 
@@ -241,8 +241,8 @@ impl Receiver {
         let waiting = self.block().out.sent.load(Ordering::Relaxed).saturating_add(1).saturating_sub(number);
         // Release: pairs with the Acquire in the publisher's check for room.
         self.block().back.taken.store(number, Ordering::Release);
-        let held = Held { receiver: self.clone(), chunk, _map: view.map.clone() };
-        TakeOutcome::Taken(Taken { held, header, payload, lost, waiting })
+        let held = BorrowedChunk { receiver: self.clone(), chunk, _map: view.map.clone() };
+        TakeOutcome::Taken(TakenSample { held, header, payload, lost, waiting })
     }
 
     /// Whether there is something to take. `None`: there is, but it cannot be reached yet.
@@ -255,7 +255,7 @@ impl Receiver {
     ///
     /// # Safety
     /// For the thread that takes, of a live receiver.
-    unsafe fn is_ready(&self, Entry { segments, grown, has_ended, .. }: &Entry) -> Option<bool> {
+    unsafe fn is_ready(&self, WriterEntry { segments, grown, has_ended, .. }: &WriterEntry) -> Option<bool> {
         // SAFETY: as the caller promises.
         let half = unsafe { &mut *self.half.get() };
         if half.parked.is_none() {
@@ -292,7 +292,7 @@ impl Receiver {
     }
 
     /// The queue of an ended publisher is empty: what it sent and never came is lost.
-    fn settle(&self, half: &Half) -> TakeOutcome {
+    fn settle(&self, half: &TakeHalf) -> TakeOutcome {
         let sent = self.block().out.sent.load(Ordering::Relaxed);
         let lost =
             if half.next == 0 { self.unseen() } else { sent.saturating_add(1).saturating_sub(half.next) };
@@ -314,7 +314,7 @@ impl Receiver {
     }
 }
 
-impl Taken {
+impl TakenSample {
     pub(crate) fn receiver(&self) -> &Receiver {
         &self.held.receiver
     }
@@ -339,7 +339,7 @@ fn locate(chunk: u64, segments: &SegmentViews) -> Option<(&SegmentView, NonNull<
 
 /// What the thread that takes knows of publishers.
 pub(crate) struct TakeState {
-    table: LatestReader<Arc<Table>>,
+    table: LatestReader<Arc<WriterTable>>,
     /// The receiver with which the next take begins.
     next: usize,
     /// How many samples in a row were taken from it.
@@ -350,7 +350,7 @@ pub(crate) struct TakeState {
 const IN_A_ROW: usize = 16;
 
 impl TakeState {
-    pub(crate) fn new(table: LatestReader<Arc<Table>>) -> Self {
+    pub(crate) fn new(table: LatestReader<Arc<WriterTable>>) -> Self {
         TakeState { table, next: 0, in_a_row: 0 }
     }
 
@@ -370,7 +370,7 @@ impl TakeState {
     ///
     /// # Real-time
     /// O(publishers); no allocation; no syscall.
-    pub(crate) fn take(&mut self, mut each: impl FnMut(&TakeOutcome)) -> Option<Taken> {
+    pub(crate) fn take(&mut self, mut each: impl FnMut(&TakeOutcome)) -> Option<TakenSample> {
         let table = self.table.current();
         let count = table.proxies.len();
         for (place, WriterProxy { entry, .. }) in table.proxies.iter_from(self.next) {

@@ -8,9 +8,9 @@
 
 use crate::error::TransportError;
 use crate::graph::domain::{Domain, has_owner};
-use crate::graph::log::{Kind, Reader};
+use crate::graph::log::{EntryKind, Reader};
 use crate::graph::record::{PortKind, PortRecord};
-use crate::participant::file::{self, Peer, Place};
+use crate::participant::file::{self, PackedRange, Peer};
 use crate::topic::control::View;
 use crate::topic::header::Gid;
 use rustix::fs::FlockOperation;
@@ -27,10 +27,10 @@ const PATIENCE: Duration = Duration::from_millis(20);
 pub(super) const PERIOD: Duration = Duration::from_millis(1);
 
 /// The state of a file.
-pub(super) enum Found {
+pub(super) enum FileState {
     /// Its owner is alive, or is ending right now.
     Owned,
-    /// Its owner has died: to be [cleaned up](bury).
+    /// Its owner has died: to be [cleaned up](clean_up).
     Dead(Dead),
     /// Its owner has died, but the file must stay.
     Kept,
@@ -64,20 +64,22 @@ pub(super) struct Dead {
 ///
 /// # Errors
 /// The system refuses, at its limit of open files for one.
-pub(super) fn look_after(domain: &Domain, name: &str) -> Result<Found, TransportError> {
+pub(super) fn look_after(domain: &Domain, name: &str) -> Result<FileState, TransportError> {
     let path = shared_path(domain.number()).join(name);
     let file = match PeerFile::open(path, false) {
-        Err(ShmError { source, .. }) if source.kind() == io::ErrorKind::NotFound => return Ok(Found::Gone),
+        Err(ShmError { source, .. }) if source.kind() == io::ErrorKind::NotFound => {
+            return Ok(FileState::Gone);
+        }
         file => file.map_err(file::file_error)?,
     };
     if rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_err() {
-        return Ok(Found::Owned);
+        return Ok(FileState::Owned);
     }
     if tautline_trace::is_trace_file(name) {
         drop(file);
         tautline_trace::remove_dead_files(domain.number());
         // Events that nobody has fetched wait for a recorder.
-        return Ok(Found::Kept);
+        return Ok(FileState::Kept);
     }
     let id = file::id_of(name);
     let peer = match id.map(|id| Peer::open(domain.number(), id)) {
@@ -86,11 +88,11 @@ pub(super) fn look_after(domain: &Domain, name: &str) -> Result<Found, Transport
         peer => peer.and_then(|peer| peer.ok().flatten()),
     };
     let sent = peer.as_ref().map_or(Vec::new(), publishers);
-    Ok(Found::Dead(Dead { file, id, sent, until: Instant::now() + PATIENCE, has_called: false }))
+    Ok(FileState::Dead(Dead { file, id, sent, until: Instant::now() + PATIENCE, has_called: false }))
 }
 
 /// Cleans up the participants whose samples no subscription still has to map; the others stay in the list.
-pub(super) fn bury(domain: &Domain, dead: &mut Vec<Dead>) {
+pub(super) fn clean_up(domain: &Domain, dead: &mut Vec<Dead>) {
     if dead.is_empty() {
         return;
     }
@@ -98,12 +100,12 @@ pub(super) fn bury(domain: &Domain, dead: &mut Vec<Dead>) {
     // They find nothing any more.
     places.retain(|id, _| dead.iter().all(|dead| dead.id != Some(*id)));
     let mut has_changed = false;
-    let mut buried = Vec::new();
+    let mut removed = Vec::new();
     for mut one in std::mem::take(dead) {
         let awaited = one.awaited(&places);
         if awaited.is_empty() || one.until <= Instant::now() {
             has_changed |= one.id.is_some_and(|id| domain.remove(id));
-            buried.push(one.file);
+            removed.push(one.file);
             continue;
         }
         if !std::mem::replace(&mut one.has_called, true) {
@@ -114,7 +116,7 @@ pub(super) fn bury(domain: &Domain, dead: &mut Vec<Dead>) {
     if has_changed {
         domain.call_all();
     }
-    for file in buried {
+    for file in removed {
         // One that another user may not remove stays.
         let _ = rustix::fs::unlink(file.path());
     }
@@ -139,16 +141,16 @@ fn publishers(peer: &Peer) -> Vec<View> {
     let mut places = BTreeMap::new();
     for (entry, _) in news.map(|news| news.entries).unwrap_or_default() {
         match entry.kind {
-            Kind::Port | Kind::Ended => {
+            EntryKind::Port | EntryKind::Ended => {
                 let port = PortRecord::parse(&entry.body).filter(|port| port.kind == PortKind::Publisher);
                 places.extend(port.map(|port| (entry.number, port.at)));
             }
-            Kind::Gone => drop(places.remove(&entry.number)),
+            EntryKind::Gone => drop(places.remove(&entry.number)),
             _ => {}
         }
     }
     let view = |(number, at): (&u64, &u64)| {
-        let first = Place::from_word(*at)?;
+        let first = PackedRange::from_word(*at)?;
         let mut view = View::open(first, peer.map(first, true).ok()??, Gid::of(peer.id, *number))?;
         for range in view.missing() {
             view.add(range, peer.map(range, true).ok()??);

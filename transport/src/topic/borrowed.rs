@@ -6,7 +6,7 @@
 //! body. Dropping the sample sets a bit; the subscription removes the marked samples from the table at its next take.
 //!
 //! ```text
-//!             lend (subscription)       drop Lent (any thread)      reclaim (subscription)
+//!             lend (subscription)       drop BorrowedSample (any thread)      reclaim (subscription)
 //!    free ----------------------> out ----------------------> back -----------------------> free
 //! ```
 
@@ -18,16 +18,16 @@ use std::sync::Arc;
 use std::task::Waker;
 
 /// The table of one subscription's borrowed samples.
-pub(crate) struct Shelf<S> {
-    state: Arc<ShelfState<S>>,
+pub(crate) struct BorrowTable<S> {
+    state: Arc<BorrowTableState<S>>,
     free: RefCell<Vec<usize>>,
 }
 
-// SAFETY: see ShelfState; the rest is plain data.
-unsafe impl<S> Send for Shelf<S> {}
+// SAFETY: see BorrowTableState; the rest is plain data.
+unsafe impl<S> Send for BorrowTable<S> {}
 
-struct ShelfState<S> {
-    /// An entry is accessed by the Shelf while it is free or returned, and by no thread while its sample is
+struct BorrowTableState<S> {
+    /// An entry is accessed by the BorrowTable while it is free or returned, and by no thread while its sample is
     /// borrowed.
     places: Box<[UnsafeCell<Option<S>>]>,
     back: Box<[AtomicU64]>,
@@ -38,24 +38,24 @@ struct ShelfState<S> {
     _end: Box<dyn Any + Send + Sync>,
 }
 
-// SAFETY: through a shared reference a Lent only sets bits and wakes. Places are touched by the Shelf, which is not Sync,
-// or by the last owner's drop. What samples have in common with each other belongs to one subscription, as the Shelf does, so one
+// SAFETY: through a shared reference a BorrowedSample only sets bits and wakes. Places are touched by the BorrowTable, which is not Sync,
+// or by the last owner's drop. What samples have in common with each other belongs to one subscription, as the BorrowTable does, so one
 // thread at a time uses it; if only Lents are left, nobody but the last of them does.
-unsafe impl<S> Send for ShelfState<S> {}
+unsafe impl<S> Send for BorrowTableState<S> {}
 // SAFETY: as above.
-unsafe impl<S> Sync for ShelfState<S> {}
+unsafe impl<S> Sync for BorrowTableState<S> {}
 
-impl<S> Shelf<S> {
+impl<S> BorrowTable<S> {
     /// `end` is dropped when the table and all samples that were ever in it have been dropped.
     pub(crate) fn new(places: usize, end: impl Any + Send + Sync) -> Self {
-        let state = ShelfState {
+        let state = BorrowTableState {
             places: (0..places).map(|_| UnsafeCell::new(None)).collect(),
             back: (0..places.div_ceil(64)).map(|_| AtomicU64::new(0)).collect(),
             starved: AtomicU32::new(0),
             waker: AtomicWaker::new(),
             _end: Box::new(end),
         };
-        Shelf { state: Arc::new(state), free: RefCell::new((0..places).rev().collect()) }
+        BorrowTable { state: Arc::new(state), free: RefCell::new((0..places).rev().collect()) }
     }
 
     /// Drops the samples that were returned. Returns false if all entries are still in use.
@@ -68,13 +68,13 @@ impl<S> Shelf<S> {
             if word.load(Ordering::Relaxed) == 0 {
                 continue;
             }
-            // Acquire: pairs with the Release in Lent::drop; its reads of the sample are over.
+            // Acquire: pairs with the Release in BorrowedSample::drop; its reads of the sample are over.
             let mut bits = word.swap(0, Ordering::Acquire);
             while bits != 0 {
                 let place = index * 64 + bits.trailing_zeros() as usize;
                 bits &= bits - 1;
                 if let Some(cell) = self.state.places.get(place) {
-                    // SAFETY: the place is back, so it is the Shelf's alone.
+                    // SAFETY: the place is back, so it is the BorrowTable's alone.
                     drop(unsafe { (*cell.get()).take() });
                     free.push(place); // never more than there are places: does not allocate
                 }
@@ -87,11 +87,11 @@ impl<S> Shelf<S> {
     ///
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
-    pub(crate) fn lend(&self, sample: S) -> Option<Lent<S>> {
+    pub(crate) fn lend(&self, sample: S) -> Option<BorrowedSample<S>> {
         let place = self.free.borrow_mut().pop()?;
-        // SAFETY: the place is free, so it is the Shelf's alone.
+        // SAFETY: the place is free, so it is the BorrowTable's alone.
         unsafe { *self.state.places.get(place)?.get() = Some(sample) };
-        Some(Lent { state: self.state.clone(), place })
+        Some(BorrowedSample { state: self.state.clone(), place })
     }
 
     /// Wakes `waker` when the next sample is returned. True if one was returned meanwhile: try again.
@@ -105,12 +105,12 @@ impl<S> Shelf<S> {
 }
 
 /// One borrowed sample. May be dropped in any thread, also after its subscription.
-pub(crate) struct Lent<S> {
-    state: Arc<ShelfState<S>>,
+pub(crate) struct BorrowedSample<S> {
+    state: Arc<BorrowTableState<S>>,
     place: usize,
 }
 
-impl<S> Drop for Lent<S> {
+impl<S> Drop for BorrowedSample<S> {
     /// # Real-time
     /// Wait-free; no allocation; no syscall, unless the subscription's task waits for a sample to come back. If the
     /// subscription was dropped before, dropping its last sample frees the table and everything that it refers to.
@@ -133,25 +133,25 @@ mod tests {
 
     #[test]
     fn places_run_out_and_come_back_from_any_thread() {
-        let shelf = Shelf::new(70, ());
-        let out: Vec<_> = (0..70).map(|n| shelf.lend(n).unwrap()).collect();
-        assert!(shelf.lend(70).is_none() && !shelf.reclaim());
+        let borrowed = BorrowTable::new(70, ());
+        let out: Vec<_> = (0..70).map(|n| borrowed.lend(n).unwrap()).collect();
+        assert!(borrowed.lend(70).is_none() && !borrowed.reclaim());
         std::thread::spawn(move || drop(out)).join().unwrap();
-        assert!(shelf.reclaim());
-        assert_eq!((0..100).map_while(|n| shelf.lend(n)).count(), 70);
+        assert!(borrowed.reclaim());
+        assert_eq!((0..100).map_while(|n| borrowed.lend(n)).count(), 70);
     }
 
     #[test]
-    fn a_sample_is_dropped_by_the_shelf_or_by_the_last_holder() {
+    fn a_sample_is_dropped_by_the_table_or_by_the_last_holder() {
         let count = Rc::new(());
-        let shelf = Shelf::new(2, ());
-        let (first, second) = (shelf.lend(count.clone()).unwrap(), shelf.lend(count.clone()).unwrap());
+        let borrowed = BorrowTable::new(2, ());
+        let (first, second) = (borrowed.lend(count.clone()).unwrap(), borrowed.lend(count.clone()).unwrap());
         drop(first);
-        assert_eq!(Rc::strong_count(&count), 3, "still on the shelf");
-        shelf.reclaim();
+        assert_eq!(Rc::strong_count(&count), 3, "still on the borrowed");
+        borrowed.reclaim();
         assert_eq!(Rc::strong_count(&count), 2);
-        drop(shelf);
-        assert_eq!(Rc::strong_count(&count), 2, "out, and the shelf is gone");
+        drop(borrowed);
+        assert_eq!(Rc::strong_count(&count), 2, "out, and the borrowed is gone");
         drop(second);
         assert_eq!(Rc::strong_count(&count), 1);
     }
@@ -166,9 +166,9 @@ mod tests {
         }
         let notes = Arc::<std::sync::Mutex<Vec<_>>>::default();
         let note = |what| Note(what, notes.clone());
-        let shelf = Shelf::new(2, note("end"));
-        let out = [shelf.lend(note("first")).unwrap(), shelf.lend(note("second")).unwrap()];
-        drop(shelf);
+        let borrowed = BorrowTable::new(2, note("end"));
+        let out = [borrowed.lend(note("first")).unwrap(), borrowed.lend(note("second")).unwrap()];
+        drop(borrowed);
         std::thread::spawn(move || drop(out)).join().unwrap();
         assert_eq!(*notes.lock().unwrap(), ["first", "second", "end"]);
     }
@@ -176,12 +176,12 @@ mod tests {
     #[test]
     fn who_was_refused_is_woken() {
         let (waker, woken) = counting_waker();
-        let shelf = Shelf::new(1, ());
-        let lent = shelf.lend(()).unwrap();
-        assert!(!shelf.wake_when_back(&waker));
+        let borrowed = BorrowTable::new(1, ());
+        let lent = borrowed.lend(()).unwrap();
+        assert!(!borrowed.wake_when_back(&waker));
         drop(lent);
         assert_eq!(woken.load(std::sync::atomic::Ordering::SeqCst), 1);
-        assert!(shelf.wake_when_back(&waker), "one is back already");
+        assert!(borrowed.wake_when_back(&waker), "one is back already");
     }
 
     fn counting_waker() -> (Waker, Arc<std::sync::atomic::AtomicUsize>) {
@@ -201,7 +201,7 @@ mod loom_tests {
     use super::*;
     use loom::cell::Cell as LoomCell;
 
-    /// A sample that loom watches: reading it after it was taken off the shelf is an error.
+    /// A sample that loom watches: reading it after it was taken off the borrowed is an error.
     struct DropProbe(loom::sync::Arc<LoomCell<u32>>);
     // SAFETY: for the model; loom checks the accesses.
     unsafe impl Send for DropProbe {}
@@ -215,18 +215,18 @@ mod loom_tests {
     #[test]
     fn loom_a_sample_is_reclaimed_after_its_last_read() {
         loom::model(|| {
-            struct Holder(Lent<DropProbe>, loom::sync::Arc<LoomCell<u32>>);
+            struct Holder(BorrowedSample<DropProbe>, loom::sync::Arc<LoomCell<u32>>);
             // SAFETY: as above.
             unsafe impl Send for Holder {}
             let cell = loom::sync::Arc::new(LoomCell::new(0));
-            let shelf = Shelf::new(1, ());
-            let holder = Holder(shelf.lend(DropProbe(cell.clone())).unwrap(), cell);
+            let borrowed = BorrowTable::new(1, ());
+            let holder = Holder(borrowed.lend(DropProbe(cell.clone())).unwrap(), cell);
             let reader = loom::thread::spawn(move || {
                 let holder = holder;
                 assert_eq!(holder.1.get(), 0);
                 drop(holder.0);
             });
-            while !shelf.reclaim() {
+            while !borrowed.reclaim() {
                 loom::thread::yield_now();
             }
             reader.join().unwrap();
