@@ -328,7 +328,7 @@ pub fn bars(title: &str, bars: &[Bar], end: Option<f64>) -> Result<Option<String
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::slower::tests::row;
+    use crate::report::tests::row;
     use tautline_harness::Distribution;
     use tautline_harness::rows::Details;
 

@@ -3,6 +3,7 @@
 
 use std::fmt::{self, Write};
 
+use tautline_harness::claims::Verdict;
 use tautline_harness::page::{self, END, begin, escape, list, verdicts};
 use tautline_harness::rows::Row;
 use tautline_harness::table::Column::{Text, Words};
@@ -13,8 +14,7 @@ use crate::figures::{Bar, bars, distributions, fan_out, latency_by_size};
 use crate::load::LOAD;
 use crate::modes::{MODES, SYSTEMS, strengths};
 use crate::plan::Plan;
-use crate::report::Report;
-use crate::slower::Slower;
+use crate::report::{AHEAD, Report};
 
 /// The page.
 pub fn page(plan: &Plan, report: &Report) -> Result<String> {
@@ -29,7 +29,7 @@ pub fn page(plan: &Plan, report: &Report) -> Result<String> {
         out.push_str("<p class=\"late\">Measured without real-time priorities: these are not the numbers to compare.</p>\n");
     }
     verdicts(&mut out, "What must hold", &report.verdicts)?;
-    write_slower(&mut out, report)?;
+    write_ahead(&mut out, report)?;
     write_latency(&mut out, report)?;
     write_bars(&mut out, report)?;
     write_tables(&mut out, report)?;
@@ -43,18 +43,18 @@ pub fn page(plan: &Plan, report: &Report) -> Result<String> {
     Ok(out)
 }
 
-fn write_slower(out: &mut String, report: &Report) -> Result<()> {
-    if report.slower.is_empty() {
+fn write_ahead(out: &mut String, report: &Report) -> Result<()> {
+    if report.ahead.is_empty() {
         return Ok(());
     }
-    out.push_str(
-        "<h2>Where a rival is ahead of Tautline's default, and why</h2>\n<p>The default mode is blocking, for rivals that never \
-         sleep busy-poll; the median of the rounds' ratios, from 1.05 x on.</p>\n",
-    );
-    let mut table =
-        Table::new(0, [Words("experiment, payload, figure"), Words("found"), Text("why it stays")]);
-    for Slower { what, found, reason } in &report.slower {
-        table.add([what.into(), found.into(), (*reason).into()]);
+    writeln!(
+        out,
+        "<h2>{AHEAD}</h2>\n<p>The default mode is blocking, for rivals that never sleep busy-poll; the median of the rounds' \
+         ratios, from 1.05 x on.</p>"
+    )?;
+    let mut table = Table::new(0, [Text("missed"), Text("found"), Text("why it stays")]);
+    for Verdict { claim, found, reason, .. } in &report.ahead {
+        table.add([claim.into(), found.into(), reason.as_deref().unwrap_or_default().into()]);
     }
     Ok(table.html(out)?)
 }

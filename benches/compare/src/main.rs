@@ -16,7 +16,6 @@
 //! | `load` | what disturbs the measurement under load |
 //! | `callbacks` | real-time callbacks, with and without a flood from the network |
 //! | `report` | the tables, the JSON |
-//! | `slower` | where a rival is ahead and why |
 //! | `html`, `figures` | the page |
 //! | `markdown` | the tables of the documents |
 
@@ -32,7 +31,6 @@ mod plan;
 mod report;
 mod rounds;
 mod settings;
-mod slower;
 
 use std::path::PathBuf;
 use std::process::ExitCode;

@@ -12,14 +12,16 @@ use crate::load::LOAD;
 use crate::modes::{NOT_JOINED, SYSTEMS};
 use crate::plan::{Bench, Experiment, Plan, Task, measurable};
 use crate::rounds::Cell;
-use crate::slower::{Slower, slower};
+
+/// The heading of the claims that are told only where they are missed.
+pub const AHEAD: &str = "Where a rival is ahead of Tautline's default, and why";
 
 /// The result of a run.
 pub struct Report {
     pub rows: Vec<Row>,
     pub verdicts: Vec<Verdict>,
-    /// Where a rival is ahead.
-    pub slower: Vec<Slower>,
+    /// See [`AHEAD`].
+    pub ahead: Vec<Verdict>,
     /// Machine, versions, conditions: a line each.
     pub machine: Vec<String>,
     pub is_realtime: bool,
@@ -53,9 +55,9 @@ impl Report {
 
     /// Of an earlier run.
     pub fn of_rows(rows: Vec<Row>) -> Result<Self> {
-        let verdicts = verdicts(claims::Bench::Compare, &measurable(), &rows)?;
-        let (slower, machine, failures) = (slower(&rows), Vec::new(), Vec::new());
-        Ok(Report { rows, verdicts, slower, machine, is_realtime: true, failures })
+        let verdicts = verdicts(claims::Bench::Compare, &measurable(), &rows)?.into_iter();
+        let (ahead, verdicts) = verdicts.partition(|verdict| verdict.is_silent);
+        Ok(Report { rows, verdicts, ahead, machine: Vec::new(), is_realtime: true, failures: Vec::new() })
     }
 
     /// Prints the machine, a table per experiment and what must hold.
@@ -69,9 +71,9 @@ impl Report {
         }
         println!();
         self.verdicts.iter().for_each(|verdict| println!("{verdict}"));
-        if !self.slower.is_empty() {
-            println!("\nWhere a rival is ahead of Tautline's default, and why:");
-            self.slower.iter().for_each(|line| println!("{line}"));
+        if !self.ahead.is_empty() {
+            println!("\n{AHEAD}:");
+            self.ahead.iter().for_each(|verdict| println!("{verdict}"));
         }
     }
 
@@ -292,11 +294,71 @@ fn notes(plan: &Plan, disturbance: String) -> Vec<String> {
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use super::*;
+    use crate::modes::{MODES, Part};
+    use tautline_harness::Distribution;
+    use tautline_harness::table::size;
+
+    /// A round of 10,000 times.
+    pub fn row(experiment: &str, system: &str, mode: &str, bytes: usize, us: f64) -> Row {
+        let (mut times, mut tally) = (Distribution::new(), Tally::default());
+        times.add(&[((us * 1e3) as u64, 10_000)]);
+        let round = tally.add(1, &times);
+        (round.cpu_us_per_msg, round.rss_mib, round.msgs_per_s) = (Some(us), Some(us), Some(1e6 / us));
+        tally.row(experiment, system, mode, bytes)
+    }
 
     #[test]
     fn every_claim_is_about_what_can_be_measured() {
         assert!(Report::of_rows(Vec::new()).is_ok_and(|report| report.verdicts.is_empty()));
+    }
+
+    #[test]
+    fn what_sleeps_is_compared_with_what_sleeps_and_the_better_mode_is_named() {
+        let held = "latency/whole/held-off";
+        let rows = [
+            row(held, "tautline", "blocking", 64, 6.0),
+            row(held, "tautline", "direct", 64, 4.0),
+            row(held, "tautline", "busy-poll", 64, 1.2),
+            row(held, "cyclonedds", "tuned", 64, 5.0),
+            row(held, "iceoryx2", "busy-poll", 64, 1.0),
+            row(held, "fastdds", "default", 64, 9.0),
+            row(held, "floor", "futex", 64, 2.0),
+        ];
+        let lines: Vec<String> =
+            Report::of_rows(rows.into()).unwrap().ahead.iter().map(ToString::to_string).collect();
+        let of_p50: Vec<&String> = lines.iter().filter(|line| line.contains(": p50 ")).collect();
+        assert_eq!(of_p50.len(), 2, "{lines:?}");
+        assert!(of_p50[0].contains("1.20 x") && of_p50[0].contains("(cyclonedds tuned); direct 4.00 µs;"));
+        assert!(of_p50[1].contains("1.20 x") && of_p50[1].contains("1.00 µs (iceoryx2 busy-poll);"));
+    }
+
+    #[test]
+    fn wherever_a_rival_is_ahead_it_is_said() {
+        let payloads = measurable().payloads;
+        for mode in MODES.iter().filter(|mode| !["floor", "tautline"].contains(&mode.system)) {
+            let kinds: &[&str] = match mode.part {
+                Part::All => &["latency", "open-loop", "fan-out", "robot", "throughput", "start-up"],
+                Part::RoundTrips => &["latency"],
+                _ => continue,
+            };
+            let ours = if ["busy-poll", "items"].contains(&mode.mode) { "busy-poll" } else { "blocking" };
+            let takes_part = |experiment: &String| {
+                kinds.iter().any(|kind| experiment.split('/').next() == Some(kind))
+                    // Plain Zenoh's alone.
+                    && experiment != "throughput/untouched/as-shipped"
+            };
+            let of = |system, mode, us| {
+                payloads.iter().map(move |(experiment, bytes)| row(experiment, system, mode, *bytes, us))
+            };
+            let rows = of("tautline", ours, 2.0).chain(of(mode.system, mode.mode, 1.0)).collect();
+            let ahead = Report::of_rows(rows).unwrap().ahead;
+            for (experiment, bytes) in payloads.iter().filter(|(experiment, _)| takes_part(experiment)) {
+                let what = format!("{experiment}, {}", size(*bytes));
+                let is_said = ahead.iter().any(|verdict| verdict.claim.starts_with(&what));
+                assert!(is_said, "{what}, {} {}", mode.system, mode.mode);
+            }
+        }
     }
 }
