@@ -12,7 +12,7 @@ use tautline_harness::table::{Table, of_rows, short, size};
 use crate::Result;
 use crate::figures::{Bar, bars, distributions, fan_out, latency_by_size};
 use crate::load::LOAD;
-use crate::modes::{MODES, SYSTEMS, strengths};
+use crate::modes::{MODES, SYSTEMS, texts};
 use crate::plan::Plan;
 use crate::report::{AHEAD, Report};
 
@@ -224,11 +224,17 @@ fn write_tables(out: &mut String, report: &Report) -> Result<()> {
 fn write_settings(out: &mut String) -> Result<()> {
     out.push_str("<h2>Settings of each system</h2>\n");
     let mut table = Table::new(1, [Words("system"), Words("mode"), Text("settings")]);
-    MODES.iter().for_each(|mode| table.add([mode.system.into(), mode.mode.into(), mode.settings.into()]));
+    let texts = texts()?;
+    for mode in MODES {
+        let settings = texts.settings.get(&mode.name()).map_or("", String::as_str);
+        table.add([mode.system.into(), mode.mode.into(), settings.into()]);
+    }
     table.html(out)?;
     out.push_str("<h2>What others do better</h2>\n<ul>\n");
-    for system in SYSTEMS.into_iter().filter(|system| !strengths(system).is_empty()) {
-        writeln!(out, "<li><b>{system}</b>: {}</li>", escape(strengths(system)))?;
+    for (system, strength) in
+        SYSTEMS.iter().filter_map(|system| Some((system, texts.strengths.get(*system)?)))
+    {
+        writeln!(out, "<li><b>{system}</b>: {}</li>", escape(strength))?;
     }
     out.push_str("</ul>\n");
     Ok(())

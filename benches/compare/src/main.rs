@@ -8,7 +8,7 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | `modes` | the systems and their ways, with the settings of each and what it does better |
+//! | `modes` | the systems and their ways; `systems.toml` has their texts |
 //! | `plan` | what is measured: benches, experiments, systems |
 //! | `settings` | payloads, idle states, lengths and rounds of each experiment |
 //! | `rounds` | the parent: rounds to and fro, and what became of each case |

@@ -129,7 +129,7 @@ impl Case {
 
     /// The whole, for messages.
     pub fn name(&self) -> String {
-        format!("{} {}, {}, {} B", self.mode.system, self.mode.mode, self.experiment(), self.payload_bytes)
+        format!("{}, {}, {} B", self.mode.name(), self.experiment(), self.payload_bytes)
     }
 }
 

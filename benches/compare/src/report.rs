@@ -9,7 +9,7 @@ use tautline_harness::{machine, version_in, version_of};
 
 use crate::Result;
 use crate::load::LOAD;
-use crate::modes::{NOT_JOINED, SYSTEMS};
+use crate::modes::{SYSTEMS, texts};
 use crate::plan::{Bench, Experiment, Plan, Task, measurable};
 use crate::rounds::Cell;
 
@@ -45,9 +45,10 @@ impl Report {
         for (mode, reason) in &plan.missing {
             rows.push(missing(mode.system, mode.mode, reason));
         }
-        let not_joined = NOT_JOINED.iter().filter(|_| plan.bench == Bench::Compare);
-        for (system, mode, reason) in not_joined.filter(|(system, ..)| plan.is_wanted(system)) {
-            rows.push(missing(system, mode, reason));
+        if plan.bench == Bench::Compare {
+            let not_joined = texts()?.not_joined.into_iter();
+            let wanted = not_joined.filter(|(system, _)| plan.is_wanted(system));
+            rows.extend(wanted.map(|(system, reason)| missing(&system, "-", &reason)));
         }
         let machine = notes(plan, disturbance);
         Ok(Report { machine, is_realtime: plan.realtime, failures, ..Report::of_rows(rows)? })
