@@ -10,7 +10,7 @@
 //! |---|---|
 //! | `modes` | the systems and their ways; `systems.toml` has their texts |
 //! | `plan` | what is measured: benches, experiments, systems |
-//! | `settings` | payloads, idle states, lengths and rounds of each experiment |
+//! | `settings` | payloads, idle states, lengths and rounds of each experiment, from `settings.toml` |
 //! | `rounds` | the parent: rounds to and fro, and what became of each case |
 //! | `pair`, `flow` | one measurement: round trips, or one way |
 //! | `load` | what disturbs the measurement under load |

@@ -10,7 +10,7 @@ use tautline_harness::{machine, version_in, version_of};
 use crate::Result;
 use crate::load::LOAD;
 use crate::modes::{SYSTEMS, texts};
-use crate::plan::{Bench, Experiment, Plan, Task, measurable};
+use crate::plan::{Bench, Plan, Task, measurable};
 use crate::rounds::Cell;
 
 /// The heading of the claims that are told only where they are missed.
@@ -56,7 +56,7 @@ impl Report {
 
     /// Of an earlier run.
     pub fn of_rows(rows: Vec<Row>) -> Result<Self> {
-        let verdicts = verdicts(claims::Bench::Compare, &measurable(), &rows)?.into_iter();
+        let verdicts = verdicts(claims::Bench::Compare, &measurable()?, &rows)?.into_iter();
         let (ahead, verdicts) = verdicts.partition(|verdict| verdict.is_silent);
         Ok(Report { rows, verdicts, ahead, machine: Vec::new(), is_realtime: true, failures: Vec::new() })
     }
@@ -114,7 +114,7 @@ fn row(cell: &Cell, plan: &Plan) -> Row {
     let is_there = !tally.times.is_empty();
     let per_message = |ns: u64| rounded(ns as f64 / 1e3 / cell.total.messages.max(1) as f64);
     let is_start = matches!(case.task, Task::Start { .. });
-    let row = tally.row(case.experiment(), case.mode.system, case.mode.mode, case.payload_bytes);
+    let row = tally.row(&case.experiment, case.mode.system, case.mode.mode, case.payload_bytes);
     let rare = |time: Option<f64>, quantile| time.filter(|_| is_enough(row.n, quantile));
     Row {
         p99_us: rare(row.p99_us, 0.99),
@@ -187,13 +187,13 @@ fn note(cell: &Cell) -> String {
             let not = if is_held { "" } else { "not " };
             words.push(format!("{rate:.0} messages/s, the sender is {not}held back"));
         }
-        Task::Paced { .. } if cell.case.experiment == Experiment::Robot => {
+        Task::Paced { .. } if cell.case.experiment.starts_with("robot/") => {
             let percent = cell.total.cpu_ns as f64 / 1e7 / cell.total.seconds.max(1e-9);
             words.push(format!("{percent:.1} % of a core for all processes"));
         }
         _ => {}
     }
-    let is_ours = cell.case.experiment == Experiment::FanOut && cell.case.mode.system == "tautline";
+    let is_ours = cell.case.experiment.starts_with("fan-out/") && cell.case.mode.system == "tautline";
     if let Some(wakes) = cell.total.wakes.filter(|_| is_ours) {
         let Wakes { sampler, others } = wakes;
         words.push(format!(
@@ -337,7 +337,7 @@ pub mod tests {
 
     #[test]
     fn wherever_a_rival_is_ahead_it_is_said() {
-        let payloads = measurable().payloads;
+        let payloads = measurable().unwrap().payloads;
         for mode in MODES.iter().filter(|mode| !["floor", "tautline"].contains(&mode.system)) {
             let kinds: &[&str] = match mode.part {
                 Part::All => &["latency", "open-loop", "fan-out", "robot", "throughput", "start-up"],

@@ -67,7 +67,7 @@ impl Cell {
 /// Measures all cases. One that fails does not end the run: it says so in its row.
 pub fn run(setup: &Setup<'_>) -> Result<Vec<Cell>> {
     let Setup { plan, interrupted, .. } = *setup;
-    let mut cells: Vec<Cell> = plan.cases.iter().map(|&case| Cell::new(case)).collect();
+    let mut cells: Vec<Cell> = plan.cases.iter().cloned().map(Cell::new).collect();
     let mut order: Vec<usize> = (0..cells.len()).collect();
     let progress = progress_bar(plan.runs());
     for round in 1..=plan.rounds {
