@@ -34,7 +34,7 @@ impl Report {
         let ours = cells.iter().filter(|cell| cell.case.mode.system == "tautline");
         let of_cell = |cell: &Cell| {
             let late =
-                matches!(cell.case.task, Task::RoundTrips { .. } | Task::Requests) && cell.total.late > 0;
+                matches!(cell.case.task, Task::RoundTrips { .. } | Task::Requests) && cell.total.of.late > 0;
             let failures = cell.failures.iter().cloned().chain(late.then(|| took_long(cell)));
             failures.map(|failure| format!("{}: {failure}", cell.case.name())).collect::<Vec<_>>()
         };
@@ -112,17 +112,17 @@ pub fn missing(system: &str, mode: &str, reason: &str) -> Row {
 fn row(cell: &Cell, plan: &Plan) -> Row {
     let Cell { case, tally, .. } = cell;
     let is_there = !tally.times.is_empty();
-    let per_message = |ns: u64| rounded(ns as f64 / 1e3 / cell.total.messages.max(1) as f64);
+    let per_message = |ns: u64| rounded(ns as f64 / 1e3 / cell.total.of.messages.max(1) as f64);
     let is_start = matches!(case.task, Task::Start { .. });
     let row = tally.row(&case.experiment, case.mode.system, case.mode.mode, case.payload_bytes);
     let rare = |time: Option<f64>, quantile| time.filter(|_| is_enough(row.n, quantile));
     Row {
         p99_us: rare(row.p99_us, 0.99),
         p999_us: rare(row.p999_us, 0.999),
-        cpu_us_per_msg: (is_there && !is_start && cell.total.cpu_ns > 0)
-            .then(|| per_message(cell.total.cpu_ns)),
-        rss_mib: (is_there && cell.total.memory.kib > 0)
-            .then(|| rounded(cell.total.memory.kib as f64 / 1024.0)),
+        cpu_us_per_msg: (is_there && !is_start && cell.total.of.cpu_ns > 0)
+            .then(|| per_message(cell.total.of.cpu_ns)),
+        rss_mib: (is_there && cell.total.of.memory.kib > 0)
+            .then(|| rounded(cell.total.of.memory.kib as f64 / 1024.0)),
         throttled: cell.total.throttled,
         mb_per_s: rate(cell),
         note: note(cell),
@@ -142,7 +142,7 @@ fn rate(cell: &Cell) -> Option<f64> {
 
 /// Of round trips.
 fn took_long(cell: &Cell) -> String {
-    let (late, limit) = (cell.total.late, LATE.as_millis());
+    let (late, limit) = (cell.total.of.late, LATE.as_millis());
     format!("{late} round trips took {limit} ms or more: a wake-up was lost, or the machine stood still")
 }
 
@@ -161,8 +161,8 @@ fn unfit(cell: &Cell, plan: &Plan) -> Option<String> {
 fn details(cell: &Cell) -> Details {
     Details {
         times: cell.tally.times.clone(),
-        messages_per_s: cell.total.messages as f64 / cell.total.seconds.max(1e-9),
-        cpu_share: cell.total.cpu_ns as f64 / 1e9 / cell.total.seconds.max(1e-9),
+        messages_per_s: cell.total.of.messages as f64 / cell.total.of.seconds.max(1e-9),
+        cpu_share: cell.total.of.cpu_ns as f64 / 1e9 / cell.total.of.seconds.max(1e-9),
         steal_ticks: cell.steal_ticks,
         wakes: cell.total.wakes,
     }
@@ -182,13 +182,13 @@ fn note(cell: &Cell) -> String {
     }
     match cell.case.task {
         Task::Stream { .. } => {
-            let rate = cell.total.messages as f64 / cell.total.seconds.max(1e-9);
+            let rate = cell.total.of.messages as f64 / cell.total.of.seconds.max(1e-9);
             let is_held = cell.case.mode.holds_sender_back(cell.case.payload_bytes);
             let not = if is_held { "" } else { "not " };
             words.push(format!("{rate:.0} messages/s, the sender is {not}held back"));
         }
         Task::Paced { .. } if cell.case.experiment.starts_with("robot/") => {
-            let percent = cell.total.cpu_ns as f64 / 1e7 / cell.total.seconds.max(1e-9);
+            let percent = cell.total.of.cpu_ns as f64 / 1e7 / cell.total.of.seconds.max(1e-9);
             words.push(format!("{percent:.1} % of a core for all processes"));
         }
         _ => {}
@@ -205,20 +205,22 @@ fn note(cell: &Cell) -> String {
         words.push(format!("p50 of the rounds {}", rounds.join(", ")));
     }
     match cell.case.task {
-        _ if cell.total.late == 0 => {}
+        _ if cell.total.of.late == 0 => {}
         Task::RoundTrips { .. } | Task::Requests => words.push(took_long(cell)),
         _ => {
-            words
-                .push(format!("{} sent late: stamped with the time at which they were due", cell.total.late));
+            words.push(format!(
+                "{} sent late: stamped with the time at which they were due",
+                cell.total.of.late
+            ));
         }
     }
-    if cell.total.refused > 0 {
-        words.push(format!("{} not taken from the sender", cell.total.refused));
+    if cell.total.of.refused > 0 {
+        words.push(format!("{} not taken from the sender", cell.total.of.refused));
     }
-    if cell.total.memory.shared_kib > 0 {
+    if cell.total.of.memory.shared_kib > 0 {
         words.push(format!(
             "{} MiB of the memory are shared",
-            short(cell.total.memory.shared_kib as f64 / 1024.0)
+            short(cell.total.of.memory.shared_kib as f64 / 1024.0)
         ));
     }
     words.push(format!("steal {} ticks", cell.steal_ticks));

@@ -42,25 +42,25 @@ impl Cell {
     }
 
     fn add(&mut self, round: u32, found: &Found) {
-        let mut times = Distribution::new();
-        found.times_ns.iter().for_each(|&time_ns| times.record(time_ns));
+        let (of, mut times) = (&found.of, Distribution::new());
+        of.times_ns.iter().for_each(|&time_ns| times.record(time_ns));
         let of_round = self.tally.add(round, &times);
         of_round.cpu_us_per_msg =
-            (found.cpu_ns > 0).then(|| rounded(found.cpu_ns as f64 / 1e3 / found.messages.max(1) as f64));
-        of_round.msgs_per_s = (found.seconds > 0.0).then(|| rounded(found.messages as f64 / found.seconds));
-        of_round.rss_mib = (found.memory.kib > 0).then(|| rounded(found.memory.kib as f64 / 1024.0));
-        self.tally.lost += found.lost;
-        let total = &mut self.total;
-        total.cpu_ns += found.cpu_ns;
-        total.messages += found.messages;
-        total.seconds += found.seconds;
-        if found.memory.kib > total.memory.kib {
-            total.memory = found.memory;
+            (of.cpu_ns > 0).then(|| rounded(of.cpu_ns as f64 / 1e3 / of.messages.max(1) as f64));
+        of_round.msgs_per_s = (of.seconds > 0.0).then(|| rounded(of.messages as f64 / of.seconds));
+        of_round.rss_mib = (of.memory.kib > 0).then(|| rounded(of.memory.kib as f64 / 1024.0));
+        self.tally.lost += of.lost;
+        let total = &mut self.total.of;
+        total.cpu_ns += of.cpu_ns;
+        total.messages += of.messages;
+        total.seconds += of.seconds;
+        if of.memory.kib > total.memory.kib {
+            total.memory = of.memory;
         }
-        total.late += found.late;
-        total.refused += found.refused;
-        total.wakes = found.wakes.or(total.wakes);
-        total.throttled = total.throttled.max(found.throttled);
+        total.late += of.late;
+        total.refused += of.refused;
+        self.total.wakes = found.wakes.or(self.total.wakes);
+        self.total.throttled = self.total.throttled.max(found.throttled);
     }
 }
 
