@@ -41,7 +41,8 @@ impl Report {
         let failures = ours.flat_map(of_cell).collect();
         let is_held = cells.iter().all(|cell| cell.idle_refused.is_none());
         let mut rows: Vec<Row> = cells.iter().map(|cell| row(cell, plan)).chain(more).collect();
-        rows.push(Row { note: conditions(plan, is_held, &disturbance), ..missing("machine", "-", "") });
+        let mut machine = vec![machine(), disturbance, versions(plan)];
+        rows.push(Row { note: conditions(plan, is_held, &machine), ..missing("machine", "-", "") });
         for (mode, reason) in &plan.missing {
             rows.push(missing(mode.system, mode.mode, reason));
         }
@@ -50,7 +51,7 @@ impl Report {
             let wanted = not_joined.filter(|(system, _)| plan.is_wanted(system));
             rows.extend(wanted.map(|(system, reason)| missing(&system, "-", &reason)));
         }
-        let machine = notes(plan, disturbance);
+        machine.extend(notes(plan));
         Ok(Report { machine, is_realtime: plan.realtime, failures, ..Report::of_rows(rows)? })
     }
 
@@ -241,12 +242,11 @@ fn shortened(failure: &str) -> String {
 }
 
 /// What whoever quotes figures must say beside them.
-fn conditions(plan: &Plan, is_held: bool, disturbance: &str) -> String {
-    let versions = versions(plan);
+fn conditions(plan: &Plan, is_held: bool, machine: &[String]) -> String {
     let priority = if plan.realtime { "SCHED_FIFO" } else { "NO REAL-TIME PRIORITY" };
     let idle = if is_held { "held off where the experiment says so" } else { "NOT HELD OFF" };
     let extent = if plan.quick { "a quick run of few messages" } else { "a full run" };
-    format!("{}; {disturbance}; {versions}; {priority}; idle states {idle}; {extent}", machine())
+    format!("{}; {priority}; idle states {idle}; {extent}", machine.join("; "))
 }
 
 /// Of all that takes part.
@@ -266,7 +266,7 @@ fn versions(plan: &Plan) -> String {
     SYSTEMS.into_iter().filter(takes_part).filter_map(version).collect::<Vec<_>>().join(", ")
 }
 
-fn notes(plan: &Plan, disturbance: String) -> Vec<String> {
+fn notes(plan: &Plan) -> Vec<String> {
     let priorities = if plan.realtime {
         format!(
             "SCHED_FIFO {APPLICATION_PRIORITY} for the threads that send or are called back and for those that a library \
@@ -281,19 +281,10 @@ fn notes(plan: &Plan, disturbance: String) -> Vec<String> {
         true => format!("sender on core {near}, receivers on core {far}"),
         false => "threads on any core".to_owned(),
     };
-    vec![
-        machine(),
-        disturbance,
-        versions(plan),
-        format!(
-            "{cores}; {priorities}; at most {} rounds to and fro; queues of all \
-             systems: 10 messages, for throughput at 64 B 100",
-            plan.rounds
-        ),
-    ]
-    .into_iter()
-    .chain((plan.bench == Bench::Compare).then(|| format!("load: {LOAD}")))
-    .collect()
+    let rounds = format!("at most {} rounds to and fro", plan.rounds);
+    let queues = "queues of all systems: 10 messages, for throughput at 64 B 100";
+    let load = (plan.bench == Bench::Compare).then(|| format!("load: {LOAD}"));
+    [format!("{cores}; {priorities}; {rounds}; {queues}")].into_iter().chain(load).collect()
 }
 
 #[cfg(test)]
