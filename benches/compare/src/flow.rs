@@ -10,7 +10,7 @@ use tautline_harness::rows::Wakes;
 use tautline_rt::clock::monotonic_ns;
 
 use crate::Result;
-use crate::load::Load;
+use crate::load;
 use crate::pair::{Found, PATIENCE, Setup};
 use crate::plan::{Case, Task};
 
@@ -27,7 +27,7 @@ impl Setup<'_> {
         for far in &mut fars.0 {
             connected(far)?;
         }
-        let load = if is_loaded { Some(Load::start(self.plan.cores)?) } else { None };
+        let load = if is_loaded { Some(load::start(self.plan.cores)?) } else { None };
         near.tell("go")?;
         let mut before = None;
         if !is_stream {
