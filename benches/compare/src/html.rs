@@ -15,6 +15,7 @@ use crate::load::LOAD;
 use crate::modes::{MODES, SYSTEMS, texts};
 use crate::plan::Plan;
 use crate::report::{AHEAD, Report};
+use crate::settings::Extent;
 
 /// The page.
 pub fn page(plan: &Plan, report: &Report) -> Result<String> {
@@ -36,7 +37,7 @@ pub fn page(plan: &Plan, report: &Report) -> Result<String> {
     write_settings(&mut out)?;
     list(&mut out, "Method", &method())?;
     list(&mut out, "Machine, versions, conditions", &report.machine)?;
-    if plan.quick {
+    if plan.extent != Extent::Full {
         out.push_str("<p>A quick run: fewer payloads, rounds and messages than a full one.</p>\n");
     }
     out.push_str(END);

@@ -172,8 +172,8 @@ pub struct Plan {
     /// Modes that would have taken part, and why they do not.
     pub missing: Vec<(&'static Mode, String)>,
     /// Those asked for; none: all.
-    systems: Vec<String>,
-    pub quick: bool,
+    pub systems: Vec<String>,
+    pub extent: Extent,
 }
 
 impl Plan {
@@ -233,7 +233,6 @@ impl Plan {
             return Err(format!("--systems {systems}: none of them takes part in this bench").into());
         }
         let rounds = cases.iter().map(|case| case.rounds).max().unwrap_or(0);
-        let quick = extent != Extent::Full;
         let systems = options.systems.clone();
         Ok(Plan {
             bench,
@@ -246,7 +245,7 @@ impl Plan {
             programs,
             missing,
             systems,
-            quick,
+            extent,
         })
     }
 

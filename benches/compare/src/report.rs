@@ -4,14 +4,16 @@
 use tautline_exchange::{APPLICATION_PRIORITY, LATE};
 use tautline_harness::claims::{self, Verdict, verdicts};
 use tautline_harness::rows::{Details, Row, Tally, Wakes, is_enough, median, rounded};
-use tautline_harness::table::{of_rows, short};
+use tautline_harness::table::{distinct, of_rows, short, size};
 use tautline_harness::{machine, version_in, version_of};
 
 use crate::Result;
+use crate::callbacks::{FLOOD, QUIET};
 use crate::load::LOAD;
 use crate::modes::{SYSTEMS, texts};
 use crate::plan::{Bench, Plan, Task, measurable};
 use crate::rounds::Cell;
+use crate::settings::Extent;
 
 /// The heading of the claims that are told only where they are missed.
 pub const AHEAD: &str = "Where a rival is ahead of Tautline's default, and why";
@@ -38,7 +40,7 @@ impl Report {
             let failures = cell.failures.iter().cloned().chain(late.then(|| took_long(cell)));
             failures.map(|failure| format!("{}: {failure}", cell.case.name())).collect::<Vec<_>>()
         };
-        let failures = ours.flat_map(of_cell).collect();
+        let mut failures: Vec<String> = ours.flat_map(of_cell).collect();
         let is_held = cells.iter().all(|cell| cell.idle_refused.is_none());
         let mut rows: Vec<Row> = cells.iter().map(|cell| row(cell, plan)).chain(more).collect();
         let mut machine = vec![machine(), disturbance, versions(plan)];
@@ -50,6 +52,9 @@ impl Report {
             let not_joined = texts()?.not_joined.into_iter();
             let wanted = not_joined.filter(|(system, _)| plan.is_wanted(system));
             rows.extend(wanted.map(|(system, reason)| missing(&system, "-", &reason)));
+        }
+        if plan.extent == Extent::Smoke {
+            failures.extend(faults(plan, &rows));
         }
         machine.extend(notes(plan));
         Ok(Report { machine, is_realtime: plan.realtime, failures, ..Report::of_rows(rows)? })
@@ -98,10 +103,45 @@ impl Report {
         tables.into_iter().filter(|(_, rows)| !rows.is_empty()).collect()
     }
 
-    /// What Tautline could not do: nothing that a rival's row may hide.
-    pub fn failure_of_our_own(&self) -> Option<String> {
+    /// What Tautline could not do, which no rival's row may hide; of a smoke run, what else is missing.
+    pub fn failure(&self) -> Option<String> {
         (!self.failures.is_empty()).then(|| self.failures.join("\n"))
     }
+}
+
+/// What is wrong with the rows of a smoke run, but for failures: a part of what was asked for is not there, nothing says why, Tautline is not
+/// beside its rivals, or loses messages that come one by one.
+fn faults(plan: &Plan, rows: &[Row]) -> Vec<String> {
+    let has = |is_it: &dyn Fn(&Row) -> bool| rows.iter().any(|row| row.n > 0 && is_it(row));
+    let callbacks: &[&str] = if plan.callbacks.0 > 0 { &[QUIET, FLOOD] } else { &[] };
+    let experiments = plan.cases.iter().map(|case| case.experiment.as_str()).chain(callbacks.iter().copied());
+    let experiments = distinct(experiments).into_iter().filter(|name| !has(&|row| row.experiment == *name));
+    let systems = plan.systems.iter().filter(|name| !has(&|row| row.system == **name)).map(String::as_str);
+    let mut faults: Vec<String> =
+        experiments.chain(systems).map(|name| format!("nothing was measured of {name}")).collect();
+    // That all are asked for is no wish for those that cannot be built here.
+    let missing = plan.missing.iter().filter(|_| !plan.systems.is_empty());
+    faults.extend(missing.map(|(mode, reason)| format!("{}: not measured: {reason}", mode.name())));
+    for row in rows {
+        let is_ours = row.system == "tautline";
+        let is_beside = |ours: &Row| {
+            let place = |row: &Row| (row.experiment.clone(), row.payload_bytes);
+            ours.system == "tautline" && place(ours) == place(row)
+        };
+        // Of plain Zenoh alone.
+        let is_alone = plan.bench == Bench::Network && row.experiment.starts_with("throughput/");
+        let is_one_by_one = ["latency/", "request/"].iter().any(|kind| row.experiment.starts_with(kind));
+        let fault = match row.n {
+            0 if row.note.is_empty() => "nothing was measured, and nothing says why".to_owned(),
+            1.. if is_ours && is_one_by_one && row.lost > 0 => format!("lost {} messages", row.lost),
+            1.. if !is_ours && !is_alone && plan.is_wanted("tautline") && !has(&is_beside) => {
+                "tautline has no row beside it".to_owned()
+            }
+            _ => continue,
+        };
+        faults.push(format!("{}, {}, {}: {fault}", row.name(), row.experiment, size(row.payload_bytes)));
+    }
+    faults
 }
 
 /// What was not measured.
@@ -245,7 +285,7 @@ fn shortened(failure: &str) -> String {
 fn conditions(plan: &Plan, is_held: bool, machine: &[String]) -> String {
     let priority = if plan.realtime { "SCHED_FIFO" } else { "NO REAL-TIME PRIORITY" };
     let idle = if is_held { "held off where the experiment says so" } else { "NOT HELD OFF" };
-    let extent = if plan.quick { "a quick run of few messages" } else { "a full run" };
+    let extent = if plan.extent == Extent::Full { "a full run" } else { "a quick run of few messages" };
     format!("{}; {priority}; idle states {idle}; {extent}", machine.join("; "))
 }
 
@@ -290,9 +330,10 @@ fn notes(plan: &Plan) -> Vec<String> {
 #[cfg(test)]
 pub mod tests {
     use super::*;
-    use crate::modes::{MODES, Part};
+    use crate::Options;
+    use crate::modes::{MODES, Part, Programs};
+    use clap::Parser;
     use tautline_harness::Distribution;
-    use tautline_harness::table::size;
 
     /// A round of 10,000 times.
     pub fn row(experiment: &str, system: &str, mode: &str, bytes: usize, us: f64) -> Row {
@@ -326,6 +367,65 @@ pub mod tests {
         assert_eq!(of_p50.len(), 2, "{lines:?}");
         assert!(of_p50[0].contains("1.20 x") && of_p50[0].contains("(cyclonedds tuned); direct 4.00 µs;"));
         assert!(of_p50[1].contains("1.20 x") && of_p50[1].contains("1.00 µs (iceoryx2 busy-poll);"));
+    }
+
+    /// A plan of these options, with a row for each case.
+    fn smoke(options: &str) -> (Plan, Vec<Row>) {
+        let options = Options::parse_from(["compare", "--smoke"].into_iter().chain(options.split(' ')));
+        let programs = Programs::new(&options.program, &options.without).unwrap();
+        let plan = Plan::new(&options, [0, 1], programs).unwrap();
+        let rows = plan
+            .cases
+            .iter()
+            .map(|case| row(&case.experiment, case.mode.system, case.mode.mode, case.payload_bytes, 5.0));
+        let rows = rows.collect();
+        (plan, rows)
+    }
+
+    #[test]
+    fn a_smoke_run_fails_without_what_was_asked_for_and_without_us() {
+        let (plan, rows) = smoke("--systems tautline,fastdds --program fastdds=x --program gateway=x");
+        let fail: fn(&mut Row) = |row| (row.n, row.note) = (0, "FAILED".to_owned());
+        let silent =
+            "fastdds tuned, latency/whole/held-off, 64 B: nothing was measured, and nothing says why";
+        let alone = "fastdds default, start-up/late-joiner/as-shipped, 64 B: tautline has no row beside it";
+        let lossy = "tautline blocking, latency/whole/held-off, 64 B: lost 2 messages";
+        for (which, change, words) in [
+            ("", (|_| {}) as fn(&mut Row), ""),
+            ("fastdds tuned", fail, ""),
+            ("fastdds tuned", |row| row.n = 0, silent),
+            ("fastdds", fail, "nothing was measured of fastdds"),
+            ("robot/20x100Hz/as-shipped", fail, "nothing was measured of robot/20x100Hz/as-shipped"),
+            ("start-up/late-joiner/as-shipped tautline", fail, alone),
+            ("latency/whole/held-off tautline", |row| row.lost = 2, lossy),
+            ("robot/20x100Hz/as-shipped tautline", |row| row.lost = 2, ""),
+        ] {
+            let mut rows = rows.clone();
+            let of = |row: &&mut Row| format!("{} {}", row.experiment, row.name()).contains(which);
+            rows.iter_mut().filter(of).for_each(change);
+            let faults = faults(&plan, &rows);
+            assert!(faults.is_empty() == words.is_empty() && faults.join("\n").contains(words), "{faults:?}");
+        }
+    }
+
+    #[test]
+    fn a_smoke_run_fails_without_a_program_only_if_its_system_was_named() {
+        let (plan, rows) = smoke("--systems tautline,fastdds --without fastdds=gone --program gateway=x");
+        assert!(faults(&plan, &rows).contains(&"fastdds tuned: not measured: gone".to_owned()));
+        let (plan, rows) = smoke("--without fastdds=gone");
+        assert!(faults(&plan, &rows).is_empty());
+    }
+
+    #[test]
+    fn a_smoke_run_of_the_network_has_callbacks_and_streams_of_others_alone() {
+        let programs = ["zenoh", "hiroz", "gateway", "taut"].map(|name| format!("--program={name}=x"));
+        let (plan, mut rows) = smoke(&format!("--bench=network {}", programs.join(" ")));
+        assert_eq!(
+            faults(&plan, &rows),
+            [QUIET, FLOOD].map(|name| format!("nothing was measured of {name}"))
+        );
+        rows.extend([QUIET, FLOOD].map(|name| row(name, "tautline", "topic1", 0, 5.0)));
+        assert!(faults(&plan, &rows).is_empty());
     }
 
     #[test]
