@@ -16,7 +16,7 @@
 //! | `load` | what disturbs the measurement under load |
 //! | `callbacks` | real-time callbacks, with and without a flood from the network |
 //! | `report` | the tables, the JSON |
-//! | `html`, `figures` | the page |
+//! | `html`, `figures` | the page, with the pictures of `pictures.toml` |
 //! | `markdown` | the tables of the documents |
 
 mod callbacks;
