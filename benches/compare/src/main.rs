@@ -16,6 +16,7 @@
 //! | `load` | what disturbs the measurement under load |
 //! | `callbacks` | real-time callbacks, with and without a flood from the network |
 //! | `report` | the tables, the JSON |
+//! | `smoke` | what must not be missing where everything is only tried |
 //! | `html`, `figures` | the page, with the pictures of `pictures.toml` |
 //! | `markdown` | the tables of the documents |
 
@@ -31,6 +32,7 @@ mod plan;
 mod report;
 mod rounds;
 mod settings;
+mod smoke;
 
 use std::path::PathBuf;
 use std::process::ExitCode;

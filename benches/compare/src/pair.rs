@@ -8,7 +8,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use tautline_exchange::{Exchange, FutexPair, FutexRing, Job, Line, Measured, PEERS, Role, Way};
-use tautline_harness::rows::Wakes;
+use tautline_harness::rows::{Wakes, rounded};
 use tautline_harness::{Gateways, Host, Process, Scratch, without_settings};
 
 use crate::Result;
@@ -245,6 +245,20 @@ impl Setup<'_> {
 }
 
 impl Found {
+    pub fn cpu_us_per_msg(&self) -> Option<f64> {
+        let Measured { cpu_ns, messages, .. } = self.of;
+        (cpu_ns > 0).then(|| rounded(cpu_ns as f64 / 1e3 / messages.max(1) as f64))
+    }
+
+    pub fn rss_mib(&self) -> Option<f64> {
+        (self.of.memory.kib > 0).then(|| rounded(self.of.memory.kib as f64 / 1024.0))
+    }
+
+    /// So many messages, or ns of CPU time, in a second of the measurement.
+    pub fn per_second(&self, number: u64) -> f64 {
+        number as f64 / self.of.seconds.max(1e-9)
+    }
+
     /// What one end measured of both.
     fn of(measured: Measured) -> Result<Self> {
         let messages = measured.times_ns.len() as u64;

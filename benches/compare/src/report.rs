@@ -4,16 +4,16 @@
 use tautline_exchange::{APPLICATION_PRIORITY, LATE};
 use tautline_harness::claims::{self, Verdict, verdicts};
 use tautline_harness::rows::{Details, Row, Tally, Wakes, is_enough, median, rounded};
-use tautline_harness::table::{distinct, of_rows, short, size};
+use tautline_harness::table::{of_rows, short};
 use tautline_harness::{machine, version_in, version_of};
 
 use crate::Result;
-use crate::callbacks::{FLOOD, QUIET};
 use crate::load::LOAD;
 use crate::modes::{SYSTEMS, texts};
 use crate::plan::{Bench, Plan, Task, measurable};
 use crate::rounds::Cell;
 use crate::settings::Extent;
+use crate::smoke::faults;
 
 /// The heading of the claims that are told only where they are missed.
 pub const AHEAD: &str = "Where a rival is ahead of Tautline's default, and why";
@@ -109,41 +109,6 @@ impl Report {
     }
 }
 
-/// What is wrong with the rows of a smoke run, but for failures: a part of what was asked for is not there, nothing says why, Tautline is not
-/// beside its rivals, or loses messages that come one by one.
-fn faults(plan: &Plan, rows: &[Row]) -> Vec<String> {
-    let has = |is_it: &dyn Fn(&Row) -> bool| rows.iter().any(|row| row.n > 0 && is_it(row));
-    let callbacks: &[&str] = if plan.callbacks.0 > 0 { &[QUIET, FLOOD] } else { &[] };
-    let experiments = plan.cases.iter().map(|case| case.experiment.as_str()).chain(callbacks.iter().copied());
-    let experiments = distinct(experiments).into_iter().filter(|name| !has(&|row| row.experiment == *name));
-    let systems = plan.systems.iter().filter(|name| !has(&|row| row.system == **name)).map(String::as_str);
-    let mut faults: Vec<String> =
-        experiments.chain(systems).map(|name| format!("nothing was measured of {name}")).collect();
-    // That all are asked for is no wish for those that cannot be built here.
-    let missing = plan.missing.iter().filter(|_| !plan.systems.is_empty());
-    faults.extend(missing.map(|(mode, reason)| format!("{}: not measured: {reason}", mode.name())));
-    for row in rows {
-        let is_ours = row.system == "tautline";
-        let is_beside = |ours: &Row| {
-            let place = |row: &Row| (row.experiment.clone(), row.payload_bytes);
-            ours.system == "tautline" && place(ours) == place(row)
-        };
-        // Of plain Zenoh alone.
-        let is_alone = plan.bench == Bench::Network && row.experiment.starts_with("throughput/");
-        let is_one_by_one = ["latency/", "request/"].iter().any(|kind| row.experiment.starts_with(kind));
-        let fault = match row.n {
-            0 if row.note.is_empty() => "nothing was measured, and nothing says why".to_owned(),
-            1.. if is_ours && is_one_by_one && row.lost > 0 => format!("lost {} messages", row.lost),
-            1.. if !is_ours && !is_alone && plan.is_wanted("tautline") && !has(&is_beside) => {
-                "tautline has no row beside it".to_owned()
-            }
-            _ => continue,
-        };
-        faults.push(format!("{}, {}, {}: {fault}", row.name(), row.experiment, size(row.payload_bytes)));
-    }
-    faults
-}
-
 /// What was not measured.
 pub fn missing(system: &str, mode: &str, reason: &str) -> Row {
     let note = format!("not measured: {reason}");
@@ -151,20 +116,17 @@ pub fn missing(system: &str, mode: &str, reason: &str) -> Row {
 }
 
 fn row(cell: &Cell, plan: &Plan) -> Row {
-    let Cell { case, tally, .. } = cell;
+    let Cell { case, tally, total, .. } = cell;
     let is_there = !tally.times.is_empty();
-    let per_message = |ns: u64| rounded(ns as f64 / 1e3 / cell.total.of.messages.max(1) as f64);
     let is_start = matches!(case.task, Task::Start { .. });
     let row = tally.row(&case.experiment, case.mode.system, case.mode.mode, case.payload_bytes);
     let rare = |time: Option<f64>, quantile| time.filter(|_| is_enough(row.n, quantile));
     Row {
         p99_us: rare(row.p99_us, 0.99),
         p999_us: rare(row.p999_us, 0.999),
-        cpu_us_per_msg: (is_there && !is_start && cell.total.of.cpu_ns > 0)
-            .then(|| per_message(cell.total.of.cpu_ns)),
-        rss_mib: (is_there && cell.total.of.memory.kib > 0)
-            .then(|| rounded(cell.total.of.memory.kib as f64 / 1024.0)),
-        throttled: cell.total.throttled,
+        cpu_us_per_msg: total.cpu_us_per_msg().filter(|_| is_there && !is_start),
+        rss_mib: total.rss_mib().filter(|_| is_there),
+        throttled: total.throttled,
         mb_per_s: rate(cell),
         note: note(cell),
         unfit: unfit(cell, plan),
@@ -200,17 +162,18 @@ fn unfit(cell: &Cell, plan: &Plan) -> Option<String> {
 }
 
 fn details(cell: &Cell) -> Details {
+    let total = &cell.total;
     Details {
         times: cell.tally.times.clone(),
-        messages_per_s: cell.total.of.messages as f64 / cell.total.of.seconds.max(1e-9),
-        cpu_share: cell.total.of.cpu_ns as f64 / 1e9 / cell.total.of.seconds.max(1e-9),
+        messages_per_s: total.per_second(total.of.messages),
+        cpu_share: total.per_second(total.of.cpu_ns) / 1e9,
         steal_ticks: cell.steal_ticks,
-        wakes: cell.total.wakes,
+        wakes: total.wakes,
     }
 }
 
 fn note(cell: &Cell) -> String {
-    let mut words = Vec::new();
+    let (of, mut words) = (&cell.total.of, Vec::new());
     if let Some(failure) = cell.failures.last() {
         let (failed, all) = (cell.failures.len(), cell.failures.len() + cell.tally.rounds.len());
         words.push(format!("FAILED: {failed} of {all} rounds failed: {}", shortened(failure)));
@@ -223,13 +186,13 @@ fn note(cell: &Cell) -> String {
     }
     match cell.case.task {
         Task::Stream { .. } => {
-            let rate = cell.total.of.messages as f64 / cell.total.of.seconds.max(1e-9);
+            let rate = cell.total.per_second(of.messages);
             let is_held = cell.case.mode.holds_sender_back(cell.case.payload_bytes);
             let not = if is_held { "" } else { "not " };
             words.push(format!("{rate:.0} messages/s, the sender is {not}held back"));
         }
         Task::Paced { .. } if cell.case.experiment.starts_with("robot/") => {
-            let percent = cell.total.of.cpu_ns as f64 / 1e7 / cell.total.of.seconds.max(1e-9);
+            let percent = cell.total.per_second(of.cpu_ns) / 1e7;
             words.push(format!("{percent:.1} % of a core for all processes"));
         }
         _ => {}
@@ -246,23 +209,16 @@ fn note(cell: &Cell) -> String {
         words.push(format!("p50 of the rounds {}", rounds.join(", ")));
     }
     match cell.case.task {
-        _ if cell.total.of.late == 0 => {}
+        _ if of.late == 0 => {}
         Task::RoundTrips { .. } | Task::Requests => words.push(took_long(cell)),
-        _ => {
-            words.push(format!(
-                "{} sent late: stamped with the time at which they were due",
-                cell.total.of.late
-            ));
-        }
+        _ => words.push(format!("{} sent late: stamped with the time at which they were due", of.late)),
     }
-    if cell.total.of.refused > 0 {
-        words.push(format!("{} not taken from the sender", cell.total.of.refused));
+    if of.refused > 0 {
+        words.push(format!("{} not taken from the sender", of.refused));
     }
-    if cell.total.of.memory.shared_kib > 0 {
-        words.push(format!(
-            "{} MiB of the memory are shared",
-            short(cell.total.of.memory.shared_kib as f64 / 1024.0)
-        ));
+    if of.memory.shared_kib > 0 {
+        let mib = short(of.memory.shared_kib as f64 / 1024.0);
+        words.push(format!("{mib} MiB of the memory are shared"));
     }
     words.push(format!("steal {} ticks", cell.steal_ticks));
     words.join("; ")
@@ -330,10 +286,9 @@ fn notes(plan: &Plan) -> Vec<String> {
 #[cfg(test)]
 pub mod tests {
     use super::*;
-    use crate::Options;
-    use crate::modes::{MODES, Part, Programs};
-    use clap::Parser;
+    use crate::modes::{MODES, Part};
     use tautline_harness::Distribution;
+    use tautline_harness::table::size;
 
     /// A round of 10,000 times.
     pub fn row(experiment: &str, system: &str, mode: &str, bytes: usize, us: f64) -> Row {
@@ -367,65 +322,6 @@ pub mod tests {
         assert_eq!(of_p50.len(), 2, "{lines:?}");
         assert!(of_p50[0].contains("1.20 x") && of_p50[0].contains("(cyclonedds tuned); direct 4.00 µs;"));
         assert!(of_p50[1].contains("1.20 x") && of_p50[1].contains("1.00 µs (iceoryx2 busy-poll);"));
-    }
-
-    /// A plan of these options, with a row for each case.
-    fn smoke(options: &str) -> (Plan, Vec<Row>) {
-        let options = Options::parse_from(["compare", "--smoke"].into_iter().chain(options.split(' ')));
-        let programs = Programs::new(&options.program, &options.without).unwrap();
-        let plan = Plan::new(&options, [0, 1], programs).unwrap();
-        let rows = plan
-            .cases
-            .iter()
-            .map(|case| row(&case.experiment, case.mode.system, case.mode.mode, case.payload_bytes, 5.0));
-        let rows = rows.collect();
-        (plan, rows)
-    }
-
-    #[test]
-    fn a_smoke_run_fails_without_what_was_asked_for_and_without_us() {
-        let (plan, rows) = smoke("--systems tautline,fastdds --program fastdds=x --program gateway=x");
-        let fail: fn(&mut Row) = |row| (row.n, row.note) = (0, "FAILED".to_owned());
-        let silent =
-            "fastdds tuned, latency/whole/held-off, 64 B: nothing was measured, and nothing says why";
-        let alone = "fastdds default, start-up/late-joiner/as-shipped, 64 B: tautline has no row beside it";
-        let lossy = "tautline blocking, latency/whole/held-off, 64 B: lost 2 messages";
-        for (which, change, words) in [
-            ("", (|_| {}) as fn(&mut Row), ""),
-            ("fastdds tuned", fail, ""),
-            ("fastdds tuned", |row| row.n = 0, silent),
-            ("fastdds", fail, "nothing was measured of fastdds"),
-            ("robot/20x100Hz/as-shipped", fail, "nothing was measured of robot/20x100Hz/as-shipped"),
-            ("start-up/late-joiner/as-shipped tautline", fail, alone),
-            ("latency/whole/held-off tautline", |row| row.lost = 2, lossy),
-            ("robot/20x100Hz/as-shipped tautline", |row| row.lost = 2, ""),
-        ] {
-            let mut rows = rows.clone();
-            let of = |row: &&mut Row| format!("{} {}", row.experiment, row.name()).contains(which);
-            rows.iter_mut().filter(of).for_each(change);
-            let faults = faults(&plan, &rows);
-            assert!(faults.is_empty() == words.is_empty() && faults.join("\n").contains(words), "{faults:?}");
-        }
-    }
-
-    #[test]
-    fn a_smoke_run_fails_without_a_program_only_if_its_system_was_named() {
-        let (plan, rows) = smoke("--systems tautline,fastdds --without fastdds=gone --program gateway=x");
-        assert!(faults(&plan, &rows).contains(&"fastdds tuned: not measured: gone".to_owned()));
-        let (plan, rows) = smoke("--without fastdds=gone");
-        assert!(faults(&plan, &rows).is_empty());
-    }
-
-    #[test]
-    fn a_smoke_run_of_the_network_has_callbacks_and_streams_of_others_alone() {
-        let programs = ["zenoh", "hiroz", "gateway", "taut"].map(|name| format!("--program={name}=x"));
-        let (plan, mut rows) = smoke(&format!("--bench=network {}", programs.join(" ")));
-        assert_eq!(
-            faults(&plan, &rows),
-            [QUIET, FLOOD].map(|name| format!("nothing was measured of {name}"))
-        );
-        rows.extend([QUIET, FLOOD].map(|name| row(name, "tautline", "topic1", 0, 5.0)));
-        assert!(faults(&plan, &rows).is_empty());
     }
 
     #[test]

@@ -45,10 +45,9 @@ impl Cell {
         let (of, mut times) = (&found.of, Distribution::new());
         of.times_ns.iter().for_each(|&time_ns| times.record(time_ns));
         let of_round = self.tally.add(round, &times);
-        of_round.cpu_us_per_msg =
-            (of.cpu_ns > 0).then(|| rounded(of.cpu_ns as f64 / 1e3 / of.messages.max(1) as f64));
-        of_round.msgs_per_s = (of.seconds > 0.0).then(|| rounded(of.messages as f64 / of.seconds));
-        of_round.rss_mib = (of.memory.kib > 0).then(|| rounded(of.memory.kib as f64 / 1024.0));
+        of_round.cpu_us_per_msg = found.cpu_us_per_msg();
+        of_round.msgs_per_s = (of.seconds > 0.0).then(|| rounded(found.per_second(of.messages)));
+        of_round.rss_mib = found.rss_mib();
         self.tally.lost += of.lost;
         let total = &mut self.total.of;
         total.cpu_ns += of.cpu_ns;
