@@ -17,9 +17,8 @@ use tautline_harness::{Process, progress_bar};
 use crate::Result;
 use crate::modes::{GATEWAY, MODES, Mode, TAUT};
 use crate::pair::{FAR_DOMAIN, PATIENCE, Setup};
-use crate::plan::{Case, Experiment, Idle};
+use crate::plan::{Case, Idle, Task};
 use crate::report::missing;
-use crate::settings::paced;
 
 /// Without and with a flood.
 pub const QUIET: &str = "callbacks/quiet";
@@ -91,8 +90,15 @@ impl<'a> Flood<'a> {
     fn start(setup: &'a Setup<'_>, seconds: u64, round: u32) -> Result<Self> {
         let is_gateway = |mode: &&Mode| mode.system == "tautline" && mode.mode == GATEWAY;
         let case = Case {
-            experiment: Experiment::Callbacks,
-            task: paced(1, RATE, 1, 1, false, false),
+            experiment: FLOOD.to_owned(),
+            task: Task::Paced {
+                rate: RATE,
+                topics: 1,
+                processes: 1,
+                subscribers: 1,
+                is_loaded: false,
+                at_once: false,
+            },
             mode: MODES.iter().find(is_gateway).ok_or("there is no way over gateways")?,
             payload_bytes: MESSAGE_BYTES,
             idle: Idle::AsShipped,

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The pictures: lines over a logarithmic or a plain scale, and bars with their spread.
+//! The pictures of lines, over a logarithmic or a plain scale.
 
-use plotters::style::{RGBColor, WHITE};
-use tautline_harness::canvas::{Align, Canvas, FAINT, GRID, INK, Words};
+use tautline_harness::bars::colour;
+use tautline_harness::canvas::{Align, Canvas, GRID, Words};
 use tautline_harness::rows::Row;
-use tautline_harness::table::{short, size};
+use tautline_harness::table::size;
 
 use crate::Result;
 
@@ -17,54 +17,41 @@ const HEIGHT: i32 = 400;
 const MARKED: usize = 12;
 /// Between two labels.
 const LABEL: i32 = 14;
-const BAR: i32 = 20;
-
-/// A system's colour.
-fn colour(system: &str) -> RGBColor {
-    match system {
-        "tautline" => RGBColor(28, 98, 196),
-        "floor" => RGBColor(120, 126, 134),
-        "iceoryx2" => RGBColor(0, 148, 120),
-        "fastdds" => RGBColor(214, 96, 22),
-        "cyclonedds" => RGBColor(150, 84, 180),
-        "r2r" => RGBColor(200, 40, 70),
-        "zenoh" => RGBColor(150, 130, 0),
-        "hiroz" => RGBColor(90, 70, 40),
-        "taktora" => RGBColor(110, 190, 60),
-        _ => RGBColor(60, 160, 200),
-    }
-}
 
 /// Of a system's ways, one after the other.
 const DASHES: [i32; 9] = [0, 8, 3, 14, 5, 2, 20, 11, 1];
 /// Less is a copy of some bytes, which would take half of a logarithmic scale.
 const LEAST_US: f64 = 0.1;
 
-/// A line of a picture.
-pub struct Line {
-    pub label: String,
-    pub colour: RGBColor,
+/// A line of a picture, in its system's colour.
+struct Line {
+    label: String,
+    system: String,
     /// How many pixels of a line are drawn before as many are left out; 0: all are drawn.
-    pub dash: i32,
-    pub points: Vec<(f64, f64)>,
+    dash: i32,
+    points: Vec<(f64, f64)>,
 }
 
-impl Line {
-    /// Of a system; its modes differ by their dashes.
-    fn of(row: &Row, points: Vec<(f64, f64)>, turn: usize) -> Self {
-        let label = row.name();
-        Line { label, colour: colour(&row.system), dash: DASHES[turn % DASHES.len()], points }
+/// The points of a row's way; the ways of a system differ by their dashes.
+fn points<'l>(lines: &'l mut Vec<Line>, row: &Row) -> &'l mut Vec<(f64, f64)> {
+    let (label, system) = (row.name(), row.system.clone());
+    let known = lines.iter().position(|line| line.label == label);
+    let at = known.unwrap_or(lines.len());
+    if known.is_none() {
+        let turn = lines.iter().filter(|line| line.system == system).count();
+        lines.push(Line { label, system, dash: DASHES[turn % DASHES.len()], points: Vec::new() });
     }
+    &mut lines[at].points
 }
 
 /// An axis: what it says, where its marks are, whether it is logarithmic.
-struct Axis {
-    title: &'static str,
+struct Axis<'a> {
+    title: &'a str,
     marks: Vec<(f64, String)>,
     is_log: bool,
 }
 
-impl Axis {
+impl Axis<'_> {
     /// The share of the axis at which a number is.
     fn place(&self, number: f64) -> f64 {
         let scaled = |number: f64| if self.is_log { number.max(1e-9).log10() } else { number };
@@ -84,41 +71,54 @@ impl Axis {
     }
 }
 
-/// Medians by size, both scales logarithmic.
+/// Medians by size.
 pub fn latency_by_size(rows: &[Row], experiment: &str) -> Result<Option<String>> {
-    let point = |row: &Row| Some((row.payload_bytes as f64, row.p50_us.filter(|p50| *p50 >= LEAST_US)?));
-    let lines = lines_of(rows, experiment, point);
-    let mut sizes: Vec<usize> =
-        rows.iter().filter(|row| row.experiment == experiment).map(|row| row.payload_bytes).collect();
-    sizes.sort_unstable();
-    sizes.dedup();
-    if lines.is_empty() || sizes.len() < 2 {
+    let bytes = |row: &Row| (row.experiment == experiment).then_some(row.payload_bytes);
+    by_number(rows, ["payload", "half a round trip, p50"], size, bytes)
+}
+
+/// Times to the last subscription by their number.
+pub fn fan_out(rows: &[Row], kind: &str) -> Result<Option<String>> {
+    let count = |row: &Row| row.experiment.strip_prefix(kind)?.strip_prefix('/')?.parse().ok();
+    by_number(rows, ["subscriptions", "to the last one, p50"], |count| count.to_string(), count)
+}
+
+/// Medians by a number that some rows have, both scales logarithmic; their titles, across first.
+fn by_number(
+    rows: &[Row],
+    titles: [&str; 2],
+    mark: fn(usize) -> String,
+    number: impl Fn(&Row) -> Option<usize>,
+) -> Result<Option<String>> {
+    let (mut lines, mut numbers) = (Vec::new(), Vec::new());
+    for (row, number) in rows.iter().filter_map(|row| Some((row, number(row)?))) {
+        numbers.push(number);
+        if let Some(p50) = row.p50_us.filter(|p50| *p50 >= LEAST_US) {
+            points(&mut lines, row).push((number as f64, p50));
+        }
+    }
+    numbers.sort_unstable();
+    numbers.dedup();
+    if lines.is_empty() || numbers.len() < 2 {
         return Ok(None);
     }
-    let marks = sizes.iter().map(|&bytes| (bytes as f64, size(bytes))).collect();
-    let x = Axis { title: "payload", marks, is_log: true };
+    let marks = numbers.into_iter().map(|number| (number as f64, mark(number))).collect();
+    let x = Axis { title: titles[0], marks, is_log: true };
     let times = lines.iter().flat_map(|line| line.points.iter().map(|point| point.1));
-    chart(&lines, &x, &Axis { title: "half a round trip, p50", ..Axis::decades(times) }).map(Some)
+    chart(&lines, &x, &Axis { title: titles[1], ..Axis::decades(times) }).map(Some)
 }
 
 /// Shares of the messages by time.
-pub fn distributions(
-    rows: &[Row],
-    experiment: &str,
-    bytes: usize,
-    axis: &'static str,
-) -> Result<Option<String>> {
+pub fn distributions(rows: &[Row], experiment: &str, bytes: &str, axis: &str) -> Result<Option<String>> {
     let mut lines: Vec<Line> = Vec::new();
-    for row in rows.iter().filter(|row| row.experiment == experiment && row.payload_bytes == bytes) {
+    for row in rows.iter().filter(|row| row.experiment == experiment && size(row.payload_bytes) == bytes) {
         let Some(details) = row.details.as_ref().filter(|_| row.mode != "memcpy") else { continue };
         let mut sum = 0;
         let share = |(time_ns, count): (u64, u64)| {
             sum += count;
             (time_ns as f64 / 1e3, sum as f64 / details.times.len() as f64)
         };
-        let points = details.times.counts().into_iter().map(share).collect();
-        let turn = lines.iter().filter(|line| line.colour == colour(&row.system)).count();
-        lines.push(Line::of(row, points, turn));
+        points(&mut lines, row).extend(details.times.counts().into_iter().map(share));
     }
     if lines.is_empty() {
         return Ok(None);
@@ -136,48 +136,7 @@ pub fn distributions(
     chart(&lines, &x, &Axis { title: "messages", marks, is_log: false }).map(Some)
 }
 
-/// Times to the last subscription by their number.
-pub fn fan_out(rows: &[Row], kind: &str) -> Result<Option<String>> {
-    let count = |row: &Row| row.experiment.strip_prefix(kind)?.strip_prefix('/')?.parse::<u32>().ok();
-    let mut lines: Vec<Line> = Vec::new();
-    for row in rows.iter().filter(|row| count(row).is_some()) {
-        let Some(point) = count(row).map(f64::from).zip(row.p50_us) else { continue };
-        add_point(&mut lines, row, point);
-    }
-    let mut counts: Vec<u32> = rows.iter().filter_map(count).collect();
-    counts.sort_unstable();
-    counts.dedup();
-    if lines.is_empty() || counts.len() < 2 {
-        return Ok(None);
-    }
-    let marks = counts.iter().map(|&count| (f64::from(count), count.to_string())).collect();
-    let x = Axis { title: "subscriptions", marks, is_log: true };
-    let times = lines.iter().flat_map(|line| line.points.iter().map(|point| point.1));
-    chart(&lines, &x, &Axis { title: "to the last one, p50", ..Axis::decades(times) }).map(Some)
-}
-
-fn lines_of(rows: &[Row], experiment: &str, point: impl Fn(&Row) -> Option<(f64, f64)>) -> Vec<Line> {
-    let mut lines = Vec::new();
-    for row in rows.iter().filter(|row| row.experiment == experiment) {
-        if let Some(point) = point(row) {
-            add_point(&mut lines, row, point);
-        }
-    }
-    lines
-}
-
-fn add_point(lines: &mut Vec<Line>, row: &Row, point: (f64, f64)) {
-    let label = row.name();
-    match lines.iter_mut().find(|line| line.label == label) {
-        Some(line) => line.points.push(point),
-        None => {
-            let turn = lines.iter().filter(|line| line.colour == colour(&row.system)).count();
-            lines.push(Line::of(row, vec![point], turn));
-        }
-    }
-}
-
-fn chart(lines: &[Line], x: &Axis, y: &Axis) -> Result<String> {
+fn chart(lines: &[Line], x: &Axis<'_>, y: &Axis<'_>) -> Result<String> {
     let mut svg = String::new();
     let height = HEIGHT.max(LABEL * lines.len() as i32);
     let canvas = Canvas::new(&mut svg, (LEFT + WIDTH + LABELS, TOP + height + 46))?;
@@ -207,7 +166,7 @@ fn chart(lines: &[Line], x: &Axis, y: &Axis) -> Result<String> {
         }
         if points.len() <= MARKED {
             for (across, up) in points {
-                canvas.rectangle((across - 2, up - 2), (across + 3, up + 3), line.colour)?;
+                canvas.rectangle((across - 2, up - 2), (across + 3, up + 3), colour(&line.system))?;
             }
         }
     }
@@ -245,7 +204,7 @@ fn label(
 fn dashed(canvas: &Canvas, from: (i32, i32), to: (i32, i32), line: &Line, drawn: f64) -> Result<f64> {
     let length = f64::from(to.0 - from.0).hypot(f64::from(to.1 - from.1));
     if line.dash == 0 {
-        canvas.line(from, to, line.colour, 2)?;
+        canvas.line(from, to, colour(&line.system), 2)?;
         return Ok(drawn + length);
     }
     let along = |done: f64| {
@@ -258,82 +217,22 @@ fn dashed(canvas: &Canvas, from: (i32, i32), to: (i32, i32), line: &Line, drawn:
     let mut start = -(drawn % (2.0 * dash));
     while start < length {
         if start + dash > 0.0 {
-            canvas.line(along(start), along(start + dash), line.colour, 2)?;
+            canvas.line(along(start), along(start + dash), colour(&line.system), 2)?;
         }
         start += 2.0 * dash;
     }
     Ok(drawn + length)
 }
 
-/// A bar and its spread.
-pub struct Bar {
-    pub label: String,
-    pub system: String,
-    pub value: f64,
-    /// From the least to the most.
-    pub spread: Option<(f64, f64)>,
-    pub text: String,
-}
-
-impl Bar {
-    /// Of a row's number.
-    pub fn new(row: &Row, value: f64, spread: Option<(f64, f64)>) -> Self {
-        let label = row.name();
-        Bar { label, system: row.system.clone(), value, spread, text: short(value) }
-    }
-}
-
-/// Bars from 0; the scale ends where the longest bar does, or at `end` if that is less: longer ones then end in a triangle.
-pub fn bars(title: &str, bars: &[Bar], end: Option<f64>) -> Result<Option<String>> {
-    if bars.is_empty() {
-        return Ok(None);
-    }
-    let most = bars.iter().map(|bar| bar.spread.map_or(bar.value, |spread| spread.1.max(bar.value)));
-    let most = most.fold(0.0, f64::max);
-    let end = end.map_or(most, |end| end.min(most)).max(1e-9);
-    let (left, width) = (LABELS, WIDTH - 60);
-    let mut svg = String::new();
-    let canvas = Canvas::new(&mut svg, (left + width + 90, TOP + BAR * bars.len() as i32 + 10))?;
-    canvas.text(title, (10, 18), Words::TITLE)?;
-    let x = |value: f64| left + (value.min(end) / end * f64::from(width)).round() as i32;
-    for (index, bar) in bars.iter().enumerate() {
-        let top = TOP + BAR * index as i32;
-        let middle = top + (BAR - 4) / 2;
-        canvas.text(&bar.label, (left - 10, middle), Words { align: Align::Right, ..Words::PLAIN })?;
-        canvas.rectangle((left, top), (x(bar.value).max(left + 1), top + BAR - 4), colour(&bar.system))?;
-        let mut beside = x(bar.value);
-        if bar.value > end {
-            canvas.beyond(beside, middle, colour(&bar.system))?;
-            beside += 6;
-        } else if let Some((least, most)) = bar.spread.filter(|(least, most)| most > least) {
-            let (from, to) = (x(least), x(most));
-            canvas.line((from, middle), (to, middle), INK, 1)?;
-            canvas.line((from, middle - 4), (from, middle + 4), INK, 1)?;
-            canvas.line((to, middle - 4), (to, middle + 4), INK, 1)?;
-            beside = beside.max(to);
-        }
-        canvas.rectangle(
-            (beside + 4, top),
-            (beside + 6 + 7 * bar.text.len() as i32, top + BAR - 4),
-            WHITE,
-        )?;
-        let words = Words { pixels: 11, align: Align::Left, ..Words::SMALL };
-        canvas.text(&bar.text, (beside + 6, middle), Words { colour: INK, ..words })?;
-    }
-    canvas.line((left, TOP - 4), (left, TOP + BAR * bars.len() as i32), FAINT, 1)?;
-    canvas.finish()?;
-    Ok(Some(svg))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::slower::tests::row;
+    use crate::report::tests::row;
     use tautline_harness::Distribution;
     use tautline_harness::rows::Details;
 
     #[test]
-    fn every_line_and_every_bar_has_its_label() {
+    fn every_line_has_its_label() {
         let mut rows = Vec::new();
         for (bytes, us) in [(64, 6.0), (1 << 20, 60.0)] {
             rows.push(row("latency/whole/held-off", "tautline", "blocking", bytes, us));
@@ -344,11 +243,6 @@ mod tests {
         let count = |words: &str| svg.matches(words).count();
         assert_eq!((count("tautline blocking"), count("fastdds default"), count("fastdds tuned")), (1, 1, 0));
         assert_eq!((count("1 MiB"), count("10 µs")), (1, 1));
-        let all: Vec<_> =
-            rows.iter().map(|row| Bar::new(row, row.p50_us.unwrap(), Some((1.0, 70.0)))).collect();
-        let svg = bars("title", &all, Some(50.0)).unwrap().unwrap();
-        assert_eq!((svg.matches("<polygon").count(), svg.matches("fastdds default").count()), (3, 2));
-        assert!(bars("title", &[], None).unwrap().is_none());
     }
 
     #[test]
@@ -357,7 +251,7 @@ mod tests {
         times.record(5000);
         let details = Details { times, messages_per_s: 1.0, cpu_share: 0.0, steal_ticks: 0, wakes: None };
         let row = Row { details: Some(details), ..row("x", "tautline", "blocking", 64, 5.0) };
-        let svg = distributions(&[row], "x", 64, "time").unwrap().unwrap();
+        let svg = distributions(&[row], "x", "64 B", "time").unwrap().unwrap();
         assert!(svg.contains("tautline blocking"));
     }
 

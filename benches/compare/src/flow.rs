@@ -10,7 +10,7 @@ use tautline_harness::rows::Wakes;
 use tautline_rt::clock::monotonic_ns;
 
 use crate::Result;
-use crate::load::Load;
+use crate::load;
 use crate::pair::{Found, PATIENCE, Setup};
 use crate::plan::{Case, Task};
 
@@ -27,7 +27,7 @@ impl Setup<'_> {
         for far in &mut fars.0 {
             connected(far)?;
         }
-        let load = if is_loaded { Some(Load::start(self.plan.cores)?) } else { None };
+        let load = if is_loaded { Some(load::start(self.plan.cores)?) } else { None };
         near.tell("go")?;
         let mut before = None;
         if !is_stream {
@@ -46,44 +46,37 @@ impl Setup<'_> {
             }
         }
         let after = waits(&fars.0[0]);
-        let mut found = Found {
-            cpu_ns: sent.cpu_ns,
-            messages: sent.messages,
-            seconds: sent.seconds,
-            memory: sent.memory,
-            late: sent.late,
-            refused: sent.refused,
-            wakes: before.zip(after).map(|(before, after)| {
-                // Since the first measured one.
-                let messages = sent.messages.saturating_sub(1).max(1) as f64;
-                let per_message = |at: usize| after[at].saturating_sub(before[at]) as f64 / messages;
-                Wakes { sampler: per_message(0), others: per_message(1) }
-            }),
-            ..Found::default()
-        };
+        let wakes = before.zip(after).map(|(before, after)| {
+            // Since the first measured one.
+            let messages = sent.messages.saturating_sub(1).max(1) as f64;
+            let per_message = |at: usize| after[at].saturating_sub(before[at]) as f64 / messages;
+            Wakes { sampler: per_message(0), others: per_message(1) }
+        });
+        // Of the sender the times are those of sending.
+        let mut of = Measured { times_ns: Vec::new(), lost: 0, ..sent };
         let mut arrivals = Vec::new();
         for far in &mut fars.0 {
             let received = received(far)?;
-            found.cpu_ns += received.cpu_ns;
-            found.lost += received.lost;
+            of.cpu_ns += received.cpu_ns;
+            of.lost += received.lost;
             if is_stream {
-                (found.messages, found.seconds) = (received.messages, received.seconds);
+                (of.messages, of.seconds) = (received.messages, received.seconds);
             }
             if processes > 1 {
                 arrivals.extend(received.numbers.into_iter().zip(received.times_ns));
             } else {
-                found.times_ns = received.times_ns;
+                of.times_ns = received.times_ns;
             }
         }
         near.finish()?;
         drop(load);
         if processes > 1 {
-            found.times_ns = to_the_last(arrivals, processes).into_iter().map(|(_, time)| time).collect();
+            of.times_ns = to_the_last(arrivals, processes).into_iter().map(|(_, time)| time).collect();
         }
-        if found.times_ns.is_empty() {
-            return Err(format!("no message arrived everywhere; {} were lost", found.lost).into());
+        if of.times_ns.is_empty() {
+            return Err(format!("no message arrived everywhere; {} were lost", of.lost).into());
         }
-        Ok(found)
+        Ok(Found { of, wakes, ..Found::default() })
     }
 
     /// Measures from the start of a process to its messages.
@@ -108,10 +101,9 @@ impl Setup<'_> {
             received(far)?;
         }
         near.finish()?;
+        let (times_ns, memory) = (vec![arrived_ns.saturating_sub(started_ns)], sent.memory + late);
         Ok(Found {
-            times_ns: vec![arrived_ns.saturating_sub(started_ns)],
-            messages: 1,
-            memory: sent.memory + late,
+            of: Measured { times_ns, messages: 1, memory, ..Measured::default() },
             ..Found::default()
         })
     }

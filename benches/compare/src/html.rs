@@ -1,20 +1,23 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The report as one page that needs nothing else.
 
-use std::fmt::{self, Write};
+use std::fmt::Write;
 
+use serde::Deserialize;
+use tautline_harness::bars::{Bar, bars};
+use tautline_harness::claims::Verdict;
 use tautline_harness::page::{self, END, begin, escape, list, verdicts};
-use tautline_harness::rows::Row;
+use tautline_harness::rows::{Round, Row};
 use tautline_harness::table::Column::{Text, Words};
 use tautline_harness::table::{Table, of_rows, short, size};
 
 use crate::Result;
-use crate::figures::{Bar, bars, distributions, fan_out, latency_by_size};
+use crate::figures::{distributions, fan_out, latency_by_size};
 use crate::load::LOAD;
-use crate::modes::{MODES, SYSTEMS, strengths};
+use crate::modes::{MODES, SYSTEMS, texts};
 use crate::plan::Plan;
-use crate::report::Report;
-use crate::slower::Slower;
+use crate::report::{AHEAD, Report};
+use crate::settings::Extent;
 
 /// The page.
 pub fn page(plan: &Plan, report: &Report) -> Result<String> {
@@ -29,184 +32,138 @@ pub fn page(plan: &Plan, report: &Report) -> Result<String> {
         out.push_str("<p class=\"late\">Measured without real-time priorities: these are not the numbers to compare.</p>\n");
     }
     verdicts(&mut out, "What must hold", &report.verdicts)?;
-    write_slower(&mut out, report)?;
-    write_latency(&mut out, report)?;
-    write_bars(&mut out, report)?;
+    write_ahead(&mut out, report)?;
+    write_pictures(&mut out, &report.rows)?;
     write_tables(&mut out, report)?;
     write_settings(&mut out)?;
     list(&mut out, "Method", &method())?;
     list(&mut out, "Machine, versions, conditions", &report.machine)?;
-    if plan.quick {
+    if plan.extent != Extent::Full {
         out.push_str("<p>A quick run: fewer payloads, rounds and messages than a full one.</p>\n");
     }
     out.push_str(END);
     Ok(out)
 }
 
-fn write_slower(out: &mut String, report: &Report) -> Result<()> {
-    if report.slower.is_empty() {
+fn write_ahead(out: &mut String, report: &Report) -> Result<()> {
+    if report.ahead.is_empty() {
         return Ok(());
     }
-    out.push_str(
-        "<h2>Where a rival is ahead of Tautline's default, and why</h2>\n<p>The default mode is blocking, for rivals that never \
-         sleep busy-poll; the median of the rounds' ratios, from 1.05 x on.</p>\n",
-    );
-    let mut table =
-        Table::new(0, [Words("experiment, payload, figure"), Words("found"), Text("why it stays")]);
-    for Slower { what, found, reason } in &report.slower {
-        table.add([what.into(), found.into(), (*reason).into()]);
+    writeln!(
+        out,
+        "<h2>{AHEAD}</h2>\n<p>The default mode is blocking, for rivals that never sleep busy-poll; the median of the rounds' \
+         ratios, from 1.05 x on.</p>"
+    )?;
+    let mut table = Table::new(0, [Text("missed"), Text("found"), Text("why it stays")]);
+    for Verdict { claim, found, reason, .. } in &report.ahead {
+        table.add([claim.into(), found.into(), reason.as_deref().unwrap_or_default().into()]);
     }
     Ok(table.html(out)?)
 }
 
-fn write_figure(out: &mut String, svg: Option<String>, caption: &str) -> fmt::Result {
-    svg.map_or(Ok(()), |svg| page::figure(out, &svg, &escape(caption)))
+/// The pictures, as `pictures.toml` has them.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, rename_all = "kebab-case")]
+struct Pictures {
+    /// Each an experiment and a caption.
+    by_size: Vec<[String; 2]>,
+    distributions: Vec<Distribution>,
+    bars: Vec<Bars>,
+    /// The same.
+    fan_out: Vec<[String; 2]>,
 }
 
-fn write_latency(out: &mut String, report: &Report) -> Result<()> {
-    let rows = &report.rows;
-    if !rows.iter().any(|row| ["latency/", "open-loop/"].iter().any(|kind| row.experiment.starts_with(kind)))
-    {
-        return Ok(());
-    }
-    out.push_str("<h2>Latency by size</h2>\n");
-    for (experiment, caption) in [
-        (
-            "latency/whole/held-off",
-            "Payload written and read whole, idle states held off for all. What a system adds to the floor is its own.",
-        ),
-        (
-            "latency/untouched/held-off",
-            "Only 16 bytes of the payload are written and read, idle states held off: who copies, and who does not.",
-        ),
-        (
-            "latency/whole/as-shipped",
-            "Payload written and read whole, idle states as the machine has them, but for Tautline's own-default, which holds them off by itself.",
-        ),
-    ] {
-        write_figure(out, latency_by_size(rows, experiment)?, caption)?;
-    }
-    out.push_str("<h2>Distributions</h2>\n");
-    for bytes in [64, 1 << 20] {
-        let caption =
-            format!("Half round trips of {}, written and read whole, idle states held off.", size(bytes));
-        let axis = "half a round trip";
-        write_figure(out, distributions(rows, "latency/whole/held-off", bytes, axis)?, &caption)?;
-    }
-    for (load, how) in [("quiet", "with a quiet machine"), ("load", "under load")] {
-        let experiment = format!("open-loop/{load}/held-off");
-        let caption = format!("One way of 1 KiB at 1 kHz {how}, idle states held off.");
-        write_figure(out, distributions(rows, &experiment, 1 << 10, "one way")?, &caption)?;
-    }
-    Ok(())
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Distribution {
+    experiment: String,
+    bytes: String,
+    axis: String,
+    caption: String,
 }
 
-fn write_bars(out: &mut String, report: &Report) -> Result<()> {
-    type Number = fn(&Row) -> Option<f64>;
-    let of = |experiment: &str, bytes: usize, number: Number, spread: fn(&Row) -> Option<(f64, f64)>| {
-        let rows =
-            report.rows.iter().filter(|row| row.experiment == experiment && row.payload_bytes == bytes);
-        rows.filter_map(|row| Some(Bar::new(row, number(row)?, spread(row)))).collect::<Vec<_>>()
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Bars {
+    experiment: String,
+    bytes: String,
+    value: Value,
+    end: Option<f64>,
+    title: String,
+}
+
+/// What bars show, and their whiskers.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+enum Value {
+    /// In µs, to p99.
+    P50,
+    /// In ms. Here and below whiskers are the rounds'.
+    Start,
+    /// In % of a core.
+    CpuShare,
+    /// In MiB.
+    Memory,
+    /// In 1000/s.
+    Messages,
+    /// In GB/s.
+    Bytes,
+}
+
+fn pictures() -> Result<Pictures> {
+    Ok(toml::from_str(include_str!("../pictures.toml"))?)
+}
+
+impl Value {
+    fn of(self, row: &Row) -> Option<(f64, Option<(f64, f64)>)> {
+        let details = row.details.as_ref();
+        let (rate, gigabytes) = (details.map(|of| of.messages_per_s), row.payload_bytes as f64 / 1e9);
+        Some(match self {
+            Value::P50 => (row.p50_us?, row.p50_us.zip(row.p99_us)),
+            Value::Start => (row.p50_us? / 1e3, row.spread(|round| Some(round.p50_us / 1e3))),
+            Value::CpuShare => {
+                let percent = |round: &Round| Some(round.cpu_us_per_msg? * round.msgs_per_s? / 1e4);
+                (details?.cpu_share * 100.0, row.spread(percent))
+            }
+            Value::Memory => (row.rss_mib?, row.spread(|round| round.rss_mib)),
+            Value::Messages => (rate? / 1e3, row.spread(|round| Some(round.msgs_per_s? / 1e3))),
+            Value::Bytes => (rate? * gigabytes, row.spread(|round| Some(round.msgs_per_s? * gigabytes))),
+        })
+    }
+
+    fn bar(self, row: &Row) -> Option<Bar> {
+        let (value, spread) = self.of(row)?;
+        let (label, system) = (row.name(), row.system.clone());
+        Some(Bar { label, system, value: Some(value), spread, text: short(value) })
+    }
+}
+
+fn write_pictures(out: &mut String, rows: &[Row]) -> Result<()> {
+    let pictures = pictures()?;
+    let write = |out: &mut String, svg: Option<String>, caption: &str| {
+        svg.map_or(Ok(()), |svg| page::figure(out, &svg, &escape(caption)))
     };
-    let rounds: fn(&Row) -> Option<(f64, f64)> = |row| row.spread(|round| Some(round.p50_us));
-    let to_p99: fn(&Row) -> Option<(f64, f64)> = |row| row.p50_us.zip(row.p99_us);
-    let cpu: fn(&Row) -> Option<(f64, f64)> =
-        |row| row.spread(|round| Some(round.cpu_us_per_msg? * round.msgs_per_s? / 1e4));
-    let p50: Number = |row| row.p50_us;
-    let cpu_percent: Number = |row| row.details.as_ref().map(|details| details.cpu_share * 100.0);
-    let pictures = [
-        (
-            "64 B, idle states as shipped: p50 in µs; whiskers to p99",
-            of("latency/whole/as-shipped", 64, p50, to_p99),
-            None,
-        ),
-        (
-            "1 KiB at 1 kHz, quiet: p50 in µs; whiskers to p99",
-            of("open-loop/quiet/held-off", 1024, p50, to_p99),
-            Some(500.0),
-        ),
-        (
-            "1 KiB at 1 kHz, under load: p50 in µs; whiskers to p99",
-            of("open-loop/load/held-off", 1024, p50, to_p99),
-            Some(500.0),
-        ),
-        (
-            "20 topics at 100 Hz, each at its own time: CPU time of all processes in % of a core; whiskers are the rounds",
-            of("robot/20x100Hz/as-shipped", 4096, cpu_percent, cpu),
-            None,
-        ),
-        (
-            "20 topics at 100 Hz, all at once: CPU time of all processes in % of a core; whiskers are the rounds",
-            of("robot/20x100Hz/at-once/as-shipped", 4096, cpu_percent, cpu),
-            None,
-        ),
-        (
-            "20 topics at 100 Hz: resident memory of all processes in MiB; whiskers are the rounds",
-            of("robot/20x100Hz/as-shipped", 4096, |row| row.rss_mib, |row| row.spread(|round| round.rss_mib)),
-            None,
-        ),
-        (
-            "Throughput at 64 B: 1000 messages/s; whiskers are the rounds",
-            of(
-                "throughput/held-off",
-                64,
-                |row| row.details.as_ref().map(|details| details.messages_per_s / 1e3),
-                |row| row.spread(|round| Some(round.msgs_per_s? / 1e3)),
-            ),
-            None,
-        ),
-        (
-            "Throughput at 1 MiB: GB/s; whiskers are the rounds",
-            of(
-                "throughput/held-off",
-                1 << 20,
-                |row| {
-                    row.details
-                        .as_ref()
-                        .map(|details| details.messages_per_s * row.payload_bytes as f64 / 1e9)
-                },
-                |row| row.spread(|round| Some(round.msgs_per_s? * row.payload_bytes as f64 / 1e9)),
-            ),
-            None,
-        ),
-        (
-            "From the start of the sender to its first message: ms; whiskers are the rounds",
-            milliseconds(of("start-up/first-message/as-shipped", 64, p50, rounds)),
-            None,
-        ),
-        (
-            "From the start of a late receiver to its first message: ms",
-            milliseconds(of("start-up/late-joiner/as-shipped", 64, p50, rounds)),
-            None,
-        ),
-        (
-            "100 topics, from the start of the sender to a message on each: ms",
-            milliseconds(of("start-up/100-topics/as-shipped", 64, p50, rounds)),
-            None,
-        ),
-    ];
-    for (title, all, end) in pictures {
-        write_figure(out, bars(title, &all, end)?, "")?;
+    let is_latency =
+        |row: &Row| ["latency/", "open-loop/"].iter().any(|kind| row.experiment.starts_with(kind));
+    if rows.iter().any(is_latency) {
+        out.push_str("<h2>Latency by size</h2>\n");
+        for [experiment, caption] in &pictures.by_size {
+            write(out, latency_by_size(rows, experiment)?, caption)?;
+        }
+        out.push_str("<h2>Distributions</h2>\n");
+        for Distribution { experiment, bytes, axis, caption } in &pictures.distributions {
+            write(out, distributions(rows, experiment, bytes, axis)?, caption)?;
+        }
     }
-    for (kind, caption) in [
-        (
-            "fan-out/one-process/held-off",
-            "1 MiB to subscriptions of one process: time until the last one has read it.",
-        ),
-        ("fan-out/processes/held-off", "1 MiB to one subscription in each of several processes."),
-    ] {
-        write_figure(out, fan_out(&report.rows, kind)?, caption)?;
+    for Bars { experiment, bytes, value, end, title } in &pictures.bars {
+        let is_shown = |row: &&Row| row.experiment == *experiment && size(row.payload_bytes) == *bytes;
+        let all: Vec<Bar> = rows.iter().filter(is_shown).filter_map(|row| value.bar(row)).collect();
+        write(out, bars(title, &all, *end, &[])?, "")?;
+    }
+    for [kind, caption] in &pictures.fan_out {
+        write(out, fan_out(rows, kind)?, caption)?;
     }
     Ok(())
-}
-
-fn milliseconds(mut bars: Vec<Bar>) -> Vec<Bar> {
-    for bar in &mut bars {
-        bar.value /= 1e3;
-        bar.spread = bar.spread.map(|(least, most)| (least / 1e3, most / 1e3));
-        bar.text = short(bar.value);
-    }
-    bars
 }
 
 fn write_tables(out: &mut String, report: &Report) -> Result<()> {
@@ -224,11 +181,17 @@ fn write_tables(out: &mut String, report: &Report) -> Result<()> {
 fn write_settings(out: &mut String) -> Result<()> {
     out.push_str("<h2>Settings of each system</h2>\n");
     let mut table = Table::new(1, [Words("system"), Words("mode"), Text("settings")]);
-    MODES.iter().for_each(|mode| table.add([mode.system.into(), mode.mode.into(), mode.settings.into()]));
+    let texts = texts()?;
+    for mode in MODES {
+        let settings = texts.settings.get(&mode.name()).map_or("", String::as_str);
+        table.add([mode.system.into(), mode.mode.into(), settings.into()]);
+    }
     table.html(out)?;
     out.push_str("<h2>What others do better</h2>\n<ul>\n");
-    for system in SYSTEMS.into_iter().filter(|system| !strengths(system).is_empty()) {
-        writeln!(out, "<li><b>{system}</b>: {}</li>", escape(strengths(system)))?;
+    for (system, strength) in
+        SYSTEMS.iter().filter_map(|system| Some((system, texts.strengths.get(*system)?)))
+    {
+        writeln!(out, "<li><b>{system}</b>: {}</li>", escape(strength))?;
     }
     out.push_str("</ul>\n");
     Ok(())
@@ -254,4 +217,28 @@ fn method() -> Vec<String> {
     .into_iter()
     .chain([format!("Load: {LOAD}.")])
     .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plan::measurable;
+
+    #[test]
+    fn every_picture_is_of_what_is_measured() {
+        let payloads = measurable().unwrap().payloads;
+        let is_there = |experiment: &str, bytes: &str| {
+            payloads
+                .iter()
+                .any(|(name, of)| name.starts_with(experiment) && ["", &size(*of)].contains(&bytes))
+        };
+        let Pictures { by_size, distributions, bars, fan_out } = pictures().unwrap();
+        let all = by_size.iter().chain(&fan_out).map(|[experiment, _]| (experiment.as_str(), ""));
+        let all = all.chain(distributions.iter().map(|of| (of.experiment.as_str(), of.bytes.as_str())));
+        for (experiment, bytes) in
+            all.chain(bars.iter().map(|of| (of.experiment.as_str(), of.bytes.as_str())))
+        {
+            assert!(is_there(experiment, bytes), "{experiment} {bytes}");
+        }
+    }
 }

@@ -8,16 +8,16 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | `modes` | the systems and their ways, with the settings of each and what it does better |
+//! | `modes` | the systems and their ways; `systems.toml` has their texts |
 //! | `plan` | what is measured: benches, experiments, systems |
-//! | `settings` | payloads, idle states, lengths and rounds of each experiment |
+//! | `settings` | payloads, idle states, lengths and rounds of each experiment, from `settings.toml` |
 //! | `rounds` | the parent: rounds to and fro, and what became of each case |
 //! | `pair`, `flow` | one measurement: round trips, or one way |
 //! | `load` | what disturbs the measurement under load |
 //! | `callbacks` | real-time callbacks, with and without a flood from the network |
 //! | `report` | the tables, the JSON |
-//! | `slower` | where a rival is ahead and why |
-//! | `html`, `figures` | the page |
+//! | `smoke` | what must not be missing where everything is only tried |
+//! | `html`, `figures` | the page, with the pictures of `pictures.toml` |
 //! | `markdown` | the tables of the documents |
 
 mod callbacks;
@@ -32,7 +32,7 @@ mod plan;
 mod report;
 mod rounds;
 mod settings;
-mod slower;
+mod smoke;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -61,7 +61,7 @@ struct Options {
     /// Fewer payloads, fewer and shorter rounds
     #[arg(long)]
     quick: bool,
-    /// A round of a few payloads, to see that everything runs; the numbers mean nothing
+    /// A round of a few payloads, which fails if not everything runs; the numbers mean nothing
     #[arg(long, conflicts_with = "quick")]
     smoke: bool,
     /// Write the numbers to FILE as well
@@ -153,7 +153,7 @@ fn measure(options: &Options) -> Result<()> {
         println!("\nthe report is in {}", path.display());
     }
     draw(options, &report)?;
-    report.failure_of_our_own().map_or(Ok(()), |failure| Err(failure.into()))
+    report.failure().map_or(Ok(()), |failure| Err(failure.into()))
 }
 
 /// Shows an earlier run.

@@ -173,7 +173,7 @@ fn network(rows: &[Row]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::slower::tests::row;
+    use crate::report::tests::row;
 
     #[test]
     fn the_comparison_has_a_line_per_way_and_names_what_is_left_out() {

@@ -7,8 +7,8 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use tautline_exchange::{Exchange, FutexPair, FutexRing, Job, Line, Measured, Memory, PEERS, Role, Way};
-use tautline_harness::rows::Wakes;
+use tautline_exchange::{Exchange, FutexPair, FutexRing, Job, Line, Measured, PEERS, Role, Way};
+use tautline_harness::rows::{Wakes, rounded};
 use tautline_harness::{Gateways, Host, Process, Scratch, without_settings};
 
 use crate::Result;
@@ -59,16 +59,8 @@ pub struct Setup<'a> {
 /// What one measurement found.
 #[derive(Debug, Default)]
 pub struct Found {
-    pub times_ns: Vec<u64>,
-    pub lost: u64,
-    /// Of all processes, or of one half of a round trip: the sending and the receiving of one message.
-    pub cpu_ns: u64,
-    pub messages: u64,
-    pub seconds: f64,
-    pub memory: Memory,
-    /// Sent later than they were due, and not taken by the system at all.
-    pub late: u64,
-    pub refused: u64,
+    /// Of both ends. CPU time is that of all processes, or of one half of a round trip: the sending and the receiving of one message.
+    pub of: Measured,
     /// Of a receiver.
     pub wakes: Option<Wakes>,
     /// How often a gateway used up its budget.
@@ -236,7 +228,7 @@ impl Setup<'_> {
         }
         let mut found = Found::of(measured)?;
         if case.task == Task::Requests {
-            found.times_ns.iter_mut().for_each(|time_ns| *time_ns *= 2);
+            found.of.times_ns.iter_mut().for_each(|time_ns| *time_ns *= 2);
         }
         Ok(found)
     }
@@ -253,20 +245,26 @@ impl Setup<'_> {
 }
 
 impl Found {
+    pub fn cpu_us_per_msg(&self) -> Option<f64> {
+        let Measured { cpu_ns, messages, .. } = self.of;
+        (cpu_ns > 0).then(|| rounded(cpu_ns as f64 / 1e3 / messages.max(1) as f64))
+    }
+
+    pub fn rss_mib(&self) -> Option<f64> {
+        (self.of.memory.kib > 0).then(|| rounded(self.of.memory.kib as f64 / 1024.0))
+    }
+
+    /// So many messages, or ns of CPU time, in a second of the measurement.
+    pub fn per_second(&self, number: u64) -> f64 {
+        number as f64 / self.of.seconds.max(1e-9)
+    }
+
     /// What one end measured of both.
     fn of(measured: Measured) -> Result<Self> {
-        if measured.times_ns.is_empty() {
+        let messages = measured.times_ns.len() as u64;
+        if messages == 0 {
             return Err("nothing arrived".into());
         }
-        Ok(Found {
-            messages: measured.times_ns.len() as u64,
-            times_ns: measured.times_ns,
-            lost: measured.lost,
-            late: measured.late,
-            cpu_ns: measured.cpu_ns,
-            seconds: measured.seconds,
-            memory: measured.memory,
-            ..Found::default()
-        })
+        Ok(Found { of: Measured { messages, ..measured }, ..Found::default() })
     }
 }

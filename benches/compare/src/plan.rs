@@ -4,6 +4,7 @@
 use std::time::Duration;
 
 use clap::ValueEnum;
+use serde::Deserialize;
 use tautline_harness::claims::Measurable;
 
 use crate::modes::{GATEWAY, MODES, Mode, Part, Program, Programs};
@@ -11,7 +12,8 @@ use crate::settings::{Extent, Setting, settings};
 use crate::{Options, Result, callbacks};
 
 /// Questions that are asked together, with payloads, rounds and systems of their own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, ValueEnum)]
+#[serde(rename_all = "lowercase")]
 pub enum Bench {
     /// Tautline beside other middleware
     Compare,
@@ -87,7 +89,8 @@ pub enum Idle {
 }
 
 /// What is done with one system.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(rename_all = "kebab-case", rename_all_fields = "kebab-case", deny_unknown_fields)]
 pub enum Task {
     /// Half round trips.
     RoundTrips {
@@ -110,11 +113,12 @@ pub enum Task {
 }
 
 /// One thing to measure with one system.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Case {
-    pub experiment: Experiment,
-    pub task: Task,
     pub mode: &'static Mode,
+    /// As in the JSON, such as `latency/whole/held-off`.
+    pub experiment: String,
+    pub task: Task,
     pub payload_bytes: usize,
     pub idle: Idle,
     pub budget: Duration,
@@ -122,66 +126,33 @@ pub struct Case {
 }
 
 impl Case {
-    /// The experiment with its settings, as in the JSON.
-    pub fn experiment(&self) -> String {
-        name(self.experiment, self.task, self.idle)
+    fn new(mode: &'static Mode, setting: Setting) -> Self {
+        let Setting { experiment, task, payload_bytes, idle, budget, rounds } = setting;
+        Case { mode, experiment, task, payload_bytes, idle, budget, rounds }
     }
 
     /// The whole, for messages.
     pub fn name(&self) -> String {
-        format!("{} {}, {}, {} B", self.mode.system, self.mode.mode, self.experiment(), self.payload_bytes)
+        format!("{}, {}, {} B", self.mode.name(), self.experiment, self.payload_bytes)
     }
 }
 
 /// Bytes of a stream that may be under way.
 pub const WINDOW_BYTES: usize = 4 << 20;
 
-fn name(experiment: Experiment, task: Task, idle: Idle) -> String {
-    let idle = match idle {
-        Idle::AsShipped => "as-shipped",
-        Idle::HeldOff => "held-off",
-    };
-    match task {
-        Task::RoundTrips { whole } => {
-            format!("latency/{}/{idle}", if whole { "whole" } else { "untouched" })
-        }
-        Task::Paced { is_loaded, .. } if experiment == Experiment::OpenLoop => {
-            format!("open-loop/{}/{idle}", if is_loaded { "load" } else { "quiet" })
-        }
-        Task::Paced { processes, subscribers, .. } if experiment == Experiment::FanOut => match processes {
-            1 => format!("fan-out/one-process/{idle}/{subscribers}"),
-            _ => format!("fan-out/processes/{idle}/{processes}"),
-        },
-        Task::Paced { rate, topics, at_once, .. } => {
-            let how = if at_once { "/at-once" } else { "" };
-            format!("robot/{topics}x{}Hz{how}/{idle}", rate / topics as f64)
-        }
-        Task::Requests => format!("request/{idle}"),
-        Task::Stream { whole: true } => format!("throughput/{idle}"),
-        Task::Stream { whole: false } => format!("throughput/untouched/{idle}"),
-        Task::Window => format!("window/{idle}"),
-        Task::Start { is_late_joiner: true, .. } => format!("start-up/late-joiner/{idle}"),
-        Task::Start { topics: 1, .. } => format!("start-up/first-message/{idle}"),
-        Task::Start { topics, .. } => format!("start-up/{topics}-topics/{idle}"),
-    }
-}
-
 /// All that can be measured, whatever is chosen of it.
-pub fn measurable() -> Measurable {
+pub fn measurable() -> Result<Measurable> {
     let mut all = Measurable::default();
     let of_mode = |mode: &Mode| (mode.system.to_owned(), mode.mode.to_owned());
     all.modes.extend(MODES.iter().map(of_mode));
     for bench in Bench::value_variants() {
-        for &experiment in bench.experiments() {
-            for extent in [Extent::Smoke, Extent::Quick, Extent::Full] {
-                let payload =
-                    |setting: Setting| (name(experiment, setting.task, setting.idle), setting.payload_bytes);
-                all.payloads.extend(settings(*bench, experiment, extent).into_iter().map(payload));
-            }
+        for extent in [Extent::Smoke, Extent::Quick, Extent::Full] {
+            let settings = settings(*bench, extent)?.into_iter();
+            all.payloads.extend(settings.map(|setting| (setting.experiment, setting.payload_bytes)));
         }
     }
     callbacks::measurable(&mut all);
-    all
+    Ok(all)
 }
 
 /// Everything that is measured.
@@ -201,8 +172,8 @@ pub struct Plan {
     /// Modes that would have taken part, and why they do not.
     pub missing: Vec<(&'static Mode, String)>,
     /// Those asked for; none: all.
-    systems: Vec<String>,
-    pub quick: bool,
+    pub systems: Vec<String>,
+    pub extent: Extent,
 }
 
 impl Plan {
@@ -234,10 +205,16 @@ impl Plan {
             return Err(format!("--only {other}: this bench does not measure it, but {names}").into());
         }
         let chosen = if options.only.is_empty() { bench.experiments() } else { &options.only };
-        let mut cases = Vec::new();
-        for &experiment in chosen {
-            cases.extend(of_experiment(bench, experiment, extent, &modes));
-        }
+        let settings = settings(bench, extent)?;
+        let of_experiment = |experiment: &Experiment| {
+            let kind = value(*experiment);
+            settings.iter().filter(move |setting| setting.experiment.split('/').next() == Some(kind.as_str()))
+        };
+        let of_setting = |setting: &Setting| {
+            let modes = modes.iter().filter(|mode| takes_part(bench, mode, setting));
+            modes.map(|mode| Case::new(mode, setting.clone())).collect::<Vec<_>>()
+        };
+        let mut cases: Vec<Case> = chosen.iter().flat_map(of_experiment).flat_map(of_setting).collect();
         let gateway = is_among(&options.systems, "tautline") && chosen.contains(&Experiment::Callbacks);
         let mut callbacks = match extent {
             Extent::Smoke => (1, 2),
@@ -256,7 +233,6 @@ impl Plan {
             return Err(format!("--systems {systems}: none of them takes part in this bench").into());
         }
         let rounds = cases.iter().map(|case| case.rounds).max().unwrap_or(0);
-        let quick = extent != Extent::Full;
         let systems = options.systems.clone();
         Ok(Plan {
             bench,
@@ -269,7 +245,7 @@ impl Plan {
             programs,
             missing,
             systems,
-            quick,
+            extent,
         })
     }
 
@@ -296,23 +272,6 @@ fn value(experiment: Experiment) -> String {
 
 fn is_among(systems: &[String], system: &str) -> bool {
     systems.is_empty() || systems.iter().any(|name| name == system)
-}
-
-fn of_experiment(bench: Bench, experiment: Experiment, extent: Extent, modes: &[&'static Mode]) -> Vec<Case> {
-    let case = |setting: &Setting, mode| Case {
-        experiment,
-        task: setting.task,
-        mode,
-        payload_bytes: setting.payload_bytes,
-        idle: setting.idle,
-        budget: Duration::from_millis(setting.budget_ms),
-        rounds: setting.rounds,
-    };
-    let of_setting = |setting: &Setting| -> Vec<Case> {
-        let modes = modes.iter().filter(|mode| takes_part(bench, mode, setting));
-        modes.map(|mode| case(setting, mode)).collect()
-    };
-    settings(bench, experiment, extent).iter().flat_map(of_setting).collect()
 }
 
 fn takes_part(bench: Bench, mode: &Mode, setting: &Setting) -> bool {

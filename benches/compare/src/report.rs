@@ -9,17 +9,21 @@ use tautline_harness::{machine, version_in, version_of};
 
 use crate::Result;
 use crate::load::LOAD;
-use crate::modes::{NOT_JOINED, SYSTEMS};
-use crate::plan::{Bench, Experiment, Plan, Task, measurable};
+use crate::modes::{SYSTEMS, texts};
+use crate::plan::{Bench, Plan, Task, measurable};
 use crate::rounds::Cell;
-use crate::slower::{Slower, slower};
+use crate::settings::Extent;
+use crate::smoke::faults;
+
+/// The heading of the claims that are told only where they are missed.
+pub const AHEAD: &str = "Where a rival is ahead of Tautline's default, and why";
 
 /// The result of a run.
 pub struct Report {
     pub rows: Vec<Row>,
     pub verdicts: Vec<Verdict>,
-    /// Where a rival is ahead.
-    pub slower: Vec<Slower>,
+    /// See [`AHEAD`].
+    pub ahead: Vec<Verdict>,
     /// Machine, versions, conditions: a line each.
     pub machine: Vec<String>,
     pub is_realtime: bool,
@@ -32,30 +36,35 @@ impl Report {
         let ours = cells.iter().filter(|cell| cell.case.mode.system == "tautline");
         let of_cell = |cell: &Cell| {
             let late =
-                matches!(cell.case.task, Task::RoundTrips { .. } | Task::Requests) && cell.total.late > 0;
+                matches!(cell.case.task, Task::RoundTrips { .. } | Task::Requests) && cell.total.of.late > 0;
             let failures = cell.failures.iter().cloned().chain(late.then(|| took_long(cell)));
             failures.map(|failure| format!("{}: {failure}", cell.case.name())).collect::<Vec<_>>()
         };
-        let failures = ours.flat_map(of_cell).collect();
+        let mut failures: Vec<String> = ours.flat_map(of_cell).collect();
         let is_held = cells.iter().all(|cell| cell.idle_refused.is_none());
         let mut rows: Vec<Row> = cells.iter().map(|cell| row(cell, plan)).chain(more).collect();
-        rows.push(Row { note: conditions(plan, is_held, &disturbance), ..missing("machine", "-", "") });
+        let mut machine = vec![machine(), disturbance, versions(plan)];
+        rows.push(Row { note: conditions(plan, is_held, &machine), ..missing("machine", "-", "") });
         for (mode, reason) in &plan.missing {
             rows.push(missing(mode.system, mode.mode, reason));
         }
-        let not_joined = NOT_JOINED.iter().filter(|_| plan.bench == Bench::Compare);
-        for (system, mode, reason) in not_joined.filter(|(system, ..)| plan.is_wanted(system)) {
-            rows.push(missing(system, mode, reason));
+        if plan.bench == Bench::Compare {
+            let not_joined = texts()?.not_joined.into_iter();
+            let wanted = not_joined.filter(|(system, _)| plan.is_wanted(system));
+            rows.extend(wanted.map(|(system, reason)| missing(&system, "-", &reason)));
         }
-        let machine = notes(plan, disturbance);
+        if plan.extent == Extent::Smoke {
+            failures.extend(faults(plan, &rows));
+        }
+        machine.extend(notes(plan));
         Ok(Report { machine, is_realtime: plan.realtime, failures, ..Report::of_rows(rows)? })
     }
 
     /// Of an earlier run.
     pub fn of_rows(rows: Vec<Row>) -> Result<Self> {
-        let verdicts = verdicts(claims::Bench::Compare, &measurable(), &rows)?;
-        let (slower, machine, failures) = (slower(&rows), Vec::new(), Vec::new());
-        Ok(Report { rows, verdicts, slower, machine, is_realtime: true, failures })
+        let verdicts = verdicts(claims::Bench::Compare, &measurable()?, &rows)?.into_iter();
+        let (ahead, verdicts) = verdicts.partition(|verdict| verdict.is_silent);
+        Ok(Report { rows, verdicts, ahead, machine: Vec::new(), is_realtime: true, failures: Vec::new() })
     }
 
     /// Prints the machine, a table per experiment and what must hold.
@@ -69,9 +78,9 @@ impl Report {
         }
         println!();
         self.verdicts.iter().for_each(|verdict| println!("{verdict}"));
-        if !self.slower.is_empty() {
-            println!("\nWhere a rival is ahead of Tautline's default, and why:");
-            self.slower.iter().for_each(|line| println!("{line}"));
+        if !self.ahead.is_empty() {
+            println!("\n{AHEAD}:");
+            self.ahead.iter().for_each(|verdict| println!("{verdict}"));
         }
     }
 
@@ -94,8 +103,8 @@ impl Report {
         tables.into_iter().filter(|(_, rows)| !rows.is_empty()).collect()
     }
 
-    /// What Tautline could not do: nothing that a rival's row may hide.
-    pub fn failure_of_our_own(&self) -> Option<String> {
+    /// What Tautline could not do, which no rival's row may hide; of a smoke run, what else is missing.
+    pub fn failure(&self) -> Option<String> {
         (!self.failures.is_empty()).then(|| self.failures.join("\n"))
     }
 }
@@ -107,20 +116,17 @@ pub fn missing(system: &str, mode: &str, reason: &str) -> Row {
 }
 
 fn row(cell: &Cell, plan: &Plan) -> Row {
-    let Cell { case, tally, .. } = cell;
+    let Cell { case, tally, total, .. } = cell;
     let is_there = !tally.times.is_empty();
-    let per_message = |ns: u64| rounded(ns as f64 / 1e3 / cell.total.messages.max(1) as f64);
     let is_start = matches!(case.task, Task::Start { .. });
-    let row = tally.row(case.experiment(), case.mode.system, case.mode.mode, case.payload_bytes);
+    let row = tally.row(&case.experiment, case.mode.system, case.mode.mode, case.payload_bytes);
     let rare = |time: Option<f64>, quantile| time.filter(|_| is_enough(row.n, quantile));
     Row {
         p99_us: rare(row.p99_us, 0.99),
         p999_us: rare(row.p999_us, 0.999),
-        cpu_us_per_msg: (is_there && !is_start && cell.total.cpu_ns > 0)
-            .then(|| per_message(cell.total.cpu_ns)),
-        rss_mib: (is_there && cell.total.memory.kib > 0)
-            .then(|| rounded(cell.total.memory.kib as f64 / 1024.0)),
-        throttled: cell.total.throttled,
+        cpu_us_per_msg: total.cpu_us_per_msg().filter(|_| is_there && !is_start),
+        rss_mib: total.rss_mib().filter(|_| is_there),
+        throttled: total.throttled,
         mb_per_s: rate(cell),
         note: note(cell),
         unfit: unfit(cell, plan),
@@ -139,7 +145,7 @@ fn rate(cell: &Cell) -> Option<f64> {
 
 /// Of round trips.
 fn took_long(cell: &Cell) -> String {
-    let (late, limit) = (cell.total.late, LATE.as_millis());
+    let (late, limit) = (cell.total.of.late, LATE.as_millis());
     format!("{late} round trips took {limit} ms or more: a wake-up was lost, or the machine stood still")
 }
 
@@ -156,17 +162,18 @@ fn unfit(cell: &Cell, plan: &Plan) -> Option<String> {
 }
 
 fn details(cell: &Cell) -> Details {
+    let total = &cell.total;
     Details {
         times: cell.tally.times.clone(),
-        messages_per_s: cell.total.messages as f64 / cell.total.seconds.max(1e-9),
-        cpu_share: cell.total.cpu_ns as f64 / 1e9 / cell.total.seconds.max(1e-9),
+        messages_per_s: total.per_second(total.of.messages),
+        cpu_share: total.per_second(total.of.cpu_ns) / 1e9,
         steal_ticks: cell.steal_ticks,
-        wakes: cell.total.wakes,
+        wakes: total.wakes,
     }
 }
 
 fn note(cell: &Cell) -> String {
-    let mut words = Vec::new();
+    let (of, mut words) = (&cell.total.of, Vec::new());
     if let Some(failure) = cell.failures.last() {
         let (failed, all) = (cell.failures.len(), cell.failures.len() + cell.tally.rounds.len());
         words.push(format!("FAILED: {failed} of {all} rounds failed: {}", shortened(failure)));
@@ -179,18 +186,18 @@ fn note(cell: &Cell) -> String {
     }
     match cell.case.task {
         Task::Stream { .. } => {
-            let rate = cell.total.messages as f64 / cell.total.seconds.max(1e-9);
+            let rate = cell.total.per_second(of.messages);
             let is_held = cell.case.mode.holds_sender_back(cell.case.payload_bytes);
             let not = if is_held { "" } else { "not " };
             words.push(format!("{rate:.0} messages/s, the sender is {not}held back"));
         }
-        Task::Paced { .. } if cell.case.experiment == Experiment::Robot => {
-            let percent = cell.total.cpu_ns as f64 / 1e7 / cell.total.seconds.max(1e-9);
+        Task::Paced { .. } if cell.case.experiment.starts_with("robot/") => {
+            let percent = cell.total.per_second(of.cpu_ns) / 1e7;
             words.push(format!("{percent:.1} % of a core for all processes"));
         }
         _ => {}
     }
-    let is_ours = cell.case.experiment == Experiment::FanOut && cell.case.mode.system == "tautline";
+    let is_ours = cell.case.experiment.starts_with("fan-out/") && cell.case.mode.system == "tautline";
     if let Some(wakes) = cell.total.wakes.filter(|_| is_ours) {
         let Wakes { sampler, others } = wakes;
         words.push(format!(
@@ -202,21 +209,16 @@ fn note(cell: &Cell) -> String {
         words.push(format!("p50 of the rounds {}", rounds.join(", ")));
     }
     match cell.case.task {
-        _ if cell.total.late == 0 => {}
+        _ if of.late == 0 => {}
         Task::RoundTrips { .. } | Task::Requests => words.push(took_long(cell)),
-        _ => {
-            words
-                .push(format!("{} sent late: stamped with the time at which they were due", cell.total.late));
-        }
+        _ => words.push(format!("{} sent late: stamped with the time at which they were due", of.late)),
     }
-    if cell.total.refused > 0 {
-        words.push(format!("{} not taken from the sender", cell.total.refused));
+    if of.refused > 0 {
+        words.push(format!("{} not taken from the sender", of.refused));
     }
-    if cell.total.memory.shared_kib > 0 {
-        words.push(format!(
-            "{} MiB of the memory are shared",
-            short(cell.total.memory.shared_kib as f64 / 1024.0)
-        ));
+    if of.memory.shared_kib > 0 {
+        let mib = short(of.memory.shared_kib as f64 / 1024.0);
+        words.push(format!("{mib} MiB of the memory are shared"));
     }
     words.push(format!("steal {} ticks", cell.steal_ticks));
     words.join("; ")
@@ -236,12 +238,11 @@ fn shortened(failure: &str) -> String {
 }
 
 /// What whoever quotes figures must say beside them.
-fn conditions(plan: &Plan, is_held: bool, disturbance: &str) -> String {
-    let versions = versions(plan);
+fn conditions(plan: &Plan, is_held: bool, machine: &[String]) -> String {
     let priority = if plan.realtime { "SCHED_FIFO" } else { "NO REAL-TIME PRIORITY" };
     let idle = if is_held { "held off where the experiment says so" } else { "NOT HELD OFF" };
-    let extent = if plan.quick { "a quick run of few messages" } else { "a full run" };
-    format!("{}; {disturbance}; {versions}; {priority}; idle states {idle}; {extent}", machine())
+    let extent = if plan.extent == Extent::Full { "a full run" } else { "a quick run of few messages" };
+    format!("{}; {priority}; idle states {idle}; {extent}", machine.join("; "))
 }
 
 /// Of all that takes part.
@@ -261,7 +262,7 @@ fn versions(plan: &Plan) -> String {
     SYSTEMS.into_iter().filter(takes_part).filter_map(version).collect::<Vec<_>>().join(", ")
 }
 
-fn notes(plan: &Plan, disturbance: String) -> Vec<String> {
+fn notes(plan: &Plan) -> Vec<String> {
     let priorities = if plan.realtime {
         format!(
             "SCHED_FIFO {APPLICATION_PRIORITY} for the threads that send or are called back and for those that a library \
@@ -276,27 +277,78 @@ fn notes(plan: &Plan, disturbance: String) -> Vec<String> {
         true => format!("sender on core {near}, receivers on core {far}"),
         false => "threads on any core".to_owned(),
     };
-    vec![
-        machine(),
-        disturbance,
-        versions(plan),
-        format!(
-            "{cores}; {priorities}; at most {} rounds to and fro; queues of all \
-             systems: 10 messages, for throughput at 64 B 100",
-            plan.rounds
-        ),
-    ]
-    .into_iter()
-    .chain((plan.bench == Bench::Compare).then(|| format!("load: {LOAD}")))
-    .collect()
+    let rounds = format!("at most {} rounds to and fro", plan.rounds);
+    let queues = "queues of all systems: 10 messages, for throughput at 64 B 100";
+    let load = (plan.bench == Bench::Compare).then(|| format!("load: {LOAD}"));
+    [format!("{cores}; {priorities}; {rounds}; {queues}")].into_iter().chain(load).collect()
 }
 
 #[cfg(test)]
-mod tests {
+pub mod tests {
     use super::*;
+    use crate::modes::{MODES, Part};
+    use tautline_harness::Distribution;
+    use tautline_harness::table::size;
+
+    /// A round of 10,000 times.
+    pub fn row(experiment: &str, system: &str, mode: &str, bytes: usize, us: f64) -> Row {
+        let (mut times, mut tally) = (Distribution::new(), Tally::default());
+        times.add(&[((us * 1e3) as u64, 10_000)]);
+        let round = tally.add(1, &times);
+        (round.cpu_us_per_msg, round.rss_mib, round.msgs_per_s) = (Some(us), Some(us), Some(1e6 / us));
+        tally.row(experiment, system, mode, bytes)
+    }
 
     #[test]
     fn every_claim_is_about_what_can_be_measured() {
         assert!(Report::of_rows(Vec::new()).is_ok_and(|report| report.verdicts.is_empty()));
+    }
+
+    #[test]
+    fn what_sleeps_is_compared_with_what_sleeps_and_the_better_mode_is_named() {
+        let held = "latency/whole/held-off";
+        let rows = [
+            row(held, "tautline", "blocking", 64, 6.0),
+            row(held, "tautline", "direct", 64, 4.0),
+            row(held, "tautline", "busy-poll", 64, 1.2),
+            row(held, "cyclonedds", "tuned", 64, 5.0),
+            row(held, "iceoryx2", "busy-poll", 64, 1.0),
+            row(held, "fastdds", "default", 64, 9.0),
+            row(held, "floor", "futex", 64, 2.0),
+        ];
+        let lines: Vec<String> =
+            Report::of_rows(rows.into()).unwrap().ahead.iter().map(ToString::to_string).collect();
+        let of_p50: Vec<&String> = lines.iter().filter(|line| line.contains(": p50 ")).collect();
+        assert_eq!(of_p50.len(), 2, "{lines:?}");
+        assert!(of_p50[0].contains("1.20 x") && of_p50[0].contains("(cyclonedds tuned); direct 4.00 µs;"));
+        assert!(of_p50[1].contains("1.20 x") && of_p50[1].contains("1.00 µs (iceoryx2 busy-poll);"));
+    }
+
+    #[test]
+    fn wherever_a_rival_is_ahead_it_is_said() {
+        let payloads = measurable().unwrap().payloads;
+        for mode in MODES.iter().filter(|mode| !["floor", "tautline"].contains(&mode.system)) {
+            let kinds: &[&str] = match mode.part {
+                Part::All => &["latency", "open-loop", "fan-out", "robot", "throughput", "start-up"],
+                Part::RoundTrips => &["latency"],
+                _ => continue,
+            };
+            let ours = if ["busy-poll", "items"].contains(&mode.mode) { "busy-poll" } else { "blocking" };
+            let takes_part = |experiment: &String| {
+                kinds.iter().any(|kind| experiment.split('/').next() == Some(kind))
+                    // Plain Zenoh's alone.
+                    && experiment != "throughput/untouched/as-shipped"
+            };
+            let of = |system, mode, us| {
+                payloads.iter().map(move |(experiment, bytes)| row(experiment, system, mode, *bytes, us))
+            };
+            let rows = of("tautline", ours, 2.0).chain(of(mode.system, mode.mode, 1.0)).collect();
+            let ahead = Report::of_rows(rows).unwrap().ahead;
+            for (experiment, bytes) in payloads.iter().filter(|(experiment, _)| takes_part(experiment)) {
+                let what = format!("{experiment}, {}", size(*bytes));
+                let is_said = ahead.iter().any(|verdict| verdict.claim.starts_with(&what));
+                assert!(is_said, "{what}, {} {}", mode.system, mode.mode);
+            }
+        }
     }
 }

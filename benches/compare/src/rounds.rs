@@ -42,32 +42,31 @@ impl Cell {
     }
 
     fn add(&mut self, round: u32, found: &Found) {
-        let mut times = Distribution::new();
-        found.times_ns.iter().for_each(|&time_ns| times.record(time_ns));
+        let (of, mut times) = (&found.of, Distribution::new());
+        of.times_ns.iter().for_each(|&time_ns| times.record(time_ns));
         let of_round = self.tally.add(round, &times);
-        of_round.cpu_us_per_msg =
-            (found.cpu_ns > 0).then(|| rounded(found.cpu_ns as f64 / 1e3 / found.messages.max(1) as f64));
-        of_round.msgs_per_s = (found.seconds > 0.0).then(|| rounded(found.messages as f64 / found.seconds));
-        of_round.rss_mib = (found.memory.kib > 0).then(|| rounded(found.memory.kib as f64 / 1024.0));
-        self.tally.lost += found.lost;
-        let total = &mut self.total;
-        total.cpu_ns += found.cpu_ns;
-        total.messages += found.messages;
-        total.seconds += found.seconds;
-        if found.memory.kib > total.memory.kib {
-            total.memory = found.memory;
+        of_round.cpu_us_per_msg = found.cpu_us_per_msg();
+        of_round.msgs_per_s = (of.seconds > 0.0).then(|| rounded(found.per_second(of.messages)));
+        of_round.rss_mib = found.rss_mib();
+        self.tally.lost += of.lost;
+        let total = &mut self.total.of;
+        total.cpu_ns += of.cpu_ns;
+        total.messages += of.messages;
+        total.seconds += of.seconds;
+        if of.memory.kib > total.memory.kib {
+            total.memory = of.memory;
         }
-        total.late += found.late;
-        total.refused += found.refused;
-        total.wakes = found.wakes.or(total.wakes);
-        total.throttled = total.throttled.max(found.throttled);
+        total.late += of.late;
+        total.refused += of.refused;
+        self.total.wakes = found.wakes.or(self.total.wakes);
+        self.total.throttled = self.total.throttled.max(found.throttled);
     }
 }
 
 /// Measures all cases. One that fails does not end the run: it says so in its row.
 pub fn run(setup: &Setup<'_>) -> Result<Vec<Cell>> {
     let Setup { plan, interrupted, .. } = *setup;
-    let mut cells: Vec<Cell> = plan.cases.iter().map(|&case| Cell::new(case)).collect();
+    let mut cells: Vec<Cell> = plan.cases.iter().cloned().map(Cell::new).collect();
     let mut order: Vec<usize> = (0..cells.len()).collect();
     let progress = progress_bar(plan.runs());
     for round in 1..=plan.rounds {

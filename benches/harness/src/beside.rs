@@ -5,11 +5,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
 
-/// What goes on in a thread beside a measurement.
+/// What goes on in a thread beside a measurement, until it is dropped at the latest.
 #[derive(Debug)]
 pub struct Beside<T> {
     stop: Arc<AtomicBool>,
-    thread: JoinHandle<T>,
+    /// `None`: it was ended.
+    thread: Option<JoinHandle<T>>,
 }
 
 impl<T: Send + 'static> Beside<T> {
@@ -20,12 +21,26 @@ impl<T: Send + 'static> Beside<T> {
             let stop = stop.clone();
             move || work(&stop)
         });
-        Beside { stop, thread }
+        Beside { stop, thread: Some(thread) }
     }
 
     /// Ends it, and returns what it made.
-    pub fn end(self) -> T {
+    pub fn end(mut self) -> T {
+        let ended = self.join().unwrap_or_else(|| unreachable!("it is ended once"));
+        ended.unwrap_or_else(|panic| resume_unwind(panic))
+    }
+}
+
+impl<T> Beside<T> {
+    fn join(&mut self) -> Option<thread::Result<T>> {
         self.stop.store(true, Ordering::Relaxed);
-        self.thread.join().unwrap_or_else(|panic| resume_unwind(panic))
+        self.thread.take().map(JoinHandle::join)
+    }
+}
+
+impl<T> Drop for Beside<T> {
+    fn drop(&mut self) {
+        // Ignored: what it made is not wanted, and its panic was printed.
+        let _ = self.join();
     }
 }

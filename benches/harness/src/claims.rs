@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use toml::Spanned;
 
 use crate::rows::{By, Compared, Figure, Metric, Row};
-use crate::table::{bytes_of, short};
+use crate::table::{bytes_of, distinct, short, size};
 
 use aims::Aim;
 pub use aims::{Aimed, Column, Judged, judge, judge_by_bound};
@@ -26,6 +26,9 @@ pub struct Verdict {
     /// Of a claim that is missed: why it stays so.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
+    /// Whether the claim is told only where it is missed.
+    #[serde(skip)]
+    pub is_silent: bool,
     /// Whether a miss is an error: the machine has no part in it.
     #[serde(skip)]
     is_must: bool,
@@ -34,7 +37,8 @@ pub struct Verdict {
 impl Verdict {
     /// Of a claim that needs no reason.
     pub fn new(claim: impl Into<String>, found: impl Into<String>, holds: Option<bool>) -> Self {
-        Verdict { claim: claim.into(), found: found.into(), holds, reason: None, is_must: false }
+        let (claim, found) = (claim.into(), found.into());
+        Verdict { claim, found, holds, reason: None, is_silent: false, is_must: false }
     }
 
     pub fn word(&self) -> &'static str {
@@ -96,13 +100,18 @@ pub fn print(bench: Bench, rows: &[Row]) -> crate::Result {
     Ok(print_verdicts(&verdicts(bench, &Measurable::of(rows.iter()), rows)?)?)
 }
 
-/// Judges the claims about what was measured, or was to be: those that name an experiment and systems of these rows.
+/// Judges the claims about what was measured, or was to be: those that name an experiment and systems of these rows. Silent ones are
+/// among them where they are missed.
 ///
 /// # Errors
 /// The file says what cannot be judged.
 pub fn verdicts(bench: Bench, measurable: &Measurable, rows: &[Row]) -> Result<Vec<Verdict>, BadClaims> {
-    let claims = read(FILE, bench, measurable)?;
-    Ok(claims.iter().filter(|claim| claim.is_about(rows)).map(|claim| claim.judge(rows)).collect())
+    Ok(told(&read(FILE, bench, measurable)?, rows))
+}
+
+fn told(claims: &[Claim], rows: &[Row]) -> Vec<Verdict> {
+    let judged = claims.iter().filter(|claim| claim.is_about(rows)).map(|claim| claim.judge(rows));
+    judged.filter(|verdict| !verdict.is_silent || verdict.holds == Some(false)).collect()
 }
 
 /// Prints verdicts.
@@ -133,6 +142,8 @@ impl std::error::Error for BadClaims {}
 struct File {
     claim: Vec<Spanned<Entry>>,
     #[serde(default)]
+    reasons: BTreeMap<String, String>,
+    #[serde(default)]
     aims: BTreeMap<Aimed, Vec<Aim>>,
 }
 
@@ -149,7 +160,8 @@ struct Entry {
     experiment: Names,
     #[serde(default)]
     bytes: Names,
-    metric: Metric,
+    #[serde(default)]
+    metric: Names,
     #[serde(default)]
     however_few: bool,
     ours: Side,
@@ -158,7 +170,26 @@ struct Entry {
     at_most: Option<Limit>,
     at_least: Option<Limit>,
     #[serde(default)]
+    instead: Vec<String>,
+    #[serde(default)]
     beside: Vec<Metric>,
+    reason: Option<String>,
+    #[serde(default)]
+    silent: bool,
+    #[serde(default)]
+    parts: Vec<Part>,
+}
+
+/// What a part of a claim says in place of the whole; without `each` that of the whole counts.
+#[derive(Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Part {
+    #[serde(default)]
+    each: Vec<String>,
+    experiment: Names,
+    #[serde(default)]
+    bytes: Names,
+    metric: Names,
     reason: Option<String>,
 }
 
@@ -171,6 +202,8 @@ struct Side {
     system: String,
     #[serde(default)]
     modes: Vec<String>,
+    #[serde(default)]
+    except: Vec<String>,
     bytes: Option<String>,
 }
 
@@ -197,6 +230,11 @@ impl Names {
         }
     }
 
+    /// The only one; empty if there is none.
+    fn first(&self) -> &str {
+        self.of().first().map_or("", String::as_str)
+    }
+
     /// None are all.
     fn allow(&self, name: &str) -> bool {
         self.of().is_empty() || self.of().iter().any(|one| one == name)
@@ -220,6 +258,7 @@ struct Rows {
     system: String,
     /// None: all.
     modes: Vec<String>,
+    except: Vec<String>,
     /// `None`: an experiment has one size.
     bytes: Option<usize>,
 }
@@ -234,8 +273,11 @@ struct Claim {
     floor: Option<Rows>,
     limit: f64,
     is_at_most: bool,
+    /// Of our other modes.
+    instead: Option<Rows>,
     beside: Vec<Metric>,
     reason: Option<String>,
+    is_silent: bool,
 }
 
 fn read(text: &str, bench: Bench, measurable: &Measurable) -> Result<Vec<Claim>, BadClaims> {
@@ -246,8 +288,8 @@ fn read(text: &str, bench: Bench, measurable: &Measurable) -> Result<Vec<Claim>,
         let entry = entry.get_ref();
         let bad =
             |(field, what): Bad| BadClaims(format!("line {line}, '{field}' of \"{}\": {what}", entry.words));
-        for (text, size) in entry.texts().map_err(bad)? {
-            claims.push(entry.claim(&text, size.as_ref(), measurable).map_err(bad)?);
+        for one in entry.split(measurable).map_err(bad)? {
+            claims.push(one.claim(measurable, &file.reasons).map_err(bad)?);
         }
     }
     Ok(claims)
@@ -256,35 +298,82 @@ fn read(text: &str, bench: Bench, measurable: &Measurable) -> Result<Vec<Claim>,
 /// A field, and what is wrong with it.
 type Bad = (&'static str, String);
 
+/// A name that is none of these.
+fn unknown(field: &'static str, name: &str, known: impl Iterator<Item = impl AsRef<str>>) -> Bad {
+    let known: Vec<_> = distinct(known.map(|name| name.as_ref().to_owned()));
+    (field, format!("there is no '{name}'; there are {}", known.join(", ")))
+}
+
+/// An empty text in place of none.
+fn or_empty(texts: &[String]) -> Vec<String> {
+    if texts.is_empty() { vec![String::new()] } else { texts.to_vec() }
+}
+
 impl Entry {
-    /// What takes the place of `{}`, and the size, if they have it in common, for each claim that this is.
-    fn texts(&self) -> Result<Vec<(String, Option<String>)>, Bad> {
-        let has = |mark: &str| self.words.contains(mark);
-        match (self.each.is_empty(), has("{}"), self.bytes.of().len() > 1, has("{bytes}")) {
-            (true, true, ..) => {
-                return Err(("words", "it has a {}, and no 'each' says what to put there".to_owned()));
-            }
-            (false, false, ..) => {
-                return Err((
-                    "words",
-                    "with 'each' it needs a {}, or all claims are called the same".to_owned(),
-                ));
-            }
-            (.., true, false) => {
-                return Err((
-                    "words",
-                    "with several sizes it needs a {bytes}, or all claims are called the same".to_owned(),
-                ));
-            }
-            _ => {}
+    /// One for each claim that this is: with one name of each list, and words without marks.
+    fn split(&self, measurable: &Measurable) -> Result<Vec<Entry>, Bad> {
+        if !self.parts.is_empty() {
+            let of_part = |part: &Part| {
+                let Part { experiment, bytes, metric, reason, .. } = part.clone();
+                let each = if part.each.is_empty() { self.each.clone() } else { part.each.clone() };
+                let parts = Vec::new();
+                Entry { each, experiment, bytes, metric, reason, parts, ..self.clone() }.split(measurable)
+            };
+            return Ok(self.parts.iter().map(of_part).collect::<Result<Vec<_>, _>>()?.concat());
         }
-        let texts = if self.each.is_empty() { vec![String::new()] } else { self.each.clone() };
-        let sizes: Vec<_> = self.bytes.of().iter().cloned().map(Some).collect();
-        let sizes = if sizes.is_empty() { vec![None] } else { sizes };
-        Ok(sizes.iter().flat_map(|size| texts.iter().map(|text| (text.clone(), size.clone()))).collect())
+        if self.each.is_empty() && self.words.contains("{}") {
+            return Err(("words", "it has a {}, and no 'each' says what to put there".to_owned()));
+        }
+        for (is_list, list, mark) in [
+            (!self.each.is_empty(), "'each'", "{}"),
+            (self.bytes.of().len() > 1, "several sizes", "{bytes}"),
+            (self.metric.of().len() > 1, "several metrics", "{metric}"),
+        ] {
+            if is_list && !self.words.contains(mark) {
+                let why = format!("with {list} it needs a {mark}, or all claims are called the same");
+                return Err(("words", why));
+            }
+        }
+        let mut all = Vec::new();
+        for (experiment, bytes) in self.places(measurable)? {
+            for metric in or_empty(self.metric.of()) {
+                for text in or_empty(&self.each) {
+                    let words =
+                        self.words.replace("{experiment}", experiment.first()).replace("{bytes}", &bytes);
+                    let words = words.replace("{metric}", &metric).replace("{}", &text);
+                    let (bytes, metric) = (Names::One(bytes.clone()), Names::One(metric.clone()));
+                    let (each, experiment) = (vec![text], experiment.clone());
+                    all.push(Entry { words, each, experiment, bytes, metric, ..self.clone() });
+                }
+            }
+        }
+        Ok(all)
     }
 
-    fn claim(&self, text: &str, size: Option<&String>, measurable: &Measurable) -> Result<Claim, Bad> {
+    /// The experiments and the size of each claim.
+    fn places(&self, measurable: &Measurable) -> Result<Vec<(Names, String)>, Bad> {
+        if !self.words.contains("{experiment}") {
+            let sizes = or_empty(self.bytes.of()).into_iter();
+            return Ok(sizes.map(|size| (self.experiment.clone(), size)).collect());
+        }
+        let mut places = Vec::new();
+        for named in self.experiment.of() {
+            let is_named = |name: &str| name == named || named.ends_with('/') && name.starts_with(named);
+            let of_name = measurable.payloads.iter().filter(|(name, _)| is_named(name));
+            let of_name = of_name.map(|(name, bytes)| (Names::One(name.clone()), size(*bytes)));
+            let before = places.len();
+            places.extend(of_name.filter(|(_, size)| self.bytes.allow(size)));
+            if places.len() == before {
+                let why = format!("nothing is measured of '{named}', or nothing of such sizes");
+                return Err(("experiment", why));
+            }
+        }
+        Ok(places)
+    }
+
+    fn claim(&self, measurable: &Measurable, reasons: &BTreeMap<String, String>) -> Result<Claim, Bad> {
+        let (text, size) = (self.each.first().map_or("", String::as_str), Some(self.bytes.first()));
+        let size = size.filter(|size| !size.is_empty());
         let rows = |side: &Side| -> Result<Rows, Bad> {
             let put = |words: &String| words.replace("{}", text);
             let names = [&side.experiment, &self.experiment].into_iter().find(|names| !names.of().is_empty());
@@ -293,12 +382,10 @@ impl Entry {
             let names: Vec<String> = names.of().iter().map(put).collect();
             let is_there = |name: &String| measurable.payloads.iter().any(|(other, _)| other == name);
             if let Some(name) = names.iter().find(|name| !is_there(name)) {
-                let mut all: Vec<_> = measurable.payloads.iter().map(|(name, _)| name.as_str()).collect();
-                all.dedup();
-                return Err(("experiment", format!("there is no '{name}'; there are {}", all.join(", "))));
+                return Err(unknown("experiment", name, measurable.payloads.iter().map(|(name, _)| name)));
             }
-            let bytes = match (side.bytes.as_ref().or(size), self.bench) {
-                (Some(size), _) => Some(put(size)),
+            let bytes = match (side.bytes.as_deref().or(size), self.bench) {
+                (Some(size), _) => Some(size.replace("{}", text)),
                 (None, Bench::Compare) => {
                     return Err(("bytes", "missing: say it for the claim or for each side".to_owned()));
                 }
@@ -328,7 +415,11 @@ impl Entry {
             if !measurable.modes.iter().any(|(other, _)| *other == system) {
                 return Err(("system", format!("there is no '{system}'")));
             }
-            Ok(Rows { experiments: names, system, modes, bytes })
+            let is_nowhere = |mode: &&String| !measurable.modes.iter().any(|(_, other)| other == *mode);
+            if let Some(mode) = side.except.iter().find(is_nowhere) {
+                return Err(("except", format!("no system has a '{mode}'")));
+            }
+            Ok(Rows { experiments: names, system, modes, except: side.except.clone(), bytes })
         };
         let (limit, is_at_most) = match (self.at_most, self.at_least) {
             (Some(limit), None) => (limit, true),
@@ -349,16 +440,22 @@ impl Entry {
             }
             (_, None) => return Err(("theirs", "missing: { times } and { more } are of theirs".to_owned())),
         };
+        let metric = Metric::try_from(self.metric.first().to_owned()).map_err(|why| ("metric", why))?;
+        let reason =
+            |name: &String| reasons.get(name).cloned().ok_or_else(|| unknown("reason", name, reasons.keys()));
+        let instead = Side { modes: self.instead.clone(), ..self.ours.clone() };
         Ok(Claim {
-            words: self.words.replace("{bytes}", size.map_or("", String::as_str)).replace("{}", text),
-            figure: Figure { metric: self.metric, however_few: self.however_few },
+            words: self.words.clone(),
+            figure: Figure { metric, however_few: self.however_few },
             ours: rows(&self.ours)?,
             theirs,
             floor: self.floor.as_ref().map(&rows).transpose()?,
             limit,
             is_at_most,
+            instead: (!instead.modes.is_empty()).then(|| rows(&instead)).transpose()?,
             beside: self.beside.clone(),
-            reason: self.reason.clone(),
+            reason: self.reason.as_ref().map(reason).transpose()?,
+            is_silent: self.silent,
         })
     }
 }
@@ -375,6 +472,7 @@ impl Rows {
                 (&row.experiment, &row.system) == (experiment, &self.system)
                     && self.is_of_size(row)
                     && (self.modes.is_empty() || self.modes.contains(&row.mode))
+                    && !self.except.contains(&row.mode)
             };
             rows.iter().filter(is_wanted).collect::<Vec<_>>()
         };
@@ -402,7 +500,7 @@ impl Claim {
         };
         found += &ours.first().map_or(String::new(), |row| self.beside(row));
         let reason = self.reason.clone().filter(|_| holds == Some(false));
-        Verdict { reason, ..Verdict::new(&self.words, found, holds) }
+        Verdict { reason, is_silent: self.is_silent, ..Verdict::new(&self.words, found, holds) }
     }
 
     fn is_within(&self, number: f64) -> bool {
@@ -435,6 +533,11 @@ impl Claim {
             figure.text(them),
             them.name()
         );
+        let others = self.instead.as_ref().map(|others| figure.sort(&others.of(rows)).0).unwrap_or_default();
+        let all: Vec<&Row> = [us].into_iter().chain(others).collect();
+        if let Some(other) = figure.best(&all).filter(|other| other.mode != us.mode) {
+            found += &format!("; {} {} {unit}", other.mode, figure.text(other));
+        }
         if !unfit_ours.is_empty() {
             found += &format!("; of ours left out: {}", unfit_ours.join(", "));
         }

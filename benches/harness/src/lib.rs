@@ -7,12 +7,13 @@
 //! | `rows` | what was measured of systems beside each other |
 //! | `readings` | what was measured in other units |
 //! | `claims` | the judge of what must hold, as `benches/claims.toml` has it |
-//! | `table`, `page`, `canvas`, `histogram` | rows and readings for the terminal, the documents and a browser |
+//! | `table`, `page`, `canvas`, `bars`, `histogram` | rows and readings for the terminal, the documents and a browser |
 //! | `program` | what the programs of benches are told, and do |
 //! | `machine`, `scratch` | where a bench runs: what disturbs it, and what it leaves |
 //! | `turns` | ratios of parts that take turns |
 #![allow(missing_docs, reason = "many names say it all")]
 
+pub mod bars;
 mod beside;
 pub mod canvas;
 pub mod claims;

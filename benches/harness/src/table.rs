@@ -219,7 +219,7 @@ pub fn size(bytes: usize) -> String {
 }
 
 /// The inverse of [`size`].
-pub(crate) fn bytes_of(size: &str) -> Option<usize> {
+pub fn bytes_of(size: &str) -> Option<usize> {
     let (number, unit) = size.split_once(' ')?;
     let shift = match unit {
         "B" => 0,

@@ -22,7 +22,14 @@ fn ours(p50s_us: &[f64]) -> Row {
 }
 
 fn measurable() -> Measurable {
-    let modes = [("tautline", "blocking"), ("rival", "default"), ("other", "x"), ("floor", "futex")];
+    let modes = [
+        ("tautline", "blocking"),
+        ("tautline", "direct"),
+        ("rival", "default"),
+        ("other", "x"),
+        ("other", "polling"),
+        ("floor", "futex"),
+    ];
     Measurable {
         payloads: [(HELD.to_owned(), 64)].into(),
         modes: modes.map(|(system, mode)| (system.to_owned(), mode.to_owned())).into(),
@@ -59,7 +66,7 @@ fn the_best_of_each_side_counts_and_what_was_not_measured_is_no_success() {
         judge_claim(FASTER, &rows).to_string(),
         "holds       it is fast: 0.80 x in one round, at most 1.00 x: 4.00 µs (direct) against 5.00 µs (rival tuned)"
     );
-    let blocking = FASTER.to_owned() + "\nfloor = { system = 'floor' }\nreason = 'why'";
+    let blocking = FASTER.to_owned() + "\nfloor = { system = 'floor' }\nreason = 'x'\n[reasons]\nx = 'why'";
     let without_direct = [&rows[..1], &rows[2..], &[row("floor", "futex", &[7.5])]].concat();
     let missed = judge_claim(&blocking, &without_direct).to_string();
     assert!(missed.starts_with("MISSED ") && missed.ends_with("; why it stays: why"), "{missed}");
@@ -147,11 +154,44 @@ fn one_entry_is_a_claim_for_each_size() {
     assert!(refusal(&two.replace("{bytes}", "size")).contains("needs a {bytes}"));
 }
 
+/// A claim for each metric of each experiment.
+const SILENT: &str = "[[claim]]
+silent = true
+words = '{experiment}, {bytes}: {metric}'
+ours = { system = 'tautline', modes = ['blocking'] }
+instead = ['direct']
+theirs = { system = 'rival', except = ['polling'] }
+at-most = { times = 1.05 }
+parts = [{ experiment = 'latency/', metric = ['p50', 'CPU time'], reason = 'wakes' }]
+[reasons]
+wakes = 'it wakes two'
+";
+
+#[test]
+fn a_silent_claim_is_told_only_where_it_is_missed() {
+    let claims = read(SILENT, Bench::Compare, &measurable()).unwrap();
+    let (us, them) = (ours(&[6.0]), row("rival", "default", &[5.0]));
+    let rows = [us.clone(), row("tautline", "direct", &[4.0]), them.clone(), row("rival", "polling", &[1.0])];
+    let verdicts: Vec<String> = told(&claims, &rows).iter().map(ToString::to_string).collect();
+    assert_eq!(verdicts.len(), 2, "{verdicts:?}");
+    assert_eq!(
+        verdicts[0],
+        "MISSED      latency/whole/held-off, 64 B: p50: 1.20 x in one round, at most 1.05 x: 6.00 µs (blocking) against \
+         5.00 µs (rival default); direct 4.00 µs; why it stays: it wakes two"
+    );
+    assert!(verdicts[1].starts_with("MISSED      latency/whole/held-off, 64 B: CPU time: "), "{verdicts:?}");
+    let better = told(&claims, &[us.clone(), row("tautline", "direct", &[7.0]), them.clone()]);
+    assert!(!better[0].found.contains("direct"), "{}", better[0]);
+    for (us, them) in [(ours(&[5.0]), them.clone()), (us, Row { lost: 1, ..them })] {
+        assert!(told(&claims, &[us, them]).is_empty());
+    }
+}
+
 #[test]
 fn a_bad_file_says_where_and_what_would_be_right() {
     for (lines, words) in [
         (FASTER.replace("metric", "metrik"), vec!["line 6", "unknown field `metrik`", "`metric`"]),
-        (FASTER.replace("p50", "p51"), vec!["line 6", "no metric 'p51'", "p50, p99"]),
+        (FASTER.replace("p50", "p51"), vec!["line 1, 'metric'", "no metric 'p51'", "p50, p99"]),
         (FASTER.replace("1.0", "'1.0'"), vec!["line 8", "invalid type: string"]),
         (FASTER.replace("at-most", "at-least = { times = 1 }\nat-most"), vec!["line 1, 'at-most'", "either"]),
         (FASTER.replace("times", "number"), vec!["line 1, 'theirs'", "leave 'theirs' out"]),
@@ -186,4 +226,21 @@ fn a_bad_file_says_where_and_what_would_be_right() {
     assert!(refusal(&nowhere).contains("'experiment' of \"it is fast\": missing"));
     assert!(refusal(&whole.replace("it is fast", "as {}")).contains("no 'each' says"));
     assert!(refusal(&whole.replace("[claim]", "[clame]")).contains("unknown field `clame`"));
+    for (from, to, why) in [
+        (
+            "reason = 'wakes'",
+            "reason = 'waits'",
+            "'reason' of \"{experiment}, {bytes}: {metric}\": there is no 'waits'",
+        ),
+        ("'latency/'", "'latencies/'", "nothing is measured of 'latencies/'"),
+        (
+            "metric = ",
+            "bytes = '1 KiB', metric = ",
+            "nothing is measured of 'latency/', or nothing of such sizes",
+        ),
+        ("['polling']", "['poling']", "no system has a 'poling'"),
+        (": {metric}'", "'", "with several metrics it needs a {metric}"),
+    ] {
+        assert!(refusal(&SILENT.replace(from, to)).contains(why), "{}", refusal(&SILENT.replace(from, to)));
+    }
 }

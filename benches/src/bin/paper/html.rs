@@ -29,7 +29,8 @@ pub fn page(report: &Report) -> Result<String> {
     if !others.is_empty() {
         out.push_str("<h2>Response times of all variants</h2>\n");
         let caption = "99th percentile of the response time, from scheduled release to end of callback, in ms. A bar that ends in \
-                       a triangle is longer than the scale.";
+                       a triangle is longer than the scale; whiskers: the standard deviation of the runs; dashed: the deadline; \
+                       line: the response-time analysis.";
         figure(&mut out, &p99_bars(&report.rows, &others)?, caption)?;
     }
     if ablation.len() > 1 {
@@ -100,19 +101,19 @@ fn write_disturbed(out: &mut String, report: &Report) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::System;
+    use crate::plan::TAUTLINE;
     use crate::report::tests::{report, row};
 
     #[test]
     fn the_page_is_whole_and_needs_nothing_else() {
         let mut rows = Vec::new();
         for variant in ["futures-rt", "futures-rt-mw-below", "nort-tokio"] {
-            rows.extend((0..5).map(|index| row(System::Tautline, variant, index, &[2.0, 60.0])));
+            rows.extend((0..5).map(|index| row(TAUTLINE, variant, index, &[2.0, 60.0])));
         }
-        rows.push(row(System::Tautline, "capacity-15", 1, &[70.0]));
+        rows.push(row(TAUTLINE, "capacity-15", 1, &[70.0]));
         let page = page(&report(rows)).unwrap();
         assert!(page.starts_with("<!doctype html>") && page.ends_with("</body></html>\n"));
-        assert_eq!((page.matches("<svg ").count(), page.matches("</svg>").count()), (3, 3));
+        assert_eq!((page.matches("<svg ").count(), page.matches("</svg>").count()), (11, 11));
         assert!(!page.contains("src=") && !page.contains("@import") && !page.contains("<script"));
         assert!(
             page.contains("other variants that meet every deadline") && page.contains("a &lt;method&gt;")
@@ -122,7 +123,7 @@ mod tests {
 
     #[test]
     fn a_run_of_one_variant_is_a_page_too() {
-        let page = page(&report(vec![row(System::Tautline, "tokio", 0, &[])])).unwrap();
+        let page = page(&report(vec![row(TAUTLINE, "tokio", 0, &[])])).unwrap();
         assert_eq!(page.matches("<svg ").count(), 1);
     }
 }

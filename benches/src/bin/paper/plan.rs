@@ -4,33 +4,14 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use serde::Serialize;
 use tautline_paper::{Job, Role, Variant};
 
 use crate::application::{Application, Capacity};
 use crate::{Options, Result, application};
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum System {
-    Tautline,
-    R2r,
-}
-
-impl System {
-    pub fn name(self) -> &'static str {
-        match self {
-            System::Tautline => "tautline",
-            System::R2r => "r2r",
-        }
-    }
-}
-
-impl fmt::Display for System {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
+/// The systems, as in the JSON.
+pub const TAUTLINE: &str = "tautline";
+pub const R2R: &str = "r2r";
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Experiment {
@@ -52,7 +33,7 @@ impl fmt::Display for Experiment {
 /// Something that is run several times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Cell {
-    pub system: System,
+    pub system: &'static str,
     pub experiment: Experiment,
 }
 
@@ -130,16 +111,15 @@ impl Plan {
 }
 
 fn cells(variants: &[Variant], with_r2r: bool, computed: usize) -> Vec<Cell> {
-    let systems = if with_r2r { &[System::Tautline, System::R2r][..] } else { &[System::Tautline][..] };
+    let systems = if with_r2r { &[TAUTLINE, R2R][..] } else { &[TAUTLINE][..] };
     let paper = variants.iter().map(|variant| Experiment::Paper(*variant));
-    let mut cells: Vec<_> = paper
-        .flat_map(|experiment| systems.iter().map(move |system| Cell { system: *system, experiment }))
-        .collect();
+    let mut cells: Vec<_> =
+        paper.flat_map(|experiment| systems.iter().map(move |&system| Cell { system, experiment })).collect();
     let capacity = |system, depth| Cell { system, experiment: Experiment::Capacity(depth) };
-    cells.push(capacity(System::Tautline, computed));
-    cells.push(capacity(System::Tautline, computed - 1));
+    cells.push(capacity(TAUTLINE, computed));
+    cells.push(capacity(TAUTLINE, computed - 1));
     if with_r2r {
-        cells.push(capacity(System::R2r, computed));
+        cells.push(capacity(R2R, computed));
     }
     cells
 }

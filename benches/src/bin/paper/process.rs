@@ -12,7 +12,7 @@ use tautline_paper::{Job, Line, Measured, Published, Role};
 use tautline_rt::host::steal_ticks;
 
 use crate::Result;
-use crate::plan::{Cell, Plan, System};
+use crate::plan::{Cell, Plan, R2R};
 
 /// How long a process may take to set itself up.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -42,10 +42,7 @@ pub fn version(program: &Path) -> Result<String> {
 
 pub fn run(plan: &Plan, cell: Cell, namespace: String, interrupted: &AtomicBool) -> Result<Run> {
     let job = plan.job(cell, namespace);
-    let program = match cell.system {
-        System::Tautline => std::env::current_exe()?,
-        System::R2r => plan.r2r.clone()?,
-    };
+    let program = if cell.system == R2R { plan.r2r.clone()? } else { std::env::current_exe()? };
     let mut subscriber = start(&program, &Job { role: Role::Subscriber, ..job.clone() }, interrupted)?;
     subscriber.expect(PATIENCE, |line| matches!(line, Line::Ready).then_some(()))?;
     let steal_before = steal_ticks(Some(plan.core));

@@ -199,7 +199,7 @@ fn tell(bar: &ProgressBar, what: &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::{Experiment, System};
+    use crate::plan::{Experiment, TAUTLINE};
     use tautline_paper::Variant;
 
     fn run(steal_ticks: u64, repetition: bool) -> Run {
@@ -209,7 +209,7 @@ mod tests {
     #[test]
     fn disturbed_runs_are_repeated_but_not_for_ever() {
         let plan = Plan { repeats: 2, ..crate::report::tests::plan() };
-        let cell = Cell { system: System::Tautline, experiment: Experiment::Paper(Variant::FUTURES_RT) };
+        let cell = Cell { system: TAUTLINE, experiment: Experiment::Paper(Variant::FUTURES_RT) };
         let wants = |runs: &[Run]| CellRuns { cell, runs: runs.to_vec() }.wants_repetition(&plan);
         assert!(!wants(&[run(0, false), run(0, false)]));
         assert!(wants(&[run(0, false), run(1, false)]));

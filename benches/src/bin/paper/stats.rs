@@ -4,7 +4,7 @@
 use serde::Serialize;
 use tautline_paper::Topic;
 
-use crate::plan::{Cell, Plan, System};
+use crate::plan::{Cell, Plan};
 use crate::process::Run;
 use crate::rounds::CellRuns;
 
@@ -12,7 +12,7 @@ use crate::rounds::CellRuns;
 /// units stay.
 #[derive(Clone, Debug, Serialize)]
 pub struct Row {
-    pub system: System,
+    pub system: &'static str,
     pub variant: String,
     pub topic: String,
     pub runs: usize,
@@ -157,7 +157,7 @@ pub fn ms(ns: u64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::Experiment;
+    use crate::plan::{Experiment, R2R};
     use tautline_paper::{Measured, Published, TopicMeasured, Variant};
 
     fn run(latencies_ms: [&[u64]; 2], published: [u64; 2], steal_ticks: u64) -> Run {
@@ -192,7 +192,7 @@ mod tests {
     fn a_row_counts_what_is_late_and_what_is_lost_in_undisturbed_runs() {
         let mut plan = crate::report::tests::plan();
         plan.runs = 2;
-        let cell = Cell { system: System::R2r, experiment: Experiment::Paper(Variant::FUTURES_RT) };
+        let cell = Cell { system: R2R, experiment: Experiment::Paper(Variant::FUTURES_RT) };
         let runs = vec![
             run([&[2, 2, 11], &[6]], [4, 1], 0),
             run([&[500], &[6]], [1, 1], 3),

@@ -6,7 +6,7 @@ use tautline_harness::claims::{Aimed, Verdict, judge};
 use tautline_harness::readings::Reading;
 use tautline_paper::{Scheduling, Structure, Variant};
 
-use crate::plan::{Experiment, System};
+use crate::plan::{Experiment, R2R, TAUTLINE};
 use crate::stats::Row;
 
 const EXPERIMENTS: [&str; 4] = ["variants", "beside r2r", "prediction", "capacity"];
@@ -20,7 +20,7 @@ const SHARE: f64 = 0.05;
 /// # Errors
 /// The claims' file says what cannot be judged.
 pub fn verdicts(rows: &[Row], capacity: usize) -> Result<Vec<Verdict>> {
-    let systems = [System::Tautline, System::R2r];
+    let systems = [TAUTLINE, R2R];
     let of_variants = systems.map(|system| {
         let of = SystemVariants { system, variants: variants(rows, system) };
         [of.late(), of.others_in_time(), of.fastest_in_time(), of.ablation(), of.nort_tokio()]
@@ -32,7 +32,7 @@ pub fn verdicts(rows: &[Row], capacity: usize) -> Result<Vec<Verdict>> {
     Ok(judge(Aimed::Paper, &EXPERIMENTS.map(str::to_owned), &mut readings)?)
 }
 
-fn variants(rows: &[Row], system: System) -> Vec<(Variant, Vec<&Row>)> {
+fn variants<'r>(rows: &'r [Row], system: &str) -> Vec<(Variant, Vec<&'r Row>)> {
     let mut found: Vec<(Variant, Vec<&Row>)> = Vec::new();
     for row in rows.iter().filter(|row| row.system == system) {
         let Experiment::Paper(variant) = row.cell.experiment else { continue };
@@ -44,19 +44,19 @@ fn variants(rows: &[Row], system: System) -> Vec<(Variant, Vec<&Row>)> {
     found
 }
 
-fn rows_of(rows: &[Row], system: System, experiment: Experiment) -> Vec<&Row> {
+fn rows_of<'r>(rows: &'r [Row], system: &str, experiment: Experiment) -> Vec<&'r Row> {
     rows.iter().filter(|row| row.system == system && row.cell.experiment == experiment).collect()
 }
 
 /// What was measured of a system's variants.
 struct SystemVariants<'r> {
-    system: System,
+    system: &'static str,
     variants: Vec<(Variant, Vec<&'r Row>)>,
 }
 
 impl<'r> SystemVariants<'r> {
     fn reading(&self, what: &str, unit: &'static str, value: f64) -> Reading {
-        Reading::of("variants", 0, what, unit).system(self.system.name()).value(value)
+        Reading::of("variants", 0, what, unit).system(self.system).value(value)
     }
 
     fn rows_of(&self, variant: Variant) -> &[&'r Row] {
@@ -154,13 +154,13 @@ fn failures(rows: &[&Row]) -> String {
 
 fn beside_r2r(rows: &[Row]) -> Reading {
     let of = |system| rows_of(rows, system, Experiment::Paper(Variant::FUTURES_RT));
-    let pairs = of(System::Tautline).into_iter().zip(of(System::R2r));
+    let pairs = of(TAUTLINE).into_iter().zip(of(R2R));
     let pairs = pairs.map(|(ours, theirs)| (ours, theirs.p99_ms));
     let what = format!("p99 of futures-rt above {FACTOR} x r2r's, on the worst topic");
     worst_topic("beside r2r", what, pairs, |ours, theirs| ours - theirs * FACTOR)
 }
 
-fn prediction(rows: &[Row], system: System) -> Reading {
+fn prediction(rows: &[Row], system: &'static str) -> Reading {
     let rows = rows_of(rows, system, Experiment::Paper(Variant::FUTURES_RT));
     let pairs = rows.into_iter().take(4).map(|row| (row, row.rta_overhead_ms));
     let percent = SHARE * 100.0;
@@ -168,7 +168,7 @@ fn prediction(rows: &[Row], system: System) -> Reading {
         "p99 of futures-rt off the prediction with overheads by more than {percent:.0} %, worst of topics 1 to 4"
     );
     let off = |p99: f64, predicted: f64| (p99 - predicted).abs() - predicted * SHARE;
-    worst_topic("prediction", what, pairs, off).system(system.name())
+    worst_topic("prediction", what, pairs, off).system(system)
 }
 
 /// By how much a topic's p99 is beyond the other number where it is most; not below 0.
@@ -190,21 +190,21 @@ fn worst_topic<'r>(
 }
 
 fn capacities(rows: &[Row], capacity: usize) -> [Reading; 4] {
-    let lost = |system: System, depth: usize, what: &str| {
+    let lost = |system: &'static str, depth: usize, what: &str| {
         let rows = rows_of(rows, system, Experiment::Capacity(depth));
         let lost: u64 = rows.iter().map(|row| row.lost).sum();
         let counted: Option<u64> = rows.iter().map(|row| row.counted_lost).sum();
         let published: u64 = rows.iter().map(|row| row.published).sum();
         let runs = rows.first().map_or(0, |row| row.runs);
-        let one = Reading::of("capacity", depth, what, "messages").system(system.name()).value(lost as f64);
+        let one = Reading::of("capacity", depth, what, "messages").system(system).value(lost as f64);
         let one = one.note(format!("of {published} in {runs} runs")).unfit(unmeasured(published == 0));
         (one, counted.map_or(f64::NAN, |counted| lost.abs_diff(counted) as f64))
     };
-    let (computed, _) = lost(System::Tautline, capacity, "lost with the computed capacity");
-    let (one_less, uncounted) = lost(System::Tautline, capacity - 1, "lost with one place less");
+    let (computed, _) = lost(TAUTLINE, capacity, "lost with the computed capacity");
+    let (one_less, uncounted) = lost(TAUTLINE, capacity - 1, "lost with one place less");
     let what = "lost with one place less, and not counted".to_owned();
     let uncounted = Reading { what, ..one_less.clone() }.value(uncounted);
-    let (of_r2r, _) = lost(System::R2r, capacity, "lost by the fixed channel of 10");
+    let (of_r2r, _) = lost(R2R, capacity, "lost by the fixed channel of 10");
     [computed, one_less, uncounted, of_r2r]
 }
 
@@ -222,16 +222,16 @@ mod tests {
     /// futures-rt as predicted, futures late, the deep queue as computed, on both systems.
     fn rows() -> Vec<Row> {
         let mut rows = Vec::new();
-        for system in [System::Tautline, System::R2r] {
+        for system in [TAUTLINE, R2R] {
             for (index, rta) in RTA.iter().enumerate() {
                 rows.push(row(system, "futures-rt", index, &[rta + 0.05]));
                 rows.push(row(system, "futures", index, &[70.0]));
                 rows.push(row(system, "futures-rt-mw-below", index, &[70.0]));
             }
             let deep = row(system, "capacity-16", 1, &[77.0]);
-            rows.push(Row { lost: if system == System::R2r { 5 } else { 0 }, ..deep });
+            rows.push(Row { lost: if system == R2R { 5 } else { 0 }, ..deep });
         }
-        rows.push(Row { lost: 1, counted_lost: Some(1), ..row(System::Tautline, "capacity-15", 1, &[77.0]) });
+        rows.push(Row { lost: 1, counted_lost: Some(1), ..row(TAUTLINE, "capacity-15", 1, &[77.0]) });
         rows
     }
 
@@ -270,8 +270,7 @@ mod tests {
         for row in rows.iter_mut().filter(|row| row.variant == "futures") {
             (row.misses, row.p99_ms) = (0, Some(1.0));
         }
-        for row in rows.iter_mut().filter(|row| row.variant == "futures-rt" && row.system == System::Tautline)
-        {
+        for row in rows.iter_mut().filter(|row| row.variant == "futures-rt" && row.system == TAUTLINE) {
             (row.misses, row.steal_ticks) = (1, 2);
             row.p99_ms = row.p99_ms.map(|p99| p99 * 1.1);
         }

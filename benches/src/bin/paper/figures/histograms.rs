@@ -2,10 +2,12 @@
 //! Response times of the fastest topic with the middleware above the callbacks and not: a row for each, a column for each
 //! system.
 
+use tautline_harness::bars::colour;
 use tautline_harness::canvas::{Align, Canvas, DEADLINE, FAINT, GRID, Words};
 
-use super::{colour, label, systems, ticks};
+use super::{systems, ticks};
 use crate::Result;
+use crate::plan::R2R;
 use crate::stats::Row;
 
 const LEFT: i32 = 52;
@@ -34,7 +36,8 @@ pub fn ablation_histograms(rows: &[Row], variants: &[String]) -> Result<String> 
     let canvas = Canvas::new(&mut svg, size)?;
     for (place, system) in systems.iter().enumerate() {
         let left = LEFT + (COLUMN + GAP) * place as i32;
-        canvas.text(label(*system), (left, 18), Words { pixels: 15, ..Words::TITLE })?;
+        let name = if *system == R2R { "r2r over Fast DDS" } else { "Tautline" };
+        canvas.text(name, (left, 18), Words { pixels: 15, ..Words::TITLE })?;
         for (line, variant) in variants.iter().enumerate() {
             let top = TOP + ROW * line as i32;
             if let Some(row) = rows.iter().find(|row| (row.system, &row.variant) == (*system, variant)) {
@@ -95,7 +98,7 @@ fn bins(latencies_ns: &[u64], end_ms: f64) -> Vec<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::System;
+    use crate::plan::TAUTLINE;
     use crate::report::tests::row;
 
     #[test]
@@ -108,7 +111,7 @@ mod tests {
     fn each_variant_of_each_system_has_its_own() {
         let variants: Vec<String> = ["futures-rt", "futures-rt-mw-below"].map(str::to_owned).to_vec();
         let mut rows = Vec::new();
-        for system in [System::Tautline, System::R2r] {
+        for system in [TAUTLINE, R2R] {
             rows.push(row(system, "futures-rt", 0, &[2.1, 2.2]));
             rows.push(row(system, "futures-rt-mw-below", 0, &[2.1, 68.0]));
             rows.push(row(system, "futures-rt", 1, &[6.0]));
