@@ -40,7 +40,7 @@ impl Setup<'_> {
         if !is_stream {
             let since = Instant::now();
             for far in &mut fars.0 {
-                let is_last = |line| matches!(line, Line::Complete { .. }).then_some(());
+                let is_last = |line| matches!(line, Line::Complete).then_some(());
                 // Whether it has come: what has not is counted as lost.
                 let _ = far.wait_for(DRAIN.saturating_sub(since.elapsed()), is_last)?;
             }
