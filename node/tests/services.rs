@@ -176,7 +176,7 @@ fn another_server_that_got_the_request_may_still_answer() {
     assert_eq!(block_on(answer).unwrap().sum, 3);
     let answer = client.request(&question(1, 2)).unwrap();
     drop((_second, _third));
-    assert!(block_on(answer).unwrap_err().to_string().contains("has gone"));
+    assert!(block_on(answer).unwrap_err().to_string().contains("its server ended"));
 }
 
 #[test]

@@ -188,7 +188,7 @@ fn components_come_and_go_by_service() {
         (ask("demo::Counter", &[], 11), "log level 11 is none"),
         (
             ask("demo::Unfinished", &["count:=/unfinished/count"], 0),
-            "component 'demo::Unfinished' was not made",
+            "component 'demo::Unfinished' was not created",
         ),
         (
             with(&[("step", "fast".into())], &[]),
