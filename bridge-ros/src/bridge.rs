@@ -17,8 +17,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
 use std::time::Duration;
 use tautline_relay::{
-    Budget, MirrorControl, Event, Guard, Instance, InstanceError, InstanceLock, Parts, RelayError, Rules, Services,
-    watch_domain,
+    Budget, Event, Guard, Instance, InstanceError, InstanceLock, MirrorControl, Parts, RelayError, Rules,
+    Services, watch_domain,
 };
 use tautline_rt::{JoinHandle, Realtime, RtError, ThreadInfo};
 use tautline_transport::{Participant, RemoteGraph, TransportError};

@@ -14,7 +14,9 @@ use std::collections::HashMap;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
-use tautline_relay::{Delivery, EarlyLimits, InKey, Ingress, IngressUpdate, Job, MessageMeta, Worker, commanded};
+use tautline_relay::{
+    Delivery, EarlyLimits, InKey, Ingress, IngressUpdate, Job, MessageMeta, Worker, commanded,
+};
 use tautline_rt::{ThreadBuilder, ThreadInfo};
 use tautline_transport::Gid;
 

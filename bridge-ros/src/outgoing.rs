@@ -6,7 +6,7 @@
 use crate::rcl::{RclError, RosPublisher, SerializedMessage};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use tautline_relay::{EarlyLimits, Egress, Last, Outbound, Relay, OutboundSample, TopicKey};
+use tautline_relay::{EarlyLimits, Egress, Last, Outbound, OutboundSample, Relay, TopicKey};
 use tautline_rt::clock::monotonic_ns;
 
 /// XCDR1, little endian.

@@ -9,7 +9,7 @@ use crate::ros_graph::{self, RosGraph};
 use crate::services::{Nodes, RosServices};
 use crate::shown::ShownNodes;
 use crate::stats::{IncompatibleQos, ServiceNames, TopicNames};
-use crate::table::{OwnTable, OriginTable, Tables};
+use crate::table::{OriginTable, OwnTable, Tables};
 use crate::types::Types;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;

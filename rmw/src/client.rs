@@ -3,7 +3,7 @@
 
 use crate::bindings::*;
 use crate::context::Watchers;
-use crate::end::{ReceivingEndpoint, MessageQueue};
+use crate::end::{MessageQueue, ReceivingEndpoint};
 use crate::error::{Error, Result, answer, made};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
 use crate::node::Node;

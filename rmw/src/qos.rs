@@ -57,7 +57,8 @@ pub(crate) fn from_ros<'e>(
     others: impl Iterator<Item = &'e TopicEndpoint> + Clone,
 ) -> Result<Qos> {
     // A subscription adapts to existing publishers; a publisher offers the most; a service uses the service defaults.
-    let publishers = others.filter(|end| end.kind == EndpointKind::Publisher && role == EndpointRole::Subscription);
+    let publishers =
+        others.filter(|end| end.kind == EndpointKind::Publisher && role == EndpointRole::Subscription);
     let all = |fits: fn(&TopicEndpoint) -> bool| publishers.clone().all(fits);
     let reliability = match profile.reliability {
         RMW_QOS_POLICY_RELIABILITY_SYSTEM_DEFAULT | RMW_QOS_POLICY_RELIABILITY_RELIABLE => {

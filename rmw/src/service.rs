@@ -2,7 +2,7 @@
 //! Servers of services.
 
 use crate::bindings::*;
-use crate::end::{ReceivingEndpoint, MessageQueue};
+use crate::end::{MessageQueue, ReceivingEndpoint};
 use crate::error::{Error, Result, answer, made};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
 use crate::node::{Node, check_full_name};
@@ -161,8 +161,13 @@ pub unsafe extern "C" fn rmw_create_service(
         let depth = unsafe { Depth::of(profile, &wanted) };
         let raw =
             node.participant.create_raw_server(name, &of.service_type, depth.room, of.response.limits())?;
-        let service =
-            Service { node, of, qos: qos::to_ros(&wanted, false), depth, end: ReceivingEndpoint::new(node, raw)? };
+        let service = Service {
+            node,
+            of,
+            qos: qos::to_ros(&wanted, false),
+            depth,
+            end: ReceivingEndpoint::new(node, raw)?,
+        };
         let service_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anyone can see it.
         unsafe {
