@@ -16,7 +16,7 @@
 //! - With the feature `lttng` the same functions are LTTng-UST tracepoints with the names and fields of ros2_tracing and r2r.
 //!
 //! ```
-//! use tautline_trace::{Kind, MessageId, Record, Recorder, TraceMode};
+//! use tautline_trace::{EventKind, MessageId, Record, Recorder, TraceMode};
 //!
 //! tautline_trace::configure(TraceMode::On.into());
 //! let membership = tautline_trace::join(1204)?; // what a Context does
@@ -31,7 +31,7 @@
 //!         kinds.extend(events.iter().map(|event| event.kind));
 //!     }
 //! });
-//! assert_eq!(kinds, [Kind::Publish]);
+//! assert_eq!(kinds, [EventKind::Publish]);
 //! drop(membership);
 //! # Ok::<(), tautline_trace::TraceError>(())
 //! ```
