@@ -98,8 +98,9 @@ impl Report {
             let mut row =
                 Reading::of(job.shared.as_str(), 0, &of.name, "ms").system(system).times_in(&times, 1e3);
             if let Some(bound) = bounds.as_ref().and_then(|bounds| bounds.of(of.span)) {
-                row.note = format!("bound {:.3} ms", bound.as_secs_f64() * 1e3);
-                verdicts.push(judge_by_bound(&mut row, Column::Max, bound.as_secs_f64() * 1e3));
+                let bound_ms = bound.as_secs_f64() * 1e3;
+                verdicts.push(judge_by_bound(&mut row, Column::Max, bound_ms));
+                row.note = format!("bound {bound_ms:.3} ms");
             }
             rows.push(row);
         }
