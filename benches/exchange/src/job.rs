@@ -73,7 +73,6 @@ pub struct Job {
 
 /// The variant of a system.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default)]
 pub struct Way {
     /// The system's name for it.
     pub mode: String,
@@ -87,8 +86,10 @@ pub struct Way {
     /// evenly over the period.
     pub at_once: bool,
     /// For a flow at a rate: the near endpoint times how long it takes to send each message.
+    #[serde(default)]
     pub times_sending: bool,
     /// The core of the other endpoint, for threads that may run there.
+    #[serde(default)]
     pub other_core: Option<usize>,
 }
 
@@ -211,7 +212,6 @@ impl Line {
 
 /// The results of one endpoint.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-#[serde(default)]
 pub struct Measured {
     /// Half round trips, or times between two arrivals of a stream; of the near endpoint of a flow, how long sending took.
     pub times_ns: Vec<u64>,
@@ -219,16 +219,22 @@ pub struct Measured {
     pub lost: u64,
     pub seconds: f64,
     /// CPU time of this process while measuring.
+    #[serde(default)]
     pub cpu_ns: u64,
     /// Of both endpoints, when the near one had finished.
+    #[serde(default)]
     pub memory: Memory,
     /// Messages of a flow that were sent, or that arrived.
+    #[serde(default)]
     pub messages: u64,
     /// Messages of a flow at a rate that were due before the previous one was sent; round trips of [`LATE`](crate::LATE) or more.
+    #[serde(default)]
     pub late: u64,
     /// Messages of a flow that the system refused.
+    #[serde(default)]
     pub refused: u64,
     /// The message number of each of `times_ns`, for a flow with one topic.
+    #[serde(default)]
     pub numbers: Vec<u64>,
 }
 
