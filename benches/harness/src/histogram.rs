@@ -32,12 +32,12 @@ impl Series<'_> {
     }
 }
 
-/// Histograms of up to four series over each other as an SVG document, counts on a logarithmic scale; the bound is a line.
+/// Histograms of up to four series over each other as an SVG document, counts on a logarithmic scale; a limit is a line, by its name.
 ///
 /// # Errors
 /// It cannot be drawn.
-pub fn histogram(title: &str, all: &[Series<'_>], bound_ms: Option<f64>) -> Result<String> {
-    let far = all.iter().map(Series::max_ms).chain(bound_ms).fold(0.01, f64::max) * 1.03;
+pub fn histogram(title: &str, all: &[Series<'_>], limit: Option<(&str, f64)>) -> Result<String> {
+    let far = all.iter().map(Series::max_ms).chain(limit.map(|(_, ms)| ms)).fold(0.01, f64::max) * 1.03;
     let bin_ms = far / BINS as f64;
     let highest = all.iter().flat_map(|series| series.bins(bin_ms)).max().unwrap_or(1).max(10) as f64;
     let mut svg = String::new();
@@ -67,11 +67,11 @@ pub fn histogram(title: &str, all: &[Series<'_>], bound_ms: Option<f64>) -> Resu
             .label(format!("{} (n = {n})", series.name))
             .legend(move |(x, y)| Rectangle::new([(x, y - 5), (x + 12, y + 5)], colour.mix(0.6).filled()));
     }
-    if let Some(bound_ms) = bound_ms {
-        let line = [(bound_ms, 0.8), (bound_ms, highest)];
+    if let Some((name, ms)) = limit {
+        let line = [(ms, 0.8), (ms, highest)];
         chart
             .draw_series([PathElement::new(line, DEADLINE.stroke_width(2))])?
-            .label("bound")
+            .label(name)
             .legend(|(x, y)| PathElement::new([(x, y), (x + 12, y)], DEADLINE.stroke_width(2)));
     }
     chart
@@ -95,7 +95,7 @@ mod tests {
         let series = Series { name: "chain", counts: &[(0, 1), (1_000_000, 2), (100_000_000, 3)] };
         assert_eq!((series.bins(1.0)[0], series.bins(1.0)[1], series.bins(1.0)[BINS]), (1, 2, 3));
         assert_eq!(series.bins(0.001).iter().sum::<u64>(), 6);
-        let svg = histogram("times", &[series], Some(120.0)).unwrap();
+        let svg = histogram("times", &[series], Some(("bound", 120.0))).unwrap();
         assert!(svg.contains("chain (n = 6)") && svg.contains("bound"), "{svg}");
         assert!(histogram("nothing", &[], None).is_ok());
     }

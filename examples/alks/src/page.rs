@@ -36,10 +36,10 @@ pub fn page(reports: &[Report]) -> Result<String> {
             let times = report.times.iter().filter(|times| spans.contains(&times.span));
             let times: Vec<_> = times.map(|of| Series { name: &of.name, counts: &of.values }).collect();
             let bound = report.bounds.as_ref().filter(|_| spans.contains(&Span::Chain));
-            let bound_ms =
-                bound.and_then(|bounds| bounds.of(Span::Chain)).map(|bound| bound.as_secs_f64() * 1e3);
+            let bound = bound.and_then(|bounds| bounds.of(Span::Chain));
+            let bound = bound.map(|bound| ("bound", bound.as_secs_f64() * 1e3));
             if !times.is_empty() {
-                figure(&mut page, &histogram(title, &times, bound_ms)?, "")?;
+                figure(&mut page, &histogram(title, &times, bound)?, "")?;
             }
         }
         figure(&mut page, &picture::drive(&report.drive)?, "")?;

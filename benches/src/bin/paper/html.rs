@@ -36,7 +36,7 @@ pub fn page(report: &Report) -> Result<String> {
     if ablation.len() > 1 {
         out.push_str("<h2>The middleware's priority</h2>\n");
         let caption = "futures-rt with sampler and middleware above the callbacks (21), below them (15), and without a \
-                       real-time priority: response times of topic 1, whose deadline is dashed.";
+                       real-time priority: response times of topic 1, counts on a logarithmic scale.";
         figure(&mut out, &ablation_histograms(&report.rows, &ablation)?, caption)?;
         let caption = "The same: 99th percentiles of all topics, in ms.";
         figure(&mut out, &p99_bars(&report.rows, &ablation)?, caption)?;

@@ -1,12 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! 99th percentiles: a picture for each topic, a bar for each variant and system.
+//! The paper's figures, drawn anew from the rows of a run.
 
 use tautline_harness::bars::{Bar, Mark, bars};
 use tautline_harness::table::short;
+use tautline_harness::{Series, histogram};
 
-use super::systems;
 use crate::Result;
+use crate::plan::{R2R, TAUTLINE};
 use crate::stats::Row;
+
+fn systems(rows: &[&Row]) -> Vec<&'static str> {
+    let is_there = |system: &&str| rows.iter().any(|row| row.system == *system);
+    [TAUTLINE, R2R].into_iter().filter(is_there).collect()
+}
 
 /// Draws the rows of these variants, in this order, one picture below the other.
 ///
@@ -48,10 +54,29 @@ fn bar(row: &Row) -> Bar {
     }
 }
 
+/// Response times of the fastest topic with the middleware above the callbacks and not: a picture for each system.
+pub fn ablation_histograms(rows: &[Row], variants: &[String]) -> Result<String> {
+    let rows: Vec<&Row> =
+        rows.iter().filter(|row| row.index == 0 && variants.contains(&row.variant)).collect();
+    let mut pictures = String::new();
+    for system in systems(&rows) {
+        let of_system: Vec<&Row> = rows.iter().filter(|row| row.system == system).copied().collect();
+        let name = |row: &Row| {
+            let p99 = row.p99_ms.map_or("-".to_owned(), short);
+            format!("{}: p99 {p99} ms, {} late", row.variant, row.misses)
+        };
+        let times = |row: &&Row| (name(row), row.latencies_ns.iter().map(|ns| (*ns, 1)).collect::<Vec<_>>());
+        let times: Vec<_> = of_system.iter().map(times).collect();
+        let series: Vec<_> = times.iter().map(|(name, counts)| Series { name, counts }).collect();
+        let deadline = of_system.first().map(|row| ("deadline", row.deadline_ms));
+        pictures += &histogram(&format!("{system}: response time of topic1"), &series, deadline)?;
+    }
+    Ok(pictures)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::{R2R, TAUTLINE};
     use crate::report::tests::row;
 
     #[test]
@@ -73,5 +98,23 @@ mod tests {
     fn a_topic_without_messages_is_named() {
         let rows = [row(TAUTLINE, "tokio", 0, &[])];
         assert!(p99_bars(&rows, &["tokio".into()]).unwrap().contains("nothing received"));
+    }
+
+    #[test]
+    fn each_variant_of_each_system_has_its_histogram() {
+        let variants: Vec<String> = ["futures-rt", "futures-rt-mw-below"].map(str::to_owned).to_vec();
+        let mut rows = Vec::new();
+        for system in [TAUTLINE, R2R] {
+            rows.push(row(system, "futures-rt", 0, &[2.1, 2.2]));
+            rows.push(row(system, "futures-rt-mw-below", 0, &[2.1, 68.0]));
+            rows.push(row(system, "futures-rt", 1, &[6.0]));
+        }
+        let svg = ablation_histograms(&rows, &variants).unwrap();
+        let count = |words: &str| svg.matches(words).count();
+        assert_eq!(
+            (count("0 late (n = 2)"), count("1 late (n = 2)"), count("futures-rt-mw-below")),
+            (2, 2, 2)
+        );
+        assert_eq!((count("r2r: response time"), count("deadline")), (1, 2));
     }
 }
