@@ -93,7 +93,7 @@ const fn own(system: &'static str, mode: &'static str, part: Part) -> Mode {
 }
 
 const fn json(system: &'static str, mode: &'static str, part: Part) -> Mode {
-    Mode { system, mode, program: Program::Json(system), one_core: false, part }
+    Mode { program: Program::Json(system), ..own(system, mode, part) }
 }
 
 /// All of them, rivals in question next to each other.

@@ -13,8 +13,8 @@ table{border-collapse:collapse;font-size:13px;font-variant-numeric:tabular-nums}
 th,td{padding:2px 9px;border-bottom:1px solid #e2e6eb;text-align:right;white-space:nowrap}\
 th{background:#f4f6f8;position:sticky;top:0}.l{text-align:left}.w{white-space:normal}tr.first td{border-top:2px solid #c3cad3}\
 .late{color:#cc2026;font-weight:600}.scroll{overflow:auto;max-height:36em}\
-.verdicts{list-style:none;padding:0}.verdicts li{padding:.25em 0 .25em 6.2em;text-indent:-6.2em}\
-.verdicts b{display:inline-block;width:5.6em;white-space:nowrap;text-indent:0;margin-right:.6em}\
+.verdicts{list-style:none;padding:0}.verdicts li{padding:.25em 0 .25em 7em;text-indent:-7em}\
+.verdicts b{display:inline-block;width:6.4em;white-space:nowrap;text-indent:0;margin-right:.6em}\
 .yes{color:#1a7f37}.no{color:#cc2026}.unknown{color:#666e7a}";
 
 pub const END: &str = "</body></html>\n";
