@@ -2,7 +2,7 @@
 //! What it costs to send at a rate: a process with publishers that one thread serves, one with as many subscriptions in a wait set.
 
 use crate::rmw::{Node, Publish, STRUCT_BYTES, Take, Twist, Waiting, checked};
-use crate::system::{PATIENCE, Starter, System, Task, measured, ready, said};
+use crate::system::{PATIENCE, Starter, System, Task, measured, ready};
 use crate::types;
 use std::ptr::null_mut;
 use std::sync::atomic::Ordering;
@@ -33,15 +33,15 @@ pub fn measure(starter: &Starter<'_>, system: &System, budget: Duration) -> Resu
     let mut far = start(Role::Far)?;
     ready(&mut far, PATIENCE)?;
     let mut near = start(Role::Near)?;
-    said(far.expect(PATIENCE, |line| matches!(line, Line::Connected { .. }).then_some(())))?;
-    said(near.tell("go"))?;
+    far.expect(PATIENCE, |line| matches!(line, Line::Connected { .. }).then_some(()))?;
+    near.tell("go")?;
     let sent = measured(&mut near, PATIENCE + budget * 2)?;
     // Whether the last one has come: what has not is counted as lost.
-    let _ = said(far.wait_for(DRAIN, |line| matches!(line, Line::Complete).then_some(())))?;
-    said(far.tell("stop"))?;
+    let _ = far.wait_for(DRAIN, |line| matches!(line, Line::Complete).then_some(()))?;
+    far.tell("stop")?;
     let received = measured(&mut far, PATIENCE)?;
-    said(near.finish())?;
-    said(far.finish())?;
+    near.finish()?;
+    far.finish()?;
     let per_message = |cpu_ns: u64| cpu_ns as f64 / 1e3 / received.messages.max(1) as f64;
     let [publishing, subscribing] = [sent.cpu_ns, received.cpu_ns].map(per_message);
     let cpu_us_per_msg = Some(rounded(publishing + subscribing));

@@ -26,11 +26,11 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
-use system::{Message, Starter, System, Task, said};
+use system::{Message, Starter, System, Task};
 use tautline_exchange::{Job, Result};
 use tautline_harness::claims::{self, Bench, Measurable};
 use tautline_harness::rows::{Row, Tally};
-use tautline_harness::table::{markdown, of_rows};
+use tautline_harness::table::of_rows;
 use tautline_harness::{Disturbance, Documented, exit, machine, progress_bar};
 use tautline_rt::IdleHold;
 use trips::{Client, Trip};
@@ -137,8 +137,9 @@ fn measure(arguments: &Arguments) -> Result<()> {
     let disturbance = disturbance.report();
     println!("{}\n{}\n{disturbance}\n", of_rows(&rows), machine());
     let verdicts = claims::verdicts(Bench::Rmw, &measurable(), &rows)?;
+    let conditions = format!("`cargo xtask bench rmw`: {}; {disturbance}.\n", machine());
+    arguments.told.write(&rows, || format!("{}\n{conditions}", of_rows(&rows).markdown()))?;
     claims::print_verdicts(&verdicts)?;
-    said(arguments.told.write(&rows, || document(&rows, &disturbance)))?;
     match rows.iter().filter(|row| row.system == TAUTLINE).map(|row| row.lost).sum() {
         0 => Ok(()),
         lost => Err(format!("{TAUTLINE} lost {lost} messages").into()),
@@ -159,23 +160,6 @@ fn measurable() -> Measurable {
         payloads: payloads.chain([flows]).chain(nodes).collect(),
         modes: modes.into_iter().flat_map(of_both).collect(),
     }
-}
-
-/// The table of the documents.
-fn document(rows: &[Row], disturbance: &str) -> String {
-    let titles = ["", "bytes", "RMW", "n", "p50 µs", "p99 µs", "max µs", "CPU µs per message", "lost"];
-    let number = |number: Option<f64>| tautline_harness::table::figure(number);
-    let line = |row: &Row| {
-        let what = format!("{}, {}", row.experiment, row.mode);
-        let [bytes, n, lost] = [row.payload_bytes as u64, row.n, row.lost].map(|count| count.to_string());
-        let [p50, p99, max] = [row.p50_us, row.p99_us, row.max_us].map(number);
-        vec![what, bytes, row.system.clone(), n, p50, p99, max, number(row.cpu_us_per_msg), lost]
-    };
-    format!(
-        "{}\n`cargo xtask bench rmw`: {}; {disturbance}.\n",
-        markdown(titles, 1, rows.iter().map(line)),
-        machine()
-    )
 }
 
 /// Round trips of one kind.

@@ -3,7 +3,7 @@
 
 use crate::bindings::*;
 use crate::rmw::{Node, checked};
-use crate::system::{PATIENCE, Starter, System, Task, measured, ready, said};
+use crate::system::{PATIENCE, Starter, System, Task, measured, ready};
 use crate::types;
 use std::time::{Duration, Instant};
 use tautline_exchange::{Exchange, Job, Line, Measured, Result, Role, Way, say, until_told};
@@ -38,11 +38,11 @@ pub fn measure(starter: &Starter<'_>, system: &System, nodes: usize) -> Result<R
     // Of all processes until then, and what they take to hear of it.
     let mut cpu_ns = 0;
     for process in &mut all {
-        said(process.tell("stop"))?;
+        process.tell("stop")?;
     }
     for process in &mut all {
         cpu_ns += measured(process, PATIENCE)?.cpu_ns;
-        said(process.finish())?;
+        process.finish()?;
     }
     let mut tally = Tally::default();
     tally.add(1, &time);

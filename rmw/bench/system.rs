@@ -8,7 +8,7 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 use tautline_exchange::{APPLICATION_PRIORITY, Exchange, Job, Line, Measured, Result, Role, Way};
-use tautline_harness::Process;
+use tautline_harness::{Process, without_settings};
 
 /// Nothing takes so long unless it is broken.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -97,9 +97,9 @@ impl Starter<'_> {
     /// A process of this program.
     pub fn start(&self, system: &System, job: &Job, task: Task) -> Result<Process<'static, Line>> {
         let mut command = Command::new(std::env::current_exe()?);
+        without_settings(&mut command);
         command.args(["--tautline", "none", "--end", &serde_json::to_string(job)?]);
         command.args(["--task", task.to_possible_value().ok_or("no such task")?.get_name()]);
-        command.env_remove("RMW_IMPLEMENTATION");
         if !matches!(task, Task::Flow | Task::Node) {
             command.envs(PROFILE_VARIABLES.map(|variable| (variable, PROFILE)));
         }
@@ -115,6 +115,7 @@ impl Starter<'_> {
         let program =
             self.program(client).ok_or_else(|| format!("no program of {} is named", client.name()))?;
         let mut command = Command::new(program);
+        without_settings(&mut command);
         if client == Client::Rclpy {
             command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/bench/client.py"));
         }
@@ -148,23 +149,18 @@ fn begin(mut command: Command, system: &System, job: &Job) -> Result<Process<'st
     // What a user may have set is not what is measured.
     command.env_remove("RUST_LOG");
     let name = format!("{:?} end on {}", job.role, system.name).to_lowercase();
-    said(Process::start(&mut command, name, &NEVER))
+    Process::start(&mut command, name, &NEVER)
 }
 
 /// What a process measured.
 pub fn measured(process: &mut Process<'_, Line>, patience: Duration) -> Result<Measured> {
-    said(process.expect(patience, |line| match line {
+    process.expect(patience, |line| match line {
         Line::Measured(measured) => Some(measured),
         _ => None,
-    }))
+    })
 }
 
 /// Waits until a process has said that it is ready.
 pub fn ready(process: &mut Process<'_, Line>, patience: Duration) -> Result<()> {
-    said(process.expect(patience, |line| matches!(line, Line::Ready(_)).then_some(())))
-}
-
-/// With an error that threads may pass on.
-pub fn said<T>(result: std::result::Result<T, Box<dyn std::error::Error>>) -> Result<T> {
-    result.map_err(|error| error.to_string().into())
+    process.expect(patience, |line| matches!(line, Line::Ready(_)).then_some(()))
 }

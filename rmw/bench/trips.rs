@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Half round trips between two processes, a core each.
 
-use crate::system::{Message, PATIENCE, Starter, System, measured, ready, said};
+use crate::system::{Message, PATIENCE, Starter, System, measured, ready};
 use std::time::Duration;
 use tautline_exchange::{Exchange, Job, Line, Measured, Result, Role};
 use tautline_harness::rows::Tally;
@@ -59,8 +59,8 @@ impl Trip {
         ready(&mut far, PATIENCE)?;
         let mut near = start(Role::Near)?;
         let Measured { times_ns, lost, .. } = measured(&mut near, PATIENCE)?;
-        said(near.finish())?;
-        said(far.finish())?;
+        near.finish()?;
+        far.finish()?;
         let mut times = Distribution::new();
         times_ns.into_iter().for_each(|time_ns| times.record(time_ns));
         tally.add(round, &times);

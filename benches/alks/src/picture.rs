@@ -10,7 +10,7 @@ use crate::drive::Drive;
 use crate::road::LANE_M;
 use crate::simulator::Truth;
 
-type Result<T> = std::result::Result<T, Box<dyn Error>>;
+type Result<T> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
 
 const SIZE: (u32, u32) = (1_000, 620);
 const INK: RGBColor = RGBColor(34, 40, 49);

@@ -111,9 +111,7 @@ struct Options {
 fn main() -> ExitCode {
     let options = Options::parse();
     let result = match (options.child.as_deref(), &options.from) {
-        (Some([system, job]), _) => Job::begin(job)
-            .and_then(|job| systems::run(system, &job))
-            .map_err(|error| error as Box<dyn std::error::Error>),
+        (Some([system, job]), _) => Job::begin(job).and_then(|job| systems::run(system, &job)),
         (_, Some(path)) => show(&options, path),
         _ => measure(&options),
     };

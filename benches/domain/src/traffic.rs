@@ -183,10 +183,9 @@ pub fn run(system: &str, job: &Job) -> Result<()> {
     if let Some(core) = job.core {
         set_affinity(CoreSet::one(core))?;
     }
-    let ran = match (system, job.payload_bytes) {
+    match (system, job.payload_bytes) {
         ("iceoryx2", _) => iceoryx::flow(job),
         (_, SMALL_BYTES) => tautline::flow::<Frame64B>(job),
         _ => tautline::flow::<Frame8MiB>(job),
-    };
-    ran.map_err(|error| error as Box<dyn std::error::Error>)
+    }
 }

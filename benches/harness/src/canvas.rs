@@ -6,7 +6,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use crate::Result;
+use crate::{Error, Result};
 
 /// Text and axes.
 pub const INK: RGBColor = RGBColor(34, 40, 49);
@@ -88,6 +88,6 @@ impl<'a> Canvas<'a> {
     }
 }
 
-fn failed(error: impl std::fmt::Display) -> Box<dyn std::error::Error> {
+fn failed(error: impl std::fmt::Display) -> Error {
     format!("a figure cannot be drawn: {error}").into()
 }

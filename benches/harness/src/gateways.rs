@@ -7,7 +7,7 @@ use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-use crate::Process;
+use crate::{Process, Result};
 
 /// A host: a domain of this machine.
 #[derive(Clone, Copy, Debug)]
@@ -30,12 +30,7 @@ impl<'a> Gateways<'a> {
     ///
     /// # Errors
     /// One does not start, or they do not find each other.
-    pub fn start(
-        program: &Path,
-        hosts: [Host; 2],
-        domain: u32,
-        interrupted: &'a AtomicBool,
-    ) -> Result<Self, Box<dyn std::error::Error>> {
+    pub fn start(program: &Path, hosts: [Host; 2], domain: u32, interrupted: &'a AtomicBool) -> Result<Self> {
         // Free now; that somebody else takes it meanwhile is reported by the gateway.
         let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
         let endpoint = format!("tcp/127.0.0.1:{port}");

@@ -42,8 +42,10 @@ pub use program::{
 pub use scratch::Scratch;
 pub use turns::{TurnRow, Turns};
 
-/// What nobody handles but the person who reads it.
-pub type Result<T = ()> = std::result::Result<T, Box<dyn std::error::Error>>;
+/// An error for people only, which threads may pass on.
+pub type Error = Box<dyn std::error::Error + Send + Sync>;
+/// With an [`Error`].
+pub type Result<T = ()> = std::result::Result<T, Error>;
 
 /// The cells of a table's row.
 #[macro_export]

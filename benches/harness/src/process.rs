@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A process that measures, and what it says.
 
-use std::error::Error;
 use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command, Stdio};
@@ -14,7 +13,7 @@ use rustix::process::{Pid, Signal, kill_process, set_parent_process_death_signal
 use serde::de::DeserializeOwned;
 use tautline_rt::domain::scope;
 
-use crate::Result;
+use crate::{Error, Result};
 
 /// How long a process may take to end.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -180,7 +179,7 @@ impl<'a, L: DeserializeOwned + Send + 'static> Process<'a, L> {
         }
     }
 
-    fn ended_early(&mut self) -> Box<dyn Error> {
+    fn ended_early(&mut self) -> Error {
         let words = self.last_words();
         format!("the {} ended early: {words}", self.name).into()
     }

@@ -103,6 +103,16 @@ impl Table {
     }
 }
 
+impl Table {
+    /// For the documents.
+    pub fn markdown(&self) -> String {
+        let aligned =
+            self.columns.iter().map(|column| (column.title().to_owned(), matches!(column, Number(_))));
+        let cells = |row: &Vec<Cell>| row.iter().map(|cell| cell.text.clone()).collect();
+        lines(aligned.collect(), self.rows.iter().map(cells))
+    }
+}
+
 /// For the terminal.
 impl Display for Table {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -128,11 +138,17 @@ pub fn markdown<T: Display>(
     words: usize,
     rows: impl IntoIterator<Item = Vec<String>>,
 ) -> String {
+    let titles = titles.into_iter().enumerate().map(|(at, title)| (title.to_string(), at >= words));
+    lines(titles.collect(), rows)
+}
+
+/// The titles say which columns hold numbers.
+fn lines(titles: Vec<(String, bool)>, rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let line = |cells: &[String]| format!("| {} |\n", cells.join(" | "));
-    let titles: Vec<String> = titles.into_iter().map(|title| title.to_string()).collect();
-    let rule: String = (0..titles.len()).map(|at| if at < words { "---|" } else { "--:|" }).collect();
-    let lines: String = rows.into_iter().map(|row| line(&row)).collect();
-    format!("{}|{rule}\n{lines}", line(&titles))
+    let rule: String = titles.iter().map(|(_, is_number)| if *is_number { "--:|" } else { "---|" }).collect();
+    let titles: Vec<String> = titles.into_iter().map(|(title, _)| title).collect();
+    let rows: String = rows.into_iter().map(|row| line(&row)).collect();
+    format!("{}|{rule}\n{rows}", line(&titles))
 }
 
 /// Each of them once, in the order in which they first appear.
@@ -249,6 +265,14 @@ mod tests {
         let text = table.to_string();
         let count = |words: &str| text.matches(words).count();
         assert_eq!((count("latency"), count("1 MiB"), count("123"), count("MB/s")), (1, 1, 2, 0), "{text}");
+        let markdown = table.markdown();
+        assert!(
+            markdown.starts_with(
+                "| experiment | payload | system | n | p50 | lost |\n|---|--:|---|--:|--:|--:|\n"
+            ),
+            "{markdown}"
+        );
+        assert!(markdown.ends_with("| latency | 1 MiB | a <rival> | 0 | 123 | 2 |\n"), "{markdown}");
         let mut page = String::new();
         table.html(&mut page).unwrap();
         assert!(page.contains("a &lt;rival&gt;") && page.contains("<td class=\"late\">2</td>"), "{page}");

@@ -13,7 +13,6 @@ mod ros;
 mod run;
 mod visualizer;
 
-use std::error::Error;
 use std::io::{IsTerminal, stderr};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -24,9 +23,7 @@ use tautline::rt::permission::realtime_permitted;
 use tautline::{Context, Realtime};
 use tautline_alks::job::{Job, Role, Shared};
 use tautline_alks::{drive, picture};
-use tautline_harness::{write, write_json};
-
-type Result<T> = std::result::Result<T, Box<dyn Error>>;
+use tautline_harness::{Result, write, write_json};
 
 /// As in `examples/src/lib.rs`: the example cannot run here.
 const SKIPPED: u8 = 77;

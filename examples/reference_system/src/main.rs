@@ -13,18 +13,16 @@ mod table;
 
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::error::Error;
 use std::fs;
 use std::io::{IsTerminal, stderr, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use tautline::rt::permission::realtime_permitted;
+use tautline_harness::Result;
 use tautline_reference::{CRUNCHER_LIMIT, Job, Load};
 
 use bounds::Bounds;
 use report::Report;
-
-type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
 /// As in `examples/src/lib.rs`: the example cannot run here.
 const SKIPPED: u8 = 77;

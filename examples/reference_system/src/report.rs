@@ -3,10 +3,9 @@
 
 use serde::Serialize;
 use std::time::Duration;
-use tautline_harness::{Series, histogram};
+use tautline_harness::{Result, Series, histogram};
 use tautline_reference::Kpis;
 
-use crate::Result;
 use crate::bounds::Bounds;
 
 /// As the JSON has it.
@@ -46,7 +45,11 @@ impl Report {
         let counts: Vec<_> = self.kpis.hot_path_ms.iter().map(|ms| ((ms * 1e6) as u64, 1)).collect();
         let name = format!("{} ({})", self.kpis.system, self.kpis.mode);
         let series = Series { name: &name, counts: &counts };
-        histogram("FrontLidarDriver to ObjectCollisionEstimator", &[series], self.hot_path_bound_ms)
+        histogram(
+            "FrontLidarDriver to ObjectCollisionEstimator",
+            &[series],
+            self.hot_path_bound_ms.map(|ms| ("bound", ms)),
+        )
     }
 
     /// A sentence for below the table.

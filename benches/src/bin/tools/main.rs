@@ -10,17 +10,14 @@ mod start;
 use clap::{Parser, ValueEnum};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::json;
-use std::error::Error;
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitCode, Stdio};
 use tautline_harness::claims::{Aimed, judge, print_verdicts};
 use tautline_harness::readings::table;
 use tautline_harness::table::distinct;
-use tautline_harness::{Disturbance, Run, machine};
+use tautline_harness::{Disturbance, Result, Run, machine};
 use tautline_rt::{CoreSet, Policy, set_affinity, set_policy};
 use tempfile::TempDir;
-
-type Result<T = ()> = std::result::Result<T, Box<dyn Error + Send + Sync>>;
 
 /// None of ROS 2's own.
 const DOMAIN: u32 = 146;
