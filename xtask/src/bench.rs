@@ -3,7 +3,7 @@
 
 use crate::build::{Build, build};
 use crate::steps::{cargo, execute};
-use crate::{bridge, compare, r2r, rmw, word};
+use crate::{bridge, compare, lab, r2r, rmw, word};
 use clap::{Arg, ArgMatches, FromArgMatches, Subcommand, ValueEnum};
 use std::process::Command;
 
@@ -73,13 +73,13 @@ pub fn command(name: Name, told: &[String], of: Build) -> Result<Command, String
     let mut command = match name {
         Name::Bridge => bridge::bench(of)?,
         Name::Rmw => rmw::bench(of)?,
-        Name::Domain => of.program("tautline-bench-domain", "domain"),
-        Name::ReferenceSystem => of.program("reference-system", "reference_system"),
-        Name::Alks => of.program("alks", "alks"),
+        Name::Domain => lab::program(of, "tautline-bench-domain", "domain"),
+        Name::ReferenceSystem => lab::program(of, "reference-system", "reference_system"),
+        Name::Alks => lab::program(of, "alks", "alks"),
         Name::Wake | Name::Compare | Name::Network | Name::Services => {
-            of.program("tautline-compare", "compare")
+            lab::program(of, "tautline-compare", "compare")
         }
-        _ => of.program("tautline-benches", &word(name)),
+        _ => lab::program(of, "tautline-benches", &word(name)),
     };
     let mut told = told.to_vec();
     if told.iter().any(|word| word == "--help" || word == "-h") {
@@ -99,7 +99,7 @@ pub fn command(name: Name, told: &[String], of: Build) -> Result<Command, String
         _ => {}
     }
     if let Some(program) = name.r2r() {
-        r2r::join(&mut command, program, take(&mut told, "--no-r2r"));
+        r2r::join(&mut command, program, take(&mut told, "--no-r2r"), of);
     }
     if let Some([quick, whole]) = name.lengths() {
         let lengths = if take(&mut told, "--quick") { quick } else { whole };

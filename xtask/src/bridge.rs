@@ -4,13 +4,12 @@
 use crate::build::{Build, TARGETS, WHOLE as WORKSPACE, build};
 use crate::r2r::Environment;
 use crate::steps::{Steps, cargo};
-use crate::{lints, machine, programs, r2r};
+use crate::{lab, lints, machine, programs, r2r};
 use std::process::Command;
 
 /// Without a ROS 2 it is left out, which is said; but not in CI.
 pub fn test(steps: &mut Steps) {
     let Some(environment) = r2r::environment_of(steps, "bridge-ros") else { return };
-    // With the bench, which is linted too, and measures in a step of its own.
     lints::build_with(steps, "bridge-ros: build and lints", &format!("{WHOLE} {TARGETS}"), |command| {
         with_libraries(&environment, command)
     });
@@ -39,11 +38,10 @@ pub fn programs() -> String {
     format!("build --locked {WORKSPACE} --bin taut --bin taut-gateway --test component")
 }
 
-/// With the bench.
-const BENCH: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features bench";
+const BRIDGE: &str = "--manifest-path bridge-ros/Cargo.toml --locked";
 
-/// With the bench, and what it needs as the workspace's tests have it.
-pub const WHOLE: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features bench,xtask";
+/// With what it needs as the workspace's tests have it.
+pub const WHOLE: &str = "--manifest-path bridge-ros/Cargo.toml --locked --features xtask";
 
 /// With the ROS 2 of this environment, for what shares the workspace's target directory.
 pub fn with_ros<'c>(environment: &Environment, command: &'c mut Command) -> &'c mut Command {
@@ -60,17 +58,15 @@ pub fn with_libraries<'c>(environment: &Environment, command: &'c mut Command) -
 /// The bench, of a release build with the bridge and r2r's side, some minutes from cold.
 pub fn bench(of: Build) -> Result<Command, String> {
     let environment = r2r::environment()?;
-    let program = of.folder().join("bench-bridge");
+    if of == Build::Release {
+        build(with_libraries(&environment, &mut cargo(&format!("build --release {BRIDGE} --bins"))))?;
+    }
+    let program = lab::folder_with_ros(of, &environment, "-p tautline-bench-bridge")?.join("bench-bridge");
     let mut command = Command::new(&program);
-    match of {
-        Build::Release => {
-            build(with_libraries(&environment, &mut cargo(&format!("build --release {BENCH} --bins"))))?;
-        }
-        Build::Tests => {
-            // It waits for processes, which may not come.
-            command = Command::new("timeout");
-            command.arg("300").arg(program);
-        }
+    if of == Build::Tests {
+        // It waits for processes, which may not come.
+        command = Command::new("timeout");
+        command.arg("300").arg(program);
     }
     // The bridge finds types where this says.
     command.envs(environment);

@@ -2,7 +2,7 @@
 //! Which build of a program is run: the release build, whose figures count, or that of the tests, which is there already.
 
 use crate::machine;
-use crate::steps::{cargo, execute};
+use crate::steps::execute;
 use std::path::PathBuf;
 use std::process::Command;
 
@@ -22,9 +22,8 @@ pub const WHOLE: &str = "--workspace --features tautline-r2r/ros_all,tautline/ty
 /// All targets but benches, of which there are none: for them, `--all-targets` would build libraries without unit tests once more, as tests.
 pub const TARGETS: &str = "--lib --bins --tests --examples";
 
-/// What `cargo xtask test` leaves to `cargo xtask ci`: Zenoh and iceoryx2 take minutes to build, and benches are for a quiet machine.
-pub const LATER: [&str; 5] =
-    ["tautline-bench-domain", "tautline-benches", "tautline-compare", "tautline-gateway", "tautline-kills"];
+/// What `cargo xtask test` leaves to `cargo xtask ci`: Zenoh takes minutes to build.
+pub const LATER: [&str; 1] = ["tautline-gateway"];
 
 /// What is tested with the gateway, in nextest's words.
 pub const WITH_GATEWAY: &str = "package(tautline-gateway)|(package(taut)&binary(hops))";
@@ -48,20 +47,9 @@ pub fn most() -> String {
     LATER.iter().fold(WHOLE.to_owned(), |most, package| most + " --exclude " + package)
 }
 
-/// Of what is not in this workspace.
-pub const RELEASE: &str = "build --release --locked";
-
 /// Builds; what is to be run later is then there.
 pub fn build(command: &mut Command) -> Result<(), String> {
     execute(command).map_err(|reason| format!("the build failed: {reason}"))
-}
-
-/// Builds a program of a workspace of its own by [`RELEASE`], and says where it is.
-pub fn apart(cargo: &mut Command, folder: &str, target: &str, program: &str) -> Result<PathBuf, String> {
-    let target = machine::target_dir().join(target);
-    cargo.arg("--manifest-path").arg(machine::root().join(folder).join("Cargo.toml"));
-    build(cargo.arg("--target-dir").arg(&target))?;
-    Ok(target.join("release").join(program))
 }
 
 impl Build {
@@ -71,13 +59,5 @@ impl Build {
             Build::Release => "release",
             Build::Tests => "debug",
         })
-    }
-
-    /// Runs a program of a package.
-    pub fn program(self, package: &str, name: &str) -> Command {
-        match self {
-            Build::Release => cargo(&format!("run --release -p {package} --bin {name} --")),
-            Build::Tests => Command::new(self.folder().join(name)),
-        }
     }
 }

@@ -4,12 +4,12 @@
 //! build.
 
 use crate::bench::{self, Name};
-use crate::build::{Build, LATER, SAME, TARGETS, WHOLE, WITH_GATEWAY, WITH_ROS};
+use crate::build::{Build, SAME, TARGETS, WHOLE, WITH_GATEWAY, WITH_ROS};
 use crate::machine::{self, Scope};
 use crate::steps::{Background, Outcome, Steps, cargo, execute, reported};
 use crate::test::{self, nextest};
 use crate::{
-    api, book, bridge, fuzz, lints, lttng, packages, peers, programs, r2r, r2r_tests, reports, rmw, ros,
+    api, book, bridge, fuzz, lab, lints, lttng, packages, peers, programs, r2r, r2r_tests, reports, rmw, ros,
     shared, stress_doorbell, stress_kills, word,
 };
 use clap::ValueEnum;
@@ -80,9 +80,13 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     clock_step(steps);
     programs::test(steps);
     steps.command("stress: doorbell", &mut stress_doorbell(Build::Tests, RINGS));
-    bridge_bench(steps);
-    // Nothing is lost; how it compares is for a quiet machine and a release build.
-    quick(steps, Name::Rmw, machine::no_rt());
+    let built = lab::test(steps) && built;
+    if let Some(environment) = r2r::environment_of(steps, "benches with ROS 2") {
+        lab::build_with_ros(steps, &environment);
+        bridge_bench(steps);
+        // Nothing is lost; how it compares is for a quiet machine and a release build.
+        quick(steps, Name::Rmw, machine::no_rt());
+    }
     let r2r = r2r_tests::build(steps);
     if built {
         let apart = Job::Apart.start();
@@ -110,7 +114,7 @@ fn of_the_build(steps: &mut Steps) {
     two_hosts(steps);
     systemd(steps);
     // What they say belongs to the machine.
-    for name in [Name::Trace, Name::Tools, Name::Parameters] {
+    for name in [Name::Budgets, Name::Deadlines, Name::Trace, Name::Tools, Name::Parameters] {
         quick(steps, name, None);
     }
     comparison(steps, Name::Wake, OURS);
@@ -124,7 +128,7 @@ fn of_the_build_without_taut(steps: &mut Steps) {
     // No process hangs or leaves anything, and every encoder writes the same bytes.
     quick(steps, Name::Domain, None);
     quick(steps, Name::Messages, None);
-    comparison(steps, Name::Compare, &format!("{OURS},fastdds"));
+    comparison(steps, Name::Compare, &format!("{OURS},fastdds,taktora,zenoh,hiroz"));
     paper(steps);
 }
 
@@ -136,20 +140,9 @@ fn prepare(steps: &mut Steps) {
     steps.step("lttng: packages", lttng::prepare);
 }
 
-/// Workspaces that are no part of [`mod@test`]. What they use of ours may have got dependencies, which those that no other step builds lack then.
+/// Workspaces that are no part of [`mod@test`].
 fn formats(steps: &mut Steps) {
-    let folders = [
-        "benches/rivals/hiroz",
-        "benches/rivals/r2r",
-        "benches/rivals/taktora",
-        "benches/rivals/zenoh",
-        "node/r2r",
-    ];
-    for folder in folders {
-        let lock = format!("fetch --quiet --locked --manifest-path {folder}/Cargo.toml");
-        steps.command(&format!("lock: {folder}"), &mut cargo(&lock));
-    }
-    for folder in folders.iter().chain(&["bridge-ros", "rmw"]) {
+    for folder in ["bridge-ros", "node/r2r", "rmw"] {
         let format = format!("fmt --manifest-path {folder}/Cargo.toml --check");
         steps.command(&format!("fmt: {folder}"), &mut cargo(&format));
     }
@@ -157,12 +150,6 @@ fn formats(steps: &mut Steps) {
 
 /// The gateway's after the others: it mirrors what other tests of its domains do.
 fn rest_of_tests(steps: &mut Steps) {
-    let others = LATER.map(|package| format!("package({package})")).join("|");
-    if machine::cargo_has("nextest --version").is_ok() {
-        nextest(steps, "tests: benches", WHOLE, &format!("({others})-package(tautline-gateway)"), 1);
-    } else {
-        steps.skip("tests: benches", "without nextest they are among those of the gateway");
-    }
     nextest(steps, "tests: beside ROS 2", WHOLE, WITH_ROS, 1);
     nextest(steps, "tests: gateway", WHOLE, WITH_GATEWAY, 1);
     // Of all: for some packages alone, cargo would build what they need with other features.
@@ -237,13 +224,10 @@ fn lane_keeping(steps: &mut Steps) {
     beside_r2r(steps, "lane keeping", Name::Alks, |program| run(&["--seconds", "2", "--r2r", program]));
 }
 
-/// The same beside r2r's program, where that has been built before, which otherwise takes a minute.
+/// The same beside r2r's program, where there is a ROS 2.
 fn beside_r2r(steps: &mut Steps, name: &str, bench: Name, run: impl FnOnce(&str) -> Result<(), String>) {
-    let name = format!("{name}: beside r2r");
-    let Some(program) = bench.r2r().filter(|program| r2r::is_built(program)) else {
-        return steps.skip(&name, &format!("not built before: `cargo xtask bench {}` does it", word(bench)));
-    };
-    steps.step(&name, || run(&r2r::program(program)?.display().to_string()));
+    let run = || run(&r2r::program(bench.r2r().unwrap_or_default(), Build::Tests)?.display().to_string());
+    steps.step(&format!("{name}: beside r2r"), || Outcome::from(run()).unless_ci());
 }
 
 /// Nodes with a gateway on each side, of the tests' build.

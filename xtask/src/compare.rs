@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The programs of other middleware that Tautline is measured beside: those that can be built here.
 
-use crate::build::{Build, RELEASE, apart, build};
+use crate::build::{Build, build};
 use crate::steps::{self, execute};
-use crate::{machine, r2r};
+use crate::{lab, machine, r2r};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -16,12 +16,12 @@ const COMPARE: &[&str] = &["compare"];
 const NETWORK: &[&str] = &["compare", "network"];
 /// Those after the first six are what some ways of a system need beside its own program.
 const RIVALS: [Rival; 9] = [
-    (COMPARE, "taktora", "taktora", |_| build_apart("taktora")),
+    (COMPARE, "taktora", "taktora", |of| build_rival("rival-taktora", of)),
     (COMPARE, "fastdds", "fastdds", build_fastdds),
     (COMPARE, "cyclonedds", "cyclonedds", build_cyclonedds),
     (&["compare", "services"], "r2r", "r2r", build_r2r),
-    (NETWORK, "zenoh", "zenoh", |_| build_apart("zenoh")),
-    (NETWORK, "hiroz", "hiroz", |_| build_apart("hiroz")),
+    (NETWORK, "zenoh", "zenoh", |of| build_rival("rival-zenoh", of)),
+    (NETWORK, "hiroz", "hiroz", |of| build_rival("rival-hiroz", of)),
     (NETWORK, "tautline", "gateway", build_gateway),
     (&["network"], "tautline", "taut", build_taut),
     (COMPARE, "cyclonedds", "roudi", write_roudi),
@@ -161,15 +161,15 @@ fn unpack(root: &Path, packages: &[&str]) -> Result<(), String> {
 }
 
 /// A minute from cold, with the programs of other benches.
-fn build_r2r(_: Build) -> Result<PathBuf, String> {
-    r2r::program("compare-r2r")
+fn build_r2r(of: Build) -> Result<PathBuf, String> {
+    r2r::program("compare-r2r", of)
 }
 
-/// In a workspace of its own. From cold half a minute for taktora, whose iceoryx2 is not ours; minutes for a Zenoh with shared memory, which
-/// the gateway's has not, and for hiroz's, with all its transports.
-fn build_apart(name: &str) -> Result<PathBuf, String> {
-    let (folder, target) = (format!("benches/rivals/{name}"), format!("compare/{name}-build"));
-    apart(&mut steps::cargo(RELEASE), &folder, &target, &format!("rival-{name}"))
+/// From cold half a minute for taktora, whose iceoryx2 is not ours, and minutes for Zenoh, which its own rival and hiroz share.
+fn build_rival(name: &str, of: Build) -> Result<PathBuf, String> {
+    let package = format!("-p {name}");
+    let packages = if package == "-p rival-taktora" { &package } else { "-p rival-zenoh -p rival-hiroz" };
+    Ok(lab::folder_with(of, packages)?.join(name))
 }
 
 /// A program of one C++ file in the making.
@@ -181,7 +181,7 @@ struct Cpp {
 
 /// With the Rust library that measures.
 fn cpp(name: &str, of: Build) -> Result<Cpp, String> {
-    let library = folder_with(of, "tautline-rivals-cpp")?.join("librivals_cpp.a");
+    let library = lab::folder_with(of, "-p tautline-rivals-cpp")?.join("librivals_cpp.a");
     let folder = machine::root().join("benches/rivals/cpp");
     let source = folder.join(format!("{name}.cpp"));
     let target = machine::target_dir().join("compare");

@@ -19,8 +19,8 @@ pub fn test(steps: &mut Steps) {
         return NAMES.iter().for_each(|name| steps.skip(name, "without its packages"));
     }
     // Of all packages, for what does not depend on the feature has been built so.
-    let test = whole_with("taut/lttng,tautline-benches/lttng") + " --test lttng";
-    lints::build(steps, NAMES[0], &format!("{test} --bin taut --bin trace"));
+    let test = whole_with("taut/lttng") + " --test lttng";
+    lints::build(steps, NAMES[0], &format!("{test} --bin taut"));
     steps.command(NAMES[1], &mut lints::cargo(&format!("test {test} -- --nocapture")));
 }
 

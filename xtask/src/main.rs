@@ -15,6 +15,7 @@
 //! | `colcon` | rmw_tautline as a package of a ROS 2 workspace |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
 //! | `fuzz` | inputs made up by libFuzzer |
+//! | `lab` | the laboratory, `benches/`: built and tested |
 //! | `lints` | clippy's findings, with the tests' build |
 //! | `lttng` | LTTng's packages, and the test that needs them |
 //! | `reports` | what is wrong with the JSON of the demo and of the benches, in jq's language |
@@ -41,6 +42,7 @@ mod compare;
 mod compiler;
 mod examples;
 mod fuzz;
+mod lab;
 mod lints;
 mod lttng;
 mod machine;

@@ -8,9 +8,9 @@ use crate::steps::{Outcome, Steps, cargo, execute};
 /// With what they need as the workspace's tests have it.
 pub const WHOLE: &str = "--manifest-path node/r2r/Cargo.toml --locked";
 
-/// Those that the programs use, and the bridge's bench, with which they share a build of r2r; all of them take minutes.
-pub const PACKAGES: &str = "action_msgs;builtin_interfaces;geometry_msgs;rcl_interfaces;rosgraph_msgs;service_msgs;std_msgs;\
-    std_srvs;test_msgs;type_description_interfaces;unique_identifier_msgs";
+/// Those that the programs and the benches use, which share a build of r2r; all of ROS's take minutes.
+pub const PACKAGES: &str = "action_msgs;builtin_interfaces;geometry_msgs;nav_msgs;rcl_interfaces;rosgraph_msgs;sensor_msgs;\
+    service_msgs;std_msgs;std_srvs;test_msgs;type_description_interfaces;unique_identifier_msgs;visualization_msgs";
 
 /// A minute from cold. Without a network and without a ROS 2 it is left out, but not in CI.
 pub fn test(steps: &mut Steps) {

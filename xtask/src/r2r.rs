@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What it takes to build a program of r2r's: a ROS 2 to link with and libclang.
 
-use crate::build::{RELEASE, apart};
+use crate::build::Build;
 use crate::steps::{self, Outcome, Steps};
-use crate::{machine, ros};
+use crate::{lab, machine, ros};
 use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -12,37 +12,14 @@ use std::{env, fs, io};
 /// From PyPI, where the system has none.
 const LIBCLANG: &str = "libclang==18.1.1";
 
-/// `cargo` with the ROS 2 that the user has sourced, else with the one under the target directory, which is made first.
-pub fn cargo(arguments: &str) -> Result<Command, String> {
-    let mut command = steps::cargo(arguments);
-    let environment = environment()?;
-    if let Some((_, lib)) = environment.iter().find(|(name, _)| *name == RPATH) {
-        // RPATH, for RUNPATH does not reach what the libraries themselves need.
-        command.env("RUSTFLAGS", format!("-Clink-arg=-Wl,--disable-new-dtags,-rpath,{lib}"));
-    }
-    command.envs(environment);
-    Ok(command)
-}
-
-/// The packages of messages that the benches' programs use; all there are take minutes. One list for all: r2r is built once.
-pub const MESSAGES: &str = "geometry_msgs;nav_msgs;sensor_msgs;std_msgs;test_msgs;visualization_msgs";
-
-/// Where r2r's side of the benches is built, under the target directory.
-const TARGET: &str = "ros/rival-r2r";
-
-/// Whether [`program`] has built this one before, so that it will not take long.
-pub fn is_built(name: &str) -> bool {
-    machine::target_dir().join(TARGET).join("release").join(name).exists()
-}
-
 /// Builds r2r's side of the benches, a minute from cold, and says where this program of it is.
-pub fn program(name: &str) -> Result<PathBuf, String> {
-    apart(cargo(RELEASE)?.env("IDL_PACKAGE_FILTER", MESSAGES), "benches/rivals/r2r", TARGET, name)
+pub fn program(name: &str, of: Build) -> Result<PathBuf, String> {
+    Ok(lab::folder_with_ros(of, &environment()?, "-p rival-r2r")?.join(name))
 }
 
 /// Tells a bench where r2r's side of it is, built before, or why it is left out.
-pub fn join(bench: &mut Command, name: &str, is_left_out: bool) {
-    let built = if is_left_out { Err("as --no-r2r says".to_owned()) } else { program(name) };
+pub fn join(bench: &mut Command, name: &str, is_left_out: bool, of: Build) {
+    let built = if is_left_out { Err("as --no-r2r says".to_owned()) } else { program(name, of) };
     match built {
         Ok(program) => bench.arg("--r2r").arg(program),
         Err(reason) => bench.arg(format!("--without-r2r={reason}")),

@@ -1,26 +1,25 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! rmw_tautline: built for use, its lints and tests, and its bench.
+//! rmw_tautline: built for use, its lints and tests.
 
 use crate::bridge::{nextest, programs, with_libraries};
 use crate::build::{Build, TARGETS, build};
 use crate::steps::{Steps, cargo};
-use crate::{colcon, lints, machine, r2r, ros};
+use crate::{colcon, lab, lints, machine, r2r, ros};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 const LIBRARY: &str = "--manifest-path rmw/Cargo.toml --locked";
-/// With the bench.
-const BENCH: &str = "--manifest-path rmw/Cargo.toml --locked --features bench";
-/// With the bench, and what it needs as the workspace's tests have it.
-pub const WHOLE: &str = "--manifest-path rmw/Cargo.toml --locked --features bench,xtask";
+/// With what it needs as the workspace's tests have it.
+pub const WHOLE: &str = "--manifest-path rmw/Cargo.toml --locked --features xtask";
 
 /// The bench, of a release build with the library that is made first.
 pub fn bench(of: Build) -> Result<Command, String> {
+    let environment = r2r::environment()?;
     if of == Build::Release {
-        build(with_libraries(&r2r::environment()?, &mut cargo(&format!("build --release {BENCH}"))))?;
+        build(with_libraries(&environment, &mut cargo(&format!("build --release {LIBRARY}"))))?;
     }
-    let folder = of.folder();
+    let folder = lab::folder_with_ros(of, &environment, "-p tautline-bench-rmw")?;
     // It waits for processes, which may not come.
     let mut command = Command::new("timeout");
     command.arg("600").arg(folder.join("bench-rmw")).arg("--tautline").arg(folder.join("librmw_tautline.so"));

@@ -5,7 +5,7 @@
 
 use crate::build::{WHOLE, most};
 use crate::steps::cargo;
-use crate::{bridge, machine, programs, rmw};
+use crate::{bridge, lab, machine, programs, rmw};
 use serde_json::Value;
 use std::collections::HashSet;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -13,7 +13,12 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 /// Whether all that is built without Zenoh is of use to a build with it, and what is not ours to the workspaces that are apart; otherwise the
 /// packages by which they differ.
 pub fn check() -> Result<(), String> {
-    let apart = [("bridge-ros", bridge::WHOLE), ("rmw", rmw::WHOLE), ("r2r-programs", programs::WHOLE)];
+    let apart = [
+        ("bridge-ros", bridge::WHOLE),
+        ("rmw", rmw::WHOLE),
+        ("r2r-programs", programs::WHOLE),
+        ("benches", lab::WHOLE),
+    ];
     let apart = apart.map(|(name, arguments)| (name, arguments.to_owned()));
     let parts = [("test", most())].into_iter().chain(apart);
     let whole = graph(WHOLE)?;

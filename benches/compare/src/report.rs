@@ -5,7 +5,7 @@ use tautline_exchange::{APPLICATION_PRIORITY, LATE};
 use tautline_harness::claims::{self, Verdict, verdicts};
 use tautline_harness::rows::{Details, Row, Tally, Wakes, is_enough, median, rounded};
 use tautline_harness::table::{of_rows, short};
-use tautline_harness::{machine, version_in, version_of};
+use tautline_harness::{machine, version_of};
 
 use crate::Result;
 use crate::load::LOAD;
@@ -248,10 +248,8 @@ fn conditions(plan: &Plan, is_held: bool, machine: &[String]) -> String {
 /// Of all that takes part.
 fn versions(plan: &Plan) -> String {
     let locked = |system: &str| match system {
-        "tautline" | "iceoryx2" => version_of(system),
-        "hiroz" => version_in(include_str!("../../rivals/hiroz/Cargo.lock"), system),
-        "taktora" => version_in(include_str!("../../rivals/taktora/Cargo.lock"), "taktora-executor"),
-        "zenoh" => version_in(include_str!("../../rivals/zenoh/Cargo.lock"), system),
+        "tautline" | "iceoryx2" | "hiroz" | "zenoh" => version_of(system),
+        "taktora" => version_of("taktora-executor"),
         _ => None,
     };
     let takes_part = |system: &&str| plan.cases.iter().any(|case| case.mode.system == *system);

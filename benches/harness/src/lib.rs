@@ -34,7 +34,7 @@ pub use beside::Beside;
 pub use distribution::Distribution;
 pub use gateways::{Gateways, Host};
 pub use histogram::{Series, histogram};
-pub use machine::{Disturbance, machine, version_in, version_of};
+pub use machine::{Disturbance, machine, version_of};
 pub use process::{Process, without_settings};
 pub use program::{
     Documented, Run, exit, interrupted, one_core, program, progress_bar, two_cores, write, write_json,

@@ -28,12 +28,8 @@ pub fn machine() -> String {
 
 /// The version of `package` that this workspace was built with.
 pub fn version_of(package: &str) -> Option<&'static str> {
-    version_in(include_str!("../../../Cargo.lock"), package)
-}
-
-/// The version of `package` in the text of a `Cargo.lock`.
-pub fn version_in<'a>(lock: &'a str, package: &str) -> Option<&'a str> {
-    let (_, entry) = lock.split_once(&format!("name = \"{package}\"\nversion = \""))?;
+    // Of several, the last is the newest: a rival may have an older iceoryx2.
+    let (_, entry) = include_str!("../../Cargo.lock").rsplit_once(&format!("name = \"{package}\"\nversion = \""))?;
     entry.split('"').next()
 }
 

@@ -40,7 +40,7 @@ pub fn program<J: DeserializeOwned>(bench: &str, run: impl FnOnce(&J) -> Result<
 /// # Errors
 /// r2r makes no context, or /proc cannot be read.
 pub fn version() -> Result<String> {
-    let lock = include_str!("../Cargo.lock");
+    let lock = include_str!("../../../Cargo.lock");
     let r2r = lock.split_once("name = \"r2r\"\nversion = \"").and_then(|(_, rest)| rest.split('"').next());
     let distribution = option_env!("ROS_DISTRO").unwrap_or("?");
     // With a context, the middleware is loaded.

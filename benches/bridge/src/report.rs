@@ -2,9 +2,17 @@
 //! What a run measured, as readings.
 
 use crate::ends::Received;
-use tautline_bridge_ros::Direction;
 use tautline_harness::Distribution;
 use tautline_harness::readings::Reading;
+
+/// Of messages over the bridge.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Direction {
+    /// From Tautline to ROS.
+    ToRos,
+    /// From ROS to Tautline.
+    FromRos,
+}
 
 /// One way.
 pub struct Phase {

@@ -15,7 +15,7 @@ pub const PATIENCE: Duration = Duration::from_secs(60);
 /// By which Fast DDS finds its profile: version 2 knows the first only, version 3 the second.
 const PROFILE_VARIABLES: [&str; 2] = ["FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"];
 /// Room in Fast DDS for the largest messages.
-const PROFILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/bench/fast_dds.xml");
+const PROFILE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/fast_dds.xml");
 /// Nobody else measures or tests there.
 const DOMAIN: u32 = 88;
 
@@ -117,7 +117,7 @@ impl Starter<'_> {
         let mut command = Command::new(program);
         without_settings(&mut command);
         if client == Client::Rclpy {
-            command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/bench/client.py"));
+            command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/client.py"));
         }
         let role = if job.role == Role::Near { "near" } else { "far" };
         let (bytes, length) = (job.payload_bytes, job.budget.as_millis());

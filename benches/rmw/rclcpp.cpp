@@ -2,7 +2,7 @@
 // One end of round trips in rclcpp, with a SingleThreadedExecutor. It is told, measures and says what `client.py` does:
 //   rclcpp near|far TOPIC BYTES MILLISECONDS CORE PRIORITY
 // Built by hand, with a ROS 2 that is sourced, for `cargo xtask bench rmw -- --rclcpp PROGRAM`:
-//   g++ -std=c++17 -O2 $(printf -- '-isystem %s ' "$AMENT_PREFIX_PATH"/include/*) rmw/bench/rclcpp.cpp -o PROGRAM
+//   g++ -std=c++17 -O2 $(printf -- '-isystem %s ' "$AMENT_PREFIX_PATH"/include/*) benches/rmw/rclcpp.cpp -o PROGRAM
 //     -L"$AMENT_PREFIX_PATH/lib" -lrclcpp -llibstatistics_collector -lrcl -lrmw -lrcutils -lrcpputils -ltracetools
 //     -l{statistics,std,geometry}_msgs__rosidl_typesupport_cpp
 

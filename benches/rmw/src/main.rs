@@ -11,7 +11,7 @@
 //! | `rmw` | an RMW's functions |
 //! | `types` | type supports |
 
-#[path = "../src/bindings.rs"]
+#[path = "../../../rmw/src/bindings.rs"]
 mod bindings;
 mod end;
 mod flow;
@@ -63,7 +63,7 @@ struct Arguments {
     /// The Python that has rclpy
     #[arg(long, value_name = "PROGRAM")]
     python: Option<PathBuf>,
-    /// A program made of rmw/bench/rclcpp.cpp, which says how
+    /// A program made of benches/rmw/rclcpp.cpp, which says how
     #[arg(long, value_name = "PROGRAM")]
     rclcpp: Option<PathBuf>,
     /// The job of a process, for this program's own use

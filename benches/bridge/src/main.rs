@@ -11,14 +11,13 @@ mod report;
 use clap::Parser;
 use clap::builder::RangedU64ValueParser;
 use ends::{Job, Line, MAX_MESSAGES, Received, Role, Side};
-use report::{Cpu, Phase};
+use report::{Cpu, Direction, Phase};
 use serde_json::Value;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
-use tautline_bridge_ros::Direction;
 use tautline_harness::claims::{Aimed, judge, print_verdicts};
 use tautline_harness::readings::table;
 use tautline_harness::{Process, Result, exit, interrupted, machine, write_json};
@@ -239,6 +238,6 @@ fn cpu_s(pid: u32) -> Result<f64> {
 /// What Fast DDS reads.
 fn profile() -> Result<NamedTempFile> {
     let mut file = tempfile::Builder::new().prefix("bench-bridge-").suffix(".xml").tempfile()?;
-    file.write_all(include_bytes!("fast_dds.xml"))?;
+    file.write_all(include_bytes!("../fast_dds.xml"))?;
     Ok(file)
 }

@@ -35,7 +35,7 @@ const PRIORITY: u8 = 20;
 #[derive(Parser)]
 #[command(after_help = "Examples:
   alks                                     twenty seconds
-  alks --system examples/alks/computed.toml --seconds 60
+  alks --system benches/alks/system/computed.toml --seconds 60
                                            with computed priorities
   alks --shared mutex                      what subscribers and timer share is locked, as in the paper
   alks --json run.json --html run.html --svg drive.svg

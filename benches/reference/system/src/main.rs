@@ -32,7 +32,7 @@ const SKIPPED: u8 = 77;
 #[derive(Parser)]
 #[command(after_help = "Examples:
   reference_system                        ten seconds, with the hot path at the highest priorities
-  reference_system --system examples/reference_system/flat.toml
+  reference_system --system benches/reference/system/flat.toml
                                           every callback at one priority
   reference_system --cruncher-limit 2048  less work for each node
   reference_system --seconds 60 --json kpis.json --svg hot_path.svg

@@ -1,0 +1,14 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Binds the headers of the ROS 2 in `AMENT_PREFIX_PATH`. The program loads an RMW by name; of librmw and librcutils it calls functions itself.
+
+#[path = "../../rmw/bind.rs"]
+mod bind;
+
+fn main() {
+    println!("cargo:rerun-if-changed=../../rmw/bind.rs");
+    let (_, prefixes) = bind::bind();
+    bind::link(&prefixes);
+    for library in ["rmw", "rcutils"] {
+        println!("cargo:rustc-link-arg-bins=-Wl,--no-as-needed,-l{library}");
+    }
+}
