@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut man`: a manual page for each verb, from what the verbs say of themselves.
 
+use crate::sibling::WITH_VERBS;
 use crate::verb::{Failure, Outcome};
-use clap::{Args, Command};
+use clap::{Args, Command, CommandFactory};
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};
 use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::process;
 
 /// Writes the manual pages: taut.1, taut-topic.1, taut-topic-echo.1 and so on
 #[derive(Args, Clone, Debug)]
@@ -20,8 +22,38 @@ pub struct ManArgs {
     folder: PathBuf,
 }
 
-/// Writes the pages of a command.
+/// Writes the pages of `taut`. Programs that have verbs of it write theirs; one that is missing is named, and its verbs have a page that does so.
 pub fn run(args: &ManArgs, command: Command) -> Outcome {
+    let mut written = write(args, command, true)?;
+    for (sibling, verbs) in WITH_VERBS {
+        let program = sibling.path();
+        match process::Command::new(&program).arg("man").arg(&args.folder).output() {
+            Ok(output) if output.status.success() => {
+                let said = String::from_utf8_lossy(&output.stdout);
+                let pages = said.trim().parse::<usize>().unwrap_or_default();
+                // They take the places of the pages that name the program.
+                written += pages.saturating_sub(verbs.len());
+            }
+            Ok(output) => {
+                let words = String::from_utf8_lossy(&output.stderr);
+                return Err(Failure::unusable(format!("{}: {}", program.display(), words.trim())));
+            }
+            Err(error) => {
+                let reason = sibling.error(program, error);
+                eprintln!("taut: the pages of {} have no options: {reason}", verbs.join(", "));
+            }
+        }
+    }
+    Ok(writeln!(io::stdout(), "Wrote {written} pages to {}", args.folder.display())?)
+}
+
+/// Writes the pages of a program's verbs, and prints how many.
+pub fn write_verbs<C: CommandFactory>(args: &ManArgs) -> Outcome {
+    let written = write(args, C::command(), false)?;
+    Ok(writeln!(io::stdout(), "{written}")?)
+}
+
+fn write(args: &ManArgs, command: Command, with_top: bool) -> Outcome<usize> {
     let mut command = command.disable_help_subcommand(true);
     command.build();
     let version = command.get_version().unwrap_or_default().to_owned();
@@ -30,11 +62,13 @@ pub fn run(args: &ManArgs, command: Command) -> Outcome {
     fs::create_dir_all(&args.folder).map_err(|error| failed(&args.folder, error))?;
     let mut pages = Vec::new();
     collect(&command, &version, None, &mut pages);
+    // The first is that of the command itself.
+    pages.drain(..usize::from(!with_top));
     for (name, page) in &pages {
         let path = args.folder.join(name);
         fs::write(&path, page).map_err(|error| failed(&path, error))?;
     }
-    Ok(writeln!(io::stdout(), "Wrote {} pages to {}", pages.len(), args.folder.display())?)
+    Ok(pages.len())
 }
 
 /// A command's page, and those of its verbs; `above` is the name of the page that it is a verb of.

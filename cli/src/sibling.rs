@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Verbs that are programs of their own, so that nobody builds what they need who does not use them.
 
+use crate::verb::{Failure, Outcome};
+use clap::Args;
 use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
-use std::process::Command;
+use std::process::{Command, ExitCode};
 
 /// Why another program was not started.
 #[derive(Debug, thiserror::Error)]
@@ -17,13 +19,60 @@ pub enum SiblingError {
     Exec { program: PathBuf, source: std::io::Error },
 }
 
+/// Records, plays and looks into bags: their formats and compression.
+pub const BAG: Sibling = Sibling {
+    program: "taut-bag",
+    build: "build it with `cargo build --release -p taut-bag`, or install it with `cargo install --path cli/bag`",
+};
+
+/// Shows what runs: the terminal.
+pub const TOP: Sibling = Sibling {
+    program: "taut-top",
+    build: "build it with `cargo build --release -p taut-top`, or install it with `cargo install --path cli/top`",
+};
+
+/// Selects messages: jq's language.
+pub const FILTER: Sibling = Sibling {
+    program: "taut-filter",
+    build: "build it with `cargo build --release -p taut-filter`, or install it with `cargo install --path cli/filter`",
+};
+
+/// Carries topics to other hosts: Zenoh.
+pub const GATEWAY: Sibling = Sibling {
+    program: "taut-gateway",
+    build: "build it with `cargo build --release -p tautline-gateway`, or install it with `cargo install --path transport/zenoh`",
+};
+
+/// The programs that have verbs of `taut`, with these verbs: for completions and manual pages.
+pub const WITH_VERBS: [(&Sibling, &[&str]); 2] = [(&BAG, &["record", "play", "bag"]), (&TOP, &["top"])];
+
+/// What is passed on to another program, `--help` too.
+#[derive(Args, Clone, Debug)]
+#[command(disable_help_flag = true, disable_version_flag = true)]
+pub struct PassedOn {
+    /// Options: `--help` lists them
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTIONS")]
+    arguments: Vec<OsString>,
+}
+
 /// A program, and how to build it.
 pub struct Sibling {
+    /// The file's name.
     pub program: &'static str,
+    /// How it is made, as a sentence's part.
     pub build: &'static str,
 }
 
 impl Sibling {
+    /// Becomes the program with these arguments. Does not return if it could be started.
+    ///
+    /// # Errors
+    /// It could not.
+    pub fn run(&self, verb: &[&str], passed_on: &PassedOn) -> Outcome<ExitCode> {
+        let arguments: Vec<_> = verb.iter().map(OsString::from).chain(passed_on.arguments.clone()).collect();
+        Err(Failure::unusable(self.become_it(&arguments).to_string()))
+    }
+
     /// Becomes the program: the one beside this one, else the one in PATH. Does not return if it could be started.
     pub fn become_it(&self, arguments: &[OsString]) -> SiblingError {
         let program = self.path();

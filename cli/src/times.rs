@@ -7,14 +7,16 @@ use serde_json::{Value, json};
 /// Times to three digits, in ns; an hour at most.
 pub struct Times(Histogram<u64>);
 
-impl Times {
-    pub fn new() -> Self {
+impl Default for Times {
+    fn default() -> Self {
         Times(
             Histogram::new_with_bounds(1, 3_600_000_000_000, 3)
                 .expect("it is a range, and 3 digits are allowed"),
         )
     }
+}
 
+impl Times {
     pub fn record(&mut self, ns: u64) {
         self.0.saturating_record(ns);
     }

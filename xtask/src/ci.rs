@@ -128,7 +128,7 @@ fn of_the_build_without_taut(steps: &mut Steps) {
     // No process hangs or leaves anything, and every encoder writes the same bytes.
     quick(steps, Name::Domain, None);
     quick(steps, Name::Messages, None);
-    comparison(steps, Name::Compare, &format!("{OURS},fastdds,taktora,zenoh,hiroz"));
+    comparison(steps, Name::Compare, &format!("{OURS},fastdds,taktora,zenoh"));
     paper(steps);
 }
 

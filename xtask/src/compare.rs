@@ -167,9 +167,7 @@ fn build_r2r(of: Build) -> Result<PathBuf, String> {
 
 /// From cold half a minute for taktora, whose iceoryx2 is not ours, and minutes for Zenoh, which its own rival and hiroz share.
 fn build_rival(name: &str, of: Build) -> Result<PathBuf, String> {
-    let package = format!("-p {name}");
-    let packages = if package == "-p rival-taktora" { &package } else { "-p rival-zenoh -p rival-hiroz" };
-    Ok(lab::folder_with(of, packages)?.join(name))
+    Ok(lab::folder_with(of, &format!("-p {name}"))?.join(name))
 }
 
 /// A program of one C++ file in the making.

@@ -8,9 +8,13 @@ use crate::{bridge, lints, machine};
 use std::path::PathBuf;
 use std::process::Command;
 
-/// Its packages that need no ROS 2, the other middleware among them, with what they need as the product's tests have it.
-pub const WHOLE: &str = "--manifest-path benches/Cargo.toml --locked --workspace --exclude tautline-bench-bridge \
-    --exclude tautline-bench-rmw --exclude rival-r2r --features tautline-benches/xtask";
+/// Its packages that need no ROS 2 and no other middleware than iceoryx2, with what they need as the product's tests have it.
+pub const WHOLE: &str = "--manifest-path benches/Cargo.toml --locked --features tautline-benches/xtask";
+
+/// The other middleware that takes at most minutes to build, with what it needs as the product's tests have it. hiroz takes another Zenoh for
+/// its build script.
+const RIVALS: &str = "--manifest-path benches/Cargo.toml --locked -p tautline-benches -p rival-zenoh -p rival-taktora \
+    --features tautline-benches/xtask";
 
 /// Its packages that need a ROS 2. What they need has the product's features through the first.
 pub const WITH_ROS: &str = "--manifest-path benches/Cargo.toml --locked -p tautline-benches -p tautline-bench-bridge \
@@ -47,29 +51,26 @@ pub fn folder_with_ros(of: Build, environment: &Environment, packages: &str) -> 
     Ok(of.folder())
 }
 
-/// Builds all of it that needs no ROS 2, and runs its tests.
+/// Builds what needs no ROS 2, and runs its tests. Says whether it was built.
 pub fn test(steps: &mut Steps) -> bool {
-    let in_target = |command: &mut Command| {
-        command.env("CARGO_TARGET_DIR", machine::target_dir());
-    };
+    let target = ("CARGO_TARGET_DIR", machine::target_dir());
     steps.command("benches: fmt", &mut steps::cargo("fmt --manifest-path benches/Cargo.toml --all --check"));
-    let built =
-        lints::build_with(steps, "benches: build and lints", &format!("{WHOLE} {TARGETS}"), |command| {
-            in_target(command);
-            command
-        });
+    let mut build = |name: &str, targets: &str| {
+        lints::build_with(steps, name, targets, |command| command.env(target.0, &target.1))
+    };
+    let built = [
+        build("benches: build and lints", &format!("{WHOLE} {TARGETS}")),
+        build("benches: rivals", &format!("{RIVALS} --lib --bins")),
+    ];
     let mut tests = lints::cargo(&bridge::nextest(WHOLE));
-    in_target(&mut tests);
-    steps.command("benches: tests", &mut tests);
-    built
+    steps.command("benches: tests", tests.env(target.0, &target.1));
+    built == [true, true]
 }
 
-/// Builds what needs a ROS 2. Without one it is left out, which is said; but not in CI.
+/// Builds and lints what needs this ROS 2.
 pub fn build_with_ros(steps: &mut Steps, environment: &Environment) {
-    lints::build_with(
-        steps,
-        "benches with ROS 2: build and lints",
-        &format!("{WITH_ROS} --lib --bins"),
-        |command| bridge::with_libraries(environment, command),
-    );
+    let name = "benches with ROS 2: build and lints";
+    lints::build_with(steps, name, &format!("{WITH_ROS} --lib --bins"), |command| {
+        bridge::with_libraries(environment, command)
+    });
 }

@@ -29,7 +29,8 @@ pub fn machine() -> String {
 /// The version of `package` that this workspace was built with.
 pub fn version_of(package: &str) -> Option<&'static str> {
     // Of several, the last is the newest: a rival may have an older iceoryx2.
-    let (_, entry) = include_str!("../../Cargo.lock").rsplit_once(&format!("name = \"{package}\"\nversion = \""))?;
+    let (_, entry) =
+        include_str!("../../Cargo.lock").rsplit_once(&format!("name = \"{package}\"\nversion = \""))?;
     entry.split('"').next()
 }
 

@@ -15,13 +15,14 @@ pub use live::{
     service_types, services, topic_types, topics, transitions, types_of_service,
 };
 
+use crate::sibling::WITH_VERBS;
 use crate::verb::{Failure, Outcome};
 use clap::{Args, Command};
 use clap_complete::engine::{CompletionCandidate, complete};
 use clap_complete::env::{EnvCompleter, Shells};
 use line::Line;
 use std::env;
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::fs::OpenOptions;
 use std::io::{self, Write};
 use std::path::Path;
@@ -97,11 +98,23 @@ pub fn answer(command: impl Fn() -> Command) -> Option<ExitCode> {
         }
         let index = env::var(INDEX).ok().and_then(|index| index.parse().ok());
         let index = index.unwrap_or(words.len() - 1).min(words.len());
+        if index > 1 {
+            become_whose_verb_it_is(&words[1]);
+        }
         candidates(command(), shell.name(), words, index, since)
             .map(|candidates| written(shell.name(), &candidates))
     };
     let done = answer.and_then(|text| io::stdout().write_all(&text));
     Some(if done.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// A verb of another program is completed by that one. Returns if it is none, if this is that program, or if it cannot be started.
+fn become_whose_verb_it_is(verb: &OsStr) {
+    let is_its = |verbs: &[&str]| verbs.iter().any(|name| *name == verb);
+    let Some((sibling, _)) = WITH_VERBS.iter().find(|(_, verbs)| is_its(verbs)) else { return };
+    if env::current_exe().is_ok_and(|own| own.file_name() != Some(sibling.program.as_ref())) {
+        sibling.become_it(&env::args_os().skip(1).collect::<Vec<_>>());
+    }
 }
 
 /// The script, for the program that runs: found in PATH if it was found there, else by its path.

@@ -126,7 +126,7 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
                 let end = ends(&graph, &topic).find(|end| end.gid == info.publisher_gid).cloned();
                 let node = end.and_then(|end| end.node.as_ref().map(|node| node.full_name()));
                 let label = node.unwrap_or_else(|| format!("{:?}", info.publisher_gid));
-                Ages { label, published: Times::new(), taken: Times::new(), ahead: 0 }
+                Ages { label, published: Times::default(), taken: Times::default(), ahead: 0 }
             });
             ages.taken.record(now_ns.saturating_sub(info.released_ns));
             if let Some(stamp) = schema.as_ref().and_then(|schema| stamp_of(schema, sample.body())) {

@@ -53,7 +53,7 @@ pub struct EchoArgs {
 }
 
 pub fn run(args: &EchoArgs, common: &CommonArgs) -> Outcome {
-    let filter = args.filter.as_deref().map(Filter::new).transpose()?;
+    let mut filter = args.filter.as_deref().map(Filter::new).transpose()?;
     let end = End::of(common)?;
     let (domain, topic) = (common.domain()?, full_name(&args.topic));
     let topic_type = wait_for_type(domain, &topic, &end)?;
@@ -86,7 +86,7 @@ pub fn run(args: &EchoArgs, common: &CommonArgs) -> Outcome {
                 {
                     args.check_field(path, &message)?;
                 }
-                if let Some(text) = args.text(&message, filter.as_ref(), common.json)? {
+                if let Some(text) = args.text(&message, filter.as_mut(), common.json)? {
                     out.write_all(text.as_bytes())?;
                     out.flush()?;
                     printed += 1;
@@ -115,7 +115,12 @@ impl EchoArgs {
     }
 
     /// What is printed of a message: `None` if it is filtered out, or has no such element.
-    fn text(&self, message: &DynamicMessage, filter: Option<&Filter>, json: bool) -> Outcome<Option<String>> {
+    fn text(
+        &self,
+        message: &DynamicMessage,
+        filter: Option<&mut Filter>,
+        json: bool,
+    ) -> Outcome<Option<String>> {
         if let Some(filter) = filter
             && !filter.accepts(&message.to_json())?
         {

@@ -1,75 +1,66 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which messages somebody wants, said in jq's language.
+//! Which messages somebody wants, said in jq's language: `taut-filter` answers for each.
 
+use crate::sibling::FILTER;
 use crate::verb::{Failure, Outcome};
-use jaq_core::load::{Arena, File, Loader};
-use jaq_core::{Compiler, Ctx, Vars, data, unwrap_valr};
-use jaq_json::{Val, read};
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
-/// A program that gives something else than false and null for what is wanted.
+/// The program, which ends with its input.
 pub struct Filter {
-    program: jaq_core::Filter<data::JustLut<Val>>,
-    text: String,
+    questions: ChildStdin,
+    answers: BufReader<ChildStdout>,
+    child: Child,
 }
 
 impl Filter {
+    /// Starts it.
+    ///
+    /// # Errors
+    /// It is not there, or `text` is not in jq's language.
     pub fn new(text: &str) -> Outcome<Self> {
-        let wrong = |what: String| Failure::unusable(format!("'{text}' is no program of jq's: {what}"));
-        let definitions = jaq_core::defs().chain(jaq_std::defs()).chain(jaq_json::defs());
-        let functions = jaq_core::funs().chain(jaq_std::funs()).chain(jaq_json::funs());
-        let arena = Arena::default();
-        let modules = Loader::new(definitions)
-            .load(&arena, File { code: text, path: () })
-            .map_err(|_| wrong("its parts do not fit together".into()))?;
-        let program = Compiler::default().with_funs(functions).compile(modules);
-        let program = program.map_err(|errors| {
-            let names = errors.iter().flat_map(|(_, all)| all.iter().map(|(name, _)| format!("'{name}'")));
-            wrong(format!("it does not know {}", names.collect::<Vec<_>>().join(", ")))
-        })?;
-        Ok(Filter { program, text: text.to_owned() })
+        let path = FILTER.path();
+        let started = Command::new(&path).arg(text).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
+        let mut child = started.map_err(|error| Failure::unusable(FILTER.error(path, error).to_string()))?;
+        let (Some(questions), Some(answers)) = (child.stdin.take(), child.stdout.take()) else {
+            return Err(ended());
+        };
+        let mut filter = Filter { questions, answers: BufReader::new(answers), child };
+        match filter.answer()?.as_str() {
+            "" => Ok(filter),
+            wrong => Err(Failure::unusable(wrong)),
+        }
     }
 
-    /// Whether a message, as JSON, is wanted.
+    /// Whether a message, as JSON in one line, is wanted.
     ///
     /// # Errors
     /// The program cannot be applied to it.
-    pub fn accepts(&self, json: &str) -> Outcome<bool> {
-        let refuse = |reason: String| {
-            Failure::unusable(format!("'{}' cannot be applied to a message: {reason}", self.text))
-        };
-        let message = read::parse_single(json.as_bytes()).map_err(|error| refuse(error.to_string()))?;
-        let context = Ctx::<data::JustLut<Val>>::new(&self.program.lut, Vars::new([]));
-        for given in self.program.id.run((context, message)).map(unwrap_valr) {
-            match given.map_err(|error| refuse(error.to_string()))? {
-                Val::Null | Val::Bool(false) => {}
-                _ => return Ok(true),
-            }
+    pub fn accepts(&mut self, json: &str) -> Outcome<bool> {
+        writeln!(self.questions, "{json}").map_err(|_| ended())?;
+        match self.answer()?.as_str() {
+            "true" => Ok(true),
+            "false" => Ok(false),
+            refused => Err(Failure::unusable(refused)),
         }
-        Ok(false)
+    }
+
+    fn answer(&mut self) -> Outcome<String> {
+        let mut line = String::new();
+        match self.answers.read_line(&mut line) {
+            Ok(1..) => Ok(line.trim_end().to_owned()),
+            _ => Err(ended()),
+        }
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn predicates_and_selections_both_say_what_is_wanted() {
-        let message = r#"{"a":3,"b":{"c":[1,2]},"s":"x"}"#;
-        for (program, accepts) in [
-            (".a > 2", true),
-            (".a > 3", false),
-            ("select(.b.c | length == 2)", true),
-            ("select(.s == \"y\")", false),
-            (".s | test(\"^x$\")", true),
-            (".nothing", false),
-            (".b.c | any(. == 2)", true),
-        ] {
-            assert_eq!(Filter::new(program).unwrap().accepts(message).unwrap(), accepts, "{program}");
-        }
-        for wrong in [".a >", "unknown_function", "| .a"] {
-            assert!(Filter::new(wrong).is_err(), "{wrong}");
-        }
-        assert!(Filter::new(".s.t").unwrap().accepts(message).is_err());
+impl Drop for Filter {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
+}
+
+fn ended() -> Failure {
+    Failure::unusable(format!("{} ended by itself", FILTER.program))
 }

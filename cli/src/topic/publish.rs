@@ -217,7 +217,7 @@ fn send(
     count: Option<u64>,
     end: &End,
 ) -> Outcome<Times> {
-    let mut late = Times::new();
+    let mut late = Times::default();
     let mut bytes = message.to_cdr();
     let start_ns = monotonic_ns();
     for n in 0.. {

@@ -81,7 +81,7 @@ struct Flow {
 
 impl Flow {
     fn new(label: String, pid: Option<u32>, first: Sent, lost: Option<u64>) -> Self {
-        let (periods, unseen, sizes, number) = (Times::new(), 0, None, 0);
+        let (periods, unseen, sizes, number) = (Times::default(), 0, None, 0);
         Flow { label, pid, first, last: first, periods, unseen, sizes, lost, number }
     }
 

@@ -8,7 +8,7 @@ mod tail;
 use super::explain::{INPUT_TOO_LARGE, WCET_EXCEEDED, quoted};
 use super::verdict::{Comparison, Mark, Measured, Row};
 use super::{ReportError, System};
-use crate::record::date;
+use crate::date::date;
 use crate::table::{BAD, GOOD, ms, wrap, write_table};
 use serde_json::{Value, json};
 use sizes::{Class, Line};

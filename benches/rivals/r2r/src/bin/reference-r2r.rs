@@ -39,7 +39,10 @@ const PRIORITY: u8 = 90;
 const LOOK: Duration = Duration::from_millis(100);
 
 fn main() -> ExitCode {
-    program("reference-system", |job| Ok(println!("{}", serde_json::to_string(&run(job)?)?)))
+    program("reference-system", |job| {
+        println!("{}", serde_json::to_string(&run(job)?)?);
+        Ok(())
+    })
 }
 
 fn run(job: &Job) -> Result<Kpis> {

@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut bag convert`: bags of rosbag2 in its other storage and compressions, read and written.
+
+use super::{NewArgs, Progress, Sum, whole};
+use crate::record::{failed, say};
+use clap::{Args, ValueEnum};
+use serde_json::json;
+use std::io::Write;
+use std::path::PathBuf;
+use std::sync::Arc;
+use taut_cli::verb::{CommonArgs, End, Failure, Outcome};
+use tautline::{find_schema, type_of};
+use tautline_bag::{BagError, Hooks, Storage, Topic, convert};
+use tautline_msgs::split_header;
+use tautline_schema::{DynamicMessage, Endian, Schema, TypeName};
+use tautline_transport::TopicType;
+
+/// Writes bags of rosbag2 into a new one: SQLite to MCAP or back, decompressed, compressed
+///
+/// Messages, their order and times, QoS, hashes and definitions of types are kept; what cannot be is said. Definitions that an old bag has
+/// not are taken from a sourced ROS 2, or those that are built in, if its messages are of them. Nothing is left of a new bag
+/// that cannot be ended.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut bag convert foxy_run -o run1                 a folder of .db3 files
+  taut bag convert run_0.db3.zstd -o run1 --compression zstd
+  taut bag convert run1 -o db --storage sqlite3     as rosbag2 of Jazzy writes it
+  taut bag convert part1 part2 -o run1 --max-size 1GB")]
+pub struct ConvertArgs {
+    /// Folders of rosbag2, or files of them: .mcap or .db3, or these and .zstd
+    #[arg(value_name = "BAG", required = true)]
+    bags: Vec<PathBuf>,
+    /// What holds the messages
+    #[arg(long, value_enum, default_value_t = Stored::Mcap)]
+    storage: Stored,
+    #[command(flatten)]
+    new: NewArgs,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Stored {
+    /// Compressed in chunks
+    Mcap,
+    /// Compressed message by message, by zstd alone
+    Sqlite3,
+}
+
+pub fn run(args: &ConvertArgs, common: &CommonArgs) -> Outcome {
+    let end = End::of(common)?;
+    let progress = Progress::new(common.json);
+    let storage = match args.storage {
+        Stored::Mcap => Storage::Mcap,
+        Stored::Sqlite3 => Storage::Sqlite3,
+    };
+    let hooks = Hooks {
+        define: &mut |topic, cdr| defined(topic, cdr).map(|schema| schema.to_text()),
+        tell: &mut |path| progress.say(path),
+        go_on: &mut || {
+            progress.tick();
+            !end.is_reached()
+        },
+    };
+    let written = convert(&args.bags, &args.new.output, storage, args.new.options(), hooks);
+    progress.end();
+    let converted =
+        written.map_err(|error| match (error, common.timeout().filter(|_| end.is_reached())) {
+            (BagError::Interrupted, Some(timeout)) => {
+                Failure::no(format!("not done after {timeout:?}; nothing is left of it"))
+            }
+            (error @ BagError::Interrupted, None) => Failure::no(error.to_string()),
+            (error, _) => failed(error),
+        })?;
+    converted.notes.iter().for_each(|note| say(&format!("taut: warning: {note}")));
+    let out = &mut anstream::stdout().lock();
+    let sum = Sum::of(&converted.files);
+    if common.json {
+        let mut report = sum.json(&converted.files);
+        report["notes"] = json!(converted.notes);
+        writeln!(out, "{report}")?;
+    } else {
+        sum.write(&args.new.output, &converted.files, out)?;
+    }
+    whole(&converted.damage)
+}
+
+/// The definition that is known here of a topic's type, if nothing speaks against its being the recorded one.
+fn defined(topic: &Topic, cdr: Option<&[u8]>) -> Option<Arc<Schema>> {
+    let name: TypeName = topic.type_name.parse().ok()?;
+    let bare = TopicType::new(topic.type_name.clone());
+    let recorded = if topic.type_hash.is_empty() { bare } else { bare.with_hash(topic.type_hash.clone()) };
+    let schema = find_schema(&topic.name, &name, Some(&recorded)).ok()?;
+    if !type_of(&schema).agrees_with(&recorded) {
+        return None;
+    }
+    if let Some(cdr) = cdr {
+        let (endian, body) = split_header(cdr).ok()?;
+        let endian = match endian {
+            tautline_msgs::cdr::Endian::Little => Endian::Little,
+            tautline_msgs::cdr::Endian::Big => Endian::Big,
+        };
+        // Middleware pads to four bytes.
+        DynamicMessage::validate(&schema, body, endian).ok().filter(|trailing| *trailing < 4)?;
+    }
+    Some(schema)
+}

@@ -1,0 +1,449 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut bag`: what is in a bag, whether it is whole, making it whole, another one of it, and pictures.
+
+mod convert;
+mod plot;
+
+use crate::record::{Compressed, failed, size};
+use clap::{Args, Subcommand};
+use indicatif::ProgressBar;
+use regex::Regex;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use taut_cli::asking::full_name;
+use taut_cli::date::date;
+use taut_cli::table::write_table;
+use taut_cli::verb::{CommonArgs, Failure, Outcome, time};
+use tautline_bag::{
+    BagError, Damage, FileReader, FileSummary, Message, Options, files_of, index_of, recover, rewrite,
+};
+
+/// Looks into bags, checks, mends, converts and draws them
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut bag info run1                     topics, messages, times; what the recorder lost
+  taut bag check run1                    every byte; exit code 1 if something is wrong
+  taut bag recover run1                  what a killed recorder left is made whole
+  taut bag cut run1 /scan --from 10s --to 20s -o part
+  taut bag merge run1 run2 -o both
+  taut bag convert old -o new            SQLite (.db3) or compressed files, as MCAP
+  taut bag plot run1 /odom.twist.twist.linear.x -o speed.svg")]
+pub struct BagArgs {
+    #[command(subcommand)]
+    verb: Verb,
+    #[command(flatten)]
+    common: CommonArgs,
+}
+
+#[derive(Subcommand, Clone, Debug)]
+enum Verb {
+    Info(InfoArgs),
+    Check(CheckArgs),
+    Recover(RecoverArgs),
+    Cut(CutArgs),
+    Merge(MergeArgs),
+    Convert(convert::ConvertArgs),
+    Plot(plot::PlotArgs),
+}
+
+/// Prints what is in a bag, from the index of its files
+#[derive(Args, Clone, Debug)]
+struct InfoArgs {
+    /// A folder of MCAP files, or one
+    #[arg(value_name = "BAG")]
+    bag: PathBuf,
+}
+
+/// Reads every message, and says what is damaged: exit code 1 if something is
+#[derive(Args, Clone, Debug)]
+struct CheckArgs {
+    /// A folder of MCAP files, or one
+    #[arg(value_name = "BAG")]
+    bag: PathBuf,
+}
+
+/// Writes files that are cut off or damaged anew, with all that is whole in them, and metadata.yaml
+#[derive(Args, Clone, Debug)]
+struct RecoverArgs {
+    /// A folder of MCAP files, or one
+    #[arg(value_name = "BAG")]
+    bag: PathBuf,
+}
+
+/// Writes some topics, or a part of the time, into a new bag
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut bag cut run1 /scan /odom -o scans
+  taut bag cut run1 --from 10s --to 20s --compression zstd -o part
+  taut bag cut run1 -x camera -o small")]
+struct CutArgs {
+    /// A folder of MCAP files, or one
+    #[arg(value_name = "BAG")]
+    bag: PathBuf,
+    /// These topics [default: all]
+    #[arg(value_name = "TOPIC")]
+    topics: Vec<String>,
+    /// But none whose name this regular expression is found in
+    #[arg(short = 'x', long, value_name = "REGEX")]
+    exclude: Option<String>,
+    /// Received so long after the first message, or later
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    from: Option<Duration>,
+    /// Received less than so long after the first message
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    to: Option<Duration>,
+    #[command(flatten)]
+    new: NewArgs,
+}
+
+/// Writes several bags into a new one
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut bag merge run1 run2 -o both
+  taut bag merge run1 --compression zstd -o small     one bag, compressed")]
+struct MergeArgs {
+    /// Folders of MCAP files, or such files
+    #[arg(value_name = "BAG", required = true)]
+    bags: Vec<PathBuf>,
+    #[command(flatten)]
+    new: NewArgs,
+}
+
+/// What is written.
+#[derive(Args, Clone, Debug)]
+struct NewArgs {
+    /// The new bag: a folder that is not there yet
+    #[arg(short, long, value_name = "FOLDER")]
+    output: PathBuf,
+    /// How chunks are compressed
+    #[arg(long, value_enum, default_value_t = Compressed::None)]
+    compression: Compressed,
+    /// A new file when one has this size, such as 500MB or 4GiB
+    #[arg(long, value_name = "SIZE", value_parser = size)]
+    max_size: Option<u64>,
+}
+
+impl NewArgs {
+    fn options(&self) -> Options {
+        Options { compression: self.compression.into(), split_bytes: self.max_size, ..Options::default() }
+    }
+}
+
+pub fn run(args: &BagArgs) -> Outcome {
+    if args.common.is_domain_named() {
+        return Err(Failure::unusable("a bag is of no domain: leave --domain out"));
+    }
+    let is_json = args.common.json;
+    // Who has something to remove ends by himself.
+    if !matches!(args.verb, Verb::Convert(_)) {
+        args.common.bound();
+    }
+    match &args.verb {
+        Verb::Info(args) => info(&args.bag, is_json),
+        Verb::Check(args) => check(&args.bag, is_json),
+        Verb::Recover(args) => mend(&args.bag, is_json),
+        Verb::Cut(args) => cut(args, is_json),
+        Verb::Merge(args) => write_anew(&args.bags, &args.new, is_json, |_| true),
+        Verb::Convert(verb) => convert::run(verb, &args.common),
+        Verb::Plot(args) => plot::run(args, is_json),
+    }
+}
+
+fn info(bag: &Path, is_json: bool) -> Outcome {
+    let (mut files, mut said, mut without) = (Vec::new(), Vec::new(), Vec::new());
+    for path in files_of(bag).map_err(failed)? {
+        match index_of(&path).map_err(failed)? {
+            Some((summary, metadata)) => {
+                files.push(summary);
+                said.extend(metadata);
+            }
+            None => {
+                // Not even the beginning of one.
+                FileReader::open(&path).map_err(failed)?;
+                without.push(path);
+            }
+        }
+    }
+    let last = |name: &str| said.iter().rev().find(|(other, _)| other == name).map(|(_, values)| values);
+    let (session, recording) = (last("tautline:session"), last("tautline:recording"));
+    let out = &mut anstream::stdout().lock();
+    let sum = Sum::of(&files);
+    if is_json {
+        // What the recorder said of a topic is JSON, in a text.
+        let value = |text: &String| serde_json::from_str(text).unwrap_or_else(|_| json!(text));
+        let values = |values: &BTreeMap<String, String>| -> Value {
+            values.iter().map(|(key, text)| (key.clone(), value(text))).collect()
+        };
+        let mut report = sum.json(&files);
+        report["session"] = session.map_or(Value::Null, values);
+        report["recording"] = recording.map_or(Value::Null, values);
+        report["without_index"] = json!(without);
+        writeln!(out, "{report}")?;
+    } else {
+        sum.write(bag, &files, out)?;
+        if let Some(host) = session.and_then(|session| session.get("host")) {
+            let said = |key: &str| recording.and_then(|recording| recording.get(key));
+            let lost = match (said("lost"), said("why")) {
+                (_, Some(why)) => format!("from its black box: {why}"),
+                (Some(lost), _) if lost == "0" => "and lost nothing".to_owned(),
+                (Some(lost), _) => format!("and lost {lost} messages"),
+                (None, _) => "and did not come to its end".to_owned(),
+            };
+            writeln!(out, "taut record wrote it on {host}, {lost}")?;
+        }
+    }
+    if without.is_empty() {
+        return Ok(());
+    }
+    let names: Vec<_> = without.iter().map(|path| path.display().to_string()).collect();
+    Err(Failure::no(format!(
+        "no index in {}; `taut bag recover {}` makes one",
+        names.join(", "),
+        bag.display()
+    )))
+}
+
+fn check(bag: &Path, is_json: bool) -> Outcome {
+    let progress = Progress::new(is_json);
+    let (mut files, mut damage, mut damages) = (Vec::new(), Vec::new(), 0);
+    for path in files_of(bag).map_err(failed)? {
+        progress.say(&path);
+        let mut reader = FileReader::open(&path).map_err(failed)?;
+        reader
+            .read(&mut |_| {
+                progress.tick();
+                Ok::<_, BagError>(())
+            })
+            .map_err(failed)?;
+        let (some, all) = reader.damage();
+        damage.extend(some.iter().map(|damage| (path.clone(), damage.clone())));
+        damages += all;
+        files.push(reader.summary());
+    }
+    progress.end();
+    let is_described = !bag.is_dir() || bag.join("metadata.yaml").is_file();
+    let out = &mut anstream::stdout().lock();
+    let sum = Sum::of(&files);
+    if is_json {
+        let mut report = sum.json(&files);
+        let place = |(path, damage): &(PathBuf, Damage)| json!({ "file": path, "offset": damage.offset, "what": damage.what });
+        report["damage"] = damage.iter().map(place).collect();
+        report["damages"] = json!(damages);
+        report["has_metadata_yaml"] = json!(is_described);
+        writeln!(out, "{report}")?;
+    } else {
+        for (path, Damage { offset, what }) in &damage {
+            writeln!(out, "{}: at byte {offset}: {what}", path.display())?;
+        }
+        sum.write(bag, &files, out)?;
+    }
+    let recover = format!("`taut bag recover {}` keeps what is whole", bag.display());
+    match (damages, is_described) {
+        (0, true) => Ok(()),
+        (0, false) => Err(Failure::no(format!("there is no metadata.yaml; {recover}, and writes it"))),
+        _ => Err(Failure::no(format!("damaged in {damages} places; {recover}"))),
+    }
+}
+
+fn mend(bag: &Path, is_json: bool) -> Outcome {
+    let progress = Progress::new(is_json);
+    let files = recover(bag, &mut |path| progress.say(path)).map_err(failed)?;
+    progress.end();
+    let out = &mut anstream::stdout().lock();
+    if is_json {
+        let file = |file: &tautline_bag::Recovered| {
+            let damage = file.damage.iter();
+            let damage: Vec<_> =
+                damage.map(|damage| json!({ "offset": damage.offset, "what": damage.what })).collect();
+            json!({ "file": file.summary.path, "messages": file.summary.messages, "damage": damage, "before": file.before })
+        };
+        writeln!(out, "{}", files.iter().map(file).collect::<Value>())?;
+        return Ok(());
+    }
+    for file in &files {
+        let (path, messages) = (file.summary.path.display(), file.summary.messages);
+        match file.damage.first() {
+            None => writeln!(out, "{path}: was whole, {messages} messages")?,
+            Some(Damage { offset, what }) => {
+                writeln!(out, "{path}: {what}, at byte {offset}: {messages} messages kept")?;
+                if let Some(before) = &file.before {
+                    writeln!(out, "  what it was is {}: remove it if nothing is missing", before.display())?;
+                }
+            }
+        }
+    }
+    Ok(())
+}
+
+fn cut(args: &CutArgs, is_json: bool) -> Outcome {
+    let topics: Vec<_> = args.topics.iter().map(|topic| full_name(topic)).collect();
+    let exclude = args.exclude.as_deref().map(Regex::new).transpose()?;
+    let mut files = Vec::new();
+    for path in files_of(&args.bag).map_err(failed)? {
+        let mut reader = FileReader::open(&path).map_err(failed)?;
+        files.push(match index_of(&path).map_err(failed)? {
+            Some((summary, _)) => summary,
+            None => {
+                reader.read(&mut |_| Ok::<_, BagError>(())).map_err(failed)?;
+                reader.summary()
+            }
+        });
+    }
+    let there = Sum::of(&files);
+    let names = || there.topics.keys().map(|(name, _)| &**name);
+    if let Some(unknown) = topics.iter().find(|topic| !names().any(|name| name == **topic)) {
+        return Err(Failure::unknown("topic", unknown, names(), &format!("bag info {}", args.bag.display())));
+    }
+    let at = |time: Option<Duration>| {
+        time.map(|time| there.start_ns.saturating_add(u64::try_from(time.as_nanos()).unwrap_or(u64::MAX)))
+    };
+    let (from_ns, to_ns) = (at(args.from).unwrap_or(0), at(args.to).unwrap_or(u64::MAX));
+    if from_ns >= to_ns || from_ns > there.end_ns {
+        let seconds = there.seconds();
+        return Err(Failure::unusable(format!("there is nothing between: the bag is of {seconds:.1} s")));
+    }
+    write_anew(std::slice::from_ref(&args.bag), &args.new, is_json, |message| {
+        let name = &message.topic.name;
+        (from_ns..to_ns).contains(&message.stamp.log_ns)
+            && (topics.is_empty() || topics.contains(name))
+            && !exclude.as_ref().is_some_and(|regex| regex.is_match(name))
+    })
+}
+
+fn write_anew(
+    bags: &[PathBuf],
+    new: &NewArgs,
+    is_json: bool,
+    mut wanted: impl FnMut(&Message<'_>) -> bool,
+) -> Outcome {
+    let progress = Progress::new(is_json);
+    let wanted = &mut |message: &Message<'_>| {
+        progress.tick();
+        wanted(message)
+    };
+    let written = rewrite(bags, &new.output, new.options(), wanted, &mut |path| progress.say(path));
+    progress.end();
+    let (finished, damage) = written.map_err(failed)?;
+    let out = &mut anstream::stdout().lock();
+    let sum = Sum::of(&finished.files);
+    if is_json {
+        writeln!(out, "{}", sum.json(&finished.files))?;
+    } else {
+        sum.write(&new.output, &finished.files, out)?;
+    }
+    whole(&damage)
+}
+
+/// Whether all of what was read was taken.
+fn whole(damage: &[(PathBuf, Damage)]) -> Outcome {
+    match damage.first() {
+        None => Ok(()),
+        Some((path, Damage { offset, what })) => {
+            Err(Failure::no(format!("{}: at byte {offset}: {what}; what is whole was taken", path.display())))
+        }
+    }
+}
+
+/// Of all files.
+struct Sum {
+    topics: BTreeMap<(String, String), (String, u64)>,
+    messages: u64,
+    bytes: u64,
+    start_ns: u64,
+    end_ns: u64,
+}
+
+impl Sum {
+    fn of(files: &[FileSummary]) -> Self {
+        let with_messages = || files.iter().filter(|file| file.messages > 0);
+        let mut topics = BTreeMap::new();
+        for (key, (topic, messages)) in files.iter().flat_map(|file| &file.topics) {
+            topics.entry(key.clone()).or_insert_with(|| (topic.type_hash.clone(), 0)).1 += messages;
+        }
+        Sum {
+            topics,
+            messages: files.iter().map(|file| file.messages).sum(),
+            bytes: files.iter().map(|file| file.bytes).sum(),
+            start_ns: with_messages().map(|file| file.start_ns).min().unwrap_or(0),
+            end_ns: with_messages().map(|file| file.end_ns).max().unwrap_or(0),
+        }
+    }
+
+    fn seconds(&self) -> f64 {
+        self.end_ns.saturating_sub(self.start_ns) as f64 / 1e9
+    }
+
+    fn json(&self, files: &[FileSummary]) -> Value {
+        let topic = |((name, type_name), (hash, messages)): (&(String, String), &(String, u64))| json!({ "topic": name, "type": type_name, "hash": hash, "messages": messages });
+        let file = |file: &FileSummary| {
+            json!({
+                "file": file.name(), "bytes": file.bytes, "messages": file.messages,
+                "start_ns": file.start_ns, "end_ns": file.end_ns,
+            })
+        };
+        json!({
+            "messages": self.messages, "bytes": self.bytes, "start_ns": self.start_ns, "end_ns": self.end_ns,
+            "topics": self.topics.iter().map(topic).collect::<Vec<_>>(), "files": files.iter().map(file).collect::<Vec<_>>(),
+        })
+    }
+
+    fn write(&self, bag: &Path, files: &[FileSummary], out: &mut impl Write) -> io::Result<()> {
+        let seconds = self.seconds();
+        if !self.topics.is_empty() {
+            let row = |((name, type_name), (_, messages)): (&(String, String), &(String, u64))| {
+                let hz =
+                    if seconds > 0.0 { format!("{:.1}", *messages as f64 / seconds) } else { "-".into() };
+                (true, vec![name.clone(), type_name.clone(), messages.to_string(), hz])
+            };
+            write_table(
+                &["topic", "type", "messages", "mean/s"],
+                2,
+                self.topics.iter().map(row).collect(),
+                out,
+            )?;
+        }
+        let (files, megabytes) = (files.len(), self.bytes as f64 / 1e6);
+        write!(
+            out,
+            "{}: {} messages in {files} {}, {megabytes:.1} MB",
+            bag.display(),
+            self.messages,
+            if files == 1 { "file" } else { "files" }
+        )?;
+        match self.messages {
+            0 => writeln!(out),
+            _ => writeln!(out, ", {seconds:.1} s from {} UTC", date(self.start_ns.cast_signed())),
+        }
+    }
+}
+
+/// On a terminal, of what takes longer than two seconds.
+struct Progress {
+    bar: ProgressBar,
+    start: Instant,
+}
+
+impl Progress {
+    fn new(is_json: bool) -> Self {
+        let bar = if is_json { ProgressBar::hidden() } else { ProgressBar::new_spinner() };
+        Progress { bar, start: Instant::now() }
+    }
+
+    fn say(&self, path: &Path) {
+        self.bar.set_message(format!("reading {}", path.display()));
+        self.tick();
+    }
+
+    fn tick(&self) {
+        if self.start.elapsed() > Duration::from_secs(2) {
+            self.bar.tick();
+        }
+    }
+
+    fn end(&self) {
+        self.bar.finish_and_clear();
+    }
+}

@@ -1,0 +1,293 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut bag plot`: fields of messages over time, as a picture.
+
+mod columns;
+mod field;
+mod picture;
+
+use super::{Progress, whole};
+use crate::record::{failed, say};
+use clap::Args;
+use columns::Columns;
+use field::Wanted;
+use picture::{Picture, Series};
+use serde_json::{Value as Json, json};
+use std::io::{self, IsTerminal, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+use taut_cli::verb::{Failure, Outcome, time};
+use tautline::find_schema;
+use tautline::rt::clock::nanoseconds;
+use tautline_bag::{Ordered, Topic, is_compressed};
+use tautline_schema::{DynamicMessage, Primitive, Schema, TypeName, Value};
+use tautline_transport::TopicType;
+
+/// Draws fields of messages over time, as SVG
+///
+/// Of more messages than the picture has columns of pixels each column shows the first, the lowest, the highest and the last: no
+/// spike is lost. What is no number (NaN, infinite, an element that a message has not) is a gap. Time is that of reception.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut bag plot run1 /odom.twist.twist.linear.x -o speed.svg
+  taut bag plot run1 /imu.angular_velocity.z /cmd_vel.angular.z --from 10s --to 20s -o turn.svg
+  taut bag plot run1 '/scan.ranges[0]' '/scan.ranges[359]' --width 2000 > scan.svg
+  taut bag plot run1 /battery.voltage --json | jq '.series[0].points[-1]'")]
+pub struct PlotArgs {
+    /// A folder of MCAP files, or one
+    #[arg(value_name = "BAG")]
+    bag: PathBuf,
+    #[arg(value_name = "TOPIC.FIELD", required = true, value_parser = Wanted::parse,
+          help = "What is drawn, in one picture: numbers and bools, such as /odom.pose.pose.position.x or /scan.ranges[3]")]
+    fields: Vec<Wanted>,
+    /// The picture [default: standard output]
+    #[arg(short, long, value_name = "FILE.svg")]
+    output: Option<PathBuf>,
+    /// Received so long after the bag's first message, or later
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    from: Option<Duration>,
+    /// Received no more than so long after the bag's first message
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    to: Option<Duration>,
+    /// In pixels
+    #[arg(long, value_name = "PIXELS", default_value_t = 1000, value_parser = clap::value_parser!(u16).range(320..=16_000))]
+    width: u16,
+    /// In pixels
+    #[arg(long, value_name = "PIXELS", default_value_t = 420, value_parser = clap::value_parser!(u16).range(200..=16_000))]
+    height: u16,
+}
+
+/// A field as it is read.
+struct Line {
+    wanted: Wanted,
+    /// Which topic of the bag.
+    topic: usize,
+    schema: Arc<Schema>,
+    is_bool: bool,
+    columns: Columns,
+    /// Of every message, for JSON.
+    points: Vec<(u64, Json)>,
+    messages: u64,
+    gaps: u64,
+    unread: (u64, Option<String>),
+}
+
+pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
+    if args.fields.len() > picture::COLOURS.len() {
+        let most = picture::COLOURS.len();
+        return Err(Failure::unusable(format!(
+            "more than {most} lines cannot be told apart: draw several pictures"
+        )));
+    }
+    if let Some(path) = args.output.as_ref().filter(|path| path.extension().is_none_or(|end| end != "svg")) {
+        return Err(Failure::unusable(format!("'{}': pictures are SVG: name it .svg", path.display())));
+    }
+    if args.output.is_none() && !is_json && io::stdout().is_terminal() {
+        return Err(Failure::unusable("the picture is nothing for a terminal: name a file with -o FILE.svg"));
+    }
+    let progress = Progress::new(is_json);
+    let mut bag = Ordered::open(&args.bag, &mut |path| progress.say(path)).map_err(failed)?;
+    let (start_ns, from_ns, to_ns) = args.range(&bag)?;
+    // Times of chunks are claims: without --from and --to nothing is left out.
+    let wanted_ns = args.from.map_or(0, |_| from_ns)..=args.to.map_or(u64::MAX, |_| to_ns);
+    let mut lines = Vec::new();
+    for wanted in &args.fields {
+        lines.push(args.line(&bag, wanted, (from_ns, to_ns))?);
+    }
+    bag.rewind(*wanted_ns.start());
+    while let Some(message) = bag.next_message().map_err(failed)? {
+        progress.tick();
+        let at_ns = message.stamp.log_ns;
+        if at_ns > *wanted_ns.end() {
+            break;
+        }
+        if at_ns < *wanted_ns.start() {
+            continue;
+        }
+        let mut read: Option<Result<DynamicMessage, String>> = None;
+        for line in lines.iter_mut().filter(|line| line.topic == message.topic) {
+            let read = read.get_or_insert_with(|| {
+                if is_compressed(&message.cdr) {
+                    return Err(
+                        "it is compressed by itself; `taut bag convert` decompresses the bag".to_owned()
+                    );
+                }
+                DynamicMessage::from_cdr(&line.schema, &message.cdr).map_err(|error| error.to_string())
+            });
+            line.add(at_ns, read.as_ref(), is_json);
+        }
+    }
+    progress.end();
+    lines.iter().try_for_each(|line| line.check(&args.bag))?;
+    if is_json {
+        print_json(args, start_ns, &lines)?;
+    }
+    if !is_json || args.output.is_some() {
+        let series = lines.iter().map(|line| Series {
+            name: line.wanted.to_string(),
+            columns: &line.columns,
+            is_step: line.is_bool,
+            messages: line.messages,
+            gaps: line.gaps,
+        });
+        let name = std::path::absolute(&args.bag)?;
+        let picture = Picture {
+            name: name.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            start_ns,
+            from_ns,
+            to_ns,
+            size: (args.width.into(), args.height.into()),
+            series: series.collect(),
+        };
+        let svg = picture.draw().map_err(|error| Failure::unusable(error.to_string()))?;
+        match &args.output {
+            None => io::stdout().write_all(svg.as_bytes())?,
+            Some(path) => {
+                let written = std::fs::write(path, svg);
+                written.map_err(|error| {
+                    Failure::unusable(format!("'{}' cannot be written: {error}", path.display()))
+                })?;
+                if !is_json {
+                    let messages: u64 = lines.iter().map(|line| line.messages).sum();
+                    let of = if messages == 1 { "message of" } else { "messages of" };
+                    let seconds = (to_ns - from_ns) as f64 / 1e9;
+                    writeln!(io::stdout(), "{}: {messages} {of} {seconds:.1} s", path.display())?;
+                }
+            }
+        }
+    }
+    lines.iter().for_each(Line::warn);
+    let damage: Vec<_> = bag.damage().map(|(path, damage)| (path.to_owned(), damage)).collect();
+    whole(&damage)
+}
+
+impl PlotArgs {
+    /// The bag's beginning, and what is drawn, as times of reception.
+    fn range(&self, bag: &Ordered) -> Outcome<(u64, u64, u64)> {
+        let Some((start_ns, end_ns)) = bag.span_ns() else {
+            return Err(Failure::unusable(format!("{} has no messages", self.bag.display())));
+        };
+        let at = |time: Duration| start_ns.saturating_add(nanoseconds(time));
+        let from_ns = self.from.map_or(start_ns, at);
+        let to_ns = self.to.map_or(end_ns, at).min(end_ns);
+        if from_ns > to_ns {
+            let seconds = (end_ns - start_ns) as f64 / 1e9;
+            return Err(Failure::unusable(format!("there is nothing between: the bag is of {seconds:.1} s")));
+        }
+        Ok((start_ns, from_ns, to_ns))
+    }
+
+    fn line(&self, bag: &Ordered, wanted: &Wanted, (from_ns, to_ns): (u64, u64)) -> Outcome<Line> {
+        let topics = bag.topics();
+        let Some(topic) = topics.iter().position(|topic| topic.name == wanted.topic) else {
+            let names = topics.iter().map(|topic| &*topic.name);
+            let what = format!("topic '{}' in {}", wanted.topic, self.bag.display());
+            return Err(field::missing(&what, &wanted.topic, names));
+        };
+        if topics.iter().filter(|topic| topic.name == wanted.topic).count() > 1 {
+            let (name, of_type) = (&wanted.topic, &topics[topic].type_name);
+            say(&format!("taut: warning: {name} has several types, of which {of_type} is drawn"));
+        }
+        let schema = schema_of(&topics[topic])?;
+        let is_bool = wanted.check(&schema)? == Primitive::Bool;
+        // One for each column of pixels.
+        let columns = Columns::new(from_ns, to_ns, usize::from(self.width));
+        let (points, unread) = (Vec::new(), (0, None));
+        let (wanted, messages, gaps) = (wanted.clone(), 0, 0);
+        Ok(Line { wanted, topic, schema, is_bool, columns, points, messages, gaps, unread })
+    }
+}
+
+impl Line {
+    fn add(&mut self, at_ns: u64, message: Result<&DynamicMessage, &String>, keeps_points: bool) {
+        self.messages += 1;
+        let value = match message {
+            Ok(message) => message.get(&self.wanted.path).ok(),
+            Err(why) => {
+                self.unread.0 += 1;
+                self.unread.1.get_or_insert_with(|| why.clone());
+                None
+            }
+        };
+        let value = value.as_deref();
+        let number = value.and_then(number).filter(|number| columns::can_be_drawn(*number));
+        self.gaps += u64::from(number.is_none());
+        self.columns.add(at_ns, number);
+        if keeps_points {
+            self.points.push((at_ns, value.map_or(Json::Null, json_of)));
+        }
+    }
+
+    /// # Errors
+    /// There is nothing to draw.
+    fn check(&self, bag: &Path) -> Outcome {
+        if self.gaps < self.messages {
+            return Ok(());
+        }
+        let (name, topic, bag) = (&self.wanted, &self.wanted.topic, bag.display());
+        let what = match &self.unread {
+            _ if self.messages == 0 => {
+                format!("{topic} has no message in that time; `taut bag info {bag}` says how many in all")
+            }
+            (unread, Some(why)) if *unread == self.messages => {
+                format!("no message of {topic} can be read: {why}")
+            }
+            _ => format!(
+                "{name} is no number in any of {} messages: NaN, infinite, or an element that is not there",
+                self.messages
+            ),
+        };
+        Err(Failure::no(what))
+    }
+
+    fn warn(&self) {
+        if let (unread, Some(why)) = &self.unread {
+            say(&format!("taut: warning: {unread} messages of {} cannot be read: {why}", self.wanted.topic));
+        }
+    }
+}
+
+/// As the bag has it, or else as it is known here.
+fn schema_of(topic: &Topic) -> Outcome<Arc<Schema>> {
+    let unusable = |error: &dyn std::fmt::Display| Failure::unusable(format!("{}: {error}", topic.name));
+    let name: TypeName = topic.type_name.parse().map_err(|error| unusable(&error))?;
+    if let Some(text) = &topic.definition {
+        return crate::definitions::from_bag(&name, text).map(Arc::new).map_err(|error| unusable(&error));
+    }
+    let bare = TopicType::new(topic.type_name.clone());
+    let recorded = if topic.type_hash.is_empty() { bare } else { bare.with_hash(topic.type_hash.clone()) };
+    find_schema(&topic.name, &name, Some(&recorded)).map_err(|error| unusable(&error))
+}
+
+fn number(value: &Value) -> Option<f64> {
+    match value {
+        Value::Bool(value) => Some(f64::from(u8::from(*value))),
+        other => other.as_f64(),
+    }
+}
+
+/// Integers as they are; what JSON has no number for is null.
+fn json_of(value: &Value) -> Json {
+    match value {
+        Value::Bool(value) => json!(value),
+        Value::F32(value) => json!(value),
+        Value::F64(value) => json!(value),
+        other => match other.as_integer() {
+            Some(value) => i64::try_from(value).map_or_else(|_| json!(value as u64), |value| json!(value)),
+            None => Json::Null,
+        },
+    }
+}
+
+fn print_json(args: &PlotArgs, start_ns: u64, lines: &[Line]) -> Outcome {
+    let series = |line: &Line| {
+        json!({
+            "topic": line.wanted.topic, "field": line.wanted.path, "messages": line.messages, "gaps": line.gaps,
+            "points": line.points,
+        })
+    };
+    let report = json!({
+        "bag": args.bag, "start_ns": start_ns, "series": lines.iter().map(series).collect::<Vec<_>>(),
+    });
+    Ok(writeln!(io::stdout(), "{report}")?)
+}

@@ -1,0 +1,447 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut play`: what a bag has is published again, when it was.
+//!
+//! `feeder` reads the bag, in its order, into a ring of locked memory; `player` publishes from there, at absolute times.
+
+mod console;
+mod feeder;
+mod player;
+mod stand_in;
+mod statement;
+
+use crate::definitions;
+use crate::offers;
+use crate::record::{failed, say, size};
+use clap::Args;
+use feeder::{Feeder, Part};
+use player::{Clock, Control, Player};
+use regex::Regex;
+use stand_in::StandIn;
+use statement::Statement;
+use std::cell::Cell;
+use std::num::NonZeroU64;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+use taut_cli::asking::full_name;
+use taut_cli::verb::{CommonArgs, End, Failure, Outcome, time};
+use tautline::rt::{self, CoreSet, MemoryLock, Policy, ThreadBuilder};
+use tautline::{EndpointKind, find_schema, type_of};
+use tautline_bag::{Ordered, Topic};
+use tautline_schema::{Schema, TypeName};
+use tautline_transport::{Durability, Limits, Participant, Qos, RawPublisher, TopicType, Visitor};
+
+/// How long subscriptions of another host or of ROS may take to find who publishes to them.
+const FAR: Duration = Duration::from_secs(1);
+
+/// Of the thread that publishes, if nothing is said.
+const PRIORITY: u8 = 40;
+/// How long a gateway or bridge may take to take a topic.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Publishes what is in a bag, at the times that it was received at
+///
+/// A thread with a real-time priority publishes each message at its absolute time; how late each was is said at the end. Types, QoS,
+/// time stamps and sequence numbers are as recorded. Topics that have publishers are not played without --mix.
+/// Ctrl-C ends.
+#[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut play run1
+  taut play run1 /scan /odom --rate 0.5 --clock
+  taut play run1 --from 10s --to 20s --loop
+  taut play run1 --remap /scan:=/scan_recorded --max-jitter 1ms
+  taut play run1 --as camera --loop           the system without its camera; `taut report` says whether the others keep their bounds
+  taut play run1 --paused                     on a terminal: enter goes on, n plays one message, s 12 leaps to 12 s
+
+Exit codes: 0 everything was played, or Ctrl-C; 1 some of it was not, or was later than --max-jitter; 2 it cannot be played.
+SIGUSR1 pauses and goes on; SIGUSR2 plays one message while it is paused.")]
+pub struct PlayArgs {
+    #[command(flatten)]
+    common: CommonArgs,
+    /// A folder, or one of its files
+    #[arg(value_name = "BAG")]
+    bag: PathBuf,
+    /// Topics of it [default: all]
+    #[arg(value_name = "TOPIC")]
+    topics: Vec<String>,
+    /// Topics whose name this regular expression is found in
+    #[arg(short = 'e', long, value_name = "REGEX")]
+    regex: Option<Regex>,
+    /// But none whose name this regular expression is found in
+    #[arg(short = 'x', long, value_name = "REGEX")]
+    exclude: Option<Regex>,
+    /// So many times as fast
+    #[arg(short, long, value_name = "FACTOR", default_value = "1", value_parser = factor)]
+    rate: f64,
+    /// Again and again, or N times
+    #[arg(short = 'l', long = "loop", value_name = "N", num_args = 0..=1, require_equals = true)]
+    again: Option<Option<NonZeroU64>>,
+    /// Leave out what is before this time from the bag's start; what publishers had kept for late joiners until then is sent first
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    from: Option<Duration>,
+    /// Leave out what is after this time from the bag's start
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    to: Option<Duration>,
+    /// Begin without playing
+    #[arg(long)]
+    paused: bool,
+    /// Publish the bag's time on /clock, so many times a second, for nodes with use_sim_time; a recorded /clock is left out
+    #[arg(long, value_name = "HZ", num_args = 0..=1, require_equals = true, default_missing_value = "100",
+          value_parser = factor)]
+    clock: Option<f64>,
+    /// Publish on another topic; may be given several times
+    #[arg(short = 'm', long, value_name = "FROM:=TO", value_parser = remap)]
+    remap: Vec<(String, String)>,
+    /// Play topics that have publishers already, too
+    #[arg(long)]
+    mix: bool,
+    /// Wait until each topic has a subscription
+    #[arg(short, long)]
+    wait: bool,
+    /// Exit with 1 if a message was later than this
+    #[arg(long, value_name = "TIME", value_parser = time)]
+    max_jitter: Option<Duration>,
+    /// Stand in for this node of the system file: play what it publishes, on its core, at its priority, so that `taut report` looks at the
+    /// others with recorded input
+    #[arg(long = "as", value_name = "NODE", conflicts_with_all = ["topics", "regex", "exclude", "remap"])]
+    stands_in: Option<String>,
+    /// The system file of --as [default: TAUT_SYSTEM, or what the processes of the domain were started with]
+    #[arg(long, value_name = "FILE", requires = "stands_in")]
+    system: Option<PathBuf>,
+    /// Publish with this priority of SCHED_FIFO, where that is permitted [default: 40, or the node's]
+    #[arg(long, value_name = "1..99", value_parser = clap::value_parser!(u8).range(1..=99))]
+    priority: Option<u8>,
+    /// Publish on this core [default: any, or the node's]
+    #[arg(long, value_name = "N")]
+    core: Option<usize>,
+    /// Publish at an ordinary priority
+    #[arg(long)]
+    no_rt: bool,
+    /// Memory for what is read ahead, locked and touched at the start
+    #[arg(long, value_name = "SIZE", default_value = "256MB", value_parser = size)]
+    budget: u64,
+}
+
+fn factor(text: &str) -> Result<f64, String> {
+    let factor = text.parse::<f64>().ok().filter(|factor| (1e-6..=1e6).contains(factor));
+    factor.ok_or_else(|| format!("'{text}' is no number of 0.000001 to 1000000"))
+}
+
+fn remap(text: &str) -> Result<(String, String), String> {
+    let (from, to) = text.split_once(":=").ok_or("FROM:=TO, such as /scan:=/scan_recorded")?;
+    Ok((full_name(from), full_name(to)))
+}
+
+/// A topic as it is played.
+struct Role {
+    name: String,
+    topic: Arc<Topic>,
+    topic_type: TopicType,
+    qos: Qos,
+    part: Part,
+}
+
+pub fn run(args: &PlayArgs) -> Outcome {
+    let domain = args.common.domain()?;
+    let control = Arc::new(Control::default());
+    control.is_paused.store(args.paused, Ordering::Relaxed);
+    console::listen(&control)?;
+    // Signals end it at once until then.
+    let bag = {
+        let since = Instant::now();
+        let tell = &mut |path: &Path| {
+            if since.elapsed() > Duration::from_secs(1) {
+                say(&format!("taut: looking through {}", path.display()));
+            }
+        };
+        Ordered::open(&args.bag, tell).map_err(failed)?
+    };
+    let mut end = End::of(&args.common)?;
+    let (from_ns, to_ns) = args.range(&bag)?;
+    if let Some(core) = args.core {
+        CoreSet::one(core).check().map_err(|error| Failure::unusable(format!("--core: {error}")))?;
+    }
+    let stand_in = args.stand_in(domain)?;
+    let (roles, numbers) = args.roles(&bag, stand_in.as_ref())?;
+    let participant = Participant::new(domain)?;
+    let (name, namespace) = match &stand_in {
+        Some(stand_in) => stand_in.name(&participant)?,
+        None => (format!("taut_play_{}", std::process::id()), "/".to_owned()),
+    };
+    let node = participant.create_node(&name, &namespace)?;
+    let participant = participant.for_node(&node);
+    args.refuse_live(&participant, &roles)?;
+
+    if let Err(error) = rt::lock_memory(MemoryLock::OnFault) {
+        say(&format!("taut: warning: the buffers are not locked into memory: {error}"));
+    }
+    let (producer, consumer) = crate::ring::touched(args.budget)?;
+    let start_ns = bag.span_ns().map_or(0, |(start_ns, _)| start_ns);
+    let feeder = Feeder {
+        bag,
+        numbers,
+        parts: roles.iter().map(|role| role.part.clone()).collect(),
+        producer,
+        control: control.clone(),
+        start_ns,
+        from_ns,
+        to_ns,
+        times: args.again.map_or(Some(1), |times| times.map(NonZeroU64::get)),
+        given: 0,
+        latched: None,
+        filling: None,
+        rate: args.rate,
+    };
+    let feeder = std::thread::spawn(move || feeder.run());
+    let is_filled = || Ok((control.is_filled.load(Ordering::Acquire) || feeder.is_finished()).then_some(()));
+    let ready = end.wait(|| "the bag to be read".to_owned(), is_filled).and_then(|()| {
+        let publishers = publishers(&participant, &roles)?;
+        let clock = args.clock.map(|hz| clock(&participant, hz)).transpose()?;
+        args.wait_for_subscriptions(domain, &roles, &publishers, &end)?;
+        Ok((publishers, clock))
+    });
+    let (publishers, clock) = match ready {
+        Ok(ready) => ready,
+        Err(failure) => {
+            control.stop.store(true, Ordering::Relaxed);
+            let _ = feeder.join();
+            return Err(failure);
+        }
+    };
+    let player = Player::new(consumer, publishers, clock, args.rate, control.clone());
+    let policy = args.policy(stand_in.as_ref());
+    let mut thread = ThreadBuilder::new("player").policy(policy);
+    if let Some(cores) = args.core.map(CoreSet::one).or(stand_in.as_ref().map(StandIn::cores)) {
+        thread = thread.cores(cores);
+    }
+    let _shown = stand_in.as_ref().map(|stand_in| stand_in.show(domain, policy)).transpose()?;
+    let thread = thread.spawn(move || move || player.run())?;
+    end.restart();
+    let until = if args.again == Some(None) { ", until Ctrl-C" } else { "" };
+    say(&format!("playing {} topics of {} in domain {domain}{until}", roles.len(), args.bag.display()));
+    console::watch(&control, &end, start_ns, args.common.json, || thread.is_finished());
+    let is_interrupted = !thread.is_finished();
+    control.stop.store(true, Ordering::Relaxed);
+    let played = thread.join()?;
+    let fed = feeder.join().map_err(|_| Failure::unusable("the thread that reads the bag panicked"))?;
+    Statement { args, roles: &roles, played, fed, is_interrupted }.print()
+}
+
+impl PlayArgs {
+    fn policy(&self, stand_in: Option<&StandIn>) -> Policy {
+        if self.no_rt {
+            return Policy::Other { nice: 0 };
+        }
+        let priority = self.priority.or(stand_in.map(StandIn::priority)).unwrap_or(PRIORITY);
+        match rt::permission::realtime_permitted(priority) {
+            Ok(()) => Policy::Fifo(priority),
+            Err(error) => {
+                say(&format!("taut: warning: messages are published at an ordinary priority: {error}"));
+                Policy::Other { nice: 0 }
+            }
+        }
+    }
+
+    /// As times of reception.
+    fn range(&self, bag: &Ordered) -> Outcome<(u64, u64)> {
+        let Some((start_ns, end_ns)) = bag.span_ns() else {
+            return Err(Failure::unusable(format!("{} has no messages", self.bag.display())));
+        };
+        let at = |time: Duration| start_ns.saturating_add(rt::clock::nanoseconds(time));
+        let from_ns = self.from.map_or(start_ns, at);
+        let to_ns = self.to.map_or(u64::MAX, at);
+        if from_ns > to_ns || from_ns > end_ns {
+            let seconds = end_ns.saturating_sub(start_ns) as f64 / 1e9;
+            return Err(Failure::unusable(format!("there is nothing between: the bag is of {seconds:.1} s")));
+        }
+        // Times of chunks are claims: without --from nothing is left out.
+        Ok((self.from.map_or(0, at), to_ns))
+    }
+
+    /// What is played, and which of it each topic of the bag is.
+    fn roles(&self, bag: &Ordered, stand_in: Option<&StandIn>) -> Outcome<(Vec<Role>, Vec<Option<usize>>)> {
+        let names: Vec<_> = match stand_in {
+            None => self.topics.iter().map(|name| full_name(name)).collect(),
+            Some(stand_in) => stand_in.topics().collect(),
+        };
+        let there = || bag.topics().iter().map(|topic| &*topic.name);
+        if let Some(unknown) = names.iter().find(|name| !there().any(|there| there == *name)) {
+            let list = format!("bag info {}", self.bag.display());
+            return Err(Failure::unknown("topic", unknown, there(), &list));
+        }
+        if let Some((unknown, _)) = self.remap.iter().find(|(from, _)| !there().any(|there| there == from)) {
+            let list = format!("bag info {}", self.bag.display());
+            return Err(Failure::unknown("topic", unknown, there(), &list));
+        }
+        let is_wanted = |name: &str| {
+            let is_chosen = match &self.regex {
+                Some(regex) => regex.is_match(name) || names.iter().any(|wanted| wanted == name),
+                None => names.is_empty() || names.iter().any(|wanted| wanted == name),
+            };
+            is_chosen
+                && !self.exclude.as_ref().is_some_and(|regex| regex.is_match(name))
+                && !(self.clock.is_some() && name == "/clock")
+        };
+        let (mut roles, mut numbers) = (Vec::new(), Vec::new());
+        for topic in bag.topics() {
+            numbers.push(is_wanted(&topic.name).then_some(roles.len()));
+            if is_wanted(&topic.name) {
+                roles.push(self.role(topic)?);
+            }
+        }
+        if roles.is_empty() {
+            return Err(Failure::unusable(
+                "no topic of the bag is chosen; `taut bag info` prints which there are",
+            ));
+        }
+        Ok((roles, numbers))
+    }
+
+    fn role(&self, topic: &Arc<Topic>) -> Outcome<Role> {
+        let name = self.remap.iter().find(|(from, _)| *from == topic.name).map_or(&topic.name, |(_, to)| to);
+        let (schema, topic_type) = described(topic)?;
+        let qos = offers::read(&topic.qos).unwrap_or_else(|error| {
+            say(&format!(
+                "taut: warning: {}: its recorded QoS cannot be read, so it has the default: {error}",
+                topic.name
+            ));
+            Qos::default()
+        });
+        let kept = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
+        let part = Part { schema, kept, largest: Arc::default() };
+        Ok(Role { name: name.clone(), topic: topic.clone(), topic_type, qos, part })
+    }
+
+    /// Nobody is surprised by messages beside his own.
+    fn refuse_live(&self, participant: &Participant, roles: &[Role]) -> Outcome {
+        if self.mix {
+            return Ok(());
+        }
+        let graph = participant.graph()?;
+        let names = || roles.iter().map(|role| &*role.name).chain(self.clock.map(|_| "/clock"));
+        let is_live = |name: &&str| {
+            graph.endpoints.iter().any(|end| end.kind == EndpointKind::Publisher && end.topic == *name)
+        };
+        let live: Vec<_> = names().filter(is_live).collect();
+        if live.is_empty() {
+            return Ok(());
+        }
+        Err(Failure::unusable(format!(
+            "{} {} live publishers, and subscriptions would get both; leave them out with -x, play on other topics with --remap, or \
+             beside them with --mix",
+            live.join(", "),
+            if live.len() == 1 { "has" } else { "have" }
+        )))
+    }
+
+    /// Those that are there are connected before the first message.
+    fn wait_for_subscriptions(
+        &self,
+        domain: u32,
+        roles: &[Role],
+        publishers: &[RawPublisher],
+        end: &End,
+    ) -> Outcome {
+        let mut visitor = Visitor::new(domain)?;
+        let (missing, mut is_far, since) = (Cell::new(""), false, Instant::now());
+        let what = || format!("a subscription of '{}'", missing.get());
+        end.wait(what, || {
+            let graph = visitor.graph()?;
+            for (role, publisher) in roles.iter().zip(publishers) {
+                let ends = graph.endpoints.iter().filter(|end| {
+                    end.kind == EndpointKind::Subscription
+                        && end.topic == role.name
+                        && end.topic_type.agrees_with(&role.topic_type)
+                        && role.qos.incompatibility(&end.qos).is_none()
+                });
+                let (far, here): (Vec<_>, Vec<_>) = ends.partition(|end| end.is_remote);
+                let wanted = here.len().max(usize::from(self.wait && far.is_empty()));
+                missing.set(&role.name);
+                if publisher.subscription_count() < wanted {
+                    return Ok(None);
+                }
+                if far.is_empty() {
+                    continue;
+                }
+                // A gateway or bridge takes for them.
+                let own = graph.endpoints.iter().find(|end| end.gid == publisher.gid());
+                let Some(own) = own else { return Ok(None) };
+                if visitor.overwritten(own)?.is_empty() {
+                    if !self.wait && since.elapsed() > PATIENCE {
+                        say(&format!(
+                            "taut: warning: no gateway or bridge takes {} for those elsewhere",
+                            role.name
+                        ));
+                        continue;
+                    }
+                    return Ok(None);
+                }
+                is_far = true;
+            }
+            Ok(Some(()))
+        })?;
+        if is_far {
+            say("taut: subscriptions are elsewhere, too: what arrives there is not known here");
+            end.pause(FAR);
+        }
+        Ok(())
+    }
+}
+
+/// The definition of a topic's type, and all that is known of it.
+fn described(topic: &Topic) -> Outcome<(Option<Arc<Schema>>, TopicType)> {
+    let bare = TopicType::new(topic.type_name.clone());
+    let recorded =
+        if topic.type_hash.is_empty() { bare.clone() } else { bare.with_hash(topic.type_hash.clone()) };
+    let unusable = |error: &dyn std::fmt::Display| {
+        Failure::unusable(format!("{}: {error}; leave it out with -x", topic.name))
+    };
+    let name: TypeName = topic.type_name.parse().map_err(|error| unusable(&error))?;
+    let schema = match &topic.definition {
+        Some(text) => match definitions::from_bag(&name, text) {
+            Ok(schema) => Some(Arc::new(schema)),
+            Err(error) => {
+                say(&format!(
+                    "taut: warning: {}: its recorded definition cannot be used: {error}",
+                    topic.name
+                ));
+                None
+            }
+        },
+        None => None,
+    };
+    let schema = schema.or_else(|| find_schema(&topic.name, &name, Some(&recorded)).ok());
+    let agreed =
+        schema.map(|schema| (type_of(&schema), schema)).filter(|(known, _)| known.agrees_with(&recorded));
+    match agreed {
+        Some((topic_type, schema)) => Ok((Some(schema), topic_type)),
+        None => {
+            say(&format!(
+                "taut: warning: {}: the definition of {} is not known, so what is sent is not checked",
+                topic.name, topic.type_name
+            ));
+            Ok((None, recorded))
+        }
+    }
+}
+
+/// With room for what was read of each so far, and half as much again.
+fn publishers(participant: &Participant, roles: &[Role]) -> Outcome<Vec<RawPublisher>> {
+    let publisher = |role: &Role| {
+        let largest = role.part.largest.load(Ordering::Relaxed);
+        let message_bytes =
+            (largest + largest / 2).clamp(Limits::default().message_bytes, Limits::MAX_MESSAGE_BYTES);
+        let limits = Limits { message_bytes, ..Limits::default() };
+        Ok(participant.create_raw_publisher(&role.name, &role.topic_type, role.qos, limits)?)
+    };
+    roles.iter().map(publisher).collect()
+}
+
+fn clock(participant: &Participant, hz: f64) -> Outcome<Clock> {
+    let name: TypeName = "rosgraph_msgs/msg/Clock".parse()?;
+    let topic_type = type_of(&*find_schema("/clock", &name, None)?);
+    let publisher =
+        participant.create_raw_publisher("/clock", &topic_type, Qos::keep_last(1), Limits::default())?;
+    Ok(Clock { publisher, period_ns: (1e9 / hz) as u64 })
+}

@@ -1,0 +1,407 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Who publishes: each message at its time, which is absolute.
+//!
+//! # Real-time
+//! A thread with a real-time priority, where that is permitted. A message of more than 64 KiB is copied into its loan before it is due, in the
+//! time until others are, in pieces of 16 KiB. No call for memory but for a message that is longer than all that its publisher was made
+//! for. Looks at what others ask for at least each 20 ms.
+
+use crate::ring::{HEAD_BYTES, Head};
+use rtrb::Consumer;
+use rtrb::chunks::ReadChunk;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
+use taut_cli::times::Times;
+use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
+use tautline_transport::{MessageInfo, PublishError, RawLoan, RawPublisher, SendError};
+
+/// In the place of a topic: from here on times count anew.
+pub const BEGIN: u32 = u32::MAX;
+/// In the place of a topic: there is nothing behind it.
+pub const END: u32 = u32::MAX - 1;
+
+/// The longest sleep.
+const SLICE_NS: u64 = 20_000_000;
+/// What is longer is copied ahead of its time, a piece at a time, while there is so much time until something else is due.
+const LONG_BYTES: usize = 64 << 10;
+const PIECE_BYTES: usize = 16 << 10;
+const SLACK_NS: u64 = 100_000;
+/// So many messages are looked at in the place of a piece.
+const HEADS_AT_ONCE: usize = 32;
+/// From one beginning to the next.
+const LEAST_PASS_NS: u64 = 1_000_000;
+/// How often is looked while there is nothing to do but to wait for others.
+const LOOK_NS: u64 = 1_000_000;
+
+/// What the threads tell each other.
+#[derive(Default)]
+pub struct Control {
+    pub stop: AtomicBool,
+    pub is_paused: AtomicBool,
+    /// Messages that are let through while it is paused.
+    pub steps: AtomicU32,
+    /// Counts leaps to another place. What is in the ring of those before is thrown away.
+    pub generation: AtomicU64,
+    /// Where to, as a time of reception.
+    pub seek_ns: AtomicU64,
+    /// Which time in all it is that it plays, from 0.
+    pub pass: AtomicU64,
+    /// There is as much in the ring as there is room for, or all.
+    pub is_filled: AtomicBool,
+    /// All was published.
+    pub is_over: AtomicBool,
+    /// The time of reception of the last message, and how many were published.
+    pub position_ns: AtomicU64,
+    pub published: AtomicU64,
+}
+
+impl Control {
+    /// From another place on.
+    pub fn seek(&self, to_ns: u64) {
+        self.seek_ns.store(to_ns, Ordering::Relaxed);
+        self.generation.fetch_add(1, Ordering::Release);
+    }
+
+    pub fn is_stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    fn takes_step(&self) -> bool {
+        let less = |steps: u32| steps.checked_sub(1);
+        self.steps.fetch_update(Ordering::Relaxed, Ordering::Relaxed, less).is_ok()
+    }
+}
+
+/// Tells the simulated time.
+pub struct Clock {
+    pub publisher: RawPublisher,
+    pub period_ns: u64,
+}
+
+/// What was done.
+pub struct Played {
+    /// Of each topic.
+    pub published: Vec<u64>,
+    /// How late each message was out.
+    pub late: Times,
+    /// How late the thread had woken for each message: the timer's part of that.
+    pub timer: Times,
+    /// Messages that were not in memory yet when they were due.
+    pub starved: u64,
+    /// Messages that could not be published, and why the first of them.
+    pub refused: u64,
+    pub refusal: Option<PublishError>,
+}
+
+pub struct Player {
+    consumer: Consumer<u8>,
+    publishers: Vec<RawPublisher>,
+    pacing: Pacing,
+    played: Played,
+    control: Arc<Control>,
+}
+
+impl Player {
+    pub fn new(
+        consumer: Consumer<u8>,
+        publishers: Vec<RawPublisher>,
+        clock: Option<Clock>,
+        rate: f64,
+        control: Arc<Control>,
+    ) -> Self {
+        let published = vec![0; publishers.len()];
+        let (late, timer) = (Times::default(), Times::default());
+        let played = Played { published, late, timer, starved: 0, refused: 0, refusal: None };
+        let pacing = Pacing {
+            origin: (0, 0),
+            rate,
+            generation: 0,
+            began_ns: 0,
+            woke_ns: 0,
+            paused_at: None,
+            clock,
+            clock_due_ns: 0,
+        };
+        Player { consumer, publishers, pacing, played, control }
+    }
+
+    pub fn run(self) -> Played {
+        let Player { mut consumer, publishers, mut pacing, mut played, control } = self;
+        let mut ahead = Ahead { publishers: &publishers, scanned: 0, found: None };
+        let mut was_empty = false;
+        while !control.is_stopped() {
+            // Before the look at what is there: of one that has failed all is there by then.
+            let has_ended = crate::ring::has_ended(&consumer);
+            let slots = consumer.slots();
+            // As much as there is: there is nobody else who takes any.
+            let Ok(chunk) = consumer.read_chunk(slots) else { continue };
+            let ring = Ring::of(&chunk);
+            let Some((head, whole)) = ring.message(0) else {
+                if has_ended {
+                    break;
+                }
+                was_empty = true;
+                sleep_until_monotonic(monotonic_ns() + LOOK_NS);
+                continue;
+            };
+            let generation = control.generation.load(Ordering::Acquire);
+            let is_current = generation == pacing.generation;
+            match head.topic {
+                BEGIN if head.sequence == generation => {
+                    control.pass.store(head.publish_ns, Ordering::Release);
+                    pacing.begin(head);
+                }
+                BEGIN => {}
+                END if is_current => break,
+                END => {}
+                _ if is_current => {
+                    let Some(due_ns) =
+                        pacing.wait(head.log_ns, &control, |left_ns| left_ns > SLACK_NS && ahead.work(ring))
+                    else {
+                        continue;
+                    };
+                    played.timer.record(pacing.woke_ns.saturating_sub(due_ns));
+                    played.starved += u64::from(was_empty && due_ns + LOOK_NS < monotonic_ns());
+                    match ahead.loan(ring, head, whole) {
+                        Ok(loan) => publish(loan, head, due_ns, (&control, pacing.generation), &mut played),
+                        Err(error) => played.refuse(error),
+                    }
+                }
+                // Of before a leap.
+                _ => {}
+            }
+            was_empty = false;
+            ahead.pass(whole);
+            chunk.commit(whole);
+        }
+        control.is_over.store(true, Ordering::Release);
+        drop(ahead);
+        played
+    }
+}
+
+fn publish(
+    mut loan: RawLoan<'_>,
+    head: Head,
+    due_ns: u64,
+    (control, generation): (&Control, u64),
+    played: &mut Played,
+) {
+    let source = MessageInfo {
+        sequence_number: head.sequence,
+        source_timestamp_ns: head.publish_ns.cast_signed(),
+        released_ns: due_ns,
+        ..MessageInfo::default()
+    };
+    loop {
+        match loan.publish_again(source) {
+            Ok(()) => break,
+            // Both ends keep all.
+            Err(SendError { error: PublishError::Full, loan: again }) => {
+                // It is over, or the message was leapt over.
+                if control.is_stopped() || control.generation.load(Ordering::Acquire) != generation {
+                    return;
+                }
+                loan = again;
+                sleep_until_monotonic(monotonic_ns() + LOOK_NS);
+            }
+            Err(refused) => return played.refuse(refused.error),
+        }
+    }
+    played.late.record(monotonic_ns().saturating_sub(due_ns));
+    played.published[head.topic as usize] += 1;
+    control.position_ns.store(head.log_ns, Ordering::Relaxed);
+    control.published.fetch_add(1, Ordering::Relaxed);
+}
+
+/// What is in the ring, which may go over its end anywhere.
+#[derive(Clone, Copy)]
+struct Ring<'r>(&'r [u8], &'r [u8]);
+
+impl<'r> Ring<'r> {
+    fn of(chunk: &'r ReadChunk<'_, u8>) -> Self {
+        let (first, second) = chunk.as_slices();
+        Ring(first, second)
+    }
+
+    /// The message that begins here and its length, if all of it is there.
+    fn message(self, at: usize) -> Option<(Head, usize)> {
+        let mut head = [0; HEAD_BYTES];
+        let there = self.0.len() + self.1.len();
+        if there < at + HEAD_BYTES {
+            return None;
+        }
+        self.copy(at, &mut head);
+        let head = Head::from_bytes(head);
+        let whole = HEAD_BYTES + head.cdr_bytes as usize;
+        (there >= at + whole).then_some((head, whole))
+    }
+
+    /// As many bytes as `to` has room for, which are there.
+    fn copy(self, at: usize, to: &mut [u8]) {
+        let from = &self.0[at.min(self.0.len())..];
+        let (front, back) = to.split_at_mut(from.len().min(to.len()));
+        front.copy_from_slice(&from[..front.len()]);
+        let at = at.saturating_sub(self.0.len());
+        back.copy_from_slice(&self.1[at..at + back.len()]);
+    }
+}
+
+/// Copies long messages before their turn, in the time that is left until others are due: a camera's image takes a millisecond.
+struct Ahead<'p> {
+    publishers: &'p [RawPublisher],
+    /// So many bytes from where the ring is read were looked at.
+    scanned: usize,
+    found: Option<Long<'p>>,
+}
+
+/// The next message that is long.
+struct Long<'p> {
+    at: usize,
+    loan: RawLoan<'p>,
+    copied: usize,
+}
+
+impl<'p> Ahead<'p> {
+    /// A little of it; whether there is more to do.
+    fn work(&mut self, ring: Ring<'_>) -> bool {
+        if let Some(long) = &mut self.found {
+            long.copy(ring, PIECE_BYTES);
+            return long.copied < long.loan.len();
+        }
+        for _ in 0..HEADS_AT_ONCE {
+            let Some((head, whole)) = ring.message(self.scanned) else { return false };
+            if whole > LONG_BYTES
+                && let Ok(loan) = self.publishers[head.topic as usize].loan(whole - HEAD_BYTES)
+            {
+                self.found = Some(Long { at: self.scanned, loan, copied: 0 });
+                return true;
+            }
+            self.scanned += whole;
+        }
+        true
+    }
+
+    /// The message that is in front, in its loan.
+    fn loan(&mut self, ring: Ring<'_>, head: Head, whole: usize) -> Result<RawLoan<'p>, PublishError> {
+        if let Some(mut long) = self.found.take_if(|long| long.at == 0) {
+            long.copy(ring, usize::MAX);
+            return Ok(long.loan);
+        }
+        let mut loan = self.publishers[head.topic as usize].loan(whole - HEAD_BYTES)?;
+        ring.copy(HEAD_BYTES, &mut loan);
+        Ok(loan)
+    }
+
+    /// The message that is in front is none any more.
+    fn pass(&mut self, whole: usize) {
+        self.scanned = self.scanned.saturating_sub(whole);
+        // Of one that was not published, for it was before a leap.
+        self.found.take_if(|long| long.at < whole);
+        if let Some(long) = &mut self.found {
+            long.at -= whole;
+        }
+    }
+}
+
+impl Long<'_> {
+    fn copy(&mut self, ring: Ring<'_>, most: usize) {
+        let to = self.loan.len().min(self.copied.saturating_add(most));
+        ring.copy(self.at + HEAD_BYTES + self.copied, &mut self.loan[self.copied..to]);
+        self.copied = to;
+    }
+}
+
+impl Played {
+    fn refuse(&mut self, why: PublishError) {
+        self.refused += 1;
+        self.refusal.get_or_insert(why);
+    }
+}
+
+/// When things are due.
+struct Pacing {
+    /// A time of reception, and when that is, on `CLOCK_MONOTONIC`.
+    origin: (u64, u64),
+    rate: f64,
+    generation: u64,
+    began_ns: u64,
+    /// When it last woke.
+    woke_ns: u64,
+    /// The time of reception that it stands at.
+    paused_at: Option<u64>,
+    clock: Option<Clock>,
+    clock_due_ns: u64,
+}
+
+impl Pacing {
+    fn begin(&mut self, head: Head) {
+        // A bag of a moment, again and again, is no flood.
+        let at_ns = monotonic_ns().max(self.began_ns + LEAST_PASS_NS);
+        (self.origin, self.generation, self.paused_at) = ((head.log_ns, at_ns), head.sequence, None);
+        self.began_ns = at_ns;
+        self.tell_time(at_ns, true);
+    }
+
+    /// Until a message is due, and since when it is. `None`: something else is to be done before.
+    /// Meanwhile `work` is done, which is given how long there is and says whether there is more.
+    fn wait(&mut self, log_ns: u64, control: &Control, mut work: impl FnMut(u64) -> bool) -> Option<u64> {
+        loop {
+            if control.is_stopped() || control.generation.load(Ordering::Acquire) != self.generation {
+                return None;
+            }
+            let now_ns = monotonic_ns();
+            if control.is_paused.load(Ordering::Relaxed) {
+                let position_ns = position(self.origin, self.rate, now_ns).min(log_ns);
+                let paused_at = *self.paused_at.get_or_insert(position_ns);
+                if control.takes_step() {
+                    self.paused_at = Some(log_ns);
+                    self.origin = (log_ns, now_ns);
+                    self.tell_time(now_ns, true);
+                    return Some(now_ns);
+                }
+                // Time stands still, and who begins now is told of it.
+                self.origin = (paused_at, now_ns);
+                self.tell_time(now_ns, false);
+                sleep_until_monotonic(now_ns + LOOK_NS);
+                continue;
+            }
+            if let Some(paused_at) = self.paused_at.take() {
+                self.origin = (paused_at, now_ns);
+            }
+            self.tell_time(now_ns, false);
+            let (origin_ns, at_ns) = self.origin;
+            let due_ns = at_ns.saturating_add((log_ns.saturating_sub(origin_ns) as f64 / self.rate) as u64);
+            if due_ns <= now_ns {
+                return Some(due_ns);
+            }
+            let clock_ns = if self.clock.is_some() { self.clock_due_ns } else { u64::MAX };
+            let until_ns = due_ns.min(clock_ns).min(now_ns + SLICE_NS);
+            if work(until_ns.saturating_sub(now_ns)) {
+                continue;
+            }
+            sleep_until_monotonic(until_ns);
+            self.woke_ns = monotonic_ns();
+        }
+    }
+
+    /// On `/clock`, if it is time to, or in any case.
+    fn tell_time(&mut self, now_ns: u64, is_due: bool) {
+        let Some(clock) = &self.clock else { return };
+        if now_ns < self.clock_due_ns && !is_due {
+            return;
+        }
+        self.clock_due_ns = (self.clock_due_ns + clock.period_ns).max(now_ns + clock.period_ns / 2);
+        let time_ns = position(self.origin, self.rate, now_ns);
+        let mut body = [0; 8];
+        body[..4].copy_from_slice(&((time_ns / 1_000_000_000) as u32).to_le_bytes());
+        body[4..].copy_from_slice(&((time_ns % 1_000_000_000) as u32).to_le_bytes());
+        // Whoever keeps all of it and takes none gets the next.
+        let _ = clock.publisher.publish(&body);
+    }
+}
+
+/// The time of reception that is due now.
+fn position((origin_ns, at_ns): (u64, u64), rate: f64, now_ns: u64) -> u64 {
+    origin_ns.saturating_add((now_ns.saturating_sub(at_ns) as f64 * rate) as u64)
+}

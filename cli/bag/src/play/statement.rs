@@ -1,0 +1,134 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What became of every message, in the end.
+
+use super::feeder::Fed;
+use super::player::Played;
+use super::{PlayArgs, Role};
+use crate::record::failed;
+use serde_json::json;
+use std::io::{self, Write};
+use std::time::Duration;
+use taut_cli::table::write_table;
+use taut_cli::times::Times;
+use taut_cli::verb::{Failure, Outcome};
+
+pub struct Statement<'a> {
+    pub args: &'a PlayArgs,
+    pub roles: &'a [Role],
+    pub played: Played,
+    pub fed: Fed,
+    pub is_interrupted: bool,
+}
+
+impl Statement<'_> {
+    pub fn print(self) -> Outcome {
+        let out = &mut anstream::stdout().lock();
+        if self.args.common.json {
+            self.json(out)?;
+        } else {
+            self.table(out)?;
+        }
+        self.verdict()
+    }
+
+    fn published(&self) -> u64 {
+        self.played.published.iter().sum()
+    }
+
+    fn rows(&self) -> impl Iterator<Item = (&Role, u64, u64)> {
+        let counts = self.played.published.iter().zip(&self.fed.unplayable);
+        self.roles
+            .iter()
+            .zip(counts)
+            .map(|(role, (published, (unplayable, _)))| (role, *published, *unplayable))
+    }
+
+    fn json(&self, out: &mut impl Write) -> io::Result<()> {
+        let topic = |(role, published, unplayable): (&Role, u64, u64)| {
+            json!({
+                "topic": role.name, "recorded_as": role.topic.name, "type": role.topic.type_name, "published": published,
+                "unplayable": unplayable,
+            })
+        };
+        let report = json!({
+            "bag": self.args.bag, "published": self.published(), "rate": self.args.rate, "interrupted": self.is_interrupted,
+            "late_ms": self.played.late.to_json(), "timer_late_ms": self.played.timer.to_json(),
+            "starved": self.played.starved, "refused": self.played.refused, "damaged_parts": self.fed.damaged,
+            "topics": self.rows().map(topic).collect::<Vec<_>>(),
+        });
+        writeln!(out, "{report}")
+    }
+
+    fn table(&self, out: &mut impl Write) -> io::Result<()> {
+        let row = |(role, published, unplayable): (&Role, u64, u64)| {
+            let cells = vec![
+                role.name.clone(),
+                role.topic.type_name.clone(),
+                published.to_string(),
+                unplayable.to_string(),
+            ];
+            (unplayable == 0, cells)
+        };
+        write_table(&["topic", "type", "published", "unplayable"], 2, self.rows().map(row).collect(), out)?;
+        let interrupted = if self.is_interrupted { "interrupted: " } else { "" };
+        write!(out, "{interrupted}{} messages", self.published())?;
+        let words = |times: &Times| {
+            times.ms().map(|[p50, p99, max]| format!("{p50:.3} ms (p50), {p99:.3} (p99), {max:.3} at most"))
+        };
+        if let Some(late) = words(&self.played.late) {
+            write!(out, ", late by {late}")?;
+        }
+        if let Some(timer) = words(&self.played.timer) {
+            write!(out, "; of that the timer: {timer}")?;
+        }
+        writeln!(out)?;
+        if self.played.starved > 0 {
+            writeln!(
+                out,
+                "the disk was slower than the bag: {} messages were not read yet when they were due",
+                self.played.starved
+            )?;
+        }
+        Ok(())
+    }
+
+    fn verdict(self) -> Outcome {
+        if let Some(error) = self.fed.failed {
+            return Err(failed(error));
+        }
+        let unplayable: u64 = self.fed.unplayable.iter().map(|(count, _)| count).sum();
+        let first = self
+            .fed
+            .unplayable
+            .into_iter()
+            .zip(self.roles)
+            .find_map(|((_, why), role)| why.map(|why| format!("{}: {why}", role.topic.name)));
+        if let Some(first) = first {
+            return Err(Failure::no(format!(
+                "{unplayable} messages were not played, the first for: {first}"
+            )));
+        }
+        if self.fed.untold > 0 {
+            return Err(Failure::no(format!(
+                "{} messages of topics that the damaged bag did not tell of before were not played; `taut bag recover` it",
+                self.fed.untold
+            )));
+        }
+        if let Some(refusal) = self.played.refusal {
+            let refused = self.played.refused;
+            return Err(Failure::no(format!(
+                "{refused} messages were not published, the first for: {refusal}"
+            )));
+        }
+        if let Some(first) = self.fed.damage {
+            return Err(Failure::no(format!("{} parts of the bag are damaged; {first}", self.fed.damaged)));
+        }
+        let late = Duration::from_nanos(self.played.late.max_ns());
+        match self.args.max_jitter {
+            Some(most) if late > most => Err(Failure::no(format!(
+                "a message was {late:?} late, more than {most:?}; see `taut doctor`"
+            ))),
+            _ => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,165 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Who writes messages to the disk, from the ring.
+
+use super::event::Events;
+use super::observers::Kept;
+use crate::ring::{HEAD_BYTES, Head};
+use rtrb::Consumer;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::{Duration, Instant};
+use taut_cli::verb::Outcome;
+use tautline::rt::clock::monotonic_ns;
+use tautline::rt::{Policy, ThreadBuilder};
+use tautline_bag::{BagError, Finished, Stamp, TopicId, Writer};
+
+/// What a kill can cost.
+const FLUSH: Duration = Duration::from_millis(500);
+/// Of a message that is written: the disk does not keep up, or does again.
+const BEHIND_NS: i64 = 250_000_000;
+const ABREAST_NS: i64 = 50_000_000;
+/// How often is looked whether there is something to write.
+const PERIOD: Duration = Duration::from_millis(10);
+
+pub struct BagWriter {
+    statement: Sender<BTreeMap<String, String>>,
+    thread: tautline::rt::JoinHandle<Written>,
+}
+
+/// What is on the disk.
+pub struct Written {
+    pub finished: Result<Finished, BagError>,
+    /// Why nothing more was written.
+    pub failed: Option<BagError>,
+    pub messages: u64,
+    /// The longest that the disk took for a write.
+    pub stall: Duration,
+}
+
+impl BagWriter {
+    pub fn start(
+        writer: Writer,
+        consumer: Consumer<u8>,
+        topics: Receiver<Kept>,
+        is_over: Arc<AtomicBool>,
+        offset_ns: i64,
+    ) -> Outcome<Self> {
+        let (statement, stated) = channel();
+        let thread = ThreadBuilder::new("bag-writer").policy(Policy::Other { nice: 0 });
+        let (kept, scratch) = (Vec::new(), Vec::new());
+        let work = Work { writer, consumer, topics, kept, scratch, messages: 0, offset_ns };
+        let thread = thread.spawn(move || move || work.run(&is_over, &stated))?;
+        Ok(BagWriter { statement, thread })
+    }
+
+    /// When all is in the ring: the rest is written, and this.
+    pub fn finish(self, statement: BTreeMap<String, String>) -> Outcome<Written> {
+        // If it ended before, it says why.
+        let _ = self.statement.send(statement);
+        Ok(self.thread.join()?)
+    }
+}
+
+struct Work {
+    writer: Writer,
+    consumer: Consumer<u8>,
+    topics: Receiver<Kept>,
+    kept: Vec<(TopicId, Option<Events>)>,
+    /// A message that goes over the ring's end.
+    scratch: Vec<u8>,
+    messages: u64,
+    /// From `CLOCK_MONOTONIC` to times of reception.
+    offset_ns: i64,
+}
+
+impl Work {
+    fn run(mut self, is_over: &AtomicBool, stated: &Receiver<BTreeMap<String, String>>) -> Written {
+        let (mut flushed, mut stall) = (Instant::now(), Duration::ZERO);
+        let failed = loop {
+            let start = Instant::now();
+            let written = self.some().and_then(|is_more| {
+                if flushed.elapsed() >= FLUSH {
+                    flushed = Instant::now();
+                    self.writer.flush()?;
+                }
+                Ok(is_more)
+            });
+            stall = stall.max(start.elapsed());
+            match written {
+                Err(error) => break Some(error),
+                Ok(true) => {}
+                // Nobody puts anything in any more.
+                Ok(false) if crate::ring::has_ended(&self.consumer) && self.consumer.is_empty() => {
+                    break None;
+                }
+                Ok(false) => std::thread::sleep(PERIOD),
+            }
+        };
+        let Work { writer, consumer, messages, .. } = self;
+        // The reader does not wait for room.
+        drop(consumer);
+        is_over.store(true, Ordering::Release);
+        let finished = match &failed {
+            None | Some(BagError::Full { .. }) => writer.finish(stated.recv().unwrap_or_default()),
+            Some(_) => Ok(Finished { files: Vec::new(), removed: 0 }),
+        };
+        Written { finished, failed, messages, stall }
+    }
+
+    /// Whether the disk keeps up, by the age of what is written: a kill loses what is not.
+    fn look(&self, log_ns: u64) {
+        let now_ns = monotonic_ns().cast_signed().saturating_add(self.offset_ns);
+        let age_ns = now_ns.saturating_sub_unsigned(log_ns);
+        if age_ns > BEHIND_NS {
+            self.writer.set_behind(true);
+        } else if age_ns < ABREAST_NS {
+            self.writer.set_behind(false);
+        }
+    }
+
+    /// Writes a message; `false` if there is none.
+    fn some(&mut self) -> Result<bool, BagError> {
+        let mut head = [0; HEAD_BYTES];
+        let Ok(chunk) = self.consumer.read_chunk(HEAD_BYTES) else { return Ok(false) };
+        let (first, second) = chunk.as_slices();
+        head[..first.len()].copy_from_slice(first);
+        head[first.len()..].copy_from_slice(second);
+        let head = Head::from_bytes(head);
+        self.look(head.log_ns);
+        let whole = HEAD_BYTES + head.cdr_bytes as usize;
+        // The reader is not through with it.
+        let Ok(chunk) = self.consumer.read_chunk(whole) else { return Ok(false) };
+        while self.kept.len() <= head.topic as usize {
+            // Told before its first message.
+            let Ok(kept) = self.topics.recv() else { return Ok(false) };
+            self.kept.push(match kept {
+                Kept::Topic(topic) => (self.writer.add_topic(topic), None),
+                Kept::Requests(topic, events) => (self.writer.add_topic(topic), Some(events)),
+                Kept::Responses(requests) => (self.kept[requests].0, None),
+            });
+        }
+        let (topic, events) = &self.kept[head.topic as usize];
+        let (first, second) = chunk.as_slices();
+        let cdr = if second.is_empty() {
+            &first[HEAD_BYTES..]
+        } else {
+            self.scratch.clear();
+            self.scratch.extend_from_slice(first);
+            self.scratch.extend_from_slice(second);
+            &self.scratch[HEAD_BYTES..]
+        };
+        let stamp =
+            Stamp { sequence: head.sequence as u32, log_ns: head.log_ns, publish_ns: head.publish_ns };
+        let is_written = match events.as_ref().map(|events| events.written(cdr)) {
+            None => self.writer.write(*topic, stamp, cdr).map(|()| true),
+            Some(Ok(event)) => self.writer.write(*topic, stamp, &event).map(|()| true),
+            // No request of its service: what is missing in the end is said.
+            Some(Err(_)) => Ok(false),
+        };
+        self.messages += u64::from(is_written?);
+        chunk.commit_all();
+        Ok(true)
+    }
+}

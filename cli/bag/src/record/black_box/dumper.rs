@@ -1,0 +1,348 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What is behind the ring when it is a black box: messages that are too old are dropped, and all are written when there is an alarm.
+//!
+//! What is written leaves the memory: an alarm soon after another writes what came since. What publishers keep for late joiners is kept as
+//! long, and stands at the beginning of each bag.
+
+use super::alarms::{Alarm, Kind};
+use super::tracing::Tracing;
+use crate::record::event::Events;
+use crate::record::observers::Kept;
+use crate::ring::{HEAD_BYTES, Head};
+use rtrb::Consumer;
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, VecDeque};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::Duration;
+use taut_cli::verb::Outcome;
+use tautline::rt::clock::monotonic_ns;
+use tautline::rt::{Policy, ThreadBuilder};
+use tautline_bag::{BagError, Options, Stamp, Topic, TopicId, Writer};
+use tautline_transport::Durability;
+
+/// How often is looked what is too old.
+const PERIOD: Duration = Duration::from_millis(2);
+/// So much of the ring stays free for what comes: an eighth.
+const FREE_PART: usize = 8;
+/// What is kept of a topic for late joiners, at most.
+const LATCHED_BYTES: usize = 64 << 20;
+
+/// How it is kept.
+pub struct Plan {
+    pub folder: PathBuf,
+    pub options: Options,
+    pub session: BTreeMap<String, String>,
+    pub span_ns: u64,
+    pub after_ns: u64,
+    pub most_bags: Option<usize>,
+    /// From `CLOCK_MONOTONIC` to times of reception.
+    pub offset_ns: i64,
+}
+
+pub struct Dumper {
+    alarms: Sender<Alarm>,
+    thread: tautline::rt::JoinHandle<Dumped>,
+}
+
+/// What was done.
+pub struct Dumped {
+    pub dumps: Vec<Dump>,
+    /// Bags that were removed for newer ones.
+    pub removed: usize,
+    /// Requests that are none of their services.
+    pub unusable: u64,
+    /// The shortest time that there was room for, if it was less than was asked for.
+    pub shortest_ns: Option<u64>,
+    pub failed: Option<BagError>,
+}
+
+/// A bag.
+pub struct Dump {
+    pub folder: PathBuf,
+    pub causes: Vec<(Kind, String)>,
+    pub messages: u64,
+    pub span_ns: u64,
+    /// `None`: no trace was recorded, or it could not be written.
+    pub trace_events: Option<u64>,
+}
+
+impl Dump {
+    pub fn json(&self) -> Value {
+        let cause = |(kind, words): &(Kind, String)| json!({ "kind": kind.name(), "what": words });
+        json!({
+            "bag": self.folder, "causes": self.causes.iter().map(cause).collect::<Vec<_>>(), "messages": self.messages,
+            "seconds": self.span_ns as f64 / 1e9, "trace_events": self.trace_events,
+        })
+    }
+
+    fn why(&self) -> String {
+        self.causes.iter().map(|(_, words)| words.as_str()).collect::<Vec<_>>().join("; ")
+    }
+
+    pub fn line(&self) -> String {
+        let trace = self.trace_events.map_or(String::new(), |events| format!(", {events} trace events"));
+        format!(
+            "{}: {} messages of {:.1} s{trace}: {}",
+            self.folder.display(),
+            self.messages,
+            self.span_ns as f64 / 1e9,
+            self.why()
+        )
+    }
+}
+
+impl Dumper {
+    pub fn start(
+        plan: Plan,
+        consumer: Consumer<u8>,
+        topics: Receiver<Kept>,
+        tracing: Option<Tracing>,
+        is_over: Arc<AtomicBool>,
+    ) -> Outcome<Self> {
+        let (alarms, new_observers) = channel();
+        let work = Work {
+            plan,
+            consumer,
+            new_observers: topics,
+            topics: Vec::new(),
+            tracing,
+            number: 0,
+            scratch: Vec::new(),
+            done: Dumped { dumps: Vec::new(), removed: 0, unusable: 0, shortest_ns: None, failed: None },
+        };
+        let thread = ThreadBuilder::new("dumper").policy(Policy::Other { nice: 0 });
+        let thread = thread.spawn(move || move || work.run(&new_observers, &is_over))?;
+        Ok(Dumper { alarms, thread })
+    }
+
+    pub fn alarm(&self, alarm: Alarm) {
+        // It ends before this only with an error of its own, which is told.
+        let _ = self.alarms.send(alarm);
+    }
+
+    /// When nothing is put into the ring any more. An alarm that waits is written first.
+    pub fn finish(self) -> Outcome<Dumped> {
+        drop(self.alarms);
+        Ok(self.thread.join()?)
+    }
+}
+
+/// What is known of an observer.
+struct Known {
+    topic: Topic,
+    events: Option<Events>,
+    /// Whose channel it has.
+    channel: usize,
+    /// How many messages its publishers keep for late joiners.
+    latch: usize,
+    latched: VecDeque<(Stamp, Vec<u8>)>,
+}
+
+struct Work {
+    plan: Plan,
+    consumer: Consumer<u8>,
+    new_observers: Receiver<Kept>,
+    topics: Vec<Known>,
+    tracing: Option<Tracing>,
+    number: u32,
+    scratch: Vec<u8>,
+    done: Dumped,
+}
+
+/// What is to be written, and when.
+struct Pending {
+    alarms: Vec<Alarm>,
+    due_ns: u64,
+}
+
+impl Work {
+    fn run(mut self, alarms: &Receiver<Alarm>, is_over: &AtomicBool) -> Dumped {
+        let mut pending: Option<Pending> = None;
+        loop {
+            use std::sync::mpsc::TryRecvError::{Disconnected, Empty};
+            let is_last = loop {
+                match alarms.try_recv() {
+                    Ok(alarm) => {
+                        let due_ns = alarm.at_ns.saturating_add(self.plan.after_ns);
+                        let pending = pending.get_or_insert(Pending { alarms: Vec::new(), due_ns });
+                        pending.alarms.push(alarm);
+                    }
+                    Err(Empty) => break false,
+                    Err(Disconnected) => break true,
+                }
+            };
+            self.drop_old();
+            if let Some(due) = pending.take_if(|pending| is_last || monotonic_ns() > pending.due_ns)
+                && let Err(error) = self.dump(due)
+            {
+                self.done.failed = Some(error);
+                break;
+            }
+            if is_last {
+                break;
+            }
+            std::thread::sleep(PERIOD);
+        }
+        is_over.store(true, Ordering::Release);
+        self.done
+    }
+
+    /// As a time of reception.
+    fn logged(&self, monotonic_ns: u64) -> u64 {
+        monotonic_ns.saturating_add_signed(self.plan.offset_ns)
+    }
+
+    fn drop_old(&mut self) {
+        let oldest_ns = self.logged(monotonic_ns()).saturating_sub(self.plan.span_ns);
+        let capacity = self.consumer.buffer().capacity();
+        while let Some(head) = self.head() {
+            let is_full = capacity - self.consumer.slots() < capacity / FREE_PART;
+            if head.log_ns >= oldest_ns && !is_full {
+                return;
+            }
+            if head.log_ns >= oldest_ns {
+                let kept_ns = self.plan.span_ns - (head.log_ns - oldest_ns).min(self.plan.span_ns);
+                self.done.shortest_ns = Some(self.done.shortest_ns.map_or(kept_ns, |ns| ns.min(kept_ns)));
+            }
+            let Some(stamp) = self.take(head) else { return };
+            self.latch(head, stamp);
+        }
+    }
+
+    /// The oldest message's, if all of that is there and its topic is known.
+    fn head(&mut self) -> Option<Head> {
+        let chunk = self.consumer.read_chunk(HEAD_BYTES).ok()?;
+        let (mut bytes, (first, second)) = ([0; HEAD_BYTES], chunk.as_slices());
+        bytes[..first.len()].copy_from_slice(first);
+        bytes[first.len()..].copy_from_slice(second);
+        let head = Head::from_bytes(bytes);
+        // The reader is not through with it.
+        self.consumer.read_chunk(HEAD_BYTES + head.cdr_bytes as usize).ok()?;
+        while self.topics.len() <= head.topic as usize {
+            // Told before its first message.
+            let channel = self.topics.len();
+            let known = |topic: Topic, events, channel| {
+                let qos = crate::offers::read(&topic.qos).unwrap_or_default();
+                let latch = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
+                Known { topic, events, channel, latch, latched: VecDeque::new() }
+            };
+            let known = match self.new_observers.recv().ok()? {
+                Kept::Topic(topic) => known(topic, None, channel),
+                Kept::Requests(topic, events) => known(topic, Some(events), channel),
+                Kept::Responses(requests) => known(self.topics.get(requests)?.topic.clone(), None, requests),
+            };
+            self.topics.push(known);
+        }
+        Some(head)
+    }
+
+    /// Takes it out of the ring, into `scratch`, as it is in a bag. `None`: it is gone, or none of its service.
+    fn take(&mut self, head: Head) -> Option<Stamp> {
+        let chunk = self.consumer.read_chunk(HEAD_BYTES + head.cdr_bytes as usize).ok()?;
+        let (first, second) = chunk.as_slices();
+        self.scratch.clear();
+        self.scratch.extend_from_slice(first);
+        self.scratch.extend_from_slice(second);
+        self.scratch.drain(..HEAD_BYTES);
+        chunk.commit_all();
+        Some(Stamp { sequence: head.sequence as u32, log_ns: head.log_ns, publish_ns: head.publish_ns })
+    }
+
+    /// What was taken may be wanted by who joins late.
+    fn latch(&mut self, head: Head, stamp: Stamp) {
+        let Some(known) = self.topics.get_mut(head.topic as usize).filter(|known| known.latch > 0) else {
+            return;
+        };
+        known.latched.push_back((stamp, self.scratch.clone()));
+        let mut bytes: usize = known.latched.iter().map(|(_, cdr)| cdr.len()).sum();
+        while known.latched.len() > known.latch || bytes > LATCHED_BYTES && known.latched.len() > 1 {
+            bytes -= known.latched.pop_front().map_or(0, |(_, cdr)| cdr.len());
+        }
+    }
+
+    fn dump(&mut self, due: Pending) -> Result<(), BagError> {
+        self.number += 1;
+        let kind = due.alarms.first().map_or(Kind::Request, |alarm| alarm.kind);
+        let folder = self.plan.folder.join(format!("{:03}_{}", self.number, kind.name()));
+        let mut writer = Writer::create(&folder, self.plan.options, self.plan.session.clone())?;
+        let mut channels: Vec<Option<TopicId>> = Vec::new();
+        let until_ns = self.logged(due.due_ns);
+        let (mut messages, mut span) = (0, None);
+        let mut failed = None;
+        while let Some(head) = self.head().filter(|head| head.log_ns <= until_ns) {
+            if span.is_none() {
+                messages += self.write_latched(&mut writer, &mut channels, head.log_ns)?;
+            }
+            span = Some((span.map_or(head.log_ns, |(first, _)| first), head.log_ns));
+            let Some(stamp) = self.take(head) else { break };
+            match self.write(&mut writer, &mut channels, head.topic as usize, stamp) {
+                Ok(written) => messages += u64::from(written),
+                Err(full @ BagError::Full { .. }) => {
+                    failed = Some(full);
+                    break;
+                }
+                Err(error) => return Err(error),
+            }
+            self.latch(head, stamp);
+        }
+        let beside = |name: &str| folder.join(name);
+        let trace_events = self.tracing.as_ref().and_then(|tracing| tracing.write(&beside("taut.trace")));
+        if let Some(run) = due.alarms.iter().find_map(|alarm| alarm.statistics.as_ref()) {
+            // What it tells is told by the bag, too: that is what counts.
+            let _ = run.save(&beside("statistics.json"));
+        }
+        let causes: Vec<_> = due.alarms.into_iter().map(|alarm| (alarm.kind, alarm.words)).collect();
+        let span_ns = span.map_or(0, |(first, last): (u64, u64)| last.saturating_sub(first));
+        let dump = Dump { folder, causes, messages, span_ns, trace_events };
+        let said = [("black_box", dump.json().to_string()), ("why", dump.why())];
+        writer.finish(said.map(|(key, text)| (key.to_owned(), text)).into())?;
+        crate::record::say(&format!("taut: {}", dump.line()));
+        self.done.dumps.push(dump);
+        while self.plan.most_bags.is_some_and(|most| self.done.dumps.len() > most) {
+            let oldest = self.done.dumps.remove(0);
+            self.done.removed += usize::from(std::fs::remove_dir_all(&oldest.folder).is_ok());
+        }
+        failed.map_or(Ok(()), Err)
+    }
+
+    /// What late joiners would get at this time.
+    fn write_latched(
+        &mut self,
+        writer: &mut Writer,
+        channels: &mut Vec<Option<TopicId>>,
+        log_ns: u64,
+    ) -> Result<u64, BagError> {
+        let mut messages = 0;
+        for number in 0..self.topics.len() {
+            for (stamp, cdr) in self.topics[number].latched.clone() {
+                self.scratch = cdr;
+                messages += u64::from(self.write(writer, channels, number, Stamp { log_ns, ..stamp })?);
+            }
+        }
+        Ok(messages)
+    }
+
+    /// What is in `scratch`. False: it is no request of its service.
+    fn write(
+        &mut self,
+        writer: &mut Writer,
+        channels: &mut Vec<Option<TopicId>>,
+        number: usize,
+        stamp: Stamp,
+    ) -> Result<bool, BagError> {
+        let Some(known) = self.topics.get(number) else { return Ok(false) };
+        channels.resize(self.topics.len().max(channels.len()), None);
+        let id = *channels[known.channel].get_or_insert_with(|| writer.add_topic(known.topic.clone()));
+        match known.events.as_ref().map(|events| events.written(&self.scratch)) {
+            None => writer.write(id, stamp, &self.scratch).map(|()| true),
+            Some(Ok(event)) => writer.write(id, stamp, &event).map(|()| true),
+            Some(Err(_)) => {
+                self.done.unusable += 1;
+                Ok(false)
+            }
+        }
+    }
+}

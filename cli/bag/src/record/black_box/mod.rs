@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The black box: the last seconds stay in memory, and are written when something happens.
+//!
+//! Messages stay in the ring that the reader fills: `dumper` drops those that are too old, and writes them when `alarms` says why.
+//! `tracing` keeps trace events beside them.
+
+mod alarms;
+mod dumper;
+mod tracing;
+
+pub use alarms::{Alarms, Kind};
+pub use dumper::{Dump, Dumped, Dumper, Plan};
+pub use tracing::Tracing;
+
+use super::{RecordArgs, failed, say};
+use serde_json::json;
+use std::io::Write;
+use std::path::Path;
+use taut_cli::verb::{Failure, Outcome};
+
+/// What became of it.
+pub fn print(args: &RecordArgs, folder: &Path, dumped: Outcome<Dumped>, lost: u64) -> Outcome {
+    let dumped = dumped?;
+    let out = &mut anstream::stdout().lock();
+    if args.common.json {
+        let bags: Vec<_> = dumped.dumps.iter().map(Dump::json).collect();
+        let shortest = dumped.shortest_ns;
+        let report = json!({
+            "black_box": folder, "bags": bags, "lost": lost, "unusable": dumped.unusable, "removed": dumped.removed,
+            "shortest_ns": shortest,
+        });
+        writeln!(out, "{report}")?;
+    } else {
+        let count = dumped.dumps.len();
+        let bags = if count == 1 { "bag" } else { "bags" };
+        let loss = if lost == 0 { "nothing lost".to_owned() } else { format!("{lost} LOST") };
+        writeln!(out, "{}: {count} {bags}, {loss}", folder.display())?;
+        for dump in &dumped.dumps {
+            writeln!(out, "  {}", dump.line())?;
+        }
+    }
+    if let Some(short_ns) = dumped.shortest_ns {
+        say(&format!(
+            "taut: warning: --budget had room for {:.1} s only: a greater one keeps all of --black-box",
+            short_ns as f64 / 1e9
+        ));
+    }
+    if let Some(error) = dumped.failed {
+        return Err(failed(error));
+    }
+    match lost + dumped.unusable {
+        0 => Ok(()),
+        missing => Err(Failure::no(format!(
+            "{missing} messages are missing; a greater --depth survives longer stalls, a greater --budget slower disks"
+        ))),
+    }
+}

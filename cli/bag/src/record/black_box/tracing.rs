@@ -1,0 +1,150 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Trace events of the last seconds, in memory.
+
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::time::Duration;
+use taut_cli::trace::file::{Entry, Writer};
+use taut_cli::trace::record::session;
+use tautline::rt::clock::monotonic_ns;
+use tautline::rt::{Policy, ThreadBuilder};
+use tautline_trace::{Description, Event, Record, Recorder};
+
+/// As `taut trace record` does.
+const PERIOD: Duration = Duration::from_millis(10);
+/// 64 MB of them.
+const MOST_EVENTS: usize = 1_600_000;
+/// How long whoever asks waits for the file.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// Asks the thread that keeps them. It ends with this.
+pub struct Tracing {
+    ask: Sender<(PathBuf, Sender<io::Result<u64>>)>,
+}
+
+/// Of one thread, in their order.
+struct Batch {
+    process: u32,
+    tid: u32,
+    events: Vec<Event>,
+}
+
+/// What events speak of. It stays as long as there may be some.
+enum Known {
+    Process { process: u32, pid: u32, name: String },
+    Object { process: u32, object: Description },
+    Thread { process: u32, tid: u32, name: String },
+}
+
+impl Known {
+    fn process(&self) -> u32 {
+        let (Known::Process { process, .. } | Known::Object { process, .. } | Known::Thread { process, .. }) =
+            self;
+        *process
+    }
+
+    fn record(&self) -> Record<'_> {
+        match self {
+            Known::Process { process, pid, name } => Record::Process { process: *process, pid: *pid, name },
+            Known::Object { process, object } => Record::Object { process: *process, object },
+            Known::Thread { process, tid, name } => Record::Thread { process: *process, tid: *tid, name },
+        }
+    }
+}
+
+struct Kept {
+    domain: u32,
+    span_ns: u64,
+    known: Vec<Known>,
+    batches: VecDeque<Batch>,
+    events: usize,
+    /// Processes that have ended, and have events here.
+    ended: Vec<u32>,
+}
+
+impl Tracing {
+    pub fn start(mut recorder: Recorder, domain: u32, span_ns: u64) -> Result<Self, tautline::rt::RtError> {
+        let (ask, asked) = channel::<(PathBuf, Sender<io::Result<u64>>)>();
+        let (known, batches, ended) = (Vec::new(), VecDeque::new(), Vec::new());
+        let mut kept = Kept { domain, span_ns, known, batches, events: 0, ended };
+        let thread = ThreadBuilder::new("tracing").policy(Policy::Other { nice: 10 });
+        thread.spawn(move || {
+            move || loop {
+                recorder.poll(&mut |record| kept.note(&record));
+                kept.drop_old();
+                match asked.recv_timeout(PERIOD) {
+                    Ok((path, answer)) => drop(answer.send(kept.write(&path))),
+                    Err(RecvTimeoutError::Timeout) => {}
+                    Err(RecvTimeoutError::Disconnected) => return recorder.finish(&mut |_| {}),
+                }
+            }
+        })?;
+        Ok(Tracing { ask })
+    }
+
+    /// Writes a recording for `taut trace`; how many events it has.
+    pub fn write(&self, path: &Path) -> Option<u64> {
+        let (answer, answered) = channel();
+        self.ask.send((path.to_owned(), answer)).ok()?;
+        match answered.recv_timeout(PATIENCE).ok()? {
+            Ok(events) => Some(events),
+            Err(error) => {
+                crate::record::say(&format!("taut: warning: {}: {error}", path.display()));
+                None
+            }
+        }
+    }
+}
+
+impl Kept {
+    fn note(&mut self, record: &Record<'_>) {
+        match *record {
+            Record::Process { process, pid, name } => {
+                self.known.push(Known::Process { process, pid, name: name.to_owned() });
+            }
+            Record::Object { process, object } => {
+                self.known.push(Known::Object { process, object: object.clone() });
+            }
+            Record::Thread { process, tid, name } => {
+                self.known.push(Known::Thread { process, tid, name: name.to_owned() });
+            }
+            Record::Events { process, tid, events } => {
+                self.events += events.len();
+                self.batches.push_back(Batch { process, tid, events: events.to_vec() });
+            }
+            Record::Ended { process } => self.ended.push(process),
+            _ => {}
+        }
+    }
+
+    fn drop_old(&mut self) {
+        let oldest_ns = monotonic_ns().saturating_sub(self.span_ns);
+        let is_old = |batch: &Batch| batch.events.last().is_none_or(|event| event.time_ns < oldest_ns);
+        while self.batches.front().is_some_and(|batch| is_old(batch) || self.events > MOST_EVENTS) {
+            self.events -= self.batches.pop_front().map_or(0, |batch| batch.events.len());
+        }
+        let (batches, known) = (&self.batches, &mut self.known);
+        self.ended.retain(|process| {
+            let has_events = batches.iter().any(|batch| batch.process == *process);
+            if !has_events {
+                known.retain(|known| known.process() != *process);
+            }
+            has_events
+        });
+    }
+
+    fn write(&self, path: &Path) -> io::Result<u64> {
+        let mut writer = Writer::new(BufWriter::new(File::create(path)?))?;
+        writer.entry(&session(self.domain))?;
+        self.known.iter().try_for_each(|known| writer.record(&known.record()))?;
+        for Batch { process, tid, events } in &self.batches {
+            writer.record(&Record::Events { process: *process, tid: *tid, events })?;
+        }
+        writer.entry(&Entry::Finished { monotonic_ns: monotonic_ns() })?;
+        writer.flush()?;
+        Ok(self.events as u64)
+    }
+}

@@ -1,0 +1,333 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The topics that are recorded, and an observer for each.
+
+use super::RecordArgs;
+use super::choice::Choice;
+use super::event::{EVENTS, Events, Part};
+use crate::definitions;
+use crate::offers;
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use taut_cli::topic::tap;
+use taut_cli::verb::Outcome;
+use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint, find_schema};
+use tautline_bag::Topic;
+use tautline_transport::{
+    Gid, Limits, Participant, RawSubscription, ServiceEndpoint, ServiceType, TopicType,
+};
+
+/// So many messages wait for the recorder, if that takes no more than [`QUEUE_BYTES`].
+const DEEP: usize = 1000;
+const QUEUE_BYTES: usize = 1 << 20;
+/// Requests of a client, responses of a server, and what an action tells, that wait for the recorder: a goal's states come at once.
+const SERVICE_DEPTH: usize = 16;
+
+/// The subscription of a topic, for the reader. One of the number of another replaces its subscription.
+pub struct Observer {
+    pub number: usize,
+    pub part: Part,
+    pub subscription: RawSubscription,
+    /// The least time between two messages that are kept.
+    pub throttle_ns: Option<u64>,
+    pub counts: Arc<Counts>,
+}
+
+/// What came so far, for who looks on.
+#[derive(Default)]
+pub struct Counts {
+    pub messages: AtomicU64,
+    pub bytes: AtomicU64,
+    pub lost: AtomicU64,
+}
+
+/// What the writer makes of the messages of an observer.
+pub enum Kept {
+    /// Themselves.
+    Topic(Topic),
+    /// Events of requests.
+    Requests(Topic, Events),
+    /// The reader has made them events, of the topic of this observer.
+    Responses(usize),
+}
+
+/// A topic that is recorded, or one half of a service's events.
+pub struct RecordedTopic {
+    pub topic: Topic,
+    pub part: Part,
+    pub depth: usize,
+    topic_type: TopicType,
+    is_fetched: bool,
+    counts: Arc<Counts>,
+}
+
+impl RecordedTopic {
+    /// Unlike that of any other observer, but for those of a topic of two types.
+    pub fn name(&self) -> String {
+        match self.part {
+            Part::Message => self.topic.name.clone(),
+            part => format!("{} {}", self.topic.name, part.name()),
+        }
+    }
+}
+
+pub struct Observers {
+    participant: Participant,
+    choice: Choice,
+    depth: Option<usize>,
+    is_fetching: bool,
+    throttle: Vec<(String, f64)>,
+    epoch: Option<u32>,
+    /// Who has ends in the domain.
+    processes: BTreeSet<u32>,
+    topics: Vec<RecordedTopic>,
+    /// Of a topic; more than one if its publishers have different types.
+    numbers: HashMap<String, Vec<usize>>,
+    /// Topics that cannot be recorded.
+    refused: BTreeSet<String>,
+    /// Publishers that were there when the recording began.
+    before: HashSet<Gid>,
+    /// Types whose definition is not known, which was said.
+    unknown: HashSet<String>,
+    /// Topics whose publishers are elsewhere, which was said.
+    elsewhere: HashSet<String>,
+    to_taker: Sender<Observer>,
+    to_writer: Sender<Kept>,
+}
+
+/// What the other threads are told of it: each topic, then the observer of the same number.
+pub struct NewObservers {
+    pub observers: Receiver<Observer>,
+    pub topics: Receiver<Kept>,
+}
+
+impl Observers {
+    /// From here on what publishers send that come is recorded, or counted.
+    pub fn new(participant: Participant, choice: Choice, args: &RecordArgs) -> Outcome<(Self, NewObservers)> {
+        let graph = participant.graph()?;
+        let publishers = graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Publisher);
+        // Clients publish requests.
+        let clients = graph.services.iter().map(|end| end.gid);
+        let before = publishers.map(|end| end.gid).chain(clients).collect();
+        let ((to_taker, observers), (to_writer, topics)) = (channel(), channel());
+        let here = Observers {
+            participant,
+            choice,
+            depth: args.depth.map(|depth| depth as usize),
+            is_fetching: args.fetch,
+            throttle: args.throttle.clone(),
+            epoch: None,
+            processes: BTreeSet::new(),
+            topics: Vec::new(),
+            numbers: HashMap::new(),
+            refused: BTreeSet::new(),
+            before,
+            unknown: HashSet::new(),
+            elsewhere: HashSet::new(),
+            to_taker,
+            to_writer,
+        };
+        Ok((here, NewObservers { observers, topics }))
+    }
+
+    /// Who has ends in the domain, but for this process.
+    pub fn processes(&self) -> &BTreeSet<u32> {
+        &self.processes
+    }
+
+    /// Looks whether there are topics that are new.
+    pub fn look(&mut self, tell: impl Fn(&str)) -> Outcome {
+        let epoch = Some(self.participant.graph_epoch());
+        if epoch == std::mem::replace(&mut self.epoch, epoch) {
+            return Ok(());
+        }
+        let graph = self.participant.graph()?;
+        let of_topics = graph.endpoints.iter().filter_map(|end| end.pid);
+        self.processes = of_topics.chain(graph.services.iter().filter_map(|end| end.pid)).collect();
+        self.processes.remove(&std::process::id());
+        let mut topics: BTreeMap<&str, Vec<&TopicEndpoint>> = BTreeMap::new();
+        graph.endpoints.iter().for_each(|end| topics.entry(&end.topic).or_default().push(end));
+        for (topic, ends) in topics {
+            for end in publishers(&ends) {
+                if !self.choice.takes(topic, &end.topic_type.name) {
+                    continue;
+                }
+                if let Err(failure) = self.observe(&graph, &ends, end, &tell) {
+                    tell(&format!("warning: {topic} cannot be recorded: {failure}"));
+                    self.refused.insert(topic.to_owned());
+                }
+            }
+        }
+        for service in &graph.services {
+            if let Err(failure) = self.seat_service(service, &tell) {
+                tell(&format!("warning: {} cannot be recorded: {failure}", service.name));
+                self.refused.insert(format!("{}{EVENTS}", service.name));
+            }
+        }
+        Ok(())
+    }
+
+    /// Both halves of a service's events.
+    fn seat_service(&mut self, service: &ServiceEndpoint, tell: &impl Fn(&str)) -> Outcome {
+        let name = format!("{}{EVENTS}", service.name);
+        if !self.choice.takes(&name, &service.type_name) || self.refused.contains(&name) {
+            return Ok(());
+        }
+        let service_type = ServiceType::new(&service.type_name, service.type_hash.as_deref());
+        let of_name = self.numbers.get(&name).map_or(&[][..], Vec::as_slice);
+        if of_name.iter().any(|number| self.topics[*number].topic_type.agrees_with(&service_type.request)) {
+            return Ok(());
+        }
+        let Some(events) = Events::of(service) else {
+            tell(&format!(
+                "warning: {} cannot be recorded: the definition of {} is not known; source the ROS 2 that has it",
+                service.name, service.type_name
+            ));
+            self.refused.insert(name);
+            return Ok(());
+        };
+        let limits = Limits { held: 1, ..Limits::default() };
+        let depth = self.depth.unwrap_or(SERVICE_DEPTH);
+        let [requests, responses] =
+            self.participant.create_service_observer(&service.name, &service_type, depth, limits)?;
+        let (topic, number) = (events.topic(&service.name), self.topics.len());
+        let recorded = |part| RecordedTopic {
+            topic: topic.clone(),
+            part,
+            depth,
+            topic_type: service_type.request.clone(),
+            is_fetched: false,
+            counts: Arc::default(),
+        };
+        self.add(recorded(Part::Request), Kept::Requests(topic.clone(), events));
+        self.add(recorded(Part::Response), Kept::Responses(number));
+        self.take_place(number, requests);
+        self.take_place(number + 1, responses);
+        Ok(())
+    }
+
+    fn add(&mut self, topic: RecordedTopic, kept: Kept) {
+        // The writer ends before this only with an error of its own, which is told.
+        let _ = self.to_writer.send(kept);
+        self.numbers.entry(topic.topic.name.clone()).or_default().push(self.topics.len());
+        self.topics.push(topic);
+    }
+
+    /// The reader takes the messages of this observer from there now.
+    fn take_place(&mut self, number: usize, subscription: RawSubscription) {
+        let RecordedTopic { topic, part, counts, .. } = &self.topics[number];
+        let hz = self.throttle.iter().find(|(name, _)| *name == topic.name).map(|(_, hz)| *hz);
+        let throttle_ns = hz.map(|hz| (1e9 / hz) as u64);
+        let (part, counts) = (*part, counts.clone());
+        let _ = self.to_taker.send(Observer { number, part, subscription, throttle_ns, counts });
+    }
+
+    /// `ends` are those of the topic, `end` is one of its publishers.
+    fn observe(
+        &mut self,
+        graph: &GraphSnapshot,
+        ends: &[&TopicEndpoint],
+        end: &TopicEndpoint,
+        tell: &impl Fn(&str),
+    ) -> Outcome {
+        let of_topic = self.numbers.get(&end.topic).map_or(&[][..], Vec::as_slice);
+        let agrees = |number: &&usize| self.topics[**number].topic_type.agrees_with(&end.topic_type);
+        let known = of_topic.iter().find(agrees).copied();
+        let is_fetched = end.is_remote && self.is_fetching;
+        if end.is_remote && !is_fetched && self.elsewhere.insert(end.topic.clone()) {
+            tell(&format!(
+                "warning: {} has publishers on another host or in ROS: what they send is recorded while somebody here subscribes to it, \
+                 or with --fetch",
+                end.topic
+            ));
+        }
+        let is_observed = known.is_some_and(|known| self.topics[known].is_fetched || !is_fetched);
+        if is_observed || self.refused.contains(&end.topic) {
+            return Ok(());
+        }
+        let topic_type = TopicType { definition: None, body_bytes: None, ..end.topic_type.clone() };
+        let depth = self.depth.unwrap_or_else(|| depth(ends, end));
+        let subscription = match is_fetched {
+            true => tap::subscribe(&self.participant, graph, &end.topic, &topic_type, depth)?,
+            false => {
+                let limits = Limits { held: 1, ..Limits::default() };
+                self.participant.create_observer(&end.topic, &topic_type, depth, limits)?
+            }
+        };
+        let number = known.unwrap_or(self.topics.len());
+        if known.is_none() {
+            let (topic, part, counts) =
+                (described(ends, end, &mut self.unknown, tell), Part::Message, Arc::default());
+            let kept = Kept::Topic(topic.clone());
+            self.add(RecordedTopic { topic, part, depth, topic_type, is_fetched, counts }, kept);
+        }
+        self.topics[number].is_fetched = is_fetched;
+        self.take_place(number, subscription);
+        Ok(())
+    }
+
+    /// Topics by their numbers, with the messages that came.
+    pub fn heard(&self) -> impl Iterator<Item = (usize, &str, u64)> {
+        let topics = self.topics.iter().enumerate().filter(|(_, topic)| topic.part == Part::Message);
+        topics.map(|(number, topic)| {
+            (number, &*topic.topic.name, topic.counts.messages.load(Ordering::Relaxed))
+        })
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.topics.is_empty()
+    }
+
+    /// In a line.
+    pub fn progress(&self) -> String {
+        let sum = |of: fn(&Counts) -> &AtomicU64| -> u64 {
+            self.topics.iter().map(|topic| of(&topic.counts).load(Ordering::Relaxed)).sum()
+        };
+        let (topics, messages) = (self.topics.len(), sum(|counts| &counts.messages));
+        let (megabytes, lost) = (sum(|counts| &counts.bytes) as f64 / 1e6, sum(|counts| &counts.lost));
+        format!("{topics} topics, {messages} messages, {megabytes:.1} MB, {lost} lost")
+    }
+
+    /// Topics in the order of their numbers; publishers that were there before; topics that should be there, and why they are not.
+    pub fn end(self) -> (Vec<RecordedTopic>, HashSet<Gid>, Vec<String>) {
+        let named = self.choice.named().iter().filter(|name| !self.numbers.contains_key(*name));
+        let absent = named.chain(&self.refused).cloned().collect::<BTreeSet<_>>();
+        (self.topics, self.before, absent.into_iter().collect())
+    }
+}
+
+fn publishers<'e>(ends: &'e [&'e TopicEndpoint]) -> impl Iterator<Item = &'e TopicEndpoint> {
+    ends.iter().copied().filter(|end| end.kind == EndpointKind::Publisher)
+}
+
+/// A deeper queue than the topic has costs its publishers memory: as many times what they reserve for a message, which is known only of
+/// types of fixed size.
+fn depth(ends: &[&TopicEndpoint], end: &TopicEndpoint) -> usize {
+    let least = if end.topic.contains("/_action/") { SERVICE_DEPTH } else { 1 };
+    let own = ends.iter().map(|end| end.qos.depth).max().unwrap_or(1).clamp(least, DEEP);
+    end.topic_type.body_bytes.map_or(own, |bytes| own.max((QUEUE_BYTES / (bytes + 64)).min(DEEP)))
+}
+
+fn described(
+    ends: &[&TopicEndpoint],
+    end: &TopicEndpoint,
+    unknown: &mut HashSet<String>,
+    tell: &impl Fn(&str),
+) -> Topic {
+    let name = end.topic_type.name.parse().ok();
+    let schema = name.and_then(|name| find_schema(&end.topic, &name, Some(&end.topic_type)).ok());
+    if schema.is_none() && unknown.insert(end.topic_type.name.to_string()) {
+        tell(&format!(
+            "warning: the definition of {} is not known: what reads the bag needs it from elsewhere",
+            end.topic_type.name
+        ));
+    }
+    Topic {
+        name: end.topic.clone(),
+        type_name: end.topic_type.name.to_string(),
+        type_hash: end.topic_type.hash.as_deref().unwrap_or_default().to_owned(),
+        definition: schema.map(|schema| definitions::for_bag(&schema)),
+        qos: publishers(ends).map(|publisher| offers::write(&publisher.qos)).collect(),
+    }
+}

@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut`, the command line of Tautline, and what the programs share that it starts for some of its verbs.
+//!
+//! `taut` links what most verbs need. A verb that needs more (bags their compression, `top` its terminal, `--filter` jq) is a program of its
+//! own, which nobody builds who does not use it: see [`sibling`].
+#![forbid(unsafe_code)]
+#![allow(missing_docs, reason = "a library for the programs in this folder, not for users")]
+
+mod action;
+mod apply;
+pub mod asking;
+mod bridge_ros;
+mod check;
+pub mod completions;
+mod component;
+pub mod counts;
+pub mod date;
+pub mod demo;
+mod doctor;
+mod fits;
+mod graph;
+mod init;
+mod interface;
+mod lifecycle;
+mod log;
+pub mod man;
+mod moment;
+mod msg;
+mod node;
+mod param;
+pub mod report;
+mod service;
+pub mod sibling;
+pub mod table;
+pub mod times;
+pub mod topic;
+pub mod trace;
+pub mod verb;
+
+use clap::{CommandFactory, Parser, Subcommand};
+use std::process::ExitCode;
+use verb::Failure;
+
+/// Zero-copy, real-time middleware for robots.
+#[derive(Parser)]
+#[command(
+    version,
+    propagate_version = true,
+    arg_required_else_help = true,
+    after_help = "Examples:
+  taut demo                         five topics beside their computed bounds, in ten seconds
+  taut doctor                       what on this host spoils real time, and how to mend it
+  taut top                          what runs now
+  taut topic echo /scan --once
+  taut graph -o robot.svg
+  source <(taut completions bash)   names of topics, nodes and types at the tab key
+
+`taut VERB --help` has examples of each verb; docs/tools.md and docs/system-toml.md say more."
+)]
+struct Cli {
+    #[command(subcommand)]
+    verb: Verb,
+}
+
+#[derive(Subcommand)]
+enum Verb {
+    Demo(demo::DemoArgs),
+    Check(check::CheckArgs),
+    Apply(apply::ApplyArgs),
+    Doctor(doctor::DoctorArgs),
+    Init(init::InitArgs),
+    Report(report::ReportArgs),
+    Msg(msg::MsgArgs),
+    Interface(interface::InterfaceArgs),
+    Topic(topic::TopicArgs),
+    /// Shows callbacks, topics and cores as they are now: response times beside their bounds, rates, losses, load
+    Top(sibling::PassedOn),
+    Node(node::NodeArgs),
+    Graph(graph::GraphArgs),
+    Service(service::ServiceArgs),
+    Action(action::ActionArgs),
+    Param(param::ParamArgs),
+    Lifecycle(lifecycle::LifecycleArgs),
+    Log(log::LogArgs),
+    Trace(trace::TraceArgs),
+    /// Records topics into a bag, as rosbag2 writes them: MCAP files and a metadata.yaml
+    Record(sibling::PassedOn),
+    /// Publishes what is in a bag, at the times that it was received at
+    Play(sibling::PassedOn),
+    /// Looks into bags, checks, mends, converts and draws them
+    Bag(sibling::PassedOn),
+    /// Mirrors this host's topics over the network: one gateway per host and domain
+    Gateway(sibling::PassedOn),
+    BridgeRos(bridge_ros::BridgeRosArgs),
+    Component(component::ComponentArgs),
+    Completions(completions::CompletionsArgs),
+    Man(man::ManArgs),
+}
+
+/// Runs what the command line asks for. Returns how `taut` ends.
+pub fn run() -> ExitCode {
+    if let Some(code) = completions::answer(Cli::command) {
+        return code;
+    }
+    log_to_stderr();
+
+    let said = |error: &dyn std::fmt::Display| Err(Failure::unusable(error.to_string()));
+    let outcome = match Cli::parse().verb {
+        Verb::Check(args) => return check::run(&args),
+        Verb::Init(args) => return init::run(&args),
+        Verb::Report(args) => return report::run(&args),
+        Verb::Apply(args) => apply::run(&args),
+        Verb::Doctor(args) => doctor::run(&args),
+        Verb::Demo(args) => demo::run(args).or_else(|error| said(&error)),
+        Verb::Trace(args) => trace::run(args).or_else(|error| said(&error)),
+        Verb::Gateway(args) => sibling::GATEWAY.run(&[], &args),
+        Verb::Record(args) => sibling::BAG.run(&["record"], &args),
+        Verb::Play(args) => sibling::BAG.run(&["play"], &args),
+        Verb::Bag(args) => sibling::BAG.run(&["bag"], &args),
+        Verb::Top(args) => sibling::TOP.run(&["top"], &args),
+        Verb::BridgeRos(args) => bridge_ros::run(args).or_else(|error| said(&error)),
+        Verb::Msg(args) => msg::run(args).or_else(|error| said(&error)),
+        Verb::Interface(args) => interface::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Topic(args) => topic::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Node(args) => node::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Graph(args) => graph::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Service(args) => service::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Action(args) => action::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Param(args) => param::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Lifecycle(args) => lifecycle::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Log(args) => log::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Component(args) => component::run(args).map(|()| ExitCode::SUCCESS),
+        Verb::Completions(args) => completions::run(&args).map(|()| ExitCode::SUCCESS),
+        Verb::Man(args) => man::run(&args, Cli::command()).map(|()| ExitCode::SUCCESS),
+    };
+    outcome.unwrap_or_else(Failure::tell)
+}
+
+/// The whole of a program that has some verbs of `taut`: answers a shell that asks for completions, else parses the command line and runs its verb.
+pub fn run_verbs<C: Parser>(run: impl FnOnce(C) -> verb::Outcome) -> ExitCode {
+    if let Some(code) = completions::answer(C::command) {
+        return code;
+    }
+    log_to_stderr();
+    run(C::parse()).map_or_else(Failure::tell, |()| ExitCode::SUCCESS)
+}
+
+/// Has warnings of the libraries written to standard error; RUST_LOG, such as `debug` or `tautline=trace,warn`, changes what is shown.
+pub fn log_to_stderr() {
+    use tracing_subscriber::filter::{LevelFilter, Targets};
+    use tracing_subscriber::layer::SubscriberExt;
+    use tracing_subscriber::util::SubscriberInitExt;
+    let asked = std::env::var("RUST_LOG").ok().and_then(|text| text.parse().ok());
+    let targets: Targets = asked.unwrap_or_else(|| Targets::new().with_default(LevelFilter::WARN));
+    let written = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).without_time();
+    tracing_subscriber::registry().with(written).with(targets).init();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What clap finds only when a verb is used.
+    #[test]
+    fn every_verb_is_consistent() {
+        Cli::command().debug_assert();
+    }
+}
