@@ -91,7 +91,7 @@ pub fn command(name: Name, told: &[String], of: Build) -> Result<Command, String
     }
     match name {
         // It runs the `taut` of this build.
-        Name::Tools if of == Build::Release => build(&mut cargo("build --release -p taut"))?,
+        Name::Tools if of == Build::Release => build(&mut cargo("build --release -p taut -p taut-top"))?,
         Name::Wake | Name::Compare | Name::Network | Name::Services => {
             command.arg(format!("--bench={}", word(name)));
             compare::join(&mut command, &word(name), &values(&told, "--systems"), of);

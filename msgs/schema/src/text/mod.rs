@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use serde::de::DeserializeSeed;
 
+#[cfg(feature = "yaml")]
 use crate::error::MAX_DEPTH;
 use crate::{DynamicMessage, MessageError, Schema, Value};
 use read::Root;
@@ -26,11 +27,12 @@ impl DynamicMessage {
         Self::from_text_fields(schema, fields.map_err(|error| error.to_string()))
     }
 
-    /// Reads YAML as `ros2 topic pub` takes it: a mapping of the fields, those left out having their defaults.
+    /// Reads YAML, with the feature `yaml`, as `ros2 topic pub` takes it: a mapping of the fields, those left out having their defaults.
     ///
     /// # Errors
     ///
     /// [`MessageError::Text`] with field and place if it is not valid or does not fit the type.
+    #[cfg(feature = "yaml")]
     pub fn from_yaml(schema: &Arc<Schema>, text: &str) -> Result<Self, MessageError> {
         let fields =
             serde_saphyr::with_deserializer_from_str_with_options(text, yaml_options(text), |deserializer| {
@@ -70,6 +72,7 @@ impl DynamicMessage {
 }
 
 /// Limits in proportion to the text, since images and point clouds have many numbers.
+#[cfg(feature = "yaml")]
 fn yaml_options(text: &str) -> serde_saphyr::Options {
     let most = text.len() + 16;
     serde_saphyr::options! {
