@@ -176,9 +176,10 @@ pub mod __private {
     }
 }
 
-/// The README's program compiles.
-#[cfg(doctest)]
+/// The first programs compile.
+#[cfg(all(doctest, feature = "geometry_msgs"))]
 #[doc = include_str!("../../README.md")]
+#[doc = include_str!("../../docs/start.md")]
 struct Readme;
 
 /// The programs of the guides compile.

@@ -23,7 +23,15 @@ const SHOWN: [(&str, &str); 2] =
     [("README.md", "docs/introduction.md"), ("ARCHITECTURE.md", "docs/architecture.md")];
 
 /// Files outside of `docs/` whose links are checked.
-const BESIDE: [&str; 4] = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "examples/README.md"];
+const BESIDE: [&str; 7] = [
+    "README.md",
+    "ARCHITECTURE.md",
+    "CHANGELOG.md",
+    "CODE_OF_CONDUCT.md",
+    "CONTRIBUTING.md",
+    "SECURITY.md",
+    "examples/README.md",
+];
 
 /// Checks all links, then builds the book.
 pub fn test(steps: &mut Steps) {

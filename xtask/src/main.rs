@@ -20,7 +20,7 @@
 //! | `lttng` | LTTng's packages, and the test that needs them |
 //! | `reports` | what is wrong with the JSON of the demo and of the benches, in jq's language |
 //! | `compare` | the programs of other middleware that Tautline is measured beside |
-//! | `readme` | the README's tables and picture, and the domain's in its ADR, made from a run |
+//! | `readme` | the tables and pictures of the README and the documents, made from a run |
 //! | `peers` | tests the gateway against implementations of its wire that are not ours |
 //! | `programs` | runs the programs of a test of the node on r2r |
 //! | `r2r` | what it takes to build a program of r2r's |
@@ -162,8 +162,8 @@ rival that cannot be built here is named in the report, with the reason. Zenoh a
 minutes to build."
     )]
     Bench(Bench),
-    /// Runs the demo and the benches and puts their tables and pictures into the README and docs/benchmarks.md, those of domains into
-    /// docs/adr/0007
+    /// Runs the demo and the benches and puts their tables and pictures into docs/demo.md, docs/benchmarks.md and the README, those of
+    /// domains into docs/adr/0007
     #[command(after_help = "Examples:
   cargo xtask readme                             all of it, some hours
   cargo xtask readme --only demo,wake

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The tables and pictures of the README and of the documents that it leads to, made from a run on this machine: no number in them
-//! is typed.
+//! The tables and pictures of the README and of the documents, made from a run on this machine: no number in them is typed.
 
+mod comparison;
 mod demo;
 
 use crate::bench::{self, Name};
@@ -11,6 +11,7 @@ use crate::steps::{self, execute};
 use crate::word;
 use clap::ValueEnum;
 use std::fs;
+use std::ops::Range;
 use std::path::Path;
 use std::process::Command;
 
@@ -38,7 +39,7 @@ impl Part {
     /// Where its mark is.
     fn document(self) -> &'static str {
         match self {
-            Part::Demo => "README.md",
+            Part::Demo => "docs/demo.md",
             Part::Rmw => "docs/rmw.md",
             Part::Domain => "docs/adr/0007-the-graph-and-topics-are-files.md",
             _ => "docs/benchmarks.md",
@@ -93,9 +94,18 @@ pub fn run(quick: bool, minutes: Option<u64>, parts: &[Part]) -> Result<(), Stri
     parts.iter().try_for_each(|part| update(part.document().as_ref(), *part, &json(part)))
 }
 
-/// Puts the tables of a run between their marks in `document`.
+/// Puts the tables of a run between their marks in `document`, and the README's excerpt of the comparison into the README.
 fn update(document: &Path, part: Part, json: &Path) -> Result<(), String> {
-    let text = replace(&read(document)?, &word(part), &part.tables(json)?)?;
+    let tables = part.tables(json)?;
+    write(document, &word(part), &tables)?;
+    match part {
+        Part::Compare => write("README.md".as_ref(), "comparison", &comparison::excerpt(&tables)?),
+        _ => Ok(()),
+    }
+}
+
+fn write(document: &Path, mark: &str, table: &str) -> Result<(), String> {
+    let text = replace(&read(document)?, mark, table)?;
     fs::write(document, text).map_err(|error| format!("{}: {error}", document.display()))
 }
 
@@ -103,13 +113,19 @@ fn read(path: &Path) -> Result<String, String> {
     fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))
 }
 
-/// Replaces what stands between `<!-- mark:begin -->` and `<!-- mark:end -->`.
+/// Replaces what stands between the marks.
 fn replace(text: &str, mark: &str, table: &str) -> Result<String, String> {
+    let range = marked(text, mark)?;
+    Ok(format!("{}\n{table}{}", &text[..range.start], &text[range.end..]))
+}
+
+/// Where the text between `<!-- mark:begin -->` and `<!-- mark:end -->` is.
+fn marked(text: &str, mark: &str) -> Result<Range<usize>, String> {
     let (begin, end) = (format!("<!-- {mark}:begin -->"), format!("<!-- {mark}:end -->"));
     let missing = || format!("the document has no {begin} ... {end}");
-    let (before, rest) = text.split_once(&begin).ok_or_else(missing)?;
-    let (_, after) = rest.split_once(&end).ok_or_else(missing)?;
-    Ok(format!("{before}{begin}\n{table}{end}{after}"))
+    let start = text.find(&begin).ok_or_else(missing)? + begin.len();
+    let len = text[start..].find(&end).ok_or_else(missing)?;
+    Ok(start..start + len)
 }
 
 #[cfg(test)]

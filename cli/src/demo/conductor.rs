@@ -69,7 +69,7 @@ pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
 
     let run = Run { core, seconds, steal_ticks, interruptions };
     let report = assemble(&args, &run, &published, measured)?;
-    files.write(&report)?;
+    files.write(&report, args.verbose)?;
     if published.missed > 0 {
         println!("The publisher itself missed {} releases: the core was taken from it.", published.missed);
     }

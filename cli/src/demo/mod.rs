@@ -46,6 +46,9 @@ pub struct DemoArgs {
     /// Write the picture here
     #[arg(long, value_name = "FILE", default_value = "taut-demo.svg")]
     svg: PathBuf,
+    /// Print all measurements of the run, and the cause of each response above its prediction
+    #[arg(long, short)]
+    verbose: bool,
     /// Priority of the subscriber's sampler; the callbacks have 20 to 16 [default: 21]
     #[arg(long, value_name = "P", value_parser = clap::value_parser!(u8).range(1..=99))]
     sampler_priority: Option<u8>,

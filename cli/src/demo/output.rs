@@ -48,19 +48,20 @@ impl Files {
         Ok(Files { svg: Output::open(&args.svg)?, json })
     }
 
-    pub fn write(&mut self, report: &DemoReport) -> Result<(), DemoError> {
+    pub fn write(&mut self, report: &DemoReport, verbose: bool) -> Result<(), DemoError> {
         let mut text = Vec::new();
         let colour = anstream::AutoStream::choice(&std::io::stdout()) != anstream::ColorChoice::Never;
-        report::write_table(report, &mut text, colour).map_err(DemoError::Print)?;
+        report::write_text(report, verbose, &mut text, colour).map_err(DemoError::Print)?;
         std::io::stdout().write_all(&text).map_err(DemoError::Print)?;
         self.svg.finish(plot::render_svg(report)?.as_bytes())?;
-        println!("Picture: {}", self.svg.path.display());
+        let mut written = format!("Picture: {}", self.svg.path.display());
         if let Some(json) = &mut self.json {
             let mut text = Vec::new();
             report::write_json(report, &mut text).map_err(DemoError::Print)?;
             json.finish(&text)?;
-            println!("JSON:    {}", json.path.display());
+            written += &format!("; JSON: {}", json.path.display());
         }
+        println!("{written}{}", if verbose { "" } else { "; --verbose prints more" });
         Ok(())
     }
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a demo run found: the data, its JSON, and (in `text`) the table a person reads.
+//! What a demo run found: the data, its JSON, and in `text` and `details` what a person reads.
+
 use std::io::{self, Write};
 use std::time::Duration;
 
@@ -10,9 +11,10 @@ use tautline_analysis::{Overheads, Task};
 
 use crate::moment::ACCOUNTED_TO_NS;
 
+mod details;
 mod text;
 
-pub use text::write_table;
+pub use text::write_text;
 
 /// One run of the demo. The fields up to `topics` are a contract with scripts: names, order and units stay.
 #[derive(Debug, Clone, Serialize)]
@@ -236,6 +238,15 @@ pub fn write_json(report: &DemoReport, out: &mut impl Write) -> io::Result<()> {
 impl TopicReport {
     fn failed(&self) -> bool {
         self.n == 0 || self.deadline_misses > 0 || self.lost > 0
+    }
+
+    /// The longest response as a share of what the prediction allows, with what others took before it; `None` without a bound.
+    fn share_of_bound(&self) -> Option<f64> {
+        let (longest_ms, bound_ms) = match self.worst {
+            Some(worst) => (worst.response_ms, worst.allowed_ms? + ms(ACCOUNTED_TO_NS)),
+            None => (self.max_ms?, self.rta_overhead_ms?),
+        };
+        Some(longest_ms / bound_ms)
     }
 
     /// In words: the responses above the prediction, if there are, and of the worst what the host took.
