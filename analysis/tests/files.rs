@@ -103,7 +103,7 @@ fn the_other_examples_are_schedulable() {
     assert!((20_000_000..24_000_000).contains(&chain.latency_ns.unwrap()), "{chain:?}");
     // Over the network, and through a join, there is more on the way than the responses of callbacks.
     assert_eq!((&chain.stages, &example("fusion").chains[0].stages), (&None, &None));
-    let lanes = example("../alks/system");
+    let lanes = example("alks/system");
     let names = lanes.chains[0].stages.iter().flatten().map(|at| lanes.callbacks[*at].entry.name.as_str());
     assert_eq!(names.collect::<Vec<_>>(), ["imu", "on_odometry", "show_odometry"]);
 }

@@ -74,7 +74,7 @@ fn json_is_the_contract() {
 
 #[test]
 fn a_stall_that_makes_queues_deeper_is_said() {
-    let alks = systems().join("../alks");
+    let alks = systems().join("alks");
     let out = text(&taut(&["check", "system.toml"], &alks).stdout);
     assert!(
         out.contains(

@@ -35,7 +35,7 @@ const PRIORITY: u8 = 20;
 #[derive(Parser)]
 #[command(after_help = "Examples:
   alks                                     twenty seconds
-  alks --system benches/alks/system/computed.toml --seconds 60
+  alks --system examples/systems/alks/computed.toml --seconds 60
                                            with computed priorities
   alks --shared mutex                      what subscribers and timer share is locked, as in the paper
   alks --json run.json --html run.html --svg drive.svg
@@ -92,7 +92,7 @@ struct Options {
     /// Of road, traffic and noise
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Who runs where, at which priority [default: the example's system.toml]
+    /// Who runs where, at which priority [default: its system.toml]
     #[arg(long, value_name = "FILE")]
     system: Option<PathBuf>,
     /// How the ALKS node's subscribers share with its timer what they know
@@ -137,9 +137,9 @@ fn within(text: &str, least: f64, most: f64, unit: &str) -> std::result::Result<
     value.ok_or_else(|| format!("{unit} from {least} to {most} are expected"))
 }
 
-/// The system files of this example.
+/// One of the system files of this system.
 fn own_file(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../examples/systems/alks").join(name)
 }
 
 fn main() -> ExitCode {

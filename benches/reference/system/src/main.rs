@@ -32,7 +32,7 @@ const SKIPPED: u8 = 77;
 #[derive(Parser)]
 #[command(after_help = "Examples:
   reference_system                        ten seconds, with the hot path at the highest priorities
-  reference_system --system benches/reference/system/flat.toml
+  reference_system --system examples/systems/reference/flat.toml
                                           every callback at one priority
   reference_system --cruncher-limit 2048  less work for each node
   reference_system --seconds 60 --json kpis.json --svg hot_path.svg
@@ -46,7 +46,7 @@ struct Options {
     /// Up to where each node counts primes
     #[arg(long, value_name = "N", default_value_t = CRUNCHER_LIMIT)]
     cruncher_limit: u64,
-    /// Who runs where, at which priority [default: the example's system.toml]
+    /// Who runs where, at which priority [default: its system.toml]
     #[arg(long, value_name = "FILE")]
     system: Option<PathBuf>,
     /// Run without real-time priorities
@@ -72,9 +72,9 @@ struct Options {
     child: Option<String>,
 }
 
-/// The system files of this example.
+/// One of the system files of this system.
 fn own_file(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(name)
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../examples/systems/reference").join(name)
 }
 
 fn seconds(text: &str) -> std::result::Result<f64, String> {
