@@ -72,6 +72,7 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     steps.join(prepared);
     steps.step("public surface", || api::check(false));
     steps.step("builds are shared", shared::check);
+    steps.step("first command", shared::check_first_command);
     let book = Job::Book.start();
     rest_of_tests(steps);
     steps.join(book);

@@ -71,9 +71,39 @@ struct Unit {
     needs: Vec<u64>,
 }
 
-/// What cargo would build for the tests of these packages. To tell is an option that stable versions keep for nightly ones.
+/// Crates and build scripts that the README's first command may build.
+const FIRST_UNITS: usize = 300;
+
+/// What that command must not wait for: libraries of single verbs, which are programs of their own.
+const NOT_FIRST: [&str; 8] =
+    ["zenoh ", "rusqlite ", "libsqlite3-sys ", "zstd-sys ", "lz4-sys ", "mcap ", "ratatui ", "jaq-core "];
+
+/// Whether a user's first build stays as small as it is.
+pub fn check_first_command() -> Result<(), String> {
+    let units = units("build --release")?;
+    if let Some(unit) = units.iter().find(|unit| NOT_FIRST.iter().any(|name| unit.name.starts_with(name))) {
+        return Err(format!(
+            "`cargo run --release -- demo` builds {}: give it to the program of the verb that needs it (cli/)",
+            unit.name
+        ));
+    }
+    println!("`cargo run --release -- demo` builds {} of at most {FIRST_UNITS} units", units.len());
+    match units.len() {
+        0..=FIRST_UNITS => Ok(()),
+        count => Err(format!(
+            "{count} units, {FIRST_UNITS} are the limit: `cargo build --release --timings` lists them"
+        )),
+    }
+}
+
+/// What cargo would build for the tests of these packages.
 fn graph(packages: &str) -> Result<Vec<Unit>, String> {
-    let mut command = cargo(&format!("test {packages} --no-run -Z unstable-options --unit-graph"));
+    units(&format!("test {packages} --no-run"))
+}
+
+/// What cargo would build. To tell is an option that stable versions keep for nightly ones.
+fn units(command: &str) -> Result<Vec<Unit>, String> {
+    let mut command = cargo(&format!("{command} -Z unstable-options --unit-graph"));
     let output = command.env("RUSTC_BOOTSTRAP", "1").current_dir(machine::root()).output();
     let output = output.map_err(|error| format!("cargo: {error}"))?;
     if !output.status.success() {
