@@ -109,9 +109,9 @@ fn by_number(
 }
 
 /// Shares of the messages by time.
-pub fn distributions(rows: &[Row], experiment: &str, bytes: &str, axis: &str) -> Result<Option<String>> {
+pub fn distributions(rows: &[Row], experiment: &str, bytes: usize, axis: &str) -> Result<Option<String>> {
     let mut lines: Vec<Line> = Vec::new();
-    for row in rows.iter().filter(|row| row.experiment == experiment && size(row.payload_bytes) == bytes) {
+    for row in rows.iter().filter(|row| row.experiment == experiment && row.payload_bytes == bytes) {
         let Some(details) = row.details.as_ref().filter(|_| row.mode != "memcpy") else { continue };
         let mut sum = 0;
         let share = |(time_ns, count): (u64, u64)| {
@@ -251,7 +251,7 @@ mod tests {
         times.record(5000);
         let details = Details { times, messages_per_s: 1.0, cpu_share: 0.0, steal_ticks: 0, wakes: None };
         let row = Row { details: Some(details), ..row("x", "tautline", "blocking", 64, 5.0) };
-        let svg = distributions(&[row], "x", "64 B", "time").unwrap().unwrap();
+        let svg = distributions(&[row], "x", 64, "time").unwrap().unwrap();
         assert!(svg.contains("tautline blocking"));
     }
 

@@ -8,19 +8,21 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | `modes` | the systems and their ways; `systems.toml` has their texts |
+//! | `modes` | the systems and their ways, what was set, what they do better |
 //! | `plan` | what is measured: benches, experiments, systems |
-//! | `settings` | payloads, idle states, lengths and rounds of each experiment, from `settings.toml` |
+//! | `settings` | payloads, idle states, lengths and rounds of each experiment |
 //! | `rounds` | the parent: rounds to and fro, and what became of each case |
 //! | `pair`, `flow` | one measurement: round trips, or one way |
 //! | `load` | what disturbs the measurement under load |
 //! | `callbacks` | real-time callbacks, with and without a flood from the network |
+//! | `claims` | what must hold, and where a rival is ahead |
 //! | `report` | the tables, the JSON |
 //! | `smoke` | what must not be missing where everything is only tried |
-//! | `html`, `figures` | the page, with the pictures of `pictures.toml` |
+//! | `html`, `figures` | the page and its pictures |
 //! | `markdown` | the tables of the documents |
 
 mod callbacks;
+mod claims;
 mod figures;
 mod flow;
 mod html;
@@ -141,7 +143,7 @@ fn measure(options: &Options) -> Result<()> {
     let setup = Setup { plan: &plan, scratch: &scratch, interrupted: &interrupted };
     let cells = rounds::run(&setup)?;
     let more = callbacks::run(&setup)?;
-    let report = Report::new(&plan, cells, more, disturbance.report())?;
+    let report = Report::new(&plan, cells, more, disturbance.report());
     report.print();
     if let Some(path) = &options.json {
         write_json(path, &report.rows)?;
@@ -157,7 +159,7 @@ fn measure(options: &Options) -> Result<()> {
 /// Shows an earlier run.
 fn show(options: &Options, path: &std::path::Path) -> Result<()> {
     let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
-    let report = Report::of_rows(serde_json::from_str(&text)?)?;
+    let report = Report::of_rows(serde_json::from_str(&text)?);
     report.print();
     draw(options, &report)
 }
