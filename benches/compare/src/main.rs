@@ -72,7 +72,7 @@ struct Options {
     /// Write the report with its pictures to FILE
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
-    /// Draw the latencies by size to FILE
+    /// Draw the best latencies of six systems by size to FILE
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
     /// Write the tables of the documents to FILE
@@ -105,6 +105,9 @@ struct Options {
     /// Why a rival is left out
     #[arg(long, value_name = "NAME=REASON")]
     without: Vec<String>,
+    /// Only say whether the options are right; rivals' programs need not be there
+    #[arg(long, hide = true)]
+    check_options: bool,
     /// Run one process of a measurement; the arguments are its system and its job
     #[arg(long, hide = true, num_args = 2, value_names = ["SYSTEM", "JOB"])]
     child: Option<Vec<String>>,
@@ -114,7 +117,7 @@ fn main() -> ExitCode {
     let options = Options::parse();
     let result = match (options.child.as_deref(), &options.from) {
         (Some([system, job]), _) => Job::begin(job).and_then(|job| systems::run(system, &job)),
-        (_, Some(path)) => show(&options, path),
+        (_, Some(path)) if !options.check_options => show(&options, path),
         _ => measure(&options),
     };
     exit("compare", result)
@@ -132,12 +135,15 @@ fn measure(options: &Options) -> Result<()> {
     }
     let programs = Programs::new(&options.program, &options.without)?;
     let plan = Plan::new(options, two_cores(options.cores.as_deref())?, programs)?;
-    let interrupted = interrupted()?;
     // Before minutes are spent on what cannot be written.
     for path in [&options.json, &options.html, &options.svg, &options.markdown].into_iter().flatten() {
         let file = std::fs::File::options().create(true).append(true).open(path);
         file.map_err(|error| format!("cannot write {}: {error}", path.display()))?;
     }
+    if options.check_options {
+        return Ok(());
+    }
+    let interrupted = interrupted()?;
     let disturbance = Disturbance::start();
     let scratch = Scratch::new("compare")?;
     let setup = Setup { plan: &plan, scratch: &scratch, interrupted: &interrupted };
@@ -169,6 +175,33 @@ fn draw(options: &Options, report: &Report) -> Result<()> {
         write(path, &markdown::tables(options.bench, &report.rows))?;
     }
     let Some(path) = &options.svg else { return Ok(()) };
-    let picture = figures::latency_by_size(&report.rows, "latency/whole/held-off")?;
+    let picture = figures::overview(&report.rows, "latency/whole/held-off")?;
     write(path, &picture.ok_or("latencies of several sizes are needed for a picture")?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_are_checked_without_any_rival() {
+        let check = |options: &str| {
+            let words = ["compare", "--check-options", "--no-rt"].into_iter().chain(options.split(' '));
+            Options::try_parse_from(words)
+                .map_err(|error| error.to_string())
+                .and_then(|options| measure(&options).map_err(|error| error.to_string()))
+        };
+        assert_eq!(check("--quick --systems tautline,fastdds --only latency"), Ok(()));
+        for (options, why) in [
+            ("--systems tautline,fastds", "invalid value 'fastds'"),
+            ("--onli latency", "unexpected argument '--onli'"),
+            ("--only request", "--only request: this bench does not measure it"),
+            ("--bench wake --systems dora", "none of them takes part"),
+            ("--cores 0,0", "--cores takes two different cores"),
+            ("--json /nowhere/x.json", "cannot write /nowhere/x.json"),
+        ] {
+            let refused = check(options).unwrap_err();
+            assert!(refused.contains(why), "{options}: {refused}");
+        }
+    }
 }

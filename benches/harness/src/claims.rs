@@ -156,8 +156,9 @@ impl<'a> Claim<'a> {
             if let Some([floor]) = self.floor.map(|floor| floor.of(rows)).as_deref()
                 && let Some(compared) = Compared::of(floor, them, figure, by)
             {
-                let beyond = if self.is_within(compared.median) { "" } else { ", which the goal is below" };
-                notes.push(format!("the floor {}{beyond}", by.show(compared.median, unit)));
+                let beyond =
+                    if self.is_within(compared.median) { "" } else { ", so no system can meet the goal" };
+                notes.push(format!("the floor is at {}{beyond}", by.show(compared.median, unit)));
             }
         }
         let others = self.instead.map(|others| figure.sort(&others.of(rows)).0).unwrap_or_default();
@@ -246,7 +247,7 @@ mod tests {
         let rows = [&rows[..], &[row("floor", "futex", &[7.5])]].concat();
         let verdict = ours_alone.judge(&rows).unwrap();
         assert_eq!((verdict.outcome, verdict.cause), (Missed, Some("why")));
-        assert_eq!(verdict.note, "the floor 1.50 x, which the goal is below; direct 4.00 µs");
+        assert_eq!(verdict.note, "the floor is at 1.50 x, so no system can meet the goal; direct 4.00 µs");
         assert!(faster().judge(&rows[..2]).is_none(), "a system that takes no part");
         assert!(faster().judge(&rows[2..]).is_none(), "nothing of ours was to be measured");
         let elsewhere = [ours(&[1.0]), Row { experiment: "else".into(), ..row("rival", "x", &[2.0]) }];
