@@ -72,6 +72,18 @@ pub struct Mode {
 }
 
 impl Mode {
+    const fn program(self, program: Program) -> Self {
+        Mode { program, ..self }
+    }
+
+    const fn one_core(self) -> Self {
+        Mode { one_core: true, ..self }
+    }
+
+    const fn settings(self, settings: &'static str) -> Self {
+        Mode { settings, ..self }
+    }
+
     /// Its system's and its own.
     pub fn name(&self) -> String {
         format!("{} {}", self.system, self.mode)
@@ -88,218 +100,86 @@ impl Mode {
     }
 }
 
-const fn own(system: &'static str, mode: &'static str, part: Part, settings: &'static str) -> Mode {
-    Mode { system, mode, program: Program::Own, one_core: false, part, settings }
+const fn own(system: &'static str, mode: &'static str, part: Part) -> Mode {
+    Mode { system, mode, program: Program::Own, one_core: false, part, settings: "" }
 }
 
-const fn json(system: &'static str, mode: &'static str, part: Part, settings: &'static str) -> Mode {
-    Mode { program: Program::Json(system), ..own(system, mode, part, settings) }
+const fn json(system: &'static str, mode: &'static str, part: Part) -> Mode {
+    own(system, mode, part).program(Program::Json(system))
 }
 
 /// All of them, rivals in question next to each other.
 pub const MODES: &[Mode] = &[
-    own(
-        "floor",
-        "futex",
-        Part::RoundTrips,
-        "memory that both processes map; one futex wake each way; the payload is written and read there",
-    ),
-    own(
-        "floor",
-        "ring",
-        Part::Topics,
-        "memory that both processes map, with room for 64 messages of any topic; one futex wake for each; one thread receives all",
-    ),
-    Mode {
-        one_core: true,
-        ..own("floor", "one-core", Part::RoundTrips, "as futex, with both processes on one core")
-    },
-    own("floor", "memcpy", Part::Copy, "a copy of the payload from one buffer to another within a process"),
-    own(
-        "tautline",
-        "blocking",
-        Part::All,
-        "plain message, loaned and read in place; a callback thread at FIFO 50, the sampler at FIFO 60 on the same core; reliable, keep last 10",
-    ),
-    own(
-        "tautline",
-        "direct",
-        Part::All,
-        "as blocking, but the publisher wakes the callback thread itself: CallbackOptions::direct_wake",
-    ),
-    own(
-        "tautline",
-        "one-thread",
-        Part::Topics,
-        "as direct, but one callback serves the subscriptions of all topics, as a DDS listener's thread does",
-    ),
-    own(
-        "tautline",
-        "direct-spin",
-        Part::RoundTrips,
-        "as direct, but each thread looks for 5 µs before it sleeps: in a round trip the answer often comes within, and then nobody sleeps; CallbackOptions::direct_wake().spin(5 µs)",
-    ),
-    Mode {
-        one_core: true,
-        ..own(
-            "tautline",
-            "one-core",
-            Part::RoundTrips,
-            "as blocking, with samplers and callbacks of both processes on one core",
-        )
-    },
-    own(
-        "tautline",
-        "two-cores",
-        Part::RoundTrips,
-        "as blocking, but the sampler of each process is on the core of the other",
-    ),
-    own(
-        "tautline",
-        "busy-poll",
-        Part::RoundTrips,
-        "as blocking, but the callback thread polls: CallbackOptions::busy_poll",
-    ),
-    own(
-        "tautline",
-        "image",
-        Part::RoundTrips,
-        "sensor_msgs/msg/Image, a message of variable size: lengths stated, written in the loan, validated and read in place",
-    ),
-    own(
-        "tautline",
-        "own-default",
-        Part::AsShipped,
-        "as blocking, with Tautline's own default about idle states: in real-time mode it holds them off (/dev/cpu_dma_latency)",
-    ),
-    Mode {
-        program: Program::Gateways,
-        ..own(
-            "tautline",
-            "gateway",
-            Part::Whole,
-            "as image, in two domains with a gateway (taut gateway) each, which one TCP connection over the loopback joins; each gateway shares the core of its end, its threads at their default, FIFO 80; CPU time and memory without the gateways'",
-        )
-    },
-    own(
-        "tautline",
-        "topics",
-        Part::Requests,
-        "as blocking: a message each way on two topics, the answer of 64 B, as all responses",
-    ),
-    own(
-        "tautline",
-        "service",
-        Part::Requests,
-        "requests and responses loaned and read in place: nothing is copied",
-    ),
-    own("tautline", "service-owned", Part::SmallRequests, "as service, with owned messages"),
-    own(
-        "iceoryx2",
-        "waitset",
-        Part::All,
-        "loan_slice_uninit, an event per message, a WaitSet, one listener for all subscribers of a process; safe overflow; greatest event id 1, which makes collecting cheap",
-    ),
-    own("iceoryx2", "busy-poll", Part::RoundTrips, "as waitset, but the receiver asks again and again"),
-    own(
-        "iceoryx2",
-        "request-response",
-        Part::Requests,
-        "its request-response, which wakes nobody, with an event each way; greatest event id 1",
-    ),
-    json(
-        "taktora",
-        "items",
-        Part::RoundTrips,
-        "taktora-executor 0.6.0 on iceoryx2 0.9: items that their subscriber triggers, run in the executor's own thread (worker_threads 0), a loan per message (Publisher::loan); its channels collect no events, so that an executor which was triggered once does not sleep again: it polls; greatest event id 255; a buffer of 10 by a file of iceoryx2's; its executor at FIFO 50 polls without end and leaves its core to nobody, so only round trips are measured",
-    ),
-    json(
-        "fastdds",
-        "default",
-        Part::All,
-        "listener; builtin transports as they come (shared memory with a segment of 512 KiB, and UDP); data sharing off, as in ROS 2; synchronous publishing; reliable, volatile",
-    ),
-    json(
-        "fastdds",
-        "tuned",
-        Part::All,
-        "as default, with shared memory alone: segment of 64 MiB, messages of up to 16 MiB without fragments",
-    ),
-    json(
-        "fastdds",
-        "data-sharing",
-        Part::All,
-        "as tuned, with a plain type, data sharing and loans on both sides: loan_sample, take of one at a time without a copy, is_sample_valid after it was read (what was written over meanwhile counts as lost), as many extra_samples as the queue has",
-    ),
-    json(
-        "cyclonedds",
-        "default",
-        Part::All,
-        "C interface, an array of octets, listener; UDP as it comes; reliable",
-    ),
-    json(
-        "cyclonedds",
-        "tuned",
-        Part::All,
-        "as default, on the loopback interface alone, with packets of up to 64 KiB and socket buffers of up to 16 MB",
-    ),
-    Mode {
-        program: Program::Daemon("cyclonedds", ROUDI),
-        ..json(
-            "cyclonedds",
-            "shared-memory",
-            Part::All,
-            "as default, its payloads through iceoryx 2.0.3 with loans on both sides (dds_loan_sample, dds_take); its daemon iox-roudi runs without a priority on any core and is not counted; through iceoryx there is no keep all: throughput is with keep last 10",
-        )
-    },
-    json(
-        "r2r",
-        "typed",
-        Part::All,
-        "r2r 0.9.7 over rmw_fastrtps_cpp; std_msgs/msg/UInt8MultiArray as a Rust struct; one thread spins and runs the callbacks; the builtin transports as they come; reliable, keep last; throughput at 64 B with keep all, of which rmw_fastrtps holds up to 5,000 whatever is asked for; of 1 MiB that would be 5 GB, so there it is keep last, and loses what the receiver misses",
-    ),
-    json(
-        "r2r",
-        "native",
-        Part::All,
-        "as typed, with the C struct: publish_native of a message that is made once, subscribe_native",
-    ),
-    json(
-        "r2r",
-        "loaned",
-        Part::Small,
-        "as typed, with a message that rmw_fastrtps lends for each (borrow_loaned_message, ROS_DISABLE_LOANED_MESSAGES=0): geometry_msgs/msg/Inertia, 80 bytes, the first 64 of which are written and read; only types of a fixed size are lent, and those of ROS 2's packages are small",
-    ),
-    json(
-        "r2r",
-        "service",
-        Part::Requests,
-        "as typed: test_msgs/srv/BasicTypes, whose text makes the request as long as is asked for and the response 64 B, and is copied",
-    ),
-    json(
-        "zenoh",
-        "tcp",
-        Part::All,
-        "zenoh 1.10.2; two peers with one TCP link over the loopback, callbacks, answers from within them, congestion control: block; express; its threads at FIFO 50, too",
-    ),
-    json(
-        "zenoh",
-        "tcp-ordinary",
-        Part::All,
-        "as tcp, without real-time priorities: its threads at one priority wake one another for every packet",
-    ),
-    json(
-        "zenoh",
-        "shm",
-        Part::All,
-        "as tcp, with payloads in its shared memory, allocated for each message as in z_ping_shm (block until garbage is collected)",
-    ),
-    json(
-        "hiroz",
-        "pub-sub",
-        Part::RoundTrips,
-        "hiroz 0.2.1 as in its z_pingpong: a node each, std_msgs/msg/ByteMultiArray, two peers with one TCP link; a buffer for each message that is written whole, else one that is made once; Zenoh's threads at FIFO 80 as the gateway's, above the threads that send and are called back",
-    ),
+    own("floor", "futex", Part::RoundTrips)
+        .settings("memory that both processes map; one futex wake each way; the payload is written and read there"),
+    own("floor", "ring", Part::Topics)
+        .settings("memory that both processes map, with room for 64 messages of any topic; one futex wake for each; one thread receives all"),
+    own("floor", "one-core", Part::RoundTrips).one_core()
+        .settings("as futex, with both processes on one core"),
+    own("floor", "memcpy", Part::Copy)
+        .settings("a copy of the payload from one buffer to another within a process"),
+    own("tautline", "blocking", Part::All)
+        .settings("plain message, loaned and read in place; a callback thread at FIFO 50, the sampler at FIFO 60 on the same core; reliable, keep last 10"),
+    own("tautline", "direct", Part::All)
+        .settings("as blocking, but the publisher wakes the callback thread itself: CallbackOptions::direct_wake"),
+    own("tautline", "one-thread", Part::Topics)
+        .settings("as direct, but one callback serves the subscriptions of all topics, as a DDS listener's thread does"),
+    own("tautline", "direct-spin", Part::RoundTrips)
+        .settings("as direct, but each thread looks for 5 µs before it sleeps: in a round trip the answer often comes within, and then nobody sleeps; CallbackOptions::direct_wake().spin(5 µs)"),
+    own("tautline", "one-core", Part::RoundTrips).one_core()
+        .settings("as blocking, with samplers and callbacks of both processes on one core"),
+    own("tautline", "two-cores", Part::RoundTrips)
+        .settings("as blocking, but the sampler of each process is on the core of the other"),
+    own("tautline", "busy-poll", Part::RoundTrips)
+        .settings("as blocking, but the callback thread polls: CallbackOptions::busy_poll"),
+    own("tautline", "image", Part::RoundTrips)
+        .settings("sensor_msgs/msg/Image, a message of variable size: lengths stated, written in the loan, validated and read in place"),
+    own("tautline", "own-default", Part::AsShipped)
+        .settings("as blocking, with Tautline's own default about idle states: in real-time mode it holds them off (/dev/cpu_dma_latency)"),
+    own("tautline", "gateway", Part::Whole).program(Program::Gateways)
+        .settings("as image, in two domains with a gateway (taut gateway) each, which one TCP connection over the loopback joins; each gateway shares the core of its end, its threads at their default, FIFO 80; CPU time and memory without the gateways'"),
+    own("tautline", "topics", Part::Requests)
+        .settings("as blocking: a message each way on two topics, the answer of 64 B, as all responses"),
+    own("tautline", "service", Part::Requests)
+        .settings("requests and responses loaned and read in place: nothing is copied"),
+    own("tautline", "service-owned", Part::SmallRequests)
+        .settings("as service, with owned messages"),
+    own("iceoryx2", "waitset", Part::All)
+        .settings("loan_slice_uninit, an event per message, a WaitSet, one listener for all subscribers of a process; safe overflow; greatest event id 1, which makes collecting cheap"),
+    own("iceoryx2", "busy-poll", Part::RoundTrips)
+        .settings("as waitset, but the receiver asks again and again"),
+    own("iceoryx2", "request-response", Part::Requests)
+        .settings("its request-response, which wakes nobody, with an event each way; greatest event id 1"),
+    json("taktora", "items", Part::RoundTrips)
+        .settings("taktora-executor 0.6.0 on iceoryx2 0.9: items that their subscriber triggers, run in the executor's own thread (worker_threads 0), a loan per message (Publisher::loan); its channels collect no events, so that an executor which was triggered once does not sleep again: it polls; greatest event id 255; a buffer of 10 by a file of iceoryx2's; its executor at FIFO 50 polls without end and leaves its core to nobody, so only round trips are measured"),
+    json("fastdds", "default", Part::All)
+        .settings("listener; builtin transports as they come (shared memory with a segment of 512 KiB, and UDP); data sharing off, as in ROS 2; synchronous publishing; reliable, volatile"),
+    json("fastdds", "tuned", Part::All)
+        .settings("as default, with shared memory alone: segment of 64 MiB, messages of up to 16 MiB without fragments"),
+    json("fastdds", "data-sharing", Part::All)
+        .settings("as tuned, with a plain type, data sharing and loans on both sides: loan_sample, take of one at a time without a copy, is_sample_valid after it was read (what was written over meanwhile counts as lost), as many extra_samples as the queue has"),
+    json("cyclonedds", "default", Part::All)
+        .settings("C interface, an array of octets, listener; UDP as it comes; reliable"),
+    json("cyclonedds", "tuned", Part::All)
+        .settings("as default, on the loopback interface alone, with packets of up to 64 KiB and socket buffers of up to 16 MB"),
+    json("cyclonedds", "shared-memory", Part::All).program(Program::Daemon("cyclonedds", ROUDI))
+        .settings("as default, its payloads through iceoryx 2.0.3 with loans on both sides (dds_loan_sample, dds_take); its daemon iox-roudi runs without a priority on any core and is not counted; through iceoryx there is no keep all: throughput is with keep last 10"),
+    json("r2r", "typed", Part::All)
+        .settings("r2r 0.9.7 over rmw_fastrtps_cpp; std_msgs/msg/UInt8MultiArray as a Rust struct; one thread spins and runs the callbacks; the builtin transports as they come; reliable, keep last; throughput at 64 B with keep all, of which rmw_fastrtps holds up to 5,000 whatever is asked for; of 1 MiB that would be 5 GB, so there it is keep last, and loses what the receiver misses"),
+    json("r2r", "native", Part::All)
+        .settings("as typed, with the C struct: publish_native of a message that is made once, subscribe_native"),
+    json("r2r", "loaned", Part::Small)
+        .settings("as typed, with a message that rmw_fastrtps lends for each (borrow_loaned_message, ROS_DISABLE_LOANED_MESSAGES=0): geometry_msgs/msg/Inertia, 80 bytes, the first 64 of which are written and read; only types of a fixed size are lent, and those of ROS 2's packages are small"),
+    json("r2r", "service", Part::Requests)
+        .settings("as typed: test_msgs/srv/BasicTypes, whose text makes the request as long as is asked for and the response 64 B, and is copied"),
+    json("zenoh", "tcp", Part::All)
+        .settings("zenoh 1.10.2; two peers with one TCP link over the loopback, callbacks, answers from within them, congestion control: block; express; its threads at FIFO 50, too"),
+    json("zenoh", "tcp-ordinary", Part::All)
+        .settings("as tcp, without real-time priorities: its threads at one priority wake one another for every packet"),
+    json("zenoh", "shm", Part::All)
+        .settings("as tcp, with payloads in its shared memory, allocated for each message as in z_ping_shm (block until garbage is collected)"),
+    json("hiroz", "pub-sub", Part::RoundTrips)
+        .settings("hiroz 0.2.1 as in its z_pingpong: a node each, std_msgs/msg/ByteMultiArray, two peers with one TCP link; a buffer for each message that is written whole, else one that is made once; Zenoh's threads at FIFO 80 as the gateway's, above the threads that send and are called back"),
 ];
 
 /// What a rival does better, whatever the figures say.
@@ -403,6 +283,7 @@ mod tests {
     #[test]
     fn every_system_is_measured_or_says_why_not_and_every_rival_has_its_strength() {
         let is_in = |all: &[(&str, &str)], system| all.iter().any(|(name, _)| *name == system);
+        assert!(MODES.iter().all(|mode| !mode.settings.is_empty()));
         for system in SYSTEMS {
             let has_modes = MODES.iter().any(|mode| mode.system == system);
             assert_ne!(has_modes, is_in(&NOT_JOINED, system), "{system}");

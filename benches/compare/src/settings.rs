@@ -48,29 +48,8 @@ enum Kind {
 }
 
 impl Kind {
-    /// As in the JSON; `idle` says what cores do.
-    fn name(self, idle: &str) -> String {
-        let (kind, count) = match self {
-            Whole => ("latency/whole", None),
-            Untouched => ("latency/untouched", None),
-            Quiet => ("open-loop/quiet", None),
-            Loaded => ("open-loop/load", None),
-            OneProcess(count) => ("fan-out/one-process", Some(count)),
-            Processes(count) => ("fan-out/processes", Some(count)),
-            Robot => ("robot/20x100Hz", None),
-            AtOnce => ("robot/20x100Hz/at-once", None),
-            Stream => ("throughput", None),
-            StreamUntouched => ("throughput/untouched", None),
-            FirstMessage => ("start-up/first-message", None),
-            LateJoiner => ("start-up/late-joiner", None),
-            HundredTopics => ("start-up/100-topics", None),
-            Request => ("request", None),
-            Window => ("window", None),
-        };
-        format!("{kind}/{idle}{}", count.map_or(String::new(), |count| format!("/{count}")))
-    }
-
-    fn task(self) -> Task {
+    /// Its name, how many subscriptions the name ends with, and what is done.
+    fn parts(self) -> (&'static str, Option<usize>, Task) {
         // At a rate over all topics.
         let paced = |rate, topics, processes, subscribers| Task::Paced {
             rate,
@@ -81,19 +60,25 @@ impl Kind {
             at_once: matches!(self, AtOnce),
         };
         match self {
-            Whole => Task::RoundTrips { whole: true },
-            Untouched => Task::RoundTrips { whole: false },
-            Quiet | Loaded => paced(1000.0, 1, 1, 1),
-            OneProcess(count) => paced(50.0, 1, 1, count),
-            Processes(count) => paced(50.0, 1, count, 1),
-            Robot | AtOnce => paced(2000.0, 20, 1, 1),
-            Stream => Task::Stream { whole: true },
-            StreamUntouched => Task::Stream { whole: false },
-            FirstMessage => Task::Start { topics: 1, is_late_joiner: false },
-            LateJoiner => Task::Start { topics: 1, is_late_joiner: true },
-            HundredTopics => Task::Start { topics: 100, is_late_joiner: false },
-            Request => Task::Requests,
-            Window => Task::Window,
+            Whole => ("latency/whole", None, Task::RoundTrips { whole: true }),
+            Untouched => ("latency/untouched", None, Task::RoundTrips { whole: false }),
+            Quiet => ("open-loop/quiet", None, paced(1000.0, 1, 1, 1)),
+            Loaded => ("open-loop/load", None, paced(1000.0, 1, 1, 1)),
+            OneProcess(count) => ("fan-out/one-process", Some(count), paced(50.0, 1, 1, count)),
+            Processes(count) => ("fan-out/processes", Some(count), paced(50.0, 1, count, 1)),
+            Robot => ("robot/20x100Hz", None, paced(2000.0, 20, 1, 1)),
+            AtOnce => ("robot/20x100Hz/at-once", None, paced(2000.0, 20, 1, 1)),
+            Stream => ("throughput", None, Task::Stream { whole: true }),
+            StreamUntouched => ("throughput/untouched", None, Task::Stream { whole: false }),
+            FirstMessage => {
+                ("start-up/first-message", None, Task::Start { topics: 1, is_late_joiner: false })
+            }
+            LateJoiner => ("start-up/late-joiner", None, Task::Start { topics: 1, is_late_joiner: true }),
+            HundredTopics => {
+                ("start-up/100-topics", None, Task::Start { topics: 100, is_late_joiner: false })
+            }
+            Request => ("request", None, Task::Requests),
+            Window => ("window", None, Task::Window),
         }
     }
 }
@@ -170,22 +155,8 @@ const COMPARE_FULL: &[Line] = &[
     // More than 10,000 messages in all: enough for p99.9. The other setting has enough for p99.
     held(OPEN_LOOP, &[KIB], 5100, 2),
     shipped(OPEN_LOOP, &[KIB], 1100, 1),
-    held(
-        &[
-            OneProcess(1),
-            OneProcess(2),
-            OneProcess(4),
-            OneProcess(8),
-            OneProcess(16),
-            Processes(2),
-            Processes(4),
-            Processes(8),
-            Processes(16),
-        ],
-        &[MIB],
-        500,
-        1,
-    ),
+    held(&[OneProcess(1), OneProcess(2), OneProcess(4), OneProcess(8), OneProcess(16)], &[MIB], 500, 1),
+    held(&[Processes(2), Processes(4), Processes(8), Processes(16)], &[MIB], 500, 1),
     shipped(&[OneProcess(1), OneProcess(4), OneProcess(8), Processes(4), Processes(8)], &[MIB], 500, 1),
     // 20 s in all.
     shipped(&[Robot], &[4 * KIB], 5000, 4),
@@ -242,16 +213,22 @@ const fn network(ms: u64, rounds: u32) -> [Line; 2] {
 
 /// Those of a bench, in the order in which they are measured within an experiment.
 pub fn settings(bench: Bench, extent: Extent) -> Vec<Setting> {
-    let of_line = |line: &'static Line| {
-        let of_size = |&bytes| line.kinds.iter().map(move |kind| (bytes, kind));
-        line.bytes.iter().flat_map(of_size).map(move |(payload_bytes, kind)| Setting {
-            experiment: kind.name(if line.idle == Idle::HeldOff { "held-off" } else { "as-shipped" }),
-            task: kind.task(),
+    let setting = |line: &Line, payload_bytes, kind: &Kind| {
+        let (name, count, task) = kind.parts();
+        let idle = if line.idle == Idle::HeldOff { "held-off" } else { "as-shipped" };
+        let count = count.map_or(String::new(), |count| format!("/{count}"));
+        Setting {
+            experiment: format!("{name}/{idle}{count}"),
+            task,
             payload_bytes,
             idle: line.idle,
             budget: Duration::from_millis(line.ms),
             rounds: line.rounds,
-        })
+        }
+    };
+    let of_line = |line: &'static Line| {
+        let of_size = |&bytes| line.kinds.iter().map(move |kind| setting(line, bytes, kind));
+        line.bytes.iter().flat_map(of_size).collect::<Vec<_>>()
     };
     lines(bench, extent).iter().flat_map(of_line).collect()
 }
