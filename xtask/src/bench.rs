@@ -94,7 +94,13 @@ pub fn command(name: Name, told: &[String], of: Build) -> Result<Command, String
         Name::Tools if of == Build::Release => build(&mut cargo("build --release -p taut -p taut-top"))?,
         Name::Wake | Name::Compare | Name::Network | Name::Services => {
             command.arg(format!("--bench={}", word(name)));
-            compare::join(&mut command, &word(name), &values(&told, "--systems"), of);
+            let rivals = compare::rivals(&word(name), &values(&told, "--systems"));
+            // Of an earlier run nothing is measured.
+            if !rivals.is_empty() && values(&told, "--from").is_empty() {
+                let mut check = of.program("tautline-compare", "compare");
+                execute(check.arg(format!("--bench={}", word(name))).args(&told).arg("--check-options"))?;
+                compare::join(&mut command, &rivals, of);
+            }
         }
         _ => {}
     }
@@ -192,6 +198,19 @@ mod tests {
             told(&format!("paper --no-r2r {paper} -- --core 0")),
             format!("{without} {paper} --core 0")
         );
+    }
+
+    #[test]
+    fn a_wrong_option_is_refused_before_rivals_are_built() {
+        // What cannot be built is left out and no error, so that the error is the check's.
+        let told = ["--systems=tautline", "--onli=latency"].map(str::to_owned);
+        assert!(command(Name::Compare, &told, Build::Tests).is_err());
+    }
+
+    #[test]
+    fn an_earlier_run_is_shown_without_rivals() {
+        let from = "--from x.json --systems fastdds --svg x.svg";
+        assert_eq!(told(&format!("compare {from}")), format!("--bench=compare {from}"));
     }
 
     #[test]

@@ -10,7 +10,7 @@ use std::process::Command;
 use std::{fs, io};
 
 /// The benches that need it, its system, a program that is not in this workspace or not always built with it, and what makes that.
-type Rival = (&'static [&'static str], &'static str, &'static str, fn(Build) -> Result<PathBuf, String>);
+pub type Rival = (&'static [&'static str], &'static str, &'static str, fn(Build) -> Result<PathBuf, String>);
 
 const COMPARE: &[&str] = &["compare"];
 const NETWORK: &[&str] = &["compare", "network"];
@@ -27,10 +27,14 @@ const RIVALS: [Rival; 9] = [
     (COMPARE, "cyclonedds", "roudi", write_roudi),
 ];
 
-/// Builds the rivals of a bench, all or those of these systems, and tells it where they are or why they are left out.
-pub fn join(command: &mut Command, bench: &str, systems: &[&str], of: Build) {
+/// The rivals of a bench, all or those of these systems.
+pub fn rivals(bench: &str, systems: &[&str]) -> Vec<&'static Rival> {
     let is_wanted = |name: &str| systems.is_empty() || systems.contains(&name);
-    let rivals = RIVALS.iter().filter(|(benches, system, ..)| benches.contains(&bench) && is_wanted(system));
+    RIVALS.iter().filter(|(benches, system, ..)| benches.contains(&bench) && is_wanted(system)).collect()
+}
+
+/// Builds rivals, and tells a bench where they are or why they are left out.
+pub fn join(command: &mut Command, rivals: &[&Rival], of: Build) {
     for (_, _, name, build) in rivals {
         match build(of) {
             Ok(program) => command.arg(format!("--program={name}={}", program.display())),

@@ -18,9 +18,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
-use tautline_harness::claims::{Aimed, judge, print_verdicts};
-use tautline_harness::readings::table;
-use tautline_harness::{Process, Result, exit, interrupted, machine, write_json};
+use tautline_harness::readings::{judge, table};
+use tautline_harness::{Process, Result, exit, interrupted, machine, verdict, write_json};
 use tautline_rt::clock::monotonic_ns;
 use tempfile::NamedTempFile;
 
@@ -88,11 +87,9 @@ fn measure(args: &Args) -> Result {
     let from_ros = phase(args, Direction::FromRos, args.rate, profile, &interrupted)?;
     let rate = if args.fit { args.rate.min(from_ros.rate_that_fits()) } else { args.rate };
     let to_ros = phase(args, Direction::ToRos, rate, profile, &interrupted)?;
-    let experiments =
-        [Direction::FromRos, Direction::ToRos].map(|direction| Phase::way(direction).to_owned());
     let mut readings = [from_ros.readings(), to_ros.readings()].concat();
-    for (way, readings) in experiments.iter().zip(readings.chunk_by(|a, b| a.experiment == b.experiment)) {
-        println!("{} topics {way}\n{}\n", args.topics, table(readings));
+    for of_way in readings.chunk_by(|a, b| a.experiment == b.experiment) {
+        println!("{} topics {}\n{}\n", args.topics, of_way[0].experiment, table(of_way));
     }
     println!("{}", machine());
     if profile.is_some() {
@@ -100,11 +97,11 @@ fn measure(args: &Args) -> Result {
             "Fast DDS had shared memory for a second of messages (--fast-dds-default: what it has by itself)"
         );
     }
-    let verdicts = judge(Aimed::Bridge, &experiments, &mut readings)?;
+    let verdicts = judge(&mut readings);
     if let Some(path) = &args.json {
         write_json(path, &readings)?;
     }
-    Ok(print_verdicts(&verdicts)?)
+    verdict::print(&verdicts)
 }
 
 /// As many messages as `args` ask for, at this rate.

@@ -10,7 +10,6 @@ use std::time::Duration;
 
 use serde_json::Value;
 use tautline_exchange::{Job, Line, Role};
-use tautline_harness::claims::Measurable;
 use tautline_harness::rows::{Round, Row, Tally, extent};
 use tautline_harness::{Process, progress_bar};
 
@@ -24,17 +23,11 @@ use crate::report::missing;
 pub const QUIET: &str = "callbacks/quiet";
 pub const FLOOD: &str = "callbacks/flood";
 /// The demo's, which take the place of modes.
-const TOPICS: [&str; 5] = ["topic1", "topic2", "topic3", "topic4", "topic5"];
+pub const TOPICS: [&str; 5] = ["topic1", "topic2", "topic3", "topic4", "topic5"];
 
 /// 500 MB a second.
-const MESSAGE_BYTES: usize = 1 << 20;
+pub const MESSAGE_BYTES: usize = 1 << 20;
 const RATE: f64 = 500e6 / MESSAGE_BYTES as f64;
-
-/// Adds them to what can be measured.
-pub fn measurable(all: &mut Measurable) {
-    all.payloads.extend([(QUIET.to_owned(), 0), (FLOOD.to_owned(), MESSAGE_BYTES)]);
-    all.modes.extend(TOPICS.map(|topic| ("tautline".to_owned(), topic.to_owned())));
-}
 
 /// Measures both, in turn: a row for each topic of the demo.
 pub fn run(setup: &Setup<'_>) -> Result<Vec<Row>> {

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The pictures of lines, over a logarithmic or a plain scale.
 
+use std::collections::BTreeMap;
+
 use tautline_harness::bars::colour;
 use tautline_harness::canvas::{Align, Canvas, GRID, Words};
 use tautline_harness::rows::Row;
@@ -23,12 +25,29 @@ const DASHES: [i32; 9] = [0, 8, 3, 14, 5, 2, 20, 11, 1];
 /// Less is a copy of some bytes, which would take half of a logarithmic scale.
 const LEAST_US: f64 = 0.1;
 
+/// What the overview shows beside the floor: of the systems that were measured the first six, with their names for people and the ways
+/// that sleep while they wait (none: all), of which the best counts at each size.
+const OVERVIEW: [(&str, &str, &[&str]); 7] = [
+    ("tautline", "Tautline", &["blocking", "direct"]),
+    ("fastdds", "Fast DDS", &[]),
+    ("cyclonedds", "Cyclone DDS", &[]),
+    ("iceoryx2", "iceoryx2", &["waitset"]),
+    ("zenoh", "Zenoh", &[]),
+    ("r2r", "r2r", &[]),
+    ("hiroz", "hiroz", &[]),
+];
+const HEADING: [&str; 2] = [
+    "Half a round trip, by payload",
+    "median; payload written and read whole; each system's best way that sleeps while it waits; both scales logarithmic, lower is better",
+];
+
 /// A line of a picture, in its system's colour.
 struct Line {
     label: String,
     system: String,
     /// How many pixels of a line are drawn before as many are left out; 0: all are drawn.
     dash: i32,
+    width: u32,
     points: Vec<(f64, f64)>,
 }
 
@@ -39,7 +58,8 @@ fn points<'l>(lines: &'l mut Vec<Line>, row: &Row) -> &'l mut Vec<(f64, f64)> {
     let at = known.unwrap_or(lines.len());
     if known.is_none() {
         let turn = lines.iter().filter(|line| line.system == system).count();
-        lines.push(Line { label, system, dash: DASHES[turn % DASHES.len()], points: Vec::new() });
+        let dash = DASHES[turn % DASHES.len()];
+        lines.push(Line { label, system, dash, width: 2, points: Vec::new() });
     }
     &mut lines[at].points
 }
@@ -63,12 +83,49 @@ impl Axis<'_> {
     fn decades(numbers: impl Iterator<Item = f64> + Clone) -> Self {
         let least = numbers.clone().fold(f64::INFINITY, f64::min).max(1e-3).log10().floor();
         let most = numbers.fold(0.0, f64::max).max(1e-3).log10().ceil().max(least + 1.0);
-        let mark = |exponent: i32| {
-            let us = 10_f64.powi(exponent);
-            (us, if us >= 1000.0 { format!("{} ms", us / 1000.0) } else { format!("{us} µs") })
-        };
-        Axis { title: "", marks: (least as i32..=most as i32).map(mark).collect(), is_log: true }
+        let marks = (least as i32..=most as i32).map(|exponent| mark(10_f64.powi(exponent))).collect();
+        Axis { title: "", marks, is_log: true }
     }
+
+    /// The same with marks at 1, 2 and 5, no farther than needed.
+    fn steps(numbers: impl Iterator<Item = f64> + Clone) -> Self {
+        let least = numbers.clone().fold(f64::INFINITY, f64::min);
+        let most = numbers.fold(0.0, f64::max);
+        let all = (-1..6).flat_map(|exponent| [1.0, 2.0, 5.0].map(|step| step * 10_f64.powi(exponent)));
+        let is_needed = |us: &f64| us * 2.5 > least && *us < most * 2.5;
+        Axis { title: "", marks: all.filter(is_needed).map(mark).collect(), is_log: true }
+    }
+}
+
+fn mark(us: f64) -> (f64, String) {
+    (us, if us >= 1000.0 { format!("{} ms", us / 1000.0) } else { format!("{us} µs") })
+}
+
+/// Medians by size of a few systems and the floor.
+pub fn overview(rows: &[Row], experiment: &str) -> Result<Option<String>> {
+    let line = |system: &str, label: &str, modes: &[&str], width| {
+        let is_of_it = |row: &&Row| {
+            (&*row.experiment, &*row.system) == (experiment, system)
+                && (modes.is_empty() || modes.contains(&&*row.mode))
+        };
+        let mut best: BTreeMap<usize, f64> = BTreeMap::new();
+        for (row, us) in rows.iter().filter(is_of_it).filter_map(|row| Some((row, row.p50_us?))) {
+            best.entry(row.payload_bytes).and_modify(|best| *best = best.min(us)).or_insert(us);
+        }
+        let points = best.into_iter().map(|(bytes, us)| (bytes as f64, us)).collect();
+        Line { label: label.to_owned(), system: system.to_owned(), dash: 0, width, points }
+    };
+    let of_systems = OVERVIEW.map(|(system, label, modes)| line(system, label, modes, 2));
+    let floor = line("floor", "floor: a bare futex", &["futex"], 2);
+    let mut lines: Vec<Line> = of_systems.into_iter().filter(|line| line.points.len() > 1).take(6).collect();
+    lines.extend(Some(floor).filter(|line| line.points.len() > 1));
+    let Some(longest) = lines.iter().max_by_key(|line| line.points.len()) else { return Ok(None) };
+    let marks = longest.points.iter().map(|(bytes, _)| (*bytes, size(*bytes as usize))).collect();
+    // Above all others.
+    lines.reverse();
+    lines.iter_mut().filter(|line| line.system == "tautline").for_each(|line| line.width = 4);
+    let times = lines.iter().flat_map(|line| line.points.iter().map(|point| point.1));
+    chart(&lines, &Axis { title: "", marks, is_log: true }, &Axis::steps(times), Some(HEADING)).map(Some)
 }
 
 /// Medians by size.
@@ -105,13 +162,13 @@ fn by_number(
     let marks = numbers.into_iter().map(|number| (number as f64, mark(number))).collect();
     let x = Axis { title: titles[0], marks, is_log: true };
     let times = lines.iter().flat_map(|line| line.points.iter().map(|point| point.1));
-    chart(&lines, &x, &Axis { title: titles[1], ..Axis::decades(times) }).map(Some)
+    chart(&lines, &x, &Axis { title: titles[1], ..Axis::decades(times) }, None).map(Some)
 }
 
 /// Shares of the messages by time.
-pub fn distributions(rows: &[Row], experiment: &str, bytes: &str, axis: &str) -> Result<Option<String>> {
+pub fn distributions(rows: &[Row], experiment: &str, bytes: usize, axis: &str) -> Result<Option<String>> {
     let mut lines: Vec<Line> = Vec::new();
-    for row in rows.iter().filter(|row| row.experiment == experiment && size(row.payload_bytes) == bytes) {
+    for row in rows.iter().filter(|row| row.experiment == experiment && row.payload_bytes == bytes) {
         let Some(details) = row.details.as_ref().filter(|_| row.mode != "memcpy") else { continue };
         let mut sum = 0;
         let share = |(time_ns, count): (u64, u64)| {
@@ -133,21 +190,28 @@ pub fn distributions(rows: &[Row], experiment: &str, bytes: &str, axis: &str) ->
     let times = lines.iter().flat_map(|line| line.points.iter().map(|point| point.0));
     let x = Axis { title: axis, ..Axis::decades(times) };
     let marks = (0..=4).map(|quarter| (f64::from(quarter) * 0.25, format!("{} %", quarter * 25))).collect();
-    chart(&lines, &x, &Axis { title: "messages", marks, is_log: false }).map(Some)
+    chart(&lines, &x, &Axis { title: "messages", marks, is_log: false }, None).map(Some)
 }
 
-fn chart(lines: &[Line], x: &Axis<'_>, y: &Axis<'_>) -> Result<String> {
+/// With a heading, a line and one that explains it, labels have their lines' colours in place of a piece of the line.
+fn chart(lines: &[Line], x: &Axis<'_>, y: &Axis<'_>, heading: Option<[&str; 2]>) -> Result<String> {
     let mut svg = String::new();
     let height = HEIGHT.max(LABEL * lines.len() as i32);
-    let canvas = Canvas::new(&mut svg, (LEFT + WIDTH + LABELS, TOP + height + 46))?;
-    let (right, bottom) = (LEFT + WIDTH, TOP + height);
+    let top = if heading.is_some() { 2 * TOP } else { TOP };
+    let labels = if heading.is_some() { LABELS - 50 } else { LABELS };
+    let canvas = Canvas::new(&mut svg, (LEFT + WIDTH + labels, top + height + 46))?;
+    let (right, bottom) = (LEFT + WIDTH, top + height);
+    if let Some([title, explanation]) = heading {
+        canvas.text(title, (LEFT, 26), Words { pixels: 20, ..Words::TITLE })?;
+        canvas.text(explanation, (LEFT, 52), Words { pixels: 12, align: Align::Left, ..Words::SMALL })?;
+    }
     let at = |(across, up): (f64, f64)| {
         let across = LEFT + (x.place(across) * f64::from(WIDTH)).round() as i32;
         (across, bottom - (y.place(up) * f64::from(height)).round() as i32)
     };
     for (number, text) in &x.marks {
         let (place, _) = at((*number, y.marks[0].0));
-        canvas.line((place, TOP), (place, bottom), GRID, 1)?;
+        canvas.line((place, top), (place, bottom), GRID, 1)?;
         canvas.text(text, (place, bottom + 14), Words::SMALL)?;
     }
     for (number, text) in &y.marks {
@@ -155,7 +219,7 @@ fn chart(lines: &[Line], x: &Axis<'_>, y: &Axis<'_>) -> Result<String> {
         canvas.line((LEFT, place), (right, place), GRID, 1)?;
         canvas.text(text, (LEFT - 8, place), Words { align: Align::Right, ..Words::SMALL })?;
     }
-    canvas.text(y.title, (LEFT, TOP - 18), Words::PLAIN)?;
+    canvas.text(y.title, (LEFT, top - 18), Words::PLAIN)?;
     canvas.text(x.title, (right, bottom + 32), Words { align: Align::Right, ..Words::PLAIN })?;
     for line in lines {
         let mut points: Vec<_> = line.points.iter().map(|point| at(*point)).collect();
@@ -170,7 +234,13 @@ fn chart(lines: &[Line], x: &Axis<'_>, y: &Axis<'_>) -> Result<String> {
             }
         }
     }
-    label(&canvas, lines, |line| at(line.points[line.points.len() - 1]).1, (right, bottom))?;
+    label(
+        &canvas,
+        lines,
+        |line| at(line.points[line.points.len() - 1]).1,
+        (right, bottom),
+        heading.is_some(),
+    )?;
     canvas.finish()?;
     Ok(svg)
 }
@@ -181,19 +251,27 @@ fn label(
     lines: &[Line],
     end: impl Fn(&Line) -> i32,
     (right, bottom): (i32, i32),
+    is_coloured: bool,
 ) -> Result<()> {
     let mut ends: Vec<(i32, &Line)> = lines.iter().map(|line| (end(line), line)).collect();
     ends.sort_by_key(|(place, _)| *place);
+    let apart = if is_coloured { LABEL + 3 } else { LABEL };
     // Downwards as far as needed, then upwards from the bottom.
     for index in 1..ends.len() {
-        ends[index].0 = ends[index].0.max(ends[index - 1].0 + LABEL);
+        ends[index].0 = ends[index].0.max(ends[index - 1].0 + apart);
     }
     let mut limit = bottom;
     for (place, _) in ends.iter_mut().rev() {
         *place = (*place).min(limit);
-        limit = *place - LABEL;
+        limit = *place - apart;
     }
     for (place, line) in ends {
+        if is_coloured {
+            let words =
+                Words { pixels: 13, colour: colour(&line.system), bold: line.width > 2, ..Words::PLAIN };
+            canvas.text(&line.label, (right + 10, place), words)?;
+            continue;
+        }
         dashed(canvas, (right + 8, place), (right + 36, place), line, 0.0)?;
         canvas.text(&line.label, (right + 42, place), Words { pixels: 11, ..Words::PLAIN })?;
     }
@@ -204,7 +282,7 @@ fn label(
 fn dashed(canvas: &Canvas, from: (i32, i32), to: (i32, i32), line: &Line, drawn: f64) -> Result<f64> {
     let length = f64::from(to.0 - from.0).hypot(f64::from(to.1 - from.1));
     if line.dash == 0 {
-        canvas.line(from, to, colour(&line.system), 2)?;
+        canvas.line(from, to, colour(&line.system), line.width)?;
         return Ok(drawn + length);
     }
     let along = |done: f64| {
@@ -217,7 +295,7 @@ fn dashed(canvas: &Canvas, from: (i32, i32), to: (i32, i32), line: &Line, drawn:
     let mut start = -(drawn % (2.0 * dash));
     while start < length {
         if start + dash > 0.0 {
-            canvas.line(along(start), along(start + dash), colour(&line.system), 2)?;
+            canvas.line(along(start), along(start + dash), colour(&line.system), line.width)?;
         }
         start += 2.0 * dash;
     }
@@ -246,12 +324,46 @@ mod tests {
     }
 
     #[test]
+    fn the_overview_has_six_systems_by_their_best_way_and_the_floor() {
+        let held = "latency/whole/held-off";
+        let mut rows = Vec::new();
+        for (bytes, us) in [(64, 6.0), (1 << 20, 60.0)] {
+            let ways = [("tautline", "direct"), ("tautline", "busy-poll"), ("iceoryx2", "waitset")];
+            let rivals = ["fastdds", "cyclonedds", "zenoh", "r2r", "hiroz"].map(|system| (system, "x"));
+            rows.extend(
+                ways.into_iter().chain(rivals).map(|(system, mode)| row(held, system, mode, bytes, us)),
+            );
+            rows.push(row(held, "floor", "futex", bytes, us / 2.0));
+            rows.push(row(held, "fastdds", "y", bytes, us * 9.0));
+        }
+        let svg = overview(&rows, held).unwrap().unwrap();
+        let labels = [
+            "Tautline",
+            "Fast DDS",
+            "Cyclone DDS",
+            "iceoryx2",
+            "Zenoh",
+            "r2r",
+            "floor: a bare futex",
+            "hiroz",
+        ];
+        let counts = labels.map(|label| svg.matches(&format!("{label}\n")).count());
+        assert_eq!(counts, [1, 1, 1, 1, 1, 1, 1, 0], "{svg}");
+        // No way that polls, and of Fast DDS's the faster one.
+        let all: Vec<_> = ["20 µs", "50 µs", "100 µs", "200 µs", "1 µs"]
+            .map(|mark| svg.contains(&format!("\n{mark}\n")))
+            .into();
+        assert_eq!(all, [true, true, true, false, false], "{svg}");
+        assert!(overview(&rows[..1], held).unwrap().is_none());
+    }
+
+    #[test]
     fn times_that_are_all_the_same_are_a_line_too() {
         let mut times = Distribution::new();
         times.record(5000);
         let details = Details { times, messages_per_s: 1.0, cpu_share: 0.0, steal_ticks: 0, wakes: None };
         let row = Row { details: Some(details), ..row("x", "tautline", "blocking", 64, 5.0) };
-        let svg = distributions(&[row], "x", "64 B", "time").unwrap().unwrap();
+        let svg = distributions(&[row], "x", 64, "time").unwrap().unwrap();
         assert!(svg.contains("tautline blocking"));
     }
 

@@ -3,18 +3,16 @@
 
 use std::fmt::Write;
 
-use serde::Deserialize;
 use tautline_harness::bars::{Bar, bars};
-use tautline_harness::claims::Verdict;
 use tautline_harness::page::{self, END, begin, escape, list, verdicts};
 use tautline_harness::rows::{Round, Row};
 use tautline_harness::table::Column::{Text, Words};
-use tautline_harness::table::{Table, of_rows, short, size};
+use tautline_harness::table::{Table, of_rows, short};
 
 use crate::Result;
 use crate::figures::{distributions, fan_out, latency_by_size};
 use crate::load::LOAD;
-use crate::modes::{MODES, SYSTEMS, texts};
+use crate::modes::{MODES, STRENGTHS};
 use crate::plan::Plan;
 use crate::report::{AHEAD, Report};
 use crate::settings::Extent;
@@ -46,88 +44,111 @@ pub fn page(plan: &Plan, report: &Report) -> Result<String> {
 }
 
 fn write_ahead(out: &mut String, report: &Report) -> Result<()> {
-    if report.ahead.is_empty() {
-        return Ok(());
+    if !report.ahead.is_empty() {
+        verdicts(out, AHEAD, &report.ahead)?;
     }
-    writeln!(
-        out,
-        "<h2>{AHEAD}</h2>\n<p>The default mode is blocking, for rivals that never sleep busy-poll; the median of the rounds' \
-         ratios, from 1.05 x on.</p>"
-    )?;
-    let mut table = Table::new(0, [Text("missed"), Text("found"), Text("why it stays")]);
-    for Verdict { claim, found, reason, .. } in &report.ahead {
-        table.add([claim.into(), found.into(), reason.as_deref().unwrap_or_default().into()]);
-    }
-    Ok(table.html(out)?)
+    Ok(())
 }
 
-/// The pictures, as `pictures.toml` has them.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields, rename_all = "kebab-case")]
-struct Pictures {
-    /// Each an experiment and a caption.
-    by_size: Vec<[String; 2]>,
-    distributions: Vec<Distribution>,
-    bars: Vec<Bars>,
-    /// The same.
-    fan_out: Vec<[String; 2]>,
-}
+/// Medians by size: experiments and captions.
+const BY_SIZE: [(&str, &str); 3] = [
+    (
+        "latency/whole/held-off",
+        "Payload written and read whole, idle states held off for all. What a system adds to the floor is its own.",
+    ),
+    (
+        "latency/untouched/held-off",
+        "Only 16 bytes of the payload are written and read, idle states held off: who copies, and who does not.",
+    ),
+    (
+        "latency/whole/as-shipped",
+        "Payload written and read whole, idle states as the machine has them, but for Tautline's own-default, which holds them off by itself.",
+    ),
+];
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Distribution {
-    experiment: String,
-    bytes: String,
-    axis: String,
-    caption: String,
-}
+/// Experiment, payload, caption.
+const DISTRIBUTIONS: [(&str, usize, &str); 4] = [
+    ("latency/whole/held-off", 64, "Half round trips of 64 B, written and read whole, idle states held off."),
+    (
+        "latency/whole/held-off",
+        1 << 20,
+        "Half round trips of 1 MiB, written and read whole, idle states held off.",
+    ),
+    (
+        "open-loop/quiet/held-off",
+        1 << 10,
+        "One way of 1 KiB at 1 kHz with a quiet machine, idle states held off.",
+    ),
+    ("open-loop/load/held-off", 1 << 10, "One way of 1 KiB at 1 kHz under load, idle states held off."),
+];
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Bars {
-    experiment: String,
-    bytes: String,
-    value: Value,
-    end: Option<f64>,
-    title: String,
-}
+/// Experiment, payload, what is shown, what was done.
+const BARS: [(&str, usize, Value, &str); 11] = [
+    ("latency/whole/as-shipped", 64, P50, "64 B, idle states as shipped"),
+    ("open-loop/quiet/held-off", 1 << 10, P50, "1 KiB at 1 kHz, quiet"),
+    ("open-loop/load/held-off", 1 << 10, P50, "1 KiB at 1 kHz, under load"),
+    ("robot/20x100Hz/as-shipped", 4 << 10, CpuShare, "20 topics at 100 Hz, each at its own time"),
+    ("robot/20x100Hz/at-once/as-shipped", 4 << 10, CpuShare, "20 topics at 100 Hz, all at once"),
+    ("robot/20x100Hz/as-shipped", 4 << 10, Memory, "20 topics at 100 Hz"),
+    ("throughput/held-off", 64, Messages, "Throughput at 64 B"),
+    ("throughput/held-off", 1 << 20, Bytes, "Throughput at 1 MiB"),
+    ("start-up/first-message/as-shipped", 64, Start, "From the start of the sender to its first message"),
+    ("start-up/late-joiner/as-shipped", 64, Start, "From the start of a late receiver to its first message"),
+    (
+        "start-up/100-topics/as-shipped",
+        64,
+        Start,
+        "100 topics, from the start of the sender to a message on each",
+    ),
+];
 
-/// What bars show, and their whiskers.
-#[derive(Clone, Copy, Deserialize)]
-#[serde(rename_all = "kebab-case")]
+/// Times to the last subscription by their number: experiments and captions.
+const FAN_OUT: [(&str, &str); 2] = [
+    (
+        "fan-out/one-process/held-off",
+        "1 MiB to subscriptions of one process: time until the last one has read it.",
+    ),
+    ("fan-out/processes/held-off", "1 MiB to one subscription in each of several processes."),
+];
+
+/// What bars show.
+#[derive(Clone, Copy)]
 enum Value {
-    /// In µs, to p99.
     P50,
-    /// In ms. Here and below whiskers are the rounds'.
     Start,
-    /// In % of a core.
     CpuShare,
-    /// In MiB.
     Memory,
-    /// In 1000/s.
     Messages,
-    /// In GB/s.
     Bytes,
 }
-
-fn pictures() -> Result<Pictures> {
-    Ok(toml::from_str(include_str!("../pictures.toml"))?)
-}
+use Value::*;
 
 impl Value {
+    /// With its unit and what the whiskers are.
+    fn title(self) -> &'static str {
+        match self {
+            P50 => "p50 in µs; whiskers to p99",
+            Start => "ms; whiskers are the rounds",
+            CpuShare => "CPU time of all processes in % of a core; whiskers are the rounds",
+            Memory => "resident memory of all processes in MiB; whiskers are the rounds",
+            Messages => "1000 messages/s; whiskers are the rounds",
+            Bytes => "GB/s; whiskers are the rounds",
+        }
+    }
+
     fn of(self, row: &Row) -> Option<(f64, Option<(f64, f64)>)> {
         let details = row.details.as_ref();
         let (rate, gigabytes) = (details.map(|of| of.messages_per_s), row.payload_bytes as f64 / 1e9);
         Some(match self {
-            Value::P50 => (row.p50_us?, row.p50_us.zip(row.p99_us)),
-            Value::Start => (row.p50_us? / 1e3, row.spread(|round| Some(round.p50_us / 1e3))),
-            Value::CpuShare => {
+            P50 => (row.p50_us?, row.p50_us.zip(row.p99_us)),
+            Start => (row.p50_us? / 1e3, row.spread(|round| Some(round.p50_us / 1e3))),
+            CpuShare => {
                 let percent = |round: &Round| Some(round.cpu_us_per_msg? * round.msgs_per_s? / 1e4);
                 (details?.cpu_share * 100.0, row.spread(percent))
             }
-            Value::Memory => (row.rss_mib?, row.spread(|round| round.rss_mib)),
-            Value::Messages => (rate? / 1e3, row.spread(|round| Some(round.msgs_per_s? / 1e3))),
-            Value::Bytes => (rate? * gigabytes, row.spread(|round| Some(round.msgs_per_s? * gigabytes))),
+            Memory => (row.rss_mib?, row.spread(|round| round.rss_mib)),
+            Messages => (rate? / 1e3, row.spread(|round| Some(round.msgs_per_s? / 1e3))),
+            Bytes => (rate? * gigabytes, row.spread(|round| Some(round.msgs_per_s? * gigabytes))),
         })
     }
 
@@ -139,7 +160,6 @@ impl Value {
 }
 
 fn write_pictures(out: &mut String, rows: &[Row]) -> Result<()> {
-    let pictures = pictures()?;
     let write = |out: &mut String, svg: Option<String>, caption: &str| {
         svg.map_or(Ok(()), |svg| page::figure(out, &svg, &escape(caption)))
     };
@@ -147,20 +167,23 @@ fn write_pictures(out: &mut String, rows: &[Row]) -> Result<()> {
         |row: &Row| ["latency/", "open-loop/"].iter().any(|kind| row.experiment.starts_with(kind));
     if rows.iter().any(is_latency) {
         out.push_str("<h2>Latency by size</h2>\n");
-        for [experiment, caption] in &pictures.by_size {
+        for (experiment, caption) in BY_SIZE {
             write(out, latency_by_size(rows, experiment)?, caption)?;
         }
         out.push_str("<h2>Distributions</h2>\n");
-        for Distribution { experiment, bytes, axis, caption } in &pictures.distributions {
+        for (experiment, bytes, caption) in DISTRIBUTIONS {
+            let axis = if experiment.starts_with("latency/") { "half a round trip" } else { "one way" };
             write(out, distributions(rows, experiment, bytes, axis)?, caption)?;
         }
     }
-    for Bars { experiment, bytes, value, end, title } in &pictures.bars {
-        let is_shown = |row: &&Row| row.experiment == *experiment && size(row.payload_bytes) == *bytes;
+    for (experiment, bytes, value, what) in BARS {
+        let is_shown = |row: &&Row| (&*row.experiment, row.payload_bytes) == (experiment, bytes);
         let all: Vec<Bar> = rows.iter().filter(is_shown).filter_map(|row| value.bar(row)).collect();
-        write(out, bars(title, &all, *end, &[])?, "")?;
+        // One that is late by far would make all others short.
+        let end = experiment.starts_with("open-loop/").then_some(500.0);
+        write(out, bars(&format!("{what}: {}", value.title()), &all, end, &[])?, "")?;
     }
-    for [kind, caption] in &pictures.fan_out {
+    for (kind, caption) in FAN_OUT {
         write(out, fan_out(rows, kind)?, caption)?;
     }
     Ok(())
@@ -181,16 +204,12 @@ fn write_tables(out: &mut String, report: &Report) -> Result<()> {
 fn write_settings(out: &mut String) -> Result<()> {
     out.push_str("<h2>Settings of each system</h2>\n");
     let mut table = Table::new(1, [Words("system"), Words("mode"), Text("settings")]);
-    let texts = texts()?;
     for mode in MODES {
-        let settings = texts.settings.get(&mode.name()).map_or("", String::as_str);
-        table.add([mode.system.into(), mode.mode.into(), settings.into()]);
+        table.add([mode.system.into(), mode.mode.into(), mode.settings.into()]);
     }
     table.html(out)?;
     out.push_str("<h2>What others do better</h2>\n<ul>\n");
-    for (system, strength) in
-        SYSTEMS.iter().filter_map(|system| Some((system, texts.strengths.get(*system)?)))
-    {
+    for (system, strength) in STRENGTHS {
         writeln!(out, "<li><b>{system}</b>: {}</li>", escape(strength))?;
     }
     out.push_str("</ul>\n");
@@ -226,19 +245,16 @@ mod tests {
 
     #[test]
     fn every_picture_is_of_what_is_measured() {
-        let payloads = measurable().unwrap().payloads;
-        let is_there = |experiment: &str, bytes: &str| {
-            payloads
-                .iter()
-                .any(|(name, of)| name.starts_with(experiment) && ["", &size(*of)].contains(&bytes))
+        let all = measurable();
+        let is_there = |experiment: &str, bytes: Option<usize>| {
+            all.iter()
+                .any(|(name, of)| name.starts_with(experiment) && bytes.is_none_or(|bytes| bytes == *of))
         };
-        let Pictures { by_size, distributions, bars, fan_out } = pictures().unwrap();
-        let all = by_size.iter().chain(&fan_out).map(|[experiment, _]| (experiment.as_str(), ""));
-        let all = all.chain(distributions.iter().map(|of| (of.experiment.as_str(), of.bytes.as_str())));
-        for (experiment, bytes) in
-            all.chain(bars.iter().map(|of| (of.experiment.as_str(), of.bytes.as_str())))
-        {
-            assert!(is_there(experiment, bytes), "{experiment} {bytes}");
+        let of_any_size = BY_SIZE.into_iter().chain(FAN_OUT).map(|(experiment, _)| (experiment, None));
+        let distributions = DISTRIBUTIONS.map(|(experiment, bytes, ..)| (experiment, Some(bytes)));
+        let bars = BARS.map(|(experiment, bytes, ..)| (experiment, Some(bytes)));
+        for (experiment, bytes) in of_any_size.chain(distributions).chain(bars) {
+            assert!(is_there(experiment, bytes), "{experiment} {bytes:?}");
         }
     }
 }

@@ -8,19 +8,21 @@
 //!
 //! | module | holds |
 //! |---|---|
-//! | `modes` | the systems and their ways; `systems.toml` has their texts |
+//! | `modes` | the systems and their ways, what was set, what they do better |
 //! | `plan` | what is measured: benches, experiments, systems |
-//! | `settings` | payloads, idle states, lengths and rounds of each experiment, from `settings.toml` |
+//! | `settings` | payloads, idle states, lengths and rounds of each experiment |
 //! | `rounds` | the parent: rounds to and fro, and what became of each case |
 //! | `pair`, `flow` | one measurement: round trips, or one way |
 //! | `load` | what disturbs the measurement under load |
 //! | `callbacks` | real-time callbacks, with and without a flood from the network |
+//! | `claims` | what must hold, and where a rival is ahead |
 //! | `report` | the tables, the JSON |
 //! | `smoke` | what must not be missing where everything is only tried |
-//! | `html`, `figures` | the page, with the pictures of `pictures.toml` |
+//! | `html`, `figures` | the page and its pictures |
 //! | `markdown` | the tables of the documents |
 
 mod callbacks;
+mod claims;
 mod figures;
 mod flow;
 mod html;
@@ -70,7 +72,7 @@ struct Options {
     /// Write the report with its pictures to FILE
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
-    /// Draw the latencies by size to FILE
+    /// Draw the best latencies of six systems by size to FILE
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
     /// Write the tables of the documents to FILE
@@ -103,6 +105,9 @@ struct Options {
     /// Why a rival is left out
     #[arg(long, value_name = "NAME=REASON")]
     without: Vec<String>,
+    /// Only say whether the options are right; rivals' programs need not be there
+    #[arg(long, hide = true)]
+    check_options: bool,
     /// Run one process of a measurement; the arguments are its system and its job
     #[arg(long, hide = true, num_args = 2, value_names = ["SYSTEM", "JOB"])]
     child: Option<Vec<String>>,
@@ -112,7 +117,7 @@ fn main() -> ExitCode {
     let options = Options::parse();
     let result = match (options.child.as_deref(), &options.from) {
         (Some([system, job]), _) => Job::begin(job).and_then(|job| systems::run(system, &job)),
-        (_, Some(path)) => show(&options, path),
+        (_, Some(path)) if !options.check_options => show(&options, path),
         _ => measure(&options),
     };
     exit("compare", result)
@@ -130,18 +135,21 @@ fn measure(options: &Options) -> Result<()> {
     }
     let programs = Programs::new(&options.program, &options.without)?;
     let plan = Plan::new(options, two_cores(options.cores.as_deref())?, programs)?;
-    let interrupted = interrupted()?;
     // Before minutes are spent on what cannot be written.
     for path in [&options.json, &options.html, &options.svg, &options.markdown].into_iter().flatten() {
         let file = std::fs::File::options().create(true).append(true).open(path);
         file.map_err(|error| format!("cannot write {}: {error}", path.display()))?;
     }
+    if options.check_options {
+        return Ok(());
+    }
+    let interrupted = interrupted()?;
     let disturbance = Disturbance::start();
     let scratch = Scratch::new("compare")?;
     let setup = Setup { plan: &plan, scratch: &scratch, interrupted: &interrupted };
     let cells = rounds::run(&setup)?;
     let more = callbacks::run(&setup)?;
-    let report = Report::new(&plan, cells, more, disturbance.report())?;
+    let report = Report::new(&plan, cells, more, disturbance.report());
     report.print();
     if let Some(path) = &options.json {
         write_json(path, &report.rows)?;
@@ -157,7 +165,7 @@ fn measure(options: &Options) -> Result<()> {
 /// Shows an earlier run.
 fn show(options: &Options, path: &std::path::Path) -> Result<()> {
     let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
-    let report = Report::of_rows(serde_json::from_str(&text)?)?;
+    let report = Report::of_rows(serde_json::from_str(&text)?);
     report.print();
     draw(options, &report)
 }
@@ -167,6 +175,33 @@ fn draw(options: &Options, report: &Report) -> Result<()> {
         write(path, &markdown::tables(options.bench, &report.rows))?;
     }
     let Some(path) = &options.svg else { return Ok(()) };
-    let picture = figures::latency_by_size(&report.rows, "latency/whole/held-off")?;
+    let picture = figures::overview(&report.rows, "latency/whole/held-off")?;
     write(path, &picture.ok_or("latencies of several sizes are needed for a picture")?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn options_are_checked_without_any_rival() {
+        let check = |options: &str| {
+            let words = ["compare", "--check-options", "--no-rt"].into_iter().chain(options.split(' '));
+            Options::try_parse_from(words)
+                .map_err(|error| error.to_string())
+                .and_then(|options| measure(&options).map_err(|error| error.to_string()))
+        };
+        assert_eq!(check("--quick --systems tautline,fastdds --only latency"), Ok(()));
+        for (options, why) in [
+            ("--systems tautline,fastds", "invalid value 'fastds'"),
+            ("--onli latency", "unexpected argument '--onli'"),
+            ("--only request", "--only request: this bench does not measure it"),
+            ("--bench wake --systems dora", "none of them takes part"),
+            ("--cores 0,0", "--cores takes two different cores"),
+            ("--json /nowhere/x.json", "cannot write /nowhere/x.json"),
+        ] {
+            let refused = check(options).unwrap_err();
+            assert!(refused.contains(why), "{options}: {refused}");
+        }
+    }
 }

@@ -4,16 +4,13 @@
 use std::time::Duration;
 
 use clap::ValueEnum;
-use serde::Deserialize;
-use tautline_harness::claims::Measurable;
 
 use crate::modes::{GATEWAY, MODES, Mode, Part, Program, Programs};
 use crate::settings::{Extent, Setting, settings};
-use crate::{Options, Result, callbacks};
+use crate::{Options, Result};
 
 /// Questions that are asked together, with payloads, rounds and systems of their own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize, ValueEnum)]
-#[serde(rename_all = "lowercase")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Bench {
     /// Tautline beside other middleware
     Compare,
@@ -89,8 +86,7 @@ pub enum Idle {
 }
 
 /// What is done with one system.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(rename_all = "kebab-case", rename_all_fields = "kebab-case", deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Task {
     /// Half round trips.
     RoundTrips {
@@ -140,19 +136,12 @@ impl Case {
 /// Bytes of a stream that may be under way.
 pub const WINDOW_BYTES: usize = 4 << 20;
 
-/// All that can be measured, whatever is chosen of it.
-pub fn measurable() -> Result<Measurable> {
-    let mut all = Measurable::default();
-    let of_mode = |mode: &Mode| (mode.system.to_owned(), mode.mode.to_owned());
-    all.modes.extend(MODES.iter().map(of_mode));
-    for bench in Bench::value_variants() {
-        for extent in [Extent::Smoke, Extent::Quick, Extent::Full] {
-            let settings = settings(*bench, extent)?.into_iter();
-            all.payloads.extend(settings.map(|setting| (setting.experiment, setting.payload_bytes)));
-        }
-    }
-    callbacks::measurable(&mut all);
-    Ok(all)
+/// Experiments and their payloads, whatever is chosen of them, but for callbacks.
+#[cfg(test)]
+pub fn measurable() -> std::collections::BTreeSet<(String, usize)> {
+    let extents = [Extent::Smoke, Extent::Quick, Extent::Full];
+    let all = Bench::value_variants().iter().flat_map(|bench| extents.map(|extent| settings(*bench, extent)));
+    all.flatten().map(|setting| (setting.experiment, setting.payload_bytes)).collect()
 }
 
 /// Everything that is measured.
@@ -205,7 +194,7 @@ impl Plan {
             return Err(format!("--only {other}: this bench does not measure it, but {names}").into());
         }
         let chosen = if options.only.is_empty() { bench.experiments() } else { &options.only };
-        let settings = settings(bench, extent)?;
+        let settings = settings(bench, extent);
         let of_experiment = |experiment: &Experiment| {
             let kind = value(*experiment);
             settings.iter().filter(move |setting| setting.experiment.split('/').next() == Some(kind.as_str()))

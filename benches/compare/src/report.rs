@@ -2,21 +2,22 @@
 //! The tables and the JSON.
 
 use tautline_exchange::{APPLICATION_PRIORITY, LATE};
-use tautline_harness::claims::{self, Verdict, verdicts};
 use tautline_harness::rows::{Details, Row, Tally, Wakes, is_enough, median, rounded};
 use tautline_harness::table::{of_rows, short};
+use tautline_harness::verdict::{self, Verdict};
 use tautline_harness::{machine, version_of};
 
-use crate::Result;
+use crate::claims;
 use crate::load::LOAD;
-use crate::modes::{SYSTEMS, texts};
-use crate::plan::{Bench, Plan, Task, measurable};
+use crate::modes::{NOT_JOINED, SYSTEMS};
+use crate::plan::{Bench, Plan, Task};
 use crate::rounds::Cell;
 use crate::settings::Extent;
 use crate::smoke::faults;
 
-/// The heading of the claims that are told only where they are missed.
-pub const AHEAD: &str = "Where a rival is ahead of Tautline's default, and why";
+/// The heading of where a rival is ahead of us.
+pub const AHEAD: &str =
+    "Where a rival is ahead of Tautline's default (blocking, for rivals that never sleep busy-poll), and why";
 
 /// The result of a run.
 pub struct Report {
@@ -32,7 +33,7 @@ pub struct Report {
 
 impl Report {
     /// Of what was measured; `more` rows are of no case.
-    pub fn new(plan: &Plan, cells: Vec<Cell>, more: Vec<Row>, disturbance: String) -> Result<Self> {
+    pub fn new(plan: &Plan, cells: Vec<Cell>, more: Vec<Row>, disturbance: String) -> Self {
         let ours = cells.iter().filter(|cell| cell.case.mode.system == "tautline");
         let of_cell = |cell: &Cell| {
             let late =
@@ -49,22 +50,20 @@ impl Report {
             rows.push(missing(mode.system, mode.mode, reason));
         }
         if plan.bench == Bench::Compare {
-            let not_joined = texts()?.not_joined.into_iter();
-            let wanted = not_joined.filter(|(system, _)| plan.is_wanted(system));
-            rows.extend(wanted.map(|(system, reason)| missing(&system, "-", &reason)));
+            let wanted = NOT_JOINED.into_iter().filter(|(system, _)| plan.is_wanted(system));
+            rows.extend(wanted.map(|(system, reason)| missing(system, "-", reason)));
         }
         if plan.extent == Extent::Smoke {
             failures.extend(faults(plan, &rows));
         }
         machine.extend(notes(plan));
-        Ok(Report { machine, is_realtime: plan.realtime, failures, ..Report::of_rows(rows)? })
+        Report { machine, is_realtime: plan.realtime, failures, ..Report::of_rows(rows) }
     }
 
     /// Of an earlier run.
-    pub fn of_rows(rows: Vec<Row>) -> Result<Self> {
-        let verdicts = verdicts(claims::Bench::Compare, &measurable()?, &rows)?.into_iter();
-        let (ahead, verdicts) = verdicts.partition(|verdict| verdict.is_silent);
-        Ok(Report { rows, verdicts, ahead, machine: Vec::new(), is_realtime: true, failures: Vec::new() })
+    pub fn of_rows(rows: Vec<Row>) -> Self {
+        let (verdicts, ahead) = (claims::verdicts(&rows), claims::ahead(&rows));
+        Report { rows, verdicts, ahead, machine: Vec::new(), is_realtime: true, failures: Vec::new() }
     }
 
     /// Prints the machine, a table per experiment and what must hold.
@@ -76,11 +75,9 @@ impl Report {
         for (title, rows) in self.tables() {
             println!("\n{title}\n{}", of_rows(rows));
         }
-        println!();
-        self.verdicts.iter().for_each(|verdict| println!("{verdict}"));
+        print!("\n{}", verdict::text(&self.verdicts));
         if !self.ahead.is_empty() {
-            println!("\n{AHEAD}:");
-            self.ahead.iter().for_each(|verdict| println!("{verdict}"));
+            print!("\n{AHEAD}:\n{}", verdict::text(&self.ahead));
         }
     }
 
@@ -284,9 +281,12 @@ fn notes(plan: &Plan) -> Vec<String> {
 #[cfg(test)]
 pub mod tests {
     use super::*;
+    use crate::callbacks::{FLOOD, MESSAGE_BYTES, QUIET, TOPICS};
     use crate::modes::{MODES, Part};
+    use crate::plan::measurable;
     use tautline_harness::Distribution;
     use tautline_harness::table::size;
+    use tautline_harness::verdict::Outcome::NotMeasured;
 
     /// A round of 10,000 times.
     pub fn row(experiment: &str, system: &str, mode: &str, bytes: usize, us: f64) -> Row {
@@ -297,9 +297,32 @@ pub mod tests {
         tally.row(experiment, system, mode, bytes)
     }
 
+    /// A row for all that can be measured.
+    fn everything() -> Vec<Row> {
+        let of_mode = |(experiment, bytes): (String, usize)| {
+            MODES.iter().map(move |mode| row(&experiment, mode.system, mode.mode, bytes, 2.0))
+        };
+        let topics = [(QUIET, 0), (FLOOD, MESSAGE_BYTES)].into_iter().flat_map(|(experiment, bytes)| {
+            TOPICS.map(|topic| row(experiment, "tautline", topic, bytes, 2.0))
+        });
+        let wakes = Some(Wakes { sampler: 1.0, others: 1.0 });
+        let (times, steal_ticks) = (Distribution::new(), 0);
+        let details = Details { times, messages_per_s: 1.0, cpu_share: 1.0, steal_ticks, wakes };
+        let all = measurable().into_iter().flat_map(of_mode).chain(topics);
+        all.map(|row| Row { details: Some(details.clone()), ..row }).collect()
+    }
+
     #[test]
-    fn every_claim_is_about_what_can_be_measured() {
-        assert!(Report::of_rows(Vec::new()).is_ok_and(|report| report.verdicts.is_empty()));
+    fn every_claim_is_about_what_is_measured() {
+        let all = everything();
+        let report = Report::of_rows(all.clone());
+        // 45 of latency, 12 of large messages, 7 of wakes, 1 under load, 1 of fan-out, 5 of the robot, 4 of streams, 10 of starts, 2 of
+        // requests, 8 over gateways, 5 of callbacks.
+        assert_eq!(report.verdicts.len(), 86);
+        for verdict in report.verdicts {
+            assert!(verdict.outcome != NotMeasured, "{verdict}");
+        }
+        assert!(report.ahead.is_empty() && Report::of_rows(Vec::new()).verdicts.is_empty());
     }
 
     #[test]
@@ -314,17 +337,20 @@ pub mod tests {
             row(held, "fastdds", "default", 64, 9.0),
             row(held, "floor", "futex", 64, 2.0),
         ];
-        let lines: Vec<String> =
-            Report::of_rows(rows.into()).unwrap().ahead.iter().map(ToString::to_string).collect();
-        let of_p50: Vec<&String> = lines.iter().filter(|line| line.contains(": p50 ")).collect();
-        assert_eq!(of_p50.len(), 2, "{lines:?}");
-        assert!(of_p50[0].contains("1.20 x") && of_p50[0].contains("(cyclonedds tuned); direct 4.00 µs;"));
-        assert!(of_p50[1].contains("1.20 x") && of_p50[1].contains("1.00 µs (iceoryx2 busy-poll);"));
+        let lines = verdict::text(&Report::of_rows(rows.into()).ahead);
+        for line in [
+            "MISSED        latency/whole/held-off, 64 B, p50: blocking 6.00 µs, 1.20 x cyclonedds tuned; at most 1.05 x; direct 4.00 µs\n",
+            "MISSED        latency/whole/held-off, 64 B, p50: busy-poll 1.20 µs, 1.20 x iceoryx2 busy-poll; at most 1.05 x\n",
+            "              why: blocking wakes two threads",
+        ] {
+            assert!(lines.contains(line), "{line}\n{lines}");
+        }
+        assert_eq!(lines.matches(", p50:").count(), 2, "{lines}");
     }
 
     #[test]
     fn wherever_a_rival_is_ahead_it_is_said() {
-        let payloads = measurable().unwrap().payloads;
+        let payloads = measurable();
         for mode in MODES.iter().filter(|mode| !["floor", "tautline"].contains(&mode.system)) {
             let kinds: &[&str] = match mode.part {
                 Part::All => &["latency", "open-loop", "fan-out", "robot", "throughput", "start-up"],
@@ -341,10 +367,10 @@ pub mod tests {
                 payloads.iter().map(move |(experiment, bytes)| row(experiment, system, mode, *bytes, us))
             };
             let rows = of("tautline", ours, 2.0).chain(of(mode.system, mode.mode, 1.0)).collect();
-            let ahead = Report::of_rows(rows).unwrap().ahead;
+            let ahead = Report::of_rows(rows).ahead;
             for (experiment, bytes) in payloads.iter().filter(|(experiment, _)| takes_part(experiment)) {
                 let what = format!("{experiment}, {}", size(*bytes));
-                let is_said = ahead.iter().any(|verdict| verdict.claim.starts_with(&what));
+                let is_said = ahead.iter().any(|verdict| verdict.what.starts_with(&what));
                 assert!(is_said, "{what}, {} {}", mode.system, mode.mode);
             }
         }

@@ -15,7 +15,7 @@
 //! | `topics` | 10 to 10,000 topics between two processes |
 //! | `storm` | 100 processes that start at once; one with 100 nodes; 1,000 publishers and as many subscriptions of a topic |
 //! | `traffic` | messages at a rate: 200 topics beside iceoryx2, images to many subscriptions, many subscriptions of a topic |
-//! | `report` | the table, the JSON; whether the aims of `claims.toml` are met |
+//! | `report` | the table, the JSON; whether goals are met |
 
 mod job;
 mod place;
@@ -129,7 +129,7 @@ fn measure(options: &Options) -> Result<()> {
     }
     let (disturbance, realtime) = (disturbance.report(), bench.realtime);
     let circumstances = Circumstances { open_files, disturbance, realtime, quick: is_quick };
-    let report = Report::new(rows, circumstances)?;
+    let report = Report::new(rows, circumstances);
     report.print();
     options.documented.write(&report, || report.document())?;
     report.print_verdicts()

@@ -18,7 +18,7 @@ use tautline::std_msgs::msg::UInt64;
 use tautline::{CallbackOptions, Node};
 use tautline_exchange::say;
 use tautline_harness::Distribution;
-use tautline_harness::readings::Reading;
+use tautline_harness::readings::{Column, Reading};
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::domain::shared_path;
 use tautline_transport::{Limits, Participant, Publisher, Qos, Subscription, graph_of};
@@ -30,8 +30,9 @@ const SHORT: Duration = Duration::from_secs(10);
 /// Until nothing happens any more.
 const SETTLING: Duration = Duration::from_secs(1);
 const MIB: f64 = 1048576.0;
-/// What the aims of a look are about.
+/// What the goals of a look are about.
 const LOOKED_AT: [usize; 2] = [64, 20];
+const GOALS_US: [(&str, f64); 2] = [(UNCHANGED, 5.0), (CHANGED, 200.0)];
 
 fn row(size: usize, what: impl Into<String>, unit: &'static str) -> Reading {
     Reading::of(Experiment::Processes, size, what, unit)
@@ -58,7 +59,12 @@ fn population(bench: &Bench<'_>, size: usize) -> Result<Vec<Reading>> {
     sleep(SETTLING);
     let pids: Vec<u32> = processes.iter().map(Process::id).collect();
     let idle = process::cpu_percent(&pids, Duration::from_secs(if bench.quick { 3 } else { 10 }));
-    rows.push(row(size, "CPU of all when idle", "% of a core").value(idle));
+    let goal = match size {
+        60 => Some(1.0),
+        300 => Some(3.0),
+        _ => None,
+    };
+    rows.push(row(size, "CPU of all when idle", "% of a core").value(idle).at_most(goal));
     rows.extend(memory_of(Experiment::Processes, size, &pids));
     let descriptors = pids.iter().map(|&pid| process::descriptors(pid).len()).max().unwrap_or(0);
     rows.push(
@@ -170,7 +176,7 @@ fn rows_of(size: usize, who: &str, deaths: &[[u64; TRACES.len()]]) -> Vec<Readin
     let of_trace = |(trace, what)| times(what, &|death| death[trace]);
     let mut rows: Vec<Reading> = HAVE_GONE.into_iter().enumerate().map(of_trace).collect();
     let last = |death: &[u64; TRACES.len()]| death.iter().copied().max().unwrap_or(0);
-    rows.push(times("is cleaned up: all of that", &last));
+    rows.push(times("is cleaned up: all of that", &last).at_most_of(Column::Max, 50.0));
     rows
 }
 
@@ -215,7 +221,7 @@ fn look_until(what: &str, is_so: impl FnMut() -> Result<bool>) -> Result<()> {
     wait_until(what, SHORT, || sleep(Duration::from_micros(100)), is_so)
 }
 
-/// The domain that the aims of a look are about.
+/// The domain that the goals of a look are about.
 fn looked_at(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     let [processes, ports] = LOOKED_AT;
     let start = |index| bench.start(&Job::Ports { index, pairs: ports / 2 });
@@ -224,9 +230,12 @@ fn looked_at(bench: &Bench<'_>) -> Result<Vec<Reading>> {
         made(process)?;
     }
     let mut look = bench.start(&Job::Look { quick: bench.quick })?;
-    let rows = times(&mut look)?.into_iter();
-    let rows = rows.map(|(what, of)| row(processes, format!("{what}, {ports} ports each"), "µs").times(&of));
-    let rows = rows.collect();
+    let of_look = |(what, times): (String, Distribution)| {
+        let goal_us = GOALS_US.iter().find(|(of, _)| **of == what).map(|(_, us)| *us);
+        let row = row(processes, format!("{what}, {ports} ports each"), "µs").times(&times);
+        row.at_most_of(Column::P99, goal_us)
+    };
+    let rows = times(&mut look)?.into_iter().map(of_look).collect();
     look.finish()?;
     all.iter_mut().try_for_each(Process::finish)?;
     Ok(rows)

@@ -4,9 +4,9 @@
 use crate::{Experiment, Result};
 use clap::ValueEnum;
 use serde::Serialize;
-use tautline_harness::claims::{self, Aimed, Column, Verdict, judge};
-use tautline_harness::readings::{Reading, shown, table};
+use tautline_harness::readings::{Column, Reading, judge, shown, table};
 use tautline_harness::table::{distinct, markdown};
+use tautline_harness::verdict::{self, Verdict};
 use tautline_harness::{machine, version_of};
 
 /// How it was measured.
@@ -34,12 +34,12 @@ pub struct Report {
 
 impl Report {
     /// Judges the rows.
-    pub fn new(mut rows: Vec<Reading>, circumstances: Circumstances) -> Result<Self> {
-        let verdicts = judge(Aimed::Domain, &experiments(), &mut rows)?;
+    pub fn new(mut rows: Vec<Reading>, circumstances: Circumstances) -> Self {
+        let verdicts = judge(&mut rows);
         let Circumstances { open_files, disturbance, realtime, quick } = circumstances;
         let version = |package| version_of(package).unwrap_or("?");
         let versions = format!("tautline {}, iceoryx2 {}", version("tautline"), version("iceoryx2"));
-        Ok(Report { machine: machine(), versions, open_files, disturbance, realtime, quick, rows, verdicts })
+        Report { machine: machine(), versions, open_files, disturbance, realtime, quick, rows, verdicts }
     }
 
     /// Those that were measured, each with its rows.
@@ -81,13 +81,8 @@ impl Report {
     /// One that must be is not.
     pub fn print_verdicts(&self) -> Result<()> {
         println!();
-        Ok(claims::print_verdicts(&self.verdicts)?)
+        verdict::print(&self.verdicts)
     }
-}
-
-/// All that there are.
-fn experiments() -> Vec<String> {
-    Experiment::value_variants().iter().map(|experiment| experiment.name()).collect()
 }
 
 fn title(experiment: Experiment) -> String {
@@ -152,12 +147,7 @@ fn limits(rows: &[&Reading]) -> String {
 mod tests {
     use super::*;
     use tautline_harness::Distribution;
-    use tautline_harness::claims::Judged;
-
-    #[test]
-    fn the_aims_of_the_file_are_about_these_experiments() {
-        assert_eq!(judge(Aimed::Domain, &experiments(), &mut []).unwrap().len(), 0);
-    }
+    use tautline_harness::readings::Aim;
 
     #[test]
     fn the_documents_tables_have_a_column_for_each_size() {
@@ -166,7 +156,7 @@ mod tests {
         let row = |size, what: &str| Reading::of(Experiment::Processes, size, what, "µs");
         let judged = |reading: Reading, of, at_most: f64, is_met| {
             let (at_most, is_met) = (Some(at_most), Some(is_met));
-            Reading { aim: Some(Judged { at_most, at_least: None, of, is_met, must: false }), ..reading }
+            Reading { aim: Some(Aim { at_most, at_least: None, of, is_met, must: false }), ..reading }
         };
         let rows = vec![
             row(1, "a look").times(&times),

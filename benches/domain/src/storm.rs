@@ -13,7 +13,7 @@ use std::time::Duration;
 use tautline::std_msgs::msg::UInt64;
 use tautline_exchange::say;
 use tautline_harness::Distribution;
-use tautline_harness::readings::Reading;
+use tautline_harness::readings::{Column, Reading};
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Limits, Participant, Qos};
 
@@ -45,7 +45,9 @@ pub fn start_at_once(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     }
     let row = |what: &str| Reading::of(Experiment::Storm, size, what, "ms");
     Ok(vec![
-        row("until all processes are matched with all others").times_in(&all, 1000.0),
+        row("until all processes are matched with all others")
+            .times_in(&all, 1000.0)
+            .at_most_of(Column::Max, 2000.0),
         row("until a process is matched with all others").times_in(&each, 1000.0),
     ])
 }
@@ -62,9 +64,9 @@ pub fn many_nodes(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     let idle = process::cpu_percent(&[pid], Duration::from_secs(if bench.quick { 1 } else { 5 }));
     let all = (memory.rss_without_shared + shared) as f64 / MIB;
     let rows = vec![
-        row("making the process's nodes", "ms").value(made_ns as f64 / 1e6),
-        row("until all are matched", "ms").value(matched_ns as f64 / 1e6),
-        row("memory: resident, and all of /dev/shm", "MiB").value(all),
+        row("making the process's nodes", "ms").value(made_ns as f64 / 1e6).at_most(2000.0),
+        row("until all are matched", "ms").value(matched_ns as f64 / 1e6).at_most(2000.0),
+        row("memory: resident, and all of /dev/shm", "MiB").value(all).at_most(150.0),
         row("of it resident and not in /dev/shm", "MiB").value(memory.rss_without_shared as f64 / MIB),
         row("of it in /dev/shm, whether it is mapped or not", "MiB").value(shared as f64 / MIB),
         row("resident memory (RSS)", "MiB").value(memory.rss as f64 / MIB),
@@ -100,7 +102,8 @@ pub fn crowd(bench: &Bench<'_>) -> Result<Vec<Reading>> {
     let mut rows = vec![
         row(&format!("until all are matched, {} pairs", size * size), "ms").value(matched_ms),
         row("descriptors of a process for each of its ends, at most", "files")
-            .value(descriptors as f64 / per_process as f64),
+            .value(descriptors as f64 / per_process as f64)
+            .at_most(1.0),
         row("parts of a process's address space, at most", "mappings")
             .value(pids.iter().map(|&pid| process::mappings(pid)).max().unwrap_or(0) as f64),
     ];

@@ -6,7 +6,7 @@
 //! | `process`, `gateways`, `beside` | processes that measure, and what goes on beside them |
 //! | `rows` | what was measured of systems beside each other |
 //! | `readings` | what was measured in other units |
-//! | `claims` | the judge of what must hold, as `benches/claims.toml` has it |
+//! | `claims`, `verdict` | goals between rows; what is said of each figure that has a goal |
 //! | `table`, `page`, `canvas`, `bars`, `histogram` | rows and readings for the terminal, the documents and a browser |
 //! | `program` | what the programs of benches are told, and do |
 //! | `machine`, `scratch` | where a bench runs: what disturbs it, and what it leaves |
@@ -29,6 +29,7 @@ pub mod rows;
 mod scratch;
 pub mod table;
 mod turns;
+pub mod verdict;
 
 pub use beside::Beside;
 pub use distribution::Distribution;

@@ -3,7 +3,7 @@
 
 use std::fmt::{self, Write};
 
-use crate::claims::Verdict;
+use crate::verdict::{self, Verdict};
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;color:#222831;max-width:1120px;margin:2em auto;padding:0 1em}\
 h1{font-size:26px;margin-bottom:.2em}h2{font-size:19px;margin:2em 0 .4em}p,li{max-width:68em}\
@@ -12,10 +12,7 @@ svg{max-width:100%;height:auto}\
 table{border-collapse:collapse;font-size:13px;font-variant-numeric:tabular-nums}\
 th,td{padding:2px 9px;border-bottom:1px solid #e2e6eb;text-align:right;white-space:nowrap}\
 th{background:#f4f6f8;position:sticky;top:0}.l{text-align:left}.w{white-space:normal}tr.first td{border-top:2px solid #c3cad3}\
-.late{color:#cc2026;font-weight:600}.scroll{overflow:auto;max-height:36em}\
-.verdicts{list-style:none;padding:0}.verdicts li{padding:.25em 0 .25em 7em;text-indent:-7em}\
-.verdicts b{display:inline-block;width:6.4em;white-space:nowrap;text-indent:0;margin-right:.6em}\
-.yes{color:#1a7f37}.no{color:#cc2026}.unknown{color:#666e7a}";
+.late{color:#cc2026;font-weight:600}.scroll{overflow:auto;max-height:36em}";
 
 pub const END: &str = "</body></html>\n";
 
@@ -31,20 +28,8 @@ pub fn begin(out: &mut String, title: &str, heading: &str, introduction: &str) -
 
 /// What must hold, and whether it does.
 pub fn verdicts(out: &mut String, heading: &str, verdicts: &[Verdict]) -> fmt::Result {
-    write!(out, "<h2>{heading}</h2>\n<ul class=\"verdicts\">\n")?;
-    for verdict in verdicts {
-        let class = match verdict.holds {
-            Some(true) => "yes",
-            Some(false) => "no",
-            None => "unknown",
-        };
-        let (word, claim, found) = (verdict.word(), escape(&verdict.claim), escape(&verdict.found));
-        let reason = verdict.reason.as_ref();
-        let reason = reason.map_or(String::new(), |reason| format!("; why it stays: {}", escape(reason)));
-        writeln!(out, "<li><b class=\"{class}\">{word}</b>{claim}: {found}{reason}</li>")?;
-    }
-    out.push_str("</ul>\n");
-    Ok(())
+    writeln!(out, "<h2>{heading}</h2>")?;
+    verdict::table(verdicts).html(out)
 }
 
 /// A picture and what it shows.

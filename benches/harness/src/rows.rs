@@ -147,8 +147,7 @@ impl Row {
 }
 
 /// A number of a row that is compared.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(try_from = "String")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Metric {
     P50,
     P99,
@@ -168,41 +167,31 @@ pub enum Metric {
     Lost,
 }
 
-/// Each with its name, as in the claims' file, and the unit of its numbers.
-const METRICS: [(Metric, &str, &str); 12] = [
-    (Metric::P50, "p50", "µs"),
-    (Metric::P99, "p99", "µs"),
-    (Metric::P999, "p99.9", "µs"),
-    (Metric::CpuTime, "CPU time", "µs"),
-    (Metric::Memory, "memory", "MiB"),
-    (Metric::Interval, "time per message", "µs"),
-    (Metric::Rate, "rate", "MB/s"),
-    (Metric::Start, "time", "µs"),
-    (Metric::SamplerWakes, "sampler wakes", "wakes of the sampler per message"),
-    (Metric::OtherWakes, "other wakes", "wakes of the process's other threads per message, in sum"),
-    (Metric::Steal, "steal", "ticks of 10 ms of steal"),
-    (Metric::Lost, "lost", "lost"),
-];
-
-impl TryFrom<String> for Metric {
-    type Error = String;
-
-    fn try_from(name: String) -> Result<Self, String> {
-        let named = METRICS.iter().find(|(_, other, _)| *other == name);
-        let names = || METRICS.map(|(_, name, _)| name).join(", ");
-        named.map(|named| named.0).ok_or_else(|| format!("no metric '{name}'; there are {}", names()))
-    }
-}
-
 impl Metric {
-    /// As in the claims' file.
     pub fn name(self) -> &'static str {
-        METRICS[self as usize].1
+        self.name_and_unit().0
     }
 
     /// What stands behind a number of it.
     pub fn unit(self) -> &'static str {
-        METRICS[self as usize].2
+        self.name_and_unit().1
+    }
+
+    fn name_and_unit(self) -> (&'static str, &'static str) {
+        match self {
+            Metric::P50 => ("p50", "µs"),
+            Metric::P99 => ("p99", "µs"),
+            Metric::P999 => ("p99.9", "µs"),
+            Metric::CpuTime => ("CPU time", "µs"),
+            Metric::Memory => ("memory", "MiB"),
+            Metric::Interval => ("time per message", "µs"),
+            Metric::Rate => ("rate", "MB/s"),
+            Metric::Start => ("time", "µs"),
+            Metric::SamplerWakes => ("sampler wakes", "wakes of the sampler per message"),
+            Metric::OtherWakes => ("other wakes", "wakes of the process's other threads per message, in sum"),
+            Metric::Steal => ("steal", "ticks of 10 ms of steal"),
+            Metric::Lost => ("lost", "lost"),
+        }
     }
 
     /// Of a round; whether it has enough times for it is another question.
@@ -395,26 +384,11 @@ impl By {
 }
 
 impl Compared {
-    /// For people: the median, and where it comes from.
-    pub fn show(&self, unit: &str) -> String {
+    /// For people: the median beside whom, and its spread over the rounds.
+    pub fn show(&self, unit: &str, theirs: &str) -> String {
         let Compared { median, least, most, rounds, by } = *self;
-        let median = by.show(median, unit);
-        match rounds {
-            0 => format!("{median}, all rounds together"),
-            1 => format!("{median} in one round"),
-            rounds => format!("{median}, the median of {rounds} rounds ({least:.2} to {most:.2})"),
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_metric_has_its_own_name() {
-        for (at, (metric, name, _)) in METRICS.into_iter().enumerate() {
-            assert_eq!((metric as usize, Metric::try_from(name.to_owned())), (at, Ok(metric)));
-        }
+        let to = if by == By::Ratio { "" } else { "to " };
+        let spread = (rounds > 1).then(|| format!(" ({least:.2} to {most:.2} in {rounds} rounds)"));
+        format!("{} {to}{theirs}{}", by.show(median, unit), spread.unwrap_or_default())
     }
 }

@@ -22,15 +22,15 @@ mod trips;
 mod types;
 
 use clap::{Parser, ValueEnum};
-use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 use system::{Message, Starter, System, Task};
 use tautline_exchange::{Job, Result};
-use tautline_harness::claims::{self, Bench, Measurable};
-use tautline_harness::rows::{Row, Tally};
+use tautline_harness::claims::{Claim, Goal, Ways, judge};
+use tautline_harness::rows::{Metric, Row, Tally};
 use tautline_harness::table::of_rows;
+use tautline_harness::verdict::{self, Verdict};
 use tautline_harness::{Disturbance, Documented, exit, machine, progress_bar};
 use tautline_rt::IdleHold;
 use trips::{Client, Trip};
@@ -136,31 +136,43 @@ fn measure(arguments: &Arguments) -> Result<()> {
     rows.extend(run.nodes()?);
     let disturbance = disturbance.report();
     println!("{}\n{}\n{disturbance}\n", of_rows(&rows), machine());
-    let verdicts = claims::verdicts(Bench::Rmw, &measurable(), &rows)?;
     let conditions = format!("`cargo xtask bench rmw`: {}; {disturbance}.\n", machine());
     arguments.told.write(&rows, || format!("{}\n{conditions}", of_rows(&rows).markdown()))?;
-    claims::print_verdicts(&verdicts)?;
+    verdict::print(&verdicts(&rows))?;
     match rows.iter().filter(|row| row.system == TAUTLINE).map(|row| row.lost).sum() {
         0 => Ok(()),
         lost => Err(format!("{TAUTLINE} lost {lost} messages").into()),
     }
 }
 
-/// What a claim may name.
-fn measurable() -> Measurable {
-    let trips = PARTS.iter().flat_map(|part| part.lengths.iter().map(|&bytes| part.trip(bytes)));
-    let payloads =
-        trips.clone().flat_map(|trip| [true, false].map(|held| (trip.experiment(held), trip.bytes)));
-    let flows = (flow::EXPERIMENT.to_owned(), rmw::STRUCT_BYTES);
-    let nodes = NODES.map(|nodes| (nodes::experiment(nodes), 0));
-    let modes: BTreeSet<&str> =
-        trips.map(|trip| trip.message.name()).chain([flow::MODE, nodes::MODE]).collect();
-    let of_both = |mode: &str| [TAUTLINE, FAST_DDS].map(|system| (system.to_owned(), mode.to_owned()));
-    Measurable {
-        payloads: payloads.chain([flows]).chain(nodes).collect(),
-        modes: modes.into_iter().flat_map(of_both).collect(),
-    }
+/// Beside Fast DDS's RMW; loaned messages, whatever their size.
+fn verdicts(rows: &[Row]) -> Vec<Verdict> {
+    let trip = |client: Client, message, bytes| Trip { client, message, bytes };
+    let [small, large, loaned, small_loaned] = [
+        trip(Client::C, Message::Struct, rmw::STRUCT_BYTES),
+        trip(Client::C, Message::Serialized, MIB),
+        trip(Client::C, Message::Loaned, 8 * MIB),
+        trip(Client::C, Message::Loaned, rmw::STRUCT_BYTES),
+    ];
+    let held = small.experiment(true);
+    let modes = [small, large, loaned].map(|trip| [trip.message.name()]);
+    let at_most = |times, metric, experiment, bytes: Option<usize>, modes| {
+        let [ours, theirs] = [TAUTLINE, FAST_DDS].map(|system| Ways::new(experiment, bytes, system, modes));
+        Claim::new(metric, ours, Goal::Times(times, theirs))
+    };
+    let of_loaned = |trip: Trip| Ways::new(&held, trip.bytes, TAUTLINE, &modes[2]);
+    let nodes = NODES.map(nodes::experiment);
+    let claims = [
+        at_most(0.5, Metric::P50, &held, Some(small.bytes), &modes[0]),
+        at_most(1.0 / 3.0, Metric::P50, &held, Some(large.bytes), &modes[1]).because(SERIALIZED_COPIES),
+        Claim::new(Metric::P50, of_loaned(loaned), Goal::Times(1.5, of_loaned(small_loaned))),
+        at_most(1.0, Metric::CpuTime, flow::EXPERIMENT, None, &[]),
+    ];
+    let found = nodes.iter().map(|nodes| at_most(1.0, Metric::Start, nodes, None, &[]));
+    judge(rows, claims.into_iter().chain(found))
 }
+
+const SERIALIZED_COPIES: &str = "a serialized message is copied into shared memory and out of it, for the buffers are the caller's: what the copies take is the machine's";
 
 /// Round trips of one kind.
 struct Trips {

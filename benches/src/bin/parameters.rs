@@ -16,10 +16,11 @@ use std::time::{Duration, Instant};
 use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::{CallbackOptions, Node, ParameterReader, Parameters};
 use tautline_benches::Stage;
-use tautline_harness::claims::{self, Bench};
-use tautline_harness::rows::{Row, extent};
+use tautline_harness::claims::{Claim, Goal, Ways, judge};
+use tautline_harness::rows::{Metric, Row, extent};
 use tautline_harness::table::Column::{Number, Words};
 use tautline_harness::table::{Table, figure, markdown, of_rows};
+use tautline_harness::verdict::{self, Verdict};
 use tautline_harness::{
     Beside, Distribution, Disturbance, Documented, Result, TurnRow, Turns, cells, machine, program,
 };
@@ -98,7 +99,22 @@ fn measure(options: &Documented) -> Result {
         (row.disturbance, row.row.unfit) = (disturbance.clone(), stage.unfit());
     }
     options.write(&rows, || document(&rows, &machine, &disturbance))?;
-    claims::print(Bench::Parameters, &rows.into_iter().map(|row| row.row).collect::<Vec<_>>())
+    verdict::print(&verdicts(&rows.into_iter().map(|row| row.row).collect::<Vec<_>>()))
+}
+
+/// A read while a thread sets it takes at most 0.1 µs; a callback is not disturbed by 10,000 sets a second.
+fn verdicts(rows: &[Row]) -> Vec<Verdict> {
+    let modes = READS.map(|(what, ..)| format!("{what}, {}", WHEN[1]));
+    let modes = modes.each_ref().map(|mode| [mode.as_str()]);
+    let reads = modes.iter().zip(READS).filter(|(_, (_, system, ..))| *system == "tautline");
+    let reads = reads.map(|(mode, (_, system, ..))| {
+        Claim::new(Metric::P50, Ways::new("read", None, system, mode), Goal::Number(0.1))
+    });
+    let [quiet, _, set] = Meanwhile::ALL.map(|meanwhile| [meanwhile.name()]);
+    let [quiet, set] = [&quiet, &set].map(|mode| Ways::new("callback", None, "tautline", mode));
+    let late = Claim { however_few: true, ..Claim::new(Metric::P99, set, Goal::Times(1.1, quiet)) };
+    let missed = Claim::new(Metric::Lost, set, Goal::Number(0.0));
+    judge(rows, reads.chain([late, missed]))
 }
 
 /// Sets the parameters, one after the other, or only wakes as often; returns how often.

@@ -19,13 +19,20 @@ use crate::rivals::{self, CdrEncoding, Hiroz, Rival};
 use crate::topic::Topic;
 
 /// Filling a buffer of the message's size and reading it.
-const FLOOR: (&str, &str) = ("floor", "plain buffer, filled and read");
+pub const FLOOR: (&str, &str) = ("floor", "plain buffer, filled and read");
 /// Loan, write every field, publish, take, view, read every byte of the payload.
-const IN_PLACE: (&str, &str) = ("tautline", "in place, filled and read");
+pub const IN_PLACE: (&str, &str) = ("tautline", "in place, filled and read");
 /// The same without touching the payload: what the codec and the topic cost.
-const PUBLISHED_ONLY: (&str, &str) = ("tautline", "in place, payload untouched");
+pub const PUBLISHED_ONLY: (&str, &str) = ("tautline", "in place, payload untouched");
 /// Encoding an owned message and decoding it again.
 pub const OWNED: &str = "owned, encoded and decoded";
+
+pub const IMAGE: &str = "Image, 8 MiB";
+pub const POINT_CLOUD: &str = "PointCloud2, 100,000 points";
+pub const TWIST: &str = "Twist";
+pub const IMU: &str = "Imu";
+pub const JOINT_STATE: &str = "JointState, 12 joints";
+pub const TF_MESSAGE: &str = "TFMessage, 8 transforms";
 
 type Written = std::result::Result<(), WriteError>;
 
@@ -197,7 +204,7 @@ fn image() -> Result<Case> {
         ..Image::default()
     };
     let ways = in_place_and_untouched::<Image>(SIZES, write, |image| image.data())?;
-    case::<_, rivals::Image>("Image, 8 MiB", ours, ways)
+    case::<_, rivals::Image>(IMAGE, ours, ways)
 }
 
 /// 100,000 points of x, y, z and intensity.
@@ -252,13 +259,13 @@ fn point_cloud() -> Result<Case> {
         is_dense: true,
     };
     let ways = in_place_and_untouched::<PointCloud2>(SIZES, write, |cloud| cloud.data())?;
-    case::<_, rivals::PointCloud2>("PointCloud2, 100,000 points", ours, ways)
+    case::<_, rivals::PointCloud2>(POINT_CLOUD, ours, ways)
 }
 
 fn twist() -> Result<Case> {
     let ours =
         Twist { linear: Vector3 { x: 0.5, y: 0.0, z: 0.0 }, angular: Vector3 { x: 0.0, y: 0.0, z: 0.1 } };
-    case::<_, rivals::Twist>("Twist", ours, vec![plain(ours)?])
+    case::<_, rivals::Twist>(TWIST, ours, vec![plain(ours)?])
 }
 
 fn imu() -> Result<Case> {
@@ -285,7 +292,7 @@ fn imu() -> Result<Case> {
         },
         |imu| imu.orientation().w.to_bits() ^ imu.linear_acceleration_covariance()[8].to_bits(),
     )?;
-    case::<_, rivals::Imu>("Imu", ours, vec![way])
+    case::<_, rivals::Imu>(IMU, ours, vec![way])
 }
 
 fn joint_state() -> Result<Case> {
@@ -320,7 +327,7 @@ fn joint_state() -> Result<Case> {
             joints.name().iter().map(|name| name.len() as u64).sum::<u64>() + joints.effort().len() as u64
         },
     )?;
-    case::<_, rivals::JointState>("JointState, 12 joints", ours, vec![way])
+    case::<_, rivals::JointState>(JOINT_STATE, ours, vec![way])
 }
 
 fn tf() -> Result<Case> {
@@ -347,5 +354,5 @@ fn tf() -> Result<Case> {
         },
         |message| message.transforms().iter().map(|one| one.transform().rotation.w as u64).sum(),
     )?;
-    case::<_, rivals::TFMessage>("TFMessage, 8 transforms", ours, vec![way])
+    case::<_, rivals::TFMessage>(TF_MESSAGE, ours, vec![way])
 }

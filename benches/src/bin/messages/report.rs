@@ -1,11 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The table, the JSON, and what must hold.
 
-use tautline_harness::claims::{self, Bench};
+use tautline_harness::claims::{Claim, Goal, Ways, judge};
 use tautline_harness::rows::{By, Compared, Figure, Metric, Row};
 use tautline_harness::table::Column::{Number, Words};
 use tautline_harness::table::{Table, distinct, figure, markdown};
+use tautline_harness::verdict::{self, Verdict};
 use tautline_harness::{Result, cells, machine, version_of};
+
+use crate::cases::{
+    FLOOR, IMAGE, IMU, IN_PLACE, JOINT_STATE, OWNED, POINT_CLOUD, PUBLISHED_ONLY, TF_MESSAGE, TWIST,
+};
 
 pub fn print(rows: &[Row], core: usize, disturbance: &str) -> Result<()> {
     let version = |package| version_of(package).unwrap_or("?");
@@ -18,8 +23,27 @@ pub fn print(rows: &[Row], core: usize, disturbance: &str) -> Result<()> {
     );
     println!("one process; µs per message; ratio to filling and reading a plain buffer of the same size");
     println!("{}", table(rows));
-    claims::print(Bench::Messages, rows)
+    verdict::print(&verdicts(rows))
 }
+
+/// In place no slower than a plain buffer, large messages far ahead of encoders, small ones not behind them.
+fn verdicts(rows: &[Row]) -> Vec<Verdict> {
+    let at_most = |times, experiment, ours, system| {
+        let ours = Ways::new(experiment, None, "tautline", ours);
+        Claim::new(Metric::P50, ours, Goal::Times(times, Ways::new(experiment, None, system, &[])))
+    };
+    let mut claims = Vec::new();
+    for message in [IMAGE, POINT_CLOUD] {
+        claims.push(at_most(1.1, message, &[IN_PLACE.1], FLOOR.0));
+        claims.extend(ENCODERS.map(|rival| at_most(0.2, message, &[PUBLISHED_ONLY.1], rival)));
+    }
+    for message in [TWIST, IMU, JOINT_STATE, TF_MESSAGE] {
+        claims.extend(ENCODERS.map(|rival| at_most(1.0, message, &[OWNED], rival)));
+    }
+    judge(rows, claims)
+}
+
+const ENCODERS: [&str; 2] = ["cdr-encoding", "hiroz-cdr"];
 
 /// What others than Tautline do is one thing each.
 fn way(row: &Row) -> String {

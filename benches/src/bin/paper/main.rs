@@ -36,7 +36,6 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::Parser;
-use tautline_harness::claims::print_verdicts;
 use tautline_harness::{Documented, Result, one_core, write};
 use tautline_paper::{Variant, priorities};
 use tautline_rt::permission;
@@ -119,5 +118,5 @@ fn measure(options: &Options) -> Result<()> {
         println!("Report: {}", path.display());
     }
     println!();
-    Ok(print_verdicts(&report.verdicts)?)
+    tautline_harness::verdict::print(&report.verdicts)
 }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What was found: the data of all outputs, the table for the terminal, the JSON.
 
-use tautline_harness::claims::Verdict;
 use tautline_harness::table::Column::{Number, Words};
 use tautline_harness::table::{Cell, Table, distinct, figure, markdown};
+use tautline_harness::verdict::Verdict;
 use tautline_harness::{cells, machine, version_of};
 use tautline_paper::{Topic, Variant};
 
@@ -54,7 +54,7 @@ impl Report {
                 row.rta_overhead_ms = bounds[row.index].map(stats::ms);
             }
         }
-        let verdicts = verdicts(&rows, plan.capacity.computed())?;
+        let verdicts = verdicts(&rows, plan.capacity.computed());
         let notes = Notes { method: method(plan), machine: circumstances(plan, results, &overheads)? };
         let disturbed = results.cells.iter().flat_map(|cell| disturbed(plan, cell)).collect();
         Ok(Report { rows, verdicts, notes, disturbed })
@@ -266,7 +266,7 @@ pub mod tests {
 
     pub fn report(rows: Vec<Row>) -> Report {
         let notes = Notes { method: vec!["a <method>".into()], machine: vec!["a machine".into()] };
-        let verdicts = verdicts(&rows, plan().capacity.computed()).unwrap();
+        let verdicts = verdicts(&rows, plan().capacity.computed());
         Report { verdicts, rows, notes, disturbed: Vec::new() }
     }
 

@@ -1,25 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the paper says of its variants, as readings of the rows; `claims.toml` has their aims.
+//! What the paper says of its variants, as readings of the rows with their goals.
 
-use tautline_harness::Result;
-use tautline_harness::claims::{Aimed, Verdict, judge};
-use tautline_harness::readings::Reading;
+use tautline_harness::readings::{Reading, judge};
+use tautline_harness::verdict::Verdict;
 use tautline_paper::{Scheduling, Structure, Variant};
 
 use crate::plan::{Experiment, R2R, TAUTLINE};
 use crate::stats::Row;
 
-const EXPERIMENTS: [&str; 4] = ["variants", "beside r2r", "prediction", "capacity"];
 /// How many times r2r's our p99 may be before it counts as above.
 const FACTOR: f64 = 1.01;
 /// What share of the prediction p99 may be off before it counts as off.
 const SHARE: f64 = 0.05;
 
-/// All verdicts, in the order in which they are promised. `capacity` is the depth that the analysis asks for.
-///
-/// # Errors
-/// The claims' file says what cannot be judged.
-pub fn verdicts(rows: &[Row], capacity: usize) -> Result<Vec<Verdict>> {
+/// All verdicts. `capacity` is the depth that the analysis asks for.
+pub fn verdicts(rows: &[Row], capacity: usize) -> Vec<Verdict> {
     let systems = [TAUTLINE, R2R];
     let of_variants = systems.map(|system| {
         let of = SystemVariants { system, variants: variants(rows, system) };
@@ -29,7 +24,7 @@ pub fn verdicts(rows: &[Row], capacity: usize) -> Result<Vec<Verdict>> {
     readings.push(beside_r2r(rows));
     readings.extend(systems.map(|system| prediction(rows, system)));
     readings.extend(capacities(rows, capacity));
-    Ok(judge(Aimed::Paper, &EXPERIMENTS.map(str::to_owned), &mut readings)?)
+    judge(&mut readings)
 }
 
 fn variants<'r>(rows: &'r [Row], system: &str) -> Vec<(Variant, Vec<&'r Row>)> {
@@ -76,7 +71,7 @@ impl<'r> SystemVariants<'r> {
         let of_all = rows.iter().map(|row| row.n).sum::<u64>();
         let note = if is_whole && bad == 0 { format!("of {of_all}") } else { failures(rows) };
         let what = "messages of futures-rt that are late or lost";
-        self.reading(what, "messages", value).note(note).unfit(unmeasured(rows.is_empty()))
+        self.reading(what, "messages", value).at_most(0.0).note(note).unfit(unmeasured(rows.is_empty()))
     }
 
     fn others_in_time(&self) -> Reading {
@@ -85,7 +80,7 @@ impl<'r> SystemVariants<'r> {
         let met: Vec<_> = self.others().filter(meets).map(|(variant, _)| variant.to_string()).collect();
         let note = if met.is_empty() { format!("all {count} fail") } else { met.join(", ") };
         let what = "other variants that meet every deadline";
-        self.reading(what, "variants", met.len() as f64).note(note).unfit(unmeasured(count == 0))
+        self.reading(what, "variants", met.len() as f64).at_most(0.0).note(note).unfit(unmeasured(count == 0))
     }
 
     fn fastest_in_time(&self) -> Reading {
@@ -96,7 +91,7 @@ impl<'r> SystemVariants<'r> {
         });
         let met: Vec<_> = met.collect();
         let what = "of other variants, topics 1 to 3 that meet their deadlines, unlike in the paper";
-        let one = self.reading(what, "topics", met.len() as f64).note(met.join(", "));
+        let one = self.reading(what, "topics", met.len() as f64).at_most(0.0).note(met.join(", "));
         one.unfit(unmeasured(papers.count() == 0))
     }
 
@@ -112,7 +107,7 @@ impl<'r> SystemVariants<'r> {
         }
         let what =
             "variants of futures-rt without the middleware above the callbacks, of which nothing is late";
-        let one = self.reading(what, "variants", f64::from(in_time));
+        let one = self.reading(what, "variants", f64::from(in_time)).at_most(0.0);
         one.note(texts.join("; ")).unfit(unmeasured(texts.is_empty()))
     }
 
@@ -127,7 +122,7 @@ impl<'r> SystemVariants<'r> {
             .map(|index| tokio[index].topic.as_str());
         let worst: Vec<_> = worst.collect();
         let what = "topics on which nort-tokio has the longest p99 of the paper's variants";
-        let one = self.reading(what, "topics", worst.len() as f64).note(worst.join(", "));
+        let one = self.reading(what, "topics", worst.len() as f64).at_least(3.0).note(worst.join(", "));
         one.unfit(unmeasured(tokio.is_empty()))
     }
 }
@@ -157,7 +152,7 @@ fn beside_r2r(rows: &[Row]) -> Reading {
     let pairs = of(TAUTLINE).into_iter().zip(of(R2R));
     let pairs = pairs.map(|(ours, theirs)| (ours, theirs.p99_ms));
     let what = format!("p99 of futures-rt above {FACTOR} x r2r's, on the worst topic");
-    worst_topic("beside r2r", what, pairs, |ours, theirs| ours - theirs * FACTOR)
+    worst_topic("beside r2r", what, pairs, |ours, theirs| ours - theirs * FACTOR).at_most(0.1)
 }
 
 fn prediction(rows: &[Row], system: &'static str) -> Reading {
@@ -168,7 +163,7 @@ fn prediction(rows: &[Row], system: &'static str) -> Reading {
         "p99 of futures-rt off the prediction with overheads by more than {percent:.0} %, worst of topics 1 to 4"
     );
     let off = |p99: f64, predicted: f64| (p99 - predicted).abs() - predicted * SHARE;
-    worst_topic("prediction", what, pairs, off).system(system)
+    worst_topic("prediction", what, pairs, off).at_most(0.2).system(system)
 }
 
 /// By how much a topic's p99 is beyond the other number where it is most; not below 0.
@@ -203,9 +198,9 @@ fn capacities(rows: &[Row], capacity: usize) -> [Reading; 4] {
     let (computed, _) = lost(TAUTLINE, capacity, "lost with the computed capacity");
     let (one_less, uncounted) = lost(TAUTLINE, capacity - 1, "lost with one place less");
     let what = "lost with one place less, and not counted".to_owned();
-    let uncounted = Reading { what, ..one_less.clone() }.value(uncounted);
+    let uncounted = Reading { what, ..one_less.clone() }.value(uncounted).at_most(0.0);
     let (of_r2r, _) = lost(R2R, capacity, "lost by the fixed channel of 10");
-    [computed, one_less, uncounted, of_r2r]
+    [computed.at_most(0.0), one_less.at_least(1.0), uncounted, of_r2r.at_least(1.0)]
 }
 
 fn number(ms: Option<f64>) -> String {
@@ -216,6 +211,7 @@ fn number(ms: Option<f64>) -> String {
 mod tests {
     use super::*;
     use crate::report::tests::{plan, row};
+    use tautline_harness::verdict::Outcome::{Held, Missed, NotMeasured};
 
     const RTA: [f64; 5] = [2.0, 6.0, 13.0, 36.0, 170.0];
 
@@ -236,18 +232,18 @@ mod tests {
     }
 
     fn about<'v>(verdicts: &'v [Verdict], words: &str) -> &'v Verdict {
-        verdicts.iter().find(|verdict| verdict.claim.contains(words)).unwrap()
+        verdicts.iter().find(|verdict| verdict.what.contains(words)).unwrap()
     }
 
     #[test]
     fn what_the_paper_found_holds() {
         assert_eq!(plan().capacity.computed(), 16);
-        let verdicts = verdicts(&rows(), 16).unwrap();
+        let verdicts = verdicts(&rows(), 16);
         for verdict in &verdicts {
-            assert_ne!(verdict.holds, Some(false), "{verdict}");
+            assert_ne!(verdict.outcome, Missed, "{verdict}");
         }
         // Of nort-tokio nothing was measured, with either system.
-        assert_eq!(verdicts.iter().filter(|verdict| verdict.holds.is_none()).count(), 2);
+        assert_eq!(verdicts.iter().filter(|verdict| verdict.outcome == NotMeasured).count(), 2);
         assert_eq!(verdicts.len(), 17);
     }
 
@@ -256,11 +252,11 @@ mod tests {
         let mut rows = rows();
         rows.retain(|row| row.variant == "futures-rt" || row.variant.starts_with("capacity"));
         rows.iter_mut().filter(|row| row.variant == "capacity-16").for_each(|row| row.published = 0);
-        let verdicts = verdicts(&rows, 16).unwrap();
+        let verdicts = verdicts(&rows, 16);
         for claim in
             ["other variants that meet", "topics 1 to 3", "lost with the computed", "lost by the fixed"]
         {
-            assert_eq!(about(&verdicts, claim).holds, None, "{claim}");
+            assert_eq!(about(&verdicts, claim).outcome, NotMeasured, "{claim}");
         }
     }
 
@@ -274,23 +270,23 @@ mod tests {
             (row.misses, row.steal_ticks) = (1, 2);
             row.p99_ms = row.p99_ms.map(|p99| p99 * 1.1);
         }
-        let verdicts = verdicts(&rows, 15).unwrap();
+        let verdicts = verdicts(&rows, 15);
         let late = about(&verdicts, "variants: messages of futures-rt that are late");
-        assert_eq!(late.holds, Some(false));
-        assert!(late.found.contains("topic1 (1 of 1 late, 0 lost)"), "{late}");
-        assert!(late.found.contains("2 ticks of steal"), "{late}");
-        assert_eq!(about(&verdicts, "variants, r2r: messages of futures-rt").holds, Some(true));
+        assert_eq!(late.outcome, Missed);
+        assert!(late.note.contains("topic1 (1 of 1 late, 0 lost)"), "{late}");
+        assert!(late.note.contains("2 ticks of steal"), "{late}");
+        assert_eq!(about(&verdicts, "variants, r2r: messages of futures-rt").outcome, Held);
         let others = about(&verdicts, "variants, r2r: other variants");
-        assert!(others.holds == Some(false) && others.found.ends_with("; futures"), "{others}");
+        assert!(others.outcome == Missed && others.note == "futures", "{others}");
         let fastest = about(&verdicts, "variants: of other variants, topics 1 to 3");
         assert!(
-            fastest.found.contains("it is 3.00 topics, at most 0; futures topic1, futures topic2"),
+            fastest.to_string().contains("3.00 topics; at most 0; futures topic1, futures topic2"),
             "{fastest}"
         );
-        assert_eq!(about(&verdicts, "beside r2r").holds, Some(false));
-        assert_eq!(about(&verdicts, "prediction: ").holds, Some(false));
-        assert_eq!(about(&verdicts, "prediction, r2r: ").holds, Some(true));
-        assert_eq!(about(&verdicts, "capacity 15: lost with the computed").holds, Some(false));
-        assert_eq!(about(&verdicts, "lost with one place less").holds, None);
+        assert_eq!(about(&verdicts, "beside r2r").outcome, Missed);
+        assert_eq!(about(&verdicts, "prediction: ").outcome, Missed);
+        assert_eq!(about(&verdicts, "prediction, r2r: ").outcome, Held);
+        assert_eq!(about(&verdicts, "capacity 15: lost with the computed").outcome, Missed);
+        assert_eq!(about(&verdicts, "lost with one place less").outcome, NotMeasured);
     }
 }

@@ -12,10 +12,9 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::json;
 use std::path::PathBuf;
 use std::process::{Child, Command, ExitCode, Stdio};
-use tautline_harness::claims::{Aimed, judge, print_verdicts};
-use tautline_harness::readings::table;
+use tautline_harness::readings::{judge, table};
 use tautline_harness::table::distinct;
-use tautline_harness::{Disturbance, Result, Run, machine};
+use tautline_harness::{Disturbance, Result, Run, machine, verdict};
 use tautline_rt::{CoreSet, Policy, set_affinity, set_policy};
 use tempfile::TempDir;
 
@@ -103,10 +102,6 @@ fn as_robot(priority: u8) -> Result {
     Ok(())
 }
 
-/// Whose readings have aims.
-const EXPERIMENTS: [&str; 7] =
-    ["page faults", "rates", "a list", "the tab key", "flight", "sequential", "memory"];
-
 fn main() -> ExitCode {
     tautline_harness::exit("tools", measure(&Options::parse()))
 }
@@ -139,25 +134,15 @@ fn measure(options: &Options) -> Result {
         }
         readings.extend(of_it);
     }
-    let verdicts = judge(Aimed::Tools, &EXPERIMENTS.map(str::to_owned), &mut readings)?;
+    let verdicts = judge(&mut readings);
     let disturbance = disturbance.report();
     println!("\n{machine}\n{disturbance}\n");
     let report = json!({"machine": machine, "disturbance": disturbance, "quick": quick, "rows": readings});
     options.run.write(&report).map_err(|error| error.to_string())?;
-    Ok(print_verdicts(&verdicts)?)
+    verdict::print(&verdicts)
 }
 
 /// Why a quick run says nothing of how long something takes.
 fn too_short(quick: bool) -> Option<&'static str> {
     quick.then_some("a quick run is too short for that")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_aims_of_the_file_are_about_these_experiments() {
-        assert!(judge(Aimed::Tools, &EXPERIMENTS.map(str::to_owned), &mut []).unwrap().is_empty());
-    }
 }

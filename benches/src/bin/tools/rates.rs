@@ -46,6 +46,7 @@ pub fn measure(taut: &Taut, quick: bool) -> Result<Vec<Reading>> {
         let is_kept = (sent_hz / wanted_hz - 1.0).abs() < TOLERANCE;
         let what = "rate that is printed, to the one that was wanted";
         let one = Reading::of("rates", wanted_hz as usize, what, "x").value(printed_hz / wanted_hz);
+        let one = one.at_least(0.99).at_most(1.01).must();
         let one = one.note(format!("{bytes} B, sent at {sent_hz:.3} Hz, printed {printed_hz:.3}"));
         readings.push(one.unfit((!is_kept).then_some("the publisher did not keep its rate")));
     }
