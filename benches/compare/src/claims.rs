@@ -16,6 +16,8 @@ const SLEEPING: &[&str] = &["blocking", "direct", "one-thread"];
 /// Those with a thread for each callback.
 const THREADS: &[&str] = &["blocking", "direct"];
 
+const RIVALS: [&str; 5] = ["fastdds", "cyclonedds", "zenoh", "hiroz", "r2r"];
+
 fn ours<'a>(experiment: &'a str, bytes: usize, modes: &'a [&'a str]) -> Ways<'a> {
     Ways::new(experiment, bytes, "tautline", modes)
 }
@@ -61,8 +63,6 @@ fn latency(rows: &[Row]) -> Vec<Verdict> {
     claims.push(Claim::new(Metric::P50, ours(shipped, 64, &["own-default"]), Goal::Times(0.7, fastdds)));
     judge(rows, claims)
 }
-
-const RIVALS: [&str; 5] = ["fastdds", "cyclonedds", "zenoh", "hiroz", "r2r"];
 
 /// Written and read whole: near the floor, and several times faster than who copies.
 fn large_messages(rows: &[Row]) -> Vec<Verdict> {

@@ -131,8 +131,7 @@ impl<'a> Claim<'a> {
 
     /// The best of ours beside the best of theirs. What is not fit to be compared never counts for us.
     fn measured(&self, rows: &[Row]) -> (String, Option<bool>, Vec<String>) {
-        let figure = Figure { metric: self.metric, however_few: self.however_few };
-        let ours = self.ours.of(rows);
+        let (figure, ours) = (self.figure(), self.ours.of(rows));
         let (fit, mut notes) = figure.sort(&ours);
         let Some(us) = figure.best(&fit) else { return self.missing("ours", notes) };
         notes = notes.into_iter().map(|unfit| format!("left out: {unfit}")).collect();
@@ -153,25 +152,36 @@ impl<'a> Claim<'a> {
             if is_held.is_none() {
                 notes.extend(unfit.into_iter().map(|unfit| format!("not judged: {unfit}")));
             }
-            if let Some([floor]) = self.floor.map(|floor| floor.of(rows)).as_deref()
-                && let Some(compared) = Compared::of(floor, them, figure, by)
-            {
-                let beyond =
-                    if self.is_within(compared.median) { "" } else { ", so no system can meet the goal" };
-                notes.push(format!("the floor is at {}{beyond}", by.show(compared.median, unit)));
-            }
+            notes.extend(self.at_the_floor(rows, them, by));
         }
-        let others = self.instead.map(|others| figure.sort(&others.of(rows)).0).unwrap_or_default();
-        let all: Vec<&Row> = [us].into_iter().chain(others).collect();
-        if let Some(other) = figure.best(&all).filter(|other| other.mode != us.mode) {
-            notes.push(format!("{} {} {unit}", other.mode, figure.text(other)));
-        }
+        notes.extend(self.better_way(rows, us));
         let beside = |metric: &Metric| {
             let number = Figure::from(*metric).median(ours.first()?)?;
             Some(format!("{} {}", short(number), metric.unit()))
         };
         notes.extend(self.beside.iter().filter_map(beside));
         (found, is_held, notes)
+    }
+
+    fn figure(&self) -> Figure {
+        Figure { metric: self.metric, however_few: self.however_few }
+    }
+
+    fn at_the_floor(&self, rows: &[Row], them: &Row, by: By) -> Option<String> {
+        let floors = self.floor?.of(rows);
+        let compared = Compared::of(floors.first()?, them, self.figure(), by)?;
+        let beyond = if self.is_within(compared.median) { "" } else { ", so no system can meet the goal" };
+        Some(format!("the floor is at {}{beyond}", by.show(compared.median, self.metric.unit())))
+    }
+
+    /// The best of our other ways, if it is better.
+    fn better_way(&self, rows: &[Row], us: &Row) -> Option<String> {
+        let figure = self.figure();
+        let others = self.instead?.of(rows);
+        let (mut all, _) = figure.sort(&others);
+        all.insert(0, us);
+        let best = figure.best(&all).filter(|best| best.mode != us.mode)?;
+        Some(format!("{} {} {}", best.mode, figure.text(best), self.metric.unit()))
     }
 
     /// What was to be compared, and why there is nothing to judge.
