@@ -97,7 +97,7 @@ pub fn command(name: Name, told: &[String], of: Build) -> Result<Command, String
             let rivals = compare::rivals(&word(name), &values(&told, "--systems"));
             // Of an earlier run nothing is measured.
             if !rivals.is_empty() && values(&told, "--from").is_empty() {
-                let mut check = of.program("tautline-compare", "compare");
+                let mut check = lab::program(of, "tautline-compare", "compare");
                 execute(check.arg(format!("--bench={}", word(name))).args(&told).arg("--check-options"))?;
                 compare::join(&mut command, &rivals, of);
             }
