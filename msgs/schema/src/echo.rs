@@ -7,7 +7,7 @@ use crate::number::python_float;
 use crate::{DynamicMessage, FieldType, List, MessageError, Schema, Shape, Value};
 
 /// YAML in block style, a line per value: what `ros2 topic echo --full-length` prints between two `---`, except that
-/// `byte` is a number and `float32` has no more digits than it needs. [`DynamicMessage::from_yaml`] reads it.
+/// `byte` is a number and `float32` has no more digits than it needs. `DynamicMessage::from_yaml` reads it.
 impl fmt::Display for DynamicMessage {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         let form = EchoForm { most: usize::MAX, ..EchoForm::default() };
