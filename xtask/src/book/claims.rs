@@ -253,6 +253,43 @@ fn as_many_definitions_are_bundled_as_the_documents_say() {
     }
 }
 
+/// Their walks and tables name files by the end of a path.
+#[test]
+fn files_that_the_documents_name_are_there() {
+    let root = machine::root();
+    let folders = [
+        "analysis",
+        "bag",
+        "benches",
+        "bridge-ros",
+        "cli",
+        "examples",
+        "executor",
+        "msgs",
+        "node",
+        "rmw",
+        "rt",
+        "sampler",
+    ];
+    let folders = folders.into_iter().chain(["trace", "transport", "xtask"]);
+    let there: Vec<String> = folders
+        .flat_map(|folder| sources(&root.join(folder)))
+        .map(|file| file.display().to_string())
+        .collect();
+    let mut lacking = Vec::new();
+    for page in ["ARCHITECTURE.md", "docs/internals.md"] {
+        let text = read(&root.join(page));
+        // Every second piece is between two ticks.
+        for name in text.split('`').skip(1).step_by(2).filter(|name| name.ends_with(".rs")) {
+            let end = format!("/{name}");
+            if !there.iter().any(|file| file.ends_with(&end)) {
+                lacking.push(format!("{page}: {name}"));
+            }
+        }
+    }
+    assert_eq!(lacking, Vec::<String>::new());
+}
+
 /// ARCHITECTURE.md: "the only crate that calls `sched_*` and `mlock*`".
 #[test]
 fn no_crate_but_rt_sets_priorities_or_locks_memory() {
