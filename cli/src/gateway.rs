@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut gateway`: becomes `taut-gateway`, a program of its own, so that nobody builds the network who does not use it.
+//! `taut gateway`: runs `taut-gateway`, a separate program, so that only its users build Zenoh.
 
 use crate::sibling::{Sibling, SiblingError};
 use clap::Args;
@@ -12,7 +12,7 @@ const GATEWAY: Sibling = Sibling {
 
 /// Mirrors this host's topics over the network: one gateway per host and domain.
 ///
-/// Runs the program taut-gateway: the one beside this one, else the one in PATH. Its options: taut gateway --help.
+/// Runs the program taut-gateway, from the folder of this program or from PATH. Its options: taut gateway --help.
 #[derive(Args, Debug)]
 #[command(disable_help_flag = true)]
 pub struct GatewayArgs {
@@ -21,7 +21,7 @@ pub struct GatewayArgs {
     arguments: Vec<OsString>,
 }
 
-/// Does not return if the gateway could be started.
+/// Returns only if the gateway cannot be started.
 pub fn run(args: GatewayArgs) -> Result<std::process::ExitCode, SiblingError> {
     Err(GATEWAY.become_it(&args.arguments))
 }
