@@ -11,11 +11,11 @@ use std::process::ExitCode;
 use tautline::{Error, apply_system};
 use tautline_analysis::file::SystemFile;
 
-/// Has running processes take up what their system file says now: priorities, reservations, budgets and deadlines
+/// Makes running processes adopt the present text of their system file: priorities, reservations, budgets and deadlines
 ///
-/// The new text is checked first, beside what else runs in the domain, and by each process, which knows what it cannot change without a
-/// restart (callbacks, nodes, cores, threads, topics, periods, deeper queues). If one refuses, nothing is changed. Exits with 0 if all have
-/// taken it up, 1 if it was refused, 2 if the file cannot be used.
+/// First `taut` checks the new text together with everything else that runs in the domain. Then each process checks that it can adopt the
+/// text without a restart: callbacks, nodes, cores, threads, topics, periods and deeper queues cannot change. If one process refuses,
+/// nothing changes. Exits with 0 if all processes have adopted the text, 1 if one refused it, 2 if the file cannot be used.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut apply system.toml                      the file that a robot was started with, after an edit

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Asking services and actions: by names as people write them, with a node that comes for it, and with an end.
+//! Calls services and actions by the names that users type, through a temporary node, with a time limit.
 
 use crate::verb::{End, Failure, Outcome, Waited};
 use futures::StreamExt;
@@ -15,7 +15,7 @@ use tautline_transport::graph_of;
 
 pub type Answer<T> = Result<<T as Service>::Response, Error>;
 
-/// A node of the domain, and the thread that hears the answers.
+/// A temporary node in the domain, and its sampler thread, which receives the responses.
 pub struct Asking {
     pub node: Node,
     pub end: End,
@@ -33,13 +33,13 @@ impl Asking {
         Ok(Asking { node, end, context, sampler: Some(sampler) })
     }
 
-    /// The answer of one service.
+    /// Calls one service and returns its response.
     pub fn ask<T: Service>(&mut self, service: &str, request: T::Request) -> Outcome<T::Response> {
         let answer = self.ask_all::<T>(vec![(service.to_owned(), request)])?.remove(0);
         answer.map_err(|error| Failure::no(no_answer(&error)))
     }
 
-    /// The answer of each of several services, which are asked at once; [`Error::ServiceTimeout`] of those that are silent to the end.
+    /// Calls several services at once. The result of a service that does not respond in time is [`Error::ServiceTimeout`].
     pub fn ask_all<T: Service>(&mut self, requests: Vec<(String, T::Request)>) -> Outcome<Vec<Answer<T>>> {
         let timeout = self.end.timeout().unwrap_or_default();
         let graph = self.node.graph()?;
@@ -52,7 +52,7 @@ impl Asking {
             waiting.push(Some(service));
             asked.push(async move { (index, exchange(client, is_there, request).await) });
         }
-        // Making clients takes its time where there are hundreds of nodes: that is not theirs.
+        // Creating clients for hundreds of nodes takes time, which does not count against the nodes.
         self.end.restart();
         while !asked.is_empty() {
             let what = || {
@@ -68,7 +68,7 @@ impl Asking {
         Ok(answers)
     }
 
-    /// Waits for something else.
+    /// Waits for another future.
     pub fn wait<T>(&self, what: impl Fn() -> String, future: impl Future<Output = T>) -> Outcome<T> {
         self.end.wait(what, polled(future))
     }
@@ -84,19 +84,19 @@ impl Drop for Asking {
 }
 
 async fn exchange<T: Service>(client: Client<T>, is_there: bool, request: T::Request) -> Answer<T> {
-    // Gateways and bridges fetch what somebody wants to ask.
+    // A gateway or bridge creates its proxy of the server only when a client appears.
     if is_there {
         client.wait_for_service()?.await?;
     }
     client.request(&request)?.await
 }
 
-/// The name and type of the action that a service is part of, if it is the one that takes goals: by that an action is known.
+/// If the service is an action's `send_goal`: the name and type of the action. Each action has exactly one.
 pub fn action_of<'a>(service: &'a str, type_name: &'a str) -> Option<(&'a str, &'a str)> {
     service.strip_suffix("/_action/send_goal").zip(type_name.strip_suffix("_SendGoal"))
 }
 
-/// What a service that did not answer is said to do.
+/// The error text for a service that did not respond.
 pub fn no_answer(error: &Error) -> String {
     match error {
         Error::ServiceTimeout { .. } => format!("{error}: its node is stopped, or does not spin"),
@@ -112,7 +112,7 @@ impl Wake for Unpark {
     }
 }
 
-/// A future as something that is looked for: whoever wakes it unparks this thread.
+/// Adapts a future to [`End::look`]: waking the future unparks this thread.
 pub fn polled<T>(future: impl Future<Output = T>) -> impl FnMut() -> Outcome<Option<T>> {
     let waker = Waker::from(Arc::new(Unpark(std::thread::current())));
     let mut future = Box::pin(future);
@@ -122,12 +122,12 @@ pub fn polled<T>(future: impl Future<Output = T>) -> impl FnMut() -> Outcome<Opt
     }
 }
 
-/// A name as ROS completes it.
+/// The full name; a relative name belongs to the namespace `/`.
 pub fn full_name(name: &str) -> String {
     if name.starts_with('/') { name.to_owned() } else { format!("/{name}") }
 }
 
-/// A type's name as ROS 2's tools take it: without its kind, too.
+/// The full name of a type. As in ROS 2's tools, the kind (`msg`, `srv`, `action`) may be omitted.
 pub fn full_type(name: &str, kind: &str) -> String {
     match name.split('/').collect::<Vec<_>>()[..] {
         [package, name] => format!("{package}/{kind}/{name}"),
@@ -135,7 +135,7 @@ pub fn full_type(name: &str, kind: &str) -> String {
     }
 }
 
-/// `[TYPE] [VALUES]`: what is no type's name is values.
+/// Splits `[TYPE] [VALUES]`. A single argument that is not a type's name is the values.
 pub fn type_and_values<'a>(arguments: &'a [String], kind: &str) -> (Option<String>, &'a str) {
     let is_type = |text: &str| {
         text.contains('/') && text.chars().all(|c| c.is_ascii_alphanumeric() || "_/".contains(c))
@@ -147,12 +147,12 @@ pub fn type_and_values<'a>(arguments: &'a [String], kind: &str) -> (Option<Strin
     }
 }
 
-/// Whether a service has one, here or elsewhere.
+/// Whether the service has a server, on any host.
 fn has_server(graph: &GraphSnapshot, service: &str) -> bool {
     graph.services.iter().any(|end| end.kind == ServiceKind::Server && end.name == service)
 }
 
-/// The nodes that have a service of this name below their own.
+/// The nodes that serve `<node>/<service>`.
 pub fn nodes_with(domain: u32, service: &str) -> Outcome<Vec<String>> {
     let graph = graph_of(domain)?;
     let servers = graph.services.iter().filter(|end| end.kind == ServiceKind::Server);
@@ -161,7 +161,7 @@ pub fn nodes_with(domain: u32, service: &str) -> Outcome<Vec<String>> {
     Ok(nodes.into_iter().map(str::to_owned).collect())
 }
 
-/// The full name of a node that has this service; `what` is true of one without.
+/// The full name of a node that serves `<node>/<service>`. For a node without it, the error says that the node `what`.
 pub fn node_with(domain: u32, node: &str, service: &str, what: &str) -> Outcome<String> {
     let (graph, node) = (graph_of(domain)?, full_name(node));
     let all: Vec<String> = graph.nodes.iter().map(|node| node.name.full_name()).collect();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut bridge-ros`: becomes `taut-bridge-ros`, a program of its own, so that nobody needs a ROS 2 who does not use it.
+//! `taut bridge-ros`: runs `taut-bridge-ros`, a separate program, so that only its users need ROS 2.
 
 use crate::sibling::{Sibling, SiblingError};
 use clap::Args;
@@ -15,7 +15,7 @@ const BRIDGE: Sibling = Sibling {
 
 /// Joins Tautline's topics with those of a ROS 2 graph.
 ///
-/// Runs the program taut-bridge-ros: the one beside this one, else the one in PATH. Its options: taut bridge-ros --help.
+/// Runs the program taut-bridge-ros, from the folder of this program or from PATH. Its options: taut bridge-ros --help.
 #[derive(Args, Debug)]
 #[command(disable_help_flag = true)]
 pub struct BridgeRosArgs {
@@ -43,7 +43,7 @@ pub enum BridgeRosError {
     Other { said: String },
 }
 
-/// Does not return if the bridge could be started.
+/// Returns only if the bridge cannot be started.
 pub fn run(args: BridgeRosArgs) -> Result<ExitCode, BridgeRosError> {
     // The loader and ROS may end it before it can say a word: whether it can run at all is asked first.
     let program = BRIDGE.path();

@@ -21,9 +21,9 @@ const CONTAINER: Sibling = Sibling {
     build: "build it with `cargo build --release -p tautline-container`, or install it with `cargo install --path node/components/container`",
 };
 
-/// The node of a container that is given no name.
+/// The node of a container without a given name.
 pub const MANAGER: &str = "/ComponentManager";
-/// Making a component may open topics and start threads.
+/// The time limit for loading: creating a component may open topics and start threads.
 const PATIENCE: Duration = Duration::from_secs(10);
 
 /// Runs components from shared libraries in one process; loads and unloads them while it runs.
@@ -52,7 +52,7 @@ struct Target {
 
 #[derive(Subcommand, Debug)]
 enum Verb {
-    /// Becomes taut-container, the one beside this program, else the one in PATH; its options: taut component run --help
+    /// Runs taut-container, from the folder of this program or from PATH; its options: taut component run --help
     #[command(disable_help_flag = true)]
     Run {
         /// Passed on
@@ -79,7 +79,7 @@ enum Verb {
         /// The level of the node's logger: debug, info, warn, error or fatal
         #[arg(long, value_name = "LEVEL", value_parser = log_level, add = completions::levels())]
         log_level: Option<LogSeverity>,
-        /// What ROS 2's containers know, NAME:=VALUE: use_intra_process_comms, forward_global_arguments
+        /// An extra argument as for ROS 2's containers, NAME:=VALUE: use_intra_process_comms or forward_global_arguments
         #[arg(long, short = 'e', value_name = "NAME:=VALUE", value_parser = parameter)]
         extra_argument: Vec<msg::Parameter>,
     },
@@ -93,7 +93,7 @@ enum Verb {
     List,
 }
 
-/// Runs the verb. Does not return if it is `run`, and the container could be started.
+/// Runs the verb. `run` returns only if the container cannot be started.
 pub fn run(args: ComponentArgs) -> Outcome {
     let ComponentArgs { verb, target } = args;
     match verb {
@@ -110,7 +110,7 @@ pub fn run(args: ComponentArgs) -> Outcome {
         }
         Verb::Load { what, name, namespace, remap, params, log_level, extra_argument } => {
             let (library, component) = what.split_once(':').unwrap_or((&what, ""));
-            // The container may be in another folder.
+            // The container may run in another folder, so the library's path must be absolute.
             let library = std::path::absolute(library).unwrap_or_else(|_| PathBuf::from(library));
             let request = LoadNode::Request {
                 package_name: library.to_string_lossy().into_owned(),
@@ -144,7 +144,7 @@ pub fn run(args: ComponentArgs) -> Outcome {
     Ok(())
 }
 
-/// As behind `-p` on ROS 2's command line, for one node.
+/// Parses a parameter as ROS 2's option `-p` does, for one node.
 fn parameter(rule: &str) -> Result<msg::Parameter, String> {
     match rule.split_once(":=") {
         Some((name, value)) if !name.is_empty() => {

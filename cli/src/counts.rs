@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How much publishers send, by what they count anyway: nobody is disturbed.
+//! Rates of publishers, from the counters that they keep in shared memory. Reading these does not affect the publishers.
 
 use crate::verb::Outcome;
 use std::collections::BTreeMap;
@@ -7,22 +7,22 @@ use std::time::Instant;
 use tautline::{EndpointKind, GraphSnapshot};
 use tautline_transport::{Gid, Sent, Visitor};
 
-/// What the look before read.
+/// The previous readings.
 #[derive(Default)]
 pub struct Counts(BTreeMap<Gid, (Instant, Sent)>);
 
-/// What a publisher sends.
+/// The rate of a publisher.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Rate {
     pub messages_hz: f64,
     pub bytes_per_s: f64,
 }
 
-/// Of the publishers of this host; `None` for one that the look before did not see. What is elsewhere nobody counts here.
+/// The rates of this host's publishers; `None` for a publisher without a previous reading. Publishers of other hosts have no counters here.
 pub type Rates = BTreeMap<Gid, Option<Rate>>;
 
 impl Counts {
-    /// What was sent since the look before.
+    /// Reads the counters, and returns the rates since the previous reading.
     pub fn look(&mut self, visitor: &mut Visitor, graph: &GraphSnapshot) -> Outcome<Rates> {
         let (before, mut rates) = (std::mem::take(&mut self.0), Rates::new());
         for end in graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Publisher) {
@@ -42,7 +42,7 @@ impl Counts {
     }
 }
 
-/// How fast a count grew.
+/// The rate at which a count grew.
 pub fn per_second(now: u64, before: u64, seconds: f64) -> f64 {
     if seconds > 0.0 { now.saturating_sub(before) as f64 / seconds } else { 0.0 }
 }

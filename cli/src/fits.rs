@@ -8,13 +8,13 @@ use tautline_transport::QosPolicyKind;
 pub struct Mismatch<'g> {
     pub publisher: &'g TopicEndpoint,
     pub subscription: &'g TopicEndpoint,
-    /// What is offered less of than is requested.
+    /// The policy whose offer does not meet the request.
     policy: Option<QosPolicyKind>,
     types_differ: bool,
 }
 
 impl Mismatch<'_> {
-    /// Why, in a sentence.
+    /// The reason as a sentence.
     pub fn reason(&self) -> String {
         let policy =
             self.policy.map(|policy| format!("the offered {policy} does not meet the requested one"));
@@ -22,7 +22,7 @@ impl Mismatch<'_> {
         policy.into_iter().chain(types).collect::<Vec<_>>().join(", and ")
     }
 
-    /// Why, in a few words.
+    /// The reason in a few words.
     pub fn words(&self) -> String {
         let policy = self.policy.map(|policy| format!("QoS: {policy}"));
         let types = self.types_differ.then(|| "other type".to_owned());
@@ -30,7 +30,7 @@ impl Mismatch<'_> {
     }
 }
 
-/// All of a domain. Pairs of other hosts are theirs to check.
+/// All incompatible pairs of a domain. Pairs whose endpoints are both on other hosts are checked there.
 pub fn mismatches(graph: &GraphSnapshot) -> Vec<Mismatch<'_>> {
     let mut found = Vec::new();
     for topic in graph.endpoints.chunk_by(|one, other| one.topic == other.topic) {
@@ -51,7 +51,7 @@ pub fn mismatches(graph: &GraphSnapshot) -> Vec<Mismatch<'_>> {
     found
 }
 
-/// Its node, or its identifier if it has none.
+/// The name of the endpoint's node, or the endpoint's identifier if it has no node.
 pub fn label(end: &TopicEndpoint) -> String {
     end.node.as_ref().map_or_else(|| format!("{:?}", end.gid), |node| node.full_name())
 }

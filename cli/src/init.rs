@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut init`: a commented system file to begin with.
+//! `taut init`: writes a commented system file to start from.
 use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write};
 use std::path::PathBuf;
@@ -7,12 +7,12 @@ use std::process::ExitCode;
 
 use clap::Args;
 
-/// The template; it passes `taut check` as it is.
+/// The template; it passes `taut check` unchanged.
 const TEMPLATE: &str = include_str!("init.toml");
 
-/// Writes a commented system file to begin with
+/// Writes a commented system file to start from
 ///
-/// The file describes a small robot and passes `taut check`; change it until it describes yours. A file that exists is
+/// The file describes a small robot and passes `taut check`; change it until it describes yours. An existing file is
 /// never overwritten.
 #[derive(Args, Clone, Debug)]
 pub struct InitArgs {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut interface`: which types there are, and their definitions as ROS 2's tools print them.
+//! `taut interface`: lists types, and prints their definitions as ROS 2's tools do.
 
 use crate::completions;
 use crate::msg::{Finder, parts};
@@ -16,8 +16,8 @@ use tautline_schema::{Base, Definition, DynamicMessage, EchoForm, Kind, Schema, 
 
 /// Lists the types of messages, services and actions; prints their definitions.
 ///
-/// Types are searched in --path, in the prefixes of AMENT_PREFIX_PATH (source your ROS 2), among those built into this
-/// program, and among those of the domain's topics and services. `taut msg` shows their layouts and hashes.
+/// Types are searched in --path, in the prefixes of AMENT_PREFIX_PATH (source your ROS 2), in this program, and in the
+/// definitions that the domain's processes have cached. `taut msg` shows their layouts and hashes.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut interface show sensor_msgs/msg/LaserScan
@@ -71,7 +71,7 @@ enum Verb {
     },
     /// Prints the values of a message, request or goal, all with their defaults, as YAML or JSON
     Proto {
-        /// As for show
+        /// The type, as for show
         #[arg(value_name = "TYPE", add = completions::interfaces())]
         name: String,
     },
@@ -171,7 +171,7 @@ fn find(args: &InterfaceArgs, name: &str) -> Outcome<Schema> {
     finder.schema(name).map_err(|error| {
         let whole = name.parse::<TypeName>().map_or(name.to_owned(), |name| name.to_string());
         match finder.list() {
-            // The domain has it, and nobody left its definition.
+            // The domain has the type, but no process has cached its definition.
             Ok(types) if types.iter().any(|name| name.as_str() == whole) => Failure::no(error.to_string()),
             Ok(types) if error.is_missing(&whole) => {
                 Failure::unknown("type", &whole, types.iter().map(TypeName::as_str), "interface list")
@@ -181,7 +181,7 @@ fn find(args: &InterfaceArgs, name: &str) -> Outcome<Schema> {
     })
 }
 
-/// As `ros2 interface show`: comments of the first so many levels, fields of fields indented.
+/// The text of `ros2 interface show`: nested fields are indented, and the first `comments` levels have their comments.
 fn shown(schema: &Schema, comments: usize) -> String {
     let mut text = String::new();
     let parts = parts(schema);

@@ -11,15 +11,15 @@ use std::time::Duration;
 use tautline::lifecycle_msgs::msg::{State, TransitionDescription};
 use tautline::lifecycle_msgs::srv::{ChangeState, GetAvailableTransitions, GetState};
 
-/// How long nodes may take to say where they are; not to go elsewhere.
+/// The time limit for a node to report its state; transitions may take longer.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 const STATE: &str = "get_state";
 const UNMANAGED: &str = "is not managed";
 
-/// Says which states managed nodes have, and changes them.
+/// Prints and changes the states of managed nodes.
 ///
-/// Nodes of other hosts are seen if this host runs `taut gateway`.
+/// Nodes of other hosts are visible if this host runs `taut gateway`.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut lifecycle nodes
@@ -37,26 +37,26 @@ pub struct LifecycleArgs {
 
 #[derive(Subcommand, Clone, Debug)]
 enum Verb {
-    /// Prints the nodes that have states
+    /// Prints the managed nodes
     Nodes,
     /// Prints the state of a node, or of all
     Get {
-        /// The node's name with its namespace; one without is in /
+        /// The node's name with its namespace [default namespace: /]
         #[arg(value_name = "NODE", add = completions::lifecycle_nodes())]
         node: Option<String>,
     },
-    /// Prints the transitions that a node can make from where it is
+    /// Prints the transitions that are possible from a node's present state
     List {
-        /// The node's name with its namespace; one without is in /
+        /// The node's name with its namespace [default namespace: /]
         #[arg(value_name = "NODE", add = completions::lifecycle_nodes())]
         node: String,
-        /// All that there are, from any state
+        /// Print all transitions, from any state
         #[arg(short, long)]
         all: bool,
     },
-    /// Has a node make a transition, and waits for its end; exits with 1 if it fails
+    /// Triggers a transition of a node and waits for its end; exits with 1 if it fails
     Set {
-        /// The node's name with its namespace; one without is in /
+        /// The node's name with its namespace [default namespace: /]
         #[arg(value_name = "NODE", add = completions::lifecycle_nodes())]
         node: String,
         /// The transition: its label or its number
@@ -147,7 +147,7 @@ fn set(common: &CommonArgs, node: &str, wanted: &str) -> Outcome {
         let (what, list) = (format!("transition of {node} as it is now"), format!("lifecycle list {node}"));
         return Err(Failure::unknown(&what, wanted, labels, &list));
     };
-    // The node may have much to do.
+    // A transition may take long.
     asking.end = End::of(common)?;
     let request = ChangeState::Request { transition: transition.clone() };
     let changed = asking.ask::<ChangeState::Service>(&format!("{node}/change_state"), request)?;

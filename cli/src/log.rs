@@ -18,18 +18,18 @@ use tautline::{EndpointKind, LogSeverity};
 use tautline_transport::{Gid, GraphSnapshot, Limits, Participant, Qos, Subscription, TakeError, graph_of};
 
 const TOPIC: &str = "/rosout";
-/// As many as ROS 2's nodes keep.
+/// The number of lines that ROS 2's nodes keep.
 const DEPTH: usize = 1000;
-/// How often lines are looked for: rarely enough that nobody notices, often enough for people.
+/// The interval at which new lines are read. People do not notice it, and it costs little.
 const POLL: Duration = Duration::from_millis(10);
-/// How often it is looked which nodes there are.
+/// The interval at which the list of nodes is read.
 const LOOK: Duration = Duration::from_secs(1);
 /// How long a node may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Prints what nodes log on /rosout, first what they still keep of before; reads and sets levels.
+/// Prints what nodes log on /rosout, beginning with the lines that they keep for late joiners; reads and sets levels.
 ///
-/// Nodes of other hosts are seen if this host runs `taut gateway`.
+/// Nodes of other hosts are visible if this host runs `taut gateway`.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut log                                  all lines, until Ctrl-C
@@ -51,13 +51,13 @@ pub struct LogArgs {
 
 #[derive(Args, Clone, Debug)]
 struct LinesArgs {
-    /// Print lines of these nodes only; waited for if they do not exist
+    /// Print lines of these nodes only; waits for nodes that do not exist yet
     #[arg(value_name = "NODE", add = completions::nodes())]
     nodes: Vec<String>,
     /// Print lines of this severity and above
     #[arg(short, long, value_enum, value_name = "LEVEL", default_value = "debug")]
     level: Level,
-    /// Print what is logged from now on, not what nodes keep of before
+    /// Print only new lines, not those that nodes keep for late joiners
     #[arg(long)]
     new: bool,
     /// End after N lines
@@ -72,16 +72,16 @@ struct LinesArgs {
 enum Verb {
     /// Prints the level of a node's logger, or sets it
     ///
-    /// Nodes of rclcpp and rclpy serve their levels if they were made with `enable_logger_service`, nodes of Tautline if they run
+    /// Nodes of rclcpp and rclpy serve their levels if they were created with `enable_logger_service`, nodes of Tautline if they run
     /// `Node::make_logger_handler`.
     Level {
-        /// The node's name with its namespace; one without is in /
+        /// The node's name with its namespace [default namespace: /]
         #[arg(value_name = "NODE", add = completions::logging_nodes())]
         node: String,
-        /// The least severe lines that are wanted; unset: as of the loggers above
+        /// The lowest severity to log; unset: the level of the parent logger
         #[arg(value_enum, value_name = "LEVEL")]
         level: Option<Level>,
-        /// Another logger of the node's process than the node's own
+        /// Another logger of the node's process [default: the node's own]
         #[arg(long, value_name = "NAME")]
         logger: Option<String>,
     },
@@ -130,12 +130,12 @@ pub fn run(args: &LogArgs) -> Outcome {
 struct Lines<'a> {
     args: &'a LinesArgs,
     common: &'a CommonArgs,
-    /// Loggers whose lines are wanted, and those below them; of all, if there are none.
+    /// Loggers to print, with their child loggers; all loggers if empty.
     loggers: Vec<String>,
     end: End,
     participant: Participant,
     subscription: Subscription<Log>,
-    /// Publishers of which it was said that their lines do not come.
+    /// Publishers for which the user was warned that their lines do not arrive.
     unheard: BTreeSet<Gid>,
 }
 
@@ -253,7 +253,7 @@ impl<'a> Lines<'a> {
     }
 }
 
-/// Says whose lines do not come, once each.
+/// Warns once for each publisher whose lines do not arrive.
 fn say_unheard(graph: &GraphSnapshot, subscription: &Subscription<Log>, said: &mut BTreeSet<Gid>) {
     for end in &graph.endpoints {
         if end.topic != TOPIC || end.kind != EndpointKind::Publisher {
@@ -270,7 +270,7 @@ fn say_unheard(graph: &GraphSnapshot, subscription: &Subscription<Log>, said: &m
     }
 }
 
-/// A severity as a line has it; numbers between the names are those of their users.
+/// The name of a severity in a line; programs may use numbers between the named ones.
 fn word(level: u8) -> String {
     match level {
         10 => "DEBUG".into(),

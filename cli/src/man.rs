@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut man`: a manual page for each verb, from what the verbs say of themselves.
+//! `taut man`: writes a manual page for each verb from its help text.
 
 use crate::sibling::WITH_VERBS;
 use crate::verb::{Failure, Outcome};
@@ -17,7 +17,7 @@ use std::process;
   taut man ~/.local/share/man/man1     then: man taut-topic-echo
   taut man man && man -l man/taut.1")]
 pub struct ManArgs {
-    /// The folder, which is made if it is not there
+    /// The folder; created if it does not exist
     #[arg(value_name = "DIR", value_hint = clap::ValueHint::DirPath)]
     folder: PathBuf,
 }
@@ -71,7 +71,7 @@ fn write(args: &ManArgs, command: Command, with_top: bool) -> Outcome<usize> {
     Ok(pages.len())
 }
 
-/// A command's page, and those of its verbs; `above` is the name of the page that it is a verb of.
+/// Writes a command's page and those of its verbs; `above` is the name of the parent's page.
 fn collect(command: &Command, version: &str, above: Option<&str>, pages: &mut Vec<(String, Vec<u8>)>) {
     let name = command.get_display_name().unwrap_or_else(|| command.get_name());
     pages.push((format!("{name}.1"), page(command, name, version, above)));
@@ -81,10 +81,10 @@ fn collect(command: &Command, version: &str, above: Option<&str>, pages: &mut Ve
 }
 
 fn page(command: &Command, name: &str, version: &str, above: Option<&str>) -> Vec<u8> {
-    // clap_mangen's own title loses an empty date, and with it the places of what follows.
+    // clap_mangen omits an empty date from its title, which shifts the fields after it.
     let title = format!(".TH \"{}\" \"1\" \"\" \"taut {version}\" \"Tautline\"\n", name.to_uppercase());
     let mut page = title.into_bytes();
-    // Nothing is written but into memory.
+    // Writing to memory cannot fail.
     let _ = sections(&Man::new(command.clone()), command, above, &mut page);
     page
 }
@@ -103,7 +103,7 @@ fn sections(man: &Man, command: &Command, above: Option<&str>, page: &mut Vec<u8
     let mut more = Roff::new();
     for part in help.unwrap_or_default().split("\n\n") {
         if let Some(examples) = part.strip_prefix("Examples:\n") {
-            // As they are, each in its line.
+            // Examples stay unchanged, one on each line.
             more.control("SH", ["EXAMPLES"]).control("nf", []);
             for line in examples.lines() {
                 more.text([roman(line.strip_prefix("  ").unwrap_or(line))]);

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What took time on a callback's core, as it is passed on and saved.
+//! Moments of callbacks in the form in which they are saved and passed between processes.
 
 use serde::{Deserialize, Serialize};
 use tautline::MomentKind;
 use tautline_analysis::taken::{Seen, Taken};
 
-/// To this it is accounted for what was taken: what is shorter, and a wake that is late by less, may not be noted.
+/// The resolution of core time accounting: shorter intervals and smaller delays of a wake-up may be missing.
 pub const ACCOUNTED_TO_NS: u64 = 100_000;
 
-/// As [`tautline::Moment`].
+/// A [`tautline::Moment`] that can be serialized.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Moment {
     pub kind: Kind,
@@ -17,7 +17,7 @@ pub struct Moment {
     pub length_ns: u64,
 }
 
-/// As [`MomentKind`].
+/// A [`MomentKind`] that can be serialized.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
@@ -45,7 +45,7 @@ impl From<&tautline::Moment> for Moment {
 }
 
 impl Moment {
-    /// What the analysis has to know of it; nothing of a late job.
+    /// The interval for the analysis; `None` for a late job, which is a result and not a cause.
     pub fn taken(&self) -> Option<Taken> {
         let seen = match self.kind {
             Kind::Late => return None,

@@ -12,9 +12,9 @@ use std::sync::Arc;
 use tautline::{EndpointKind, GraphSnapshot, NodeInfo, ServiceKind};
 use tautline_transport::graph_of;
 
-/// Lists nodes; says what a node publishes, subscribes to, answers and asks.
+/// Lists nodes, and the topics, services and actions of a node.
 ///
-/// Nodes of other hosts are seen if this host runs `taut gateway`.
+/// Nodes of other hosts are visible if this host runs `taut gateway`.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut node list
@@ -29,11 +29,11 @@ pub struct NodeArgs {
 
 #[derive(Subcommand, Clone, Debug)]
 enum Verb {
-    /// Prints the nodes, and the process of each or where else it is
+    /// Prints the nodes, each with its process, or with its place if it is on another host
     List,
     /// Prints the topics, services and actions of a node
     Info {
-        /// The node's name with its namespace; one without is in /
+        /// The node's name with its namespace [default namespace: /]
         #[arg(value_name = "NODE", add = completions::nodes())]
         node: String,
     },
@@ -89,7 +89,7 @@ fn facts(node: &NodeInfo) -> Value {
     })
 }
 
-/// Names and types, by what they are to the node: in the order in which they are printed.
+/// Names and types of a node's endpoints by kind, in the order of output.
 struct Parts(Vec<(&'static str, BTreeMap<String, String>)>);
 
 impl Parts {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Verbs that are programs of their own, so that nobody builds what they need who does not use them.
+//! Verbs that run separate programs, so that only their users build what these programs need.
 
 use crate::verb::{Failure, Outcome};
 use clap::Args;
@@ -55,7 +55,7 @@ pub struct PassedOn {
     arguments: Vec<OsString>,
 }
 
-/// A program, and how to build it.
+/// A separate program, and the command that builds it.
 pub struct Sibling {
     /// The file's name.
     pub program: &'static str,
@@ -73,20 +73,20 @@ impl Sibling {
         Err(Failure::unusable(self.become_it(&arguments).to_string()))
     }
 
-    /// Becomes the program: the one beside this one, else the one in PATH. Does not return if it could be started.
+    /// Replaces this process by the program, from the folder of this program or from PATH. Returns only if that fails.
     pub fn become_it(&self, arguments: &[OsString]) -> SiblingError {
         let program = self.path();
         let source = Command::new(&program).args(arguments).exec();
         self.error(program, source)
     }
 
-    /// Where it is: beside this program, else to be looked for in PATH.
+    /// The program's path: in the folder of this program if it exists there, otherwise its name, for PATH.
     pub fn path(&self) -> PathBuf {
         let beside = std::env::current_exe().unwrap_or_default().with_file_name(self.program);
         if beside.is_file() { beside } else { self.program.into() }
     }
 
-    /// Why it could not be started.
+    /// The error for a program that could not be started.
     pub fn error(&self, program: PathBuf, source: std::io::Error) -> SiblingError {
         match source.kind() {
             std::io::ErrorKind::NotFound => {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Tables and colours of what people read.
+//! Tables and colours of the output for people.
 
 use std::collections::BTreeSet;
 use std::io::{self, Write};
@@ -13,7 +13,7 @@ pub const GOOD: Style = AnsiColor::Green.on_default();
 pub const BAD: Style = AnsiColor::Red.on_default();
 pub const WARNING: Style = AnsiColor::Yellow.on_default();
 
-/// Sentences are broken before this column.
+/// The width at which text wraps.
 const WIDTH: usize = 100;
 
 /// A table whose first `left` columns are text and whose failed rows are red.
@@ -48,12 +48,12 @@ pub fn write_table(
     Ok(())
 }
 
-/// A real-time priority, or that the kernel reserves time instead.
+/// A real-time priority, or `reserved` for a SCHED_DEADLINE reservation.
 pub fn priority(priority: u8) -> String {
     if priority < Policy::RESERVATION { priority.to_string() } else { "reserved".into() }
 }
 
-/// Names, one in a line or as one JSON array.
+/// Writes names, one on each line or as one JSON array.
 pub fn write_names(is_json: bool, names: &[&str], out: &mut impl Write) -> io::Result<()> {
     if is_json {
         return writeln!(out, "{}", serde_json::json!(names));
@@ -61,14 +61,14 @@ pub fn write_names(is_json: bool, names: &[&str], out: &mut impl Write) -> io::R
     names.iter().try_for_each(|name| writeln!(out, "{name}"))
 }
 
-/// Where the ends of something are: first those on this host.
+/// The places of several endpoints, this host first.
 pub fn places<'o>(origins: impl Iterator<Item = &'o Origin>) -> String {
     let places: BTreeSet<(bool, &str)> =
         origins.map(|origin| (!origin.is_here(), place(origin).unwrap_or("here"))).collect();
     places.into_iter().map(|(_, place)| place).collect::<Vec<_>>().join(",")
 }
 
-/// Where something is that is elsewhere, as far as that is told.
+/// The place of an endpoint; `None` on this host, `elsewhere` if its announcer did not name the place.
 pub fn place(origin: &Origin) -> Option<&str> {
     match &*origin.place {
         _ if origin.is_here() => None,
@@ -77,7 +77,7 @@ pub fn place(origin: &Origin) -> Option<&str> {
     }
 }
 
-/// Rounded up, as a bound must be; "-" without one.
+/// Milliseconds, rounded up as a bound must be; "-" without a bound.
 pub fn ms(ns: Option<u64>) -> String {
     ns.map_or("-".into(), |ns| format!("{:.3}", ns.div_ceil(1_000) as f64 / 1e3))
 }

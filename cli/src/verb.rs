@@ -12,13 +12,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tautline::Context;
 
-/// What every verb takes that looks at a domain, in any place behind the first word.
+/// Options of every verb that reads a domain; they may stand anywhere after the first word.
 #[derive(Args, Clone, Debug)]
 pub struct CommonArgs {
     /// The domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=232))]
     domain: Option<u32>,
-    /// Print JSON: one value, or one in a line for each of what comes
+    /// Print JSON: one value, or a line for each value of continuous output
     #[arg(long, global = true)]
     pub json: bool,
     /// End after this time, such as 500ms or 10s
@@ -37,7 +37,7 @@ impl CommonArgs {
         self.domain.is_some()
     }
 
-    /// Ends the program after `--timeout`, for verbs that wait for nothing but may be long at work.
+    /// Ends the program after `--timeout`, for verbs that do not wait but may take long.
     pub fn bound(&self) {
         let Some(timeout) = self.timeout else { return };
         std::thread::spawn(move || {
@@ -47,7 +47,7 @@ impl CommonArgs {
         });
     }
 
-    /// How long the verb may take, if that was said.
+    /// The time limit of the verb, if `--timeout` states one.
     pub fn timeout(&self) -> Option<Duration> {
         self.timeout
     }
@@ -70,8 +70,7 @@ pub fn time(text: &str) -> Result<Duration, String> {
     Ok(Duration::from_nanos((number * unit_ns) as u64))
 }
 
-/// How a verb ended that did not do what it was asked for: 1, the answer is no; 2, what it was given cannot be used, or the system
-/// refuses.
+/// Why a verb failed. The exit code is 1 if the answer is no, 2 if the arguments cannot be used or the system refuses.
 #[derive(Debug)]
 pub struct Failure {
     code: u8,
@@ -87,7 +86,7 @@ impl Failure {
         Failure { code: 1, text: text.into() }
     }
 
-    /// What was given cannot be used.
+    /// The arguments cannot be used.
     pub fn unusable(text: impl Into<String>) -> Self {
         Failure { code: 2, text: text.into() }
     }
@@ -97,7 +96,7 @@ impl Failure {
         Failure::no("")
     }
 
-    /// There is no `what` of this name among those that are `there`, which `taut LIST` prints.
+    /// No `what` among `there`, which `taut LIST` prints, has this name.
     pub fn unknown<'n>(what: &str, name: &str, there: impl Iterator<Item = &'n str>, list: &str) -> Self {
         let likeness = |other: &str| strsim::jaro_winkler(name, other);
         let nearest =
@@ -109,7 +108,7 @@ impl Failure {
         Failure::no(format!("there is no {what} '{name}'{meant} `taut {list}` prints which there are"))
     }
 
-    /// Says why, and gives the code.
+    /// Prints the reason and returns the exit code.
     pub fn tell(self) -> ExitCode {
         if !self.text.is_empty() {
             eprintln!("taut: {}", self.text);
@@ -136,11 +135,11 @@ impl<E: Error + 'static> From<E> for Failure {
     }
 }
 
-/// When a verb ends that goes on: at Ctrl-C or SIGTERM, or when its time is over.
+/// The end of a verb with continuous output: Ctrl-C, SIGTERM, or a time limit.
 pub struct End {
     interrupted: Arc<AtomicBool>,
     timeout: Option<Duration>,
-    /// The time does not begin anew.
+    /// The time limit does not restart.
     is_firm: bool,
     start: Instant,
     is_said: Cell<bool>,
@@ -152,31 +151,31 @@ fn no_signals(error: io::Error) -> Failure {
 
 /// How a wait ended.
 pub enum Waited<T> {
-    /// With this.
+    /// The wait returned this value.
     For(T),
-    /// The time is over.
+    /// The time limit passed.
     InVain,
-    /// By Ctrl-C or SIGTERM.
+    /// Ctrl-C or SIGTERM ended it.
     Interrupted,
 }
 
-/// How often something is looked for that nobody tells of.
+/// The polling interval for changes without a notification.
 const POLL: Duration = Duration::from_millis(20);
-/// How long is waited without a word.
+/// The time after which a wait prints what it is waiting for.
 const PATIENCE: Duration = Duration::from_secs(1);
 
 impl End {
-    /// From now on signals end no more than this says.
+    /// From now on signals end only this, not the process.
     pub fn of(common: &CommonArgs) -> Outcome<Self> {
         Self::after(common.timeout).map_err(no_signals)
     }
 
-    /// Not later than this, unless `--timeout` says otherwise.
+    /// Ends after this time, unless `--timeout` states another one.
     pub fn within(patience: Duration, common: &CommonArgs) -> Outcome<Self> {
         Self::after(common.timeout.or(Some(patience))).map_err(no_signals)
     }
 
-    /// After this time, or never by itself.
+    /// Ends after this time, or only by a signal.
     ///
     /// # Errors
     /// Signals cannot be caught.
@@ -188,7 +187,7 @@ impl End {
         Ok(End { interrupted, timeout, is_firm: false, start: Instant::now(), is_said: Cell::new(false) })
     }
 
-    /// At this time, whatever is begun before.
+    /// Ends at this time; later waits do not extend it.
     ///
     /// # Errors
     /// Signals cannot be caught.
@@ -197,22 +196,22 @@ impl End {
         Ok(End { is_firm: true, ..Self::after(Some(left))? })
     }
 
-    /// Whether it is time.
+    /// Whether the end was reached.
     pub fn is_reached(&self) -> bool {
         self.interrupted.load(Ordering::Relaxed) || self.left().is_some_and(|left| left.is_zero())
     }
 
-    /// How long it may take in all.
+    /// The whole time limit.
     pub fn timeout(&self) -> Option<Duration> {
         self.timeout
     }
 
-    /// How long it may go on.
+    /// The time that remains.
     pub fn left(&self) -> Option<Duration> {
         self.timeout.map(|timeout| timeout.saturating_sub(self.start.elapsed()))
     }
 
-    /// Sleeps, but not past the end, and not long past an interruption.
+    /// Sleeps until the end at most; an interruption ends the sleep soon.
     pub fn pause(&self, time: Duration) {
         let end = Instant::now() + self.left().map_or(time, |left| left.min(time));
         loop {
@@ -224,39 +223,39 @@ impl End {
         }
     }
 
-    /// The time begins anew, unless it ends [`at`](Self::at) a certain one.
+    /// Restarts the time limit, unless the end is [`at`](Self::at) a fixed time.
     pub fn restart(&mut self) {
         if !self.is_firm {
             self.start = Instant::now();
         }
     }
 
-    /// An interruption is forgotten, and from now on there is this much time.
+    /// Clears an interruption and sets this time limit from now on.
     pub fn again(&mut self, timeout: Duration) {
         self.interrupted.store(false, Ordering::Relaxed);
         self.timeout = Some(timeout);
         self.restart();
     }
 
-    /// Looks until there is an answer, from time to time and when this thread is unparked. After a second it is said what is waited for.
+    /// Calls `look` until it returns a value: periodically, and when this thread is unparked. After a second, prints what it is waiting for.
     ///
     /// # Errors
-    /// That there was none in time, or until Ctrl-C; those of the look.
+    /// The time limit passed, Ctrl-C was pressed, or `look` failed.
     pub fn wait<T>(&self, what: impl Fn() -> String, look: impl FnMut() -> Outcome<Option<T>>) -> Outcome<T> {
         match self.look(&what, look)? {
             Waited::For(found) => Ok(found),
             Waited::Interrupted => Err(Failure::interrupted()),
             Waited::InVain => {
                 let time = self.timeout.unwrap_or_default();
-                Err(Failure::no(format!("waited for {} for {time:?}, in vain", what())))
+                Err(Failure::no(format!("waited for {} for {time:?} and gave up", what())))
             }
         }
     }
 
-    /// As [`wait`](Self::wait), for who has something to do in the end.
+    /// As [`wait`](Self::wait), but the caller handles the end.
     ///
     /// # Errors
-    /// Those of the look.
+    /// `look` failed.
     pub fn look<T>(
         &self,
         what: impl Fn() -> String,
@@ -280,7 +279,7 @@ impl End {
         }
     }
 
-    /// Says what is waited for, after a second, and once.
+    /// Prints once, after a second, what is waited for.
     pub fn say_once(&self, what: impl Fn() -> String) {
         if self.start.elapsed() > PATIENCE && !self.is_said.replace(true) {
             eprintln!("taut: waiting for {} ...", what());

@@ -49,7 +49,7 @@ fn services_are_found_and_asked() {
         "no service '/robot/light'; did you mean /robot/lights? `taut service list`",
     );
     said(&call(&["/unserved"]), 1, "'/unserved' has clients, but no server");
-    said(&call(&["/silent", "--timeout", "50ms"]), 1, "waited for '/silent' to answer for 50ms, in vain");
+    said(&call(&["/silent", "--timeout", "50ms"]), 1, "waited for '/silent' to answer for 50ms and gave up");
     said(&call(&["/dying"]), 1, "'/dying': its server ended without a response");
     said(
         &call(&["/robot/lights", "std_srvs/srv/Trigger"]),

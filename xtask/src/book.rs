@@ -4,6 +4,8 @@
 //! mdBook gets a copy of `docs/` in which links that leave the folder lead to a page of the book, if there is one for that file, else to
 //! the file in the repository.
 
+#[cfg(test)]
+mod claims;
 mod links;
 
 use crate::machine;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is typed while a verb does something else.
+//! Lines that the user types while a verb runs.
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::process::getpgrp;
@@ -7,13 +7,13 @@ use rustix::termios::tcgetpgrp;
 use std::io::{self, IsTerminal};
 use std::time::Duration;
 
-/// No word is longer.
+/// The maximum length of a line.
 const LONGEST: usize = 4096;
-/// How often is looked whether there is somebody.
+/// The interval at which the terminal is polled.
 const LOOK: Duration = Duration::from_millis(200);
 
-/// Each line that is typed at the terminal, if there is one, while this process is in its foreground: one in the background that read
-/// from it would be stopped.
+/// Calls `hear` for each line that is typed at the terminal, if standard input is one. Reads only while this process is in the
+/// foreground, because the kernel stops a background process that reads from its terminal.
 pub fn lines(mut hear: impl FnMut(&str) + Send + 'static) {
     let stdin = io::stdin();
     if !stdin.is_terminal() {
@@ -23,7 +23,7 @@ pub fn lines(mut hear: impl FnMut(&str) + Send + 'static) {
         let wait = Timespec { tv_sec: 0, tv_nsec: LOOK.subsec_nanos().into() };
         let (mut bytes, mut typed) = ([0; 256], Vec::new());
         loop {
-            // What is not its own terminal stops nobody.
+            // If this is not the process's own terminal, the call fails, and reading does not stop the process.
             if tcgetpgrp(&stdin).is_ok_and(|foreground| foreground != getpgrp()) {
                 std::thread::sleep(LOOK);
                 continue;
@@ -35,7 +35,7 @@ pub fn lines(mut hear: impl FnMut(&str) + Send + 'static) {
             match rustix::io::read(&stdin, &mut bytes) {
                 Ok(read @ 1..) => typed.extend_from_slice(&bytes[..read]),
                 Err(rustix::io::Errno::INTR) => {}
-                // The terminal is gone.
+                // The terminal was closed.
                 _ => return,
             }
             while let Some(end) = typed.iter().position(|byte| *byte == b'\n') {

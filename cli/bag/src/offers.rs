@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Quality of service as bags have it: what a topic's publishers offered, a list in YAML.
+//! Quality of service in bags: a YAML list of the QoS that a topic's publishers offered.
 
 use serde::Deserialize;
 use std::time::Duration;
 use tautline_transport::{Durability, History, Limits, Liveliness, Qos, Reliability};
 
-/// What ROS 2 has for "none".
+/// ROS 2's value for "no time".
 const NONE: Duration = Duration::new(9_223_372_036, 854_775_807);
 
-/// As rosbag2 writes it from version 9 on: an entry of a list, in YAML.
+/// One entry of the list, in the form of rosbag2's version 9.
 pub fn write(qos: &Qos) -> String {
     let time = |time: Option<Duration>| {
         let time = time.unwrap_or(NONE);
@@ -29,10 +29,10 @@ pub fn write(qos: &Qos) -> String {
     )
 }
 
-/// What one publisher offers in the place of all that are in the list: each subscription that matched one of them matches it.
+/// The QoS of one publisher that replaces all publishers of the list: every subscription that matched one of them matches it.
 ///
 /// # Errors
-/// What is no such list.
+/// The text is not such a list.
 pub fn read(text: &str) -> Result<Qos, String> {
     let offers: Vec<Offer> = serde_saphyr::from_str(text).map_err(|error| error.to_string())?;
     let strongest = |one: Qos, other: Qos| Qos {
@@ -79,7 +79,7 @@ struct Offer {
     liveliness_lease_duration: Span,
 }
 
-/// As words from version 9 on, and as rmw's numbers before.
+/// A policy: a word since version 9, a number of rmw before.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Word {
@@ -94,7 +94,7 @@ struct Span {
 }
 
 impl Word {
-    /// The first of `names` if it is that or `number`, the second one else; what is neither is the default, the first.
+    /// Whether this is the second of `names`, or `number`, which means the same. The system's default and unknown values are the first.
     fn is_second(&self, number: i64, names: [&str; 2]) -> Result<bool, String> {
         match self {
             Word::Number(found) => Ok(*found == number),
@@ -108,7 +108,7 @@ impl Word {
 }
 
 impl Span {
-    /// Zero is unspecified; infinity is written in several ways.
+    /// The time; `None` if it is unspecified (zero) or infinite, for which there are several values.
     fn get(&self) -> Option<Duration> {
         let time = Duration::from_secs(self.sec).saturating_add(Duration::from_nanos(self.nsec));
         let is_none = time.is_zero() || time >= NONE || self.sec >= i32::MAX as u64;
@@ -118,7 +118,7 @@ impl Span {
 
 impl Offer {
     fn qos(&self) -> Result<Qos, String> {
-        // Of a system's default depth nothing is said.
+        // A depth of 0 stands for the system's default, which the bag does not state.
         let depth = if self.depth == 0 { Qos::default().depth } else { self.depth as usize };
         let depth = depth.min(Limits::MAX_DEPTH);
         let keeps_all = self.history.is_second(2, ["keep_last", "keep_all"])?;

@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What lies between who takes messages and who writes them: a ring of bytes, whose memory is there from the start.
+//! The ring of bytes between the thread that takes messages and the thread that writes them. Its memory is allocated at the start.
 
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::atomic::{Ordering, fence};
 use taut_cli::verb::{Failure, Outcome};
 
-/// What is in front of each message.
+/// The header of each message in the ring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Head {
-    /// Of the observer that it was taken from.
+    /// The number of the observer that took the message.
     pub topic: u32,
-    /// With the encapsulation.
+    /// Length of the body, including the encapsulation header.
     pub cdr_bytes: u32,
     pub sequence: u64,
     pub log_ns: u64,
@@ -43,15 +43,15 @@ impl Head {
     }
 }
 
-/// Whether nobody puts anything in any more: all that was is seen by who looks after this.
+/// Whether the producer has ended. If so, everything that it wrote is visible to later reads.
 pub fn has_ended(consumer: &Consumer<u8>) -> bool {
     let has_ended = consumer.is_abandoned();
-    // Pairs with the Release of the producer's end: rtrb reads that without order.
+    // Pairs with the Release at the producer's end, which rtrb reads with Relaxed.
     fence(Ordering::Acquire);
     has_ended
 }
 
-/// Both ends of a ring whose pages have been written to.
+/// A ring whose pages have been touched.
 pub fn touched(bytes: u64) -> Outcome<(Producer<u8>, Consumer<u8>)> {
     let available = std::fs::read_to_string("/proc/meminfo").ok().and_then(|text| {
         let line = text.lines().find(|line| line.starts_with("MemAvailable:"))?;

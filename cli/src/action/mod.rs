@@ -13,9 +13,9 @@ use std::io::{self, Write};
 use tautline::{GraphSnapshot, ServiceKind};
 use tautline_transport::graph_of;
 
-/// Lists actions, says who serves them, and sends goals.
+/// Lists actions and their nodes, and sends goals.
 ///
-/// Actions of other hosts are seen if this host runs `taut gateway`.
+/// Actions of other hosts are visible if this host runs `taut gateway`.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut action list
@@ -32,7 +32,7 @@ pub struct ActionArgs {
 
 #[derive(Subcommand, Clone, Debug)]
 enum Verb {
-    /// Prints the actions with their types, and how many servers and clients they have
+    /// Prints the actions with their types and their numbers of servers and clients
     List,
     /// Prints the nodes that serve an action, and those that send it goals
     Info {

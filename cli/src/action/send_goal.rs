@@ -23,8 +23,8 @@ const CANCELLING: Duration = Duration::from_secs(10);
 
 /// Sends a goal, and prints its result
 ///
-/// Values are YAML or JSON; what is left out has its default. Ctrl-C, or the end of --timeout, cancels the goal, and the answer to that
-/// is waited for; a second Ctrl-C does not wait.
+/// Values are YAML or JSON; omitted fields have their defaults. Ctrl-C, or the end of --timeout, cancels the goal and waits for the
+/// server's response; a second Ctrl-C does not wait.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut action send_goal /fibonacci '{order: 5}' --feedback
@@ -63,7 +63,7 @@ pub fn run(args: &SendGoalArgs, common: &CommonArgs) -> Outcome {
     }
 }
 
-/// Until the goal has ended; the first interruption, and the end of the time, cancel it.
+/// Waits until the goal has ended. The first interruption, or the end of the time, cancels the goal.
 fn wait(
     end: &mut End,
     action: &str,
@@ -152,7 +152,7 @@ async fn pursue(
     }
 }
 
-/// How what comes is printed.
+/// How feedback and results are printed.
 struct Shown {
     feedback: Arc<Schema>,
     result: Arc<Schema>,
@@ -175,7 +175,7 @@ fn yaml(schema: &Arc<Schema>, message: &Value) -> Outcome<String> {
     Ok(text.lines().map(|line| format!("    {line}\n")).collect())
 }
 
-/// The definitions of an action's goals, feedback and results, which stand in those of its services and topic.
+/// The definitions of an action's goals, feedback and results. They are parts of the definitions of its services and topic.
 struct Parts<'a>(&'a GraphSnapshot, &'a str, &'a str);
 
 impl Parts<'_> {

@@ -17,9 +17,9 @@ mod table;
 /// Checks that every callback and chain of a system file meets its deadline
 ///
 /// Computes worst-case response times with overheads, queue capacities and end-to-end latencies from periods, execution
-/// times and priorities. Exits with 0 if all deadlines are met, 1 if not, 2 if the file cannot be used; everything that
-/// is wrong with it is listed with line and column. With --admit it is checked beside what runs, as a process that starts with it would
-/// be; 1 is then a refusal.
+/// times and priorities. Exits with 0 if all deadlines are met, 1 if not, 2 if the file cannot be used; all errors of the
+/// file are listed with line and column. With --admit the file is checked together with everything that runs in the domain, as when a
+/// process starts with it; 1 then means that the process would be refused.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut check system.toml                      the table, the chains, the warnings
@@ -39,7 +39,7 @@ pub struct CheckArgs {
     /// Draw the timeline of the critical instant
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
-    /// Add how much the load, the overheads and each execution time may grow (a dozen analyses for each callback)
+    /// Print also by how much the load, the overheads and each execution time may grow (a dozen analyses for each callback)
     #[arg(long)]
     sensitivity: bool,
     /// Check it together with what runs in the domain
@@ -50,7 +50,7 @@ pub struct CheckArgs {
     domain: Option<u32>,
 }
 
-/// Why the result could not be given.
+/// Why there is no result.
 #[derive(Debug, thiserror::Error)]
 enum CheckError {
     #[error("`{}` cannot be written: {source}", path.display())]

@@ -30,18 +30,18 @@ use std::process::ExitCode;
 use std::sync::OnceLock;
 use std::time::Instant;
 
-/// Names the shell that asks.
+/// The variable that names the calling shell.
 const VARIABLE: &str = "COMPLETE";
-/// Where bash and zsh say which word is completed: by the scripts of clap_complete.
+/// The variable in which the scripts of clap_complete for bash and zsh pass the index of the word to complete.
 const INDEX: &str = "_CLAP_COMPLETE_INDEX";
-/// With what bash, zsh and elvish want candidates separated.
+/// The variable in which bash, zsh and elvish pass the separator of candidates.
 const SEPARATOR: &str = "_CLAP_IFS";
 const SHELLS: Shells<'static> = Shells::builtins();
 
 /// Prints the script with which a shell completes what is typed after `taut`
 ///
-/// Verbs and options, and names of what exists now in the domain of --domain or of the environment: topics, nodes, services,
-/// actions, types, fields, transitions, and the parameters of a node, which is asked. Who does not answer within 60 ms is left out.
+/// It completes verbs, options, and the names that exist in the domain of --domain or of the environment: topics, nodes, services,
+/// actions, types, fields, transitions and parameters. Parameters are requested from their node, which has 60 ms to answer.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   source <(taut completions bash)           now; as a line of ~/.bashrc: always
@@ -63,18 +63,18 @@ pub fn run(args: &CompletionsArgs) -> Outcome {
     Ok(io::stdout().write_all(&script(shell)?)?)
 }
 
-/// What is completed, for those who look for names.
+/// The word to complete, and the arguments before it.
 struct Asked {
     line: Line,
     since: Instant,
-    /// The shell replaces the word by what it is offered, instead of keeping what has the word as its beginning.
+    /// The shell replaces the word by the candidate, and does not require that the candidate begins with the word.
     replaces: bool,
-    /// The shell puts what it is offered on the line as it is; others quote what they must.
+    /// The shell inserts candidates unchanged; other shells quote them if necessary.
     is_raw: bool,
 }
 
 impl Asked {
-    /// Whether a name, which may be another process's, can stand on the line: as one word, and as nothing but a word.
+    /// Whether a name, which another process may have chosen, is safe on a command line: it must be one word without special characters.
     fn shell_takes(&self, name: &str) -> bool {
         let is_word = |c: char| c.is_alphanumeric() || "/_-.,:+=@%~[]".contains(c);
         !name.chars().any(char::is_control) && (!self.is_raw || name.chars().all(is_word))
@@ -83,7 +83,7 @@ impl Asked {
 
 static ASKED: OnceLock<Asked> = OnceLock::new();
 
-/// Answers if a shell asks, which it does at each press of the tab key: to be called before anything else.
+/// Prints candidates if a shell called this program for them, as it does at each press of the tab key. Call this before anything else.
 pub fn answer(command: impl Fn() -> Command) -> Option<ExitCode> {
     let since = Instant::now();
     // Others have a variable of this name too.
@@ -117,7 +117,7 @@ fn become_whose_verb_it_is(verb: &OsStr) {
     }
 }
 
-/// The script, for the program that runs: found in PATH if it was found there, else by its path.
+/// The script. It calls this program by name if the shell found it in PATH, otherwise by its path.
 fn script(shell: &dyn EnvCompleter) -> io::Result<Vec<u8>> {
     const PROGRAM: &str = "taut_program";
     let program = env::args_os().next().unwrap_or_else(|| "taut".into());
@@ -167,7 +167,7 @@ fn candidates(
     Ok(if before == 0 { found } else { found.into_iter().map(shortened).collect() })
 }
 
-/// To bash `--option=value` is three words. Returns how much of the word that is completed bash takes for others.
+/// Bash splits `--option=value` into three words. Returns the length of the part of the word that bash does not pass.
 fn join(words: &mut Vec<OsString>, index: &mut usize) -> usize {
     let (mut before, mut place) = (0, 2);
     while place < words.len() {
@@ -189,7 +189,7 @@ fn join(words: &mut Vec<OsString>, index: &mut usize) -> usize {
     before
 }
 
-/// As each shell reads them.
+/// Prints the candidates in the format of each shell.
 fn written(shell: &str, candidates: &[CompletionCandidate]) -> Vec<u8> {
     let one = |candidate: &CompletionCandidate| {
         let value = candidate.get_value().to_string_lossy();
@@ -249,7 +249,7 @@ mod tests {
         }
     }
 
-    /// Names of parameters and transitions are whatever a node says.
+    /// Names of parameters and transitions come from a node and may be any text.
     #[test]
     fn a_name_is_nothing_but_a_word() {
         let taken = |is_raw, name: &str| {

@@ -22,7 +22,7 @@ pub const PUBLISHER_WORKER_PRIORITY: u8 = 24;
 /// Topics, execution times and priorities, as `taut check` reads them.
 const SYSTEM: &str = include_str!("../../../examples/systems/paper.toml");
 
-/// What is taken from one job, and what the middleware uses, is noted if it is as long.
+/// Shorter times that are taken from a job, or that the middleware uses, are not recorded.
 const PIECE: Duration = Duration::from_micros(1);
 
 /// The message of every topic.
@@ -64,7 +64,7 @@ pub fn sampler_priority(args: &DemoArgs) -> Result<u8, DemoError> {
 }
 
 impl Topic {
-    /// The callback as the analysis sees it.
+    /// The callback as a task of the analysis.
     pub fn task(&self) -> Task {
         Task::new(self.name.as_str(), self.period, self.wcet, self.priority)
     }
@@ -75,7 +75,7 @@ pub fn qos() -> Qos {
     Qos::keep_last(100)
 }
 
-/// What both processes' contexts have in common.
+/// The common settings of both processes' contexts.
 pub fn context(args: &DemoArgs, sampler_priority: u8) -> ContextBuilder {
     let builder = Context::builder().realtime(realtime(args)).sampler_priority(sampler_priority);
     builder.account_core_time(Some(PIECE))
@@ -85,34 +85,34 @@ pub fn realtime(args: &DemoArgs) -> Realtime {
     if args.no_rt { Realtime::Off } else { Realtime::Required }
 }
 
-/// What threads saw being taken from their core, and what the middleware used of it.
+/// The moments that threads recorded: time that was taken from their core, and time that the middleware used.
 #[derive(Serialize, Deserialize, Debug, Default)]
 pub struct Collected {
-    /// By each callback, in the order in which they were given.
+    /// One list for each callback, in the order of the callbacks.
     pub by_callbacks: Vec<Vec<Moment>>,
     pub by_sampler: Vec<Moment>,
-    /// How many more were overwritten before they were collected.
+    /// The number of moments that were overwritten before they were collected.
     pub overwritten: u64,
-    /// Processor time of collecting, which is none of the middleware's.
+    /// Processor time of collecting, which does not count as the middleware's.
     pub cpu_ns: u64,
 }
 
-/// Collects moments: from a thread of its own while they are noted, for only the latest are kept there.
+/// Collects moments in a separate thread during the run, because each callback keeps only its latest ones.
 pub struct MomentCollector {
     over: Arc<AtomicBool>,
     thread: JoinHandle<Collected>,
 }
 
 impl MomentCollector {
-    /// Those of these callbacks and of the sampler, on one of the cores `elsewhere` if there are any; calls `progress` each time before
-    /// it collects.
+    /// Collects the moments of these callbacks and of the sampler. The thread runs on one of the cores `elsewhere`, if any, and calls
+    /// `progress` before each collection.
     pub fn new<'a>(
         context: &'a Context,
         elsewhere: CoreSet,
         callbacks: impl IntoIterator<Item = &'a CallbackHandle>,
         progress: impl Fn() + Send + 'static,
     ) -> Self {
-        // With how many moments have been collected or were overwritten before.
+        // Each with the number of moments that were collected or overwritten before.
         let source = |stats: &Arc<CallbackStats>| (Arc::clone(stats), 0);
         let mut of_callbacks: Vec<_> =
             callbacks.into_iter().map(|callback| source(callback.stats())).collect();
@@ -120,7 +120,7 @@ impl MomentCollector {
         let over = Arc::new(AtomicBool::new(false));
         let ends = Arc::clone(&over);
         let thread = std::thread::spawn(move || {
-            // None is no set of cores, and is refused: then where the rest runs.
+            // An empty set of cores is refused; then the thread runs on the demo's core.
             let _ = set_affinity(elsewhere);
             let mut collected =
                 Collected { by_callbacks: vec![Vec::new(); of_callbacks.len()], ..Collected::default() };
@@ -142,14 +142,14 @@ impl MomentCollector {
         MomentCollector { over, thread }
     }
 
-    /// All that was collected, when the callbacks have ended.
+    /// Returns everything that was collected; call it after the callbacks have ended.
     pub fn end(self) -> Collected {
         self.over.store(true, Ordering::Release);
         self.thread.join().unwrap_or_default()
     }
 }
 
-/// Adds what came since the last call; says how many were overwritten.
+/// Adds the moments since the last call; returns how many were overwritten.
 fn collect((stats, known): &mut (Arc<CallbackStats>, u64), moments: &mut Vec<Moment>) -> u64 {
     let Some(seen) = stats.snapshot() else { return 0 };
     let (older, latest) = (seen.older_moments, seen.moments);
@@ -159,7 +159,7 @@ fn collect((stats, known): &mut (Arc<CallbackStats>, u64), moments: &mut Vec<Mom
     older.saturating_sub(known)
 }
 
-/// Binds the whole process to the demo's core: threads inherit it. Gives the other cores that it might use.
+/// Binds the whole process to the demo's core, which threads inherit. Returns the other cores that the process may use.
 pub fn bind(core: Option<usize>) -> Result<CoreSet, DemoError> {
     let Some(core) = core else { return Ok(CoreSet::empty()) };
     let elsewhere = current_affinity()?.iter().filter(|other| *other != core);

@@ -18,9 +18,9 @@ use tautline::rt::{Interruptions, ThreadBuilder, current_affinity, host, permiss
 use tautline::{CoreSet, Policy};
 use tautline_analysis::taken::{Seen, TakenTimes};
 
-/// After the last release: the longest response time of a run that keeps its bounds, and some more.
+/// The wait after the last release: more than the longest response time of a run within its bounds.
 const DRAIN: Duration = Duration::from_millis(400);
-/// How long the core is watched before the run.
+/// The time for which interruptions of the core are measured before the run.
 const NOISE_WINDOW: Duration = Duration::from_millis(500);
 
 pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
@@ -40,7 +40,7 @@ pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
         None => current_affinity()?.iter().last().unwrap_or(0),
     };
     args.core = Some(core);
-    // A namespace of its own: two demos at once do not hear each other.
+    // A separate namespace, so that two demos at once do not receive each other's messages.
     args.namespace = format!("/demo_{}", std::process::id());
     if !args.no_rt
         && let Err(error) = permission::realtime_permitted(application::PUBLISHER_SAMPLER_PRIORITY)
@@ -53,7 +53,7 @@ pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
     let _ = signal_hook::flag::register(signal_hook::consts::SIGTERM, interrupted.clone());
 
     let mut files = Files::open(&args)?;
-    // Without priorities, what other programs took would be seen, not what the machine takes.
+    // Without real-time priorities this would measure other programs, not the machine.
     let interruptions = if args.no_rt { Interruptions::default() } else { watch_core(&args, core)? };
     let steal_before = host::steal_ticks(Some(core));
     let mut subscriber = Process::start(Role::Subscriber, &args)?;
@@ -80,7 +80,7 @@ pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The children are told to end by their starter, not by the terminal's Ctrl-C.
+/// The child processes end when this process closes their input, not by the terminal's Ctrl-C.
 pub fn ignore_interrupts() {
     let ignored = Arc::new(AtomicBool::new(false));
     let _ = signal_hook::flag::register(signal_hook::consts::SIGINT, ignored);
@@ -93,7 +93,7 @@ fn print_banner(reason: &str) {
     );
 }
 
-/// Shows the progress until the publisher has ended, or makes it end if the user interrupts.
+/// Shows the progress until the publisher has ended; if the user interrupts, ends the publisher.
 fn conduct(
     args: &DemoArgs,
     publisher: &mut Process,
@@ -133,7 +133,7 @@ fn conduct(
     }
 }
 
-/// Sees what the machine itself takes from the core, before the run, at a priority that nothing of the demo has.
+/// Measures what the machine takes from the core before the run, at a priority above all threads of the demo.
 fn watch_core(args: &DemoArgs, core: usize) -> Result<Interruptions, DemoError> {
     let thread = ThreadBuilder::new("noise")
         .policy(Policy::Fifo(application::PUBLISHER_SAMPLER_PRIORITY + 1))
@@ -159,8 +159,8 @@ fn assemble(
 ) -> Result<DemoReport, DemoError> {
     let topics = application::topics()?;
     let handled: u64 = measured.topics.iter().map(|topic| topic.jobs.len() as u64).sum();
-    // Everything that the two processes did besides the callbacks' own work, spread over the messages.
-    // Of a run that was interrupted before its first message there is none.
+    // The processor time of both processes without the callbacks' own work, divided by the number of messages.
+    // A run that was interrupted before its first message has no overhead.
     let share = |cpu_ns: u64, messages| cpu_ns.checked_div(messages).unwrap_or(0);
     let overhead_ns = match handled {
         0 => 0,
@@ -170,7 +170,7 @@ fn assemble(
     let sampler_priority = application::sampler_priority(args)?;
     let sampler_first = topics.iter().all(|topic| topic.priority < sampler_priority);
     let losses = losses(&published.seen, &measured, sampler_first);
-    // All that was seen is in the last: the topic below all others.
+    // The last topic has the lowest priority, so its list contains everything.
     let all = losses.last().cloned().unwrap_or_default();
     let taken = all.seen(&[Seen::Running, Seen::WokenLate]);
     let lost_ns = |way| all.seen(&[way]).total_ns();

@@ -2,25 +2,25 @@
 //! What kept jobs from the demo's core: the host, what the middleware used, and other threads, which are real-time threads, kernel
 //! threads, and ordinary ones in the share that Linux keeps for them.
 //!
-//! A job that waits, waits for threads of the demo above it, whose times are known, or for others. What it waited beyond the former is
-//! therefore theirs.
+//! A waiting job waits for threads of the demo with higher priority, whose times are known, or for other threads. The part of a wait that
+//! exceeds the known times is therefore due to other threads.
 
 use super::application::Collected;
 use super::protocol::{Job, Measured};
 use crate::moment::{Kind, Moment};
 use tautline_analysis::taken::{Seen, Taken, TakenTimes};
 
-/// Of each topic, highest priority first: what may have kept its jobs from the core. `sampler_first`: the subscriber's sampler is above its
-/// callbacks, so it does not wait for them.
+/// For each topic, highest priority first: the times that may have kept its jobs from the core. `sampler_first`: the subscriber's sampler
+/// is above its callbacks, so it does not wait for them.
 pub fn losses(publisher: &Collected, subscriber: &Measured, sampler_first: bool) -> Vec<TakenTimes> {
-    // Waits are looked at by themselves: topics' jobs tell of theirs.
+    // Waits are handled separately: the jobs of topics contain theirs.
     let taken = |moments: &[Moment]| {
         let taken = moments.iter().filter_map(Moment::taken);
         taken.filter(|piece| piece.seen != Seen::Waited).collect::<Vec<_>>()
     };
     let by_worker = publisher.by_callbacks.concat();
     let worker = taken(&by_worker);
-    // Nothing of the demo is above the publisher's sampler: what it waited when it was due was not let go of.
+    // No thread of the demo is above the publisher's sampler, so every wait of it when it was due is due to other threads.
     let served = taken(&publisher.by_sampler).into_iter().map(|piece| match piece.seen {
         Seen::WokenLate => Taken { length_ns: piece.to_ns - piece.from_ns, ..piece },
         _ => piece,
@@ -38,13 +38,13 @@ pub fn losses(publisher: &Collected, subscriber: &Measured, sampler_first: bool)
     let used = |pieces: &[Taken]| {
         pieces.iter().filter(|piece| piece.seen == Seen::Overran).copied().collect::<Vec<_>>()
     };
-    // What was taken from topics' callbacks while they ran is in the times of their jobs.
+    // Time that was taken from running callbacks is contained in the times of their jobs.
     let ran = middleware.iter().filter(|piece| piece.seen != Seen::WokenLate).copied();
     let ran = ran.chain(topics.iter().flat_map(|pieces| used(pieces)));
     let jobs: Vec<_> = subscriber.topics.iter().map(|topic| topic.jobs.as_slice()).collect();
     let others = had_by_others(&jobs, ran);
     let of_topic = |index: usize| {
-        // Whoever ran when the host took the core; but what a topic below used has delayed nobody above.
+        // Time that the host took counts whichever thread ran; time that a lower topic used did not delay a higher one.
         let host = topics.iter().flatten().filter(|piece| piece.seen == Seen::Running).copied();
         let used = topics[..=index].iter().flat_map(|pieces| used(pieces));
         let waited = others[..=index].iter().flatten().copied();
@@ -53,7 +53,7 @@ pub fn losses(publisher: &Collected, subscriber: &Measured, sampler_first: bool)
     (0..topics.len()).map(of_topic).collect()
 }
 
-/// What others had while a thread waited, of which this is noted: it waits for nobody else than `known`, and is woken when what was `late` is over.
+/// The time that other threads had while a thread waited. The thread waits only for `known`, and is woken when `late` is over.
 fn waits(moments: &[Moment], late: &[Taken], known: impl IntoIterator<Item = Taken>) -> Vec<Taken> {
     let mut woken_ns: Vec<u64> = late.iter().map(|piece| piece.to_ns).collect();
     woken_ns.sort_unstable();
@@ -67,8 +67,8 @@ fn waits(moments: &[Moment], late: &[Taken], known: impl IntoIterator<Item = Tak
     had_by_others(&[&jobs.collect::<Vec<_>>()], known).concat()
 }
 
-/// Of each topic, what others had while its jobs waited: from the jobs of each, highest priority first, and from what the demo's threads
-/// used and lost besides. In a job's interval lies all of what ran in place of it.
+/// For each topic, highest priority first, the time that other threads had while its jobs waited. It is computed from the jobs, and from the
+/// times that the demo's threads used and lost besides. The interval of a job contains everything that ran instead of it.
 fn had_by_others(topics: &[&[Job]], besides: impl IntoIterator<Item = Taken>) -> Vec<Vec<Taken>> {
     let mut known: Vec<Taken> = besides.into_iter().collect();
     let mut others = Vec::new();
@@ -79,7 +79,7 @@ fn had_by_others(topics: &[&[Job]], besides: impl IntoIterator<Item = Taken>) ->
         let (mut of_topic, mut of_others) = (Vec::with_capacity(jobs.len()), Vec::new());
         for job in *jobs {
             let in_place = |piece: &Taken| {
-                // What has begun before may lie in the job as far as it can; what ends after it has not run in place of it.
+                // An interval that began before the job may lie in it as far as possible; one that ends after the job did not run instead of it.
                 let within_ns = piece.to_ns.saturating_sub(piece.from_ns.max(job.ready_ns));
                 if piece.to_ns <= job.end_ns { piece.length_ns.min(within_ns) } else { 0 }
             };
@@ -87,7 +87,7 @@ fn had_by_others(topics: &[&[Job]], besides: impl IntoIterator<Item = Taken>) ->
                 known.partition_point(|piece| piece.from_ns.saturating_add(longest_ns) < job.ready_ns);
             let begun = known[first..].iter().take_while(|piece| piece.from_ns < job.end_ns);
             let known_ns: u64 = begun.map(in_place).sum();
-            // One of a topic below, which ran in place of this: a defect, and no other thread's time.
+            // A job of a lower topic that ran instead of this one is a defect, and not the time of another thread.
             let inverted = topics[index + 1..].iter().any(|below| {
                 let next = below.partition_point(|below| below.begin_ns <= job.ready_ns);
                 below.get(next).is_some_and(|below| below.begin_ns < job.end_ns)
@@ -98,7 +98,7 @@ fn had_by_others(topics: &[&[Job]], besides: impl IntoIterator<Item = Taken>) ->
             if other_ns > 0 {
                 of_others.push(piece(other_ns));
             }
-            // What it had itself, and what others had of it: a job below has waited for both.
+            // Its own time and the time that others took from it: a lower job waited for both.
             of_topic.push(piece((job.end_ns - job.ready_ns).saturating_sub(job.waited_ns) + other_ns));
         }
         known.extend(of_topic);

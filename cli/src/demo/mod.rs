@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut demo`: the paper's application, five periodic topics on one core, measured beside its prediction.
 //!
-//! Three processes: this one starts a publisher and a subscriber, shows the progress and prints the report. They are
-//! told to end by closing their standard input, so they also end if this one is killed.
+//! Three processes: this one starts a publisher and a subscriber, shows the progress and prints the report. They
+//! end when their standard input is closed, so they also end if this process is killed.
 
 mod application;
 mod conductor;
@@ -66,7 +66,7 @@ enum Role {
     Subscriber,
 }
 
-/// Why the demo could not be run.
+/// Why the demo failed.
 #[derive(Debug, thiserror::Error)]
 pub enum DemoError {
     #[error("core {core} cannot be used: {source}; choose one with --core")]

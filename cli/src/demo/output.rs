@@ -7,13 +7,13 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// The files to write, opened before the run: a path that cannot be written is known at once.
+/// The files to write. They are opened before the run, so an unusable path is an error at once.
 pub struct Files {
     svg: Output,
     json: Option<Output>,
 }
 
-/// A file that gets its name when it is complete: what was there before stays until then.
+/// A file that gets its name when it is complete; until then an earlier file of this name stays.
 struct Output {
     path: PathBuf,
     part: PathBuf,
@@ -36,7 +36,7 @@ impl Output {
 }
 
 impl Drop for Output {
-    /// Removes what was not finished; what was has another name.
+    /// Removes the temporary file if it was not renamed.
     fn drop(&mut self) {
         let _ = std::fs::remove_file(&self.part);
     }

@@ -178,7 +178,7 @@ fn draw_heading(canvas: &Canvas, topic: &TopicReport, off_scale: u64, y: i32) ->
 
     let what =
         format!("every {} ms, {} ms of work, priority {}", topic.period_ms, topic.wcet_ms, topic.priority);
-    // Generous guesses, for the font is the viewer's; what does not fit between the two is left out.
+    // Generous estimates of text widths, because the viewer chooses the font. Text that does not fit is omitted.
     let width = |text: &str, per_char: f64| (text.chars().count() as f64 * per_char) as i32;
     let from = LEFT + width(&name, 8.0) + 16;
     if from + width(&what, 6.5) + width(&found, 6.5) > RIGHT {

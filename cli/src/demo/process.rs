@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! One of the demo's two processes, seen from the one that started it.
+//! A child process of the demo, from the view of the process that started it.
 
 use super::protocol::{self, Line, Measured};
 use super::{DemoArgs, DemoError, Role};
@@ -9,9 +9,9 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 use tautline::rt::clock;
 
-/// How long a process may take to set itself up, or to end when it was told to.
+/// The time limit for a process to set up, and to end.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// How often the other side is looked at.
+/// The interval at which the child processes are checked.
 pub const GLANCE: Duration = Duration::from_millis(100);
 
 /// A child process; dropping it ends it.
@@ -68,7 +68,7 @@ impl Process {
         drop(self.child.stdin.take());
     }
 
-    /// Ends the subscriber and gives what it measured.
+    /// Ends the subscriber and returns its measurements.
     pub fn end(mut self) -> Result<Measured, DemoError> {
         self.tell_to_end();
         let give_up = clock::monotonic_ns() + PATIENCE.as_nanos() as u64;

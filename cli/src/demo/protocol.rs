@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the demo's processes tell the one that started them: a line of JSON each, on standard output. What it tells them
-//! is to end, by closing their standard input.
+//! The messages of the demo's child processes: lines of JSON on standard output. Their parent ends them by closing their
+//! standard input.
 
 use super::application::Collected;
 use serde::{Deserialize, Serialize};
@@ -29,7 +29,7 @@ pub struct Published {
     pub cpu_ns: u64,
     /// Releases that came too late to be published.
     pub missed: u64,
-    /// What was taken from the core, as its threads saw it.
+    /// The time that was taken from the core, as measured by the process's threads.
     pub seen: Collected,
 }
 
@@ -40,7 +40,7 @@ pub struct Measured {
     pub overhead_cpu_ns: u64,
     /// One for each topic.
     pub topics: Vec<TopicMeasured>,
-    /// What was taken from the core, as its threads saw it.
+    /// The time that was taken from the core, as measured by the process's threads.
     pub seen: Collected,
 }
 
@@ -49,7 +49,7 @@ pub struct Measured {
 pub struct Job {
     /// The scheduled release, in ns of `CLOCK_MONOTONIC`.
     pub release_ns: u64,
-    /// Since when its thread wanted the core.
+    /// The time from which the thread was ready to run.
     pub ready_ns: u64,
     pub begin_ns: u64,
     pub end_ns: u64,
@@ -72,7 +72,7 @@ pub struct TopicMeasured {
     pub max_queue: u64,
 }
 
-/// Says a line on standard output. Nobody listening means that the starter died: then the input is closed as well.
+/// Writes a line to standard output. If that fails, the parent has died, and standard input is closed as well.
 pub fn say(line: &Line) {
     if let Ok(text) = serde_json::to_string(line) {
         let mut out = std::io::stdout().lock();

@@ -31,7 +31,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     let counts = Arc::new(Counts::default());
     let worker = {
         let (context, counts) = (context.clone(), counts.clone());
-        // All that it uses is overhead, and is noted as beyond its budget; so is all that it waits, as of a job beyond its bound.
+        // All processor time of this thread is overhead, so it is recorded as an overrun of its budget, and each wait as that of a late job.
         let options = CallbackOptions::fifo(application::PUBLISHER_WORKER_PRIORITY)
             .name("publish")
             .bound(Duration::from_nanos(1))

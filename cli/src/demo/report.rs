@@ -41,19 +41,19 @@ pub struct DemoReport {
     pub interruption_us: f64,
     /// Share of the core that regular interruptions take, in percent, charged as a task above all others.
     pub interrupted_percent: f64,
-    /// Longest interruption seen; charged to nobody.
+    /// Longest measured interruption; no bound contains it.
     pub longest_interruption_us: f64,
     /// Time that the host took from threads that ran, in this run: steal, and interrupts where the kernel accounts for them apart.
     pub taken_running_ms: f64,
-    /// Time for which a timer was not served, and which no thread saw being taken.
+    /// Time for which a due timer was not served, and which no thread measured as taken.
     pub taken_late_ms: f64,
-    /// The longest piece of either.
+    /// The longest interval of either.
     pub longest_taken_ms: f64,
-    /// What other threads than the demo's had of the core while jobs waited for it.
+    /// Time that threads outside of the demo had the core while jobs waited for it.
     pub others_ms: f64,
     /// The most that the middleware used of the core at once; `overhead_us` is a mean.
     pub longest_use_us: f64,
-    /// How many notes of what was taken or used were overwritten before they were collected: what they explain is unexplained.
+    /// Number of moments that were overwritten before they were collected. Responses that they would explain count as unexplained.
     pub moments_overwritten: u64,
 }
 
@@ -249,7 +249,7 @@ impl TopicReport {
         Some(longest_ms / bound_ms)
     }
 
-    /// In words: the responses above the prediction, if there are, and of the worst what the host took.
+    /// A text about the responses above the prediction, if any, and about what took the core during the worst of them.
     fn beyond_prediction(&self) -> Option<String> {
         let (worst, predicted) = (self.worst?, self.rta_overhead_ms?);
         let count = if self.unexplained > 0 { self.unexplained } else { self.beyond };
@@ -272,7 +272,7 @@ struct Excess {
 }
 
 impl Excess {
-    /// `bound`: the topic's, if a window loses to others than the middleware, and in all, what it is told.
+    /// `bound` computes the topic's bound from the time that a window loses to others than the middleware, and in all.
     fn of(
         run: &TopicRun,
         prediction: Prediction,
@@ -287,8 +287,8 @@ impl Excess {
         let mut before_ns = 0;
         for (&release_ns, &latency_ns) in run.releases_ns.iter().zip(&run.latencies_ns) {
             let end_ns = release_ns.saturating_add(latency_ns);
-            // When the job before ended nothing above it waited: what was lost until then has not delayed this one, if it was released
-            // after.
+            // When the previous job ended, no job above it waited. So time that was lost until then did not delay this job, if it was
+            // released later.
             let since_ns = std::mem::replace(&mut before_ns, end_ns);
             let since_ns = if since_ns <= release_ns { since_ns } else { 0 };
             if latency_ns <= bound_ns {

@@ -29,7 +29,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
             let log = log.clone();
             node.spawn_local(options, move || {
                 let core_time = CoreTime::new();
-                // Where there is none the executor has refused, for it accounts as well, and no job will run.
+                // Without these clocks the executor, which needs them too, has refused to start, and no job runs.
                 let mark = move || core_time.as_ref().map_or_else(|_| CoreMark::default(), CoreTime::mark);
                 let mut before = mark();
                 subscription.for_each(move |message| {
@@ -91,7 +91,7 @@ fn measured(
     Ok(Measured { overhead_cpu_ns, topics, seen })
 }
 
-/// Where a callback writes its jobs: memory that is there before it starts.
+/// The buffer into which a callback writes its jobs; allocated before the callback starts.
 struct Log {
     /// Release, since when it was ready, begin, end, time that it waited.
     entries: Box<[[AtomicU64; 5]]>,
@@ -106,7 +106,7 @@ impl Log {
         Log { entries: (0..room).map(|_| Default::default()).collect(), count: AtomicUsize::new(0) }
     }
 
-    /// `before`: the end of the job before.
+    /// `before`: the end of the previous job.
     fn note(&self, release_ns: u64, [before, begin, end]: [&CoreMark; 3]) {
         let index = self.count.load(Ordering::Relaxed);
         if let Some(entry) = self.entries.get(index) {

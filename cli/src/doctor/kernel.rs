@@ -39,7 +39,7 @@ fn limit(host: &Host) -> Result<(i64, i64, bool), String> {
     Ok((runtime, period, is_applied))
 }
 
-/// Whether the kernel was built with real-time groups; if that is told nowhere, it may have been.
+/// Whether the kernel was built with real-time groups; if its configuration cannot be read, it may have been.
 fn has_groups(host: &Host) -> Result<bool, String> {
     let config = format!("/boot/config-{}", host.tree.read("/proc/sys/kernel/osrelease")?);
     let is_built = |config: String| config.lines().any(|line| line == "CONFIG_RT_GROUP_SCHED=y");

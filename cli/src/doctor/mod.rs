@@ -24,10 +24,10 @@ use std::time::Duration;
 use system::System;
 use tautline::CoreSet;
 
-/// Checks whether this host is fit for real time, and what is wrong in a domain
+/// Checks whether this host is fit for real time, and finds faults in a domain
 ///
-/// Of each finding it prints what was measured, what it costs a real-time thread, and the fix. "bad": no bound holds, or something
-/// is refused or lost. "unknown": it could not be read, which is not well. "advice": it costs time. Changes nothing.
+/// For each finding it prints the measured value, the cost for a real-time thread, and the fix. "bad": no bound holds, or something
+/// is refused or lost. "unknown": the value could not be read, which counts as a failure. "advice": it costs time. Changes nothing.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut doctor
@@ -42,13 +42,13 @@ pub struct DoctorArgs {
     /// The cores of real-time threads, such as 2-3,5 [default: those of the system file, else isolated ones, else all]
     #[arg(long, value_name = "LIST", value_parser = cores)]
     cores: Option<CoreSet>,
-    /// Spin for this time on each of these cores in turn, at the highest priority that is needed, and report what interrupts that
+    /// Spin for this time on each of these cores in turn, at the highest required priority, and report the interruptions
     #[arg(long, value_name = "TIME", value_parser = time)]
     measure: Option<Duration>,
-    /// Check that a system file fits this host; of several hosts in it TAUT_HOST names this one
+    /// Check that a system file fits this host; if the file has several hosts, TAUT_HOST names this one
     #[arg(long, value_name = "FILE")]
     system: Option<PathBuf>,
-    /// Print a shell script of the fixes instead; never runs it
+    /// Print a shell script of the fixes instead; the script is not run
     #[arg(long, conflicts_with = "json")]
     fix_script: bool,
     /// Read /proc, /sys, /etc, /run and /dev below this folder
@@ -62,12 +62,12 @@ fn cores(list: &str) -> Result<CoreSet, String> {
     CoreSet::parse(list).filter(|cores| !cores.is_empty()).ok_or("a list of cores is 2-3,5".into())
 }
 
-/// The sampler's, unless a system file says more.
+/// The sampler's priority, unless the system file states a higher one.
 const PRIORITY: u8 = 90;
 
 type Check = (&'static str, fn(&Host) -> Checked);
 
-/// What is looked at on every host.
+/// The checks of every host.
 const CHECKS: [Check; 17] = [
     ("preemption", kernel::preemption),
     ("throttling", kernel::throttling),

@@ -3,7 +3,7 @@
 //!
 //! Each connected part by itself: against cycles some edges are turned round, columns are longest paths, long edges pass
 //! through places of their own in every column between, sweeps of barycentres order the columns, and least squares place what
-//! is ordered. Of a graph so large that nobody follows its lines, the longest edges go straight.
+//! is ordered. In very large graphs the longest edges are straight lines.
 
 mod part;
 

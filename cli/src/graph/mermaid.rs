@@ -57,7 +57,7 @@ fn escape(text: &str) -> String {
         let is_inside =
             |at: Option<usize>| at.and_then(|at| text.get(at)).is_some_and(|c| c.is_alphanumeric());
         match c {
-            // Within a word it is none of Markdown's.
+            // Within a word, Markdown does not interpret it.
             '_' if is_inside(index.checked_sub(1)) && is_inside(Some(index + 1)) => escaped.push('_'),
             '"' | '#' | '<' | '>' | '&' | '`' | '\\' | '*' | ';' | '{' | '}' | '%' | '_' => {
                 escaped.push_str(&format!("#{};", u32::from(c)));

@@ -27,11 +27,11 @@ use tautline_transport::Visitor;
 
 /// Draws nodes, topics and rates, as text, SVG, DOT or Mermaid
 ///
-/// What does not fit is red: subscriptions that ask for a quality of service that is not offered, or for another type. With a system
-/// file, topics that trigger callbacks have the bounds of their response times that `taut check` computes.
+/// Incompatible subscriptions are red: they request a quality of service that no publisher offers, or have another type. With a system
+/// file, topics that trigger callbacks show the bounds of response times that `taut check` computes.
 ///
-/// Subscribes to nothing, and disturbs nobody: rates are read from what publishers count anyway. A rate that nobody counts on this
-/// host is a question mark. Nodes of other hosts are seen if this host runs `taut gateway`.
+/// Does not subscribe: rates are read from the publishers' counters in shared memory. A question mark stands for a rate that no process
+/// of this host counts. Nodes of other hosts are visible if this host runs `taut gateway`.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut graph                                  as text
@@ -45,16 +45,16 @@ Exit codes: 0 done, 1 there is no such node or topic, 2 what was given cannot be
 pub struct GraphArgs {
     #[command(flatten)]
     common: CommonArgs,
-    /// What is written [default: by the name of the output, else text]
+    /// The format [default: by the name of the output, else text]
     #[arg(long, value_enum, value_name = "FORMAT")]
     format: Option<Format>,
     /// Write to this file
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// Show this node, its topics, and the nodes at their other ends
+    /// Show this node, its topics, and the nodes that it is connected to
     #[arg(long, value_name = "NODE", add = completions::nodes())]
     node: Option<String>,
-    /// Show this topic and the nodes at its ends
+    /// Show this topic and its nodes
     #[arg(long, value_name = "TOPIC", add = completions::topics())]
     topic: Option<String>,
     /// Show services and actions too: dashed, from the client to the server
@@ -63,10 +63,10 @@ pub struct GraphArgs {
     /// Show /rosout, /parameter_events, parameter services and the parts of actions too
     #[arg(long)]
     all: bool,
-    /// Count messages for so long; 0: no rates
+    /// Count messages for this time; 0: no rates
     #[arg(long, value_name = "TIME", default_value = "1s", value_parser = time)]
     rates: Duration,
-    /// A system file: its bounds are written to what runs
+    /// A system file; its bounds are shown beside the running nodes
     #[arg(long, value_name = "FILE")]
     system: Option<PathBuf>,
 }
@@ -149,7 +149,7 @@ fn format_of(args: &GraphArgs) -> Outcome<Format> {
     }
 }
 
-/// As `taut check` reads it.
+/// Reads a system file as `taut check` does.
 fn read(path: &Path) -> Outcome<CheckedSystem> {
     match SystemFile::read(path) {
         Ok(file) => Ok(file.check()),
@@ -197,7 +197,7 @@ fn look(args: &GraphArgs, checked: Option<&CheckedSystem>) -> Outcome<Picture> {
     Ok(picture)
 }
 
-/// The processes that run callbacks, by the callbacks' names.
+/// Maps each callback's name to the process that runs it.
 fn callbacks(domain: u32) -> Outcome<BTreeMap<String, BTreeSet<u32>>> {
     let mut found: BTreeMap<String, BTreeSet<u32>> = BTreeMap::new();
     for process in tautline::shared_statistics(domain)?.0 {

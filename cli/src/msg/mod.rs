@@ -18,7 +18,7 @@ use tautline_schema::{MessageError, SchemaError};
 /// Shows definitions, hashes and layouts of ROS 2 types; decodes messages.
 ///
 /// Definitions are searched in --path, in the prefixes of AMENT_PREFIX_PATH (source your ROS 2), in the ROS 2 that
-/// `cargo xtask ros` makes, among those built into this program, and among those of the topics of the domain.
+/// `cargo xtask ros` installs, in this program, and in the definitions that the domain's processes have cached.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut msg show sensor_msgs/LaserScan          fields, offsets, whether it is read in place
@@ -48,7 +48,7 @@ enum Verb {
     },
     /// Prints the hash (RIHS01) of each type
     Hash {
-        /// As for show
+        /// The type, as for show
         #[arg(value_name = "TYPE", required = true, add = completions::interfaces())]
         names: Vec<String>,
     },
@@ -78,7 +78,7 @@ pub enum MsgError {
 }
 
 impl MsgError {
-    /// Whether this type is defined nowhere.
+    /// Whether no definition of this type was found.
     pub fn is_missing(&self, type_name: &str) -> bool {
         matches!(self, MsgError::Schema(SchemaError::Missing { name, .. }) if name == type_name)
     }
@@ -105,7 +105,7 @@ pub fn run(args: MsgArgs) -> Result<ExitCode, MsgError> {
     }
 }
 
-/// A line per type; the name too if there are several.
+/// Prints a line for each type, with its name if there are several.
 fn hashes(finder: &mut Finder, names: &[String], json: bool) -> Result<String, MsgError> {
     let mut hashes = Vec::new();
     for name in names {

@@ -16,16 +16,16 @@ use tautline::rcl_interfaces::msg::{Parameter, ParameterDescriptor};
 use tautline::rcl_interfaces::srv::{DescribeParameters, GetParameters, ListParameters, SetParameters};
 use tautline::{ParameterType, ParameterValue, parameters_of_file};
 
-/// How long one node may take to answer.
+/// The time limit for the answer of one node.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// How long all of them may.
+/// The time limit for the answers of all nodes.
 const PATIENCE_OF_ALL: Duration = Duration::from_secs(1);
 
 const LIST: &str = "list_parameters";
 
 /// Reads and sets the parameters of nodes.
 ///
-/// Nodes of other hosts are seen if this host runs `taut gateway`. A node answers within --timeout, or 5 s.
+/// Nodes of other hosts are visible if this host runs `taut gateway`. A node must answer within --timeout, by default 5 s.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut param list                   of all nodes, asked at once; those that are silent are named
@@ -44,16 +44,16 @@ pub struct ParamArgs {
 
 #[derive(Args, Clone, Debug)]
 struct NodeArg {
-    /// The node's name with its namespace; one without is in /
+    /// The node's name with its namespace [default namespace: /]
     #[arg(value_name = "NODE", add = completions::parameter_nodes())]
     node: String,
 }
 
 #[derive(Subcommand, Clone, Debug)]
 enum Verb {
-    /// Prints the names of parameters, of one node or of all; exits with 1 if a node does not answer, here within 1 s
+    /// Prints the names of the parameters of one node or of all; exits with 1 if a node does not answer within 1 s
     List {
-        /// The node's name with its namespace; one without is in /
+        /// The node's name with its namespace [default namespace: /]
         #[arg(value_name = "NODE", add = completions::parameter_nodes())]
         node: Option<String>,
     },
@@ -87,11 +87,11 @@ enum Verb {
     Describe {
         #[command(flatten)]
         node: NodeArg,
-        /// The parameters; all, if none is named
+        /// The parameters [default: all]
         #[arg(value_name = "NAME", add = completions::parameters())]
         names: Vec<String>,
     },
-    /// Deletes a parameter, if its node lets it go
+    /// Deletes a parameter, if its node permits it
     Delete {
         #[command(flatten)]
         node: NodeArg,
@@ -104,7 +104,7 @@ enum Verb {
         #[command(flatten)]
         node: NodeArg,
     },
-    /// Sets what a ROS 2 parameter file says for a node, wildcards included; exits with 1 if the node refuses any of it
+    /// Sets a node's parameters from a ROS 2 parameter file, wildcards included; exits with 1 if the node refuses one
     Load {
         #[command(flatten)]
         node: NodeArg,
@@ -287,7 +287,7 @@ impl Set {
     }
 }
 
-/// A node whose parameters are asked for.
+/// A node whose parameters are requested.
 struct Node {
     name: String,
     asking: Asking,
@@ -309,7 +309,7 @@ impl Node {
         Ok(sorted(listed.result.names))
     }
 
-    /// Those that there are not are not set.
+    /// Parameters that do not exist have the value "not set".
     fn get(&mut self, names: Vec<String>) -> Outcome<Vec<ParameterValue>> {
         let count = names.len();
         let request = GetParameters::Request { names };
@@ -341,7 +341,7 @@ impl Node {
         Ok(set)
     }
 
-    /// Says which parameter may be meant, if there is none of this name.
+    /// Suggests the parameter with the nearest name, if none has this name.
     fn must_have(&mut self, name: &str) -> Outcome {
         let names = self.names()?;
         if names.iter().any(|there| there == name) {

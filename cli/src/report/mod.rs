@@ -25,13 +25,13 @@ use wcet::{Change, Fits};
 
 const REFRESH: Duration = Duration::from_secs(1);
 
-/// Compares what callbacks did with what was predicted
+/// Compares the measurements of callbacks with their predictions
 ///
-/// Reads the statistics of every process of the domain whose context has a system file, without disturbing it, and sets
-/// them beside the analysis of that file: response times and bounds of callbacks and chains, execution times and wcet, releases and
-/// periods, queues and capacities. A response above its bound comes with what the host or other jobs took from the core, if processes
-/// account for core time (TAUT_CORE_TIME=on). Each violated assumption is named, with what to change. Exits with 0 if all were kept, 1 if
-/// one was violated, 2 if there is nothing to compare.
+/// Reads the statistics of every process of the domain whose context has a system file, without disturbing it, and compares
+/// them with the analysis of that file: response times and bounds of callbacks and chains, execution times and wcet, releases and
+/// periods, queues and capacities. If processes account for core time (TAUT_CORE_TIME=on), the report states for each response above its
+/// bound what the host or other jobs took from the core. It names each violated assumption and its fix. Exits with 0 if no assumption was
+/// violated, 1 if one was, 2 if there is nothing to compare.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut report                                 the system that runs, against the file it was started with
@@ -51,23 +51,23 @@ pub struct ReportArgs {
     /// The system file to compare with, if FILE is a saved run
     #[arg(long, value_name = "FILE")]
     system: Option<PathBuf>,
-    /// Write what the report is made of to FILE
+    /// Write the data of the report to FILE
     #[arg(long, value_name = "FILE")]
     save: Option<PathBuf>,
     /// Report again every second until all processes have ended, or --timeout
     #[arg(long)]
     watch: bool,
-    /// Fit execution times instead: the longest that were seen, and those that are rarer, by extreme-value theory. Exits with 1 if a job
-    /// took longer, or had a larger input, than the file allows
+    /// Estimate execution times instead: the longest measured ones, and rarer ones by extreme-value theory. Exits with 1 if a job took
+    /// longer, or had a larger input, than the file allows
     #[arg(long, conflicts_with = "watch")]
     wcet: bool,
     /// One job in 1/P may take longer than the estimate
     #[arg(long, value_name = "P", requires = "wcet", default_value = "1e-6", value_parser = exceedance)]
     exceedance: f64,
-    /// Write what is needed into the system file, each value with where it is from; what the file states beyond that is left
+    /// Write the needed execution times into the system file, each with its source; larger values in the file stay
     #[arg(long, requires = "wcet")]
     write: bool,
-    /// Write also what is less than the file states
+    /// Also lower execution times in the file
     #[arg(long, requires = "write")]
     lower: bool,
     #[command(flatten)]

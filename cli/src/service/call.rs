@@ -11,9 +11,9 @@ use tautline::{Error, Json};
 use tautline_schema::DynamicMessage;
 use tautline_transport::graph_of;
 
-/// Asks a service, and prints its answer
+/// Calls a service and prints its response
 ///
-/// Values are YAML or JSON; what is left out has its default. The answer is waited for until Ctrl-C, unless there is a --timeout.
+/// Values are YAML or JSON; omitted fields have their defaults. Waits for the response until Ctrl-C, or until --timeout.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut service call /lights '{data: true}'

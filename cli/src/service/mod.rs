@@ -14,10 +14,10 @@ use std::io::{self, Write};
 use tautline::GraphSnapshot;
 use tautline_transport::graph_of;
 
-/// Lists services, and asks them.
+/// Lists and calls services.
 ///
-/// Services of other hosts are seen if this host runs `taut gateway`.
-/// Types need not be compiled in: processes leave their definitions
+/// Services of other hosts are visible if this host runs `taut gateway`.
+/// Types need not be compiled in: processes cache their definitions
 /// in /tmp/tautline_UID/schemas.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
@@ -36,7 +36,7 @@ pub struct ServiceArgs {
 
 #[derive(Subcommand, Clone, Debug)]
 enum Verb {
-    /// Prints the services with their types, and how many servers and clients they have
+    /// Prints the services with their types and their numbers of servers and clients
     List,
     /// Prints the type of a service
     Type {

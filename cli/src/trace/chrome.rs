@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use std::io::{self, Write};
 use tautline_trace::{EventKind, ObjectId};
 
-/// A publication is an instant; arrows begin at slices only. Shorter if the thread does something else before.
+/// The length of a publication's slice: arrows begin only at slices. It is shorter if the thread's next event is earlier.
 const PUBLISH_NS: u64 = 1_000;
 
 /// Writes all of it, an event per line.
@@ -37,7 +37,7 @@ pub fn write(recording: &Recording, to: &mut dyn Write) -> io::Result<()> {
     writeln!(to, "\n]}}")
 }
 
-/// Microseconds, as the format has it, with the nanoseconds behind the point.
+/// Microseconds with three decimals, as in the format.
 fn micros(ns: u64) -> Value {
     json!(ns as f64 / 1000.0)
 }

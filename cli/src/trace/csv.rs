@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A recording as CSV: a line per event and per thing that was made, in order of time.
+//! A recording as CSV: a line for each event and each created object, in order of time.
 
 use super::recording::Recording;
 use std::io::{self, Write};

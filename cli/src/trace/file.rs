@@ -13,7 +13,7 @@ use tautline_trace::{Description, Event, ObjectId, ObjectKind, Record};
 const MAGIC: &[u8; 8] = b"tauttr01";
 const JSON: u32 = 1;
 const EVENTS: u32 = 2;
-/// Longer than any block that is written: a greater length is not one.
+/// The maximum length of a block; a greater length means a damaged file.
 const MAX_BLOCK_BYTES: u32 = 1 << 28;
 const EVENT_BYTES: usize = 40;
 
@@ -27,7 +27,7 @@ pub enum Entry {
         kernel: String,
         started_monotonic_ns: u64,
         started_unix_ns: i64,
-        /// What the host is called; empty in older recordings.
+        /// The host's name; empty in older recordings.
         #[serde(default)]
         host: String,
         /// Equal in recordings whose times are of one clock; empty if that is not known.
@@ -134,7 +134,7 @@ impl<W: Write> Writer<W> {
     }
 }
 
-/// Reads a recording. What cannot be understood is refused; an end in the middle of a block is a warning.
+/// Reads a recording. Unknown content is an error; an end in the middle of a block is a warning.
 pub fn read(path: &Path) -> Result<Recording, TraceError> {
     let bytes = std::fs::read(path).map_err(|source| TraceError::Read { path: path.to_owned(), source })?;
     parse(&bytes).map_err(|reason| TraceError::NoRecording { path: path.to_owned(), reason })
@@ -175,7 +175,7 @@ pub fn parse(bytes: &[u8]) -> Result<Recording, String> {
     Ok(recording)
 }
 
-/// The first block and what is behind it; `None` if it is cut off.
+/// The first block and the remaining bytes; `None` if the block is truncated.
 #[allow(clippy::type_complexity, reason = "kind, content, rest")]
 fn split_block(bytes: &[u8]) -> Result<Option<(u32, &[u8], &[u8])>, &'static str> {
     let Some((head, rest)) = bytes.split_at_checked(8) else { return Ok(None) };
@@ -215,7 +215,7 @@ fn add(recording: &mut Recording, entry: Entry) {
     }
 }
 
-/// The numbers of a file are what somebody wrote there.
+/// Numbers in a file are untrusted.
 fn increase(count: &mut u64, by: u64) {
     *count = count.saturating_add(by);
 }

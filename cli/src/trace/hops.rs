@@ -15,12 +15,12 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-/// Prints the latency of each hop of messages, also of those that gateways and bridges pass on
+/// Prints the latency of each hop of messages, also through gateways and bridges
 ///
-/// Give the recordings of all domains that the messages were in: each is recorded by a `taut trace record` of its own, on
-/// its host. Recordings of one host share a clock. Between hosts the clocks differ: hops within each host are printed, of
-/// those from one to another only how many there were. `send` is when a gateway or bridge is about to hand a message to the
-/// network, so `send to receive` has both its sending and the network. Times are in microseconds.
+/// Give the recordings of all domains that the messages passed: record each with a separate `taut trace record` on
+/// its host. Recordings of one host share a clock. Clocks of different hosts differ: hops within a host have latencies,
+/// hops between hosts are only counted. `send` is when a gateway or bridge is about to hand a message to the
+/// network, so `send to receive` contains both the sending and the network. Times are in microseconds.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut trace record --domain 1 --seconds 10 -o a.trace &    on the first host
@@ -50,11 +50,11 @@ struct Row {
     latency: Histogram<u64>,
     clocks_differ: bool,
     n: u64,
-    /// Ends that were before their beginnings: the clocks are not one, though the recordings say so.
+    /// Hops that end before they begin: the recordings claim one clock, but have two.
     reversed: u64,
 }
 
-/// All that is printed.
+/// The content of the output.
 struct Hops<'r> {
     rows: BTreeMap<RowKey<'r>, Row>,
     /// Hops whose beginnings are in no recording.
@@ -109,7 +109,7 @@ fn clocks(recordings: &[Recording]) -> Vec<usize> {
 fn hops(recordings: &[Recording]) -> Hops<'_> {
     let clocks = clocks(recordings);
     let is_one_clock = |a: Place, b: Place| clocks.get(a.recording) == clocks.get(b.recording);
-    // Between clocks nobody can tell.
+    // A time between two clocks is unknown.
     let is_before = |a: At, b: At| !is_one_clock(a.place, b.place) || a.time_ns <= b.time_ns;
     let mut hops = Hops { rows: BTreeMap::new(), unmatched: BTreeMap::new() };
     Ways::of(recordings).hops(&is_before, &mut |hop: Hop<'_>| {
@@ -192,7 +192,7 @@ fn table(recordings: &[Recording], hops: &Hops<'_>, mut to: &mut dyn Write) -> i
     }
     write_table(&head, 3, lines, &mut to)?;
     if hops.rows.values().any(|row| row.clocks_differ) {
-        writeln!(to, "-: the clocks of the two recordings differ, so nobody knows how long that takes")?;
+        writeln!(to, "-: unknown, because the clocks of the two recordings differ")?;
     }
     for (key, row) in hops.rows.iter().filter(|(_, row)| row.reversed != 0) {
         writeln!(

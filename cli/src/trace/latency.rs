@@ -38,9 +38,9 @@ struct Row {
     to_start: Histogram<u64>,
     to_end: Histogram<u64>,
     duration: Histogram<u64>,
-    /// Runs whose message was published by nobody in the recording.
+    /// Runs whose message has no publication in the recording.
     unmatched: u64,
-    /// `None` as well where events were lost, and nobody knows.
+    /// `None` also if events were lost, so that the publication is unknown.
     messages_lost: Option<u64>,
 }
 
@@ -62,7 +62,7 @@ pub fn histogram() -> Histogram<u64> {
     Histogram::new(3).expect("3 is between 0 and 5")
 }
 
-/// A duration without an end is none.
+/// Durations without an end are omitted.
 fn record(to: &mut Histogram<u64>, since_ns: u64, until_ns: Option<u64>) {
     if let Some(until_ns) = until_ns {
         // An error would mean that the histogram cannot grow to 64 bits, and it can.

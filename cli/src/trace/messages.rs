@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Puts events together: which callback ran when, for which message.
+//! Combines events into runs: which callback ran when, for which message.
 
 use super::recording::Recording;
 use std::collections::HashMap;
@@ -31,7 +31,7 @@ pub struct Run {
     pub end_ns: Option<u64>,
     /// Of its message or tick.
     pub release_ns: u64,
-    /// `None` for a timer, and where the take is not in the recording.
+    /// `None` for a timer, and if the recording does not contain the take.
     pub message: Option<MessageKey>,
 }
 

@@ -19,7 +19,7 @@ use std::process::ExitCode;
 
 /// Records publications, takes, callbacks and the sampler of running processes; exports them; computes latencies.
 ///
-/// Programs need no preparation: while nobody records, an event costs less than a nanosecond. docs/tracing.md says more.
+/// Programs need no preparation: without a recorder an event costs less than a nanosecond. See docs/tracing.md.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut trace record --seconds 10 -o run.trace       every process of the domain, for ten seconds
@@ -54,10 +54,10 @@ struct ExportArgs {
     /// The recording
     #[arg(value_name = "FILE")]
     file: PathBuf,
-    /// What to write: perfetto and chrome are the same JSON
+    /// The format; perfetto and chrome are the same JSON
     #[arg(long, value_enum, default_value_t = Format::Perfetto)]
     format: Format,
-    /// Where to; - is standard output [default: FILE with .json or .csv appended]
+    /// The output; - is standard output [default: FILE with .json or .csv appended]
     #[arg(short, long, value_name = "OUT")]
     out: Option<PathBuf>,
 }
@@ -72,7 +72,7 @@ enum Format {
     Csv,
 }
 
-/// Why there is no recording, or nothing made of one.
+/// Why nothing was recorded or exported.
 #[derive(Debug, thiserror::Error)]
 pub enum TraceError {
     #[error("{0}")]
@@ -123,7 +123,7 @@ fn export(args: &ExportArgs, common: &CommonArgs) -> Result<ExitCode, TraceError
         Format::Csv => csv::write(&recording, to),
     })?;
     if common.json && out != Path::new("-") {
-        // Whoever reads may have seen enough.
+        // The reader may have closed the pipe.
         let _ = writeln!(
             io::stdout(),
             "{}",
@@ -135,12 +135,12 @@ fn export(args: &ExportArgs, common: &CommonArgs) -> Result<ExitCode, TraceError
     Ok(ExitCode::SUCCESS)
 }
 
-/// Writes to a file, which appears when it is complete, or to standard output.
+/// Writes to standard output, or to a file that appears when it is complete.
 fn write_to(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<(), TraceError> {
     if path == Path::new("-") {
         let mut to = io::BufWriter::new(io::stdout().lock());
         return match write(&mut to).and_then(|()| to.flush()) {
-            // Whoever reads has seen enough.
+            // The reader has closed the pipe.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
             result => result.map_err(TraceError::Print),
         };

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 use tautline::rt::{self, Policy};
 use tautline_trace::Record;
 
-/// How often the rings are emptied: the ring of a thread lasts for 200,000 events per second.
+/// The interval at which rings are read. A thread's ring suffices for 200,000 events per second.
 const PERIOD: Duration = Duration::from_millis(10);
 
 /// Records every process of a domain into a file, until Ctrl-C or for a time
@@ -29,7 +29,7 @@ const PERIOD: Duration = Duration::from_millis(10);
   taut trace record --seconds 0                  only what ended processes left: the last events before a crash
   taut trace record --domain 42 --json | jq .events_lost")]
 pub struct RecordArgs {
-    /// End after this time, as --timeout: a number is of seconds [default: at Ctrl-C]
+    /// End after this time, as with --timeout; a plain number is in seconds [default: end at Ctrl-C]
     #[arg(long, value_name = "TIME", value_parser = time)]
     seconds: Option<Duration>,
     /// The recording
@@ -37,7 +37,7 @@ pub struct RecordArgs {
     out: PathBuf,
 }
 
-/// What has come so far.
+/// The progress of the recording.
 #[derive(Default)]
 struct Sum {
     processes: u64,
@@ -124,7 +124,7 @@ fn print(args: &RecordArgs, common: &CommonArgs, domain: u32, sum: &Sum, time: D
     }
 }
 
-/// On a terminal only, and never beside JSON.
+/// Prints the progress, only on a terminal and not with --json.
 fn progress(json: bool) -> ProgressBar {
     if json {
         return ProgressBar::hidden();
@@ -133,7 +133,7 @@ fn progress(json: bool) -> ProgressBar {
     ProgressBar::new_spinner().with_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()))
 }
 
-/// One that is nicer already, or batch or idle, stays so.
+/// Lowers this thread to nice 10, unless it is nicer already, or is a batch or idle thread.
 fn lower_priority() -> Result<(), TraceError> {
     match rt::current_policy().map_err(TraceError::Priority)? {
         Policy::Other { nice: 10.. } | Policy::Unmanaged(_) => Ok(()),
@@ -155,10 +155,10 @@ pub fn session(domain: u32) -> Entry {
     }
 }
 
-/// Of which boot of a kernel, and of which namespace, `CLOCK_MONOTONIC` is. Empty if the kernel does not say.
+/// Identifies this `CLOCK_MONOTONIC`: the boot of the kernel and the time namespace. Empty if unknown.
 fn clock() -> String {
     let boot = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
-    // A kernel without namespaces of time has one.
+    // A kernel without time namespaces has a single clock.
     let namespace = std::fs::read_link("/proc/self/ns/time").unwrap_or_default();
     match boot.trim_end() {
         "" => String::new(),

@@ -28,7 +28,7 @@ pub struct Process {
 }
 
 impl Process {
-    /// Events of it that are known to be missing.
+    /// Number of its events that are known to be missing.
     pub fn events_lost(&self) -> u64 {
         self.lost.values().copied().fold(self.unrecorded, u64::saturating_add)
     }
@@ -43,7 +43,7 @@ pub struct TimedEvent {
 }
 
 impl Recording {
-    /// A process's entry, made if it is not there: a damaged file need not name it first.
+    /// A process's entry; created if it is missing, because a damaged file may not name the process first.
     pub fn process(&mut self, process: u32) -> &mut Process {
         self.processes.entry(process).or_default()
     }
@@ -76,7 +76,7 @@ impl Recording {
         self.processes.values().map(Process::events_lost).fold(0, u64::saturating_add)
     }
 
-    /// What is known of an event's object.
+    /// The description of an event's object.
     pub fn object(&self, process: u32, id: ObjectId) -> Option<&Description> {
         self.processes.get(&process)?.objects.get(&id)
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Puts the pieces of a message's way together: a mirror (a gateway, a bridge) passes it on under another id, in another
-//! recording, and tells both ids. Ids are random where they are made, so they are of no recording.
+//! Combines the hops of a message into its path. A gateway or bridge relays the message with another id into another
+//! recording, and records both ids. Ids are unique across recordings, because they contain random numbers.
 
 use super::messages::{MessageKey, key};
 use super::recording::Recording;
@@ -21,17 +21,17 @@ pub struct At {
     pub time_ns: u64,
 }
 
-/// From what to what, in the order in which a message does it in a domain.
+/// The kinds of hops, in the order in which a message passes them in a domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum HopKind {
-    /// In a mirror, which lets a message in.
+    /// In a gateway or bridge that receives a message.
     ReceiveToPublish,
     PublishToTake,
-    /// In a mirror, which lets a message out: `send` is when it is about to hand it to the network.
+    /// In a gateway or bridge that sends a message: `send` is the time just before it hands the message to the network.
     TakeToSend,
-    /// From mirror to mirror.
+    /// From one gateway or bridge to the next.
     SendToReceive,
-    /// From the first publisher to a subscription that passes it on to nobody, through at least one network.
+    /// From the first publisher to a subscription that does not relay the message, through at least one network.
     WholeWay,
 }
 
@@ -46,7 +46,7 @@ impl HopKind {
         }
     }
 
-    /// What is missing if a hop has no beginning.
+    /// The missing event if a hop has no beginning.
     pub const fn beginning(self) -> &'static str {
         match self {
             HopKind::ReceiveToPublish => "reception",
@@ -61,15 +61,15 @@ impl HopKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Hop<'r> {
     pub topic: &'r str,
-    /// How many domains the message has been in before; of a whole way, before its end.
+    /// The number of domains that the message passed before this hop; for a whole path, before its end.
     pub domains_before: usize,
     pub kind: HopKind,
-    /// `None`: that is in none of the recordings.
+    /// `None` if no recording contains it.
     pub from: Option<At>,
     pub to: At,
 }
 
-/// More networks than any message passes: a damaged recording may send one in circles.
+/// More networks than any message passes. Without this limit, a damaged recording could cause an endless loop.
 const MAX_DOMAINS: usize = 64;
 
 /// What the recordings say of messages, by their ids.
