@@ -112,8 +112,10 @@ pub use tautline_trace::{TraceError, TraceMode, TraceSettings};
 #[cfg(feature = "action_msgs")]
 pub use uuid;
 
-/// Response times and the system file: the analysis behind `taut check`.
-pub use tautline_analysis as analysis;
+/// The system file that a context takes priorities from. The analysis itself is the crate `tautline-analysis`.
+pub mod analysis {
+    pub use tautline_analysis::file::{FileError, SystemFile};
+}
 pub use tautline_executor::{
     Admitted, Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats,
     CoreSet, DeadlineMiss, ExecutorError, ForeignStatistics, Handler, Histogram, HistogramSnapshot,
@@ -129,8 +131,11 @@ pub use tautline_msgs::{Action, HasStamp, Message, Plain, Service};
 pub use tautline_ros_msgs::*;
 pub use tautline_rt as rt;
 pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
+/// Types that are known at run time. The parser of definitions is the crate `tautline-schema`.
 #[cfg(feature = "untyped")]
-pub use tautline_schema as schema;
+pub mod schema {
+    pub use tautline_schema::{DynamicMessage, MessageError, Schema, SchemaError, TypeHash, TypeName};
+}
 pub use tautline_transport::{
     Claim, Durability, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, History, IncompatibleQos,
     IncompatibleType, Limits, Liveliness, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS, Matched,
@@ -147,19 +152,6 @@ pub mod codec {
     #[cfg(feature = "action_msgs")]
     pub use crate::action::ActionCodec;
     pub use tautline_transport::{Codec, Decode, ServiceCodec};
-}
-
-/// The layer below messages: endpoints of topics and services that carry bytes, the objects that the sampler serves, the domain's
-/// knowledge of its members. For tools, recorders and other languages.
-pub mod raw {
-    pub use tautline_sampler::{Alarm, Expiry, Timer, Watchdog};
-    pub use tautline_trace::ObjectId;
-    pub use tautline_transport::{
-        Activity, ActivityKind, Arena, ArenaId, Availability, BellRoute, Doorbell, DoorbellError, Flags,
-        GrowArena, MatchedCount, Origin, PublisherChanges, PublisherMonitor, Rank, RawClient, RawLoan,
-        RawPending, RawPublisher, RawResponse, RawSample, RawSubscription, SamplerSeat, Signal, Sleeper,
-        Slot, SubscriptionChanges, SubscriptionMonitor, ThreadBell, TopicType, TracedPort, Wakeable,
-    };
 }
 
 /// Functions that the macros' code calls.
