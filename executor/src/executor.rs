@@ -13,7 +13,7 @@ use futures::future::LocalFutureObj;
 use futures::task::LocalSpawn;
 use tautline_rt::{
     BudgetTimer, CoreSet, CoreTime, OwnPriority, Policy, Realtime, RtError, ThreadBuilder, clock,
-    current_affinity, current_policy, host::online_cores,
+    current_affinity, current_policy, host::online_cores, prove_enforcement,
 };
 
 use crate::account::{CoreTimeAccount, SamplerStatistics};
@@ -47,6 +47,7 @@ pub struct Executor {
     statistics: Option<StatisticsFile>,
     parkers: Option<MakeParker>,
     accounts: Option<Duration>,
+    enforcer_priority: u8,
     spawned: AtomicUsize,
     callbacks: Callbacks,
 }
@@ -55,8 +56,17 @@ impl Executor {
     /// An executor without threads. With [`Realtime::Off`] policies are not applied; everything else is.
     pub fn new(realtime: Realtime) -> Executor {
         let (registry, spawned, callbacks) = Default::default();
-        let (statistics, parkers, accounts) = (None, None, None);
-        Executor { realtime, registry, statistics, parkers, accounts, spawned, callbacks }
+        let (statistics, parkers, accounts, enforcer_priority) = (None, None, None, 0);
+        Executor { realtime, registry, statistics, parkers, accounts, enforcer_priority, spawned, callbacks }
+    }
+
+    /// Sets the priority of the thread that enforces budgets where timers do not reach a busy thread (PREEMPT_RT): above all callbacks of
+    /// its cores, also those of other processes, and at most the sampler's. By default it is one above the highest callback with a budget
+    /// to enforce; it is never lower than that.
+    #[must_use = "it returns the changed executor"]
+    pub fn enforcer_priority(mut self, priority: u8) -> Executor {
+        self.enforcer_priority = priority;
+        self
     }
 
     /// Provides the objects on which threads sleep that publishers wake directly: `make` is called for each
@@ -118,7 +128,8 @@ impl Executor {
     /// A future that is not `Send` must be created in its thread: see [`Executor::spawn_local`].
     ///
     /// # Errors
-    /// [`ExecutorError::Thread`] with the fix if a setting is refused; [`ExecutorError::Starved`] and the
+    /// [`ExecutorError::Thread`] with the fix if a setting is refused, or budgets are to be enforced and a trial shows that nothing does;
+    /// [`ExecutorError::Starved`] and the
     /// `BusyPoll` errors if busy polling would starve other threads. In these cases there is no thread.
     pub fn spawn_callback(
         &self,
@@ -230,6 +241,10 @@ impl Executor {
         let holds = overrun_policy != OverrunPolicy::Tell && self.realtime == Realtime::Required;
         let parker = self.parker(&options)?;
         let refused = |source| ExecutorError::Thread { name: options.name.clone(), source };
+        if holds {
+            let priority = options.policy.realtime_priority().unwrap_or(0);
+            prove_enforcement(self.enforcer_priority.max(priority.saturating_add(1))).map_err(refused)?;
+        }
         let (thread, online) = self.thread(&options).map_err(refused)?;
         let registration = self.registry.claim(thread, online)?;
 

@@ -456,7 +456,8 @@ impl Job {
     ///
     /// # Real-time
     /// Wait-free; no allocation; one syscall to read the CPU clock, none if execution times are not measured or the thread busy-polls. If
-    /// budgets are enforced: one more, as many at the start of the job, and after an overrun another one at both. If core time is accounted
+    /// budgets are enforced by timers: one more, as many at the start of the job, and after an overrun another one at both; by the enforcer:
+    /// at most a futex wake at the start. If core time is accounted
     /// for: three more. In addition, the cost of the handlers of [`CallbackOptions`](crate::CallbackOptions), if one is called.
     pub fn finish(self) {
         tautline_trace::callback_end(self.callback);

@@ -275,6 +275,7 @@ impl ContextBuilder {
         }
         let mut executor =
             Executor::new(realtime).with_parkers(thread_parkers(&participant)).account_core_time(core_time);
+        executor = executor.enforcer_priority(sampler_priority);
         if self.share_statistics {
             let mut about = ProcessInfo {
                 realtime: realtime == Realtime::Required,

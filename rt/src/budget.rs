@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A budget of processor time that a thread may use at its priority, enforced by a timer: a thread that uses more is demoted in
-//! the middle of its work, or suspended until it gets another budget.
+//! A budget of processor time that a thread may use at its priority: a thread that uses more is demoted in the middle of its work, or
+//! suspended until it gets another budget.
 //!
 //! ```text
-//!  arm(budget)     timer for `budget` of wall time, which is the least that the processor time can take
-//!   signal         has the thread used it? no: timer for what is left; yes: SCHED_OTHER, below every real-time thread,
-//!                  or asleep until the next refill, and timer for another budget
-//!  disarm()        no timer; if the thread was demoted, its policy again
+//!  arm(budget)     alarm after `budget` of wall time, which is the least that the processor time can take
+//!   signal         has the thread used it? no: alarm for what is left; yes: SCHED_OTHER, below every real-time thread,
+//!                  or asleep until the next refill, and alarm for another budget
+//!  disarm()        no alarm; if the thread was demoted, its policy again
 //! ```
 //!
-//! The timer is the kernel's high-resolution timer, and not its processor-time timer, whose ticks are milliseconds. If other
-//! threads preempt the thread, the timer may fire while budget is left. The thread then gets one more signal each time; the
-//! timer's interval is never longer than the rest of the budget.
+//! The alarm is the kernel's high-resolution timer, and not its processor-time timer, whose ticks are milliseconds. Where that does not
+//! reach a busy thread it is the [enforcer](crate::enforcer)'s: see [`prove_enforcement`](crate::prove_enforcement). If other threads
+//! preempt the thread, the timer may fire while budget is left. The thread then gets one more signal each time; the alarm is never set
+//! for longer than the rest of the budget.
 
 use std::cell::Cell;
 use std::io;
@@ -22,11 +23,20 @@ use std::time::Duration;
 use std::{mem, ptr};
 
 use crate::clock::{nanoseconds, thread_cpu_ns};
-use crate::{Policy, RtError, current_tid, set_policy_of};
+use crate::enforcer;
+use crate::{Enforcement, Policy, RtError, current_tid, prove_enforcement, set_policy_of};
+
+/// What sends the signal.
+#[derive(Clone, Copy)]
+enum Alarm {
+    None,
+    Timer(libc::timer_t),
+    Enforcer(&'static enforcer::Alarm),
+}
 
 /// The data of the signal handler, in the thread that gets the signal. No other thread accesses it.
 struct HandlerState {
-    timer: Cell<libc::timer_t>,
+    alarm: Cell<Alarm>,
     /// The priority object that must know that the thread is demoted; null: none. Kept alive by the
     /// `BudgetTimer`.
     own: Cell<*const OwnPriority>,
@@ -45,7 +55,7 @@ thread_local! {
     // Without a destructor, and made before the first signal can come: a handler may use it.
     static STATE: HandlerState = const {
         HandlerState {
-            timer: Cell::new(ptr::null_mut()),
+            alarm: Cell::new(Alarm::None),
             own: Cell::new(ptr::null()),
             end_ns: AtomicU64::new(0),
             demoted: AtomicBool::new(false),
@@ -85,6 +95,8 @@ pub struct OwnPriority {
     priority: AtomicU8,
     /// Set before the thread lowers its own priority, and cleared before it gets its priority back.
     lowered: AtomicBool,
+    /// What enforces the thread's budgets, once something does.
+    enforced: OnceLock<Enforcement>,
 }
 
 impl OwnPriority {
@@ -98,6 +110,7 @@ impl OwnPriority {
             is_round_robin: matches!(policy, Policy::RoundRobin(_)),
             priority: AtomicU8::new(policy.realtime_priority().unwrap_or(1)),
             lowered: AtomicBool::new(false),
+            enforced: OnceLock::new(),
         }
     }
 
@@ -128,9 +141,15 @@ impl OwnPriority {
     /// Not for the changed thread itself, which never waits.
     ///
     /// # Errors
-    /// As [`set_policy_of`]; the thread then has its former priority.
+    /// As [`set_policy_of`], and of a thread with a [`BudgetTimer`] as [`prove_enforcement`]; the thread then has its former priority.
     pub fn change(&self, tid: u32, priority: u8) -> Result<(), RtError> {
         self.with(priority).check()?;
+        if let Some(by) = self.enforced.get() {
+            let below = priority.saturating_add(1);
+            if prove_enforcement(below)? != *by {
+                return Err(RtError::BudgetNotEnforced { by: *by, below });
+            }
+        }
         let former = self.priority.swap(priority, Ordering::SeqCst);
         let changed = self.settle(tid);
         if changed.is_err() {
@@ -161,7 +180,7 @@ impl OwnPriority {
 /// Enforces budgets of processor time for the current thread. Each thread has at most one, and creates it
 /// itself.
 ///
-/// ```
+/// ```no_run
 /// use std::sync::Arc;
 /// use std::time::Duration;
 /// use tautline_rt::{BudgetTimer, OwnPriority, Policy};
@@ -181,27 +200,23 @@ pub struct BudgetTimer {
 
 impl BudgetTimer {
     /// Creates the timer of the current thread, which has, or will have, this priority. All timers of the process use one otherwise unused
-    /// real-time signal.
+    /// real-time signal. Proves first that budgets are enforced at this priority: see [`prove_enforcement`].
     ///
     /// # Errors
-    /// [`RtError::Kernel`]: no signal is free, no timer can be created, or the thread already has one.
+    /// Those of [`prove_enforcement`]; [`RtError::Kernel`]: no signal is free, no timer can be created, or the thread already has one.
     pub fn new(own: Arc<OwnPriority>) -> Result<BudgetTimer, RtError> {
+        let by = prove_enforcement(own.policy().realtime_priority().unwrap_or(1).saturating_add(1))?;
+        Self::enforced(own, by)
+    }
+
+    /// Like [`new`](Self::new), without a proof.
+    pub(crate) fn enforced(own: Arc<OwnPriority>, by: Enforcement) -> Result<BudgetTimer, RtError> {
         let signal = signal()?;
         let failed = |what| RtError::Kernel { what, source: io::Error::last_os_error() };
         STATE.with(|state| {
-            if !state.timer.get().is_null() {
+            if !matches!(state.alarm.get(), Alarm::None) {
                 let source = io::Error::from(io::ErrorKind::AlreadyExists);
                 return Err(RtError::Kernel { what: "a second budget timer of a thread", source });
-            }
-            // SAFETY: all-zero bytes are a valid sigevent.
-            let mut event: libc::sigevent = unsafe { mem::zeroed() };
-            event.sigev_notify = libc::SIGEV_THREAD_ID;
-            event.sigev_signo = signal;
-            event.sigev_notify_thread_id = current_tid().cast_signed();
-            let mut timer = ptr::null_mut();
-            // SAFETY: both point to values that outlive the call.
-            if unsafe { libc::timer_create(libc::CLOCK_MONOTONIC, &raw mut event, &raw mut timer) } != 0 {
-                return Err(failed("timer_create"));
             }
             // SAFETY: a set that lives on this stack, filled by these calls; the old mask is not asked for.
             let unblocked = unsafe {
@@ -211,13 +226,17 @@ impl BudgetTimer {
                 libc::pthread_sigmask(libc::SIG_UNBLOCK, &raw const set, ptr::null_mut())
             };
             if unblocked != 0 {
-                // SAFETY: the timer was made above and is known to nobody.
-                unsafe { libc::timer_delete(timer) };
                 return Err(failed("pthread_sigmask"));
             }
-            // The kernel numbers timers from 0, which glibc hands out as it is.
+            let alarm = match by {
+                Enforcement::Timer => {
+                    Alarm::Timer(create_timer(signal).ok_or_else(|| failed("timer_create"))?)
+                }
+                Enforcement::Enforcer => Alarm::Enforcer(enforcer::Alarm::take()),
+            };
+            let _ = own.enforced.set(by);
             state.own.set(Arc::as_ptr(&own));
-            state.timer.set(mark(timer));
+            state.alarm.set(alarm);
             Ok(BudgetTimer { own, _thread: PhantomData })
         })
     }
@@ -225,7 +244,7 @@ impl BudgetTimer {
     /// Enforces `budget`, counted from the processor time `since_ns` of the thread.
     ///
     /// # Real-time
-    /// No allocation; no wait; one syscall.
+    /// No allocation; no wait; at most one syscall.
     pub fn arm(&self, since_ns: u64, budget: Duration) {
         STATE.with(|state| state.refill_ns.store(0, Ordering::Relaxed));
         self.start(since_ns, nanoseconds(budget));
@@ -259,7 +278,7 @@ impl BudgetTimer {
     /// back.
     ///
     /// # Real-time
-    /// No allocation; no wait; one syscall, one more if it was demoted.
+    /// No allocation; no wait; at most one syscall, one more if it was demoted.
     pub fn disarm(&self) -> bool {
         let demoted = self.disarm_for_good();
         if demoted {
@@ -272,7 +291,7 @@ impl BudgetTimer {
     /// Like [`disarm`](Self::disarm), but a demoted thread stays demoted.
     ///
     /// # Real-time
-    /// No allocation; no wait; one syscall.
+    /// No allocation; no wait; at most one syscall.
     pub fn disarm_for_good(&self) -> bool {
         STATE.with(|state| {
             state.end_ns.store(0, Ordering::Relaxed);
@@ -280,6 +299,14 @@ impl BudgetTimer {
             set(state, 0);
             state.demoted.load(Ordering::Relaxed)
         })
+    }
+
+    /// Whether the thread is demoted.
+    ///
+    /// # Real-time
+    /// No allocation; no wait; no syscall.
+    pub fn is_demoted(&self) -> bool {
+        STATE.with(|state| state.demoted.load(Ordering::Relaxed))
     }
 
     /// Whether the thread has been suspended since it was armed.
@@ -294,7 +321,7 @@ impl BudgetTimer {
     /// until the next refill.
     ///
     /// # Real-time
-    /// No allocation; no wait; two syscalls.
+    /// No allocation; no wait; at most two syscalls.
     pub fn disarm_refilled(&self) -> RemainingBudget {
         STATE.with(|state| {
             let end_ns = state.end_ns.swap(0, Ordering::Relaxed);
@@ -322,34 +349,44 @@ impl Drop for BudgetTimer {
             compiler_fence(Ordering::SeqCst);
             state.own.set(ptr::null());
             compiler_fence(Ordering::SeqCst);
-            // SAFETY: made by `new` in this thread, and deleted once: the mark is taken away. A signal that is pending finds no budget.
-            unsafe { libc::timer_delete(unmark(state.timer.replace(ptr::null_mut()))) };
+            match state.alarm.replace(Alarm::None) {
+                Alarm::None => {}
+                // SAFETY: made for this thread, and deleted once. A signal that is pending finds no budget.
+                Alarm::Timer(timer) => _ = unsafe { libc::timer_delete(timer) },
+                Alarm::Enforcer(alarm) => alarm.give_back(),
+            }
         });
     }
 }
 
-/// A timer as it is kept: null is none.
-fn mark(timer: libc::timer_t) -> libc::timer_t {
-    ptr::without_provenance_mut(timer.addr().wrapping_add(1))
+/// A timer that sends the signal to the current thread.
+fn create_timer(signal: libc::c_int) -> Option<libc::timer_t> {
+    // SAFETY: all-zero bytes are a valid sigevent.
+    let mut event: libc::sigevent = unsafe { mem::zeroed() };
+    event.sigev_notify = libc::SIGEV_THREAD_ID;
+    event.sigev_signo = signal;
+    event.sigev_notify_thread_id = current_tid().cast_signed();
+    let mut timer = ptr::null_mut();
+    // SAFETY: both point to values that outlive the call.
+    let made = unsafe { libc::timer_create(libc::CLOCK_MONOTONIC, &raw mut event, &raw mut timer) };
+    (made == 0).then_some(timer)
 }
 
-fn unmark(timer: libc::timer_t) -> libc::timer_t {
-    ptr::without_provenance_mut(timer.addr().wrapping_sub(1))
-}
-
-/// Lets the timer expire once, so much later; 0: never.
+/// Lets the alarm go off once, so much later, which is when the budget may be used up; 0: never.
 fn set(state: &HandlerState, after_ns: u64) {
-    let timer = state.timer.get();
-    if timer.is_null() {
-        return;
-    }
+    let timer = match state.alarm.get() {
+        Alarm::None => return,
+        Alarm::Enforcer(alarm) if after_ns == 0 => return alarm.clear(),
+        Alarm::Enforcer(alarm) => return alarm.set(after_ns, state.end_ns.load(Ordering::Relaxed)),
+        Alarm::Timer(timer) => timer,
+    };
     let at = libc::timespec {
         tv_sec: (after_ns / 1_000_000_000).cast_signed(),
         tv_nsec: (after_ns % 1_000_000_000).cast_signed(),
     };
     let once = libc::itimerspec { it_interval: libc::timespec { tv_sec: 0, tv_nsec: 0 }, it_value: at };
     // SAFETY: the thread's timer, which lives; `once` outlives the call. Allowed in a signal handler (POSIX.1).
-    unsafe { libc::timer_settime(unmark(timer), 0, &raw const once, ptr::null_mut()) };
+    unsafe { libc::timer_settime(timer, 0, &raw const once, ptr::null_mut()) };
 }
 
 fn demote(state: &HandlerState) {
@@ -407,7 +444,7 @@ fn schedule(policy: Policy) -> bool {
 }
 
 /// The process's signal for this, with its handler.
-fn signal() -> Result<libc::c_int, RtError> {
+pub(crate) fn signal() -> Result<libc::c_int, RtError> {
     static SIGNAL: OnceLock<Option<libc::c_int>> = OnceLock::new();
     let none = || RtError::Kernel {
         what: "a budget timer needs a real-time signal, all of which have handlers: sigaction",
@@ -435,7 +472,7 @@ fn claim(signal: libc::c_int) -> bool {
     }
 }
 
-/// The signal handler: the timer has expired. Runs in the timer's thread.
+/// The signal handler: the alarm went off. Runs in the thread that has the budget.
 extern "C" fn fired(_: libc::c_int) {
     // SAFETY: each thread has its own errno, which is to be as the interrupted code left it.
     let errno = unsafe { *libc::__errno_location() };
@@ -464,15 +501,34 @@ mod tests {
     use super::*;
     use crate::clock::{burn_cpu, monotonic_ns, sleep_until_monotonic};
     use crate::permission::realtime_permitted;
-    use crate::{Realtime, ThreadBuilder, current_policy};
+    use crate::{Realtime, ThreadBuilder, current_policy, prove_enforcement_by};
 
-    fn on_a_thread(policy: Policy, realtime: Realtime, run: fn()) {
-        let thread = ThreadBuilder::new("budget").policy(policy).realtime(realtime);
-        thread.spawn(move || run).unwrap().join().unwrap();
+    const PRIORITY: u8 = 10;
+
+    /// With each kind of enforcement, on a thread of its own.
+    fn on_threads(policy: Policy, run: fn(BudgetTimer, Arc<OwnPriority>)) {
+        if !permitted() {
+            return;
+        }
+        for by in [Enforcement::Timer, Enforcement::Enforcer] {
+            match prove_enforcement_by(by, PRIORITY + 10) {
+                Err(error) if by == Enforcement::Timer => {
+                    println!("skipped: {error}");
+                    continue;
+                }
+                proven => proven.unwrap(),
+            }
+            let thread = ThreadBuilder::new("budget").policy(policy).realtime(Realtime::Required);
+            let body = move || {
+                let own = own();
+                run(BudgetTimer::new(Arc::clone(&own)).unwrap(), own);
+            };
+            thread.spawn(move || body).unwrap().join().unwrap();
+        }
     }
 
     fn own() -> Arc<OwnPriority> {
-        Arc::new(OwnPriority::new(Policy::Fifo(10)))
+        Arc::new(OwnPriority::new(Policy::Fifo(PRIORITY)))
     }
 
     fn permitted() -> bool {
@@ -488,11 +544,8 @@ mod tests {
 
     #[test]
     fn who_uses_more_is_demoted_until_it_is_disarmed() {
-        if !permitted() {
-            return;
-        }
-        on_a_thread(Policy::Fifo(10), Realtime::Required, || {
-            let (timer, policy) = (BudgetTimer::new(own()).unwrap(), Policy::Fifo(10));
+        on_threads(Policy::Fifo(PRIORITY), |timer, _| {
+            let policy = Policy::Fifo(PRIORITY);
             assert!(BudgetTimer::new(own()).is_err(), "one for a thread");
             for round in 0..20 {
                 timer.arm(thread_cpu_ns(), Duration::from_millis(2));
@@ -517,12 +570,7 @@ mod tests {
 
     #[test]
     fn a_priority_that_others_change_is_what_a_demoted_thread_gets_back() {
-        if !permitted() {
-            return;
-        }
-        on_a_thread(Policy::Fifo(10), Realtime::Required, || {
-            let own = own();
-            let timer = BudgetTimer::new(Arc::clone(&own)).unwrap();
+        on_threads(Policy::Fifo(PRIORITY), |timer, own| {
             let tid = current_tid();
             own.change(tid, 12).unwrap();
             assert_eq!(current_policy().unwrap(), Policy::Fifo(12));
@@ -538,12 +586,7 @@ mod tests {
     /// Whoever changes it does not lift a demotion, and what is demoted does not keep the old priority.
     #[test]
     fn changes_and_demotions_at_once_end_with_the_last_priority() {
-        if !permitted() {
-            return;
-        }
-        on_a_thread(Policy::Fifo(10), Realtime::Required, || {
-            let own = own();
-            let timer = BudgetTimer::new(Arc::clone(&own)).unwrap();
+        on_threads(Policy::Fifo(PRIORITY), |timer, own| {
             let tid = current_tid();
             std::thread::scope(|scope| {
                 let changes =
@@ -561,8 +604,7 @@ mod tests {
 
     #[test]
     fn who_is_suspended_gets_no_more_than_its_refills() {
-        on_a_thread(Policy::Other { nice: 0 }, Realtime::Off, || {
-            let timer = BudgetTimer::new(own()).unwrap();
+        on_threads(Policy::Other { nice: 0 }, |timer, _| {
             let (period, budget) = (Duration::from_millis(20), Duration::from_millis(2));
             let begin_ns = monotonic_ns();
             let refill = Refill { at_ns: begin_ns + 20_000_000, period, budget };
@@ -586,8 +628,7 @@ mod tests {
 
     #[test]
     fn time_that_others_use_is_not_counted() {
-        on_a_thread(Policy::Other { nice: 0 }, Realtime::Off, || {
-            let timer = BudgetTimer::new(own()).unwrap();
+        on_threads(Policy::Other { nice: 0 }, |timer, _| {
             timer.arm(thread_cpu_ns(), Duration::from_millis(5));
             // Five times the budget on the clock, and none of it on the processor.
             sleep_until_monotonic(monotonic_ns() + 25_000_000);
@@ -598,5 +639,48 @@ mod tests {
             burn_cpu(Duration::from_millis(6));
             assert!(timer.disarm());
         });
+    }
+
+    #[test]
+    fn the_enforcer_stops_a_thread_on_whichever_core_it_runs() {
+        if !permitted() {
+            return;
+        }
+        prove_enforcement_by(Enforcement::Enforcer, PRIORITY + 1).unwrap();
+        for core in crate::CoreSet::allowed().unwrap().iter() {
+            let thread = ThreadBuilder::new("budget").policy(Policy::Fifo(PRIORITY));
+            let body = || {
+                let timer = BudgetTimer::new(own()).unwrap();
+                timer.arm(thread_cpu_ns(), Duration::from_micros(500));
+                // For ever, if it is not stopped.
+                while !timer.is_demoted() {
+                    std::hint::spin_loop();
+                }
+                assert_eq!(current_policy().unwrap(), Policy::Other { nice: 0 });
+            };
+            thread.cores(crate::CoreSet::one(core)).spawn(move || body).unwrap().join().unwrap();
+        }
+    }
+
+    #[test]
+    fn the_enforcer_keeps_above_those_that_it_stops() {
+        if !permitted() {
+            return;
+        }
+        prove_enforcement_by(Enforcement::Enforcer, PRIORITY + 1).unwrap();
+        let enforcer =
+            || crate::threads().unwrap().into_iter().find(|thread| thread.name == "enforcer").unwrap();
+        assert_eq!(enforcer().policy, Policy::Fifo(PRIORITY + 1));
+        let thread = ThreadBuilder::new("budget").policy(Policy::Fifo(PRIORITY));
+        let body = move || {
+            let own = own();
+            let _timer = BudgetTimer::new(Arc::clone(&own)).unwrap();
+            own.change(current_tid(), PRIORITY + 5).unwrap();
+            assert_eq!(enforcer().policy, Policy::Fifo(PRIORITY + 6));
+            let error = own.change(current_tid(), 99).unwrap_err();
+            assert!(matches!(error, RtError::BudgetNotEnforced { below: 100, .. }), "{error}");
+            assert_eq!(own.policy(), Policy::Fifo(PRIORITY + 5));
+        };
+        thread.spawn(move || body).unwrap().join().unwrap();
     }
 }

@@ -5,7 +5,7 @@ use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use crate::Policy;
+use crate::{Enforcement, Policy};
 
 /// Why a real-time setting was refused. Each message names the object, the limit and the fix.
 #[derive(Debug, thiserror::Error)]
@@ -184,6 +184,19 @@ pub enum RtError {
         nice: i8,
         /// This executable.
         exe: PathBuf,
+    },
+    /// A budget that was used up was not enforced.
+    #[error(
+        "a thread at SCHED_FIFO {} that had used its budget was not demoted by {by}: choose priorities of at most 98, take other \
+         threads at SCHED_FIFO {below} and above off its cores, and on PREEMPT_RT raise the kernel's timers: \
+         `for p in $(pgrep ktimers/); do sudo chrt -f -p 98 $p; done`",
+        below.saturating_sub(1)
+    )]
+    BudgetNotEnforced {
+        /// What should have enforced it.
+        by: Enforcement,
+        /// The priority below which it should have been enforced.
+        below: u8,
     },
     /// Memory may not be locked, or not this much.
     #[error(

@@ -4,7 +4,8 @@
 //! - [`ThreadBuilder`] starts a thread with a [`Policy`] and a [`CoreSet`], and reports success only after the
 //!   kernel has confirmed both. [`Realtime::Off`] is the explicit opt-out for machines without the privilege.
 //! - [`set_policy`], [`set_affinity`] do the same for a thread that exists; [`threads`] reads every thread back.
-//! - [`BudgetTimer`] demotes or suspends a thread that uses more processor time than it was given.
+//! - [`BudgetTimer`] demotes or suspends a thread that uses more processor time than it was given; [`prove_enforcement`] tries
+//!   whether that works here.
 //! - [`CoreTime`] shows how much time a thread used, waited for, and lost to the hypervisor or interrupts.
 //! - [`lock_memory`], [`prefault_stack`], [`tune_malloc`] claim memory before it is needed; [`IdleHold`] keeps the
 //!   cores out of idle states.
@@ -38,6 +39,8 @@
 mod budget;
 mod core_time;
 mod cores;
+mod enforcement;
+mod enforcer;
 mod error;
 mod exit;
 mod futex;
@@ -63,6 +66,7 @@ pub mod shm;
 pub use budget::{BudgetTimer, OwnPriority, Refill, RemainingBudget};
 pub use core_time::{CoreMark, CoreTime};
 pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
+pub use enforcement::{Enforcement, prove_enforcement, prove_enforcement_by};
 pub use error::RtError;
 pub use exit::{AtExit, at_exit};
 pub use futex::FutexWord;

@@ -33,8 +33,8 @@ const RUNS: [&[&str]; 18] = [
     &["own_messages"],
 ];
 
-/// Has no promise to keep without real-time priorities.
-const REALTIME_ONLY: &str = "priorities";
+/// Have no promise to keep without real-time priorities.
+const REALTIME_ONLY: [&str; 2] = ["priorities", "budget"];
 
 /// As in `examples/src/lib.rs`: the example cannot run here.
 const SKIPPED: i32 = 77;
@@ -49,7 +49,7 @@ pub fn run(steps: &mut Steps, built: bool, build: Build, bless: bool) {
         let name = format!("example {name}");
         if !built {
             steps.skip(&name, "not built");
-        } else if programs.contains(&REALTIME_ONLY)
+        } else if programs.iter().any(|program| REALTIME_ONLY.contains(program))
             && std::env::var("TAUT_REALTIME").is_ok_and(|value| value == "off")
         {
             steps.skip(&name, "TAUT_REALTIME=off");

@@ -6,6 +6,7 @@ use super::host::Host;
 use tautline::CoreSet;
 use tautline::rt::clock::monotonic_ns;
 use tautline::rt::host::Preemption;
+use tautline::rt::{Enforcement, RtError, prove_enforcement_by};
 
 const RUNTIME: &str = "/proc/sys/kernel/sched_rt_runtime_us";
 const PERIOD: &str = "/proc/sys/kernel/sched_rt_period_us";
@@ -29,6 +30,42 @@ pub fn preemption(host: &Host) -> Checked {
             "# Needs another kernel and a reboot. Debian: apt install linux-image-rt-amd64",
             "# Ubuntu: pro enable realtime-kernel",
         ]))
+}
+
+/// Whether a thread that has used its budget is stopped. It is tried: the kernel's name does not tell which of its threads serves timers,
+/// and at which priority.
+pub fn budgets(host: &Host) -> Checked {
+    let (sampler, highest) = (host.priority, host.priority.saturating_sub(1));
+    match prove_enforcement_by(Enforcement::Timer, sampler) {
+        Ok(()) => {
+            let value =
+                format!("a timer stopped a thread at SCHED_FIFO {highest} that had used its budget (tried)");
+            return Ok(Finding::good(value));
+        }
+        Err(RtError::BudgetNotEnforced { .. }) => {}
+        Err(error) => return Err(error.to_string()),
+    }
+    let raise = "for p in $(pgrep ktimers/); do chrt -f -p 98 $p; done";
+    let (verdict, value) = match prove_enforcement_by(Enforcement::Enforcer, sampler) {
+        Ok(()) => (
+            Verdict::Advice,
+            format!(
+                "timers do not reach a busy thread at SCHED_FIFO {highest}; each process that holds budgets has a thread at {sampler} that \
+                 does (tried)"
+            ),
+        ),
+        Err(error @ RtError::BudgetNotEnforced { .. }) => (Verdict::Bad, error.to_string()),
+        Err(error) => return Err(error.to_string()),
+    };
+    let cost = Cost::Unknown(
+        "two runs of that thread for a job with a budget; `cargo xtask bench budgets` measures jobs",
+    );
+    Ok(Finding::new(verdict, value)
+        .costs(cost)
+        .fix(format!(
+            "raise the kernel's timers above the callbacks, which costs whatever else they serve: {raise}"
+        ))
+        .script([format!("# Timers of all threads then run above real-time threads: {raise}")]))
 }
 
 /// The limit of real-time threads as it is set, in µs of a period (-1: none), and whether the kernel applies it.

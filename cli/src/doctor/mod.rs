@@ -102,6 +102,9 @@ pub fn run(args: &DoctorArgs) -> Outcome<ExitCode> {
 
     let mut findings: Vec<Finding> =
         CHECKS.iter().map(|(name, check)| Finding::of(name, check(&host))).collect();
+    if host.tree.is_here() {
+        findings.push(Finding::of("budgets", kernel::budgets(&host)));
+    }
     findings.extend(system.iter().flat_map(|system| system.findings(&host)));
     findings.extend(domain::findings(&host.tree, domain));
     let mut seen = Vec::new();

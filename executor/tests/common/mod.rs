@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex};
 
 use tautline_executor::CoreSet;
 use tautline_rt::permission::realtime_permitted;
+use tautline_rt::{Enforcement, prove_enforcement_by};
 
 /// An ordered log of events.
 #[derive(Clone, Default)]
@@ -21,10 +22,15 @@ impl Log {
     }
 }
 
-/// Real-time tests need the privilege; with CI set they must run.
+/// Real-time tests need the privilege; with CI set they must run. In `enforcer.rs` the enforcer enforces their budgets.
 pub fn realtime() -> bool {
     match realtime_permitted(50) {
-        Ok(()) => true,
+        Ok(()) => {
+            if env!("CARGO_CRATE_NAME") == "enforcer" {
+                prove_enforcement_by(Enforcement::Enforcer, 50).unwrap();
+            }
+            true
+        }
         Err(error) if std::env::var_os("CI").is_some() => panic!("{error}"),
         Err(error) => {
             println!("skipped: {error}");

@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The enforcer: a thread of the process that outranks the threads whose budgets it enforces, and signals those that have used them.
+//!
+//! It is for kernels on which no timer reaches a busy real-time thread. With PREEMPT_RT, timers expire in a thread of the kernel
+//! (`ktimers/N`, `SCHED_FIFO` 1), below every thread that has a budget; only the sleep of a real-time thread ends in the interrupt.
+//!
+//! ```text
+//!  a thread arms   alarm.due = now + budget; if the enforcer sleeps longer than until then: wake it
+//!  the enforcer    wakes_at = the earliest due of all alarms; looks again, since one may have been armed meanwhile; sleeps until then
+//!  an alarm is due has its thread used the budget? no: due = now + what is left; yes: the signal
+//!  it disarms      alarm.due = never; the enforcer is not told, and finds nothing when it wakes
+//! ```
+//!
+//! So jobs that end within their budgets make a system call only if the enforcer sleeps too long.
+
+use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64, Ordering};
+
+use crate::clock::{monotonic_ns, thread_cpu_ns_of};
+use crate::{CoreSet, FutexWord, Policy, RtError, ThreadBuilder};
+
+const NEVER: u64 = u64::MAX;
+
+/// The alarm of one thread. It is never freed: a thread that no longer needs it gives it to another.
+#[derive(Debug)]
+pub(crate) struct Alarm {
+    /// When the enforcer looks, in `CLOCK_MONOTONIC` ns.
+    due_ns: AtomicU64,
+    /// The processor time of the thread at which its budget is used up.
+    end_ns: AtomicU64,
+    tid: AtomicU32,
+    is_taken: AtomicBool,
+    next: AtomicPtr<Alarm>,
+}
+
+/// The alarms of the process, newest first.
+static ALARMS: AtomicPtr<Alarm> = AtomicPtr::new(std::ptr::null_mut());
+/// When the enforcer wakes by itself.
+static WAKES_AT: AtomicU64 = AtomicU64::new(NEVER);
+/// Changes when it has to look before that.
+static CALLS: FutexWord = FutexWord::new(0);
+
+fn alarms() -> impl Iterator<Item = &'static Alarm> {
+    let at = |alarm: &AtomicPtr<Alarm>| {
+        // SAFETY: null, or an alarm that `take` has leaked; Acquire pairs with the Release there.
+        unsafe { alarm.load(Ordering::Acquire).as_ref() }
+    };
+    std::iter::successors(at(&ALARMS), move |alarm| at(&alarm.next))
+}
+
+impl Alarm {
+    /// An alarm for the current thread.
+    pub(crate) fn take() -> &'static Alarm {
+        let free = |alarm: &&Alarm| {
+            alarm.is_taken.compare_exchange(false, true, Ordering::AcqRel, Ordering::Relaxed).is_ok()
+        };
+        let alarm = alarms().find(free).unwrap_or_else(|| {
+            let (due_ns, end_ns, tid) = (AtomicU64::new(NEVER), AtomicU64::new(0), AtomicU32::new(0));
+            let alarm: &Alarm = Box::leak(Box::new(Alarm {
+                due_ns,
+                end_ns,
+                tid,
+                is_taken: AtomicBool::new(true),
+                next: AtomicPtr::default(),
+            }));
+            let pointer = std::ptr::from_ref(alarm).cast_mut();
+            let _ = ALARMS.fetch_update(Ordering::Release, Ordering::Relaxed, |first| {
+                alarm.next.store(first, Ordering::Relaxed);
+                Some(pointer)
+            });
+            alarm
+        });
+        alarm.tid.store(crate::current_tid(), Ordering::Relaxed);
+        alarm
+    }
+
+    pub(crate) fn give_back(&self) {
+        self.clear();
+        self.is_taken.store(false, Ordering::Release);
+    }
+
+    /// Signals the thread `after_ns` from now, or later, when it has used `end_ns` of processor time. Also for signal handlers.
+    pub(crate) fn set(&self, after_ns: u64, end_ns: u64) {
+        let due_ns = monotonic_ns().saturating_add(after_ns).min(NEVER - 1);
+        self.end_ns.store(end_ns, Ordering::Relaxed);
+        // Either this sees that the enforcer is about to sleep too long, or the enforcer sees this: both are SeqCst, as there.
+        self.due_ns.store(due_ns, Ordering::SeqCst);
+        if WAKES_AT.load(Ordering::SeqCst) > due_ns {
+            CALLS.0.fetch_add(1, Ordering::SeqCst);
+            CALLS.wake();
+        }
+    }
+
+    pub(crate) fn clear(&self) {
+        self.due_ns.store(NEVER, Ordering::Release);
+    }
+
+    /// Looks at it, if it is due; when it is due next.
+    fn look(&self, signal: libc::c_int) -> u64 {
+        let (due_ns, now_ns) = (self.due_ns.load(Ordering::SeqCst), monotonic_ns());
+        if due_ns > now_ns {
+            return due_ns;
+        }
+        let tid = self.tid.load(Ordering::Relaxed);
+        let left_ns = self.end_ns.load(Ordering::Relaxed).saturating_sub(thread_cpu_ns_of(tid));
+        let next_ns = if left_ns == 0 { NEVER } else { now_ns.saturating_add(left_ns) };
+        // Only if it is still that job.
+        match self.due_ns.compare_exchange(due_ns, next_ns, Ordering::SeqCst, Ordering::SeqCst) {
+            Ok(_) if left_ns == 0 => {
+                // SAFETY: no memory is passed. A thread that has ended, or another one with its number, has no budget.
+                unsafe { libc::syscall(libc::SYS_tgkill, libc::getpid(), tid, signal) };
+                NEVER
+            }
+            Ok(_) => next_ns,
+            Err(present_ns) => present_ns,
+        }
+    }
+}
+
+/// Starts the enforcer, which never ends. Returns the id of its thread.
+///
+/// It may run on every core that the process may use: the kernel moves it to one where a lower priority runs.
+pub(crate) fn start(priority: u8, signal: libc::c_int) -> Result<u32, RtError> {
+    // What it finds after a fork is its parent's.
+    WAKES_AT.store(NEVER, Ordering::SeqCst);
+    alarms().for_each(Alarm::clear);
+    let thread = ThreadBuilder::new("enforcer")
+        .policy(Policy::Fifo(priority))
+        .cores(CoreSet::allowed()?)
+        .stack_bytes(64 * 1024);
+    Ok(thread.spawn(move || move || run(signal))?.info().tid)
+}
+
+fn run(signal: libc::c_int) {
+    loop {
+        let seen = CALLS.0.load(Ordering::SeqCst);
+        let look = || alarms().map(|alarm| alarm.look(signal)).min().unwrap_or(NEVER);
+        let next_ns = look();
+        WAKES_AT.store(next_ns, Ordering::SeqCst);
+        if look() >= next_ns {
+            CALLS.wait(seen, (next_ns != NEVER).then_some(next_ns));
+        }
+    }
+}
