@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
 use std::panic::resume_unwind;
-use tautline::rt::permission::realtime_permitted;
 use tautline::{CallbackHandle, Context, ContextBuilder, CoreSet, Realtime, Result};
+use tautline_rt::permission::realtime_permitted;
 
 /// Where callbacks are measured in this process: a context whose sampler has the same core as they, and another core for what
 /// goes on beside. Real-time priorities if this user may have them.

@@ -11,10 +11,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, Command, Stdio};
 use std::time::Duration;
 use support::Here;
-use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::{CallbackOptions, Qos};
 use tautline_bag::{BagError, Event, FileReader, files_of};
 use tautline_msgs::Message;
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{EndpointKind, Limits, Participant, Publisher, Visitor};
 use tempfile::TempDir;
 

@@ -7,8 +7,8 @@ use std::os::unix::fs::{FileExt, PermissionsExt};
 use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Command, Output};
-use tautline::rt::domain::shared_path;
-use tautline::rt::shm::{self, OwnFile};
+use tautline_rt::domain::shared_path;
+use tautline_rt::shm::{self, OwnFile};
 use tautline_transport::{Limits, Participant, Qos, TopicType};
 use tempfile::TempDir;
 

@@ -9,8 +9,8 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, Command, Output, Stdio};
-use tautline::rt::clock::monotonic_ns;
 use tautline_bag::{Compression, Options, Stamp, Topic, Writer};
+use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{
     EndpointKind, Limits, MessageInfo, Participant, Qos, RawSubscription, TopicType, graph_of,
 };

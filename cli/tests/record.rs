@@ -20,10 +20,10 @@ use support::Here;
 use tautline::Qos;
 use tautline::example_interfaces::action::Fibonacci;
 use tautline::example_interfaces::srv::AddTwoInts;
-use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
-use tautline::rt::{self, CoreSet, Policy, ThreadBuilder};
 use tautline_bag::{BagError, Event, FileReader, Stamp, files_of};
 use tautline_msgs::Message;
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
+use tautline_rt::{self as rt, CoreSet, Policy, ThreadBuilder};
 use tautline_schema::{DynamicMessage, Kind};
 use tautline_transport::{
     EndpointKind, Gid, Limits, Participant, Publisher, RawPublisher, ServiceKind, ServiceType, TopicEndpoint,

@@ -10,8 +10,8 @@ use std::time::Duration;
 
 use futures::StreamExt;
 use serde_json::Value;
-use tautline::rt::clock;
 use tautline::{CallbackOptions, Context, Message, Node, Publisher, Qos, Realtime, Sample};
+use tautline_rt::clock;
 
 #[derive(Message, Clone, Copy)]
 #[repr(C)]
@@ -743,7 +743,7 @@ fn a_watcher_sees_a_run_to_its_end_and_keeps_it() {
 
 #[test]
 fn priorities_and_cores_are_compared_where_they_are_real() {
-    if let Err(error) = tautline::rt::permission::realtime_permitted(60) {
+    if let Err(error) = tautline_rt::permission::realtime_permitted(60) {
         assert!(std::env::var_os("CI").is_none(), "{error}");
         println!("skipped: {error}");
         return;
@@ -777,7 +777,7 @@ fn priorities_and_cores_are_compared_where_they_are_real() {
 
 #[test]
 fn what_does_not_fit_beside_it_is_told_by_check_and_by_the_report() {
-    if let Err(error) = tautline::rt::permission::realtime_permitted(60) {
+    if let Err(error) = tautline_rt::permission::realtime_permitted(60) {
         assert!(std::env::var_os("CI").is_none(), "{error}");
         println!("skipped: {error}");
         return;

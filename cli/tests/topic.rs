@@ -6,8 +6,8 @@ use std::cell::Cell;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::Arc;
-use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::{Context, Node, Qos, Realtime};
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_schema::{DynamicMessage, Schema};
 use tautline_transport::{Limits, Participant, RawPublisher, TopicType};
 

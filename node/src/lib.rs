@@ -129,7 +129,23 @@ pub use tautline_msgs::{Action, HasStamp, Message, Plain, Service};
 #[cfg(feature = "ros_msgs")]
 #[doc(no_inline)]
 pub use tautline_ros_msgs::*;
-pub use tautline_rt as rt;
+/// Policies, cores, clocks and locks, as programs use them beside their callbacks. All of it is the crate `tautline-rt`.
+pub mod rt {
+    pub use tautline_rt::{
+        CoreSet, Interruptions, JoinHandle, LatestReader, LatestWriter, MemoryLock, PiGuard, PiMutex, Policy,
+        RtError, ThreadBuilder, current_affinity, current_policy, latest, set_affinity, set_policy,
+    };
+    /// Times in nanoseconds.
+    pub mod clock {
+        pub use tautline_rt::clock::{
+            burn_cpu, monotonic_ns, nanoseconds, sleep_until_monotonic, thread_cpu_ns, wall_ns,
+        };
+    }
+    /// What this process may ask of the system.
+    pub mod permission {
+        pub use tautline_rt::permission::realtime_permitted;
+    }
+}
 pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 /// Types that are known at run time. The parser of definitions is the crate `tautline-schema`.
 #[cfg(feature = "untyped")]

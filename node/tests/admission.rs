@@ -17,7 +17,7 @@ use tautline::{
 
 /// Each test has a domain of its own, in a scope of its own.
 fn scope() {
-    tautline::rt::domain::set_scope(&format!("admission-{}", std::process::id())).unwrap();
+    tautline_rt::domain::set_scope(&format!("admission-{}", std::process::id())).unwrap();
 }
 
 struct File(PathBuf);
@@ -294,7 +294,7 @@ fn who_dies_while_it_is_being_admitted_keeps_nobody_out() {
     scope();
     let a = File::new("a", 4, 40);
     let _member = a.context(1).unwrap();
-    let folder = tautline::rt::domain::shared_path(1);
+    let folder = tautline_rt::domain::shared_path(1);
     let script = format!("exec 9<{} && flock -x 9 && echo locked && exec sleep 100", folder.display());
     let mut holder = Command::new("sh").args(["-c", &script]).stdout(Stdio::piped()).spawn().unwrap();
     let mut line = String::new();

@@ -15,8 +15,8 @@ use std::time::Duration;
 
 use common::Number;
 use futures::StreamExt;
-use tautline::rt::clock::monotonic_ns;
 use tautline::{CallbackOptions, Context, Node, Publisher, Qos, Realtime, Sample, TraceMode};
+use tautline_rt::clock::monotonic_ns;
 use tautline_trace::{Record, Recorder};
 
 /// Heap calls of one thread.

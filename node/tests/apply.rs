@@ -8,8 +8,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use common::realtime;
-use tautline::rt::{policy_of, set_policy_of};
 use tautline::{CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Policy, apply_system};
+use tautline_rt::{policy_of, set_policy_of};
 
 const DOMAIN: u32 = 98;
 
@@ -61,7 +61,7 @@ fn a_new_text_is_taken_up_by_what_runs_or_by_nobody() {
     if !realtime() {
         return;
     }
-    tautline::rt::domain::set_scope(&format!("apply-{}", std::process::id())).unwrap();
+    tautline_rt::domain::set_scope(&format!("apply-{}", std::process::id())).unwrap();
     let file = File::new("text", &text(30, "2ms", ""));
     assert!(matches!(apply_system(DOMAIN, &file.0), Err(Error::NobodyHas { .. })));
     let context = Context::builder().domain(DOMAIN).system(&file.0).build().unwrap();
@@ -109,7 +109,7 @@ fn what_runs_besides_keeps_its_deadlines() {
     if !realtime() {
         return;
     }
-    tautline::rt::domain::set_scope(&format!("apply-{}", std::process::id())).unwrap();
+    tautline_rt::domain::set_scope(&format!("apply-{}", std::process::id())).unwrap();
     let file = File::new("besides", &text(30, "2ms", ""));
     let other = Context::builder().domain(DOMAIN + 1).build().unwrap();
     let context = Context::builder().domain(DOMAIN + 1).system(&file.0).build().unwrap();

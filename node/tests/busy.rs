@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use common::{Gate, Log, Number, context, cores, leave_a_thread, realtime, spin};
 use futures::{FutureExt, StreamExt};
-use tautline::rt::{clock, current_affinity, current_policy, set_affinity};
 use tautline::{
     CallbackOptions, Context, CoreSet, Error, ExecutorError, Node, Publisher, Qos, Realtime, Sample,
 };
+use tautline_rt::{clock, current_affinity, current_policy, set_affinity};
 
 fn publish(publisher: &Publisher<Number>, values: impl IntoIterator<Item = u64>) {
     values.into_iter().for_each(|value| publisher.publish(&Number { value }).unwrap());

@@ -6,8 +6,8 @@ mod common;
 use std::time::Duration;
 
 use common::{Log, Number, context, spin};
-use tautline::rt::clock;
 use tautline::{CallbackGroup, CallbackOptions, Node, Publisher, Qos, Sample, Tick};
+use tautline_rt::clock;
 
 const HOUR: Duration = Duration::from_secs(3600);
 

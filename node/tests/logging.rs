@@ -8,11 +8,11 @@ use std::time::Duration;
 use common::{context, realtime, run_again};
 use tautline::logging::{flush, lost_lines};
 use tautline::rcl_interfaces::msg::Log;
-use tautline::rt::{Policy, ThreadBuilder};
 use tautline::{
     Context, LogSeverity, Logger, Node, Qos, Realtime, Subscription, log_debug, log_error, log_fatal,
     log_info, log_warn,
 };
+use tautline_rt::{Policy, ThreadBuilder};
 
 fn rosout(node: &mut Node) -> Subscription<Log> {
     let qos = Qos::keep_last(1000).transient_local();

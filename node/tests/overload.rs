@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use common::{Gate, Log, Number, context, spin};
 use futures::StreamExt;
-use tautline::rt::clock;
 use tautline::{CallbackOptions, Node, Qos, Sample};
+use tautline_rt::clock;
 
 #[test]
 fn published_is_received_and_lost_and_queued() {

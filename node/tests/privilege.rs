@@ -7,8 +7,8 @@ use common::context;
 use futures::FutureExt;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use rustix::thread::{CapabilitySet, capabilities, set_capabilities};
-use tautline::rt::current_policy;
 use tautline::{CallbackOptions, Context, Error, Node};
+use tautline_rt::current_policy;
 
 /// Makes the calling thread, and those it starts, an ordinary user's.
 fn drop_privileges() {

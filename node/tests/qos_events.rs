@@ -8,11 +8,11 @@ use futures::executor::block_on;
 use futures::{Stream, StreamExt};
 use std::sync::Arc;
 use std::time::Duration;
-use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::{
     CallbackOptions, Context, Liveliness, Node, PublisherEvent, Qos, QosPolicyKind, Realtime,
     SubscriptionEvent,
 };
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 
 const MS: u64 = 1_000_000;
 

@@ -10,8 +10,8 @@ use std::time::Duration;
 
 use common::{context, realtime};
 use tautline::logging::{flush, lost_lines};
-use tautline::rt::{Policy, ThreadBuilder};
 use tautline::{Node, log_debug, log_info, log_warn};
+use tautline_rt::{Policy, ThreadBuilder};
 
 thread_local!(static CALLS: Cell<Option<u64>> = const { Cell::new(None) });
 

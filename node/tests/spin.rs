@@ -7,8 +7,8 @@ use std::sync::mpsc;
 
 use common::{Log, Number, context, cores, realtime};
 use futures::StreamExt;
-use tautline::rt::{current_affinity, current_policy, current_tid, threads};
 use tautline::{CallbackOptions, Context, CoreSet, Error, Node, Policy, Qos, Sample};
+use tautline_rt::{current_affinity, current_policy, current_tid, threads};
 
 /// What the kernel says of this thread.
 fn settings() -> (Policy, CoreSet) {

@@ -7,11 +7,11 @@ use std::path::PathBuf;
 
 use common::{Log, Number, run_again, spin};
 use futures::StreamExt;
-use tautline::rt::clock;
 use tautline::{
     CallbackGroup, CallbackSnapshot, Context, MomentKind, Node, ProcessSnapshot, Qos, Realtime,
     shared_statistics,
 };
+use tautline_rt::clock;
 
 const DOMAIN: u32 = 166;
 const KILLED: u32 = 167;

@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use common::{Log, Number, context, spin};
 use futures::StreamExt;
-use tautline::rt::clock;
 use tautline::{CallbackOptions, Node, Qos};
+use tautline_rt::clock;
 
 const WORK: Duration = Duration::from_millis(1);
 const DAY: Duration = Duration::from_secs(86_400);

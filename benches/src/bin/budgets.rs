@@ -16,7 +16,6 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
-use tautline::rt::clock::{burn_cpu, monotonic_ns};
 use tautline::{
     CallbackHandle, CallbackOptions, CallbackStats, Context, ContextBuilder, Moment, MomentKind, Node,
 };
@@ -28,6 +27,7 @@ use tautline_harness::table::Column::{Number, Words};
 use tautline_harness::table::Table;
 use tautline_harness::{Beside, Disturbance, Result, Run, cells, machine, verdict};
 use tautline_rt::CoreSet;
+use tautline_rt::clock::{burn_cpu, monotonic_ns};
 
 /// Periods in ms, which are the deadlines.
 const PERIODS_MS: [u64; 4] = [5, 10, 20, 40];
@@ -92,7 +92,7 @@ fn main() -> ExitCode {
 
 fn measure(options: &Options) -> Result {
     let runs = if options.run.quick { 50 } else { 1_000 };
-    let seed = options.seed.unwrap_or_else(tautline::rt::clock::monotonic_ns);
+    let seed = options.seed.unwrap_or_else(tautline_rt::clock::monotonic_ns);
     println!("seed {seed}");
     let (machine, mut rows) = (machine(), Vec::new());
     // A fifth of the runs shows what happens if nothing is held.

@@ -12,7 +12,6 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
-use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::std_msgs::msg::UInt64;
 use tautline::{CallbackOptions, ContextBuilder, Node, Publisher, Qos, SubscriptionEvent};
 use tautline_benches::Stage;
@@ -21,6 +20,7 @@ use tautline_harness::rows::{Metric, Row};
 use tautline_harness::table::of_rows;
 use tautline_harness::verdict::{self, Verdict};
 use tautline_harness::{Beside, Distribution, Disturbance, Result, Run, TurnRow, Turns, machine, program};
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_rt::{CoreSet, Policy};
 
 const TOPICS: u64 = 200;

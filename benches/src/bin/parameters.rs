@@ -13,7 +13,6 @@ use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
-use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline::{CallbackOptions, Node, ParameterReader, Parameters};
 use tautline_benches::Stage;
 use tautline_harness::claims::{Claim, Goal, Ways, judge};
@@ -25,6 +24,7 @@ use tautline_harness::{
     Beside, Distribution, Disturbance, Documented, Result, TurnRow, Turns, cells, machine, program,
 };
 use tautline_rt::CoreSet;
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_rt::host::steal_ticks;
 
 const SETS_PER_SECOND: u64 = 10_000;

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
-use tautline::rt::clock::thread_cpu_ns;
-use tautline::rt::{current_affinity, set_affinity};
 use tautline::{CallbackHandle, CallbackStats, Context, ContextBuilder, CoreSet, Message, Qos, Realtime};
 use tautline_analysis::Task;
 use tautline_analysis::file::{CheckedCallback, SystemFile};
+use tautline_rt::clock::thread_cpu_ns;
+use tautline_rt::{current_affinity, set_affinity};
 
 use super::{DemoArgs, DemoError};
 use crate::moment::Moment;

@@ -14,9 +14,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
-use tautline::rt::{Interruptions, ThreadBuilder, current_affinity, host, permission};
 use tautline::{CoreSet, Policy};
 use tautline_analysis::taken::{Seen, TakenTimes};
+use tautline_rt::{Interruptions, ThreadBuilder, current_affinity, host, permission};
 
 /// The wait after the last release: more than the longest response time of a run within its bounds.
 const DRAIN: Duration = Duration::from_millis(400);

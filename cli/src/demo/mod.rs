@@ -70,9 +70,9 @@ enum Role {
 #[derive(Debug, thiserror::Error)]
 pub enum DemoError {
     #[error("core {core} cannot be used: {source}; choose one with --core")]
-    Core { core: usize, source: tautline::rt::RtError },
+    Core { core: usize, source: tautline_rt::RtError },
     #[error("{0}")]
-    Realtime(#[from] tautline::rt::RtError),
+    Realtime(#[from] tautline_rt::RtError),
     #[error("{0}")]
     Setup(#[from] tautline::Error),
     #[error("examples/systems/paper.toml, from which this program was built: {0}")]

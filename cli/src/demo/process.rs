@@ -7,7 +7,7 @@ use clap::ValueEnum;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
-use tautline::rt::clock;
+use tautline_rt::clock;
 
 /// The time limit for a process to set up, and to end.
 const PATIENCE: Duration = Duration::from_secs(20);

@@ -9,8 +9,8 @@ use futures::future::join_all;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
-use tautline::rt::clock;
 use tautline::{CallbackOptions, Node, Publisher, Timer};
+use tautline_rt::clock;
 
 /// Time between set-up and the first release, which all topics have in common: the critical instant.
 const LEAD: Duration = Duration::from_millis(200);

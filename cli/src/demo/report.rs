@@ -5,9 +5,9 @@ use std::io::{self, Write};
 use std::time::Duration;
 
 use serde::Serialize;
-use tautline::rt::Interruptions;
 use tautline_analysis::taken::{Seen, TakenTimes, response_time_with};
 use tautline_analysis::{Overheads, Task};
+use tautline_rt::Interruptions;
 
 use crate::moment::ACCOUNTED_TO_NS;
 

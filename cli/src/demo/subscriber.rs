@@ -8,8 +8,8 @@ use futures::StreamExt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
-use tautline::rt::{CoreMark, CoreTime, clock};
 use tautline::{CallbackOptions, Node, SubscriptionCounters};
+use tautline_rt::{CoreMark, CoreTime, clock};
 
 pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     super::conductor::ignore_interrupts();

@@ -8,9 +8,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use tautline::rt::domain::shared_folder;
-use tautline::rt::shm::{self, PeerFile};
 use tautline::{GraphSnapshot, TransportError};
+use tautline_rt::domain::shared_folder;
+use tautline_rt::shm::{self, PeerFile};
 use tautline_trace::is_trace_file;
 use tautline_transport::Visitor;
 

@@ -4,9 +4,9 @@
 use super::finding::{Checked, Cost, Finding, MEASURE, Verdict};
 use super::host::Host;
 use tautline::CoreSet;
-use tautline::rt::clock::monotonic_ns;
-use tautline::rt::host::Preemption;
-use tautline::rt::{Enforcement, RtError, prove_enforcement_by};
+use tautline_rt::clock::monotonic_ns;
+use tautline_rt::host::Preemption;
+use tautline_rt::{Enforcement, RtError, prove_enforcement_by};
 
 const RUNTIME: &str = "/proc/sys/kernel/sched_rt_runtime_us";
 const PERIOD: &str = "/proc/sys/kernel/sched_rt_period_us";

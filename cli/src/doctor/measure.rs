@@ -8,8 +8,8 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 use std::io::{self, Write};
 use std::time::Duration;
-use tautline::rt::{Interruptions, RtError, ThreadBuilder};
 use tautline::{CoreSet, Policy};
+use tautline_rt::{Interruptions, RtError, ThreadBuilder};
 
 /// Watched at a time; between two of them others run, so that the kernel has no reason to throttle.
 const SLICE: Duration = Duration::from_millis(100);

@@ -4,8 +4,8 @@
 use super::finding::{Checked, Cost, Finding, Verdict, size};
 use super::host::{Host, Tree};
 use std::collections::BTreeMap;
-use tautline::rt::RtError;
-use tautline::rt::permission::{cpu_group, realtime_permitted};
+use tautline_rt::RtError;
+use tautline_rt::permission::{cpu_group, realtime_permitted};
 
 const REFUSED: Cost = Cost::Unknown("programs do not start in real time");
 /// Numbers of capabilities: see capability.h.

@@ -7,10 +7,10 @@ use super::host::Host;
 use super::kernel::allowance;
 use crate::verb::{Failure, Outcome};
 use std::path::Path;
-use tautline::rt::ThreadBuilder;
 use tautline::{CoreSet, Limits, Policy, find_schema, topic_memory};
 use tautline_analysis::Reservation;
 use tautline_analysis::file::{CheckedCallback, CheckedSystem, CoreEntry, SystemFile};
+use tautline_rt::ThreadBuilder;
 use tautline_schema::{Layout, Size};
 use tautline_transport::Qos;
 

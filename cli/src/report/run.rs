@@ -145,7 +145,7 @@ impl Run {
             // Asked first: what an ended process did is then complete.
             let running = process.is_running();
             // Before reading, too: what runs then has run as long as that at least.
-            let now_ns = running.then(tautline::rt::clock::monotonic_ns);
+            let now_ns = running.then(tautline_rt::clock::monotonic_ns);
             if let Some(snapshot) = process.read().map_err(ReportError::Statistics)? {
                 gathered.push(Process { path: process.path().into(), ..Process::new(&snapshot, now_ns) });
             }
@@ -233,7 +233,7 @@ impl Process {
             running: now_ns.is_some(),
             sampler_priority: process.sampler_priority,
             system_hash: process.system_hash,
-            steal_ticks: tautline::rt::host::steal_ticks(None).saturating_sub(process.steal_ticks),
+            steal_ticks: tautline_rt::host::steal_ticks(None).saturating_sub(process.steal_ticks),
             stands_in: process.stands_in.clone(),
             forced: match &process.admitted {
                 Admitted::Forced(why) => Some(why.clone()),
@@ -266,7 +266,7 @@ impl Callback {
             tid: of.tid,
             priority: of.priority,
             reservation: (of.priority == Some(Policy::RESERVATION) && !ended)
-                .then(|| tautline::rt::policy_of(of.tid).ok())
+                .then(|| tautline_rt::policy_of(of.tid).ok())
                 .flatten(),
             core: of.core,
             measures_execution: of.measures_execution,

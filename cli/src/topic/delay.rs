@@ -13,9 +13,9 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tautline::rt::clock::{monotonic_ns, nanoseconds};
-use tautline::rt::{Policy, set_policy};
 use tautline::{EndpointKind, find_schema};
+use tautline_rt::clock::{monotonic_ns, nanoseconds};
+use tautline_rt::{Policy, set_policy};
 use tautline_schema::{DynamicMessage, Endian, Schema};
 use tautline_transport::{Durability, Gid, Limits, Participant, Qos, Reliability, TakeError, TopicType};
 

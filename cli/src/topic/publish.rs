@@ -9,9 +9,9 @@ use clap::{Args, ValueEnum};
 use serde_json::json;
 use std::sync::Arc;
 use std::time::Duration;
-use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
-use tautline::rt::{Policy, set_policy};
 use tautline::{Context, EndpointKind, Json, Node, Publisher, Qos, Realtime, TopicEndpoint};
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
+use tautline_rt::{Policy, set_policy};
 use tautline_schema::DynamicMessage;
 use tautline_transport::{Visitor, graph_of};
 

@@ -214,7 +214,7 @@ impl Meter {
                     flow.or_insert_with(|| Flow::new(label(&graph, topic, end.gid), end.pid, sent, None))
                         .see(sent);
                 }
-                let now_ns = tautline::rt::clock::monotonic_ns();
+                let now_ns = tautline_rt::clock::monotonic_ns();
                 let is_fast = flows.values().any(|flow| flow.messages() > 100 && flow.hz(now_ns) > SEEN_HZ);
                 Ok(if is_fast { FAST_POLL } else { POLL })
             }
@@ -238,8 +238,8 @@ impl Meter {
     /// Now, by the clock of the flows.
     fn now_ns(&self) -> u64 {
         match self.source {
-            Source::Counts(_) => tautline::rt::clock::monotonic_ns(),
-            Source::Messages(_) => u64::try_from(tautline::rt::clock::wall_ns()).unwrap_or(0),
+            Source::Counts(_) => tautline_rt::clock::monotonic_ns(),
+            Source::Messages(_) => u64::try_from(tautline_rt::clock::wall_ns()).unwrap_or(0),
         }
     }
 

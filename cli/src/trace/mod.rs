@@ -92,7 +92,7 @@ pub enum TraceError {
     #[error("no handler for Ctrl-C: {0}")]
     Signal(io::Error),
     #[error("the recorder cannot lower its priority: {0}")]
-    Priority(tautline::rt::RtError),
+    Priority(tautline_rt::RtError),
 }
 
 /// Runs the verb.

@@ -12,7 +12,7 @@ use std::io::{self, BufWriter};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
-use tautline::rt::{self, Policy};
+use tautline_rt::{self as rt, Policy};
 use tautline_trace::Record;
 
 /// The interval at which rings are read. A thread's ring suffices for 200,000 events per second.

@@ -8,8 +8,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use futures::StreamExt;
-use tautline::rt::permission::realtime_permitted;
 use tautline::{CallbackOptions, Context, CoreSet, Message, Node, Qos, Realtime};
+use tautline_rt::permission::realtime_permitted;
 
 #[derive(Message, Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
@@ -74,7 +74,7 @@ pub fn context(domain: u32) -> Context {
 /// Puts this process into the tests' scope, unless whoever runs them has chosen one.
 pub fn isolate() {
     if std::env::var_os("TAUT_SCOPE").is_none() {
-        tautline::rt::domain::set_scope("test").unwrap();
+        tautline_rt::domain::set_scope("test").unwrap();
     }
 }
 

@@ -3,7 +3,6 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use tautline::rt::clock::monotonic_ns;
 use tautline::std_msgs::msg::{Float64, Float64MultiArray, UInt32};
 use tautline::{CallbackGroup, Context, Message, Node, Publisher, Sample, Tick, nav_msgs, sensor_msgs};
 use tautline_alks::drive::Logbook;
@@ -11,6 +10,7 @@ use tautline_alks::job::{Job, WARM_UP_NS, tell};
 use tautline_alks::records::{Records, Span, TOPICS};
 use tautline_alks::signals::{Command, Fast};
 use tautline_alks::simulator::Simulator;
+use tautline_rt::clock::monotonic_ns;
 
 use crate::{Result, ros};
 

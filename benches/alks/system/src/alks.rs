@@ -4,7 +4,6 @@
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use tautline::rt::clock::monotonic_ns;
 use tautline::std_msgs::msg::{Float64, Float64MultiArray, UInt32};
 use tautline::{
     CallbackGroup, CallbackHandle, Context, Message, Node, Publisher, Sample, nav_msgs, sensor_msgs,
@@ -15,6 +14,7 @@ use tautline_alks::job::{Job, WARM_UP_NS, ready, tell, until_told};
 use tautline_alks::now_s;
 use tautline_alks::records::{Records, Span, TOPICS};
 use tautline_alks::sharing::{Store, View, share};
+use tautline_rt::clock::monotonic_ns;
 
 use crate::adapter::{publisher, send};
 use crate::{Result, ros};

@@ -19,11 +19,11 @@ use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
-use tautline::rt::permission::realtime_permitted;
 use tautline::{Context, Realtime};
 use tautline_alks::job::{Job, Role, Shared};
 use tautline_alks::{drive, picture};
 use tautline_harness::{Result, write, write_json};
+use tautline_rt::permission::realtime_permitted;
 
 /// As in `examples/src/lib.rs`: the example cannot run here.
 const SKIPPED: u8 = 77;

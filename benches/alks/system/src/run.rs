@@ -8,10 +8,10 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 
 use indicatif::ProgressBar;
-use tautline::rt::host::steal_ticks;
 use tautline_alks::job::{Job, Line, Role, Shared};
 use tautline_alks::records::Part;
 use tautline_harness::{Process, interrupted, without_settings};
+use tautline_rt::host::steal_ticks;
 
 use crate::report::{Bounds, Report};
 use crate::{Options, Result, own_file, progress, sharing};

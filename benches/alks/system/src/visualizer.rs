@@ -4,7 +4,6 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use tautline::rt::clock::monotonic_ns;
 use tautline::std_msgs::msg::Float64MultiArray;
 use tautline::visualization_msgs::msg::MarkerArray;
 use tautline::{CallbackGroup, Context, Message, Node, Publisher, Qos, Sample, Tick, nav_msgs};
@@ -13,6 +12,7 @@ use tautline_alks::job::{Job, WARM_UP_NS, ready, tell, until_told};
 use tautline_alks::markers::Scene;
 use tautline_alks::records::{Records, Span, TOPICS};
 use tautline_alks::signals::Trajectory;
+use tautline_rt::clock::monotonic_ns;
 
 use crate::{Result, ros};
 

@@ -17,9 +17,9 @@ use std::fs;
 use std::io::{IsTerminal, stderr, stdout};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use tautline::rt::permission::realtime_permitted;
 use tautline_harness::Result;
 use tautline_reference::{CRUNCHER_LIMIT, Job, Load};
+use tautline_rt::permission::realtime_permitted;
 
 use bounds::Bounds;
 use report::Report;

@@ -7,12 +7,12 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::Poll;
 use std::thread;
-use tautline::rt::clock::monotonic_ns;
 use tautline::{
     Admission, Context, ContextBuilder, Node, Publisher, Qos, Realtime, Sample, Subscription, Timer,
 };
 use tautline_reference::graph::{CALLBACKS, Callback, Trigger};
 use tautline_reference::{DEPTH, Input, Job, Kpis, Load, Message4kb, Output, Records, conduct, window};
+use tautline_rt::clock::monotonic_ns;
 
 use crate::Result;
 

@@ -18,8 +18,8 @@ use std::sync::Arc;
 use std::time::Duration;
 use taut_cli::verb::{Failure, Outcome, time};
 use tautline::find_schema;
-use tautline::rt::clock::nanoseconds;
 use tautline_bag::{Ordered, Topic, is_compressed};
+use tautline_rt::clock::nanoseconds;
 use tautline_schema::{DynamicMessage, Primitive, Schema, TypeName, Value};
 use tautline_transport::TopicType;
 

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 use taut_cli::verb::{End, Failure, Outcome, time};
-use tautline::rt::clock::nanoseconds;
+use tautline_rt::clock::nanoseconds;
 
 const LOOK: Duration = Duration::from_millis(20);
 

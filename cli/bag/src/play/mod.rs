@@ -26,9 +26,9 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use taut_cli::asking::full_name;
 use taut_cli::verb::{CommonArgs, End, Failure, Outcome, time};
-use tautline::rt::{self, CoreSet, MemoryLock, Policy, ThreadBuilder};
 use tautline::{EndpointKind, find_schema, type_of};
 use tautline_bag::{Ordered, Topic};
+use tautline_rt::{self as rt, CoreSet, MemoryLock, Policy, ThreadBuilder};
 use tautline_schema::{Schema, TypeName};
 use tautline_transport::{Durability, Limits, Participant, Qos, RawPublisher, TopicType, Visitor};
 

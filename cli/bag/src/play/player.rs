@@ -12,7 +12,7 @@ use rtrb::chunks::ReadChunk;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use taut_cli::times::Times;
-use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{MessageInfo, PublishError, RawLoan, RawPublisher, SendError};
 
 /// In the place of a topic: from here on times count anew.

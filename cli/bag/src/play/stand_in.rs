@@ -7,9 +7,9 @@ use std::path::PathBuf;
 use taut_cli::asking::full_name;
 use taut_cli::report::watch::ObservedProcesses;
 use taut_cli::verb::{Failure, Outcome};
-use tautline::rt::{CoreSet, Policy};
 use tautline::{ProcessInfo, StatisticsFile};
 use tautline_analysis::file::{CallbackEntry, SystemFile};
+use tautline_rt::{CoreSet, Policy};
 use tautline_transport::Participant;
 
 /// A node of a system file that is played.

@@ -4,7 +4,7 @@
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
-use tautline::rt::{self, CoreSet, Policy, RtError, ThreadInfo};
+use tautline_rt::{self as rt, CoreSet, Policy, RtError, ThreadInfo};
 
 /// From the end of one look to the next: this, and so many times as long as the look took.
 const PAUSE: Duration = Duration::from_secs(1);

@@ -11,9 +11,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::{Duration, Instant};
 use taut_cli::verb::Outcome;
-use tautline::rt::clock::monotonic_ns;
-use tautline::rt::{Policy, ThreadBuilder};
 use tautline_bag::{BagError, Finished, Stamp, TopicId, Writer};
+use tautline_rt::clock::monotonic_ns;
+use tautline_rt::{Policy, ThreadBuilder};
 
 /// What a kill can cost.
 const FLUSH: Duration = Duration::from_millis(500);
@@ -25,7 +25,7 @@ const PERIOD: Duration = Duration::from_millis(10);
 
 pub struct BagWriter {
     statement: Sender<BTreeMap<String, String>>,
-    thread: tautline::rt::JoinHandle<Written>,
+    thread: tautline_rt::JoinHandle<Written>,
 }
 
 /// What is on the disk.

@@ -32,8 +32,8 @@ use std::time::{Duration, Instant};
 use taut_cli::completions;
 use taut_cli::date::date;
 use taut_cli::verb::{CommonArgs, End, Failure, Outcome, time};
-use tautline::rt::{self, CoreSet, MemoryLock, Policy, ThreadBuilder};
 use tautline_bag::{BagError, Compression, Options, Writer};
+use tautline_rt::{self as rt, CoreSet, MemoryLock, Policy, ThreadBuilder};
 use tautline_transport::Participant;
 
 /// How often is looked who is there.

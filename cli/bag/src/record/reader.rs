@@ -12,8 +12,8 @@ use rtrb::Producer;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::Receiver;
-use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
 use tautline_bag::MOST_BYTES;
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
 use tautline_transport::{Gid, RawSample, RawSubscription, TakeError};
 
 /// So many of a topic in one look: others have their turn.

@@ -9,8 +9,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use taut_cli::report::run::Run;
 use taut_cli::verb::Outcome;
-use tautline::rt::clock::{monotonic_ns, nanoseconds};
 use tautline::{EndpointKind, ForeignStatistics, shared_statistics};
+use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_transport::Visitor;
 
 /// How often statistics are looked at.

@@ -18,9 +18,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 use taut_cli::verb::Outcome;
-use tautline::rt::clock::monotonic_ns;
-use tautline::rt::{Policy, ThreadBuilder};
 use tautline_bag::{BagError, Options, Stamp, Topic, TopicId, Writer};
+use tautline_rt::clock::monotonic_ns;
+use tautline_rt::{Policy, ThreadBuilder};
 use tautline_transport::Durability;
 
 /// How often is looked what is too old.
@@ -44,7 +44,7 @@ pub struct Plan {
 
 pub struct Dumper {
     alarms: Sender<Alarm>,
-    thread: tautline::rt::JoinHandle<Dumped>,
+    thread: tautline_rt::JoinHandle<Dumped>,
 }
 
 /// What was done.

@@ -9,8 +9,8 @@ use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
 use taut_cli::trace::file::{Entry, Writer};
 use taut_cli::trace::record::session;
-use tautline::rt::clock::monotonic_ns;
-use tautline::rt::{Policy, ThreadBuilder};
+use tautline_rt::clock::monotonic_ns;
+use tautline_rt::{Policy, ThreadBuilder};
 use tautline_trace::{Description, Event, Record, Recorder};
 
 /// As `taut trace record` does.
@@ -66,7 +66,7 @@ struct Kept {
 }
 
 impl Tracing {
-    pub fn start(mut recorder: Recorder, domain: u32, span_ns: u64) -> Result<Self, tautline::rt::RtError> {
+    pub fn start(mut recorder: Recorder, domain: u32, span_ns: u64) -> Result<Self, tautline_rt::RtError> {
         let (ask, asked) = channel::<(PathBuf, Sender<io::Result<u64>>)>();
         let (known, batches, ended) = (Vec::new(), VecDeque::new(), Vec::new());
         let mut kept = Kept { domain, span_ns, known, batches, events: 0, ended };
