@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut action send_goal`: a goal, its feedback, its result; and its end before that.
+//! `taut action send_goal`: sends a goal, prints its feedback and result, and cancels it on an interruption.
 
 use crate::asking::{Asking, full_name, polled, type_and_values};
 use crate::completions;
@@ -86,7 +86,7 @@ fn wait(
         };
         eprintln!("taut: {why}: cancelling the goal");
         end.again(CANCELLING);
-        // Ignored: the goal has ended.
+        // A failure to cancel is ignored, because the goal has ended.
         let _ = cancel.send(());
     }
 }
@@ -139,7 +139,7 @@ async fn pursue(
         }
         match goal.cancel() {
             Ok(answer) => match answer.await {
-                // What became of it comes with the result.
+                // The result contains the outcome.
                 Ok(()) | Err(Error::GoalCancelAlreadyTerminated) => std::future::pending().await,
                 Err(error) => error,
             },

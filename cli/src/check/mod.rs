@@ -79,7 +79,7 @@ pub fn run(args: &CheckArgs) -> ExitCode {
     let checked = admitted.as_ref().map_or_else(|| file.check(), |admitted| admitted.checked().clone());
     let is_good = admitted.as_ref().map_or(checked.schedulable, Admitted::is_admitted);
     match print(args, &file, &checked, admitted.as_ref()) {
-        // Whoever reads no further (`taut check | head`) has seen enough.
+        // The reader has closed the pipe (`taut check | head`).
         Err(CheckError::Print(error)) if error.kind() != io::ErrorKind::BrokenPipe => failed(&error.into()),
         Err(error @ CheckError::Write { .. }) => failed(&error),
         _ if is_good => ExitCode::SUCCESS,
@@ -122,7 +122,7 @@ fn print(
     Ok(())
 }
 
-/// In the form that editors jump to: file:line:column.
+/// The problems as file:line:column, to which editors can jump.
 pub(crate) fn print_file_error(error: &FileError) {
     if let FileError::Content { path, source } = error {
         let count = source.0.len();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Each violated assumption: its name, what was seen, what to change.
+//! The text of each violated assumption: its name, the measurement, the fix.
 use std::fmt;
 
 use tautline::Policy;
@@ -9,7 +9,7 @@ use super::host::{Longest, Share};
 use super::run::{Callback, Process, Run};
 use super::verdict::Mark;
 
-/// Marks that `--wcet` tells of, too.
+/// Names of violations that `--wcet` reports, too.
 pub const INPUT_TOO_LARGE: &str = "input too large";
 pub const WCET_EXCEEDED: &str = "wcet exceeded";
 
@@ -29,7 +29,7 @@ impl fmt::Display for Time {
     }
 }
 
-/// As a value for the file: rounded up to a microsecond.
+/// A time as a value for the file, rounded up to a microsecond.
 pub fn quoted(ns: u64) -> String {
     format!("\"{}\"", Time(ns.div_ceil(1_000).saturating_mul(1_000))).replace(' ', "")
 }
@@ -89,7 +89,7 @@ pub fn of_another(process: &Process, of: Mark) -> Mark {
     mark(of.name, format!("in {}: {}", process.label(), of.explanation))
 }
 
-/// What a thread's real-time priority is called.
+/// The name of a thread's real-time priority.
 pub fn level(priority: u8) -> String {
     if priority < Policy::RESERVATION {
         format!("priority {priority}")
@@ -132,7 +132,7 @@ pub fn wrong_core(predicted: &CheckedCallback, seen: &Callback) -> Mark {
 }
 
 pub fn input_too_large(seen: &Callback, greatest: u64, most: u64) -> Mark {
-    // Of a class that holds the limit it is not known which jobs were above it.
+    // In the class that contains the limit it is unknown which jobs were above it.
     let above = seen
         .inputs
         .iter()
@@ -181,7 +181,7 @@ pub fn wcet_exceeded(predicted: &CheckedCallback, seen: &Callback, used_ns: u64,
 
 pub fn period_not_kept(predicted: &CheckedCallback, distance_ns: u64, least_ns: u64) -> Mark {
     let fix = match predicted.entry.topics.first() {
-        // The jitter there is by analysis, and what is missing of it.
+        // The jitter in the analysis, and the jitter that is missing there.
         Some(topic) => {
             let jitter = quoted(predicted.period_ns.saturating_sub(distance_ns));
             format!(
@@ -272,8 +272,8 @@ fn took(longest: &Longest) -> String {
     format!("the host took {}{more}", Time(taken_ns))
 }
 
-/// Not a violation: every response above the bound is within it if what was taken before its end is added. A job that took it is
-/// one.
+/// A note, not a violation: every response above the bound is within it if the time that was taken before its end is added. A job that
+/// took this time has a violation of its own.
 pub fn host_took(predicted: &CheckedCallback, share: &Share) -> String {
     let longest = share.longest.unwrap_or_default();
     let [by, rest] = match longest.overran_ns {
