@@ -82,7 +82,7 @@ fn wait(
             Waited::Interrupted => "interrupted",
         };
         let Some(cancel) = cancel.take() else {
-            return Err(Failure::no("the goal's end was not waited for: it may go on"));
+            return Err(Failure::no("did not wait for the end of the goal, which may still run"));
         };
         eprintln!("taut: {why}: cancelling the goal");
         end.again(CANCELLING);
@@ -148,7 +148,7 @@ async fn pursue(
     };
     match select(pin!(ended), pin!(refused)).await {
         Either::Left((ended, _)) => ended,
-        Either::Right((error, _)) => Err(Failure::no(format!("the goal goes on: {error}"))),
+        Either::Right((error, _)) => Err(Failure::no(format!("the goal continues: {error}"))),
     }
 }
 

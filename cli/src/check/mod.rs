@@ -24,8 +24,8 @@ mod table;
 #[command(after_help = "Examples:
   taut check system.toml                      the table, the chains, the warnings
   taut check system.toml --sensitivity        how much each execution time may grow
-  taut check system.toml --svg timeline.svg   who runs when after the critical instant
-  taut check system.toml --admit              beside what runs in the domain: all their response times
+  taut check system.toml --svg timeline.svg   which job runs when after the critical instant
+  taut check system.toml --admit              together with everything that runs in the domain
   taut check system.toml --json | jq .schedulable
 
 taut init writes a commented file to begin with; docs/system-toml.md explains the format.")]

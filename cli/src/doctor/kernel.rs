@@ -161,7 +161,7 @@ pub fn steal(host: &Host) -> Checked {
         (0, false) => Ok(Finding::good("none")),
         (0, true) => Ok(Finding::new(
             Verdict::Unknown,
-            "none is told of, but this is a virtual machine: its hypervisor may not tell",
+            "none is reported, but this is a virtual machine, whose hypervisor may not report it",
         )
         .costs(MEASURE)
         .fix("--measure; give each virtual processor a physical one of its own")),

@@ -129,7 +129,7 @@ impl System {
         }
         if waiting.is_empty() {
             return Ok(Finding::good(format!(
-                "none of those for interrupts, timers and RCU is bound to cores {cores} at {highest} or below"
+                "no thread for interrupts, timers and RCU is bound to cores {cores} at priority {highest} or below"
             )));
         }
         let value =

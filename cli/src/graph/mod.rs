@@ -35,9 +35,9 @@ use tautline_transport::Visitor;
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut graph                                  as text
-  taut graph -o robot.svg                     also .dot, .mmd, .json: the name says which format
+  taut graph -o robot.svg                     or .dot, .mmd, .json: the name selects the format
   taut graph --format dot | dot -Tpdf -o robot.pdf
-  taut graph --node /camera --services        it, its topics, and who is at their other ends
+  taut graph --node /camera --services        the node, its topics, and the nodes that it is connected to
   taut graph --system system.toml -o robot.svg
   taut graph --json | jq '.edges[] | select(.problem)'
 

@@ -28,7 +28,7 @@ const LIST: &str = "list_parameters";
 /// Nodes of other hosts are visible if this host runs `taut gateway`. A node must answer within --timeout, by default 5 s.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
-  taut param list                   of all nodes, asked at once; those that are silent are named
+  taut param list                   of all nodes, in parallel; names those that do not answer
   taut param get /controller gain
   taut param set /controller gain 2.5
   taut param dump /controller > controller.yaml
@@ -296,7 +296,7 @@ struct Node {
 impl Node {
     fn find(common: &CommonArgs, node: &str) -> Outcome<Self> {
         let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
-        let name = node_with(domain, node, LIST, "tells nobody its parameters")?;
+        let name = node_with(domain, node, LIST, "does not serve its parameters")?;
         Ok(Node { name, asking: Asking::new(domain, end)? })
     }
 

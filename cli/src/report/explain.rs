@@ -62,14 +62,14 @@ pub fn ended(predicted: &CheckedCallback, process: &Process, seen: &Callback) ->
     let (name, process) = (&predicted.entry.name, process.label());
     let text = match predicted.entry.client {
         Client::Tautline if predicted.entry.overrun == OverrunPolicy::End && seen.demotions > 0 => format!(
-            "a job used more than its budget and ended it, as `overrun = \"end\"` says, in {process}, which goes on without \
+            "a job used more than its budget and ended it, as `overrun = \"end\"` says, in {process}, which continues without \
              `{name}`: raise its `wcet` and run `taut check`, or make it shorter, and start it again"
         ),
         Client::Tautline => format!(
-            "its future has ended in {process}, which goes on without `{name}`: it ended by itself, was stopped, or panicked"
+            "its future has ended in {process}, which continues without `{name}`: it ended by itself, was stopped, or panicked"
         ),
         Client::Rclcpp | Client::Rclpy => {
-            format!("its subscription was destroyed in {process}, which goes on without `{name}`")
+            format!("its subscription was destroyed in {process}, which continues without `{name}`")
         }
     };
     mark("not running", text)
@@ -185,7 +185,7 @@ pub fn period_not_kept(predicted: &CheckedCallback, distance_ns: u64, least_ns: 
         Some(topic) => {
             let jitter = quoted(predicted.period_ns.saturating_sub(distance_ns));
             format!(
-                "make who publishes `{topic}` keep its period, or state `jitter = {jitter}` or more, or a shorter period, \
+                "make the publisher of `{topic}` keep its period, or state `jitter = {jitter}` or more, or a shorter period, \
                  of the topic or of what triggers its publisher"
             )
         }
@@ -229,7 +229,7 @@ pub fn bound_exceeded(
              `taut demo` measures them",
             predicted.core,
             level(predicted.entry.priority),
-            if share.is_some() { "" } else { "a hypervisor (TAUT_CORE_TIME=on tells), " }
+            if share.is_some() { "" } else { "a hypervisor (TAUT_CORE_TIME=on shows it), " }
         )
     };
     let so_far =
@@ -250,8 +250,9 @@ pub fn bound_exceeded(
                 );
             }
             if text.is_empty() {
-                text =
-                    format!(", {beyond} such responses are explained, but not all are known, or one goes on");
+                text = format!(
+                    ", {beyond} such responses are explained, but not all are recorded, or one still runs"
+                );
             }
             format!("{text} (before the end of one of {}, {})", Time(longest.response_ns), took(longest))
         }
@@ -348,8 +349,8 @@ pub fn deadline_missed(predicted: &CheckedCallback, misses: u64, longest_ns: u64
 
 pub fn sampler_too_low(sampler: u8, callback: &str, priority: u8) -> Mark {
     let text = format!(
-        "its sampler has priority {sampler}, not above `{callback}` with {priority}: while that runs, nobody is told of \
-         messages; leave `sampler_priority` to the file, or lower the callback's priority there"
+        "its sampler has priority {sampler}, not above `{callback}` with {priority}: while that runs, messages wake no \
+         callback; leave `sampler_priority` to the file, or lower the callback's priority there"
     );
     mark("sampler too low", text)
 }

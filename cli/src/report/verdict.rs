@@ -403,7 +403,7 @@ fn notes(file: &SystemFile, checked: &CheckedSystem, run: &Run, rows: &[Row], ho
     let steal_ticks = run.processes.iter().map(|process| process.steal_ticks).max().unwrap_or(0);
     if steal_ticks > 0 {
         let more = match host.is_known() {
-            true => "what callbacks saw of it is said above",
+            true => "the lines above contain what callbacks measured of it",
             false => {
                 "outliers of about 10 ms go with that, and no analysis knows of them; with TAUT_CORE_TIME=on in the processes' \
                  environment it is known which"

@@ -286,14 +286,14 @@ impl<'r> Fit<'r> {
 
 fn words(none: NoTail) -> String {
     match none {
-        NoTail::TooFewJobs(needed) => format!("for it takes {needed} jobs"),
-        NoTail::AllAlike => "for nearly all jobs took the same time: what is needed is their maximum".to_owned(),
+        NoTail::TooFewJobs(needed) => format!("because that takes {needed} jobs"),
+        NoTail::AllAlike => "because nearly all jobs took the same time: use their maximum".to_owned(),
         NoTail::TooHeavy => {
-            "for long jobs are too frequent: look what makes them so long, as interrupts, page faults or a second kind of input"
+            "because long jobs are too frequent: find what makes them long, such as interrupts, page faults or a second kind of input"
                 .to_owned()
         }
         NoTail::NoFit => {
-            "for long jobs are of several kinds, so these say nothing of longer ones: measure each kind by itself".to_owned()
+            "because long jobs are of several kinds, which do not predict longer ones: measure each kind separately".to_owned()
         }
     }
 }
