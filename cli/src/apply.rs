@@ -19,8 +19,8 @@ use tautline_analysis::file::SystemFile;
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut apply system.toml                      the file that a robot was started with, after an edit
-  taut check system.toml --sensitivity        before: how much may be changed
-  taut report system.toml                     after: what it does
+  taut check system.toml --sensitivity        before: by how much times may grow
+  taut report system.toml                     after: the measurements
 
 docs/system-toml.md#changes-at-run-time says what can be changed.")]
 pub struct ApplyArgs {

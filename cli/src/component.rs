@@ -167,8 +167,8 @@ fn ask<T: Service>(target: &Target, service: &str, request: T::Request) -> Outco
     answer.map_err(|source| {
         Failure::no(match source {
             tautline::Error::ServiceTimeout { timeout, .. } => format!(
-                "{container} has not answered within {timeout:?}: it may still be at work, and then goes on; `taut component \
-                 list` tells later what came of it"
+                "{container} has not answered within {timeout:?}: it may still be busy; `taut component \
+                 list` shows the result later"
             ),
             source => format!(
                 "{container} does not answer: {source}; `taut component run` starts a container, `taut node list` prints which \

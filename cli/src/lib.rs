@@ -49,13 +49,13 @@ use verb::Failure;
     arg_required_else_help = true,
     after_help = "Examples:
   taut demo                         five topics beside their computed bounds, in ten seconds
-  taut doctor                       what on this host spoils real time, and how to mend it
+  taut doctor                       what delays real-time threads on this host, and the fixes
   taut top                          what runs now
   taut topic echo /scan --once
   taut graph -o robot.svg
   source <(taut completions bash)   names of topics, nodes and types at the tab key
 
-`taut VERB --help` has examples of each verb; docs/tools.md and docs/system-toml.md say more."
+`taut VERB --help` has examples of each verb; see also docs/tools.md and docs/system-toml.md."
 )]
 struct Cli {
     #[command(subcommand)]

@@ -23,7 +23,7 @@ const UNMANAGED: &str = "is not managed";
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut lifecycle nodes
-  taut lifecycle get                of all nodes, asked at once
+  taut lifecycle get                of all nodes, in parallel
   taut lifecycle list /camera       the transitions that it can make now
   taut lifecycle set /camera configure
 

@@ -33,7 +33,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut log                                  all lines, until Ctrl-C
-  taut log /robot/arm --level warn          warnings and errors of a node and of loggers below its own
+  taut log /robot/arm --level warn          warnings and errors of a node's logger and its child loggers
   taut log --new --json | jq -r .text
   taut log level /robot/arm                 the level of the node's logger
   taut log level /robot/arm debug           from now on
@@ -263,8 +263,8 @@ fn say_unheard(graph: &GraphSnapshot, subscription: &Subscription<Log>, said: &m
         if said.insert(end.gid) {
             let node = label(end);
             eprintln!(
-                "taut: lines of {node} do not come, for it keeps none (its {policy} is less than what is requested): --new prints \
-                 lines of all, from now on"
+                "taut: lines of {node} do not arrive, because its {policy} does not meet the requested one: --new prints new \
+                 lines of all nodes"
             );
         }
     }

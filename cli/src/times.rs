@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How long something took, many times: what is printed of it.
+//! Durations of many events, and their output.
 
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
@@ -33,7 +33,7 @@ impl Times {
         self.0.reset();
     }
 
-    /// The median, the 99th percentile and the greatest, in ms; `None` if there was nothing.
+    /// The median, the 99th percentile and the maximum in ms; `None` without a value.
     pub fn ms(&self) -> Option<[f64; 3]> {
         let ms = |ns: u64| ns as f64 / 1e6;
         let all = || [self.0.value_at_quantile(0.5), self.0.value_at_quantile(0.99), self.0.max()].map(ms);

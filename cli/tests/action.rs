@@ -121,5 +121,5 @@ fn goals_are_sent_by_hand() {
     let mut running = here.start(&of(&["{order: 101}"]));
     assert!(running.line().starts_with("Goal accepted"));
     running.interrupt();
-    said(&running.end(), 1, "the goal goes on: the action's server rejected the request");
+    said(&running.end(), 1, "the goal continues: the action's server rejected the request");
 }

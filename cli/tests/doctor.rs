@@ -273,7 +273,7 @@ fn virtual_machines_and_versions_of_kernel_and_cgroups() {
     put(&root, "proc/cpuinfo", "flags\t\t: hypervisor\n");
     expect(&root, "governor", "unknown", "core 2 has no cpufreq folder");
     expect(&root, "idle states", "unknown", "core 2 has no cpuidle folder");
-    expect(&root, "steal", "unknown", "its hypervisor may not tell");
+    expect(&root, "steal", "unknown", "whose hypervisor may not report it");
 
     put(&root, "proc/sys/kernel/osrelease", "6.12.1\n");
     put(&root, "proc/sys/kernel/sched_rt_runtime_us", "950000\n");

@@ -114,7 +114,7 @@ fn parameters_are_listed_read_and_set() {
     said(
         &refused(&["get", "mute", "gain"]),
         1,
-        "node '/mute' tells nobody its parameters: there is no service",
+        "node '/mute' does not serve its parameters: there is no service",
     );
 }
 

@@ -414,7 +414,7 @@ fn execution_times_are_fitted_and_written_with_their_source() {
     let [estimate, upper] = ["estimate_ms", "upper_ms"].map(|key| fine[key].as_f64().unwrap());
     assert!((1.64..1.75).contains(&estimate) && upper > estimate && upper < 2.2, "{fine}");
     // That of a single job is not known.
-    assert_eq!(fits["callbacks"][1]["no_estimate"], "for it takes 10000 jobs");
+    assert_eq!(fits["callbacks"][1]["no_estimate"], "because that takes 10000 jobs");
 
     // What the file states is more, so it stays; and is lowered if that is asked for, where there is an estimate.
     let untouched = taut(&[path, "--wcet", "--write"]);
@@ -499,7 +499,7 @@ fn execution_times_are_fitted_by_the_size_of_the_input() {
     let fine = &fits["callbacks"][0];
     assert_eq!(fine["line"], serde_json::json!({"fixed_ms": 0.2, "per_unit_ms": 0.002}));
     assert_eq!((&fine["sizes"][1]["greatest"], &fine["sizes"][1]["max_ms"]), (&760.into(), &1.3.into()));
-    assert_eq!(fine["sizes"][1]["no_estimate"], "for it takes 10000 jobs");
+    assert_eq!(fine["sizes"][1]["no_estimate"], "because that takes 10000 jobs");
     assert_eq!((&fine["needed_wcet_ms"], &fine["input_max"]), (&2.2.into(), &Value::Null));
     let shown = text(&taut(&[path, "--wcet"]).stdout).replace('\n', " ");
     assert!(

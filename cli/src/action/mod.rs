@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut action`: the actions of a domain, and goals written by hand.
+//! `taut action`: lists the actions of a domain, and sends goals.
 
 mod send_goal;
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut action send_goal`: a goal, its feedback, its result; and its end before that.
+//! `taut action send_goal`: sends a goal, prints its feedback and result, and cancels it on an interruption.
 
 use crate::asking::{Asking, full_name, polled, type_and_values};
 use crate::completions;
@@ -82,11 +82,11 @@ fn wait(
             Waited::Interrupted => "interrupted",
         };
         let Some(cancel) = cancel.take() else {
-            return Err(Failure::no("the goal's end was not waited for: it may go on"));
+            return Err(Failure::no("did not wait for the end of the goal, which may still run"));
         };
         eprintln!("taut: {why}: cancelling the goal");
         end.again(CANCELLING);
-        // Ignored: the goal has ended.
+        // A failure to cancel is ignored, because the goal has ended.
         let _ = cancel.send(());
     }
 }
@@ -139,7 +139,7 @@ async fn pursue(
         }
         match goal.cancel() {
             Ok(answer) => match answer.await {
-                // What became of it comes with the result.
+                // The result contains the outcome.
                 Ok(()) | Err(Error::GoalCancelAlreadyTerminated) => std::future::pending().await,
                 Err(error) => error,
             },
@@ -148,7 +148,7 @@ async fn pursue(
     };
     match select(pin!(ended), pin!(refused)).await {
         Either::Left((ended, _)) => ended,
-        Either::Right((error, _)) => Err(Failure::no(format!("the goal goes on: {error}"))),
+        Either::Right((error, _)) => Err(Failure::no(format!("the goal continues: {error}"))),
     }
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut check --admit`: the same file beside what runs in a domain.
+//! `taut check --admit`: analyses a file together with everything that runs in a domain.
 use std::io::{self, Write};
 
 use serde::Serialize;
@@ -9,25 +9,25 @@ use tautline_analysis::file::{CheckedSystem, SystemFile};
 
 use crate::table::{BAD, GOOD, WARNING, wrap};
 
-/// What became of it.
+/// The result of the admission.
 pub struct Admitted {
     domain: u32,
     running: Running,
     admission: Admission,
 }
 
-/// As JSON has it.
+/// The result in JSON.
 #[derive(Serialize)]
 pub struct Verdict<'a> {
     admitted: bool,
     domain: u32,
-    /// The processes that run.
+    /// The running processes.
     beside: &'a [String],
     broken: Vec<String>,
 }
 
 impl Admitted {
-    /// The host is `TAUT_HOST`, or the only one; `domain` that of the environment, unless one is named.
+    /// The host is `TAUT_HOST`, or the file's only one. Without `domain` it is the environment's domain.
     pub fn new(file: &SystemFile, label: &str, domain: Option<u32>) -> Result<Admitted, String> {
         let wanted = std::env::var("TAUT_HOST").ok().filter(|host| !host.is_empty());
         let host = file
@@ -42,7 +42,7 @@ impl Admitted {
         Ok(Admitted { domain, running, admission })
     }
 
-    /// All that would run, the file among it.
+    /// Everything that would run, including the file.
     pub fn checked(&self) -> &CheckedSystem {
         &self.admission.checked
     }
@@ -60,7 +60,7 @@ impl Admitted {
         }
     }
 
-    /// After the table of all.
+    /// Writes the verdict below the table.
     pub fn write(&self, out: &mut impl Write) -> io::Result<()> {
         let Admitted { domain, running, admission } = self;
         for note in &running.notes {

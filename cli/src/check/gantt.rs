@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The timeline of the critical instant, drawn as SVG: who has each core when everything is released at once.
+//! The timeline of the critical instant as SVG: which job has each core when all are released at once.
 use std::fmt::Write;
 
 use tautline_analysis::file::{CheckedCallback, CheckedCore, CheckedSystem};
@@ -14,7 +14,7 @@ const TITLE: f64 = 84.0;
 const PANEL_HEAD: f64 = 34.0;
 const AXIS: f64 = 44.0;
 
-/// More bars than this are not legible anyway.
+/// The maximum number of bars; more would not be legible.
 const MOST_RUNS: usize = 4_000;
 
 const STYLE: &str = "text{font-family:system-ui,sans-serif;font-size:12px;fill:#222831}.t{font-size:20px;font-weight:600}\
@@ -81,7 +81,7 @@ fn has_overhead(core: &CheckedCore) -> bool {
     messages || core.overheads.tick_ns > 0 && core.overheads.tick_period_ns > 0
 }
 
-/// Until all first jobs have ended and all bounds are on the picture.
+/// The length of the timeline: until all first jobs have ended, and all bounds are visible.
 fn horizon(core: &CheckedCore, members: &[(&CheckedCallback, Vec<usize>)]) -> (u64, Timeline) {
     let bounds = members.iter().filter_map(|(callback, _)| callback.response_overhead_ns).max().unwrap_or(0);
     let longest = core.tasks.iter().map(|task| task.period_ns).max().unwrap_or(1);
@@ -93,7 +93,7 @@ fn horizon(core: &CheckedCore, members: &[(&CheckedCallback, Vec<usize>)]) -> (u
     let wanted = if unbounded { longest.saturating_mul(2) } else { bounds.max(deadline) };
     let shortest = core.tasks.iter().map(|task| task.wcet_ns).min().unwrap_or(1);
     let until = wanted.saturating_add(wanted / 25).max(shortest).max(1);
-    // As many jobs as can be drawn.
+    // Draws as many jobs as fit.
     let rate: f64 = core.tasks.iter().map(|task| 1.0 / task.period_ns as f64).sum();
     let until = until.min((MOST_RUNS as f64 / rate) as u64).max(1);
     (until, critical_instant(&core.tasks, &core.overheads, until))

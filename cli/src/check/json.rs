@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The verdict for scripts: names, order and units are a contract.
+//! The verdict as JSON for scripts. Names, order and units do not change.
 use std::io::{self, Write};
 
 use serde::Serialize;
@@ -38,7 +38,7 @@ struct Callback<'a> {
     response_overhead_ms: Option<f64>,
     deadline_ms: f64,
     capacity: Option<usize>,
-    /// Where a stall makes it larger.
+    /// Present if a stall makes the capacity larger.
     #[serde(skip_serializing_if = "Option::is_none")]
     capacity_without_stall: Option<usize>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -76,14 +76,14 @@ struct Chain<'a> {
     deadline_ms: f64,
 }
 
-/// What the queues outlast.
+/// The stalls that the queues bridge.
 #[derive(Serialize)]
 struct Stall<'a> {
     host: &'a str,
     stall_ms: f64,
 }
 
-/// Writes one JSON object and a newline; `sensitivity` and `admission` are there only if they were asked for.
+/// Writes one JSON object and a newline; it contains `sensitivity` and `admission` only if they were requested.
 pub fn write(
     checked: &CheckedSystem,
     growth: Option<&Growth>,

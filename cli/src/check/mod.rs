@@ -24,8 +24,8 @@ mod table;
 #[command(after_help = "Examples:
   taut check system.toml                      the table, the chains, the warnings
   taut check system.toml --sensitivity        how much each execution time may grow
-  taut check system.toml --svg timeline.svg   who runs when after the critical instant
-  taut check system.toml --admit              beside what runs in the domain: all their response times
+  taut check system.toml --svg timeline.svg   which job runs when after the critical instant
+  taut check system.toml --admit              together with everything that runs in the domain
   taut check system.toml --json | jq .schedulable
 
 taut init writes a commented file to begin with; docs/system-toml.md explains the format.")]
@@ -79,7 +79,7 @@ pub fn run(args: &CheckArgs) -> ExitCode {
     let checked = admitted.as_ref().map_or_else(|| file.check(), |admitted| admitted.checked().clone());
     let is_good = admitted.as_ref().map_or(checked.schedulable, Admitted::is_admitted);
     match print(args, &file, &checked, admitted.as_ref()) {
-        // Whoever reads no further (`taut check | head`) has seen enough.
+        // The reader has closed the pipe (`taut check | head`).
         Err(CheckError::Print(error)) if error.kind() != io::ErrorKind::BrokenPipe => failed(&error.into()),
         Err(error @ CheckError::Write { .. }) => failed(&error),
         _ if is_good => ExitCode::SUCCESS,
@@ -122,7 +122,7 @@ fn print(
     Ok(())
 }
 
-/// In the form that editors jump to: file:line:column.
+/// The problems as file:line:column, to which editors can jump.
 pub(crate) fn print_file_error(error: &FileError) {
     if let FileError::Content { path, source } = error {
         let count = source.0.len();

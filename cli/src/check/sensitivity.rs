@@ -1,21 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! How much may grow until a deadline is missed.
+//! By how much execution times and overheads may grow until a deadline is missed.
 use std::io::{self, Write};
 
 use serde::Serialize;
 use tautline_analysis::file::SystemFile;
 use tautline_analysis::sensitivity;
 
-/// Factors; below 1 where a deadline is missed as it is, `None` where there is nothing to grow.
+/// The largest factors without a missed deadline; below 1 if a deadline is missed already, `None` if there is nothing to scale.
 #[derive(Serialize)]
 pub struct Growth {
-    /// All execution times together.
+    /// The factor of all execution times together.
     load: f64,
-    /// The same on a machine that costs nothing.
+    /// The same without overheads.
     load_without_overheads: f64,
-    /// All overheads together.
+    /// The factor of all overheads together.
     overhead: Option<f64>,
-    /// Each callback's execution time, the others unchanged.
+    /// The factor of each callback's execution time, with the others unchanged.
     callbacks: Vec<CallbackGrowth>,
 }
 
@@ -39,7 +39,7 @@ impl Growth {
             let wcet_ms = (now_ns * u128::from(thousandths) / 1_000) as f64 / 1e6;
             CallbackGrowth { name: callback.name.clone(), wcet: factor(thousandths), wcet_ms }
         });
-        // The largest factor that is looked for: nothing limits it.
+        // The search ends at this factor: nothing limits it.
         let overhead = Some(sensitivity::overhead(system)).filter(|factor| *factor < 1_000_000).map(factor);
         Self {
             load: factor(sensitivity::load(system)),

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The verdict for people: callbacks, chains, cores, warnings.
+//! The verdict as a table for people: callbacks, chains, cores, warnings.
 use std::io::{self, Write};
 
 use tautline_analysis::file::{CheckedCallback, CheckedSystem, JoinPolicy};
 
 use crate::table::{BAD, GOOD, WARNING, ms, priority, write_table};
 
-/// What callbacks that wait for several topics keep, and how long a message waits for the others.
+/// Writes for each join how many messages it queues, and how long a message waits for the others.
 fn write_joins(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let mut rows = Vec::new();
     for callback in &checked.callbacks {
@@ -33,7 +33,7 @@ fn write_joins(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> 
     write_table(&["waits", "for stamps", "of topic", "queue\nsize", "wait\nms"], 3, rows, out)
 }
 
-/// What makes queues deeper than bounds alone would.
+/// Writes which stalls make queues deeper than the bounds alone would.
 fn write_stalls(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let stall = |(host, ns): (&str, u64)| {
         let host = if host.is_empty() { "this host".to_owned() } else { format!("host {host}") };
@@ -49,7 +49,7 @@ fn write_stalls(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()>
     writeln!(out, "Queues outlast {stalls}: {deeper} of {all} capacities are larger for it.")
 }
 
-/// Which execution times hold for inputs of some size only.
+/// Writes which execution times hold only up to an input size.
 fn write_inputs(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let of_one = |callback: &CheckedCallback| {
         Some(format!("{} for inputs up to {}", callback.entry.name, callback.entry.input_max?))
@@ -61,7 +61,7 @@ fn write_inputs(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()>
     writeln!(out, "wcet holds of {}.", stated.join(", "))
 }
 
-/// Writes all there is to know; lines that fail are red.
+/// Writes the whole verdict; failed lines are red.
 pub fn write(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let several = checked.cores.iter().any(|core| core.host != checked.cores[0].host);
     let core = |callback: &CheckedCallback| {

@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is on the user's line, as far as that can be said before it is complete.
+//! Parses the user's incomplete command line.
 
 use clap::{Arg, Command};
 use std::ffi::OsString;
 use tautline::Context;
 
-/// The words behind the verb, without the one that is completed.
+/// The words after the verb, without the word to complete.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Line {
-    /// Those without a dash.
+    /// Words without a dash.
     pub words: Vec<String>,
-    /// How many of those are before the word that is completed.
+    /// The number of these before the word to complete.
     pub place: usize,
     /// Whether a word without a dash may stand there.
     pub takes_word: bool,
@@ -19,7 +19,7 @@ pub struct Line {
 }
 
 impl Line {
-    /// Of a command that is built; `index` is that of the word that is completed.
+    /// Parses the words of a command; `index` is the index of the word to complete.
     pub fn of(command: &Command, words: &[OsString], index: usize) -> Self {
         let mut line = Line::default();
         let (mut verb, mut is_escaped) = (command, false);
@@ -50,7 +50,7 @@ impl Line {
                 && word.starts_with('-')
                 && !word[1..].starts_with(|c: char| c.is_ascii_digit())
             {
-                // Several flags, of which the last one may have its value behind it.
+                // Several flags; the value of the last one may be the next word.
                 let found = word.char_indices().skip(1).find_map(|(at, letter)| {
                     let option = option_of(verb, |option| option.get_short() == Some(letter))?;
                     Some((option, &word[at + letter.len_utf8()..]))
@@ -68,7 +68,7 @@ impl Line {
         line
     }
 
-    /// The value of an option, the last one.
+    /// The last value of an option.
     pub fn option(&self, id: &str) -> Option<&str> {
         self.options(id).last()
     }
@@ -78,7 +78,7 @@ impl Line {
         self.options.iter().filter(move |(option, _)| option == id).map(|(_, value)| value.as_str())
     }
 
-    /// The domain that is meant.
+    /// The domain of the line.
     pub fn domain(&self) -> Option<u32> {
         match self.option("domain") {
             Some(domain) => domain.parse().ok(),

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The names of what exists now, for the arguments that take them.
+//! Completes arguments with the names that exist now.
 //!
-//! Nothing of it takes long: what lies in shared memory is read, a node is asked, with an end. What has not come in time is left
-//! out, and so is whatever goes wrong.
+//! Each completion is fast: names are read from shared memory, or requested from a node with a time limit. Late answers and errors
+//! yield no candidates.
 
 use super::{ASKED, Asked, paths};
 use crate::asking::{Asking, action_of, full_name, node_with, nodes_with};
@@ -26,15 +26,15 @@ use tautline_msgs::Service;
 use tautline_schema::{Kind, TypeName};
 use tautline_transport::graph_of;
 
-/// How long after its start this process gives its answer: 100 ms are noticed, and the shell needs some.
+/// The time after its start at which this process answers: people notice 100 ms, and the shell needs a part of them.
 const LIMIT: Duration = Duration::from_millis(80);
-/// How long after its start it goes on waiting for a node: leaving the domain takes its time, too.
+/// The time after its start until which this process waits for a node; leaving the domain takes the rest.
 const PATIENCE: Duration = Duration::from_millis(60);
 
-/// Names, and what is said beside each by shells that can.
+/// Names, each with a description for shells that show one.
 type Names = BTreeMap<String, String>;
 type Found<T = Names> = Outcome<Option<T>>;
-/// What begins with the word may be found alone.
+/// The source may return only names that begin with the word.
 type Find = fn(asked: &'static Asked, word: &str) -> Found;
 
 fn completer(find: Find) -> ArgValueCompleter {
@@ -65,7 +65,7 @@ fn offered(find: Find, word: &OsStr) -> Option<Vec<CompletionCandidate>> {
     Some(names.into_iter().filter_map(candidate).collect())
 }
 
-/// What else a name may be written as: without its slash, a type without its kind.
+/// Other spellings of a name: without the first slash, or a type without its kind.
 fn shorter(name: &str) -> Option<String> {
     match name.split('/').collect::<Vec<_>>()[..] {
         [package, "msg" | "srv" | "action", name] => Some(format!("{package}/{name}")),
@@ -94,7 +94,7 @@ pub fn topic_types() -> ArgValueCompleter {
     })
 }
 
-/// The types of the topic on the line; if it does not exist, of all topics and of what is installed.
+/// The types of the topic on the line; if it does not exist, of all topics and of the installed packages.
 pub fn message_types() -> ArgValueCompleter {
     completer(|asked, _| {
         let (Some(domain), [topic]) = (asked.line.domain(), &asked.line.words[..asked.line.place]) else {
@@ -138,12 +138,12 @@ fn having(asked: &Asked, service: &str) -> Found {
     Ok(Some(nodes_with(domain, service)?.into_iter().map(|node| (node, String::new())).collect()))
 }
 
-/// The nodes that tell their parameters.
+/// The nodes with parameter services.
 pub fn parameter_nodes() -> ArgValueCompleter {
     completer(|asked, _| having(asked, "list_parameters"))
 }
 
-/// The nodes that have states.
+/// The managed nodes.
 pub fn lifecycle_nodes() -> ArgValueCompleter {
     completer(|asked, _| having(asked, "get_state"))
 }
@@ -158,7 +158,7 @@ pub fn containers() -> ArgValueCompleter {
     completer(|asked, _| having(asked, "_container/list_nodes"))
 }
 
-/// The services of the domain, or the actions, by what `of` takes from the name and the type of a service.
+/// The services or actions of the domain. `of` selects them by the name and type of a service.
 fn ends(asked: &Asked, with_servers: bool, of: impl Fn(&str, &str) -> Option<(String, String)>) -> Found {
     let Some(domain) = asked.line.domain() else { return Ok(None) };
     let graph = graph_of(domain)?;
@@ -179,7 +179,7 @@ pub fn services() -> ArgValueCompleter {
     completer(|asked, _| ends(asked, false, service))
 }
 
-/// Those that somebody answers.
+/// The services with a server.
 pub fn servers() -> ArgValueCompleter {
     completer(|asked, _| ends(asked, true, service))
 }
@@ -194,7 +194,7 @@ pub fn actions() -> ArgValueCompleter {
     completer(|asked, _| ends(asked, false, action))
 }
 
-/// Those that somebody serves.
+/// The actions with a server.
 pub fn action_servers() -> ArgValueCompleter {
     completer(|asked, _| ends(asked, true, action))
 }
@@ -237,7 +237,7 @@ pub fn packages() -> ArgValueCompleter {
     })
 }
 
-/// Types that are known, or files with definitions.
+/// Known types, or files with definitions.
 pub fn interfaces() -> ArgValueCompleter {
     let types: Find = |asked, _| {
         let names = known(asked)?.map(|types| types.map(|name| (name.to_string(), String::new())));
@@ -255,7 +255,7 @@ pub fn interfaces() -> ArgValueCompleter {
     })
 }
 
-/// What a node's service answers, if it does so in time.
+/// The response of a node's service, if it arrives in time.
 fn answer<T: Service>(asked: &Asked, node: &str, service: &str, request: T::Request) -> Found<T::Response> {
     let Some(domain) = asked.line.domain() else { return Ok(None) };
     let node = node_with(domain, node, service, "")?;
@@ -263,7 +263,7 @@ fn answer<T: Service>(asked: &Asked, node: &str, service: &str, request: T::Requ
     asking.ask::<T>(&format!("{node}/{service}"), request).map(Some)
 }
 
-/// The parameters of the node on the line, which is asked.
+/// The parameters of the node on the line, requested from the node.
 pub fn parameters() -> ArgValueCompleter {
     completer(|asked, _| {
         let Some((node, named)) = asked.line.words.split_first() else { return Ok(None) };
@@ -275,7 +275,7 @@ pub fn parameters() -> ArgValueCompleter {
     })
 }
 
-/// What the node on the line can do from where it is.
+/// The transitions that are possible for the node on the line.
 pub fn transitions() -> ArgValueCompleter {
     completer(|asked, _| {
         let Some(node) = asked.line.words.first() else { return Ok(None) };

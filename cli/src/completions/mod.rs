@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut completions`: the scripts with which shells ask for completions, and the answers, with names of what exists now.
+//! `taut completions`: the scripts through which shells request completions, and the candidates.
 //!
 //! A script calls `COMPLETE=SHELL taut -- WORDS` at each press of the tab key. The words are read once by clap's engine, which
 //! knows what may stand where, and once as a `Line`, from which the completers of arguments (`live`) take the domain, the

@@ -51,7 +51,7 @@ pub fn interrupts(host: &Host) -> Checked {
         return Err("/proc/irq has no interrupts".into());
     }
     for number in numbers {
-        // Where it goes now; not every architecture says.
+        // The present target of the interrupt; not every architecture reports it.
         let file = |name| format!("/proc/irq/{number}/{name}");
         let goes = host.tree.cores(&file("effective_affinity_list")).ok().filter(|cores| !cores.is_empty());
         let goes = match goes {
@@ -93,7 +93,7 @@ pub fn interrupts(host: &Host) -> Checked {
         })))
 }
 
-/// How often an interrupt came to these cores since booting, if the kernel says.
+/// How often an interrupt has occurred on these cores since booting, if the kernel reports it.
 fn count_on(host: &Host, number: u32, cores: CoreSet) -> Option<u64> {
     let text = host.tree.read(&format!("/sys/kernel/irq/{number}/per_cpu_count")).ok()?;
     let of_core = text.split(',').enumerate().filter(|(core, _)| cores.contains(*core));
@@ -115,7 +115,7 @@ pub fn governor(host: &Host) -> Checked {
             others = others.with(core);
             names.insert(name);
             let latency = host.tree.parse::<u32>(&file("cpuinfo_transition_latency")).ok();
-            // The greatest number says that the driver does not know.
+            // The greatest number means that the driver does not know the value.
             latency_ns = latency_ns.max(latency.filter(|ns| *ns != u32::MAX && *ns != 0));
         }
     }
@@ -166,7 +166,7 @@ pub fn idle(host: &Host) -> Checked {
         }
     }
     let Some((us, name, core)) = deepest else { return Ok(Finding::good("all are disabled")) };
-    // Where the guest polls and then halts, the figure is not the hypervisor's.
+    // If the guest polls before it halts, the figure does not include the hypervisor.
     let driver = host.tree.read(&format!("{CPU}/cpuidle/current_driver")).unwrap_or_default();
     let cost = match driver == "haltpoll" || host.is_virtual()? {
         true => Cost::Unknown(

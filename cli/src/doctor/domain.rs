@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is wrong in a domain: versions mixed, names twice, ends that do not fit each other, files left behind, too little shared memory.
+//! Faults in a domain: mixed versions, duplicate names, incompatible endpoints, files of killed processes, too little shared memory.
 
 use super::finding::{Finding, Verdict, size};
 use super::host::Tree;
@@ -14,10 +14,10 @@ use tautline_rt::shm::{self, PeerFile};
 use tautline_trace::is_trace_file;
 use tautline_transport::Visitor;
 
-/// What the least process of a domain reserves: its context, the domain's file and the file for traces (docs/memory.md).
+/// The memory of a minimal process: its context, the domain's file and the trace file (docs/memory.md).
 const LEAST_BYTES: u64 = 6 << 20;
 
-/// Everything about a domain; `tree` says how large its shared memory is.
+/// All findings about a domain; `tree` contains the size of its shared memory.
 pub fn findings(tree: &Tree, domain: u32) -> Vec<Finding> {
     let mut findings = match look(domain) {
         Ok((graph, left_out)) => {
@@ -91,7 +91,7 @@ fn mismatches(graph: &GraphSnapshot) -> Vec<Finding> {
     pairs.into_iter().map(bad).collect()
 }
 
-/// What a file takes of /dev/shm.
+/// The bytes that a file occupies in /dev/shm.
 fn taken(path: &Path) -> u64 {
     fs::symlink_metadata(path).map_or(0, |file| file.blocks() * 512)
 }
@@ -102,7 +102,7 @@ fn left_behind(domain: u32) -> super::finding::Checked {
     let (mut left, mut traces, mut living) = (Vec::new(), Vec::new(), 0);
     for path in list(&format!("{folder}/"))? {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        // Those two have no owner; they go with the last process.
+        // These two files have no owner; the last process removes them.
         if ["domain", "warden"].contains(&&*name) {
             continue;
         }
@@ -113,7 +113,7 @@ fn left_behind(domain: u32) -> super::finding::Checked {
             false => left.push(path),
         }
     }
-    // Of versions that had no folders.
+    // Files of versions without folders.
     left.extend(list(&format!("{folder}_"))?);
     let bytes = |paths: &[PathBuf]| size(paths.iter().map(|path| taken(path)).sum());
     let path = Path::new(shm::DIRECTORY).join(&folder);
@@ -133,12 +133,12 @@ fn left_behind(domain: u32) -> super::finding::Checked {
         _ => "`taut trace record --seconds 0` fetches traces and removes them; the domain's processes remove the rest".to_owned(),
     };
     Ok(Finding::new(Verdict::Advice, value).fix(fix).script(
-        // Not as a command: when the script runs, processes may.
+        // Only as a comment: processes may run when the script does.
         (living == 0).then(|| format!("# If no process of domain {domain} runs: rm -r '{path}'")),
     ))
 }
 
-/// What is free in /dev/shm.
+/// Free memory in /dev/shm.
 pub fn free_bytes(tree: &Tree) -> Result<u64, String> {
     let stat = rustix::fs::statvfs(tree.path(shm::DIRECTORY));
     let stat = stat.map_err(|errno| format!("{}: {}", shm::DIRECTORY, std::io::Error::from(errno).kind()))?;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a check found, and how it is printed.
+//! The result of a check, and its output.
 
 use crate::table::{BAD, GOOD, WARNING, wrap};
 use serde_json::{Value, json};
@@ -9,9 +9,9 @@ use std::io::{self, Write};
 pub enum Verdict {
     /// No bound holds, or something is refused or lost.
     Bad,
-    /// It could not be read. That is not well.
+    /// The value could not be read, which counts as a failure.
     Unknown,
-    /// It costs time; bounds hold that were measured with it.
+    /// It costs time; bounds that were measured with it hold.
     Advice,
     Good,
 }
@@ -35,33 +35,33 @@ impl Verdict {
     }
 }
 
-/// What it costs a real-time thread.
+/// The cost for a real-time thread.
 #[derive(Clone, Debug)]
 pub enum Cost {
-    /// Nothing, or not time but messages.
+    /// No time, or messages instead of time.
     None,
-    /// In µs, and who says so.
+    /// The cost in µs, and its source.
     Known(f64, String),
-    /// And what would tell.
+    /// Unknown, and how to measure it.
     Unknown(&'static str),
 }
 
-/// The cost of what only shows while something runs.
+/// An unknown cost that only a measurement shows.
 pub const MEASURE: Cost = Cost::Unknown("not known; --measure shows it");
 
 #[derive(Clone, Debug)]
 pub struct Finding {
     pub check: &'static str,
     pub verdict: Verdict,
-    /// What was measured or read.
+    /// The value that was measured or read.
     pub value: String,
     pub cost: Cost,
     pub fix: String,
-    /// The fix as lines of a shell; those that need a person's decision are comments.
+    /// The fix as lines of a shell script; lines that need a person's decision are comments.
     pub script: Vec<String>,
 }
 
-/// `Err` is what could not be read.
+/// `Err` names the value that could not be read.
 pub type Checked = Result<Finding, String>;
 
 impl Finding {
@@ -107,7 +107,7 @@ impl Finding {
         })
     }
 
-    /// The cost in words; `None` if there is nothing to say.
+    /// The cost in words; `None` without a cost.
     pub fn cost_text(&self) -> Option<String> {
         match &self.cost {
             Cost::None => None,
@@ -127,17 +127,17 @@ impl Finding {
     }
 }
 
-/// Without what would move a terminal's cursor or end a comment: some of it comes from other processes.
+/// Removes characters that would move a terminal's cursor or end a comment, because parts of the text come from other processes.
 pub fn plain(text: &str) -> String {
     text.chars().map(|c| if c.is_control() { ' ' } else { c }).collect()
 }
 
-/// All is well only if nothing is bad and nothing is unknown.
+/// Whether no finding is bad or unknown.
 pub fn is_fit(findings: &[Finding]) -> bool {
     findings.iter().all(|finding| finding.verdict > Verdict::Unknown)
 }
 
-/// Sizes of memory, as `df -h` has them.
+/// A size of memory, in the format of `df -h`.
 pub fn size(bytes: u64) -> String {
     let units = [(30, "GiB"), (20, "MiB"), (10, "KiB")];
     match units.iter().find(|(shift, _)| bytes >= 1 << shift) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A host as its files tell of it: this one, or a copy of its /proc, /sys, /etc and /run below some folder.
+//! A host as described by its files: this host, or a copy of the /proc, /sys, /etc and /run of another one.
 
 use std::fs;
 use std::io;
@@ -17,12 +17,12 @@ impl Tree {
         Tree { root }
     }
 
-    /// Whether these are the files of the host that this runs on: then something can be tried instead of read.
+    /// Whether these are the files of this host, so that operations can be tried instead of read.
     pub fn is_here(&self) -> bool {
         self.root == Path::new("/")
     }
 
-    /// Where `/path` is.
+    /// The path of `/path` in this tree.
     pub fn path(&self, path: &str) -> PathBuf {
         self.root.join(path.trim_start_matches('/'))
     }
@@ -45,7 +45,7 @@ impl Tree {
         }
     }
 
-    /// What a file's text says.
+    /// Parses a file's text.
     pub fn parse<T: FromStr>(&self, path: &str) -> Result<T, String> {
         let text = self.read(path)?;
         text.parse().map_err(|_| format!("{path} is '{text}'"))
@@ -72,21 +72,21 @@ fn told(path: &str, error: &io::Error) -> String {
     format!("{path}: {}", text.split(" (os error").next().unwrap_or_default())
 }
 
-/// A host, and which of its cores and priorities are to be real-time.
+/// A host, its real-time cores and the required priority.
 pub struct Host {
     pub tree: Tree,
     online: Result<CoreSet, String>,
-    /// What somebody named, or isolated.
+    /// Cores that the user named, or that are isolated.
     chosen: Option<CoreSet>,
-    /// The highest priority that is needed.
+    /// The highest required priority.
     pub priority: u8,
 }
 
 impl Host {
-    /// Real-time cores are those that are named, else those that are isolated, else all.
+    /// The real-time cores are the named ones, else the isolated ones, else all.
     pub fn new(tree: Tree, named: Option<CoreSet>, priority: u8) -> Self {
         let file = "/sys/devices/system/cpu/online";
-        // Without a core every check would find nothing wrong.
+        // Without a core no check could fail.
         let is_some =
             |cores: CoreSet| (!cores.is_empty()).then_some(cores).ok_or_else(|| format!("{file} is empty"));
         let online = tree.cores(file).and_then(is_some);
@@ -103,12 +103,12 @@ impl Host {
         self.chosen.map_or_else(|| self.online(), Ok)
     }
 
-    /// Whether they are some that were named or isolated.
+    /// Whether they were named or are isolated.
     pub fn is_chosen(&self) -> bool {
         self.chosen.is_some()
     }
 
-    /// The cores that are left for everything else.
+    /// The cores for everything else.
     pub fn others(&self) -> Result<CoreSet, String> {
         let cores = self.cores()?;
         Ok(self.online()?.iter().filter(|core| !cores.contains(*core)).collect())
@@ -124,7 +124,7 @@ impl Host {
         }
     }
 
-    /// Whether it runs on a hypervisor, as far as the processor or the kernel says.
+    /// Whether it runs on a hypervisor, according to the processor or the kernel.
     pub fn is_virtual(&self) -> Result<bool, String> {
         let info = self.tree.read("/proc/cpuinfo")?;
         let flags = info.lines().filter(|line| line.starts_with("flags"));
@@ -133,7 +133,7 @@ impl Host {
     }
 }
 
-/// What is kept free of other threads: since booting (isolcpus), or by a cpuset partition.
+/// Cores that are isolated from other threads, by isolcpus or by a cpuset partition.
 pub fn isolated(tree: &Tree) -> Result<CoreSet, String> {
     let booted = tree.cores("/sys/devices/system/cpu/isolated")?;
     let partitions = tree.cores("/sys/fs/cgroup/cpuset.cpus.isolated").unwrap_or_default();

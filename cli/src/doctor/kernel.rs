@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the kernel and the hypervisor do to real-time threads: preemption, throttling, the clock, stolen time.
+//! How kernel and hypervisor affect real-time threads: preemption, throttling, the clock, stolen time.
 
 use super::finding::{Checked, Cost, Finding, MEASURE, Verdict};
 use super::host::Host;
@@ -68,10 +68,10 @@ pub fn budgets(host: &Host) -> Checked {
         .script([format!("# Timers of all threads then run above real-time threads: {raise}")]))
 }
 
-/// The limit of real-time threads as it is set, in µs of a period (-1: none), and whether the kernel applies it.
+/// The limit of real-time threads in µs of a period (-1: none), and whether the kernel applies it.
 fn limit(host: &Host) -> Result<(i64, i64, bool), String> {
     let (runtime, period) = (host.tree.parse(RUNTIME)?, host.tree.parse(PERIOD)?);
-    // From Linux 6.12 on it is one of real-time groups only; what guards other threads is the fair server.
+    // Since Linux 6.12 this limit applies to real-time groups only; the fair server protects other threads.
     let is_applied = host.kernel()? < (6, 12) || has_groups(host)?;
     Ok((runtime, period, is_applied))
 }
@@ -83,7 +83,7 @@ fn has_groups(host: &Host) -> Result<bool, String> {
     Ok(host.tree.read(&config).map_or(true, is_built))
 }
 
-/// What is left to real-time threads of each period, both in µs; `None`: all.
+/// The time that real-time threads get of each period, and the period, in µs; `None`: all of it.
 pub fn allowance(host: &Host) -> Result<Option<(i64, i64)>, String> {
     let (runtime, period, is_applied) = limit(host)?;
     if is_applied && (0..period).contains(&runtime) {
@@ -113,7 +113,7 @@ pub fn throttling(host: &Host) -> Checked {
         ]))
 }
 
-/// What the fair server takes for ordinary threads, of what period, both in µs, and on which core most; `None`: nothing.
+/// The time that the fair server reserves for ordinary threads, its period, both in µs, and the core with the largest share; `None`: nothing.
 fn server(host: &Host) -> Result<Option<(i64, i64, usize)>, String> {
     if host.kernel()? < (6, 12) {
         return Ok(None);
@@ -177,7 +177,7 @@ pub fn clock(host: &Host) -> Checked {
     Ok(finding.fix("the kernel took the better one away: `dmesg | grep -i clocksource` says why; boot with tsc=reliable if the firmware is at fault"))
 }
 
-/// What one look at the clock takes, in µs.
+/// The duration of reading the clock, in µs.
 fn read_us() -> f64 {
     const READINGS: u32 = 10_000;
     let start_ns = monotonic_ns();
@@ -198,7 +198,7 @@ pub fn steal(host: &Host) -> Checked {
         (0, false) => Ok(Finding::good("none")),
         (0, true) => Ok(Finding::new(
             Verdict::Unknown,
-            "none is told of, but this is a virtual machine: its hypervisor may not tell",
+            "none is reported, but this is a virtual machine, whose hypervisor may not report it",
         )
         .costs(MEASURE)
         .fix("--measure; give each virtual processor a physical one of its own")),
@@ -211,7 +211,7 @@ pub fn steal(host: &Host) -> Checked {
     }
 }
 
-/// What was stolen from the real-time cores and all of their time, in ticks.
+/// The stolen time and the whole time of the real-time cores, in ticks.
 fn ticks(stat: &str, cores: CoreSet) -> Option<(u64, u64)> {
     let mut sum = (0, 0);
     for core in cores.iter() {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `--measure`: what interrupts a real-time thread that does nothing else, core by core.
+//! `--measure`: the interruptions of a spinning real-time thread on each core.
 
 use super::finding::{Checked, Cost, Finding, Verdict};
 use crate::table::write_table;
@@ -11,15 +11,15 @@ use std::time::Duration;
 use tautline::{CoreSet, Policy};
 use tautline_rt::{Interruptions, RtError, ThreadBuilder};
 
-/// Watched at a time; between two of them others run, so that the kernel has no reason to throttle.
+/// The length of a measurement. Other threads run between two of them, so that the kernel does not throttle this thread.
 const SLICE: Duration = Duration::from_millis(100);
 const PAUSE: Duration = Duration::from_millis(10);
 
-/// From here on an interruption takes a whole period of a 1 kHz loop, or a tenth of it.
+/// Limits of the verdicts: a whole period of a 1 kHz loop, and a tenth of it.
 const BAD_NS: u64 = 1_000_000;
 const LONG_NS: u64 = 100_000;
 
-/// What was seen on one core.
+/// The measurement of one core.
 pub struct Seen {
     core: usize,
     policy: Policy,
@@ -52,8 +52,8 @@ fn us(ns: u64) -> f64 {
     ns as f64 / 1e3
 }
 
-/// Watches each core in turn, for `window` each; at `priority` if that is granted. What was not watched, because it is withheld from
-/// this process or the end came first, has a window of 0.
+/// Measures each core in turn for `window`, at `priority` if that is granted. A core that was not measured, because this process may not use
+/// it or was interrupted, has a window of 0.
 pub fn watch(cores: CoreSet, window: Duration, priority: u8, end: &End) -> Outcome<Vec<Seen>> {
     let slices = window.as_nanos().div_ceil(SLICE.as_nanos()).max(1) as u64;
     let style = ProgressStyle::with_template("{msg} {wide_bar} {eta}").ok();
@@ -102,7 +102,7 @@ fn is_about_cores(error: &RtError) -> bool {
     )
 }
 
-/// What it comes to.
+/// The finding.
 pub fn finding(seen: &[Seen]) -> Checked {
     let worst = seen.iter().max_by_key(|seen| seen.sum.longest_ns).ok_or("no core was watched")?;
     let unseen: CoreSet = seen.iter().filter(|seen| seen.sum.window_ns == 0).map(|seen| seen.core).collect();
@@ -180,7 +180,7 @@ mod tests {
             let seen = [seen(1, Policy::Fifo(90)), seen(longest_ns, Policy::Fifo(90))];
             assert_eq!(finding(&seen).unwrap().verdict, verdict);
         }
-        // What was not measured in real time proves nothing, and neither does what was not measured.
+        // A measurement without real-time priority, or of no core, proves nothing.
         assert_eq!(finding(&[seen(5, Policy::Other { nice: 0 })]).unwrap().verdict, Verdict::Unknown);
         assert!(finding(&[]).is_err());
     }

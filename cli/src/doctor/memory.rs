@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What takes memory away from under real-time threads, or moves it: swap, transparent huge pages.
+//! Settings by which the kernel removes or moves the memory of real-time threads: swap, transparent huge pages.
 
 use super::finding::{Checked, Finding, MEASURE, Verdict};
 use super::host::Host;
@@ -19,7 +19,7 @@ pub fn swap(host: &Host) -> Checked {
 pub fn huge_pages(host: &Host) -> Checked {
     let (folder, file) = ("/sys/kernel/mm", "/sys/kernel/mm/transparent_hugepage/enabled");
     let Some(text) = host.tree.read_if_there(file)? else {
-        // A kernel without them still has the folder.
+        // A kernel without transparent huge pages still has the folder.
         return host.tree.list(folder).map(|_| Finding::good("not in this kernel"));
     };
     let mode = text.split_once('[').and_then(|(_, rest)| rest.split_once(']'));

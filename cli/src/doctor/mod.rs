@@ -31,8 +31,8 @@ use tautline::CoreSet;
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut doctor
-  taut doctor --cores 2-3               real-time threads are to run on these
-  taut doctor --measure 10              watch what interrupts each core, 10 s each
+  taut doctor --cores 2-3               for real-time threads on these cores
+  taut doctor --measure 10              measure the interruptions of each core, 10 s each
   taut doctor --system robot.toml       does the file fit this host?
   taut doctor --fix-script > fix.sh     to read, change and run
   taut doctor --json | jq '.findings[] | select(.verdict == \"bad\")'

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What this user may do: real-time priorities, locked memory, real-time work in its cpu cgroup, keeping its files in /dev/shm.
+//! Permissions of this user: real-time priorities, locked memory, real-time threads in its cpu cgroup, files in /dev/shm after logout.
 
 use super::finding::{Checked, Cost, Finding, Verdict, size};
 use super::host::{Host, Tree};
@@ -14,7 +14,7 @@ const IPC_LOCK: u32 = 14;
 
 const LIMITS: &str = "/etc/security/limits.d/90-tautline.conf";
 
-/// The lines that allow it, for a group of users.
+/// The script lines that permit it to a group of users.
 fn allow(limits: &[&str]) -> Vec<String> {
     let lines = limits.iter().map(|limit| {
         format!("grep -qs '^@realtime - {limit}$' {LIMITS} || echo '@realtime - {limit}' >> {LIMITS}")
@@ -38,7 +38,7 @@ pub fn priority(host: &Host) -> Checked {
             Err(error) => {
                 let value = format!("SCHED_FIFO {wanted} is refused (tried)");
                 match error {
-                    // Its text names this program, which is not the one that needs it.
+                    // The error's text names this program, but the robot's program needs the permission.
                     RtError::MissingCapability { .. } | RtError::PriorityLimit { .. } => bad(value, fix),
                     error => bad(value, error.to_string()).script::<String>([]),
                 }
@@ -153,7 +153,7 @@ pub fn remove_ipc(host: &Host) -> Checked {
     ]))
 }
 
-/// What logind takes: its file's value, or that of the last drop-in by name; of drop-ins with one name the first folder's.
+/// The value that logind uses: that of the last drop-in by name, else of its file. Of drop-ins with the same name the first folder's counts.
 fn setting(tree: &Tree, key: &str) -> Result<(String, String), String> {
     let mut drop_ins = BTreeMap::new();
     for folder in ["/usr/lib/systemd", "/run/systemd", "/etc/systemd"] {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `--system`: whether a system file fits this host. Whether it is schedulable says `taut check`.
+//! `--system`: whether a system file fits this host. `taut check` says whether it is schedulable.
 
 use super::domain::free_bytes;
 use super::finding::{Checked, Cost, Finding, Verdict, size};
@@ -14,7 +14,7 @@ use tautline_rt::ThreadBuilder;
 use tautline_schema::{Layout, Size};
 use tautline_transport::Qos;
 
-/// A system file as one of its hosts sees it.
+/// A system file, and one of its hosts.
 pub struct System {
     file: SystemFile,
     checked: CheckedSystem,
@@ -37,7 +37,7 @@ impl System {
         Ok(System { file, checked, host })
     }
 
-    /// The cores of this host, with their places in the file.
+    /// The cores of this host, with their positions in the file.
     fn own(&self) -> impl Iterator<Item = (usize, &CoreEntry)> {
         self.file.cores().iter().enumerate().filter(|(_, core)| core.host == self.host)
     }
@@ -50,7 +50,7 @@ impl System {
         self.checked.callbacks.iter().filter(|callback| callback.host == self.host)
     }
 
-    /// The highest one that a thread of this host has.
+    /// The highest priority of a thread of this host.
     pub fn priority(&self) -> u8 {
         let samplers = self.own().map(|(_, core)| core.sampler_priority);
         let callbacks = self.callbacks().filter(|callback| callback.entry.reservation.is_none());
@@ -68,7 +68,7 @@ impl System {
         .collect()
     }
 
-    /// Whether the kernel grants what the file reserves, if it reserves something.
+    /// Whether the kernel grants the file's reservations, if there are any.
     fn reservations(&self, host: &Host) -> Option<Checked> {
         let reserved: Vec<_> =
             self.callbacks().filter(|callback| callback.entry.reservation.is_some()).collect();
@@ -94,13 +94,13 @@ impl System {
         ))))
     }
 
-    /// Threads of the kernel that serve interrupts, timers and RCU and would wait for those of the file.
+    /// Kernel threads for interrupts, timers and RCU that would wait for the file's threads.
     fn kernel_threads(&self, host: &Host) -> Checked {
         let (highest, cores) = (self.priority(), self.cores());
         let (mut count, mut waiting) = (0, Vec::new());
         let numbers = host.tree.list("/proc")?.into_iter().filter(|name| name.parse::<u32>().is_ok());
         for number in numbers {
-            // One that has ended meanwhile.
+            // The thread has ended meanwhile.
             let Ok(stat) = host.tree.read(&format!("/proc/{number}/stat")) else { continue };
             let Some(thread) = KernelThread::parse(&stat) else { continue };
             count += 1;
@@ -112,7 +112,7 @@ impl System {
             let allowed = allowed
                 .and_then(CoreSet::parse)
                 .ok_or_else(|| format!("/proc/{number}/status has no cores"))?;
-            // One that may run elsewhere, too, need not wait.
+            // A thread that may also run elsewhere need not wait.
             if allowed.iter().all(|core| cores.contains(core)) {
                 waiting.push(format!("{} ({})", thread.name, thread.priority.unwrap_or(0)));
             }
@@ -129,7 +129,7 @@ impl System {
         }
         if waiting.is_empty() {
             return Ok(Finding::good(format!(
-                "none of those for interrupts, timers and RCU is bound to cores {cores} at {highest} or below"
+                "no thread for interrupts, timers and RCU is bound to cores {cores} at priority {highest} or below"
             )));
         }
         let value =
@@ -139,11 +139,11 @@ impl System {
             .fix("send the interrupts to other cores; what callbacks depend on gets a higher priority: chrt -f -p PRIORITY PID"))
     }
 
-    /// Whether the analysis knows of the pauses that the kernel makes.
+    /// Whether the file states the kernel's pauses of real-time threads.
     fn throttling(&self, host: &Host) -> Checked {
         let good = Ok(Finding::good("the file allows for all that the kernel does"));
         let Some((runtime, period)) = allowance(host)? else { return good };
-        // The same share, or less.
+        // The file states the same share, or a smaller one.
         let allows = |place: usize| {
             let stated = self.file.system().cores.get(place).and_then(|core| core.overheads.throttling);
             stated.is_some_and(|stated| {
@@ -165,7 +165,7 @@ impl System {
             .fix(format!("put into [overheads]: {line}")))
     }
 
-    /// What its topics will claim, with one publisher for each and the default limits, against what is free.
+    /// Compares the memory that the file's topics will claim, with one publisher each and default limits, with the free memory.
     fn memory(&self, host: &Host) -> Checked {
         let (mut bytes, mut unknown, mut variable) = (0_u64, Vec::new(), 0);
         let limits = Limits::default();
@@ -219,7 +219,7 @@ fn body_size(topic: &str, type_name: &str) -> Option<Size> {
     Some(Layout::of(&schema).size)
 }
 
-/// A thread of the kernel, of /proc/PID/stat.
+/// A kernel thread, from /proc/PID/stat.
 #[derive(Debug, PartialEq)]
 struct KernelThread {
     name: String,
@@ -228,13 +228,13 @@ struct KernelThread {
 }
 
 impl KernelThread {
-    /// `None`: it is none of the kernel's.
+    /// `None` if it is not a kernel thread.
     fn parse(stat: &str) -> Option<Self> {
-        // The name is in parentheses and may have some of its own.
+        // The name is in parentheses and may contain parentheses.
         let (front, rest) = stat.rsplit_once(')')?;
         let name = front.split_once('(')?.1.to_owned();
         let fields: Vec<&str> = rest.split_whitespace().collect();
-        // proc(5) counts from 1, and the first two are before: ppid is 4, rt_priority 40, policy 41. kthreadd is process 2.
+        // proc(5) counts fields from 1, and two were split off: ppid is 4, rt_priority 40, policy 41. kthreadd is process 2.
         let field = |number: usize| fields.get(number - 3).and_then(|field| field.parse::<u32>().ok());
         if field(4)? != 2 {
             return None;
@@ -246,7 +246,7 @@ impl KernelThread {
         })
     }
 
-    /// Whether others wait for what it does.
+    /// Whether other threads wait for its work.
     fn is_service(&self) -> bool {
         ["irq/", "ktimers/", "ksoftirqd/", "rcu", "irq_work/"]
             .iter()

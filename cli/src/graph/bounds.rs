@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a system file promises of what runs.
+//! Bounds of the running nodes from a system file.
 
 use super::picture::{Bound, Chain, EdgeKind, Picture};
 use std::collections::{BTreeMap, BTreeSet};
 use tautline::GraphSnapshot;
 use tautline_analysis::file::{CheckedCallback, CheckedSystem};
 
-/// What runs, whatever of it is shown.
+/// Everything that runs, including nodes that are not shown.
 pub struct Running {
     nodes: BTreeSet<String>,
     topics: BTreeSet<String>,
@@ -25,8 +25,8 @@ impl Running {
         self.nodes.iter().any(|full| is_called(full, name))
     }
 
-    /// Whether a callback is one of this node: by the node's name, or, if no node is called as the file calls it (a file's nodes are
-    /// processes), by the process that runs it.
+    /// Whether a callback belongs to this node: by the node's name, or by the process that runs it if no node has the name in the file,
+    /// because a file's nodes are processes.
     fn is_of(&self, callback: &CheckedCallback, name: Option<&str>, pid: Option<u32>) -> bool {
         let entry = &callback.entry;
         match self.has_node(&entry.node) {
@@ -40,12 +40,12 @@ fn bare(name: &str) -> &str {
     name.trim_start_matches('/')
 }
 
-/// Whether a node is meant by a name with or without its namespace.
+/// Whether a name, with or without a namespace, is that of a node.
 fn is_called(full: &str, name: &str) -> bool {
     bare(full) == bare(name) || full.rsplit('/').next() == Some(name)
 }
 
-/// Writes bounds to the edges that trigger callbacks, chains to the caption; says what of the file does not run.
+/// Adds bounds to the edges that trigger callbacks, and chains to the caption. Lists nodes and topics of the file that do not run.
 pub fn add(picture: &mut Picture, checked: &CheckedSystem, running: &Running) -> Vec<String> {
     let (nodes, topics) = (&picture.nodes, &picture.topics);
     for edge in picture.edges.iter_mut().filter(|edge| edge.kind == EdgeKind::Subscribes) {
@@ -151,7 +151,7 @@ mod tests {
         let (by_name, absent) = bounds("slam", "2ms", &all);
         assert!(by_name[0].as_ref().is_some_and(|text| text.starts_with("≤ 3.")), "{by_name:?}");
         assert!(by_name[1].is_none() && absent.is_empty());
-        // No node is called so: by the process that runs the callback.
+        // No node has this name, so the process that runs the callback decides.
         let (by_process, absent) = bounds("robot", "2ms", &all);
         assert!(by_process[0].as_ref().is_some_and(|text| text.starts_with("≤ ")), "{by_process:?}");
         assert!(by_process[1].is_none() && absent.is_empty());

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! In the language of Graphviz.
+//! Output in Graphviz's language.
 
 use super::picture::{Edge, Picture, TopicKind, clean};
 use std::fmt::{self, Write};
@@ -62,7 +62,7 @@ fn join(lines: impl IntoIterator<Item = String>) -> String {
     lines.into_iter().map(|line| escape(&line)).collect::<Vec<_>>().join("\\n")
 }
 
-/// Graphviz reads backslashes, and entities as HTML has them.
+/// Escapes text for Graphviz, which interprets backslashes and HTML entities.
 fn escape(text: &str) -> String {
     clean(text).replace('\\', "\\\\").replace('"', "\\\"").replace('&', "&amp;")
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is shown of a domain.
+//! Selects the part of a domain to draw.
 
 use super::picture::{Edge, EdgeKind, Mismatch, Node, Picture, Rate, Topic, TopicKind};
 use crate::asking::{action_of, full_name};
@@ -13,19 +13,19 @@ use std::collections::{BTreeMap, BTreeSet};
 use tautline::{EndpointKind, GraphSnapshot, NodeName, ServiceKind};
 use tautline_transport::{Gid, Origin};
 
-/// What of it.
+/// The selection.
 #[derive(Debug, Default)]
 pub struct Wanted<'a> {
-    /// This one, its topics, and who is at their other ends.
+    /// This node, its topics, and the nodes that it is connected to.
     pub node: Option<&'a str>,
-    /// This one, and who is at its ends.
+    /// This topic and its nodes.
     pub topic: Option<&'a str>,
     pub services: bool,
-    /// What every node has too.
+    /// Also the endpoints that every node has.
     pub all: bool,
 }
 
-/// An end of a topic or of a service.
+/// An endpoint of a topic or a service.
 struct End {
     key: (TopicKind, String),
     type_name: String,
@@ -36,10 +36,10 @@ struct End {
     problem: Option<String>,
 }
 
-/// The parts of a domain that are wanted. Without `rates` they are not known.
+/// Selects the parts of a domain. Without `rates` the rates are unknown.
 ///
 /// # Errors
-/// There is no such node, no such topic.
+/// The node or topic does not exist.
 pub fn gather(
     domain: u32,
     graph: &GraphSnapshot,
@@ -154,7 +154,7 @@ fn service_ends(graph: &GraphSnapshot) -> impl Iterator<Item = End> {
     })
 }
 
-/// Whether every node has it, or it is a part of an action.
+/// Whether every node has such an endpoint, or it is a part of an action.
 fn is_everywhere(name: &str) -> bool {
     const OF_PARAMETERS: [&str; 7] = [
         "describe_parameters",
@@ -187,8 +187,8 @@ fn topics(ends: &[End]) -> Vec<Topic> {
     found.into_iter().map(topic).collect()
 }
 
-/// Ends of a node that are the same in everything are one. Of several nodes of one name in one process the first has all ends: the
-/// graph does not tell them apart.
+/// Merges equal endpoints of a node. If a process has several nodes of one name, the first one gets all their endpoints, because the graph
+/// does not distinguish them.
 fn edges(ends: &[End], nodes: &[Node]) -> Vec<Edge> {
     let keys: BTreeSet<&(TopicKind, String)> = ends.iter().map(|end| &end.key).collect();
     let at: BTreeMap<_, usize> = keys.into_iter().zip(0..).collect();

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! As JSON, for scripts: names and units are a contract.
+//! Output as JSON for scripts. Names and units do not change.
 
 use super::picture::{Bound, Chain, Edge, Mismatch, Node, Picture, Rate, Topic};
 use serde_json::{Value, json};
 
 impl Picture {
-    /// Edges name their ends, and say which node by its place in the list, for several may have one name.
+    /// Edges name their endpoints, and give the node by its index, because several nodes may have the same name.
     pub fn to_json(&self) -> Value {
         let ms = |ns: u64| ns as f64 / 1e6;
         let node = |(id, node): (usize, &Node)| json!({ "id": id, "name": node.name, "pid": node.pid, "place": node.place });

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A layered layout, from left to right: boxes in columns, lines that pass between them. The same for the same graph.
+//! A layered layout, from left to right: boxes in columns, lines between them. Equal graphs have equal layouts.
 //!
-//! Each connected part by itself: against cycles some edges are turned round, columns are longest paths, long edges pass
-//! through places of their own in every column between, sweeps of barycentres order the columns, and least squares place what
-//! is ordered. In very large graphs the longest edges are straight lines.
+//! Each connected part is laid out separately. Some edges are reversed to remove cycles, columns are longest paths, long edges
+//! have a place in every column between, barycentre sweeps order the columns, and least squares position the ordered boxes. In very large graphs the longest edges are straight lines.
 
 mod part;
 
@@ -14,7 +13,7 @@ const PART_GAP: f64 = 36.0;
 
 pub type Point = (f64, f64);
 
-/// A box, by its least size.
+/// A box with its least size.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Size {
     pub width: f64,
@@ -26,21 +25,21 @@ pub struct Size {
 pub struct Link {
     pub from: usize,
     pub to: usize,
-    /// How bad it is if it goes from right to left, of more than one link that may.
+    /// The cost if this link goes from right to left; among several candidates the one with the least cost does.
     pub weight: i64,
-    /// The room that its text needs.
+    /// The size of its text.
     pub label: Option<Size>,
 }
 
-/// Where everything is; the left upper corner is (0, 0).
+/// The positions of everything; the upper left corner is (0, 0).
 #[derive(Debug, Default)]
 pub struct Layout {
     pub size: Size,
-    /// Of boxes, which may be higher than they need to be: the centre, and the size.
+    /// Centre and size of each box, which may be higher than necessary.
     pub boxes: Vec<(Point, Size)>,
-    /// Of links: through these points, the odd parts horizontally. Empty for one from a box to itself.
+    /// The points of each link; every second section is horizontal. Empty for a link from a box to itself.
     pub lines: Vec<Vec<Point>>,
-    /// Of links: the centre of the text.
+    /// The centre of each link's text.
     pub labels: Vec<Option<Point>>,
 }
 
@@ -63,7 +62,7 @@ pub fn lay_out(boxes: &[Size], links: &[Link]) -> Layout {
         let part = Part::new(members.iter().map(|&index| boxes[index]).collect(), own.collect());
         parts.push((part, members, inner));
     }
-    // The highest first, in rows about as wide as all is high.
+    // Parts by falling height, in rows about as wide as the whole is high.
     parts.sort_by(|one, other| other.0.size.height.total_cmp(&one.0.size.height));
     let area: f64 =
         parts.iter().map(|part| (part.0.size.width + PART_GAP) * (part.0.size.height + PART_GAP)).sum();
@@ -111,7 +110,7 @@ fn connected(n: usize, links: &[Link]) -> Vec<(Vec<usize>, Vec<usize>)> {
     parts.into_values().collect()
 }
 
-/// An order in which few links go back: sources first, sinks last, else who has the most to give (Eades, Lin and Smyth).
+/// An order in which few links go back: sources first, sinks last, the others by outgoing less incoming links (Eades, Lin and Smyth).
 fn order(n: usize, links: &[Link]) -> Vec<usize> {
     let (mut gives, mut takes) = (vec![0_i64; n], vec![0_i64; n]);
     let mut beside: Vec<Vec<(usize, bool, i64)>> = vec![Vec::new(); n];
@@ -129,7 +128,7 @@ fn order(n: usize, links: &[Link]) -> Vec<usize> {
             (_, 0) => (1, 0),
             (takes, gives) => (0, gives - takes),
         };
-        // The first of equals.
+        // Of equal boxes the first.
         let Some(next) = left.rev().max_by_key(rank) else { break };
         if takes[next] > 0 && gives[next] == 0 {
             last -= 1;

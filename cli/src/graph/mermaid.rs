@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! As a flowchart of Mermaid.
+//! Output as a Mermaid flowchart.
 
 use super::picture::{Edge, Picture, TopicKind, clean};
 use std::fmt::{self, Write};
@@ -49,7 +49,7 @@ fn join(lines: impl IntoIterator<Item = String>) -> String {
     lines.into_iter().map(|line| escape(&line)).collect::<Vec<_>>().join("<br/>")
 }
 
-/// Everything that means something to Mermaid, HTML or Markdown, as the number of the character.
+/// Replaces characters that Mermaid, HTML or Markdown interpret by their numbers.
 fn escape(text: &str) -> String {
     let mut escaped = String::new();
     let text: Vec<char> = clean(text).chars().collect();

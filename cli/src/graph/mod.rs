@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut graph`: nodes, topics and who has which end of them, as a picture.
+//! `taut graph`: draws nodes, topics and the connections between them.
 
 mod bounds;
 mod dot;
@@ -35,9 +35,9 @@ use tautline_transport::Visitor;
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut graph                                  as text
-  taut graph -o robot.svg                     also .dot, .mmd, .json: the name says which format
+  taut graph -o robot.svg                     or .dot, .mmd, .json: the name selects the format
   taut graph --format dot | dot -Tpdf -o robot.pdf
-  taut graph --node /camera --services        it, its topics, and who is at their other ends
+  taut graph --node /camera --services        the node, its topics, and the nodes that it is connected to
   taut graph --system system.toml -o robot.svg
   taut graph --json | jq '.edges[] | select(.problem)'
 
@@ -172,7 +172,7 @@ fn look(args: &GraphArgs, checked: Option<&CheckedSystem>) -> Outcome<Picture> {
     let mut graph = visitor.graph()?;
     let mut rates = None;
     if !args.rates.is_zero() {
-        // Unknown names are not waited for.
+        // An unknown name is an error at once.
         gather::gather(domain, &graph, None, &wanted)?;
         counts.look(&mut visitor, &graph)?;
         let start = Instant::now();
@@ -180,7 +180,7 @@ fn look(args: &GraphArgs, checked: Option<&CheckedSystem>) -> Outcome<Picture> {
         if time > Duration::from_secs(1) {
             eprintln!("taut: counting messages for {time:?} ...");
         }
-        // Ctrl-C just ends it.
+        // Ctrl-C ends the verb without an error.
         std::thread::sleep(time);
         graph = visitor.graph()?;
         let seconds = start.elapsed().as_secs_f64();
@@ -201,7 +201,7 @@ fn look(args: &GraphArgs, checked: Option<&CheckedSystem>) -> Outcome<Picture> {
 fn callbacks(domain: u32) -> Outcome<BTreeMap<String, BTreeSet<u32>>> {
     let mut found: BTreeMap<String, BTreeSet<u32>> = BTreeMap::new();
     for process in tautline::shared_statistics(domain)?.0 {
-        // One that ends right now, or is of another version, is left out.
+        // A process that is ending, or has another version, is omitted.
         let Ok(Some(snapshot)) = process.read() else { continue };
         for callback in snapshot.callbacks.iter().filter(|callback| !callback.ended && !callback.is_group) {
             found.entry(callback.name.clone()).or_default().insert(snapshot.process.pid);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Nodes, topics, and what lies between them: what is drawn, whatever it is drawn as.
+//! The content of a drawing, independent of its format: nodes, topics and the edges between them.
 
 use crate::table::ms;
 
@@ -7,27 +7,27 @@ use crate::table::ms;
 #[derive(Clone, Debug, Default)]
 pub struct Picture {
     pub domain: u32,
-    /// The time that rates are of; `None`: there are none.
+    /// The time over which rates were measured; `None` without rates.
     pub seconds: Option<f64>,
     pub nodes: Vec<Node>,
-    /// Services and actions too.
+    /// Topics, and services and actions if they are drawn.
     pub topics: Vec<Topic>,
     pub edges: Vec<Edge>,
     pub mismatches: Vec<Mismatch>,
-    /// Of the system file.
+    /// Chains of the system file.
     pub chains: Vec<Chain>,
     /// Topics, services and actions that every node has, or that are a part of another one.
     pub left_out: usize,
 }
 
-/// A node, or what has ends and no node.
+/// A node, or a group of endpoints without a node.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Node {
-    /// `None`: these ends were made without a node.
+    /// `None` if these endpoints were created without a node.
     pub name: Option<String>,
     /// Its process, if it is on this host.
     pub pid: Option<u32>,
-    /// Where else it is.
+    /// Its place, if it is on another host.
     pub place: Option<String>,
 }
 
@@ -42,16 +42,16 @@ pub enum TopicKind {
 pub struct Topic {
     pub kind: TopicKind,
     pub name: String,
-    /// More than one if its ends disagree.
+    /// More than one if its endpoints disagree.
     pub types: Vec<String>,
     pub rate: Rate,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Rate {
-    /// Nothing to count, or not counted.
+    /// Not counted, or nothing to count.
     None,
-    /// Some publishers are elsewhere, or have just come.
+    /// Unknown, because some publishers are on other hosts or have just appeared.
     Unknown,
     Hz(f64),
 }
@@ -60,26 +60,26 @@ pub enum Rate {
 pub enum EdgeKind {
     Publishes,
     Subscribes,
-    /// A client does.
+    /// A client sends requests.
     Asks,
-    /// A server does.
+    /// A server responds.
     Serves,
 }
 
-/// Between a node and a topic, a service or an action: by their places in the lists.
+/// A connection between a node and a topic, a service or an action, by their indices.
 #[derive(Clone, Debug)]
 pub struct Edge {
     pub kind: EdgeKind,
     pub node: usize,
     pub topic: usize,
-    /// Ends that are the same in all of this.
+    /// The number of equal endpoints.
     pub count: usize,
     /// The quality of service; empty for services.
     pub qos: String,
     pub rate: Rate,
     /// Why publishers of the topic do not reach this subscription, in a few words.
     pub problem: Option<String>,
-    /// Of the callbacks that the system file lets the topic trigger in the node.
+    /// The bounds of the node's callbacks that the topic triggers, from the system file.
     pub bound: Option<Bound>,
 }
 
@@ -92,7 +92,7 @@ pub struct Mismatch {
     pub reason: String,
 }
 
-/// The worst of some callbacks.
+/// The bound of the slowest of these callbacks.
 #[derive(Clone, Debug)]
 pub struct Bound {
     pub callbacks: Vec<String>,
@@ -114,7 +114,7 @@ impl Node {
         self.name.as_deref().unwrap_or("(no node)")
     }
 
-    /// Its process, or where else it is.
+    /// Its process, or its place on another host.
     pub fn whereabouts(&self) -> String {
         match (self.pid, &self.place) {
             (Some(pid), _) => format!("pid {pid}"),
@@ -134,7 +134,7 @@ impl TopicKind {
 }
 
 impl Topic {
-    /// What is written below its name.
+    /// The text below its name.
     pub fn lines(&self) -> Vec<String> {
         let types = self.types.join(" and ");
         let types =
@@ -153,7 +153,7 @@ impl Rate {
         }
     }
 
-    /// Of both together.
+    /// The sum of two rates.
     pub fn plus(self, other: Rate) -> Rate {
         match (self, other) {
             (Rate::None, rate) | (rate, Rate::None) => rate,
@@ -169,7 +169,7 @@ impl Edge {
         matches!(self.kind, EdgeKind::Subscribes | EdgeKind::Serves)
     }
 
-    /// Whether it is of a service or an action.
+    /// Whether it belongs to a service or an action.
     pub fn is_service(&self) -> bool {
         matches!(self.kind, EdgeKind::Asks | EdgeKind::Serves)
     }
@@ -187,7 +187,7 @@ impl Edge {
         self.problem.is_some() || self.bound.as_ref().is_some_and(|bound| !bound.met)
     }
 
-    /// What is written at it.
+    /// Its text.
     pub fn lines(&self) -> Vec<String> {
         let count = (self.count > 1).then(|| format!("{} {}s", self.count, self.word()));
         [count, self.problem.clone(), self.bound.as_ref().map(Bound::text)].into_iter().flatten().collect()
@@ -200,7 +200,7 @@ impl Bound {
     }
 }
 
-/// As far as it needs to be said.
+/// A bound as text; with the deadline if that is missed.
 fn bound_text(ns: Option<u64>, deadline_ns: u64, met: bool) -> String {
     match ns {
         None => "no bound".into(),
@@ -210,7 +210,7 @@ fn bound_text(ns: Option<u64>, deadline_ns: u64, met: bool) -> String {
 }
 
 impl Picture {
-    /// What is to be said beside it, and whether that is as it should be.
+    /// The lines above the picture, each with whether it is free of faults.
     pub fn caption(&self) -> Vec<(bool, String)> {
         let count = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
         let of = |kind| self.topics.iter().filter(|topic| topic.kind == kind).count();
@@ -251,7 +251,7 @@ impl Picture {
     }
 }
 
-/// One line, without what no format can carry, or what would turn the rest of it round.
+/// One line of text, without control characters and characters that change the direction of text.
 pub fn clean(text: &str) -> String {
     let is_kept = |c: char| {
         !c.is_control()

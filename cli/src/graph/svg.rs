@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! As SVG: nodes are rounded boxes, topics plain ones, from publishers on the left to subscriptions on the right.
+//! Output as SVG: nodes are rounded boxes, topics plain ones, from publishers on the left to subscriptions on the right.
 
 use super::layout::{Layout, Link, Point, Size, lay_out};
 use super::picture::{Edge, EdgeKind, Picture, TopicKind, clean};
@@ -7,12 +7,12 @@ use crate::table::wrap;
 use std::fmt::{self, Write};
 
 const MARGIN: f64 = 24.0;
-/// Of a text's lines, and of what is around them.
+/// The height of a line of text, and the padding around it.
 const LINE: f64 = 16.0;
 const PADDING: f64 = 9.0;
 const NAME: f64 = 13.0;
 const SMALL: f64 = 11.0;
-/// Longer names lose their middle.
+/// The maximum length of a name; the middle of a longer one is omitted.
 const MOST_CHARS: usize = 48;
 
 const STYLE: &str = "text{font-family:system-ui,'DejaVu Sans',sans-serif;font-size:11px;fill:#222831}.t{font-size:13px;font-weight:600}\
@@ -29,7 +29,7 @@ pub fn write(picture: &Picture) -> String {
     svg
 }
 
-/// What is written in a box or at a line.
+/// The text of a box or of a line.
 struct Label {
     name: Option<String>,
     lines: Vec<String>,
@@ -54,7 +54,7 @@ fn draw(picture: &Picture, svg: &mut String) -> fmt::Result {
         let (node, topic) = (edge.node, picture.nodes.len() + edge.topic);
         let (from, to) = if edge.is_to_node() { (topic, node) } else { (node, topic) };
         let label = (!text.lines.is_empty()).then(|| text.size());
-        // A topic is to the right of its publishers, whatever comes back.
+        // A topic is to the right of its publishers, even if it also has an edge back.
         let weight = if edge.kind == EdgeKind::Publishes { 3 } else { 1 };
         Link { from, to, weight, label: label.map(|size| Size { width: size.width + PADDING, ..size }) }
     };
@@ -168,7 +168,7 @@ fn draw_line(svg: &mut String, picture: &Picture, edge: &Edge, points: &[Point])
     let Some((first, rest)) = points.split_first() else { return Ok(()) };
     let mut path = format!("M{:.1} {:.1}", first.0, first.1);
     let mut before = *first;
-    // Straight through a column, bent between two.
+    // Straight within a column, curved between two.
     for &(x, y) in rest {
         match y == before.1 {
             true => write!(path, "L{x:.1} {y:.1}")?,
@@ -201,7 +201,7 @@ fn marker(class: &str, id: &str) -> String {
     )
 }
 
-/// What there is of each kind.
+/// The entries of the legend for the kinds of things in the picture.
 fn legend(picture: &Picture) -> Vec<(&'static str, &'static str)> {
     let is_bad = |what: fn(&Edge) -> bool| picture.edges.iter().any(what);
     let all = [
@@ -243,7 +243,7 @@ fn escape(text: &str) -> String {
     clean(text).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// Without the middle of what is too long.
+/// Omits the middle of a long text.
 fn elide(text: &str) -> String {
     let all: Vec<char> = clean(text).chars().collect();
     if all.len() <= MOST_CHARS {
@@ -257,7 +257,7 @@ fn short(lines: Vec<String>) -> Vec<String> {
     lines.iter().map(|line| elide(line)).collect()
 }
 
-/// Of a text in any of the usual fonts, rather too much.
+/// A generous estimate of a text's width in common fonts.
 fn width(text: &str, size: f64) -> f64 {
     let em = |c: char| match c {
         'i' | 'j' | 'l' | '.' | ',' | ':' | ';' | '|' | '\'' | 'I' => 0.36,

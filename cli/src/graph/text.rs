@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! As text: topic by topic.
+//! Output as text, by topic.
 
 use super::picture::{Edge, Picture, Topic, TopicKind, clean};
 use crate::table::BAD;
 
-/// With colours, which the stream takes away that is no terminal.
+/// Writes with colours, which the stream removes if it is not a terminal.
 pub fn write(picture: &Picture) -> String {
     let mut text = String::new();
     for (index, topic) in picture.topics.iter().enumerate() {

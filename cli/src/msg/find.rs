@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! From what the user wrote to a schema.
+//! Finds the schema of a type that the user named.
 
 use super::MsgError;
 use std::collections::BTreeSet;
@@ -14,7 +14,7 @@ use tautline_transport::graph_of;
 pub struct Finder {
     packages: Packages,
     bundled: Bundled,
-    /// Whose topics' and services' types are known, too.
+    /// The domain whose cached types are searched, too.
     domain: Option<u32>,
 }
 
@@ -36,12 +36,12 @@ impl Finder {
         Self { packages, bundled: Bundled::default(), domain: None }
     }
 
-    /// With the types of this domain.
+    /// Also searches the types of this domain.
     pub fn in_domain(self, domain: u32) -> Self {
         Self { domain: Some(domain), ..self }
     }
 
-    /// The types that are known: of the folders, built into this program, and in the domain.
+    /// All known types: of the folders, of this program, and of the domain.
     ///
     /// # Errors
     /// The domain cannot be read.
@@ -53,7 +53,7 @@ impl Finder {
             let topics = graph.endpoints.iter().map(|end| &*end.topic_type.name);
             let services = graph.services.iter().map(|end| &*end.type_name);
             types.extend(topics.chain(services).filter_map(|name| name.parse::<TypeName>().ok()));
-            // What is made of services and actions is not defined by anybody.
+            // Types that are derived from services and actions have no definition of their own.
             types.retain(|name| !(name.name().contains('_') && name.kind() != Kind::Msg));
         }
         Ok(types)
@@ -69,18 +69,18 @@ impl Finder {
         }
     }
 
-    /// The schema of a type, of folders and what is built into this program.
+    /// The schema of a type from the folders or from this program.
     fn named(&mut self, name: &TypeName) -> Result<Schema, SchemaError> {
         let Self { packages, bundled, .. } = self;
         let resolved = Schema::resolve(name, &mut |name| match packages.definition(name)? {
             Some(definition) => Ok(Some(definition)),
             None => bundled.definition(name),
         });
-        // What is wrong is said with where it was looked for.
+        // The error lists the searched folders.
         resolved.or_else(|_| packages.schema(name))
     }
 
-    /// The schema of a type that may be nowhere but in the domain, whose processes leave their definitions.
+    /// The schema of a type that may be known only in the domain, whose processes cache their definitions.
     fn named_or_known(&mut self, name: &TypeName) -> Result<Schema, MsgError> {
         let missing = match self.named(name) {
             Err(error @ SchemaError::Missing { .. }) => error,
@@ -117,7 +117,7 @@ impl Finder {
         if kind == Kind::Msg && text.lines().any(|line| line.starts_with("===")) {
             return Ok(Schema::from_text(&name, &text)?);
         }
-        // Its package's other types, and the packages beside it.
+        // Also searches the other types of its package, and the packages beside it.
         if let Some(beside) = full.ancestors().nth(3) {
             self.packages.add_folder(beside);
         }
@@ -126,7 +126,7 @@ impl Finder {
     }
 }
 
-/// The package of `.../package/msg/Name.msg`; for a file that lies elsewhere, one named for its folder.
+/// The package of `.../package/msg/Name.msg`; for a file in another place, the name of its folder.
 fn package_of(file: &Path) -> String {
     let folders: Vec<_> =
         file.ancestors().skip(1).filter_map(|folder| folder.file_name()?.to_str()).take(2).collect();

@@ -86,7 +86,7 @@ impl MsgError {
 
 /// Runs the verb.
 pub fn run(args: MsgArgs) -> Result<ExitCode, MsgError> {
-    // A domain that cannot be looked at has no types.
+    // A domain that cannot be read has no types.
     let domain = tautline::Context::domain_of_environment().unwrap_or_default();
     let mut finder = Finder::new(&args.path).in_domain(domain);
     let text = match &args.verb {
@@ -98,7 +98,7 @@ pub fn run(args: MsgArgs) -> Result<ExitCode, MsgError> {
         Verb::Decode(decode) => decode::run(&mut finder, decode, args.json)?,
     };
     match io::stdout().write_all(text.as_bytes()) {
-        // Whoever reads has seen enough.
+        // The reader has closed the pipe.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(ExitCode::SUCCESS),
         Err(error) => Err(MsgError::Print(error)),
         Ok(()) => Ok(ExitCode::SUCCESS),

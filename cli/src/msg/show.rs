@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut msg show`: what a type consists of and where it lies.
+//! `taut msg show`: the fields of a type and their offsets.
 
 use super::MsgError;
 use super::find::Finder;
@@ -7,7 +7,7 @@ use serde::Serialize;
 use std::fmt::Write;
 use tautline_schema::{Definition, Kind, Layout, Plain, Schema, Size};
 
-/// What is printed of a type.
+/// The output for a type.
 #[derive(Serialize)]
 pub struct Report {
     #[serde(rename = "type")]
@@ -16,9 +16,9 @@ pub struct Report {
     file: String,
     #[serde(skip_serializing_if = "String::is_empty")]
     docs: String,
-    /// Of a service its request and response, of an action its goal, result and feedback; else the type itself.
+    /// A service's request and response, an action's goal, result and feedback, or the type itself.
     messages: Vec<Message>,
-    /// The types it consists of.
+    /// The nested types.
     referenced: Vec<String>,
 }
 
@@ -29,7 +29,7 @@ struct Message {
     constants: Vec<Constant>,
     fields: Vec<Field>,
     size: Bytes,
-    /// The C struct that its bytes are, if they are one.
+    /// The C struct with the layout of its bytes, if there is one.
     plain: Option<Struct>,
     #[serde(skip_serializing_if = "Option::is_none")]
     not_plain: Option<String>,
@@ -116,7 +116,7 @@ impl Report {
     }
 }
 
-/// The suffixes of the messages that users of a service or action fill in; none for what is a message itself.
+/// The suffixes of the messages that users of a service or action fill in; empty for a message.
 pub fn parts(schema: &Schema) -> &'static [&'static str] {
     let first = schema.definition().fields.first().map(|field| field.name.as_str());
     match (schema.name().kind(), first) {

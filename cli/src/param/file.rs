@@ -6,8 +6,8 @@ use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use tautline::ParameterValue;
 
-/// What a file says about a node whose parameters these are. Names with dots are mappings in each other, unless the part before
-/// the dot is a parameter, too.
+/// The parameter file of a node with these parameters. Names with dots become nested mappings, unless the part before the dot is a
+/// parameter, too.
 pub fn yaml(node: &str, parameters: &[(String, ParameterValue)]) -> String {
     let set = set(parameters).map(|(name, value)| (&**name, value));
     let mut text = String::new();
@@ -65,7 +65,7 @@ fn entry(margin: &str, name: &str, value: &ParameterValue, text: &mut String) {
     items.iter().for_each(|item| *text += &format!("{margin}- {item}\n"));
 }
 
-/// With a point and a sign in the exponent, without which some readers take it for a string.
+/// A number with a decimal point, and a sign in the exponent; some readers take other forms for strings.
 fn double(value: f64) -> String {
     let text = format!("{value:?}");
     match text.split_once('e') {
@@ -80,7 +80,7 @@ fn double(value: f64) -> String {
     }
 }
 
-/// Without quotes if it is read as the same text then, by ROS and by others.
+/// A string, without quotes if ROS and other readers then read the same text.
 fn string(text: &str) -> String {
     let is_word = text.starts_with(|c: char| c.is_alphabetic() || "/_".contains(c))
         && !["null", "y", "n"].contains(&text.to_lowercase().as_str());

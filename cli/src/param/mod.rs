@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut param`: the parameters of nodes, asked for by ROS 2's services.
+//! `taut param`: reads and sets parameters of nodes through ROS 2's parameter services.
 
 mod file;
 mod value;
@@ -28,7 +28,7 @@ const LIST: &str = "list_parameters";
 /// Nodes of other hosts are visible if this host runs `taut gateway`. A node must answer within --timeout, by default 5 s.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
-  taut param list                   of all nodes, asked at once; those that are silent are named
+  taut param list                   of all nodes, in parallel; names those that do not answer
   taut param get /controller gain
   taut param set /controller gain 2.5
   taut param dump /controller > controller.yaml
@@ -212,7 +212,7 @@ fn describe(common: &CommonArgs, node: &mut Node, names: Vec<String>) -> Outcome
     let names = if names.is_empty() { node.names()? } else { names };
     let request = DescribeParameters::Request { names: names.clone() };
     let mut told = node.ask::<DescribeParameters::Service>("describe_parameters", request)?.descriptors;
-    // Of what there is not rclcpp's nodes tell nothing.
+    // Nodes of rclcpp return nothing for parameters that do not exist.
     told.resize_with(names.len(), ParameterDescriptor::default);
     for (name, told) in names.iter().zip(&told) {
         if told.type_ == ParameterType::NotSet as u8 {
@@ -235,7 +235,7 @@ fn load(common: &CommonArgs, node: &mut Node, file: &Path) -> Outcome {
         )));
     }
     let mut done = node.set(&parameters)?;
-    // What cannot be changed may be so already, as in a file that `dump` has written.
+    // A read-only parameter may already have this value, as in a file that `dump` has written.
     let refused =
         |done: &[Set]| -> Vec<usize> { (0..done.len()).filter(|i| done[*i].refused.is_some()).collect() };
     let doubtful = refused(&done);
@@ -296,7 +296,7 @@ struct Node {
 impl Node {
     fn find(common: &CommonArgs, node: &str) -> Outcome<Self> {
         let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
-        let name = node_with(domain, node, LIST, "tells nobody its parameters")?;
+        let name = node_with(domain, node, LIST, "does not serve its parameters")?;
         Ok(Node { name, asking: Asking::new(domain, end)? })
     }
 
@@ -314,7 +314,7 @@ impl Node {
         let count = names.len();
         let request = GetParameters::Request { names };
         let mut values = self.ask::<GetParameters::Service>("get_parameters", request)?.values;
-        // If one is missing rclcpp's nodes tell of none.
+        // If one parameter is missing, nodes of rclcpp return none.
         values.resize_with(count, Default::default);
         Ok(values.into_iter().map(ParameterValue::try_from).collect::<Result<_, _>>()?)
     }

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use tautline::ParameterValue;
 use tautline::rcl_interfaces::msg::ParameterDescriptor;
 
-/// What stands before a value: `Double value is: `.
+/// The text before a value, such as `Double value is: `.
 pub fn label(value: &ParameterValue) -> String {
     let kind = value.type_name();
     let kind = format!("{}{}", kind[..1].to_uppercase(), &kind[1..]);
@@ -45,7 +45,7 @@ fn type_name(number: u8) -> &'static str {
     ParameterValue::try_from(message).map_or("unknown", |value| value.type_name())
 }
 
-/// As `ros2 param describe` prints it.
+/// The description in the format of `ros2 param describe`.
 pub fn described(told: &ParameterDescriptor) -> String {
     let mut constraints = Vec::new();
     let mut constrain = |what: &str, value: String| constraints.push(format!("    {what}: {value}\n"));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Each violated assumption: its name, what was seen, what to change.
+//! The text of each violated assumption: its name, the measurement, the fix.
 use std::fmt;
 
 use tautline::Policy;
@@ -9,7 +9,7 @@ use super::host::{Longest, Share};
 use super::run::{Callback, Process, Run};
 use super::verdict::Mark;
 
-/// Marks that `--wcet` tells of, too.
+/// Names of violations that `--wcet` reports, too.
 pub const INPUT_TOO_LARGE: &str = "input too large";
 pub const WCET_EXCEEDED: &str = "wcet exceeded";
 
@@ -29,7 +29,7 @@ impl fmt::Display for Time {
     }
 }
 
-/// As a value for the file: rounded up to a microsecond.
+/// A time as a value for the file, rounded up to a microsecond.
 pub fn quoted(ns: u64) -> String {
     format!("\"{}\"", Time(ns.div_ceil(1_000).saturating_mul(1_000))).replace(' ', "")
 }
@@ -62,14 +62,14 @@ pub fn ended(predicted: &CheckedCallback, process: &Process, seen: &Callback) ->
     let (name, process) = (&predicted.entry.name, process.label());
     let text = match predicted.entry.client {
         Client::Tautline if predicted.entry.overrun == OverrunPolicy::End && seen.demotions > 0 => format!(
-            "a job used more than its budget and ended it, as `overrun = \"end\"` says, in {process}, which goes on without \
+            "a job used more than its budget and ended it, as `overrun = \"end\"` says, in {process}, which continues without \
              `{name}`: raise its `wcet` and run `taut check`, or make it shorter, and start it again"
         ),
         Client::Tautline => format!(
-            "its future has ended in {process}, which goes on without `{name}`: it ended by itself, was stopped, or panicked"
+            "its future has ended in {process}, which continues without `{name}`: it ended by itself, was stopped, or panicked"
         ),
         Client::Rclcpp | Client::Rclpy => {
-            format!("its subscription was destroyed in {process}, which goes on without `{name}`")
+            format!("its subscription was destroyed in {process}, which continues without `{name}`")
         }
     };
     mark("not running", text)
@@ -89,7 +89,7 @@ pub fn of_another(process: &Process, of: Mark) -> Mark {
     mark(of.name, format!("in {}: {}", process.label(), of.explanation))
 }
 
-/// What a thread's real-time priority is called.
+/// The name of a thread's real-time priority.
 pub fn level(priority: u8) -> String {
     if priority < Policy::RESERVATION {
         format!("priority {priority}")
@@ -132,7 +132,7 @@ pub fn wrong_core(predicted: &CheckedCallback, seen: &Callback) -> Mark {
 }
 
 pub fn input_too_large(seen: &Callback, greatest: u64, most: u64) -> Mark {
-    // Of a class that holds the limit it is not known which jobs were above it.
+    // In the class that contains the limit it is unknown which jobs were above it.
     let above = seen
         .inputs
         .iter()
@@ -181,11 +181,11 @@ pub fn wcet_exceeded(predicted: &CheckedCallback, seen: &Callback, used_ns: u64,
 
 pub fn period_not_kept(predicted: &CheckedCallback, distance_ns: u64, least_ns: u64) -> Mark {
     let fix = match predicted.entry.topics.first() {
-        // The jitter there is by analysis, and what is missing of it.
+        // The jitter in the analysis, and the jitter that is missing there.
         Some(topic) => {
             let jitter = quoted(predicted.period_ns.saturating_sub(distance_ns));
             format!(
-                "make who publishes `{topic}` keep its period, or state `jitter = {jitter}` or more, or a shorter period, \
+                "make the publisher of `{topic}` keep its period, or state `jitter = {jitter}` or more, or a shorter period, \
                  of the topic or of what triggers its publisher"
             )
         }
@@ -229,7 +229,7 @@ pub fn bound_exceeded(
              `taut demo` measures them",
             predicted.core,
             level(predicted.entry.priority),
-            if share.is_some() { "" } else { "a hypervisor (TAUT_CORE_TIME=on tells), " }
+            if share.is_some() { "" } else { "a hypervisor (TAUT_CORE_TIME=on shows it), " }
         )
     };
     let so_far =
@@ -250,8 +250,9 @@ pub fn bound_exceeded(
                 );
             }
             if text.is_empty() {
-                text =
-                    format!(", {beyond} such responses are explained, but not all are known, or one goes on");
+                text = format!(
+                    ", {beyond} such responses are explained, but not all are recorded, or one still runs"
+                );
             }
             format!("{text} (before the end of one of {}, {})", Time(longest.response_ns), took(longest))
         }
@@ -272,8 +273,8 @@ fn took(longest: &Longest) -> String {
     format!("the host took {}{more}", Time(taken_ns))
 }
 
-/// Not a violation: every response above the bound is within it if what was taken before its end is added. A job that took it is
-/// one.
+/// A note, not a violation: every response above the bound is within it if the time that was taken before its end is added. A job that
+/// took this time has a violation of its own.
 pub fn host_took(predicted: &CheckedCallback, share: &Share) -> String {
     let longest = share.longest.unwrap_or_default();
     let [by, rest] = match longest.overran_ns {
@@ -348,8 +349,8 @@ pub fn deadline_missed(predicted: &CheckedCallback, misses: u64, longest_ns: u64
 
 pub fn sampler_too_low(sampler: u8, callback: &str, priority: u8) -> Mark {
     let text = format!(
-        "its sampler has priority {sampler}, not above `{callback}` with {priority}: while that runs, nobody is told of \
-         messages; leave `sampler_priority` to the file, or lower the callback's priority there"
+        "its sampler has priority {sampler}, not above `{callback}` with {priority}: while that runs, messages wake no \
+         callback; leave `sampler_priority` to the file, or lower the callback's priority there"
     );
     mark("sampler too low", text)
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What the host took from the cores, what jobs used beyond their wcet, how long late ones did not have the core beyond what the analysis
-//! knows, and which responses beyond their bounds that explains.
+//! Explains responses above their bounds: by time that the host took from the cores, by jobs that used more than their wcet, and by
+//! waits for the core that the analysis does not contain.
 use std::collections::{BTreeMap, BTreeSet};
 
 use tautline_analysis::file::{CheckedCallback, CheckedSystem};
@@ -9,10 +9,10 @@ use tautline_analysis::taken::{Seen, Sight, Taken, TakenTimes, response_time_wit
 use super::run::{Callback, Process, Run};
 use crate::moment::{ACCOUNTED_TO_NS, Kind, Moment};
 
-/// What was taken from each core, of those on which somebody looked.
+/// The time that was taken from each core on which a process accounts for it.
 pub struct Host<'c> {
     checked: &'c CheckedSystem,
-    /// By host and number.
+    /// The cores, by host and number.
     cores: BTreeMap<(String, usize), CoreTimes>,
 }
 
@@ -22,36 +22,36 @@ struct CoreTimes {
     overran: TakenTimes,
     /// Of both.
     known: TakenTimes,
-    /// All that was seen, waits beyond what the analysis allows among it.
+    /// All recorded intervals, including waits longer than in the analysis.
     seen: Vec<Sight>,
 }
 
-/// What it did to a callback.
+/// The effect of the host on a callback.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Share {
-    /// The bound with the most that the host took in any window of it; `None` without a bound.
+    /// The bound plus the most that the host took in any window of this length; `None` without a bound.
     pub bound_ns: Option<u64>,
-    /// Responses above the bound that are known with their instants.
+    /// Responses above the bound whose times are known.
     pub beyond: u64,
-    /// Those of them that what was taken before their ends explains only with waits: without the core, when nobody of the file can have had it.
+    /// Those that are explained only together with waits, in which no callback of the file can have had the core.
     pub waited: u64,
-    /// Those that nothing explains.
+    /// Those without an explanation.
     pub unexplained: u64,
     /// The longest one; unexplained ones first, then those that waited.
     pub longest: Option<Longest>,
-    /// Whether the longest response that was seen is among them, and none was overwritten.
+    /// Whether these include the longest measured response, and none was overwritten.
     pub complete: bool,
 }
 
-/// A response, and what was taken before its end: while it lasted, and a period before that.
+/// A response, and the time that was taken while it lasted and in the period before.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Longest {
     pub response_ns: u64,
-    /// By the host.
+    /// Time that the host took.
     pub taken_ns: u64,
-    /// By jobs that used more than their wcet.
+    /// Time that jobs used beyond their wcet.
     pub overran_ns: u64,
-    /// What threads were without the core meanwhile, beyond what others may have had of it.
+    /// Time that threads waited for the core, beyond what other callbacks may have had.
     pub waited_ns: u64,
 }
 
@@ -74,7 +74,7 @@ impl<'c> Host<'c> {
                     };
                     let (thread, priority) = (thread_of(process, callback.tid), callback.priority);
                     let sight = |taken| Sight { taken: beyond(taken), thread, priority };
-                    // What was demoted or slept took nothing from others, and waited by itself.
+                    // A demoted or suspended job took nothing from others, and its wait was its own.
                     let counts = |of: &&Moment| {
                         callback.demotions == 0 || !matches!(of.kind, Kind::Overran | Kind::Waited)
                     };
@@ -85,22 +85,22 @@ impl<'c> Host<'c> {
                 }
             }
             let Some(sampler) = &process.sampler else { continue };
-            // Where it runs, and where what it wakes does.
+            // The sampler's core, and the cores of the callbacks that it wakes.
             let woken = process.callbacks.iter().filter_map(|callback| callback.core);
             for core in woken.chain(sampler.core).collect::<BTreeSet<_>>() {
-                // On another core it may be time that its own threads saw, too.
+                // On another core the threads there may have recorded this time, too.
                 let as_seen = |taken: Taken| match taken.seen {
                     Seen::Running if sampler.core != Some(core) => Taken { seen: Seen::WokenLate, ..taken },
                     _ => taken,
                 };
                 let counts = |of: &&Moment| match of.kind {
-                    // It waits for nobody of the file.
+                    // It waits for no callback of the file.
                     Kind::WokenLate | Kind::Waited => is_served,
-                    // That is in the overheads of the file.
+                    // The file's overheads contain this time.
                     Kind::Served => false,
                     _ => true,
                 };
-                // A number that no callback has.
+                // A number that no callback uses.
                 let (thread, priority) = (thread_of(process, 0), process.sampler_priority);
                 let sight = |taken| Sight { taken: as_seen(taken), thread, priority };
                 note(core, &mut sampler.moments.iter().filter(counts).filter_map(Moment::taken).map(sight));
@@ -115,12 +115,12 @@ impl<'c> Host<'c> {
         Host { checked, cores }
     }
 
-    /// Whether somebody looked.
+    /// Whether any process accounts for core time.
     pub fn is_known(&self) -> bool {
         !self.cores.is_empty()
     }
 
-    /// What became of a callback; `None` if nobody looked at its core.
+    /// The effect on a callback; `None` if no process accounts for its core.
     pub fn share(&self, predicted: &CheckedCallback, seen: &Callback) -> Option<Share> {
         let taken = self.cores.get(&(predicted.host.clone(), predicted.core))?;
         let bound_ns = self.bound_ns(predicted, |window_ns| taken.host.most_within(window_ns));
@@ -147,7 +147,7 @@ impl<'c> Host<'c> {
             share.complete |= Some(late.length_ns) == seen.response.max_ns();
             if (unexplained, waited, late.length_ns) > longest {
                 longest = (unexplained, waited, late.length_ns);
-                // What was taken before the release may have delayed it, too.
+                // Time that was taken before the release may also have delayed the job.
                 let window_ns = late.length_ns.saturating_add(predicted.period_ns);
                 let before = |ways: &[Seen]| all.seen(ways).before(late.to_ns, window_ns);
                 share.longest = Some(Longest {
@@ -162,7 +162,7 @@ impl<'c> Host<'c> {
         Some(share)
     }
 
-    /// The bound if a window of the core loses no more than this.
+    /// The bound if a window of the core loses at most this time.
     fn bound_ns(&self, predicted: &CheckedCallback, taken_within: impl Fn(u64) -> u64) -> Option<u64> {
         let of_core = |core: &&tautline_analysis::file::CheckedCore| {
             core.host == predicted.host && core.number == predicted.core
@@ -184,7 +184,7 @@ impl<'c> Host<'c> {
         Some(predicted.response_overhead_ns?.saturating_add(more_ns))
     }
 
-    /// A line for each core.
+    /// A note for each core.
     pub fn notes(&self) -> Vec<String> {
         let line = |((host, core), times): (&(String, usize), &CoreTimes)| {
             let ms = |ns: u64| ns as f64 / 1e6;
@@ -201,19 +201,19 @@ impl<'c> Host<'c> {
     }
 }
 
-/// A number of its own for each thread of a host.
+/// A distinct number for each thread of a host.
 fn thread_of(process: &Process, tid: u32) -> u64 {
     u64::from(process.pid) << 32 | u64::from(tid)
 }
 
-/// How long a job of a callback may be without the core by analysis; of one that the file lacks, nobody knows.
+/// How long a job may wait for the core according to the analysis; `u64::MAX` if it has no bound, or is not in the file.
 fn waits_at_most(checked: &CheckedSystem, host: &str, callback: &str) -> u64 {
     let is_it = |of: &&CheckedCallback| of.host == host && of.entry.name == callback;
     let bound_ns = |of: &CheckedCallback| Some(of.response_overhead_ns?.saturating_sub(of.charged_ns));
     checked.callbacks.iter().find(is_it).and_then(bound_ns).unwrap_or(u64::MAX)
 }
 
-/// Whether nothing of the domain can keep a process's timers from being served: else it is not the host that makes them late.
+/// Whether no thread of the domain can delay a process's timers. Otherwise late timers need not be due to the host.
 fn is_served_first(process: &Process, run: &Run) -> bool {
     let others = run.processes.iter().filter(|other| other.host == process.host);
     let highest = others.flat_map(|other| &other.callbacks).filter_map(|callback| callback.priority).max();

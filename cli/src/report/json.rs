@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The report for scripts: names, order and units are a contract.
+//! The report as JSON for scripts. Names, order and units do not change.
 use std::io::{self, Write};
 
 use serde::Serialize;
@@ -34,14 +34,14 @@ struct Predicted {
     response_ms: Option<f64>,
     deadline_ms: f64,
     wcet_ms: f64,
-    /// With the overheads that the file charges to one job.
+    /// Includes the overheads that the file charges to one job.
     budget_ms: f64,
     period_ms: f64,
     least_distance_ms: f64,
     capacity: Option<usize>,
 }
 
-/// Times of what did not happen are null.
+/// Times without a measurement are null.
 #[derive(Serialize)]
 struct Seen<'a> {
     process: &'a str,
@@ -61,17 +61,17 @@ struct Seen<'a> {
     host: Option<HostShare>,
 }
 
-/// What the host had to do with it, if core time is accounted for.
+/// The effect of the host; present if core time is accounted for.
 #[derive(Serialize)]
 struct HostShare {
-    /// The bound with the most that it took in any window.
+    /// The bound plus the most that the host took in any window.
     response_ms: Option<f64>,
-    /// Responses above the bound; those of them that what it took, and jobs beyond their wcet, explain only with waits for the core; those that
-    /// nothing explains.
+    /// The number of responses above the bound; among them those that are explained only together with waits for the core, and those without
+    /// an explanation.
     beyond: u64,
     waited: u64,
     unexplained: u64,
-    /// Of the longest of them.
+    /// The times of the longest one.
     longest_ms: Option<f64>,
     taken_ms: Option<f64>,
     overran_ms: Option<f64>,
@@ -97,10 +97,10 @@ struct Violation<'a> {
 struct Chain<'a> {
     name: &'a str,
     callbacks: &'a [String],
-    /// The longest responses of its callbacks together, which no message of it exceeded.
+    /// The sum of its callbacks' longest responses, which no message exceeded.
     longest_ms: f64,
     predicted_ms: Option<f64>,
-    /// The bounds of its callbacks together with the most that the host took in any window.
+    /// The sum of its callbacks' bounds with the most that the host took in any window.
     #[serde(skip_serializing_if = "Option::is_none")]
     host_ms: Option<f64>,
     deadline_ms: f64,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut report`: what `taut check` predicted beside what the callbacks did.
+//! `taut report`: compares the predictions of `taut check` with measurements.
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -131,7 +131,7 @@ fn killed_text(killed: usize) -> String {
 pub fn run(args: &ReportArgs) -> ExitCode {
     match report(args) {
         Ok(kept) => ExitCode::from(u8::from(!kept)),
-        // Whoever reads no further (`taut report | head`) has seen enough.
+        // The reader has closed the pipe (`taut report | head`).
         Err(ReportError::Print(error)) if error.kind() == io::ErrorKind::BrokenPipe => ExitCode::SUCCESS,
         Err(ReportError::File(error)) => {
             crate::check::print_file_error(&error);
@@ -147,7 +147,7 @@ pub fn run(args: &ReportArgs) -> ExitCode {
 fn report(args: &ReportArgs) -> Result<bool, ReportError> {
     if let Some(path) = &args.file {
         let text = read(path)?;
-        // A system file is TOML, which no brace begins.
+        // A system file is TOML and does not begin with a brace.
         if text.trim_start().starts_with('{') {
             return report_saved(args, path, &text);
         }
@@ -189,7 +189,7 @@ fn report_running(args: &ReportArgs) -> Result<bool, ReportError> {
     loop {
         let last = !args.watch || end.is_reached() || processes.all_ended();
         let run = processes.gather(&path, &system.text)?;
-        // To no terminal, a table that is soon out of date is noise.
+        // Without a terminal, intermediate tables are omitted.
         let shown = last || args.common.json || io::stdout().is_terminal();
         let kept = if shown { print(args, &system, &run, args.watch)? } else { true };
         if last {
@@ -234,7 +234,7 @@ fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Resul
         json::write(&comparison, &mut out)?;
     } else {
         if in_place && io::stdout().is_terminal() {
-            // To the upper left, and nothing below.
+            // Moves the cursor to the upper left and clears the screen.
             write!(out, "\x1b[H\x1b[J")?;
         }
         table::write(&comparison, run, &mut out)?;
@@ -268,7 +268,7 @@ fn print_wcets(
     }
     out.flush()?;
     Ok(match written {
-        // What the file states now is what was seen, or more; but for the greatest input, which its owner has to state.
+        // The file now states at least what was measured, except for the largest input, which only the user can state.
         Some((_, schedulable)) => schedulable && fits.inputs_are_kept(),
         None => fits.are_kept(),
     })

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A run: the system file and what the processes' callbacks did, gathered from shared memory or from a saved file.
+//! A run: the system file and the statistics of callbacks, read from shared memory or from a saved file.
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
@@ -11,17 +11,17 @@ use tautline::{
 use super::ReportError;
 use crate::moment::Moment;
 
-/// First member of a saved run; the number grows when older programs would misread it.
+/// The first member of a saved run. The number changes when older programs would misread the file.
 const FORMAT: &str = "tautline run 1";
 
-/// What `--save` writes: all that the report is made of.
+/// The data of a report, which `--save` writes.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Run {
     format: String,
     /// Seconds since 1970.
     pub taken_at_s: u64,
     pub domain: u32,
-    /// Where the system file was, and its text.
+    /// The path and the text of the system file.
     pub system_path: PathBuf,
     pub system: String,
     pub processes: Vec<Process>,
@@ -29,43 +29,43 @@ pub struct Run {
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Process {
-    /// Where its statistics are: another one for another context of the same process.
+    /// The file of its statistics; each context of a process has one.
     #[serde(skip)]
     path: PathBuf,
     pub pid: u32,
     pub program: String,
     pub host: String,
     pub realtime: bool,
-    /// Whether it lived when this was taken.
+    /// Whether the process was alive when this was read.
     pub running: bool,
     pub sampler_priority: Option<u8>,
-    /// Of the system file that it was started with.
+    /// The hash of the system file that it was started with.
     pub system_hash: u64,
     /// Processor time that the hypervisor gave to others since it started, in ticks of 10 ms.
     pub steal_ticks: u64,
-    /// The node that it plays from a bag; empty: none.
+    /// The node that it plays from a bag; empty if none.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub stands_in: String,
-    /// It runs although this is late with it.
+    /// The callbacks that are late because it was admitted by force.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub forced: Option<String>,
     pub callbacks: Vec<Callback>,
-    /// Where core time is accounted for.
+    /// Present if core time is accounted for.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sampler: Option<SamplerThread>,
 }
 
-/// What is known of a process's sampler.
+/// The statistics of a process's sampler.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct SamplerThread {
     pub core: Option<usize>,
     pub moments: Vec<Moment>,
-    /// How many older ones there were.
+    /// The number of older ones.
     #[serde(default)]
     pub older_moments: u64,
 }
 
-/// As `CallbackSnapshot`.
+/// A `CallbackSnapshot` that can be serialized.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Callback {
     pub name: String,
@@ -73,7 +73,7 @@ pub struct Callback {
     pub ended: bool,
     pub tid: u32,
     pub priority: Option<u8>,
-    /// Under SCHED_DEADLINE, while its thread lived: what the kernel reserved.
+    /// The kernel's reservation, if the callback runs under SCHED_DEADLINE and its thread was alive.
     #[serde(skip)]
     pub reservation: Option<Policy>,
     pub core: Option<usize>,
@@ -93,18 +93,18 @@ pub struct Callback {
     pub lost: u64,
     pub max_queue: u64,
     pub depth: u64,
-    /// How long after its release a job was still running when this was taken, at least.
+    /// The least time since the release of a job that was running when this was read.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unfinished_ns: Option<u64>,
     pub response: Times,
     pub execution: Times,
-    /// Whether what was taken from its core is among the moments.
+    /// Whether the moments include time that was taken from its core.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub accounts_core_time: bool,
-    /// Late jobs, and what was taken from its core: the latest.
+    /// The latest moments: late jobs, and time that was taken from its core.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub moments: Vec<Moment>,
-    /// How many older ones there were.
+    /// The number of older ones.
     #[serde(default)]
     pub older_moments: u64,
     /// Execution times by the size of the input, if its jobs state it.
@@ -112,7 +112,7 @@ pub struct Callback {
     pub inputs: Vec<SizeClass>,
 }
 
-/// As `tautline::SizeClass`.
+/// A `tautline::SizeClass` that can be serialized.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct SizeClass {
     pub jobs: u64,
@@ -123,7 +123,7 @@ pub struct SizeClass {
     pub longest_ns: Vec<u64>,
 }
 
-/// A histogram: the least value and the count of each bucket that is not empty.
+/// A histogram: the least value and the count of each non-empty bucket.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Times {
     sum_ns: u64,
@@ -132,7 +132,7 @@ pub struct Times {
 }
 
 impl Run {
-    /// A run with what these processes have done so far. Those that are just starting are left out.
+    /// The run of these processes up to now. Processes that are just starting are omitted.
     pub fn gather(
         domain: u32,
         system_path: &Path,
@@ -142,9 +142,9 @@ impl Run {
         let now = SystemTime::UNIX_EPOCH.elapsed().unwrap_or_default();
         let mut gathered = Vec::new();
         for process in processes {
-            // Asked first: what an ended process did is then complete.
+            // Checked first, so that the statistics of an ended process are complete.
             let running = process.is_running();
-            // Before reading, too: what runs then has run as long as that at least.
+            // Also read before the statistics: a running job has run at least until this time.
             let now_ns = running.then(tautline_rt::clock::monotonic_ns);
             if let Some(snapshot) = process.read().map_err(ReportError::Statistics)? {
                 gathered.push(Process { path: process.path().into(), ..Process::new(&snapshot, now_ns) });
@@ -161,7 +161,7 @@ impl Run {
         })
     }
 
-    /// With the moments of an earlier look that have been overwritten since then.
+    /// Adds moments from an earlier reading that have been overwritten since.
     pub fn with_moments_of(mut self, before: &Run) -> Run {
         for process in &mut self.processes {
             let Some(before) = before.processes.iter().find(|other| other.path == process.path) else {
@@ -194,7 +194,7 @@ impl Run {
         Ok(run)
     }
 
-    /// Writes it to a file, which is complete or not there.
+    /// Writes the run to a file, which appears only when it is complete.
     pub fn save(&self, path: &Path) -> Result<(), ReportError> {
         let refuse = |source| ReportError::Write { path: path.into(), source };
         let mut partial = path.as_os_str().to_owned();
@@ -205,13 +205,13 @@ impl Run {
     }
 }
 
-/// Of a callback: more take long to be looked through each second.
+/// The maximum number per callback; reading more each second would take long.
 const MOST_MOMENTS: usize = 10_000;
 
-/// Puts what was known before what is there now. Both say how many older ones there were.
+/// Puts earlier moments before the present ones. Both state the number of older ones.
 fn prepend((known, older_known): (&[Moment], u64), (latest, older): (&mut Vec<Moment>, &mut u64)) {
     let known_until = older_known + known.len() as u64;
-    // Those of the latest that were known, and those that nobody has seen.
+    // The present moments that were known before, and those that were missed.
     let again = usize::try_from(known_until.saturating_sub(*older)).unwrap_or(usize::MAX).min(latest.len());
     let missed = older.saturating_sub(known_until);
     let new = latest.split_off(again);
@@ -248,7 +248,7 @@ impl Process {
         }
     }
 
-    /// As a person would name it.
+    /// A name for people.
     pub fn label(&self) -> String {
         format!("{} (process {})", self.program, self.pid)
     }
@@ -256,7 +256,7 @@ impl Process {
 
 impl Callback {
     fn new(of: &CallbackSnapshot, now_ns: Option<u64>) -> Callback {
-        // A killed process does not say so itself.
+        // A killed process does not record its end.
         let ended = of.ended || now_ns.is_none();
         let is_busy = !ended && of.releases > of.completions;
         Callback {
@@ -294,12 +294,12 @@ impl Callback {
         }
     }
 
-    /// The longest time from a release until now or the job's end; `None` if there is none.
+    /// The longest time from a release until now or the job's end; `None` without a job.
     pub fn longest_response_ns(&self) -> Option<u64> {
         self.response.max_ns().max(self.unfinished_ns)
     }
 
-    /// The greatest size of an input; `None` if its jobs state none.
+    /// The largest input; `None` if the jobs state no sizes.
     pub fn greatest_input(&self) -> Option<u64> {
         self.inputs.iter().map(|class| class.greatest).max()
     }
@@ -331,12 +331,12 @@ impl Times {
         HistogramSnapshot::of_buckets(self.buckets.iter().map(bucket), self.sum_ns, self.max_ns)
     }
 
-    /// The longest time; `None` if there is none.
+    /// The longest time; `None` if it is empty.
     pub fn max_ns(&self) -> Option<u64> {
         (!self.buckets.is_empty()).then_some(self.max_ns)
     }
 
-    /// How many times were longer than this: those of a bucket that holds it are not counted.
+    /// The number of longer times. Times in the bucket that contains the limit do not count.
     pub fn longer_than(&self, limit_ns: u64) -> u64 {
         self.buckets.iter().filter(|(low_ns, _)| *low_ns > limit_ns).map(|(_, count)| count).sum()
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The report for people: predicted and measured side by side, then what was violated and what to change.
+//! The report as a table for people: predictions beside measurements, then violations and their fixes.
 use std::io::{self, Write};
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use super::run::Run;
 use super::verdict::{ChainRow, Comparison, Row};
 use crate::table::{BAD, GOOD, WARNING, ms, wrap, write_table};
 
-/// Writes all there is to know; callbacks with a mark are red.
+/// Writes the whole report; callbacks with a violation are red.
 pub fn write(comparison: &Comparison, run: &Run, out: &mut impl Write) -> io::Result<()> {
     let with_host = comparison.rows.iter().any(|row| share(row).is_some());
     let mut head = vec![
@@ -90,7 +90,7 @@ fn chains(comparison: &Comparison, with_host: bool, out: &mut impl Write) -> io:
     writeln!(out)
 }
 
-/// Which column says what the host makes of the bound; left out where nobody looked.
+/// The index of the column with the host's effect on the bound; it is omitted if no process accounts for core time.
 const HOST: usize = 6;
 
 fn share(row: &Row) -> Option<&Share> {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Prediction against measurement: which assumptions of the analysis were kept.
+//! Compares predictions with measurements: which assumptions of the analysis held.
 use std::collections::BTreeSet;
 
 use tautline::{HistogramSnapshot, Policy};
@@ -9,33 +9,33 @@ use super::explain;
 use super::host::{Host, Share};
 use super::run::{Callback, Process, Run};
 
-/// What the report says.
+/// The content of the report.
 pub struct Comparison {
-    /// Whether the analysis's assumptions and bounds held, as far as was seen.
+    /// Whether the assumptions and bounds of the analysis held in this run.
     pub kept: bool,
     /// Whether all processes have real-time policies; without them no bound applies.
     pub realtime: bool,
     /// The callbacks of the hosts that run, in the order of the file.
     pub rows: Vec<Row>,
-    /// The chains of which that says something, in the order of the file.
+    /// The chains whose latency the callbacks' responses bound, in the order of the file.
     pub chains: Vec<ChainRow>,
-    /// The processes they run in.
+    /// The processes of the callbacks.
     pub processes: Vec<Running>,
     /// Callbacks that run, but are not in the file.
     pub unknown: Vec<Unknown>,
-    /// What a person should know besides.
+    /// Notes.
     pub notes: Vec<String>,
 }
 
 /// A callback of the file.
 pub struct Row {
     pub predicted: CheckedCallback,
-    /// `None` if it does not run.
+    /// The measurement; `None` if the callback does not run.
     pub measured: Option<Measured>,
     pub marks: Vec<Mark>,
 }
 
-/// What it did.
+/// The measurement of a callback.
 pub struct Measured {
     pub process: String,
     pub callback: Callback,
@@ -43,19 +43,19 @@ pub struct Measured {
     pub execution: HistogramSnapshot,
     /// Jobs later than the file's deadline.
     pub misses: u64,
-    /// The longest response, also of earlier processes and other ones.
+    /// The longest response, including earlier and other processes.
     pub longest_ns: Option<u64>,
-    /// What the host had to do with it; `None` if nobody looked.
+    /// The effect of the host; `None` if no process accounts for core time.
     pub share: Option<Share>,
 }
 
-/// A chain whose callbacks trigger one another and have all run. No message of it took longer than their longest responses together.
+/// A chain whose callbacks trigger one another and have all run. No message took longer than the sum of their longest responses.
 pub struct ChainRow {
     pub predicted: CheckedChain,
     pub callbacks: Vec<String>,
-    /// Of all callbacks together, the longest responses.
+    /// The sum of the callbacks' longest responses.
     pub longest_ns: u64,
-    /// Of all callbacks together, the bounds with what the host took; `None` if nobody looked.
+    /// The sum of the callbacks' bounds with what the host took; `None` if no process accounts for core time.
     pub host_ns: Option<u64>,
 }
 
@@ -73,7 +73,7 @@ pub struct Unknown {
     pub name: String,
     pub process: String,
     pub callback: Callback,
-    /// Its real-time priority is one that the analysis does not know of.
+    /// Its real-time priority is not part of the analysis.
     pub mark: Option<Mark>,
 }
 
@@ -81,7 +81,7 @@ pub struct Unknown {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Mark {
     pub name: &'static str,
-    /// What was seen, and what to change.
+    /// The measurement and the fix.
     pub explanation: String,
 }
 
@@ -90,7 +90,7 @@ impl Comparison {
         let hosts: BTreeSet<&str> = run.processes.iter().map(|process| process.host.as_str()).collect();
         let (here, elsewhere): (Vec<_>, Vec<_>) =
             checked.callbacks.iter().partition(|callback| hosts.contains(callback.host.as_str()));
-        // An RMW sees takes and waits.
+        // An RMW records takes and waits.
         let (unseen, seen): (Vec<_>, Vec<_>) = here.iter().partition(|callback| {
             callback.entry.client != Client::Tautline && callback.entry.topics.is_empty()
         });
@@ -150,7 +150,7 @@ impl Comparison {
         comparison
     }
 
-    /// All marks, with the callbacks and processes they are for.
+    /// All violations with their callbacks and processes.
     pub fn marks(&self) -> impl Iterator<Item = (&str, &Mark)> {
         let processes =
             self.processes.iter().filter_map(|process| Some((&*process.label, process.mark.as_ref()?)));
@@ -163,7 +163,7 @@ impl Comparison {
 }
 
 fn sampler_too_low(process: &Process) -> Option<Mark> {
-    // A reservation is above it for as long as it says.
+    // A reservation is above this priority for its runtime.
     let below = |callback: &&Callback| callback.priority < Some(Policy::RESERVATION);
     let highest = process.callbacks.iter().filter(below).max_by_key(|callback| callback.priority)?;
     let (sampler, callback) = (process.sampler_priority?, highest.priority?);
@@ -184,7 +184,7 @@ fn row(predicted: &CheckedCallback, run: &Run, host: &Host) -> Row {
     let name = &predicted.entry.name;
     let mut found: Vec<_> =
         callbacks(run, &predicted.host).filter(|(_, callback)| callback.name == *name).collect();
-    // The one that runs; of several that have ended the one that was released last.
+    // The running one, else the ended one with the latest release.
     found.sort_by_key(|(_, callback)| (callback.ended, std::cmp::Reverse(callback.last_release_ns)));
     let mut marks = Vec::new();
     let Some(&(process, callback)) = found.first() else {
@@ -201,7 +201,7 @@ fn row(predicted: &CheckedCallback, run: &Run, host: &Host) -> Row {
     }
     let (misses, share) = (misses(predicted, callback), host.share(predicted, callback));
     marks.extend(violations(predicted, process, callback, misses, share.as_ref()));
-    // What an earlier process did, or another one does, has happened as well.
+    // Measurements of earlier or other processes count as well.
     for (process, callback) in found.iter().skip(1) {
         let (misses, share) = (self::misses(predicted, callback), host.share(predicted, callback));
         let theirs = violations(predicted, process, callback, misses, share.as_ref());
@@ -219,7 +219,7 @@ fn row(predicted: &CheckedCallback, run: &Run, host: &Host) -> Row {
     Row { predicted: predicted.clone(), measured: Some(measured), marks }
 }
 
-/// What is known of a chain.
+/// The measurement of a chain.
 fn chain(predicted: &CheckedChain, checked: &CheckedSystem, rows: &[Row]) -> Option<ChainRow> {
     let measured = |stage: &usize| {
         let name = &checked.callbacks.get(*stage)?.entry.name;
@@ -238,7 +238,7 @@ fn chain(predicted: &CheckedChain, checked: &CheckedSystem, rows: &[Row]) -> Opt
     })
 }
 
-/// Who plays what its node published, from a bag.
+/// The process that plays a node's topics from a bag.
 fn stand_in<'r>(predicted: &CheckedCallback, run: &'r Run) -> Option<&'r Process> {
     let is_it = |process: &&Process| {
         process.running && process.host == predicted.host && process.stands_in == predicted.entry.node
@@ -246,8 +246,8 @@ fn stand_in<'r>(predicted: &CheckedCallback, run: &'r Run) -> Option<&'r Process
     run.processes.iter().find(is_it)
 }
 
-/// Jobs later than the file's deadline, one that has not ended yet among them. The histogram counts those of the deadline's own bucket as in time; the longest one
-/// is known exactly.
+/// Jobs later than the file's deadline, including one that has not ended. The histogram counts jobs in the bucket of the deadline as on
+/// time; the longest job is known exactly.
 fn misses(predicted: &CheckedCallback, callback: &Callback) -> u64 {
     let deadline_ns = predicted.entry.deadline_ns;
     let is_past = |time_ns: Option<u64>| u64::from(time_ns.is_some_and(|time_ns| time_ns > deadline_ns));
@@ -258,7 +258,7 @@ fn misses(predicted: &CheckedCallback, callback: &Callback) -> u64 {
     ended + is_past(callback.unfinished_ns)
 }
 
-/// Causes first: what follows from them is easier to understand then.
+/// The violations, causes before consequences.
 fn violations(
     predicted: &CheckedCallback,
     process: &Process,
@@ -267,11 +267,11 @@ fn violations(
     share: Option<&Share>,
 ) -> Vec<Mark> {
     let mut marks = Vec::new();
-    // A thread without a number is just starting: nobody knows yet what the kernel gave it.
+    // A thread without a number is just starting; its policy is not known yet.
     if process.realtime && seen.tid != 0 {
         let wanted = predicted.entry.reservation;
         let wanted = wanted.map(|of| Policy::Deadline { runtime_ns: of.runtime_ns, period_ns: of.period_ns });
-        // What is reserved is known of threads that live.
+        // Reservations are known only of live threads.
         let other = seen.reservation.is_some_and(|policy| Some(policy) != wanted);
         if seen.priority != Some(predicted.entry.priority) || other {
             marks.push(explain::wrong_priority(predicted, seen));
@@ -333,7 +333,7 @@ fn violations(
     marks
 }
 
-/// Whether the host explains every response above the bound. A wait is none of its own words: it may have been for another thread.
+/// Whether the host explains every response above the bound. A wait is no such explanation, because it may have been for another thread.
 fn is_explained(seen: &Callback, share: Option<&Share>) -> bool {
     let is_running = seen.unfinished_ns > seen.response.max_ns();
     let by_host = |share: &Share| share.beyond > 0 && share.waited + share.unexplained == 0 && share.complete;
@@ -354,7 +354,7 @@ fn unknown(here: &[&CheckedCallback], run: &Run) -> Vec<Unknown> {
         let known = |name: &str| {
             here.iter().any(|callback| callback.entry.name == name && callback.host == process.host)
         };
-        // All callbacks of a process end with it; of one that goes on, only those that run matter.
+        // All callbacks of a process end with it; in a running process only running callbacks count.
         let gone = |callback: &Callback| callback.tid == 0 || (callback.ended && process.running);
         let stray = |callback: &&Callback| !callback.is_group && !gone(callback) && !known(&callback.name);
         for callback in process.callbacks.iter().filter(stray) {
@@ -403,7 +403,7 @@ fn notes(file: &SystemFile, checked: &CheckedSystem, run: &Run, rows: &[Row], ho
     let steal_ticks = run.processes.iter().map(|process| process.steal_ticks).max().unwrap_or(0);
     if steal_ticks > 0 {
         let more = match host.is_known() {
-            true => "what callbacks saw of it is said above",
+            true => "the lines above contain what callbacks measured of it",
             false => {
                 "outliers of about 10 ms go with that, and no analysis knows of them; with TAUT_CORE_TIME=on in the processes' \
                  environment it is known which"

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The processes that a report is about, as they come and go.
+//! The processes of a report, which start and end while it is watched.
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -10,7 +10,7 @@ use super::run::Run;
 use super::{ReportError, killed_text};
 use crate::verb::End;
 
-/// Files stay open, so what a process did can be read after its end.
+/// Keeps files open, so that a process's statistics can be read after its end.
 pub struct ObservedProcesses {
     domain: u32,
     /// Those with a system file.
@@ -18,7 +18,7 @@ pub struct ObservedProcesses {
     /// Those without one.
     others: BTreeSet<PathBuf>,
     killed: usize,
-    /// The last look: processes keep the latest moments only.
+    /// The previous reading; processes keep only their latest moments.
     last: Option<Run>,
 }
 
@@ -27,7 +27,7 @@ impl ObservedProcesses {
         ObservedProcesses { domain, processes: Vec::new(), others: BTreeSet::new(), killed: 0, last: None }
     }
 
-    /// Looks for processes that are new.
+    /// Adds new processes.
     pub fn look(&mut self) -> Result<(), ReportError> {
         let (found, killed) = tautline::shared_statistics(self.domain).map_err(ReportError::Domain)?;
         self.killed += killed;
@@ -37,7 +37,7 @@ impl ObservedProcesses {
                 continue;
             }
             match process.read().map_err(ReportError::Statistics)? {
-                // One that is just starting has nothing to show yet: it is looked at again.
+                // A process that is just starting has no statistics yet; it is checked again.
                 None => {}
                 Some(snapshot) if snapshot.process.system_path.as_os_str().is_empty() => {
                     self.others.insert(process.path().into());
@@ -84,7 +84,7 @@ impl ObservedProcesses {
         }
     }
 
-    /// What they have done so far.
+    /// The run up to now.
     pub fn gather(&mut self, path: &Path, system: &str) -> Result<Run, ReportError> {
         let run = Run::gather(self.domain, path, system, &self.processes)?;
         if run.processes.is_empty() {
@@ -98,7 +98,7 @@ impl ObservedProcesses {
         Ok(run)
     }
 
-    /// Says what was removed.
+    /// Prints which files were removed.
     pub fn tell_killed(&self) {
         if self.killed > 0 {
             eprintln!("Of the processes, {}.", killed_text(self.killed));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut service call`: one request written by hand, and its answer.
+//! `taut service call`: sends a request and prints the response.
 
 use super::named::type_to_ask;
 use crate::asking::{Asking, full_name, type_and_values};
@@ -43,7 +43,7 @@ pub fn run(args: &CallArgs, common: &CommonArgs) -> Outcome {
         client.wait_for_service()?.await?;
         client.request(&request)?.await
     })?;
-    // The answer, once it is there, is a message or it is not: that is no "no".
+    // A response that is not a valid message exits with 2 (the second `?`), not with 1.
     let answer = answer.map_err(|error: Error| Failure::no(error.to_string()))??;
     let mut out = io::stdout().lock();
     if common.json {

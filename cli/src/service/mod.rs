@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut service`: the services of a domain, and their answers, without a compiled-in type.
+//! `taut service`: lists and calls the services of a domain, without compiled-in types.
 
 mod call;
 mod named;

@@ -6,14 +6,14 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use tautline::{GraphSnapshot, NodeName, ServiceEndpoint, ServiceKind};
 
-/// A service, or an action, of one type, and its ends.
+/// A service or an action of one type, with its endpoints.
 pub struct Named<'g> {
     pub name: &'g str,
     pub type_name: &'g str,
     ends: Vec<&'g ServiceEndpoint>,
 }
 
-/// One for each name and type that an end has.
+/// Groups endpoints by name and type.
 pub fn named<'g>(
     graph: &'g GraphSnapshot,
     name_and_type: impl Fn(&'g ServiceEndpoint) -> Option<(&'g str, &'g str)>,
@@ -27,7 +27,7 @@ pub fn named<'g>(
     found.into_iter().map(|((name, type_name), ends)| Named { name, type_name, ends }).collect()
 }
 
-/// The type with which something is asked: the one that its servers have, which is the one that was said, if one was.
+/// The type to call with: that of the servers. If the user named a type, it must be one of theirs.
 pub fn type_to_ask(kind: &str, name: &str, all: &[Named], said: Option<String>) -> Outcome<String> {
     let served = all.iter().filter(|one| one.count(ServiceKind::Server) > 0);
     let types: Vec<&str> = served.clone().filter(|one| one.name == name).map(|one| one.type_name).collect();
@@ -57,7 +57,7 @@ impl Named<'_> {
         self.of(kind).count()
     }
 
-    /// The nodes that have such an end.
+    /// The nodes with such an endpoint.
     pub fn nodes(&self, kind: ServiceKind) -> impl Iterator<Item = String> {
         self.of(kind)
             .map(|end| end.node.as_ref().map_or("a process without nodes".into(), NodeName::full_name))

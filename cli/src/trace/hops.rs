@@ -207,10 +207,7 @@ fn table(recordings: &[Recording], hops: &Hops<'_>, mut to: &mut dyn Write) -> i
     for ((topic, kind, place), n) in &hops.unmatched {
         let (beginning, hop) = (kind.beginning(), kind.name().replace('_', " "));
         let place = process(recordings, *place);
-        writeln!(
-            to,
-            "{topic}, {hop}: of {n} messages to {place} the {beginning} is in none of the recordings"
-        )?;
+        writeln!(to, "{topic}, {hop}: no recording contains the {beginning} of {n} messages to {place}")?;
     }
     Ok(())
 }
@@ -396,7 +393,7 @@ mod tests {
         table(&recordings, &hops, &mut text).unwrap();
         let text = String::from_utf8(text).unwrap();
         assert!(
-            text.contains("/x, send to receive: of 1 messages to") && text.contains("the sending is in none"),
+            text.contains("/x, send to receive: no recording contains the sending of 1 messages to"),
             "{text}"
         );
     }

@@ -3,18 +3,18 @@
 
 use super::{Link, Point, Size, order};
 
-/// Between columns, and between boxes of one.
+/// The distance between columns, and between the boxes of a column.
 const COLUMN_GAP: f64 = 64.0;
 const BOX_GAP: f64 = 18.0;
 const LINE_GAP: f64 = 12.0;
-/// Between lines that end at one box.
+/// The distance between lines that end at one box.
 const PORT_GAP: f64 = 9.0;
-/// Places for edges to pass through, in one part.
+/// The maximum number of places for edges in one part.
 const MOST_PLACES: usize = 6_000;
 const SWEEPS: usize = 16;
 const ROUNDS: usize = 12;
 
-/// A box, a text, or where a line passes.
+/// A box, a text, or a place through which a line passes.
 #[derive(Clone, Default)]
 pub(super) struct Spot {
     pub(super) size: Size,
@@ -25,7 +25,7 @@ pub(super) struct Spot {
     right: Vec<usize>,
 }
 
-/// A link as it goes from left to right.
+/// A link in the direction from left to right.
 pub(super) struct Chain {
     spots: Vec<usize>,
     pub(super) label: Option<usize>,
@@ -54,7 +54,7 @@ impl Part {
         part
     }
 
-    /// Columns: the longest path from the left; what has more to its right goes as near to that as it can.
+    /// Assigns columns by the longest path from the left. Then boxes with more links to the right move as close to these as possible.
     fn rank(&mut self, order: &[usize], links: &[Link]) {
         let mut by_place: Vec<usize> = (0..order.len()).collect();
         by_place.sort_by_key(|&index| order[index]);
@@ -62,7 +62,7 @@ impl Part {
         for link in links {
             let (from, to) =
                 if order[link.from] < order[link.to] { (link.from, link.to) } else { (link.to, link.from) };
-            // A text has a column between.
+            // A link with a text needs a column between its boxes.
             let length = 1 + usize::from(link.label.is_some());
             right[from].push((to, length));
             left[to].push((from, length));
@@ -79,7 +79,7 @@ impl Part {
         self.spots.iter_mut().for_each(|spot| spot.column -= least);
     }
 
-    /// Places for links to pass through: of the shortest first, as long as there are not too many.
+    /// Creates places for links, the shortest links first, up to the maximum number.
     fn chain(&mut self, order: &[usize], links: &[Link]) {
         let ends = |link: &Link| match order[link.from] < order[link.to] {
             true => (link.from, link.to, false),
@@ -120,7 +120,7 @@ impl Part {
         }
     }
 
-    /// The order within columns that crosses the fewest lines, of those that the sweeps come by.
+    /// The order within columns with the fewest crossings among those that the sweeps produce.
     fn sort(&mut self) {
         let count = self.spots.iter().map(|spot| spot.column + 1).max().unwrap_or(0);
         self.columns = vec![Vec::new(); count];
@@ -155,7 +155,7 @@ impl Part {
         self.columns = best.1;
     }
 
-    /// Of each spot within its column, from 0 to 1.
+    /// The relative position of each spot within its column, from 0 to 1.
     fn positions(&self) -> Vec<f64> {
         let mut at = vec![0.0; self.spots.len()];
         for column in &self.columns {
@@ -164,7 +164,7 @@ impl Part {
         at
     }
 
-    /// How often lines cross between neighbouring columns.
+    /// The number of crossings between neighbouring columns.
     fn crossings(&self) -> usize {
         let at = self.positions();
         let mut sum = 0;
@@ -174,7 +174,7 @@ impl Part {
                 ends.extend(self.spots[index].right.iter().map(|&other| (at[index], at[other])));
             }
             ends.sort_by(|one, other| one.0.total_cmp(&other.0).then(one.1.total_cmp(&other.1)));
-            // Those above that end below.
+            // Counts lines that begin above this one and end below it.
             let mut seen: Vec<f64> = Vec::with_capacity(ends.len());
             for (_, end) in ends {
                 let place = seen.partition_point(|other| *other <= end);
@@ -206,8 +206,8 @@ impl Part {
         self.size.height = self.spots.iter().map(|spot| edge(spot, 1.0)).fold(0.0, f64::max);
     }
 
-    /// As near as it can to what each is connected with, in the given order, without overlap: least squares, by pooling
-    /// neighbours that want to be in each other's place.
+    /// Positions each spot as close as possible to its connected spots, in the given order and without overlap. This is a least-squares
+    /// problem, solved by pooling neighbours whose wanted positions conflict.
     fn place_column(&mut self, column: usize, round: usize) {
         let members = self.columns[column].clone();
         let (mut offset, mut before) = (0.0, None::<usize>);
@@ -221,7 +221,7 @@ impl Part {
             }
             before = Some(index);
             offsets.push(offset);
-            // Lines are straight rather than boxes in the middle.
+            // Straight lines count more than centred boxes.
             let (mut sum, mut weight) = (0.0, 0.0);
             let is_forward = round.is_multiple_of(2);
             let sides = [(&spot.left, is_forward), (&spot.right, !is_forward)];
@@ -252,7 +252,7 @@ impl Part {
         (x + width / 2.0, spot.y)
     }
 
-    /// Where a link leaves a box: lines to what is higher up above those to what is further down.
+    /// The points where links leave a box. Lines to higher spots leave above lines to lower ones.
     fn port(&self, index: usize, other: usize, nth: usize, is_right: bool) -> Point {
         let spot = &self.spots[index];
         let beside = if is_right { &spot.right } else { &spot.left };
@@ -271,7 +271,7 @@ impl Part {
         let Chain { spots, is_turned, .. } = &self.chains[chain];
         let [first, .., last] = spots[..] else { return Vec::new() };
         let (second, last_but_one) = (spots[1], spots[spots.len() - 2]);
-        // Of several direct links between two boxes.
+        // The number of this link among direct links between the same boxes.
         let nth =
             self.chains[..chain].iter().filter(|other| spots.len() == 2 && other.spots == *spots).count();
         let (from, to) = (self.port(first, second, nth, true), self.port(last, last_but_one, nth, false));
@@ -285,7 +285,7 @@ impl Part {
             points.extend([(left, y), (right, y)]);
         }
         points.extend([(edge(last).0, to.1), to]);
-        // A box as wide as its column.
+        // A box as wide as its column begins and ends where its line does, so points repeat.
         points.dedup();
         if *is_turned {
             points.reverse();

@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A value of the system file changed, and all else left as its owner wrote it.
+//! Changes a value of the system file and leaves the rest unchanged.
 
 use std::fs;
 use std::io;
 use std::path::Path;
 use toml_edit::{Decor, DocumentMut, Item, TableLike, Value};
 
-/// What begins the comment that says where a value is from: it is replaced with the value.
+/// The beginning of the comment with a value's source; the comment is replaced together with the value.
 pub const SOURCE: &str = "measured";
 
-/// The text with this `wcet` of a callback, which has its quotes, and a comment that says where it is from.
+/// The text with this `wcet` of a callback, in quotes, and a comment with its source.
 ///
 /// # Errors
-/// There is no such value, in words.
+/// The file has no such value; the error is a sentence.
 pub fn with(text: &str, callback: &str, wcet: &str, source: &str) -> Result<String, String> {
     let mut document: DocumentMut = text.parse().map_err(|error| format!("{error}"))?;
     let missing = || format!("`callbacks.{callback}.wcet` is not found in it");
@@ -26,7 +26,7 @@ pub fn with(text: &str, callback: &str, wcet: &str, source: &str) -> Result<Stri
     *value = wcet.parse::<Value>().map_err(|error| format!("{error}"))?;
     *value.decor_mut() = before;
     match (is_in_line, holder) {
-        // There is no place for a comment within `{ }`.
+        // A comment cannot stand within `{ }`.
         (true, _) => {}
         (false, true) => {
             of_callback.as_value_mut().into_iter().for_each(|table| comment(table.decor_mut(), source))
@@ -40,7 +40,7 @@ fn value(callback: &mut dyn TableLike) -> Option<&mut Value> {
     callback.get_mut("wcet").and_then(Item::as_value_mut)
 }
 
-/// What the owner wrote there stays.
+/// The owner's own comment stays.
 fn comment(decor: &mut Decor, source: &str) {
     let before = decor.suffix().and_then(|suffix| suffix.as_str()).unwrap_or_default();
     let theirs = before.split(SOURCE).next().unwrap_or_default().trim().trim_start_matches('#').trim();
@@ -49,9 +49,9 @@ fn comment(decor: &mut Decor, source: &str) {
     decor.set_suffix(format!(" # {theirs}{separator}{source}"));
 }
 
-/// Writes the file, which is the old one or the new one, with the rights that it had.
+/// Replaces the file atomically and keeps its permissions.
 pub fn save(path: &Path, text: &str) -> io::Result<()> {
-    // Who links to it means what it links to.
+    // Follows a symbolic link, so that its target is replaced.
     let path = fs::canonicalize(path)?;
     let mut partial = path.as_os_str().to_owned();
     partial.push(".partial");

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut report --wcet`: execution times that were measured, what their tail says of longer ones, and both into the system file.
+//! `taut report --wcet`: measured execution times, estimates of longer ones from their tail, and writing them into the system file.
 
 mod edit;
 mod sizes;
@@ -19,20 +19,20 @@ use tail::{NoTail, Tail, tail};
 use tautline::Bucket;
 use tautline_analysis::file::{FileError, SystemFile};
 
-/// What was measured of a callback, and what follows.
+/// The measurement of a callback, and its consequences.
 struct Fit<'r> {
     row: &'r Row,
     jobs: u64,
     max_ns: u64,
     tail: Result<Tail, NoTail>,
-    /// By the size of the input, if its jobs state it.
+    /// Results by input size, if the jobs state it.
     classes: Vec<Class<'r>>,
     line: Option<Line>,
-    /// What the file would have to state for all of that.
+    /// The value that the file needs for all of this.
     wcet_ns: u64,
 }
 
-/// All callbacks of which execution times are known.
+/// All callbacks with known execution times.
 pub struct Fits<'r> {
     fits: Vec<Fit<'r>>,
     exceedance: f64,
@@ -42,9 +42,9 @@ pub struct Fits<'r> {
 /// Which values are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Change {
-    /// None that is less than what the file states: it may be computed.
+    /// No values that are lower than in the file, which may be computed ones.
     Raise,
-    /// Those, too, where the tail could be estimated.
+    /// Lower values, too, if their tail could be estimated.
     RaiseAndLower,
 }
 
@@ -55,12 +55,12 @@ impl<'r> Fits<'r> {
         Fits { fits, exceedance, taken_at_s }
     }
 
-    /// Whether no job took longer, or got more, than the file states.
+    /// Whether no job took longer, or had a larger input, than the file states.
     pub fn are_kept(&self) -> bool {
         self.fits.iter().all(Fit::is_kept)
     }
 
-    /// Whether no job got more than the file states: that is not mended by another wcet.
+    /// Whether no job had a larger input than the file states, which another wcet does not fix.
     pub fn inputs_are_kept(&self) -> bool {
         self.fits.iter().all(|fit| !fit.is_marked(INPUT_TOO_LARGE))
     }
@@ -151,10 +151,10 @@ impl<'r> Fits<'r> {
         })
     }
 
-    /// Puts what is needed into the system file; what was changed, in words, and whether the file is schedulable with that.
+    /// Writes the needed values into the system file. Returns the changes in words, and whether the changed file is schedulable.
     ///
     /// # Errors
-    /// The file cannot be written; what was to be written is no system file.
+    /// The file cannot be written, or the new text is not a valid system file.
     pub fn put(
         &self,
         system: &System,
@@ -179,7 +179,7 @@ impl<'r> Fits<'r> {
         Ok((changed.iter().map(words).collect(), anew.check().schedulable))
     }
 
-    /// Where a value of the file is from.
+    /// The source of a value.
     fn source(&self, fit: &Fit<'_>) -> String {
         let date = date((self.taken_at_s as i64).saturating_mul(1_000_000_000));
         let day = date.split(' ').next().unwrap_or_default();
@@ -201,7 +201,7 @@ impl<'r> Fits<'r> {
 }
 
 impl<'r> Fit<'r> {
-    /// `None`: nothing was measured of it.
+    /// `None` without a measurement.
     fn new(row: &'r Row, exceedance: f64) -> Option<Self> {
         let Measured { execution, callback, .. } = row.measured.as_ref()?;
         let (jobs, max_ns) = (execution.n(), u64::try_from(execution.max().as_nanos()).unwrap_or(u64::MAX));
@@ -216,7 +216,7 @@ impl<'r> Fit<'r> {
         let by_line = line.zip(row.predicted.entry.input_max).map_or(0, |(line, most)| line.at(most));
         let by_tail = tail.map_or(0, |tail| tail.upper_ns as u64);
         let used_ns = max_ns.max(by_line).max(by_tail);
-        // What executor and transport use in the thread is in the measurement, and charged by the file on top of the wcet.
+        // The measurement includes executor and transport in the thread, which the file charges in addition to the wcet.
         let overheads_ns = row.predicted.charged_ns - row.predicted.wcet_ns;
         let wcet_ns = used_ns.saturating_sub(overheads_ns).max(1).div_ceil(1000).saturating_mul(1000);
         Some(Fit { row, jobs, max_ns, tail, classes, line, wcet_ns })
@@ -230,7 +230,7 @@ impl<'r> Fit<'r> {
         self.marks().next().is_none()
     }
 
-    /// What was exceeded, as the report says it.
+    /// The violations, in the report's words.
     fn marks(&self) -> impl Iterator<Item = &'r Mark> {
         self.row.marks.iter().filter(|mark| [INPUT_TOO_LARGE, WCET_EXCEEDED].contains(&mark.name))
     }
@@ -239,7 +239,7 @@ impl<'r> Fit<'r> {
         self.marks().any(|mark| mark.name == name)
     }
 
-    /// The line that its wcet is from, and for which size.
+    /// The line from which its wcet was computed, and the size.
     fn by_line(&self) -> Option<(Line, u64)> {
         self.line.zip(self.row.predicted.entry.input_max)
     }
@@ -248,7 +248,7 @@ impl<'r> Fit<'r> {
         self.row.measured.as_ref().and_then(|seen| seen.callback.greatest_input()).unwrap_or(0)
     }
 
-    /// What follows from the sizes of its inputs, or is missing for it.
+    /// The result by input size, or the reason why there is none.
     fn of_line(&self) -> Option<String> {
         let greatest = self.greatest_input();
         Some(match (self.line, self.row.predicted.entry.input_max) {
@@ -275,7 +275,7 @@ impl<'r> Fit<'r> {
         let stated_ns = self.row.predicted.wcet_ns;
         let is_estimated = match (self.by_line(), self.row.predicted.entry.input_max) {
             (Some(_), _) => self.classes.iter().all(|class| class.tail.is_ok()),
-            // Larger inputs, of which nothing is known, may be why the file states more.
+            // The file may state more because of larger inputs, which were not measured.
             (None, Some(most)) => most <= self.greatest_input() && self.tail.is_ok(),
             (None, None) => self.tail.is_ok(),
         };
@@ -286,14 +286,14 @@ impl<'r> Fit<'r> {
 
 fn words(none: NoTail) -> String {
     match none {
-        NoTail::TooFewJobs(needed) => format!("for it takes {needed} jobs"),
-        NoTail::AllAlike => "for nearly all jobs took the same time: what is needed is their maximum".to_owned(),
+        NoTail::TooFewJobs(needed) => format!("because that takes {needed} jobs"),
+        NoTail::AllAlike => "because nearly all jobs took the same time: use their maximum".to_owned(),
         NoTail::TooHeavy => {
-            "for long jobs are too frequent: look what makes them so long, as interrupts, page faults or a second kind of input"
+            "because long jobs are too frequent: find what makes them long, such as interrupts, page faults or a second kind of input"
                 .to_owned()
         }
         NoTail::NoFit => {
-            "for long jobs are of several kinds, so these say nothing of longer ones: measure each kind by itself".to_owned()
+            "because long jobs are of several kinds, which do not predict longer ones: measure each kind separately".to_owned()
         }
     }
 }
