@@ -5,6 +5,7 @@ use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::Command;
+use tautline::rt::host::with_former_open_files;
 
 /// Why another program was not started.
 #[derive(Debug, thiserror::Error)]
@@ -27,7 +28,7 @@ impl Sibling {
     /// Becomes the program: the one beside this one, else the one in PATH. Does not return if it could be started.
     pub fn become_it(&self, arguments: &[OsString]) -> SiblingError {
         let program = self.path();
-        let source = Command::new(&program).args(arguments).exec();
+        let source = with_former_open_files(Command::new(&program).args(arguments)).exec();
         self.error(program, source)
     }
 

@@ -8,6 +8,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 use tautline::rt::clock;
+use tautline::rt::host::with_former_open_files;
 
 /// How long a process may take to set itself up, or to end when it was told to.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -44,7 +45,7 @@ impl Process {
         if let Some(value) = role.to_possible_value() {
             command.args(["--role", value.get_name()]);
         }
-        let mut child = command
+        let mut child = with_former_open_files(&mut command)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
