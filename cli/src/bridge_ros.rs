@@ -5,6 +5,7 @@ use crate::sibling::{Sibling, SiblingError};
 use clap::Args;
 use std::ffi::OsString;
 use std::process::{Command, ExitCode, Stdio};
+use tautline_rt::host::with_former_open_files;
 
 const BRIDGE: Sibling = Sibling {
     program: "taut-bridge-ros",
@@ -47,7 +48,8 @@ pub enum BridgeRosError {
 pub fn run(args: BridgeRosArgs) -> Result<ExitCode, BridgeRosError> {
     // The loader and ROS may end it before it can say a word: whether it can run at all is asked first.
     let program = BRIDGE.path();
-    let answer = Command::new(&program).arg("--version").stdin(Stdio::null()).output();
+    let mut command = Command::new(&program);
+    let answer = with_former_open_files(command.arg("--version")).stdin(Stdio::null()).output();
     let answer = answer.map_err(|source| BRIDGE.error(program, source))?;
     if !answer.status.success() {
         let rmw = std::env::var("RMW_IMPLEMENTATION").ok().filter(|value| !value.is_empty());

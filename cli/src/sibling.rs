@@ -7,6 +7,7 @@ use std::ffi::OsString;
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
+use tautline_rt::host::with_former_open_files;
 
 /// Why another program was not started.
 #[derive(Debug, thiserror::Error)]
@@ -76,7 +77,7 @@ impl Sibling {
     /// Replaces this process by the program, from the folder of this program or from PATH. Returns only if that fails.
     pub fn become_it(&self, arguments: &[OsString]) -> SiblingError {
         let program = self.path();
-        let source = Command::new(&program).args(arguments).exec();
+        let source = with_former_open_files(Command::new(&program).args(arguments)).exec();
         self.error(program, source)
     }
 

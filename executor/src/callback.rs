@@ -88,10 +88,11 @@ impl CallbackShared {
         }
         let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(running) = thread.running.take() {
-            thread.panic = running.join().err().map(|error| match error {
-                RtError::Panicked { message, .. } => Panic { callback: name(), message },
-                other => Panic { callback: name(), message: other.to_string() },
-            });
+            thread.panic = match running.join() {
+                Ok(()) | Err(RtError::Forked { .. }) => None,
+                Err(RtError::Panicked { message, .. }) => Some(Panic { callback: name(), message }),
+                Err(other) => Some(Panic { callback: name(), message: other.to_string() }),
+            };
         }
         Ok(thread.panic.clone())
     }

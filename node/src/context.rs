@@ -558,6 +558,7 @@ impl Context {
     }
 
     fn borrow_sampler(&self) -> Result<BorrowedSampler<'_>> {
+        self.shared.participant.check_process()?;
         let sampler = self.sampler().take().ok_or(Error::AlreadySpinning)?;
         Ok(BorrowedSampler { context: self, sampler: Some(sampler) })
     }

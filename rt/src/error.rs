@@ -251,6 +251,14 @@ pub enum RtError {
         /// The panic's message.
         message: String,
     },
+    /// A thread of the process that this one was forked from.
+    #[error(
+        "thread `{name}` belongs to the process that this one was forked from: start it anew after the fork"
+    )]
+    Forked {
+        /// The thread.
+        name: String,
+    },
     /// A thread that does not exist, or no longer exists.
     #[error("thread {tid} does not exist: take its id from threads() while it runs")]
     NoSuchThread {

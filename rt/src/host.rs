@@ -1,8 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The properties of this machine that matter for real time.
 
+use std::os::unix::process::CommandExt;
+use std::process::Command;
+use std::sync::OnceLock;
 use std::{fmt, fs};
 
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use rustix::system::uname;
 
 use crate::{CoreSet, RtError};
@@ -101,19 +105,41 @@ pub fn steal_ticks(core: Option<usize>) -> u64 {
     fs::read_to_string("/proc/stat").map_or(0, |stat| parse_steal(&stat, core))
 }
 
-/// Raises this process's limit of open files to the hard limit, so that the soft limit set by a shell has no effect. Returns the
-/// limit.
+/// The limit of open files that a process gets at most: far more than it needs. Children inherit it, and some close every number up to
+/// their limit before they begin, which is 10^9 in some containers.
+pub const OPEN_FILES: u64 = 65_536;
+
+/// The limit before it was raised.
+static OPEN_FILES_BEFORE: OnceLock<Rlimit> = OnceLock::new();
+
+/// Raises this process's limit of open files to the hard limit, but at most to [`OPEN_FILES`], so that the soft limit set by a shell has
+/// no effect. Returns the limit.
 ///
 /// # Real-time
 /// Setup only.
 pub fn raise_open_files() -> u64 {
-    use rustix::process::{Resource, getrlimit, setrlimit};
     let limits = getrlimit(Resource::Nofile);
-    if limits.current != limits.maximum {
+    let [current, maximum] = [limits.current, limits.maximum].map(|limit| limit.unwrap_or(u64::MAX));
+    if current < maximum.min(OPEN_FILES) {
+        OPEN_FILES_BEFORE.get_or_init(|| limits);
         // Refused where a sandbox forbids it: then it stays as it is.
-        let _ = setrlimit(Resource::Nofile, rustix::process::Rlimit { current: limits.maximum, ..limits });
+        let _ = setrlimit(Resource::Nofile, Rlimit { current: Some(maximum.min(OPEN_FILES)), ..limits });
     }
     getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX)
+}
+
+/// Starts the program of `command` with the limit of open files that this process had before [`raise_open_files`].
+///
+/// # Real-time
+/// Setup only.
+pub fn with_former_open_files(command: &mut Command) -> &mut Command {
+    let Some(before) = OPEN_FILES_BEFORE.get().copied() else { return command };
+    let lower = move || {
+        let _ = setrlimit(Resource::Nofile, before);
+        Ok(())
+    };
+    // SAFETY: between fork and exec it makes one system call and nothing else.
+    unsafe { command.pre_exec(lower) }
 }
 
 /// The bracketed word of `none voluntary (full)`.
@@ -147,11 +173,15 @@ mod tests {
     }
 
     #[test]
-    fn the_limit_of_open_files_is_raised() {
-        use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+    fn the_limit_of_open_files_is_raised_and_not_for_programs_that_are_started() {
         let before = getrlimit(Resource::Nofile);
+        let maximum = before.maximum.unwrap_or(u64::MAX);
         setrlimit(Resource::Nofile, Rlimit { current: Some(100), ..before }).unwrap();
-        assert_eq!(raise_open_files(), before.maximum.unwrap_or(u64::MAX));
+        assert_eq!(raise_open_files(), maximum.min(OPEN_FILES));
+        assert_eq!(raise_open_files(), maximum.min(OPEN_FILES), "once is enough");
+        let mut command = Command::new("sh");
+        let output = with_former_open_files(command.args(["-c", "ulimit -n"])).output().unwrap();
+        assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), "100");
     }
 
     #[test]

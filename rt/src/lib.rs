@@ -12,6 +12,7 @@
 //! - [`Words`] is memory for statistics that other processes may read ([`WordsFile`], [`ForeignWords`]).
 //! - [`shm`] has the files in /dev/shm that contain all of this workspace's shared memory; [`domain`] has their
 //!   location.
+//! - [`fork`] keeps children of the process from its locks and shared memory.
 //! - [`PiMutex`] protects data that threads of different priorities use; [`FutexWord`] is a word to sleep on.
 //! - [`Patience`] limits the time of a polling loop.
 //! - [`at_exit`] calls a function when the process ends, even if other threads still run.
@@ -59,6 +60,7 @@ mod words;
 
 pub mod clock;
 pub mod domain;
+pub mod fork;
 pub mod host;
 pub mod permission;
 pub mod shm;

@@ -3,6 +3,7 @@
 //! process can take over at once.
 
 use crate::Patience;
+use crate::fork::{ProcessFd, ProcessMark};
 use crate::shm::DIRECTORY;
 use rustix::fs::{FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
@@ -17,7 +18,8 @@ const PATIENCE: Duration = Duration::from_millis(50);
 #[derive(Debug)]
 pub struct LockFile {
     path: PathBuf,
-    _lock: std::fs::File,
+    _lock: ProcessFd,
+    owner: ProcessMark,
 }
 
 /// Why a file was not locked.
@@ -76,7 +78,8 @@ impl LockFile {
                 continue;
             }
             file.set_len(0).and_then(|()| write!(file, "{}", std::process::id())).map_err(refuse)?;
-            return Ok(LockFile { path, _lock: file });
+            let lock = ProcessFd::make(|| io::Result::Ok(file.into())).map_err(refuse)?;
+            return Ok(LockFile { path, _lock: lock, owner: ProcessMark::new() });
         }
     }
 }
@@ -84,7 +87,9 @@ impl LockFile {
 impl Drop for LockFile {
     fn drop(&mut self) {
         // Still locked: who opened it meanwhile sees that it is gone, and makes another.
-        let _ = rustix::fs::unlink(&self.path);
+        if self.owner.is_here() {
+            let _ = rustix::fs::unlink(&self.path);
+        }
     }
 }
 

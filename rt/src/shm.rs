@@ -16,6 +16,8 @@ use rustix::io::Errno;
 use rustix::mm::{Advice, MapFlags, ProtFlags};
 use std::sync::Arc;
 
+use crate::fork::{self, ProcessFd, ProcessMark};
+
 /// The folder of named shared memory.
 pub const DIRECTORY: &str = "/dev/shm";
 
@@ -76,7 +78,8 @@ pub fn make_folder(name: &str) -> Result<(), ShmError> {
 pub struct OwnFile {
     path: PathBuf,
     id: u64,
-    file: OwnedFd,
+    file: ProcessFd,
+    owner: ProcessMark,
 }
 
 impl OwnFile {
@@ -114,14 +117,14 @@ impl OwnFile {
             let file = rustix::fs::open(&path, flags, Mode::RUSR | Mode::WUSR)?;
             let locked = rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive);
             if locked.is_ok() && has_name(&file) {
-                return Ok(file);
+                return Ok(closed_early(file, OWN_FILES));
             }
             let _ = rustix::fs::unlink(&path);
             locked?;
             Err(Errno::WOULDBLOCK.into())
         };
-        match make() {
-            Ok(file) => Ok(OwnFile { path, id, file: closed_early(file, OWN_FILES) }),
+        match ProcessFd::make(make) {
+            Ok(file) => Ok(OwnFile { path, id, file, owner: ProcessMark::new() }),
             Err(source) => Err(ShmError { path, source }),
         }
     }
@@ -167,8 +170,11 @@ impl OwnFile {
     }
 
     /// Removes the file and unlocks it: for other processes, its owner has ended. Existing mappings keep the
-    /// content.
+    /// content. Does nothing in a forked child, which does not own it.
     pub fn retire(&self) {
+        if !self.owner.is_here() {
+            return;
+        }
         let _ = rustix::fs::unlink(&self.path);
         let _ = rustix::fs::flock(&self.file, FlockOperation::Unlock);
     }
@@ -305,16 +311,41 @@ pub fn has_name(file: impl AsFd) -> bool {
 /// # Errors
 /// The system's error.
 pub fn claim(file: impl AsFd, offset: u64, len: u64) -> io::Result<()> {
-    loop {
-        match rustix::fs::fallocate(&file, FallocateFlags::empty(), offset, len) {
-            // A signal came: what was claimed by then stays so.
-            Err(Errno::INTR) => {}
-            claimed => return Ok(claimed?),
-        }
-    }
+    claim_by(offset, len, |offset, len| rustix::fs::fallocate(&file, FallocateFlags::empty(), offset, len))
 }
 
-/// A mapped part of a file. Its content may change at any time: read and write it only with atomics.
+/// As much is claimed by one call at first: 0.1 to 1 ms of work.
+const CLAIM_BYTES: u64 = 1 << 20;
+/// So often in a row a signal may end the claim of a page.
+const CLAIM_TRIES: u32 = 1_000;
+
+/// Claims in steps: if a signal comes, older kernels (5.15, 6.1) take back what the call has claimed, and a program with a timer would
+/// never get a large piece. Steps that a signal ends become shorter, those after longer again.
+fn claim_by(
+    offset: u64,
+    len: u64,
+    mut claim: impl FnMut(u64, u64) -> rustix::io::Result<()>,
+) -> io::Result<()> {
+    let (page, end) = (rustix::param::page_size() as u64, offset.saturating_add(len));
+    let (mut at, mut step, mut tries) = (offset, CLAIM_BYTES, 0);
+    // A length of zero is the system's to refuse.
+    while at < end || len == 0 {
+        let len = step.min(end - at);
+        match claim(at, len) {
+            Err(Errno::INTR) if tries < CLAIM_TRIES => {
+                tries += u32::from(step <= page);
+                step = (step / 2).max(page);
+            }
+            claimed => {
+                claimed?;
+                (at, step, tries) = (at + len, (step * 2).min(CLAIM_BYTES), 0);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// A mapped part of a file. Its content may change at any time: read and write it only with atomics. In a forked child it is zeros.
 #[derive(Debug)]
 pub struct Mapping {
     start: NonNull<c_void>,
@@ -336,9 +367,10 @@ impl Mapping {
     /// What the system said: a length of zero, an offset within a page.
     pub fn new(file: impl AsFd, offset: u64, len_bytes: usize, writable: bool) -> io::Result<Mapping> {
         let access = if writable { ProtFlags::READ | ProtFlags::WRITE } else { ProtFlags::READ };
-        // SAFETY: a new shared mapping at an address of the kernel's choice.
-        let address =
-            unsafe { rustix::mm::mmap(null_mut(), len_bytes, access, MapFlags::SHARED, file, offset) }?;
+        let address = fork::map_shared(len_bytes, || {
+            // SAFETY: a new shared mapping at an address of the kernel's choice.
+            unsafe { rustix::mm::mmap(null_mut(), len_bytes, access, MapFlags::SHARED, file, offset) }
+        })?;
         let start = NonNull::new(address).ok_or_else(|| io::Error::other("mapped at address zero"))?;
         Ok(Mapping { start, len_bytes })
     }
@@ -418,8 +450,10 @@ impl Region {
 
 impl Drop for Mapping {
     fn drop(&mut self) {
-        // SAFETY: it came from mmap with this length, and nothing borrows from a dropped Mapping.
-        let _ = unsafe { rustix::mm::munmap(self.start.as_ptr(), self.len_bytes) };
+        fork::unmap_shared(self.start.as_ptr(), || {
+            // SAFETY: it came from mmap with this length, and nothing borrows from a dropped Mapping.
+            let _ = unsafe { rustix::mm::munmap(self.start.as_ptr(), self.len_bytes) };
+        });
     }
 }
 
@@ -457,6 +491,66 @@ mod tests {
         let error = PeerFile::open(peer.path().to_owned(), false).unwrap_err();
         assert_eq!(error.source.kind(), io::ErrorKind::NotFound);
         assert!(error.to_string().starts_with("/dev/shm/taut_rt_test_"), "{error}");
+    }
+
+    /// A kernel that claims so many bytes between two signals, and takes back what a call has claimed that was interrupted.
+    fn claimed_between_signals(bytes: u64, offset: u64, len: u64) -> (io::Result<()>, Vec<(u64, u64)>, u32) {
+        let (mut done, mut calls, mut left) = (Vec::new(), 0, bytes);
+        let result = claim_by(offset, len, |at, len| {
+            calls += 1;
+            if len > left {
+                left = bytes;
+                return Err(Errno::INTR);
+            }
+            left -= len;
+            done.push((at, len));
+            Ok(())
+        });
+        (result, done, calls)
+    }
+
+    #[test]
+    fn signals_do_not_keep_memory_from_being_claimed() {
+        let page = rustix::param::page_size() as u64;
+        for (bytes, len) in
+            [(u64::MAX, 512 << 20), (3 << 20, 512 << 20), (2 * page, 4 << 20), (page, 64 * page)]
+        {
+            let (result, done, calls) = claimed_between_signals(bytes, page, len + 1);
+            result.unwrap();
+            let mut at = page;
+            for (offset, len) in done {
+                assert!(offset == at && len <= CLAIM_BYTES);
+                at += len;
+            }
+            assert_eq!(at, page + len + 1);
+            assert!(u64::from(calls) <= 4 * (len / page + 1), "{calls}");
+        }
+        let (result, done, calls) = claimed_between_signals(0, 0, page);
+        assert_eq!(result.unwrap_err().raw_os_error(), Some(Errno::INTR.raw_os_error()));
+        assert!(done.is_empty() && calls < CLAIM_TRIES + 20, "it ends");
+        assert_eq!(claim_by(0, 0, |_, _| Err(Errno::INVAL)).unwrap_err().kind(), io::ErrorKind::InvalidInput);
+    }
+
+    #[test]
+    fn memory_is_claimed_in_a_program_with_a_timer() {
+        extern "C" fn nothing(_: libc::c_int) {}
+        // SAFETY: a handler that does nothing, and a timer of the process, which ends below; nextest gives each test a process.
+        let set = |us| unsafe {
+            libc::signal(libc::SIGALRM, nothing as *const () as usize);
+            let time = libc::timeval { tv_sec: 0, tv_usec: us };
+            libc::setitimer(
+                libc::ITIMER_REAL,
+                &libc::itimerval { it_interval: time, it_value: time },
+                std::ptr::null_mut(),
+            )
+        };
+        let own = OwnFile::create(&prefix("timer")).unwrap();
+        assert_eq!(set(500), 0);
+        let claimed = own.claim(0, 64 << 20);
+        set(0);
+        own.retire();
+        claimed.unwrap();
+        assert!(rustix::fs::fstat(&own).unwrap().st_blocks * 512 >= 64 << 20);
     }
 
     #[test]

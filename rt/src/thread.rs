@@ -5,6 +5,7 @@ use std::any::Any;
 use std::sync::mpsc;
 use std::{fs, io, thread};
 
+use crate::fork::ProcessMark;
 use crate::{
     CoreSet, Policy, RtError, affinity_of, current_affinity, current_policy, policy_of, prefault_stack,
     set_affinity, set_policy,
@@ -151,7 +152,7 @@ impl ThreadBuilder {
             Err(source) => return Err(RtError::Spawn { name, source }),
         };
         match reported.recv() {
-            Ok(Ok(info)) => Ok(JoinHandle { name, info, thread }),
+            Ok(Ok(info)) => Ok(JoinHandle { name, info, thread, process: ProcessMark::new() }),
             Ok(Err(error)) => {
                 let _ = thread.join();
                 Err(error)
@@ -184,6 +185,7 @@ pub struct JoinHandle<T> {
     name: String,
     info: ThreadInfo,
     thread: thread::JoinHandle<Option<T>>,
+    process: ProcessMark,
 }
 
 impl<T> JoinHandle<T> {
@@ -192,16 +194,19 @@ impl<T> JoinHandle<T> {
         &self.info
     }
 
-    /// Whether the thread's body has returned or panicked.
+    /// Whether the thread's body has returned or panicked, or this is a forked child, which has no such thread.
     pub fn is_finished(&self) -> bool {
-        self.thread.is_finished()
+        !self.process.is_here() || self.thread.is_finished()
     }
 
     /// Waits for the thread to end and returns what its body returned.
     ///
     /// # Errors
-    /// [`RtError::Panicked`] with the thread's full name and the message.
+    /// [`RtError::Panicked`] with the thread's full name and the message; [`RtError::Forked`] in a forked child, at once.
     pub fn join(self) -> Result<T, RtError> {
+        if !self.process.is_here() {
+            return Err(RtError::Forked { name: self.name });
+        }
         match self.thread.join() {
             Ok(Some(value)) => Ok(value),
             Ok(None) => Err(panicked(self.name, None)),

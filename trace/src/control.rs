@@ -7,11 +7,11 @@ use crate::error::TraceError;
 use rustix::fs::{FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io;
-use std::os::fd::OwnedFd;
 use std::path::PathBuf;
 use std::time::Duration;
 use tautline_rt::Patience;
 use tautline_rt::domain::{shared_folder, shared_path};
+use tautline_rt::fork::{ProcessFd, ProcessMark};
 use tautline_rt::shm::{self, PeerFile, ShmError, has_name};
 
 const ON: &[u8] = b"1";
@@ -85,7 +85,8 @@ pub(crate) fn asked(domain: u32) -> RecorderRequest {
 pub(crate) struct RecorderLock {
     domain: u32,
     path: PathBuf,
-    file: OwnedFd,
+    file: ProcessFd,
+    owner: ProcessMark,
 }
 
 impl RecorderLock {
@@ -104,7 +105,9 @@ impl RecorderLock {
             shm::check_owner(&file).map_err(|source| TraceError::File { path: path.clone(), source })?;
             match rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive) {
                 Ok(()) if has_name(&file) => {
-                    let control = RecorderLock { domain, path: path.clone(), file };
+                    let file = ProcessFd::make(|| Ok(file)).map_err(refuse)?;
+                    let control =
+                        RecorderLock { domain, path: path.clone(), file, owner: ProcessMark::new() };
                     control.write(ON).map_err(refuse)?;
                     return Ok(control);
                 }
@@ -127,7 +130,9 @@ impl RecorderLock {
 
 impl Drop for RecorderLock {
     fn drop(&mut self) {
-        let _ = rustix::fs::unlink(&self.path);
-        leave_folder(self.domain);
+        if self.owner.is_here() {
+            let _ = rustix::fs::unlink(&self.path);
+            leave_folder(self.domain);
+        }
     }
 }

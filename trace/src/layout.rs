@@ -9,6 +9,7 @@ use rustix::fd::AsFd;
 use rustix::mm::{MapFlags, ProtFlags};
 use std::io;
 use std::ptr::NonNull;
+use tautline_rt::fork::{map_shared, unmap_shared};
 
 /// Threads of one process that can record at once.
 pub(crate) const RINGS: usize = 64;
@@ -92,18 +93,12 @@ impl Map {
     /// Maps a file of at least `bytes(events)` bytes, over `at` if that is given.
     pub(crate) fn of_file(file: impl AsFd, events: usize, at: Option<Map>) -> io::Result<Map> {
         let (address, fixed) = Self::place(at, events);
-        // SAFETY: a new shared mapping at an address of the kernel's choice, or over a mapping of the same length that is
-        // this crate's and holds atomics only; the length is not zero.
-        let base = unsafe {
-            rustix::mm::mmap(
-                address,
-                Self::bytes(events),
-                ProtFlags::READ | ProtFlags::WRITE,
-                MapFlags::SHARED | fixed,
-                file,
-                0,
-            )
-        }?;
+        let (len, access) = (Self::bytes(events), ProtFlags::READ | ProtFlags::WRITE);
+        let base = map_shared(len, || {
+            // SAFETY: a new shared mapping at an address of the kernel's choice, or over a mapping of the same length that is
+            // this crate's and holds atomics only; the length is not zero.
+            unsafe { rustix::mm::mmap(address, len, access, MapFlags::SHARED | fixed, file, 0) }
+        })?;
         Self::at(base, events)
     }
 
@@ -138,8 +133,9 @@ impl Map {
     /// # Safety
     /// Nothing may borrow from the map afterwards.
     pub(crate) unsafe fn unmap(self) {
+        let base = self.base.as_ptr().cast();
         // SAFETY: `base` came from mmap with this length; the caller's promise.
-        let _ = unsafe { rustix::mm::munmap(self.base.as_ptr().cast(), Self::bytes(self.events)) };
+        unmap_shared(base, || _ = unsafe { rustix::mm::munmap(base, Self::bytes(self.events)) });
     }
 
     pub(crate) fn layout<'m>(self) -> &'m Layout {

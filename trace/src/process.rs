@@ -17,6 +17,7 @@ use crate::thread;
 use std::cell::Cell;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use tautline_rt::fork::ProcessMark;
 use tautline_rt::shm::{OwnFile, ShmError};
 
 static PROCESS: Mutex<Process> = Mutex::new(Process {
@@ -42,6 +43,7 @@ struct Process {
 /// The file while there is a membership. Its lock says that its owner lives.
 struct OwnTraceFile {
     domain: u32,
+    owner: ProcessMark,
     file: OwnFile,
     map: Map,
     mode: TraceMode,
@@ -62,7 +64,7 @@ fn process() -> MutexGuard<'static, Process> {
 /// A membership of a domain, which ends when this is dropped.
 #[derive(Debug)]
 #[must_use = "nothing can be traced after it is dropped"]
-pub struct Membership(());
+pub struct Membership(ProcessMark);
 
 /// Starts a membership of `domain`. The first membership of the process creates its trace file, in which the whole process
 /// is recorded. If the process is a member of several domains at once, the recorder of the first domain gets all events.
@@ -71,6 +73,10 @@ pub struct Membership(());
 /// [`TraceError`]: a variable with an invalid value, a file that cannot be created.
 pub fn join(domain: u32) -> Result<Membership, TraceError> {
     let mut process = process();
+    if let Some(of_parent) = process.file.take_if(|own| !own.owner.is_here()) {
+        process.memberships = 0;
+        of_parent.give_up();
+    }
     if process.memberships == 0 {
         let settings = match process.settings {
             Some(settings) => settings,
@@ -82,11 +88,14 @@ pub fn join(domain: u32) -> Result<Membership, TraceError> {
         }
     }
     process.memberships += 1;
-    Ok(Membership(()))
+    Ok(Membership(ProcessMark::new()))
 }
 
 impl Drop for Membership {
     fn drop(&mut self) {
+        if !self.0.is_here() {
+            return;
+        }
         let mut process = process();
         process.memberships -= 1;
         if process.memberships == 0
@@ -158,7 +167,14 @@ impl OwnTraceFile {
         };
         let name = std::fs::read("/proc/self/comm").unwrap_or_default();
         map.claim(std::process::id(), name_to_words(name.strip_suffix(b"\n").unwrap_or(&name)));
-        Ok(OwnTraceFile { domain, file, map, mode: settings.mode, until_look: Cell::new(0) })
+        Ok(OwnTraceFile {
+            domain,
+            owner: ProcessMark::new(),
+            file,
+            map,
+            mode: settings.mode,
+            until_look: Cell::new(0),
+        })
     }
 
     /// Whether a recorder is there.

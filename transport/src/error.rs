@@ -41,6 +41,14 @@ pub enum TransportError {
     /// A slot, a callback's bell or the sampler's role is not available.
     #[error(transparent)]
     Doorbell(#[from] DoorbellError),
+    /// A forked child uses what its parent made.
+    #[error(
+        "this process was forked from one that had joined domain {domain}, and owns nothing of what that made: create a context (participant) of its own after the fork"
+    )]
+    Forked {
+        /// The domain.
+        domain: u32,
+    },
     /// The domain is full.
     #[error(
         "domain {domain} already has {limit} participants (contexts), its limit: put nodes together into fewer processes, or use another domain"
@@ -168,6 +176,11 @@ pub enum LoanError {
     /// The publisher's node has ended.
     #[error("the node of this publisher has ended: keep the node while its publishers are in use")]
     Ended,
+    /// The publisher belongs to the process that this one was forked from.
+    #[error(
+        "this process was forked from the one whose publisher this is: create a context of its own after the fork"
+    )]
+    Forked,
 }
 
 /// Why a sample was not published.

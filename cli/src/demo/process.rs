@@ -8,6 +8,7 @@ use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 use tautline_rt::clock;
+use tautline_rt::host::with_former_open_files;
 
 /// The time limit for a process to set up, and to end.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -44,7 +45,7 @@ impl Process {
         if let Some(value) = role.to_possible_value() {
             command.args(["--role", value.get_name()]);
         }
-        let mut child = command
+        let mut child = with_former_open_files(&mut command)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()

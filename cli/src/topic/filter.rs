@@ -5,6 +5,7 @@ use crate::sibling::FILTER;
 use crate::verb::{Failure, Outcome};
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use tautline_rt::host::with_former_open_files;
 
 /// The program, which ends with its input.
 pub struct Filter {
@@ -20,7 +21,9 @@ impl Filter {
     /// It is not there, or `text` is not in jq's language.
     pub fn new(text: &str) -> Outcome<Self> {
         let path = FILTER.path();
-        let started = Command::new(&path).arg(text).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn();
+        let mut command = Command::new(&path);
+        command.arg(text).stdin(Stdio::piped()).stdout(Stdio::piped());
+        let started = with_former_open_files(&mut command).spawn();
         let mut child = started.map_err(|error| Failure::unusable(FILTER.error(path, error).to_string()))?;
         let (Some(questions), Some(answers)) = (child.stdin.take(), child.stdout.take()) else {
             return Err(ended());

@@ -20,12 +20,13 @@ use rustix::io::Errno;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::mem::MaybeUninit;
-use std::os::fd::OwnedFd;
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::domain::shared_path;
+use tautline_rt::fork::ProcessFd;
 use tautline_rt::shm::{self, ShmError};
 
 /// A file that was closed is looked at at once and after each of these times: the kernel tells that a file is closed a moment before
@@ -44,7 +45,7 @@ const RETRY: Duration = Duration::from_secs(1);
 
 /// Handle of a participant's thread that is the warden or waits to become it; dropping it ends the thread and waits for it.
 pub(crate) struct Warden {
-    stop: Arc<OwnedFd>,
+    stop: Arc<ProcessFd>,
     thread: Option<tautline_rt::JoinHandle<()>>,
 }
 
@@ -89,7 +90,7 @@ struct Candidate {
     path: PathBuf,
     /// Hung up when there is no warden.
     pipe: OwnedFd,
-    stop: Arc<OwnedFd>,
+    stop: Arc<ProcessFd>,
 }
 
 impl Candidate {
@@ -109,20 +110,25 @@ impl Candidate {
             Ok(pipe)
         };
         let pipe = open().map_err(|source| file_error(ShmError { path: path.clone(), source }))?;
-        let stop =
-            Arc::new(eventfd(0, EventfdFlags::CLOEXEC).map_err(|errno| file_error(refused(&path, errno)))?);
+        let stop = ProcessFd::make(|| eventfd(0, EventfdFlags::CLOEXEC));
+        let stop = Arc::new(stop.map_err(|errno| file_error(refused(&path, errno)))?);
         Ok(Candidate { domain: domain.clone(), path, pipe, stop })
     }
 
     /// Makes this participant the warden, if there is none.
     fn elect(&self) -> Result<Election, TransportError> {
         let refuse = |errno| file_error(refused(&self.path, errno));
-        let pipe = match rustix::fs::open(&self.path, flags(OFlags::RDWR), Mode::empty()) {
+        // After this process's file, which is to be unlocked when who comes next looks; before what takes time to close.
+        let open = || {
+            rustix::fs::open(&self.path, flags(OFlags::RDWR), Mode::empty())
+                .map(|pipe| shm::closed_early(pipe, 128))
+        };
+        let pipe = match ProcessFd::make(open) {
             Err(Errno::NOENT) => return Ok(Election::Removed),
             pipe => pipe.map_err(refuse)?,
         };
-        let file = |pipe| rustix::fs::fstat(pipe).map(|stat| (stat.st_dev, stat.st_ino));
-        if file(&pipe).map_err(refuse)? != file(&self.pipe).map_err(refuse)? {
+        let file = |pipe: BorrowedFd<'_>| rustix::fs::fstat(pipe).map(|stat| (stat.st_dev, stat.st_ino));
+        if file(pipe.as_fd()).map_err(refuse)? != file(self.pipe.as_fd()).map_err(refuse)? {
             return Ok(Election::Removed);
         }
         match rustix::fs::flock(&pipe, FlockOperation::NonBlockingLockExclusive) {
@@ -131,8 +137,7 @@ impl Candidate {
             Err(errno) => return Err(refuse(errno)),
         }
         let mut warden = ActiveWarden {
-            // After this process's file, which is to be unlocked when who comes next looks; before what takes time to close.
-            _pipe: shm::closed_early(pipe, 128),
+            _pipe: pipe,
             watch: watch(self.path.parent()),
             suspects: BTreeMap::new(),
             dead: Vec::new(),
@@ -227,7 +232,7 @@ fn watch(folder: Option<&Path>) -> Option<OwnedFd> {
 
 /// The state of the participant that is the warden.
 struct ActiveWarden {
-    _pipe: OwnedFd,
+    _pipe: ProcessFd,
     watch: Option<OwnedFd>,
     /// Files to check, and when; how often they were checked.
     suspects: BTreeMap<String, (u64, usize)>,

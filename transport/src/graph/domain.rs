@@ -22,13 +22,13 @@ use rustix::fs::{AtFlags, FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io;
 use std::mem::offset_of;
-use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_rt::domain::{shared_folder, shared_path};
+use tautline_rt::fork::{ProcessFd, ProcessMark};
 use tautline_rt::shm::{self, Mapping, ShmError};
 use tautline_rt::{FutexWord, Patience};
 
@@ -74,9 +74,10 @@ struct MemberSlot {
 pub(crate) struct Domain {
     number: u32,
     path: PathBuf,
-    file: OwnedFd,
+    file: ProcessFd,
     map: Mapping,
     has_left: Mutex<bool>,
+    process: ProcessMark,
 }
 
 /// A place of a member.
@@ -139,21 +140,28 @@ impl Domain {
         }
     }
 
-    fn of(number: u32, path: PathBuf, file: OwnedFd, map: Mapping) -> Arc<Self> {
-        Arc::new(Domain { number, path, file, map, has_left: Mutex::default() })
+    fn of(number: u32, path: PathBuf, file: ProcessFd, map: Mapping) -> Arc<Self> {
+        let (has_left, process) = (Mutex::default(), ProcessMark::new());
+        Arc::new(Domain { number, path, file, map, has_left, process })
     }
 
     fn open(path: &Path) -> io::Result<Opened> {
         let flags = OFlags::RDWR | OFlags::CLOEXEC | OFlags::NOFOLLOW;
-        let file = match rustix::fs::open(path, flags, Mode::empty()) {
-            Err(Errno::NOENT) => return Ok(Opened::Missing),
+        let mut is_locked = true;
+        let file = ProcessFd::make(|| -> io::Result<_> {
+            let file = rustix::fs::open(path, flags, Mode::empty())?;
+            shm::check_owner(&file)?;
+            match rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared) {
+                Err(Errno::WOULDBLOCK) => is_locked = false,
+                locked => locked?,
+            }
+            Ok(file)
+        });
+        let file = match file {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Opened::Missing),
+            Ok(_) if !is_locked => return Ok(Opened::Leaving),
             file => file?,
         };
-        shm::check_owner(&file)?;
-        match rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared) {
-            Err(Errno::WOULDBLOCK) => return Ok(Opened::Leaving),
-            locked => locked?,
-        }
         let stat = rustix::fs::fstat(&file)?;
         if stat.st_nlink == 0 {
             return Ok(Opened::Leaving);
@@ -284,9 +292,17 @@ impl Domain {
         !shm::has_name(&self.file)
     }
 
+    /// Refuses what only the process that joined may do.
+    pub(crate) fn check_process(&self) -> Result<(), TransportError> {
+        if self.process.is_here() { Ok(()) } else { Err(TransportError::Forked { domain: self.number }) }
+    }
+
     /// This process is none of its members any more, or ends right now. The last one removes the domain's files and its folder. Traces
-    /// of killed processes stay for a recorder.
+    /// of killed processes stay for a recorder. A forked child was none of them.
     pub(crate) fn leave(&self) {
+        if !self.process.is_here() {
+            return;
+        }
         let mut has_left = self.has_left.lock().unwrap_or_else(PoisonError::into_inner);
         if std::mem::replace(&mut has_left, true) {
             return;
@@ -333,7 +349,7 @@ fn layout(map: &Mapping) -> &Layout {
 
 enum Opened {
     /// And locked.
-    Whole(OwnedFd, Mapping),
+    Whole(ProcessFd, Mapping),
     /// It is of another version.
     Other,
     Missing,

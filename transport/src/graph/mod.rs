@@ -242,6 +242,7 @@ impl Participant {
     /// # Errors
     /// [`TransportError`]: names that break ROS 2's rules, no shared memory.
     pub fn create_node(&self, name: &str, namespace: &str) -> Result<NodeHandle, TransportError> {
+        self.state.domain.check_process()?;
         let node = NodeName { namespace: namespace.into(), name: name.into() };
         Ok(NodeHandle { entry: self.state.record.add_node(node)? })
     }
@@ -263,6 +264,7 @@ impl Participant {
     /// [`TransportError`]: the system refuses to map another participant's record, at the limit of open files for one. A record that
     /// is damaged or of another version is skipped, and logged once.
     pub fn graph(&self) -> Result<Arc<GraphSnapshot>, TransportError> {
+        self.state.domain.check_process()?;
         self.state.model().look(&self.state.domain)
     }
 

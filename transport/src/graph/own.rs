@@ -112,6 +112,9 @@ impl OwnRecord {
     }
 
     fn take_back(&self, change: impl FnOnce(&mut Log) -> io::Result<()>) {
+        if self.domain.check_process().is_err() {
+            return;
+        }
         if let Err(error) = change(&mut self.state().log) {
             tracing::warn!("others see what has ended, until something else changes: {error}");
         }

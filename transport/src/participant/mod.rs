@@ -114,7 +114,8 @@ impl Participant {
     /// and subscriptions of other processes) and the warden (a thread that detects dead processes).
     ///
     /// Sets iceoryx2's log level, which applies to the whole process, to fatal: iceoryx2's errors are returned as errors here
-    /// instead. Raises the process's limit of open files to the hard limit.
+    /// instead. Raises the process's limit of open files to the hard limit, at most to
+    /// [`OPEN_FILES`](tautline_rt::host::OPEN_FILES).
     ///
     /// # Real-time
     /// Setup only: allocates, starts threads.
@@ -187,6 +188,14 @@ impl Participant {
         self.state.trace.id()
     }
 
+    /// Refuses to a forked child what only the process that joined may do.
+    ///
+    /// # Errors
+    /// [`TransportError::Forked`].
+    pub fn check_process(&self) -> Result<(), TransportError> {
+        self.state.domain.check_process()
+    }
+
     /// The doorbell that announces samples to this participant's sampler.
     pub fn doorbell(&self) -> &Arc<Doorbell> {
         &self.state.doorbell
@@ -197,6 +206,7 @@ impl Participant {
     /// # Errors
     /// [`TransportError::Doorbell`] if all slots are in use.
     pub fn claim_slot(&self) -> Result<Slot, TransportError> {
+        self.check_process()?;
         Ok(self.state.doorbell.claim()?)
     }
 

@@ -95,10 +95,13 @@ impl RawPublisher {
     /// # Errors
     /// [`LoanError::Exhausted`]: `Limits::loans` loans are already in use. [`LoanError::TooLarge`]: longer than the topic's
     /// fixed size, rounded up to 8, or than `Limits::message_bytes` without `Limits::may_grow`, or than
-    /// [`Limits::MAX_MESSAGE_BYTES`](crate::Limits::MAX_MESSAGE_BYTES). [`LoanError::OutOfMemory`].
+    /// [`Limits::MAX_MESSAGE_BYTES`](crate::Limits::MAX_MESSAGE_BYTES). [`LoanError::OutOfMemory`]. [`LoanError::Forked`] in a child.
     pub fn loan(&self, len_bytes: usize) -> Result<RawLoan<'_>, LoanError> {
         if len_bytes > self.most_bytes {
             return Err(LoanError::TooLarge);
+        }
+        if !self.process.is_here() {
+            return Err(LoanError::Forked);
         }
         if self.core.slot.is_retired() {
             return Err(LoanError::Ended);

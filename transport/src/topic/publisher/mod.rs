@@ -28,6 +28,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use tautline_doorbell::{ActivityKind, Slot};
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
+use tautline_rt::fork::ProcessMark;
 
 /// Publishes CDR bodies of any type on one topic. The bodies are not inspected.
 ///
@@ -50,6 +51,7 @@ pub struct RawPublisher {
     sample_bytes: Cell<usize>,
     counters: Arc<PublisherCounters>,
     participant: Arc<ParticipantState>,
+    process: ProcessMark,
     /// Its node, which exists at least as long.
     _node: Option<Arc<NodeEntry>>,
 }
@@ -98,6 +100,7 @@ impl RawPublisher {
         role: PublisherRole,
     ) -> Result<Self, TransportError> {
         let state = participant.state.clone();
+        state.domain.check_process()?;
         let topic = Topic::check(topic, topic_type, qos, limits)?;
         let slot = Arc::new(state.doorbell.claim()?);
         slot.note(ActivityKind::Liveliness, monotonic_ns());
@@ -124,6 +127,7 @@ impl RawPublisher {
             counters: Arc::default(),
             core,
             participant: state,
+            process: ProcessMark::new(),
             _node: participant.node.clone(),
         })
     }

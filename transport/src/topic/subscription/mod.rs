@@ -124,6 +124,7 @@ impl RawSubscription {
         role: SubscriptionRole,
     ) -> Result<Self, TransportError> {
         let state = participant.state.clone();
+        state.domain.check_process()?;
         let topic = Topic::check(topic, topic_type, qos, limits)?;
         let slot = Arc::new(state.doorbell.claim()?);
         slot.flags().set_deadline(qos.deadline.is_some());

@@ -1,0 +1,158 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! What a forked child does not keep of its parent's: locks, pipes and shared memory.
+//!
+//! A lock of `flock` belongs to the open file, which descriptors and mappings of a child keep open. So a child would keep its parent's
+//! files locked when that has died, and write into them. Therefore in a child, before `fork` returns there,
+//!
+//! - each [`ProcessFd`] is `/dev/null`, so that its owner may close it as ever;
+//! - each shared mapping ([`Mapping`](crate::shm::Mapping)) is zeros of the child's own;
+//! - a [`ProcessMark`] of before is that of another process.
+//!
+//! `vfork` and `posix_spawn` are not concerned: their children only `exec`, which closes all of it.
+
+use std::cell::UnsafeCell;
+use std::collections::{BTreeMap, BTreeSet};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd, RawFd};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Mutex, MutexGuard, Once, PoisonError};
+
+/// What this process does not share with its children.
+struct List {
+    /// What is put in the place of a descriptor.
+    null: Option<OwnedFd>,
+    files: BTreeSet<RawFd>,
+    /// The length of each mapping, by its address.
+    mappings: BTreeMap<usize, usize>,
+}
+
+static LIST: Mutex<List> = Mutex::new(List { null: None, files: BTreeSet::new(), mappings: BTreeMap::new() });
+/// How often this process and those that it comes from were forked off.
+static FORKS: AtomicU32 = AtomicU32::new(0);
+
+/// The lock while the process forks.
+struct Held(UnsafeCell<Option<MutexGuard<'static, List>>>);
+
+// SAFETY: accessed only by the thread that holds the lock of `LIST`, or has just got it.
+unsafe impl Sync for Held {}
+
+static HELD: Held = Held(UnsafeCell::new(None));
+
+fn list() -> MutexGuard<'static, List> {
+    static REGISTERED: Once = Once::new();
+    REGISTERED.call_once(|| {
+        // SAFETY: these may be called at any time, and do not unwind. Should there be no memory for them, a child keeps what it inherits.
+        unsafe { libc::pthread_atfork(Some(before), Some(in_parent), Some(in_child)) };
+    });
+    LIST.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+unsafe extern "C" fn before() {
+    let guard = LIST.lock().unwrap_or_else(PoisonError::into_inner);
+    // SAFETY: this thread has the lock.
+    unsafe { *HELD.0.get() = Some(guard) };
+}
+
+unsafe extern "C" fn in_parent() {
+    // SAFETY: this thread has the lock, and releases it here.
+    drop(unsafe { (*HELD.0.get()).take() });
+}
+
+/// Only what a signal handler may do: other threads of the parent may have been anywhere.
+unsafe extern "C" fn in_child() {
+    FORKS.fetch_add(1, Ordering::Relaxed);
+    // SAFETY: the child's only thread is the one that took the lock.
+    let Some(list) = (unsafe { (*HELD.0.get()).take() }) else { return };
+    if let Some(null) = &list.null {
+        for file in &list.files {
+            // SAFETY: replaces what a ProcessFd owns by something else that it then owns.
+            unsafe { libc::dup3(null.as_raw_fd(), *file, libc::O_CLOEXEC) };
+        }
+    }
+    for (address, len) in &list.mappings {
+        let flags = libc::MAP_PRIVATE | libc::MAP_ANONYMOUS | libc::MAP_FIXED | libc::MAP_NORESERVE;
+        let at = std::ptr::without_provenance_mut(*address);
+        // SAFETY: over a mapping whose content may change at any time anyway, to zeros now.
+        unsafe { libc::mmap(at, *len, libc::PROT_READ | libc::PROT_WRITE, flags, -1, 0) };
+    }
+}
+
+/// A descriptor of this process alone.
+#[derive(Debug)]
+pub struct ProcessFd(Option<OwnedFd>);
+
+impl ProcessFd {
+    /// The descriptor that `make` opens, and perhaps locks. No fork comes between that and the entry here: `make` must not wait, and
+    /// must make no other `ProcessFd` or mapping.
+    ///
+    /// # Errors
+    /// Those of `make`.
+    pub fn make<E>(make: impl FnOnce() -> Result<OwnedFd, E>) -> Result<ProcessFd, E> {
+        let mut list = list();
+        if list.null.is_none() {
+            list.null = std::fs::File::open("/dev/null").ok().map(OwnedFd::from);
+        }
+        let file = make()?;
+        list.files.insert(file.as_raw_fd());
+        Ok(ProcessFd(Some(file)))
+    }
+}
+
+impl AsFd for ProcessFd {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.0.as_ref().expect("taken only by drop").as_fd()
+    }
+}
+
+impl Drop for ProcessFd {
+    fn drop(&mut self) {
+        let mut list = list();
+        if let Some(file) = self.0.take() {
+            list.files.remove(&file.as_raw_fd());
+            // Before the number can be another's.
+            drop(file);
+        }
+    }
+}
+
+/// Maps shared memory by `map`, which returns the address of `len_bytes`: a child has zeros there.
+///
+/// # Errors
+/// Those of `map`.
+pub fn map_shared<E>(
+    len_bytes: usize,
+    map: impl FnOnce() -> Result<*mut std::ffi::c_void, E>,
+) -> Result<*mut std::ffi::c_void, E> {
+    let mut list = list();
+    let address = map()?;
+    list.mappings.insert(address.addr(), len_bytes);
+    Ok(address)
+}
+
+/// Undoes [`map_shared`] by `unmap`; nothing if the memory was not mapped by that.
+pub fn unmap_shared(address: *mut std::ffi::c_void, unmap: impl FnOnce()) {
+    let mut list = list();
+    list.mappings.remove(&address.addr());
+    unmap();
+}
+
+/// Tells the process that made something from those that it forks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ProcessMark(u32);
+
+impl ProcessMark {
+    /// The mark of this process.
+    #[allow(clippy::new_without_default, reason = "it is not a neutral value")]
+    pub fn new() -> ProcessMark {
+        drop(list());
+        ProcessMark(FORKS.load(Ordering::Relaxed))
+    }
+
+    /// Whether this process made it.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    #[inline]
+    pub fn is_here(self) -> bool {
+        FORKS.load(Ordering::Relaxed) == self.0
+    }
+}
