@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What can go wrong: [`TransportError`] while setting up, one small enum per operation while running.
 
-use crate::graph::record::{REQUESTS, RESPONSES};
+use crate::names::{REQUESTS, RESPONSES};
 use std::fmt;
 use std::io;
 use std::path::PathBuf;

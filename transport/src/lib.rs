@@ -41,43 +41,59 @@ extern crate iceoryx2_bb_loggers as _;
 mod cleanup;
 mod error;
 mod graph;
-mod participant;
+mod low_priority;
+mod memory;
+mod names;
+mod observe;
 mod qos;
-mod schema_store;
 mod service;
 mod sync;
 #[cfg(all(test, not(taut_loom)))]
 mod tests;
 mod topic;
 
-pub use cleanup::{call_all, start_recorder};
 pub use error::{LoanError, PublishCdrError, PublishError, SendError, TakeError, TransportError};
-pub use graph::{
-    Death, EndpointKind, GraphEvents, GraphSnapshot, NodeHandle, NodeInfo, NodeName, Origin, Rank,
-    RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicInfo, Visitor, graph_of,
+pub use graph::domain::MAX_DOMAIN;
+pub use graph::entities::{
+    Death, EndpointKind, GraphSnapshot, NodeInfo, NodeName, ServiceEndpoint, ServiceKind, TopicEndpoint,
 };
-pub use participant::{MAX_DOMAIN, Participant};
+pub use graph::events::GraphEvents;
+pub use graph::origin::{Origin, Rank};
+pub use graph::own::NodeHandle;
+pub use graph::remote::{RemoteGraph, RemoteNode};
+pub use graph::schema_store::{ClaimedSchema, MAX_SCHEMA_BYTES, SchemaStore};
+pub use graph::topic_type::TopicType;
+pub use memory::control::Sent;
+pub use memory::header::{Gid, MessageInfo};
+pub use memory::sizes::{TopicMemory, topic_memory};
+pub use observe::graph::TopicInfo;
+pub use observe::monitor::publisher::{PublisherChanges, PublisherMonitor};
+pub use observe::monitor::subscription::{SubscriptionChanges, SubscriptionMonitor};
+pub use observe::monitor::{IncompatibleQos, IncompatibleType, LivelinessChanged, Matched, MessageLost};
+pub use observe::recorder::{call_all, start_recorder};
+pub use observe::traced::{TracedPort, TracedSample, TracedSender};
+pub use observe::visitor::{Visitor, graph_of};
 pub use qos::{Claim, Durability, History, Limits, Liveliness, Qos, Reliability};
-pub use schema_store::{ClaimedSchema, MAX_SCHEMA_BYTES, SchemaStore};
-pub use service::{
-    Availability, Client, MAX_PENDING_REQUESTS, PendingResponse, QueuedClient, RawClient, RawPending,
-    RawResponse, RawServer, Request, RequestId, Response, Server, ServiceCodec, ServiceError, ServiceType,
-    UnwrittenResponse,
+pub use service::client::{Availability, RawClient, RawPending};
+pub use service::error::ServiceError;
+pub use service::pending::MAX_PENDING_REQUESTS;
+pub use service::queued::QueuedClient;
+pub use service::server::{RawResponse, RawServer, RequestId};
+pub use service::service_type::ServiceType;
+pub use service::typed::{
+    Client, PendingResponse, Request, Response, Server, ServiceCodec, UnwrittenResponse,
 };
 pub use tautline_doorbell::{
     Activity, ActivityKind, Arena, ArenaId, BellRoute, Doorbell, DoorbellError, Flags, GrowArena,
     SamplerSeat, Signal, Sleeper, Slot, ThreadBell, Wakeable,
 };
 pub use topic::compatibility::QosPolicyKind;
-pub use topic::control::Sent;
-pub use topic::header::{Gid, MessageInfo};
-pub use topic::memory::{TopicMemory, topic_memory};
-pub use topic::monitor::{
-    IncompatibleQos, IncompatibleType, LivelinessChanged, Matched, MessageLost, PublisherChanges,
-    PublisherMonitor, SubscriptionChanges, SubscriptionMonitor,
-};
-pub use topic::publisher::{Gate, MatchedCount, PublisherCounters, RawLoan, RawPublisher};
-pub use topic::subscription::{RawSample, RawSubscription, SubscriptionCounters};
-pub use topic::topic_type::TopicType;
-pub use topic::traced::{TracedPort, TracedSample, TracedSender};
-pub use topic::typed::{Codec, Decode, Loan, Publisher, Sample, Subscription, Unwritten};
+pub use topic::endpoints::MatchedCount;
+pub use topic::participant::Participant;
+pub use topic::publisher::gate::Gate;
+pub use topic::publisher::hot::RawLoan;
+pub use topic::publisher::{PublisherCounters, RawPublisher};
+pub use topic::subscription::hot::RawSample;
+pub use topic::subscription::{RawSubscription, SubscriptionCounters};
+pub use topic::typed::hot::{Loan, Sample, Unwritten};
+pub use topic::typed::{Codec, Decode, Publisher, Subscription};

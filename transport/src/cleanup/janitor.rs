@@ -3,13 +3,13 @@
 //! by a participant that created or ended a port that concerns this one, by the warden that found a dead participant, or by a thread
 //! of its own process.
 //!
-//! It finds publishers and subscriptions for this participant's ports (see [`matching`](crate::topic::matching)), completes rings that
-//! a killed process began, checks whether this process is to be traced, and reports if this participant's file was removed.
+//! It has publishers and subscriptions found for this participant's ports (by the matcher, which it is given as a function), completes
+//! rings that a killed process began, checks whether this process is to be traced, and reports if this participant's file was removed.
 
 use crate::error::TransportError;
 use crate::graph::domain::Domain;
-use crate::participant::file::OwnMemory;
-use crate::topic::matching::Matcher;
+use crate::low_priority::low_priority_thread;
+use crate::memory::file::OwnMemory;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -26,12 +26,24 @@ const AGAIN: [Duration; 5] = [
     Duration::from_secs(10),
 ];
 
+/// Connects the ports of its participant with those that it finds.
+type Refresh = Box<dyn Fn() -> LookOutcome + Send + Sync>;
+
+/// What came of a look.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct LookOutcome {
+    /// Something is left that only time can finish.
+    pub(crate) is_pending: bool,
+    /// A participant has gone.
+    pub(crate) has_gone: bool,
+}
+
 struct JanitorState {
     domain: Arc<Domain>,
     place: usize,
     doorbell: Arc<Doorbell>,
-    matcher: Arc<Matcher>,
     memory: Arc<OwnMemory>,
+    refresh: Refresh,
     attendant: OnceLock<Attendant>,
     stop: AtomicBool,
 }
@@ -50,21 +62,21 @@ impl Janitor {
         domain: &Arc<Domain>,
         place: usize,
         doorbell: &Arc<Doorbell>,
-        matcher: &Arc<Matcher>,
         memory: &Arc<OwnMemory>,
+        refresh: Refresh,
     ) -> Result<Self, TransportError> {
         let state = Arc::new(JanitorState {
             domain: domain.clone(),
             place,
             doorbell: doorbell.clone(),
-            matcher: matcher.clone(),
             memory: memory.clone(),
+            refresh,
             attendant: OnceLock::new(),
             stop: AtomicBool::new(false),
         });
         let thread = {
             let state = state.clone();
-            let builder = super::low_priority_thread("janitor").map_err(TransportError::Thread)?;
+            let builder = low_priority_thread("janitor").map_err(TransportError::Thread)?;
             builder.spawn(move || move || run(&state)).map_err(TransportError::Thread)?
         };
         Ok(Janitor { state, thread: Some(thread) })
@@ -95,7 +107,7 @@ fn run(state: &JanitorState) {
         if state.stop.load(Ordering::Acquire) {
             return;
         }
-        let looked = state.matcher.look();
+        let looked = (state.refresh)();
         if looked.has_gone {
             // Whoever was killed may have been about to ring.
             state.doorbell.arena().rescue();

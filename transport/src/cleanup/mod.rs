@@ -1,54 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Handles processes that join, leave and die, in threads of low priority: no real-time thread may wait for this work.
+//! Cleanup: handles processes that join, leave and die, in threads of low priority, for which no real-time thread waits.
 //!
-//! - Each participant's [`Janitor`] sleeps until it is called, and then does what is necessary for its ports.
-//! - One participant's [`Warden`] watches all other participants. The wardens of the others watch this one, to take its place. The
-//!   cleanup after a dead participant is in [`dead_participant`].
+//! In: the kernel's report that a file was closed, and calls by other participants. Out: files of dead participants removed, calls to
+//! the janitors of the living. Each participant's [`janitor`] sleeps until it is called, and then does what is necessary for its
+//! ports. One participant's [`warden`] watches all others, and cleans up ([`dead_participant`]); those of the others watch this one.
+//! Who may touch it: the participant starts and stops both; anybody may call a janitor, through the domain.
 
 mod dead_participant;
-mod janitor;
-mod warden;
-
-pub(crate) use janitor::Janitor;
-pub(crate) use warden::Warden;
-
-use crate::error::TransportError;
-use crate::graph::domain::Domain;
-use tautline_rt::{Policy, Realtime, RtError, ThreadBuilder};
-
-/// Starts recording a domain: see [`Recorder`](tautline_trace::Recorder). Notifies its participants, which start to record a moment
-/// later.
-///
-/// # Errors
-/// [`TransportError`]: there is a recorder already, or no such domain.
-pub fn start_recorder(domain: u32) -> Result<tautline_trace::Recorder, TransportError> {
-    crate::participant::check_domain(domain)?;
-    let recorder = tautline_trace::Recorder::start(domain)?;
-    if let Some(domain) = Domain::visit(domain)? {
-        domain.call_all();
-    }
-    Ok(recorder)
-}
-
-/// Makes every participant of a domain check whether there is something to do: see
-/// [`Participant::attend`](crate::Participant::attend).
-///
-/// # Errors
-/// [`TransportError`]: no such domain.
-pub fn call_all(domain: u32) -> Result<(), TransportError> {
-    crate::participant::check_domain(domain)?;
-    if let Some(domain) = Domain::visit(domain)? {
-        domain.call_all();
-    }
-    Ok(())
-}
-
-/// For what no real-time thread may wait for.
-pub(crate) fn low_priority_thread(name: &str) -> Result<ThreadBuilder, RtError> {
-    let builder = ThreadBuilder::new(name);
-    // One that is nicer already, or batch or idle, stays so: an ordinary user cannot go back.
-    Ok(match tautline_rt::current_policy()? {
-        Policy::Other { nice: 5.. } | Policy::Unmanaged(_) => builder.realtime(Realtime::Off),
-        _ => builder.policy(Policy::Other { nice: 5 }),
-    })
-}
+pub(crate) mod janitor;
+pub(crate) mod warden;

@@ -9,10 +9,12 @@
 //! other participants sleep on its read end, which the kernel hangs up when the warden dies. Then they try to lock the pipe, and one
 //! of them gets the lock.
 
-use super::dead_participant::{self, Dead, FileState};
+use crate::cleanup::dead_participant;
+use crate::cleanup::dead_participant::{Dead, FileState};
 use crate::error::TransportError;
 use crate::graph::domain::{Domain, WARDEN, has_owner};
-use crate::participant::file::{file_error, id_of};
+use crate::low_priority::low_priority_thread;
+use crate::memory::file::{file_error, id_of};
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use rustix::fs::inotify::{self, CreateFlags, ReadFlags, WatchFlags};
 use rustix::fs::{CWD, FileType, FlockOperation, Mode, OFlags};
@@ -59,7 +61,7 @@ impl Warden {
             Election::Lost | Election::Removed => None,
         };
         let stop = candidate.stop.clone();
-        let builder = super::low_priority_thread("warden").map_err(TransportError::Thread)?;
+        let builder = low_priority_thread("warden").map_err(TransportError::Thread)?;
         let thread = builder.spawn(move || move || candidate.run(warden)).map_err(TransportError::Thread)?;
         Ok(Warden { stop, thread: Some(thread) })
     }

@@ -17,7 +17,7 @@
 //! samples.
 
 use crate::error::TransportError;
-use crate::participant::file::id_of;
+use crate::memory::file::id_of;
 use rustix::fs::{AtFlags, FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io;
@@ -33,6 +33,8 @@ use tautline_rt::shm::{self, Mapping, ShmError};
 use tautline_rt::{FutexWord, Patience};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautdom2");
+/// Greatest domain number, as in ROS 2.
+pub const MAX_DOMAIN: u32 = 232;
 /// Participants of a domain at once.
 pub(crate) const MEMBERS: usize = 2048;
 pub(crate) const NAME: &str = "domain";
@@ -68,6 +70,15 @@ struct MemberSlot {
     /// Changes when the segments of samples of one of its publishers change.
     grown: AtomicU32,
     calls: FutexWord,
+}
+
+/// Whether there is such a domain, and the scope is one.
+pub(crate) fn check_domain(domain: u32) -> Result<(), TransportError> {
+    if domain > MAX_DOMAIN {
+        return Err(TransportError::DomainRange { domain, max: MAX_DOMAIN });
+    }
+    tautline_rt::domain::scope()?;
+    Ok(())
 }
 
 /// The file, mapped, and its lock.

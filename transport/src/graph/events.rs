@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Wakes tasks when the graph changes: one thread sleeps on the domain's epoch for all tasks of a participant.
 
-use super::domain::Domain;
-use crate::cleanup::low_priority_thread;
 use crate::error::TransportError;
+use crate::graph::domain::Domain;
+use crate::low_priority::low_priority_thread;
 use futures::Stream;
 use futures::task::AtomicWaker;
 use std::pin::Pin;
@@ -47,7 +47,7 @@ impl GraphWatcher {
         GraphWatcher { domain, listeners: Arc::default(), thread: Mutex::default() }
     }
 
-    pub(super) fn subscribe(&self) -> Result<GraphEvents, TransportError> {
+    pub(crate) fn subscribe(&self) -> Result<GraphEvents, TransportError> {
         let mut thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner);
         if thread.is_none() {
             let (domain, listeners) = (self.domain.clone(), self.listeners.clone());

@@ -16,8 +16,8 @@
 //! | its content, and zeros | the rest |
 
 use crate::error::TransportError;
-use crate::participant::file::{OwnMemory, PAGE, PackedRange, ParticipantHeader, Peer};
-use crate::participant::ranges::Range;
+use crate::memory::file::{OwnMemory, PAGE, PackedRange, ParticipantHeader, Peer};
+use crate::memory::ranges::Range;
 use rustix::io::Errno;
 use std::collections::BTreeMap;
 use std::io;
@@ -365,7 +365,7 @@ impl Reader {
 mod tests {
     use super::*;
     use crate::graph::domain::Domain;
-    use crate::participant::file::Peer;
+    use crate::memory::file::Peer;
     use crate::tests::isolated;
     use std::sync::atomic::AtomicBool;
 

@@ -2,25 +2,25 @@
 //! The whole graph, kept up to date from each participant's record. The cost of an update depends only on what has changed since
 //! the last one.
 
-use super::domain::Domain;
-use super::log::{EntryKind, LogEntry, Reader};
-use super::record::{NodeRecord, PortKind, PortRecord, RemotePortRecord, RemoteServiceRecord};
-use super::visitor::Death;
-use super::{
-    EndpointKind, GraphSnapshot, NodeInfo, NodeName, Origin, Rank, ServiceEndpoint, ServiceKind,
-    TopicEndpoint, is_of_service, service_of,
-};
 use crate::error::TransportError;
-use crate::participant::file::{PackedRange, Peer};
-use crate::participant::ranges::Range;
-use crate::topic::header::Gid;
+use crate::graph::domain::Domain;
+use crate::graph::entities::{
+    Death, EndpointKind, GraphSnapshot, NodeInfo, NodeName, ServiceEndpoint, ServiceKind, TopicEndpoint,
+};
+use crate::graph::log::{EntryKind, LogEntry, Reader};
+use crate::graph::origin::{Origin, Rank};
+use crate::graph::record::{NodeRecord, PortKind, PortRecord, RemotePortRecord, RemoteServiceRecord};
+use crate::memory::file::{PackedRange, Peer};
+use crate::memory::header::Gid;
+use crate::memory::ranges::Range;
+use crate::names::{is_of_service, service_of};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet, VecDeque};
 use std::io::ErrorKind::WouldBlock;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Who looks without being a participant.
-pub(super) const VISITOR: u64 = 0;
+pub(crate) const VISITOR: u64 = 0;
 
 /// How long, and of how many publishers, it is known that they have ended.
 const ENDED_TIME: Duration = Duration::from_secs(10);
@@ -33,7 +33,7 @@ pub(crate) struct Model {
     own: u64,
     is_teller: bool,
     /// The domain's when `snapshot` was made.
-    pub(super) epoch: Option<u32>,
+    pub(crate) epoch: Option<u32>,
     members: HashMap<u64, ParticipantRecord>,
     /// The listed entries, in order; the last part of a key names the source.
     nodes: BTreeSet<(Arc<NodeInfo>, Gid)>,
@@ -44,7 +44,7 @@ pub(crate) struct Model {
     /// Tags of publishers that ended normally, and since when this is known.
     ended: VecDeque<(Instant, u64)>,
     /// Processes that ended without ending what they had, if this is a visitor's.
-    pub(super) deaths: Vec<Death>,
+    pub(crate) deaths: Vec<Death>,
     snapshot: Arc<GraphSnapshot>,
 }
 
@@ -248,14 +248,14 @@ impl Model {
     }
 
     /// Where the memory of a publisher of this host lies.
-    pub(super) fn memory_of(&self, publisher: Gid) -> Option<(&Peer, Range)> {
+    pub(crate) fn memory_of(&self, publisher: Gid) -> Option<(&Peer, Range)> {
         let member = self.members.get(&publisher.participant())?;
         let port = member.ports.get(&publisher.number()).filter(|port| port.kind == PortKind::Publisher)?;
         Some((member.peer.as_ref()?, PackedRange::from_word(port.at)?))
     }
 
     /// Leaves out who has died and was not cleaned up after: nobody else may be there to do that.
-    pub(super) fn forget_dead(&mut self, domain: &Domain) {
+    pub(crate) fn forget_dead(&mut self, domain: &Domain) {
         let dead: Vec<u64> =
             self.members.keys().filter(|id| !Peer::lives(domain.number(), **id)).copied().collect();
         for id in dead {

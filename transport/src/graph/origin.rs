@@ -2,9 +2,9 @@
 //! The origin of an entity, and the path of its announcements. With it gateways and bridges, which forward announcements, avoid
 //! duplicates and loops.
 
-use super::log::hash_of_bytes;
-use super::record::is_token_char;
-use crate::topic::header::Gid;
+use crate::graph::log::hash_of_bytes;
+use crate::memory::header::Gid;
+use crate::names::is_token_char;
 use serde::{Deserialize, Serialize};
 
 /// The origin of an endpoint or a node, and the domains that its announcement has passed.

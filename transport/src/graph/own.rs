@@ -1,16 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A participant's own record: its nodes and ports, and what it knows about other hosts.
 
-use super::domain::Domain;
-use super::log::{self, EntryKind, Log, hash_of};
-use super::record::{NodeRecord, PortRecord, to_body};
-use super::{NodeName, RemoteGraph, RemoteNode};
 use crate::error::TransportError;
-use crate::participant::file::OwnMemory;
+use crate::graph::domain::Domain;
+use crate::graph::entities::NodeName;
+use crate::graph::log;
+use crate::graph::log::{EntryKind, Log, hash_of};
+use crate::graph::record::{NodeRecord, PortRecord, to_body};
+use crate::graph::remote::{RemoteGraph, RemoteNode};
+use crate::memory::file::OwnMemory;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::{fmt, io};
 use tautline_doorbell::Slot;
 
 pub(crate) struct OwnRecord {
@@ -304,5 +306,51 @@ impl NodeEntry {
 impl Drop for NodeEntry {
     fn drop(&mut self) {
         self.record.remove(self.number);
+    }
+}
+
+/// A node that other processes see until this handle, its clones and everything that was created for the node
+/// are dropped.
+#[derive(Clone)]
+pub struct NodeHandle {
+    pub(crate) entry: Arc<NodeEntry>,
+}
+
+impl NodeHandle {
+    /// The node's name.
+    pub fn name(&self) -> &NodeName {
+        &self.entry.node
+    }
+
+    /// Ends everything that was created for the node, or is created for it from now on: streams end after they have delivered
+    /// what had arrived, and publishing and requests return errors. Other processes see the node until all of this is dropped.
+    ///
+    /// # Real-time
+    /// Not for real-time threads: waits for a lock; O(objects created for the node), one syscall for each thread that waits for
+    /// one of them.
+    pub fn end(&self) {
+        self.entry.end();
+    }
+
+    /// Whether it was [ended](Self::end).
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub fn has_ended(&self) -> bool {
+        self.entry.has_ended()
+    }
+
+    /// The owner of this slot ends with the node.
+    ///
+    /// # Real-time
+    /// Setup only.
+    pub fn adopt(&self, slot: &Arc<Slot>) {
+        self.entry.adopt(slot);
+    }
+}
+
+impl fmt::Debug for NodeHandle {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("NodeHandle").field("name", &self.entry.node).finish_non_exhaustive()
     }
 }

@@ -2,18 +2,15 @@
 //! The content of a record's entries, as JSON. Content read from another participant's record is untrusted: each value is
 //! checked before it is used.
 
-use super::{EndpointKind, NodeName, Origin, ServiceEndpoint, ServiceKind, TopicEndpoint};
+use crate::graph::entities::{EndpointKind, NodeName, ServiceEndpoint, ServiceKind, TopicEndpoint};
+use crate::graph::origin::Origin;
+use crate::graph::topic_type::TopicType;
+use crate::memory::connection::Shape;
+use crate::memory::header::Gid;
+use crate::names::{MAX_NAME_BYTES, is_absolute, is_token, is_topic, is_type};
 use crate::qos::{Durability, History, Limits, Liveliness, Qos, Reliability};
-use crate::topic::header::Gid;
-use crate::topic::topic_type::{TopicType, is_hash};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
-
-/// ROS 2's limit of names.
-pub(crate) const MAX_NAME_BYTES: usize = 255;
-/// Start the names of the topics that make services. ':' cannot be in a topic's name.
-pub(crate) const REQUESTS: &str = "request:";
-pub(crate) const RESPONSES: &str = "response:";
 
 /// A publisher or a subscription, as its participant describes it. Its gid is made of its participant's id and its entry's number.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -130,6 +127,11 @@ impl PortRecord {
             && record.qos.is_valid()
             && (record.kind == PortKind::Publisher || (1..=Limits::MAX_HELD as u64).contains(&record.at));
         is_port.then_some(record)
+    }
+
+    /// Of a subscription: the connection that a publisher makes for it that may have so many loans.
+    pub(crate) fn shape(&self, loans: usize) -> Shape {
+        Shape { depth: self.qos.qos().depth, held: self.at as usize, loans, is_observer: self.observer }
     }
 
     pub(crate) fn topic_type(&self) -> TopicType {
@@ -324,32 +326,6 @@ impl NodeName {
             && is_token(&self.name)
             && (self.namespace == "/" || is_absolute(&self.namespace))
     }
-}
-
-/// Whether this is `/a/b`, of ROS tokens.
-pub(crate) fn is_absolute(name: &str) -> bool {
-    name.len() <= MAX_NAME_BYTES && name.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_token))
-}
-
-fn is_token(token: &str) -> bool {
-    !token.is_empty() && token.chars().all(is_token_char)
-}
-
-pub(crate) fn is_token_char(c: char) -> bool {
-    c.is_ascii_alphanumeric() || c == '_'
-}
-
-/// Whether a topic can have this name. More than ROS 2 allows, but nothing that a terminal would obey.
-pub(crate) fn is_topic(name: &str) -> bool {
-    let bare = name.strip_prefix(REQUESTS).or_else(|| name.strip_prefix(RESPONSES)).unwrap_or(name);
-    (1..=MAX_NAME_BYTES).contains(&bare.len()) && bare.chars().all(|c| !c.is_control() && c != ':')
-}
-
-/// Names of types are not ROS 2's alone.
-pub(crate) fn is_type(name: &str, hash: Option<&str>) -> bool {
-    let is_name =
-        (1..=MAX_NAME_BYTES).contains(&name.len()) && name.bytes().all(|byte| byte.is_ascii_graphic());
-    is_name && hash.is_none_or(is_hash)
 }
 
 /// As 32 hexadecimal digits, in the order of the bytes.

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Entities elsewhere, as a gateway or bridge announces them, and as text.
 
-use super::record::{NodeRecord, RemotePortRecord, RemoteServiceRecord};
-use super::{NodeName, Origin, ServiceEndpoint, TopicEndpoint};
+use crate::graph::entities::{NodeName, ServiceEndpoint, TopicEndpoint};
+use crate::graph::origin::Origin;
+use crate::graph::record::{NodeRecord, RemotePortRecord, RemoteServiceRecord};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeSet, HashMap};
 
@@ -111,10 +112,10 @@ impl From<Text> for RemoteGraph {
 #[cfg(all(test, not(taut_loom)))]
 mod tests {
     use super::*;
-    use crate::graph::{EndpointKind, ServiceKind};
+    use crate::graph::entities::{EndpointKind, ServiceKind};
+    use crate::graph::topic_type::TopicType;
+    use crate::memory::header::Gid;
     use crate::qos::Qos;
-    use crate::topic::header::Gid;
-    use crate::topic::topic_type::TopicType;
 
     fn graph() -> RemoteGraph {
         let node = |name: &str| NodeName { namespace: "/a".into(), name: name.into() };

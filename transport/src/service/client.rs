@@ -1,15 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Untyped clients: their parts, and how they discover servers. The work for each request is in `hot.rs`.
 
-use super::pending::PendingTable;
-use super::{RESPONSES_DEPTH, ServiceError, ServiceType, response_limits, topics};
 use crate::error::{SendError, TransportError};
-use crate::participant::Participant;
+use crate::memory::header::Gid;
 use crate::qos::{Limits, Qos};
+use crate::service::error::ServiceError;
+use crate::service::pending::PendingTable;
+use crate::service::service_type::{RESPONSES_DEPTH, ServiceType, response_limits, topics};
 use crate::topic::endpoints::EndpointList;
-use crate::topic::header::Gid;
-use crate::topic::publisher::{PublisherRole, RawPublisher};
-use crate::topic::subscription::{RawSubscription, SubscriptionRole};
+use crate::topic::participant::Participant;
+use crate::topic::publisher::RawPublisher;
+use crate::topic::reader::core::SubscriptionRole;
+use crate::topic::subscription::RawSubscription;
+use crate::topic::writer::core::PublisherRole;
 use std::cell::Cell;
 use std::fmt;
 use std::sync::Arc;
@@ -210,7 +213,7 @@ impl ClientEndpoints {
 
 impl Participant {
     /// Creates a client of `service`, a fully qualified name. The number of pending requests is limited to
-    /// [`MAX_PENDING_REQUESTS`](super::MAX_PENDING_REQUESTS).
+    /// [`MAX_PENDING_REQUESTS`](crate::MAX_PENDING_REQUESTS).
     ///
     /// # Real-time
     /// Setup only. Waits up to 100 ms for the processes of existing servers, because one of them may be

@@ -3,14 +3,16 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::client::{Availability, ClientState, Inbox, RawClient, RawPending};
-use super::pending::Outcome;
-use super::server::{RawResponse, RawServer, RequestId};
-use super::{RESPONSES_DEPTH, ServiceError};
 use crate::error::{LoanError, PublishError, SendError, TakeError};
-use crate::topic::header::{Gid, MessageInfo, SampleKind};
-use crate::topic::publisher::{RawLoan, RawPublisher, Sending, Stamp, WhenFull};
-use crate::topic::subscription::{PollBudget, RawSample};
+use crate::memory::header::{Gid, MessageInfo, SampleKind};
+use crate::service::client::{Availability, ClientState, Inbox, RawClient, RawPending};
+use crate::service::error::ServiceError;
+use crate::service::pending::Outcome;
+use crate::service::server::{RawResponse, RawServer, RequestId};
+use crate::service::service_type::RESPONSES_DEPTH;
+use crate::topic::publisher::RawPublisher;
+use crate::topic::publisher::hot::{RawLoan, Sending, Stamp, WhenFull};
+use crate::topic::subscription::hot::{PollBudget, RawSample};
 use core::future::Future;
 use core::ops::{Deref, DerefMut};
 use core::pin::Pin;

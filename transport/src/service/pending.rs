@@ -15,7 +15,7 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use crate::sync::{AtomicU64, Ordering, fence};
-use crate::topic::subscription::RawSample;
+use crate::topic::subscription::hot::RawSample;
 use core::cell::UnsafeCell;
 use futures::task::AtomicWaker;
 use std::sync::Arc;

@@ -3,15 +3,18 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::client::{ClientEndpoints, Servers};
-use super::hot::stamped;
-use super::{ServiceError, ServiceType};
 use crate::error::{LoanError, PublishError, SendError, TakeError, TransportError};
-use crate::participant::Participant;
+use crate::memory::header::{Gid, SampleKind};
 use crate::qos::Limits;
-use crate::topic::header::{Gid, SampleKind};
-use crate::topic::publisher::{RawLoan, RawPublisher, Sending, Stamp, WhenFull};
-use crate::topic::subscription::{PollBudget, RawSample, RawSubscription};
+use crate::service::client::{ClientEndpoints, Servers};
+use crate::service::error::ServiceError;
+use crate::service::hot::stamped;
+use crate::service::service_type::ServiceType;
+use crate::topic::participant::Participant;
+use crate::topic::publisher::RawPublisher;
+use crate::topic::publisher::hot::{RawLoan, Sending, Stamp, WhenFull};
+use crate::topic::subscription::RawSubscription;
+use crate::topic::subscription::hot::{PollBudget, RawSample};
 use core::cell::{Cell, RefCell};
 use core::fmt;
 use core::task::Waker;

@@ -1,13 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Untyped servers. The work for each request is in `hot.rs`.
 
-use super::{ServiceType, topics};
 use crate::error::TransportError;
-use crate::participant::Participant;
+use crate::memory::header::{Gid, MessageInfo};
 use crate::qos::{Limits, Qos};
-use crate::topic::header::{Gid, MessageInfo};
-use crate::topic::publisher::{PublisherRole, RawLoan, RawPublisher};
-use crate::topic::subscription::{RawSubscription, SubscriptionRole};
+use crate::service::service_type::{ServiceType, topics};
+use crate::topic::participant::Participant;
+use crate::topic::publisher::RawPublisher;
+use crate::topic::publisher::hot::RawLoan;
+use crate::topic::reader::core::SubscriptionRole;
+use crate::topic::subscription::RawSubscription;
+use crate::topic::writer::core::PublisherRole;
 use std::fmt;
 use std::sync::Arc;
 

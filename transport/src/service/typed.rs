@@ -3,15 +3,17 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::client::{Availability, RawClient, RawPending};
-use super::server::{RawServer, RequestId};
-use super::{ServiceError, ServiceType};
 use crate::error::{SendError, TakeError, TransportError};
-use crate::participant::Participant;
+use crate::memory::header::MessageInfo;
 use crate::qos::Limits;
-use crate::topic::header::MessageInfo;
+use crate::service::client::{Availability, RawClient, RawPending};
+use crate::service::error::ServiceError;
+use crate::service::server::{RawServer, RequestId};
+use crate::service::service_type::ServiceType;
+use crate::topic::participant::Participant;
 use crate::topic::subscription::RawSubscription;
-use crate::topic::typed::{Codec, Decode, Loan, Sample, Unwritten, poll_take, take_valid};
+use crate::topic::typed::hot::{Loan, Sample, Unwritten, poll_take, take_valid};
+use crate::topic::typed::{Codec, Decode};
 use core::fmt;
 use core::future::Future;
 use core::ops::{Deref, DerefMut};

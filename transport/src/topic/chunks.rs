@@ -2,7 +2,7 @@
 //! A sorted list that is cheap to copy: it consists of chunks that copies share, and a change replaces only one chunk. So setup code
 //! can hand over a list of a thousand endpoints again and again, even if only one of them has changed.
 
-use super::header::Gid;
+use crate::memory::header::Gid;
 use std::sync::Arc;
 
 /// Elements of a chunk at most.

@@ -3,10 +3,10 @@
 //!
 //! The matching code maintains them; a monitor gets a copy when something has changed, without a lock.
 
-use super::compatibility::QosPolicyKind;
-use super::header::Gid;
-use super::subscription::LivelinessSource;
+use crate::memory::connection::Connection;
+use crate::memory::header::Gid;
 use crate::qos::Qos;
+use crate::topic::compatibility::QosPolicyKind;
 use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -137,5 +137,40 @@ impl Endpoints {
         let (writer, reader) = latest(Arc::new(self.to_list()));
         self.monitors.push(writer);
         reader
+    }
+}
+
+/// The number of endpoints that match an endpoint of a topic: a count that any thread may read.
+#[derive(Clone)]
+pub struct MatchedCount(pub(crate) Arc<AtomicUsize>);
+
+impl MatchedCount {
+    /// The count.
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub fn get(&self) -> usize {
+        self.0.load(Ordering::Acquire)
+    }
+}
+
+impl std::fmt::Debug for MatchedCount {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_tuple("MatchedCount").field(&self.get()).finish()
+    }
+}
+
+/// Where a publisher shows that it is alive.
+#[derive(Clone)]
+pub(crate) struct LivelinessSource(Arc<Connection>);
+
+impl LivelinessSource {
+    pub(crate) fn new(connection: Arc<Connection>) -> Self {
+        LivelinessSource(connection)
+    }
+
+    /// When it last did.
+    pub(crate) fn alive_ns(&self) -> u64 {
+        self.0.block().out.alive_ns.load(Ordering::Relaxed)
     }
 }

@@ -1,86 +1,20 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Topics: publishers and subscriptions, the shared memory between them, and how they find each other.
+//! Topics: publishers and subscriptions, and how they find each other.
 //!
-//! A publisher has its own memory in its participant's file: samples ([`pool`]), and for each subscription a [`connection`], which
-//! consists of two queues of iceoryx2. Setup code ([`matching`]) creates and removes connections; the threads that publish and take
-//! only use them.
+//! In: messages as bytes ([`publisher`]) or typed ([`typed`]). Out: samples, read in place ([`subscription`]). Setup code ([`matching`])
+//! creates and removes connections, by the records in the graph; each side has a half for setup and a half for its thread ([`writer`],
+//! [`reader`]), which are handed over ([`hand_over`]). The [`participant`] owns all of it.
+//! Who may touch it: one thread at a time publishes or takes, without a lock; setup code holds the participant's lock.
 
-pub(crate) mod borrowed;
 pub(crate) mod chunks;
 pub(crate) mod compatibility;
-pub(crate) mod connection;
-pub(crate) mod control;
+pub(crate) mod declaration;
 pub(crate) mod endpoints;
 pub(crate) mod hand_over;
-pub(crate) mod header;
 pub(crate) mod matching;
-pub(crate) mod memory;
-pub(crate) mod monitor;
-pub(crate) mod pool;
+pub(crate) mod participant;
 pub(crate) mod publisher;
+pub(crate) mod reader;
 pub(crate) mod subscription;
-pub(crate) mod topic_type;
-pub(crate) mod traced;
 pub(crate) mod typed;
-
-use crate::error::TransportError;
-use crate::graph::record::{MAX_NAME_BYTES, PortRecord, is_topic};
-use crate::qos::{Limits, Qos};
-use crate::schema_store;
-use endpoints::Mismatch;
-use topic_type::TopicType;
-
-/// A topic as one endpoint sees it.
-#[derive(Clone, Debug)]
-pub(crate) struct Topic {
-    pub(crate) name: String,
-    /// What this end knows of its type.
-    pub(crate) topic_type: TopicType,
-}
-
-impl Topic {
-    /// Checks what an end of a topic is to be, and keeps the definition of its type.
-    pub(crate) fn check(
-        name: &str,
-        topic_type: &TopicType,
-        qos: Qos,
-        limits: Limits,
-    ) -> Result<Self, TransportError> {
-        if !is_topic(name) {
-            return Err(TransportError::TopicName {
-                topic: name.escape_default().to_string(),
-                reason: format!("it has 1 to {MAX_NAME_BYTES} bytes, no control characters and no ':'"),
-            });
-        }
-        qos.check(name)?;
-        limits.check(name)?;
-        topic_type.check(name)?;
-        let message_bytes = topic_type.body_bytes.map_or(limits.message_bytes, |bytes| bytes.max(1));
-        Limits { message_bytes, ..limits }.check(name)?;
-        // Only what its bringer knows the hash of.
-        schema_store::keep(topic_type);
-        Ok(Topic { name: name.to_owned(), topic_type: topic_type.clone() })
-    }
-
-    /// What it is called in what users read: that of a service's requests is the service.
-    pub(crate) fn named(&self) -> String {
-        crate::error::named(&self.name)
-    }
-
-    /// Warns, where an endpoint is made or another one appears, that they exchange no messages.
-    fn warn_of_mismatch(&self, mismatch: Mismatch, here: &str, there: &str, port: &PortRecord) {
-        match mismatch {
-            Mismatch::Qos(policy) => tracing::warn!(
-                "{}: this {here} and a {there} are QoS-incompatible: the offered {policy} does not meet the requested one \
-                 (docs/qos.md)",
-                self.named()
-            ),
-            Mismatch::Type => tracing::warn!(
-                "{}: this {here} and a {there} have different types, '{}' and '{}': rename one of them, or use the same type",
-                self.named(),
-                self.topic_type.describe(),
-                port.topic_type().describe()
-            ),
-        }
-    }
-}
+pub(crate) mod writer;

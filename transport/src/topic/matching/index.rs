@@ -4,15 +4,16 @@
 
 use crate::error::TransportError;
 use crate::graph::domain::{Domain, Seen};
+use crate::graph::entities::{EndpointKind, NodeName};
 use crate::graph::log::{EntryKind, Reader};
+use crate::graph::origin::Rank;
 use crate::graph::record::{PortKind, PortRecord, RemotePortRecord};
-use crate::graph::{EndpointKind, NodeName, Rank};
-use crate::participant::file::{Peer, Peers};
-use crate::topic::Topic;
-use crate::topic::header::Gid;
+use crate::memory::file::{Peer, Peers};
+use crate::memory::header::Gid;
+use crate::topic::declaration::Topic;
 use std::collections::hash_map::Entry;
 use std::collections::{BTreeSet, HashMap, HashSet};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Most endpoints on other hosts that a port tells its monitors of: what others declare costs it no more than this.
 const MOST_REMOTE: usize = 256;
@@ -166,7 +167,7 @@ impl Index {
                 Err(error) => {
                     update.is_refused |= error.is_passing();
                     if self.refused.insert(member.id) {
-                        super::complain(&error);
+                        complain(&error);
                     }
                 }
             }
@@ -400,13 +401,25 @@ fn remove(by_topic: &mut HashMap<u64, TopicPorts>, hash: u64, remove: impl FnOnc
     }
 }
 
+/// Once for each text, for it is tried again and again.
+pub(super) fn complain(error: &TransportError) {
+    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let text = error.to_string();
+    let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
+    if said.len() < 64 && said.insert(text.clone()) {
+        tracing::warn!(
+            "an endpoint of this process and one of another process are not connected, retrying: {text} (logged once)"
+        );
+    }
+}
+
 #[cfg(all(test, not(taut_loom)))]
 mod tests {
     use super::*;
     use crate::graph::log::hash_of;
     use crate::graph::own::OwnRecord;
     use crate::graph::record::QosRecord;
-    use crate::participant::file::OwnMemory;
+    use crate::memory::file::OwnMemory;
     use crate::qos::Qos;
     use crate::tests::isolated;
 

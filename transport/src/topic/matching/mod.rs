@@ -14,25 +14,22 @@
 //! So threads that publish and take find everything prepared. One lock per participant guards this work; those threads never take it.
 
 mod index;
-mod source;
 #[cfg(all(test, not(taut_loom)))]
 mod tests;
 
-pub(crate) use source::PublisherMemory;
-
+use crate::cleanup::janitor::LookOutcome;
 use crate::error::TransportError;
 use crate::graph::domain::Domain;
 use crate::graph::log::hash_of;
-use crate::graph::own::OwnRecord;
+use crate::graph::own::{NodeEntry, OwnRecord};
 use crate::graph::record::{PortKind, PortRecord};
-use crate::graph::{NodeEntry, RemoteGraph};
-use crate::participant::ArenaOwner;
-use crate::participant::file::Peers;
-use crate::topic::header::Gid;
-use crate::topic::publisher::core::{DiscoveredSubscription, PublisherCore};
-use crate::topic::subscription::core::{DiscoveredPublisher, SubscriptionCore};
-use index::{Index, IndexUpdate};
-use source::PeerPublishers;
+use crate::graph::remote::RemoteGraph;
+use crate::memory::file::{ArenaOwner, Peers};
+use crate::memory::header::Gid;
+use crate::topic::matching::index::{Index, IndexUpdate, complain};
+use crate::topic::reader::core::{DiscoveredPublisher, SubscriptionCore};
+use crate::topic::reader::source::{PeerPublishers, PublisherMemory};
+use crate::topic::writer::core::{DiscoveredSubscription, PublisherCore};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -88,15 +85,6 @@ struct Work {
     /// Own publishers of which nothing remains.
     released: Vec<u64>,
     outcome: LookOutcome,
-}
-
-/// What came of a look.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct LookOutcome {
-    /// Something is left that only time can finish.
-    pub(crate) is_pending: bool,
-    /// A participant has gone.
-    pub(crate) has_gone: bool,
 }
 
 impl Work {
@@ -622,17 +610,5 @@ impl MatcherState {
         let numbers: Vec<u64> = closed.map(|gid| gid.number()).collect();
         self.release(numbers, work);
         self.peer_publishers.forget();
-    }
-}
-
-/// Once for each text, for it is tried again and again.
-fn complain(error: &TransportError) {
-    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
-    let text = error.to_string();
-    let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
-    if said.len() < 64 && said.insert(text.clone()) {
-        tracing::warn!(
-            "an endpoint of this process and one of another process are not connected, retrying: {text} (logged once)"
-        );
     }
 }

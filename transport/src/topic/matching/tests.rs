@@ -2,13 +2,13 @@
 //! Two participants without threads, a step at a time.
 
 use super::*;
-use crate::participant::file::OwnMemory;
+use crate::graph::topic_type::TopicType;
+use crate::memory::file::OwnMemory;
 use crate::qos::{Limits, Qos};
 use crate::tests::isolated;
-use crate::topic::Topic;
-use crate::topic::publisher::PublisherRole;
-use crate::topic::subscription::SubscriptionRole;
-use crate::topic::topic_type::TopicType;
+use crate::topic::declaration::Topic;
+use crate::topic::reader::core::SubscriptionRole;
+use crate::topic::writer::core::PublisherRole;
 use tautline_doorbell::Doorbell;
 
 /// A participant without threads: it looks when it is told to.

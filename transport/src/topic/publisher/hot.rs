@@ -7,13 +7,13 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::RawPublisher;
-use super::sender::{PublishState, ReaderChannel};
 use crate::error::{LoanError, PublishError, SendError};
+use crate::memory::header::{Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
+use crate::memory::pool::Segment;
+use crate::memory::sizes::{padded, sample_bytes};
 use crate::qos::Claim;
-use crate::topic::header::{Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
-use crate::topic::memory::{padded, sample_bytes};
-use crate::topic::pool::Segment;
+use crate::topic::publisher::RawPublisher;
+use crate::topic::writer::sender::{PublishState, ReaderChannel};
 use core::future::poll_fn;
 use core::mem::ManuallyDrop;
 use core::ops::{Deref, DerefMut};

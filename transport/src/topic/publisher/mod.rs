@@ -1,31 +1,26 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Untyped publishers: loan, write in place, publish. The layer above knows the type.
 
-pub(crate) mod core;
-mod gate;
-mod history;
-mod hot;
-mod sender;
-
-pub use gate::Gate;
-pub use hot::RawLoan;
-pub(crate) use hot::{Sending, Stamp, WhenFull};
+pub(crate) mod gate;
+pub(crate) mod hot;
 
 use crate::error::TransportError;
-use crate::graph::{EndpointKind, NodeEntry, TopicEndpoint};
-use crate::participant::{Participant, ParticipantState};
+use crate::graph::entities::{EndpointKind, TopicEndpoint};
+use crate::graph::own::NodeEntry;
+use crate::graph::topic_type::TopicType;
+use crate::memory::header::{Gid, NEVER};
+use crate::memory::sizes::{padded, sample_bytes};
 use crate::qos::{History, Limits, Liveliness, Qos};
-use crate::topic::Topic;
-use crate::topic::header::{Gid, NEVER};
-use crate::topic::memory::{padded, sample_bytes};
-use crate::topic::topic_type::TopicType;
-use crate::topic::traced::TracedPort;
-use core::PublisherCore;
+use crate::topic::declaration::Topic;
+use crate::topic::endpoints::MatchedCount;
+use crate::topic::participant::{Participant, ParticipantState};
+use crate::topic::publisher::gate::Gate;
+use crate::topic::writer::core::{PublisherCore, PublisherRole};
+use crate::topic::writer::sender::PublishState;
 use futures::StreamExt;
-use sender::PublishState;
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use tautline_doorbell::{ActivityKind, Slot};
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_rt::fork::ProcessMark;
@@ -77,17 +72,42 @@ impl PublisherCounters {
     }
 }
 
-/// What a publisher is made for, besides its topic.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct PublisherRole {
-    /// It passes on what others published.
-    pub(crate) is_relay: bool,
-    /// Each sample goes to one subscription: responses.
-    pub(crate) is_addressed: bool,
-    /// Of a server's responses: the port of its requests.
-    pub(crate) partner: Option<u64>,
-    /// The number of the port, if that was known before.
-    pub(crate) number: Option<u64>,
+impl Participant {
+    /// Creates a publisher of bytes of `topic`, a fully qualified name.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError`]: no shared memory, an invalid QoS.
+    pub fn create_raw_publisher(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawPublisher, TransportError> {
+        RawPublisher::create(self, topic, topic_type, qos, limits, PublisherRole::default())
+    }
+
+    /// Like [`create_raw_publisher`](Self::create_raw_publisher), for relayed messages: every subscription gets them, whatever
+    /// it requests.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// As [`create_raw_publisher`](Self::create_raw_publisher).
+    pub fn create_relay_publisher(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawPublisher, TransportError> {
+        let role = PublisherRole { is_relay: true, ..PublisherRole::default() };
+        RawPublisher::create(self, topic, topic_type, qos, limits, role)
+    }
 }
 
 impl RawPublisher {
@@ -160,9 +180,9 @@ impl RawPublisher {
         self.core.gid
     }
 
-    /// For a mirror that publishes through this port, and records in a trace what it has received.
-    pub fn traced(&self) -> TracedPort {
-        TracedPort(self.trace.id())
+    /// This publisher's id in trace events.
+    pub(crate) fn trace_id(&self) -> tautline_trace::ObjectId {
+        self.trace.id()
     }
 
     /// This publisher's limits; `message_bytes` is the type's size if that is fixed.
@@ -232,7 +252,7 @@ impl RawPublisher {
     pub fn wait_for_subscriptions(
         &self,
     ) -> Result<impl Future<Output = Result<(), TransportError>> + Send + use<>, TransportError> {
-        let participant = Participant { state: self.participant.clone(), node: None };
+        let participant = self.participant.clone();
         let topic = self.topic().to_owned();
         // Before the first look: nothing that happens after it is missed.
         let mut events = participant.graph_events()?;
@@ -245,26 +265,6 @@ impl RawPublisher {
             }
             Ok(())
         })
-    }
-}
-
-/// The number of endpoints that match an endpoint of a topic: a count that any thread may read.
-#[derive(Clone)]
-pub struct MatchedCount(pub(crate) Arc<AtomicUsize>);
-
-impl MatchedCount {
-    /// The count.
-    ///
-    /// # Real-time
-    /// Wait-free: one load.
-    pub fn get(&self) -> usize {
-        self.0.load(Ordering::Acquire)
-    }
-}
-
-impl std::fmt::Debug for MatchedCount {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_tuple("MatchedCount").field(&self.get()).finish()
     }
 }
 
@@ -287,5 +287,32 @@ impl Drop for RawPublisher {
     fn drop(&mut self) {
         self.core.slot.retire();
         self.participant.matcher.remove_publisher(&self.core);
+    }
+}
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_returned_at_once_is_taken_back_over_the_next_loans() {
+        crate::tests::isolated();
+        let participant = Participant::new(7).unwrap();
+        let topic_type = TopicType::new("test_msgs/msg/Text").with_body_bytes(64);
+        let (limits, qos) = (Limits { held: 1, loans: 1, ..Limits::default() }, Qos::keep_last(20));
+        let publisher = participant.create_raw_publisher("/burst", &topic_type, qos, limits).unwrap();
+        let subscription = participant.create_raw_subscription("/burst", &topic_type, qos, limits).unwrap();
+        let out = || {
+            let publish_state = publisher.publish_state.borrow();
+            let senders = publish_state.table().live();
+            senders.map(|sender| sender.samples_out()).sum::<u32>()
+        };
+        (0..20).for_each(|_| publisher.publish(&[1; 64]).unwrap());
+        assert_eq!(out(), 20);
+        while subscription.try_take().unwrap().is_some() {}
+        for loan in 1..=10 {
+            drop(publisher.loan(64).unwrap());
+            assert_eq!(out(), 20 - 2 * loan);
+        }
     }
 }

@@ -3,13 +3,13 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::receiver::{BorrowedChunk, TakeOutcome, TakenSample};
-use super::{PollState, RawSubscription, SubscriptionCounters};
 use crate::error::TakeError;
+use crate::memory::header::{Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
+use crate::memory::sizes::padded;
 use crate::qos::History;
-use crate::topic::borrowed::BorrowedSample;
-use crate::topic::header::{Gid, MessageInfo, NEVER, SampleHeader, SampleKind};
-use crate::topic::memory::padded;
+use crate::topic::reader::borrowed::BorrowedSample;
+use crate::topic::reader::receiver::{BorrowedChunk, TakeOutcome, TakenSample};
+use crate::topic::subscription::{PollState, RawSubscription, SubscriptionCounters};
 use core::pin::Pin;
 use core::ptr::NonNull;
 use core::sync::atomic::{AtomicU64, Ordering};

@@ -1,33 +1,26 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Untyped subscriptions: take a sample and read it in place, or poll for one from a task. The layer above knows the
-//! type.
+//! Untyped subscriptions: take a sample and read it in place, or poll for one from a task. The layer above knows the type.
 
-pub(crate) mod core;
-mod hot;
-pub(crate) mod receiver;
-
-pub(crate) use hot::PollBudget;
-pub use hot::RawSample;
+pub(crate) mod hot;
 
 use crate::error::TransportError;
-use crate::graph::NodeEntry;
-use crate::participant::{Participant, ParticipantState};
+use crate::graph::own::NodeEntry;
+use crate::graph::topic_type::TopicType;
+use crate::memory::header::Gid;
 use crate::qos::{Limits, Qos};
-use crate::topic::Topic;
-use crate::topic::borrowed::BorrowTable;
-use crate::topic::connection::Connection;
-use crate::topic::header::Gid;
-use crate::topic::publisher::MatchedCount;
-use crate::topic::topic_type::TopicType;
-use core::SubscriptionCore;
-use receiver::{BorrowedChunk, Receiver, TakeState};
+use crate::topic::declaration::Topic;
+use crate::topic::endpoints::MatchedCount;
+use crate::topic::participant::{Participant, ParticipantState};
+use crate::topic::reader::borrowed::BorrowTable;
+use crate::topic::reader::core::{SubscriptionCore, SubscriptionRole};
+use crate::topic::reader::receiver::{BorrowedChunk, TakeState};
 use std::cell::{Cell, RefCell};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 use std::task::Waker;
 use tautline_doorbell::{BellRoute, Slot, ThreadBell};
 
-/// Receives CDR bodies of any type from one topic. A stream of [`RawSample`]s, or
+/// Receives CDR bodies of any type from one topic. A stream of [`RawSample`](crate::RawSample)s, or
 /// [`try_take`](RawSubscription::try_take).
 ///
 /// May be moved between threads, but only one thread uses it at a time. Its samples may be dropped in any thread; their
@@ -101,17 +94,67 @@ impl SubscriptionCounters {
     }
 }
 
-/// What a subscription is made for, besides its topic.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct SubscriptionRole {
-    /// What it gets is passed on.
-    pub(crate) is_relay: bool,
-    /// It only looks on.
-    pub(crate) is_observer: bool,
-    /// Of a client's responses: the port of its requests.
-    pub(crate) partner: Option<u64>,
-    /// The number of the port, if that was known before.
-    pub(crate) number: Option<u64>,
+impl Participant {
+    /// Creates a subscription to the bytes of `topic`, a fully qualified name. What is published from now on is queued.
+    ///
+    /// # Real-time
+    /// As [`create_subscription`](Self::create_subscription).
+    ///
+    /// # Errors
+    /// [`TransportError`]: no shared memory, an invalid QoS.
+    pub fn create_raw_subscription(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawSubscription, TransportError> {
+        RawSubscription::create(self, topic, topic_type, qos, limits, SubscriptionRole::default())
+    }
+
+    /// Like [`create_raw_subscription`](Self::create_raw_subscription), for messages to be relayed: it gets the messages of
+    /// every publisher, whatever the publisher offers.
+    ///
+    /// # Real-time
+    /// As [`create_subscription`](Self::create_subscription).
+    ///
+    /// # Errors
+    /// As [`create_raw_subscription`](Self::create_raw_subscription).
+    pub fn create_relay_subscription(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<RawSubscription, TransportError> {
+        let role = SubscriptionRole { is_relay: true, ..SubscriptionRole::default() };
+        RawSubscription::create(self, topic, topic_type, qos, limits, role)
+    }
+
+    /// An observer: a subscription for tools. It gets the messages of every publisher on this host, whatever the publisher offers, and the
+    /// samples kept for late joiners, at most `depth` of each. It is invisible: it appears in no count, list or event, matches nothing,
+    /// makes no gateway fetch messages, and no publisher waits for it. It is not rung, so [take](RawSubscription::try_take) from it at
+    /// intervals.
+    ///
+    /// Its cost for each publisher: a queue of `depth`, into which the publishing thread puts each sample, and memory for
+    /// `limits.held` samples, plus memory for `depth` samples if `depth` is greater than that of every subscription.
+    ///
+    /// # Real-time
+    /// As [`create_subscription`](Self::create_subscription).
+    ///
+    /// # Errors
+    /// As [`create_raw_subscription`](Self::create_raw_subscription).
+    pub fn create_observer(
+        &self,
+        topic: &str,
+        topic_type: &TopicType,
+        depth: usize,
+        limits: Limits,
+    ) -> Result<RawSubscription, TransportError> {
+        let role = SubscriptionRole { is_observer: true, ..SubscriptionRole::default() };
+        let qos = Qos::keep_last(depth).best_effort().transient_local();
+        RawSubscription::create(self, topic, topic_type, qos, limits, role)
+    }
 }
 
 impl RawSubscription {
@@ -281,20 +324,5 @@ impl Drop for LastSampleGuard {
             core.is_returned.store(true, Ordering::Release);
             self.participant.call_janitor();
         }
-    }
-}
-
-/// Where a publisher shows that it is alive.
-#[derive(Clone)]
-pub(crate) struct LivelinessSource(Arc<Connection>);
-
-impl LivelinessSource {
-    pub(crate) fn of(receiver: &Receiver) -> Self {
-        LivelinessSource(receiver.connection().clone())
-    }
-
-    /// When it last did.
-    pub(crate) fn alive_ns(&self) -> u64 {
-        self.0.block().out.alive_ns.load(Ordering::Relaxed)
     }
 }

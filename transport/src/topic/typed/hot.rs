@@ -3,11 +3,13 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::{Codec, Decode, Publisher, Subscription};
 use crate::error::{LoanError, PublishError, SendError, TakeError};
-use crate::topic::header::MessageInfo;
-use crate::topic::publisher::{RawLoan, RawPublisher};
-use crate::topic::subscription::{PollBudget, RawSample, RawSubscription};
+use crate::memory::header::MessageInfo;
+use crate::topic::publisher::RawPublisher;
+use crate::topic::publisher::hot::RawLoan;
+use crate::topic::subscription::RawSubscription;
+use crate::topic::subscription::hot::{PollBudget, RawSample};
+use crate::topic::typed::{Codec, Decode, Publisher, Subscription};
 use core::fmt;
 use core::marker::PhantomData;
 use core::mem::MaybeUninit;

@@ -6,9 +6,9 @@
 //! loan, each subscription that it was sent to, and the history of a publisher that keeps samples for late joiners each hold a
 //! reference. When the last reference is released, the sample is free.
 
-use super::header::{HEADER_BYTES, SampleHeader};
-use super::memory::SAMPLE_ALIGNMENT;
-use crate::participant::ranges::Range;
+use crate::memory::header::{HEADER_BYTES, SampleHeader};
+use crate::memory::ranges::Range;
+use crate::memory::sizes::SAMPLE_ALIGNMENT;
 use iceoryx2_bb_elementary::bump_allocator::BumpAllocator;
 use iceoryx2_bb_elementary_traits::allocator::Allocate;
 use iceoryx2_cal::shm_allocator::pool_allocator::{Config, PoolAllocator};
@@ -242,6 +242,18 @@ impl Pool {
         }
     }
 }
+
+/// A segment of a publisher's samples, mapped here.
+#[derive(Clone)]
+pub(crate) struct SegmentView {
+    pub(crate) map: Arc<Mapping>,
+    pub(crate) sample_bytes: usize,
+    /// Where it lies in the publisher's file: its id may be another's later.
+    pub(crate) place: u64,
+}
+
+/// By their ids.
+pub(crate) type SegmentViews = Arc<[Option<SegmentView>]>;
 
 #[cfg(all(test, not(taut_loom)))]
 mod tests {

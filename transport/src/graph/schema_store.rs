@@ -5,7 +5,8 @@
 //! A process that opens a topic with hash and definition stores the definition here, in files that only this user can
 //! read or write. A stored definition is untrusted: readers that can compute the hash check it before use.
 
-use crate::topic::topic_type::{TopicType, is_hash};
+use crate::graph::topic_type::TopicType;
+use crate::names::is_hash;
 use rustix::fs::{self, AtFlags, Mode, OFlags};
 use rustix::io::Errno;
 use std::fs::File;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! How much shared memory a publisher needs.
 
-use super::header::HEADER_BYTES;
+use crate::memory::header::HEADER_BYTES;
 use crate::qos::{Durability, Limits, Qos};
 
 /// Samples start at multiples of this.

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-use super::{
+use crate::observe::monitor::{
     Changes, EndpointTracker, Events, IncompatibleQos, IncompatibleType, LivelinessChanged, Matched,
     MessageLost,
 };
 use crate::qos::Qos;
-use crate::topic::subscription::core::SubscriptionCore;
+use crate::topic::reader::core::SubscriptionCore;
 use crate::topic::subscription::{RawSubscription, SubscriptionCounters};
 use std::sync::Arc;
 use std::time::Duration;

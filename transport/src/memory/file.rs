@@ -9,14 +9,16 @@
 //!
 //! The participant holds the file's lock as long as it lives. Peers map what they need of it, and keep no descriptor.
 
-use super::ranges::{Range, Ranges};
 use crate::error::TransportError;
+use crate::memory::ranges::{Range, Ranges};
 use std::collections::BTreeMap;
 use std::io;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
-use tautline_doorbell::{Arena, ArenaId, DoorbellError, MAIN_BYTES, WINDOWS, window_bytes, window_of};
+use tautline_doorbell::{
+    Arena, ArenaId, Doorbell, DoorbellError, MAIN_BYTES, WINDOWS, window_bytes, window_of,
+};
 use tautline_rt::domain::{shared_folder, shared_path};
 use tautline_rt::shm::{self, Mapping, OwnFile, PeerFile, Region, ShmError};
 
@@ -348,5 +350,29 @@ impl Peers {
         self.known.retain(|_, peer| peer.strong_count() > 0);
         self.known.insert(id, Arc::downgrade(&peer));
         Ok(Some(peer))
+    }
+}
+
+/// The participant that an arena belongs to: this process's own or another.
+#[derive(Clone)]
+pub(crate) enum ArenaOwner {
+    Own(Arc<Doorbell>),
+    Peer(Arc<Peer>),
+}
+
+impl ArenaOwner {
+    pub(crate) fn arena(&self) -> &Arena {
+        match self {
+            ArenaOwner::Own(doorbell) => doorbell.arena(),
+            ArenaOwner::Peer(peer) => peer.arena(),
+        }
+    }
+
+    /// Makes sure that `slot` can be rung. False if there is no such slot.
+    pub(crate) fn reach(&self, slot: usize) -> Result<bool, TransportError> {
+        match self {
+            ArenaOwner::Own(doorbell) => Ok(doorbell.arena().has(slot)),
+            ArenaOwner::Peer(peer) => peer.reach(slot),
+        }
     }
 }

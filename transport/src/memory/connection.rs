@@ -8,8 +8,7 @@
 //! The block lies in the publisher's part of its participant's file. The queues refer to their memory by offsets relative to
 //! their own position, so the block may be at different addresses in different processes.
 
-use super::header::Gid;
-use crate::graph::record::PortRecord;
+use crate::memory::header::Gid;
 use iceoryx2_bb_elementary::bump_allocator::BumpAllocator;
 use iceoryx2_bb_elementary_traits::relocatable_container::RelocatableContainer;
 use iceoryx2_bb_lock_free::spsc::index_queue::RelocatableIndexQueue;
@@ -124,12 +123,6 @@ pub(crate) const BLOCK_BYTES: usize = size_of::<Block>();
 const WORD_BYTES: usize = size_of::<u64>();
 
 impl Shape {
-    /// As a subscription's record says, for a publisher that may have so many loans.
-    pub(crate) fn of(subscription: &PortRecord, loans: usize) -> Self {
-        let (depth, held) = (subscription.qos.qos().depth, subscription.at as usize);
-        Shape { depth, held, loans, is_observer: subscription.observer }
-    }
-
     /// The subscription may take and return all that is queued, and what the publisher sends, before that one looks: it does with
     /// each loan.
     pub(crate) fn returned_len(self) -> usize {

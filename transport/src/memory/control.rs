@@ -6,11 +6,11 @@
 //! Only the publisher's participant creates and changes this memory. The subscriptions' participants read it, and write only into
 //! their connections.
 
-use super::connection::{BLOCK_BYTES, Connection, Shape};
-use super::header::Gid;
-use super::pool::{SEGMENTS, Segment};
-use crate::participant::file::{OwnMemory, PAGE, PackedRange};
-use crate::participant::ranges::{Range, Ranges};
+use crate::memory::connection::{BLOCK_BYTES, Connection, Shape};
+use crate::memory::file::{OwnMemory, PAGE, PackedRange};
+use crate::memory::header::Gid;
+use crate::memory::pool::{SEGMENTS, Segment};
+use crate::memory::ranges::{Range, Ranges};
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering, fence};
@@ -533,7 +533,7 @@ impl View {
 mod tests {
     use super::*;
     use crate::graph::domain::Domain;
-    use crate::participant::file::Peer;
+    use crate::memory::file::Peer;
     use crate::tests::isolated;
 
     const SHAPE: Shape = Shape { depth: 10, held: 4, loans: 1, is_observer: false };

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reading a domain without joining it.
 
-use super::domain::Domain;
-use super::model::{Model, VISITOR};
-use super::{EndpointKind, GraphSnapshot, NodeName, TopicEndpoint};
 use crate::error::TransportError;
-use crate::participant::{check_domain, file::Peer};
-use crate::topic::connection::Connection;
-use crate::topic::control::{Sent, View};
-use crate::topic::header::Gid;
+use crate::graph::domain::{Domain, check_domain};
+use crate::graph::entities::{Death, EndpointKind, GraphSnapshot, TopicEndpoint};
+use crate::graph::model::{Model, VISITOR};
+use crate::memory::connection::Connection;
+use crate::memory::control::{Sent, View};
+use crate::memory::file::Peer;
+use crate::memory::header::Gid;
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 use std::sync::Arc;
@@ -32,15 +32,6 @@ pub struct Visitor {
     looked: Instant,
     /// Of requested publishers.
     views: HashMap<Gid, View>,
-}
-
-/// A process that ended without ending its entities in the domain: it was killed, crashed, or called `exit`.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Death {
-    /// The process.
-    pub pid: u32,
-    /// Its nodes, without those of other hosts that a gateway or bridge announced.
-    pub nodes: Vec<NodeName>,
 }
 
 impl Visitor {

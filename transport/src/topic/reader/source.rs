@@ -3,15 +3,13 @@
 //! participant's file.
 
 use crate::error::TransportError;
-use crate::participant::ArenaOwner;
-use crate::participant::file::{PackedRange, Peer};
-use crate::participant::ranges::Range;
-use crate::topic::connection::Connection;
-use crate::topic::control::{MappedControl, View};
-use crate::topic::header::Gid;
-use crate::topic::pool::SEGMENTS;
-use crate::topic::publisher::core::PublisherCore;
-use crate::topic::subscription::receiver::{SegmentView, SegmentViews};
+use crate::memory::connection::Connection;
+use crate::memory::control::{MappedControl, View};
+use crate::memory::file::{ArenaOwner, PackedRange, Peer};
+use crate::memory::header::Gid;
+use crate::memory::pool::{SEGMENTS, SegmentView, SegmentViews};
+use crate::memory::ranges::Range;
+use crate::topic::writer::core::PublisherCore;
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};

@@ -2,25 +2,24 @@
 //! The setup part of a publisher: its memory, and the subscriptions that it is connected to. The publisher and the matching code share
 //! it. The thread that publishes works with a table that is handed over to it: see [`sender`](super::sender).
 
-use super::PublisherRole;
-use super::history::History;
-use super::sender::{PublishState, ReaderChannel, ReaderTable, SpareList, words_for};
 use crate::error::TransportError;
 use crate::graph::log::hash_of;
 use crate::graph::own::OwnRecord;
 use crate::graph::record::{PortKind, PortRecord, QosRecord};
-use crate::participant::ArenaOwner;
-use crate::participant::file::OwnMemory;
+use crate::memory::connection::{ReaderState, Shape};
+use crate::memory::control::{PublisherControl, Traffic, View};
+use crate::memory::file::{ArenaOwner, OwnMemory};
+use crate::memory::header::Gid;
+use crate::memory::pool::{MAX_SAMPLES, Pool, SEGMENTS, Segment, SegmentView, SegmentViews};
+use crate::memory::sizes::{Demand, grown_sample_bytes, sample_bytes};
 use crate::qos::{Claim, Durability, Limits, Qos};
-use crate::topic::Topic;
 use crate::topic::chunks::{Chunks, Keyed};
-use crate::topic::connection::{ReaderState, Shape};
-use crate::topic::control::{ConnectionPlace, PublisherControl, Traffic, View};
+use crate::topic::declaration::Topic;
 use crate::topic::endpoints::{Endpoint, Endpoints, Mismatch};
-use crate::topic::header::Gid;
-use crate::topic::memory::{Demand, grown_sample_bytes, sample_bytes};
-use crate::topic::pool::{MAX_SAMPLES, Pool, Segment};
-use crate::topic::subscription::receiver::{SegmentView, SegmentViews};
+use crate::topic::writer::history::History;
+use crate::topic::writer::sender::{
+    PublishState, ReaderChannel, ReaderProxy, ReaderTable, SpareList, words_for,
+};
 use std::collections::{BTreeSet, HashSet};
 use std::io;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -34,6 +33,19 @@ const FIRST_SAMPLES: usize = 4;
 const FIRST_RESPONSES: usize = 16;
 /// Below this many bytes a publisher that needs more samples gets twice as many, so that it seldom needs more.
 const DOUBLED_BYTES: usize = 1 << 20;
+
+/// What a publisher is made for, besides its topic.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct PublisherRole {
+    /// It passes on what others published.
+    pub(crate) is_relay: bool,
+    /// Each sample goes to one subscription: responses.
+    pub(crate) is_addressed: bool,
+    /// Of a server's responses: the port of its requests.
+    pub(crate) partner: Option<u64>,
+    /// The number of the port, if that was known before.
+    pub(crate) number: Option<u64>,
+}
 
 pub(crate) struct PublisherCore {
     pub(crate) gid: Gid,
@@ -81,22 +93,6 @@ struct Setup {
     endpoints: Endpoints,
     table: LatestWriter<Arc<ReaderTable>>,
     is_stale: bool,
-}
-
-/// A subscription that is connected.
-#[derive(Clone)]
-pub(super) struct ReaderProxy {
-    subscription: Gid,
-    pub(super) sender: Arc<ReaderChannel>,
-    place: ConnectionPlace,
-    /// A longer list for the publishing thread to take, if it has not done so.
-    pub(super) spare: Option<Arc<SpareList>>,
-}
-
-impl Keyed for ReaderProxy {
-    fn key(&self) -> Gid {
-        self.subscription
-    }
 }
 
 /// A subscription as its record describes it.
@@ -223,7 +219,7 @@ impl PublisherCore {
             // Its memory has gone: so will it.
             return Ok(false);
         }
-        let shape = Shape::of(&target.port, self.limits.loans);
+        let shape = target.port.shape(self.limits.loans);
         self.grow(&mut setup, Some(shape))?;
         let is_on_use = self.limits.claim == Claim::OnUse;
         let Setup { control: Some(control), pool, sample_bytes, words, .. } = &mut *setup else {
@@ -292,7 +288,7 @@ impl PublisherCore {
     ) -> Result<(), TransportError> {
         let mut setup = self.setup();
         let fits = |port: &&PortRecord| self.mismatch(port, &port.qos.qos()).is_none();
-        self.grow(&mut setup, ports.filter(fits).map(|port| Shape::of(port, self.limits.loans)))
+        self.grow(&mut setup, ports.filter(fits).map(|port| port.shape(self.limits.loans)))
     }
 
     /// How many samples are to be there before they are needed.
@@ -322,7 +318,7 @@ impl PublisherCore {
         let sample_bytes = setup.sample_bytes;
         let there = setup.pool.samples(sample_bytes);
         let is_small = (there + needed).saturating_mul(sample_bytes) < DOUBLED_BYTES;
-        let is_crowded = setup.pool.segments().count() >= crate::topic::pool::SEGMENTS / 2;
+        let is_crowded = setup.pool.segments().count() >= SEGMENTS / 2;
         let samples = if is_small || is_crowded { needed.max(there) } else { needed };
         let bytes = samples.saturating_mul(sample_bytes) as u64;
         let refuse = |source| self.no_memory(bytes, sample_bytes, source);

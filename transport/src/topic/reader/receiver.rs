@@ -8,15 +8,15 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::core::WriterProxy;
-use crate::participant::ArenaOwner;
-use crate::topic::chunks::Chunks;
-use crate::topic::connection::{Block, Connection};
-use crate::topic::control::MappedControl;
+use crate::memory::connection::{Block, Connection};
+use crate::memory::control::MappedControl;
+use crate::memory::file::ArenaOwner;
+use crate::memory::header::{Gid, HEADER_BYTES, SampleHeader};
+use crate::memory::pool::{ChunkOffset, SegmentView, SegmentViews};
+use crate::memory::sizes::SAMPLE_ALIGNMENT;
+use crate::topic::chunks::{Chunks, Keyed};
 use crate::topic::hand_over::HandOver;
-use crate::topic::header::{Gid, HEADER_BYTES, SampleHeader};
-use crate::topic::memory::SAMPLE_ALIGNMENT;
-use crate::topic::pool::ChunkOffset;
+use crate::topic::reader::source::PublisherMemory;
 use core::cell::UnsafeCell;
 use core::ptr::NonNull;
 use std::sync::Arc;
@@ -56,18 +56,6 @@ unsafe impl Sync for Receiver {}
 // SAFETY: as above; nothing in it belongs to a thread.
 unsafe impl Send for Receiver {}
 
-/// A segment of a publisher's samples, mapped here.
-#[derive(Clone)]
-pub(crate) struct SegmentView {
-    pub(crate) map: Arc<Mapping>,
-    pub(crate) sample_bytes: usize,
-    /// Where it lies in the publisher's file: its id may be another's later.
-    pub(crate) place: u64,
-}
-
-/// By their ids.
-pub(crate) type SegmentViews = Arc<[Option<SegmentView>]>;
-
 /// The working table of the taking thread: replaced when publishers, or their segments, are added or removed.
 #[derive(Default)]
 pub(crate) struct WriterTable {
@@ -77,6 +65,20 @@ pub(crate) struct WriterTable {
 impl WriterTable {
     fn entries(&self) -> impl Iterator<Item = &WriterEntry> {
         self.proxies.iter().map(|proxy| &proxy.entry)
+    }
+}
+
+/// A publisher that is connected.
+#[derive(Clone)]
+pub(super) struct WriterProxy {
+    pub(super) publisher: Gid,
+    pub(super) source: PublisherMemory,
+    pub(super) entry: WriterEntry,
+}
+
+impl Keyed for WriterProxy {
+    fn key(&self) -> Gid {
+        self.publisher
     }
 }
 

@@ -8,15 +8,12 @@
 //!
 //! A gateway's ports are not endpoints of the topic; the remote endpoints that they represent are.
 
-mod publisher;
-mod subscription;
+pub(crate) mod publisher;
+pub(crate) mod subscription;
 
-pub use publisher::{PublisherChanges, PublisherMonitor};
-pub use subscription::{SubscriptionChanges, SubscriptionMonitor};
-
-use super::compatibility::QosPolicyKind;
-use super::endpoints::{Endpoint, EndpointList, Mismatch};
-use super::header::Gid;
+use crate::memory::header::Gid;
+use crate::topic::compatibility::QosPolicyKind;
+use crate::topic::endpoints::{Endpoint, EndpointList, Mismatch};
 use std::sync::Arc;
 use tautline_doorbell::Slot;
 use tautline_rt::LatestReader;

@@ -2,18 +2,17 @@
 //! The setup part of a subscription: the publishers that it is connected to. The subscription and the matching code share it. The
 //! thread that takes works with a table that is handed over to it: see [`receiver`](super::receiver).
 
-use super::receiver::{Receiver, TakeState, WriterEntry, WriterTable};
-use super::{LivelinessSource, SubscriptionRole};
 use crate::error::TransportError;
 use crate::graph::log::hash_of;
 use crate::graph::record::{PortKind, PortRecord, QosRecord};
+use crate::memory::connection::ReaderState;
+use crate::memory::header::Gid;
 use crate::qos::{Limits, Liveliness, Qos};
-use crate::topic::Topic;
 use crate::topic::chunks::{Chunks, Keyed};
-use crate::topic::connection::ReaderState;
-use crate::topic::endpoints::{Endpoint, EndpointList, Endpoints, Mismatch};
-use crate::topic::header::Gid;
-use crate::topic::matching::PublisherMemory;
+use crate::topic::declaration::Topic;
+use crate::topic::endpoints::{Endpoint, EndpointList, Endpoints, LivelinessSource, Mismatch};
+use crate::topic::reader::receiver::{Receiver, TakeState, WriterEntry, WriterProxy, WriterTable};
+use crate::topic::reader::source::PublisherMemory;
 use std::collections::HashSet;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -23,6 +22,19 @@ use tautline_rt::{LatestReader, LatestWriter, latest};
 /// Publishers that have ended with samples that no take has seen: of more, the samples of the one that ended first are lost, and
 /// counted.
 const UNSEEN: usize = 64;
+
+/// What a subscription is made for, besides its topic.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct SubscriptionRole {
+    /// What it gets is passed on.
+    pub(crate) is_relay: bool,
+    /// It only looks on.
+    pub(crate) is_observer: bool,
+    /// Of a client's responses: the port of its requests.
+    pub(crate) partner: Option<u64>,
+    /// The number of the port, if that was known before.
+    pub(crate) number: Option<u64>,
+}
 
 pub(crate) struct SubscriptionCore {
     pub(crate) gid: Gid,
@@ -58,20 +70,6 @@ struct Setup {
     endpoints: Endpoints,
     table: LatestWriter<Arc<WriterTable>>,
     is_stale: bool,
-}
-
-/// A publisher that is connected.
-#[derive(Clone)]
-pub(super) struct WriterProxy {
-    publisher: Gid,
-    source: PublisherMemory,
-    pub(super) entry: WriterEntry,
-}
-
-impl Keyed for WriterProxy {
-    fn key(&self) -> Gid {
-        self.publisher
-    }
 }
 
 /// A publisher as its record describes it.
@@ -233,7 +231,7 @@ impl SubscriptionCore {
         let qos = port.qos.qos();
         let has_lease =
             qos.liveliness == Liveliness::ManualByTopic && qos.liveliness_lease_duration.is_some();
-        let liveliness = has_lease.then(|| LivelinessSource::of(&receiver));
+        let liveliness = has_lease.then(|| LivelinessSource::new(receiver.connection().clone()));
         let PortRecord { relay: is_relay, partner, .. } = *port;
         setup.endpoints.set(Endpoint { is_relay, partner, liveliness, ..Endpoint::new(*gid, qos) });
         let entry = WriterEntry { receiver, segments, grown, has_ended: false };

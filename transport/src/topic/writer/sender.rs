@@ -8,16 +8,16 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use super::core::ReaderProxy;
-use super::history::History;
 use crate::graph::record::PortRecord;
-use crate::participant::ArenaOwner;
+use crate::memory::connection::{Block, Connection, Shape};
+use crate::memory::control::ConnectionPlace;
+use crate::memory::file::ArenaOwner;
+use crate::memory::header::Gid;
+use crate::memory::pool::Pool;
 use crate::qos::History as KeepWhat;
-use crate::topic::chunks::Chunks;
-use crate::topic::connection::{Block, Connection, Shape};
+use crate::topic::chunks::{Chunks, Keyed};
 use crate::topic::hand_over::HandOver;
-use crate::topic::header::Gid;
-use crate::topic::pool::Pool;
+use crate::topic::writer::history::History;
 use core::cell::UnsafeCell;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering, fence};
@@ -71,6 +71,22 @@ struct SendHalf {
 unsafe impl Sync for ReaderChannel {}
 // SAFETY: as above; nothing in it belongs to a thread.
 unsafe impl Send for ReaderChannel {}
+
+/// A subscription that is connected.
+#[derive(Clone)]
+pub(super) struct ReaderProxy {
+    pub(super) subscription: Gid,
+    pub(super) sender: Arc<ReaderChannel>,
+    pub(super) place: ConnectionPlace,
+    /// A longer list for the publishing thread to take, if it has not done so.
+    pub(super) spare: Option<Arc<SpareList>>,
+}
+
+impl Keyed for ReaderProxy {
+    fn key(&self) -> Gid {
+        self.subscription
+    }
+}
 
 /// The working table of the publishing thread: replaced when subscriptions or segments are added or removed.
 pub(crate) struct ReaderTable {
@@ -139,6 +155,13 @@ impl ReaderChannel {
 
     pub(crate) fn block(&self) -> &Block {
         self.connection.block()
+    }
+
+    /// How many samples are out.
+    #[cfg(all(test, not(taut_loom)))]
+    pub(crate) fn samples_out(&self) -> u32 {
+        // SAFETY: tests call this in the thread that publishes.
+        unsafe { &*self.half.get() }.out.iter().map(|bits| bits.count_ones()).sum()
     }
 
     pub(crate) fn connection(&self) -> &Connection {
@@ -409,7 +432,7 @@ impl ReaderTable {
     }
 
     /// Those whose sending half is the publishing thread's.
-    fn live(&self) -> impl Iterator<Item = &ReaderChannel> {
+    pub(crate) fn live(&self) -> impl Iterator<Item = &ReaderChannel> {
         self.proxies.iter().map(|proxy| &*proxy.sender).filter(|sender| sender.is_live())
     }
 
@@ -554,38 +577,6 @@ impl ReaderChannel {
                 // SAFETY: as the caller promises; the reference was added just now.
                 unsafe { self.submit(number, chunk, pool) };
             }
-        }
-    }
-}
-
-#[cfg(all(test, not(taut_loom)))]
-#[allow(clippy::unwrap_used, reason = "a test may panic")]
-mod tests {
-    use crate::{Limits, Participant, Qos, TopicType};
-
-    #[test]
-    fn what_is_returned_at_once_is_taken_back_over_the_next_loans() {
-        crate::tests::isolated();
-        let participant = Participant::new(7).unwrap();
-        let topic_type = TopicType::new("test_msgs/msg/Text").with_body_bytes(64);
-        let (limits, qos) = (Limits { held: 1, loans: 1, ..Limits::default() }, Qos::keep_last(20));
-        let publisher = participant.create_raw_publisher("/burst", &topic_type, qos, limits).unwrap();
-        let subscription = participant.create_raw_subscription("/burst", &topic_type, qos, limits).unwrap();
-        let out = || {
-            let publish_state = publisher.publish_state.borrow();
-            let senders = publish_state.table().live();
-            // SAFETY: this is the thread that publishes.
-            senders
-                .flat_map(|sender| unsafe { &*sender.half.get() }.out.iter())
-                .map(|bits| bits.count_ones())
-                .sum::<u32>()
-        };
-        (0..20).for_each(|_| publisher.publish(&[1; 64]).unwrap());
-        assert_eq!(out(), 20);
-        while subscription.try_take().unwrap().is_some() {}
-        for loan in 1..=10 {
-            drop(publisher.loan(64).unwrap());
-            assert_eq!(out(), 20 - 2 * loan);
         }
     }
 }

@@ -2,13 +2,9 @@
 //! The type of a topic: its name, hash and size, as far as the endpoint that opens the topic knows them.
 
 use crate::error::TransportError;
-use crate::graph::record::{MAX_NAME_BYTES, is_type};
+use crate::names::{HASH_DIGITS, HASH_PREFIX, MAX_NAME_BYTES, is_hash, is_type};
 use std::borrow::Cow;
 use tautline_msgs::{Message, definition_text};
-
-/// How a type hash begins, and how long it is.
-const HASH_PREFIX: &str = "RIHS01_";
-const HASH_DIGITS: usize = 64;
 
 /// The type of a topic's messages. Unknown properties are omitted, and agree with every value.
 ///
@@ -108,13 +104,6 @@ impl TopicType {
             _ => Ok(()),
         }
     }
-}
-
-/// Whether this is `RIHS01_` and 64 hexadecimal digits.
-pub(crate) fn is_hash(hash: &str) -> bool {
-    hash.strip_prefix(HASH_PREFIX).is_some_and(|digits| {
-        digits.len() == HASH_DIGITS && digits.bytes().all(|digit| digit.is_ascii_hexdigit())
-    })
 }
 
 #[cfg(all(test, not(taut_loom)))]

@@ -3,7 +3,8 @@
 //! publishes in its domain [`as`](crate::RawLoan::publish_as) another publisher's are recorded by publishing.
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 
-use crate::topic::header::{Gid, MessageInfo};
+use crate::memory::header::{Gid, MessageInfo};
+use crate::topic::publisher::RawPublisher;
 use tautline_trace::{MessageId, Object, ObjectId};
 
 /// A mirror's sender of one publisher's messages to a network, as an object in traces.
@@ -51,7 +52,14 @@ impl TracedSample {
 
 /// The port through which a mirror publishes, as an object in traces.
 #[derive(Clone, Copy, Debug)]
-pub struct TracedPort(pub(crate) ObjectId);
+pub struct TracedPort(ObjectId);
+
+impl RawPublisher {
+    /// For a mirror that publishes through this port, and records in a trace what it has received.
+    pub fn traced(&self) -> TracedPort {
+        TracedPort(self.trace_id())
+    }
+}
 
 impl TracedPort {
     /// Records that a message has arrived from a network; `source` identifies it there.

@@ -10,7 +10,7 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use crate::topic::pool::Pool;
+use crate::memory::pool::Pool;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// What is said of a place where nothing is kept.

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-use super::{Changes, EndpointTracker, Events, IncompatibleQos, IncompatibleType, Matched};
+use crate::observe::monitor::{Changes, EndpointTracker, Events, IncompatibleQos, IncompatibleType, Matched};
 use crate::qos::{Liveliness, Qos};
 use crate::topic::publisher::RawPublisher;
-use crate::topic::publisher::core::PublisherCore;
+use crate::topic::writer::core::PublisherCore;
 use std::sync::Arc;
 use std::time::Duration;
 use tautline_doorbell::{Activity, ActivityKind, Slot};

@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A topic as one endpoint declares it.
+
+use crate::error::TransportError;
+use crate::graph::record::PortRecord;
+use crate::graph::schema_store;
+use crate::graph::topic_type::TopicType;
+use crate::names::{MAX_NAME_BYTES, is_topic};
+use crate::qos::{Limits, Qos};
+use crate::topic::endpoints::Mismatch;
+
+/// A topic as one endpoint sees it.
+#[derive(Clone, Debug)]
+pub(crate) struct Topic {
+    pub(crate) name: String,
+    /// What this end knows of its type.
+    pub(crate) topic_type: TopicType,
+}
+
+impl Topic {
+    /// Checks what an end of a topic is to be, and keeps the definition of its type.
+    pub(crate) fn check(
+        name: &str,
+        topic_type: &TopicType,
+        qos: Qos,
+        limits: Limits,
+    ) -> Result<Self, TransportError> {
+        if !is_topic(name) {
+            return Err(TransportError::TopicName {
+                topic: name.escape_default().to_string(),
+                reason: format!("it has 1 to {MAX_NAME_BYTES} bytes, no control characters and no ':'"),
+            });
+        }
+        qos.check(name)?;
+        limits.check(name)?;
+        topic_type.check(name)?;
+        let message_bytes = topic_type.body_bytes.map_or(limits.message_bytes, |bytes| bytes.max(1));
+        Limits { message_bytes, ..limits }.check(name)?;
+        // Only what its bringer knows the hash of.
+        schema_store::keep(topic_type);
+        Ok(Topic { name: name.to_owned(), topic_type: topic_type.clone() })
+    }
+
+    /// What it is called in what users read: that of a service's requests is the service.
+    pub(crate) fn named(&self) -> String {
+        crate::error::named(&self.name)
+    }
+
+    /// Warns, where an endpoint is made or another one appears, that they exchange no messages.
+    pub(crate) fn warn_of_mismatch(&self, mismatch: Mismatch, here: &str, there: &str, port: &PortRecord) {
+        match mismatch {
+            Mismatch::Qos(policy) => tracing::warn!(
+                "{}: this {here} and a {there} are QoS-incompatible: the offered {policy} does not meet the requested one \
+                 (docs/qos.md)",
+                self.named()
+            ),
+            Mismatch::Type => tracing::warn!(
+                "{}: this {here} and a {there} have different types, '{}' and '{}': rename one of them, or use the same type",
+                self.named(),
+                self.topic_type.describe(),
+                port.topic_type().describe()
+            ),
+        }
+    }
+}
