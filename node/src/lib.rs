@@ -112,9 +112,10 @@ pub use tautline_trace::{TraceError, TraceMode, TraceSettings};
 #[cfg(feature = "action_msgs")]
 pub use uuid;
 
-/// The system file that a context takes priorities from. The analysis itself is the crate `tautline-analysis`.
+/// What may be wrong with a system file, and what is admitted. The analysis itself is the crate `tautline-analysis`.
 pub mod analysis {
-    pub use tautline_analysis::file::{FileError, SystemFile};
+    pub use tautline_analysis::file::admission::Machine;
+    pub use tautline_analysis::file::{FileError, Problems};
 }
 pub use tautline_executor::{
     Admitted, Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats,
@@ -150,7 +151,10 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 /// Types that are known at run time. The parser of definitions is the crate `tautline-schema`.
 #[cfg(feature = "untyped")]
 pub mod schema {
-    pub use tautline_schema::{DynamicMessage, MessageError, Schema, SchemaError, TypeHash, TypeName};
+    pub use tautline_schema::{
+        DecodeFault, Definition, DynamicMessage, EchoForm, Endian, Fault, Kind, Lookup, MessageError, Place, Schema,
+        SchemaError, TypeDescription, TypeHash, TypeName, Value,
+    };
 }
 pub use tautline_transport::{
     Claim, Durability, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, History, IncompatibleQos,
@@ -168,6 +172,15 @@ pub mod codec {
     #[cfg(feature = "action_msgs")]
     pub use crate::action::ActionCodec;
     pub use tautline_transport::{Codec, Decode, ServiceCodec};
+}
+
+/// What endpoints and events of other layers are made of, where a node's methods name it. All of the layer below messages is the crate
+/// `tautline-transport`.
+pub mod raw {
+    pub use tautline_sampler::{Alarm, Timer, Watchdog};
+    pub use tautline_transport::{
+        Activity, DoorbellError, Origin, Rank, RawPublisher, RawSample, RawSubscription, Slot, TopicType,
+    };
 }
 
 /// Functions that the macros' code calls.
