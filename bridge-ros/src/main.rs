@@ -21,7 +21,9 @@ fn main() -> ExitCode {
     let args = Args::parse();
     // Users cannot change the size of messages from ROS, so no warning about growing segments.
     let filter = tracing_subscriber::EnvFilter::try_from_default_env().unwrap_or_else(|_| {
-        tracing_subscriber::EnvFilter::new("warn,tautline_transport::topic::publisher=error,tautline_transport::topic::writer=error")
+        tracing_subscriber::EnvFilter::new(
+            "warn,tautline_transport::topic::publisher=error,tautline_transport::topic::writer=error",
+        )
     });
     let colours = std::io::stderr().is_terminal();
     tracing_subscriber::fmt()

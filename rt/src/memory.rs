@@ -6,9 +6,9 @@ use std::mem::MaybeUninit;
 use std::ptr;
 
 use rustix::mm::{Advice, MlockAllFlags, madvise, mlockall};
-use rustix::param::page_size;
 use rustix::process::{Resource, getrlimit};
 
+use crate::shm::page_bytes;
 use crate::{RtError, permission};
 
 /// How memory is locked, now and for every later mapping.
@@ -59,7 +59,7 @@ pub fn lock_memory(lock: MemoryLock) -> Result<(), RtError> {
 /// touched.
 pub fn prefault_stack(bytes: usize) -> usize {
     let here = (&raw const bytes).addr();
-    let margin = (4 * page_size()).max(16 * 1024);
+    let margin = (4 * page_bytes()).max(16 * 1024);
     let end = here.saturating_sub(bytes).max(stack_end(here).saturating_add(margin));
     if end < here && !populate(end, here) {
         touch(end);
@@ -116,7 +116,7 @@ pub fn page_faults() -> PageFaults {
 /// Has the kernel bring in all pages of the current thread's stack from `end` up to that of `here`, without a fault for
 /// each. False where it cannot: before Linux 5.14, and below what the first thread's stack has grown to.
 fn populate(end: usize, here: usize) -> bool {
-    let page = page_size();
+    let page = page_bytes();
     let (from, to) = (end / page * page, here / page * page);
     // SAFETY: of the current thread's stack, below all frames that are in use; bringing pages in changes nothing that lies there.
     unsafe { madvise(ptr::with_exposed_provenance_mut(from), to - from, Advice::LinuxPopulateWrite) }.is_ok()
@@ -125,13 +125,14 @@ fn populate(end: usize, here: usize) -> bool {
 /// Descends until a frame lies below `end`: bounded by addresses, so it holds whatever a frame's size is.
 #[inline(never)]
 fn touch(end: usize) {
-    let mut page = [0u8; 4096];
-    black_box(&mut page);
-    if (&raw const page).addr() > end {
+    // A step that is longer than no page of any system.
+    let mut step = [0u8; 4096];
+    black_box(&mut step);
+    if (&raw const step).addr() > end {
         touch(end);
     }
     // Used after the call, so that it cannot become a loop within one frame.
-    black_box(&mut page);
+    black_box(&mut step);
 }
 
 /// The lowest address of the current thread's stack; `here` (nothing left) when unknown.

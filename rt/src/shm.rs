@@ -21,6 +21,14 @@ use crate::fork::{self, ProcessFd, ProcessMark};
 /// The folder of named shared memory.
 pub const DIRECTORY: &str = "/dev/shm";
 
+/// The size of a page: files are mapped from multiples of it on. 4,096 bytes on most systems, 16,384 or 65,536 on some of Arm.
+///
+/// # Real-time
+/// Wait-free; no syscall.
+pub fn page_bytes() -> usize {
+    rustix::param::page_size()
+}
+
 /// The system's error for a file.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {source}", path.display())]
@@ -412,7 +420,7 @@ impl Mapping {
     pub fn populate(&self, offset_bytes: usize, len_bytes: usize, writable: bool) -> io::Result<()> {
         let end = offset_bytes.checked_add(len_bytes).filter(|end| *end <= self.len_bytes);
         let Some(end) = end else { return Err(io::Error::other("beyond the end of the mapping")) };
-        let page = rustix::param::page_size();
+        let page = page_bytes();
         let (from, to) = (offset_bytes / page * page, end.next_multiple_of(page).min(self.len_bytes));
         let advice = if writable { Advice::LinuxPopulateWrite } else { Advice::LinuxPopulateRead };
         // SAFETY: within the mapping, as checked; bringing pages in changes nothing that lies there.

@@ -9,7 +9,7 @@ use std::slice;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use rustix::param::page_size;
+use crate::shm::page_bytes;
 
 use crate::shm::{self, Mapping, OwnFile, PeerFile};
 use crate::{AtExit, at_exit};
@@ -208,7 +208,7 @@ impl ForeignMap {
 
 /// The number of words in a page; a mapping may begin only at a page.
 pub fn page_words() -> usize {
-    page_size() / WORD_BYTES
+    page_bytes() / WORD_BYTES
 }
 
 fn with_path(path: &Path, error: io::Error) -> io::Error {

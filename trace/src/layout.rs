@@ -41,6 +41,7 @@ pub(crate) struct Layout {
     heads: [RingHead; RINGS],
 }
 
+/// Aligned so that its length, and with it what follows, is the same whatever its fields and a page are.
 #[repr(C, align(4096))]
 struct Header {
     magic: AtomicU64,
@@ -190,7 +191,7 @@ impl Map {
         header.magic.store(MAGIC, Ordering::Release);
     }
 
-    /// The events per ring that a file of `bytes` bytes claims to have, from its first page.
+    /// The events per ring that a file of `bytes` bytes claims to have, from its first bytes.
     pub(crate) fn check_header(first: &[u8], bytes: u64) -> Result<usize, &'static str> {
         let word =
             |at: usize| first.get(at..at + 4).and_then(|word| word.try_into().ok()).map(u32::from_ne_bytes);

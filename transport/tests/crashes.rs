@@ -178,7 +178,7 @@ impl Remains {
         assert!(gone.is_ok(), "{files:#?} instead of {:#?}", self.files);
         // With the first other process a publisher uses as many samples as it ever will. A record may be some pages longer or shorter.
         let bytes = claimed(self.domain);
-        let most = *self.bytes.get_or_insert(bytes) + 4 * 4096;
+        let most = *self.bytes.get_or_insert(bytes) + 4 * tautline_rt::shm::page_bytes() as u64;
         assert!(bytes <= most, "{bytes}, {:?} before", self.bytes);
     }
 }

@@ -135,13 +135,14 @@ pub struct Arena {
 }
 
 impl Arena {
-    /// Creates an arena in new memory, which is zero, at least [`MAIN_BYTES`] long, and starts at a page
-    /// boundary.
+    /// Creates an arena in new memory, which is zero, at least [`MAIN_BYTES`] long, and starts at a
+    /// multiple of 64 bytes.
     ///
     /// # Panics
-    /// If the memory is too short.
+    /// If the memory is too short, or not aligned.
     pub fn create(id: ArenaId, main: Region) -> Self {
         assert!(main.len_bytes() >= MAIN_BYTES, "too short for an arena");
+        assert!(main.start().cast::<Main>().is_aligned(), "not aligned to what it holds");
         let arena = Arena { id, main, windows: Default::default() };
         arena.main().version.store(VERSION, Ordering::Relaxed);
         // Release: pairs with the Acquire in `open`; the version is there when the magic is.
@@ -188,8 +189,8 @@ impl Arena {
     }
 
     fn main(&self) -> &Main {
-        // SAFETY: the region is at least MAIN_BYTES of a live mapping, at the start of a page, and every bit pattern of a Main is
-        // valid (atomics only).
+        // SAFETY: the region is at least MAIN_BYTES of a live mapping, aligned as `create` says, and every bit pattern of a Main
+        // is valid (atomics only).
         unsafe { self.main.start().cast().as_ref() }
     }
 

@@ -111,24 +111,25 @@ fn spawn(file: &Path, number: usize, rings: u64, seed: u64) -> Child {
         .unwrap()
 }
 
-/// An arena, and behind it a page of what each ringer and the sampler tell each other: the number sent last, and taken last.
+/// An arena, and behind it words of what each ringer and the sampler tell each other: the number sent last, and taken last.
 struct StressMemory {
     arena: Region,
     words: Region,
 }
 
-const WORDS_AT: usize = MAIN_BYTES.next_multiple_of(4096);
-const FILE_BYTES: usize = WORDS_AT + 4096;
+const WORDS_AT: usize = MAIN_BYTES.next_multiple_of(64);
+const WORDS_BYTES: usize = 4096;
+const FILE_BYTES: usize = WORDS_AT + WORDS_BYTES;
 
 impl StressMemory {
     fn of(map: Mapping) -> Self {
         let map = Arc::new(map);
         let part = |at, len| Region::new(&map, at, len).unwrap();
-        StressMemory { arena: part(0, MAIN_BYTES), words: part(WORDS_AT, 4096) }
+        StressMemory { arena: part(0, MAIN_BYTES), words: part(WORDS_AT, WORDS_BYTES) }
     }
 
     fn words(&self, ringer: usize) -> &[AtomicU64; 2] {
-        // SAFETY: within the page, for there are few ringers; any bytes are valid atomics.
+        // SAFETY: within the region, for there are few ringers; any bytes are valid atomics.
         unsafe { self.words.start().cast::<[AtomicU64; 2]>().add(ringer).as_ref() }
     }
 }

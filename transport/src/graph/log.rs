@@ -16,7 +16,7 @@
 //! | its content, and zeros | the rest |
 
 use crate::error::TransportError;
-use crate::memory::file::{OwnMemory, PAGE, PackedRange, ParticipantHeader, Peer};
+use crate::memory::file::{OwnMemory, PackedRange, ParticipantHeader, Peer};
 use crate::memory::ranges::Range;
 use rustix::io::Errno;
 use std::collections::BTreeMap;
@@ -211,7 +211,7 @@ impl Log {
 
     /// Writes the entries that count into a new part, twice as long as needed.
     fn rewrite(&mut self) -> io::Result<()> {
-        let len = (2 * (PREFACE_BYTES + self.live_bytes) as u64).next_multiple_of(PAGE);
+        let len = (2 * (PREFACE_BYTES + self.live_bytes) as u64).next_multiple_of(self.memory.page_bytes());
         if len > MAX_BYTES {
             let path = self.memory.path().display();
             return Err(io::Error::other(format!(

@@ -7,7 +7,7 @@
 //! their connections.
 
 use crate::memory::connection::{BLOCK_BYTES, Connection, Shape};
-use crate::memory::file::{OwnMemory, PAGE, PackedRange};
+use crate::memory::file::{OwnMemory, PackedRange};
 use crate::memory::header::Gid;
 use crate::memory::pool::{SEGMENTS, Segment};
 use crate::memory::ranges::{Range, Ranges};
@@ -19,7 +19,7 @@ use tautline_rt::shm::Mapping;
 const MAGIC: u64 = u64::from_le_bytes(*b"tautpub1");
 /// Parts of a publisher's control memory at most.
 pub(crate) const PARTS: usize = 10;
-/// Address space of the first part; each further one is four times as long. Memory is claimed as it is used.
+/// Address space of the first part, at least; each further one is four times as long. Memory is claimed as it is used.
 const FIRST_PART_BYTES: u64 = 32 << 10;
 const ALIGNMENT: u64 = 64;
 /// Entries of the first directory.
@@ -201,8 +201,8 @@ impl PublisherControl {
         let range = self.memory.reserve(len)?;
         let map = self.memory.map(range).inspect_err(|_| self.memory.release(range))?;
         self.parts.push((range, map));
-        self.free.push(Ranges::new(Range { offset: 0, len }, ALIGNMENT));
-        self.claimed.push(vec![false; (len / PAGE) as usize]);
+        self.free.push(Ranges::new(Range { offset: 0, len: range.len }, ALIGNMENT));
+        self.claimed.push(vec![false; (range.len / self.memory.page_bytes()) as usize]);
         if index > 0 {
             // Release: pairs with the Acquire of who maps it.
             self.head().parts[index].store(PackedRange::to_word(range), Ordering::Release);
@@ -230,12 +230,13 @@ impl PublisherControl {
             return Ok(());
         }
         let (range, map) = &self.parts[stretch.part];
+        let page_bytes = self.memory.page_bytes();
         let from = stretch.range.offset + at;
-        let pages = (from / PAGE) as usize..((from + len).div_ceil(PAGE)) as usize;
+        let pages = (from / page_bytes) as usize..((from + len).div_ceil(page_bytes)) as usize;
         // Those in a row that are not claimed yet at once.
         let mut page = pages.start as u64;
         for row in self.claimed[stretch.part][pages].chunk_by_mut(|one, next| one == next) {
-            let (offset, len) = (page * PAGE, row.len() as u64 * PAGE);
+            let (offset, len) = (page * page_bytes, row.len() as u64 * page_bytes);
             page += row.len() as u64;
             if !row[0] {
                 self.memory.claim(Range { offset: range.offset + offset, len })?;
@@ -533,7 +534,7 @@ impl View {
 mod tests {
     use super::*;
     use crate::graph::domain::Domain;
-    use crate::memory::file::Peer;
+    use crate::memory::file::{FileLayout, Peer};
     use crate::tests::isolated;
 
     const SHAPE: Shape = Shape { depth: 10, held: 4, loans: 1, is_observer: false };
@@ -556,10 +557,16 @@ mod tests {
     }
 
     #[test]
-    fn a_thousand_connections_are_found_from_outside() {
+    fn a_thousand_connections_are_found_from_outside_whatever_a_page_is() {
+        for kib in [4, 16, 64] {
+            a_thousand_connections(FileLayout::of_pages(kib << 10));
+        }
+    }
+
+    fn a_thousand_connections(layout: FileLayout) {
         isolated();
         let _domain = Domain::join(220).unwrap();
-        let memory = Arc::new(OwnMemory::create(220).unwrap());
+        let memory = Arc::new(OwnMemory::create_as(220, layout).unwrap());
         memory.create_arena();
         let peer = Peer::open(220, memory.id()).unwrap().unwrap();
         let mut control = PublisherControl::create(&memory, gid(1)).unwrap();
@@ -577,6 +584,10 @@ mod tests {
             }
             assert!(view.find(gid(99)).is_none());
             assert_eq!(view.connections().len(), 1000);
+        }
+        for (range, _) in control.parts() {
+            let is_whole = |bytes: u64| bytes.is_multiple_of(memory.page_bytes());
+            assert!(is_whole(range.offset) && is_whole(range.len), "{layout:?}: {range:?}");
         }
         // What is given back is used again.
         let parts = control.parts().len();

@@ -4,8 +4,8 @@
 //! | from | holds |
 //! |---|---|
 //! | 0 | the [`ParticipantHeader`]: type and version, and the positions of the other parts |
-//! | 4096 | the arena: its doorbell |
-//! | after it | dynamic parts: the record, more slots, publishers' memory |
+//! | [`ARENA_AT`] | the arena: its doorbell |
+//! | the next page | dynamic parts, each of whole pages: the record, more slots, publishers' memory |
 //!
 //! The participant holds the file's lock as long as it lives. Peers map what they need of it, and keep no descriptor.
 
@@ -20,17 +20,16 @@ use tautline_doorbell::{
     Arena, ArenaId, Doorbell, DoorbellError, MAIN_BYTES, WINDOWS, window_bytes, window_of,
 };
 use tautline_rt::domain::{shared_folder, shared_path};
-use tautline_rt::shm::{self, Mapping, OwnFile, PeerFile, Region, ShmError};
+use tautline_rt::shm::{self, Mapping, OwnFile, PeerFile, Region, ShmError, page_bytes};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautpart");
 const VERSION: u32 = 2;
-pub(crate) const PAGE: u64 = 4096;
 /// Starts the names of participants' files in the folder of their domain.
 pub(crate) const PREFIX: &str = "p";
 /// Starts the names of files that stand for participants whose own was removed.
 const STAND_IN: &str = "r";
-/// The head and the arena: what peers map first.
-const FIRST_BYTES: usize = PAGE as usize + MAIN_BYTES.next_multiple_of(PAGE as usize);
+/// Where the arena lies, whatever a page is: the head is shorter, and this a multiple of the arena's alignment.
+const ARENA_AT: usize = 4096;
 /// Where files end at the latest: more than memory will be.
 const END: u64 = 1 << 46;
 
@@ -46,24 +45,58 @@ pub(crate) struct ParticipantHeader {
     windows: [AtomicU64; WINDOWS],
 }
 
-/// The position of a part of a file, packed into one word: offset (high bits) and length in pages of 4 KiB. 0
-/// means none.
+/// The position of a part of a file, packed into one word: offset (high bits) and length in units of 4 KiB, of which a page of any
+/// system has a whole number. 0 means none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct PackedRange;
 
 impl PackedRange {
+    const UNIT: u64 = 4 << 10;
     const LEN_BITS: u32 = 24;
-    /// The maximum length of a part: 64 GiB less one page.
-    const MAX_LEN: u64 = ((1 << Self::LEN_BITS) - 1) * PAGE;
+    /// The maximum length of a part: 64 GiB less one unit.
+    const MAX_LEN: u64 = ((1 << Self::LEN_BITS) - 1) * Self::UNIT;
 
     pub(crate) fn to_word(range: Range) -> u64 {
-        (range.offset / PAGE) << Self::LEN_BITS | (range.len / PAGE) & ((1 << Self::LEN_BITS) - 1)
+        (range.offset / Self::UNIT) << Self::LEN_BITS | (range.len / Self::UNIT) & ((1 << Self::LEN_BITS) - 1)
     }
 
     /// A claim of another process.
     pub(crate) fn from_word(word: u64) -> Option<Range> {
-        let (offset, len) = ((word >> Self::LEN_BITS) * PAGE, (word & ((1 << Self::LEN_BITS) - 1)) * PAGE);
+        let units = |count: u64| count * Self::UNIT;
+        let (offset, len) = (units(word >> Self::LEN_BITS), units(word & ((1 << Self::LEN_BITS) - 1)));
         (len != 0 && offset + len <= END).then_some(Range { offset, len })
+    }
+}
+
+/// Where the parts of a file lie, for pages of a given size. All participants of a domain are on one host, whose pages have one size.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FileLayout {
+    page_bytes: u64,
+}
+
+impl FileLayout {
+    /// On this host.
+    pub(crate) fn of_host() -> Self {
+        Self::of_pages(page_bytes() as u64)
+    }
+
+    pub(crate) fn of_pages(page_bytes: u64) -> Self {
+        assert!(
+            page_bytes.is_multiple_of(PackedRange::UNIT),
+            "a page is a multiple of 4 KiB on every system"
+        );
+        FileLayout { page_bytes }
+    }
+
+    /// The head and the arena: what peers map first.
+    fn first_bytes(self) -> usize {
+        (ARENA_AT + MAIN_BYTES).next_multiple_of(self.page_bytes as usize)
+    }
+
+    /// What dynamic parts are taken from.
+    fn ranges(self) -> Ranges {
+        let offset = self.first_bytes() as u64;
+        Ranges::new(Range { offset, len: END - offset }, self.page_bytes)
     }
 }
 
@@ -77,6 +110,7 @@ pub(crate) struct OwnMemory {
     file: OwnFile,
     first: Arc<Mapping>,
     ranges: Mutex<Ranges>,
+    layout: FileLayout,
     /// The length of the file.
     len: Mutex<u64>,
     stand_in: Mutex<Option<OwnFile>>,
@@ -85,12 +119,17 @@ pub(crate) struct OwnMemory {
 impl OwnMemory {
     /// Makes the file of a new participant of `domain`, whose folder is there.
     pub(crate) fn create(domain: u32) -> Result<Self, TransportError> {
+        Self::create_as(domain, FileLayout::of_host())
+    }
+
+    pub(crate) fn create_as(domain: u32, layout: FileLayout) -> Result<Self, TransportError> {
+        let first_bytes = layout.first_bytes();
         let file = OwnFile::create(&format!("{}/{PREFIX}", shared_folder(domain))).map_err(file_error)?;
         let make = || -> Result<Arc<Mapping>, ShmError> {
-            file.claim(0, FIRST_BYTES as u64)?;
+            file.claim(0, first_bytes as u64)?;
             let named = |source| ShmError { path: file.path().to_owned(), source };
-            let first = Mapping::new(&file, 0, FIRST_BYTES, true).map_err(named)?;
-            first.populate(0, FIRST_BYTES, true).map_err(named)?;
+            let first = Mapping::new(&file, 0, first_bytes, true).map_err(named)?;
+            first.populate(0, first_bytes, true).map_err(named)?;
             Ok(Arc::new(first))
         };
         let first = match make() {
@@ -104,13 +143,12 @@ impl OwnMemory {
         head(&first).version.store(VERSION, Ordering::Relaxed);
         // Release: pairs with the Acquire in `Peer::open`.
         head(&first).magic.store(MAGIC, Ordering::Release);
-        let (start, len) = (FIRST_BYTES as u64, FIRST_BYTES as u64);
-        let ranges = Ranges::new(Range { offset: start, len: END - start }, PAGE);
         Ok(OwnMemory {
             file,
             first,
-            ranges: Mutex::new(ranges),
-            len: Mutex::new(len),
+            ranges: Mutex::new(layout.ranges()),
+            layout,
+            len: Mutex::new(first_bytes as u64),
             stand_in: Mutex::default(),
         })
     }
@@ -124,14 +162,18 @@ impl OwnMemory {
         self.file.path()
     }
 
+    /// The size of the pages of which parts consist.
+    pub(crate) fn page_bytes(&self) -> u64 {
+        self.layout.page_bytes
+    }
+
     pub(crate) fn head(&self) -> &ParticipantHeader {
         head(&self.first)
     }
 
     /// The arena, made anew.
     pub(crate) fn create_arena(&self) -> Arena {
-        let memory =
-            Region::new(&self.first, PAGE as usize, MAIN_BYTES).expect("it is part of the first bytes");
+        let memory = Region::new(&self.first, ARENA_AT, MAIN_BYTES).expect("it is part of the first bytes");
         Arena::create(ArenaId(self.id()), memory)
     }
 
@@ -239,16 +281,17 @@ impl Peer {
     pub(crate) fn open(domain: u32, id: u64) -> Result<Option<Peer>, TransportError> {
         let path = path(domain, id);
         let Some(file) = open(&path)? else { return Ok(None) };
-        if file.size_bytes().map_err(file_error)? < FIRST_BYTES as u64 {
+        let first_bytes = FileLayout::of_host().first_bytes();
+        if file.size_bytes().map_err(file_error)? < first_bytes as u64 {
             return Err(TransportError::Version { path });
         }
-        let map = Mapping::new(&file, 0, FIRST_BYTES, true);
+        let map = Mapping::new(&file, 0, first_bytes, true);
         let first = Arc::new(map.map_err(|source| TransportError::File { path: path.clone(), source })?);
         let found = head(&first);
         if found.magic.load(Ordering::Acquire) != MAGIC || found.version.load(Ordering::Relaxed) != VERSION {
             return Err(TransportError::Version { path });
         }
-        let memory = Region::new(&first, PAGE as usize, MAIN_BYTES).expect("it is part of the first bytes");
+        let memory = Region::new(&first, ARENA_AT, MAIN_BYTES).expect("it is part of the first bytes");
         let arena = Arena::open(ArenaId(id), memory).map_err(|error| match error {
             DoorbellError::Version => TransportError::Version { path: path.clone() },
             other => TransportError::Doorbell(other),
@@ -281,7 +324,7 @@ impl Peer {
     /// Makes sure that `slot` can be rung, without a page fault. False if there is no such slot.
     pub(crate) fn reach(&self, slot: usize) -> Result<bool, TransportError> {
         // Should it fail, the first rings fault.
-        self.brought_in.call_once(|| _ = self.first.populate(0, FIRST_BYTES, true));
+        self.brought_in.call_once(|| _ = self.first.populate(0, self.first.len_bytes(), true));
         if self.arena.has(slot) {
             return Ok(true);
         }
@@ -296,10 +339,11 @@ impl Peer {
         Ok(self.arena.has(slot))
     }
 
-    /// Maps a part of the file. `None`: the file has gone, or is not as long as its owner says.
+    /// Maps a part of the file. `None`: the file has gone, or is not as long as its owner says, or the part begins within a page.
     pub(crate) fn map(&self, range: Range, writable: bool) -> Result<Option<Arc<Mapping>>, TransportError> {
         let Some(file) = open(&self.path)? else { return Ok(None) };
-        if range.end() > file.size_bytes().map_err(file_error)? {
+        let is_there = range.end() <= file.size_bytes().map_err(file_error)?;
+        if !is_there || !range.offset.is_multiple_of(page_bytes() as u64) {
             return Ok(None);
         }
         let map = Mapping::new(&file, range.offset, range.len as usize, writable);
@@ -373,6 +417,37 @@ impl ArenaOwner {
         match self {
             ArenaOwner::Own(doorbell) => Ok(doorbell.arena().has(slot)),
             ArenaOwner::Peer(peer) => peer.reach(slot),
+        }
+    }
+}
+
+const _: () = assert!(size_of::<ParticipantHeader>() <= ARENA_AT);
+
+#[cfg(all(test, not(taut_loom)))]
+mod tests {
+    use super::*;
+    use rand::RngExt;
+
+    #[test]
+    fn parts_are_whole_pages_of_any_size_and_do_not_overlap() {
+        let mut random = tautline_seed::random();
+        for page in [4 << 10, 16 << 10, 64 << 10] {
+            let layout = FileLayout::of_pages(page);
+            let first = Range { offset: 0, len: layout.first_bytes() as u64 };
+            assert!(first.len >= (ARENA_AT + MAIN_BYTES) as u64);
+            let (mut ranges, mut parts) = (layout.ranges(), vec![first]);
+            for _ in 0..200 {
+                let len = random.random_range(1..10 * page);
+                let part = ranges.take(len).unwrap();
+                assert!(part.len >= len && part.len < len + page, "{part:?} of {len} bytes");
+                assert_eq!(PackedRange::from_word(PackedRange::to_word(part)), Some(part));
+                parts.push(part);
+            }
+            parts.sort_by_key(|part| part.offset);
+            assert!(
+                parts.iter().all(|part| part.offset.is_multiple_of(page) && part.len.is_multiple_of(page))
+            );
+            assert!(parts.windows(2).all(|pair| pair[0].end() <= pair[1].offset), "{page}: {parts:?}");
         }
     }
 }

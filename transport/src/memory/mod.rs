@@ -12,4 +12,5 @@ pub(crate) mod file;
 pub(crate) mod header;
 pub(crate) mod pool;
 pub(crate) mod ranges;
+pub(crate) mod references;
 pub(crate) mod sizes;

@@ -8,6 +8,7 @@
 
 use crate::memory::header::{HEADER_BYTES, SampleHeader};
 use crate::memory::ranges::Range;
+use crate::memory::references::References;
 use crate::memory::sizes::SAMPLE_ALIGNMENT;
 use iceoryx2_bb_elementary::bump_allocator::BumpAllocator;
 use iceoryx2_bb_elementary_traits::allocator::Allocate;
@@ -16,7 +17,6 @@ use iceoryx2_cal::shm_allocator::{PointerOffset, SegmentId, ShmAllocator};
 use std::alloc::Layout;
 use std::ptr::NonNull;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
 use tautline_rt::shm::Mapping;
 
 /// Segments of a publisher at most: what [`PointerOffset`] can tell apart, and fits into a publisher's head.
@@ -36,7 +36,7 @@ pub(crate) struct Segment {
     /// Boxed, because it contains offsets relative to its own position.
     free: Box<PoolAllocator>,
     _books: Box<[u64]>,
-    references: Box<[AtomicU32]>,
+    references: Box<[References]>,
 }
 
 /// Where a sample lies, as it goes through a queue. From another process: a claim.
@@ -86,7 +86,7 @@ impl Segment {
         // SAFETY: once, and the allocator stays in its box as long as its books in theirs.
         let made = unsafe { free.init(&bump) };
         assert!(made.is_ok(), "iceoryx2's pool takes the memory that it asks for: {made:?}");
-        let references = (0..samples).map(|_| AtomicU32::new(0)).collect();
+        let references = (0..samples).map(|_| References::none()).collect();
         Segment { id: id as u8, range, map, sample_bytes, samples, first, free, _books: books, references }
     }
 
@@ -116,7 +116,7 @@ impl Segment {
         // SAFETY: initialised in `new`.
         let free = unsafe { self.free.assume_init() };
         let index = free.allocate(layout(self.sample_bytes)).ok()?.offset() / self.sample_bytes;
-        self.references.get(index)?.store(1, Ordering::Relaxed);
+        self.references.get(index)?.begin();
         Some(index)
     }
 
@@ -126,15 +126,13 @@ impl Segment {
     /// Wait-free; no syscall.
     pub(crate) fn add(&self, index: usize) {
         if let Some(references) = self.references.get(index) {
-            references.fetch_add(1, Ordering::Relaxed);
+            references.add();
         }
     }
 
     /// One more reference to a sample, if it has any: it is not free then. For who has none of its own.
     pub(crate) fn pin(&self, index: usize) -> bool {
-        let Some(references) = self.references.get(index) else { return false };
-        let more = |count: u32| (count != 0).then(|| count + 1);
-        references.fetch_update(Ordering::Acquire, Ordering::Relaxed, more).is_ok()
+        self.references.get(index).is_some_and(References::pin)
     }
 
     /// One reference less: with the last one the sample is free.
@@ -142,9 +140,7 @@ impl Segment {
     /// # Real-time
     /// As [`take`](Self::take).
     pub(crate) fn release(&self, index: usize) {
-        let Some(references) = self.references.get(index) else { return };
-        // Release, and Acquire for the last one: what others did with the sample is over before it is taken again.
-        if references.fetch_sub(1, Ordering::AcqRel) == 1 {
+        if self.references.get(index).is_some_and(References::release) {
             // SAFETY: it was allocated, and nobody refers to it any more.
             unsafe { self.free.deallocate_bucket(PointerOffset::new(index * self.sample_bytes)) };
         }
@@ -152,7 +148,7 @@ impl Segment {
 
     /// Whether all of its samples are free.
     pub(crate) fn is_unused(&self) -> bool {
-        self.references.iter().all(|references| references.load(Ordering::Acquire) == 0)
+        self.references.iter().all(References::is_none)
     }
 
     pub(crate) fn offset(&self, index: usize) -> ChunkOffset {

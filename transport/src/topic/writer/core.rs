@@ -117,7 +117,7 @@ impl PublisherCore {
         let sample_bytes = sample_bytes(topic.topic_type.body_bytes.unwrap_or(limits.message_bytes));
         let control = PublisherControl::create(memory, gid).map_err(|source| TransportError::Memory {
             topic: topic.name.clone(),
-            bytes: 4096,
+            bytes: memory.page_bytes(),
             sample_bytes,
             source,
         })?;

@@ -11,10 +11,43 @@
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
 use crate::memory::pool::Pool;
-use std::sync::atomic::{AtomicU64, Ordering};
+use crate::sync::{AtomicU64, Ordering};
 
 /// What is said of a place where nothing is kept.
 const NONE: u64 = u64::MAX;
+
+/// The samples that positions refer to.
+pub(crate) trait Samples {
+    /// One more reference to a sample, if it has any.
+    fn pin(&self, chunk: u64) -> bool;
+
+    /// The number that a sample's header says.
+    ///
+    /// # Safety
+    /// The sample is pinned and was kept after that: nobody writes its header.
+    unsafe fn number(&self, chunk: u64) -> Option<u64>;
+
+    /// One reference less.
+    fn release(&self, chunk: u64);
+}
+
+impl Samples for Pool {
+    fn pin(&self, chunk: u64) -> bool {
+        self.find(chunk).is_some_and(|(segment, index)| segment.pin(index))
+    }
+
+    unsafe fn number(&self, chunk: u64) -> Option<u64> {
+        let (segment, index) = self.find(chunk)?;
+        // SAFETY: nobody writes the header, as the caller promises.
+        Some(unsafe { segment.header(index).as_ref() }.sequence_number)
+    }
+
+    fn release(&self, chunk: u64) {
+        if let Some((segment, index)) = self.find(chunk) {
+            segment.release(index);
+        }
+    }
+}
 
 /// The positions of the kept samples, each at the index of its number.
 pub(crate) struct History {
@@ -59,36 +92,136 @@ impl History {
         after: u64,
         published: u64,
         depth: u64,
-        pool: &Pool,
+        samples: &impl Samples,
         mut each: impl FnMut(u64, u64),
     ) {
         let first = self.first_kept(published).max((published + 1).saturating_sub(depth)).max(after + 1);
         for number in first..=published {
             let Some(place) = self.place(number) else { return };
             let chunk = place.load(Ordering::Acquire);
-            let Some((segment, index)) = pool.find(chunk).filter(|_| chunk != NONE) else { continue };
-            if !segment.pin(index) {
+            if chunk == NONE || !samples.pin(chunk) {
                 continue;
             }
             // Still kept, so written, and not to be written again before the last reference goes, of which one is ours.
-            // SAFETY: a header that nobody writes.
-            let is_it = place.load(Ordering::Acquire) == chunk
-                && unsafe { segment.header(index).as_ref() }.sequence_number == number;
+            // SAFETY: pinned before, and kept now.
+            let is_it =
+                place.load(Ordering::Acquire) == chunk && unsafe { samples.number(chunk) } == Some(number);
             if is_it {
                 each(number, chunk);
             } else {
-                segment.release(index);
+                samples.release(chunk);
             }
         }
     }
 
     /// Gives back what is kept, when nobody publishes any more.
-    pub(crate) fn release(&self, pool: &Pool) {
+    pub(crate) fn release(&self, samples: &impl Samples) {
         for place in &self.kept {
             let chunk = place.swap(NONE, Ordering::AcqRel);
-            if let Some((segment, index)) = pool.find(chunk).filter(|_| chunk != NONE) {
-                segment.release(index);
+            if chunk != NONE {
+                samples.release(chunk);
             }
         }
+    }
+}
+
+#[cfg(all(test, taut_loom))]
+mod loom_tests {
+    use super::*;
+    use crate::memory::references::References;
+    use crate::sync::AtomicU32;
+    use loom::cell::UnsafeCell;
+    use loom::sync::Arc;
+
+    /// A sample with the header's number alone, which loom watches: to read it while it is written is an error.
+    struct ModelSample {
+        references: References,
+        /// In place of the pool's list of free samples, which orders what is given back before it is taken again.
+        is_free: AtomicU32,
+        number: UnsafeCell<u64>,
+    }
+
+    /// A publisher that keeps one sample. Its samples: one that is kept, one that is pinned, one that is loaned.
+    struct Model {
+        samples: [ModelSample; 3],
+        history: History,
+    }
+
+    // SAFETY: for the model; loom checks the accesses.
+    unsafe impl Sync for Model {}
+    // SAFETY: as above.
+    unsafe impl Send for Model {}
+
+    impl Samples for Model {
+        fn pin(&self, chunk: u64) -> bool {
+            self.samples[chunk as usize].references.pin()
+        }
+
+        unsafe fn number(&self, chunk: u64) -> Option<u64> {
+            // SAFETY: loom checks it.
+            Some(self.samples[chunk as usize].number.with(|number| unsafe { *number }))
+        }
+
+        fn release(&self, chunk: u64) {
+            let sample = &self.samples[chunk as usize];
+            if sample.references.release() {
+                sample.is_free.store(1, Ordering::Release);
+            }
+        }
+    }
+
+    impl Model {
+        fn new() -> Arc<Self> {
+            let samples = [(); 3].map(|()| ModelSample {
+                references: References::none(),
+                is_free: AtomicU32::new(1),
+                number: UnsafeCell::new(0),
+            });
+            let model = Model { samples, history: History::new(1) };
+            model.publish(1);
+            Arc::new(model)
+        }
+
+        /// As `Segment::take` and `RawPublisher::publish_loan` do it.
+        fn publish(&self, number: u64) {
+            let take = |sample: &&ModelSample| {
+                sample.is_free.compare_exchange(1, 0, Ordering::Acquire, Ordering::Relaxed).is_ok()
+            };
+            let sample = self.samples.iter().find(take).expect("a sample is free");
+            sample.references.begin();
+            // SAFETY: loom checks it.
+            sample.number.with_mut(|place| unsafe { *place = number });
+            sample.references.add();
+            let chunk = self.samples.iter().position(|other| std::ptr::eq(other, sample)).unwrap() as u64;
+            if let Some(former) = self.history.keep(number, chunk) {
+                self.release(former);
+            }
+            self.release(chunk);
+        }
+    }
+
+    #[test]
+    fn loom_a_kept_sample_is_taken_over_whole_or_not_at_all() {
+        loom::model(|| {
+            let model = Model::new();
+            let publisher = {
+                let model = model.clone();
+                // The second gives the first sample back, the third takes it again.
+                loom::thread::spawn(move || [2, 3].into_iter().for_each(|number| model.publish(number)))
+            };
+            let mut found = None;
+            model.history.each_kept(0, 1, 1, &*model, |number, chunk| found = Some((number, chunk)));
+            if let Some((number, chunk)) = found {
+                // SAFETY: loom checks it.
+                assert_eq!((number, unsafe { model.number(chunk) }), (1, Some(1)));
+                model.release(chunk);
+            }
+            publisher.join().unwrap();
+            model.history.release(&*model);
+            assert!(
+                model.samples.iter().all(|sample| sample.references.is_none()),
+                "every reference is given back"
+            );
+        });
     }
 }

@@ -114,7 +114,7 @@ impl SpareList {
     }
 }
 
-/// Memory of queues is claimed for so many samples more at once: a page.
+/// Memory of queues is claimed for so many samples more at once, and then up to the end of a page.
 const CLAIMED_AT_ONCE: usize = 512;
 
 /// How many words a list of so many samples has.
