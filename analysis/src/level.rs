@@ -2,7 +2,7 @@
 //! The one fixed-point search behind all bounds: a task, the thread it runs in, and everything that delays it.
 use crate::release::Release;
 use crate::validate::validate;
-use crate::{AnalysisError, Order, Overheads, Reservation, Task};
+use crate::{AnalysisError, Hold, Order, Overheads, Reservation, Task};
 
 /// Ends the search where utilisation is so close to 1 that the busy window is practically endless.
 const MAX_ITERATIONS: u32 = 1_000_000;
@@ -40,8 +40,12 @@ pub(crate) struct Core<'a> {
     callbacks: Vec<Demand>,
     /// The demand of each task as the others see it: the same, except for tasks with a reservation.
     delays: Vec<Demand>,
-    /// What delays every level: messages, ticks, throttling.
+    /// The work per message of each task.
+    messages: Vec<u64>,
+    /// What delays every level: messages, and what relays them.
     common: Vec<Demand>,
+    /// What delays even sections that nothing else preempts: ticks, throttling.
+    interrupts: Vec<Demand>,
     throttled: bool,
 }
 
@@ -50,6 +54,8 @@ pub(crate) struct Core<'a> {
 pub(crate) struct Bound {
     pub nominal_ns: u64,
     pub arrival_ns: u64,
+    /// From the nominal release to the end of a job for it or for a later one.
+    pub reflected_ns: u64,
     pub utilisation: f64,
     /// Whether it may wait for the next period of its reservation.
     pub waits: bool,
@@ -57,6 +63,17 @@ pub(crate) struct Bound {
 
 impl<'a> Core<'a> {
     pub fn new(tasks: &'a [Task], overheads: &Overheads) -> Result<Self, AnalysisError> {
+        Self::beside(tasks, overheads, &[], 0)
+    }
+
+    /// The same on a core that also relays messages, each with its releases and its cost, and that may stand still for `stall_ns`
+    /// besides, as the blocking of all tasks says already: what piled up then is done at once.
+    pub fn beside(
+        tasks: &'a [Task],
+        overheads: &Overheads,
+        relays: &[(Release, u64)],
+        stall_ns: u64,
+    ) -> Result<Self, AnalysisError> {
         tasks.iter().try_for_each(validate)?;
         let demand = |task: &Task, cost_ns| Demand { release: task.release(), cost_ns };
         let charged = |task: &Task| match task.charged_ns(overheads) {
@@ -69,24 +86,28 @@ impl<'a> Core<'a> {
             .zip(&callbacks)
             .map(|(task, own)| delay(task, own, overheads))
             .collect::<Result<_, _>>()?;
-        let message =
-            |task: &Task| demand(task, task.message_overhead_ns.unwrap_or(overheads.per_message_ns));
-        let mut common: Vec<_> = tasks.iter().map(message).collect();
+        let messages: Vec<u64> = tasks.iter().map(|task| task.per_message_ns(overheads)).collect();
+        let mut common: Vec<_> = tasks.iter().zip(&messages).map(|(task, ns)| demand(task, *ns)).collect();
+        common.extend(
+            relays.iter().map(|(release, cost_ns)| Demand { release: release.clone(), cost_ns: *cost_ns }),
+        );
+        let mut interrupts = Vec::new();
         if overheads.tick_period_ns > 0 {
             let release = Release::periodic(overheads.tick_period_ns);
-            common.push(Demand { release, cost_ns: overheads.tick_ns });
+            interrupts.push(Demand { release, cost_ns: overheads.tick_ns });
         }
         let mut throttled = false;
         if let Some(limit) = overheads.throttling.filter(|limit| limit.runtime_ns < limit.period_ns) {
-            let mut all = delays.iter().chain(&common);
-            let work = all.try_fold(0, |sum: u64, demand| sum.checked_add(demand.within(limit.period_ns)?));
+            let mut all = delays.iter().chain(&common).chain(&interrupts);
+            let window = limit.period_ns.saturating_add(stall_ns);
+            let work = all.try_fold(0, |sum: u64, demand| sum.checked_add(demand.within(window)?));
             throttled = work.is_none_or(|work| work > limit.runtime_ns);
             if throttled {
                 let release = Release::periodic(limit.period_ns);
-                common.push(Demand { release, cost_ns: limit.period_ns - limit.runtime_ns });
+                interrupts.push(Demand { release, cost_ns: limit.period_ns - limit.runtime_ns });
             }
         }
-        Ok(Self { tasks, callbacks, delays, common: merge(common), throttled })
+        Ok(Self { tasks, callbacks, delays, messages, common: merge(common), interrupts, throttled })
     }
 
     /// Whether the kernel may pause this core's real-time threads; their bounds then contain the pauses.
@@ -106,6 +127,10 @@ struct Level<'a> {
     /// The demand of its thread: its own, and that of the tasks that share the thread.
     own: Vec<Demand>,
     interference: Vec<Demand>,
+    /// What of this even delays the rest of a job that nothing else preempts.
+    interrupts: &'a [Demand],
+    /// What a job costs at the highest priority, in part in its own thread.
+    message_ns: u64,
     blocking: u64,
     /// The rest of a job once nothing can preempt it.
     tail: u64,
@@ -118,9 +143,15 @@ impl<'a> Level<'a> {
         let shares = |(i, other): (usize, &Task)| {
             i == index || (task.group.is_some() && other.group.map(|g| g.id) == task.group.map(|g| g.id))
         };
-        let (mut own, mut interference) = (Vec::new(), core.common.clone());
+        let mut own = Vec::new();
+        let mut interference: Vec<_> = core.common.iter().chain(&core.interrupts).cloned().collect();
         let (mut blocking, mut sections) = (0, 0);
         for (i, other) in core.tasks.iter().enumerate() {
+            let releases = other.release().most_within(1);
+            if releases > u64::from(MAX_ITERATIONS) {
+                let (task, jitter_ns) = (other.name.clone(), other.jitter_ns);
+                return Err(AnalysisError::LongBurst { task, releases, jitter_ns });
+            }
             if shares((i, other)) {
                 if other.priority != task.priority || other.group != task.group {
                     let (task, other) = (task.name.clone(), other.name.clone());
@@ -140,7 +171,10 @@ impl<'a> Level<'a> {
         let tail = if is_whole { task.wcet_ns - 1 } else { 0 };
         let interference = merge(interference);
         let blocking = u64::checked_add(blocking, sections).ok_or_else(|| overflow(task))?;
-        let level = Self { task, release: task.release(), own, interference, blocking, tail, utilisation: 0 };
+        let (interrupts, message_ns) = (core.interrupts.as_slice(), core.messages[index]);
+        let release = task.release();
+        let level =
+            Self { task, release, own, interference, interrupts, message_ns, blocking, tail, utilisation: 0 };
         level.with_utilisation()
     }
 
@@ -166,7 +200,7 @@ impl<'a> Level<'a> {
     /// on, until the period ends, and again after each runtime: it is as if something above took the rest of each period.
     fn reserved(mut self, reservation: Reservation) -> Result<Bound, AnalysisError> {
         let Reservation { runtime_ns, period_ns } = reservation;
-        let charged_ns = self.own[0].cost_ns;
+        let charged_ns = self.own[0].cost_ns.saturating_add(self.message_ns);
         let apart_ns = self.release.shortest_span(1);
         let spare_ns = runtime_ns.checked_sub(charged_ns).filter(|_| apart_ns >= period_ns);
         if let (Some(spare_ns), Ok(())) = (spare_ns, self.check_load()) {
@@ -196,17 +230,23 @@ impl<'a> Level<'a> {
 
     fn bound_without_gaps(&self) -> Result<Bound, AnalysisError> {
         self.check_load()?;
+        let mut late_ns = 0;
         let (nominal_ns, arrival_ns) = match self.task.group {
             Some(group) if self.own.len() > 1 => {
                 let arrival = match group.order {
-                    Order::Fifo => self.first_in_first_out()?,
+                    Order::Fifo => {
+                        late_ns = self.busy_window()?;
+                        self.first_in_first_out()?
+                    }
                     Order::Any => self.busy_window()?,
                 };
                 (self.add(arrival, self.task.jitter_ns)?, arrival)
             }
             _ => self.alone()?,
         };
-        Ok(Bound { nominal_ns, arrival_ns, utilisation: self.utilisation_f64(), waits: false })
+        // The newest release of a timer goes behind what came before it, and the thread may get to it as late as possible.
+        let reflected_ns = nominal_ns.max(self.add(late_ns, self.task.jitter_ns)?);
+        Ok(Bound { nominal_ns, arrival_ns, reflected_ns, utilisation: self.utilisation_f64(), waits: false })
     }
 
     /// Rounding down hides less than one unit for each demand, which is refused along with exactly 1.
@@ -235,7 +275,7 @@ impl<'a> Level<'a> {
         for job in 0.. {
             work = self.add(work, self.own[0].cost_ns)?;
             end = self.finish(work - self.tail, end, &mut iterations)?;
-            let finish = self.add(end, self.tail)?;
+            let finish = self.without_preemption(end, &mut iterations)?;
             // The first job's nominal release may lie its jitter before the window, so this never falls below zero.
             nominal = nominal.max(self.add(finish, jitter)?.saturating_sub(self.release.nominal_span(job)));
             arrival = arrival.max(finish - self.release.shortest_span(job).min(finish));
@@ -244,21 +284,46 @@ impl<'a> Level<'a> {
                 break;
             }
         }
+        if self.task.unordered && jitter >= self.release.nominal_span(1) {
+            // Its place in the queue is not that of its nominal release.
+            nominal = self.add(arrival, jitter)?;
+        }
         Ok((nominal, arrival))
     }
 
-    /// A thread whose jobs run in the order of their arrival: the longest response is that of a job that arrives when
-    /// some task of the thread is released, as early as its curve allows (Bedarkar et al., ECRTS 2022).
+    /// When a job ends that nothing but interrupts delays from `start` on.
+    fn without_preemption(&self, start: u64, iterations: &mut u32) -> Result<u64, AnalysisError> {
+        let mut end = self.add(start, self.tail)?;
+        if self.tail == 0 {
+            return Ok(end);
+        }
+        let before = self.demand(0, self.interrupts, start)?;
+        let work = end;
+        loop {
+            self.count(iterations)?;
+            let next = self.demand(work, self.interrupts, end)? - before;
+            if next == end {
+                return Ok(end);
+            }
+            end = next;
+        }
+    }
+
+    /// A thread whose jobs run in the order of their release: a late one keeps its place, so that what the least distance of releases
+    /// keeps apart may be queued at once. The longest response is that of a job that arrives when some
+    /// task of the thread is released, as early as its curve allows (Bedarkar et al., ECRTS 2022).
     fn first_in_first_out(&self) -> Result<u64, AnalysisError> {
         let window = self.busy_window()?;
+        let nominal = |demand: &Demand| Demand { release: demand.release.clone().min_distance(0), ..*demand };
+        let own: Vec<_> = self.own.iter().map(nominal).collect();
         let (mut longest, mut end, mut iterations, mut offset) = (0, 0, 0, 0);
         while offset < window {
             let closed = self.add(offset, 1)?;
-            let queued = self.demand(self.blocking, &self.own, closed)?;
+            let queued = self.demand(self.blocking, &own, closed)?;
             end = self.finish(queued, end, &mut iterations)?;
             longest = longest.max(end.saturating_sub(offset));
             let next = |demand: &Demand| demand.release.shortest_span(demand.release.most_within(closed));
-            offset = self.own.iter().map(next).min().unwrap_or(u64::MAX);
+            offset = own.iter().map(next).min().unwrap_or(u64::MAX);
         }
         Ok(longest)
     }
@@ -333,9 +398,21 @@ fn merge(mut demands: Vec<Demand>) -> Vec<Demand> {
     demands
 }
 
-/// What a task takes from others. A reservation: its runtime, switching to it and from it, once for the period and once for each job.
+/// What a task takes from others. One that is held to its budget: that budget. A reservation: its runtime, switching to it and from it, once for the period and once for each job.
 fn delay(task: &Task, own: &Demand, overheads: &Overheads) -> Result<Demand, AnalysisError> {
-    let Some(Reservation { runtime_ns, period_ns }) = task.reservation else { return Ok(own.clone()) };
+    let Some(Reservation { runtime_ns, period_ns }) = task.reservation else {
+        if task.hold == Hold::Nothing {
+            return Ok(own.clone());
+        }
+        // A budget has room for all work per message, of which the sampler does a part besides.
+        let budget = own.cost_ns.checked_add(task.per_message_ns(overheads));
+        let release = match task.hold {
+            // What is left of one budget may be used right before the next.
+            Hold::Suspended { deferred: true } => Release::periodic(task.period_ns).jitter(task.period_ns),
+            _ => own.release.clone(),
+        };
+        return Ok(Demand { release, cost_ns: budget.ok_or_else(|| overflow(task))? });
+    };
     let switches = own.release.most_within(period_ns).saturating_add(1).saturating_mul(2);
     let cost_ns = switches.checked_mul(overheads.context_switch_ns).and_then(|ns| ns.checked_add(runtime_ns));
     let release = Release::periodic(period_ns).jitter(period_ns);
