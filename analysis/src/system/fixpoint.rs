@@ -74,7 +74,11 @@ pub(super) fn solve(system: &System) -> Result<Solved, AnalysisError> {
             let Task { jitter_ns, period_ns, blocking_ns, .. } = tasks[*i];
             jitter_ns / MAX_JITTER_PERIODS > period_ns.saturating_add(blocking_ns)
         };
-        if grown.is_empty() || rounds == MAX_ROUNDS || grown.iter().any(endless) {
+        let now = relayed(system, &tasks, &outcomes);
+        let is_still = grown.is_empty() && now == relays;
+        if is_still || rounds == MAX_ROUNDS || grown.iter().any(endless) {
+            let relayed = system.relays.iter().filter(|_| now != relays).filter_map(|relay| relay.source);
+            relayed.for_each(|(i, _)| outcomes[i] = Err(diverges(&tasks[i], &outcomes[i], rounds)));
             grown.into_iter().for_each(|i| outcomes[i] = Err(diverges(&tasks[i], &outcomes[i], rounds)));
             without_bound(system, &order, &mut outcomes);
             joins
@@ -85,7 +89,6 @@ pub(super) fn solve(system: &System) -> Result<Solved, AnalysisError> {
             return Ok(Solved { outcomes, joins, timings, throttled, rounds });
         }
         grown.iter().for_each(|i| dirty[system.callbacks[*i].core] = true);
-        let now = relayed(system, &tasks, &outcomes);
         dirty
             .iter_mut()
             .zip(relays.iter().zip(&now))
@@ -156,7 +159,9 @@ fn pass_on(
 /// How late a callback may publish, after the nominal release, as far as rates go.
 fn late_ns(system: &System, tasks: &[Task], outcomes: &Outcomes, source: usize, response: &Response) -> u64 {
     let task = &tasks[source];
-    let late_ns = response.response_ns.saturating_sub(task.bcet_ns);
+    // What its own jitter has grown by since it was analysed is no less later.
+    let more_ns = task.jitter_ns.saturating_sub(response.jitter_ns);
+    let late_ns = response.response_ns.saturating_add(more_ns).saturating_sub(task.bcet_ns);
     if !task.is_held() {
         return late_ns;
     }
@@ -232,7 +237,7 @@ fn without_bound(system: &System, order: &[usize], outcomes: &mut Outcomes) {
             let source = callback.predecessors().iter().copied().find(|source| outcomes[*source].is_err());
             let cause = match (source, &outcomes[i]) {
                 (Some(source), _) => source,
-                (_, Err(AnalysisError::Diverges { .. })) if callback.is_triggered() => i,
+                (_, Err(AnalysisError::Diverges { .. })) => i,
                 _ => continue,
             };
             // Its releases are not known, so neither is what it takes from its level and those below.
