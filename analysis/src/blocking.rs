@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-use crate::Task;
+use crate::{Hold, Task};
 
 /// A critical section: the longest time for which a task holds a lock. Sections do not nest.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -24,7 +24,8 @@ pub enum LockProtocol {
 /// How long each task of a core can be blocked by lower priorities that hold locks: the value for
 /// [`Task::blocking_ns`] (Sha, Rajkumar & Lehoczky 1990).
 ///
-/// Only sections of lower priority count whose lock is also used at the task's priority or above. Under the ceiling
+/// Only sections of lower priority count whose lock is also used at the task's priority or above. One that may be demoted is such a lower
+/// one, too: once it is, it does not go on before the task is done, so that it blocks once. Under the ceiling
 /// protocol the longest of them blocks, once. Under inheritance each lower task may block once, and so may each lock:
 /// the smaller of the two sums. Sections of tasks that do not exist are ignored.
 ///
@@ -45,10 +46,16 @@ pub enum LockProtocol {
 pub fn blocking(tasks: &[Task], sections: &[CriticalSection], protocol: LockProtocol) -> Vec<u64> {
     let priority = |section: &CriticalSection| tasks.get(section.task).map(|task| task.priority);
     let ceiling = |resource| sections.iter().filter(|s| s.resource == resource).filter_map(priority).max();
-    let of_task = |task: &Task| {
-        let blocks = |s: &&CriticalSection| {
-            priority(s).is_some_and(|p| p < task.priority) && ceiling(s.resource) >= Some(task.priority)
+    let of_task = |(index, task): (usize, &Task)| {
+        let is_own = |other: usize| {
+            other == index
+                || (task.group.is_some() && tasks[other].group.map(|g| g.id) == task.group.map(|g| g.id))
         };
+        let is_lower = |s: &CriticalSection| {
+            let holder = tasks.get(s.task).filter(|_| !is_own(s.task));
+            holder.is_some_and(|holder| holder.priority < task.priority || holder.hold == Hold::Demoted)
+        };
+        let blocks = |s: &&CriticalSection| is_lower(s) && ceiling(s.resource) >= Some(task.priority);
         let blocking: Vec<_> = sections.iter().filter(blocks).collect();
         match protocol {
             LockProtocol::PriorityCeiling => blocking.iter().map(|s| s.length_ns).max().unwrap_or(0),
@@ -57,7 +64,7 @@ pub fn blocking(tasks: &[Task], sections: &[CriticalSection], protocol: LockProt
             }
         }
     };
-    tasks.iter().map(of_task).collect()
+    tasks.iter().enumerate().map(of_task).collect()
 }
 
 /// The longest section of each class, summed.

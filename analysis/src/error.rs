@@ -234,6 +234,31 @@ pub enum AnalysisError {
         problem: &'static str,
     },
 
+    /// A chain through a value that others write, too.
+    #[error(
+        "chain `{chain}` has no bounded reaction time: `{other}` may overwrite what it passes on before that is read: let each publish a topic \
+         of its own, or let the topic trigger the next callback"
+    )]
+    Overwritten {
+        /// The chain.
+        chain: String,
+        /// Who else writes the value.
+        other: String,
+    },
+
+    /// The releases of a task come at once for longer than can be followed.
+    #[error(
+        "task `{task}` may be released {releases} times at once, by a jitter of {jitter_ns} ns, which is more than can be followed: lower its jitter"
+    )]
+    LongBurst {
+        /// The task.
+        task: String,
+        /// How many releases come at once.
+        releases: u64,
+        /// Its jitter.
+        jitter_ns: u64,
+    },
+
     /// A system or chain that refers to a task, core or stage which is not there.
     #[error("`{name}` refers to {what} {index}, which does not exist: there are {count}")]
     BadReference {

@@ -1,8 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The one fixed-point search behind all bounds: a task, the thread it runs in, and everything that delays it.
+use std::cell::RefCell;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap, HashMap};
+
 use crate::release::Release;
 use crate::validate::validate;
-use crate::{AnalysisError, Order, Overheads, Reservation, Task};
+use crate::{AnalysisError, Group, Hold, Order, Overheads, Reservation, Task};
 
 /// Ends the search where utilisation is so close to 1 that the busy window is practically endless.
 const MAX_ITERATIONS: u32 = 1_000_000;
@@ -33,6 +37,91 @@ impl Demand {
     }
 }
 
+/// What several release together: what is released alike is added up once, so that a window costs a search for each period, however many
+/// tasks have it.
+#[derive(Debug, Default)]
+struct Curve {
+    classes: Vec<Class>,
+    /// With a least distance or a trace.
+    others: Vec<Demand>,
+    /// In units of 1 / [`WHOLE_CORE`], each part rounded down.
+    utilisation: u128,
+    parts: usize,
+    /// Whether any of it comes late, or as in a trace.
+    is_irregular: bool,
+}
+
+/// Demands of one period. A jitter is a periods and an offset b: in a window of c periods and d, each has c + a releases, one more if
+/// d + b > 0, and another one if d + b > T.
+#[derive(Debug)]
+struct Class {
+    period_ns: u64,
+    /// The sum of all costs, and of a times the cost.
+    cost_ns: u64,
+    before_ns: u64,
+    /// The offsets, descending, each with the cost of those down to it.
+    offsets: Vec<(u64, u64)>,
+}
+
+impl Curve {
+    /// `None` on overflow.
+    fn new(demands: impl IntoIterator<Item = Demand>) -> Option<Self> {
+        let mut curve = Self::default();
+        let (mut plain, mut others) = (Vec::new(), Vec::new());
+        for demand in demands.into_iter().filter(|demand| demand.cost_ns > 0) {
+            let release = &demand.release;
+            curve.utilisation = curve.utilisation.checked_add(demand.utilisation()?)?;
+            curve.parts += 1;
+            curve.is_irregular |= release.jitter_ns > 0 || release.distances.is_some();
+            match release.min_distance_ns == 0 && release.distances.is_none() && release.period_ns > 0 {
+                true => plain.push((release.period_ns, release.jitter_ns % release.period_ns, demand)),
+                false => others.push(demand),
+            }
+        }
+        plain.sort_unstable_by_key(|(period_ns, offset_ns, _)| (*period_ns, std::cmp::Reverse(*offset_ns)));
+        for alike in plain.chunk_by(|one, other| one.0 == other.0) {
+            let mut class = Class {
+                period_ns: alike[0].0,
+                cost_ns: 0,
+                before_ns: 0,
+                offsets: Vec::with_capacity(alike.len()),
+            };
+            for (period_ns, offset_ns, Demand { release, cost_ns }) in alike {
+                class.cost_ns = class.cost_ns.checked_add(*cost_ns)?;
+                let before_ns = (release.jitter_ns / period_ns).checked_mul(*cost_ns)?;
+                class.before_ns = class.before_ns.checked_add(before_ns)?;
+                match class.offsets.last_mut().filter(|(last_ns, _)| last_ns == offset_ns) {
+                    Some((_, sum_ns)) => *sum_ns = class.cost_ns,
+                    None => class.offsets.push((*offset_ns, class.cost_ns)),
+                }
+            }
+            curve.classes.push(class);
+        }
+        curve.others = merge(others);
+        Some(curve)
+    }
+
+    /// Work released within a window that starts at a critical instant, or `None` on overflow.
+    fn within(&self, window: u64) -> Option<u64> {
+        if window == 0 {
+            return Some(0);
+        }
+        let mut sum = 0_u64;
+        for class in &self.classes {
+            let (whole, rest) = (window / class.period_ns, window % class.period_ns);
+            let of = |least: u64| match class.offsets.partition_point(|(offset_ns, _)| *offset_ns > least) {
+                0 => 0,
+                count => class.offsets[count - 1].1,
+            };
+            let once = if rest > 0 { class.cost_ns } else { of(0) };
+            let twice = of(class.period_ns - rest);
+            sum = sum.checked_add(whole.checked_mul(class.cost_ns)?)?.checked_add(class.before_ns)?;
+            sum = sum.checked_add(once)?.checked_add(twice)?;
+        }
+        self.others.iter().try_fold(sum, |sum, demand| sum.checked_add(demand.within(window)?))
+    }
+}
+
 /// The tasks of one core, checked, with their costs.
 pub(crate) struct Core<'a> {
     tasks: &'a [Task],
@@ -40,9 +129,31 @@ pub(crate) struct Core<'a> {
     callbacks: Vec<Demand>,
     /// The demand of each task as the others see it: the same, except for tasks with a reservation.
     delays: Vec<Demand>,
-    /// What delays every level: messages, ticks, throttling.
-    common: Vec<Demand>,
+    /// The work per message of each task.
+    messages: Vec<u64>,
+    /// What delays every level: messages, and what relays them.
+    common: Curve,
+    /// What delays even sections that nothing else preempts: ticks, throttling.
+    interrupts: Curve,
+    /// The priorities, the highest first, each with its tasks' delays, and the longest section of all below it.
+    bands: Vec<(u8, Curve, u64)>,
+    /// The tasks of each thread that several share.
+    threads: HashMap<u32, Vec<usize>>,
+    /// What is known of these.
+    known: RefCell<HashMap<u32, Result<Shared, AnalysisError>>>,
+    /// A task that is released too often at once, if there is one.
+    burst: Option<AnalysisError>,
     throttled: bool,
+}
+
+/// What all tasks of a thread have in common.
+#[derive(Debug, Clone, Copy)]
+struct Shared {
+    /// The longest response from an arrival.
+    arrival_ns: u64,
+    /// The busy window.
+    busy_ns: u64,
+    utilisation: f64,
 }
 
 /// The response times found for one task: from its nominal release, and from its arrival, at most the jitter later.
@@ -50,6 +161,8 @@ pub(crate) struct Core<'a> {
 pub(crate) struct Bound {
     pub nominal_ns: u64,
     pub arrival_ns: u64,
+    /// From the nominal release to the end of a job for it or for a later one.
+    pub reflected_ns: u64,
     pub utilisation: f64,
     /// Whether it may wait for the next period of its reservation.
     pub waits: bool,
@@ -57,6 +170,17 @@ pub(crate) struct Bound {
 
 impl<'a> Core<'a> {
     pub fn new(tasks: &'a [Task], overheads: &Overheads) -> Result<Self, AnalysisError> {
+        Self::beside(tasks, overheads, &[], 0)
+    }
+
+    /// The same on a core that also relays messages, each with its releases and its cost, and that may stand still for `stall_ns`
+    /// besides, as the blocking of all tasks says already: what piled up then is done at once.
+    pub fn beside(
+        tasks: &'a [Task],
+        overheads: &Overheads,
+        relays: &[(Release, u64)],
+        stall_ns: u64,
+    ) -> Result<Self, AnalysisError> {
         tasks.iter().try_for_each(validate)?;
         let demand = |task: &Task, cost_ns| Demand { release: task.release(), cost_ns };
         let charged = |task: &Task| match task.charged_ns(overheads) {
@@ -69,24 +193,70 @@ impl<'a> Core<'a> {
             .zip(&callbacks)
             .map(|(task, own)| delay(task, own, overheads))
             .collect::<Result<_, _>>()?;
-        let message =
-            |task: &Task| demand(task, task.message_overhead_ns.unwrap_or(overheads.per_message_ns));
-        let mut common: Vec<_> = tasks.iter().map(message).collect();
+        let messages: Vec<u64> = tasks.iter().map(|task| task.per_message_ns(overheads)).collect();
+        let mut common: Vec<Demand> =
+            tasks.iter().zip(&messages).map(|(task, ns)| demand(task, *ns)).collect();
+        common.extend(
+            relays.iter().map(|(release, cost_ns)| Demand { release: release.clone(), cost_ns: *cost_ns }),
+        );
+        let mut interrupts = Vec::new();
         if overheads.tick_period_ns > 0 {
             let release = Release::periodic(overheads.tick_period_ns);
-            common.push(Demand { release, cost_ns: overheads.tick_ns });
+            interrupts.push(Demand { release, cost_ns: overheads.tick_ns });
         }
         let mut throttled = false;
         if let Some(limit) = overheads.throttling.filter(|limit| limit.runtime_ns < limit.period_ns) {
-            let mut all = delays.iter().chain(&common);
-            let work = all.try_fold(0, |sum: u64, demand| sum.checked_add(demand.within(limit.period_ns)?));
+            let mut all = delays.iter().chain(&common).chain(&interrupts);
+            let window = limit.period_ns.saturating_add(stall_ns);
+            let work = all.try_fold(0, |sum: u64, demand| sum.checked_add(demand.within(window)?));
             throttled = work.is_none_or(|work| work > limit.runtime_ns);
             if throttled {
                 let release = Release::periodic(limit.period_ns);
-                common.push(Demand { release, cost_ns: limit.period_ns - limit.runtime_ns });
+                interrupts.push(Demand { release, cost_ns: limit.period_ns - limit.runtime_ns });
             }
         }
-        Ok(Self { tasks, callbacks, delays, common: merge(common), throttled })
+        let curve = |demands: Vec<Demand>| {
+            let unnamed = || AnalysisError::Overflow {
+                task: tasks.first().map_or(String::new(), |task| task.name.clone()),
+            };
+            Curve::new(demands).ok_or_else(unnamed)
+        };
+        let mut by_priority: BTreeMap<u8, (Vec<Demand>, u64)> = BTreeMap::new();
+        let mut threads: HashMap<u32, Vec<usize>> = HashMap::new();
+        for (i, task) in tasks.iter().enumerate() {
+            let (demands, section_ns) = by_priority.entry(task.priority).or_default();
+            demands.push(delays[i].clone());
+            *section_ns = task.non_preemptive_ns.max(*section_ns);
+            if let Some(group) = task.group {
+                threads.entry(group.id).or_default().push(i);
+            }
+        }
+        let (mut bands, mut below_ns) = (Vec::with_capacity(by_priority.len()), 0);
+        for (priority, (demands, section_ns)) in by_priority {
+            bands.push((priority, curve(demands)?, below_ns));
+            below_ns = section_ns.max(below_ns);
+        }
+        bands.reverse();
+        let burst = tasks.iter().find_map(|task| {
+            let releases = task.release().most_within(1);
+            let error =
+                || AnalysisError::LongBurst { task: task.name.clone(), releases, jitter_ns: task.jitter_ns };
+            (releases > u64::from(MAX_ITERATIONS)).then(error)
+        });
+        let (common, interrupts, known) = (curve(common)?, curve(interrupts)?, RefCell::default());
+        Ok(Self {
+            tasks,
+            callbacks,
+            delays,
+            messages,
+            common,
+            interrupts,
+            bands,
+            threads,
+            known,
+            burst,
+            throttled,
+        })
     }
 
     /// Whether the kernel may pause this core's real-time threads; their bounds then contain the pauses.
@@ -95,17 +265,46 @@ impl<'a> Core<'a> {
     }
 
     pub fn bound(&self, index: usize) -> Result<Bound, AnalysisError> {
-        Level::new(self, index)?.bound()
+        match &self.burst {
+            Some(error) => Err(error.clone()),
+            None => self.bound_of(&self.tasks[index], index),
+        }
+    }
+
+    fn bound_of(&self, task: &Task, index: usize) -> Result<Bound, AnalysisError> {
+        let shares = |group: &Group| self.threads.get(&group.id).is_some_and(|members| members.len() > 1);
+        let Some(group) = task.group.filter(shares) else { return Level::new(self, index)?.bound() };
+        let known = self.known.borrow().get(&group.id).cloned();
+        let shared = known.unwrap_or_else(|| {
+            let found = Level::new(self, index).and_then(|level| level.of_thread(group.order));
+            self.known.borrow_mut().insert(group.id, found.clone());
+            found
+        });
+        let Shared { arrival_ns, busy_ns, utilisation } = shared?;
+        let nominal_ns = arrival_ns.checked_add(task.jitter_ns).ok_or_else(|| overflow(task))?;
+        // The newest release of a timer goes behind what came before it, and the thread may get to it as late as possible.
+        let reflected_ns = busy_ns.checked_add(task.jitter_ns).ok_or_else(|| overflow(task))?;
+        Ok(Bound { nominal_ns, arrival_ns, reflected_ns, utilisation, waits: false })
     }
 }
 
 /// One task and everything that can delay it.
 struct Level<'a> {
+    core: &'a Core<'a>,
     task: &'a Task,
     release: Release,
-    /// The demand of its thread: its own, and that of the tasks that share the thread.
-    own: Vec<Demand>,
-    interference: Vec<Demand>,
+    /// The tasks of its thread: itself, and those that share the thread.
+    members: Vec<usize>,
+    /// The demand of its thread.
+    own: Curve,
+    /// What a job of its own costs.
+    cost_ns: u64,
+    /// Its priority and those above.
+    bands: &'a [(u8, Curve, u64)],
+    /// What else takes time above it.
+    gap: Option<Demand>,
+    /// What a job costs at the highest priority, in part in its own thread.
+    message_ns: u64,
     blocking: u64,
     /// The rest of a job once nothing can preempt it.
     tail: u64,
@@ -115,39 +314,55 @@ struct Level<'a> {
 impl<'a> Level<'a> {
     fn new(core: &'a Core, index: usize) -> Result<Self, AnalysisError> {
         let task = &core.tasks[index];
-        let shares = |(i, other): (usize, &Task)| {
-            i == index || (task.group.is_some() && other.group.map(|g| g.id) == task.group.map(|g| g.id))
-        };
-        let (mut own, mut interference) = (Vec::new(), core.common.clone());
-        let (mut blocking, mut sections) = (0, 0);
-        for (i, other) in core.tasks.iter().enumerate() {
-            if shares((i, other)) {
-                if other.priority != task.priority || other.group != task.group {
-                    let (task, other) = (task.name.clone(), other.name.clone());
-                    return Err(AnalysisError::MixedGroup { task, other });
-                }
-                own.push(core.callbacks[i].clone());
-                blocking = other.blocking_ns.max(blocking);
-            } else if other.priority >= task.priority {
-                interference.push(core.delays[i].clone());
-            } else {
-                // A section delays only if it began before: at least 1 ns of it is over.
-                sections = other.non_preemptive_ns.saturating_sub(1).max(sections);
+        let shared = task.group.and_then(|group| core.threads.get(&group.id));
+        let members = shared.cloned().unwrap_or_else(|| vec![index]);
+        let mut blocking = 0;
+        for &i in &members {
+            let other = &core.tasks[i];
+            if other.priority != task.priority || other.group != task.group {
+                let (task, other) = (task.name.clone(), other.name.clone());
+                return Err(AnalysisError::MixedGroup { task, other });
             }
+            blocking = other.blocking_ns.max(blocking);
         }
+        let bands = &core.bands[..core.bands.partition_point(|(priority, ..)| *priority >= task.priority)];
+        // A section delays only if it began before: at least 1 ns of it is over.
+        let sections = bands.last().map_or(0, |(_, _, below_ns)| below_ns.saturating_sub(1));
         // The end of a reservation preempts everything.
         let is_whole = task.non_preemptive_ns >= task.wcet_ns && task.reservation.is_none();
         let tail = if is_whole { task.wcet_ns - 1 } else { 0 };
-        let interference = merge(interference);
-        let blocking = u64::checked_add(blocking, sections).ok_or_else(|| overflow(task))?;
-        let level = Self { task, release: task.release(), own, interference, blocking, tail, utilisation: 0 };
+        let own =
+            Curve::new(members.iter().map(|i| core.callbacks[*i].clone())).ok_or_else(|| overflow(task))?;
+        let level = Self {
+            core,
+            task,
+            release: task.release(),
+            members,
+            own,
+            cost_ns: core.callbacks[index].cost_ns,
+            bands,
+            gap: None,
+            message_ns: core.messages[index],
+            blocking: u64::checked_add(blocking, sections).ok_or_else(|| overflow(task))?,
+            tail,
+            utilisation: 0,
+        };
         level.with_utilisation()
     }
 
+    /// All that delays the thread.
+    fn curves(&self) -> impl Iterator<Item = &Curve> {
+        self.bands.iter().map(|(_, curve, _)| curve).chain([&self.core.common, &self.core.interrupts])
+    }
+
+    /// Without what its own thread is to others.
     fn with_utilisation(mut self) -> Result<Self, AnalysisError> {
-        self.utilisation = (self.own.iter().chain(&self.interference))
-            .try_fold(0, |sum: u128, demand| sum.checked_add(demand.utilisation()?))
-            .ok_or_else(|| overflow(self.task))?;
+        let gap = self.gap.iter().map(Demand::utilisation);
+        let all =
+            self.curves().map(|curve| Some(curve.utilisation)).chain(gap).chain([Some(self.own.utilisation)]);
+        let all = all.sum::<Option<u128>>().ok_or_else(|| overflow(self.task))?;
+        let own = self.members.iter().map(|i| self.core.delays[*i].utilisation());
+        self.utilisation = all - own.sum::<Option<u128>>().ok_or_else(|| overflow(self.task))?;
         Ok(self)
     }
 
@@ -166,7 +381,7 @@ impl<'a> Level<'a> {
     /// on, until the period ends, and again after each runtime: it is as if something above took the rest of each period.
     fn reserved(mut self, reservation: Reservation) -> Result<Bound, AnalysisError> {
         let Reservation { runtime_ns, period_ns } = reservation;
-        let charged_ns = self.own[0].cost_ns;
+        let charged_ns = self.cost_ns.saturating_add(self.message_ns);
         let apart_ns = self.release.shortest_span(1);
         let spare_ns = runtime_ns.checked_sub(charged_ns).filter(|_| apart_ns >= period_ns);
         if let (Some(spare_ns), Ok(())) = (spare_ns, self.check_load()) {
@@ -183,8 +398,7 @@ impl<'a> Level<'a> {
             }
         }
         let name = self.task.name.clone();
-        self.interference
-            .push(Demand { release: Release::periodic(period_ns), cost_ns: period_ns - runtime_ns });
+        self.gap = Some(Demand { release: Release::periodic(period_ns), cost_ns: period_ns - runtime_ns });
         let bound = self.with_utilisation()?.bound_without_gaps().map_err(|error| match error {
             AnalysisError::Overload { .. } | AnalysisError::NoSlack { .. } => {
                 AnalysisError::SmallReservation { task: name, charged_ns, runtime_ns, period_ns }
@@ -196,17 +410,24 @@ impl<'a> Level<'a> {
 
     fn bound_without_gaps(&self) -> Result<Bound, AnalysisError> {
         self.check_load()?;
-        let (nominal_ns, arrival_ns) = match self.task.group {
-            Some(group) if self.own.len() > 1 => {
-                let arrival = match group.order {
-                    Order::Fifo => self.first_in_first_out()?,
-                    Order::Any => self.busy_window()?,
-                };
-                (self.add(arrival, self.task.jitter_ns)?, arrival)
-            }
-            _ => self.alone()?,
+        let (nominal_ns, arrival_ns) = self.alone()?;
+        Ok(Bound {
+            nominal_ns,
+            arrival_ns,
+            reflected_ns: nominal_ns,
+            utilisation: self.utilisation_f64(),
+            waits: false,
+        })
+    }
+
+    fn of_thread(&self, order: Order) -> Result<Shared, AnalysisError> {
+        self.check_load()?;
+        let busy_ns = self.busy_window()?;
+        let arrival_ns = match order {
+            Order::Fifo => self.first_in_first_out(busy_ns)?,
+            Order::Any => busy_ns,
         };
-        Ok(Bound { nominal_ns, arrival_ns, utilisation: self.utilisation_f64(), waits: false })
+        Ok(Shared { arrival_ns, busy_ns, utilisation: self.utilisation_f64() })
     }
 
     /// Rounding down hides less than one unit for each demand, which is refused along with exactly 1.
@@ -215,10 +436,10 @@ impl<'a> Level<'a> {
         if self.utilisation > WHOLE_CORE {
             return Err(AnalysisError::Overload { task, priority, utilisation: self.utilisation_f64() });
         }
-        let demands = self.own.len() + self.interference.len();
-        let full = self.utilisation + demands as u128 > WHOLE_CORE;
-        let irregular = |demand: &Demand| demand.release.jitter_ns > 0 || demand.release.distances.is_some();
-        if full && (self.blocking > 0 || self.own.iter().chain(&self.interference).any(irregular)) {
+        let curves = || self.curves().chain([&self.own]);
+        let parts: usize = curves().map(|curve| curve.parts).sum();
+        let full = self.utilisation + parts as u128 + 1 > WHOLE_CORE;
+        if full && (self.blocking > 0 || curves().any(|curve| curve.is_irregular)) {
             return Err(AnalysisError::NoSlack { task, priority });
         }
         Ok(())
@@ -233,9 +454,9 @@ impl<'a> Level<'a> {
         let (mut nominal, mut arrival, mut iterations) = (0, 0, 0);
         let (mut work, mut end) = (self.blocking, 0);
         for job in 0.. {
-            work = self.add(work, self.own[0].cost_ns)?;
+            work = self.add(work, self.cost_ns)?;
             end = self.finish(work - self.tail, end, &mut iterations)?;
-            let finish = self.add(end, self.tail)?;
+            let finish = self.without_preemption(end, &mut iterations)?;
             // The first job's nominal release may lie its jitter before the window, so this never falls below zero.
             nominal = nominal.max(self.add(finish, jitter)?.saturating_sub(self.release.nominal_span(job)));
             arrival = arrival.max(finish - self.release.shortest_span(job).min(finish));
@@ -244,21 +465,61 @@ impl<'a> Level<'a> {
                 break;
             }
         }
+        if self.task.unordered && jitter >= self.release.nominal_span(1) {
+            // Its place in the queue is not that of its nominal release.
+            nominal = self.add(arrival, jitter)?;
+        }
         Ok((nominal, arrival))
     }
 
-    /// A thread whose jobs run in the order of their arrival: the longest response is that of a job that arrives when
-    /// some task of the thread is released, as early as its curve allows (Bedarkar et al., ECRTS 2022).
-    fn first_in_first_out(&self) -> Result<u64, AnalysisError> {
-        let window = self.busy_window()?;
-        let (mut longest, mut end, mut iterations, mut offset) = (0, 0, 0, 0);
+    /// When a job ends that nothing but interrupts delays from `start` on.
+    fn without_preemption(&self, start: u64, iterations: &mut u32) -> Result<u64, AnalysisError> {
+        let mut end = self.add(start, self.tail)?;
+        if self.tail == 0 {
+            return Ok(end);
+        }
+        let interrupts = |window| self.core.interrupts.within(window).ok_or_else(|| overflow(self.task));
+        let before = interrupts(start)?;
+        let work = end;
+        loop {
+            self.count(iterations)?;
+            let next = self.add(work, interrupts(end)? - before)?;
+            if next == end {
+                return Ok(end);
+            }
+            end = next;
+        }
+    }
+
+    /// A thread whose jobs run in the order of their release: a late one keeps its place, so that what the least distance of releases
+    /// keeps apart may be queued at once. The longest response is that of a job that arrives when some
+    /// task of the thread is released, as early as its curve allows (Bedarkar et al., ECRTS 2022).
+    fn first_in_first_out(&self, window: u64) -> Result<u64, AnalysisError> {
+        let nominal = |i: &usize| {
+            let Demand { release, cost_ns } = &self.core.callbacks[*i];
+            Demand { release: release.clone().min_distance(0), cost_ns: *cost_ns }
+        };
+        let own = merge(self.members.iter().map(nominal).collect());
+        let queue = Curve::new(own.iter().cloned()).ok_or_else(|| overflow(self.task))?;
+        let (mut longest, mut end, mut iterations) = (0, 0, 0);
+        // The next offset at which each is released.
+        let first = |demand: &Demand| demand.release.shortest_span(demand.release.most_within(1));
+        let mut offsets: BinaryHeap<_> =
+            own.iter().enumerate().map(|(i, demand)| Reverse((first(demand), i))).collect();
+        let mut offset = 0;
         while offset < window {
             let closed = self.add(offset, 1)?;
-            let queued = self.demand(self.blocking, &self.own, closed)?;
-            end = self.finish(queued, end, &mut iterations)?;
+            let queued = queue.within(closed).and_then(|queued| queued.checked_add(self.blocking));
+            end = self.finish(queued.ok_or_else(|| overflow(self.task))?, end, &mut iterations)?;
             longest = longest.max(end.saturating_sub(offset));
-            let next = |demand: &Demand| demand.release.shortest_span(demand.release.most_within(closed));
-            offset = self.own.iter().map(next).min().unwrap_or(u64::MAX);
+            let Some(Reverse((next, _))) = offsets.peek().copied() else { break };
+            offset = next;
+            while let Some(Reverse((_, i))) = offsets.peek().copied().filter(|Reverse((at, _))| *at <= offset)
+            {
+                offsets.pop();
+                let release = &own[i].release;
+                offsets.push(Reverse((release.shortest_span(release.most_within(self.add(offset, 1)?)), i)));
+            }
         }
         Ok(longest)
     }
@@ -266,10 +527,15 @@ impl<'a> Level<'a> {
     /// The longest time that this level keeps the core busy, which bounds any job's response in any order.
     fn busy_window(&self) -> Result<u64, AnalysisError> {
         let mut iterations = 0;
-        let mut window = self.demand(self.blocking, &self.own, 1)?;
+        let own = |window| {
+            self.own
+                .within(window)
+                .and_then(|own| own.checked_add(self.blocking))
+                .ok_or_else(|| overflow(self.task))
+        };
+        let mut window = own(1)?;
         loop {
-            let own = self.demand(self.blocking, &self.own, window)?;
-            let next = self.demand(own, &self.interference, window)?;
+            let next = self.delayed(own(window)?, window)?;
             if next == window {
                 return Ok(window);
             }
@@ -283,7 +549,7 @@ impl<'a> Level<'a> {
         let mut window = window.max(work);
         loop {
             self.count(iterations)?;
-            let next = self.demand(work, &self.interference, window)?;
+            let next = self.delayed(work, window)?;
             if next == window {
                 return Ok(window);
             }
@@ -291,11 +557,18 @@ impl<'a> Level<'a> {
         }
     }
 
-    /// `work` and what the demands release within a window.
-    fn demand(&self, work: u64, demands: &[Demand], window: u64) -> Result<u64, AnalysisError> {
-        let mut all = demands.iter();
-        all.try_fold(work, |sum, demand| sum.checked_add(demand.within(window)?))
-            .ok_or_else(|| overflow(self.task))
+    /// `work` and all that others release within a window.
+    fn delayed(&self, work: u64, window: u64) -> Result<u64, AnalysisError> {
+        let others = || {
+            let all = self.curves().try_fold(0, |sum: u64, curve| sum.checked_add(curve.within(window)?))?;
+            let own = self
+                .members
+                .iter()
+                .try_fold(0, |sum: u64, i| sum.checked_add(self.core.delays[*i].within(window)?))?;
+            let gap = self.gap.as_ref().map_or(Some(0), |gap| gap.within(window))?;
+            (all - own).checked_add(gap)?.checked_add(work)
+        };
+        others().ok_or_else(|| overflow(self.task))
     }
 
     fn count(&self, iterations: &mut u32) -> Result<(), AnalysisError> {
@@ -333,9 +606,21 @@ fn merge(mut demands: Vec<Demand>) -> Vec<Demand> {
     demands
 }
 
-/// What a task takes from others. A reservation: its runtime, switching to it and from it, once for the period and once for each job.
+/// What a task takes from others. One that is held to its budget: that budget. A reservation: its runtime, switching to it and from it, once for the period and once for each job.
 fn delay(task: &Task, own: &Demand, overheads: &Overheads) -> Result<Demand, AnalysisError> {
-    let Some(Reservation { runtime_ns, period_ns }) = task.reservation else { return Ok(own.clone()) };
+    let Some(Reservation { runtime_ns, period_ns }) = task.reservation else {
+        if task.hold == Hold::Nothing {
+            return Ok(own.clone());
+        }
+        // A budget has room for all work per message, of which the sampler does a part besides.
+        let budget = own.cost_ns.checked_add(task.per_message_ns(overheads));
+        let release = match task.hold {
+            // What is left of one budget may be used right before the next.
+            Hold::Suspended { deferred: true } => Release::periodic(task.period_ns).jitter(task.period_ns),
+            _ => own.release.clone(),
+        };
+        return Ok(Demand { release, cost_ns: budget.ok_or_else(|| overflow(task))? });
+    };
     let switches = own.release.most_within(period_ns).saturating_add(1).saturating_mul(2);
     let cost_ns = switches.checked_mul(overheads.context_switch_ns).and_then(|ns| ns.checked_add(runtime_ns));
     let release = Release::periodic(period_ns).jitter(period_ns);

@@ -28,6 +28,8 @@ pub struct Response {
     pub level_utilisation: f64,
     /// Whether a job may find its [`Reservation`](crate::Reservation) used up and wait for the next period.
     pub waits_for_reservation: bool,
+    /// From the nominal release to the end of a job for it or for a later one, in nanoseconds: a timer keeps only its newest release.
+    pub(crate) reflected_ns: u64,
     release: Release,
 }
 
@@ -50,6 +52,17 @@ impl Response {
             .map_err(|_| AnalysisError::Overflow { task: self.name.clone() })
     }
 
+    /// The worse of both, for a task that may be in either place.
+    pub(crate) fn or_worse(mut self, other: &Response) -> Self {
+        self.response_ns = self.response_ns.max(other.response_ns);
+        self.from_arrival_ns = self.from_arrival_ns.max(other.from_arrival_ns);
+        self.reflected_ns = self.reflected_ns.max(other.reflected_ns);
+        self.level_utilisation = self.level_utilisation.max(other.level_utilisation);
+        self.waits_for_reservation |= other.waits_for_reservation;
+        self.met = self.response_ns <= self.deadline_ns;
+        self
+    }
+
     pub(crate) fn of(core: &Core, task: &Task, index: usize) -> Result<Self, AnalysisError> {
         let bound = core.bound(index)?;
         Ok(Self {
@@ -63,6 +76,7 @@ impl Response {
             jitter_ns: task.jitter_ns,
             level_utilisation: bound.utilisation,
             waits_for_reservation: bound.waits,
+            reflected_ns: bound.reflected_ns,
             release: task.release(),
         })
     }

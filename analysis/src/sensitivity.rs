@@ -38,7 +38,7 @@ pub fn largest_factor(mut schedulable: impl FnMut(u64) -> bool) -> u64 {
 /// let set = [(10, 2, 20), (20, 4, 19), (50, 5, 18), (100, 15, 17), (200, 50, 16)];
 /// let callback = |(t, c, priority)| Callback::new(Task::new("topic", ms(t), ms(c), priority), 0);
 /// let callbacks = set.map(callback).to_vec();
-/// let system = System { cores: vec![Core::default()], callbacks, chains: vec![] };
+/// let system = System { cores: vec![Core::default()], callbacks, ..System::default() };
 /// assert_eq!(sensitivity::load(&system), 1_111);
 /// ```
 pub fn load(system: &System) -> u64 {
@@ -66,13 +66,14 @@ pub fn wcet(system: &System, callbacks: &[usize]) -> u64 {
 pub fn overhead(system: &System) -> u64 {
     largest_factor(|factor| {
         let mut scaled = system.clone();
-        for Core { overheads } in &mut scaled.cores {
+        for Core { overheads, .. } in &mut scaled.cores {
             for time in
                 [&mut overheads.context_switch_ns, &mut overheads.per_message_ns, &mut overheads.tick_ns]
             {
                 *time = times(*time, factor);
             }
         }
+        scaled.relays.iter_mut().for_each(|relay| relay.cost_ns = times(relay.cost_ns, factor));
         for Callback { task, .. } in &mut scaled.callbacks {
             task.message_overhead_ns = task.message_overhead_ns.map(|ns| times(ns, factor));
             task.executor_overhead_ns = times(task.executor_overhead_ns, factor);

@@ -43,6 +43,29 @@ pub struct Task {
     /// The time that an executor of a library other than Tautline uses for each job, in the task's thread: in rclcpp, to wait, to
     /// find what is ready, and to take it. Used only by the analyses that take [`Overheads`].
     pub executor_overhead_ns: u64,
+    /// What happens to a job that uses more than is charged for it.
+    pub hold: Hold,
+    /// The most messages that its queue keeps, if that is known; a timer keeps one release. Of a task that is held to its budget: as many
+    /// may be published at once when it is late.
+    pub depth: Option<u64>,
+    /// Whether its messages may arrive in another order than they were sent in, as far as their jitter allows.
+    pub unordered: bool,
+}
+
+/// What holds a task to its budget, the time that is charged for a job with all work per message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Hold {
+    /// Nothing: its wcet is taken to be right.
+    #[default]
+    Nothing,
+    /// A job that exceeds its budget continues below all others.
+    Demoted,
+    /// It sleeps until a period after its release. What is left of a budget may be used right before the next one, unless all
+    /// releases are whole periods apart.
+    Suspended {
+        /// Whether a budget may be used later than at its begin.
+        deferred: bool,
+    },
 }
 
 /// A reservation of processor time: SCHED_DEADLINE's, which is a constant-bandwidth server (Abeni & Buttazzo 1998) whose deadline is its
@@ -104,6 +127,9 @@ impl Task {
             group: None,
             message_overhead_ns: None,
             executor_overhead_ns: 0,
+            hold: Hold::Nothing,
+            depth: None,
+            unordered: false,
         }
     }
 
@@ -171,6 +197,16 @@ impl Task {
     pub(crate) fn charged_ns(&self, overheads: &Overheads) -> u64 {
         let switches = overheads.context_switch_ns.saturating_mul(2);
         self.wcet_ns.saturating_add(switches).saturating_add(self.executor_overhead_ns)
+    }
+
+    /// What one message costs at the highest priority.
+    pub(crate) fn per_message_ns(&self, overheads: &Overheads) -> u64 {
+        self.message_overhead_ns.unwrap_or(overheads.per_message_ns)
+    }
+
+    /// Whether nothing but a queue bounds how late it publishes: others do not rely on its wcet.
+    pub(crate) fn is_held(&self) -> bool {
+        self.hold != Hold::Nothing || self.reservation.is_some()
     }
 
     /// The same on a machine that costs nothing.

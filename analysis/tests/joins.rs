@@ -22,6 +22,11 @@ fn task(name: &str, period: u64, wcet: u64, priority: u8) -> Task {
 }
 
 /// Two sensors on cores of their own, and what waits for both on a third, with the highest priority there.
+/// The only way through a chain.
+fn stages_of(chain: &Chain) -> &[usize] {
+    &chain.parts[0].ways[0]
+}
+
 fn two_sensors(periods: [u64; 2], matching: Matching) -> System {
     let taker = |name: &str, source| {
         let task = Task::new(name, ms(1), Duration::from_nanos(1), 2).group(0, Order::Any);
@@ -34,13 +39,13 @@ fn two_sensors(periods: [u64; 2], matching: Matching) -> System {
         taker("takes right", 1),
         Callback::new(task("fuse", 1, 3, 2).group(0, Order::Any), 2).joining(vec![2, 3], matching),
     ];
-    let chain = |stages: [usize; 3]| Chain {
-        name: "way".into(),
-        stages: stages.to_vec(),
-        transfers: vec![],
-        deadline_ns: u64::MAX,
-    };
-    System { cores: vec![Core::default(); 3], callbacks, chains: vec![chain([0, 2, 4]), chain([1, 3, 4])] }
+    let chain = |stages: [usize; 3]| Chain::new("way", stages.to_vec());
+    System {
+        cores: vec![Core::default(); 3],
+        callbacks,
+        chains: vec![chain([0, 2, 4]), chain([1, 3, 4])],
+        ..System::default()
+    }
 }
 
 fn in_ms(ns: &[u64]) -> Vec<u64> {
@@ -93,7 +98,7 @@ fn equal_stamps_wait_for_the_longer_way() {
     // Both filters of one source.
     system.callbacks[1] = Callback::new(task("filter", 10, 4, 1), 1).triggered_by(0, Transfer::LOCAL);
     system.callbacks[0].task.bcet_ns = 1_000_000;
-    system.chains[1].stages = vec![0, 1, 3, 4];
+    system.chains[1].parts[0].ways[0] = vec![0, 1, 3, 4];
     let report = system.analyse().unwrap();
     let join = report.joins[4].clone().unwrap();
     // The short way is 1 ms, the long one 1 + 0 to 4.
@@ -115,7 +120,7 @@ fn shared_topic(periods: [u64; 3], matching: Matching) -> System {
         (0..3).map(|i| Callback::new(task("sensor", periods[i], 1, 1), i)).collect();
     callbacks.extend((0..3).map(|i| taker("takes", i)));
     callbacks.push(Callback::new(fuse, 3).joining_ports(vec![3, 4, 5], vec![0, 0, 1], matching));
-    System { cores: vec![Core::default(); 4], callbacks, chains: vec![] }
+    System { cores: vec![Core::default(); 4], callbacks, chains: vec![], ..System::default() }
 }
 
 #[test]
@@ -199,8 +204,7 @@ fn a_tolerance_waits_for_the_set_alone() {
     // Of three topics a set may always be missed.
     let mut system = shared_topic([10, 10, 40], Matching::ApproximateEpsilon { window_ns: 20_000_000 });
     system.callbacks[6].join.as_mut().unwrap().ports = vec![0, 1, 2];
-    system.chains =
-        vec![Chain { name: "way".into(), stages: vec![0, 3, 6], transfers: vec![], deadline_ns: u64::MAX }];
+    system.chains = vec![Chain::new("way", vec![0, 3, 6])];
     let report = system.analyse().unwrap();
     let (join, chain) = (report.joins[6].as_ref().unwrap(), report.chains[0].as_ref().unwrap());
     assert_eq!((&join.reflected_ns, &join.starved_by, chain.reaction_ns), (&None, &vec![], None));
@@ -268,7 +272,7 @@ fn a_file_says_what_is_waited_for() {
     assert!(join.inputs.iter().map(|(topic, _)| topic).eq(&fuse.entry.topics));
     // 32 of the window, 100 + 5 to the next cloud and 5 on its way, and a stamp may be taken when the sensor's run ends.
     assert_eq!(
-        join.inputs.iter().map(|(_, wait)| wait / 1_000_000).collect::<Vec<_>>(),
+        join.inputs.iter().map(|(_, wait)| wait.unwrap() / 1_000_000).collect::<Vec<_>>(),
         [32 + 110 + 2, 32 + 110 + 5]
     );
     assert!((5..=6).contains(&join.queue_size), "{join:?}");
@@ -472,9 +476,9 @@ fn random_system(rng: &mut StdRng) -> System {
     }
     for way in ways {
         let stages = way.into_iter().chain([join]).chain(after).collect();
-        chains.push(Chain { name: "way".into(), stages, transfers: vec![], deadline_ns: u64::MAX });
+        chains.push(Chain::new("way", stages));
     }
-    System { cores: vec![Core::default(); 3], callbacks, chains }
+    System { cores: vec![Core::default(); 3], callbacks, chains, ..System::default() }
 }
 
 /// One job. In `origins`, of each chain that it is a part of: the nominal release of the chain's first job.
@@ -613,7 +617,7 @@ fn simulate(system: &System, rng: &mut StdRng, join: usize, stops: &[Range<i64>]
         while nominal < UNTIL {
             let delay = if late && nominal < UNTIL / 3 { jitter } else { rng.random_range(0..=jitter) };
             last = last.max(nominal + delay);
-            let begins = |chain: &Chain| (chain.stages[0] == i).then_some(nominal);
+            let begins = |chain: &Chain| (stages_of(chain)[0] == i).then_some(nominal);
             let origins: Vec<Option<i64>> = system.chains.iter().map(begins).collect();
             let stamp = if stamp_of == 0 { nominal } else { last };
             for (known, origin) in known.iter_mut().zip(&origins) {
@@ -659,8 +663,8 @@ fn simulate(system: &System, rng: &mut StdRng, join: usize, stops: &[Range<i64>]
                 }
             }
             for (chain, origin) in job.origins.iter().enumerate() {
-                if let Some(origin) =
-                    origin.filter(|_| system.chains[chain].stages[0] == job.callback && all_since.is_some())
+                if let Some(origin) = origin
+                    .filter(|_| stages_of(&system.chains[chain])[0] == job.callback && all_since.is_some())
                 {
                     unanswered[chain].push(origin);
                 }
@@ -706,7 +710,7 @@ fn simulate(system: &System, rng: &mut StdRng, join: usize, stops: &[Range<i64>]
                 }
             }
             for (chain, (origin, reflects)) in job.origins.iter().zip(&job.reflects).enumerate() {
-                let is_last = system.chains[chain].stages.last() == Some(&job.callback);
+                let is_last = stages_of(&system.chains[chain]).last() == Some(&job.callback);
                 if let Some(origin) = origin.filter(|_| is_last) {
                     let counts = all_since.is_some_and(|since| origin >= since);
                     let latency = if counts { now - origin } else { 0 };
@@ -727,7 +731,7 @@ fn simulate(system: &System, rng: &mut StdRng, join: usize, stops: &[Range<i64>]
                 let last = delivered.entry(i).or_default();
                 *last = (now + rng.random_range(way.least_ns..=way.most_ns) as i64).max(*last);
                 let follows = |(chain, origin): (usize, &Option<i64>)| {
-                    let stages = &system.chains[chain].stages;
+                    let stages = stages_of(&system.chains[chain]);
                     origin.filter(|_| stages.windows(2).any(|pair| pair == [job.callback, i]))
                 };
                 let origins = job.origins.iter().enumerate().map(follows).collect();
@@ -768,7 +772,7 @@ fn simulate(system: &System, rng: &mut StdRng, join: usize, stops: &[Range<i64>]
                         });
                     }
                     let port_of = |chain: usize| {
-                        let stages = &system.chains[chain].stages;
+                        let stages = stages_of(&system.chains[chain]);
                         let from = stages.windows(2).find(|pair| pair[1] == join)?[0];
                         Some(matching.ports[taker_of(from)?])
                     };
@@ -830,7 +834,7 @@ fn check(system: &System, report: &SystemReport, seen: &Seen, join: usize, conte
         let (worst, bound) = (seen.latencies[i], chain.latency_ns as i64);
         assert!(worst <= bound, "latency of chain {i}: {worst} > {bound}: {}", context());
         // The reaction time has a period before the first release.
-        let period = report.callbacks[system.chains[i].stages[0]].as_ref().unwrap().period_ns;
+        let period = report.callbacks[stages_of(&system.chains[i])[0]].as_ref().unwrap().period_ns;
         let bound = chain.reaction_ns.map_or(i64::MAX, |reaction| (reaction - period) as i64);
         let worst = seen.reactions[i];
         assert!(worst <= bound, "reaction of chain {i}: {worst} > {bound}: {}", context());

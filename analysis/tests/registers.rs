@@ -35,9 +35,10 @@ fn reaction_times_and_data_ages_stay_within_their_bounds() {
             continue;
         }
         let stages = (0..tasks.len()).collect();
-        let chain = Chain { name: "registers".into(), stages, transfers: vec![], deadline_ns: u64::MAX };
+        let chain = Chain::new("registers", stages);
         let callbacks = tasks.iter().map(|task| Callback::new(task.clone(), 0)).collect();
-        let system = System { cores: vec![Core::default()], callbacks, chains: vec![chain] };
+        let system =
+            System { cores: vec![Core::default()], callbacks, chains: vec![chain], ..System::default() };
         let bound = system.analyse().unwrap().chains[0].clone().unwrap();
         let seen = simulate(&tasks, &mut rng);
         let context = || format!("seed {seed}, set {set}: {tasks:#?}");

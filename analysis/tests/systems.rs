@@ -13,11 +13,16 @@ fn ms(ms: u64) -> Duration {
 }
 
 fn chain(stages: &[usize]) -> Chain {
-    Chain { name: "chain".into(), stages: stages.to_vec(), transfers: vec![], deadline_ns: u64::MAX }
+    Chain::new("chain", stages.to_vec())
 }
 
 fn system(cores: usize, callbacks: Vec<Callback>, stages: &[usize]) -> System {
-    System { cores: vec![Core::default(); cores], callbacks, chains: vec![chain(stages)] }
+    System {
+        cores: vec![Core::default(); cores],
+        callbacks,
+        chains: vec![chain(stages)],
+        ..System::default()
+    }
 }
 
 fn task(name: &str, period: u64, wcet: u64, priority: u8) -> Task {
@@ -156,8 +161,10 @@ fn simulated_chains_stay_within_their_bounds() {
             assert!(*worst <= bound, "response {worst} > {bound}: {}", context());
         }
         for (chain, bound) in system.chains.iter().zip(&report.chains) {
-            let (worst, bound) =
-                (latencies[*chain.stages.last().unwrap()], bound.as_ref().unwrap().latency_ns as i64);
+            let (worst, bound) = (
+                latencies[*chain.parts[0].ways[0].last().unwrap()],
+                bound.as_ref().unwrap().latency_ns as i64,
+            );
             assert!(worst <= bound, "latency {worst} > {bound}: {}", context());
         }
         checked += 1;
@@ -193,7 +200,7 @@ fn random_system(rng: &mut StdRng) -> System {
         }
         chains.push(chain(&stages));
     }
-    System { cores: vec![Core::default(); 3], callbacks, chains }
+    System { cores: vec![Core::default(); 3], callbacks, chains, ..System::default() }
 }
 
 /// Random offsets, jitter, execution times and transfers; each job publishes when it ends. The longest response from

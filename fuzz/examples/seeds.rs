@@ -144,6 +144,16 @@ fn main() -> io::Result<()> {
     write("wire", "attachment", &[&[3], &number, &stamp_ns, &[16], &[5; 16]])?;
     write("wire", "payload", &[&[3], &[0, 1, 0, 0, 65, 0, 0, 0]])?;
 
+    for (file, text) in [
+        ("hosts", include_str!("../../examples/systems/two-hosts.toml")),
+        ("reserved", include_str!("../../examples/systems/reserved.toml")),
+        ("fusion", include_str!("../../examples/systems/fusion.toml")),
+    ] {
+        write("system", file, &[&[0], text.as_bytes()])?;
+    }
+    // Pieces: a host, a node, two callbacks that trigger each other.
+    write("system", "pieces", &[&[1, 12, 14, 19, 25, 21, 29, 34, 36, 46, 22, 29, 36, 49]])?;
+
     let folder = tempfile::tempdir()?;
     for compression in [Compression::None, Compression::Zstd, Compression::Lz4] {
         let name = format!("{compression:?}").to_lowercase();

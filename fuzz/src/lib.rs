@@ -11,10 +11,11 @@
 //! | [`fill`] | type, lengths, memory, value | nothing is written outside of what the lengths say; what is written is a message |
 //! | [`schema`] | definitions, bundles, type descriptions | what is accepted is written as text that says the same |
 //! | [`json`], [`yaml`] | type, text | what is read is written as text that says the same |
+//! | [`system`] | system files, or pieces of them | what is accepted has bounds, or says why not |
 //! | [`bag`] | files of bags | what is whole is read, the rest is damage |
 //! | [`wire`] | keys, tokens and attachments of other hosts | what is accepted is written as what says the same |
 //!
-//! All of them: no panic, no byte read that is not there, and but for [`bag`], whose chunks are compressed, no allocation larger
+//! All of them: no panic, no byte read that is not there, and but for [`bag`], whose chunks are compressed, and [`system`], no allocation larger
 //! than a multiple of the input, which each file states: a length that the input claims is not believed.
 //!
 //! The first bytes of an input choose the type: see `input`.
@@ -28,6 +29,7 @@ mod input;
 mod memory;
 mod plain;
 mod schema;
+mod system;
 mod text;
 mod wire;
 
@@ -38,5 +40,6 @@ pub use entry::{owned, type_names, view};
 pub use fill::fill;
 pub use plain::plain;
 pub use schema::schema;
+pub use system::system;
 pub use text::{json, yaml};
 pub use wire::wire;

@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tautline_analysis::Reservation;
-use tautline_analysis::file::{self, CheckedCallback, CheckedSystem, SystemFile};
+use tautline_analysis::file::{self, CheckedCallback, CheckedJoin, CheckedSystem, SystemFile};
 use tautline_executor::{CallbackOptions, OverrunPolicy, Policy, ProcessInfo};
 use tautline_join::{ApproximateEpsilonTime, ApproximateTime, ExactTime};
 use tautline_transport::Limits;
@@ -104,8 +104,10 @@ impl LoadedSystem {
             return Err(Error::NoJoin { name, path });
         }
         let bounds = callback.join.as_ref().zip(callback.response_overhead_ns);
-        let (join, response_ns) = bounds.ok_or(Error::NoCapacity { name, path })?;
-        let wait_ns = join.inputs.iter().map(|(_, wait_ns)| *wait_ns).max().unwrap_or(0);
+        let longest =
+            |join: &CheckedJoin| join.inputs.iter().try_fold(0, |most: u64, (_, ns)| Some(most.max((*ns)?)));
+        let bounds = bounds.and_then(|(join, response_ns)| Some((join, longest(join)?, response_ns)));
+        let (join, wait_ns, response_ns) = bounds.ok_or(Error::NoCapacity { name, path })?;
         Ok(CallbackJoin {
             window: join.window_ns.map(Duration::from_nanos),
             queue_size: join.queue_size,

@@ -10,8 +10,8 @@ use std::process::{Command, Stdio};
 use std::time::Instant;
 
 /// What there is to run.
-pub const TARGETS: [&str; 10] =
-    ["bag", "dynamic", "fill", "json", "owned", "plain", "schema", "view", "wire", "yaml"];
+pub const TARGETS: [&str; 11] =
+    ["bag", "dynamic", "fill", "json", "owned", "plain", "schema", "system", "view", "wire", "yaml"];
 
 /// Of every run in CI.
 pub const RUNS_IN_CI: u64 = 10_000;

@@ -6,9 +6,10 @@ use std::fmt;
 use std::time::Duration;
 
 use super::{
-    CallbackEntry, ChainEntry, CheckedSystem, Client, CoreEntry, JoinPolicy, OverrunPolicy, SystemFile,
+    CallbackEntry, CheckedSystem, Client, CoreEntry, JoinPolicy, OverrunPolicy, SystemFile, locks,
+    reservations,
 };
-use crate::system::{Callback, Core};
+use crate::system::{Callback, Core, Relay};
 use crate::{Overheads, Reservation, Task};
 
 /// A system file in use, as seen by the machine that is one of its hosts.
@@ -192,8 +193,11 @@ impl<'f> Machine<'f> {
         match origin {
             Origin::File(share) => {
                 let Share { file, label, .. } = &self.shares[share];
-                let name =
-                    if kind == "chain" { &file.chains[index].name } else { &file.callbacks[index].name };
+                let name = if kind == "chain" {
+                    &file.system.chains[index].name
+                } else {
+                    &file.callbacks[index].name
+                };
                 (name.clone(), (*label).to_owned())
             }
             Origin::Thread(thread) => (self.threads[thread].name.clone(), self.threads[thread].label.clone()),
@@ -216,6 +220,7 @@ impl<'f> Machine<'f> {
             Origin::Thread(index) => self.threads[index].label.as_str(),
         };
         union.tell_apart(labels);
+        union.follow();
         union
     }
 }
@@ -247,20 +252,22 @@ impl Union {
     fn add_file(&mut self, origin: Origin, share: &Share) {
         let Share { file, host, .. } = share;
         let cores: Vec<usize> = (0..file.cores.len()).map(|core| self.core_of(file, core, host)).collect();
-        let (first_task, first_stream) = (self.file.system.callbacks.len(), self.file.system.chains.len());
+        let first = self.file.system.callbacks.len();
         for (index, entry) in file.callbacks.iter().enumerate() {
-            let tasks = entry.tasks.start + first_task..entry.tasks.end + first_task;
+            let tasks = entry.tasks.start + first..entry.tasks.end + first;
             self.file.callbacks.push(CallbackEntry { core: cores[entry.core], tasks, ..entry.clone() });
             self.callbacks.push((origin, index));
         }
         let groups = self.groups;
-        for callback in &file.system.callbacks {
+        // Where else a reservation may run follows from all cores; the copies come last.
+        for callback in file.system.callbacks.iter().filter(|callback| callback.copy_of.is_none()) {
             let mut callback = Callback { core: cores[callback.core], ..callback.clone() };
+            callback.task.blocking_ns = 0;
             if let Some((source, _)) = &mut callback.trigger {
-                *source += first_task;
+                *source += first;
             }
             if let Some(join) = &mut callback.join {
-                join.inputs.iter_mut().for_each(|input| *input += first_task);
+                join.inputs.iter_mut().for_each(|input| *input += first);
             }
             if let Some(group) = &mut callback.task.group {
                 group.id = group.id.saturating_add(groups);
@@ -268,15 +275,27 @@ impl Union {
             }
             self.file.system.callbacks.push(callback);
         }
-        for (index, entry) in file.chains.iter().enumerate() {
-            let streams = entry.streams.start + first_stream..entry.streams.end + first_stream;
-            self.file.chains.push(ChainEntry { streams, ..entry.clone() });
-            self.chains.push((origin, index));
+        for relay in &file.system.relays {
+            let source = relay.source.map(|(task, transfer)| (task + first, transfer));
+            self.file.system.relays.push(Relay { core: cores[relay.core], source, ..relay.clone() });
         }
-        for chain in &file.system.chains {
+        // Locks of two files are not the same, whatever their names.
+        let (Origin::File(number) | Origin::Thread(number)) = origin;
+        let lock = |lock: &locks::Lock| {
+            let resource = format!("{number} {}", lock.resource);
+            locks::Lock { task: lock.task + first, resource, ..lock.clone() }
+        };
+        self.file.locks.extend(file.locks.iter().map(lock));
+        for (index, chain) in file.system.chains.iter().enumerate() {
             let mut chain = chain.clone();
-            chain.stages.iter_mut().for_each(|stage| *stage += first_task);
+            chain
+                .parts
+                .iter_mut()
+                .flat_map(|part| &mut part.ways)
+                .flatten()
+                .for_each(|stage| *stage += first);
             self.file.system.chains.push(chain);
+            self.chains.push((origin, index));
         }
         self.file.topics.extend(file.topics.iter().cloned());
         self.file.warnings.extend(file.warnings.iter().cloned());
@@ -293,13 +312,15 @@ impl Union {
                 self.file.cores.iter().enumerate().filter(here).map(|(index, _)| index).collect()
             }
         };
+        // A reservation on any core is copied to the others like a file's.
+        let cores = if thread.reservation.is_some() { &cores[..1] } else { &cores[..] };
         // What says nothing of its load is taken to use all there is.
         let (period_ns, wcet_ns) = match (thread.period_ns, thread.budget_ns) {
             (Some(period_ns), Some(budget_ns)) => (period_ns.max(1), budget_ns.max(1)),
             _ => (1_000_000_000, 1_000_000_000),
         };
         let deadline_ns = thread.deadline_ns.unwrap_or(period_ns);
-        for core in cores {
+        for &core in cores {
             let (period, wcet) = (Duration::from_nanos(period_ns), Duration::from_nanos(wcet_ns));
             let task = Task::new(&thread.name, period, wcet, thread.priority)
                 .deadline(Duration::from_nanos(deadline_ns))
@@ -333,6 +354,16 @@ impl Union {
         }
     }
 
+    /// What follows only from all together: where reservations may run, and who waits for whose locks.
+    fn follow(&mut self) {
+        let SystemFile { callbacks: entries, cores, system, locks, .. } = &mut self.file;
+        let floating = entries.iter().filter(|entry| entry.floats);
+        for entry in floating.map(|entry| (entry.tasks.start, entry.name.clone())).collect::<Vec<_>>() {
+            reservations::copy(&entry.1, entry.0, cores, &mut system.callbacks);
+        }
+        locks::block(locks, system);
+    }
+
     fn core_of(&mut self, file: &SystemFile, core: usize, here: &str) -> usize {
         let mut entry = file.cores[core].clone();
         if entry.host == here {
@@ -355,7 +386,7 @@ impl Union {
             }
             None => {
                 self.file.cores.push(core);
-                self.file.system.cores.push(Core { overheads: costs });
+                self.file.system.cores.push(Core { overheads: costs, stall_ns: 0 });
                 self.file.cores.len() - 1
             }
         }

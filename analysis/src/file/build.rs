@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! From the file's sections to a system that can be analysed.
+use std::collections::{BTreeSet, HashSet};
 use std::time::Duration;
 
 use super::declared::{Costs, Declared};
@@ -9,15 +10,13 @@ use super::paths;
 use super::places::{self, Place};
 use super::priorities::{self, Thread};
 use super::problem::{Collector, Problems};
-use super::reader::Section;
+use super::reader::{At, Section};
 use super::reservations;
 use super::sections;
 use super::streams::{First, Source, Streams};
-use super::{
-    CallbackEntry, ChainEntry, Client, CoreEntry, JoinPolicy, OverrunPolicy, SystemFile, TopicEntry,
-};
-use crate::system::{Callback, Chain, Core, Matching, System, Transfer};
-use crate::{Overheads, Release, Task, Throttling};
+use super::{CallbackEntry, Client, CoreEntry, JoinPolicy, OverrunPolicy, SystemFile, TopicEntry};
+use crate::system::{Callback, Chain, Core, Matching, Part, Relay, System, Transfer};
+use crate::{Hold, Order, Overheads, Release, Task, Throttling};
 
 pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
     let mut problems = Collector::new(text);
@@ -25,7 +24,11 @@ pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
     if !errors.is_empty() {
         // What a broken table contains is guesswork: only its syntax is reported.
         for error in errors {
-            problems.add(error.span().map_or(0, |span| span.start), error.message());
+            let message = format!(
+                "{}: write this line as TOML, such as `wcet = \"1.5ms\"` below `[callbacks.scan]`; text is in quotes",
+                error.message().trim_end().replace('\n', ", ")
+            );
+            problems.add(error.span().map_or(0, |span| span.start), message);
         }
         return Err(problems.into_problems());
     }
@@ -44,6 +47,7 @@ pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
         return Err(problems.into_problems());
     }
     hold(&file, &places, &streams, &mut problems);
+    orders(&file, &places, &threads, &mut problems);
     reservations::check(&file, &places, &streams, &mut problems);
     meet(&file, &streams, &mut problems);
     if !problems.is_empty() {
@@ -51,7 +55,11 @@ pub(super) fn build(text: &str) -> Result<SystemFile, Problems> {
     }
     // Without problems every callback has a place.
     let places: Vec<Place> = places.into_iter().flatten().collect();
-    let built = Builder { file: &file, graph: &graph, cores, places, streams, threads }.build();
+    let mut owner = vec![0; file.callbacks.len()];
+    for (t, thread) in threads.iter().enumerate() {
+        thread.callbacks.iter().for_each(|i| owner[*i] = t);
+    }
+    let built = Builder { file: &file, graph: &graph, cores, places, streams, threads, owner }.build();
     built.map_err(|(at, message)| {
         problems.add(at, message);
         problems.into_problems()
@@ -65,6 +73,8 @@ struct Builder<'f> {
     places: Vec<Place>,
     streams: Streams,
     threads: Vec<Thread>,
+    /// The thread of each callback.
+    owner: Vec<usize>,
 }
 
 impl Builder<'_> {
@@ -97,13 +107,20 @@ impl Builder<'_> {
             }
         }
         let own = callbacks.len();
-        reservations::spread(self.file, &self.places, &self.cores, &self.streams, &mut callbacks);
-        let owner = self.owners();
+        let relays = self.relays(&callbacks);
+        let cores: Vec<CoreEntry> =
+            self.cores.iter().map(|(host, number)| self.core_entry(*host, *number)).collect();
+        for (i, declared) in
+            self.file.callbacks.iter().enumerate().filter(|(_, callback)| callback.floats.is_some())
+        {
+            reservations::copy(&declared.name, self.streams.tasks(i).start, &cores, &mut callbacks);
+        }
+        let owner = self.owner.clone();
         let overheads: Vec<_> = self.cores.iter().map(|(host, _)| self.overheads(*host)).collect();
         // Inherited periods, for policies and default deadlines: triggers may come after what they trigger.
-        let mut system = System { cores: Vec::new(), callbacks, chains: Vec::new() };
-        for i in 0..system.callbacks.len() {
-            system.callbacks[i].task.period_ns = system.period_ns(i);
+        let mut system = System { callbacks, ..System::default() };
+        for (i, period_ns) in system.periods_ns().into_iter().enumerate() {
+            system.callbacks[i].task.period_ns = period_ns;
         }
         let mut callbacks = system.callbacks;
         for (i, declared) in self.file.callbacks.iter().enumerate() {
@@ -134,19 +151,22 @@ impl Builder<'_> {
             members.iter().zip(owners).for_each(|(i, owner)| {
                 callbacks[*i].task.priority = self.threads[owner].priority.unwrap_or(1);
             });
-            locks::block(self.file, &self.places, core, &members, &self.streams, &mut callbacks);
         }
-        let (chains, system_chains) = self.chains(&callbacks);
+        let chains =
+            self.file.chains.iter().map(|declared| self.chain(declared, &callbacks)).collect::<Vec<_>>();
         let entries = (0..self.file.callbacks.len()).map(|i| self.entry(i, &callbacks, owner[i])).collect();
-        let system_cores = overheads.into_iter().map(|overheads| Core { overheads }).collect();
+        let system_cores = overheads.into_iter().map(|overheads| Core { overheads, stall_ns: 0 }).collect();
+        let mut system = System { cores: system_cores, callbacks, relays, chains };
+        let locks = locks::of(self.file, &self.streams);
+        locks::block(&locks, &mut system);
         Ok(SystemFile {
+            locks,
             fingerprint: 0,
             callbacks: entries,
-            chains,
             topics: self.topics(),
-            cores: self.cores.iter().map(|(host, number)| self.core_entry(*host, *number)).collect(),
+            cores,
             warnings,
-            system: System { cores: system_cores, callbacks, chains: system_chains },
+            system,
         })
     }
 
@@ -164,18 +184,15 @@ impl Builder<'_> {
             (task.bcet_ns, task.non_preemptive_ns) = (0, task.non_preemptive_ns.min(task.wcet_ns));
         }
         let place = self.places[index];
-        let mut remote = if takes { 0 } else { self.remote_outputs(index) };
         let mut trigger = None;
         let (period, jitter, distance) = match source {
             Source::Period => (ns(&declared.period), ns(&declared.jitter), ns(&declared.min_distance)),
             Source::Outside(topic) => {
                 let topic = &self.file.topics[topic];
-                remote += u64::from(topic.remote);
                 (ns(&topic.period), topic.jitter, ns(&topic.min_distance))
             }
             Source::Stream(publisher, stream) => {
                 let network = self.places[publisher].host != place.host;
-                remote += u64::from(network);
                 trigger = Some((self.streams.outputs(publisher).start + stream, self.transfer(network)));
                 (1, 0, 0)
             }
@@ -183,8 +200,6 @@ impl Builder<'_> {
             Source::All => (1, 0, 0),
         };
         let costs = self.costs(place.host);
-        let gateway = costs.gateway.unwrap_or(0).saturating_mul(remote);
-        task.message_overhead_ns = Some(costs.per_message.unwrap_or(0).saturating_add(gateway));
         let executor = match self.file.nodes[place.node].client {
             Client::Tautline => None,
             Client::Rclcpp => costs.rclcpp,
@@ -194,15 +209,26 @@ impl Builder<'_> {
         let held = costs.demotion.filter(|_| declared.holds().is_some());
         task.executor_overhead_ns = executor.unwrap_or(0).saturating_add(held.unwrap_or(0));
         task = task.released(Release::periodic(period).jitter(jitter).min_distance(distance));
+        task.hold = match declared.overrun.as_ref().map_or(OverrunPolicy::Tell, |overrun| overrun.value) {
+            OverrunPolicy::Tell => Hold::Nothing,
+            OverrunPolicy::Demote | OverrunPolicy::End => Hold::Demoted,
+            // Releases that are whole periods apart leave nothing of a budget for later.
+            OverrunPolicy::Suspend => Hold::Suspended { deferred: source != Source::Period || jitter > 0 },
+        };
+        let depth = |topic: &str| Some(self.graph.declared.get(topic)?.depth.as_ref()?.value);
+        task.depth = match source {
+            Source::Period => Some(1),
+            _ => declared.topics.iter().try_fold(0, |sum: u64, topic| sum.checked_add(depth(&topic.value)?)),
+        };
         task.reservation = declared.reservation.as_ref().map(|reservation| reservation.value);
-        let thread = self.threads.iter().position(|thread| thread.callbacks.contains(&index)).unwrap_or(0);
+        let thread = self.owner[index];
         // A callback of several streams takes their messages in any order.
         if self.threads[thread].group.is_some() || self.streams.tasks(index).len() > 1 {
             let order =
-                self.threads[thread].group.map_or(crate::Order::Any, |group| self.file.groups[group].order);
+                self.threads[thread].group.map_or(crate::Order::Any, |group| self.order(thread, group));
             task = task.group(u32::try_from(thread).unwrap_or(u32::MAX), order);
         }
-        Callback { task, core: place.core, trigger, join: None }
+        Callback { trigger, ..Callback::new(task, place.core) }
     }
 
     /// What a task that takes messages for a join is called besides: its topic, and of several publishers whose it takes.
@@ -217,10 +243,55 @@ impl Builder<'_> {
         }
     }
 
-    /// How many gateways take what it publishes.
-    fn remote_outputs(&self, index: usize) -> u64 {
-        let remote = |topic: &str| self.graph.declared.get(topic).is_some_and(|topic| topic.remote);
-        self.file.callbacks[index].publishes.iter().filter(|topic| remote(&topic.value)).count() as u64
+    /// An executor of ROS 2's polls in rounds, and a join takes all that is queued for it: neither keeps an order.
+    fn order(&self, thread: usize, group: usize) -> Order {
+        let first = self.threads[thread].callbacks[0];
+        let joins = self.threads[thread].callbacks.iter().any(|i| self.streams.is_join(*i));
+        match &self.file.groups[group].order {
+            _ if joins || self.file.nodes[self.places[first].node].client != Client::Tautline => Order::Any,
+            Some(order) => order.value,
+            None => Order::Fifo,
+        }
+    }
+
+    /// The gateway's work: once for each message that leaves a host, on its publisher's core, and once for each that comes, on each core that
+    /// takes or reads it.
+    fn relays(&self, callbacks: &[Callback]) -> Vec<Relay> {
+        let mut relays = Vec::new();
+        let mut seen = HashSet::new();
+        let mut add = |i: usize, topic: &str, source: Option<(usize, Transfer)>, release: Release| {
+            let Place { host, core, .. } = self.places[i];
+            let cost_ns = self.costs(host).gateway.unwrap_or(0);
+            let way = source.map(|(task, transfer)| (task, transfer.most_ns));
+            if cost_ns > 0 && seen.insert((core, topic.to_owned(), way)) {
+                relays.push(Relay { core, source, release, cost_ns });
+            }
+        };
+        let none = Release::periodic(1);
+        let remote = |topic: &str| self.graph.declared.get(topic).copied().filter(|topic| topic.remote);
+        for (i, callback) in self.file.callbacks.iter().enumerate() {
+            for topic in callback.publishes.iter().filter(|topic| remote(&topic.value).is_some()) {
+                for task in self.streams.outputs(i) {
+                    add(i, &topic.value, Some((task, Transfer::LOCAL)), none.clone());
+                }
+            }
+            for topic in callback.topics.iter().chain(&callback.reads) {
+                let Some(declared) = remote(&topic.value) else { continue };
+                let Some(publishers) = self.graph.publishers.get(topic.value.as_str()) else {
+                    let period = Release::periodic(declared.period.as_ref().map_or(1, |period| period.value));
+                    add(i, &topic.value, None, period.jitter(declared.jitter));
+                    continue;
+                };
+                for &from in publishers.iter().filter(|from| self.places[**from].host != self.places[i].host)
+                {
+                    for task in self.streams.outputs(from) {
+                        add(i, &topic.value, Some((task, self.transfer(true))), none.clone());
+                    }
+                }
+            }
+        }
+        debug_assert!(relays.iter().all(|relay| relay.source.is_none_or(|(task, _)| task < callbacks.len())));
+        relays
     }
 
     fn transfer(&self, network: bool) -> Transfer {
@@ -255,34 +326,52 @@ impl Builder<'_> {
         }
     }
 
-    fn owners(&self) -> Vec<usize> {
-        let mut owners = vec![0; self.file.callbacks.len()];
-        for (t, thread) in self.threads.iter().enumerate() {
-            thread.callbacks.iter().for_each(|i| owners[*i] = t);
+    fn chain(&self, declared: &super::declared::Chain, callbacks: &[Callback]) -> Chain {
+        let stages = paths::resolve(self.file, declared);
+        let host = |i: usize| self.places[i].host;
+        let mut parts: Vec<Part> = Vec::new();
+        let mut from: Option<usize> = None;
+        for ways in paths::parts(&stages, &self.streams, callbacks) {
+            let at = stages[from.map_or(0, |from| from + 1)];
+            let read = from.map(|from| stages[from]);
+            let transfer = read.map_or(Transfer::LOCAL, |before| self.transfer(host(before) != host(at)));
+            let overwritten_by = read.and_then(|before| self.overwritten_by(before, at, &parts));
+            from = Some(from.map_or(ways.callbacks - 1, |from| from + ways.callbacks));
+            parts.push(Part { ways: ways.tasks, transfer, overwritten_by });
         }
-        owners
+        Chain { name: declared.name.clone(), parts, deadline_ns: declared.deadline.unwrap_or(u64::MAX) }
     }
 
-    fn chains(&self, callbacks: &[Callback]) -> (Vec<ChainEntry>, Vec<Chain>) {
-        let (mut entries, mut chains) = (Vec::new(), Vec::new());
-        for declared in &self.file.chains {
-            let deadline_ns = declared.deadline.unwrap_or(u64::MAX);
-            let stages = paths::resolve(self.file, declared);
-            let streams = paths::ways(&stages, &self.streams, callbacks);
-            let begin = chains.len();
-            for stages in streams {
-                let host = |i: usize| self.cores[callbacks[i].core].0;
-                let transfers =
-                    stages.windows(2).map(|pair| self.transfer(host(pair[0]) != host(pair[1]))).collect();
-                chains.push(Chain { name: declared.name.clone(), stages, transfers, deadline_ns });
-            }
-            entries.push(ChainEntry {
-                name: declared.name.clone(),
-                deadline_ns,
-                streams: begin..chains.len(),
+    /// Who else writes what a callback reads of the chain so far, of the topic on which that is nobody if there is one.
+    fn overwritten_by(&self, before: usize, reader: usize, parts: &[Part]) -> Option<String> {
+        let part = parts.last()?;
+        // What passes on the event of a way of the first part; all that the first stage of another does reflects what it read.
+        let carries = |first: usize| -> Vec<usize> {
+            let ways = part.ways.iter().filter(|way| parts.len() > 1 || way[0] == first);
+            ways.filter_map(|way| way.last().copied()).collect()
+        };
+        let firsts: BTreeSet<usize> = part.ways.iter().map(|way| way[0]).collect();
+        let other = |topic: &str| {
+            let writers = self.graph.publishers.get(topic).into_iter().flatten();
+            let outputs =
+                writers.flat_map(|writer| self.streams.outputs(*writer).map(move |task| (*writer, task)));
+            let outputs: Vec<(usize, usize)> = outputs.collect();
+            let lost = firsts.iter().find_map(|first| {
+                let carries = carries(*first);
+                outputs.iter().find(|(_, task)| !carries.contains(task))
             });
-        }
-        (entries, chains)
+            lost.map(|(writer, _)| match *writer == before {
+                true => format!(
+                    "{}` for another trigger of `{}",
+                    self.file.callbacks[*writer].name, self.file.callbacks[*writer].name
+                ),
+                false => self.file.callbacks[*writer].name.clone(),
+            })
+        };
+        let reads = |topic: &&str| self.file.callbacks[reader].reads.iter().any(|read| read.value == **topic);
+        let topics =
+            self.file.callbacks[before].publishes.iter().map(|topic| topic.value.as_str()).filter(reads);
+        topics.map(other).reduce(|a, b| a.and(b)).flatten()
     }
 
     fn core_entry(&self, host: usize, number: usize) -> CoreEntry {
@@ -302,8 +391,9 @@ impl Builder<'_> {
             express: topic.express,
         });
         let mut topics: Vec<_> = declared.collect();
+        let mut known: HashSet<&str> = self.file.topics.iter().map(|topic| topic.name.as_str()).collect();
         for name in self.file.callbacks.iter().flat_map(|callback| &callback.publishes) {
-            if !topics.iter().any(|topic| topic.name == name.value) {
+            if known.insert(name.value.as_str()) {
                 topics.push(TopicEntry {
                     name: name.value.clone(),
                     type_name: None,
@@ -364,6 +454,9 @@ fn hold(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: 
         if place.is_some_and(|place| file.nodes[place.node].client != Client::Tautline) {
             problem("is run by an executor of ROS 2's: leave out `overrun`");
         }
+        if callback.non_preemptive.as_ref().is_some_and(|section| section.value > 0) {
+            problem("has a `non_preemptive` section, which nothing stops: leave out one of them");
+        }
         if overrun.value != OverrunPolicy::Suspend {
             continue;
         }
@@ -374,6 +467,21 @@ fn hold(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: 
         }
         if streams.tasks(i).len() > 1 {
             problem("is released in several ways, which have no common period: say \"demote\"");
+        }
+    }
+}
+
+/// An executor of ROS 2's takes what is ready in rounds.
+fn orders(file: &Declared, places: &[Option<Place>], threads: &[Thread], problems: &mut Collector) {
+    for thread in threads {
+        let Some(group) = thread.group.map(|group| &file.groups[group]) else { continue };
+        let ros = places[thread.callbacks[0]]
+            .is_some_and(|place| file.nodes[place.node].client != Client::Tautline);
+        if let (true, Some(At { value: Order::Fifo, at })) = (ros, &group.order) {
+            problems.add(
+                *at,
+                format!("group `{}` is run by an executor of ROS 2's, which is not first in, first out: leave out its `order`", group.name),
+            );
         }
     }
 }

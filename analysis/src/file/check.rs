@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use super::{CallbackEntry, Client, JoinPolicy, OverrunPolicy, SystemFile};
-use crate::system::{Chain, Core, SystemReport};
+use crate::system::{Chain, ChainBound, Core, SystemReport};
 use crate::{AnalysisError, Overheads, Release, Reservation, Task, Throttling, utilisation};
 
 /// What the analysis of a [`SystemFile`] found.
@@ -69,8 +69,8 @@ pub struct CheckedJoin {
     /// needed.
     pub queue_size: usize,
     /// The topics, each with the longest time that a message of a set waits for the set's last message, in
-    /// nanoseconds.
-    pub inputs: Vec<(String, u64)>,
+    /// nanoseconds; `None` without a bound.
+    pub inputs: Vec<(String, Option<u64>)>,
 }
 
 /// A chain and its bounds, overheads included.
@@ -129,20 +129,33 @@ impl CheckedSystem {
 
 pub(super) fn check(file: &SystemFile) -> CheckedSystem {
     let free = file.system_without_overheads().analyse();
-    let report = match file.system.analyse() {
-        Ok(report) => report,
-        Err(error) => return refused(file, &error),
-    };
     let free = free.ok();
     let stalled = file.system_with_stalls().map(|system| system.analyse());
     let stalled = stalled.map(|stalled| stalled.unwrap_or_else(|error| without_bounds(file, &error)));
+    let mut system = file.system.clone();
+    if let Some(stalled) = &stalled {
+        // Queues are this deep also when nothing stalls, and as many messages may be published late.
+        for entry in &file.callbacks {
+            let depth = capacity(file, entry, stalled).map_or(u64::MAX, |depth| depth as u64);
+            let tasks = &mut system.callbacks[entry.tasks.clone()];
+            tasks.iter_mut().for_each(|callback| callback.task.depth = callback.task.depth.or(Some(depth)));
+        }
+    }
+    let report = match system.analyse() {
+        Ok(report) => report,
+        Err(error) => return refused(file, &error),
+    };
     let queues = stalled.as_ref().unwrap_or(&report);
     let callback = |entry: &CallbackEntry| checked_callback(file, entry, &report, queues, free.as_ref());
     let callbacks: Vec<_> = file.callbacks.iter().map(callback).collect();
-    let chains: Vec<_> = (0..file.chains.len()).map(|i| checked_chain(file, i, &report)).collect();
+    let chains: Vec<_> = (0..file.system.chains.len()).map(|i| checked_chain(file, i, &report)).collect();
     let cores = cores(file, &report);
-    let schedulable = callbacks.iter().all(|c| c.met) && chains.iter().all(|c| c.met);
-    let warnings = warnings(file, &report, &callbacks);
+    let faults: Vec<String> = above_samplers(file, &callbacks)
+        .chain(split_nodes(&callbacks))
+        .chain(endless_waits(&callbacks))
+        .collect();
+    let schedulable = faults.is_empty() && callbacks.iter().all(|c| c.met) && chains.iter().all(|c| c.met);
+    let warnings = warnings(file, &report, &callbacks, faults);
     CheckedSystem { schedulable, callbacks, chains, cores, warnings }
 }
 
@@ -151,7 +164,7 @@ fn refused(file: &SystemFile, error: &AnalysisError) -> CheckedSystem {
     let empty = without_bounds(file, error);
     let callback = |entry: &CallbackEntry| checked_callback(file, entry, &empty, &empty, None);
     let callbacks = file.callbacks.iter().map(callback).collect();
-    let chains = (0..file.chains.len()).map(|i| checked_chain(file, i, &empty)).collect();
+    let chains = (0..file.system.chains.len()).map(|i| checked_chain(file, i, &empty)).collect();
     let (cores, warnings) = (cores(file, &empty), vec![error.to_string()]);
     CheckedSystem { schedulable: false, callbacks, chains, cores, warnings }
 }
@@ -210,11 +223,7 @@ fn checked_callback(
     let response_overhead_ns = response(file, entry, report);
     let tasks = &file.system.callbacks[entry.tasks.clone()];
     let overheads = &file.system.cores[entry.core].overheads;
-    let charged = |task: &Task| {
-        // Not the gateway's work, which is done elsewhere.
-        let per_message = task.message_overhead_ns.unwrap_or(u64::MAX).min(overheads.per_message_ns);
-        task.charged_ns(overheads).saturating_add(per_message)
-    };
+    let charged = |task: &Task| task.charged_ns(overheads).saturating_add(task.per_message_ns(overheads));
     let release = |i: usize| {
         let task = &file.system.callbacks[i].task;
         match &report.callbacks[i] {
@@ -246,45 +255,46 @@ fn checked_callback(
 }
 
 /// The topics of a join, each with the longest wait of any of its publishers' messages.
-fn inputs(file: &SystemFile, entry: &CallbackEntry, wait_ns: &[u64]) -> Vec<(String, u64)> {
+fn inputs(file: &SystemFile, entry: &CallbackEntry, wait_ns: &[u64]) -> Vec<(String, Option<u64>)> {
     let ports = file.system.callbacks[entry.tasks.start].join.iter().flat_map(|join| &join.ports);
-    let mut inputs: Vec<_> = entry.topics.iter().map(|topic| (topic.clone(), 0)).collect();
+    let mut inputs: Vec<_> = entry.topics.iter().map(|topic| (topic.clone(), Some(0))).collect();
     for (port, wait_ns) in ports.zip(wait_ns) {
-        inputs[*port].1 = inputs[*port].1.max(*wait_ns);
+        let longest = &mut inputs[*port].1;
+        *longest = longest.filter(|_| *wait_ns < u64::MAX).map(|longest| longest.max(*wait_ns));
     }
     inputs
 }
 
 fn checked_chain(file: &SystemFile, index: usize, report: &SystemReport) -> CheckedChain {
-    let entry = &file.chains[index];
-    let longest = |time: fn(&crate::system::ChainBound) -> Option<u64>| {
-        let times =
-            report.chains[entry.streams.clone()].iter().map(|chain| chain.as_ref().ok().and_then(time));
-        times.reduce(|a, b| Some(a?.max(b?))).flatten()
-    };
-    let latency_ns = longest(|chain| Some(chain.latency_ns));
+    let chain = &file.system.chains[index];
+    let found = report.chains[index].as_ref().ok();
+    let latency_ns = found.map(|bound: &ChainBound| bound.latency_ns);
     CheckedChain {
-        name: entry.name.clone(),
+        name: chain.name.clone(),
         latency_ns,
-        reaction_ns: longest(|chain| chain.reaction_ns),
-        age_ns: longest(|chain| Some(chain.age_ns)),
-        deadline_ns: entry.deadline_ns,
-        met: latency_ns.is_some_and(|latency| latency <= entry.deadline_ns),
-        stages: stages(file, &file.system.chains[entry.streams.clone()]),
+        reaction_ns: found.and_then(|bound| bound.reaction_ns),
+        age_ns: found.map(|bound| bound.age_ns),
+        deadline_ns: chain.deadline_ns,
+        met: latency_ns.is_some_and(|latency| latency <= chain.deadline_ns),
+        stages: stages(file, chain),
     }
 }
 
 /// The callbacks that all ways of a chain pass, if nothing but their responses is on them.
-fn stages(file: &SystemFile, ways: &[Chain]) -> Option<Vec<usize>> {
-    let of_task = |task: &usize| file.callbacks.iter().position(|entry| entry.tasks.contains(task));
+fn stages(file: &SystemFile, chain: &Chain) -> Option<Vec<usize>> {
+    let [part] = &chain.parts[..] else { return None };
+    let of_task = |task: &usize| {
+        let after = file.callbacks.partition_point(|entry| entry.tasks.start <= *task);
+        after.checked_sub(1).filter(|at| file.callbacks[*at].tasks.contains(task))
+    };
     let host = |task: usize| &file.cores[file.system.callbacks[task].core].host;
     let follows = |pair: &[usize]| {
         let trigger = file.system.callbacks[pair[1]].trigger;
         trigger.is_some_and(|(source, _)| source == pair[0]) && host(pair[0]) == host(pair[1])
     };
-    let mut found = ways.iter().map(|way| {
-        let all: Option<Vec<usize>> = way.stages.iter().map(of_task).collect();
-        all.filter(|_| way.stages.windows(2).all(follows))
+    let mut found = part.ways.iter().map(|way| {
+        let all: Option<Vec<usize>> = way.iter().map(of_task).collect();
+        all.filter(|_| way.windows(2).all(follows))
     });
     let first = found.next()??;
     found.all(|other| other.as_ref() == Some(&first)).then_some(first)
@@ -305,14 +315,21 @@ fn cores(file: &SystemFile, report: &SystemReport) -> Vec<CheckedCore> {
             if let Some(Reservation { runtime_ns, period_ns }) = task.reservation {
                 return Task { wcet_ns: runtime_ns, period_ns, ..task.clone() };
             }
-            let wcet_ns = task.charged_ns(&overheads).saturating_add(task.message_overhead_ns.unwrap_or(0));
+            let wcet_ns = task.charged_ns(&overheads).saturating_add(task.per_message_ns(&overheads));
             Task { wcet_ns, ..task.clone() }
         };
+        let relays = file.system.relays.iter().filter(|relay| relay.core == index).map(|relay| {
+            let period_ns = relay
+                .source
+                .map_or(relay.release.period_ns, |(i, _)| file.system.callbacks[i].task.period_ns);
+            relay.cost_ns as f64 / period_ns.max(1) as f64
+        });
+        let relayed: f64 = relays.sum();
         let ticks = match overheads.tick_period_ns {
             0 => 0.0,
             period => overheads.tick_ns as f64 / period as f64,
         };
-        let utilisation = utilisation(&tasks.iter().map(costs).collect::<Vec<_>>()) + ticks;
+        let utilisation = utilisation(&tasks.iter().map(costs).collect::<Vec<_>>()) + ticks + relayed;
         let (host, stall_ns) = (entry.host.clone(), entry.stall_ns);
         CheckedCore { host, number: entry.number, utilisation, tasks, overheads, stall_ns }
     };
@@ -325,7 +342,7 @@ fn unbounded(report: &SystemReport) -> Vec<String> {
     let errors = report.callbacks.iter().filter_map(|outcome| outcome.as_ref().err());
     let (consequences, causes): (Vec<_>, Vec<_>) =
         errors.partition(|error| matches!(error, AnalysisError::Upstream { .. }));
-    let mut warnings = Vec::new();
+    let mut warnings: Vec<String> = Vec::new();
     for errors in [causes, consequences] {
         warnings.extend(errors.iter().take(MOST).map(ToString::to_string));
         if errors.len() > MOST {
@@ -401,9 +418,44 @@ fn split_nodes(callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> {
     })
 }
 
-fn warnings(file: &SystemFile, report: &SystemReport, callbacks: &[CheckedCallback]) -> Vec<String> {
+/// A fault of each input of a join for which nothing bounds the wait.
+fn endless_waits(callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> {
+    callbacks.iter().flat_map(|callback| {
+        let inputs = callback.join.iter().flat_map(|join| &join.inputs).filter(|(_, wait_ns)| wait_ns.is_none());
+        inputs.map(|(topic, _)| {
+            let name = &callback.entry.name;
+            format!("callback `{name}`: nothing bounds how long a message of `{topic}` waits; shorten the periods or the jitter of its topics")
+        })
+    })
+}
+
+/// A fault of each callback for which a sampler waits.
+fn above_samplers(file: &SystemFile, callbacks: &[CheckedCallback]) -> impl Iterator<Item = String> {
+    callbacks.iter().filter_map(|callback| {
+        let (entry, sampler) = (&callback.entry, file.cores[callback.entry.core].sampler_priority);
+        (entry.reservation.is_none() && entry.priority >= sampler).then(|| {
+            format!(
+                "callback `{}` has priority {}, not below the sampler's {sampler}: messages of other callbacks wait for it, and no \
+                 bound holds; lower it",
+                entry.name, entry.priority
+            )
+        })
+    })
+}
+
+fn warnings(
+    file: &SystemFile,
+    report: &SystemReport,
+    callbacks: &[CheckedCallback],
+    faults: Vec<String>,
+) -> Vec<String> {
     let mut warnings = file.warnings.clone();
+    warnings.extend(faults);
     warnings.extend(unbounded(report));
+    let own = |error: &&AnalysisError| matches!(error, AnalysisError::Overwritten { .. });
+    warnings.extend(
+        report.chains.iter().filter_map(|chain| chain.as_ref().err()).filter(own).map(ToString::to_string),
+    );
     for callback in callbacks {
         let (name, entry) = (&callback.entry.name, &callback.entry);
         if let (Some(depth), Some(capacity)) = (entry.depth, callback.capacity)
@@ -418,14 +470,6 @@ fn warnings(file: &SystemFile, report: &SystemReport, callbacks: &[CheckedCallba
             warnings.push(format!(
                 "callback `{name}` has no capacity: nothing bounds how long the system needs to catch up after a stall; lower the \
                  `stall` of its hosts, lower the load, or state the `depth` of its topics"
-            ));
-        }
-        let sampler = file.cores[entry.core].sampler_priority;
-        if entry.reservation.is_none() && entry.priority >= sampler {
-            warnings.push(format!(
-                "callback `{name}` has priority {}, not below the sampler's {sampler}: messages of other callbacks \
-                 wait for it, and no bound holds; lower it",
-                entry.priority
             ));
         }
     }
@@ -453,7 +497,6 @@ fn warnings(file: &SystemFile, report: &SystemReport, callbacks: &[CheckedCallba
     }
     warnings.extend(starved(file, report));
     warnings.extend(shared_priorities(callbacks));
-    warnings.extend(split_nodes(callbacks));
     for ((entry, core), throttled) in file.cores.iter().zip(&file.system.cores).zip(&report.throttled) {
         if let (true, Some(Throttling { runtime_ns, period_ns })) = (*throttled, core.overheads.throttling) {
             warnings.push(format!(

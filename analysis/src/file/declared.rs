@@ -55,7 +55,7 @@ pub(super) struct Topic {
 pub(super) struct Group {
     pub name: String,
     pub at: usize,
-    pub order: Order,
+    pub order: Option<At<Order>>,
     pub priority: Option<At<u8>>,
 }
 

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Locks that callbacks share, and how long they block.
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
-use super::declared::Declared;
+use super::declared::{Callback, Declared};
 use super::places::Place;
 use super::problem::Collector;
 use super::streams::Streams;
-use crate::system::Callback;
-use crate::{CriticalSection, Task, blocking};
+use crate::system::System;
+use crate::{CriticalSection, LockProtocol, Task, blocking};
 
 /// A lock blocks only within a core.
 pub(super) fn check(file: &Declared, places: &[Option<Place>], problems: &mut Collector) {
@@ -32,32 +32,64 @@ pub(super) fn check(file: &Declared, places: &[Option<Place>], problems: &mut Co
     }
 }
 
-/// Sets what lower priorities of the core may hold each task up by their locks.
-pub(super) fn block(
-    file: &Declared,
-    places: &[Place],
-    core: usize,
-    members: &[usize],
-    streams: &Streams,
-    callbacks: &mut [Callback],
-) {
-    let mut names: Vec<&str> = Vec::new();
-    let mut sections = Vec::new();
-    for (i, declared) in file.callbacks.iter().enumerate().filter(|(i, _)| places[*i].core == core) {
-        for (name, length_ns) in &declared.locks {
-            let resource = names.iter().position(|known| known == name).unwrap_or_else(|| {
-                names.push(name);
-                names.len() - 1
-            });
-            let task = members.iter().position(|member| *member == streams.tasks(i).start).unwrap_or(0);
-            sections.push(CriticalSection { task, resource, length_ns: *length_ns });
+/// A lock that a task takes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Lock {
+    pub task: usize,
+    pub resource: String,
+    pub length_ns: u64,
+    pub protocol: LockProtocol,
+}
+
+/// All locks of a file.
+pub(super) fn of(file: &Declared, streams: &Streams) -> Vec<Lock> {
+    let of = |(i, callback): (usize, &Callback)| {
+        let (task, protocol) = (streams.tasks(i).start, file.protocol);
+        let lock = move |(resource, length_ns): &(String, u64)| Lock {
+            task,
+            resource: resource.clone(),
+            length_ns: *length_ns,
+            protocol,
+        };
+        callback.locks.iter().map(lock).collect::<Vec<_>>()
+    };
+    file.callbacks.iter().enumerate().flat_map(of).collect()
+}
+
+/// Sets what lower priorities of each core may hold each task up by their locks.
+pub(super) fn block(locks: &[Lock], system: &mut System) {
+    let tasks: Vec<Task> = match locks {
+        [] => return,
+        _ => system.callbacks.iter().map(|callback| callback.task.clone()).collect(),
+    };
+    let mut names: HashMap<&str, usize> = HashMap::new();
+    for protocol in [LockProtocol::PriorityInheritance, LockProtocol::PriorityCeiling] {
+        let mut sections: BTreeMap<usize, Vec<CriticalSection>> = BTreeMap::new();
+        for lock in locks.iter().filter(|lock| lock.protocol == protocol) {
+            let core = system.callbacks[lock.task].core;
+            let next = names.len();
+            let resource = *names.entry(&lock.resource).or_insert(next);
+            // Who waits for a lock that inherits switches to its holder and back.
+            let switches = match protocol {
+                LockProtocol::PriorityInheritance => {
+                    system.cores[core].overheads.context_switch_ns.saturating_mul(2)
+                }
+                LockProtocol::PriorityCeiling => 0,
+            };
+            let length_ns = lock.length_ns.saturating_add(switches);
+            sections.entry(core).or_default().push(CriticalSection { task: lock.task, resource, length_ns });
         }
-    }
-    if sections.is_empty() {
-        return;
-    }
-    let tasks: Vec<Task> = members.iter().map(|i| callbacks[*i].task.clone()).collect();
-    for (i, ns) in members.iter().zip(blocking(&tasks, &sections, file.protocol)) {
-        callbacks[*i].task.blocking_ns = ns;
+        for (core, mut sections) in sections {
+            let members: Vec<usize> =
+                (0..tasks.len()).filter(|i| system.callbacks[*i].core == core).collect();
+            let local: Vec<Task> = members.iter().map(|i| tasks[*i].clone()).collect();
+            sections
+                .iter_mut()
+                .for_each(|section| section.task = members.binary_search(&section.task).unwrap_or(0));
+            for (i, ns) in members.iter().zip(blocking(&local, &sections, protocol)) {
+                let blocking_ns = &mut system.callbacks[*i].task.blocking_ns;
+                *blocking_ns = blocking_ns.saturating_add(ns);
+            }
+        }
     }
 }

@@ -50,7 +50,8 @@ pub use problem::{Problem, Problems};
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct SystemFile {
     pub(super) callbacks: Vec<CallbackEntry>,
-    pub(super) chains: Vec<ChainEntry>,
+    /// The locks that its tasks take.
+    locks: Vec<locks::Lock>,
     pub(super) topics: Vec<TopicEntry>,
     pub(super) cores: Vec<CoreEntry>,
     pub(super) warnings: Vec<String>,
@@ -243,14 +244,6 @@ pub struct CoreEntry {
     pub stall_ns: u64,
 }
 
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct ChainEntry {
-    pub name: String,
-    pub deadline_ns: u64,
-    /// Its chains in the system: one for each way through the streams of its callbacks.
-    pub streams: Range<usize>,
-}
-
 /// Why a system file could not be used.
 #[derive(Debug, thiserror::Error)]
 pub enum FileError {
@@ -339,6 +332,7 @@ impl SystemFile {
     pub fn system_without_overheads(&self) -> System {
         let mut free = self.system.clone();
         free.cores.iter_mut().for_each(|core| core.overheads = crate::Overheads::NONE);
+        free.relays.clear();
         free.callbacks.iter_mut().for_each(|callback| callback.task = callback.task.without_overheads());
         free
     }
@@ -351,6 +345,19 @@ impl SystemFile {
             return None;
         }
         let mut stalled = self.system.clone();
+        for (core, entry) in stalled.cores.iter_mut().zip(&self.cores) {
+            core.stall_ns = entry.stall_ns;
+        }
+        for relay in &mut stalled.relays {
+            let here_ns = stall_ns(relay.core);
+            match &mut relay.source {
+                Some((source, transfer)) => {
+                    let from_ns = stall_ns(self.system.callbacks[*source].core);
+                    transfer.most_ns = transfer.most_ns.saturating_add(from_ns).saturating_add(here_ns);
+                }
+                None => relay.release.jitter_ns = relay.release.jitter_ns.saturating_add(here_ns),
+            }
+        }
         for callback in &mut stalled.callbacks {
             let here = callback.core;
             callback.task.blocking_ns = callback.task.blocking_ns.saturating_add(stall_ns(here));

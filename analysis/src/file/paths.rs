@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The callbacks that chains pass.
+use std::collections::HashMap;
+
 use super::declared::{Chain, Declared};
 use super::graph::Graph;
 use super::problem::{Collector, suggestion};
@@ -51,26 +53,39 @@ pub(super) fn resolve(file: &Declared, chain: &Chain) -> Vec<usize> {
     chain.path.iter().filter_map(|stage| index(&stage.value)).collect()
 }
 
-/// All ways through the streams of these callbacks, as indices of tasks: the same message where one triggers the next, or the
-/// next waits for it and others; any stream of a callback that reads at its own pace.
-pub(super) fn ways(stages: &[usize], streams: &Streams, callbacks: &[Callback]) -> Vec<Vec<usize>> {
-    let Some((&start, rest)) = stages.split_first() else { return Vec::new() };
-    let mut paths: Vec<Vec<usize>> = streams.outputs(start).map(|task| vec![task]).collect();
-    for &stage in rest {
-        let triggered = |from: usize| {
-            streams.tasks(stage).filter(move |to| callbacks[*to].trigger.is_some_and(|(i, _)| i == from))
-        };
-        let direct =
-            paths.iter().any(|path| path.last().is_some_and(|from| triggered(*from).next().is_some()));
+/// Callbacks of a chain each of which triggers the next.
+pub(super) struct Ways {
+    /// How many callbacks.
+    pub callbacks: usize,
+    /// All ways through their streams, as indices of tasks.
+    pub tasks: Vec<Vec<usize>>,
+}
+
+/// The parts of a chain: the same message passes all of a part, where one callback triggers the next, or the next waits for it and others.
+/// One that reads at its own pace begins another part, with any of its streams.
+pub(super) fn parts(stages: &[usize], streams: &Streams, callbacks: &[Callback]) -> Vec<Ways> {
+    let mut parts: Vec<Ways> = Vec::new();
+    for &stage in stages {
+        // By what publishes.
+        let mut triggered: HashMap<usize, Vec<usize>> = HashMap::new();
+        for to in streams.tasks(stage) {
+            if let Some((from, _)) = callbacks[to].trigger {
+                triggered.entry(from).or_default().push(to);
+            }
+        }
+        // What takes a message for a join hands it on to that.
+        let join = streams.outputs(stage).next().filter(|_| streams.is_join(stage));
         let extend = |path: &Vec<usize>| -> Vec<Vec<usize>> {
-            let from = path.last().copied().unwrap_or(0);
-            let next: Vec<usize> =
-                if direct { triggered(from).collect() } else { streams.outputs(stage).collect() };
-            // What takes a message for a join hands it on to that.
-            let join = streams.outputs(stage).next().filter(|_| direct && streams.is_join(stage));
-            next.into_iter().map(|to| path.iter().copied().chain([to]).chain(join).collect()).collect()
+            let next = path.last().and_then(|from| triggered.get(from)).into_iter().flatten();
+            next.map(|to| path.iter().copied().chain([*to]).chain(join).collect()).collect()
         };
-        paths = paths.iter().flat_map(extend).take(1_000).collect();
+        let further: Vec<_> =
+            parts.last().into_iter().flat_map(|part| &part.tasks).flat_map(extend).collect();
+        match parts.last_mut().filter(|_| !further.is_empty()) {
+            Some(part) => *part = Ways { callbacks: part.callbacks + 1, tasks: further },
+            None => parts
+                .push(Ways { callbacks: 1, tasks: streams.outputs(stage).map(|task| vec![task]).collect() }),
+        }
     }
-    paths
+    parts
 }

@@ -40,7 +40,15 @@ impl<'a> Collector<'a> {
     }
 
     pub fn add(&mut self, at: usize, message: impl Into<String>) {
-        self.found.push((at, message.into()));
+        // What the file contains does not reach a terminal as it is.
+        let mut shown = String::new();
+        for c in message.into().chars() {
+            match is_unprintable(c) {
+                true => shown.extend(c.escape_unicode()),
+                false => shown.push(c),
+            }
+        }
+        self.found.push((at, shown));
     }
 
     pub fn is_empty(&self) -> bool {
@@ -50,20 +58,29 @@ impl<'a> Collector<'a> {
     pub fn into_problems(mut self) -> Problems {
         self.found.sort();
         self.found.dedup();
+        let lines: Vec<usize> =
+            std::iter::once(0).chain(self.text.match_indices('\n').map(|(newline, _)| newline + 1)).collect();
         let locate = |(at, message): (usize, String)| {
-            let before = self.text.get(..at).unwrap_or(self.text);
-            let line_start = before.rfind('\n').map_or(0, |newline| newline + 1);
-            let column = before[line_start..].chars().count() + 1;
-            Problem { line: before.matches('\n').count() + 1, column, message }
+            let line = lines.partition_point(|start| *start <= at);
+            let before = self.text.get(lines[line - 1]..at).unwrap_or_default();
+            Problem { line, column: before.chars().count() + 1, message }
         };
         Problems(self.found.into_iter().map(locate).collect())
     }
 }
 
+/// What a terminal would obey instead of showing it: control characters, and those that turn the direction of text.
+pub(super) fn is_unprintable(c: char) -> bool {
+    c.is_control() || matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
 /// `: did you mean ...?` if a known name is close to the one given, else nothing.
 pub(super) fn suggestion<'n>(given: &str, known: impl IntoIterator<Item = &'n str>) -> String {
-    let near = known.into_iter().map(|name| (distance(given, name), name)).min();
-    match near.filter(|(distance, name)| *distance <= 1 + name.chars().count() / 4) {
+    let length = given.chars().count();
+    let most = |name: &str| 1 + name.chars().count() / 4;
+    let known = known.into_iter().filter(|name| name.chars().count().abs_diff(length) <= most(name));
+    let near = known.map(|name| (distance(given, name), name)).min();
+    match near.filter(|(distance, name)| *distance <= most(name)) {
         Some((_, name)) => format!(": did you mean `{name}`?"),
         None => String::new(),
     }

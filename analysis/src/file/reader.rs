@@ -3,7 +3,7 @@
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::problem::{Collector, suggestion};
+use super::problem::{Collector, is_unprintable, suggestion};
 
 /// A value and where it stands in the text.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -64,6 +64,7 @@ impl<'t> Section<'t> {
         let named = entries.into_iter().map(|(name, value)| (name.span().start, section((name, value))));
         let mut sections = Vec::new();
         for (at, (name, title, value)) in named {
+            check_name(&title, &name, at, problems);
             sections.extend(Section::of(title, at, value, problems).map(|section| (name, section)));
         }
         sections
@@ -155,9 +156,21 @@ impl<'t> Section<'t> {
     }
 }
 
+/// A name is shown in terminals and in tables.
+pub(super) fn check_name(title: &str, name: &str, at: usize, problems: &mut Collector) {
+    if name.is_empty() || name.chars().any(is_unprintable) {
+        problems.add(at, format!("the name of {title} cannot be shown: use printable characters"));
+    }
+}
+
 pub(super) fn text(key: &str, value: &Value<'_>, problems: &mut Collector) -> Option<At<String>> {
     let at = value.span().start;
     match value.get_ref() {
+        DeValue::String(text) if text.chars().any(is_unprintable) => {
+            problems
+                .add(at, format!("`{key}` is \"{text}\", which cannot be shown: use printable characters"));
+            None
+        }
         DeValue::String(text) => Some(At { value: text.to_string(), at }),
         other => {
             problems.add(at, format!("`{key}` must be a string, not {}", kind(other)));

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Callbacks with a reservation: which entries of the file are allowed for them, and the time that they take from every
 //! core that they may run on.
-use super::Client;
 use super::declared::{Callback as Declaration, Declared};
 use super::places::Place;
 use super::problem::Collector;
 use super::streams::Streams;
+use super::{Client, CoreEntry};
 use crate::Reservation;
 use crate::system::Callback;
 
@@ -79,27 +79,18 @@ pub(super) fn check(file: &Declared, places: &[Option<Place>], streams: &Streams
     }
 }
 
-/// A reservation that may run on any core of its host takes from all of them, at the most all that it has: there it is another
-/// callback, after those of the file, without messages of its own.
-pub(super) fn spread(
-    file: &Declared,
-    places: &[Place],
-    cores: &[(usize, usize)],
-    streams: &Streams,
-    callbacks: &mut Vec<Callback>,
-) {
-    for (i, declared) in file.callbacks.iter().enumerate().filter(|(_, callback)| callback.floats.is_some()) {
-        let own = callbacks[streams.tasks(i).start].clone();
-        let others =
-            (0..cores.len()).filter(|core| cores[*core].0 == places[i].host && *core != places[i].core);
-        callbacks.extend(others.map(|core| {
-            let mut copy = Callback { core, ..own.clone() };
-            copy.task.message_overhead_ns = Some(0);
-            copy.task.priority = Reservation::PRIORITY;
-            // Nobody waits for it there.
-            copy.task.deadline_ns = u64::MAX - 1;
-            copy.task.name = format!("{} (core {})", declared.name, cores[core].1);
-            copy
-        }));
-    }
+/// A reservation that may run on any core of its host takes from all of them, at the most all that it has: there it is another callback, after
+/// all others.
+pub(super) fn copy(name: &str, task: usize, cores: &[CoreEntry], callbacks: &mut Vec<Callback>) {
+    let own = callbacks[task].clone();
+    let others =
+        (0..cores.len()).filter(|core| cores[*core].host == cores[own.core].host && *core != own.core);
+    callbacks.extend(others.map(|core| {
+        let mut copy = Callback { core, copy_of: Some(task), ..own.clone() };
+        copy.task.priority = Reservation::PRIORITY;
+        // What is wanted is wanted of the worst of them.
+        copy.task.deadline_ns = u64::MAX - 1;
+        copy.task.name = format!("{name} (core {})", cores[core].number);
+        copy
+    }));
 }

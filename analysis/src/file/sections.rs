@@ -115,16 +115,55 @@ fn latency(section: &mut Section<'_>, problems: &mut Collector) -> Option<(u64, 
     }
 }
 
+/// As many as Linux allows.
+const MOST_CORES: usize = 4_096;
+
 fn host(name: String, mut section: Section<'_>, problems: &mut Collector) -> Host {
     let cores = match section.raw("cores").map(|value| (value, value.get_ref())) {
         Some((_, toml::de::DeValue::Array(_))) => {
-            let cores = section.array("cores", problems);
-            let cores = cores.into_iter().filter_map(|value| integer("cores", value, problems));
-            cores.filter_map(|core| usize::try_from(core.value).ok()).collect()
+            let values = section.array("cores", problems);
+            let numbers: Vec<_> =
+                values.into_iter().filter_map(|value| integer("cores", value, problems)).collect();
+            let mut cores = Vec::with_capacity(numbers.len());
+            for number in numbers {
+                let core = usize::try_from(number.value)
+                    .ok()
+                    .filter(|core| *core < MOST_CORES && !cores.contains(core));
+                if core.is_none() {
+                    problems.add(
+                        number.at,
+                        format!(
+                            "`cores` of host `{name}` lists {}: list each core once, 0 to {}",
+                            number.value,
+                            MOST_CORES - 1
+                        ),
+                    );
+                }
+                cores.extend(core);
+            }
+            if section
+                .raw("cores")
+                .is_some_and(|value| matches!(value.get_ref(), DeValue::Array(array) if array.is_empty()))
+            {
+                problems
+                    .add(section.at, format!("`cores` of host `{name}` is empty: list at least one core"));
+            }
+            cores
         }
         Some((value, _)) => {
-            let count = integer("cores", value, problems).and_then(|count| usize::try_from(count.value).ok());
-            (0..count.unwrap_or(0).min(4_096)).collect()
+            let count = integer("cores", value, problems);
+            let known = count.as_ref().and_then(|count| usize::try_from(count.value).ok());
+            let known = known.filter(|count| (1..=MOST_CORES).contains(count));
+            if let (Some(count), None) = (&count, known) {
+                problems.add(
+                    count.at,
+                    format!(
+                        "`cores` of host `{name}` is {}: set it to 1 to {MOST_CORES}, or list those to use",
+                        count.value
+                    ),
+                );
+            }
+            (0..known.unwrap_or(0)).collect()
         }
         None => {
             problems.add(
@@ -210,7 +249,9 @@ fn topic(name: String, mut section: Section<'_>, problems: &mut Collector) -> To
 
 fn group(name: String, mut section: Section<'_>, problems: &mut Collector) -> Group {
     let orders = [("fifo", Order::Fifo), ("any", Order::Any)];
-    let order = choice(&mut section, "order", &orders, problems).unwrap_or(Order::Fifo);
+    let order_at = section.raw("order").map(|value| value.span().start);
+    let order = choice(&mut section, "order", &orders, problems);
+    let order = order.zip(order_at).map(|(value, at)| At { value, at });
     let priority = priority(&mut section, "priority", problems);
     let at = section.at;
     section.finish(problems);

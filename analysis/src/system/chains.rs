@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! End-to-end bounds of the chains of a system.
 use super::fixpoint::Solved;
-use super::{Chain, Matching, System, Transfer, join};
-use crate::chain::{Stage, data_age, register_sampled};
+use super::{Chain, Matching, Part, System, Transfer, join};
 use crate::{AnalysisError, Response};
 
 /// The end-to-end bounds of a chain, in nanoseconds.
@@ -26,58 +25,105 @@ pub struct ChainBound {
 
 pub(super) fn bound(system: &System, chain: &Chain, solved: &Solved) -> Result<ChainBound, AnalysisError> {
     let count = system.callbacks.len();
-    if let Some(&index) = chain.stages.iter().find(|stage| **stage >= count) {
+    let mut stages = chain.parts.iter().flat_map(|part| &part.ways).flatten();
+    if let Some(&index) = stages.find(|stage| **stage >= count) {
         return Err(AnalysisError::BadReference { name: chain.name.clone(), what: "task", index, count });
     }
     let overflow = || AnalysisError::Overflow { task: chain.name.clone() };
-    // Stages that trigger one another are one: with a message that passes all of them, and with it or a later one.
-    let (mut passing, mut reflecting): (Vec<Stage>, Result<Vec<Stage>, AnalysisError>) =
-        (Vec::new(), Ok(Vec::new()));
-    let mut start = 0;
-    for end in 1..=chain.stages.len() {
-        if end < chain.stages.len() && link(system, chain.stages[end - 1], chain.stages[end]).is_some() {
-            continue;
+    let parts = split(system, &chain.parts);
+    let add = |sum: u64, more: Option<u64>| more.and_then(|more| sum.checked_add(more)).ok_or_else(overflow);
+    let (mut latency_ns, mut age_ns, mut reaction) = (0, 0, Ok(0));
+    for (at, part) in parts.iter().enumerate() {
+        let (is_first, is_last) = (at == 0, at + 1 == parts.len());
+        let (mut passing, mut aging, mut reflecting) = (0, 0, Vec::new());
+        for way in part.ways.iter().filter(|way| !way.is_empty()) {
+            let stages = Way { system, solved, chain: &chain.name, stages: way };
+            let (period_ns, nominal) = pace(system, solved, way[0])?;
+            let age = |ns: u64| period_ns.unwrap_or(u64::MAX).checked_add(ns);
+            // Alone, from the message that comes, and otherwise from the event that the first stage just misses.
+            let own = nominal && (parts.len() > 1 || !system.callbacks[way[0]].is_triggered());
+            passing = passing.max(stages.latency(own, Seen::Itself)?.ok_or_else(overflow)?);
+            let used = if is_last {
+                stages.latency(nominal, Seen::Itself)?
+            } else {
+                stages.latency(nominal, Seen::OrLater)?.and_then(age)
+            };
+            aging = aging.max(used.ok_or_else(overflow)?);
+            reflecting.push(reflected(&stages, period_ns, nominal));
         }
-        let (period_ns, nominal) = pace(system, solved, chain, chain.stages[start])?;
-        let transfer = start.checked_sub(1).and_then(|edge| chain.transfers.get(edge));
-        let transfer_ns = transfer.map_or(0, |transfer| transfer.most_ns);
-        let stage = |latency: Option<u64>| -> Result<Stage, AnalysisError> {
-            let response_ns = latency.and_then(|ns| ns.checked_add(transfer_ns)).ok_or_else(overflow)?;
-            Ok(Stage { period_ns, response_ns })
+        // What overwrites the value reflects nothing of the chain, unless it is of the stage that reads it.
+        if let Some(other) = &part.overwritten_by {
+            let (chain, other) = (chain.name.clone(), other.clone());
+            reflecting = vec![Err(AnalysisError::Overwritten { chain, other })];
+        }
+        // An event may come by any way of the first part; what it wrote is read by each of the next.
+        let reflected = if is_first {
+            reflecting.into_iter().try_fold(0, |longest, next| Ok(longest.max(next?)))
+        } else {
+            let mut found = reflecting.into_iter();
+            let first = found.next().unwrap_or(Ok(0));
+            found.fold(first, |least, next| match (least, next) {
+                (Ok(least), Ok(next)) => Ok(least.min(next)),
+                (Err(_), next) => next,
+                (least, Err(_)) => least,
+            })
         };
-        let way = Way { system, solved, chain: &chain.name, stages: &chain.stages[start..end] };
-        passing.push(stage(way.latency(nominal, false)?)?);
-        reflecting = reflecting.and_then(|mut stages| {
-            stages.push(stage(way.latency(nominal, true)?)?);
-            Ok(stages)
-        });
-        start = end;
+        let transfer_ns = Some(part.transfer.most_ns);
+        latency_ns = add(add(latency_ns, Some(passing))?, transfer_ns)?;
+        age_ns = add(add(age_ns, Some(aging))?, transfer_ns)?;
+        reaction = reaction.and_then(|sum| add(add(sum, Some(reflected?))?, transfer_ns));
     }
-    let reaction = reflecting.and_then(|stages| register_sampled(&stages).ok_or_else(overflow));
-    let age_ns = data_age(&passing).ok_or_else(overflow)?;
-    let latency_ns = match passing.len() {
-        1 => {
-            let own = !system.callbacks[chain.stages[0]].is_triggered();
-            let way = Way { system, solved, chain: &chain.name, stages: &chain.stages };
-            way.latency(own, false)?.ok_or_else(overflow)?
-        }
-        _ => reaction.clone()?,
-    };
+    if parts.len() > 1 {
+        latency_ns = reaction.clone()?;
+    }
     let (deadline_ns, met) = (chain.deadline_ns, latency_ns <= chain.deadline_ns);
     Ok(ChainBound { latency_ns, reaction_ns: reaction.ok(), age_ns, deadline_ns, met })
 }
 
-/// How often a stage runs at least, and whether its responses count from nominal releases: those of a join have none.
-fn pace(system: &System, solved: &Solved, chain: &Chain, stage: usize) -> Result<(u64, bool), AnalysisError> {
+/// The parts, each with stages that trigger one another: of a part with one way these are found here.
+fn split(system: &System, parts: &[Part]) -> Vec<Part> {
+    let mut split = Vec::with_capacity(parts.len());
+    for part in parts {
+        let [way] = &part.ways[..] else {
+            split.push(part.clone());
+            continue;
+        };
+        let mut pieces = way.chunk_by(|from, to| link(system, *from, *to).is_some());
+        split.push(Part { ways: pieces.next().into_iter().map(<[usize]>::to_vec).collect(), ..part.clone() });
+        split.extend(pieces.map(|piece| Part { ways: vec![piece.to_vec()], ..Part::default() }));
+    }
+    split
+}
+
+/// From an event that the first stage just misses to the end of the first job that reflects it.
+fn reflected(way: &Way<'_>, period_ns: Option<u64>, nominal: bool) -> Result<u64, AnalysisError> {
+    let first = join::first(way.system, way.stages[0]);
+    let period_ns = period_ns.ok_or_else(|| starved(way.system, way.solved, way.chain, first))?;
+    let latency = way.latency(nominal, Seen::Reflected)?;
+    latency
+        .and_then(|ns| ns.checked_add(period_ns))
+        .ok_or_else(|| AnalysisError::Overflow { task: way.chain.to_owned() })
+}
+
+/// How often a stage runs at least, if that is bounded, and whether its responses count from nominal releases: those of a join have none.
+fn pace(system: &System, solved: &Solved, stage: usize) -> Result<(Option<u64>, bool), AnalysisError> {
     let response = outcome(solved, stage)?;
     let first = join::first(system, stage);
-    match (&system.callbacks[first].join, solved.timings[stage].gap_ns) {
-        (None, _) => Ok((response.period_ns, true)),
-        // Alone it does not matter.
-        (Some(_), u64::MAX) if chain.stages.len() > 1 => Err(starved(system, solved, &chain.name, first)),
-        (Some(_), u64::MAX) => Ok((response.period_ns, false)),
-        (Some(_), gap_ns) => Ok((gap_ns, false)),
-    }
+    Ok(match (&system.callbacks[first].join, solved.timings[stage].gap_ns) {
+        (None, _) => (Some(response.period_ns), true),
+        (Some(_), gap_ns) => (Some(gap_ns).filter(|gap_ns| *gap_ns < u64::MAX), false),
+    })
+}
+
+/// Which job a latency goes to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Seen {
+    /// That of the release itself; through a join, of a message that is in a set.
+    Itself,
+    /// The same, but for a later release of a timer instead.
+    OrLater,
+    /// Through a join, that of a set with the message or a later one; of a timer, that of its release or a later one.
+    Reflected,
 }
 
 /// Why a join may never run.
@@ -120,13 +166,17 @@ struct Way<'a> {
 
 impl Way<'_> {
     /// From the release of the first stage (its nominal one, or the arrival of its message) to the end of the last; `None` on
-    /// overflow. Through a join: of a message that is in a set, or until a set with it or a later one.
+    /// overflow.
     ///
     /// The sum of all responses, or, from the nominal release of the first, what may be less: the response of the last from
     /// its own nominal release, which lies the least times of all stages before it later.
-    fn latency(&self, nominal: bool, reflected: bool) -> Result<Option<u64>, AnalysisError> {
+    fn latency(&self, nominal: bool, seen: Seen) -> Result<Option<u64>, AnalysisError> {
         let Some(&last) = self.stages.last() else { return Ok(Some(0)) };
         let response = |stage: usize| outcome(self.solved, stage);
+        // Of a timer whose releases go behind others, the newest is served.
+        let first = response(self.stages[0])?;
+        let skips = seen != Seen::Itself && !self.system.callbacks[self.stages[0]].is_triggered();
+        let is_late = skips && first.reflected_ns > first.response_ns;
         // What takes a message for a join leaves the rest to it.
         let joins = |at: usize| {
             let next = self.stages.get(at + 1).map(|next| link(self.system, self.stages[at], *next));
@@ -137,6 +187,7 @@ impl Way<'_> {
             Ok(match (joins(at), nominal) {
                 (true, true) => found.jitter_ns,
                 (true, false) => 0,
+                (false, true) if skips && at == 0 => found.reflected_ns,
                 (false, true) => found.response_ns,
                 (false, false) => found.from_arrival_ns,
             })
@@ -151,7 +202,7 @@ impl Way<'_> {
                     self.system.callbacks[pair[0]].task.bcet_ns.checked_add(transfer.least_ns),
                 ),
                 Some(Link::Joined(input)) => {
-                    (self.wait(pair[1], input, reflected)?, self.between(pair[0], pair[1]))
+                    (self.wait(pair[1], input, seen == Seen::Reflected)?, self.between(pair[0], pair[1]))
                 }
                 None => (0, Some(0)),
             };
@@ -159,7 +210,7 @@ impl Way<'_> {
             least = least.and_then(|least: u64| least.checked_add(shortest?));
         }
         let from_nominal = least.and_then(|least| least.checked_add(response(last).ok()?.response_ns));
-        Ok(sum.into_iter().chain(from_nominal.filter(|_| nominal)).min())
+        Ok(sum.into_iter().chain(from_nominal.filter(|_| nominal && !is_late)).min())
     }
 
     /// How long a message of an input waits.

@@ -2,7 +2,7 @@
 //! Response times and jitter, repeated until they agree.
 use super::System;
 use super::join::{self, JoinBound, Timing};
-use crate::{AnalysisError, Response, Task, level};
+use crate::{AnalysisError, Release, Response, Task, level};
 
 /// Ends the search where chains that delay each other let jitter grow for ever.
 const MAX_ROUNDS: u32 = 1_000;
@@ -43,9 +43,11 @@ pub(super) fn solve(system: &System) -> Result<Solved, AnalysisError> {
             // Messages of one callback are at least one execution apart, but the network may bunch them.
             let apart = if network_ns == 0 { tasks[source].bcet_ns } else { 0 };
             tasks[i].min_distance_ns = tasks[i].min_distance_ns.max(apart).min(tasks[i].period_ns);
+            tasks[i].unordered |= tasks[source].unordered || network_ns > 0;
         } else if let Some(join) = &system.callbacks[i].join {
             // The jitter follows with the first round.
-            let (release, ..) = join::solve(join, &tasks, &vec![Timing::default(); tasks.len()], |_| 0);
+            let (release, ..) =
+                join::solve(join, &tasks, &vec![Timing::default(); tasks.len()], |_| 0, false);
             tasks[i] = tasks[i].clone().released(release.jitter(0));
         }
     }
@@ -55,21 +57,28 @@ pub(super) fn solve(system: &System) -> Result<Solved, AnalysisError> {
     let unknown = |task: &Task| Err(AnalysisError::Overflow { task: task.name.clone() });
     let mut outcomes: Outcomes = tasks.iter().map(unknown).collect();
     let mut throttled = vec![false; members.len()];
+    let mut relays = relayed(system, &tasks, &outcomes);
     let mut dirty = vec![true; members.len()];
     let mut rounds = 0;
     loop {
         rounds += 1;
         for core in 0..members.len() {
             if std::mem::take(&mut dirty[core]) {
-                throttled[core] |= analyse_core(system, core, &members[core], &tasks, &mut outcomes)?;
+                throttled[core] |=
+                    analyse_core(system, core, &members[core], &relays[core], &tasks, &mut outcomes)?;
             }
         }
+        copies(system, &mut outcomes);
         let (grown, timings, mut joins) = pass_on(system, &order, &mut tasks, &outcomes);
         let endless = |i: &usize| {
             let Task { jitter_ns, period_ns, blocking_ns, .. } = tasks[*i];
             jitter_ns / MAX_JITTER_PERIODS > period_ns.saturating_add(blocking_ns)
         };
-        if grown.is_empty() || rounds == MAX_ROUNDS || grown.iter().any(endless) {
+        let now = relayed(system, &tasks, &outcomes);
+        let is_still = grown.is_empty() && now == relays;
+        if is_still || rounds == MAX_ROUNDS || grown.iter().any(endless) {
+            let relayed = system.relays.iter().filter(|_| now != relays).filter_map(|relay| relay.source);
+            relayed.for_each(|(i, _)| outcomes[i] = Err(diverges(&tasks[i], &outcomes[i], rounds)));
             grown.into_iter().for_each(|i| outcomes[i] = Err(diverges(&tasks[i], &outcomes[i], rounds)));
             without_bound(system, &order, &mut outcomes);
             joins
@@ -80,6 +89,11 @@ pub(super) fn solve(system: &System) -> Result<Solved, AnalysisError> {
             return Ok(Solved { outcomes, joins, timings, throttled, rounds });
         }
         grown.iter().for_each(|i| dirty[system.callbacks[*i].core] = true);
+        dirty
+            .iter_mut()
+            .zip(relays.iter().zip(&now))
+            .for_each(|(dirty, (before, now))| *dirty |= before != now);
+        relays = now;
     }
 }
 
@@ -87,11 +101,13 @@ fn analyse_core(
     system: &System,
     core: usize,
     members: &[usize],
+    relays: &[(Release, u64)],
     tasks: &[Task],
     outcomes: &mut Outcomes,
 ) -> Result<bool, AnalysisError> {
     let local: Vec<Task> = members.iter().map(|i| tasks[*i].clone()).collect();
-    let analysed = level::Core::new(&local, &system.cores[core].overheads)?;
+    let super::Core { overheads, stall_ns } = &system.cores[core];
+    let analysed = level::Core::beside(&local, overheads, relays, *stall_ns)?;
     for (place, &i) in members.iter().enumerate() {
         outcomes[i] = Response::of(&analysed, &local[place], place);
     }
@@ -108,15 +124,17 @@ fn pass_on(
     let mut grown = Vec::new();
     let mut timings = vec![Timing::default(); tasks.len()];
     let mut joins = vec![None; tasks.len()];
+    // Whose messages may come as late as they like.
+    let mut held = vec![false; tasks.len()];
     for &i in order {
         let callback = &system.callbacks[i];
         let before_ns = tasks[i].jitter_ns;
+        held[i] = callback.predecessors().iter().any(|source| held[*source] || tasks[*source].is_held());
         if let Some((source, transfer)) = callback.trigger {
             let response = outcomes[source].as_ref();
             if let Ok(response) = response {
                 let network = transfer.most_ns.saturating_sub(transfer.least_ns);
-                let jitter =
-                    response.response_ns.saturating_sub(tasks[source].bcet_ns).saturating_add(network);
+                let jitter = late_ns(system, tasks, outcomes, source, response).saturating_add(network);
                 tasks[i].jitter_ns = jitter.max(before_ns);
             }
             let is_first = !system.callbacks[source].is_triggered();
@@ -125,7 +143,7 @@ fn pass_on(
         } else if let Some(join) = &callback.join {
             let response_ns = |i: usize| outcomes[i].as_ref().map_or(0, |response| response.from_arrival_ns);
             let of_thread = |input: usize| response_ns(input).max(response_ns(i));
-            let (release, timing, bound) = join::solve(join, tasks, &timings, of_thread);
+            let (release, timing, bound) = join::solve(join, tasks, &timings, of_thread, held[i]);
             tasks[i].jitter_ns = release.jitter_ns.max(before_ns);
             (timings[i], joins[i]) = (timing, Some(bound));
         } else {
@@ -136,6 +154,59 @@ fn pass_on(
         }
     }
     (grown, timings, joins)
+}
+
+/// How late a callback may publish, after the nominal release, as far as rates go.
+fn late_ns(system: &System, tasks: &[Task], outcomes: &Outcomes, source: usize, response: &Response) -> u64 {
+    let task = &tasks[source];
+    // What its own jitter has grown by since it was analysed is no less later.
+    let more_ns = task.jitter_ns.saturating_sub(response.jitter_ns);
+    let late_ns = response.response_ns.saturating_add(more_ns).saturating_sub(task.bcet_ns);
+    if !task.is_held() {
+        return late_ns;
+    }
+    // Of all streams of its queue.
+    let shares = |i: usize| {
+        i == source
+            || (task.group.is_some()
+                && system.callbacks[i].core == system.callbacks[source].core
+                && tasks[i].group == task.group)
+    };
+    let queued = |i: usize| {
+        outcomes[i].as_ref().ok().and_then(|found| found.queue_capacity().ok()).unwrap_or(1) as u64
+    };
+    let depth = task.depth.unwrap_or_else(|| (0..tasks.len()).filter(|i| shares(*i)).map(queued).sum());
+    late_ns.max(task.jitter_ns.saturating_add(task.release().nominal_span(depth.saturating_add(1))))
+}
+
+/// When messages are relayed on each core, and what that costs.
+fn relayed(system: &System, tasks: &[Task], outcomes: &Outcomes) -> Vec<Vec<(Release, u64)>> {
+    let mut relays = vec![Vec::new(); system.cores.len()];
+    for relay in &system.relays {
+        let mut release = relay.release.clone();
+        if let Some((source, transfer)) = relay.source {
+            let late_ns = match &outcomes[source] {
+                Ok(response) => late_ns(system, tasks, outcomes, source, response),
+                Err(_) => tasks[source].jitter_ns,
+            };
+            let network_ns = transfer.most_ns.saturating_sub(transfer.least_ns);
+            release = tasks[source].release().min_distance(0).jitter(late_ns.saturating_add(network_ns));
+        }
+        relays[relay.core].push((release, relay.cost_ns));
+    }
+    relays
+}
+
+/// What may run on any core has the worst of the bounds that it has on each.
+fn copies(system: &System, outcomes: &mut Outcomes) {
+    for i in 0..outcomes.len() {
+        let Some(own) = system.callbacks[i].copy_of else { continue };
+        let worst = match (&outcomes[own], &outcomes[i]) {
+            (Ok(own), Ok(copy)) => Ok(own.clone().or_worse(copy)),
+            (Err(error), _) | (_, Err(error)) => Err(error.clone()),
+        };
+        outcomes[own] = worst;
+    }
 }
 
 fn diverges(task: &Task, outcome: &Result<Response, AnalysisError>, rounds: u32) -> AnalysisError {
@@ -150,30 +221,50 @@ fn diverges(task: &Task, outcome: &Result<Response, AnalysisError>, rounds: u32)
 
 /// Takes their bounds from all callbacks that something without a bound triggers or delays.
 fn without_bound(system: &System, order: &[usize], outcomes: &mut Outcomes) {
+    // Up to which priority what runs on each core has none.
+    let mut lost: Vec<Option<(u8, usize)>> = vec![None; system.cores.len()];
     loop {
         let mut changed = false;
+        for relay in &system.relays {
+            let Some((source, _)) = relay.source.filter(|(source, _)| outcomes[*source].is_err()) else {
+                continue;
+            };
+            changed |= lost[relay.core].is_none_or(|(priority, _)| priority < u8::MAX);
+            lost[relay.core] = Some((u8::MAX, source));
+        }
         for &i in order {
             let callback = &system.callbacks[i];
             let source = callback.predecessors().iter().copied().find(|source| outcomes[*source].is_err());
             let cause = match (source, &outcomes[i]) {
                 (Some(source), _) => source,
-                (_, Err(AnalysisError::Diverges { .. })) if callback.is_triggered() => i,
+                (_, Err(AnalysisError::Diverges { .. })) => i,
                 _ => continue,
             };
             // Its releases are not known, so neither is what it takes from its level and those below.
-            let (core, priority) = (system.callbacks[i].core, system.callbacks[i].task.priority);
-            let cause = system.callbacks[cause].task.name.clone();
-            for (outcome, callback) in outcomes.iter_mut().zip(&system.callbacks) {
-                if outcome.is_ok() && callback.core == core && callback.task.priority <= priority {
-                    let task = callback.task.name.clone();
-                    *outcome = Err(AnalysisError::Upstream { task, cause: cause.clone() });
-                    changed = true;
-                }
+            let (core, task) = (callback.core, &callback.task);
+            let overheads = &system.cores[core].overheads;
+            // All of them, if its messages or its time may stop all.
+            let stops_all = task.per_message_ns(overheads) > 0 || overheads.throttling.is_some();
+            let priority = if stops_all { u8::MAX } else { task.priority };
+            if lost[core].is_none_or(|(lost, _)| lost < priority) {
+                lost[core] = Some((priority, cause));
+                changed = true;
             }
         }
         if !changed {
             return;
         }
+        for (outcome, callback) in outcomes.iter_mut().zip(&system.callbacks) {
+            let Some((_, cause)) = lost[callback.core].filter(|(lost, _)| callback.task.priority <= *lost)
+            else {
+                continue;
+            };
+            if outcome.is_ok() {
+                let (task, cause) = (callback.task.name.clone(), system.callbacks[cause].task.name.clone());
+                *outcome = Err(AnalysisError::Upstream { task, cause });
+            }
+        }
+        copies(system, outcomes);
     }
 }
 
@@ -191,25 +282,31 @@ fn upstream_first(system: &System) -> Result<Vec<usize>, AnalysisError> {
         }
     }
     let mut order = Vec::with_capacity(count);
-    let mut placed = vec![false; count];
+    let (mut placed, mut on_path) = (vec![false; count], vec![false; count]);
     for start in 0..count {
+        if placed[start] {
+            continue;
+        }
+        on_path[start] = true;
         // The way down to here, each with how many of its predecessors were looked at.
         let mut path = vec![(start, 0)];
         while let Some((i, looked_at)) = path.last_mut().filter(|(i, _)| !placed[*i]) {
             let i = *i;
             let Some(&next) = system.callbacks[i].predecessors().get(*looked_at) else {
-                placed[i] = true;
+                (placed[i], on_path[i]) = (true, false);
                 order.push(i);
                 path.pop();
                 continue;
             };
             *looked_at += 1;
-            if let Some(from) = path.iter().position(|(seen, _)| *seen == next) {
+            if on_path[next] {
+                let from = path.iter().position(|(seen, _)| *seen == next).unwrap_or(0);
                 let name = |(i, _): &(usize, usize)| format!("`{}`", system.callbacks[*i].task.name);
                 let tasks = path[from..].iter().rev().map(name).collect::<Vec<_>>().join(", ");
                 return Err(AnalysisError::Cycle { tasks });
             }
             if !placed[next] {
+                on_path[next] = true;
                 path.push((next, 0));
             }
         }

@@ -251,6 +251,7 @@ pub(super) fn solve(
     tasks: &[Task],
     timings: &[Timing],
     response_ns: impl Fn(usize) -> u64,
+    held: bool,
 ) -> (Release, Timing, JoinBound) {
     let stream = |i: usize| {
         let (task, timing) = (&tasks[i], timings[i]);
@@ -262,7 +263,7 @@ pub(super) fn solve(
         Input { streams: takers.map(|(taker, _)| stream(*taker)).collect() }
     };
     let inputs: Vec<Input<'_>> = (0..join.width()).map(input).collect();
-    let (release, timing, bound) = match join.matching {
+    let (mut release, timing, bound) = match join.matching {
         Matching::Newest => newest(&inputs),
         Matching::Exact => exact(&inputs),
         Matching::Approximate { window_ns } => {
@@ -274,6 +275,11 @@ pub(super) fn solve(
         }
         Matching::LatestTime => latest(&inputs),
     };
+    if held && join.matching != Matching::LatestTime {
+        // However late: each set needs a message of the slowest, and of these no more come at once than had come and waited.
+        let at_once = slowest(&inputs, |stream| stream.task.jitter_ns, bound.queue_size.saturating_add(1));
+        release.jitter_ns = release.jitter_ns.max(at_once.jitter_ns);
+    }
     (release, timing, bound.ordered(&join.ports))
 }
 
@@ -478,31 +484,47 @@ pub(super) fn first(system: &System, mut index: usize) -> usize {
 
 /// The period that a callback inherits.
 pub(super) fn period(system: &System, index: usize) -> u64 {
-    inherited_period(system, index, &mut vec![None; system.callbacks.len()])
+    inherited(system, [index])[index].unwrap_or(0)
 }
 
-/// The same; of the callbacks on the way to it, which may be reached in many ways, each is looked at once.
-fn inherited_period(system: &System, index: usize, known: &mut [Option<u64>]) -> u64 {
-    if let Some(period_ns) = known[index] {
-        return period_ns;
-    }
-    let callback = &system.callbacks[index];
-    let period_ns = match (&callback.trigger, &callback.join) {
-        (Some((source, _)), _) => inherited_period(system, *source, known),
-        (None, Some(join)) => {
-            let inputs = join.inputs.iter().map(|i| inherited_period(system, *i, known));
-            let inputs: Vec<(u64, usize)> = inputs.zip(join.ports.iter().copied()).collect();
-            let of = |port: Option<usize>| {
-                let taken = inputs.iter().filter(|(_, of)| port.is_none_or(|port| *of == port));
-                union_period(taken.map(|(period, _)| *period))
-            };
-            match join.matching {
-                Matching::LatestTime => of(None),
-                _ => (0..join.width()).map(|port| of(Some(port))).max().unwrap_or(0),
+/// The period that each callback has or inherits.
+pub(super) fn periods(system: &System) -> Vec<u64> {
+    inherited(system, 0..system.callbacks.len()).into_iter().map(|period| period.unwrap_or(0)).collect()
+}
+
+/// The periods of these callbacks and of all on the way to them, each of which is looked at once.
+fn inherited(system: &System, wanted: impl IntoIterator<Item = usize>) -> Vec<Option<u64>> {
+    let mut known: Vec<Option<u64>> = vec![None; system.callbacks.len()];
+    for index in wanted {
+        let mut path = vec![index];
+        while let Some(&i) = path.last() {
+            let callback = &system.callbacks[i];
+            let missing = callback.predecessors().iter().find(|before| known[**before].is_none());
+            if let (None, Some(before)) = (known[i], missing) {
+                path.push(*before);
+                continue;
             }
+            path.pop();
+            let of = |before: usize| known[before].unwrap_or(0);
+            known[i] = Some(match (&callback.trigger, &callback.join) {
+                (Some((source, _)), _) => of(*source),
+                (None, Some(join)) => {
+                    let port = |port: Option<usize>| {
+                        let taken = join
+                            .inputs
+                            .iter()
+                            .zip(&join.ports)
+                            .filter(|(_, of)| port.is_none_or(|port| **of == port));
+                        union_period(taken.map(|(input, _)| of(*input)).collect::<Vec<_>>().into_iter())
+                    };
+                    match join.matching {
+                        Matching::LatestTime => port(None),
+                        _ => (0..join.width()).map(|of| port(Some(of))).max().unwrap_or(0),
+                    }
+                }
+                (None, None) => callback.task.period_ns,
+            });
         }
-        (None, None) => callback.task.period_ns,
-    };
-    known[index] = Some(period_ns);
-    period_ns
+    }
+    known
 }

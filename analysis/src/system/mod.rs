@@ -4,9 +4,10 @@
 //! Each core is analysed for itself. A callback that a message triggers inherits the releases of the message's
 //! publisher, with jitter J + R - bcet + (longest - shortest transfer), which may lengthen response times on its core,
 //! and so on: all is repeated until nothing changes any more (compositional analysis, Richter 2005). Jitter starts at
-//! its least and only grows, so what is reached is the least fixed point. Callbacks that wait for messages of several
+//! its least and only grows, so what is reached is the least fixed point. A publisher that is held to its budget, or has a reservation, may
+//! publish as late as it likes: of n messages that its queue keeps, n + 1 may then come at once, as if they had that many periods of jitter. Callbacks that wait for messages of several
 //! others: [`Join`].
-use crate::{AnalysisError, Overheads, Response, Task};
+use crate::{AnalysisError, Overheads, Release, Response, Task};
 
 mod chains;
 mod fixpoint;
@@ -24,8 +25,8 @@ pub use join::{Join, JoinBound, Matching};
 /// let ms = Duration::from_millis;
 /// let driver = Callback::new(Task::new("driver", ms(10), ms(2), 20), 0);
 /// let planner = Callback::new(Task::new("planner", ms(10), ms(4), 19), 1).triggered_by(0, Transfer::LOCAL);
-/// let chain = Chain { name: "scan to plan".into(), stages: vec![0, 1], deadline_ns: 10_000_000, transfers: vec![] };
-/// let system = System { cores: vec![Core::default(); 2], callbacks: vec![driver, planner], chains: vec![chain] };
+/// let chain = Chain { deadline_ns: 10_000_000, ..Chain::new("scan to plan", vec![0, 1]) };
+/// let system = System { cores: vec![Core::default(); 2], callbacks: vec![driver, planner], chains: vec![chain], ..System::default() };
 /// let report = system.analyse()?;
 /// assert_eq!(report.chains[0].as_ref().unwrap().latency_ns, 6_000_000);
 /// assert!(report.schedulable());
@@ -37,6 +38,8 @@ pub struct System {
     pub cores: Vec<Core>,
     /// What runs on them.
     pub callbacks: Vec<Callback>,
+    /// What their messages cost besides.
+    pub relays: Vec<Relay>,
     /// Paths through the callbacks whose end-to-end time matters.
     pub chains: Vec<Chain>,
 }
@@ -46,6 +49,21 @@ pub struct System {
 pub struct Core {
     /// The overheads of the machine and the middleware there.
     pub overheads: Overheads,
+    /// For how long it may stand still, if that is counted: the blocking of its tasks contains it, and what piled up then is done at once.
+    pub stall_ns: u64,
+}
+
+/// Work of the highest priority for each message of a callback, or from outside: that of a gateway.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Relay {
+    /// Index of the core that does it.
+    pub core: usize,
+    /// The callback whose messages they are, and their transfer to this core; `None` from outside.
+    pub source: Option<(usize, Transfer)>,
+    /// When they come from outside.
+    pub release: Release,
+    /// Its time for one message.
+    pub cost_ns: u64,
 }
 
 /// A task on a core.
@@ -61,6 +79,8 @@ pub struct Callback {
     /// Its join, if it needs messages of several others; inherited values then replace its period, trace and
     /// jitter.
     pub join: Option<Join>,
+    /// The callback that it is, too, on another core: one that may run on any has the worst of its bounds.
+    pub copy_of: Option<usize>,
 }
 
 /// The time that a message takes from the end of one callback to the release of another.
@@ -77,13 +97,29 @@ pub struct Transfer {
 pub struct Chain {
     /// Name used in results and errors.
     pub name: String,
-    /// Indices of the callbacks. Where one does not trigger the next, the next reads the latest value at its own pace.
-    pub stages: Vec<usize>,
-    /// For each stage after the first: the transfer of the message to it, if it reads at its own pace. May be
-    /// shorter than `stages`: missing ones are local.
-    pub transfers: Vec<Transfer>,
+    /// Its parts in their order. Each but the first reads the latest value of the one before, at its own pace.
+    pub parts: Vec<Part>,
     /// Longest end-to-end time wanted.
     pub deadline_ns: u64,
+}
+
+/// The stages of a chain that trigger one another.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Part {
+    /// The ways through it, as indices of callbacks: one for each trigger of the first stage, and each publication of a stage.
+    pub ways: Vec<Vec<usize>>,
+    /// The transfer of the value that the first stage reads.
+    pub transfer: Transfer,
+    /// Who else writes that value, so that nothing of this chain may be left of it; `None` if nobody does.
+    pub overwritten_by: Option<String>,
+}
+
+impl Chain {
+    /// Through these callbacks of one host. Where one does not trigger the next, the next reads the latest value, which only that one writes.
+    pub fn new(name: impl Into<String>, stages: Vec<usize>) -> Self {
+        let part = Part { ways: vec![stages], ..Part::default() };
+        Self { name: name.into(), parts: vec![part], deadline_ns: u64::MAX }
+    }
 }
 
 impl Transfer {
@@ -94,7 +130,7 @@ impl Transfer {
 impl Callback {
     /// A callback with releases of its own.
     pub fn new(task: Task, core: usize) -> Self {
-        Self { task, core, trigger: None, join: None }
+        Self { task, core, trigger: None, join: None, copy_of: None }
     }
 
     /// Makes the messages of another callback trigger this one.
@@ -164,6 +200,11 @@ impl System {
     /// several publishers it is that of all their messages together. The system must have no cycles.
     pub fn period_ns(&self, callback: usize) -> u64 {
         join::period(self, callback)
+    }
+
+    /// The same for all callbacks.
+    pub fn periods_ns(&self) -> Vec<u64> {
+        join::periods(self)
     }
 
     /// Bounds every callback and every chain.

@@ -66,7 +66,7 @@ struct Join<'a> {
 #[derive(Serialize)]
 struct Input<'a> {
     topic: &'a str,
-    wait_ms: f64,
+    wait_ms: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -119,7 +119,7 @@ pub fn write(
             inputs: join
                 .inputs
                 .iter()
-                .map(|(topic, wait_ns)| Input { topic, wait_ms: ms(*wait_ns) })
+                .map(|(topic, wait_ns)| Input { topic, wait_ms: wait_ns.map(ms) })
                 .collect(),
         }),
     });

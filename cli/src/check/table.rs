@@ -23,7 +23,7 @@ fn write_joins(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> 
             let of_all = |text: String| if i == 0 { text } else { String::new() };
             let queue = join.window_ns.map_or("-".into(), |_| join.queue_size.to_string());
             let (name, stamps) = (of_all(callback.entry.name.clone()), of_all(stamps.clone()));
-            rows.push((true, vec![name, stamps, topic.clone(), of_all(queue), ms(Some(*wait_ns))]));
+            rows.push((true, vec![name, stamps, topic.clone(), of_all(queue), ms(*wait_ns)]));
         }
     }
     if rows.is_empty() {
