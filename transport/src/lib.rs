@@ -55,6 +55,7 @@ pub use error::{LoanError, PublishCdrError, PublishError, SendError, TakeError, 
 pub use graph::{
     Death, EndpointKind, GraphEvents, GraphSnapshot, NodeHandle, NodeInfo, NodeName, Origin, Rank,
     RemoteGraph, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint, TopicInfo, Visitor, graph_of,
+    is_dead_domain, remove_dead_domain,
 };
 pub use participant::{MAX_DOMAIN, Participant};
 pub use qos::{Claim, Durability, History, Limits, Liveliness, Qos, Reliability};

@@ -13,7 +13,11 @@ pub(crate) use janitor::Janitor;
 pub(crate) use warden::Warden;
 
 use crate::error::TransportError;
-use crate::graph::domain::Domain;
+use crate::graph::domain::{Domain, remove_dead_domain};
+use std::sync::Once;
+use std::time::Duration;
+use tautline_rt::clock::{monotonic_ns, nanoseconds};
+use tautline_rt::domain::all_shared_folders;
 use tautline_rt::{Policy, Realtime, RtError, ThreadBuilder};
 
 /// Starts recording a domain: see [`Recorder`](tautline_trace::Recorder). Notifies its participants, which start to record a moment
@@ -41,6 +45,25 @@ pub fn call_all(domain: u32) -> Result<(), TransportError> {
         domain.call_all();
     }
     Ok(())
+}
+
+/// So long a process removes what others left at most, when it joins its first domain.
+const SWEEP: Duration = Duration::from_millis(100);
+
+/// Removes what is left of this user's domains in which every process was killed, so that nobody was there to clean up. Once in a
+/// process, and not for longer than [`SWEEP`]: the next process goes on.
+pub(crate) fn remove_dead_domains() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        let end_ns = monotonic_ns().saturating_add(nanoseconds(SWEEP));
+        // What cannot be listed is not this process's trouble.
+        for (_, folder) in all_shared_folders().unwrap_or_default() {
+            if monotonic_ns() >= end_ns {
+                break;
+            }
+            remove_dead_domain(&folder);
+        }
+    });
 }
 
 /// For what no real-time thread may wait for.

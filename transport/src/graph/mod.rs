@@ -18,6 +18,7 @@ pub(crate) mod record;
 mod remote;
 mod visitor;
 
+pub use domain::{is_dead_domain, remove_dead_domain};
 pub use events::GraphEvents;
 pub(crate) use events::GraphWatcher;
 pub(crate) use model::Model;
