@@ -486,6 +486,39 @@ fn files_of_killed_processes_are_found() {
 }
 
 #[test]
+fn what_a_killed_domain_left_is_named_and_removed() {
+    let scope = format!("doctor-dead-{}", std::process::id());
+    let user = rustix::process::geteuid().as_raw();
+    let folder = Path::new(shm::DIRECTORY).join(format!("taut_{DOMAIN}_{user}.{scope}"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
+    command.args(["log", "--domain", &DOMAIN.to_string()]).env("TAUT_SCOPE", &scope);
+    let mut only =
+        command.stdout(std::process::Stdio::null()).stderr(std::process::Stdio::null()).spawn().unwrap();
+    let has_joined = || {
+        let names = fs::read_dir(&folder).into_iter().flatten().flatten();
+        names.map(|entry| entry.file_name()).any(|name| name.to_string_lossy().starts_with('p'))
+    };
+    let begin = std::time::Instant::now();
+    while !has_joined() && begin.elapsed() < std::time::Duration::from_secs(30) {
+        std::thread::sleep(std::time::Duration::from_millis(1));
+    }
+    assert!(has_joined());
+    only.kill().unwrap();
+    only.wait().unwrap();
+    let doctor = |args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
+        text(&command.args(["doctor", "--domain", EMPTY]).args(args).output().unwrap())
+    };
+    // Any other program of this user that starts meanwhile removes it, too.
+    let named = doctor(&[]);
+    let name = format!("domain {DOMAIN} of scope {scope} (");
+    let words = named.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(words.contains(&name) || !folder.exists(), "{named}");
+    doctor(&["--remove-dead"]);
+    assert!(!folder.exists());
+}
+
+#[test]
 fn this_host_as_anybody() {
     let temporary = tempfile::tempdir().unwrap();
     let copy = temporary.path().join("taut");

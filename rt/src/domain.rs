@@ -82,6 +82,27 @@ pub fn shared_folder(domain: u32) -> String {
     }
 }
 
+/// The names of this user's domains' folders, of all scopes, with the numbers of the domains.
+///
+/// # Errors
+/// The folder of shared memory cannot be read.
+pub fn all_shared_folders() -> std::io::Result<Vec<(u32, String)>> {
+    let user = rustix::process::geteuid().as_raw();
+    let entries = std::fs::read_dir(crate::shm::DIRECTORY)?.flatten();
+    let names = entries.filter_map(|entry| entry.file_name().into_string().ok());
+    let mut folders: Vec<_> = names.filter_map(|name| Some((domain_of(&name, user)?, name))).collect();
+    folders.sort();
+    Ok(folders)
+}
+
+/// The domain whose folder has this name, if it is this user's.
+fn domain_of(name: &str, user: u32) -> Option<u32> {
+    let (domain, rest) = name.strip_prefix("taut_")?.split_once('_')?;
+    let (of, scope) = rest.split_once('.').map_or((rest, None), |(of, scope)| (of, Some(scope)));
+    let is_own = of.parse() == Ok(user) && scope.is_none_or(|scope| checked(scope).is_ok());
+    domain.parse().ok().filter(|_| is_own)
+}
+
 /// The path of a domain's folder, for this user and scope.
 pub fn shared_path(domain: u32) -> PathBuf {
     Path::new(crate::shm::DIRECTORY).join(shared_folder(domain))
@@ -107,6 +128,16 @@ mod tests {
         }
         for bad in ["", ".", "a/b", "../x", "a b", "ä", &"x".repeat(MAX_SCOPE_BYTES + 1)] {
             assert_eq!(checked(bad), Err(ScopeError::Name { name: bad.to_owned() }));
+        }
+    }
+
+    #[test]
+    fn folders_of_domains_are_known_by_their_names() {
+        for (name, domain) in [("taut_7_42", Some(7)), ("taut_0_42.sim-2", Some(0)), ("taut_7_421", None)] {
+            assert_eq!(domain_of(name, 42), domain, "{name}");
+        }
+        for other in ["taut_7", "taut_x_42", "taut_7_42.", "taut_7_42.a b", "taut_7_42_p0", "other_7_42"] {
+            assert_eq!(domain_of(other, 42), None, "{other}");
         }
     }
 

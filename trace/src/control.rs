@@ -7,7 +7,7 @@ use crate::error::TraceError;
 use rustix::fs::{FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tautline_rt::Patience;
 use tautline_rt::domain::{shared_folder, shared_path};
@@ -38,7 +38,7 @@ pub fn is_trace_file(name: &str) -> bool {
 
 /// Starts the names of the files of processes.
 pub(crate) fn process_prefix(domain: u32) -> String {
-    format!("{}/{PREFIX}p", shared_folder(domain))
+    prefix_in(&shared_folder(domain))
 }
 
 /// Makes a file in the folder of a domain, which is made with it: the last process of the domain may remove it at any moment.
@@ -57,13 +57,26 @@ pub(crate) fn leave_folder(domain: u32) {
     let _ = rustix::fs::rmdir(shared_path(domain));
 }
 
+/// How the names of processes' files begin in a domain's folder.
+pub(crate) fn prefix_in(folder: &str) -> String {
+    format!("{folder}/{PREFIX}p")
+}
+
 fn path(domain: u32) -> PathBuf {
     shared_path(domain).join(format!("{PREFIX}control"))
 }
 
 /// Looks whether a recorder is there.
 pub(crate) fn asked(domain: u32) -> RecorderRequest {
-    let path = path(domain);
+    asked_at(path(domain))
+}
+
+/// The same, of the domain whose folder has this name.
+pub(crate) fn asked_in(folder: &str) -> RecorderRequest {
+    asked_at(Path::new(shm::DIRECTORY).join(folder).join(format!("{PREFIX}control")))
+}
+
+fn asked_at(path: PathBuf) -> RecorderRequest {
     let Ok(file) = PeerFile::open(path.clone(), false) else { return RecorderRequest::Nothing };
     if rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared).is_ok() {
         // Its recorder was killed, or has not come to lock it and will look whether it still has a name. Who locks it alone

@@ -65,6 +65,6 @@ pub use init::{
 };
 pub use object::{Description, Object, ObjectKind};
 pub use process::{Membership, attend, configure, join, leave_at_exit};
-pub use recorder::{Record, Recorder, remove_dead_files};
+pub use recorder::{Record, Recorder, remove_dead_files, remove_dead_files_in};
 pub use settings::{TraceMode, TraceSettings};
 pub use thread::{register_thread, register_thread_as};

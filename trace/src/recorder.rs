@@ -11,6 +11,7 @@ use std::collections::{HashMap, HashSet};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+use tautline_rt::domain::shared_folder;
 use tautline_rt::shm::{self, PeerFile};
 
 /// The data that a recorder finds. The data of a process follow its [`Process`](Record::Process), the events of a thread
@@ -320,10 +321,15 @@ impl Drop for Peer {
 /// Removes the files of a domain's dead processes that contain no events for a recorder. While there is a recorder, the
 /// recorder does this itself.
 pub fn remove_dead_files(domain: u32) {
-    let mut files = shm::list(&control::process_prefix(domain)).unwrap_or_default();
+    remove_dead_files_in(&shared_folder(domain));
+}
+
+/// The same for the domain whose folder in /dev/shm has this name, which may be of another scope.
+pub fn remove_dead_files_in(folder: &str) {
+    let mut files = shm::list(&control::prefix_in(folder)).unwrap_or_default();
     // Not for writing: whoever watches the folder would hear of it, and look again.
     files.retain(|path| PeerFile::open(path.clone(), false).is_ok_and(|file| !file.is_owned()));
-    if files.is_empty() || control::asked(domain) != RecorderRequest::Nothing {
+    if files.is_empty() || control::asked_in(folder) != RecorderRequest::Nothing {
         return;
     }
     for path in files {
@@ -334,5 +340,5 @@ pub fn remove_dead_files(domain: u32) {
             peer.file.remove_if_orphaned();
         }
     }
-    control::leave_folder(domain);
+    let _ = rustix::fs::rmdir(Path::new(shm::DIRECTORY).join(folder));
 }

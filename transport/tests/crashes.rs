@@ -95,6 +95,33 @@ fn child_main() {
     }
 }
 
+/// Nobody of the domain is there to clean up.
+#[test]
+fn what_a_domain_leaves_that_was_killed_as_a_whole_is_removed_by_any_process() {
+    let (dead, living) = (domain(120), domain(121));
+    let mut parts: Vec<_> = (0..4).map(|_| Part::start("keep-all subscription", dead)).collect();
+    parts.iter_mut().for_each(|part| assert_eq!(part.hear(), "ready"));
+    // None of them sees the others die.
+    parts.iter().for_each(Part::stop);
+    let before = shared_memory(dead);
+    assert!(before.len() > 4, "{before:?}");
+    parts.into_iter().for_each(Part::kill);
+    let mut next = Part::start("keep-all subscription", living);
+    assert_eq!(next.hear(), "ready");
+    // The kernel may hold a dead process's lock a moment longer than the process: then the process after the next one finds it free.
+    wait_for("an empty folder", || {
+        let is_empty = shared_memory(dead).is_empty();
+        if !is_empty {
+            let mut again = Part::start("keep-all subscription", living);
+            again.hear();
+        }
+        is_empty
+    });
+    assert!(!support::folder(dead).exists());
+    drop(next);
+    clean(living);
+}
+
 /// Ends by `exit`; threads hold all there is.
 fn exit_while_threads_run(participant: Participant, beside: Participant) {
     let (publisher, subscription) =

@@ -9,10 +9,10 @@ use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use tautline::{GraphSnapshot, TransportError};
-use tautline_rt::domain::shared_folder;
+use tautline_rt::domain::{all_shared_folders, shared_folder};
 use tautline_rt::shm::{self, PeerFile};
 use tautline_trace::is_trace_file;
-use tautline_transport::Visitor;
+use tautline_transport::{Visitor, is_dead_domain, remove_dead_domain};
 
 /// The memory of a minimal process: its context, the domain's file and the trace file (docs/memory.md).
 const LEAST_BYTES: u64 = 6 << 20;
@@ -136,6 +136,33 @@ fn left_behind(domain: u32) -> super::finding::Checked {
         // Only as a comment: processes may run when the script does.
         (living == 0).then(|| format!("# If no process of domain {domain} runs: rm -r '{path}'")),
     ))
+}
+
+/// What is left of this user's other domains in which every process was killed, of all scopes; with `remove` it is removed.
+pub fn dead_domains(remove: bool) -> super::finding::Checked {
+    let folders = all_shared_folders().map_err(|error| format!("{}: {error}", shm::DIRECTORY))?;
+    let (mut left, mut removed) = (Vec::new(), Vec::new());
+    for (domain, folder) in folders {
+        let files = shm::list(&format!("{folder}/")).map_err(|error| error.to_string())?;
+        let scope = folder.split_once('.').map(|(_, scope)| format!(" of scope {scope}")).unwrap_or_default();
+        let bytes = size(files.iter().map(|path| taken(path)).sum());
+        let what = format!("domain {domain}{scope} ({} files, {bytes})", files.len());
+        if remove && remove_dead_domain(&folder) {
+            removed.push(what);
+        } else if !remove && is_dead_domain(&folder) {
+            left.push(what);
+        }
+    }
+    if !left.is_empty() {
+        let value = format!("every process was killed of {}", left.join(", "));
+        return Ok(Finding::new(Verdict::Advice, value)
+            .fix("taut doctor --remove-dead; the next program of this user that starts removes it, too")
+            .script(["taut doctor --remove-dead"]));
+    }
+    Ok(Finding::good(match removed.is_empty() {
+        true => "no domain of this user in which every process was killed".to_owned(),
+        false => format!("removed: {}", removed.join(", ")),
+    }))
 }
 
 /// Free memory in /dev/shm.

@@ -27,7 +27,8 @@ use tautline::CoreSet;
 /// Checks whether this host is fit for real time, and finds faults in a domain
 ///
 /// For each finding it prints the measured value, the cost for a real-time thread, and the fix. "bad": no bound holds, or something
-/// is refused or lost. "unknown": the value could not be read, which counts as a failure. "advice": it costs time. Changes nothing.
+/// is refused or lost. "unknown": the value could not be read, which counts as a failure. "advice": it costs time. Changes nothing, except with
+/// --remove-dead.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut doctor
@@ -48,6 +49,9 @@ pub struct DoctorArgs {
     /// Check that a system file fits this host; if the file has several hosts, TAUT_HOST names this one
     #[arg(long, value_name = "FILE")]
     system: Option<PathBuf>,
+    /// Remove what is left of this user's domains in which every process was killed
+    #[arg(long)]
+    remove_dead: bool,
     /// Print a shell script of the fixes instead; the script is not run
     #[arg(long, conflicts_with = "json")]
     fix_script: bool,
@@ -104,6 +108,7 @@ pub fn run(args: &DoctorArgs) -> Outcome<ExitCode> {
         CHECKS.iter().map(|(name, check)| Finding::of(name, check(&host))).collect();
     if host.tree.is_here() {
         findings.push(Finding::of("budgets", kernel::budgets(&host)));
+        findings.push(Finding::of("dead domains", domain::dead_domains(args.remove_dead)));
     }
     findings.extend(system.iter().flat_map(|system| system.findings(&host)));
     findings.extend(domain::findings(&host.tree, domain));

@@ -6,6 +6,7 @@
 //! ports. One participant's [`warden`] watches all others, and cleans up ([`dead_participant`]); those of the others watch this one.
 //! Who may touch it: the participant starts and stops both; anybody may call a janitor, through the domain.
 
+pub(crate) mod dead_domains;
 mod dead_participant;
 pub(crate) mod janitor;
 pub(crate) mod warden;

@@ -22,7 +22,7 @@ use rustix::fs::{AtFlags, FlockOperation, Mode, OFlags};
 use rustix::io::Errno;
 use std::io;
 use std::mem::offset_of;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -84,7 +84,6 @@ pub(crate) fn check_domain(domain: u32) -> Result<(), TransportError> {
 /// The file, mapped, and its lock.
 pub(crate) struct Domain {
     number: u32,
-    path: PathBuf,
     file: ProcessFd,
     map: Mapping,
     has_left: Mutex<bool>,
@@ -116,7 +115,7 @@ impl Domain {
             shm::make_folder(&shared_folder(number))
                 .map_err(|ShmError { path, source }| TransportError::File { path, source })?;
             match Self::open(&path).map_err(refuse)? {
-                Opened::Whole(file, map) => return Ok(Self::of(number, path, file, map)),
+                Opened::Whole(file, map) => return Ok(Self::of(number, file, map)),
                 Opened::Other => return Err(TransportError::Version { path }),
                 Opened::Missing if patience.is_over() => {
                     return Err(refuse(io::Error::other(
@@ -144,16 +143,16 @@ impl Domain {
     pub(crate) fn visit(number: u32) -> Result<Option<Arc<Self>>, TransportError> {
         let path = shared_path(number).join(NAME);
         match Self::open(&path) {
-            Ok(Opened::Whole(file, map)) => Ok(Some(Self::of(number, path, file, map))),
+            Ok(Opened::Whole(file, map)) => Ok(Some(Self::of(number, file, map))),
             Ok(Opened::Other) => Err(TransportError::Version { path }),
             Ok(Opened::Missing | Opened::Leaving) => Ok(None),
             Err(source) => Err(TransportError::File { path, source }),
         }
     }
 
-    fn of(number: u32, path: PathBuf, file: ProcessFd, map: Mapping) -> Arc<Self> {
+    fn of(number: u32, file: ProcessFd, map: Mapping) -> Arc<Self> {
         let (has_left, process) = (Mutex::default(), ProcessMark::new());
-        Arc::new(Domain { number, path, file, map, has_left, process })
+        Arc::new(Domain { number, file, map, has_left, process })
     }
 
     fn open(path: &Path) -> io::Result<Opened> {
@@ -323,28 +322,59 @@ impl Domain {
         {
             return;
         }
-        let Some(folder) = self.path.parent() else { return };
-        // A participant's is of one that was killed when nobody looked after it any more, or of a process that ends right now.
-        for file in shm::list(&format!("{}/", shared_folder(self.number))).unwrap_or_default() {
-            let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-            if id_of(name).is_some() {
-                let _ = rustix::fs::unlink(file);
-            } else if has_owner(name)
-                && !tautline_trace::is_trace_file(name)
-                && let Ok(file) = shm::PeerFile::open(file, false)
-            {
-                file.remove_if_orphaned();
-            }
-        }
-        let _ = rustix::fs::unlink(folder.join(WARDEN));
-        let _ = rustix::fs::unlink(&self.path);
-        let _ = rustix::fs::rmdir(folder);
+        remove_files(&shared_folder(self.number));
     }
 
     /// Whether it was left, by a process that ends.
     pub(crate) fn has_left(&self) -> bool {
         *self.has_left.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Removes what is left of a domain by its last member, who has its file locked alone. Traces of killed processes stay for a recorder.
+fn remove_files(folder: &str) {
+    // A participant's is of one that was killed when nobody looked after it any more, or of a process that ends right now.
+    for file in shm::list(&format!("{folder}/")).unwrap_or_default() {
+        let name = file.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        if id_of(name).is_some() {
+            let _ = rustix::fs::unlink(file);
+        } else if has_owner(name)
+            && !tautline_trace::is_trace_file(name)
+            && let Ok(file) = shm::PeerFile::open(file, false)
+        {
+            file.remove_if_orphaned();
+        }
+    }
+    let folder = Path::new(shm::DIRECTORY).join(folder);
+    let _ = rustix::fs::unlink(folder.join(WARDEN));
+    let _ = rustix::fs::unlink(folder.join(NAME));
+    let _ = rustix::fs::rmdir(folder);
+}
+
+/// The domain's file, locked alone, if all processes of the domain were killed. What another user owns or another version wrote is not it.
+fn lock_dead(folder: &str) -> Option<shm::PeerFile> {
+    let file = shm::PeerFile::open(Path::new(shm::DIRECTORY).join(folder).join(NAME), false).ok()?;
+    let mut magic = [0; 8];
+    let is_known = rustix::io::pread(&file, &mut magic, 0) == Ok(magic.len()) && magic == MAGIC.to_ne_bytes();
+    let is_dead = is_known && rustix::fs::flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok();
+    (is_dead && shm::has_name(&file)).then_some(file)
+}
+
+/// Whether all processes of the domain whose folder in /dev/shm has this name were killed, so that nobody has cleaned up after them.
+pub fn is_dead_domain(folder: &str) -> bool {
+    lock_dead(folder).is_some()
+}
+
+/// Removes the files of such a domain: all that its last member would have removed. Traces that nobody has fetched stay. Returns whether
+/// it was one.
+pub fn remove_dead_domain(folder: &str) -> bool {
+    // Who joins meanwhile waits for the lock, and finds then that the file has no name.
+    let locked = lock_dead(folder);
+    if locked.is_some() {
+        tautline_trace::remove_dead_files_in(folder);
+        remove_files(folder);
+    }
+    locked.is_some()
 }
 
 impl Drop for Domain {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A process's membership of a domain: its file, its doorbell, its record, and the threads that maintain them.
 
+use crate::cleanup::dead_domains::remove_dead_domains;
 use crate::cleanup::janitor::Janitor;
 use crate::cleanup::warden::Warden;
 use crate::error::TransportError;
@@ -73,6 +74,9 @@ impl Participant {
     /// Joins `domain`: creates a file in /dev/shm, starts the janitor (an ordinary, low-priority thread that connects publishers
     /// and subscriptions of other processes) and the warden (a thread that detects dead processes).
     ///
+    /// The first participant of a process also removes what is left of this user's other domains in which every process was killed, for
+    /// at most 100 ms.
+    ///
     /// Sets iceoryx2's log level, which applies to the whole process, to fatal: iceoryx2's errors are returned as errors here
     /// instead. Raises the process's limit of open files to the hard limit, at most to
     /// [`OPEN_FILES`](tautline_rt::host::OPEN_FILES).
@@ -87,6 +91,7 @@ impl Participant {
         set_log_level(LogLevel::Fatal);
         tautline_rt::host::raise_open_files();
         let domain = Domain::join(domain)?;
+        remove_dead_domains();
         let number = domain.number();
         let tracing = tautline_trace::join(number)?;
         let memory = Arc::new(OwnMemory::create(number)?);
