@@ -152,8 +152,8 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub mod schema {
     pub use tautline_schema::{
-        DecodeFault, Definition, DynamicMessage, EchoForm, Endian, Fault, Kind, Lookup, MessageError, Place, Schema,
-        SchemaError, TypeDescription, TypeHash, TypeName, Value,
+        DecodeFault, Definition, DynamicMessage, EchoForm, Endian, Fault, Kind, Lookup, MessageError, Place,
+        Schema, SchemaError, TypeDescription, TypeHash, TypeName, Value,
     };
 }
 pub use tautline_transport::{
