@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads the summary at the end of a file without the rest.
 
-use crate::reader::{FileSummary, MAGIC, definition, topic};
+use crate::parts::MAGIC;
+use crate::reader::{FileSummary, definition, topic};
 use crate::record::{Records, parse};
 use crate::{BagError, Compression, MOST_BYTES};
 use mcap::records::{Record, op};

@@ -2,13 +2,14 @@
 //! Which files a bag of rosbag2 consists of, by its `metadata.yaml`, and how its messages are packed.
 
 use crate::BagError;
-use crate::reader::{MAGIC, in_order};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::Read;
 use std::path::{Component, Path, PathBuf};
 
+/// What every MCAP file begins and ends with.
+pub(crate) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 /// What every SQLite database begins with.
 const SQLITE_MAGIC: &[u8; 16] = b"SQLite format 3\0";
 /// What whatever zstd compressed begins with; no CDR does.
@@ -203,4 +204,14 @@ fn files_in(folder: &Path) -> Result<Vec<PathBuf>, BagError> {
     }
     in_order(&mut files);
     Ok(files)
+}
+
+/// By the numbers in their names.
+pub(crate) fn in_order(files: &mut [PathBuf]) {
+    files.sort_by_cached_key(|file| {
+        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let stem = name.split('.').next().unwrap_or_default();
+        let number = stem.rsplit('_').next().and_then(|digits| digits.parse::<u64>().ok());
+        (number, name)
+    });
 }

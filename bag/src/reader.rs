@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads a bag from its first byte to its last, with any content.
 
-use crate::parts::{Form, form_of};
+use crate::parts::{Form, MAGIC, form_of, in_order};
 use crate::record::{Records, parse};
 use crate::{BagError, Compression, MOST_BYTES, Stamp, Topic};
 use mcap::records::{ChunkHeader, Record, op};
@@ -13,7 +13,6 @@ use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-pub(crate) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 /// What every record begins with: its kind and its length.
 const RECORD_HEAD: u64 = 9;
 /// Of damage more is counted, not told one by one.
@@ -150,16 +149,6 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, BagError> {
     }
     in_order(&mut files);
     Ok(files)
-}
-
-/// By the numbers in their names.
-pub(crate) fn in_order(files: &mut [PathBuf]) {
-    files.sort_by_cached_key(|file| {
-        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let stem = name.split('.').next().unwrap_or_default();
-        let number = stem.rsplit('_').next().and_then(|digits| digits.parse::<u64>().ok());
-        (number, name)
-    });
 }
 
 /// What is a bag, but no MCAP file.

@@ -44,6 +44,7 @@ mod options;
 mod registry;
 mod settings;
 mod stats;
+mod sync;
 
 pub mod assign;
 pub mod job;

@@ -62,8 +62,14 @@ fn demo(steps: &mut Steps, built: bool) {
 /// Models of what has no lock, in every order within their bounds. Our crates alone are built with the flag, which in `RUSTFLAGS` would build all
 /// others anew, too.
 fn loom(steps: &mut Steps) {
-    const PACKAGES: [&str; 5] =
-        ["tautline-doorbell", "tautline-rt", "tautline-tf", "tautline-trace", "tautline-transport"];
+    const PACKAGES: [&str; 6] = [
+        "tautline-doorbell",
+        "tautline-executor",
+        "tautline-rt",
+        "tautline-tf",
+        "tautline-trace",
+        "tautline-transport",
+    ];
     let packages = PACKAGES.map(|package| format!(" -p {package}")).concat();
     let mut command = cargo(&format!("test{packages} {SAME} --lib loom"));
     // Models need none of it, only their packages' other tests.

@@ -3,13 +3,14 @@
 #![deny(clippy::disallowed_methods, clippy::disallowed_types, clippy::disallowed_macros)]
 #![deny(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing)]
 
-use std::sync::atomic::{AtomicU64, Ordering, fence};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use super::block::{self, word};
 use super::histogram::{Histogram, bucket_of};
 use super::inputs::{Inputs, class_of};
 use super::moments::{self, Moment, MomentKind, Moments};
 use super::{CallbackStats, DeadlineMiss, Job, Overrun, QueueState, Watch};
+use crate::sync::{Word, fence};
 
 impl Histogram {
     /// Records one value. Only one thread may record; otherwise values are lost.
@@ -35,21 +36,26 @@ impl Moments {
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
     pub fn note(&self, moment: &Moment) {
-        let [written, entries @ .., begun] = self.words() else { return };
-        let number = written.load(Ordering::Relaxed);
-        begun.store(number + 1, Ordering::Relaxed);
-        // Whoever sees a word of the entry sees that it was begun: pairs with the Acquire of the reader.
-        fence(Ordering::Release);
-        let at = (number % moments::CAPACITY as u64) as usize * moments::ENTRY_WORDS;
-        let length = moments::encode(moment.kind, moment.length_ns);
-        for (index, value) in [moment.from_ns, moment.to_ns, length].into_iter().enumerate() {
-            if let Some(word) = entries.get(at + index) {
-                word.store(value, Ordering::Relaxed);
-            }
-        }
-        // Release: the entry is whole when the count is seen.
-        written.store(number + 1, Ordering::Release);
+        note(self.words(), moment);
     }
+}
+
+/// See [`Moments::note`].
+pub(super) fn note(words: &[impl Word], moment: &Moment) {
+    let [written, entries @ .., begun] = words else { return };
+    let number = written.load(Ordering::Relaxed);
+    begun.store(number + 1, Ordering::Relaxed);
+    // Whoever sees a word of the entry sees that it was begun: pairs with the Acquire of the reader.
+    fence(Ordering::Release);
+    let at = (number % moments::CAPACITY as u64) as usize * moments::ENTRY_WORDS;
+    let length = moments::encode(moment.kind, moment.length_ns);
+    for (index, value) in [moment.from_ns, moment.to_ns, length].into_iter().enumerate() {
+        if let Some(word) = entries.get(at + index) {
+            word.store(value, Ordering::Relaxed);
+        }
+    }
+    // Release: the entry is whole when the count is seen.
+    written.store(number + 1, Ordering::Release);
 }
 
 impl Inputs {

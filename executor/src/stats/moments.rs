@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicU64;
 use tautline_rt::Words;
 
 /// How many are kept.
-pub(crate) const CAPACITY: usize = 128;
+pub(crate) const CAPACITY: usize = if cfg!(taut_loom) { 2 } else { 128 };
 /// Of one: its begin, its end, and its length with its kind.
 pub(crate) const ENTRY_WORDS: usize = 3;
 /// How many have been written, the entries, how many were begun: whoever reads in this order sees which entries were overwritten
@@ -107,7 +107,7 @@ pub(crate) const fn encode(kind: MomentKind, length_ns: u64) -> u64 {
     (length_ns << MomentKind::BITS) | kind as u64
 }
 
-#[cfg(test)]
+#[cfg(all(test, not(taut_loom)))]
 mod tests {
     use super::*;
     use std::sync::atomic::{AtomicBool, Ordering};
@@ -175,5 +175,43 @@ mod tests {
             }
         });
         assert_eq!(read(&moments).0.len(), CAPACITY);
+    }
+}
+
+#[cfg(all(test, taut_loom))]
+mod loom_tests {
+    use super::*;
+    use crate::stats::hot::note;
+    use loom::sync::Arc;
+    use loom::sync::atomic::AtomicU64;
+    use std::sync::atomic::Ordering;
+
+    fn moment(number: u64) -> Moment {
+        Moment { kind: MomentKind::Late, from_ns: number, to_ns: 2 * number, length_ns: number }
+    }
+
+    #[test]
+    fn loom_a_reader_sees_whole_moments() {
+        let mut model = loom::model::Builder::new();
+        model.preemption_bound = Some(3);
+        model.check(|| {
+            let words = Arc::new([(); MOMENT_WORDS].map(|()| AtomicU64::new(0)));
+            note(&words[..], &moment(1));
+            let writer = {
+                let words = words.clone();
+                // The third takes the place of the first.
+                loom::thread::spawn(move || {
+                    [2, 3].into_iter().for_each(|number| note(&words[..], &moment(number)))
+                })
+            };
+            // As a snapshot and other processes read them.
+            let copy: Vec<u64> = words.iter().map(|word| word.load(Ordering::Acquire)).collect();
+            let (seen, older) = Moments::of_words(&copy);
+            for (index, found) in seen.iter().enumerate() {
+                assert_eq!(*found, moment(older + index as u64 + 1));
+            }
+            assert!((1..=3).contains(&(older + seen.len() as u64)));
+            writer.join().unwrap();
+        });
     }
 }

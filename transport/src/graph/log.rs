@@ -16,19 +16,18 @@
 //! | its content, and zeros | the rest |
 
 use crate::error::TransportError;
+use crate::graph::log_part::{PREFACE_BYTES, Part};
 use crate::memory::file::{OwnMemory, PackedRange, ParticipantHeader, Peer};
 use crate::memory::ranges::Range;
 use rustix::io::Errno;
 use std::collections::BTreeMap;
 use std::io;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use tautline_rt::shm::Mapping;
 
 /// Longest record that is written or read.
 const MAX_BYTES: u64 = 64 << 20;
-/// The words before the entries.
-const PREFACE_BYTES: usize = 16;
 const HEAD_BYTES: usize = 24;
 
 /// The kind of an entry. A reader skips kinds that it does not know.
@@ -124,14 +123,6 @@ pub(crate) struct Log {
     turn: u64,
 }
 
-/// How many bytes of entries are valid; how often the record was written anew; and the words of its entries.
-fn split(part: &Mapping) -> (&AtomicU64, &AtomicU64, &[AtomicU64]) {
-    let len = part.len_bytes() / 8;
-    // SAFETY: all of a mapping, at the start of a page; any bytes are atomics.
-    let words = unsafe { std::slice::from_raw_parts(part.start().cast::<AtomicU64>().as_ptr(), len) };
-    (&words[0], &words[1], &words[PREFACE_BYTES / 8..])
-}
-
 impl Log {
     pub(crate) fn new(memory: Arc<OwnMemory>) -> Self {
         Log {
@@ -198,11 +189,7 @@ impl Log {
     fn append(&mut self, bytes: &[u8]) -> io::Result<()> {
         match &self.part {
             Some((_, part)) if self.used + bytes.len() <= part.len_bytes() - PREFACE_BYTES => {
-                let (valid, _, words) = split(part);
-                write(words, self.used, bytes);
-                self.used += bytes.len();
-                // Release: pairs with the Acquire in `Reader::read`; what is valid has been written.
-                valid.store(self.used as u64, Ordering::Release);
+                self.used = Part::of(part).append(self.used, bytes);
                 Ok(())
             }
             _ => self.rewrite(),
@@ -221,32 +208,16 @@ impl Log {
         let range = self.memory.reserve(len)?;
         let map = self.memory.claim(range).and_then(|()| self.memory.map(range));
         let part = map.inspect_err(|_| self.memory.release(range))?;
-        let (valid, turn, words) = split(&part);
-        let mut used = 0;
-        for bytes in self.live.values() {
-            write(words, used, bytes);
-            used += bytes.len();
-        }
         self.turn += 1;
-        turn.store(self.turn, Ordering::Relaxed);
-        valid.store(used as u64, Ordering::Relaxed);
-        // Release: pairs with the Acquire in `Reader::read`; the part is whole.
-        self.memory.head().record.store(PackedRange::to_word(range), Ordering::Release);
-        // What is written into the former part from here on comes after this: who reads it, too.
-        std::sync::atomic::fence(Ordering::SeqCst);
-        self.used = used;
+        let place = PackedRange::to_word(range);
+        let entries = self.live.values().map(Vec::as_slice);
+        self.used = Part::of(&part).publish(&self.memory.head().record, place, self.turn, entries);
         // Who still reads the former part looks at the head afterwards; by the next time it has done so.
         let former = self.part.replace((range, part)).map(|(range, _)| range);
         if let Some(released) = std::mem::replace(&mut self.former, former) {
             self.memory.release(released);
         }
         Ok(())
-    }
-}
-
-fn write(words: &[AtomicU64], at: usize, bytes: &[u8]) {
-    for (word, bytes) in words[at / 8..].iter().zip(bytes.chunks_exact(8)) {
-        word.store(u64::from_ne_bytes(bytes.try_into().unwrap_or_default()), Ordering::Relaxed);
     }
 }
 
@@ -285,7 +256,7 @@ impl Reader {
                 std::thread::yield_now();
             }
             let place = peer.head().record.load(Ordering::Acquire);
-            let turn = |part: &Arc<Mapping>| split(part).1.load(Ordering::Relaxed);
+            let turn = |part: &Arc<Mapping>| Part::of(part).turn();
             if place != self.place || self.part.as_ref().map(turn) != Some(self.turn) {
                 let Some(range) = PackedRange::from_word(place).filter(|range| range.len <= MAX_BYTES) else {
                     update.is_damaged = place != 0;
@@ -296,14 +267,7 @@ impl Reader {
                 update = LogUpdate { anew: true, ..LogUpdate::default() };
             }
             let position = self.position;
-            let bytes = self.bytes(None);
-            // What was copied is the record's if it still lies there; else it may be anything.
-            std::sync::atomic::fence(Ordering::Acquire);
-            if peer.head().record.load(Ordering::Relaxed) != place
-                || self.part.as_ref().map(turn) != Some(self.turn)
-            {
-                continue;
-            }
+            let Some(bytes) = self.bytes(peer.head(), None) else { continue };
             let Some(bytes) = bytes else {
                 update.is_damaged = true;
                 return Ok(update);
@@ -331,33 +295,17 @@ impl Reader {
         if head.record.load(Ordering::Acquire) != self.place {
             return None;
         }
-        let bytes = self.bytes(Some(position))?;
-        std::sync::atomic::fence(Ordering::Acquire);
-        let turn = split(self.part.as_ref()?).1.load(Ordering::Relaxed);
-        if head.record.load(Ordering::Relaxed) != self.place || turn != self.turn {
-            return None;
-        }
-        LogEntry::decode(&bytes)?.0
+        LogEntry::decode(&self.bytes(head, Some(position))??)?.0
     }
 
-    /// A copy of what is valid, from where was read last, or of one entry.
-    fn bytes(&self, entry: Option<usize>) -> Option<Vec<u8>> {
-        let part = self.part.as_ref()?;
-        let (valid, _, words) = split(part);
-        let valid = usize::try_from(valid.load(Ordering::Acquire)).ok()?;
-        if valid % 8 != 0 || valid > words.len() * 8 {
-            return None;
-        }
-        let (from, to) = match entry {
-            None => (self.position, valid),
-            Some(at) => {
-                let len = words.get(at / 8)?.load(Ordering::Relaxed) as u32 as usize;
-                (at, at.checked_add(len)?.min(valid))
-            }
-        };
-        let copy =
-            words.get(from / 8..to / 8)?.iter().flat_map(|word| word.load(Ordering::Relaxed).to_ne_bytes());
-        Some(copy.collect())
+    /// A copy of what is valid, from where was read last, or of one entry. `None`: the record was written anew meanwhile; `Some(None)`:
+    /// it is damaged.
+    fn bytes(&self, head: &ParticipantHeader, entry: Option<usize>) -> Option<Option<Vec<u8>>> {
+        let part = Part::of(self.part.as_ref()?);
+        part.read(&head.record, (self.place, self.turn), |part| match entry {
+            None => part.copy_from(self.position),
+            Some(at) => part.copy_entry(at),
+        })
     }
 }
 
@@ -529,18 +477,20 @@ mod tests {
         }
         record.store(truth, Ordering::Relaxed);
         for lie in [u64::MAX, 4, 1 << 40] {
-            split(&part).0.store(lie, Ordering::Relaxed);
+            Part::of(&part).valid.store(lie, Ordering::Relaxed);
             assert!(read(&mut Reader::default(), &both.peer).is_damaged, "{lie}");
         }
-        split(&part).0.store(both.log.used as u64, Ordering::Relaxed);
+        Part::of(&part).valid.store(both.log.used as u64, Ordering::Relaxed);
         for lie in [0, 8, 25, u64::from(u32::MAX), 1 << 20] {
-            let first = split(&part).2[0].swap(lie, Ordering::Relaxed);
+            let first = Part::of(&part).words[0].swap(lie, Ordering::Relaxed);
             assert!(read(&mut Reader::default(), &both.peer).is_damaged, "{lie}");
-            split(&part).2[0].store(first, Ordering::Relaxed);
+            Part::of(&part).words[0].store(first, Ordering::Relaxed);
         }
         // A kind of a later version.
-        split(&part).2[0]
-            .store(split(&part).2[0].load(Ordering::Relaxed) & 0xffff_ffff | 99 << 32, Ordering::Relaxed);
+        Part::of(&part).words[0].store(
+            Part::of(&part).words[0].load(Ordering::Relaxed) & 0xffff_ffff | 99 << 32,
+            Ordering::Relaxed,
+        );
         let update = read(&mut Reader::default(), &both.peer);
         assert!(!update.is_damaged && update.entries.len() == 1, "it is passed over");
     }

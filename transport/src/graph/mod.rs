@@ -10,6 +10,7 @@ pub(crate) mod domain;
 pub(crate) mod entities;
 pub(crate) mod events;
 pub(crate) mod log;
+mod log_part;
 pub(crate) mod model;
 pub(crate) mod origin;
 pub(crate) mod own;

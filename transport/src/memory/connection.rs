@@ -9,6 +9,7 @@
 //! their own position, so the block may be at different addresses in different processes.
 
 use crate::memory::header::Gid;
+use crate::sync;
 use iceoryx2_bb_elementary::bump_allocator::BumpAllocator;
 use iceoryx2_bb_elementary_traits::relocatable_container::RelocatableContainer;
 use iceoryx2_bb_lock_free::spsc::index_queue::RelocatableIndexQueue;
@@ -56,11 +57,38 @@ pub(crate) struct Out {
     pub(crate) sent: AtomicU64,
     /// When the publisher last showed that it is alive.
     pub(crate) alive_ns: AtomicU64,
-    /// It waits for room in this queue, and wants to be rung.
-    pub(crate) waiting: AtomicU32,
+    pub(crate) room: RoomRequest,
     served: AtomicU32,
     /// Samples that made way for newer ones before they were taken.
     pub(crate) overwritten: AtomicU64,
+}
+
+/// Whether the publisher waits for room in the queue, and wants to be rung.
+#[derive(Default)]
+#[repr(transparent)]
+pub(crate) struct RoomRequest(sync::AtomicU32);
+
+impl RoomRequest {
+    /// The publisher, which found the queue full: asks to be rung, and looks again. If it is still full, the subscription has not taken
+    /// yet, and sees the request after its next take.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn ask(&self, is_full: impl FnOnce() -> bool) -> bool {
+        self.0.store(1, Ordering::Relaxed);
+        // Pairs with the fence in `take`: one side sees what the other has written before.
+        sync::fence(Ordering::SeqCst);
+        is_full()
+    }
+
+    /// The subscription, after each take: whether the publisher is to be rung, which it is told once.
+    ///
+    /// # Real-time
+    /// Wait-free; no syscall.
+    pub(crate) fn take(&self) -> bool {
+        sync::fence(Ordering::SeqCst);
+        self.0.load(Ordering::Relaxed) != 0 && self.0.swap(0, Ordering::Relaxed) != 0
+    }
 }
 
 impl Out {
@@ -327,7 +355,7 @@ impl Template {
                     start: AtomicU64::new(0),
                     sent: AtomicU64::new(0),
                     alive_ns: AtomicU64::new(0),
-                    waiting: AtomicU32::new(0),
+                    room: RoomRequest::default(),
                     served: AtomicU32::new(0),
                     overwritten: AtomicU64::new(0),
                 },
@@ -474,5 +502,46 @@ mod tests {
         }
         publisher.erase();
         assert!(Connection::open(&there, 0).is_none());
+    }
+}
+
+#[cfg(all(test, taut_loom))]
+mod loom_tests {
+    use super::*;
+    use loom::sync::Arc;
+
+    /// A queue of one sample, which is full, and the publisher's bell.
+    #[derive(Default)]
+    struct Model {
+        taken: sync::AtomicU64,
+        room: RoomRequest,
+        is_rung: sync::AtomicU32,
+    }
+
+    #[test]
+    fn loom_a_publisher_that_waits_for_room_is_rung() {
+        loom::model(|| {
+            let model = Arc::new(Model::default());
+            let subscription = {
+                let model = model.clone();
+                loom::thread::spawn(move || {
+                    for number in 1..=2 {
+                        model.taken.store(number, Ordering::Release);
+                        if model.room.take() {
+                            model.is_rung.fetch_add(1, Ordering::Relaxed);
+                        }
+                    }
+                })
+            };
+            // It has sent three: there is room for the next one when two were taken.
+            let is_full = || model.taken.load(Ordering::Acquire) < 2;
+            let mut is_waiting = is_full() && model.room.ask(is_full);
+            subscription.join().unwrap();
+            let rung = model.is_rung.load(Ordering::Relaxed);
+            assert!(rung <= 1, "once for each request");
+            // Rung after the first take it looks, asks again, and finds room.
+            is_waiting = is_waiting && (rung == 0 || is_full());
+            assert!(!is_waiting, "nobody rings it any more");
+        });
     }
 }

@@ -40,7 +40,7 @@ pub(crate) struct ParticipantHeader {
     version: AtomicU32,
     pub(crate) pid: AtomicU32,
     /// The position of the record: see [`PackedRange`].
-    pub(crate) record: AtomicU64,
+    pub(crate) record: crate::sync::AtomicU64,
     /// The positions of all windows of slots except the first.
     windows: [AtomicU64; WINDOWS],
 }

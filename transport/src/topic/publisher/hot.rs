@@ -357,10 +357,7 @@ fn has_room(publish_state: &PublishState, sending: Sending) -> bool {
             if sending.when_full == WhenFull::Leave {
                 return false;
             }
-            // Ask to be rung, then look again: either the subscription sees the request or its take is seen here.
-            block.out.waiting.store(1, Ordering::Relaxed);
-            fence(Ordering::SeqCst);
-            if full() {
+            if block.out.room.ask(full) {
                 return false;
             }
         }

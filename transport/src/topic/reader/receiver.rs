@@ -307,10 +307,7 @@ impl Receiver {
     /// # Real-time
     /// Wait-free; no allocation; one futex wake if the publisher waits and its sampler sleeps.
     pub(crate) fn ring_if_waiting(&self) {
-        // The take before is visible before the request is looked at; see the publisher's check for room.
-        fence(Ordering::SeqCst);
-        let waiting = &self.block().out.waiting;
-        if waiting.load(Ordering::Relaxed) != 0 && waiting.swap(0, Ordering::Relaxed) != 0 {
+        if self.block().out.room.take() {
             self.owner.arena().ring(self.slot);
         }
     }
