@@ -186,16 +186,8 @@ struct Source {
 impl Source {
     fn find() -> Result<Source, String> {
         let mut command = Command::new("cargo");
-        command.args([
-            "metadata",
-            "--format-version",
-            "1",
-            "--locked",
-            "--features",
-            "bench",
-            "--manifest-path",
-        ]);
-        command.arg(machine::root().join("bridge-ros/Cargo.toml"));
+        command.args(["metadata", "--format-version", "1", "--locked", "--manifest-path"]);
+        command.arg(machine::root().join("node/r2r/Cargo.toml"));
         announce(&command);
         let output = command.stderr(Stdio::inherit()).output().map_err(|error| error.to_string())?;
         let metadata: Value =
@@ -204,7 +196,7 @@ impl Source {
         let r2r = packages
             .iter()
             .find(|package| package["name"] == "r2r")
-            .ok_or("the bridge does not depend on r2r")?;
+            .ok_or("node/r2r does not depend on r2r")?;
         let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
         let all = |name: &str| r2r[name].as_array().cloned().unwrap_or_default();
         let target = |target: Value| (text(&target["kind"][0]), text(&target["name"]));
