@@ -656,7 +656,7 @@ mod tests {
                 while !timer.is_demoted() {
                     std::hint::spin_loop();
                 }
-                assert_eq!(current_policy().unwrap(), Policy::Other { nice: 0 });
+                assert_eq!(current_policy().unwrap().realtime_priority(), None);
             };
             thread.cores(crate::CoreSet::one(core)).spawn(move || body).unwrap().join().unwrap();
         }
