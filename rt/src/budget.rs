@@ -568,6 +568,25 @@ mod tests {
         });
     }
 
+    /// The enforcer falls asleep while the next budget is armed, at any instant of that.
+    #[test]
+    fn no_budget_is_passed_over() {
+        on_threads(Policy::Fifo(PRIORITY), |timer, _| {
+            for round in 0..1_000 {
+                timer.arm(thread_cpu_ns(), Duration::from_micros(20 + round % 50));
+                let end_ns = thread_cpu_ns() + 2_000_000_000;
+                while !timer.is_demoted() && thread_cpu_ns() < end_ns {
+                    std::hint::spin_loop();
+                }
+                assert!(timer.disarm(), "{round}");
+                for _ in 0..round % 7 {
+                    timer.arm(thread_cpu_ns(), Duration::from_millis(100));
+                    assert!(!timer.disarm());
+                }
+            }
+        });
+    }
+
     #[test]
     fn a_priority_that_others_change_is_what_a_demoted_thread_gets_back() {
         on_threads(Policy::Fifo(PRIORITY), |timer, own| {
@@ -656,7 +675,7 @@ mod tests {
                 while !timer.is_demoted() {
                     std::hint::spin_loop();
                 }
-                assert_eq!(current_policy().unwrap(), Policy::Other { nice: 0 });
+                assert_eq!(current_policy().unwrap().realtime_priority(), None);
             };
             thread.cores(crate::CoreSet::one(core)).spawn(move || body).unwrap().join().unwrap();
         }

@@ -16,7 +16,8 @@
 use std::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64, Ordering};
 
 use crate::clock::{monotonic_ns, thread_cpu_ns_of};
-use crate::{CoreSet, FutexWord, Policy, RtError, ThreadBuilder};
+use crate::futex::kernel::FutexWord;
+use crate::{CoreSet, Policy, RtError, ThreadBuilder};
 
 const NEVER: u64 = u64::MAX;
 

@@ -1,45 +1,51 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A word on which threads of any process can sleep, or loom's model of one (`--cfg taut_loom`).
 
+#[cfg(not(taut_loom))]
+pub use kernel::FutexWord;
 #[cfg(taut_loom)]
 use loom::sync::atomic::{AtomicU32, Ordering};
-#[cfg(not(taut_loom))]
-use std::sync::atomic::AtomicU32;
 
-/// A 32-bit word, also in shared memory, on which threads of any process can sleep.
-#[repr(transparent)]
-#[cfg(not(taut_loom))]
-#[derive(Debug, Default)]
-pub struct FutexWord(pub AtomicU32);
+/// The word that the kernel knows, for what no model of loom contains.
+pub(crate) mod kernel {
+    use std::sync::atomic::AtomicU32;
 
-#[cfg(not(taut_loom))]
-impl FutexWord {
-    /// A word of this process.
-    pub const fn new(value: u32) -> Self {
-        FutexWord(AtomicU32::new(value))
-    }
+    /// A 32-bit word, also in shared memory, on which threads of any process can sleep.
+    #[repr(transparent)]
+    #[derive(Debug, Default)]
+    pub struct FutexWord(pub AtomicU32);
 
-    /// Sleeps while the word equals `expected`, until [`wake`](Self::wake) or the absolute `CLOCK_MONOTONIC` time
-    /// `deadline_ns`. May return early: the caller must check again.
-    ///
-    /// # Real-time
-    /// One syscall. The time-out is absolute and monotonic: setting the clock does not affect it.
-    pub fn wait(&self, expected: u32, deadline_ns: Option<u64>) {
-        use rustix::thread::{Timespec, futex};
-        let timeout = deadline_ns
-            .map(|ns| Timespec { tv_sec: (ns / 1_000_000_000) as i64, tv_nsec: (ns % 1_000_000_000) as i64 });
-        // EAGAIN (the word changed), ETIMEDOUT and EINTR all mean: look again.
-        let any = core::num::NonZeroU32::MAX;
-        let _ = futex::wait_bitset(&self.0, futex::Flags::empty(), expected, timeout.as_ref(), any);
-    }
+    impl FutexWord {
+        /// A word of this process.
+        pub const fn new(value: u32) -> Self {
+            FutexWord(AtomicU32::new(value))
+        }
 
-    /// Wakes every sleeper.
-    ///
-    /// # Real-time
-    /// One syscall; no allocation.
-    pub fn wake(&self) {
-        // The only failure is a bad address, and the word is a reference.
-        let _ = rustix::thread::futex::wake(&self.0, rustix::thread::futex::Flags::empty(), i32::MAX as u32);
+        /// Sleeps while the word equals `expected`, until [`wake`](Self::wake) or the absolute `CLOCK_MONOTONIC` time
+        /// `deadline_ns`. May return early: the caller must check again.
+        ///
+        /// # Real-time
+        /// One syscall. The time-out is absolute and monotonic: setting the clock does not affect it.
+        pub fn wait(&self, expected: u32, deadline_ns: Option<u64>) {
+            use rustix::thread::{Timespec, futex};
+            let timeout = deadline_ns.map(|ns| Timespec {
+                tv_sec: (ns / 1_000_000_000) as i64,
+                tv_nsec: (ns % 1_000_000_000) as i64,
+            });
+            // EAGAIN (the word changed), ETIMEDOUT and EINTR all mean: look again.
+            let any = core::num::NonZeroU32::MAX;
+            let _ = futex::wait_bitset(&self.0, futex::Flags::empty(), expected, timeout.as_ref(), any);
+        }
+
+        /// Wakes every sleeper.
+        ///
+        /// # Real-time
+        /// One syscall; no allocation.
+        pub fn wake(&self) {
+            // The only failure is a bad address, and the word is a reference.
+            let _ =
+                rustix::thread::futex::wake(&self.0, rustix::thread::futex::Flags::empty(), i32::MAX as u32);
+        }
     }
 }
 

@@ -217,8 +217,9 @@ pub enum Claim {
     /// no system call.
     #[default]
     Ahead,
-    /// When it is first needed: a loan may make system calls and cause page faults; before that no memory is used. For messages
-    /// that are sent seldom, and never by a real-time thread.
+    /// When it is first needed: a loan may make system calls and cause page faults; before that no memory is used. Publishing takes a lock
+    /// for that, which the janitor may hold while it maps memory; it runs at the publishing thread's priority meanwhile. For messages
+    /// that are sent seldom, and for threads that need no bound.
     OnUse,
 }
 

@@ -90,7 +90,7 @@ impl RawPublisher {
     /// Lock-free, O(subscriptions), and O(returned samples) if no other sample is free: retries only while the janitor returns samples
     /// of a subscription that has ended; no allocation; no syscall. For a type without a fixed size, a body that is longer than
     /// `Limits::message_bytes` and than all bodies before needs a larger segment, and a publisher whose memory is claimed on use may
-    /// need more samples: allocates, maps memory, takes a lock.
+    /// need more samples: allocates, maps memory, takes a lock, which inherits priority.
     ///
     /// # Errors
     /// [`LoanError::Exhausted`]: `Limits::loans` loans are already in use. [`LoanError::TooLarge`]: longer than the topic's
@@ -418,7 +418,8 @@ impl<'p> RawLoan<'p> {
     /// As [`loan`](RawPublisher::loan), O(subscriptions); no allocation; at most one futex wake per sampler that sleeps, and per
     /// callback thread that sleeps and is woken directly; no other syscall.
     /// When subscriptions have appeared or disappeared since the last call: in addition O(subscriptions x samples / 64). A
-    /// publisher whose memory is claimed on use may make system calls.
+    /// publisher whose memory is claimed on use may make system calls and take a lock, which inherits priority, until its queues have
+    /// all of their memory: once for each page of each queue.
     ///
     /// # Errors
     /// [`SendError`], with the loan: nothing was sent.

@@ -22,10 +22,10 @@ use crate::topic::writer::sender::{
 };
 use std::collections::{BTreeSet, HashSet};
 use std::io;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tautline_doorbell::Slot;
-use tautline_rt::{LatestWriter, latest};
+use tautline_rt::{LatestWriter, PiGuard, PiMutex, latest};
 
 /// Samples that a publisher whose memory is claimed on use claims at once, at least.
 const FIRST_SAMPLES: usize = 4;
@@ -64,11 +64,12 @@ pub(crate) struct PublisherCore {
     pub(crate) traffic: Traffic,
     /// Subscriptions on this host that match.
     pub(crate) matched: Arc<AtomicUsize>,
-    setup: Mutex<Setup>,
+    /// It inherits priority: the janitor holds it while it maps memory, and a publishing thread may be a real-time one.
+    setup: PiMutex<Setup>,
 }
 
-/// Guarded by a lock that publishing never takes, except for a message that is longer than all messages
-/// before.
+/// Guarded by a lock that publishing takes only to claim memory: for a message that is longer than all before, and in a publisher
+/// that claims on use for each page of a queue, until the queue has all of its memory.
 struct Setup {
     memory: Arc<OwnMemory>,
     record: Arc<OwnRecord>,
@@ -155,7 +156,7 @@ impl PublisherCore {
             published: AtomicU64::new(0),
             traffic,
             matched: Arc::default(),
-            setup: Mutex::new(setup),
+            setup: PiMutex::new(setup),
         };
         let grown = core.grow(&mut core.setup(), None);
         if let Err(error) = grown {
@@ -166,8 +167,8 @@ impl PublisherCore {
         Ok((Arc::new(core), PublishState::new(reader)))
     }
 
-    fn setup(&self) -> MutexGuard<'_, Setup> {
-        self.setup.lock().unwrap_or_else(PoisonError::into_inner)
+    fn setup(&self) -> PiGuard<'_, Setup> {
+        self.setup.lock()
     }
 
     /// What others read of it.
