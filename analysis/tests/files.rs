@@ -259,6 +259,13 @@ fn period_of_zero() {
 }
 
 #[test]
+fn an_empty_list_of_topics_is_no_trigger() {
+    let text =
+        "[hosts.h]\ncores = 1\n[nodes.n]\n[callbacks.low]\ntopic = []\nwcet = \"10us\"\npriority = 10\n";
+    expect(text, &[(5, "`topic` of callback `low` is empty: name a topic, or use `period`")]);
+}
+
+#[test]
 fn wcet_over_period() {
     expect(
         &with("wcet = \"2ms\"", "wcet = \"10.5ms\""),

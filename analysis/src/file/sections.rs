@@ -273,6 +273,16 @@ fn callback(name: String, mut section: Section<'_>, problems: &mut Collector) ->
     if !section.has("wcet") {
         problems.add(section.at, format!("callback `{name}` lacks `wcet`: add its longest execution time"));
     }
+    for key in ["topic", "all"] {
+        if let Some(value) = section.raw(key)
+            && matches!(value.get_ref(), DeValue::Array(topics) if topics.is_empty())
+        {
+            problems.add(
+                value.span().start,
+                format!("`{key}` of callback `{name}` is empty: name a topic, or use `period`"),
+            );
+        }
+    }
     let (mut topics, together) = (section.texts("topic", problems), section.texts("all", problems));
     let all = section.has("all").then(|| together.first().map_or(section.at, |topic| topic.at));
     topics.extend(together);
