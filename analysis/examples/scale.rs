@@ -17,7 +17,7 @@ fn main() {
                 _ => format!("topic = \"t{}\"", i - 1),
             };
             let node = ["n", "m"][i % cores];
-            writeln!(text, "[callbacks.c{i}]\nnode = \"{node}\"\n{trigger}\nwcet = \"100ns\"\npublishes = \"t{i}\"\ndeadline = \"1s\"").unwrap();
+            writeln!(text, "[callbacks.c{i}]\nnode = \"{node}\"\n{trigger}\nwcet = \"100ns\"\npublishes = \"t{i}\"\ndeadline = \"1s\"\npriority = {}\nshares_priority = true", 1 + i % 80).unwrap();
         }
         text
     };
@@ -28,7 +28,13 @@ fn main() {
         }
         text
     };
-    let group = chains(10_000, 1, 1).replace("wcet", "group = \"g\"\nwcet") + "[groups.g]\n";
+    let group = chains(10_000, 1, 1)
+        .lines()
+        .filter(|line| !line.contains("priority"))
+        .collect::<Vec<_>>()
+        .join("\n")
+        .replace("wcet", "group = \"g\"\nwcet")
+        + "\n[groups.g]\n";
     for (name, text) in [
         ("1,000 in one chain on one core", chains(1_000, 1_000, 1)),
         ("10,000 in one chain on one core", chains(10_000, 10_000, 1)),

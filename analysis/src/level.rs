@@ -9,7 +9,7 @@ use crate::validate::validate;
 use crate::{AnalysisError, Group, Hold, Order, Overheads, Reservation, Task};
 
 /// Ends the search where utilisation is so close to 1 that the busy window is practically endless.
-const MAX_ITERATIONS: u32 = 1_000_000;
+const MAX_ITERATIONS: u32 = 100_000;
 
 /// Utilisations are compared as fixed-point numbers with 64 fractional bits, rounded down.
 const WHOLE_CORE: u128 = 1 << 64;
@@ -241,7 +241,7 @@ impl<'a> Core<'a> {
             let releases = task.release().most_within(1);
             let error =
                 || AnalysisError::LongBurst { task: task.name.clone(), releases, jitter_ns: task.jitter_ns };
-            (releases > u64::from(MAX_ITERATIONS)).then(error)
+            (releases > 1_000_000).then(error)
         });
         let (common, interrupts, known) = (curve(common)?, curve(interrupts)?, RefCell::default());
         Ok(Self {

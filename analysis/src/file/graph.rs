@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use super::JoinPolicy;
 use super::declared::{Callback, Declared, Topic};
 use super::places::Place;
-use super::problem::{Collector, suggestion};
+use super::problem::Collector;
 use super::reader::At;
 
 /// Most topics that a callback waits for, as in message_filters.
@@ -33,6 +33,7 @@ impl<'f> Graph<'f> {
 
     /// Checks triggers, reads and topics, and that nothing triggers itself.
     pub fn check(&self, places: &[Option<Place>], problems: &mut Collector) {
+        let shortest = self.shortest_periods();
         for (i, callback) in self.file.callbacks.iter().enumerate() {
             self.check_trigger(callback, problems);
             self.check_join(callback, problems);
@@ -40,7 +41,7 @@ impl<'f> Graph<'f> {
                 self.check_topic(callback, topic.at, &topic.value, problems);
                 self.check_way(i, topic.at, &topic.value, places, problems);
             }
-            self.check_times(i, problems);
+            self.check_times(i, shortest[i], problems);
         }
         for topic in &self.file.topics {
             if let (Some(period), true) = (&topic.period, self.publishers.contains_key(topic.name.as_str())) {
@@ -188,7 +189,7 @@ impl<'f> Graph<'f> {
             ),
             None => {
                 let known = self.publishers.keys().chain(self.declared.keys()).copied();
-                let hint = suggestion(topic, known);
+                let hint = problems.suggestion(topic, known);
                 let fix = if hint.is_empty() {
                     ": declare it in [topics], or let a callback publish \
                      it"
@@ -242,10 +243,9 @@ impl<'f> Graph<'f> {
         }
     }
 
-    fn check_times(&self, index: usize, problems: &mut Collector) {
+    fn check_times(&self, index: usize, period: Option<u64>, problems: &mut Collector) {
         let callback = &self.file.callbacks[index];
         let name = &callback.name;
-        let period = self.shortest_period(index);
         let limits = [
             ("wcet", &callback.wcet, "period", period),
             ("min_distance", &callback.min_distance, "period", period),
@@ -273,25 +273,41 @@ impl<'f> Graph<'f> {
         }
     }
 
-    /// The shortest period of what triggers a callback, if it is known.
-    fn shortest_period(&self, index: usize) -> Option<u64> {
-        // Each is looked at once, in however many ways it is reached.
-        let (mut seen, mut next) = (vec![false; self.file.callbacks.len()], vec![index]);
-        let mut periods = Vec::new();
-        while let Some(i) = next.pop() {
-            if core::mem::replace(&mut seen[i], true) {
-                continue;
-            }
-            let callback = &self.file.callbacks[i];
-            if let Some(period) = &callback.period {
-                periods.push(period.value);
-                continue;
-            }
+    /// The shortest period of what triggers each callback, if it is known.
+    fn shortest_periods(&self) -> Vec<Option<u64>> {
+        let mut sources: Vec<(u64, usize)> = Vec::new();
+        for (i, callback) in self.file.callbacks.iter().enumerate() {
             let outside = callback.topics.iter().filter_map(|topic| self.declared.get(topic.value.as_str()));
-            periods.extend(outside.filter_map(|topic| topic.period.as_ref()).map(|period| period.value));
-            next.extend(self.triggers(i));
+            let outside = outside.filter_map(|topic| topic.period.as_ref());
+            let own: Vec<_> = callback.period.iter().collect();
+            let periods = if own.is_empty() { outside.collect() } else { own };
+            sources.extend(periods.into_iter().map(|period| (period.value, i)));
         }
-        periods.into_iter().min()
+        // The shortest first: whoever is reached has it, and all that it triggers.
+        sources.sort_unstable();
+        let triggered = self.triggered();
+        let mut shortest = vec![None; self.file.callbacks.len()];
+        for (period, source) in sources {
+            let mut next = vec![source];
+            while let Some(i) = next.pop() {
+                if shortest[i].is_none() {
+                    shortest[i] = Some(period);
+                    next.extend(
+                        triggered[i].iter().copied().filter(|to| self.file.callbacks[*to].period.is_none()),
+                    );
+                }
+            }
+        }
+        shortest
+    }
+
+    /// The callbacks that each triggers, once for each topic.
+    pub fn triggered(&self) -> Vec<Vec<usize>> {
+        let mut triggered = vec![Vec::new(); self.file.callbacks.len()];
+        for to in 0..triggered.len() {
+            self.triggers(to).for_each(|from| triggered[from].push(to));
+        }
+        triggered
     }
 
     /// The callbacks whose messages trigger a callback.

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use super::declared::{Chain, Declared};
 use super::graph::Graph;
-use super::problem::{Collector, suggestion};
+use super::problem::Collector;
 use super::streams::Streams;
 use crate::system::Callback;
 
@@ -18,7 +18,7 @@ pub(super) fn check(graph: &Graph<'_>, problems: &mut Collector) {
         let names = || file.callbacks.iter().map(|callback| callback.name.as_str());
         for stage in &chain.path {
             if !names().any(|name| name == stage.value) {
-                let hint = suggestion(&stage.value, names());
+                let hint = problems.suggestion(&stage.value, names());
                 problems.add(
                     stage.at,
                     format!(

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Which host and core each callback is on.
 use super::declared::{Callback, Declared, Node};
-use super::problem::{Collector, suggestion};
+use super::problem::Collector;
 use super::reader::At;
 
 /// Where a callback runs: the indices of its node, host and core (among all cores of all hosts).
@@ -71,7 +71,7 @@ fn host_of(file: &Declared, node: &Node, problems: &mut Collector) -> Option<usi
         Some(name) => {
             let found = file.hosts.iter().position(|host| host.name == name.value);
             if found.is_none() {
-                let hint = suggestion(&name.value, file.hosts.iter().map(|host| host.name.as_str()));
+                let hint = problems.suggestion(&name.value, file.hosts.iter().map(|host| host.name.as_str()));
                 problems.add(
                     name.at,
                     format!(
@@ -96,7 +96,7 @@ fn node_of(file: &Declared, callback: &Callback, problems: &mut Collector) -> Op
         Some(name) => {
             let found = file.nodes.iter().position(|node| node.name == name.value);
             if found.is_none() {
-                let hint = suggestion(&name.value, file.nodes.iter().map(|node| node.name.as_str()));
+                let hint = problems.suggestion(&name.value, file.nodes.iter().map(|node| node.name.as_str()));
                 let (callback, node) = (&callback.name, &name.value);
                 problems.add(
                     name.at,

@@ -2,7 +2,7 @@
 //! Threads and their priorities.
 use super::declared::{Declared, Policy};
 use super::places::Place;
-use super::problem::{Collector, suggestion};
+use super::problem::Collector;
 use crate::{AnalysisError, Overheads, Reservation, Task, assign};
 
 /// One thread: a callback, or a group of them.
@@ -22,7 +22,7 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &mut 
         let group = callback.group.as_ref().and_then(|group| {
             let found = file.groups.iter().position(|g| g.name == group.value);
             if found.is_none() {
-                let hint = suggestion(&group.value, file.groups.iter().map(|g| g.name.as_str()));
+                let hint = problems.suggestion(&group.value, file.groups.iter().map(|g| g.name.as_str()));
                 let hint = if hint.is_empty() { format!(": add [groups.{}]", group.value) } else { hint };
                 problems.add(
                     group.at,

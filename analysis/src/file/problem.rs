@@ -32,11 +32,12 @@ impl std::error::Error for Problems {}
 pub(super) struct Collector<'a> {
     text: &'a str,
     found: Vec<(usize, String)>,
+    hints: u32,
 }
 
 impl<'a> Collector<'a> {
     pub fn new(text: &'a str) -> Self {
-        Self { text, found: Vec::new() }
+        Self { text, found: Vec::new(), hints: 0 }
     }
 
     pub fn add(&mut self, at: usize, message: impl Into<String>) {
@@ -49,6 +50,14 @@ impl<'a> Collector<'a> {
             }
         }
         self.found.push((at, shown));
+    }
+
+    /// `: did you mean ...?` if a known name is close to the one given, else nothing. A file of which nothing fits gets no more hints than a
+    /// person reads: each compares all names.
+    pub fn suggestion<'n>(&mut self, given: &str, known: impl IntoIterator<Item = &'n str>) -> String {
+        const MOST_HINTS: u32 = 50;
+        self.hints = self.hints.saturating_add(1);
+        if self.hints > MOST_HINTS { String::new() } else { suggestion(given, known) }
     }
 
     pub fn is_empty(&self) -> bool {
@@ -75,7 +84,7 @@ pub(super) fn is_unprintable(c: char) -> bool {
 }
 
 /// `: did you mean ...?` if a known name is close to the one given, else nothing.
-pub(super) fn suggestion<'n>(given: &str, known: impl IntoIterator<Item = &'n str>) -> String {
+fn suggestion<'n>(given: &str, known: impl IntoIterator<Item = &'n str>) -> String {
     let length = given.chars().count();
     let most = |name: &str| 1 + name.chars().count() / 4;
     let known = known.into_iter().filter(|name| name.chars().count().abs_diff(length) <= most(name));

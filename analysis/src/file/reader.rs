@@ -3,7 +3,7 @@
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-use super::problem::{Collector, is_unprintable, suggestion};
+use super::problem::{Collector, is_unprintable};
 
 /// A value and where it stands in the text.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -147,7 +147,7 @@ impl<'t> Section<'t> {
         for key in self.table.keys() {
             let name: &str = key.get_ref();
             if !self.asked.contains(&name) {
-                let hint = suggestion(name, self.asked.iter().copied());
+                let hint = problems.suggestion(name, self.asked.iter().copied());
                 let known =
                     if hint.is_empty() { format!(" (known: {})", self.asked.join(", ")) } else { hint };
                 problems.add(key.span().start, format!("unknown key `{name}` in {}{known}", self.title));

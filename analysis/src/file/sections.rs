@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads the sections of the file: their keys, and the values allowed for each.
 use super::declared::{Callback, Chain, Costs, Declared, Group, Host, Node, Policy, Topic};
-use super::problem::{Collector, suggestion};
+use super::problem::Collector;
 use super::reader::{At, Section, integer, time};
 use super::{Client, JoinPolicy, LinkPriority, OverrunPolicy};
 use crate::{LockProtocol, Order, Reservation};
@@ -385,7 +385,7 @@ fn choice<T: Copy>(
     let found = choices.iter().find(|(name, _)| *name == text.value);
     if found.is_none() {
         let names = || choices.iter().map(|(name, _)| *name);
-        let hint = suggestion(&text.value, names());
+        let hint = problems.suggestion(&text.value, names());
         let hint = if hint.is_empty() {
             format!(" (known: {})", names().collect::<Vec<_>>().join(", "))
         } else {

@@ -66,13 +66,17 @@ impl Streams {
 
     /// What releases the first of those that trigger one another down to this source; of several that meet by equal stamps, of
     /// one of them.
-    pub fn first(&self, callback: usize, source: Source) -> First {
-        match source {
-            Source::Period => First::Callback(callback),
-            Source::Outside(topic) => First::Topic(topic),
-            Source::All => First::Join(callback),
-            Source::Stream(publisher, _) if self.joins[publisher] => First::Join(publisher),
-            Source::Stream(publisher, stream) => self.first(publisher, self.sources[publisher][stream]),
+    pub fn first(&self, mut callback: usize, mut source: Source) -> First {
+        loop {
+            match source {
+                Source::Period => return First::Callback(callback),
+                Source::Outside(topic) => return First::Topic(topic),
+                Source::All => return First::Join(callback),
+                Source::Stream(publisher, _) if self.joins[publisher] => return First::Join(publisher),
+                Source::Stream(publisher, stream) => {
+                    (callback, source) = (publisher, self.sources[publisher][stream]);
+                }
+            }
         }
     }
 
@@ -104,29 +108,28 @@ impl Graph<'_> {
     /// The sources of every callback, each with the topic by which it comes.
     fn sources(&self, problems: &mut Collector) -> Vec<Vec<(Source, usize)>> {
         let mut streams: Vec<Vec<(Source, usize)>> = vec![Vec::new(); self.file.callbacks.len()];
-        let mut waiting: Vec<usize> = (0..streams.len()).collect();
-        while !waiting.is_empty() {
-            let ready = |i: &usize| self.triggers(*i).all(|source| !streams[source].is_empty());
-            let (now, later): (Vec<_>, Vec<_>) = waiting.iter().copied().partition(ready);
-            if now.is_empty() {
+        let triggered = self.triggered();
+        let mut missing: Vec<usize> = (0..streams.len()).map(|i| self.triggers(i).count()).collect();
+        let mut ready: Vec<usize> = (0..streams.len()).filter(|i| missing[*i] == 0).collect();
+        while let Some(i) = ready.pop() {
+            streams[i] = self.streams_of(i, &streams);
+            if streams[i].len() > MAX_STREAMS {
+                let callback = &self.file.callbacks[i];
+                problems.add(
+                    callback.at,
+                    format!(
+                        "callback `{}` is reached in more than {MAX_STREAMS} ways: let a callback on the way run by `period`",
+                        callback.name
+                    ),
+                );
                 return streams;
             }
-            for i in now {
-                streams[i] = self.streams_of(i, &streams);
-                if streams[i].len() > MAX_STREAMS {
-                    let callback = &self.file.callbacks[i];
-                    problems.add(
-                        callback.at,
-                        format!(
-                            "callback `{}` is reached in more than {MAX_STREAMS} \
-                         ways: let a callback on the way run by `period`",
-                            callback.name
-                        ),
-                    );
-                    return streams;
+            for &to in &triggered[i] {
+                missing[to] -= 1;
+                if missing[to] == 0 {
+                    ready.push(to);
                 }
             }
-            waiting = later;
         }
         streams
     }
@@ -146,7 +149,10 @@ impl Graph<'_> {
                     sources.extend(all.map(|source| (source, at)));
                 }
                 None => {
-                    let topic = self.file.topics.iter().position(|t| t.name == name);
+                    let topic = self
+                        .declared
+                        .get(name)
+                        .and_then(|topic| self.file.topics.iter().position(|t| std::ptr::eq(t, *topic)));
                     sources.extend(topic.map(|topic| (Source::Outside(topic), at)));
                 }
             }

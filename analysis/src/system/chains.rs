@@ -69,6 +69,10 @@ pub(super) fn bound(system: &System, chain: &Chain, solved: &Solved) -> Result<C
             })
         };
         let transfer_ns = Some(part.transfer.most_ns);
+        let (older_ns, later_ns) =
+            at.checked_sub(1).map_or(Ok((0, 0)), |before| overtaken(system, solved, &parts[before], part))?;
+        age_ns = add(age_ns, Some(older_ns))?;
+        reaction = reaction.and_then(|sum| add(sum, Some(later_ns)));
         latency_ns = add(add(latency_ns, Some(passing))?, transfer_ns)?;
         age_ns = add(add(age_ns, Some(aging))?, transfer_ns)?;
         reaction = reaction.and_then(|sum| add(add(sum, Some(reflected?))?, transfer_ns));
@@ -78,6 +82,25 @@ pub(super) fn bound(system: &System, chain: &Chain, solved: &Solved) -> Result<C
     }
     let (deadline_ns, met) = (chain.deadline_ns, latency_ns <= chain.deadline_ns);
     Ok(ChainBound { latency_ns, reaction_ns: reaction.ok(), age_ns, deadline_ns, met })
+}
+
+/// How much older a value may be that is read, and how much later it is reflected, where the network may let an older one overtake it.
+///
+/// The last value to arrive was sent no more than the network's spread before any other that is there. An older one may overwrite the value; the
+/// next that is sent a spread later comes after all of these.
+fn overtaken(system: &System, solved: &Solved, from: &Part, to: &Part) -> Result<(u64, u64), AnalysisError> {
+    let spread_ns = to.transfer.most_ns.saturating_sub(to.transfer.least_ns);
+    let mut later_ns = 0;
+    for way in from.ways.iter().filter(|way| spread_ns > 0 && !way.is_empty()) {
+        let writer = &system.callbacks[way[way.len() - 1]].task;
+        let response = outcome(solved, way[way.len() - 1])?;
+        let period_ns = pace(system, solved, way[0])?.0.unwrap_or(u64::MAX);
+        let late_ns = response.response_ns.saturating_sub(writer.bcet_ns);
+        if writer.is_held() || late_ns.saturating_add(spread_ns) >= response.period_ns {
+            later_ns = later_ns.max(spread_ns.saturating_add(period_ns).saturating_add(late_ns));
+        }
+    }
+    Ok(if later_ns > 0 { (spread_ns, later_ns) } else { (0, 0) })
 }
 
 /// The parts, each with stages that trigger one another: of a part with one way these are found here.

@@ -64,8 +64,15 @@ pub(super) fn solve(system: &System) -> Result<Solved, AnalysisError> {
         rounds += 1;
         for core in 0..members.len() {
             if std::mem::take(&mut dirty[core]) {
-                throttled[core] |=
-                    analyse_core(system, core, &members[core], &relays[core], &tasks, &mut outcomes)?;
+                throttled[core] |= analyse_core(
+                    system,
+                    core,
+                    &members[core],
+                    &relays[core],
+                    &tasks,
+                    &mut outcomes,
+                    rounds == 1,
+                )?;
             }
         }
         copies(system, &mut outcomes);
@@ -104,12 +111,16 @@ fn analyse_core(
     relays: &[(Release, u64)],
     tasks: &[Task],
     outcomes: &mut Outcomes,
+    is_first: bool,
 ) -> Result<bool, AnalysisError> {
     let local: Vec<Task> = members.iter().map(|i| tasks[*i].clone()).collect();
     let super::Core { overheads, stall_ns } = &system.cores[core];
     let analysed = level::Core::beside(&local, overheads, relays, *stall_ns)?;
     for (place, &i) in members.iter().enumerate() {
-        outcomes[i] = Response::of(&analysed, &local[place], place);
+        // Jitter only grows: what has no bound gets none.
+        if is_first || outcomes[i].is_ok() {
+            outcomes[i] = Response::of(&analysed, &local[place], place);
+        }
     }
     Ok(analysed.throttled())
 }
