@@ -81,7 +81,7 @@ fn check(workspace: &Path, command: impl Fn(&str) -> Command) -> Result<(), Stri
     };
     let mut build = colcon("build");
     build.args(["--cmake-args", "-DCMAKE_BUILD_TYPE=Debug"]);
-    execute(build.arg("-DRMW_TAUTLINE_CARGO_ARGS=--features bench,xtask"))?;
+    execute(build.arg("-DRMW_TAUTLINE_CARGO_ARGS=--features xtask"))?;
     execute(colcon("test").arg("--return-code-on-test-failure"))?;
     let installed = format!(". install/setup.sh && exec python3 -c \"{INSTALLED}\"");
     execute(command("sh").args(["-c", &installed]))
