@@ -246,6 +246,16 @@ pub enum AnalysisError {
         other: String,
     },
 
+    /// A task that is suspended when it overruns, but is not released in each period.
+    #[error(
+        "task `{task}` is suspended when it overruns, but may be released later than a period, so that nothing bounds what it takes from \
+         others on its core: demote it instead, or lower its jitter"
+    )]
+    Bunched {
+        /// The task.
+        task: String,
+    },
+
     /// The releases of a task come at once for longer than can be followed.
     #[error(
         "task `{task}` may be released {releases} times at once, by a jitter of {jitter_ns} ns, which is more than can be followed: lower its jitter"

@@ -241,7 +241,9 @@ impl<'a> Core<'a> {
             let releases = task.release().most_within(1);
             let error =
                 || AnalysisError::LongBurst { task: task.name.clone(), releases, jitter_ns: task.jitter_ns };
-            (releases > 1_000_000).then(error)
+            let is_bunched = matches!(task.hold, Hold::Suspended { .. }) && task.jitter_ns >= task.period_ns;
+            let bunched = || AnalysisError::Bunched { task: task.name.clone() };
+            (releases > 1_000_000).then(error).or_else(|| is_bunched.then(bunched))
         });
         let (common, interrupts, known) = (curve(common)?, curve(interrupts)?, RefCell::default());
         Ok(Self {

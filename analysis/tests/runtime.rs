@@ -3,9 +3,10 @@
 //! each run several times with other phases, execution times and delays, of which the worst so far are changed a little and tried again. No
 //! response, latency, age, reaction or queue is above its bound. `TAUT_SEED` chooses the systems, `SYSTEMS` how many.
 //!
-//! Times are whole units of 1 us. It has timers (late, with a least distance, newest tick only), topics from outside, several publishers, groups in
-//! fifo order or any, reads, chains, hosts with gateways and a network that reorders, locks that inherit or have ceilings, sections that nothing
-//! preempts, budgets that demote or suspend, reservations, per-message work, ticks and throttling. An observer knows nothing of bounds.
+//! Times are whole microseconds. It has timers (late, newest release only), topics from outside, several publishers and triggers, groups, reads,
+//! chains, hosts with gateways and a network that reorders, locks of both protocols, sections that nothing preempts, budgets that demote or suspend,
+//! reservations, per-message work and ticks. Joins and stalls have simulations of their own (joins.rs, stalls.rs); throttling, floating reservations,
+//! least distances and executors of ROS 2 are in no simulation.
 
 mod runtime {
     pub mod machine;
