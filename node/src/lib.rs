@@ -112,11 +112,8 @@ pub use tautline_trace::{TraceError, TraceMode, TraceSettings};
 #[cfg(feature = "action_msgs")]
 pub use uuid;
 
-/// What may be wrong with a system file, and what is admitted. The analysis itself is the crate `tautline-analysis`.
-pub mod analysis {
-    pub use tautline_analysis::file::admission::Machine;
-    pub use tautline_analysis::file::{FileError, Problems};
-}
+/// Response times and the system file: the analysis behind `taut check`.
+pub use tautline_analysis as analysis;
 pub use tautline_executor::{
     Admitted, Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats,
     CoreSet, DeadlineMiss, ExecutorError, ForeignStatistics, Handler, Histogram, HistogramSnapshot,
@@ -133,8 +130,9 @@ pub use tautline_ros_msgs::*;
 /// Policies, cores, clocks and locks, as programs use them beside their callbacks. All of it is the crate `tautline-rt`.
 pub mod rt {
     pub use tautline_rt::{
-        CoreSet, Interruptions, JoinHandle, LatestReader, LatestWriter, MemoryLock, PiGuard, PiMutex, Policy,
-        RtError, ThreadBuilder, current_affinity, current_policy, latest, set_affinity, set_policy,
+        CoreSet, Enforcement, Interruptions, JoinHandle, LatestReader, LatestWriter, MemoryLock, PiGuard,
+        PiMutex, Policy, RtError, ThreadBuilder, ThreadInfo, current_affinity, current_policy, latest,
+        set_affinity, set_policy,
     };
     /// Times in nanoseconds.
     pub mod clock {
@@ -142,6 +140,7 @@ pub mod rt {
             burn_cpu, monotonic_ns, nanoseconds, sleep_until_monotonic, thread_cpu_ns, wall_ns,
         };
     }
+    pub use tautline_rt::domain::ScopeError;
     /// What this process may ask of the system.
     pub mod permission {
         pub use tautline_rt::permission::realtime_permitted;
@@ -152,8 +151,10 @@ pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
 #[cfg(feature = "untyped")]
 pub mod schema {
     pub use tautline_schema::{
-        DecodeFault, Definition, DynamicMessage, EchoForm, Endian, Fault, Kind, Lookup, MessageError, Place,
-        Schema, SchemaError, TypeDescription, TypeHash, TypeName, Value,
+        Base, Constant, DecodeFault, Definition, DynamicMessage, EchoForm, Endian, Fault, Field,
+        FieldDescription, FieldType, FieldTypeDescription, HashedTypeDescription, IndividualTypeDescription,
+        Kind, List, Lookup, MessageError, NamedHash, Place, Primitive, Schema, SchemaError, Shape,
+        TypeDescription, TypeHash, TypeName, Value,
     };
 }
 pub use tautline_transport::{
@@ -177,9 +178,12 @@ pub mod codec {
 /// What endpoints and events of other layers are made of, where a node's methods name it. All of the layer below messages is the crate
 /// `tautline-transport`.
 pub mod raw {
-    pub use tautline_sampler::{Alarm, Timer, Watchdog};
+    pub use tautline_sampler::{Alarm, Expiry, Timer, Watchdog};
+    pub use tautline_trace::ObjectId;
     pub use tautline_transport::{
-        Activity, DoorbellError, Origin, Rank, RawPublisher, RawSample, RawSubscription, Slot, TopicType,
+        Activity, ActivityKind, Doorbell, DoorbellError, Flags, MatchedCount, Origin, PublisherMonitor, Rank,
+        RawLoan, RawPublisher, RawSample, RawSubscription, Slot, SubscriptionMonitor, ThreadBell, TopicType,
+        TracedPort,
     };
 }
 
