@@ -178,12 +178,14 @@ pub mod codec {
 /// What endpoints and events of other layers are made of, where a node's methods name it. All of the layer below messages is the crate
 /// `tautline-transport`.
 pub mod raw {
+    pub use tautline_rt::shm::{Mapping, Region};
     pub use tautline_sampler::{Alarm, Expiry, Timer, Watchdog};
     pub use tautline_trace::ObjectId;
     pub use tautline_transport::{
-        Activity, ActivityKind, Doorbell, DoorbellError, Flags, MatchedCount, Origin, PublisherMonitor, Rank,
-        RawLoan, RawPublisher, RawSample, RawSubscription, Slot, SubscriptionMonitor, ThreadBell, TopicType,
-        TracedPort,
+        Activity, ActivityKind, Arena, ArenaId, BellRoute, Doorbell, DoorbellError, Flags, GrowArena,
+        MatchedCount, Origin, PublisherChanges, PublisherMonitor, Rank, RawLoan, RawPublisher, RawSample,
+        RawSubscription, SamplerSeat, Sleeper, Slot, SubscriptionChanges, SubscriptionMonitor, ThreadBell,
+        TopicType, TracedPort,
     };
 }
 
