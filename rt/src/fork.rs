@@ -110,6 +110,10 @@ impl Drop for ProcessFd {
             list.files.remove(&file.as_raw_fd());
             // Before the number can be another's.
             drop(file);
+            if list.files.is_empty() {
+                // Nothing stays open once a process has left its last domain.
+                list.null = None;
+            }
         }
     }
 }

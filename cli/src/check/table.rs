@@ -133,6 +133,12 @@ fn verdict(checked: &CheckedSystem, out: &mut impl Write) -> io::Result<()> {
     let callbacks = checked.callbacks.iter().filter(|c| !c.met).map(|c| format!("callback {}", c.entry.name));
     let chains = checked.chains.iter().filter(|c| !c.met).map(|c| format!("chain {}", c.name));
     let late: Vec<_> = callbacks.chain(chains).collect();
+    if late.is_empty() {
+        return writeln!(
+            out,
+            "{BAD}Not schedulable: the bounds do not hold as the file is, see the warnings.{BAD:#}"
+        );
+    }
     writeln!(out, "{BAD}Not schedulable: {} may miss the deadline.{BAD:#}", late.join(", "))
 }
 

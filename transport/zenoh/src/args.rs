@@ -15,8 +15,8 @@ use tautline_transport::MAX_DOMAIN;
 /// exist. Other hosts run a gateway too, or ROS 2 nodes with rmw_zenoh (Jazzy or later). By default the gateway connects to a
 /// router on this host (tcp/localhost:7447), like rmw_zenoh, and listens on loopback only.
 ///
-/// Zenoh's configuration comes from --config, else from the file in ZENOH_SESSION_CONFIG_URI (with --router:
-/// ZENOH_ROUTER_CONFIG_URI), else from defaults. ZENOH_CONFIG_OVERRIDE (key=json5;key=json5) changes it, and the options below
+/// Zenoh's configuration is these defaults, changed by what the file of --config states, or that in ZENOH_SESSION_CONFIG_URI (with
+/// --router: ZENOH_ROUTER_CONFIG_URI). ZENOH_CONFIG_OVERRIDE (key=json5;key=json5) changes it, and the options below
 /// change the result.
 #[derive(Parser, Debug)]
 #[command(name = "taut-gateway", version)]
@@ -36,7 +36,7 @@ pub struct Args {
     /// Link to a gateway, router or ROS 2 node; may be given several times [default: tcp/localhost:7447]
     #[arg(long, value_name = "ENDPOINT")]
     connect: Vec<String>,
-    /// A Zenoh configuration file (JSON5), for TLS and access control for instance
+    /// A Zenoh configuration file (JSON5 or YAML), for TLS and access control for instance; what it leaves out has the defaults
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
     /// Link to every peer that can be reached, and to routers [default]

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Zenoh's configuration: rmw_zenoh's defaults, files, environment variables, command line options.
 
+use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use zenoh::Config;
 
@@ -23,6 +24,10 @@ impl Mode {
             Mode::Client => "client",
             Mode::Router => "router",
         }
+    }
+
+    fn named(name: &str) -> Option<Mode> {
+        [Mode::Peer, Mode::Client, Mode::Router].into_iter().find(|mode| mode.as_str() == name)
     }
 }
 
@@ -91,8 +96,8 @@ pub enum ConfigError {
 }
 
 impl Network {
-    /// Builds the configuration: the file or rmw_zenoh's defaults, then `ZENOH_CONFIG_OVERRIDE`, then the options. `variable`
-    /// reads the environment.
+    /// Builds the configuration: rmw_zenoh's defaults, then what the file states, then `ZENOH_CONFIG_OVERRIDE`, then the options.
+    /// `variable` reads the environment.
     ///
     /// # Errors
     /// [`ConfigError`] names the file, variable or option, and the error.
@@ -101,9 +106,13 @@ impl Network {
         variable: impl Fn(&str) -> Option<String>,
         max_message_bytes: usize,
     ) -> Result<SessionConfig, ConfigError> {
-        let (mut config, mut source) = self.base(&variable, max_message_bytes)?;
-        if let Some(overrides) = variable("ZENOH_CONFIG_OVERRIDE").filter(|text| !text.trim().is_empty()) {
-            apply_overrides(&mut config, &overrides)?;
+        let overrides = variable("ZENOH_CONFIG_OVERRIDE").filter(|text| !text.trim().is_empty());
+        let overrides = overrides.as_deref().map(overrides_in).transpose()?;
+        let mode = overrides.iter().flatten().rfind(|(key, _)| *key == "mode");
+        let mode = mode.and_then(|(_, value)| Mode::named(value.trim_matches(['"', '\''])));
+        let (mut config, mut source) = self.base(&variable, mode, max_message_bytes)?;
+        if let Some(overrides) = &overrides {
+            apply(&mut config, overrides)?;
             source.push_str(" and ZENOH_CONFIG_OVERRIDE");
         }
         let mut set = |option, key: &str, value: String| {
@@ -119,7 +128,7 @@ impl Network {
             ("--connect", "connect/endpoints", &self.connect),
         ] {
             if !endpoints.is_empty() {
-                set(option, key, serde_json::json!(endpoints).to_string())?;
+                set(option, key, json!(endpoints).to_string())?;
             }
         }
         // Serving late joiners needs time stamps.
@@ -131,6 +140,7 @@ impl Network {
     fn base(
         &self,
         variable: &impl Fn(&str) -> Option<String>,
+        overridden: Option<Mode>,
         max_message_bytes: usize,
     ) -> Result<(Config, String), ConfigError> {
         let by_mode = match self.mode {
@@ -141,9 +151,18 @@ impl Network {
             let uri = variable(by_mode).filter(|uri| !uri.is_empty())?;
             Some((PathBuf::from(uri.strip_prefix("file://").unwrap_or(&uri)), by_mode))
         };
+        let mode = self.mode.or(overridden);
         match self.file.clone().map(|file| (file, "--config")).or_else(from_environment) {
-            Some((path, origin)) => Ok((read_file(&path, origin)?, format!("{} ({origin})", path.display()))),
-            None => Ok((defaults(self.mode.unwrap_or_default(), max_message_bytes)?, "defaults".into())),
+            Some((path, origin)) => {
+                let stated = read_file(&path, origin)?;
+                let mode = mode.or_else(|| Mode::named(stated["mode"].as_str()?)).unwrap_or_default();
+                let mut merged = defaults(mode, max_message_bytes);
+                merge(&mut merged, stated);
+                Ok((config_of(&merged)?, format!("{} ({origin}) over the defaults", path.display())))
+            }
+            None => {
+                Ok((config_of(&defaults(mode.unwrap_or_default(), max_message_bytes))?, "defaults".into()))
+            }
         }
     }
 }
@@ -154,93 +173,127 @@ impl SessionConfig {
         self.listen.iter().any(|endpoint| !is_loopback(endpoint))
     }
 
+    /// Whether other hosts that reach this one may connect without a certificate or a rule that lets them.
+    pub fn is_unguarded(&self) -> bool {
+        let has_rules = self.zenoh.get_json("access_control/enabled").is_ok_and(|text| text == "true");
+        let encrypted = |endpoint: &String| endpoint.starts_with("tls/") || endpoint.starts_with("quic/");
+        !(has_rules || self.listen.iter().all(|endpoint| is_loopback(endpoint) || encrypted(endpoint)))
+    }
+
     /// Whether all links stay on this host.
     pub fn stays_on_host(&self) -> bool {
         !self.is_reachable() && self.connect.iter().all(|endpoint| is_loopback(endpoint))
     }
 }
 
-fn read_file(path: &Path, origin: &'static str) -> Result<Config, ConfigError> {
-    Config::from_file(path).map_err(|error| ConfigError::File {
-        path: path.into(),
-        origin,
+/// What a file states, if it is one of Zenoh's: what it leaves out is not in it.
+fn read_file(path: &Path, origin: &'static str) -> Result<Value, ConfigError> {
+    let refuse = |reason| ConfigError::File { path: path.into(), origin, reason };
+    Config::from_file(path).map_err(|error| refuse(error.to_string()))?;
+    let text = std::fs::read_to_string(path).map_err(|error| refuse(error.to_string()))?;
+    match path.extension().and_then(|extension| extension.to_str()) {
+        Some("json" | "json5") => json5::from_str(&text).map_err(|error| refuse(error.to_string())),
+        Some("yaml" | "yml") => serde_saphyr::from_str(&text).map_err(|error| refuse(error.to_string())),
+        _ => Err(refuse("write it as JSON5 or YAML, in a file of that ending".into())),
+    }
+}
+
+/// Puts what is stated in the place of the defaults, setting by setting. A value for each mode takes the place of one for all.
+fn merge(defaults: &mut Value, stated: Value) {
+    match (defaults, stated) {
+        (Value::Object(defaults), Value::Object(stated)) => {
+            for (key, value) in stated {
+                merge(defaults.entry(key).or_insert(Value::Null), value);
+            }
+        }
+        (default, stated) => *default = stated,
+    }
+}
+
+fn config_of(settings: &Value) -> Result<Config, ConfigError> {
+    let text = settings.to_string();
+    Config::from_json5(&text).map_err(|error| ConfigError::Option {
+        option: "the configuration",
         reason: error.to_string(),
+        value: text,
     })
 }
 
 /// rmw_zenoh's defaults: a peer without multicast that connects to a router on its own host. Different from rmw_zenoh: a router
 /// too listens on loopback only, connecting never gives up, a silent link is closed after 10 s, and the memory per peer is
 /// bounded. Queues are long enough for short stalls of a link.
-fn defaults(mode: Mode, max_message_bytes: usize) -> Result<Config, ConfigError> {
+fn defaults(mode: Mode, max_message_bytes: usize) -> Value {
     let (listen, connect) = match mode {
-        Mode::Peer => (r#"["tcp/localhost:0"]"#, r#"["tcp/localhost:7447"]"#),
-        Mode::Client => ("[]", r#"["tcp/localhost:7447"]"#),
-        Mode::Router => (r#"["tcp/localhost:7447"]"#, "[]"),
+        Mode::Peer => (json!(["tcp/localhost:0"]), json!(["tcp/localhost:7447"])),
+        Mode::Client => (json!([]), json!(["tcp/localhost:7447"])),
+        Mode::Router => (json!(["tcp/localhost:7447"]), json!([])),
     };
     // The limit is for bodies; headers and attachment come on top.
     let max_message_bytes = max_message_bytes.saturating_add(64 << 10);
-    let text = format!(
-        r#"{{
-            mode: "{}",
-            listen: {{ endpoints: {listen}, exit_on_failure: true }},
-            connect: {{
-                endpoints: {connect}, timeout_ms: -1, exit_on_failure: false,
-                retry: {{ period_init_ms: 500, period_max_ms: 2000, period_increase_factor: 2 }},
-            }},
-            scouting: {{ multicast: {{ enabled: false }}, gossip: {{ enabled: true }} }},
-            timestamping: {{ enabled: true, drop_future_timestamp: false }},
-            routing: {{ router: {{ peers_failover_brokering: true }} }},
-            transport: {{
-                unicast: {{ max_sessions: 1000 }},
-                link: {{
-                    tx: {{ queue: {{
-                        size: {{
-                            control: 4, real_time: 12, interactive_high: 12, interactive_low: 12,
-                            data_high: 12, data: 12, data_low: 12, background: 12,
-                        }},
-                        congestion_control: {{
-                            drop: {{ wait_before_drop: 1000, max_wait_before_drop_fragments: 50000 }},
-                            block: {{ wait_before_close: 20000000 }},
-                        }},
-                    }} }},
-                    rx: {{ max_message_size: {max_message_bytes} }},
-                }},
-                shared_memory: {{ enabled: false }},
-            }},
-            adminspace: {{ enabled: false }},
-        }}"#,
-        mode.as_str()
-    );
-    Config::from_json5(&text).map_err(|error| ConfigError::Option {
-        option: "the defaults",
-        value: text,
-        reason: error.to_string(),
+    json!({
+        "mode": mode.as_str(),
+        "listen": { "endpoints": listen, "exit_on_failure": true },
+        "connect": {
+            "endpoints": connect, "timeout_ms": -1, "exit_on_failure": false,
+            "retry": { "period_init_ms": 500, "period_max_ms": 2000, "period_increase_factor": 2 },
+        },
+        "scouting": { "multicast": { "enabled": false }, "gossip": { "enabled": true } },
+        "timestamping": { "enabled": true, "drop_future_timestamp": false },
+        "routing": { "router": { "peers_failover_brokering": true } },
+        "transport": {
+            "unicast": { "max_sessions": 1000 },
+            "link": {
+                "tx": { "queue": {
+                    "size": {
+                        "control": 4, "real_time": 12, "interactive_high": 12, "interactive_low": 12,
+                        "data_high": 12, "data": 12, "data_low": 12, "background": 12,
+                    },
+                    "congestion_control": {
+                        "drop": { "wait_before_drop": 1000, "max_wait_before_drop_fragments": 50000 },
+                        "block": { "wait_before_close": 20_000_000 },
+                    },
+                } },
+                "rx": { "max_message_size": max_message_bytes },
+            },
+            "shared_memory": { "enabled": false },
+        },
+        "adminspace": { "enabled": false },
     })
 }
 
-fn apply_overrides(config: &mut Config, text: &str) -> Result<(), ConfigError> {
-    for part in text.split(';').map(str::trim).filter(|part| !part.is_empty()) {
-        let refuse = |reason: String| ConfigError::Override { part: part.into(), reason };
-        let (key, value) = part.split_once('=').ok_or_else(|| refuse("it has no '='".into()))?;
-        config.insert_json5(key.trim(), value.trim()).map_err(|error| refuse(error.to_string()))?;
+/// The settings of `ZENOH_CONFIG_OVERRIDE`.
+fn overrides_in(text: &str) -> Result<Vec<(&str, &str)>, ConfigError> {
+    let setting = |part: &str| ConfigError::Override { part: part.into(), reason: "it has no '='".into() };
+    let parts = text.split(';').map(str::trim).filter(|part| !part.is_empty());
+    parts
+        .map(|part| {
+            part.split_once('=').map(|(key, value)| (key.trim(), value.trim())).ok_or_else(|| setting(part))
+        })
+        .collect()
+}
+
+fn apply(config: &mut Config, overrides: &[(&str, &str)]) -> Result<(), ConfigError> {
+    for (key, value) in overrides {
+        config.insert_json5(key, value).map_err(|error| ConfigError::Override {
+            part: format!("{key}={value}"),
+            reason: error.to_string(),
+        })?;
     }
     Ok(())
 }
 
 /// The endpoints of the configured mode.
 fn endpoints(config: &Config, which: &str) -> Vec<String> {
-    let json = |key: &str| config.get_json(key).ok().and_then(|text| serde_json::from_str(&text).ok());
-    let mode: String =
-        json("mode").and_then(|mode: serde_json::Value| Some(mode.as_str()?.into())).unwrap_or_default();
-    let value: serde_json::Value = json(&format!("{which}/endpoints")).unwrap_or_default();
+    let read = |key: &str| config.get_json(key).ok().and_then(|text| serde_json::from_str(&text).ok());
+    let mode: String = read("mode").and_then(|mode: Value| Some(mode.as_str()?.into())).unwrap_or_default();
+    let value: Value = read(&format!("{which}/endpoints")).unwrap_or_default();
     let list = value.get(&mode).unwrap_or(&value).as_array().cloned().unwrap_or_default();
     // An endpoint with alternatives is a nested array.
-    let text =
-        |endpoint: serde_json::Value| endpoint.as_str().map_or_else(|| endpoint.to_string(), String::from);
+    let text = |endpoint: Value| endpoint.as_str().map_or_else(|| endpoint.to_string(), String::from);
     list.into_iter().map(text).collect()
 }
 
-fn is_loopback(endpoint: &str) -> bool {
+pub(crate) fn is_loopback(endpoint: &str) -> bool {
     let Some((protocol, rest)) = endpoint.split_once('/') else { return false };
     let address = rest.split(['?', '#']).next().unwrap_or(rest);
     if protocol.starts_with("unixsock") || protocol == "unixpipe" {
@@ -333,6 +386,54 @@ mod tests {
         assert_eq!((&options.listen, &options.connect), (&network.listen, &network.connect));
         assert_eq!(value(&options, "mode"), "\"peer\"");
         assert!(options.is_reachable());
+    }
+
+    #[test]
+    fn what_a_file_leaves_out_is_as_without_it() {
+        for (ending, text) in [
+            (".json5", "{ access_control: { enabled: false }, scouting: { gossip: { enabled: false } } }"),
+            (".yaml", "access_control: { enabled: false }\nscouting: { gossip: { enabled: false } }\n"),
+        ] {
+            let file = tempfile::NamedTempFile::with_suffix(ending).unwrap();
+            std::fs::write(file.path(), text).unwrap();
+            let network = Network { file: Some(file.path().into()), ..Network::default() };
+            let merged = config(&network, &[]).unwrap();
+            assert_eq!(merged.listen, ["tcp/localhost:0"], "{ending}");
+            assert!(merged.stays_on_host() && !merged.is_unguarded());
+            for (key, expected) in [
+                ("mode", "\"peer\""),
+                ("scouting/multicast/enabled", "false"),
+                ("scouting/gossip/enabled", "false"),
+                ("transport/shared_memory/enabled", "false"),
+            ] {
+                assert_eq!(value(&merged, key), expected, "{ending}: {key}");
+            }
+            // The mode of another source has the defaults of that mode.
+            let router = config(&network, &[("ZENOH_CONFIG_OVERRIDE", "mode=\"router\"")]).unwrap();
+            assert_eq!(
+                (&router.listen[..], &router.connect[..]),
+                (&to_strings(&["tcp/localhost:7447"])[..], &[][..])
+            );
+        }
+    }
+
+    #[test]
+    fn who_can_be_reached_without_a_certificate_or_a_rule_is_told_so() {
+        let open = |listen: &str, more: &str| {
+            let file = tempfile::NamedTempFile::with_suffix(".json5").unwrap();
+            std::fs::write(file.path(), format!("{{ listen: {{ endpoints: [\"{listen}\"] }}, {more} }}"))
+                .unwrap();
+            let config =
+                config(&Network { file: Some(file.path().into()), ..Network::default() }, &[]).unwrap();
+            (config.is_reachable(), config.is_unguarded())
+        };
+        assert_eq!(open("tcp/0.0.0.0:7447", ""), (true, true));
+        assert_eq!(open("tls/0.0.0.0:7447", ""), (true, false));
+        assert_eq!(
+            open("tcp/[::]:7447", "access_control: { enabled: true, default_permission: \"deny\" }"),
+            (true, false)
+        );
+        assert_eq!(open("tcp/127.0.0.1:7447", ""), (false, false));
     }
 
     #[test]

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The gateway: joins the domain and the network, and starts its threads.
 
-use crate::config::{ConfigError, MAX_MESSAGE_BYTES, Network, SessionConfig};
+use crate::config::{ConfigError, MAX_MESSAGE_BYTES, Network, SessionConfig, is_loopback};
 use crate::descriptions::Descriptions;
 use crate::graph::GraphLimits;
 use crate::origin::ended_wildcard;
@@ -260,6 +260,11 @@ impl Gateway {
     /// Listening addresses, such as `tcp/127.0.0.1:41234`.
     pub fn locators(&self) -> Vec<String> {
         self.session.info().locators().wait().iter().map(ToString::to_string).collect()
+    }
+
+    /// Whether other hosts can open a link to this one, by the configuration or by what the session says that it listens on.
+    pub fn is_reachable(&self) -> bool {
+        self.config().is_reachable() || self.locators().iter().any(|locator| !is_loopback(locator))
     }
 
     /// Zenoh's threads, as reported by the kernel.

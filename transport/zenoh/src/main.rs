@@ -72,8 +72,13 @@ fn introduce(gateway: &Gateway, options: &Options) {
         options.domain, stats.zid, config.source
     );
     let locators = gateway.locators().join(" ");
-    if config.is_reachable() {
+    if gateway.is_reachable() {
         eprintln!("listening on {locators}");
+        if config.is_unguarded() {
+            eprintln!(
+                "other hosts can connect without TLS or access control: docs/deployment.md has a configuration with both"
+            );
+        }
     } else {
         let locators = if locators.is_empty() { "nothing".into() } else { locators };
         eprintln!(
