@@ -229,10 +229,10 @@ fn a_goal_is_known_as_long_as_somebody_asks_about_it() {
     block_on(cancelled).unwrap();
     let (status, _) = block_on(result).unwrap();
     assert_eq!((status, block_on(feedback.count())), (GoalStatus::Canceled, 1));
-    // Unless the context ends: then they end.
+    // Unless the context ends: then they end, with an error, or with what the server says of its goal when that is dropped.
     drop((spinning, node, ctx));
     assert!(block_on(late_feedback.count()) <= 1);
-    assert!(block_on(late_result).is_err());
+    assert!(block_on(late_result).map_or(true, |(status, _)| status == GoalStatus::Aborted));
 }
 
 #[test]

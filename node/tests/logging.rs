@@ -121,7 +121,7 @@ fn the_console_has_lines_as_those_of_ros() {
     let name = "the_console_has_lines_as_those_of_ros";
     let variables = [("RCUTILS_COLORIZED_OUTPUT", "0")];
     if let Some(output) = run_again(name, &variables) {
-        assert!(output.status.success());
+        assert!(output.status.success(), "{output:?}");
         let text = String::from_utf8(output.stderr).unwrap();
         let lines: Vec<&str> = text.lines().filter(|line| line.starts_with('[')).collect();
         assert_eq!(lines.len(), 2, "{text}");
