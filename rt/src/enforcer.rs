@@ -95,8 +95,8 @@ impl Alarm {
         self.due_ns.store(NEVER, Ordering::Release);
     }
 
-    /// Looks at it, if it is due; when it is due next.
-    fn look(&self, signal: libc::c_int) -> u64 {
+    /// Signals the thread if the alarm is due and the budget is used up. Returns when it is due next, in `CLOCK_MONOTONIC` ns.
+    fn check(&self, signal: libc::c_int) -> u64 {
         let (due_ns, now_ns) = (self.due_ns.load(Ordering::SeqCst), monotonic_ns());
         if due_ns > now_ns {
             return due_ns;
@@ -134,7 +134,7 @@ pub(crate) fn start(priority: u8, signal: libc::c_int) -> Result<u32, RtError> {
 fn run(signal: libc::c_int) {
     loop {
         let seen = CALLS.0.load(Ordering::SeqCst);
-        let look = || alarms().map(|alarm| alarm.look(signal)).min().unwrap_or(NEVER);
+        let look = || alarms().map(|alarm| alarm.check(signal)).min().unwrap_or(NEVER);
         let next_ns = look();
         WAKES_AT.store(next_ns, Ordering::SeqCst);
         if look() >= next_ns {

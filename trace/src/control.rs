@@ -68,15 +68,15 @@ fn path(domain: u32) -> PathBuf {
 
 /// Looks whether a recorder is there.
 pub(crate) fn asked(domain: u32) -> RecorderRequest {
-    asked_at(path(domain))
+    request_at(path(domain))
 }
 
 /// The same, of the domain whose folder has this name.
-pub(crate) fn asked_in(folder: &str) -> RecorderRequest {
-    asked_at(Path::new(shm::DIRECTORY).join(folder).join(format!("{PREFIX}control")))
+pub(crate) fn request_in(folder: &str) -> RecorderRequest {
+    request_at(Path::new(shm::DIRECTORY).join(folder).join(format!("{PREFIX}control")))
 }
 
-fn asked_at(path: PathBuf) -> RecorderRequest {
+fn request_at(path: PathBuf) -> RecorderRequest {
     let Ok(file) = PeerFile::open(path.clone(), false) else { return RecorderRequest::Nothing };
     if rustix::fs::flock(&file, FlockOperation::NonBlockingLockShared).is_ok() {
         // Its recorder was killed, or has not come to lock it and will look whether it still has a name. Who locks it alone

@@ -329,7 +329,7 @@ pub fn remove_dead_files_in(folder: &str) {
     let mut files = shm::list(&control::prefix_in(folder)).unwrap_or_default();
     // Not for writing: whoever watches the folder would hear of it, and look again.
     files.retain(|path| PeerFile::open(path.clone(), false).is_ok_and(|file| !file.is_owned()));
-    if files.is_empty() || control::asked_in(folder) != RecorderRequest::Nothing {
+    if files.is_empty() || control::request_in(folder) != RecorderRequest::Nothing {
         return;
     }
     for path in files {

@@ -74,7 +74,7 @@ impl RoomRequest {
     ///
     /// # Real-time
     /// Wait-free; no syscall.
-    pub(crate) fn ask(&self, is_full: impl FnOnce() -> bool) -> bool {
+    pub(crate) fn request(&self, is_full: impl FnOnce() -> bool) -> bool {
         self.0.store(1, Ordering::Relaxed);
         // Pairs with the fence in `take`: one side sees what the other has written before.
         sync::fence(Ordering::SeqCst);
@@ -535,7 +535,7 @@ mod loom_tests {
             };
             // It has sent three: there is room for the next one when two were taken.
             let is_full = || model.taken.load(Ordering::Acquire) < 2;
-            let mut is_waiting = is_full() && model.room.ask(is_full);
+            let mut is_waiting = is_full() && model.room.request(is_full);
             subscription.join().unwrap();
             let rung = model.is_rung.load(Ordering::Relaxed);
             assert!(rung <= 1, "once for each request");

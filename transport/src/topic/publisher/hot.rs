@@ -357,7 +357,7 @@ fn has_room(publish_state: &PublishState, sending: Sending) -> bool {
             if sending.when_full == WhenFull::Leave {
                 return false;
             }
-            if block.out.room.ask(full) {
+            if block.out.room.request(full) {
                 return false;
             }
         }
