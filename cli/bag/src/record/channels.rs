@@ -133,7 +133,15 @@ impl Channels {
     fn shared(&mut self, number: usize) -> usize {
         let observed = &mut self.observers[number];
         *observed.shared.get_or_insert_with(|| {
-            self.list.push(Channel { topic: observed.topic.clone(), kept: 0 });
+            let mut topic = observed.topic.clone();
+            if topic.qos.is_empty() {
+                // Of a publisher that was never announced: it is as those that were.
+                let known = observed.publishers.iter().flat_map(HashMap::values);
+                topic.qos = known.map(|channel| &*self.list[*channel].topic.qos).collect();
+            }
+            let qos = crate::offers::read(&topic.qos).unwrap_or_default();
+            let kept = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
+            self.list.push(Channel { topic, kept });
             self.list.len() - 1
         })
     }
