@@ -31,10 +31,11 @@ use crate::topic::reader::core::{DiscoveredPublisher, SubscriptionCore};
 use crate::topic::reader::source::{PeerPublishers, PublisherMemory};
 use crate::topic::writer::core::{DiscoveredSubscription, PublisherCore};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
+use tautline_rt::{PiGuard, PiMutex};
 
 /// How long a new subscription waits for the participants of publishers that are there.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -42,7 +43,7 @@ const PATIENCE: Duration = Duration::from_millis(100);
 pub(crate) struct Matcher {
     domain: Arc<Domain>,
     record: Arc<OwnRecord>,
-    state: Mutex<MatcherState>,
+    state: PiMutex<MatcherState>,
 }
 
 struct MatcherState {
@@ -112,11 +113,11 @@ impl Matcher {
             departing: BTreeMap::new(),
             returning: Vec::new(),
         };
-        Matcher { domain: domain.clone(), record: record.clone(), state: Mutex::new(state) }
+        Matcher { domain: domain.clone(), record: record.clone(), state: PiMutex::new(state) }
     }
 
-    fn state(&self) -> MutexGuard<'_, MatcherState> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> PiGuard<'_, MatcherState> {
+        self.state.lock()
     }
 
     /// Does `what` with the lock held, and what it makes necessary; then calls whom that concerns.
