@@ -32,7 +32,7 @@ pub use budget::{Budget, Guard, ThreadLister};
 pub use control::{
     Event, FarGraph, FarSide, FoundType, LocalGraph, MirrorControl, Parts, Publisher, Report, watch_domain,
 };
-pub use ingress::{Body, Delivery, Ingress, IngressUpdate, MessageMeta};
+pub use ingress::{Body, Delivery, Ingress, IngressUpdate, MessageMeta, Refused};
 pub use instance::{Instance, InstanceError, InstanceLock};
 pub use limiter::Limiter;
 pub use mirror::{InKey, Inward, Side, TopicKey};

@@ -2,17 +2,19 @@
 //! From the network to shared memory: a sample is checked, and its body copied once, from Zenoh's slices into a loan, for all
 //! subscriptions of the host.
 //!
-//! This runs in Zenoh's thread and never waits: a slow subscription loses its oldest samples.
+//! This runs in Zenoh's thread and never waits: a slow subscription loses its oldest samples, and memory is claimed by [another
+//! thread](crate::unclaimed).
 
 use crate::kept::{KeptSamples, Placed, Publisher, Request};
+use crate::unclaimed::{ClaimQueue, Claimed, Next, Unclaimed};
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
 use std::collections::VecDeque;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
-use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, MessageMeta};
+use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, MessageMeta, Refused};
 use tautline_rt::PiMutex;
 use tautline_rt::clock::wall_ns;
-use tautline_transport::{Durability, Reliability};
+use tautline_transport::{Durability, LoanError, Reliability};
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Subscriber;
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply, ReplyKeyExpr};
@@ -41,6 +43,8 @@ pub(crate) enum Dropped {
     Sequence,
     #[error("time stamp before 1970 or far in the future")]
     Time,
+    #[error("too many messages wait for shared memory")]
+    Unclaimed,
 }
 
 /// An incoming topic. Dropping it ends the subscriptions on the network.
@@ -55,19 +59,26 @@ impl Incoming {
         key: &TopicKey,
         inward: &Inward,
         ingress: Ingress,
+        waiting: Vec<(Sample, MessageMeta)>,
         max_bytes: usize,
+        claims: ClaimQueue,
     ) -> zenoh::Result<Self> {
         let qos = &inward.qos;
         let is_kept = qos.durability == Durability::TransientLocal;
         let kept = is_kept.then(|| KeptSamples::new(qos.depth, qos.reliability == Reliability::Reliable));
-        let gate =
-            Arc::new(Gate(PiMutex::new(Some(Way { kept, port: SampleAdmission { ingress, max_bytes } }))));
+        let gate = Arc::new_cyclic(|gate: &Weak<Gate>| {
+            let unclaimed = Unclaimed::new(gate.clone(), claims);
+            Gate(PiMutex::new(Some(Way { kept, port: SampleAdmission { ingress, max_bytes, unclaimed } })))
+        });
+        gate.with(|way| {
+            waiting.into_iter().for_each(|(sample, source)| way.port.keep_unclaimed(sample, source));
+        });
         let of_group = gate.clone();
         // Newer publishers of images and the like use this key.
         let cpu_group = session.declare_subscriber(key.cpu_group()).allowed_origin(Locality::Remote);
         // Their sequence numbers also count samples to other subscriptions: gaps are not losses.
         let cpu_group =
-            cpu_group.callback(move |sample| of_group.with(|way| way.port.take(&sample, false))).wait()?;
+            cpu_group.callback(move |sample| of_group.with(|way| way.port.take(sample, false))).wait()?;
         let requests =
             Requests { session: session.clone(), gate: Arc::downgrade(&gate), key: key.to_string() };
         let samples = session.declare_subscriber(key.to_string()).allowed_origin(Locality::Remote);
@@ -86,9 +97,10 @@ impl Incoming {
         self.gate.with(|way| way.port.ingress.change(change));
     }
 
-    /// Ends this one and returns its ingress for the next.
-    pub(crate) fn end(self) -> Option<Ingress> {
-        Some(self.gate.0.lock().take()?.port.ingress)
+    /// Ends this one and returns its ingress for the next, and the messages that wait for memory.
+    pub(crate) fn end(self) -> Option<(Ingress, Vec<(Sample, MessageMeta)>)> {
+        let SampleAdmission { ingress, mut unclaimed, .. } = self.gate.0.lock().take()?.port;
+        Some((ingress, std::iter::from_fn(|| unclaimed.pop()).collect()))
     }
 }
 
@@ -224,15 +236,15 @@ impl Drop for Answer {
 }
 
 /// The way in, shared by the threads of several links; `None` after another one took over.
-struct Gate(PiMutex<Option<Way>>);
+pub(crate) struct Gate(PiMutex<Option<Way>>);
 
 impl Gate {
-    fn with<T: Default>(&self, act: impl FnOnce(&mut Way) -> T) -> T {
+    pub(crate) fn with<T: Default>(&self, act: impl FnOnce(&mut Way) -> T) -> T {
         self.0.lock().as_mut().map(act).unwrap_or_default()
     }
 }
 
-struct Way {
+pub(crate) struct Way {
     /// Of a transient-local topic.
     kept: Option<KeptSamples<Sample>>,
     port: SampleAdmission,
@@ -243,18 +255,23 @@ impl Way {
     fn receive(&mut self, sample: Sample) -> Option<Request> {
         let port = &mut self.port;
         match &mut self.kept {
-            Some(kept) => kept.published(sample, &mut |sample| port.take(&sample, true)),
+            Some(kept) => kept.published(sample, &mut |sample| port.take(sample, true)),
             None => {
-                port.take(&sample, true);
+                port.take(sample, true);
                 None
             }
         }
     }
 
+    /// See [`SampleAdmission::pass_waiting`].
+    pub(crate) fn pass_waiting(&mut self, claimed: Claimed) -> Next {
+        self.port.pass_waiting(claimed)
+    }
+
     fn started(&mut self) {
         let port = &mut self.port;
         if let Some(kept) = &mut self.kept {
-            kept.started(&mut |sample| port.take(&sample, true));
+            kept.started(&mut |sample| port.take(sample, true));
         }
     }
 
@@ -262,7 +279,7 @@ impl Way {
     fn answered(&mut self, publisher: Publisher, samples: Vec<Sample>) -> Option<Request> {
         let port = &mut self.port;
         let (late, lost) =
-            self.kept.as_mut()?.answered(publisher, samples, &mut |sample| port.take(&sample, true));
+            self.kept.as_mut()?.answered(publisher, samples, &mut |sample| port.take(sample, true));
         port.ingress.counters().lost(late);
         lost
     }
@@ -272,16 +289,46 @@ impl Way {
 struct SampleAdmission {
     ingress: Ingress,
     max_bytes: usize,
+    unclaimed: Unclaimed,
 }
 
 impl SampleAdmission {
-    fn take(&mut self, sample: &Sample, are_numbers_whole: bool) {
-        match self.check(sample) {
-            Ok(source) => {
-                self.ingress.receive(&Payload(sample.payload()), MessageMeta { are_numbers_whole, ..source });
-            }
-            Err(reason) => self.ingress.counters().dropped(reason),
+    fn take(&mut self, sample: Sample, are_numbers_whole: bool) {
+        let source = match self.check(&sample) {
+            Ok(source) => MessageMeta { are_numbers_whole, ..source },
+            Err(reason) => return self.ingress.counters().dropped(reason),
+        };
+        let body = Payload(sample.payload());
+        if self.unclaimed.is_empty()
+            && self.ingress.missing_memory(&source.publisher, body.len_bytes()).is_none()
+        {
+            self.ingress.receive(&body, source);
+        } else {
+            self.keep_unclaimed(sample, source);
         }
+    }
+
+    fn keep_unclaimed(&mut self, sample: Sample, source: MessageMeta) {
+        if !self.unclaimed.push(sample, source) {
+            self.ingress.refuse(&source, Dropped::Unclaimed);
+        }
+    }
+
+    /// Passes the first message that waits for memory, if that is there.
+    fn pass_waiting(&mut self, claimed: Claimed) -> Next {
+        let Some((sample, source)) = self.unclaimed.first() else { return Next::Done };
+        let body = Payload(sample.payload());
+        let missing = self.ingress.missing_memory(&source.publisher, body.len_bytes());
+        match (missing, claimed) {
+            (None, _) => self.ingress.receive(&body, *source),
+            (Some(claimer), None) => return Next::Claim(claimer, body.len_bytes()),
+            (Some(_), Some(claimed)) => {
+                let reason = claimed.err().unwrap_or(LoanError::OutOfMemory);
+                self.ingress.refuse(source, Refused::Loan(reason));
+            }
+        }
+        self.unclaimed.pop();
+        if self.unclaimed.is_empty() { Next::Done } else { Next::Pass }
     }
 
     /// The metadata of a sample, after checking its frame.
