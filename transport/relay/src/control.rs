@@ -20,7 +20,7 @@ use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 use tautline_schema::Schema;
 use tautline_transport::{
-    Durability, EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, Participant, Qos, RawPublisher,
+    Durability, EndpointKind, Gid, GraphSnapshot, History, Limits, NodeInfo, Participant, Qos, RawPublisher,
     RawSubscription, RemoteGraph, RemoteNode, ServiceEndpoint, TopicEndpoint, TopicType, TransportError,
 };
 
@@ -617,7 +617,8 @@ impl<F: FarSide> MirrorControl<F> {
         let topic_type = TopicType { hash, ..TopicType::new(key.type_name.clone()) };
         let durability = if outward.is_kept { Durability::TransientLocal } else { Durability::Volatile };
         let depth = outward.depth.clamp(1, Limits::MAX_DEPTH);
-        let qos = Qos { durability, ..Qos::keep_last(depth) };
+        let history = if outward.keeps_all { History::KeepAll } else { History::KeepLast };
+        let qos = Qos { durability, history, ..Qos::keep_last(depth) };
         self.participant.create_relay_subscription(&key.topic, &topic_type, qos, Limits::default())
     }
 
