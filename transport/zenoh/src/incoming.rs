@@ -5,12 +5,12 @@
 //! This runs in Zenoh's thread and never waits: a slow subscription loses its oldest samples, and memory is claimed by [another
 //! thread](crate::unclaimed).
 
-use crate::kept::{KeptSamples, Placed, Publisher, Request};
+use crate::kept::{KeptSamples, Placed, Publisher, Request, SessionId, Target};
 use crate::unclaimed::{ClaimQueue, Claimed, Next, Unclaimed};
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Weak};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, MessageMeta, Refused};
 use tautline_rt::PiMutex;
 use tautline_rt::clock::wall_ns;
@@ -29,6 +29,8 @@ pub(crate) const DELIVERY: Delivery = Delivery { early: None, is_ordered: false 
 const FUTURE_NS: i64 = 3_600_000_000_000;
 /// Time-out of a request for kept samples.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long the graph is the same before missing kept samples are requested again.
+const RETRY_TIME: Duration = Duration::from_secs(1);
 /// How long new samples wait, at the start, until it is known which publishers exist.
 const START_TIMEOUT: Duration = Duration::from_secs(1);
 
@@ -47,10 +49,24 @@ pub(crate) enum Dropped {
     Unclaimed,
 }
 
+/// How often kept samples are requested again of publishers of which none have come; the first time after a second, then later each
+/// time. A publisher may have none.
+const MOST_RETRIES: u32 = 5;
+
 /// An incoming topic. Dropping it ends the subscriptions on the network.
 pub(crate) struct Incoming {
     gate: Arc<Gate>,
+    retries: Option<Retries>,
     _subscribers: Vec<Subscriber<()>>,
+}
+
+/// Of a transient-local topic: requests to publishers that were missed.
+struct Retries {
+    requests: Requests,
+    /// The number of each session's publishers that keep samples.
+    keeping: BTreeMap<SessionId, usize>,
+    count: u32,
+    next: Instant,
 }
 
 impl Incoming {
@@ -85,11 +101,36 @@ impl Incoming {
         let (receiving, lost) = (gate.clone(), requests.clone());
         let samples = samples.callback(move |sample| lost.send(receiving.with(|way| way.receive(sample))));
         let mut subscribers = vec![cpu_group, samples.wait()?];
+        let mut retries = None;
         if is_kept {
             // After the samples: what is published after an answer arrives.
             subscribers.extend(requests.watch()?);
+            let (keeping, count, next) = (BTreeMap::new(), 0, Instant::now());
+            retries = Some(Retries { requests, keeping, count, next });
         }
-        Ok(Incoming { gate, _subscribers: subscribers })
+        Ok(Incoming { gate, retries, _subscribers: subscribers })
+    }
+
+    pub(crate) fn is_kept(&self) -> bool {
+        self.retries.is_some()
+    }
+
+    /// Requests kept samples again where some are missing: Zenoh may have told late of a publisher, or not at all, or a request was lost.
+    /// `keeping` has the number of each session's publishers of this topic that keep samples, by the graph. Call it now and then.
+    pub(crate) fn retry(&mut self, keeping: &BTreeMap<SessionId, usize>) {
+        let Some(retries) = &mut self.retries else { return };
+        let now = Instant::now();
+        if retries.keeping != *keeping {
+            let next = now + RETRY_TIME;
+            (retries.keeping, retries.count, retries.next) = (keeping.clone(), 0, next);
+        }
+        if retries.count >= MOST_RETRIES || now < retries.next {
+            return;
+        }
+        retries.next = now + RETRY_TIME * (2 << retries.count);
+        retries.count += 1;
+        let missing = self.gate.with(|way| way.kept.as_ref().map(|kept| kept.missing(keeping)));
+        missing.into_iter().flatten().for_each(|request| retries.requests.send(Some(request)));
     }
 
     /// See [`Ingress::change`].
@@ -203,8 +244,8 @@ impl Answer {
     }
 
     fn request(self) {
-        let Request { publisher, what, .. } = self.request;
-        let cache = format!("{}/@adv/pub/{publisher}/**?{}", self.requests.key, what.parameters());
+        let Request { target, what, .. } = self.request;
+        let cache = format!("{}/@adv/pub/{target}/**?{}", self.requests.key, what.parameters());
         let session = self.requests.session.clone();
         let get = session.get(&cache).allowed_destination(Locality::Remote).target(QueryTarget::All);
         let get = get.consolidation(ConsolidationMode::None).accept_replies(ReplyKeyExpr::Any);
@@ -216,7 +257,7 @@ impl Answer {
     fn add(&self, reply: Reply) {
         let Ok(sample) = reply.into_result() else { return };
         let is_wanted = sample.key_expr().as_str() == self.requests.key
-            && sample.place().is_some_and(|(publisher, _)| publisher == self.request.publisher);
+            && sample.place().is_some_and(|(publisher, _)| self.request.target.includes(publisher));
         let mut kept = self.kept.lock();
         kept.extend(is_wanted.then_some(sample));
         // More than it was asked for: the last ones count.
@@ -230,7 +271,7 @@ impl Drop for Answer {
     fn drop(&mut self) {
         let Some(gate) = self.requests.gate.upgrade() else { return };
         let kept = Vec::from(std::mem::take(&mut *self.kept.lock()));
-        let lost = gate.with(|way| way.answered(self.request.publisher, kept));
+        let lost = gate.with(|way| way.answered(self.request.target, kept));
         self.requests.send_from_drop(Vec::from_iter(lost));
     }
 }
@@ -275,11 +316,14 @@ impl Way {
         }
     }
 
-    /// What a publisher keeps.
-    fn answered(&mut self, publisher: Publisher, samples: Vec<Sample>) -> Option<Request> {
-        let port = &mut self.port;
-        let (late, lost) =
-            self.kept.as_mut()?.answered(publisher, samples, &mut |sample| port.take(sample, true));
+    /// What publishers keep.
+    fn answered(&mut self, target: Target, samples: Vec<Sample>) -> Option<Request> {
+        let (port, kept) = (&mut self.port, self.kept.as_mut()?);
+        let mut deliver = |sample| port.take(sample, true);
+        let (late, lost) = match target {
+            Target::Publisher(publisher) => kept.answered(publisher, samples, &mut deliver),
+            Target::Session(_) => (kept.answered_by_session(samples, &mut deliver), None),
+        };
         port.ingress.counters().lost(late);
         lost
     }

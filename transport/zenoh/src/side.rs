@@ -182,6 +182,20 @@ impl NetworkSide {
         }
     }
 
+    /// Requests kept samples of publishers that the graph has and that have not answered.
+    fn retry_kept(&mut self) {
+        if !self.incoming.values().any(Incoming::is_kept) {
+            return;
+        }
+        let keeping = self.graph.keeping();
+        let (none, domain) = (BTreeMap::new(), self.options.domain_there());
+        for (key, incoming) in &mut self.incoming {
+            if let Ok(TopicKey { topic, type_id, .. }) = wire_key(domain, &key.topic) {
+                incoming.retry(keeping.get(&(&*topic, &type_id)).unwrap_or(&none));
+            }
+        }
+    }
+
     /// Requests all tokens again, after some were dropped or refused.
     fn resync(&mut self) {
         let wildcard = token_wildcard(self.options.domain_there());
@@ -328,6 +342,7 @@ impl FarSide for NetworkSide {
         }
         self.ended.retain(|(since, _)| since.elapsed() < ENDED_TIME);
         self.ask_for_types();
+        self.retry_kept();
         is_missed
     }
 
