@@ -45,8 +45,8 @@ pub use relay::{Relay, RelayError};
 pub use route::{EarlyLimits, Egress, Last, Outbound, OutboundSample};
 pub use rules::{Direction, QosOverride, Rule, Rules};
 pub use services::{
-    Arrived, FarClient, FarServer, FarServices, OfferedService, Response, ServerId, ServiceStats, Services,
-    SoughtService, TakenRequest,
+    Arrived, FarClient, FarServer, FarServices, OfferedService, Pending, Response, ServerId, ServiceStats,
+    Services, SoughtService, TakenRequest,
 };
 pub use stats::{Latency, Reading, TopicCounters, TopicStats, passing};
 pub use transit::Transit;
