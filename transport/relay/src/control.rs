@@ -200,11 +200,11 @@ pub struct Report {
     pub uptime_s: f64,
     /// Topics that cannot be mirrored, and why.
     pub problems: BTreeMap<String, String>,
-    /// Every topic that is or was mirrored.
+    /// Every topic that is mirrored, or was until a minute ago.
     pub topics: Vec<TopicStats<TopicKey, Direction>>,
     /// Services that cannot be mirrored, and why.
     pub service_problems: BTreeMap<String, String>,
-    /// Every service that is or was mirrored.
+    /// Every service that is mirrored, or was until a minute ago.
     pub services: Vec<ServiceStats<TopicKey, Direction>>,
 }
 
@@ -675,7 +675,7 @@ impl<F: FarSide> MirrorControl<F> {
             problems,
             topics: self.stats.read(elapsed),
             service_problems: self.services.problems(),
-            services: self.services.read(),
+            services: self.services.read(elapsed),
         };
         self.far.report(report, &self.writers);
     }
