@@ -8,7 +8,7 @@ use crate::{
 };
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
-use std::ffi::{CStr, c_void};
+use std::ffi::{CStr, c_char, c_void};
 use std::ptr::{null, null_mut};
 use std::sync::Barrier;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -470,6 +470,50 @@ fn a_wait_ends_by_what_is_ready_by_a_trigger_from_elsewhere_or_by_its_time() {
         assert_eq!(wait::rmw_destroy_wait_set(set), RET_OK);
         assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
         assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+    }
+}
+
+/// As rclpy does with its type description service: others see neither the node nor its endpoints, and the context's end leaves nothing.
+#[test]
+fn endpoints_that_are_not_destroyed_end_with_their_node() {
+    let mut world = World::new(76);
+    let (of, service_type) = (support("geometry_msgs", "Point"), service_support("std_srvs", "Empty"));
+    // SAFETY: rmw's protocol, but for what is not destroyed.
+    unsafe {
+        let first = world.node;
+        world.node = node::rmw_create_node(&mut *world.context, c"forgetful".as_ptr(), c"/".as_ptr());
+        let name = c"/service".as_ptr();
+        type Count = unsafe extern "C" fn(*const rmw_node_t, *const c_char, *mut usize) -> rmw_ret_t;
+        let all = || {
+            let counts: [(Count, &CStr); 4] = [
+                (graph::rmw_count_publishers, c"/topic"),
+                (graph::rmw_count_subscribers, c"/topic"),
+                (graph::rmw_count_services, c"/service"),
+                (graph::rmw_count_clients, c"/service"),
+            ];
+            counts.map(|(count, name)| {
+                let mut counted = 0;
+                assert_eq!(count(first, name.as_ptr(), &mut counted), RET_OK, "{}", said());
+                counted
+            })
+        };
+        let publisher = world.publisher(of, &profile(1));
+        assert!(!publisher.is_null() && !world.subscription(of, &profile(1)).is_null());
+        let server = service::rmw_create_service(world.node, service_type, name, &profile(1));
+        let client = client::rmw_create_client(world.node, service_type, name, &profile(1));
+        assert!(!server.is_null() && !client.is_null(), "{}", said());
+        assert_eq!(all(), [1; 4]);
+        assert_eq!(publisher::rmw_destroy_publisher(first, publisher), RET_INVALID_ARGUMENT);
+        assert!(said().contains("another node"));
+        assert_eq!(node::rmw_destroy_node(std::mem::replace(&mut world.node, first)), RET_OK);
+        assert_eq!(all(), [0; 4]);
+        let taken = service::rmw_take_request(server, null_mut(), null_mut(), null_mut());
+        assert!(taken == RET_INVALID_ARGUMENT && said().contains("service is null"));
+        let (mut names, mut namespaces) = Default::default();
+        assert_eq!(graph::rmw_get_node_names(first, &mut names, &mut namespaces), RET_OK, "{}", said());
+        assert_eq!(names.size, 1);
+        assert_eq!(rcutils_string_array_fini(&mut names), RET_OK);
+        assert_eq!(rcutils_string_array_fini(&mut namespaces), RET_OK);
     }
 }
 

@@ -12,7 +12,9 @@ use support::{
     take, take_texts, text_body, text_of, wait_until,
 };
 use tautline_schema::{DynamicMessage, Endian, Packages};
-use tautline_transport::{EndpointKind, Limits, Qos, RequestId, SchemaStore, ServiceKind, ServiceType};
+use tautline_transport::{
+    EndpointKind, Limits, NodeName, Qos, RequestId, SchemaStore, ServiceKind, ServiceType,
+};
 
 const SET_BOOL: &str = "std_srvs/srv/SetBool";
 const BASIC_TYPES: &str = "test_msgs/srv/BasicTypes";
@@ -161,6 +163,23 @@ fn each_side_sees_the_others_graph() {
     assert_eq!(services, json!(["/here/serve"]));
     drop((ours, server, of_node, node));
     peer.tell(json!({ "do": "wait_node", "name": "/here/ours", "there": false }));
+}
+
+/// Also of what rclpy never destroys, its type description service.
+#[test]
+fn nothing_is_left_of_a_node_that_was_destroyed() {
+    let Some(domain) = Domain::new(84) else { return };
+    let (mut one, mut other) = (domain.peer("one"), domain.peer("other"));
+    one.tell(json!({ "do": "passing_node", "name": "passing" }));
+    other.tell(json!({ "do": "wait_node", "name": "/passing" }));
+    one.tell(json!({ "do": "pass_by" }));
+    other.tell(json!({ "do": "wait_node", "name": "/passing", "there": false }));
+    wait_until("its endpoints to go", || {
+        let graph = domain.participant.graph().unwrap();
+        let services = graph.services.iter().map(|end| &end.node);
+        let of_node = |node: &Option<NodeName>| node.as_ref().is_some_and(|node| node.name == "passing");
+        !graph.endpoints.iter().map(|end| &end.node).chain(services).any(of_node)
+    });
 }
 
 /// The body of a `SetBool` request, and the text of its response.
