@@ -4,7 +4,7 @@
 use crate::bindings::*;
 use crate::{
     client, context, event, graph, guard, node, options, publisher, serialization, service, subscription,
-    wait,
+    types, wait,
 };
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -514,6 +514,77 @@ fn endpoints_that_are_not_destroyed_end_with_their_node() {
         assert_eq!(names.size, 1);
         assert_eq!(rcutils_string_array_fini(&mut names), RET_OK);
         assert_eq!(rcutils_string_array_fini(&mut namespaces), RET_OK);
+    }
+}
+
+/// `std_msgs/msg/UInt8` as if an IDL file defined its field as `char`, or `UInt16` as `wchar`.
+#[repr(C)]
+struct Letter {
+    support: rosidl_message_type_support_t,
+    hash: rosidl_type_hash_t,
+    description: rosidl_runtime_c__type_description__TypeDescription,
+}
+
+impl Letter {
+    /// Lives as long as the process, as type supports do.
+    unsafe fn support(name: &str, type_id: u8) -> *const rosidl_message_type_support_t {
+        unsafe extern "C" fn find(
+            support: *const rosidl_message_type_support_t,
+            _: *const c_char,
+        ) -> *const rosidl_message_type_support_t {
+            support
+        }
+        unsafe extern "C" fn hash(
+            support: *const rosidl_message_type_support_t,
+        ) -> *const rosidl_type_hash_t {
+            // SAFETY: the first field of a letter. Also below.
+            unsafe { &(*support.cast::<Letter>()).hash }
+        }
+        unsafe extern "C" fn description(
+            support: *const rosidl_message_type_support_t,
+        ) -> *const rosidl_runtime_c__type_description__TypeDescription {
+            // SAFETY: as above.
+            unsafe { &(*support.cast::<Letter>()).description }
+        }
+        // SAFETY: a support of ROS's, of which the structs are kept.
+        unsafe {
+            let number = support("std_msgs", name);
+            let number = get_message_typesupport_handle(number, c"rosidl_typesupport_fastrtps_c".as_ptr());
+            let mut description_of = *(*number).get_type_description_func.unwrap()(number);
+            let mut field = *description_of.type_description.fields.data;
+            field.type_.type_id = type_id;
+            description_of.type_description.fields.data = Box::into_raw(Box::new(field));
+            let hash_of = types::described(&description_of).hash().to_string();
+            let support = rosidl_message_type_support_t {
+                func: Some(find),
+                get_type_hash_func: Some(hash),
+                get_type_description_func: Some(description),
+                ..*number
+            };
+            let hash = graph::type_hash(Some(&hash_of));
+            &Box::leak(Box::new(Letter { support, hash, description: description_of })).support
+        }
+    }
+}
+
+#[test]
+fn characters_of_idl_files_are_sent() {
+    for (name, type_id, letter) in [("UInt8", 13, 97u16), ("UInt16", 14, 8364)] {
+        let world = World::new(77);
+        // SAFETY: rmw's protocol; such a message is one or two bytes.
+        unsafe {
+            let of = Letter::support(name, type_id);
+            let (publisher, subscription) =
+                (world.publisher(of, &profile(5)), world.subscription(of, &profile(5)));
+            assert!(!publisher.is_null() && !subscription.is_null(), "{}", said());
+            let (mut found, mut taken) = (0u16, false);
+            assert_eq!(publisher::rmw_publish(publisher, (&raw const letter).cast(), null_mut()), RET_OK);
+            let place = (&raw mut found).cast();
+            assert_eq!(subscription::rmw_take(subscription, place, &mut taken, null_mut()), RET_OK);
+            assert_eq!((taken, found), (true, letter), "{}", said());
+            assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
+            assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+        }
     }
 }
 
