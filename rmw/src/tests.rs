@@ -10,8 +10,9 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 use std::ffi::{CStr, c_char, c_void};
 use std::ptr::{null, null_mut};
-use std::sync::Barrier;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Barrier};
 
 /// Counts a thread's allocations.
 struct Counting;
@@ -514,6 +515,54 @@ fn endpoints_that_are_not_destroyed_end_with_their_node() {
         assert_eq!(names.size, 1);
         assert_eq!(rcutils_string_array_fini(&mut names), RET_OK);
         assert_eq!(rcutils_string_array_fini(&mut namespaces), RET_OK);
+    }
+}
+
+/// Waits of a context end when it is shut down, and there are none after that, whatever they wait for.
+#[test]
+fn a_shutdown_ends_waits() {
+    // Keeps the domain.
+    let _world = World::new(78);
+    let (waiting, shut_down) = (Arc::new(Barrier::new(4)), Arc::new(AtomicBool::new(false)));
+    let (ended, ends) = channel();
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let context = Box::leak(Box::new(rmw_get_zero_initialized_context()));
+        let mut options = options(78);
+        assert_eq!(context::rmw_init(&options, context), RET_OK, "{}", said());
+        assert_eq!(options::rmw_init_options_fini(&mut options), RET_OK);
+        let context: *mut rmw_context_t = context;
+        let sets: Vec<usize> = (0..3).map(|_| wait::rmw_create_wait_set(context, 0) as usize).collect();
+        let guard = guard::rmw_create_guard_condition(context) as usize;
+        // Threads of their own, so that a test of what does not end ends.
+        for set in sets.clone() {
+            let (waiting, shut_down, ended) = (waiting.clone(), shut_down.clone(), ended.clone());
+            std::thread::spawn(move || {
+                waiting.wait();
+                while !shut_down.load(Ordering::SeqCst) {
+                    let mut guards = [(*(guard as *mut rmw_guard_condition_t)).data];
+                    let waited = wait_for(set as *mut rmw_wait_set_t, null_mut(), &mut guards, null());
+                    assert_eq!((waited, guards), ((RET_OK, false), [null_mut()]));
+                }
+                let waited = wait_for(set as *mut rmw_wait_set_t, null_mut(), &mut [], &PATIENCE);
+                ended.send(waited).unwrap();
+            });
+        }
+        waiting.wait();
+        shut_down.store(true, Ordering::SeqCst);
+        assert_eq!(context::rmw_shutdown(context), RET_OK);
+        for _ in &sets {
+            let waited = ends.recv_timeout(std::time::Duration::from_secs(30)).expect("the wait has ended");
+            assert_eq!(waited, (RET_TIMEOUT, false));
+        }
+        assert!(node::rmw_create_node(context, c"late".as_ptr(), c"/".as_ptr()).is_null());
+        assert!(said().contains("shut down"));
+        for set in sets {
+            assert_eq!(wait::rmw_destroy_wait_set(set as *mut rmw_wait_set_t), RET_OK);
+        }
+        assert_eq!(guard::rmw_destroy_guard_condition(guard as *mut rmw_guard_condition_t), RET_OK);
+        assert_eq!(context::rmw_context_fini(context), RET_OK);
+        drop(Box::from_raw(context));
     }
 }
 
