@@ -15,6 +15,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context as TaskContext, Waker};
 use tautline_rt::FutexWord;
+use tautline_rt::fork::ProcessMark;
 use tautline_trace::SamplerObject;
 use tautline_transport::{GraphEvents, Participant, Slot, Wakeable};
 
@@ -52,8 +53,9 @@ impl Watchers {
 
 /// The waiters of a context's wait sets. None is dropped before its context and that context's wait sets, because a trigger of a guard
 /// condition may still use it.
-#[derive(Default)]
 pub(crate) struct Waiters {
+    /// No one wakes a thread of a forked child.
+    process: ProcessMark,
     is_shut_down: AtomicBool,
     lists: Mutex<WaiterLists>,
 }
@@ -65,6 +67,24 @@ struct WaiterLists {
 }
 
 impl Waiters {
+    fn new() -> Self {
+        let (is_shut_down, lists) = Default::default();
+        Waiters { process: ProcessMark::new(), is_shut_down, lists }
+    }
+
+    /// Refuses to a forked child a wait in its parent's context.
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub(crate) fn check_process(&self) -> Result {
+        match self.process.is_here() {
+            true => Ok(()),
+            false => Err(Error::other(
+                "this process was forked from the one whose context this is: create a context of its own after the fork",
+            )),
+        }
+    }
+
     fn lists(&self) -> MutexGuard<'_, WaiterLists> {
         self.lists.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -89,6 +109,8 @@ impl Waiters {
         let WaiterLists { used, free } = &mut *self.lists();
         let waiter = match free.iter().rposition(|waiter| matches!(**waiter, Waiter::Bell(_))) {
             Some(at) => free.swap_remove(at),
+            // A child, where no wait succeeds, has no bells.
+            None if !self.process.is_here() => Arc::new(Waiter::Word(FutexWord::new(0))),
             None => match participant.doorbell().claim_thread_bell() {
                 Ok(bell) => Arc::new(Waiter::Bell(bell)),
                 // Slower without a bell, but nothing is missed.
@@ -117,7 +139,7 @@ impl Context {
         let (events, slot) = (participant.graph_events()?, Arc::new(participant.claim_slot()?));
         let watched = watchers.clone();
         helper.run(move || tell_of_changes(events, slot, watched));
-        let (nodes, waiters) = Default::default();
+        let (nodes, waiters) = (AtomicUsize::new(0), Arc::new(Waiters::new()));
         Ok(Context {
             helper,
             participant,
@@ -185,6 +207,8 @@ pub unsafe extern "C" fn rmw_init(
             return Err(Error::invalid("the context is initialised already"));
         }
         log::start();
+        // ROS's logging would wait for its thread.
+        tautline_rt::exempt_children();
         let domain = options::check(options)?;
         // SAFETY: rmw's contract; checked not to be null.
         let made = Context::join(domain, unsafe { text(options.enclave, "the enclave")? })?;

@@ -280,6 +280,7 @@ pub unsafe extern "C" fn rmw_wait(
             };
             (behind(wait_set)?, timeout.as_ref(), wanted)
         };
+        wait_set.waiters.check_process()?;
         let _turn = Turn::of(wait_set)?;
         let deadline = timeout.map(|time| deadline_ns(time.sec, time.nsec));
         job::wait(&wait_set.waits, deadline, wait_set.is_measured);
