@@ -231,8 +231,8 @@ pub unsafe extern "C" fn rmw_create_publisher(
             let flows = options.require_unique_network_flow_endpoints;
             (options, EndpointArgs::new(node, support, topic, profile, flows)?)
         };
+        let wanted = asked.qos(EndpointRole::Publisher)?;
         let EndpointArgs { node, message_type, name, profile } = asked;
-        let wanted = qos::from_ros(profile, EndpointRole::Publisher, std::iter::empty())?;
         let raw = node.participant.create_raw_publisher(
             name,
             &message_type.topic_type,

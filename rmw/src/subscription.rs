@@ -274,10 +274,8 @@ pub unsafe extern "C" fn rmw_create_subscription(
             let flows = options.require_unique_network_flow_endpoints;
             (options, EndpointArgs::new(node, support, topic, profile, flows)?)
         };
+        let wanted = asked.qos(EndpointRole::Subscription)?;
         let EndpointArgs { node, message_type, name, profile } = asked;
-        let graph = node.participant.graph()?;
-        let of_topic = graph.endpoints.iter().filter(|end| end.topic == name).map(|end| &**end);
-        let wanted = qos::from_ros(profile, EndpointRole::Subscription, of_topic)?;
         let raw = node.participant.create_raw_subscription(
             name,
             &message_type.topic_type,

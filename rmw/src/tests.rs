@@ -566,6 +566,75 @@ fn a_shutdown_ends_waits() {
     }
 }
 
+/// As rmw_dds_common: a publisher offers what all subscriptions request, a subscription requests the least that publishers offer.
+#[test]
+fn best_available_policies_follow_from_the_others() {
+    let world = World::new(79);
+    let of = support("geometry_msgs", "Point");
+    let seconds = |sec| rmw_time_t { sec, nsec: 0 };
+    let (none, open) = (
+        rmw_time_t { sec: 9_223_372_036, nsec: 854_775_807 },
+        rmw_time_t { sec: 9_223_372_036, nsec: 854_775_806 },
+    );
+    let best = rmw_qos_profile_t {
+        reliability: RMW_QOS_POLICY_RELIABILITY_BEST_AVAILABLE,
+        durability: RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE,
+        liveliness: RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE,
+        deadline: open,
+        liveliness_lease_duration: open,
+        ..profile(1)
+    };
+    let (manual, automatic) =
+        (RMW_QOS_POLICY_LIVELINESS_MANUAL_BY_TOPIC, RMW_QOS_POLICY_LIVELINESS_AUTOMATIC);
+    let with = |liveliness, deadline, lease| rmw_qos_profile_t {
+        liveliness,
+        deadline: seconds(deadline),
+        liveliness_lease_duration: seconds(lease),
+        ..profile(1)
+    };
+    // Zero is no limit.
+    let others = [with(automatic, 0, 0), with(manual, 3, 50), with(automatic, 2, 70)];
+    let said_of = |qos: rmw_qos_profile_t| {
+        let times = [qos.deadline, qos.liveliness_lease_duration].map(|time| (time.sec, time.nsec));
+        (qos.reliability, qos.durability, qos.liveliness, times)
+    };
+    let (reliable, volatile) = (RMW_QOS_POLICY_RELIABILITY_RELIABLE, RMW_QOS_POLICY_DURABILITY_VOLATILE);
+    let kept = RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL;
+    let limits = |deadline, lease| [(deadline, 0), (lease, 0)];
+    let unlimited = [(none.sec, none.nsec); 2];
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let offered = || {
+            let (publisher, mut actual) = (world.publisher(of, &best), rmw_qos_profile_t::default());
+            assert_eq!(publisher::rmw_publisher_get_actual_qos(publisher, &mut actual), RET_OK, "{}", said());
+            let mut count = 0;
+            let counted = publisher::rmw_publisher_count_matched_subscriptions(publisher, &mut count);
+            assert_eq!(counted, RET_OK);
+            assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
+            (said_of(actual), count)
+        };
+        let requested = || {
+            let (subscription, mut actual) = (world.subscription(of, &best), rmw_qos_profile_t::default());
+            let got = subscription::rmw_subscription_get_actual_qos(subscription, &mut actual);
+            assert_eq!(got, RET_OK, "{}", said());
+            assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+            said_of(actual)
+        };
+        assert_eq!(offered(), ((reliable, kept, automatic, unlimited), 0));
+        assert_eq!(requested(), (reliable, kept, manual, unlimited));
+        let subscriptions = others.map(|qos| world.subscription(of, &qos));
+        assert_eq!(offered(), ((reliable, kept, manual, limits(2, 50)), 3));
+        for subscription in subscriptions {
+            assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+        }
+        let publishers = others.map(|qos| world.publisher(of, &qos));
+        assert_eq!(requested(), (reliable, volatile, automatic, limits(3, 70)));
+        for publisher in publishers {
+            assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
+        }
+    }
+}
+
 /// `std_msgs/msg/UInt8` as if an IDL file defined its field as `char`, or `UInt16` as `wchar`.
 #[repr(C)]
 struct Letter {
