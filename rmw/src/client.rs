@@ -5,8 +5,8 @@ use crate::bindings::*;
 use crate::context::Watchers;
 use crate::end::{MessageQueue, ReceivingEndpoint};
 use crate::error::{Error, Result, answer, made};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
-use crate::node::Node;
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place};
+use crate::node::{self, Node};
 use crate::qos;
 use crate::service::{Depth, info_of, name_of, profile_of};
 use crate::types::ServiceSupport;
@@ -172,6 +172,7 @@ pub unsafe extern "C" fn rmw_create_client(
                 data: Box::into_raw(Box::new(client)).cast(),
                 service_name,
             });
+            node.own(handle);
             Ok(handle)
         }
     })
@@ -181,17 +182,8 @@ pub unsafe extern "C" fn rmw_create_client(
 /// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_destroy_client(node: *mut rmw_node_t, handle: *mut rmw_client_t) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract; checked to be ours, so created above.
-        unsafe {
-            behind(node)?;
-            behind(handle)?;
-            drop(take_back::<Client>((*handle).data));
-            free_text((*handle).service_name);
-            rmw_client_free(handle);
-        }
-        Ok(())
-    })
+    // SAFETY: rmw's contract.
+    answer(|| unsafe { node::destroy_endpoint(node, handle) })
 }
 
 /// # Safety

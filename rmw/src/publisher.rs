@@ -6,8 +6,8 @@ use crate::cdr::{Callbacks, Length};
 use crate::copy::copy;
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
-use crate::node::Node;
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place};
+use crate::node::{self, Node};
 use crate::qos::{self, EndpointRole};
 use crate::serialization::little_body;
 use crate::topic::EndpointArgs;
@@ -231,8 +231,8 @@ pub unsafe extern "C" fn rmw_create_publisher(
             let flows = options.require_unique_network_flow_endpoints;
             (options, EndpointArgs::new(node, support, topic, profile, flows)?)
         };
+        let wanted = asked.qos(EndpointRole::Publisher)?;
         let EndpointArgs { node, message_type, name, profile } = asked;
-        let wanted = qos::from_ros(profile, EndpointRole::Publisher, std::iter::empty())?;
         let raw = node.participant.create_raw_publisher(
             name,
             &message_type.topic_type,
@@ -266,6 +266,7 @@ pub unsafe extern "C" fn rmw_create_publisher(
                 options: *options,
                 can_loan_messages,
             });
+            node.own(handle);
             Ok(handle)
         }
     })
@@ -278,17 +279,8 @@ pub unsafe extern "C" fn rmw_destroy_publisher(
     node: *mut rmw_node_t,
     handle: *mut rmw_publisher_t,
 ) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract; checked to be ours, so created above.
-        unsafe {
-            behind(node)?;
-            behind(handle)?;
-            drop(take_back::<Publisher>((*handle).data));
-            free_text((*handle).topic_name);
-            rmw_publisher_free(handle);
-        }
-        Ok(())
-    })
+    // SAFETY: rmw's contract.
+    answer(|| unsafe { node::destroy_endpoint(node, handle) })
 }
 
 /// # Safety

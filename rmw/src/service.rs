@@ -4,8 +4,8 @@
 use crate::bindings::*;
 use crate::end::{MessageQueue, ReceivingEndpoint};
 use crate::error::{Error, Result, answer, made};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
-use crate::node::{Node, check_full_name};
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, text};
+use crate::node::{self, Node, check_full_name};
 use crate::qos::{self, EndpointRole};
 use crate::subscription::received_ns;
 use crate::types::ServiceSupport;
@@ -181,6 +181,7 @@ pub unsafe extern "C" fn rmw_create_service(
                 data: Box::into_raw(Box::new(service)).cast(),
                 service_name,
             });
+            node.own(handle);
             Ok(handle)
         }
     })
@@ -190,17 +191,8 @@ pub unsafe extern "C" fn rmw_create_service(
 /// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_destroy_service(node: *mut rmw_node_t, handle: *mut rmw_service_t) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract; checked to be ours, so created above.
-        unsafe {
-            behind(node)?;
-            behind(handle)?;
-            drop(take_back::<Service>((*handle).data));
-            free_text((*handle).service_name);
-            rmw_service_free(handle);
-        }
-        Ok(())
-    })
+    // SAFETY: rmw's contract.
+    answer(|| unsafe { node::destroy_endpoint(node, handle) })
 }
 
 /// # Safety

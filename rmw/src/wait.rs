@@ -154,16 +154,17 @@ impl WaitEntities<'_> {
         self.clients().for_each(|client| client.end().detach());
     }
 
-    /// Waits until something is ready, or until `deadline_ns`.
+    /// Waits until something is ready, until `deadline_ns`, or until the context is shut down.
     ///
     /// # Real-time
     /// As [`is_something_ready`](Self::is_something_ready) for each ring, and a syscall to sleep.
-    fn wait(&self, waiter: &Arc<Waiter>, deadline_ns: Option<u64>) {
+    fn wait(&self, wait_set: &WaitSet, deadline_ns: Option<u64>) {
+        let waiter = &wait_set.waiter;
         loop {
             let count = waiter.count();
             self.attach_data(waiter);
             let is_over = deadline_ns.is_some_and(|deadline_ns| monotonic_ns() >= deadline_ns);
-            if self.is_something_ready() || is_over {
+            if self.is_something_ready() || is_over || wait_set.waiters.is_shut_down() {
                 return;
             }
             waiter.sleep(count, deadline_ns);
@@ -279,6 +280,7 @@ pub unsafe extern "C" fn rmw_wait(
             };
             (behind(wait_set)?, timeout.as_ref(), wanted)
         };
+        wait_set.waiters.check_process()?;
         let _turn = Turn::of(wait_set)?;
         let deadline = timeout.map(|time| deadline_ns(time.sec, time.nsec));
         job::wait(&wait_set.waits, deadline, wait_set.is_measured);
@@ -287,14 +289,14 @@ pub unsafe extern "C" fn rmw_wait(
         let waited = if wanted.is_something_ready() || is_look_only {
             Ok(())
         } else {
-            let attached = Attached { wanted: &wanted, waiter: &wait_set.waiter };
+            let _attached = Attached { wanted: &wanted, waiter: &wait_set.waiter };
             let has_room = wanted.attach_signals(&wait_set.waiter);
-            has_room.map(|()| wanted.wait(attached.waiter, deadline))
+            has_room.map(|()| wanted.wait(wait_set, deadline))
         };
         waited?;
         let is_ready = wanted.report();
         job::wake(&wait_set.waits, is_ready);
-        // Another thread may have taken it; without a time limit this does not end the wait.
+        // Another thread may have taken it, or the context was shut down; without a time limit this is no timeout.
         is_over = !is_ready && timeout.is_some();
         Ok(())
     });

@@ -3,8 +3,11 @@
 
 mod support;
 
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
-use std::process::Command;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::process::{Child, Command};
 use std::time::Duration;
 use support::gateway::link;
 use support::{
@@ -12,7 +15,10 @@ use support::{
     take, take_texts, text_body, text_of, wait_until,
 };
 use tautline_schema::{DynamicMessage, Endian, Packages};
-use tautline_transport::{EndpointKind, Limits, Qos, RequestId, SchemaStore, ServiceKind, ServiceType};
+use tautline_transport::{
+    EndpointKind, Limits, NodeName, Qos, RawPublisher, RawSubscription, RequestId, SchemaStore, ServiceKind,
+    ServiceType,
+};
 
 const SET_BOOL: &str = "std_srvs/srv/SetBool";
 const BASIC_TYPES: &str = "test_msgs/srv/BasicTypes";
@@ -161,6 +167,23 @@ fn each_side_sees_the_others_graph() {
     assert_eq!(services, json!(["/here/serve"]));
     drop((ours, server, of_node, node));
     peer.tell(json!({ "do": "wait_node", "name": "/here/ours", "there": false }));
+}
+
+/// Also of what rclpy never destroys, its type description service.
+#[test]
+fn nothing_is_left_of_a_node_that_was_destroyed() {
+    let Some(domain) = Domain::new(84) else { return };
+    let (mut one, mut other) = (domain.peer("one"), domain.peer("other"));
+    one.tell(json!({ "do": "passing_node", "name": "passing" }));
+    other.tell(json!({ "do": "wait_node", "name": "/passing" }));
+    one.tell(json!({ "do": "pass_by" }));
+    other.tell(json!({ "do": "wait_node", "name": "/passing", "there": false }));
+    wait_until("its endpoints to go", || {
+        let graph = domain.participant.graph().unwrap();
+        let services = graph.services.iter().map(|end| &end.node);
+        let of_node = |node: &Option<NodeName>| node.as_ref().is_some_and(|node| node.name == "passing");
+        !graph.endpoints.iter().map(|end| &end.node).chain(services).any(of_node)
+    });
 }
 
 /// The body of a `SetBool` request, and the text of its response.
@@ -319,6 +342,93 @@ fn who_is_killed_stops_nobody() {
     one.matched(from, 1);
     one.publish_text(from, &["to the living"]);
     assert_eq!(take_texts(&here, 1), ["to the living"]);
+}
+
+/// The processes of `fork_peer.py`, which answer with their role and process number.
+struct ForkPeers {
+    ask: RawPublisher,
+    answers: RawSubscription,
+    first: Child,
+    pids: BTreeMap<String, i32>,
+}
+
+impl ForkPeers {
+    fn start(domain: &Domain, how: &str) -> Self {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fork_peer.py");
+        let mut command = Command::new(domain.venv.join("bin/python"));
+        command.arg(script).arg(how).env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        command.env("ROS_DOMAIN_ID", domain.number.to_string()).env("PYTHONDONTWRITEBYTECODE", "1");
+        on_tautline(&mut command);
+        let ask = publisher(&domain.participant, "/ask", STRING, Qos::keep_last(10));
+        let answers = subscription(&domain.participant, "/answer", STRING, Qos::keep_last(10));
+        ForkPeers { ask, answers, first: command.spawn().unwrap(), pids: BTreeMap::new() }
+    }
+
+    /// Asks, and waits until these have answered, who are all.
+    fn ask(&mut self, roles: &[&str], text: &str) {
+        matched(&self.ask, roles.len());
+        self.ask.publish(&text_body(text)).unwrap();
+        let mut answered = BTreeSet::new();
+        for answer in take_texts(&self.answers, roles.len()) {
+            let [role, pid, said] = answer.split(' ').collect::<Vec<_>>()[..] else { panic!("{answer}") };
+            assert_eq!(said, text);
+            self.pids.insert(role.to_owned(), pid.parse().unwrap());
+            answered.insert(role.to_owned());
+        }
+        assert!(answered.iter().eq(roles), "{answered:?}");
+    }
+
+    fn kill(&mut self, role: &str) {
+        let pid = self.pids.remove(role).unwrap();
+        kill_process(Pid::from_raw(pid).unwrap(), Signal::KILL).unwrap();
+    }
+}
+
+impl Drop for ForkPeers {
+    fn drop(&mut self) {
+        for role in self.pids.keys().cloned().collect::<Vec<_>>() {
+            self.kill(&role);
+        }
+        let _ = self.first.kill();
+        let _ = self.first.wait();
+    }
+}
+
+/// In a process that multiprocessing makes, rclpy has a context of its own; whichever of both is killed, the other one goes on.
+fn with_multiprocessing(domain: u32, how: &str) {
+    let Some(domain) = Domain::new(domain) else { return };
+    for (killed, living) in [("child", "parent"), ("parent", "child")] {
+        let mut peers = ForkPeers::start(&domain, how);
+        peers.ask(&["child", "parent"], "both");
+        peers.kill(killed);
+        peers.ask(&[living], "one");
+        drop(peers);
+        wait_until("both to be cleaned up after", || domain.others() == 0);
+    }
+}
+
+#[test]
+fn processes_that_multiprocessing_forks_live_on_their_own() {
+    with_multiprocessing(85, "fork");
+}
+
+#[test]
+fn processes_that_multiprocessing_spawns_live_on_their_own() {
+    with_multiprocessing(86, "spawn");
+}
+
+#[test]
+fn processes_of_multiprocessings_forkserver_live_on_their_own() {
+    with_multiprocessing(87, "forkserver");
+}
+
+/// What a forked child does with its parent's node is an error that says what to do, and it exits.
+#[test]
+fn a_forked_child_is_refused_its_parents_node_and_exits() {
+    let Some(domain) = Domain::new(88) else { return };
+    let mut peers = ForkPeers::start(&domain, "exit");
+    assert_eq!(take_texts(&peers.answers, 1), ["exited with 7"]);
+    peers.ask(&["parent"], "still");
 }
 
 /// As many nodes as a large robot has, each with what rclpy gives a node: parameters' services, events, its log.
