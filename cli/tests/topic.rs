@@ -130,7 +130,7 @@ fn topics_are_listed_found_and_echoed() {
         (0, &graph.endpoints)
     );
     let (code, words) = refused(&["topic", "echo", "/echo", "--filter", ".word >", "--once"]);
-    assert!(code == 2 && words.contains("no program of jq's"), "{words}");
+    assert!(code == 2 && words.contains("is not a jq program"), "{words}");
     let (code, words) = refused(&["topic", "echo", "/echo", "--field", "stamp.minute", "--once"]);
     assert!(code == 2 && words.contains("has no field `minute`, it has sec, nanosec"), "{words}");
     let (code, words) = refused(&["topic", "echo", "/none", "--once", "--timeout", "50ms"]);

@@ -177,6 +177,7 @@ fn text_is_checked_against_the_type() {
     let full = r#"{"a":-1,"f":"-Infinity","big":18446744073709551615,"s":"é7","two":[1,2],"p":{"x":[5]}}"#;
     let message = DynamicMessage::from_json(&schema, full).unwrap();
     assert_eq!(message.to_json(), full);
+    assert_eq!(message.to_extended_json(), full.replace("\"-Infinity\"", "-Infinity"));
     assert_eq!(DynamicMessage::from_yaml(&schema, full).unwrap().to_json(), full);
     assert_eq!(DynamicMessage::from_yaml(&schema, "s: 12").unwrap().get("s").unwrap().as_str(), Some("12"));
     for (text, place) in [

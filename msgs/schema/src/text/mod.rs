@@ -65,6 +65,12 @@ impl DynamicMessage {
         serde_json::to_string(self).unwrap_or_default()
     }
 
+    /// As [`to_json`](Self::to_json), but NaN and infinities are the numbers `NaN`, `Infinity` and `-Infinity`, as jq and Python's `json` read
+    /// them. JSON itself has no such numbers.
+    pub fn to_extended_json(&self) -> String {
+        write::extended_json(self)
+    }
+
     /// The same as [`to_json`](Self::to_json), as a value.
     pub fn to_json_value(&self) -> serde_json::Value {
         serde_json::to_value(self).unwrap_or_default()
