@@ -252,6 +252,21 @@ fn messages_are_published_by_hand() {
     assert_eq!(subscription.counters().lost(), 0);
     assert_eq!(echo.interrupt().status.code(), Some(0));
 
+    // Each message has the time of its publication.
+    let mut echo = Running::start(&["topic", "echo", "/stamped", "--json"]);
+    let values = "{header: auto, twist: {linear: {x: 1}}}";
+    let args = ["topic", "pub", "/stamped", "geometry_msgs/msg/TwistStamped", values, "-r", "20"];
+    let publishing = Running::start(&args);
+    let ns = |line: &str| {
+        let line: Value = serde_json::from_str(line).unwrap();
+        let stamp = |field: &str| line["header"]["stamp"][field].as_i64().unwrap();
+        stamp("sec") * 1_000_000_000 + stamp("nanosec")
+    };
+    let (first, second) = (ns(&echo.line()), ns(&echo.line()));
+    assert!(first > 1_700_000_000_000_000_000 && second > first, "{first} {second}");
+    assert!(publishing.interrupt().status.success());
+    echo.interrupt();
+
     let (code, words) = refused(&["topic", "pub", "/new", "{data: 1}", "--once"]);
     assert!(code == 2 && words.contains("the type of '/new' is not known"), "{words}");
     let (code, words) = refused(&["topic", "pub", "/new", "std_msgs/msg/Strin", "--once"]);

@@ -9,9 +9,10 @@ mod publish;
 mod rates;
 pub mod tap;
 
-use crate::asking::{full_name, full_type};
+use crate::asking::full_name;
 use crate::completions;
 use crate::table::write_names;
+use crate::values::full_type;
 use crate::verb::{CommonArgs, Outcome};
 use clap::{Args, Subcommand};
 use rates::Unit;
