@@ -7,6 +7,7 @@ mod filter;
 pub mod info;
 mod publish;
 mod rates;
+mod sim_clock;
 pub mod tap;
 
 use crate::asking::full_name;
