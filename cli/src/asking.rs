@@ -127,26 +127,6 @@ pub fn full_name(name: &str) -> String {
     if name.starts_with('/') { name.to_owned() } else { format!("/{name}") }
 }
 
-/// The full name of a type. As in ROS 2's tools, the kind (`msg`, `srv`, `action`) may be omitted.
-pub fn full_type(name: &str, kind: &str) -> String {
-    match name.split('/').collect::<Vec<_>>()[..] {
-        [package, name] => format!("{package}/{kind}/{name}"),
-        _ => name.to_owned(),
-    }
-}
-
-/// Splits `[TYPE] [VALUES]`. A single argument that is not a type's name is the values.
-pub fn type_and_values<'a>(arguments: &'a [String], kind: &str) -> (Option<String>, &'a str) {
-    let is_type = |text: &str| {
-        text.contains('/') && text.chars().all(|c| c.is_ascii_alphanumeric() || "_/".contains(c))
-    };
-    match arguments {
-        [type_name, values] => (Some(full_type(type_name, kind)), values),
-        [type_name] if is_type(type_name) => (Some(full_type(type_name, kind)), "{}"),
-        rest => (None, rest.first().map_or("{}", String::as_str)),
-    }
-}
-
 /// Whether the service has a server, on any host.
 fn has_server(graph: &GraphSnapshot, service: &str) -> bool {
     graph.services.iter().any(|end| end.kind == ServiceKind::Server && end.name == service)

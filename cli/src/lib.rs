@@ -35,6 +35,7 @@ pub mod table;
 pub mod times;
 pub mod topic;
 pub mod trace;
+pub mod values;
 pub mod verb;
 
 use clap::{CommandFactory, Parser, Subcommand};

@@ -5,7 +5,7 @@ use clap::Args;
 use std::cell::Cell;
 use std::error::Error;
 use std::fmt;
-use std::io;
+use std::io::{self, Write};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -111,7 +111,7 @@ impl Failure {
     /// Prints the reason and returns the exit code.
     pub fn tell(self) -> ExitCode {
         if !self.text.is_empty() {
-            eprintln!("taut: {}", self.text);
+            say(&format!("taut: {}", self.text));
         }
         ExitCode::from(self.code)
     }
@@ -135,7 +135,7 @@ impl<E: Error + 'static> From<E> for Failure {
     }
 }
 
-/// The end of a verb with continuous output: Ctrl-C, SIGTERM, or a time limit.
+/// The end of a verb with continuous output: Ctrl-C, SIGTERM, a closed terminal (unless `nohup` started the verb), or a time limit.
 pub struct End {
     interrupted: Arc<AtomicBool>,
     timeout: Option<Duration>,
@@ -155,7 +155,7 @@ pub enum Waited<T> {
     For(T),
     /// The time limit passed.
     InVain,
-    /// Ctrl-C or SIGTERM ended it.
+    /// A signal ended it.
     Interrupted,
 }
 
@@ -181,7 +181,7 @@ impl End {
     /// Signals cannot be caught.
     pub fn after(timeout: Option<Duration>) -> io::Result<Self> {
         let interrupted = Arc::new(AtomicBool::new(false));
-        for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGTERM] {
+        for signal in tautline_rt::termination_signals() {
             signal_hook::flag::register(signal, interrupted.clone())?;
         }
         Ok(End { interrupted, timeout, is_firm: false, start: Instant::now(), is_said: Cell::new(false) })
@@ -273,7 +273,7 @@ impl End {
                 return Ok(Waited::InVain);
             }
             if start.elapsed() > PATIENCE && !std::mem::replace(&mut is_said, true) {
-                eprintln!("taut: waiting for {} ...", what());
+                say_waiting(&what());
             }
             std::thread::park_timeout(self.left().map_or(POLL, |left| left.min(POLL)));
         }
@@ -282,9 +282,18 @@ impl End {
     /// Prints once, after a second, what is waited for.
     pub fn say_once(&self, what: impl Fn() -> String) {
         if self.start.elapsed() > PATIENCE && !self.is_said.replace(true) {
-            eprintln!("taut: waiting for {} ...", what());
+            say_waiting(&what());
         }
     }
+}
+
+fn say_waiting(what: &str) {
+    say(&format!("taut: waiting for {what} ..."));
+}
+
+/// Writes a line to standard error. A reader that has gone, or a closed terminal, is no error: the verb goes on.
+pub fn say(line: &str) {
+    let _ = writeln!(io::stderr(), "{line}");
 }
 
 #[cfg(test)]

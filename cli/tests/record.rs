@@ -67,8 +67,14 @@ impl Place {
     }
 
     fn command(&self, args: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_taut"));
-        command.args(args).env("TAUT_DOMAIN", self.domain.to_string()).env_remove("RUST_LOG");
+        let mut command = self.command_of(env!("CARGO_BIN_EXE_taut"));
+        command.args(args);
+        command
+    }
+
+    fn command_of(&self, program: &str) -> Command {
+        let mut command = Command::new(program);
+        command.env("TAUT_DOMAIN", self.domain.to_string()).env_remove("RUST_LOG");
         command.current_dir(self.folder.path()).stdout(Stdio::piped()).stderr(Stdio::piped());
         child::ends_with_test(&mut command);
         command
@@ -80,8 +86,12 @@ impl Place {
 
     /// Records into `bag`, and has begun.
     fn record(&self, args: &[&str]) -> Recorder {
-        let args = [&["record", "-o", "bag", "--budget", "8MB"], args].concat();
-        let mut child = self.command(&args).spawn().unwrap();
+        self.record_by(self.command(&[]), args)
+    }
+
+    /// As [`record`](Self::record), with a command that ends before the verb.
+    fn record_by(&self, mut command: Command, args: &[&str]) -> Recorder {
+        let mut child = command.args(["record", "-o", "bag", "--budget", "8MB"]).args(args).spawn().unwrap();
         let mut line = String::new();
         BufReader::with_capacity(1, child.stderr.as_mut().unwrap()).read_line(&mut line).unwrap();
         assert!(line.starts_with("recording domain") || line.starts_with("taut: warning"), "{line}");
@@ -209,6 +219,35 @@ fn what_is_published_is_in_the_bag() {
     assert!(code == 0 && out.contains("10003 messages"), "{out}{errors}");
     let (code, _, errors) = place.run(&["record", "-a", "-o", "bag"]);
     assert!(code == 2 && errors.contains("'bag' exists already; choose another folder with -o"), "{errors}");
+}
+
+#[test]
+fn a_closed_terminal_ends_a_recording_unless_hangups_are_ignored() {
+    let is_ended = |recorder: &mut Recorder| recorder.0.try_wait().unwrap().is_some();
+    let place = Place::new(214);
+    let publisher = place.publisher::<Count>("/tick", Qos::default());
+    let mut recorder = place.record(&["-a"]);
+    place.wait_for_observer(publisher.gid());
+    publisher.publish(&Count { n: 1 }).unwrap();
+    recorder.signal("-HUP");
+    wait_for("the recorder to end", || is_ended(&mut recorder));
+    let (code, out, errors) = ended(recorder.0.wait_with_output().unwrap());
+    assert_eq!(code, 0, "{out}{errors}");
+    assert!(place.bag().join("metadata.yaml").exists());
+    assert_eq!(numbers(&place.read()["/tick"]), [1]);
+
+    let place = Place::new(215);
+    let publisher = place.publisher::<Count>("/tick", Qos::default());
+    // As `nohup` starts a program.
+    let mut command = place.command_of("sh");
+    command.args(["-c", "trap '' HUP; exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_taut")]);
+    let recorder = place.record_by(command, &["-a"]);
+    place.wait_for_observer(publisher.gid());
+    recorder.signal("-HUP");
+    publisher.publish(&Count { n: 2 }).unwrap();
+    let (code, out, errors) = recorder.end();
+    assert_eq!(code, 0, "{out}{errors}");
+    assert_eq!(numbers(&place.read()["/tick"]), [2]);
 }
 
 #[test]

@@ -130,7 +130,7 @@ fn topics_are_listed_found_and_echoed() {
         (0, &graph.endpoints)
     );
     let (code, words) = refused(&["topic", "echo", "/echo", "--filter", ".word >", "--once"]);
-    assert!(code == 2 && words.contains("no program of jq's"), "{words}");
+    assert!(code == 2 && words.contains("is not a jq program"), "{words}");
     let (code, words) = refused(&["topic", "echo", "/echo", "--field", "stamp.minute", "--once"]);
     assert!(code == 2 && words.contains("has no field `minute`, it has sec, nanosec"), "{words}");
     let (code, words) = refused(&["topic", "echo", "/none", "--once", "--timeout", "50ms"]);
@@ -228,6 +228,74 @@ fn what_was_expected_decides_the_exit_code() {
     thread.join().unwrap();
 }
 
+/// Publishes `/clock`, twenty times as fast as the system's, until told to stop.
+fn simulate(participant: &Participant) -> (std::sync::mpsc::Sender<()>, std::thread::JoinHandle<()>) {
+    let topic_type = TopicType::new("rosgraph_msgs/msg/Clock");
+    let publisher = participant
+        .create_raw_publisher("/clock", &topic_type, Qos::keep_last(1), Limits::default())
+        .unwrap();
+    let (stop, stopped) = std::sync::mpsc::channel();
+    let thread = std::thread::spawn(move || {
+        let start_ns = monotonic_ns();
+        for n in 0u64.. {
+            if stopped.try_recv().is_ok() {
+                return;
+            }
+            sleep_until_monotonic(start_ns + n * 10_000_000);
+            let sim_ns = 20 * (monotonic_ns() - start_ns);
+            let (sec, nanosec) = ((sim_ns / 1_000_000_000) as u32, (sim_ns % 1_000_000_000) as u32);
+            publisher.publish(&[sec.to_le_bytes(), nanosec.to_le_bytes()].concat()).unwrap();
+        }
+    });
+    (stop, thread)
+}
+
+#[test]
+fn rates_and_delays_are_by_simulated_time() {
+    let participant = enter(216);
+    let stamped = message(&json!({ "stamp": { "sec": 0 } }));
+    let (stop, thread) = flow(publisher(&participant, "/flow", Qos::keep_last(2)), 100.0, stamped);
+    let (stop_clock, clock) = simulate(&participant);
+    let verbs: [&[&str]; 7] = [
+        &["hz"],
+        &["hz", "--take"],
+        &["delay"],
+        &["hz", "--sim-time"],
+        &["hz", "--sim-time", "--take"],
+        &["bw", "--sim-time"],
+        &["delay", "--sim-time"],
+    ];
+    let start = |verb: &&[&str]| {
+        Running::start(&[&["topic", verb[0], "/flow"], &verb[1..], &["--json", "--timeout", "4s"]].concat())
+    };
+    let reports = verbs.each_ref().map(start).map(|verb| {
+        let Output { stdout, stderr, .. } = verb.0.wait_with_output().unwrap();
+        let (lines, words) = (String::from_utf8(stdout).unwrap(), String::from_utf8(stderr).unwrap());
+        let line: Value = serde_json::from_str(lines.lines().last().unwrap()).unwrap();
+        assert_eq!(
+            words.contains("--sim-time counts by /clock"),
+            line["sim_time"] == json!(false),
+            "{words}"
+        );
+        line
+    });
+    let [hz, hz_taken, delay, sim_hz, sim_hz_taken, sim_bw, sim_delay] = reports;
+    let number = |report: &Value, key: &str| report[key].as_f64().unwrap();
+    for (by_system, by_clock) in [(hz, &sim_hz), (hz_taken, &sim_hz_taken)] {
+        assert!(number(&by_system, "rate_hz") > 20.0, "{by_system}");
+        assert!((1.0..10.0).contains(&number(by_clock, "rate_hz")), "{by_clock}");
+    }
+    assert!(number(&sim_bw, "bytes_per_s") < 10.0 * 50.0, "{sim_bw}");
+    // The stamp is 0, so the age is the simulated time.
+    let age = |report: &Value| report["publishers"][0]["stamp_to_publish_ms"]["max"].as_f64().unwrap();
+    assert!((1e3..600e3).contains(&age(&sim_delay)), "{sim_delay}");
+    assert!(age(&delay) > 3.5e6, "an hour, the maximum: {delay}");
+    stop.send(()).unwrap();
+    stop_clock.send(()).unwrap();
+    thread.join().unwrap();
+    clock.join().unwrap();
+}
+
 #[test]
 fn messages_are_published_by_hand() {
     let participant = enter(97);
@@ -251,6 +319,21 @@ fn messages_are_published_by_hand() {
         && line["header"]["stamp"]["sec"].as_i64() > Some(1_700_000_000)));
     assert_eq!(subscription.counters().lost(), 0);
     assert_eq!(echo.interrupt().status.code(), Some(0));
+
+    // Each message has the time of its publication.
+    let mut echo = Running::start(&["topic", "echo", "/stamped", "--json"]);
+    let values = "{header: auto, twist: {linear: {x: 1}}}";
+    let args = ["topic", "pub", "/stamped", "geometry_msgs/msg/TwistStamped", values, "-r", "20"];
+    let publishing = Running::start(&args);
+    let ns = |line: &str| {
+        let line: Value = serde_json::from_str(line).unwrap();
+        let stamp = |field: &str| line["header"]["stamp"][field].as_i64().unwrap();
+        stamp("sec") * 1_000_000_000 + stamp("nanosec")
+    };
+    let (first, second) = (ns(&echo.line()), ns(&echo.line()));
+    assert!(first > 1_700_000_000_000_000_000 && second > first, "{first} {second}");
+    assert!(publishing.interrupt().status.success());
+    echo.interrupt();
 
     let (code, words) = refused(&["topic", "pub", "/new", "{data: 1}", "--once"]);
     assert!(code == 2 && words.contains("the type of '/new' is not known"), "{words}");

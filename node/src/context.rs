@@ -215,7 +215,7 @@ impl ContextBuilder {
     /// | argument | does |
     /// |---|---|
     /// | `-p [NODE:]NAME:=VALUE`, `--param` | gives a parameter a value, read as YAML |
-    /// | `--params-file FILE` | gives parameters the values in a YAML file |
+    /// | `--params-file FILE` | gives parameters the values in a YAML file; as for `NODE`, a name without `/` at its start is one of the root namespace, and later values count |
     /// | `-r FROM:=TO`, `--remap` | see [`RemapRules`]; come before those of [`remap`](Self::remap) |
     /// | `--log-level [LOGGER:=]LEVEL` | `debug`, `info`, `warn`, `error` or `fatal`; all loggers, or one and those below |
     /// | `--disable-stdout-logs`, `--disable-rosout-logs` | lines are not printed, not published; also `--enable-...` |

@@ -36,11 +36,11 @@ fn the_command_line_gives_what_is_declared() {
     write!(
         file,
         "/**:\n  ros__parameters: {{speed: 1.0, frame: map}}\n/robot:\n  arm:\n    ros__parameters:\n      speed: 2.0\n      \
-         grip: {{force: 5}}\n/*/leg:\n  ros__parameters: {{frame: leg}}\n"
+         grip: {{force: 5}}\n/*/leg:\n  ros__parameters: {{frame: leg}}\narm:\n  ros__parameters: {{frame: root}}\n"
     )
     .unwrap();
     let arguments = format!(
-        "prog --ros-args --params-file {} -p grip.force:=7 -p arm:joints:=[] -p leg:speed:=9.0",
+        "prog --ros-args --params-file {} -p grip.force:=7 -p robot/arm:joints:=[] -p arm:speed:=9.0",
         file.path().display()
     );
     let mut node = node(&arguments).unwrap();

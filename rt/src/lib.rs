@@ -16,6 +16,7 @@
 //! - [`PiMutex`] protects data that threads of different priorities use; [`FutexWord`] is a word to sleep on.
 //! - [`Patience`] limits the time of a polling loop.
 //! - [`at_exit`] calls a function when the process ends, even if other threads still run.
+//! - [`termination_signals`] are those that ask a process to end.
 //! - [`latest`] passes the newest of many values to another thread, without waiting on either side.
 //! - [`clock`] has the clocks, [`host`] the properties of the machine, [`permission`] the reasons why it
 //!   refuses a setting.
@@ -54,6 +55,7 @@ mod noise;
 mod patience;
 mod policy;
 mod sync;
+mod termination;
 mod thread;
 mod thread_time;
 mod words;
@@ -82,6 +84,7 @@ pub use mutex::{PiGuard, PiMutex};
 pub use noise::Interruptions;
 pub use patience::Patience;
 pub use policy::{Policy, current_policy, policy_of, set_policy, set_policy_of};
+pub use termination::termination_signals;
 pub use thread::{
     JoinHandle, Realtime, ThreadBuilder, ThreadInfo, current_tid, short_name, threads, threads_of,
 };

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut action send_goal`: sends a goal, prints its feedback and result, and cancels it on an interruption.
 
-use crate::asking::{Asking, full_name, polled, type_and_values};
+use crate::asking::{Asking, full_name, polled};
 use crate::completions;
 use crate::service::type_to_ask;
+use crate::values::{WrittenMessage, type_and_values};
 use crate::verb::{CommonArgs, End, Failure, Outcome, Waited};
 use clap::Args;
 use futures::channel::oneshot;
@@ -50,7 +51,7 @@ pub fn run(args: &SendGoalArgs, common: &CommonArgs) -> Outcome {
     let graph = graph_of(domain)?;
     let type_name = type_to_ask("action", &action, &super::actions(&graph), type_name)?;
     let parts = Parts(&graph, &action, &type_name);
-    let goal = DynamicMessage::from_yaml(&parts.goal()?, values)?;
+    let goal = WrittenMessage::new(&parts.goal()?, values)?.message;
     let mut asking = Asking::new(domain, end)?;
     let client = asking.node.create_action_client_untyped(&action, &type_name)?;
     let shown = Shown { feedback: parts.feedback()?, result: parts.result()?, is_json: common.json };

@@ -49,8 +49,9 @@ pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
         args.no_rt = true;
     }
     let interrupted = Arc::new(AtomicBool::new(false));
-    let _ = signal_hook::flag::register(signal_hook::consts::SIGINT, interrupted.clone());
-    let _ = signal_hook::flag::register(signal_hook::consts::SIGTERM, interrupted.clone());
+    for signal in tautline_rt::termination_signals() {
+        let _ = signal_hook::flag::register(signal, interrupted.clone());
+    }
 
     let mut files = Files::open(&args)?;
     // Without real-time priorities this would measure other programs, not the machine.
@@ -80,10 +81,11 @@ pub fn run(mut args: DemoArgs) -> Result<ExitCode, DemoError> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// The child processes end when this process closes their input, not by the terminal's Ctrl-C.
-pub fn ignore_interrupts() {
-    let ignored = Arc::new(AtomicBool::new(false));
-    let _ = signal_hook::flag::register(signal_hook::consts::SIGINT, ignored);
+/// The child processes end when this process closes their input, not by signals that the terminal sends to all processes.
+pub fn ignore_terminal_signals() {
+    for signal in [signal_hook::consts::SIGINT, signal_hook::consts::SIGHUP] {
+        let _ = signal_hook::flag::register(signal, Arc::new(AtomicBool::new(false)));
+    }
 }
 
 fn print_banner(reason: &str) {

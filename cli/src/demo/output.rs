@@ -49,10 +49,6 @@ impl Files {
     }
 
     pub fn write(&mut self, report: &DemoReport, verbose: bool) -> Result<(), DemoError> {
-        let mut text = Vec::new();
-        let colour = anstream::AutoStream::choice(&std::io::stdout()) != anstream::ColorChoice::Never;
-        report::write_text(report, verbose, &mut text, colour).map_err(DemoError::Print)?;
-        std::io::stdout().write_all(&text).map_err(DemoError::Print)?;
         self.svg.finish(plot::render_svg(report)?.as_bytes())?;
         let mut written = format!("Picture: {}", self.svg.path.display());
         if let Some(json) = &mut self.json {
@@ -61,7 +57,12 @@ impl Files {
             json.finish(&text)?;
             written += &format!("; JSON: {}", json.path.display());
         }
-        println!("{written}{}", if verbose { "" } else { "; --verbose prints more" });
-        Ok(())
+        // After the files, which a closed terminal must not prevent.
+        let mut text = Vec::new();
+        let colour = anstream::AutoStream::choice(&std::io::stdout()) != anstream::ColorChoice::Never;
+        report::write_text(report, verbose, &mut text, colour).map_err(DemoError::Print)?;
+        writeln!(text, "{written}{}", if verbose { "" } else { "; --verbose prints more" })
+            .map_err(DemoError::Print)?;
+        std::io::stdout().write_all(&text).map_err(DemoError::Print)
     }
 }

@@ -16,7 +16,7 @@ use tautline_rt::clock;
 const LEAD: Duration = Duration::from_millis(200);
 
 pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
-    super::conductor::ignore_interrupts();
+    super::conductor::ignore_terminal_signals();
     let elsewhere = application::bind(args.core)?;
     let context = application::context(args, application::PUBLISHER_SAMPLER_PRIORITY).build()?;
     let mut node = Node::create(context.clone(), "publisher", &args.namespace)?;

@@ -12,7 +12,7 @@ use tautline::{CallbackOptions, Node, SubscriptionCounters};
 use tautline_rt::{CoreMark, CoreTime, clock};
 
 pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
-    super::conductor::ignore_interrupts();
+    super::conductor::ignore_terminal_signals();
     let elsewhere = application::bind(args.core)?;
     let context = application::context(args, application::sampler_priority(args)?).build()?;
     let mut node = Node::create(context.clone(), "subscriber", &args.namespace)?;

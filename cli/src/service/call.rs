@@ -2,8 +2,9 @@
 //! `taut service call`: sends a request and prints the response.
 
 use super::named::type_to_ask;
-use crate::asking::{Asking, full_name, type_and_values};
+use crate::asking::{Asking, full_name};
 use crate::completions;
+use crate::values::{WrittenMessage, type_and_values};
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::Args;
 use std::io::{self, Write};
@@ -13,7 +14,7 @@ use tautline_transport::graph_of;
 
 /// Calls a service and prints its response
 ///
-/// Values are YAML or JSON; omitted fields have their defaults. Waits for the response until Ctrl-C, or until --timeout.
+/// Values are YAML or JSON; omitted fields have their defaults, a header may be `auto` and a time `now`. Waits for the response until Ctrl-C, or until --timeout.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut service call /lights '{data: true}'
@@ -38,7 +39,7 @@ pub fn run(args: &CallArgs, common: &CommonArgs) -> Outcome {
     let mut asking = Asking::new(domain, end)?;
     let client = asking.node.create_client_untyped(&service, &type_name)?;
     let (request, response) = client.definitions();
-    let request = Json(DynamicMessage::from_yaml(request, values)?.to_json_value());
+    let request = Json(WrittenMessage::new(request, values)?.message.to_json_value());
     let answer = asking.wait(|| format!("'{service}' to answer"), async {
         client.wait_for_service()?.await?;
         client.request(&request)?.await

@@ -4,8 +4,9 @@
 mod call;
 mod named;
 
-use crate::asking::{full_name, full_type};
+use crate::asking::full_name;
 use crate::completions;
+use crate::values::full_type;
 use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::{Args, Subcommand};
 pub use named::{Named, named, type_to_ask};

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut topic delay`: how old messages are when they are published, and when they are taken.
 
-use super::tap::{ends, wait_for_type};
+use super::sim_clock::SimClock;
+use super::tap::{POLL, ends, wait_for_type};
 use crate::asking::full_name;
 use crate::completions;
 use crate::table::write_table;
@@ -21,8 +22,8 @@ use tautline_transport::{Durability, Gid, Limits, Participant, Qos, Reliability,
 
 /// Prints how old messages are: from their stamp to their publication, and from there until they are taken here
 ///
-/// Subscribes as a node does, so that the delay is one: publishers wake this command for each message. The stamp is the field
-/// header.stamp, or stamp, by the system's clock.
+/// Subscribes as a node does: publishers wake this command for each message. The stamp is the field header.stamp, or stamp, by the
+/// system's clock, or with --sim-time by /clock.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut topic delay /scan
@@ -41,6 +42,9 @@ pub struct DelayArgs {
     /// Exit with 1 if a message was published longer ago when it was taken
     #[arg(long, value_name = "TIME", value_parser = time)]
     max: Option<Duration>,
+    /// Compare stamps with the time of /clock, whose period is the resolution
+    #[arg(long)]
+    sim_time: bool,
 }
 
 /// How old one publisher's messages are.
@@ -105,6 +109,10 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
     if schema.is_none() {
         eprintln!("taut: the definition of {} is not known, so stamps are not seen", topic_type.name);
     }
+    let mut clock = SimClock::new(domain)?;
+    if args.sim_time {
+        clock.wait(&end)?;
+    }
     let seat = participant.doorbell().claim_sampler()?;
     if let Some(priority) = args.priority {
         set_policy(Policy::Fifo(priority))?;
@@ -113,6 +121,10 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
     let mut next = Instant::now() + args.every;
     loop {
         seat.drain(|_| {});
+        clock.poll()?;
+        if !args.sim_time {
+            clock.warn(true);
+        }
         loop {
             let sample = match subscription.try_take() {
                 Ok(Some(sample)) => sample,
@@ -129,8 +141,13 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
                 Ages { label, published: Times::default(), taken: Times::default(), ahead: 0 }
             });
             ages.taken.record(now_ns.saturating_sub(info.released_ns));
-            if let Some(stamp) = schema.as_ref().and_then(|schema| stamp_of(schema, sample.body())) {
-                match u64::try_from(info.source_timestamp_ns.saturating_sub(stamp)) {
+            let published_ns = match args.sim_time {
+                true => clock.at_monotonic(info.released_ns).and_then(|ns| i64::try_from(ns).ok()),
+                false => Some(info.source_timestamp_ns),
+            };
+            let stamp = schema.as_ref().and_then(|schema| stamp_of(schema, sample.body()));
+            if let Some((published_ns, stamp)) = published_ns.zip(stamp) {
+                match u64::try_from(published_ns.saturating_sub(stamp)) {
                     Ok(age_ns) => ages.published.record(age_ns),
                     Err(_) => ages.ahead += 1,
                 }
@@ -145,7 +162,10 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
                 writeln!(
                     out,
                     "{}",
-                    json!({ "topic": topic, "publishers": ages, "lost": subscription.counters().lost() })
+                    json!({
+                        "topic": topic, "sim_time": args.sim_time, "publishers": ages,
+                        "lost": subscription.counters().lost(),
+                    })
                 )?;
             } else if all.is_empty() {
                 end.say_once(|| format!("a message on '{topic}'"));
@@ -160,8 +180,9 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
         if is_last {
             break;
         }
-        // A signal is seen that late.
-        let patience = Duration::from_millis(50).min(end.left().unwrap_or(Duration::MAX));
+        // The maximum time until a signal is handled; nothing rings for a message of /clock.
+        let patience = if args.sim_time { POLL } else { Duration::from_millis(50) };
+        let patience = patience.min(end.left().unwrap_or(Duration::MAX));
         seat.sleep(Some(monotonic_ns() + nanoseconds(patience)));
     }
     let longest = Duration::from_nanos(all.values().map(|ages| ages.taken.max_ns()).max().unwrap_or(0));

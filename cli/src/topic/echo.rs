@@ -32,7 +32,7 @@ pub struct EchoArgs {
     count: Option<u64>,
     #[arg(long, value_name = "PATH", help = "Print this field alone, such as pose.position.x or ranges[3]", add = completions::fields())]
     field: Option<String>,
-    /// Print messages for which this program of jq's language gives something else than false and null
+    /// Print the messages for which a result of this jq program is neither false nor null
     #[arg(long, value_name = "JQ")]
     filter: Option<String>,
     /// Say arrays and sequences by their type and length
@@ -122,7 +122,7 @@ impl EchoArgs {
         json: bool,
     ) -> Outcome<Option<String>> {
         if let Some(filter) = filter
-            && !filter.accepts(&message.to_json())?
+            && !filter.accepts(message)?
         {
             return Ok(None);
         }

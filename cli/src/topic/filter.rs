@@ -1,46 +1,47 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Which messages somebody wants, said in jq's language: `taut-filter` answers for each.
+//! Selects messages by a program in jq's language, which `taut-filter` runs.
 
 use crate::sibling::FILTER;
 use crate::verb::{Failure, Outcome};
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use tautline_rt::host::with_former_open_files;
+use tautline_schema::DynamicMessage;
 
-/// The program, which ends with its input.
+/// The process `taut-filter`. It ends when its input is closed.
 pub struct Filter {
-    questions: ChildStdin,
+    messages: ChildStdin,
     answers: BufReader<ChildStdout>,
     child: Child,
 }
 
 impl Filter {
-    /// Starts it.
+    /// Starts the process.
     ///
     /// # Errors
-    /// It is not there, or `text` is not in jq's language.
+    /// It is not installed, or `text` is not a jq program.
     pub fn new(text: &str) -> Outcome<Self> {
         let path = FILTER.path();
         let mut command = Command::new(&path);
         command.arg(text).stdin(Stdio::piped()).stdout(Stdio::piped());
         let started = with_former_open_files(&mut command).spawn();
         let mut child = started.map_err(|error| Failure::unusable(FILTER.error(path, error).to_string()))?;
-        let (Some(questions), Some(answers)) = (child.stdin.take(), child.stdout.take()) else {
+        let (Some(messages), Some(answers)) = (child.stdin.take(), child.stdout.take()) else {
             return Err(ended());
         };
-        let mut filter = Filter { questions, answers: BufReader::new(answers), child };
+        let mut filter = Filter { messages, answers: BufReader::new(answers), child };
         match filter.answer()?.as_str() {
             "" => Ok(filter),
             wrong => Err(Failure::unusable(wrong)),
         }
     }
 
-    /// Whether a message, as JSON in one line, is wanted.
+    /// Whether the program selects a message.
     ///
     /// # Errors
     /// The program cannot be applied to it.
-    pub fn accepts(&mut self, json: &str) -> Outcome<bool> {
-        writeln!(self.questions, "{json}").map_err(|_| ended())?;
+    pub fn accepts(&mut self, message: &DynamicMessage) -> Outcome<bool> {
+        writeln!(self.messages, "{}", message.to_extended_json()).map_err(|_| ended())?;
         match self.answer()?.as_str() {
             "true" => Ok(true),
             "false" => Ok(false),

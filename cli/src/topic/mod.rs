@@ -7,11 +7,13 @@ mod filter;
 pub mod info;
 mod publish;
 mod rates;
+mod sim_clock;
 pub mod tap;
 
-use crate::asking::{full_name, full_type};
+use crate::asking::full_name;
 use crate::completions;
 use crate::table::write_names;
+use crate::values::full_type;
 use crate::verb::{CommonArgs, Outcome};
 use clap::{Args, Subcommand};
 use rates::Unit;

@@ -1,41 +1,42 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut topic pub`: publishes messages written by hand.
 
-use crate::asking::{full_name, type_and_values};
+use crate::asking::full_name;
 use crate::completions;
 use crate::times::Times;
+use crate::values::{WrittenMessage, type_and_values};
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, ValueEnum};
 use serde_json::json;
 use std::sync::Arc;
 use std::time::Duration;
 use tautline::{Context, EndpointKind, Json, Node, Publisher, Qos, Realtime, TopicEndpoint};
-use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
+use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_rt::{Policy, set_policy};
-use tautline_schema::DynamicMessage;
 use tautline_transport::{Visitor, graph_of};
 
-/// How long a subscription that is elsewhere may take to find who publishes to it there.
+/// The time in which a subscription on another host or in ROS discovers its new publisher there.
 const FAR: Duration = Duration::from_secs(1);
 
 /// Publishes a message, once or at a rate
 ///
-/// Values are YAML or JSON; what is left out has its default. The type need not be said if the topic exists. How regular the
-/// messages were is said at the end.
+/// Values are YAML or JSON. Omitted fields have their defaults; a header that is `auto` and a time that is `now` get the time of each
+/// publication. The type may be omitted if the topic exists. At the end the verb prints how late the messages were.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut topic pub /chatter std_msgs/msg/String '{data: hello}' --once
   taut topic pub /cmd_vel geometry_msgs/msg/Twist '{linear: {x: 0.5}}' -r 50 --priority 40
-  taut topic pub /pose '{header: {frame_id: map}}' --stamp now -r 10 -n 100")]
+  taut topic pub /pose geometry_msgs/msg/PoseStamped '{header: auto}' -r 10
+  taut topic pub /pose '{header: {stamp: now, frame_id: map}}' -n 100")]
 pub struct PubArgs {
     /// The topic
     #[arg(value_name = "TOPIC", add = completions::topics())]
     topic: String,
-    /// The type, such as std_msgs/msg/String, if the topic does not exist, and the values, if they are not the defaults
+    /// The type, such as std_msgs/msg/String, required if the topic does not exist; the values [default: each field's default]
     #[arg(value_name = "[TYPE] [VALUES]", num_args = 0..=2, add = completions::message_types())]
     message: Vec<String>,
-    /// Publish one message, once there is a subscription; if that is on another host or in ROS, a second after a gateway or bridge
-    /// has begun to take what is published
+    /// Publish one message when there is a subscription; if that is on another host or in ROS, a second after a gateway or bridge
+    /// subscribes to the topic
     #[arg(long, conflicts_with_all = ["rate", "count"])]
     once: bool,
     /// Messages a second
@@ -47,13 +48,13 @@ pub struct PubArgs {
     /// Set header.stamp, or stamp, of each message
     #[arg(long, value_enum, value_name = "WHEN")]
     stamp: Option<Stamp>,
-    /// Wait for so many subscriptions first
+    /// Wait for N subscriptions first
     #[arg(short = 'w', long, value_name = "N")]
     wait: Option<usize>,
     /// Publish with this priority of SCHED_FIFO
     #[arg(long, value_name = "1..99", value_parser = clap::value_parser!(u8).range(1..=99))]
     priority: Option<u8>,
-    /// Messages that are kept for who is slow
+    /// Depth of the publisher's history
     #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..))]
     qos_depth: u16,
     #[arg(long, value_enum, default_value_t)]
@@ -102,7 +103,7 @@ impl PubArgs {
         }
     }
 
-    /// The type and the values. What is no type's name is a value.
+    /// The type and the values.
     fn message(&self, domain: u32, topic: &str) -> Outcome<(String, &str)> {
         let (type_name, values) = type_and_values(&self.message, "msg");
         if let Some(type_name) = type_name {
@@ -110,30 +111,12 @@ impl PubArgs {
         }
         let known = graph_of(domain)?.topic_type(topic).ok_or_else(|| {
             Failure::unusable(format!(
-                "the type of '{topic}' is not known, for nobody has the topic: say it, as in `taut topic pub {topic} \
-                 std_msgs/msg/String '{{data: hello}}'`"
+                "the type of '{topic}' is not known, because no node publishes or subscribes to it: give the type, as in `taut topic \
+                 pub {topic} std_msgs/msg/String '{{data: hello}}'`"
             ))
         })?;
         Ok((known.name.into_owned(), values))
     }
-}
-
-/// Where a type has its stamp.
-fn stamp_path(message: &DynamicMessage) -> Outcome<&'static str> {
-    let has = |path: &str| message.get(&format!("{path}.nanosec")).is_ok();
-    match ["header.stamp", "stamp"].into_iter().find(|path| has(path)) {
-        Some(path) => Ok(path),
-        None => Err(Failure::unusable(format!(
-            "{} has neither header.stamp nor stamp that could be set",
-            message.schema().name()
-        ))),
-    }
-}
-
-fn set_stamp(message: &mut DynamicMessage, path: &str) -> Outcome {
-    let now_ns = wall_ns();
-    message.set(&format!("{path}.sec"), i32::try_from(now_ns / 1_000_000_000).unwrap_or(i32::MAX))?;
-    Ok(message.set(&format!("{path}.nanosec"), (now_ns % 1_000_000_000) as u32)?)
 }
 
 pub fn run(args: &PubArgs, common: &CommonArgs) -> Outcome {
@@ -143,8 +126,10 @@ pub fn run(args: &PubArgs, common: &CommonArgs) -> Outcome {
     let context = Context::builder().domain(domain).realtime(Realtime::Off).build()?;
     let mut node = Node::create(context, &format!("taut_pub_{}", std::process::id()), "")?;
     let publisher = node.create_publisher_untyped(&topic, &type_name, args.qos())?;
-    let mut message = DynamicMessage::from_yaml(publisher.definition(), values)?;
-    let stamp = args.stamp.map(|_| stamp_path(&message)).transpose()?;
+    let mut message = WrittenMessage::new(publisher.definition(), values)?;
+    if let Some(Stamp::Now) = args.stamp {
+        message.add_stamp()?;
+    }
     let wanted = args.wait.or(args.once.then_some(1));
     if let Some(wanted) = wanted {
         wait_for_subscriptions(domain, &node, &publisher, wanted, &end)?;
@@ -153,7 +138,7 @@ pub fn run(args: &PubArgs, common: &CommonArgs) -> Outcome {
         set_policy(Policy::Fifo(priority))?;
     }
     let count = if args.once { Some(1) } else { args.count };
-    let late = send(args, &publisher, &mut message, stamp, count, &end)?;
+    let late = send(args, &publisher, message, count, &end)?;
     if common.json {
         println!(
             "{}",
@@ -189,7 +174,7 @@ fn wait_for_subscriptions(
     if publisher.subscription_count() >= wanted {
         return Ok(());
     }
-    // They are on another host, or in ROS.
+    // The subscriptions are on another host, or in ROS.
     let (mut visitor, pid) = (Visitor::new(domain)?, Some(std::process::id()));
     let what = || format!("a gateway or bridge to take '{}'", publisher.topic());
     end.wait(what, || {
@@ -202,39 +187,38 @@ fn wait_for_subscriptions(
     })?;
     end.pause(FAR);
     eprintln!(
-        "taut: subscriptions of '{}' are elsewhere: what arrives there is not known here",
+        "taut: the subscriptions of '{}' are on other hosts or in ROS: whether the message arrives there is not known",
         publisher.topic()
     );
     Ok(())
 }
 
-/// Publishes at absolute times; gives how late each message was.
+/// Publishes at absolute times. Returns how late each message was.
 fn send(
     args: &PubArgs,
     publisher: &Publisher<Json>,
-    message: &mut DynamicMessage,
-    stamp: Option<&str>,
+    mut message: WrittenMessage,
     count: Option<u64>,
     end: &End,
 ) -> Outcome<Times> {
     let mut late = Times::default();
-    let mut bytes = message.to_cdr();
+    let mut bytes = message.message.to_cdr();
     let start_ns = monotonic_ns();
     for n in 0.. {
         if count == Some(n) || end.is_reached() {
             break;
         }
         let due_ns = start_ns + (n as f64 * 1e9 / args.rate) as u64;
-        // Up to shortly before, so that Ctrl-C is heard.
+        // The last 100 ms are slept exactly; Ctrl-C does not end that sleep.
         let ahead = Duration::from_nanos(due_ns.saturating_sub(monotonic_ns()));
         end.pause(ahead.saturating_sub(Duration::from_millis(100)));
         if end.is_reached() {
             break;
         }
         sleep_until_monotonic(due_ns);
-        if let Some(path) = stamp {
-            set_stamp(message, path)?;
-            bytes = message.to_cdr();
+        if message.has_stamps() {
+            message.stamp()?;
+            bytes = message.message.to_cdr();
         }
         late.record(monotonic_ns().saturating_sub(due_ns));
         publisher.publish_raw(&bytes)?;

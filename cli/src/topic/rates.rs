@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut topic hz` and `taut topic bw`: how often, how regularly and how much publishers send.
 //!
-//! Publishers count what they send where anybody may read it. Looked at often enough, the count shows each message by itself, and
-//! when it was sent. Only what is too fast for that, or comes from elsewhere, has to be taken.
+//! Publishers count their messages in shared memory. Read often enough, the count shows each message separately, with its time. Messages
+//! that are too fast for that, or come from other hosts, must be taken.
 
+use super::sim_clock::SimClock;
 use super::tap::{POLL, Tap, ends, wait_for_type};
 use crate::asking::full_name;
 use crate::completions;
 use crate::table::write_table;
 use crate::times::Times;
-use crate::verb::{CommonArgs, End, Failure, Outcome, time};
+use crate::verb::{CommonArgs, End, Failure, Outcome, say, time};
 use clap::Args;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -17,7 +18,7 @@ use std::io::{self, Write};
 use std::ops::RangeInclusive;
 use std::time::{Duration, Instant};
 use tautline::{EndpointKind, GraphSnapshot};
-use tautline_transport::{Gid, MessageInfo, Sent, Visitor};
+use tautline_transport::{Gid, Sent, Visitor};
 
 /// Below this rate each message is seen by itself.
 const SEEN_HZ: f64 = 400.0;
@@ -43,6 +44,10 @@ pub struct RateArgs {
     /// Take every message, for the periods of what is too fast for counts, and for gaps in the numbers
     #[arg(long)]
     take: bool,
+    /// Count by the time of /clock, whose period is the resolution, instead of the system's; --every, --window and --timeout are the
+    /// system's
+    #[arg(long)]
+    sim_time: bool,
 }
 
 /// What is printed first.
@@ -118,13 +123,12 @@ impl Flow {
     }
 
     /// A message that was taken.
-    fn take(&mut self, info: &MessageInfo, len_bytes: usize) {
+    fn take(&mut self, number: u64, at_ns: u64, len_bytes: usize) {
         if self.number != 0 {
-            let gap = info.sequence_number.saturating_sub(self.number + 1);
+            let gap = number.saturating_sub(self.number + 1);
             self.lost = self.lost.map(|lost| lost + gap);
         }
-        self.number = info.sequence_number;
-        let at_ns = u64::try_from(info.source_timestamp_ns).unwrap_or(0);
+        self.number = number;
         let Sent { messages, bytes, .. } = self.last;
         self.see(Sent { messages: messages + 1, bytes: bytes + len_bytes as u64, last_ns: at_ns });
     }
@@ -179,24 +183,36 @@ struct Meter {
     domain: u32,
     topic: String,
     source: Source,
+    /// The time that messages are counted by; `None`: the system's.
+    sim_clock: Option<SimClock>,
     flows: BTreeMap<Gid, Flow>,
 }
 
 impl Meter {
-    fn start(domain: u32, topic: &str, take: bool, end: &End) -> Outcome<Self> {
+    fn start(domain: u32, topic: &str, args: &RateArgs, end: &End) -> Outcome<Self> {
         let topic_type = wait_for_type(domain, topic, end)?;
         let mut visitor = Visitor::new(domain)?;
         let is_elsewhere = is_elsewhere(&*visitor.graph()?, topic);
-        let source = match take || is_elsewhere {
+        let source = match args.take || is_elsewhere {
             true => Source::Messages(Tap::open(domain, topic, topic_type)?),
             false => Source::Counts(visitor),
         };
-        Ok(Meter { domain, topic: topic.to_owned(), source, flows: BTreeMap::new() })
+        let mut sim_clock = if args.sim_time { Some(SimClock::new(domain)?) } else { None };
+        if let Some(clock) = &mut sim_clock {
+            clock.wait(end)?;
+        }
+        Ok(Meter { domain, topic: topic.to_owned(), source, sim_clock, flows: BTreeMap::new() })
     }
 
     /// Looks, and says how long to wait until it looks again.
     fn look(&mut self) -> Outcome<Duration> {
         let (topic, flows) = (&self.topic, &mut self.flows);
+        if let Some(clock) = &mut self.sim_clock
+            && clock.poll()?
+        {
+            say("taut: /clock jumped back: counting starts anew");
+            flows.clear();
+        }
         match &mut self.source {
             Source::Counts(visitor) => {
                 let graph = visitor.graph()?;
@@ -209,13 +225,18 @@ impl Meter {
                     return Ok(Duration::ZERO);
                 }
                 for end in ends(&graph, topic).filter(|end| end.kind == EndpointKind::Publisher) {
-                    let Some(sent) = visitor.sent(end)? else { continue };
+                    let Some(mut sent) = visitor.sent(end)? else { continue };
+                    if let Some(clock) = &self.sim_clock {
+                        // Of the last message before /clock the time is not known: 0, as before the first message.
+                        sent.last_ns = clock.at_monotonic(sent.last_ns).unwrap_or(0);
+                    }
                     let flow = flows.entry(end.gid);
                     flow.or_insert_with(|| Flow::new(label(&graph, topic, end.gid), end.pid, sent, None))
                         .see(sent);
                 }
                 let now_ns = tautline_rt::clock::monotonic_ns();
-                let is_fast = flows.values().any(|flow| flow.messages() > 100 && flow.hz(now_ns) > SEEN_HZ);
+                let is_fast = |flow: &Flow| flow.messages() > 100 && flow.hz(now_ns) > SEEN_HZ;
+                let is_fast = self.sim_clock.is_none() && flows.values().any(is_fast);
                 Ok(if is_fast { FAST_POLL } else { POLL })
             }
             Source::Messages(tap) => {
@@ -228,7 +249,11 @@ impl Meter {
                             .and_then(|end| end.pid);
                         Flow::new(label(&graph, topic, info.publisher_gid), pid, Sent::default(), Some(0))
                     });
-                    flow.take(&info, sample.body().len());
+                    let mut at_ns = u64::try_from(info.source_timestamp_ns).unwrap_or(0);
+                    if let Some(clock) = &self.sim_clock {
+                        at_ns = clock.at_wall(at_ns).unwrap_or(0);
+                    }
+                    flow.take(info.sequence_number, at_ns, sample.body().len());
                 }
                 Ok(POLL)
             }
@@ -237,9 +262,10 @@ impl Meter {
 
     /// Now, by the clock of the flows.
     fn now_ns(&self) -> u64 {
-        match self.source {
-            Source::Counts(_) => tautline_rt::clock::monotonic_ns(),
-            Source::Messages(_) => u64::try_from(tautline_rt::clock::wall_ns()).unwrap_or(0),
+        match (&self.sim_clock, &self.source) {
+            (Some(clock), _) => clock.now_ns(),
+            (None, Source::Counts(_)) => tautline_rt::clock::monotonic_ns(),
+            (None, Source::Messages(_)) => u64::try_from(tautline_rt::clock::wall_ns()).unwrap_or(0),
         }
     }
 
@@ -271,6 +297,7 @@ impl Meter {
         json!({
             "topic": self.topic,
             "seconds": since.elapsed().as_secs_f64(),
+            "sim_time": self.sim_clock.is_some(),
             "from": match self.source { Source::Counts(_) => "counts", Source::Messages(_) => "messages" },
             "rate_hz": self.hz(),
             "bytes_per_s": self.bytes_per_second(),
@@ -364,13 +391,18 @@ fn size(bytes: f64) -> String {
 pub fn run(args: &RateArgs, unit: Unit, common: &CommonArgs) -> Outcome {
     let end = End::of(common)?;
     let (domain, topic) = (common.domain()?, full_name(&args.topic));
-    let mut meter = Meter::start(domain, &topic, args.take, &end)?;
+    let mut meter = Meter::start(domain, &topic, args, &end)?;
+    let mut unused_clock = if args.sim_time { None } else { Some(SimClock::new(domain)?) };
     let (start, mut since) = (Instant::now(), Instant::now());
     let time = args.expect.as_ref().map(|_| common.timeout().unwrap_or(EXPECT_TIME));
     let is_over = || end.is_reached() || time.is_some_and(|time| start.elapsed() >= time);
     let mut next = start + args.every;
     loop {
         let pause = meter.look()?;
+        if let Some(clock) = &mut unused_clock {
+            clock.poll()?;
+            clock.warn(false);
+        }
         let is_last = is_over();
         if is_last || Instant::now() >= next {
             next += args.every;
@@ -459,13 +491,7 @@ mod tests {
     fn gaps_in_numbers_are_lost() {
         let mut flow = Flow::new("x".into(), None, Sent::default(), Some(0));
         for number in [3, 4, 7, 8] {
-            let info = MessageInfo {
-                sequence_number: number,
-                source_timestamp_ns: 1_000 * number as i64,
-                released_ns: 0,
-                publisher_gid: Gid([0; 16]),
-            };
-            flow.take(&info, 100);
+            flow.take(number, 1_000 * number, 100);
         }
         assert_eq!((flow.lost, flow.messages()), (Some(2), 3));
     }

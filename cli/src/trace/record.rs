@@ -3,12 +3,12 @@
 
 use super::TraceError;
 use super::file::{Entry, Writer};
-use crate::verb::{CommonArgs, End, time};
+use crate::verb::{CommonArgs, End, say, time};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use std::fs::File;
-use std::io::{self, BufWriter};
+use std::io::{self, BufWriter, Write};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
@@ -60,16 +60,13 @@ pub fn run(args: &RecordArgs, common: &CommonArgs) -> Result<ExitCode, TraceErro
     let (mut sum, start) = (Sum::default(), Instant::now());
     end.restart();
     let progress = progress(common.json);
-    eprintln!(
-        "recording domain {domain} into {}{}",
-        args.out.display(),
-        if end.timeout().is_none() { ", until Ctrl-C" } else { "" }
-    );
+    let until = if end.timeout().is_none() { ", until Ctrl-C" } else { "" };
+    say(&format!("recording domain {domain} into {}{until}", args.out.display()));
     let mut next_flush = start + Duration::from_secs(1);
     while !end.is_reached() {
         recorder.poll(&mut |record| note(&mut writer, &mut sum, &record));
         for complaint in recorder.complaints() {
-            progress.suspend(|| eprintln!("taut: warning: {complaint}"));
+            progress.suspend(|| say(&format!("taut: warning: {complaint}")));
         }
         progress.set_message(format!(
             "{} processes recording, {} events, {} lost",
@@ -112,16 +109,18 @@ fn note(writer: &mut Writer<BufWriter<File>>, sum: &mut Sum, record: &Record<'_>
 }
 
 fn print(args: &RecordArgs, common: &CommonArgs, domain: u32, sum: &Sum, time: Duration) {
-    if common.json {
+    // The recording is complete; a closed terminal is no error.
+    let _ = if common.json {
         let report = json!({
             "file": args.out, "domain": domain, "seconds": time.as_secs_f64(),
             "processes": sum.processes, "events": sum.events, "events_lost": sum.lost,
         });
-        println!("{report}");
+        writeln!(io::stdout(), "{report}")
     } else {
         let Sum { processes, events, lost, .. } = sum;
-        println!("{}: {events} events of {processes} processes, {lost} lost", args.out.display());
-    }
+        let file = args.out.display();
+        writeln!(io::stdout(), "{file}: {events} events of {processes} processes, {lost} lost")
+    };
 }
 
 /// Prints the progress, only on a terminal and not with --json.

@@ -20,14 +20,6 @@ pub enum GenerateError {
         /// The package of the field's type.
         package: String,
     },
-    /// A message has the same name as an item that is generated for another message.
-    #[error("`{type_name}` has the name of what reads or writes `{of}` in place: rename one of the two")]
-    Taken {
-        /// The message.
-        type_name: String,
-        /// The other one.
-        of: String,
-    },
     /// No folder has definitions of a package.
     #[error("package {package} has no definitions in {searched}: add the folder that has them")]
     Empty {

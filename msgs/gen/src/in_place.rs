@@ -5,7 +5,7 @@ use tautline_schema::{Base, FieldType, Schema, SchemaError, Shape};
 
 use crate::Options;
 use crate::memory::Memory;
-use crate::names::relative;
+use crate::names::{Taken, relative};
 use crate::types::{form, rust};
 
 /// Writes types as code in the module `module` has them.
@@ -13,6 +13,7 @@ pub struct Types<'a> {
     pub schema: &'a Schema,
     pub module: &'a str,
     pub options: &'a Options,
+    pub taken: &'a Taken,
 }
 
 /// The type of a message's sizes.
@@ -41,7 +42,7 @@ impl Types<'_> {
             (Base::WString { .. }, Shape::Single) => format!("{}::cdr::WStr<'a>", options.msgs),
             (Base::Nested(name), shape) => match (Memory::of(&self.schema.of_part(name)?), shape) {
                 (Memory::Dense, _) => as_memory(one, "&'a "),
-                (_, Shape::Single) => format!("{one}Ref<'a>"),
+                (_, Shape::Single) => format!("{}<'a>", self.taken.avoid(name, &one, "Ref")),
                 _ => seq(),
             },
             _ => seq(),
@@ -56,10 +57,11 @@ impl Types<'_> {
                 fields.push((field.name.clone(), ty));
             }
         }
+        let ty = || self.taken.avoid(self.schema.name(), name, "Sizes");
         let ty = match &fields[..] {
             [] => "()".to_owned(),
-            fields if fields.iter().any(|(_, ty)| ty.contains("'s")) => format!("{name}Sizes<'s>"),
-            _ => format!("{name}Sizes"),
+            fields if fields.iter().any(|(_, ty)| ty.contains("'s")) => format!("{}<'s>", ty()),
+            _ => ty(),
         };
         Ok(Sizes { ty, fields })
     }

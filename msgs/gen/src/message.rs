@@ -7,6 +7,7 @@ use tautline_schema::{Base, Definition, Field, Schema, SchemaError, Shape, TypeN
 
 use crate::in_place::Types;
 use crate::memory::Memory;
+use crate::names::Taken;
 use crate::text::Text;
 use crate::types::{constant, default_of, form, has_default, is_zero, literal, owned, rust, serde};
 use crate::units::unit;
@@ -18,7 +19,7 @@ pub fn write(
     schema: &Schema,
     name: &str,
     module: &str,
-    options: &Options,
+    (options, taken): (&Options, &Taken),
 ) -> Result<(), SchemaError> {
     let definition = schema.definition();
     let memory = Memory::of(schema);
@@ -57,7 +58,7 @@ pub fn write(
     if !derives_default {
         write_default(text, fields, name);
     }
-    let types = Types { schema, module, options };
+    let types = Types { schema, module, options, taken };
     forms(text, definition, fields, name, &types, memory);
     if memory == Memory::Dense {
         text.line(&format!("{}::dense_struct! {{ {name} }}", options.msgs));
@@ -65,7 +66,8 @@ pub fn write(
         in_place(text, definition, fields, name, &types)?;
     }
     text.line(&format!("{}::message! {{", options.msgs));
-    let view = if memory.is_plain() { "plain".to_owned() } else { format!("{name}Ref") };
+    let view =
+        if memory.is_plain() { "plain".to_owned() } else { taken.avoid(&definition.name, name, "Ref") };
     text.line(&format!("{view} {name} \"{}\" {{", definition.name));
     let own_text = schema.to_text();
     let own_text = own_text.split_once(&"=".repeat(80)).map_or(&own_text[..], |(own, _)| own);
@@ -128,11 +130,12 @@ fn in_place(
     name: &str,
     types: &Types<'_>,
 ) -> Result<(), SchemaError> {
-    let Types { module, options, .. } = types;
+    let Types { module, options, taken, .. } = types;
     let sizes = types.sizes(name)?;
     text.line(&format!("{}::in_place! {{", options.msgs));
     text.line(&format!("\"{}\";", definition.name));
-    text.line(&format!("{name} {name}Ref {name}Writer {};", sizes.ty));
+    let [view, writer] = ["Ref", "Writer"].map(|suffix| taken.avoid(&definition.name, name, suffix));
+    text.line(&format!("{name} {view} {writer} {};", sizes.ty));
     text.line("{");
     for field in fields {
         field_docs(text, definition, field);
@@ -202,9 +205,7 @@ fn field_docs(text: &mut Text, definition: &Definition, field: &Field) {
     let unit =
         unit(definition.name.as_str(), &field.name).map_or(String::new(), |unit| format!(", in {unit}"));
     text.doc(&format!("`{}`{unit}", field.ty));
-    for line in field.docs.lines() {
-        text.doc(line);
-    }
+    text.comment(&field.docs);
 }
 
 fn constants(text: &mut Text, definition: &Definition, name: &str) {

@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use tautline_schema::{Base, Kind, Packages, Schema, TypeName};
 
 use crate::memory::Memory;
+use crate::names::Taken;
 use crate::text::Text;
 use crate::{GenerateError, Options, message, names};
 
@@ -27,7 +28,8 @@ pub struct RustType {
 /// [`GenerateError`] if a package has no definitions, one of them is not valid, or needs a package that is neither
 /// given nor [external](Options::external).
 pub fn generate(packages: &mut Packages, names: &[&str], options: &Options) -> Result<String, GenerateError> {
-    let mut generator = Generator { packages, names, options, text: Text::default() };
+    let taken = Taken::among(&packages.list());
+    let mut generator = Generator { packages, names, options, taken, text: Text::default() };
     for package in names.iter().collect::<BTreeSet<_>>() {
         generator.package(package)?;
     }
@@ -55,7 +57,7 @@ pub fn messages(packages: &mut Packages, names: &[&str]) -> Result<Vec<RustType>
             }
         }
     }
-    let path = |name: &TypeName| format!("{}::{}", name.package(), names::path(name));
+    let path = |name: &TypeName| format!("{}::{}", names::item(name.package()), names::path(name));
     Ok(types.into_iter().map(|(name, is_plain)| RustType { path: path(&name), name, is_plain }).collect())
 }
 
@@ -76,19 +78,6 @@ fn definitions(packages: &Packages, package: &str) -> Result<Vec<TypeName>, Gene
         return Err(GenerateError::Empty { package: package.to_owned(), searched });
     }
     Ok(names)
-}
-
-/// No message has the name of what reads or writes another one in place.
-fn check_names(names: &[&TypeName]) -> Result<(), GenerateError> {
-    for name in names.iter().filter(|name| name.kind() == Kind::Msg) {
-        for suffix in ["Ref", "Writer", "Sizes"] {
-            let taken = format!("{name}{suffix}");
-            if names.iter().any(|other| other.as_str() == taken) {
-                return Err(GenerateError::Taken { type_name: taken, of: name.to_string() });
-            }
-        }
-    }
-    Ok(())
 }
 
 /// The functions of `Action`: signatures, and bodies, line by line.
@@ -133,6 +122,7 @@ struct Generator<'a> {
     packages: &'a mut Packages,
     names: &'a [&'a str],
     options: &'a Options,
+    taken: Taken,
     text: Text,
 }
 
@@ -141,21 +131,21 @@ impl Generator<'_> {
         let definitions = definitions(self.packages, package)?;
         self.text.gap();
         self.text.doc(&format!("Package `{package}`."));
-        self.text.line("#[allow(clippy::all, non_snake_case)]");
-        self.text.line(&format!("pub mod {package} {{"));
+        self.text.line("#[allow(clippy::all, non_camel_case_types, non_snake_case)]");
+        let package_module = names::item(package);
+        self.text.line(&format!("pub mod {package_module} {{"));
         for (kind, docs) in [(Kind::Action, "Actions."), (Kind::Msg, "Messages."), (Kind::Srv, "Services.")] {
             let of_kind: Vec<_> = definitions.iter().filter(|name| name.kind() == kind).collect();
             if of_kind.is_empty() {
                 continue;
             }
             self.open(kind.as_str(), docs);
-            check_names(&of_kind)?;
             for name in of_kind {
                 let schema = self.packages.schema(name)?;
-                let module = format!("{package}::{}", kind.as_str());
+                let module = format!("{package_module}::{}", kind.as_str());
                 match kind {
-                    Kind::Msg => self.message(&schema, name.name(), &module)?,
-                    Kind::Srv => self.service(&schema, name.name(), &module)?,
+                    Kind::Msg => self.message(&schema, &names::item(name.name()), &module)?,
+                    Kind::Srv => self.service(&schema, &names::item(name.name()), &module)?,
                     Kind::Action => self.action(&schema, &module)?,
                 }
             }
@@ -185,7 +175,7 @@ impl Generator<'_> {
                 }
             }
         }
-        Ok(message::write(&mut self.text, schema, name, module, self.options)?)
+        Ok(message::write(&mut self.text, schema, name, module, (self.options, &self.taken))?)
     }
 
     /// The schema of a part of a service or action.
@@ -208,8 +198,9 @@ impl Generator<'_> {
     }
 
     fn action(&mut self, schema: &Schema, parent: &str) -> Result<(), GenerateError> {
-        let module = format!("{parent}::{}", schema.name().name());
-        self.open(schema.name().name(), &format!("Action `{}`.", schema.name()));
+        let name = names::item(schema.name().name());
+        let module = format!("{parent}::{name}");
+        self.open(&name, &format!("Action `{}`.", schema.name()));
         let messages = ["Goal", "Result", "Feedback", "FeedbackMessage"];
         let services = ["SendGoal", "GetResult"];
         self.marker(schema, "Action", &[&messages[..], &services[..]].concat(), ACTION_FUNCTIONS);

@@ -50,6 +50,29 @@ impl Text {
         self.line(format!("/// {line}").trim_end());
     }
 
+    /// A comment of a definition. It is Markdown only if that makes no code, link or tag of it; else it is text.
+    pub fn comment(&mut self, comment: &str) {
+        let is_direction = |c| matches!(c, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
+        let comment: String = comment
+            .chars()
+            .map(|c| if is_direction(c) || (c.is_control() && c != '\n') { ' ' } else { c })
+            .collect();
+        let is_prose = |line: &str| {
+            let starts_block = line.starts_with([' ', '#', '>', '=', '|', '+', '*', '-']);
+            !starts_block && !line.contains(['`', '[', ']', '<', '\\', '~']) && !line.contains("://")
+        };
+        if comment.lines().all(is_prose) {
+            return comment.lines().for_each(|line| self.doc(line));
+        }
+        // Longer than every run of backticks in the comment.
+        let runs = comment.split(|c| c != '`').map(str::len);
+        let fence = "`".repeat(runs.max().unwrap_or(0).max(2) + 1);
+        self.doc("");
+        self.doc(&format!("{fence}text"));
+        comment.lines().for_each(|line| self.doc(line));
+        self.doc(&fence);
+    }
+
     /// An empty line, unless a block was just opened or there is none above.
     pub fn gap(&mut self) {
         if !self.code.is_empty() && !self.code.ends_with("{\n") {

@@ -105,15 +105,90 @@ fn a_missing_package_is_named() {
     assert!(matches!(&error, GenerateError::Empty { .. }), "{error}");
 }
 
+/// A doctest or a link in a comment would be one of the user's crate.
 #[test]
-fn a_name_that_is_taken_is_refused() {
-    let (folder, mut packages) = demo("string text\n");
-    std::fs::write(folder.path().join("demo_msgs/msg/DemoRef.msg"), "uint8 x\n").unwrap();
-    let error = generate(&mut packages, &["demo_msgs"], &Options::default()).unwrap_err();
-    assert!(
-        matches!(&error, GenerateError::Taken { type_name, .. } if type_name == "demo_msgs/msg/DemoRef"),
-        "{error}"
+fn comments_become_text() {
+    let text = "uint8 first # the first joint\n# Joint torques, computed as\n#\n#     tau = J.transpose() * wrench\n#\n# ```\n\
+                # for j in range(n): print(tau[j])\n# ```\nfloat64[] tau # [Nm] of each\nuint8 a # see https://example.org/a_b\n\
+                uint8 b # a std::vector<int>\nuint8 c # ~~~\nuint8 d # ```` of four\nuint8 e # two\n         # lines\n\
+                uint8 f # a\rb\u{202e}c\n";
+    let (_folder, mut packages) = demo(text);
+    let code = generate(&mut packages, &["demo_msgs"], &Options::default()).unwrap();
+    let docs = |field: &str| {
+        let (above, _) = code.split_once(&format!("pub {field}: ")).unwrap();
+        let lines = above.lines().rev().skip(1).map(str::trim).skip_while(|line| line.starts_with("#["));
+        let docs = lines.map_while(|line| line.strip_prefix("///")).map(str::trim_start);
+        let docs: Vec<_> =
+            docs.take_while(|line| !line.starts_with("`u") && !line.starts_with("`f")).collect();
+        docs.into_iter().rev().collect::<Vec<_>>()
+    };
+    assert_eq!(docs("first"), ["the first joint"]);
+    assert_eq!(
+        docs("tau"),
+        [
+            "",
+            "````text",
+            "Joint torques, computed as",
+            "",
+            "tau = J.transpose() * wrench",
+            "",
+            "```",
+            "for j in range(n): print(tau[j])",
+            "```",
+            "[Nm] of each",
+            "````",
+        ]
     );
+    assert_eq!(docs("a"), ["", "```text", "see https://example.org/a_b", "```"]);
+    assert_eq!(docs("b"), ["", "```text", "a std::vector<int>", "```"]);
+    assert_eq!(docs("c"), ["", "```text", "~~~", "```"]);
+    assert_eq!(docs("d"), ["", "`````text", "```` of four", "`````"]);
+    assert_eq!(docs("e"), ["two", "lines"]);
+    assert_eq!(docs("f"), ["a b c"]);
+}
+
+/// Names that Rust or generated code uses itself. The program checks that they compile, and keep ROS's names on the wire.
+#[test]
+fn every_name_of_ros_can_be_generated() {
+    let folder = tempfile::tempdir().unwrap();
+    let fields = "uint8 gen\nuint8 self\nstring type\nstring crate\nuint8 to_owned\nstring[] default_rest\nuint8 write\n\
+                  float64[] loan\nuint8 clone\nuint8 view\nuint8 check\nuint8 sizes\nuint8 reader\nuint8 value\n";
+    for (file, text) in [
+        ("name_msgs/msg/Option.msg", fields),
+        ("name_msgs/msg/Vec.msg", "Option[] some\nOption none\nuint8 ok 3\n"),
+        ("name_msgs/msg/Some.msg", "Box b\nOption[<=2] o\n"),
+        ("name_msgs/msg/Box.msg", "String s\nSelf[3] me\nResult[] r\n"),
+        ("name_msgs/msg/String.msg", "string data\n"),
+        ("name_msgs/msg/Result.msg", "float64 ok\nuint8 err\n"),
+        ("name_msgs/msg/Self.msg", "string name\nCopy copy\n"),
+        ("name_msgs/msg/Copy.msg", "uint32 n\n"),
+        ("name_msgs/msg/Default.msg", "uint8 NAN=1\nfloat32[40] many\n"),
+        ("name_msgs/msg/Message.msg", "Default[] all\nClone[] c\n"),
+        ("name_msgs/msg/Clone.msg", ""),
+        ("name_msgs/srv/Self.srv", "Vec v\n---\nSelf s\n"),
+        ("name_msgs/srv/Result.srv", "---\n"),
+        ("name_msgs/action/Box.action", "Self s\n---\nString s\n---\nOption o\n"),
+        ("ref_msgs/msg/Map.msg", "string id\nMapRef[] parts\n"),
+        ("ref_msgs/msg/MapRef.msg", "string map_id\nMapWriter w\n"),
+        ("ref_msgs/msg/MapWriter.msg", "MapSizes[2] sizes\n"),
+        ("ref_msgs/msg/MapSizes.msg", "string a\nMapRefRef r\n"),
+        ("ref_msgs/msg/MapRefRef.msg", "uint8 plain\n"),
+        ("async/msg/Maps.msg", "ref_msgs/Map[] maps\nref_msgs/Map one\n"),
+    ] {
+        let file = folder.path().join(file);
+        std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+        std::fs::write(file, text).unwrap();
+    }
+    let mut packages = Packages::new();
+    packages.add_folder(folder.path());
+    packages.add_folder(concat!(env!("CARGO_MANIFEST_DIR"), "/../ros/definitions"));
+    let standard = ["action_msgs", "builtin_interfaces", "service_msgs", "unique_identifier_msgs"];
+    let names = [&["name_msgs", "ref_msgs", "async"], &standard[..]].concat();
+    let code = generate(&mut packages, &names, &Options::default()).unwrap();
+    std::fs::write(folder.path().join("packages.rs"), code).unwrap();
+    let program = folder.path().join("names.rs");
+    std::fs::write(&program, include_str!("programs/names.rs")).unwrap();
+    trybuild::TestCases::new().pass(program);
 }
 
 /// rustfmt, without a configuration, finds nothing to change.

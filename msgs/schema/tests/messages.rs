@@ -177,6 +177,7 @@ fn text_is_checked_against_the_type() {
     let full = r#"{"a":-1,"f":"-Infinity","big":18446744073709551615,"s":"é7","two":[1,2],"p":{"x":[5]}}"#;
     let message = DynamicMessage::from_json(&schema, full).unwrap();
     assert_eq!(message.to_json(), full);
+    assert_eq!(message.to_extended_json(), full.replace("\"-Infinity\"", "-Infinity"));
     assert_eq!(DynamicMessage::from_yaml(&schema, full).unwrap().to_json(), full);
     assert_eq!(DynamicMessage::from_yaml(&schema, "s: 12").unwrap().get("s").unwrap().as_str(), Some("12"));
     for (text, place) in [
@@ -207,6 +208,55 @@ fn text_is_checked_against_the_type() {
             );
         }
     }
+}
+
+#[test]
+fn values_are_converted_as_ros2_topic_pub_does() {
+    let schema = schema("bool b\nint8 i\nuint64 big\nbool[] bools\nfloat32 f\n");
+    let text = "{b: 1, i: -3.0, big: 1.0e+3, bools: [0, 1, true, 1.0], f: 2}";
+    let message = DynamicMessage::from_yaml(&schema, text).unwrap();
+    let json = r#"{"b":true,"i":-3,"big":1000,"bools":[false,true,true,true],"f":2.0}"#;
+    assert_eq!(message.to_json(), json);
+    for (text, place) in [
+        ("{b: 2}", "`b`"),
+        ("{b: 0.5}", "`b`"),
+        ("{b: x}", "`b`"),
+        ("{i: 1.5}", "`i`"),
+        ("{i: 128.0}", "`i`"),
+        ("{big: 1.0e+20}", "`big`"),
+        ("{big: -1.0}", "`big`"),
+        ("{big: .inf}", "`big`"),
+        ("{bools: [1, 2]}", "`bools[1]`"),
+    ] {
+        let error = DynamicMessage::from_yaml(&schema, text).unwrap_err().to_string();
+        assert!(error.contains(place), "{text}: {error}");
+    }
+}
+
+#[test]
+fn stamps_are_found_where_yaml_says_auto_or_now() {
+    let schema = schema(
+        "std_msgs/Header header\nstd_msgs/Header[] all\nbuiltin_interfaces/Time[2] times\nOther o\nstring s\n===\nMSG: std_msgs/Header\n\
+         builtin_interfaces/Time stamp\nstring frame_id\n===\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n===\n\
+         MSG: demo_msgs/Other\nstd_msgs/Header header\n",
+    );
+    let read = |text| DynamicMessage::from_yaml_with_stamps(&schema, text);
+    let text = "{header: auto, all: [auto, {stamp: now, frame_id: map}], times: [now, {sec: 3}], o: {header: auto}, s: now}";
+    let (message, stamps) = read(text).unwrap();
+    assert_eq!(stamps, ["header.stamp", "all[0].stamp", "all[1].stamp", "times[0]", "o.header.stamp"]);
+    assert_eq!(message.get("s").unwrap().as_str(), Some("now"));
+    assert_eq!(message.get("all[1].frame_id").unwrap().as_str(), Some("map"));
+    for (text, place) in [
+        ("{header: now}", "`header`"),
+        ("{header: {stamp: auto}}", "`header.stamp`"),
+        ("{o: auto}", "`o`"),
+        ("auto", "demo_msgs/msg/Demo"),
+    ] {
+        let error = read(text).unwrap_err().to_string();
+        assert!(error.contains(place), "{text}: {error}");
+    }
+    let error = DynamicMessage::from_yaml(&schema, "{header: auto}").unwrap_err().to_string();
+    assert!(error.contains("`header`"), "{error}");
 }
 
 #[test]

@@ -15,7 +15,7 @@ pub(crate) fn given(
     own: &[(String, ParameterValue)],
     fully_qualified_name: &str,
 ) -> ParameterMap {
-    let global = rules.iter().filter(|(pattern, _)| yaml::means(pattern, fully_qualified_name));
+    let global = rules.iter().filter(|(pattern, _)| yaml::matches(pattern, fully_qualified_name));
     let all = global.flat_map(|(_, parameters)| parameters).chain(own);
     all.map(|(name, value)| (name.clone(), Parameter::new(value.clone()))).collect()
 }

@@ -3,12 +3,12 @@
 
 use super::ParameterValue;
 use granit_parser::{Event, Parser, ScalarStyle, StrInput};
-use std::iter::once;
 
 /// How deep mappings may lie in each other.
 const MAX_DEPTH: usize = 64;
 
-/// What a parameter file says: for each pattern of nodes' names its parameters, in the order of the file.
+/// The content of a parameter file: for each pattern of nodes' names its parameters, in the order of the file. As in rcl, a node and a parameter
+/// may occur several times.
 pub(crate) type NodeParameters = Vec<(String, Vec<(String, ParameterValue)>)>;
 
 /// Reads the text of a parameter file.
@@ -268,9 +268,6 @@ impl<'t> Reader<'t> {
                         (_, line) => return Err(format!("line {line}: a key is a name")),
                     };
                     let (event, line) = self.next()?;
-                    if entries.iter().any(|(other, _)| *other == key) {
-                        return Err(format!("line {line}: '{key}' stands twice in one mapping"));
-                    }
                     entries.push((key, self.tree(event, line, depth + 1)?));
                 }
             }
@@ -281,27 +278,25 @@ impl<'t> Reader<'t> {
     }
 }
 
-/// Whether the pattern of a parameter file or a rule means the node: `*` is one name, `**` any number of them; a pattern
-/// without `/` is a node's name in any namespace.
-pub(crate) fn means(pattern: &str, fully_qualified_name: &str) -> bool {
-    fn matches(pattern: &[&str], name: &[&str]) -> bool {
+/// Whether the pattern of a parameter file or a rule matches the node: `*` is one name, `**` any number of them. As in rclcpp, a pattern
+/// that does not begin with `/` is as if it did.
+pub(crate) fn matches(pattern: &str, fully_qualified_name: &str) -> bool {
+    fn all_match(pattern: &[&str], name: &[&str]) -> bool {
         match (pattern.split_first(), name.split_first()) {
             (None, None) => true,
             (Some((&"**", rest)), _) => {
-                matches(rest, name) || name.split_first().is_some_and(|(_, after)| matches(pattern, after))
+                all_match(rest, name)
+                    || name.split_first().is_some_and(|(_, after)| all_match(pattern, after))
             }
             (Some((&first, rest)), Some((&token, after))) => {
-                (first == "*" || first == token) && matches(rest, after)
+                (first == "*" || first == token) && all_match(rest, after)
             }
             _ => false,
         }
     }
     let name: Vec<_> = fully_qualified_name.split('/').skip(1).collect();
-    let pattern: Vec<_> = match pattern.strip_prefix('/') {
-        Some(absolute) => absolute.split('/').collect(),
-        None => once("**").chain(pattern.split('/')).collect(),
-    };
-    matches(&pattern, &name)
+    let pattern: Vec<_> = pattern.strip_prefix('/').unwrap_or(pattern).split('/').collect();
+    all_match(&pattern, &name)
 }
 
 #[cfg(test)]
@@ -395,7 +390,6 @@ planner:
             ("a: 1", "line 1: `a` has no `ros__parameters:`"),
             ("ros__parameters: {a: 1}", "stands below a node's name"),
             ("a:\n  ros__parameters:\n    b:\n", "line 3: there is no value (parameter 'b')"),
-            ("a:\n  ros__parameters: {b: 1, b: 2}", "'b' stands twice"),
             ("a:\n  ros__parameters: {b: &x 1, c: *x}", "line 2: aliases are not allowed"),
             ("a:\n\tros__parameters:\n", "line 2"),
         ] {
@@ -405,14 +399,39 @@ planner:
     }
 
     #[test]
-    fn patterns_mean_nodes() {
+    fn what_occurs_twice_counts_twice() {
+        let text = "
+robot:
+  arm:
+    ros__parameters: {a: 1, b: {c: 1}, a: 2}
+robot:
+  leg:
+    ros__parameters: {d: 1}
+  arm:
+    ros__parameters: {a: 3}
+    ros__parameters: {b: {c: 4}}
+";
+        let nodes = read_file(text).unwrap();
+        let names: Vec<_> = nodes.iter().map(|(node, _)| node.as_str()).collect();
+        assert_eq!(names, ["robot/arm", "robot/leg", "robot/arm", "robot/arm"]);
+        let given = crate::parameters::node::given(&nodes, &[], "/robot/arm");
+        let given: Vec<_> =
+            given.iter().map(|(name, parameter)| (name.as_str(), parameter.value.clone())).collect();
+        assert_eq!(given, [("a", Value::Integer(3)), ("b.c", Value::Integer(4))]);
+    }
+
+    #[test]
+    fn patterns_match_nodes() {
         for (pattern, name, expected) in [
             ("/**", "/a/b", true),
             ("**", "/a", true),
             ("/a/b", "/a/b", true),
             ("/a", "/a/b", false),
-            ("b", "/a/b", true),
-            ("a/b", "/x/a/b", true),
+            ("b", "/b", true),
+            ("b", "/a/b", false),
+            ("a/b", "/a/b", true),
+            ("a/b", "/x/a/b", false),
+            ("*/b", "/x/b", true),
             ("a", "/a/b", false),
             ("/*/b", "/a/b", true),
             ("/*/b", "/a/a/b", false),
@@ -421,7 +440,7 @@ planner:
             ("/a/*", "/a/b", true),
             ("/*", "/a/b", false),
         ] {
-            assert_eq!(means(pattern, name), expected, "{pattern} {name}");
+            assert_eq!(matches(pattern, name), expected, "{pattern} {name}");
         }
     }
 }

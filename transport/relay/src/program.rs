@@ -3,7 +3,6 @@
 
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
-use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -11,13 +10,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tautline_transport::MAX_DOMAIN;
 
-/// True after the first SIGINT or SIGTERM. A second one more than 200 ms later exits at once, with 128 plus the signal number.
+/// True after the first SIGINT, SIGTERM, or SIGHUP that is not ignored. A second one more than 200 ms later exits at once, with 128 plus the signal number.
 ///
 /// # Errors
 /// [`SignalError`].
 pub fn stop_on_signals() -> Result<Arc<AtomicBool>, SignalError> {
     let stop = Arc::new(AtomicBool::new(false));
-    let mut signals = Signals::new([SIGINT, SIGTERM])?;
+    let mut signals = Signals::new(tautline_rt::termination_signals())?;
     let asked = stop.clone();
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         let mut first = None;

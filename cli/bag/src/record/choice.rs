@@ -4,7 +4,8 @@
 use super::RecordArgs;
 use super::event::EVENTS;
 use regex::Regex;
-use taut_cli::asking::{full_name, full_type};
+use taut_cli::asking::full_name;
+use taut_cli::values::full_type;
 use taut_cli::verb::{Failure, Outcome};
 
 pub struct Choice {

@@ -12,32 +12,55 @@ use serde::de::DeserializeSeed;
 use crate::error::MAX_DEPTH;
 use crate::{DynamicMessage, MessageError, Schema, Value};
 use read::Root;
+#[cfg(feature = "yaml")]
+use read::Stamps;
 
 impl DynamicMessage {
-    /// Reads JSON: an object of the fields, those left out having their defaults. NaN and infinities are the strings
-    /// `"NaN"`, `"Infinity"` and `"-Infinity"`.
+    /// Reads JSON: an object of the fields; omitted fields have their defaults. NaN and infinities are the strings `"NaN"`, `"Infinity"` and
+    /// `"-Infinity"`. A `bool` may be 0 or 1, and an integer may be a float without a fraction, such as `1.0`.
     ///
     /// # Errors
     ///
     /// [`MessageError::Text`] with field and place if it is not valid or does not fit the type.
     pub fn from_json(schema: &Arc<Schema>, text: &str) -> Result<Self, MessageError> {
         let mut deserializer = serde_json::Deserializer::from_str(text);
-        let fields = Root::seed(schema).deserialize(&mut deserializer);
+        let fields = Root::seed(schema, None).deserialize(&mut deserializer);
         let fields = fields.and_then(|fields| deserializer.end().map(|()| fields));
         Self::from_text_fields(schema, fields.map_err(|error| error.to_string()))
     }
 
-    /// Reads YAML, with the feature `yaml`, as `ros2 topic pub` takes it: a mapping of the fields, those left out having their defaults.
+    /// Reads YAML, with the feature `yaml`: a mapping of the fields, as [`from_json`](Self::from_json) reads an object.
     ///
     /// # Errors
     ///
     /// [`MessageError::Text`] with field and place if it is not valid or does not fit the type.
     #[cfg(feature = "yaml")]
     pub fn from_yaml(schema: &Arc<Schema>, text: &str) -> Result<Self, MessageError> {
-        let fields =
-            serde_saphyr::with_deserializer_from_str_with_options(text, yaml_options(text), |deserializer| {
-                Root::seed(schema).deserialize(deserializer)
-            });
+        Self::from_yaml_of(schema, text, None)
+    }
+
+    /// Reads YAML, with the feature `yaml`, as `ros2 topic pub` does: as [`from_yaml`](Self::from_yaml), but a `std_msgs/Header` may be the word
+    /// `auto`, and a `builtin_interfaces/Time` the word `now`. Returns the paths of the times to set, such as `header.stamp`; they are 0.
+    ///
+    /// # Errors
+    ///
+    /// As [`from_yaml`](Self::from_yaml).
+    #[cfg(feature = "yaml")]
+    pub fn from_yaml_with_stamps(
+        schema: &Arc<Schema>,
+        text: &str,
+    ) -> Result<(Self, Vec<String>), MessageError> {
+        let stamps = Stamps::default();
+        let message = Self::from_yaml_of(schema, text, Some(&stamps))?;
+        Ok((message, stamps.into_inner()))
+    }
+
+    #[cfg(feature = "yaml")]
+    fn from_yaml_of(schema: &Arc<Schema>, text: &str, stamps: Option<&Stamps>) -> Result<Self, MessageError> {
+        let options = yaml_options(text);
+        let fields = serde_saphyr::with_deserializer_from_str_with_options(text, options, |deserializer| {
+            Root::seed(schema, stamps).deserialize(deserializer)
+        });
         Self::from_text_fields(schema, fields.map_err(|error| error.to_string()))
     }
 
@@ -47,7 +70,7 @@ impl DynamicMessage {
     ///
     /// [`MessageError::Text`] with the field if it does not fit the type.
     pub fn from_json_value(schema: &Arc<Schema>, json: &serde_json::Value) -> Result<Self, MessageError> {
-        let fields = Root::seed(schema).deserialize(json);
+        let fields = Root::seed(schema, None).deserialize(json);
         Self::from_text_fields(schema, fields.map_err(|error| error.to_string()))
     }
 
@@ -63,6 +86,12 @@ impl DynamicMessage {
     pub fn to_json(&self) -> String {
         // All keys are strings, all numbers finite.
         serde_json::to_string(self).unwrap_or_default()
+    }
+
+    /// As [`to_json`](Self::to_json), but NaN and infinities are the numbers `NaN`, `Infinity` and `-Infinity`, as jq and Python's `json` read
+    /// them. JSON itself has no such numbers.
+    pub fn to_extended_json(&self) -> String {
+        write::extended_json(self)
     }
 
     /// The same as [`to_json`](Self::to_json), as a value.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Reads messages from any serde format according to the schema.
 
+use std::cell::RefCell;
 use std::fmt;
 
 use serde::de::{DeserializeSeed, Deserializer, Error as _, MapAccess, SeqAccess, Unexpected, Visitor};
@@ -27,17 +28,22 @@ impl fmt::Display for Place<'_> {
     }
 }
 
+/// Collects the paths of times that are `now`, and of stamps in headers that are `auto`.
+pub type Stamps = RefCell<Vec<String>>;
+
 /// Reads the fields of type `node`.
 pub struct Root<'a> {
     schema: &'a Schema,
     node: usize,
     place: Place<'a>,
+    /// `None`: `now` and `auto` are not allowed.
+    stamps: Option<&'a Stamps>,
 }
 
 impl<'a> Root<'a> {
     /// The type of the schema itself.
-    pub fn seed(schema: &'a Schema) -> Self {
-        Self { schema, node: 0, place: Place::Root }
+    pub fn seed(schema: &'a Schema, stamps: Option<&'a Stamps>) -> Self {
+        Self { schema, node: 0, place: Place::Root, stamps }
     }
 }
 
@@ -61,7 +67,7 @@ impl<'de> Visitor<'de> for Root<'_> {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Vec<Value>, A::Error> {
-        let Self { schema, node: index, place } = self;
+        let Self { schema, node: index, place, stamps } = self;
         let node = schema.node(index);
         let fields = &node.definition.fields;
         let mut values: Vec<Option<Value>> = vec![None; fields.len()];
@@ -79,7 +85,7 @@ impl<'de> Visitor<'de> for Root<'_> {
             let inner = Place::Field(&place, &name);
             let ty = &fields[position].ty;
             let value =
-                map.next_value_seed(Any { schema, ty, nested: node.nested[position], place: inner })?;
+                map.next_value_seed(Any { schema, ty, nested: node.nested[position], place: inner, stamps })?;
             if values[position].replace(value).is_some() {
                 return Err(A::Error::custom(format!("field `{inner}` is there twice")));
             }
@@ -97,6 +103,17 @@ impl<'de> Visitor<'de> for Root<'_> {
     fn visit_unit<E>(self) -> Result<Vec<Value>, E> {
         Ok(defaults(self.schema, self.node))
     }
+
+    fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Vec<Value>, E> {
+        let stamp = match (self.schema.node(self.node).definition.name.to_string().as_str(), text) {
+            ("std_msgs/msg/Header", "auto") => Place::Field(&self.place, "stamp").to_string(),
+            ("builtin_interfaces/msg/Time", "now") => self.place.to_string(),
+            _ => return Err(E::invalid_type(Unexpected::Str(text), &self)),
+        };
+        let stamps = self.stamps.ok_or_else(|| E::invalid_type(Unexpected::Str(text), &self))?;
+        stamps.borrow_mut().push(stamp);
+        Ok(defaults(self.schema, self.node))
+    }
 }
 
 /// Reads the value of a field.
@@ -105,6 +122,7 @@ struct Any<'a> {
     ty: &'a FieldType,
     nested: Option<usize>,
     place: Place<'a>,
+    stamps: Option<&'a Stamps>,
 }
 
 impl<'de> DeserializeSeed<'de> for Any<'_> {
@@ -113,7 +131,7 @@ impl<'de> DeserializeSeed<'de> for Any<'_> {
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Value, D::Error> {
         match (self.ty.shape, self.nested, &self.ty.base) {
             (Shape::Single, Some(node), _) => {
-                let root = Root { schema: self.schema, node, place: self.place };
+                let root = Root { schema: self.schema, node, place: self.place, stamps: self.stamps };
                 root.deserialize(deserializer).map(Value::Struct)
             }
             (Shape::Single, None, base) => Scalar { base, place: self.place }.deserialize(deserializer),
@@ -131,12 +149,15 @@ impl<'de> Visitor<'de> for Any<'_> {
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Value, A::Error> {
-        let Self { schema, ty, nested, place } = self;
+        let Self { schema, ty, nested, place, stamps } = self;
         let mut list = List::empty(&ty.base);
         for index in 0.. {
             let inner = Place::Element(&place, index);
             let element = match nested {
-                Some(node) => seq.next_element_seed(Root { schema, node, place: inner })?.map(Value::Struct),
+                Some(node) => {
+                    let root = Root { schema, node, place: inner, stamps };
+                    seq.next_element_seed(root)?.map(Value::Struct)
+                }
                 None => seq.next_element_seed(Scalar { base: &ty.base, place: inner })?,
             };
             let Some(element) = element else { break };
@@ -161,8 +182,9 @@ struct Scalar<'a> {
 
 impl Scalar<'_> {
     fn integer<E: serde::de::Error>(&self, value: i128, shown: Unexpected<'_>) -> Result<Value, E> {
-        match self.base {
-            Base::Primitive(primitive) => Value::from_integer(*primitive, value),
+        match (self.base, value) {
+            (Base::Primitive(Primitive::Bool), 0 | 1) => Some(Value::Bool(value == 1)),
+            (Base::Primitive(primitive), _) => Value::from_integer(*primitive, value),
             _ => None,
         }
         .ok_or_else(|| E::invalid_value(shown, self))
@@ -204,11 +226,18 @@ impl<'de> Visitor<'de> for Scalar<'_> {
     }
 
     fn visit_f64<E: serde::de::Error>(self, value: f64) -> Result<Value, E> {
-        match self.base {
+        let float = match self.base {
             Base::Primitive(primitive) => Value::from_float(*primitive, value),
             _ => None,
+        };
+        match float {
+            Some(float) => Ok(float),
+            // Converted without loss; `as` would saturate for larger numbers.
+            None if value.fract() == 0.0 && value.abs() < 1e38 => {
+                self.integer(value as i128, Unexpected::Float(value))
+            }
+            None => Err(E::invalid_value(Unexpected::Float(value), &self)),
         }
-        .ok_or_else(|| E::invalid_value(Unexpected::Float(value), &self))
     }
 
     fn visit_str<E: serde::de::Error>(self, text: &str) -> Result<Value, E> {

@@ -4,7 +4,6 @@
 #![forbid(unsafe_code)]
 
 use clap::Parser;
-use signal_hook::consts::{SIGINT, SIGTERM};
 use std::error::Error;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -19,7 +18,7 @@ use tautline_dylib as _;
 /// A component shares the process's context; what components publish to each other is read where it was written. A library that
 /// was built by another compiler or with another version of Tautline is refused before any of it runs. Behind --ros-args stand ROS 2's
 /// arguments, for the container's own node and the components that are loaded here, up to `--`; more libraries may follow. A
-/// first SIGINT or SIGTERM ends the container once the callbacks that run have returned, a second one at once.
+/// first SIGINT, SIGTERM or SIGHUP ends the container once the callbacks that run have returned, a second one at once.
 #[derive(Parser, Debug)]
 #[command(
     version,
@@ -106,7 +105,7 @@ fn run(args: &Args, ros_args: impl Iterator<Item = String>) -> Result<(), Box<dy
     // The first signal asks for the end, which waits for callbacks that run; one that comes later does not wait. Who stops a
     // program may signal it twice, as a process and in its group: both are one stop.
     const ONE_STOP: Duration = Duration::from_millis(200);
-    let mut signals = signal_hook::iterator::Signals::new([SIGINT, SIGTERM])?;
+    let mut signals = signal_hook::iterator::Signals::new(tautline_rt::termination_signals())?;
     let events = context.events().clone();
     std::thread::Builder::new().name("signals".into()).spawn(move || {
         let mut first = None;
