@@ -307,6 +307,9 @@ struct Level<'a> {
     gap: Option<Demand>,
     /// What a job costs at the highest priority, in part in its own thread.
     message_ns: u64,
+    /// The longest section of a lower priority that nothing preempts.
+    sections: u64,
+    /// The same, and what else of lower priorities holds it up.
     blocking: u64,
     /// The rest of a job once nothing can preempt it.
     tail: u64,
@@ -345,6 +348,7 @@ impl<'a> Level<'a> {
             bands,
             gap: None,
             message_ns: core.messages[index],
+            sections,
             blocking: u64::checked_add(blocking, sections).ok_or_else(|| overflow(task))?,
             tail,
             utilisation: 0,
@@ -400,7 +404,14 @@ impl<'a> Level<'a> {
             }
         }
         let name = self.task.name.clone();
-        self.gap = Some(Demand { release: Release::periodic(period_ns), cost_ns: period_ns - runtime_ns });
+        let mut gap_ns = period_ns - runtime_ns;
+        // A section may begin in each gap, and last beyond it. The server makes up for that in the next periods, so that only the last one
+        // counts, unless it is more than a period behind: then it begins anew.
+        match self.sections {
+            section_ns if section_ns > period_ns => gap_ns = self.add(gap_ns, section_ns)?,
+            section_ns => self.blocking = self.add(self.blocking, section_ns)?,
+        }
+        self.gap = Some(Demand { release: Release::periodic(period_ns), cost_ns: gap_ns });
         let bound = self.with_utilisation()?.bound_without_gaps().map_err(|error| match error {
             AnalysisError::Overload { .. } | AnalysisError::NoSlack { .. } => {
                 AnalysisError::SmallReservation { task: name, charged_ns, runtime_ns, period_ns }
@@ -615,8 +626,12 @@ fn delay(task: &Task, own: &Demand, overheads: &Overheads) -> Result<Demand, Ana
             return Ok(own.clone());
         }
         // A budget has room for all work per message, of which the sampler does a part besides.
-        let budget = own.cost_ns.checked_add(task.per_message_ns(overheads));
+        let mut budget = own.cost_ns.checked_add(task.per_message_ns(overheads));
         let release = match task.hold {
+            Hold::Demoted { section_ns } => {
+                budget = budget.and_then(|budget| budget.checked_add(section_ns));
+                own.release.clone()
+            }
             // What is left of one budget may be used right before the next.
             Hold::Suspended { deferred: true } => Release::periodic(task.period_ns).jitter(task.period_ns),
             _ => own.release.clone(),

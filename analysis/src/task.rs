@@ -58,8 +58,11 @@ pub enum Hold {
     /// Nothing: its wcet is taken to be right.
     #[default]
     Nothing,
-    /// A job that exceeds its budget continues below all others.
-    Demoted,
+    /// A job that exceeds its budget continues below all others, once it holds no lock that they use.
+    Demoted {
+        /// The longest section of such a lock: each job may exceed its budget at the section's start, and end with it. In nanoseconds.
+        section_ns: u64,
+    },
     /// It sleeps until a period after its release. What is left of a budget may be used right before the next one, unless all
     /// releases are whole periods apart.
     Suspended {

@@ -211,7 +211,7 @@ impl Builder<'_> {
         task = task.released(Release::periodic(period).jitter(jitter).min_distance(distance));
         task.hold = match declared.overrun.as_ref().map_or(OverrunPolicy::Tell, |overrun| overrun.value) {
             OverrunPolicy::Tell => Hold::Nothing,
-            OverrunPolicy::Demote | OverrunPolicy::End => Hold::Demoted,
+            OverrunPolicy::Demote | OverrunPolicy::End => Hold::Demoted { section_ns: 0 },
             // Releases that are whole periods apart leave nothing of a budget for later.
             OverrunPolicy::Suspend => Hold::Suspended { deferred: source != Source::Period || jitter > 0 },
         };
