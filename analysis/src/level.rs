@@ -140,7 +140,7 @@ pub(crate) struct Core<'a> {
     /// The tasks of each thread that several share.
     threads: HashMap<u32, Vec<usize>>,
     /// What is known of these.
-    known: RefCell<HashMap<u32, Result<Shared, AnalysisError>>>,
+    known: RefCell<HashMap<(u32, u8), Result<Shared, AnalysisError>>>,
     /// A task that is released too often at once, if there is one.
     burst: Option<AnalysisError>,
     throttled: bool,
@@ -276,10 +276,12 @@ impl<'a> Core<'a> {
     fn bound_of(&self, task: &Task, index: usize) -> Result<Bound, AnalysisError> {
         let shares = |group: &Group| self.threads.get(&group.id).is_some_and(|members| members.len() > 1);
         let Some(group) = task.group.filter(shares) else { return Level::new(self, index)?.bound() };
-        let known = self.known.borrow().get(&group.id).cloned();
+        // All tasks of a thread have one bound, or those of one rank.
+        let key = (group.id, if group.order == Order::Priority { task.rank } else { 0 });
+        let known = self.known.borrow().get(&key).cloned();
         let shared = known.unwrap_or_else(|| {
             let found = Level::new(self, index).and_then(|level| level.of_thread(group.order));
-            self.known.borrow_mut().insert(group.id, found.clone());
+            self.known.borrow_mut().insert(key, found.clone());
             found
         });
         let Shared { arrival_ns, busy_ns, utilisation } = shared?;
@@ -297,7 +299,7 @@ struct Level<'a> {
     release: Release,
     /// The tasks of its thread: itself, and those that share the thread.
     members: Vec<usize>,
-    /// The demand of its thread.
+    /// The demand of its thread, without jobs of lower ranks.
     own: Curve,
     /// What a job of its own costs.
     cost_ns: u64,
@@ -309,7 +311,7 @@ struct Level<'a> {
     message_ns: u64,
     /// The longest section of a lower priority that nothing preempts.
     sections: u64,
-    /// The same, and what else of lower priorities holds it up.
+    /// The same, and what else of lower priorities, or of a lower rank in its thread, holds it up.
     blocking: u64,
     /// The rest of a job once nothing can preempt it.
     tail: u64,
@@ -321,7 +323,9 @@ impl<'a> Level<'a> {
         let task = &core.tasks[index];
         let shared = task.group.and_then(|group| core.threads.get(&group.id));
         let members = shared.cloned().unwrap_or_else(|| vec![index]);
-        let mut blocking = 0;
+        let (mut blocking, mut lower_ns) = (0, 0);
+        let is_ranked = task.group.is_some_and(|group| group.order == Order::Priority);
+        let is_lower = |other: &Task| is_ranked && other.rank < task.rank;
         for &i in &members {
             let other = &core.tasks[i];
             if other.priority != task.priority || other.group != task.group {
@@ -329,6 +333,10 @@ impl<'a> Level<'a> {
                 return Err(AnalysisError::MixedGroup { task, other });
             }
             blocking = other.blocking_ns.max(blocking);
+            if is_lower(other) {
+                // One that was chosen before; nothing of it need be done yet.
+                lower_ns = core.callbacks[i].cost_ns.max(lower_ns);
+            }
         }
         let bands = &core.bands[..core.bands.partition_point(|(priority, ..)| *priority >= task.priority)];
         // A section delays only if it began before: at least 1 ns of it is over.
@@ -336,8 +344,9 @@ impl<'a> Level<'a> {
         // The end of a reservation preempts everything.
         let is_whole = task.non_preemptive_ns >= task.wcet_ns && task.reservation.is_none();
         let tail = if is_whole { task.wcet_ns - 1 } else { 0 };
-        let own =
-            Curve::new(members.iter().map(|i| core.callbacks[*i].clone())).ok_or_else(|| overflow(task))?;
+        let own = members.iter().filter(|i| !is_lower(&core.tasks[**i])).map(|i| core.callbacks[*i].clone());
+        let own = Curve::new(own).ok_or_else(|| overflow(task))?;
+        let blocking = u64::checked_add(blocking, sections).and_then(|sum| sum.checked_add(lower_ns));
         let level = Self {
             core,
             task,
@@ -349,7 +358,7 @@ impl<'a> Level<'a> {
             gap: None,
             message_ns: core.messages[index],
             sections,
-            blocking: u64::checked_add(blocking, sections).ok_or_else(|| overflow(task))?,
+            blocking: blocking.ok_or_else(|| overflow(task))?,
             tail,
             utilisation: 0,
         };
@@ -438,7 +447,8 @@ impl<'a> Level<'a> {
         let busy_ns = self.busy_window()?;
         let arrival_ns = match order {
             Order::Fifo => self.first_in_first_out(busy_ns)?,
-            Order::Any => busy_ns,
+            // No second job of a lower rank is chosen before this level's busy window ends.
+            Order::Any | Order::Priority => busy_ns,
         };
         Ok(Shared { arrival_ns, busy_ns, utilisation: self.utilisation_f64() })
     }
