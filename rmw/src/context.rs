@@ -6,6 +6,7 @@ use crate::error::{Error, Result, answer};
 use crate::handle::{IDENTIFIER, behind_context, check_identifier, take_back, text};
 use crate::helper::{Helper, Ring};
 use crate::log;
+use crate::on_new::ListenersByName;
 use crate::options::{self, rmw_init_options_copy, rmw_init_options_fini};
 use crate::signal::{Signal, Waiter};
 use crate::system::System;
@@ -31,6 +32,8 @@ pub(crate) struct Context {
     pub(crate) nodes: AtomicUsize,
     watchers: Arc<Watchers>,
     pub(crate) waiters: Arc<Waiters>,
+    /// Its endpoints with callbacks for new messages.
+    pub(crate) listeners: ListenersByName,
     /// Its waits, for trace events.
     pub(crate) waits: Arc<SamplerObject>,
 }
@@ -147,6 +150,7 @@ impl Context {
             nodes,
             watchers,
             waiters,
+            listeners: ListenersByName::default(),
             waits,
             system,
         })

@@ -294,7 +294,7 @@ pub unsafe extern "C" fn rmw_create_subscription(
             matched,
             received: AtomicU64::new(0),
             loans: PiMutex::new(Vec::new()),
-            end: ReceivingEndpoint::new(node, raw)?,
+            end: ReceivingEndpoint::new(node, raw, node.context().listeners.of(name))?,
         };
         let topic_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anyone can see it.

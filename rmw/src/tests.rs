@@ -895,11 +895,142 @@ struct Called {
     messages: AtomicUsize,
 }
 
+fn wait_until(mut is_so: impl FnMut() -> bool) {
+    let end = std::time::Instant::now() + std::time::Duration::from_secs(60);
+    while !is_so() {
+        assert!(std::time::Instant::now() < end, "not within a minute");
+        std::thread::yield_now();
+    }
+}
+
 unsafe extern "C" fn note(called: *const c_void, count: usize) {
     // SAFETY: what the callback was set with, which outlives it.
     let called = unsafe { &*called.cast::<Called>() };
     called.messages.fetch_add(count, Ordering::SeqCst);
     called.times.fetch_add(1, Ordering::SeqCst);
+}
+
+/// A message's callback is called by the thread that publishes it, before that returns; by another thread if the publisher belongs to
+/// another context. The same for requests and responses.
+#[test]
+fn callbacks_are_called_by_the_publishing_thread() {
+    let (mut world, called) = (World::new(84), Called::default());
+    let (data, of): (*const Called, _) = (&called, support("geometry_msgs", "Point"));
+    let counted = || called.messages.load(Ordering::SeqCst);
+    let point = Point::default();
+    let place: *const Point = &point;
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let set_callback = subscription::rmw_subscription_set_on_new_message_callback;
+        let (publisher, subscription) =
+            (world.publisher(of, &profile(100)), world.subscription(of, &profile(100)));
+        assert_eq!(set_callback(subscription, Some(note), data.cast()), RET_OK);
+        for n in 1..=5 {
+            assert_eq!(publisher::rmw_publish(publisher, place.cast(), null_mut()), RET_OK);
+            assert_eq!(counted(), n);
+        }
+        // A second context in this process.
+        let (mut options, mut context) = (options(84), Box::new(rmw_get_zero_initialized_context()));
+        assert_eq!(context::rmw_init(&options, &mut *context), RET_OK, "{}", said());
+        assert_eq!(options::rmw_init_options_fini(&mut options), RET_OK);
+        let own = world.node;
+        world.node = node::rmw_create_node(&mut *context, c"other".as_ptr(), c"/".as_ptr());
+        let other = world.publisher(of, &profile(100));
+        let node = std::mem::replace(&mut world.node, own);
+        let mut count = 0;
+        wait_until(|| {
+            publisher::rmw_publisher_count_matched_subscriptions(other, &mut count);
+            count == 1
+        });
+        assert_eq!(publisher::rmw_publish(other, place.cast(), null_mut()), RET_OK);
+        wait_until(|| counted() == 6);
+        assert_eq!(set_callback(subscription, None, null()), RET_OK);
+        for publisher in [publisher, other] {
+            assert_eq!(publisher::rmw_publish(publisher, place.cast(), null_mut()), RET_OK);
+        }
+        assert_eq!(counted(), 6);
+        assert_eq!(publisher::rmw_destroy_publisher(node, other), RET_OK);
+        assert_eq!(node::rmw_destroy_node(node), RET_OK);
+        assert_eq!(context::rmw_shutdown(&mut *context), RET_OK);
+        assert_eq!(context::rmw_context_fini(&mut *context), RET_OK);
+        assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
+        assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+
+        let (service_type, name) = (service_support("std_srvs", "Empty"), c"/service".as_ptr());
+        let server = service::rmw_create_service(world.node, service_type, name, &profile(10));
+        let client = client::rmw_create_client(world.node, service_type, name, &profile(10));
+        let mut is_there = false;
+        wait_until(|| {
+            assert_eq!(client::rmw_service_server_is_available(world.node, client, &mut is_there), RET_OK);
+            is_there
+        });
+        called.messages.store(0, Ordering::SeqCst);
+        assert_eq!(service::rmw_service_set_on_new_request_callback(server, Some(note), data.cast()), RET_OK);
+        assert_eq!(client::rmw_client_set_on_new_response_callback(client, Some(note), data.cast()), RET_OK);
+        let (mut byte, mut number) = (0u8, 0);
+        let message: *mut c_void = (&raw mut byte).cast();
+        assert_eq!(client::rmw_send_request(client, message, &mut number), RET_OK, "{}", said());
+        assert_eq!(counted(), 1);
+        let (mut header, mut taken) = (rmw_service_info_t::default(), false);
+        assert_eq!(service::rmw_take_request(server, &mut header, message, &mut taken), RET_OK);
+        assert!(taken);
+        assert_eq!(service::rmw_send_response(server, &mut header.request_id, message), RET_OK);
+        assert_eq!(counted(), 2);
+        assert_eq!(client::rmw_destroy_client(world.node, client), RET_OK);
+        assert_eq!(service::rmw_destroy_service(world.node, server), RET_OK);
+    }
+}
+
+/// With several publishing threads, in two contexts, and a thread that waits for the same subscription: each message is reported once,
+/// and the wait ends.
+#[test]
+fn callbacks_and_waits_miss_nothing_together() {
+    const EACH: usize = 2_000;
+    let (mut world, called) = (World::new(85), Called::default());
+    let (data, of): (*const Called, _) = (&called, support("geometry_msgs", "Point"));
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let subscription = world.subscription(of, &profile(2 * EACH));
+        let set_callback = subscription::rmw_subscription_set_on_new_message_callback;
+        let publishers = [(); 2].map(|()| world.publisher(of, &profile(2 * EACH)) as usize);
+        let set = wait::rmw_create_wait_set(&mut *world.context, 0);
+        std::thread::scope(|scope| {
+            for publisher in publishers {
+                scope.spawn(move || {
+                    let point = Point::default();
+                    let place: *const Point = &point;
+                    for _ in 0..EACH {
+                        let publisher = publisher as *const rmw_publisher_t;
+                        assert_eq!(publisher::rmw_publish(publisher, place.cast(), null_mut()), RET_OK);
+                    }
+                });
+            }
+            let mut received = 0;
+            while received < 2 * EACH {
+                // Also set anew while messages come.
+                if received % 100 == 0 {
+                    assert_eq!(set_callback(subscription, Some(note), data.cast()), RET_OK);
+                }
+                assert_eq!(wait_for(set, (*subscription).data, &mut [], &PATIENCE), (RET_OK, true));
+                let (mut found, mut taken) = (Point::default(), false);
+                let place: *mut Point = &mut found;
+                assert_eq!(
+                    subscription::rmw_take(subscription, place.cast(), &mut taken, null_mut()),
+                    RET_OK
+                );
+                assert!(taken);
+                received += 1;
+            }
+        });
+        let reported = called.messages.load(Ordering::SeqCst);
+        assert!(reported <= 2 * EACH, "{reported}: what was taken before it was reported is not");
+        assert_eq!(wait::rmw_destroy_wait_set(set), RET_OK);
+        for publisher in publishers {
+            let publisher = publisher as *mut rmw_publisher_t;
+            assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
+        }
+        assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+    }
 }
 
 /// Each message is reported once, including earlier ones, also after a wait for the same subscription; never after the callback
@@ -910,13 +1041,7 @@ fn callbacks_are_told_of_each_message_once() {
     let of = support("geometry_msgs", "Point");
     let called = Called::default();
     let data: *const Called = &called;
-    let told = |count: usize| {
-        let end = std::time::Instant::now() + std::time::Duration::from_secs(60);
-        while called.messages.load(Ordering::SeqCst) != count {
-            assert!(std::time::Instant::now() < end, "{} of {count}", called.messages.load(Ordering::SeqCst));
-            std::thread::yield_now();
-        }
-    };
+    let told = |count: usize| wait_until(|| called.messages.load(Ordering::SeqCst) == count);
     // SAFETY: rmw's protocol.
     unsafe {
         let set = wait::rmw_create_wait_set(&mut *world.context, 0);

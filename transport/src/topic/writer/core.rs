@@ -232,7 +232,8 @@ impl PublisherCore {
         let (connection, place) = connected.map_err(refuse)?;
         let owner = (target.owner.clone(), slot);
         let samples = pool.end().max(*words * 64);
-        let sender = ReaderChannel::new(target.gid, shape, &target.port, owner, connection, samples);
+        let is_own = target.gid.participant() == self.gid.participant();
+        let sender = ReaderChannel::new(target.gid, is_own, shape, &target.port, owner, connection, samples);
         let history = self.history.as_ref().filter(|_| qos.durability == Durability::TransientLocal);
         if let Some(history) = history {
             if is_on_use {
