@@ -72,6 +72,11 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         using(&mut self.side.lock().0)
     }
 
+    /// The rank of its callback, if its thread is to run the highest first.
+    pub(crate) fn rank(&self) -> Option<u8> {
+        self.jobs.rank
+    }
+
     /// # Real-time
     /// As [`with`](Self::with), O(publishers).
     pub(crate) fn has_data(&self) -> bool {

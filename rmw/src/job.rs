@@ -19,6 +19,8 @@ pub(crate) struct Jobs {
     depth: u64,
     /// Lost messages reported so far.
     noted: AtomicU64,
+    /// The callback's rank, if its thread is to run the highest first.
+    pub(crate) rank: Option<u8>,
 }
 
 thread_local! {
@@ -31,11 +33,12 @@ thread_local! {
 impl Jobs {
     pub(crate) fn new(node: &Node, subscription: &RawSubscription, is_topic: bool) -> Result<Arc<Self>> {
         let topic = subscription.topic();
-        let (name, measured) = node.context().system.callback(&node.full_name, topic, is_topic)?;
+        let (system, node) = (&node.context().system, &node.full_name);
+        let (rank, (name, measured)) = (system.rank(node, topic), system.callback(node, topic, is_topic)?);
         let traced = tautline_trace::subscription_callback_init(subscription.trace_id(), &name);
         let counters = subscription.counters();
         let noted = AtomicU64::new(counters.lost());
-        Ok(Arc::new(Jobs { traced, measured, counters, depth: subscription.qos().depth as u64, noted }))
+        Ok(Arc::new(Jobs { traced, measured, counters, depth: subscription.qos().depth as u64, noted, rank }))
     }
 
     /// This thread has taken a message, released at `released_ns`, and runs the callback.

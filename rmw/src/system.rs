@@ -80,6 +80,23 @@ impl System {
         self.is_named
     }
 
+    /// The file's entry for what `node`, a full name, does with messages of `topic`.
+    fn entry(&self, node: &str, topic: &str) -> Option<&CheckedCallback> {
+        let short = node.rsplit('/').next().unwrap_or(node);
+        let of = |name: &str| {
+            let is_it = |callback: &&CheckedCallback| {
+                callback.entry.node == name && callback.entry.topics.iter().any(|of| of == topic)
+            };
+            self.callbacks.iter().find(is_it)
+        };
+        of(node).or_else(|| of(short))
+    }
+
+    /// The rank of a callback whose thread runs the highest first.
+    pub(crate) fn rank(&self, node: &str, topic: &str) -> Option<u8> {
+        self.entry(node, topic)?.entry.rank
+    }
+
     /// The statistics of what `node`, a full name, does with messages of `topic`, under its name in the file. Equal names there
     /// are one callback, even with several topics.
     ///
@@ -91,14 +108,7 @@ impl System {
         topic: &str,
         is_topic: bool,
     ) -> Result<(String, Option<Arc<ForeignCallback>>)> {
-        let short = node.rsplit('/').next().unwrap_or(node);
-        let of = |name: &str| {
-            let is_it = |callback: &&CheckedCallback| {
-                callback.entry.node == name && callback.entry.topics.iter().any(|of| of == topic)
-            };
-            self.callbacks.iter().find(is_it)
-        };
-        let options = match of(node).or_else(|| of(short)) {
+        let options = match self.entry(node, topic) {
             Some(callback) => CallbackOptions {
                 bound: callback.response_overhead_ns.map(Duration::from_nanos),
                 ..CallbackOptions::other()

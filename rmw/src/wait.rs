@@ -171,13 +171,24 @@ impl WaitEntities<'_> {
         }
     }
 
-    /// Keeps ready entities, which resets guard conditions. Returns whether there are any.
+    /// The highest rank among callbacks that have something to take; those without a rank are below all others.
+    fn highest_rank(&self) -> Option<u8> {
+        let of = |rank: Option<u8>, has_data: &dyn Fn() -> bool| rank.filter(|_| has_data());
+        let subscriptions = self.subscriptions().map(|one| of(one.end().rank(), &|| one.has_data()));
+        let services = self.services().map(|one| of(one.end().rank(), &|| one.end().has_data()));
+        let clients = self.clients().map(|one| of(one.end().rank(), &|| one.end().has_data()));
+        subscriptions.chain(services).chain(clients).max().flatten()
+    }
+
+    /// Keeps ready entities, of those with messages only the ones with the highest rank, and resets guard conditions. The others stay
+    /// ready for the next wait. Returns whether there are any.
     fn report(&mut self) -> bool {
+        let highest = self.highest_rank();
         // SAFETY: as above.
         unsafe {
-            self.subscriptions.keep(Subscription::has_data);
-            self.services.keep(|service: &Service| service.end().has_data());
-            self.clients.keep(|client: &Client| client.end().has_data());
+            self.subscriptions.keep(|one: &Subscription| one.end().rank() == highest && one.has_data());
+            self.services.keep(|one: &Service| one.end().rank() == highest && one.end().has_data());
+            self.clients.keep(|one: &Client| one.end().rank() == highest && one.end().has_data());
             self.guards.keep(|guard: &GuardCondition| guard.signal.take());
             self.events.keep(|event| event::signal_of(event).is_some_and(Signal::is_set));
         }

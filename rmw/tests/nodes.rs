@@ -554,6 +554,63 @@ fn callbacks_of_rclpy_are_reported_and_traced() {
     assert_eq!(of(",/heard,").iter().filter(|kind| **kind == "take").count(), 5, "{events}");
 }
 
+/// Five topics, three messages each, all there before an unchanged executor of rclpy begins.
+const QUEUED: &str = r#"
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+rclpy.init()
+node, source, order = rclpy.create_node("listener"), rclpy.create_node("source"), []
+topics = [f"/t{n}" for n in range(5)] + ["/unlisted"]
+subscriptions = [node.create_subscription(String, topic, lambda m: order.append(m.data), 10) for topic in topics]
+publishers = [source.create_publisher(String, topic, 10) for topic in topics]
+while any(publisher.get_subscription_count() < 1 for publisher in publishers): pass
+for _ in range(3):
+    for topic, publisher in zip(topics, publishers): publisher.publish(String(data=topic[-1]))
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+while len(order) < 18: executor.spin_once()
+print("".join(order))
+executor.shutdown()
+rclpy.shutdown()
+"#;
+
+/// A system file orders the callbacks of an executor that knows nothing of it; what it does not list comes last.
+#[test]
+fn ready_callbacks_run_by_their_priorities() {
+    let Some(venv) = ros() else { return };
+    reserve(68);
+    let folder = tempfile::tempdir().unwrap();
+    let order = |text: &str| {
+        let path = folder.path().join("system.toml");
+        std::fs::write(&path, text).unwrap();
+        let mut command = Command::new(venv.join("bin/python"));
+        command.args(["-c", QUEUED]).env("ROS_DOMAIN_ID", "68").env("TAUT_SYSTEM", path);
+        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        on_tautline(&mut command);
+        let output = command.output().unwrap();
+        let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+        assert!(output.status.success(), "{errors}");
+        out.trim().to_owned()
+    };
+    let mut text = "[hosts.here]\ncores = 1\n[nodes.listener]\nclient = \"rclpy\"\n[groups.all]\n".to_owned();
+    let head = text.len();
+    for n in 0..5 {
+        text += &format!(
+            "[callbacks.t{n}]\ntopic = \"/t{n}\"\ngroup = \"all\"\nwcet = \"1ms\"\n[topics.\"/t{n}\"]\nperiod = \"100ms\"\n"
+        );
+    }
+    assert_eq!(order(&text), "01234d".repeat(3), "in rounds");
+    text.insert_str(head, "order = \"priority\"\npriority = 40\n");
+    for n in 0..5 {
+        // The third and the fourth are alike: they are reported together.
+        let rank = [1, 2, 3, 3, 5][n];
+        text =
+            text.replace(&format!("topic = \"/t{n}\"\n"), &format!("topic = \"/t{n}\"\npriority = {rank}\n"));
+    }
+    assert_eq!(order(&text), "444232323111000ddd");
+}
+
 /// Nothing was prepared: no system file, no trace.
 #[test]
 fn callbacks_of_any_node_of_rclpy_are_seen() {
