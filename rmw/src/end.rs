@@ -8,6 +8,7 @@ use crate::job::{self, Jobs};
 use crate::node::Node;
 use crate::on_new::{Listener, Listeners};
 use crate::signal::Waiter;
+use crate::thread::ThreadPlan;
 use std::future::poll_fn;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
@@ -70,6 +71,11 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
     /// Waits for another thread in it, which inherits this thread's priority.
     pub(crate) fn with<T>(&self, using: impl FnOnce(&mut P) -> T) -> T {
         using(&mut self.side.lock().0)
+    }
+
+    /// The thread that is to run its callback.
+    pub(crate) fn thread(&self) -> Option<&Arc<ThreadPlan>> {
+        self.jobs.thread.as_ref()
     }
 
     /// The rank of its callback, if its thread is to run the highest first.

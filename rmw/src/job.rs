@@ -3,6 +3,7 @@
 
 use crate::error::Result;
 use crate::node::Node;
+use crate::thread::ThreadPlan;
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -21,6 +22,8 @@ pub(crate) struct Jobs {
     noted: AtomicU64,
     /// The callback's rank, if its thread is to run the highest first.
     pub(crate) rank: Option<u8>,
+    /// The thread that the system file gives it.
+    pub(crate) thread: Option<Arc<ThreadPlan>>,
 }
 
 thread_local! {
@@ -34,11 +37,20 @@ impl Jobs {
     pub(crate) fn new(node: &Node, subscription: &RawSubscription, is_topic: bool) -> Result<Arc<Self>> {
         let topic = subscription.topic();
         let (system, node) = (&node.context().system, &node.full_name);
-        let (rank, (name, measured)) = (system.rank(node, topic), system.callback(node, topic, is_topic)?);
+        let (thread, rank) = system.place(node, topic);
+        let (name, measured) = system.callback(node, topic, is_topic)?;
         let traced = tautline_trace::subscription_callback_init(subscription.trace_id(), &name);
         let counters = subscription.counters();
         let noted = AtomicU64::new(counters.lost());
-        Ok(Arc::new(Jobs { traced, measured, counters, depth: subscription.qos().depth as u64, noted, rank }))
+        Ok(Arc::new(Jobs {
+            traced,
+            measured,
+            counters,
+            depth: subscription.qos().depth as u64,
+            noted,
+            rank,
+            thread,
+        }))
     }
 
     /// This thread has taken a message, released at `released_ns`, and runs the callback.

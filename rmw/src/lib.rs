@@ -44,6 +44,7 @@ mod subscription;
 mod system;
 #[cfg(test)]
 mod tests;
+mod thread;
 mod topic;
 mod types;
 mod unsupported;

@@ -12,6 +12,7 @@ use crate::job;
 use crate::service::Service;
 use crate::signal::{Signal, Waiter, deadline_ns};
 use crate::subscription::Subscription;
+use crate::thread::{self, ThreadPlan};
 use std::ffi::c_void;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,6 +25,8 @@ pub(crate) struct WaitSet {
     waits: Arc<SamplerObject>,
     /// Whether callbacks' processor time is measured.
     is_measured: bool,
+    /// Whether threads get what the system file states.
+    is_governed: bool,
     in_use: AtomicBool,
 }
 
@@ -171,6 +174,13 @@ impl WaitEntities<'_> {
         }
     }
 
+    /// The threads that are to run the callbacks.
+    fn threads(&self) -> impl Iterator<Item = &Arc<ThreadPlan>> {
+        let subscriptions = self.subscriptions().filter_map(|one| one.end().thread());
+        let services = self.services().filter_map(|one| one.end().thread());
+        subscriptions.chain(services).chain(self.clients().filter_map(|one| one.end().thread()))
+    }
+
     /// The highest rank among callbacks that have something to take; those without a rank are below all others.
     fn highest_rank(&self) -> Option<u8> {
         let of = |rank: Option<u8>, has_data: &dyn Fn() -> bool| rank.filter(|_| has_data());
@@ -227,7 +237,8 @@ pub unsafe extern "C" fn rmw_create_wait_set(
             let waiter = context.waiters.claim(&context.participant);
             let (waiters, waits) = (context.waiters.clone(), context.waits.clone());
             let (is_measured, in_use) = (context.system.measures_execution(), AtomicBool::new(false));
-            let wait_set = WaitSet { waiters, waiter, waits, is_measured, in_use };
+            let is_governed = context.system.is_governing();
+            let wait_set = WaitSet { waiters, waiter, waits, is_measured, is_governed, in_use };
             handle.write(rmw_wait_set_t {
                 implementation_identifier: IDENTIFIER.as_ptr(),
                 guard_conditions: std::ptr::null_mut(),
@@ -293,6 +304,9 @@ pub unsafe extern "C" fn rmw_wait(
         };
         wait_set.waiters.check_process()?;
         let _turn = Turn::of(wait_set)?;
+        if wait_set.is_governed {
+            thread::govern(wanted.threads())?;
+        }
         let deadline = timeout.map(|time| deadline_ns(time.sec, time.nsec));
         job::wait(&wait_set.waits, deadline, wait_set.is_measured);
         let is_look_only = timeout.is_some_and(|time| (time.sec, time.nsec) == (0, 0));

@@ -506,7 +506,10 @@ fn callbacks_of_rclpy_are_reported_and_traced() {
         "#;
     std::fs::write(&system, text).unwrap();
     let (system, trace) = (system.to_str().unwrap(), trace.to_str().unwrap());
-    let mut peer = domain.simple_peer_with("listener", &[("TAUT_SYSTEM", system), ("TAUT_TRACE", "on")]);
+    let mut peer = domain.simple_peer_with(
+        "listener",
+        &[("TAUT_SYSTEM", system), ("TAUT_TRACE", "on"), ("TAUT_REALTIME", "off")],
+    );
     let (heard, unlisted) =
         (peer.subscription("/heard", STRING, json!({})), peer.subscription("/unlisted", STRING, json!({})));
     let also = peer.subscription("/also", STRING, json!({}));
@@ -586,6 +589,7 @@ fn ready_callbacks_run_by_their_priorities() {
         std::fs::write(&path, text).unwrap();
         let mut command = Command::new(venv.join("bin/python"));
         command.args(["-c", QUEUED]).env("ROS_DOMAIN_ID", "68").env("TAUT_SYSTEM", path);
+        command.env("TAUT_REALTIME", "off");
         command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
         on_tautline(&mut command);
         let output = command.output().unwrap();
@@ -609,6 +613,72 @@ fn ready_callbacks_run_by_their_priorities() {
             text.replace(&format!("topic = \"/t{n}\"\n"), &format!("topic = \"/t{n}\"\npriority = {rank}\n"));
     }
     assert_eq!(order(&text), "444232323111000ddd");
+}
+
+/// Each topic has an executor, and prints what its callback's thread is.
+const SCHEDULED: &str = r#"
+import os, rclpy, threading
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+rclpy.init()
+node = rclpy.create_node("listener")
+seen = {topic: [] for topic in ("/fast", "/slow", "/unlisted")}
+def listen(topic):
+    def heard(_):
+        seen[topic].append((os.sched_getscheduler(0), os.sched_getparam(0).sched_priority, sorted(os.sched_getaffinity(0))))
+    return heard
+nodes = {topic: rclpy.create_node("listener" if topic != "/unlisted" else "ordinary") for topic in seen}
+subscriptions = [nodes[topic].create_subscription(String, topic, listen(topic), 10) for topic in seen]
+publishers = {topic: node.create_publisher(String, topic, 10) for topic in seen}
+while any(publisher.get_subscription_count() < 1 for publisher in publishers.values()): pass
+def spin(topic):
+    executor = SingleThreadedExecutor()
+    executor.add_node(nodes[topic])
+    while not seen[topic]: executor.spin_once()
+threads = [threading.Thread(target=spin, args=(topic,)) for topic in seen]
+[thread.start() for thread in threads]
+for publisher in publishers.values(): publisher.publish(String(data="some"))
+[thread.join() for thread in threads]
+for topic, all in seen.items():
+    policy, priority, cores = all[0]
+    print(topic, ["other", "fifo"][policy], priority, cores)
+rclpy.shutdown()
+"#;
+
+/// The thread that waits for a callback becomes the thread that the system file describes; others stay as they are.
+#[test]
+fn threads_of_unchanged_executors_are_those_of_the_system_file() {
+    let Some(venv) = ros() else { return };
+    if let Err(error) = tautline_rt::permission::realtime_permitted(41) {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        return eprintln!("skipped: {error}");
+    }
+    reserve(69);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("system.toml");
+    let callback = |name: &str, priority: u8| {
+        format!(
+            "[callbacks.{name}]\ntopic = \"/{name}\"\npriority = {priority}\nwcet = \"1ms\"\n[topics.\"/{name}\"]\nperiod = \"1s\"\n"
+        )
+    };
+    let head = "[hosts.here]\ncores = 1\nsampler_priority = 90\n[nodes.listener]\nclient = \"rclpy\"\n";
+    std::fs::write(&path, [head, &callback("fast", 41), &callback("slow", 40)].concat()).unwrap();
+    let run = |realtime: &str| {
+        let mut command = Command::new(venv.join("bin/python"));
+        command.args(["-c", SCHEDULED]).env("ROS_DOMAIN_ID", "69").env("TAUT_SYSTEM", &path);
+        command.env("TAUT_REALTIME", realtime).env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        on_tautline(&mut command);
+        let output = command.output().unwrap();
+        let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+        assert!(output.status.success(), "{errors}");
+        out
+    };
+    let cores =
+        tautline_rt::current_affinity().unwrap().iter().map(|core| core.to_string()).collect::<Vec<_>>();
+    let ordinary = |topic: &str| format!("{topic} other 0 [{}]\n", cores.join(", "));
+    let governed = ["/fast fifo 41 [0]\n/slow fifo 40 [0]\n", &ordinary("/unlisted")].concat();
+    assert_eq!(run("required"), governed);
+    assert_eq!(run("off"), ["/fast", "/slow", "/unlisted"].map(ordinary).concat());
 }
 
 /// Nothing was prepared: no system file, no trace.
@@ -642,7 +712,8 @@ fn a_system_file_is_used_or_what_is_wrong_with_it_is_said() {
     let init = |variables: &[(&str, &str)]| {
         let mut command = Command::new(venv.join("bin/python"));
         command.args(["-c", "import rclpy; rclpy.init(domain_id=67)"]);
-        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH").envs(variables.iter().copied());
+        command.env("TAUT_REALTIME", "off").envs(variables.iter().copied());
+        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
         on_tautline(&mut command);
         let output = command.output().unwrap();
         (output.status.success(), String::from_utf8_lossy(&output.stderr).into_owned())
@@ -660,6 +731,7 @@ fn a_system_file_is_used_or_what_is_wrong_with_it_is_said() {
     let refused = [
         (&[file("/nowhere/system.toml")][..], "TAUT_SYSTEM: `/nowhere/system.toml` cannot be read"),
         (&[file(path)], "has several hosts: set TAUT_HOST to one of a, b"),
+        (&[file(path), ("TAUT_HOST", "a"), ("TAUT_REALTIME", "of")], "TAUT_REALTIME is 'of': it may be"),
         (&[file(path), ("TAUT_HOST", "c")], "has no host `c`: set TAUT_HOST to one of a, b"),
     ];
     for (variables, why) in refused {
