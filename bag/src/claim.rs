@@ -119,7 +119,7 @@ impl Claim {
 
     fn wait_for(&self, job: impl FnOnce(SyncSender<()>) -> Job) -> Result<(), BagError> {
         let (tell, done) = sync_channel(1);
-        let told = self.jobs.give(job(tell));
+        let told = self.jobs.send(job(tell));
         told.and_then(|()| done.recv().map_err(|_| self.jobs.fault())).map_err(BagError::write(&self.path))
     }
 
@@ -144,12 +144,12 @@ impl Claimed {
         let start = self.start;
         self.start += whole as u64;
         self.given = self.end.get();
-        self.jobs.give(Job::Write { piece, start, is_shared })
+        self.jobs.send(Job::Write { piece, start, is_shared })
     }
 
     fn hand_over_again(&mut self) -> io::Result<()> {
         let (at, bytes) = std::mem::take(&mut self.again);
-        if bytes.is_empty() { Ok(()) } else { self.jobs.give(Job::Again(at, bytes)) }
+        if bytes.is_empty() { Ok(()) } else { self.jobs.send(Job::Again(at, bytes)) }
     }
 }
 

@@ -75,7 +75,7 @@ pub struct Jobs {
 }
 
 impl Jobs {
-    pub fn give(&self, job: Job) -> io::Result<()> {
+    pub fn send(&self, job: Job) -> io::Result<()> {
         self.sender.send(job).map_err(|_| self.fault())
     }
 

@@ -52,7 +52,7 @@ impl Database {
         connection.pragma_update(None, "cell_size_check", true).map_err(fail)?;
         let (path, topics) = (path.to_owned(), BTreeMap::new());
         let mut database = Database { connection, path, bytes, topics, notes: Vec::new() };
-        database.look()?;
+        database.read_schema()?;
         Ok(database)
     }
 
@@ -114,7 +114,7 @@ impl Database {
     }
 
     /// Which tables there are, with which columns; what is in all but the messages'.
-    fn look(&mut self) -> Result<(), BagError> {
+    fn read_schema(&mut self) -> Result<(), BagError> {
         let fail = |error| failed(&self.path, error);
         let mut statement = self.connection.prepare("PRAGMA main.table_list").map_err(fail)?;
         let mut tables = HashMap::new();

@@ -314,7 +314,7 @@ impl SubscriptionCore {
         if is_stale {
             hand_over(&mut setup);
         }
-        if setup.endpoints.tell(&self.matched) {
+        if setup.endpoints.notify(&self.matched) {
             self.slot.doorbell().arena().ring_events(self.slot.index());
         }
         if was_stale || is_stale {

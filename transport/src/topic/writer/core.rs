@@ -485,7 +485,7 @@ impl PublisherCore {
             self.hand_over(&mut setup);
             self.top_up(&mut setup);
         }
-        if setup.endpoints.tell(&self.matched) {
+        if setup.endpoints.notify(&self.matched) {
             self.slot.doorbell().arena().ring_events(self.slot.index());
             // It may wait for room in a queue that has gone.
             self.slot.ring();
