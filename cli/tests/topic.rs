@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut topic` on types that `taut` was not built with, and on publishers that do not notice it.
 
+mod support;
+
 use serde_json::{Value, json};
 use std::cell::Cell;
-use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output};
 use std::sync::Arc;
+use support::Running;
 use tautline::{Context, Node, Qos, Realtime};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_schema::{DynamicMessage, Schema};
@@ -44,28 +46,6 @@ fn refused(args: &[&str]) -> (i32, String) {
     let output = run(args);
     assert!(output.stdout.is_empty(), "{args:?}: {}", String::from_utf8_lossy(&output.stdout));
     (output.status.code().unwrap(), String::from_utf8(output.stderr).unwrap())
-}
-
-/// A command that goes on.
-struct Running(Child);
-
-impl Running {
-    fn start(args: &[&str]) -> Self {
-        Running(command(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap())
-    }
-
-    fn line(&mut self) -> String {
-        let mut line = String::new();
-        BufReader::with_capacity(1, self.0.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        line
-    }
-
-    /// As Ctrl-C ends it.
-    fn interrupt(self) -> Output {
-        let pid = self.0.id().to_string();
-        assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
-        self.0.wait_with_output().unwrap()
-    }
 }
 
 fn schema() -> Arc<Schema> {
@@ -299,26 +279,31 @@ fn rates_and_delays_are_by_simulated_time() {
 #[test]
 fn messages_are_published_by_hand() {
     let participant = enter(97);
-    let mut echo = Running::start(&["topic", "echo", "/hand", "--json"]);
-    // It is there once somebody publishes; what was kept comes, too.
+    let mut echo = Running::start(&mut command(&["topic", "echo", "/hand", "--json"]));
+    // It is there once somebody publishes; what was kept comes, too. Nobody waits for an observer, so this message shows that it is there.
+    let topic_type = TopicType::new("geometry_msgs/msg/PointStamped");
+    let (qos, limits) = (Qos::default().transient_local(), Limits::default());
+    let kept = participant.create_raw_publisher("/hand", &topic_type, qos, limits).unwrap();
+    // A stamp and a frame of zeros, and a point.
+    kept.publish(&[&[0; 8][..], &[1, 0, 0, 0, 0, 0, 0, 0], &[0; 24]].concat()).unwrap();
+    assert_eq!(serde_json::from_str::<Value>(&echo.line()).unwrap()["point"]["x"], json!(0.0));
     let args = ["--qos-durability", "transient_local", "-n", "3", "-r", "100", "--stamp", "now"];
     let values = "{point: {x: 1.5}}";
-    let publishing = Running::start(
+    let publishing = Running::start(&mut command(
         &[&["topic", "pub", "/hand", "geometry_msgs/msg/PointStamped", values, "--wait", "1"], &args[..]]
             .concat(),
-    );
+    ));
     // An observer is no subscription that somebody waits for.
-    let topic_type = TopicType::new("geometry_msgs/msg/PointStamped");
     let subscription =
-        participant.create_raw_subscription("/hand", &topic_type, Qos::default(), Limits::default()).unwrap();
-    let output = publishing.0.wait_with_output().unwrap();
-    let words = String::from_utf8(output.stderr).unwrap();
-    assert!(output.status.success() && words.contains("published 3 messages on '/hand', late by"), "{words}");
+        participant.create_raw_subscription("/hand", &topic_type, Qos::default(), limits).unwrap();
+    let (code, _, words) = publishing.end();
+    assert!(code == 0 && words.contains("published 3 messages on '/hand', late by"), "{words}");
     let lines = [(); 3].map(|()| serde_json::from_str::<Value>(&echo.line()).unwrap());
     assert!(lines.iter().all(|line| line["point"]["x"] == json!(1.5)
         && line["header"]["stamp"]["sec"].as_i64() > Some(1_700_000_000)));
     assert_eq!(subscription.counters().lost(), 0);
-    assert_eq!(echo.interrupt().status.code(), Some(0));
+    echo.interrupt();
+    assert_eq!(echo.end().0, 0);
 
     // Each message has the time of its publication.
     let mut echo = Running::start(&["topic", "echo", "/stamped", "--json"]);

@@ -5,9 +5,10 @@ use crate::bindings::*;
 use crate::error::answer;
 use std::ffi::CString;
 use std::fmt::{self, Write};
-use std::sync::Once;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicPtr, AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Mutex, PoisonError};
+use tautline_rt::fork::ProcessMark;
 use tautline_rt::{Realtime, ThreadBuilder};
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
@@ -20,20 +21,43 @@ static LEAST: AtomicU32 = AtomicU32::new(RMW_LOG_SEVERITY_INFO);
 const LINES: usize = 256;
 
 /// Forwards log lines from now on, unless the process has a `tracing` subscriber. A separate thread does it, because a handler of
-/// ROS's log may hold its own lock while publishing, and Tautline may log while holding one of its locks.
+/// ROS's log may hold its own lock while publishing, and Tautline may log while holding one of its locks. A forked child, which has no
+/// such thread, starts its own.
 pub(crate) fn start() {
-    static STARTED: Once = Once::new();
-    STARTED.call_once(|| {
-        let (lines, waiting) = sync_channel(LINES);
-        let thread = ThreadBuilder::new("rmw_log").realtime(Realtime::Off);
-        if thread.spawn(move || move || pass_on(&waiting)).is_ok() {
-            let _ = tracing::subscriber::set_global_default(ToRos { lines, left_out: AtomicU32::new(0) });
-        }
-    });
+    static STARTING: Mutex<()> = Mutex::new(());
+    let _starting = STARTING.lock().unwrap_or_else(PoisonError::into_inner);
+    if Queue::current().is_some() {
+        return;
+    }
+    let (lines, waiting) = sync_channel(LINES);
+    let thread = ThreadBuilder::new("rmw_log").realtime(Realtime::Off);
+    if thread.spawn(move || move || pass_on(&waiting)).is_ok() {
+        let queue = Box::into_raw(Box::new(Queue { process: ProcessMark::new(), lines }));
+        // Release: pairs with the Acquire in `current`. A child leaves its parent's.
+        QUEUE.store(queue, Ordering::Release);
+        let _ = tracing::subscriber::set_global_default(ToRos { left_out: AtomicU32::new(0) });
+    }
+}
+
+/// Where this process's thread gets its lines.
+struct Queue {
+    process: ProcessMark,
+    lines: SyncSender<(u32, CString)>,
+}
+
+/// Stays as long as the process.
+static QUEUE: AtomicPtr<Queue> = AtomicPtr::new(std::ptr::null_mut());
+
+impl Queue {
+    /// That of this process, and not of its parent.
+    fn current() -> Option<&'static Queue> {
+        // SAFETY: null, or a queue that is never dropped.
+        let queue = unsafe { QUEUE.load(Ordering::Acquire).as_ref() };
+        queue.filter(|queue| queue.process.is_here())
+    }
 }
 
 struct ToRos {
-    lines: SyncSender<(u32, CString)>,
     left_out: AtomicU32,
 }
 
@@ -69,7 +93,8 @@ impl Subscriber for ToRos {
             line.0 += &format!(" ({left_out} earlier lines were dropped)");
         }
         let text = CString::new(line.0.replace('\0', " ")).unwrap_or_default();
-        if self.lines.try_send((severity(event.metadata().level()), text)).is_err() {
+        let line = (severity(event.metadata().level()), text);
+        if Queue::current().is_none_or(|queue| queue.lines.try_send(line).is_err()) {
             self.left_out.fetch_add(left_out + 1, Ordering::Relaxed);
         }
     }

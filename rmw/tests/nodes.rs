@@ -7,7 +7,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-use std::process::{Child, Command};
+use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 use support::gateway::link;
 use support::{
@@ -429,6 +429,29 @@ fn a_forked_child_is_refused_its_parents_node_and_exits() {
     let mut peers = ForkPeers::start(&domain, "exit");
     assert_eq!(take_texts(&peers.answers, 1), ["exited with 7"]);
     peers.ask(&["parent"], "still");
+}
+
+/// Also in a forked child, which has no thread of its parent's: what is wrong is said by each of them.
+#[test]
+fn a_forked_child_logs_by_itself() {
+    let Some(domain) = Domain::new(89) else { return };
+    let system = tempfile::NamedTempFile::new().unwrap();
+    let of_others = "[hosts.here]\ncores = 1\n[nodes.n]\n[callbacks.c]\nperiod = \"1s\"\nwcet = \"1ms\"\n";
+    std::fs::write(system.path(), of_others).unwrap();
+    let said = tempfile::NamedTempFile::new().unwrap();
+    // The end of the input ends both.
+    let program = "import os, rclpy, sys\nrclpy.init()\npid = os.fork()\nif pid == 0:\n    rclpy.init(context=rclpy.Context())\n\
+                   sys.stdin.read()\nif pid:\n    os.waitpid(pid, 0)\n";
+    let mut command = Command::new(domain.venv.join("bin/python"));
+    command.args(["-c", program]).env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+    command.env("ROS_DOMAIN_ID", domain.number.to_string()).env("TAUT_SYSTEM", system.path());
+    on_tautline(&mut command);
+    let mut process = command.stdin(Stdio::piped()).stderr(said.reopen().unwrap()).spawn().unwrap();
+    let input = process.stdin.take();
+    let words = || std::fs::read_to_string(said.path()).unwrap();
+    wait_until("a warning of each", || words().matches("has no callback of host").count() == 2);
+    drop(input);
+    assert!(process.wait().unwrap().success(), "{}", words());
 }
 
 /// As many nodes as a large robot has, each with what rclpy gives a node: parameters' services, events, its log.

@@ -2,7 +2,7 @@
 //! A system file of what a recording shows. Callbacks are those that ran; what each publishes is what its thread published meanwhile.
 
 use crate::trace::messages::{Run, runs};
-use crate::trace::recording::Recording;
+use crate::trace::recording::{Process, Recording};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt::Write;
 use tautline_rt::{self as rt, Policy, ThreadInfo};
@@ -38,6 +38,9 @@ enum Trigger {
     Unknown,
 }
 
+/// By process and number.
+type Threads = HashMap<(u32, u32), ThreadInfo>;
+
 /// How often something was published by other threads than those of callbacks.
 struct Rate {
     messages: usize,
@@ -46,8 +49,8 @@ struct Rate {
 }
 
 pub fn describe(recording: &Recording) -> Described {
-    let callbacks = callbacks(recording);
-    let threads = threads(recording, &callbacks);
+    let threads = threads(recording);
+    let callbacks = callbacks(recording, &threads);
     let mut file = File { text: String::new(), guesses: 0 };
     file.head(recording, &threads);
     file.nodes(recording, &callbacks);
@@ -71,9 +74,10 @@ pub fn describe(recording: &Recording) -> Described {
 }
 
 /// One for each node and topic, or timer.
-fn callbacks(recording: &Recording) -> Vec<Callback> {
+fn callbacks(recording: &Recording, threads: &Threads) -> Vec<Callback> {
     let mut found: BTreeMap<(String, Trigger, u32, u32), Callback> = BTreeMap::new();
     let runs = runs(recording);
+    let used_ns = used(&runs, threads);
     let mut open: HashMap<(u32, u32), Vec<&Run>> = HashMap::new();
     runs.iter().for_each(|run| open.entry((run.process, run.tid)).or_default().push(run));
     let mut published: HashMap<(u32, u32, u64), BTreeSet<&str>> = HashMap::new();
@@ -83,7 +87,7 @@ fn callbacks(recording: &Recording) -> Vec<Callback> {
             published.entry((run.process, run.tid, run.start_ns)).or_default().insert(&topic.name);
         }
     }
-    for run in &runs {
+    for (run, used_ns) in runs.iter().zip(used_ns) {
         let Some(callback) = recording.object(run.process, run.callback) else { continue };
         let source = recording.object(run.process, callback.parent);
         let trigger = match source.map(|source| (source.kind, source.detail, &source.name)) {
@@ -107,8 +111,7 @@ fn callbacks(recording: &Recording) -> Vec<Callback> {
             publishes: BTreeSet::new(),
         });
         one.runs += 1;
-        one.longest_ns =
-            one.longest_ns.max(run.end_ns.map_or(0, |end_ns| end_ns.saturating_sub(run.start_ns)));
+        one.longest_ns = one.longest_ns.max(used_ns);
         let topics = published.get(&(run.process, run.tid, run.start_ns)).into_iter().flatten();
         one.publishes.extend(topics.map(|topic| (*topic).to_owned()));
     }
@@ -154,14 +157,33 @@ fn key(name: &str) -> String {
     if key.is_empty() { "callback".to_owned() } else { key }
 }
 
-/// The threads that run callbacks, as far as they still exist.
-fn threads(recording: &Recording, callbacks: &[Callback]) -> HashMap<(u32, u32), ThreadInfo> {
-    let mut threads = HashMap::new();
-    for process in callbacks.iter().map(|callback| callback.process).collect::<BTreeSet<_>>() {
-        let here = rt::threads_of(pid(recording, process)).unwrap_or_default();
-        threads.extend(here.into_iter().map(|thread| ((process, thread.tid), thread)));
+/// The threads of the recorded processes, as far as they still exist.
+fn threads(recording: &Recording) -> Threads {
+    let of = |(process, of): (&u32, &Process)| {
+        let threads = rt::threads_of(of.pid).unwrap_or_default();
+        threads.into_iter().map(|thread| ((*process, thread.tid), thread)).collect::<Vec<_>>()
+    };
+    recording.processes.iter().flat_map(of).collect()
+}
+
+/// The time from start to end of each run, without that of runs which preempted it: those that lie within it on the only core of both
+/// threads.
+fn used(runs: &[Run], threads: &Threads) -> Vec<u64> {
+    let mut used: Vec<u64> =
+        runs.iter().map(|run| run.end_ns.map_or(0, |end_ns| end_ns.saturating_sub(run.start_ns))).collect();
+    // Of each core, those that have begun and may not have ended, the inner ones last.
+    let mut open: HashMap<usize, Vec<usize>> = HashMap::new();
+    for (index, run) in runs.iter().enumerate() {
+        let core = threads.get(&(run.process, run.tid)).map(core_of);
+        let (Some((core, false)), Some(end_ns)) = (core, run.end_ns) else { continue };
+        let outer = open.entry(core).or_default();
+        outer.retain(|outer| runs[*outer].end_ns.is_some_and(|outer_ns| outer_ns >= end_ns));
+        if let Some(outer) = outer.last() {
+            used[*outer] = used[*outer].saturating_sub(end_ns.saturating_sub(run.start_ns));
+        }
+        outer.push(index);
     }
-    threads
+    used
 }
 
 /// Topics that threads without callbacks publish, or that callbacks take and nobody here publishes.
@@ -240,7 +262,7 @@ impl File {
         let _ = writeln!(self.text, "{line}");
     }
 
-    fn head(&mut self, recording: &Recording, threads: &HashMap<(u32, u32), ThreadInfo>) {
+    fn head(&mut self, recording: &Recording, threads: &Threads) {
         let events = recording.events.iter().map(|timed| timed.event.time_ns);
         let seconds =
             events.clone().max().unwrap_or(0).saturating_sub(events.min().unwrap_or(0)) as f64 / 1e9;
@@ -351,7 +373,7 @@ impl File {
             Trigger::Unknown => {}
         }
         let wcet = format!("wcet = \"{}\"", time(rounded_up(*longest_ns)));
-        self.guess(&wcet, &format!("the longest of {runs} runs, by the clock"));
+        self.guess(&wcet, &format!("the longest of {runs} runs"));
         match thread.map(core_of) {
             Some((core, false)) => self.line(&format!("core = {core}")),
             Some((core, true)) => self.guess(&format!("core = {core}"), "its thread may run on others, too"),

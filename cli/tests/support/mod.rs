@@ -2,9 +2,11 @@
 //! What tests of verbs that ask nodes share: such nodes in the test's process, and `taut` beside it.
 #![allow(dead_code, reason = "no test uses all of it")]
 
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serde_json::Value;
 use std::future::Future;
-use std::io::{BufRead, BufReader, Read};
+use std::io::Read;
+use std::os::fd::AsFd;
 use std::pin::Pin;
 use std::process::{Child, Command, Output, Stdio};
 use std::thread::JoinHandle;
@@ -62,7 +64,7 @@ impl Here {
 
     /// A command that goes on.
     pub fn start(&self, args: &[&str]) -> Running {
-        Running(self.command(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap())
+        Running::start(&mut self.command(args))
     }
 }
 
@@ -75,38 +77,66 @@ impl Drop for Here {
     }
 }
 
-pub struct Running(Child);
+/// A command that goes on; it is killed if it is not waited for.
+pub struct Running(Option<Child>);
 
 impl Running {
+    pub fn start(command: &mut Command) -> Self {
+        Running(Some(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()))
+    }
+
+    fn child(&mut self) -> &mut Child {
+        self.0.as_mut().expect("until its end")
+    }
+
     /// The next line that it prints.
     pub fn line(&mut self) -> String {
-        next_line(self.0.stdout.as_mut().unwrap())
+        next_line(self.child().stdout.as_mut().unwrap())
     }
 
     /// The next line of its words.
     pub fn words(&mut self) -> String {
-        next_line(self.0.stderr.as_mut().unwrap())
+        next_line(self.child().stderr.as_mut().unwrap())
     }
 
     pub fn has_ended(&mut self) -> bool {
-        self.0.try_wait().unwrap().is_some()
+        self.child().try_wait().unwrap().is_some()
     }
 
     /// As Ctrl-C does.
-    pub fn interrupt(&self) {
-        let pid = self.0.id().to_string();
+    pub fn interrupt(&mut self) {
+        let pid = self.child().id().to_string();
         assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
     }
 
-    pub fn end(self) -> (i32, String, String) {
-        ended(self.0.wait_with_output().unwrap())
+    pub fn end(mut self) -> (i32, String, String) {
+        ended(self.0.take().expect("until its end").wait_with_output().unwrap())
     }
 }
 
-fn next_line(from: impl Read) -> String {
-    let mut line = String::new();
-    BufReader::with_capacity(1, from).read_line(&mut line).unwrap();
-    line
+impl Drop for Running {
+    fn drop(&mut self) {
+        if let Some(child) = &mut self.0 {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+/// Fails if it does not come.
+fn next_line(mut from: impl Read + AsFd) -> String {
+    let mut line = Vec::new();
+    while line.last() != Some(&b'\n') {
+        let patience = Timespec { tv_sec: 60, tv_nsec: 0 };
+        let ready = poll(&mut [PollFd::new(&from, PollFlags::IN)], Some(&patience)).unwrap();
+        assert!(ready > 0, "no line in a minute, after '{}'", String::from_utf8_lossy(&line));
+        let mut byte = [0];
+        if from.read(&mut byte).unwrap() == 0 {
+            break;
+        }
+        line.extend(byte);
+    }
+    String::from_utf8(line).unwrap()
 }
 
 fn ended(output: Output) -> (i32, String, String) {

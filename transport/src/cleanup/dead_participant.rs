@@ -22,10 +22,13 @@ use std::time::{Duration, Instant};
 use tautline_rt::domain::{shared_folder, shared_path};
 use tautline_rt::shm::{self, PeerFile, ShmError};
 
-/// How long a dead publisher's samples wait for subscriptions that have not found them yet.
+/// How long a killed publisher's samples wait for subscriptions that have not found them yet: meanwhile others do not see that it died.
 const PATIENCE: Duration = Duration::from_millis(20);
+/// The same of a participant whose publishers have all ended, which others have seen.
+const PATIENCE_AFTER_END: Duration = Duration::from_secs(10);
 /// How often this is checked.
-pub(super) const PERIOD: Duration = Duration::from_millis(1);
+const PERIOD: Duration = Duration::from_millis(1);
+const PERIOD_AFTER_END: Duration = Duration::from_millis(10);
 
 /// The state of a file.
 pub(super) enum FileState {
@@ -56,6 +59,8 @@ pub(super) struct Dead {
     id: Option<u64>,
     /// What its publishers have sent.
     sent: Vec<View>,
+    /// Its publishers ended before it did.
+    has_ended: bool,
     until: Instant,
     /// The participants that are to map its samples have been called.
     has_called: bool,
@@ -88,8 +93,9 @@ pub(super) fn look_after(domain: &Domain, name: &str) -> Result<FileState, Trans
         // What cannot be read is nobody's, and waits for nobody.
         peer => peer.and_then(|peer| peer.ok().flatten()),
     };
-    let sent = peer.as_ref().map_or(Vec::new(), publishers);
-    Ok(FileState::Dead(Dead { file, id, sent, until: Instant::now() + PATIENCE, has_called: false }))
+    let (sent, has_ended) = peer.as_ref().map_or((Vec::new(), false), publishers);
+    let until = Instant::now() + if has_ended { PATIENCE_AFTER_END } else { PATIENCE };
+    Ok(FileState::Dead(Dead { file, id, sent, has_ended, until, has_called: false }))
 }
 
 /// Cleans up the participants whose samples no subscription still has to map; the others stay in the list.
@@ -104,7 +110,16 @@ pub(super) fn clean_up(domain: &Domain, dead: &mut Vec<Dead>) {
     let mut removed = Vec::new();
     for mut one in std::mem::take(dead) {
         let awaited = one.awaited(&places);
-        if awaited.is_empty() || one.until <= Instant::now() {
+        let is_over = one.until <= Instant::now();
+        if awaited.is_empty() || is_over {
+            if one.has_ended && !awaited.is_empty() {
+                tracing::warn!(
+                    "{} processes of domain {} have not fetched within {PATIENCE_AFTER_END:?} what publishers had sent them that have \
+                     ended, which is lost: are they stopped, or without processor time?",
+                    awaited.len(),
+                    domain.number()
+                );
+            }
             has_changed |= one.id.is_some_and(|id| domain.remove(id));
             removed.push(one.file);
             continue;
@@ -124,6 +139,22 @@ pub(super) fn clean_up(domain: &Domain, dead: &mut Vec<Dead>) {
 }
 
 impl Dead {
+    /// How soon it is looked at again.
+    pub(super) fn period(&self) -> Duration {
+        if self.has_ended { PERIOD_AFTER_END } else { PERIOD }
+    }
+
+    /// Whether who becomes or was the warden waits until it is cleaned up.
+    pub(super) fn is_urgent(&self) -> bool {
+        !self.has_ended
+    }
+
+    /// Nobody comes after this process.
+    pub(super) fn hurry(&mut self) {
+        self.has_ended = false;
+        self.until = self.until.min(Instant::now() + PATIENCE);
+    }
+
     /// The entries of the participants that have not mapped yet what was sent to them.
     fn awaited(&self, places: &BTreeMap<u64, usize>) -> BTreeSet<usize> {
         let behind = self.sent.iter().flat_map(|view| {
@@ -136,17 +167,26 @@ impl Dead {
     }
 }
 
-/// The memory of each publisher that its record tells of.
-fn publishers(peer: &Peer) -> Vec<View> {
+/// The memory of each publisher that its record tells of, and whether all have ended.
+fn publishers(peer: &Peer) -> (Vec<View>, bool) {
     let news = Reader::default().read(peer);
     let mut places = BTreeMap::new();
+    let mut live = BTreeSet::new();
     for (entry, _) in news.map(|news| news.entries).unwrap_or_default() {
         match entry.kind {
             EntryKind::Port | EntryKind::Ended => {
                 let port = PortRecord::parse(&entry.body).filter(|port| port.kind == PortKind::Publisher);
+                if port.is_some() && entry.kind == EntryKind::Port {
+                    live.insert(entry.number);
+                } else {
+                    live.remove(&entry.number);
+                }
                 places.extend(port.map(|port| (entry.number, port.at)));
             }
-            EntryKind::Gone => drop(places.remove(&entry.number)),
+            EntryKind::Gone => {
+                live.remove(&entry.number);
+                places.remove(&entry.number);
+            }
             _ => {}
         }
     }
@@ -158,5 +198,5 @@ fn publishers(peer: &Peer) -> Vec<View> {
         }
         Some(view)
     };
-    places.iter().filter_map(view).collect()
+    (places.iter().filter_map(view).collect(), live.is_empty())
 }

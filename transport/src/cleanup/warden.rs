@@ -147,7 +147,7 @@ impl Candidate {
             look_all_ns: 0,
         };
         // After it began to listen: what happens meanwhile is heard.
-        warden.clean_up_all(&self.domain);
+        warden.clean_up_all(&self.domain, false);
         Ok(Election::Won(warden))
     }
 
@@ -159,7 +159,8 @@ impl Candidate {
                 Some(warden) => {
                     if self.is_stopped(warden.watch.as_ref(), warden.pause()) {
                         // Nobody may come after this one.
-                        return warden.clean_up_all(&self.domain);
+                        let is_last = self.domain.members().count() <= 1;
+                        return warden.clean_up_all(&self.domain, is_last);
                     }
                     warden.listen(&self.domain);
                     warden.check_due(&self.domain);
@@ -260,12 +261,14 @@ impl ActiveWarden {
         }
     }
 
-    /// Cleans up after all participants that are dead by now.
-    fn clean_up_all(&mut self, domain: &Domain) {
+    /// Cleans up after all participants that are dead by now; unless this one is the last, those whose publishers had ended may be left
+    /// for later.
+    fn clean_up_all(&mut self, domain: &Domain, is_last: bool) {
         self.suspect_all(domain);
         self.check_due(domain);
-        while !self.dead.is_empty() {
-            std::thread::sleep(dead_participant::PERIOD);
+        self.dead.iter_mut().filter(|_| is_last).for_each(Dead::hurry);
+        while let Some(dead) = self.dead.iter().find(|dead| dead.is_urgent()) {
+            std::thread::sleep(dead.period());
             dead_participant::clean_up(domain, &mut self.dead);
         }
     }
@@ -277,7 +280,7 @@ impl ActiveWarden {
         let look = self.watch.is_none().then_some(PERIOD);
         let look_all = (self.look_all_ns != 0)
             .then(|| Duration::from_nanos(self.look_all_ns.saturating_sub(monotonic_ns())));
-        let clean_up = (!self.dead.is_empty()).then_some(dead_participant::PERIOD);
+        let clean_up = self.dead.iter().map(Dead::period).min();
         [next, look, look_all, clean_up].into_iter().flatten().min()
     }
 
