@@ -49,10 +49,7 @@ impl Files {
     }
 
     pub fn write(&mut self, report: &DemoReport, verbose: bool) -> Result<(), DemoError> {
-        let mut text = Vec::new();
-        let colour = anstream::AutoStream::choice(&std::io::stdout()) != anstream::ColorChoice::Never;
-        report::write_text(report, verbose, &mut text, colour).map_err(DemoError::Print)?;
-        std::io::stdout().write_all(&text).map_err(DemoError::Print)?;
+        report::write_text(report, verbose, &mut crate::print::stdout()).map_err(DemoError::Print)?;
         self.svg.finish(plot::render_svg(report)?.as_bytes())?;
         let mut written = format!("Picture: {}", self.svg.path.display());
         if let Some(json) = &mut self.json {

@@ -169,7 +169,7 @@ fn info(bag: &Path, is_json: bool) -> Outcome {
     }
     let last = |name: &str| said.iter().rev().find(|(other, _)| other == name).map(|(_, values)| values);
     let (session, recording) = (last("tautline:session"), last("tautline:recording"));
-    let out = &mut anstream::stdout().lock();
+    let out = &mut taut_cli::print::stdout();
     let sum = Sum::of(&files);
     if is_json {
         // What the recorder said of a topic is JSON, in a text.
@@ -225,7 +225,7 @@ fn check(bag: &Path, is_json: bool) -> Outcome {
     }
     progress.end();
     let is_described = !bag.is_dir() || bag.join("metadata.yaml").is_file();
-    let out = &mut anstream::stdout().lock();
+    let out = &mut taut_cli::print::stdout();
     let sum = Sum::of(&files);
     if is_json {
         let mut report = sum.json(&files);
@@ -252,7 +252,7 @@ fn mend(bag: &Path, is_json: bool) -> Outcome {
     let progress = Progress::new(is_json);
     let files = recover(bag, &mut |path| progress.say(path)).map_err(failed)?;
     progress.end();
-    let out = &mut anstream::stdout().lock();
+    let out = &mut taut_cli::print::stdout();
     if is_json {
         let file = |file: &tautline_bag::Recovered| {
             let damage = file.damage.iter();
@@ -327,7 +327,7 @@ fn write_anew(
     let written = rewrite(bags, &new.output, new.options(), wanted, &mut |path| progress.say(path));
     progress.end();
     let (finished, damage) = written.map_err(failed)?;
-    let out = &mut anstream::stdout().lock();
+    let out = &mut taut_cli::print::stdout();
     let sum = Sum::of(&finished.files);
     if is_json {
         writeln!(out, "{}", sum.json(&finished.files))?;
