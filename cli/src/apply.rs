@@ -47,7 +47,7 @@ pub fn run(args: &ApplyArgs) -> Outcome<ExitCode> {
     };
     let labels: Vec<_> =
         processes.iter().map(|process| format!("{} (process {})", process.program, process.pid)).collect();
-    let mut out = anstream::stdout().lock();
+    let mut out = crate::print::stdout();
     if args.common.json {
         writeln!(out, "{}", serde_json::json!({ "domain": domain, "processes": labels }))?;
         return Ok(ExitCode::SUCCESS);

@@ -179,7 +179,7 @@ fn ask<T: Service>(target: &Target, service: &str, request: T::Request) -> Outco
 }
 
 fn print(target: &Target, rows: &[(u64, String)]) -> io::Result<()> {
-    let mut out = io::stdout().lock();
+    let mut out = crate::print::stdout();
     if target.common.json {
         let rows = rows.iter().map(|(id, node)| json!({ "id": id, "node": node }));
         return writeln!(out, "{}", serde_json::Value::from_iter(rows));

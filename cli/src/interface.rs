@@ -9,7 +9,7 @@ use clap::{Args, Subcommand};
 use serde_json::json;
 use std::collections::BTreeSet;
 use std::fmt::Write as _;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::PathBuf;
 use std::sync::Arc;
 use tautline_schema::{Base, Definition, DynamicMessage, EchoForm, Kind, Schema, TypeName};
@@ -97,7 +97,7 @@ impl Only {
 /// Runs the verb.
 pub fn run(args: &InterfaceArgs) -> Outcome {
     let common = &args.common;
-    let mut out = io::stdout().lock();
+    let mut out = crate::print::stdout();
     match &args.verb {
         Verb::List { only } => {
             let mut types = finder(args)?.list()?;

@@ -6,6 +6,9 @@
 #![forbid(unsafe_code)]
 #![allow(missing_docs, reason = "a library for the programs in this folder, not for users")]
 
+#[macro_use]
+pub mod print;
+
 mod action;
 mod apply;
 pub mod asking;
@@ -153,7 +156,7 @@ pub fn log_to_stderr() {
     use tracing_subscriber::util::SubscriberInitExt;
     let asked = std::env::var("RUST_LOG").ok().and_then(|text| text.parse().ok());
     let targets: Targets = asked.unwrap_or_else(|| Targets::new().with_default(LevelFilter::WARN));
-    let written = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).without_time();
+    let written = tracing_subscriber::fmt::layer().with_writer(print::stderr).with_ansi(false).without_time();
     tracing_subscriber::registry().with(written).with(targets).init();
 }
 

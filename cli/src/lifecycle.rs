@@ -6,7 +6,7 @@ use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
-use std::io::{self, Write};
+use std::io::Write;
 use std::time::Duration;
 use tautline::lifecycle_msgs::msg::{State, TransitionDescription};
 use tautline::lifecycle_msgs::srv::{ChangeState, GetAvailableTransitions, GetState};
@@ -72,7 +72,7 @@ pub fn run(args: &LifecycleArgs) -> Outcome {
         Verb::Nodes => {
             let nodes = nodes_with(common.domain()?, STATE)?;
             let names: Vec<&str> = nodes.iter().map(String::as_str).collect();
-            Ok(crate::table::write_names(common.json, &names, &mut io::stdout())?)
+            Ok(crate::table::write_names(common.json, &names, &mut crate::print::stdout())?)
         }
         Verb::Get { node } => get(common, node.as_deref()),
         Verb::List { node, all } => list(common, node, *all),
@@ -89,7 +89,7 @@ fn get(common: &CommonArgs, node: Option<&str>) -> Outcome {
     let requests =
         nodes.iter().map(|node| (format!("{node}/{STATE}"), GetState::Request::default())).collect();
     let answers = Asking::new(domain, end)?.ask_all::<GetState::Service>(requests)?;
-    let (mut told, mut silent, mut out) = (Vec::new(), 0, io::stdout().lock());
+    let (mut told, mut silent, mut out) = (Vec::new(), 0, crate::print::stdout());
     for (name, answer) in nodes.iter().zip(answers) {
         let state = answer.map(|answer| answer.current_state);
         match &state {
@@ -118,7 +118,7 @@ fn list(common: &CommonArgs, node: &str, all: bool) -> Outcome {
     let service = if all { "get_transition_graph" } else { "get_available_transitions" };
     let node = node_with(domain, node, service, UNMANAGED)?;
     let transitions = transitions(&mut Asking::new(domain, end)?, &node, service)?;
-    let mut out = io::stdout().lock();
+    let mut out = crate::print::stdout();
     if common.json {
         return Ok(writeln!(out, "{}", json!(transitions))?);
     }
@@ -151,7 +151,7 @@ fn set(common: &CommonArgs, node: &str, wanted: &str) -> Outcome {
     asking.end = End::of(common)?;
     let request = ChangeState::Request { transition: transition.clone() };
     let changed = asking.ask::<ChangeState::Service>(&format!("{node}/change_state"), request)?;
-    let mut out = io::stdout().lock();
+    let mut out = crate::print::stdout();
     if common.json {
         writeln!(
             out,

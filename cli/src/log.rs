@@ -4,9 +4,9 @@
 use crate::asking::{Asking, full_name, node_with};
 use crate::completions;
 use crate::fits::label;
+use crate::print::Colour;
 use crate::table::{BAD, WARNING};
 use crate::verb::{CommonArgs, End, Failure, Outcome};
-use anstyle::Style;
 use clap::{Args, Subcommand, ValueEnum};
 use serde_json::json;
 use std::collections::BTreeSet;
@@ -216,7 +216,7 @@ impl<'a> Lines<'a> {
     }
 
     fn print(&self, log: &Log) -> Outcome {
-        let mut out = anstream::stdout().lock();
+        let mut out = crate::print::stdout();
         if self.common.json {
             let time_ns = i64::from(log.stamp.sec) * 1_000_000_000 + i64::from(log.stamp.nanosec);
             let line = json!({
@@ -233,7 +233,7 @@ impl<'a> Lines<'a> {
             let style = match log.level {
                 40.. => BAD,
                 30.. => WARNING,
-                _ => Style::new(),
+                _ => Colour::Plain,
             };
             let source = match self.args.source && !log.file.is_empty() {
                 true => format!(" ({}:{})", log.file, log.line),
@@ -296,7 +296,7 @@ fn level(common: &CommonArgs, node: &str, level: Option<Level>, logger: Option<&
     let name = logger.map_or_else(|| logger_of(&node), str::to_owned);
     let mut asking = Asking::new(domain, end)?;
     let service = format!("{node}/{service}");
-    let mut out = anstream::stdout().lock();
+    let mut out = crate::print::stdout();
     let Some(level) = level else {
         let request = GetLoggerLevels::Request { names: vec![name.clone()] };
         let answer = asking.ask::<GetLoggerLevels::Service>(&service, request)?;

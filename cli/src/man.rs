@@ -44,13 +44,13 @@ pub fn run(args: &ManArgs, command: Command) -> Outcome {
             }
         }
     }
-    Ok(writeln!(io::stdout(), "Wrote {written} pages to {}", args.folder.display())?)
+    Ok(writeln!(crate::print::stdout(), "Wrote {written} pages to {}", args.folder.display())?)
 }
 
 /// Writes the pages of a program's verbs, and prints how many.
 pub fn write_verbs<C: CommandFactory>(args: &ManArgs) -> Outcome {
     let written = write(args, C::command(), false)?;
-    Ok(writeln!(io::stdout(), "{written}")?)
+    Ok(writeln!(crate::print::stdout(), "{written}")?)
 }
 
 fn write(args: &ManArgs, command: Command, with_top: bool) -> Outcome<usize> {

@@ -45,7 +45,7 @@ pub fn run(args: &NodeArgs) -> Outcome {
     for pair in graph.nodes.chunk_by(|one, other| one.name == other.name).filter(|same| same.len() > 1) {
         eprintln!("taut: {} nodes are called {}", pair.len(), pair[0].name);
     }
-    let mut out = io::stdout().lock();
+    let mut out = crate::print::stdout();
     match &args.verb {
         Verb::List if args.common.json => {
             writeln!(out, "{}", Value::from_iter(graph.nodes.iter().map(|node| facts(node))))?;

@@ -4,14 +4,14 @@
 use std::collections::BTreeSet;
 use std::io::{self, Write};
 
-use anstyle::{AnsiColor, Style};
+use crate::print::Colour;
 use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
 use tautline::Policy;
 use tautline_transport::Origin;
 
-pub const GOOD: Style = AnsiColor::Green.on_default();
-pub const BAD: Style = AnsiColor::Red.on_default();
-pub const WARNING: Style = AnsiColor::Yellow.on_default();
+pub const GOOD: Colour = Colour::Green;
+pub const BAD: Colour = Colour::Red;
+pub const WARNING: Colour = Colour::Yellow;
 
 /// The width at which text wraps.
 const WIDTH: usize = 100;

@@ -20,6 +20,7 @@
 //! - [`latest`] passes the newest of many values to another thread, without waiting on either side.
 //! - [`clock`] has the clocks, [`host`] the properties of the machine, [`permission`] the reasons why it
 //!   refuses a setting.
+//! - [`terminal`] escapes the control characters of what others wrote.
 //!
 //! Everything except [`clock`], the use of [`Words`] and the use of the objects of [`latest`] is set-up: it allocates, reads files and
 //! makes syscalls. No other crate of the workspace calls `sched_*` or `mlock*`.
@@ -66,6 +67,7 @@ pub mod fork;
 pub mod host;
 pub mod permission;
 pub mod shm;
+pub mod terminal;
 
 pub use budget::{BudgetTimer, OwnPriority, Refill, RemainingBudget};
 pub use core_time::{CoreMark, CoreTime};

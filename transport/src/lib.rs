@@ -90,10 +90,11 @@ pub use tautline_doorbell::{
 pub use topic::compatibility::QosPolicyKind;
 pub use topic::endpoints::MatchedCount;
 pub use topic::participant::Participant;
+pub use topic::publisher::RawPublisher;
 pub use topic::publisher::claimer::MemoryClaimer;
+pub use topic::publisher::counters::PublisherCounters;
 pub use topic::publisher::gate::Gate;
 pub use topic::publisher::hot::RawLoan;
-pub use topic::publisher::{PublisherCounters, RawPublisher};
 pub use topic::subscription::hot::RawSample;
 pub use topic::subscription::{RawSubscription, SubscriptionCounters};
 pub use topic::typed::hot::{Loan, Sample, Unwritten};

@@ -52,7 +52,7 @@ pub fn run(args: &ActionArgs) -> Outcome {
     }
     let graph = graph_of(common.domain()?)?;
     let mut actions = actions(&graph);
-    let mut out = io::stdout().lock();
+    let mut out = crate::print::stdout();
     if let Verb::Info { action } = &args.verb {
         let name = full_name(action);
         if !actions.iter().any(|action| action.name == name) {

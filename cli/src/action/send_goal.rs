@@ -11,7 +11,7 @@ use futures::channel::oneshot;
 use futures::future::{Either, select};
 use futures::{FutureExt, StreamExt};
 use serde_json::{Value, json};
-use std::io::{self, Write};
+use std::io::Write;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
@@ -162,7 +162,7 @@ struct Shown {
 
 impl Shown {
     fn line(&self, json: &Value, text: impl FnOnce() -> Outcome<String>) -> Outcome {
-        let mut out = io::stdout().lock();
+        let mut out = crate::print::stdout();
         match self.is_json {
             true => writeln!(out, "{json}")?,
             false => write!(out, "{}", text()?)?,

@@ -103,7 +103,7 @@ fn print(
         std::fs::write(path, picture).map_err(|source| CheckError::Write { path: path.clone(), source })?;
     }
     let growth = args.sensitivity.then(|| sensitivity::Growth::of(file));
-    let mut out = anstream::stdout().lock();
+    let mut out = crate::print::stdout();
     if args.json {
         json::write(checked, growth.as_ref(), admitted.map(Admitted::json), &mut out)?;
     } else {

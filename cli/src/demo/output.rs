@@ -58,11 +58,9 @@ impl Files {
             written += &format!("; JSON: {}", json.path.display());
         }
         // After the files, which a closed terminal must not prevent.
-        let mut text = Vec::new();
-        let colour = anstream::AutoStream::choice(&std::io::stdout()) != anstream::ColorChoice::Never;
-        report::write_text(report, verbose, &mut text, colour).map_err(DemoError::Print)?;
-        writeln!(text, "{written}{}", if verbose { "" } else { "; --verbose prints more" })
-            .map_err(DemoError::Print)?;
-        std::io::stdout().write_all(&text).map_err(DemoError::Print)
+        let mut out = crate::print::stdout();
+        report::write_text(report, verbose, &mut out).map_err(DemoError::Print)?;
+        let more = if verbose { "" } else { "; --verbose prints more" };
+        writeln!(out, "{written}{more}").map_err(DemoError::Print)
     }
 }

@@ -26,7 +26,7 @@ impl Verdict {
         }
     }
 
-    fn style(self) -> anstyle::Style {
+    fn style(self) -> crate::print::Colour {
         match self {
             Verdict::Bad => BAD,
             Verdict::Unknown | Verdict::Advice => WARNING,

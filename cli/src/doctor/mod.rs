@@ -121,7 +121,7 @@ pub fn run(args: &DoctorArgs) -> Outcome<ExitCode> {
     findings.sort_by_key(|finding| finding.verdict);
 
     let is_fit = is_fit(&findings);
-    let mut out = anstream::stdout().lock();
+    let mut out = crate::print::stdout();
     if args.fix_script {
         script::write(&findings, &mut out)?;
         out.flush()?;

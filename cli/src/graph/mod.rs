@@ -120,12 +120,12 @@ pub fn run(args: &GraphArgs) -> Outcome {
     match &args.output {
         Some(path) => {
             // A file has no colours.
-            std::fs::write(path, anstream::adapter::strip_str(&written).to_string()).map_err(|error| {
+            std::fs::write(path, crate::print::painted(&written, false)).map_err(|error| {
                 Failure::unusable(format!("`{}` cannot be written: {error}", path.display()))
             })
         }
         None => {
-            let mut out = anstream::stdout().lock();
+            let mut out = crate::print::stdout();
             write!(out, "{written}")?;
             Ok(out.flush()?)
         }

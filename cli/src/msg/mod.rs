@@ -97,7 +97,7 @@ pub fn run(args: MsgArgs) -> Result<ExitCode, MsgError> {
         Verb::Hash { names } => hashes(&mut finder, names, args.json)?,
         Verb::Decode(decode) => decode::run(&mut finder, decode, args.json)?,
     };
-    match io::stdout().write_all(text.as_bytes()) {
+    match crate::print::stdout().write_all(text.as_bytes()) {
         // The reader has closed the pipe.
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(ExitCode::SUCCESS),
         Err(error) => Err(MsgError::Print(error)),

@@ -9,7 +9,7 @@ use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::{Value, json};
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tautline::rcl_interfaces::msg::{Parameter, ParameterDescriptor};
@@ -129,7 +129,7 @@ pub fn run(args: &ParamArgs) -> Outcome {
             if common.json {
                 return print_json(&json!({ "node": full_name(name), "parameters": names }));
             }
-            Ok(names.iter().try_for_each(|name| writeln!(io::stdout(), "{name}"))?)
+            Ok(names.iter().try_for_each(|name| writeln!(crate::print::stdout(), "{name}"))?)
         }
         Verb::Get { node: of, name, hide_type } => {
             let mut node = node(of)?;
@@ -142,7 +142,7 @@ pub fn run(args: &ParamArgs) -> Outcome {
                 true => print_json(&json!({
                     "node": node.name, "name": name, "type": value.type_name(), "value": value::to_json(&value),
                 })),
-                false => Ok(writeln!(io::stdout(), "{label}{}", value::shown(&value))?),
+                false => Ok(writeln!(crate::print::stdout(), "{label}{}", value::shown(&value))?),
             }
         }
         Verb::Set { node: of, name, value } => {
@@ -161,7 +161,7 @@ pub fn run(args: &ParamArgs) -> Outcome {
             let parameters: Vec<_> = names.into_iter().zip(values).collect();
             match common.json {
                 true => print_json(&file::json(&node.name, &parameters)),
-                false => Ok(write!(io::stdout(), "{}", file::yaml(&node.name, &parameters))?),
+                false => Ok(write!(crate::print::stdout(), "{}", file::yaml(&node.name, &parameters))?),
             }
         }
         Verb::Load { node: of, file } => load(common, &mut node(of)?, file),
@@ -169,7 +169,7 @@ pub fn run(args: &ParamArgs) -> Outcome {
 }
 
 fn print_json(json: &Value) -> Outcome {
-    Ok(writeln!(io::stdout(), "{json}")?)
+    Ok(writeln!(crate::print::stdout(), "{json}")?)
 }
 
 fn list_all(common: &CommonArgs) -> Outcome {
@@ -179,7 +179,7 @@ fn list_all(common: &CommonArgs) -> Outcome {
     let all = ListParameters::Request::default;
     let requests = nodes.iter().map(|node| (format!("{node}/{LIST}"), all())).collect();
     let answers = asking.ask_all::<ListParameters::Service>(requests)?;
-    let (mut listed, mut silent, mut out) = (Vec::new(), 0, io::stdout().lock());
+    let (mut listed, mut silent, mut out) = (Vec::new(), 0, crate::print::stdout());
     for (node, answer) in nodes.iter().zip(answers) {
         let names = answer.map(|answer| sorted(answer.result.names));
         if let Err(error) = &names {
@@ -222,7 +222,7 @@ fn describe(common: &CommonArgs, node: &mut Node, names: Vec<String>) -> Outcome
     if common.json {
         return print_json(&told.iter().map(value::described_json).collect());
     }
-    Ok(told.iter().try_for_each(|told| write!(io::stdout(), "{}", value::described(told)))?)
+    Ok(told.iter().try_for_each(|told| write!(crate::print::stdout(), "{}", value::described(told)))?)
 }
 
 fn load(common: &CommonArgs, node: &mut Node, file: &Path) -> Outcome {
@@ -250,8 +250,8 @@ fn load(common: &CommonArgs, node: &mut Node, file: &Path) -> Outcome {
     } else {
         for Set { name, refused, .. } in &done {
             match refused {
-                None => writeln!(io::stdout(), "Set parameter {name} successful")?,
-                Some(reason) => writeln!(io::stdout(), "Set parameter {name} failed: {reason}")?,
+                None => writeln!(crate::print::stdout(), "Set parameter {name} successful")?,
+                Some(reason) => writeln!(crate::print::stdout(), "Set parameter {name} failed: {reason}")?,
             }
         }
     }
@@ -278,7 +278,7 @@ impl Set {
         if common.json {
             print_json(&self.to_json())?;
         } else if self.refused.is_none() {
-            writeln!(io::stdout(), "{done}")?;
+            writeln!(crate::print::stdout(), "{done}")?;
         }
         match &self.refused {
             None => Ok(()),

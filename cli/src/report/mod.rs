@@ -229,13 +229,12 @@ fn print(args: &ReportArgs, system: &System, run: &Run, in_place: bool) -> Resul
     if args.wcet {
         return print_wcets(args, system, run, &comparison);
     }
-    let mut out = anstream::stdout().lock();
+    let mut out = crate::print::stdout();
     if args.common.json {
         json::write(&comparison, &mut out)?;
     } else {
         if in_place && io::stdout().is_terminal() {
-            // Moves the cursor to the upper left and clears the screen.
-            write!(out, "\x1b[H\x1b[J")?;
+            write!(out, "{}", crate::print::CLEAR)?;
         }
         table::write(&comparison, run, &mut out)?;
     }
@@ -252,7 +251,7 @@ fn print_wcets(
     let fits = Fits::new(comparison, args.exceedance, run.taken_at_s);
     let change = if args.lower { Change::RaiseAndLower } else { Change::Raise };
     let written = args.write.then(|| fits.put(system, &run.system_path, change)).transpose()?;
-    let mut out = anstream::stdout().lock();
+    let mut out = crate::print::stdout();
     if args.common.json {
         let mut report = fits.to_json();
         if let Some((changes, schedulable)) = &written {

@@ -7,7 +7,7 @@ use crate::completions;
 use crate::values::{WrittenMessage, type_and_values};
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::Args;
-use std::io::{self, Write};
+use std::io::Write;
 use tautline::{Error, Json};
 use tautline_schema::DynamicMessage;
 use tautline_transport::graph_of;
@@ -46,7 +46,7 @@ pub fn run(args: &CallArgs, common: &CommonArgs) -> Outcome {
     })?;
     // A response that is not a valid message exits with 2 (the second `?`), not with 1.
     let answer = answer.map_err(|error: Error| Failure::no(error.to_string()))??;
-    let mut out = io::stdout().lock();
+    let mut out = crate::print::stdout();
     if common.json {
         return Ok(writeln!(out, "{answer}")?);
     }

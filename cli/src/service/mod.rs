@@ -11,7 +11,7 @@ use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::{Args, Subcommand};
 pub use named::{Named, named, type_to_ask};
 use serde_json::Value;
-use std::io::{self, Write};
+use std::io::Write;
 use tautline::GraphSnapshot;
 use tautline_transport::graph_of;
 
@@ -62,7 +62,7 @@ pub fn run(args: &ServiceArgs) -> Outcome {
     }
     let graph = graph_of(common.domain()?)?;
     let services = services(&graph);
-    let mut out = io::stdout().lock();
+    let mut out = crate::print::stdout();
     match &args.verb {
         Verb::List if common.json => {
             let services = services.iter().map(|service| service.to_json("service"));

@@ -11,7 +11,7 @@ use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use clap::Args;
 use serde_json::{Value as Json, json};
 use std::collections::BTreeMap;
-use std::io::{self, Write};
+use std::io::Write;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tautline::{EndpointKind, find_schema};
@@ -156,7 +156,7 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
         let is_last = end.is_reached();
         if is_last || Instant::now() >= next {
             next += args.every;
-            let mut out = io::stdout().lock();
+            let mut out = crate::print::stdout();
             if common.json {
                 let ages: Json = all.values().map(Ages::to_json).collect();
                 writeln!(

@@ -7,7 +7,7 @@ use crate::asking::full_name;
 use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::Args;
-use std::io::{self, Write};
+use std::io::Write;
 use tautline_schema::{DynamicMessage, EchoForm, Endian, Value};
 
 /// Prints the messages of a topic as they come
@@ -72,7 +72,7 @@ pub fn run(args: &EchoArgs, common: &CommonArgs) -> Outcome {
             end.pause(POLL);
             continue;
         };
-        let mut out = io::stdout().lock();
+        let mut out = crate::print::stdout();
         let Some(schema) = &schema else {
             let hex = |bytes: &[u8]| bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>();
             writeln!(out, "{}{}", hex(&tautline_msgs::HEADER), hex(sample.body()))?;

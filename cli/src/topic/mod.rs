@@ -18,7 +18,7 @@ use crate::verb::{CommonArgs, Outcome};
 use clap::{Args, Subcommand};
 use rates::Unit;
 use serde_json::Value;
-use std::io::{self, Write};
+use std::io::Write;
 use tautline_transport::graph_of;
 
 /// Lists topics; says who publishes and subscribes, how often and how much; prints and publishes messages.
@@ -95,7 +95,7 @@ pub fn run(args: &TopicArgs) -> Outcome {
     match &args.verb {
         Verb::List => {
             let graph = graph_of(common.domain()?)?;
-            Ok(info::list(&info::topics(&graph), common.json, &mut io::stdout().lock())?)
+            Ok(info::list(&info::topics(&graph), common.json, &mut crate::print::stdout())?)
         }
         Verb::Info { topic, verbose } => print_info(common, topic, *verbose),
         Verb::Type { topic } => print_type(common, topic),
@@ -116,7 +116,7 @@ fn print_info(common: &CommonArgs, topic: &str, verbose: bool) -> Outcome {
     if topics.is_empty() {
         return Err(tap::unknown(&graph, &name));
     }
-    let mut out = io::stdout().lock();
+    let mut out = crate::print::stdout();
     if common.json {
         let topics = topics.iter().map(info::Topic::info_json);
         return Ok(writeln!(out, "{}", Value::from_iter(topics))?);
@@ -134,7 +134,7 @@ fn print_type(common: &CommonArgs, topic: &str) -> Outcome {
     if types.is_empty() {
         return Err(tap::unknown(&graph, &name));
     }
-    Ok(write_names(common.json, &types, &mut io::stdout().lock())?)
+    Ok(write_names(common.json, &types, &mut crate::print::stdout())?)
 }
 
 fn find(common: &CommonArgs, type_name: &str) -> Outcome {
@@ -147,5 +147,5 @@ fn find(common: &CommonArgs, type_name: &str) -> Outcome {
         let types = topics.iter().map(|topic| topic.type_name());
         return Err(crate::verb::Failure::unknown("topic of type", &whole, types, "topic list"));
     }
-    Ok(write_names(common.json, &names, &mut io::stdout().lock())?)
+    Ok(write_names(common.json, &names, &mut crate::print::stdout())?)
 }

@@ -406,7 +406,7 @@ pub fn run(args: &RateArgs, unit: Unit, common: &CommonArgs) -> Outcome {
         let is_last = is_over();
         if is_last || Instant::now() >= next {
             next += args.every;
-            let mut out = io::stdout().lock();
+            let mut out = crate::print::stdout();
             if common.json {
                 writeln!(out, "{}", meter.to_json(since))?;
             } else if meter.flows.is_empty() {

@@ -125,7 +125,7 @@ fn export(args: &ExportArgs, common: &CommonArgs) -> Result<ExitCode, TraceError
     if common.json && out != Path::new("-") {
         // The reader may have closed the pipe.
         let _ = writeln!(
-            io::stdout(),
+            crate::print::stdout(),
             "{}",
             serde_json::json!({ "file": out, "events": recording.events.len() })
         );
@@ -138,7 +138,7 @@ fn export(args: &ExportArgs, common: &CommonArgs) -> Result<ExitCode, TraceError
 /// Writes to standard output, or to a file that appears when it is complete.
 fn write_to(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<(), TraceError> {
     if path == Path::new("-") {
-        let mut to = io::BufWriter::new(io::stdout().lock());
+        let mut to = io::BufWriter::new(crate::print::stdout());
         return match write(&mut to).and_then(|()| to.flush()) {
             // The reader has closed the pipe.
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),

@@ -68,7 +68,7 @@ fn print(args: &TopArgs, gatherer: &mut Gatherer, end: &End) -> Outcome {
         end.pause(args.every);
         let mut picture = gatherer.look()?;
         picture.arrange(&args.filter, args.sort);
-        let mut out = io::stdout().lock();
+        let mut out = taut_cli::print::stdout();
         match args.common.json {
             true => writeln!(out, "{}", serde_json::to_string(&picture)?)?,
             false => screen::print(&picture, &mut out)?,

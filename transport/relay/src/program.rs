@@ -8,6 +8,7 @@ use std::io::{self, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use tautline_rt::terminal::{Escaped, escaped};
 use tautline_transport::MAX_DOMAIN;
 
 /// True after the first SIGINT, SIGTERM, or SIGHUP that is not ignored. A second one more than 200 ms later exits at once, with 128 plus the signal number.
@@ -59,7 +60,8 @@ pub fn show_until<S: Serialize>(
                     return;
                 }
             } else {
-                bar.0.set_message(line(&stats()));
+                // Names and reasons may be other hosts'.
+                bar.0.set_message(escaped(&line(&stats())).replace('\n', " "));
                 bar.0.tick();
             }
         }
@@ -68,7 +70,7 @@ pub fn show_until<S: Serialize>(
 
 fn print(stats: &impl Serialize) -> io::Result<()> {
     let text = serde_json::to_string(stats).map_err(io::Error::other)?;
-    let mut out = io::stdout().lock();
+    let mut out = Escaped::new(io::stdout().lock());
     writeln!(out, "{text}")?;
     out.flush()
 }

@@ -10,13 +10,15 @@ use args::Args;
 use clap::Parser;
 use rustix::fs::Mode;
 use std::error::Error;
-use std::io::IsTerminal;
+use std::fmt;
+use std::io::{self, Write};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tautline_gateway::{Gateway, Instance, Options};
 use tautline_relay::{show_until, stop_on_signals};
 use tautline_rt::Realtime;
+use tautline_rt::terminal::Escaped;
 use tracing_subscriber::Layer;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
@@ -31,8 +33,8 @@ fn main() -> ExitCode {
     // Zenoh's warnings are noise here; samples that it drops or loses are counted. RUST_LOG overrides the filter.
     let filter = tracing_subscriber::EnvFilter::try_from_default_env()
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new("warn,zenoh=error,zenoh_ext=error"));
-    let colours = std::io::stderr().is_terminal();
-    let log = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).with_ansi(colours).without_time();
+    // Without colours, because what other hosts wrote is escaped.
+    let log = tracing_subscriber::fmt::layer().with_writer(stderr).with_ansi(false).without_time();
     tracing_subscriber::registry()
         .with(log.with_filter(filter))
         .with(tautline_gateway::access_layer())
@@ -40,10 +42,20 @@ fn main() -> ExitCode {
     match run(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("taut-gateway: {error}");
+            say(format_args!("taut-gateway: {error}"));
             ExitCode::FAILURE
         }
     }
+}
+
+/// Standard error, where parts of the text may be other hosts'.
+fn stderr() -> Escaped<io::StderrLock<'static>> {
+    Escaped::new(io::stderr().lock())
+}
+
+fn say(text: fmt::Arguments<'_>) {
+    // Ignored: nobody reads it.
+    let _ = writeln!(stderr(), "{text}");
 }
 
 fn run(args: &Args) -> Result<(), Box<dyn Error>> {
@@ -70,17 +82,17 @@ fn introduce(gateway: &Gateway, options: &Options) {
     let (config, stats) = (gateway.config(), gateway.stats());
     let other = options.network_domain.filter(|domain| *domain != options.domain);
     let domains = other.map_or_else(String::new, |domain| format!(", {domain} on the network"));
-    eprintln!(
+    say(format_args!(
         "gateway of domain {}{domains}; session {}; configuration: {}",
         options.domain, stats.zid, config.source
-    );
+    ));
     let locators = gateway.locators().join(" ");
     if gateway.is_reachable() {
-        eprintln!("listening on {locators}");
+        say(format_args!("listening on {locators}"));
         if config.is_unguarded() {
-            eprintln!(
+            say(format_args!(
                 "other hosts can connect without TLS or access control: docs/deployment.md has a configuration with both"
-            );
+            ));
         }
     } else {
         let is_users = |locator: &str| locator.starts_with("unixsock-stream/");
@@ -90,26 +102,28 @@ fn introduce(gateway: &Gateway, options: &Options) {
             _ => "every user of this host",
         };
         let locators = if locators.is_empty() { "nothing" } else { &locators };
-        eprintln!(
+        say(format_args!(
             "listening on {locators}: {whom} can connect, no other host can; --listen tcp/0.0.0.0:7447 opens it"
-        );
+        ));
     }
     if !config.connect.is_empty() {
-        eprintln!("connecting to {}", config.connect.join(" "));
+        say(format_args!("connecting to {}", config.connect.join(" ")));
     }
     match (options.realtime, gateway.threads()) {
-        (Realtime::Off, _) => eprintln!("without real-time priorities: the network competes with callbacks"),
+        (Realtime::Off, _) => {
+            say(format_args!("without real-time priorities: the network competes with callbacks"))
+        }
         (Realtime::Required, Ok(threads)) => {
             let budget = options.budget.map_or_else(
                 || "no budget: a flood can starve callbacks".into(),
                 |budget| format!("budget {} % of a core; above it, they run as SCHED_OTHER", budget.percent),
             );
-            eprintln!(
+            say(format_args!(
                 "{} threads of the network at SCHED_FIFO {}, {budget}",
                 threads.len(),
                 options.priority
-            );
+            ));
         }
-        (Realtime::Required, Err(error)) => eprintln!("{error}"),
+        (Realtime::Required, Err(error)) => say(format_args!("{error}")),
     }
 }

@@ -83,7 +83,7 @@ pub fn write(
             (error, _) => failed(error),
         })?;
     converted.notes.iter().for_each(|note| say(&format!("taut: warning: {note}")));
-    let out = &mut anstream::stdout().lock();
+    let out = &mut taut_cli::print::stdout();
     let sum = Sum::of(&converted.files);
     if common.json {
         let mut report = sum.json(&converted.files);

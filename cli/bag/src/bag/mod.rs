@@ -190,7 +190,7 @@ fn info(bag: &Path, is_json: bool) -> Outcome {
     let lost = lost.filter(|_| recording.is_some());
     let of_others: BTreeSet<_> =
         said.iter().map(|(name, _)| &**name).filter(|name| !name.starts_with("tautline:")).collect();
-    let out = &mut anstream::stdout().lock();
+    let out = &mut taut_cli::print::stdout();
     let sum = Sum::of(&files);
     if is_json {
         // What the recorder said of a topic is JSON, in a text.
@@ -255,7 +255,7 @@ fn check(bag: &Path, is_json: bool) -> Outcome {
     }
     progress.end();
     let is_described = !bag.is_dir() || bag.join("metadata.yaml").is_file();
-    let out = &mut anstream::stdout().lock();
+    let out = &mut taut_cli::print::stdout();
     let sum = Sum::of(&files);
     if is_json {
         let mut report = sum.json(&files);
@@ -283,7 +283,7 @@ fn mend(bag: &Path, is_json: bool) -> Outcome {
     let progress = Progress::new(is_json);
     let files = recover(bag, &mut |path| progress.say(path)).map_err(failed)?;
     progress.end();
-    let out = &mut anstream::stdout().lock();
+    let out = &mut taut_cli::print::stdout();
     if is_json {
         let file = |file: &tautline_bag::Recovered| {
             let damage = file.damage.iter();

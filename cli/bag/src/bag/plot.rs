@@ -141,7 +141,7 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
         };
         let svg = picture.draw().map_err(|error| Failure::unusable(error.to_string()))?;
         match &args.output {
-            None => io::stdout().write_all(svg.as_bytes())?,
+            None => taut_cli::print::stdout().write_all(svg.as_bytes())?,
             Some(path) => {
                 let written = std::fs::write(path, svg);
                 written.map_err(|error| {
@@ -151,7 +151,11 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
                     let messages: u64 = lines.iter().map(|line| line.messages).sum();
                     let of = if messages == 1 { "message of" } else { "messages of" };
                     let seconds = (to_ns - from_ns) as f64 / 1e9;
-                    writeln!(io::stdout(), "{}: {messages} {of} {seconds:.1} s", path.display())?;
+                    writeln!(
+                        taut_cli::print::stdout(),
+                        "{}: {messages} {of} {seconds:.1} s",
+                        path.display()
+                    )?;
                 }
             }
         }
@@ -294,5 +298,5 @@ fn print_json(args: &PlotArgs, start_ns: u64, lines: &[Line]) -> Outcome {
     let report = json!({
         "bag": args.bag, "start_ns": start_ns, "series": lines.iter().map(series).collect::<Vec<_>>(),
     });
-    Ok(writeln!(io::stdout(), "{report}")?)
+    Ok(writeln!(taut_cli::print::stdout(), "{report}")?)
 }

@@ -24,7 +24,7 @@ pub struct Statement<'a> {
 
 impl Statement<'_> {
     pub fn print(self) -> Outcome {
-        let out = &mut anstream::stdout().lock();
+        let out = &mut taut_cli::print::stdout();
         if self.args.common.json {
             self.json(out)?;
         } else {

@@ -24,7 +24,7 @@ use observers::Observers;
 use reader::{Pace, Reader};
 use statement::Statement;
 use std::collections::BTreeMap;
-use std::io::{self, Write};
+use std::io::Write;
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -274,7 +274,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
         Behind::Dumper(dumper, _) => {
             let dumped = dumper.finish();
             if !args.common.json {
-                statement.table(&mut anstream::stdout().lock())?;
+                statement.table(&mut taut_cli::print::stdout())?;
             }
             black_box::print(args, &folder, dumped, statement.lost())
         }
@@ -350,7 +350,7 @@ fn watch(
 
 /// Whoever started it may listen no more: that ends no recording.
 pub fn say(words: &str) {
-    let _ = writeln!(io::stderr(), "{words}");
+    let _ = writeln!(taut_cli::print::stderr(), "{words}");
 }
 
 /// On a terminal only, and never beside JSON.

@@ -97,7 +97,7 @@ impl Statement {
         let unwritten = taken - written.messages;
         let lost = self.lost() + unwritten;
         let bytes: u64 = finished.files.iter().map(|file| file.bytes).sum();
-        let out = &mut anstream::stdout().lock();
+        let out = &mut taut_cli::print::stdout();
         if is_json {
             let report = json!({
                 "bag": folder, "seconds": self.time.as_secs_f64(), "messages": written.messages, "bytes": bytes,

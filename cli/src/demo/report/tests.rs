@@ -66,8 +66,8 @@ fn good() -> DemoReport {
 
 fn text(report: &DemoReport, verbose: bool, colour: bool) -> String {
     let mut out = Vec::new();
-    write_text(report, verbose, &mut out, colour).unwrap();
-    String::from_utf8(out).unwrap()
+    write_text(report, verbose, &mut out).unwrap();
+    crate::print::painted(&String::from_utf8(out).unwrap(), colour)
 }
 
 /// With all details and without line breaks, which may be between any two words.

@@ -3,11 +3,11 @@
 
 use std::io::{self, Write};
 
-use anstyle::Style;
 use comfy_table::{CellAlignment, LineStyle, Table, TableStyle};
 
 use super::details;
 use super::{DemoReport, TopicReport};
+use crate::print::Colour;
 use crate::table::{BAD, GOOD, wrap};
 
 /// How a person continues after a run without a fault.
@@ -18,9 +18,8 @@ const NEXT: &str =
 ///
 /// # Errors
 /// Whatever `out` fails with.
-pub fn write_text(report: &DemoReport, verbose: bool, out: &mut impl Write, colour: bool) -> io::Result<()> {
-    let paint =
-        |style: Style, text: &str| if colour { format!("{style}{text}{style:#}") } else { text.into() };
+pub fn write_text(report: &DemoReport, verbose: bool, out: &mut impl Write) -> io::Result<()> {
+    let paint = |style: Colour, text: &str| format!("{style}{text}{style:#}");
 
     let table = table(&report.topics);
     let lines: Vec<_> = table.lines().collect();

@@ -3,7 +3,7 @@
 
 use crate::error::LoanError;
 use crate::topic::participant::ParticipantState;
-use crate::topic::publisher::PublisherCounters;
+use crate::topic::publisher::counters::PublisherCounters;
 use crate::topic::writer::core::PublisherCore;
 use std::io;
 use std::sync::Arc;

@@ -2,6 +2,7 @@
 //! Untyped publishers: loan, write in place, publish. The layer above knows the type.
 
 pub(crate) mod claimer;
+pub(crate) mod counters;
 pub(crate) mod gate;
 pub(crate) mod hot;
 
@@ -16,13 +17,14 @@ use crate::topic::declaration::Topic;
 use crate::topic::endpoints::MatchedCount;
 use crate::topic::participant::{Participant, ParticipantState};
 use crate::topic::publisher::claimer::MemoryClaimer;
+use crate::topic::publisher::counters::PublisherCounters;
 use crate::topic::publisher::gate::Gate;
 use crate::topic::writer::core::{PublisherCore, PublisherRole};
 use crate::topic::writer::sender::PublishState;
 use futures::StreamExt;
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use tautline_doorbell::{ActivityKind, Slot};
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_rt::fork::ProcessMark;
@@ -49,27 +51,6 @@ pub struct RawPublisher {
     process: ProcessMark,
     /// Its node, which exists at least as long.
     _node: Option<Arc<NodeEntry>>,
-}
-
-/// Counters of one publisher, readable from any thread.
-#[derive(Debug, Default)]
-pub struct PublisherCounters {
-    growths: AtomicU64,
-    silenced: AtomicU64,
-}
-
-impl PublisherCounters {
-    /// How often a new segment was created, with allocations and system calls in a loan: because a message was longer than
-    /// `Limits::message_bytes` and all messages before, or needed a sample that was not claimed ahead. For a real-time
-    /// publisher this should be 0.
-    pub fn growths(&self) -> u64 {
-        self.growths.load(Ordering::Relaxed)
-    }
-
-    /// Messages that were not sent because the publisher's [`Gate`] was closed.
-    pub fn silenced(&self) -> u64 {
-        self.silenced.load(Ordering::Relaxed)
-    }
 }
 
 impl Participant {

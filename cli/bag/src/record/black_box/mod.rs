@@ -21,7 +21,7 @@ use taut_cli::verb::{Failure, Outcome};
 /// What became of it.
 pub fn print(args: &RecordArgs, folder: &Path, dumped: Outcome<Dumped>, lost: u64) -> Outcome {
     let dumped = dumped?;
-    let out = &mut anstream::stdout().lock();
+    let out = &mut taut_cli::print::stdout();
     if args.common.json {
         let bags: Vec<_> = dumped.dumps.iter().map(Dump::json).collect();
         let shortest = dumped.shortest_ns;
