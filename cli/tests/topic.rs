@@ -9,7 +9,7 @@ use std::sync::Arc;
 use tautline::{Context, Node, Qos, Realtime};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_schema::{DynamicMessage, Schema};
-use tautline_transport::{Limits, Participant, RawPublisher, TopicType};
+use tautline_transport::{EndpointKind, Limits, Participant, RawPublisher, TopicType, Visitor};
 
 thread_local! {
     /// Each test has one of its own.
@@ -296,18 +296,34 @@ fn rates_and_delays_are_by_simulated_time() {
     clock.join().unwrap();
 }
 
+/// Waits until an observer is connected to the topic's publisher.
+fn wait_for_observer(domain: u32, topic: &str) {
+    let mut visitor = Visitor::new(domain).unwrap();
+    let end_ns = monotonic_ns() + 60_000_000_000;
+    let mut is_observed = || {
+        let graph = visitor.graph().unwrap();
+        let mut ends = graph.endpoints.iter();
+        let publisher = ends.find(|end| end.topic == topic && end.kind == EndpointKind::Publisher);
+        publisher.is_some_and(|end| visitor.overwritten(end).is_ok_and(|observers| !observers.is_empty()))
+    };
+    while !is_observed() {
+        assert!(monotonic_ns() < end_ns, "nobody observes {topic}");
+        std::thread::yield_now();
+    }
+}
+
 #[test]
 fn messages_are_published_by_hand() {
     let participant = enter(97);
-    let mut echo = Running::start(&["topic", "echo", "/hand", "--json"]);
-    // It is there once somebody publishes; what was kept comes, too.
+    let mut echo = Running::start(&["topic", "echo", "/hand", "--json", "--timeout", "60s"]);
     let args = ["--qos-durability", "transient_local", "-n", "3", "-r", "100", "--stamp", "now"];
     let values = "{point: {x: 1.5}}";
     let publishing = Running::start(
         &[&["topic", "pub", "/hand", "geometry_msgs/msg/PointStamped", values, "--wait", "1"], &args[..]]
             .concat(),
     );
-    // An observer is no subscription that somebody waits for.
+    // The publisher waits for a subscription, which an observer is not.
+    wait_for_observer(97, "/hand");
     let topic_type = TopicType::new("geometry_msgs/msg/PointStamped");
     let subscription =
         participant.create_raw_subscription("/hand", &topic_type, Qos::default(), Limits::default()).unwrap();
@@ -321,9 +337,19 @@ fn messages_are_published_by_hand() {
     assert_eq!(echo.interrupt().status.code(), Some(0));
 
     // Each message has the time of its publication.
-    let mut echo = Running::start(&["topic", "echo", "/stamped", "--json"]);
+    let mut echo = Running::start(&["topic", "echo", "/stamped", "--json", "--timeout", "60s"]);
     let values = "{header: auto, twist: {linear: {x: 1}}}";
-    let args = ["topic", "pub", "/stamped", "geometry_msgs/msg/TwistStamped", values, "-r", "20"];
+    let args = [
+        "topic",
+        "pub",
+        "/stamped",
+        "geometry_msgs/msg/TwistStamped",
+        values,
+        "-r",
+        "20",
+        "--timeout",
+        "60s",
+    ];
     let publishing = Running::start(&args);
     let ns = |line: &str| {
         let line: Value = serde_json::from_str(line).unwrap();
