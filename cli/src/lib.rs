@@ -8,16 +8,16 @@
 
 mod action;
 mod apply;
-pub mod asking;
+pub mod arguments;
 mod bridge_ros;
+pub mod call;
 mod check;
+mod compatibility;
 pub mod completions;
 mod component;
-pub mod counts;
 pub mod date;
 pub mod demo;
 mod doctor;
-mod fits;
 mod graph;
 mod init;
 mod interface;
@@ -28,6 +28,7 @@ mod moment;
 mod msg;
 mod node;
 mod param;
+pub mod rates;
 pub mod report;
 mod service;
 pub mod sibling;
@@ -35,7 +36,6 @@ pub mod table;
 pub mod times;
 pub mod topic;
 pub mod trace;
-pub mod values;
 pub mod verb;
 
 use clap::{CommandFactory, Parser, Subcommand};
@@ -134,7 +134,7 @@ pub fn run() -> ExitCode {
         Verb::Completions(args) => completions::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Man(args) => man::run(&args, Cli::command()).map(|()| ExitCode::SUCCESS),
     };
-    outcome.unwrap_or_else(Failure::tell)
+    outcome.unwrap_or_else(Failure::print)
 }
 
 /// The whole of a program that has some verbs of `taut`: answers a shell that asks for completions, else parses the command line and runs its verb.
@@ -143,7 +143,7 @@ pub fn run_verbs<C: Parser>(run: impl FnOnce(C) -> verb::Outcome) -> ExitCode {
         return code;
     }
     log_to_stderr();
-    run(C::parse()).map_or_else(Failure::tell, |()| ExitCode::SUCCESS)
+    run(C::parse()).map_or_else(Failure::print, |()| ExitCode::SUCCESS)
 }
 
 /// Has warnings of the libraries written to standard error; RUST_LOG, such as `debug` or `tautline=trace,warn`, changes what is shown.

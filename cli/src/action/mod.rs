@@ -3,7 +3,8 @@
 
 mod send_goal;
 
-use crate::asking::{action_of, full_name};
+use crate::arguments::full_name;
+use crate::call::action_of;
 use crate::completions;
 use crate::service::{Named, named};
 use crate::verb::{CommonArgs, Failure, Outcome};

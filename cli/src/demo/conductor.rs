@@ -111,7 +111,7 @@ fn conduct(
     let mut handled = 0;
     loop {
         if interrupted.load(Ordering::Relaxed) {
-            publisher.tell_to_end();
+            publisher.request_end();
         }
         while let Ok(line) = subscriber.lines.try_recv() {
             if let Line::Progress(messages) = line {

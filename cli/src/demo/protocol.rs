@@ -81,7 +81,7 @@ pub fn say(line: &Line) {
 }
 
 /// Calls `then` when standard input is closed. An ordinary thread that sleeps until then.
-pub fn when_told_to_end(then: impl FnOnce() + Send + 'static) {
+pub fn on_end_request(then: impl FnOnce() + Send + 'static) {
     std::thread::spawn(move || {
         let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
         then();

@@ -45,7 +45,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     }
     {
         let context = context.clone();
-        protocol::when_told_to_end(move || context.shutdown());
+        protocol::on_end_request(move || context.shutdown());
     }
     let logs: Vec<_> = callbacks.iter().map(|callback| callback.log.clone()).collect();
     let collector = MomentCollector::new(

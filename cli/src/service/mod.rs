@@ -4,12 +4,12 @@
 mod call;
 mod named;
 
-use crate::asking::full_name;
+use crate::arguments::full_name;
+use crate::arguments::full_type;
 use crate::completions;
-use crate::values::full_type;
 use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::{Args, Subcommand};
-pub use named::{Named, named, type_to_ask};
+pub use named::{Named, named, type_to_call};
 use serde_json::Value;
 use std::io::{self, Write};
 use tautline::GraphSnapshot;

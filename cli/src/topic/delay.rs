@@ -3,7 +3,7 @@
 
 use super::sim_clock::SimClock;
 use super::tap::{POLL, ends, wait_for_type};
-use crate::asking::full_name;
+use crate::arguments::full_name;
 use crate::completions;
 use crate::table::write_table;
 use crate::times::Times;
@@ -168,7 +168,7 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
                     })
                 )?;
             } else if all.is_empty() {
-                end.say_once(|| format!("a message on '{topic}'"));
+                end.print_waiting_once(|| format!("a message on '{topic}'"));
             } else {
                 let head =
                     ["publisher", "stamp-pub p50 ms", "p99", "max", "pub-take p50 ms", "p99", "max", "n"];

@@ -3,7 +3,7 @@
 
 use super::filter::Filter;
 use super::tap::{POLL, Tap, wait_for_type};
-use crate::asking::full_name;
+use crate::arguments::full_name;
 use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::Args;
@@ -67,7 +67,7 @@ pub fn run(args: &EchoArgs, common: &CommonArgs) -> Outcome {
                 break;
             }
             if printed == 0 {
-                end.say_once(|| format!("a message on '{topic}'"));
+                end.print_waiting_once(|| format!("a message on '{topic}'"));
             }
             end.pause(POLL);
             continue;

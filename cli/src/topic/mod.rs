@@ -10,10 +10,10 @@ mod rates;
 mod sim_clock;
 pub mod tap;
 
-use crate::asking::full_name;
+use crate::arguments::full_name;
+use crate::arguments::full_type;
 use crate::completions;
 use crate::table::write_names;
-use crate::values::full_type;
 use crate::verb::{CommonArgs, Outcome};
 use clap::{Args, Subcommand};
 use rates::Unit;

@@ -3,7 +3,7 @@
 
 use super::TraceError;
 use super::file::{Entry, Writer};
-use crate::verb::{CommonArgs, End, say, time};
+use crate::verb::{CommonArgs, End, print_line, time};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
@@ -61,12 +61,12 @@ pub fn run(args: &RecordArgs, common: &CommonArgs) -> Result<ExitCode, TraceErro
     end.restart();
     let progress = progress(common.json);
     let until = if end.timeout().is_none() { ", until Ctrl-C" } else { "" };
-    say(&format!("recording domain {domain} into {}{until}", args.out.display()));
+    print_line(&format!("recording domain {domain} into {}{until}", args.out.display()));
     let mut next_flush = start + Duration::from_secs(1);
     while !end.is_reached() {
         recorder.poll(&mut |record| note(&mut writer, &mut sum, &record));
         for complaint in recorder.complaints() {
-            progress.suspend(|| say(&format!("taut: warning: {complaint}")));
+            progress.suspend(|| print_line(&format!("taut: warning: {complaint}")));
         }
         progress.set_message(format!(
             "{} processes recording, {} events, {} lost",

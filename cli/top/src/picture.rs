@@ -6,17 +6,17 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use taut_cli::counts::{Counts, per_second};
+use taut_cli::rates::{RateMeter, per_second};
 use taut_cli::verb::Outcome;
 use tautline::{Bucket, CallbackSnapshot, EndpointKind, HistogramSnapshot};
 use tautline_analysis::file::SystemFile;
 use tautline_transport::{Gid, Visitor};
 
-/// All of it, over the time since the look before.
+/// The whole picture. Rates and loads are those since the previous refresh.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Picture {
     pub domain: u32,
-    /// How long ago the look before was; rates are of this time.
+    /// The time since the previous refresh, which rates cover.
     pub seconds: f64,
     pub callbacks: Vec<CallbackRow>,
     pub topics: Vec<TopicRow>,
@@ -34,7 +34,7 @@ pub struct CallbackRow {
     /// That have ended.
     pub jobs: u64,
     pub releases_hz: f64,
-    /// Of the jobs since the look before.
+    /// Of the jobs since the previous refresh.
     pub response_p50_ms: Option<f64>,
     pub response_p99_ms: Option<f64>,
     /// Of all jobs.
@@ -58,33 +58,33 @@ pub struct TopicRow {
     pub type_name: String,
     pub publishers: usize,
     pub subscriptions: usize,
-    /// `None` if all its publishers are elsewhere: nobody counts them here.
+    /// `None` if all its publishers are on other hosts, which have no counters here.
     pub rate_hz: Option<f64>,
     pub bytes_per_s: Option<f64>,
-    /// Messages that made way for newer ones before a subscription of now took them; as `rate_hz`.
+    /// Messages that were overwritten before a current subscription took them; `None` as for `rate_hz`.
     pub lost: Option<u64>,
 }
 
 #[derive(Clone, Debug, Serialize)]
 pub struct CoreRow {
     pub core: usize,
-    /// Of the time since the look before.
+    /// The share of the time since the previous refresh.
     pub load_percent: f64,
-    /// What the hypervisor gave to others.
+    /// The share of the time that the hypervisor gave to others.
     pub steal_percent: f64,
     /// How often it was slowed down for its temperature, since the system started; `None` if that is not known.
     pub throttled: Option<u64>,
 }
 
 impl CallbackRow {
-    /// Whether something is not as it should be.
+    /// Whether a bound is exceeded, messages were lost, or deadlines or budgets were missed.
     pub fn is_bad(&self) -> bool {
         let is_late = self.bound_ms.zip(self.response_max_ms).is_some_and(|(bound, max)| max > bound);
         is_late || self.lost > 0 || self.missed > 0 || self.overruns > 0
     }
 }
 
-/// What the look before saw.
+/// The values at the previous refresh.
 #[derive(Default)]
 struct Before {
     callbacks: BTreeMap<(u32, String), (u64, BTreeMap<u64, u64>)>,
@@ -102,25 +102,26 @@ struct CoreTimes {
 /// Bounds and capacities of a system file's callbacks.
 type Bounds = BTreeMap<String, (Option<u64>, Option<usize>)>;
 
-/// Looks, again and again.
+/// Refreshes the picture.
 pub struct Gatherer {
     domain: u32,
     visitor: Visitor,
-    counts: Counts,
+    rates: RateMeter,
     before: Before,
-    looked: Option<Instant>,
+    refreshed: Option<Instant>,
     systems: BTreeMap<PathBuf, Bounds>,
 }
 
 impl Gatherer {
     pub fn new(domain: u32) -> Outcome<Self> {
-        let (counts, before, looked, systems) = Default::default();
-        Ok(Gatherer { domain, visitor: Visitor::new(domain)?, counts, before, looked, systems })
+        let (rates, before, refreshed, systems) = Default::default();
+        Ok(Gatherer { domain, visitor: Visitor::new(domain)?, rates, before, refreshed, systems })
     }
 
-    pub fn look(&mut self) -> Outcome<Picture> {
+    /// Reads the domain, and returns what changed since the previous call.
+    pub fn refresh(&mut self) -> Outcome<Picture> {
         let now = Instant::now();
-        let seconds = self.looked.replace(now).map_or(0.0, |before| (now - before).as_secs_f64());
+        let seconds = self.refreshed.replace(now).map_or(0.0, |before| (now - before).as_secs_f64());
         let mut picture = Picture { domain: self.domain, seconds, ..Picture::default() };
         let before = std::mem::take(&mut self.before);
         picture.callbacks = self.callbacks(&before, seconds)?;
@@ -197,7 +198,7 @@ impl Gatherer {
 
     fn topics(&mut self) -> Outcome<Vec<TopicRow>> {
         let graph = self.visitor.graph()?;
-        let rates = self.counts.look(&mut self.visitor, &graph)?;
+        let rates = self.rates.measure(&mut self.visitor, &graph)?;
         let subscriptions = graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Subscription);
         let subscriptions: BTreeSet<Gid> = subscriptions.map(|end| end.gid).collect();
         let mut rows: BTreeMap<(&str, &str), TopicRow> = BTreeMap::new();
@@ -252,7 +253,7 @@ fn buckets(times: &HistogramSnapshot) -> BTreeMap<u64, u64> {
     times.buckets().map(|bucket| (bucket.low_ns, bucket.count)).collect()
 }
 
-/// The response times of the jobs that have ended since the look before.
+/// The response times of the jobs that have ended since the previous refresh.
 fn recent(callback: &CallbackSnapshot, before: Option<&BTreeMap<u64, u64>>) -> HistogramSnapshot {
     let max_ns = u64::try_from(callback.response.max().as_nanos()).unwrap_or(u64::MAX);
     let new = callback.response.buckets().filter_map(|bucket| {

@@ -48,7 +48,7 @@ const KEYS: Duration = Duration::from_millis(50);
 pub fn run(args: &TopArgs) -> Outcome {
     let end = End::of(&args.common)?;
     let mut gatherer = Gatherer::new(args.common.domain()?)?;
-    let first = gatherer.look()?;
+    let first = gatherer.refresh()?;
     if args.once || args.common.json {
         return print(args, &mut gatherer, &end);
     }
@@ -66,7 +66,7 @@ pub fn run(args: &TopArgs) -> Outcome {
 fn print(args: &TopArgs, gatherer: &mut Gatherer, end: &End) -> Outcome {
     loop {
         end.pause(args.every);
-        let mut picture = gatherer.look()?;
+        let mut picture = gatherer.refresh()?;
         picture.arrange(&args.filter, args.sort);
         let mut out = io::stdout().lock();
         match args.common.json {
@@ -104,7 +104,7 @@ fn show(
             if Instant::now() >= next {
                 next = Instant::now() + args.every;
                 if !view.is_frozen {
-                    picture = gatherer.look()?;
+                    picture = gatherer.refresh()?;
                     is_same = false;
                 }
             }

@@ -10,7 +10,7 @@ mod stand_in;
 mod statement;
 
 use crate::definitions;
-use crate::offers;
+use crate::offered_qos;
 use crate::record::{failed, say, size};
 use clap::Args;
 use feeder::{Feeder, Part};
@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
-use taut_cli::asking::full_name;
+use taut_cli::arguments::full_name;
 use taut_cli::verb::{CommonArgs, End, Failure, Outcome, time};
 use tautline::{EndpointKind, find_schema, type_of};
 use tautline_bag::{Ordered, Topic};
@@ -301,7 +301,7 @@ impl PlayArgs {
     fn role(&self, topic: &Arc<Topic>) -> Outcome<Role> {
         let name = self.remap.iter().find(|(from, _)| *from == topic.name).map_or(&topic.name, |(_, to)| to);
         let (schema, topic_type) = described(topic)?;
-        let qos = offers::read(&topic.qos).unwrap_or_else(|error| {
+        let qos = offered_qos::read(&topic.qos).unwrap_or_else(|error| {
             say(&format!(
                 "taut: warning: {}: its recorded QoS cannot be read, so it has the default: {error}",
                 topic.name

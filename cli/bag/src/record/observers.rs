@@ -5,7 +5,7 @@ use super::RecordArgs;
 use super::choice::Choice;
 use super::event::{EVENTS, Events, Part};
 use crate::definitions;
-use crate::offers;
+use crate::offered_qos;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -328,6 +328,6 @@ fn described(
         type_name: end.topic_type.name.to_string(),
         type_hash: end.topic_type.hash.as_deref().unwrap_or_default().to_owned(),
         definition: schema.map(|schema| definitions::for_bag(&schema)),
-        qos: publishers(ends).map(|publisher| offers::write(&publisher.qos)).collect(),
+        qos: publishers(ends).map(|publisher| offered_qos::write(&publisher.qos)).collect(),
     }
 }

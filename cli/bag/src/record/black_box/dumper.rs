@@ -225,7 +225,7 @@ impl Work {
             // Told before its first message.
             let channel = self.topics.len();
             let known = |topic: Topic, events, channel| {
-                let qos = crate::offers::read(&topic.qos).unwrap_or_default();
+                let qos = crate::offered_qos::read(&topic.qos).unwrap_or_default();
                 let latch = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
                 Known { topic, events, channel, latch, latched: VecDeque::new() }
             };
