@@ -56,7 +56,7 @@ enum Verb {
     /// Runs taut-container, from the folder of this program or from PATH; its options: taut component run --help
     #[command(disable_help_flag = true)]
     Run {
-        /// Passed on
+        /// The container's options
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTIONS")]
         arguments: Vec<OsString>,
     },

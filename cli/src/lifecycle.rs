@@ -27,7 +27,7 @@ const UNMANAGED: &str = "is not managed";
   taut lifecycle list /camera       the transitions that it can make now
   taut lifecycle set /camera configure
 
-Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
 pub struct LifecycleArgs {
     #[command(subcommand)]
     verb: Verb,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut log`: what nodes log, and the levels of their loggers.
+//! `taut log`: the log lines of nodes, and the levels of their loggers.
 
 use crate::arguments::full_name;
 use crate::call::{Caller, node_serving};
@@ -28,7 +28,7 @@ const LOOK: Duration = Duration::from_secs(1);
 /// How long a node may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Prints what nodes log on /rosout, beginning with the lines that they keep for late joiners; reads and sets levels.
+/// Prints the lines that nodes log on /rosout, beginning with those kept for late joiners; reads and sets levels.
 ///
 /// Nodes of other hosts are visible if this host runs `taut gateway`.
 #[derive(Args, Clone, Debug)]
@@ -40,7 +40,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
   taut log level /robot/arm debug           from now on
   taut log level /robot/arm warn --logger robot.arm.driver
 
-Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
 pub struct LogArgs {
     #[command(subcommand)]
     verb: Option<Verb>,
@@ -188,18 +188,18 @@ impl<'a> Lines<'a> {
                 self.print(&log)?;
                 printed += 1;
             }
-            // Lines may come faster than they are printed.
+            // More lines may arrive while these are printed.
             if self.end.is_reached() {
                 break;
             }
         }
         let counters = self.subscription.counters();
         for (count, why) in [
-            (counters.lost(), "came faster than they were printed"),
-            (counters.invalid(), "are no valid messages"),
+            (counters.lost(), "were overwritten before they were printed"),
+            (counters.invalid(), "are not valid messages"),
         ] {
             if count > 0 {
-                eprintln!("taut: {count} lines {why}, and are missing");
+                eprintln!("taut: {count} lines {why}");
             }
         }
         match self.args.count.filter(|count| printed < *count) {

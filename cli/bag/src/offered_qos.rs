@@ -29,7 +29,8 @@ pub fn write(qos: &Qos) -> String {
     )
 }
 
-/// The QoS of one publisher that replaces all publishers of the list: every subscription that matched one of them matches it.
+/// The QoS of one publisher that replaces all publishers of the list: every subscription that is compatible with one of them is compatible
+/// with it.
 ///
 /// # Errors
 /// The text is not such a list.

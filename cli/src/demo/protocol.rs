@@ -20,7 +20,7 @@ pub enum Line {
     Measured(Measured),
 }
 
-/// What the publisher did.
+/// The publisher's result.
 #[derive(Serialize, Deserialize, Debug, Default)]
 pub struct Published {
     /// Messages published.
@@ -33,7 +33,7 @@ pub struct Published {
     pub seen: Collected,
 }
 
-/// What the subscriber measured.
+/// The subscriber's measurements.
 #[derive(Serialize, Deserialize, Debug, Default)]
 pub struct Measured {
     /// CPU time of the process beyond the callbacks' own, in nanoseconds.
@@ -64,7 +64,7 @@ impl Job {
     }
 }
 
-/// What was measured on one topic.
+/// The measurements of one topic.
 #[derive(Serialize, Deserialize, Debug, Default)]
 pub struct TopicMeasured {
     pub jobs: Vec<Job>,

@@ -41,7 +41,7 @@ use tautline_transport::Visitor;
   taut graph --system system.toml -o robot.svg
   taut graph --json | jq '.edges[] | select(.problem)'
 
-Exit codes: 0 done, 1 there is no such node or topic, 2 what was given cannot be used.")]
+Exit codes: 0 done, 1 there is no such node or topic, 2 the arguments cannot be used.")]
 pub struct GraphArgs {
     #[command(flatten)]
     common: CommonArgs,

@@ -35,7 +35,7 @@ const LIST: &str = "list_parameters";
   taut param dump /controller > controller.yaml
   taut param load /controller controller.yaml
 
-Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
 pub struct ParamArgs {
     #[command(subcommand)]
     verb: Verb,

@@ -27,7 +27,7 @@ use tautline_transport::graph_of;
   taut service find std_srvs/srv/Trigger
   taut service call /lights '{data: true}'
 
-Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
 pub struct ServiceArgs {
     #[command(subcommand)]
     verb: Verb,

@@ -140,7 +140,7 @@ fn lower_priority() -> Result<(), TraceError> {
     }
 }
 
-/// What begins a recording.
+/// The first entry of a recording.
 pub fn session(domain: u32) -> Entry {
     let kernel = std::fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
     Entry::Session {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a domain does right now: callbacks, topics and cores, from what is written down anyway.
+//! The present state of a domain: callbacks, topics and cores, from the statistics that its processes keep in shared memory.
 
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -28,18 +28,18 @@ pub struct CallbackRow {
     pub name: String,
     pub program: String,
     pub pid: u32,
-    /// Of SCHED_FIFO.
+    /// The priority of SCHED_FIFO.
     pub priority: Option<u8>,
     pub core: Option<usize>,
-    /// That have ended.
+    /// The number of jobs that have ended.
     pub jobs: u64,
     pub releases_hz: f64,
-    /// Of the jobs since the previous refresh.
+    /// Response times of the jobs since the previous refresh.
     pub response_p50_ms: Option<f64>,
     pub response_p99_ms: Option<f64>,
-    /// Of all jobs.
+    /// The longest response time of all jobs.
     pub response_max_ms: Option<f64>,
-    /// What `taut check` computes from the process's system file.
+    /// The bound that `taut check` computes from the process's system file.
     pub bound_ms: Option<f64>,
     pub execution_max_ms: Option<f64>,
     pub budget_ms: Option<f64>,
@@ -72,7 +72,7 @@ pub struct CoreRow {
     pub load_percent: f64,
     /// The share of the time that the hypervisor gave to others.
     pub steal_percent: f64,
-    /// How often it was slowed down for its temperature, since the system started; `None` if that is not known.
+    /// How often the core was throttled for its temperature since the system started; `None` if unknown.
     pub throttled: Option<u64>,
 }
 
@@ -91,7 +91,7 @@ struct Before {
     cores: BTreeMap<usize, CoreTimes>,
 }
 
-/// Of /proc/stat, in ticks.
+/// Times of a core from /proc/stat, in ticks.
 #[derive(Clone, Copy, Default)]
 struct CoreTimes {
     all: u64,
@@ -134,7 +134,7 @@ impl Gatherer {
         let mut rows = Vec::new();
         let (processes, _) = tautline::shared_statistics(self.domain)?;
         for process in processes {
-            // One that ends right now, or is of another version, is left out.
+            // A process that is ending, or has another version, is omitted.
             let Ok(Some(snapshot)) = process.read() else { continue };
             let bounds = self.bounds(&snapshot.process.system_path);
             for callback in snapshot.callbacks.iter().filter(|callback| !callback.ended && !callback.is_group)
@@ -192,7 +192,7 @@ impl Gatherer {
                     .collect(),
             )
         };
-        // A file that is not there any more, or is being edited, has no bounds.
+        // There are no bounds if the file was removed or is being edited.
         self.systems.entry(path.to_owned()).or_insert_with(|| read().unwrap_or_default()).clone()
     }
 
@@ -217,7 +217,7 @@ impl Gatherer {
                 EndpointKind::Publisher => {
                     row.publishers += 1;
                     let lost = self.visitor.overwritten(end)?;
-                    // An observer's are nobody's loss.
+                    // What an observer misses is no loss.
                     let lost = lost.iter().filter(|(gid, _)| subscriptions.contains(gid));
                     let lost = lost.fold(0, |sum: u64, (_, count)| sum.saturating_add(*count));
                     let Some(rate) = rates.get(&end.gid) else { continue };
@@ -267,13 +267,13 @@ fn recent(callback: &CallbackSnapshot, before: Option<&BTreeMap<u64, u64>>) -> H
 /// The lines `cpu0 ...` of /proc/stat.
 fn core_times(stat: &str) -> BTreeMap<usize, CoreTimes> {
     let line = |line: &str| {
-        // The first one is the sum, and has no number.
+        // The first line is the sum over all cores, and has no number.
         let numbered =
             line.strip_prefix("cpu").filter(|rest| rest.starts_with(|c: char| c.is_ascii_digit()))?;
         let mut words = numbered.split_whitespace();
         let core = words.next()?.parse().ok()?;
         let ticks: Vec<u64> = words.map_while(|word| word.parse().ok()).collect();
-        // user nice system idle iowait irq softirq steal; guests' are in user and nice.
+        // user nice system idle iowait irq softirq steal; the times of guests are part of user and nice.
         let at = |index: usize| ticks.get(index).copied().unwrap_or(0);
         let all = ticks.iter().take(8).sum();
         Some((core, CoreTimes { all, idle: at(3) + at(4), steal: at(7) }))
@@ -281,22 +281,22 @@ fn core_times(stat: &str) -> BTreeMap<usize, CoreTimes> {
     stat.lines().filter_map(line).collect()
 }
 
-/// What rows are put in order by.
+/// The order of rows.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
     /// By name
     #[default]
     Name,
-    /// The most often first
+    /// The highest rate first
     Rate,
-    /// What takes longest, or sends most, first
+    /// The longest response time or the highest bandwidth first
     Load,
-    /// What is not as it should be first
+    /// Rows with violations first
     Trouble,
 }
 
 impl Order {
-    /// The one after it.
+    /// The next order.
     pub fn next(self) -> Self {
         match self {
             Order::Name => Order::Rate,
@@ -308,12 +308,12 @@ impl Order {
 }
 
 impl Picture {
-    /// Leaves what has `text` in its name, in this order.
+    /// Keeps the rows whose names contain `text`, and sorts them.
     pub fn arrange(&mut self, text: &str, order: Order) {
         self.callbacks.retain(|row| row.name.contains(text) || row.program.contains(text));
         self.topics.retain(|row| row.name.contains(text));
         let descending = |one: f64, other: f64| other.total_cmp(&one);
-        // Stable: by name within the same.
+        // Stable: equal rows stay sorted by name.
         match order {
             Order::Name => {}
             Order::Rate => {
@@ -335,7 +335,7 @@ impl Picture {
         }
     }
 
-    /// How many processes there are.
+    /// The number of processes.
     pub fn processes(&self) -> usize {
         self.callbacks.iter().map(|row| row.pid).collect::<BTreeSet<_>>().len()
     }
