@@ -20,7 +20,7 @@ const BRIDGE: Sibling = Sibling {
 #[derive(Args, Debug)]
 #[command(disable_help_flag = true)]
 pub struct BridgeRosArgs {
-    /// Passed on
+    /// The bridge's options
     #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTIONS")]
     arguments: Vec<OsString>,
 }
@@ -46,7 +46,7 @@ pub enum BridgeRosError {
 
 /// Returns only if the bridge cannot be started.
 pub fn run(args: BridgeRosArgs) -> Result<ExitCode, BridgeRosError> {
-    // The loader and ROS may end it before it can say a word: whether it can run at all is asked first.
+    // The loader or ROS may end the program before it prints an error, so this checks first whether it can run.
     let program = BRIDGE.path();
     let mut command = Command::new(&program);
     let answer = with_former_open_files(command.arg("--version")).stdin(Stdio::null()).output();

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut component`: nodes in shared libraries, in a container that runs them in one process.
 
-use crate::asking::{Asking, full_name};
+use crate::arguments::full_name;
+use crate::call::Caller;
 use crate::completions;
 use crate::sibling::Sibling;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
@@ -55,7 +56,7 @@ enum Verb {
     /// Runs taut-container, from the folder of this program or from PATH; its options: taut component run --help
     #[command(disable_help_flag = true)]
     Run {
-        /// Passed on
+        /// The container's options
         #[arg(trailing_var_arg = true, allow_hyphen_values = true, value_name = "OPTIONS")]
         arguments: Vec<OsString>,
     },
@@ -122,7 +123,7 @@ pub fn run(args: ComponentArgs) -> Outcome {
                 parameters: params,
                 extra_arguments: extra_argument,
             };
-            let loaded = ask::<LoadNode::Service>(&target, "load_node", request)?;
+            let loaded = call::<LoadNode::Service>(&target, "load_node", request)?;
             if !loaded.success {
                 return Err(Failure::no(loaded.error_message));
             }
@@ -130,13 +131,13 @@ pub fn run(args: ComponentArgs) -> Outcome {
         }
         Verb::Unload { id } => {
             let request = UnloadNode::Request { unique_id: id };
-            let unloaded = ask::<UnloadNode::Service>(&target, "unload_node", request)?;
+            let unloaded = call::<UnloadNode::Service>(&target, "unload_node", request)?;
             if !unloaded.success {
                 return Err(Failure::no(unloaded.error_message));
             }
         }
         Verb::List => {
-            let listed = ask::<ListNodes::Service>(&target, "list_nodes", ListNodes::Request::default())?;
+            let listed = call::<ListNodes::Service>(&target, "list_nodes", ListNodes::Request::default())?;
             let rows: Vec<_> = listed.unique_ids.into_iter().zip(listed.full_node_names).collect();
             print(&target, &rows)?;
         }
@@ -159,11 +160,11 @@ fn log_level(level: &str) -> Result<LogSeverity, &'static str> {
     level.parse().map_err(|()| "a level is debug, info, warn, error or fatal")
 }
 
-fn ask<T: Service>(target: &Target, service: &str, request: T::Request) -> Outcome<T::Response> {
+fn call<T: Service>(target: &Target, service: &str, request: T::Request) -> Outcome<T::Response> {
     let container = target.container.as_deref().unwrap_or(MANAGER);
     let (end, domain) = (End::within(PATIENCE, &target.common)?, target.common.domain()?);
     let request = (format!("{}/_container/{service}", full_name(container)), request);
-    let answer = Asking::new(domain, end)?.ask_all::<T>(vec![request])?.remove(0);
+    let answer = Caller::new(domain, end)?.call_all::<T>(vec![request])?.remove(0);
     answer.map_err(|source| {
         Failure::no(match source {
             tautline::Error::ServiceTimeout { timeout, .. } => format!(

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Dates for people.
+//! Dates in output.
 
-/// As `2026-11-23 10:00:00`, of UTC.
+/// A time in the form `2026-11-23 10:00:00`, in UTC.
 pub fn date(unix_ns: i64) -> String {
     let seconds = unix_ns.div_euclid(1_000_000_000);
     let (days, second) = (seconds.div_euclid(86_400), seconds.rem_euclid(86_400));
@@ -10,7 +10,7 @@ pub fn date(unix_ns: i64) -> String {
     format!("{year:04}-{month:02}-{day:02} {hour:02}:{minute:02}:{second:02}")
 }
 
-/// The date so many days after 1970-01-01, by the Gregorian calendar: years that begin in March have their leap day at the end.
+/// The date of a number of days after 1970-01-01, by the Gregorian calendar. A year that begins in March has its leap day at its end.
 fn civil(days: i64) -> (i64, i64, i64) {
     let days = days + 719_468;
     let (era, day_of_era) = (days.div_euclid(146_097), days.rem_euclid(146_097));

@@ -26,7 +26,7 @@ use tautline_schema::{Base, Definition, DynamicMessage, EchoForm, Kind, Schema, 
   taut interface list --only srvs
   taut interface package my_msgs --path ~/ws/src
 
-Exit codes: 0 done, 1 there is no such type, 2 what was given cannot be used.")]
+Exit codes: 0 done, 1 there is no such type, 2 the arguments cannot be used.")]
 pub struct InterfaceArgs {
     #[command(subcommand)]
     verb: Verb,

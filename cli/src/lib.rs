@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut`, the command line of Tautline, and what the programs share that it starts for some of its verbs.
+//! `taut`, the command line of Tautline, and the code that it shares with the programs of some verbs.
 //!
-//! `taut` links what most verbs need. A verb that needs more (bags their compression, `top` its terminal, `--filter` jq) is a program of its
-//! own, which nobody builds who does not use it: see [`sibling`].
+//! `taut` links the libraries that most verbs need. A verb that needs a large library (compression for bags, a terminal for `top`, jq for
+//! `--filter`) is a separate program, so that only its users build it: see [`sibling`].
 #![forbid(unsafe_code)]
 #![allow(missing_docs, reason = "a library for the programs in this folder, not for users")]
 
@@ -11,16 +11,16 @@ pub mod print;
 
 mod action;
 mod apply;
-pub mod asking;
+pub mod arguments;
 mod bridge_ros;
+pub mod call;
 mod check;
+mod compatibility;
 pub mod completions;
 mod component;
-pub mod counts;
 pub mod date;
 pub mod demo;
 mod doctor;
-mod fits;
 mod graph;
 mod init;
 mod interface;
@@ -31,6 +31,7 @@ mod moment;
 mod msg;
 mod node;
 mod param;
+pub mod rates;
 pub mod report;
 mod service;
 pub mod sibling;
@@ -38,7 +39,6 @@ pub mod table;
 pub mod times;
 pub mod topic;
 pub mod trace;
-pub mod values;
 pub mod verb;
 
 use clap::{CommandFactory, Parser, Subcommand};
@@ -54,7 +54,7 @@ use verb::Failure;
     after_help = "Examples:
   taut demo                         five topics beside their computed bounds, in ten seconds
   taut doctor                       what delays real-time threads on this host, and the fixes
-  taut top                          what runs now
+  taut top                          callbacks, topics and cores now
   taut topic echo /scan --once
   taut graph -o robot.svg
   source <(taut completions bash)   names of topics, nodes and types at the tab key
@@ -89,9 +89,9 @@ enum Verb {
     Trace(trace::TraceArgs),
     /// Records topics into a bag, as rosbag2 writes them: MCAP files and a metadata.yaml
     Record(sibling::PassedOn),
-    /// Publishes what is in a bag, at the times that it was received at
+    /// Publishes the messages of a bag at the times of their reception
     Play(sibling::PassedOn),
-    /// Looks into bags, checks, mends, converts and draws them
+    /// Shows, checks, repairs, converts and draws bags
     Bag(sibling::PassedOn),
     /// Mirrors this host's topics over the network: one gateway per host and domain
     Gateway(sibling::PassedOn),
@@ -101,7 +101,7 @@ enum Verb {
     Man(man::ManArgs),
 }
 
-/// Runs what the command line asks for. Returns how `taut` ends.
+/// Runs the verb of the command line. Returns the exit code.
 pub fn run() -> ExitCode {
     if let Some(code) = completions::answer(Cli::command) {
         return code;
@@ -137,19 +137,20 @@ pub fn run() -> ExitCode {
         Verb::Completions(args) => completions::run(&args).map(|()| ExitCode::SUCCESS),
         Verb::Man(args) => man::run(&args, Cli::command()).map(|()| ExitCode::SUCCESS),
     };
-    outcome.unwrap_or_else(Failure::tell)
+    outcome.unwrap_or_else(Failure::print)
 }
 
-/// The whole of a program that has some verbs of `taut`: answers a shell that asks for completions, else parses the command line and runs its verb.
+/// The main function of a program with some verbs of `taut`: completes a shell's words if the shell requests that, otherwise runs the verb of
+/// the command line.
 pub fn run_verbs<C: Parser>(run: impl FnOnce(C) -> verb::Outcome) -> ExitCode {
     if let Some(code) = completions::answer(C::command) {
         return code;
     }
     log_to_stderr();
-    run(C::parse()).map_or_else(Failure::tell, |()| ExitCode::SUCCESS)
+    run(C::parse()).map_or_else(Failure::print, |()| ExitCode::SUCCESS)
 }
 
-/// Has warnings of the libraries written to standard error; RUST_LOG, such as `debug` or `tautline=trace,warn`, changes what is shown.
+/// Prints the libraries' warnings to standard error. RUST_LOG, such as `debug` or `tautline=trace,warn`, selects other levels.
 pub fn log_to_stderr() {
     use tracing_subscriber::filter::{LevelFilter, Targets};
     use tracing_subscriber::layer::SubscriberExt;
@@ -164,7 +165,7 @@ pub fn log_to_stderr() {
 mod tests {
     use super::*;
 
-    /// What clap finds only when a verb is used.
+    /// clap checks a verb's arguments only when the verb is used.
     #[test]
     fn every_verb_is_consistent() {
         Cli::command().debug_assert();

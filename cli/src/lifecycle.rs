@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut lifecycle`: the states of managed nodes, and their transitions.
 
-use crate::asking::{Asking, no_answer, node_with, nodes_with};
+use crate::call::{Caller, no_response, node_serving, nodes_serving};
 use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, Subcommand};
@@ -27,7 +27,7 @@ const UNMANAGED: &str = "is not managed";
   taut lifecycle list /camera       the transitions that it can make now
   taut lifecycle set /camera configure
 
-Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
 pub struct LifecycleArgs {
     #[command(subcommand)]
     verb: Verb,
@@ -70,7 +70,7 @@ pub fn run(args: &LifecycleArgs) -> Outcome {
     let common = &args.common;
     match &args.verb {
         Verb::Nodes => {
-            let nodes = nodes_with(common.domain()?, STATE)?;
+            let nodes = nodes_serving(common.domain()?, STATE)?;
             let names: Vec<&str> = nodes.iter().map(String::as_str).collect();
             Ok(crate::table::write_names(common.json, &names, &mut crate::print::stdout())?)
         }
@@ -83,19 +83,19 @@ pub fn run(args: &LifecycleArgs) -> Outcome {
 fn get(common: &CommonArgs, node: Option<&str>) -> Outcome {
     let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
     let nodes = match node {
-        Some(node) => vec![node_with(domain, node, STATE, UNMANAGED)?],
-        None => nodes_with(domain, STATE)?,
+        Some(node) => vec![node_serving(domain, node, STATE, UNMANAGED)?],
+        None => nodes_serving(domain, STATE)?,
     };
     let requests =
         nodes.iter().map(|node| (format!("{node}/{STATE}"), GetState::Request::default())).collect();
-    let answers = Asking::new(domain, end)?.ask_all::<GetState::Service>(requests)?;
+    let answers = Caller::new(domain, end)?.call_all::<GetState::Service>(requests)?;
     let (mut told, mut silent, mut out) = (Vec::new(), 0, crate::print::stdout());
     for (name, answer) in nodes.iter().zip(answers) {
         let state = answer.map(|answer| answer.current_state);
         match &state {
             Err(error) => {
                 silent += 1;
-                eprintln!("taut: {name}: {}", no_answer(error));
+                eprintln!("taut: {name}: {}", no_response(error));
             }
             Ok(_) if common.json => {}
             Ok(State { id, label }) if node.is_some() => writeln!(out, "{label} [{id}]")?,
@@ -116,8 +116,8 @@ fn get(common: &CommonArgs, node: Option<&str>) -> Outcome {
 fn list(common: &CommonArgs, node: &str, all: bool) -> Outcome {
     let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
     let service = if all { "get_transition_graph" } else { "get_available_transitions" };
-    let node = node_with(domain, node, service, UNMANAGED)?;
-    let transitions = transitions(&mut Asking::new(domain, end)?, &node, service)?;
+    let node = node_serving(domain, node, service, UNMANAGED)?;
+    let transitions = transitions(&mut Caller::new(domain, end)?, &node, service)?;
     let mut out = crate::print::stdout();
     if common.json {
         return Ok(writeln!(out, "{}", json!(transitions))?);
@@ -129,17 +129,17 @@ fn list(common: &CommonArgs, node: &str, all: bool) -> Outcome {
     Ok(())
 }
 
-fn transitions(asking: &mut Asking, node: &str, service: &str) -> Outcome<Vec<TransitionDescription>> {
+fn transitions(caller: &mut Caller, node: &str, service: &str) -> Outcome<Vec<TransitionDescription>> {
     let service = format!("{node}/{service}");
     let request = GetAvailableTransitions::Request::default();
-    Ok(asking.ask::<GetAvailableTransitions::Service>(&service, request)?.available_transitions)
+    Ok(caller.call::<GetAvailableTransitions::Service>(&service, request)?.available_transitions)
 }
 
 fn set(common: &CommonArgs, node: &str, wanted: &str) -> Outcome {
     let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
-    let node = node_with(domain, node, "change_state", UNMANAGED)?;
-    let mut asking = Asking::new(domain, end)?;
-    let available = transitions(&mut asking, &node, "get_available_transitions")?;
+    let node = node_serving(domain, node, "change_state", UNMANAGED)?;
+    let mut caller = Caller::new(domain, end)?;
+    let available = transitions(&mut caller, &node, "get_available_transitions")?;
     let mut transitions = available.iter().map(|one| &one.transition);
     let id = wanted.parse::<u8>().ok();
     let Some(transition) = transitions.find(|one| one.label == wanted || Some(one.id) == id) else {
@@ -148,9 +148,9 @@ fn set(common: &CommonArgs, node: &str, wanted: &str) -> Outcome {
         return Err(Failure::unknown(&what, wanted, labels, &list));
     };
     // A transition may take long.
-    asking.end = End::of(common)?;
+    caller.end = End::of(common)?;
     let request = ChangeState::Request { transition: transition.clone() };
-    let changed = asking.ask::<ChangeState::Service>(&format!("{node}/change_state"), request)?;
+    let changed = caller.call::<ChangeState::Service>(&format!("{node}/change_state"), request)?;
     let mut out = crate::print::stdout();
     if common.json {
         writeln!(

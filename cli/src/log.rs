@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut log`: what nodes log, and the levels of their loggers.
+//! `taut log`: the log lines of nodes, and the levels of their loggers.
 
-use crate::asking::{Asking, full_name, node_with};
+use crate::arguments::full_name;
+use crate::call::{Caller, node_serving};
+use crate::compatibility::label;
 use crate::completions;
-use crate::fits::label;
 use crate::print::Colour;
 use crate::table::{BAD, WARNING};
 use crate::verb::{CommonArgs, End, Failure, Outcome};
@@ -27,7 +28,7 @@ const LOOK: Duration = Duration::from_secs(1);
 /// How long a node may take to answer.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Prints what nodes log on /rosout, beginning with the lines that they keep for late joiners; reads and sets levels.
+/// Prints the lines that nodes log on /rosout, beginning with those kept for late joiners; reads and sets levels.
 ///
 /// Nodes of other hosts are visible if this host runs `taut gateway`.
 #[derive(Args, Clone, Debug)]
@@ -39,7 +40,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
   taut log level /robot/arm debug           from now on
   taut log level /robot/arm warn --logger robot.arm.driver
 
-Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
 pub struct LogArgs {
     #[command(subcommand)]
     verb: Option<Verb>,
@@ -165,14 +166,14 @@ impl<'a> Lines<'a> {
             if looked.is_none_or(|looked| looked.elapsed() >= LOOK) {
                 looked = Some(Instant::now());
                 let graph = self.participant.graph()?;
-                say_unheard(&graph, &self.subscription, &mut self.unheard);
+                warn_unreceived(&graph, &self.subscription, &mut self.unheard);
             }
             let sample = match self.subscription.try_take() {
                 Ok(Some(sample)) => sample,
                 Ok(None) if self.end.is_reached() => break,
                 Ok(None) => {
                     if printed == 0 {
-                        self.end.say_once(|| "a line on /rosout".into());
+                        self.end.print_waiting_once(|| "a line on /rosout".into());
                     }
                     self.end.pause(POLL);
                     continue;
@@ -187,18 +188,18 @@ impl<'a> Lines<'a> {
                 self.print(&log)?;
                 printed += 1;
             }
-            // Lines may come faster than they are printed.
+            // More lines may arrive while these are printed.
             if self.end.is_reached() {
                 break;
             }
         }
         let counters = self.subscription.counters();
         for (count, why) in [
-            (counters.lost(), "came faster than they were printed"),
-            (counters.invalid(), "are no valid messages"),
+            (counters.lost(), "were overwritten before they were printed"),
+            (counters.invalid(), "are not valid messages"),
         ] {
             if count > 0 {
-                eprintln!("taut: {count} lines {why}, and are missing");
+                eprintln!("taut: {count} lines {why}");
             }
         }
         match self.args.count.filter(|count| printed < *count) {
@@ -254,7 +255,7 @@ impl<'a> Lines<'a> {
 }
 
 /// Warns once for each publisher whose lines do not arrive.
-fn say_unheard(graph: &GraphSnapshot, subscription: &Subscription<Log>, said: &mut BTreeSet<Gid>) {
+fn warn_unreceived(graph: &GraphSnapshot, subscription: &Subscription<Log>, said: &mut BTreeSet<Gid>) {
     for end in &graph.endpoints {
         if end.topic != TOPIC || end.kind != EndpointKind::Publisher {
             continue;
@@ -292,14 +293,14 @@ fn level(common: &CommonArgs, node: &str, level: Option<Level>, logger: Option<&
     let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
     let service = if level.is_some() { "set_logger_levels" } else { "get_logger_levels" };
     let what = "does not serve the levels of its loggers (rclcpp, rclpy: enable_logger_service; Tautline: make_logger_handler)";
-    let node = node_with(domain, node, service, what)?;
+    let node = node_serving(domain, node, service, what)?;
     let name = logger.map_or_else(|| logger_of(&node), str::to_owned);
-    let mut asking = Asking::new(domain, end)?;
+    let mut caller = Caller::new(domain, end)?;
     let service = format!("{node}/{service}");
     let mut out = crate::print::stdout();
     let Some(level) = level else {
         let request = GetLoggerLevels::Request { names: vec![name.clone()] };
-        let answer = asking.ask::<GetLoggerLevels::Service>(&service, request)?;
+        let answer = caller.call::<GetLoggerLevels::Service>(&service, request)?;
         let own = answer.levels.first().map_or(0, |level| u8::try_from(level.level).unwrap_or(u8::MAX));
         return Ok(match common.json {
             true => writeln!(out, "{}", json!({ "node": node, "logger": name, "level": word(own) })),
@@ -308,7 +309,7 @@ fn level(common: &CommonArgs, node: &str, level: Option<Level>, logger: Option<&
     };
     let wanted = LoggerLevel { name: name.clone(), level: level.severity() as u32 };
     let request = SetLoggerLevels::Request { levels: vec![wanted] };
-    let answer = asking.ask::<SetLoggerLevels::Service>(&service, request)?;
+    let answer = caller.call::<SetLoggerLevels::Service>(&service, request)?;
     let result = answer.results.into_iter().next().unwrap_or_default();
     let now = level.severity().name();
     if common.json {

@@ -22,7 +22,7 @@ pub struct ManArgs {
     folder: PathBuf,
 }
 
-/// Writes the pages of `taut`. Programs that have verbs of it write theirs; one that is missing is named, and its verbs have a page that does so.
+/// Writes the pages of `taut`. The programs of separate verbs write their own pages. If such a program is missing, a page names it.
 pub fn run(args: &ManArgs, command: Command) -> Outcome {
     let mut written = write(args, command, true)?;
     for (sibling, verbs) in WITH_VERBS {
@@ -31,7 +31,7 @@ pub fn run(args: &ManArgs, command: Command) -> Outcome {
             Ok(output) if output.status.success() => {
                 let said = String::from_utf8_lossy(&output.stdout);
                 let pages = said.trim().parse::<usize>().unwrap_or_default();
-                // They take the places of the pages that name the program.
+                // These pages replace the ones that name the program.
                 written += pages.saturating_sub(verbs.len());
             }
             Ok(output) => {
@@ -62,7 +62,7 @@ fn write(args: &ManArgs, command: Command, with_top: bool) -> Outcome<usize> {
     fs::create_dir_all(&args.folder).map_err(|error| failed(&args.folder, error))?;
     let mut pages = Vec::new();
     collect(&command, &version, None, &mut pages);
-    // The first is that of the command itself.
+    // The first page is that of the command itself.
     pages.drain(..usize::from(!with_top));
     for (name, page) in &pages {
         let path = args.folder.join(name);

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut node`: the nodes of a domain, and what each has.
 
-use crate::asking::{action_of, full_name};
+use crate::arguments::full_name;
+use crate::call::action_of;
 use crate::completions;
 use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::{Args, Subcommand};

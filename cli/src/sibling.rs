@@ -20,25 +20,25 @@ pub enum SiblingError {
     Exec { program: PathBuf, source: std::io::Error },
 }
 
-/// Records, plays and looks into bags: their formats and compression.
+/// Records, plays and processes bags. It links their formats and compression.
 pub const BAG: Sibling = Sibling {
     program: "taut-bag",
     build: "build it with `cargo build --release -p taut-bag`, or install it with `cargo install --path cli/bag`",
 };
 
-/// Shows what runs: the terminal.
+/// Shows the present state of a domain. It links the terminal library.
 pub const TOP: Sibling = Sibling {
     program: "taut-top",
     build: "build it with `cargo build --release -p taut-top`, or install it with `cargo install --path cli/top`",
 };
 
-/// Selects messages: jq's language.
+/// Selects messages. It links the implementation of jq's language.
 pub const FILTER: Sibling = Sibling {
     program: "taut-filter",
     build: "build it with `cargo build --release -p taut-filter`, or install it with `cargo install --path cli/filter`",
 };
 
-/// Carries topics to other hosts: Zenoh.
+/// Carries topics to other hosts. It links Zenoh.
 pub const GATEWAY: Sibling = Sibling {
     program: "taut-gateway",
     build: "build it with `cargo build --release -p tautline-gateway`, or install it with `cargo install --path transport/zenoh`",
@@ -47,7 +47,7 @@ pub const GATEWAY: Sibling = Sibling {
 /// The programs that have verbs of `taut`, with these verbs: for completions and manual pages.
 pub const WITH_VERBS: [(&Sibling, &[&str]); 2] = [(&BAG, &["record", "play", "bag"]), (&TOP, &["top"])];
 
-/// What is passed on to another program, `--help` too.
+/// The arguments that are passed to another program, including `--help`.
 #[derive(Args, Clone, Debug)]
 #[command(disable_help_flag = true, disable_version_flag = true)]
 pub struct PassedOn {
@@ -60,15 +60,15 @@ pub struct PassedOn {
 pub struct Sibling {
     /// The file's name.
     pub program: &'static str,
-    /// How it is made, as a sentence's part.
+    /// How to build it, as part of a sentence.
     pub build: &'static str,
 }
 
 impl Sibling {
-    /// Becomes the program with these arguments. Does not return if it could be started.
+    /// Replaces this process by the program with these arguments. Does not return if the program was started.
     ///
     /// # Errors
-    /// It could not.
+    /// The program could not be started.
     pub fn run(&self, verb: &[&str], passed_on: &PassedOn) -> Outcome<ExitCode> {
         let arguments: Vec<_> = verb.iter().map(OsString::from).chain(passed_on.arguments.clone()).collect();
         Err(Failure::unusable(self.become_it(&arguments).to_string()))

@@ -4,7 +4,7 @@
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
 
-/// Times to three digits, in ns; an hour at most.
+/// A histogram of times in ns, with three significant digits, up to an hour.
 pub struct Times(Histogram<u64>);
 
 impl Default for Times {

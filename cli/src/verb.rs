@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What all verbs have in common: which domain, how long, in what form; how they wait, and how they end.
+//! What all verbs share: their domain, time limit and output format; how they wait, and how they end.
 
 use clap::Args;
 use std::cell::Cell;
@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tautline::Context;
 
-/// Options of every verb that reads a domain; they may stand anywhere after the first word.
+/// Options of every verb that reads a domain. They may be given anywhere after the first word.
 #[derive(Args, Clone, Debug)]
 pub struct CommonArgs {
     /// The domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]
@@ -42,7 +42,7 @@ impl CommonArgs {
         let Some(timeout) = self.timeout else { return };
         std::thread::spawn(move || {
             std::thread::sleep(timeout);
-            Failure::no(format!("not done after {timeout:?}")).tell();
+            Failure::no(format!("not done after {timeout:?}")).print();
             std::process::exit(1);
         });
     }
@@ -96,7 +96,7 @@ impl Failure {
         Failure::no("")
     }
 
-    /// No `what` among `there`, which `taut LIST` prints, has this name.
+    /// None of the names in `there`, which `taut LIST` prints, is that of the `what` that is wanted.
     pub fn unknown<'n>(what: &str, name: &str, there: impl Iterator<Item = &'n str>, list: &str) -> Self {
         let likeness = |other: &str| strsim::jaro_winkler(name, other);
         let nearest =
@@ -109,9 +109,9 @@ impl Failure {
     }
 
     /// Prints the reason and returns the exit code.
-    pub fn tell(self) -> ExitCode {
+    pub fn print(self) -> ExitCode {
         if !self.text.is_empty() {
-            say(&format!("taut: {}", self.text));
+            print_line(&format!("taut: {}", self.text));
         }
         ExitCode::from(self.code)
     }
@@ -127,7 +127,7 @@ impl<E: Error + 'static> From<E> for Failure {
     fn from(error: E) -> Self {
         let io = (&error as &(dyn Error + 'static)).downcast_ref::<io::Error>();
         match io {
-            // Whoever reads has seen enough.
+            // The reader of the output has ended.
             Some(io) if io.kind() == io::ErrorKind::BrokenPipe => Failure { code: 0, text: String::new() },
             Some(io) => Failure::unusable(format!("the result cannot be printed: {io}")),
             None => Failure::unusable(error.to_string()),
@@ -142,7 +142,7 @@ pub struct End {
     /// The time limit does not restart.
     is_firm: bool,
     start: Instant,
-    is_said: Cell<bool>,
+    is_wait_printed: Cell<bool>,
 }
 
 fn no_signals(error: io::Error) -> Failure {
@@ -152,9 +152,9 @@ fn no_signals(error: io::Error) -> Failure {
 /// How a wait ended.
 pub enum Waited<T> {
     /// The wait returned this value.
-    For(T),
+    Ready(T),
     /// The time limit passed.
-    InVain,
+    TimedOut,
     /// A signal ended it.
     Interrupted,
 }
@@ -184,7 +184,13 @@ impl End {
         for signal in tautline_rt::termination_signals() {
             signal_hook::flag::register(signal, interrupted.clone())?;
         }
-        Ok(End { interrupted, timeout, is_firm: false, start: Instant::now(), is_said: Cell::new(false) })
+        Ok(End {
+            interrupted,
+            timeout,
+            is_firm: false,
+            start: Instant::now(),
+            is_wait_printed: Cell::new(false),
+        })
     }
 
     /// Ends at this time; later waits do not extend it.
@@ -237,62 +243,62 @@ impl End {
         self.restart();
     }
 
-    /// Calls `look` until it returns a value: periodically, and when this thread is unparked. After a second, prints what it is waiting for.
+    /// Calls `poll` until it returns a value: periodically, and when this thread is unparked. After a second, prints what it is waiting for.
     ///
     /// # Errors
-    /// The time limit passed, Ctrl-C was pressed, or `look` failed.
-    pub fn wait<T>(&self, what: impl Fn() -> String, look: impl FnMut() -> Outcome<Option<T>>) -> Outcome<T> {
-        match self.look(&what, look)? {
-            Waited::For(found) => Ok(found),
+    /// The time limit passed, a signal came, or `poll` failed.
+    pub fn wait<T>(&self, what: impl Fn() -> String, poll: impl FnMut() -> Outcome<Option<T>>) -> Outcome<T> {
+        match self.try_wait(&what, poll)? {
+            Waited::Ready(found) => Ok(found),
             Waited::Interrupted => Err(Failure::interrupted()),
-            Waited::InVain => {
+            Waited::TimedOut => {
                 let time = self.timeout.unwrap_or_default();
                 Err(Failure::no(format!("waited for {} for {time:?} and gave up", what())))
             }
         }
     }
 
-    /// As [`wait`](Self::wait), but the caller handles the end.
+    /// As [`wait`](Self::wait), but the end is no error.
     ///
     /// # Errors
-    /// `look` failed.
-    pub fn look<T>(
+    /// `poll` failed.
+    pub fn try_wait<T>(
         &self,
         what: impl Fn() -> String,
-        mut look: impl FnMut() -> Outcome<Option<T>>,
+        mut poll: impl FnMut() -> Outcome<Option<T>>,
     ) -> Outcome<Waited<T>> {
-        let (start, mut is_said) = (Instant::now(), false);
+        let (start, mut is_printed) = (Instant::now(), false);
         loop {
-            if let Some(found) = look()? {
-                return Ok(Waited::For(found));
+            if let Some(found) = poll()? {
+                return Ok(Waited::Ready(found));
             }
             if self.interrupted.load(Ordering::Relaxed) {
                 return Ok(Waited::Interrupted);
             }
             if self.is_reached() {
-                return Ok(Waited::InVain);
+                return Ok(Waited::TimedOut);
             }
-            if start.elapsed() > PATIENCE && !std::mem::replace(&mut is_said, true) {
-                say_waiting(&what());
+            if start.elapsed() > PATIENCE && !std::mem::replace(&mut is_printed, true) {
+                print_waiting(&what());
             }
             std::thread::park_timeout(self.left().map_or(POLL, |left| left.min(POLL)));
         }
     }
 
     /// Prints once, after a second, what is waited for.
-    pub fn say_once(&self, what: impl Fn() -> String) {
-        if self.start.elapsed() > PATIENCE && !self.is_said.replace(true) {
-            say_waiting(&what());
+    pub fn print_waiting_once(&self, what: impl Fn() -> String) {
+        if self.start.elapsed() > PATIENCE && !self.is_wait_printed.replace(true) {
+            print_waiting(&what());
         }
     }
 }
 
-fn say_waiting(what: &str) {
-    say(&format!("taut: waiting for {what} ..."));
+fn print_waiting(what: &str) {
+    print_line(&format!("taut: waiting for {what} ..."));
 }
 
 /// Writes a line to standard error. A reader that has gone, or a closed terminal, is no error: the verb goes on.
-pub fn say(line: &str) {
+pub fn print_line(line: &str) {
     let _ = writeln!(io::stderr(), "{line}");
 }
 
@@ -313,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn the_nearest_name_is_told() {
+    fn the_nearest_name_is_suggested() {
         let there = ["/image", "/odometry"];
         let failure = Failure::unknown("topic", "/imgae", there.into_iter(), "topic list");
         assert_eq!(

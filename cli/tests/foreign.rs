@@ -10,7 +10,7 @@ use support::Here;
 use tautline::rcl_interfaces::msg::Log;
 use tautline::std_srvs::srv::Trigger;
 use tautline::{Qos, log_error};
-use tautline_bag::{Options, Stamp, Topic, Writer};
+use tautline_bag::{Definition, Options, Stamp, Topic, Writer};
 
 /// Sets the title, rings, clears the screen, overwrites the line, all of that in one byte of C1 too.
 const HOSTILE: &str = "a\u{1b}]0;owned\u{7}b\u{1b}[2Jc\rd\u{9b}31me\u{7f}\u{8}";
@@ -77,10 +77,12 @@ fn bags_and_files() {
         name: hostile("/owned"),
         type_name: hostile("std_msgs/msg/String"),
         type_hash: hostile("RIHS01_"),
-        definition: Some(hostile("string data # ")),
+        definition: Some(Definition::ros2msg(hostile("string data # "))),
         qos: hostile("- history: "),
+        encoding: hostile("cdr"),
+        metadata: [("owned".to_owned(), HOSTILE.to_owned())].into(),
     };
-    let id = writer.add_topic(topic);
+    let id = writer.add_topic(topic).unwrap();
     writer.write(id, Stamp { sequence: 0, log_ns: 5, publish_ns: 5 }, &[0, 1, 0, 0, 0]).unwrap();
     writer.finish(BTreeMap::new()).unwrap();
     let system = path("system.toml");

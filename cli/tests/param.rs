@@ -149,11 +149,11 @@ fn files(here: &Here, control: &Node) {
     assert_eq!(control.get_parameter::<i64>("arm.speed").unwrap(), 7);
     assert_eq!(control.get_parameter::<f64>("gain").unwrap(), 3.5);
 
-    let refused = load("control: {ros__parameters: {gain: 99.0, arm: {speed: 8}}}", &[]);
+    let refused = load("robot/control: {ros__parameters: {gain: 99.0, arm: {speed: 8}}}", &[]);
     said(&refused, 1, "/robot/control refuses 1 of 2");
     assert!(refused.1.contains("Set parameter gain failed: parameter 'gain': 99.0 is not in"), "{refused:?}");
     assert_eq!(control.get_parameter::<i64>("arm.speed").unwrap(), 8);
-    let (_, out, _) = load("control: {ros__parameters: {gain: 4.0}}", &["--json"]);
+    let (_, out, _) = load("robot/control: {ros__parameters: {gain: 4.0}}", &["--json"]);
     let done: serde_json::Value = serde_json::from_str(&out).unwrap();
     assert_eq!(done, json!([{ "node": node, "name": "gain", "successful": true, "reason": null }]));
     said(&load("/other: {ros__parameters: {gain: 1.0}}", &[]), 2, "says nothing for /robot/control");

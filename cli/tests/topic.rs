@@ -11,7 +11,7 @@ use support::Running;
 use tautline::{Context, Node, Qos, Realtime};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_schema::{DynamicMessage, Schema};
-use tautline_transport::{Limits, Participant, RawPublisher, TopicType};
+use tautline_transport::{EndpointKind, Limits, Participant, RawPublisher, TopicType, Visitor};
 
 thread_local! {
     /// Each test has one of its own.
@@ -246,11 +246,11 @@ fn rates_and_delays_are_by_simulated_time() {
         &["delay", "--sim-time"],
     ];
     let start = |verb: &&[&str]| {
-        Running::start(&[&["topic", verb[0], "/flow"], &verb[1..], &["--json", "--timeout", "4s"]].concat())
+        let args = [&["topic", verb[0], "/flow"], &verb[1..], &["--json", "--timeout", "4s"]].concat();
+        Running::start(&mut command(&args))
     };
     let reports = verbs.each_ref().map(start).map(|verb| {
-        let Output { stdout, stderr, .. } = verb.0.wait_with_output().unwrap();
-        let (lines, words) = (String::from_utf8(stdout).unwrap(), String::from_utf8(stderr).unwrap());
+        let (_, lines, words) = verb.end();
         let line: Value = serde_json::from_str(lines.lines().last().unwrap()).unwrap();
         assert_eq!(
             words.contains("--sim-time counts by /clock"),
@@ -306,10 +306,20 @@ fn messages_are_published_by_hand() {
     assert_eq!(echo.end().0, 0);
 
     // Each message has the time of its publication.
-    let mut echo = Running::start(&["topic", "echo", "/stamped", "--json"]);
+    let mut echo = Running::start(&mut command(&["topic", "echo", "/stamped", "--json", "--timeout", "60s"]));
     let values = "{header: auto, twist: {linear: {x: 1}}}";
-    let args = ["topic", "pub", "/stamped", "geometry_msgs/msg/TwistStamped", values, "-r", "20"];
-    let publishing = Running::start(&args);
+    let args = [
+        "topic",
+        "pub",
+        "/stamped",
+        "geometry_msgs/msg/TwistStamped",
+        values,
+        "-r",
+        "20",
+        "--timeout",
+        "60s",
+    ];
+    let mut publishing = Running::start(&mut command(&args));
     let ns = |line: &str| {
         let line: Value = serde_json::from_str(line).unwrap();
         let stamp = |field: &str| line["header"]["stamp"][field].as_i64().unwrap();
@@ -317,7 +327,8 @@ fn messages_are_published_by_hand() {
     };
     let (first, second) = (ns(&echo.line()), ns(&echo.line()));
     assert!(first > 1_700_000_000_000_000_000 && second > first, "{first} {second}");
-    assert!(publishing.interrupt().status.success());
+    publishing.interrupt();
+    assert_eq!(publishing.end().0, 0);
     echo.interrupt();
 
     let (code, words) = refused(&["topic", "pub", "/new", "{data: 1}", "--once"]);

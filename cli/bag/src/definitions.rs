@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Definitions as bags have them: types are `package/Name` there, also the parts of services and actions, for which ROS 2 says
-//! `package/srv/Name_Request`; readers know no other form.
+//! Definitions in the form of bags: all types are `package/Name`, also the parts of services and actions, which ROS 2 calls
+//! `package/srv/Name_Request`. Readers of bags accept no other form.
 
 use tautline_schema::{Kind, Schema, SchemaError, TypeName};
 

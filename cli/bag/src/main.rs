@@ -4,11 +4,11 @@
 
 mod bag;
 mod definitions;
-mod keys;
-mod offers;
+mod offered_qos;
 mod play;
 mod record;
 mod ring;
+mod terminal;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;

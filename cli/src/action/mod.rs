@@ -3,7 +3,8 @@
 
 mod send_goal;
 
-use crate::asking::{action_of, full_name};
+use crate::arguments::full_name;
+use crate::call::action_of;
 use crate::completions;
 use crate::service::{Named, named};
 use crate::verb::{CommonArgs, Failure, Outcome};
@@ -22,7 +23,7 @@ use tautline_transport::graph_of;
   taut action info /fibonacci
   taut action send_goal /fibonacci '{order: 5}' --feedback
 
-Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
 pub struct ActionArgs {
     #[command(subcommand)]
     verb: Verb,

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut action send_goal`: sends a goal, prints its feedback and result, and cancels it on an interruption.
 
-use crate::asking::{Asking, full_name, polled};
+use crate::arguments::full_name;
+use crate::arguments::{WrittenMessage, type_and_values};
+use crate::call::{Caller, poll_future};
 use crate::completions;
-use crate::service::type_to_ask;
-use crate::values::{WrittenMessage, type_and_values};
+use crate::service::type_to_call;
 use crate::verb::{CommonArgs, End, Failure, Outcome, Waited};
 use clap::Args;
 use futures::channel::oneshot;
@@ -49,15 +50,15 @@ pub fn run(args: &SendGoalArgs, common: &CommonArgs) -> Outcome {
     let (end, domain, action) = (End::of(common)?, common.domain()?, full_name(&args.action));
     let (type_name, values) = type_and_values(&args.goal, "action");
     let graph = graph_of(domain)?;
-    let type_name = type_to_ask("action", &action, &super::actions(&graph), type_name)?;
+    let type_name = type_to_call("action", &action, &super::actions(&graph), type_name)?;
     let parts = Parts(&graph, &action, &type_name);
     let goal = WrittenMessage::new(&parts.goal()?, values)?.message;
-    let mut asking = Asking::new(domain, end)?;
-    let client = asking.node.create_action_client_untyped(&action, &type_name)?;
+    let mut caller = Caller::new(domain, end)?;
+    let client = caller.node.create_action_client_untyped(&action, &type_name)?;
     let shown = Shown { feedback: parts.feedback()?, result: parts.result()?, is_json: common.json };
     let (cancel, cancelled) = oneshot::channel();
     let pursuit = pursue(&client, goal.to_json_value(), args.feedback, cancelled, &shown);
-    let status = wait(&mut asking.end, &action, pursuit, cancel)?;
+    let status = wait(&mut caller.end, &action, pursuit, cancel)?;
     match status {
         GoalStatus::Succeeded => Ok(()),
         status => Err(Failure::no(format!("the goal was not reached: it is {status}"))),
@@ -71,15 +72,15 @@ fn wait(
     pursuit: impl Future<Output = Outcome<GoalStatus>>,
     cancel: oneshot::Sender<()>,
 ) -> Outcome<GoalStatus> {
-    let (mut look, mut cancel) = (polled(pursuit), Some(cancel));
+    let (mut pursuit, mut cancel) = (poll_future(pursuit), Some(cancel));
     loop {
         let what = || match cancel {
             Some(_) => format!("'{action}' to reach the goal"),
             None => format!("'{action}' to cancel the goal"),
         };
-        let why = match end.look(what, &mut look)? {
-            Waited::For(status) => return status,
-            Waited::InVain => "not reached in time",
+        let why = match end.try_wait(what, &mut pursuit)? {
+            Waited::Ready(status) => return status,
+            Waited::TimedOut => "not reached in time",
             Waited::Interrupted => "interrupted",
         };
         let Some(cancel) = cancel.take() else {

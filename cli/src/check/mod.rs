@@ -42,7 +42,7 @@ pub struct CheckArgs {
     /// Print also by how much the load, the overheads and each execution time may grow (a dozen analyses for each callback)
     #[arg(long)]
     sensitivity: bool,
-    /// Check it together with what runs in the domain
+    /// Check the file together with the running processes of the domain
     #[arg(long, conflicts_with = "sensitivity")]
     admit: bool,
     /// The domain [default: TAUT_DOMAIN, else ROS_DOMAIN_ID, else 0]

@@ -5,7 +5,8 @@
 //! yield no candidates.
 
 use super::{ASKED, Asked, paths};
-use crate::asking::{Asking, action_of, full_name, node_with, nodes_with};
+use crate::arguments::full_name;
+use crate::call::{Caller, action_of, node_serving, nodes_serving};
 use crate::component::MANAGER;
 use crate::msg::Finder;
 use crate::verb::{End, Outcome};
@@ -135,7 +136,7 @@ pub fn nodes() -> ArgValueCompleter {
 
 fn having(asked: &Asked, service: &str) -> Found {
     let Some(domain) = asked.line.domain() else { return Ok(None) };
-    Ok(Some(nodes_with(domain, service)?.into_iter().map(|node| (node, String::new())).collect()))
+    Ok(Some(nodes_serving(domain, service)?.into_iter().map(|node| (node, String::new())).collect()))
 }
 
 /// The nodes with parameter services.
@@ -258,9 +259,9 @@ pub fn interfaces() -> ArgValueCompleter {
 /// The response of a node's service, if it arrives in time.
 fn answer<T: Service>(asked: &Asked, node: &str, service: &str, request: T::Request) -> Found<T::Response> {
     let Some(domain) = asked.line.domain() else { return Ok(None) };
-    let node = node_with(domain, node, service, "")?;
-    let mut asking = Asking::new(domain, End::at(asked.since + PATIENCE)?)?;
-    asking.ask::<T>(&format!("{node}/{service}"), request).map(Some)
+    let node = node_serving(domain, node, service, "")?;
+    let mut caller = Caller::new(domain, End::at(asked.since + PATIENCE)?)?;
+    caller.call::<T>(&format!("{node}/{service}"), request).map(Some)
 }
 
 /// The parameters of the node on the line, requested from the node.

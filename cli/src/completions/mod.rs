@@ -38,7 +38,7 @@ const INDEX: &str = "_CLAP_COMPLETE_INDEX";
 const SEPARATOR: &str = "_CLAP_IFS";
 const SHELLS: Shells<'static> = Shells::builtins();
 
-/// Prints the script with which a shell completes what is typed after `taut`
+/// Prints the script with which a shell completes the arguments of `taut`
 ///
 /// It completes verbs, options, and the names that exist in the domain of --domain or of the environment: topics, nodes, services,
 /// actions, types, fields, transitions and parameters. Parameters are requested from their node, which has 60 ms to answer.

@@ -3,7 +3,7 @@
 
 use tautline_schema::{Base, Definition, Schema, Shape};
 
-/// No more than anybody reads.
+/// The maximum number of candidates.
 const MOST: usize = 1000;
 
 /// The paths that begin with `typed`, as `taut topic echo --field` reads them. Elements of lists are among them once there is a bracket.

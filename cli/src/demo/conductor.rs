@@ -111,7 +111,7 @@ fn conduct(
     let mut handled = 0;
     loop {
         if interrupted.load(Ordering::Relaxed) {
-            publisher.tell_to_end();
+            publisher.request_end();
         }
         while let Ok(line) = subscriber.lines.try_recv() {
             if let Line::Progress(messages) = line {
@@ -135,7 +135,7 @@ fn conduct(
     }
 }
 
-/// Measures what the machine takes from the core before the run, at a priority above all threads of the demo.
+/// Measures the interruptions of the core before the run, at a priority above all threads of the demo.
 fn watch_core(args: &DemoArgs, core: usize) -> Result<Interruptions, DemoError> {
     let thread = ThreadBuilder::new("noise")
         .policy(Policy::Fifo(application::PUBLISHER_SAMPLER_PRIORITY + 1))

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What kept jobs from the demo's core: the host, what the middleware used, and other threads, which are real-time threads, kernel
+//! The causes that kept jobs from the demo's core: the host, the middleware, and other threads, which are real-time threads, kernel
 //! threads, and ordinary ones in the share that Linux keeps for them.
 //!
 //! A waiting job waits for threads of the demo with higher priority, whose times are known, or for other threads. The part of a wait that

@@ -154,7 +154,7 @@ fn draw_topic(canvas: &Canvas, topic: &TopicReport, top: i32) -> Result<(), Plot
     }
 }
 
-/// Two texts above the plot: what the topic is, and what was found.
+/// The two texts above the plot: the topic, and its result.
 fn draw_heading(canvas: &Canvas, topic: &TopicReport, off_scale: u64, y: i32) -> Result<(), PlotError> {
     let name = shorten(&topic.topic, 20);
     let bold = text(13, INK, HPos::Left, VPos::Center).bold();

@@ -65,13 +65,13 @@ impl Process {
         }
     }
 
-    pub fn tell_to_end(&mut self) {
+    pub fn request_end(&mut self) {
         drop(self.child.stdin.take());
     }
 
     /// Ends the subscriber and returns its measurements.
     pub fn end(mut self) -> Result<Measured, DemoError> {
-        self.tell_to_end();
+        self.request_end();
         let give_up = clock::monotonic_ns() + PATIENCE.as_nanos() as u64;
         while clock::monotonic_ns() < give_up {
             match self.lines.recv_timeout(GLANCE) {
@@ -110,7 +110,7 @@ impl Process {
 
 impl Drop for Process {
     fn drop(&mut self) {
-        self.tell_to_end();
+        self.request_end();
         let _ = self.child.kill();
         let _ = self.child.wait();
     }

@@ -20,7 +20,7 @@ pub enum Line {
     Measured(Measured),
 }
 
-/// What the publisher did.
+/// The publisher's result.
 #[derive(Serialize, Deserialize, Debug, Default)]
 pub struct Published {
     /// Messages published.
@@ -33,7 +33,7 @@ pub struct Published {
     pub seen: Collected,
 }
 
-/// What the subscriber measured.
+/// The subscriber's measurements.
 #[derive(Serialize, Deserialize, Debug, Default)]
 pub struct Measured {
     /// CPU time of the process beyond the callbacks' own, in nanoseconds.
@@ -64,7 +64,7 @@ impl Job {
     }
 }
 
-/// What was measured on one topic.
+/// The measurements of one topic.
 #[derive(Serialize, Deserialize, Debug, Default)]
 pub struct TopicMeasured {
     pub jobs: Vec<Job>,
@@ -81,7 +81,7 @@ pub fn say(line: &Line) {
 }
 
 /// Calls `then` when standard input is closed. An ordinary thread that sleeps until then.
-pub fn when_told_to_end(then: impl FnOnce() + Send + 'static) {
+pub fn on_end_request(then: impl FnOnce() + Send + 'static) {
     std::thread::spawn(move || {
         let _ = std::io::copy(&mut std::io::stdin().lock(), &mut std::io::sink());
         then();

@@ -46,7 +46,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     };
     {
         let context = context.clone();
-        protocol::when_told_to_end(move || context.shutdown());
+        protocol::on_end_request(move || context.shutdown());
     }
     let collector = MomentCollector::new(&context, elsewhere, [&worker], || {});
     let cpu_before_ns = clock::process_cpu_ns();

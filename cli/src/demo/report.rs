@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a demo run found: the data, its JSON, and in `text` and `details` what a person reads.
+//! The report of a demo run: the data and its JSON here, the printed text in `text` and `details`.
 
 use std::io::{self, Write};
 use std::time::Duration;
@@ -84,16 +84,16 @@ pub struct TopicReport {
     pub deadline_misses: u64,
     /// Messages overwritten before their callback took them.
     pub lost: u64,
-    /// Most messages waiting at once.
+    /// The maximum number of waiting messages.
     pub max_queue: u64,
-    /// Latest end wanted, relative to the scheduled release.
+    /// The deadline, relative to the scheduled release.
     pub deadline_ms: f64,
-    /// Predicted worst case with what the host took in this run besides; `None` (null) if there is no bound.
+    /// The predicted worst case including the time that the host took in this run; `None` (null) if there is no bound.
     pub rta_host_ms: Option<f64>,
     /// Response times above `rta_overhead_ms`.
     pub beyond: u64,
-    /// Those of them that what the host and other threads took and the middleware used before their ends does not explain to 0.1 ms:
-    /// defects.
+    /// Those of them that are defects: the time of the host, of other threads and of the middleware before their ends does not explain them
+    /// to 0.1 ms.
     pub unexplained: u64,
     /// The longest of these, unexplained ones first; `None` (null) if there is none.
     pub worst: Option<Worst>,
@@ -105,21 +105,22 @@ pub struct TopicReport {
 /// A response above the prediction.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Worst {
-    /// How long it was.
+    /// The response time.
     pub response_ms: f64,
-    /// What the host took while it lasted.
+    /// The time that the host took during the response.
     pub host_took_ms: f64,
-    /// What other threads than the demo's had of the core while it lasted.
+    /// The time of the core that threads outside the demo had during the response.
     pub others_had_ms: f64,
-    /// What the middleware used while it lasted, for any message, and this callback and those above beyond their wcet.
+    /// The time of the middleware during the response, for any message, and the time that this callback and those above it used beyond
+    /// their wcet.
     pub middleware_used_ms: f64,
-    /// What the prediction allows with all of that before its end; `None` (null) if that is too much for any.
+    /// The predicted bound with all of these times; `None` (null) if there is no bound then.
     pub allowed_ms: Option<f64>,
 }
 
 const NOT_MIDDLEWARE: &[Seen] = &[Seen::Running, Seen::WokenLate, Seen::Waited];
 
-/// What was measured on one topic.
+/// The measurements of one topic.
 #[derive(Debug, Clone)]
 pub struct TopicRun {
     /// Name, period, execution time, deadline and priority of the callback.
@@ -130,40 +131,39 @@ pub struct TopicRun {
     pub latencies_ns: Vec<u64>,
     /// Messages overwritten before their callback took them.
     pub lost: u64,
-    /// Most messages waiting at once.
+    /// The maximum number of waiting messages.
     pub max_queue: u64,
-    /// What the host took of the core, what other threads had of it, and what the middleware used, which is on an average
-    /// [`Costs::per_message`].
+    /// The time of the core that the host, other threads and the middleware had. The middleware's mean is [`Costs::per_message`].
     pub lost_time: TakenTimes,
 }
 
 /// Worst-case response times in nanoseconds; `None` where the core is overloaded.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Prediction {
-    /// On a machine that costs nothing.
+    /// Without any costs of the machine.
     pub rta_ns: Option<u64>,
-    /// With the middleware's work for each message.
+    /// Including the middleware's work for each message.
     pub rta_overhead_ns: Option<u64>,
-    /// With what the host took besides.
+    /// Including also the time that the host took.
     pub rta_host_ns: Option<u64>,
 }
 
-/// What the machine costs besides the callbacks, as measured in the run.
+/// The measured costs of the machine and the middleware.
 #[derive(Debug, Clone, Default)]
 pub struct Costs {
     /// Middleware work for each message of any topic, charged at the highest priority.
     pub per_message: Duration,
     /// Interrupts, kernel and hypervisor: the regular ones as a task above all others, the longest of them as blocking.
     pub interruptions: Interruptions,
-    /// What the host took from the core during the run.
+    /// The time that the host took from the core during the run.
     pub taken: TakenTimes,
 }
 
-/// The tasks, and what each costs besides.
+/// The tasks with their additional costs.
 struct Loaded {
-    /// With what is to be expected of interruptions: the regular ones as a task above all others.
+    /// With the expected interruptions: the regular ones are a task above all others.
     expected: Vec<Task>,
-    /// Without: what was taken from callbacks in the run is known, and only what they could not see is expected, the longest regular one.
+    /// With the longest regular interruption only, because the time that callbacks lost in the run is known.
     seen: Vec<Task>,
     overheads: Overheads,
 }
@@ -183,20 +183,20 @@ impl Loaded {
         Some(response.ok()?.response_ns)
     }
 
-    /// The bound of a task if a window loses no more than this; no less than what was to be expected.
+    /// The bound of a task if a window loses at most `taken_within`; at least the bound with the expected interruptions.
     fn host_bound_ns(&self, index: usize, taken_within: impl Fn(u64) -> u64) -> Option<u64> {
         let response = response_time_with(&self.seen, &self.overheads, index, taken_within);
         Some(response.ok()?.response_ns.max(self.bound_ns(index)?))
     }
 
-    /// The same, where what the window loses has in it what the middleware used, in place of its mean.
+    /// As [`host_bound_ns`](Self::host_bound_ns), but `lost_within` includes the middleware's measured time instead of its mean.
     fn allowed_ns(&self, index: usize, lost_within: impl Fn(u64) -> u64) -> Option<u64> {
         let response = response_time_with(&self.seen, &Overheads::NONE, index, lost_within);
         Some(response.ok()?.response_ns)
     }
 }
 
-/// Predicts every task's response time, on a machine that costs nothing and on one that costs `costs`.
+/// Predicts every task's response time, without costs of the machine and with `costs`.
 pub fn predict(tasks: &[Task], costs: &Costs) -> Vec<Prediction> {
     let (ideal, real) = (Loaded::new(tasks, &Costs::default()), Loaded::new(tasks, costs));
     let prediction = |index| Prediction {
@@ -240,7 +240,7 @@ impl TopicReport {
         self.n == 0 || self.deadline_misses > 0 || self.lost > 0
     }
 
-    /// The longest response as a share of what the prediction allows, with what others took before it; `None` without a bound.
+    /// The longest response as a share of its bound, which includes the time that others took; `None` without a bound.
     fn share_of_bound(&self) -> Option<f64> {
         let (longest_ms, bound_ms) = match self.worst {
             Some(worst) => (worst.response_ms, worst.allowed_ms? + ms(ACCOUNTED_TO_NS)),
@@ -249,7 +249,7 @@ impl TopicReport {
         Some(longest_ms / bound_ms)
     }
 
-    /// A text about the responses above the prediction, if any, and about what took the core during the worst of them.
+    /// A text about the responses above the prediction, if any, and about the threads that had the core during the worst of them.
     fn beyond_prediction(&self) -> Option<String> {
         let (worst, predicted) = (self.worst?, self.rta_overhead_ms?);
         let count = if self.unexplained > 0 { self.unexplained } else { self.beyond };

@@ -45,7 +45,7 @@ pub fn run(args: &DemoArgs) -> Result<(), DemoError> {
     }
     {
         let context = context.clone();
-        protocol::when_told_to_end(move || context.shutdown());
+        protocol::on_end_request(move || context.shutdown());
     }
     let logs: Vec<_> = callbacks.iter().map(|callback| callback.log.clone()).collect();
     let collector = MomentCollector::new(
@@ -110,10 +110,10 @@ impl Log {
     fn note(&self, release_ns: u64, [before, begin, end]: [&CoreMark; 3]) {
         let index = self.count.load(Ordering::Relaxed);
         if let Some(entry) = self.entries.get(index) {
-            // What it waited until it began is before that, and since the release: the rest the thread had waited before it slept.
+            // The wait before the job's beginning counts from its release at most: the thread waited the rest before it slept.
             let waited_ns = before.waited_until(begin).unwrap_or(0);
             let ready_ns = begin.from_ns.saturating_sub(waited_ns).max(release_ns).min(begin.from_ns);
-            // What happens while a mark is read is in the job.
+            // The time of reading a mark belongs to the job.
             let waited_ns = begin.from_ns - ready_ns + begin.waited_until(end).unwrap_or(0);
             for (word, value) in entry.iter().zip([release_ns, ready_ns, begin.from_ns, end.to_ns, waited_ns])
             {

@@ -3,7 +3,7 @@
 
 use super::finding::{Finding, Verdict, size};
 use super::host::Tree;
-use crate::fits;
+use crate::compatibility;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -19,7 +19,7 @@ const LEAST_BYTES: u64 = 6 << 20;
 
 /// All findings about a domain; `tree` contains the size of its shared memory.
 pub fn findings(tree: &Tree, domain: u32) -> Vec<Finding> {
-    let mut findings = match look(domain) {
+    let mut findings = match read_graph(domain) {
         Ok((graph, left_out)) => {
             let mut findings = versions(&left_out);
             findings.extend(one_or_good("node names", names(&graph), || {
@@ -39,7 +39,7 @@ pub fn findings(tree: &Tree, domain: u32) -> Vec<Finding> {
     findings
 }
 
-fn look(domain: u32) -> Result<(std::sync::Arc<GraphSnapshot>, Vec<TransportError>), TransportError> {
+fn read_graph(domain: u32) -> Result<(std::sync::Arc<GraphSnapshot>, Vec<TransportError>), TransportError> {
     let mut visitor = Visitor::new(domain)?;
     let graph = visitor.graph()?;
     Ok((graph, visitor.left_out()))
@@ -77,8 +77,12 @@ fn names(graph: &GraphSnapshot) -> Vec<Finding> {
 /// Incompatible publishers and subscriptions, by topic and reason.
 fn mismatches(graph: &GraphSnapshot) -> Vec<Finding> {
     let mut pairs: BTreeMap<(&str, String), BTreeSet<String>> = BTreeMap::new();
-    for found in fits::mismatches(graph) {
-        let pair = format!("{} -> {}", fits::label(found.publisher), fits::label(found.subscription));
+    for found in compatibility::mismatches(graph) {
+        let pair = format!(
+            "{} -> {}",
+            compatibility::label(found.publisher),
+            compatibility::label(found.subscription)
+        );
         pairs.entry((&found.publisher.topic, found.reason())).or_default().insert(pair);
     }
     let bad = |((topic, reason), pairs): ((&str, String), BTreeSet<String>)| {

@@ -33,7 +33,7 @@ impl Tree {
 
     /// A file's text, without white space around it.
     pub fn read(&self, path: &str) -> Result<String, String> {
-        let text = fs::read(self.path(path)).map_err(|error| told(path, &error))?;
+        let text = fs::read(self.path(path)).map_err(|error| unreadable(path, &error))?;
         Ok(String::from_utf8_lossy(&text).trim().to_owned())
     }
 
@@ -58,7 +58,7 @@ impl Tree {
 
     /// The names in a folder, sorted.
     pub fn list(&self, path: &str) -> Result<Vec<String>, String> {
-        let entries = fs::read_dir(self.path(path)).map_err(|error| told(path, &error))?;
+        let entries = fs::read_dir(self.path(path)).map_err(|error| unreadable(path, &error))?;
         let mut names: Vec<String> =
             entries.flatten().map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
         names.sort();
@@ -66,7 +66,7 @@ impl Tree {
     }
 }
 
-fn told(path: &str, error: &io::Error) -> String {
+fn unreadable(path: &str, error: &io::Error) -> String {
     // Without the number, and without the path of a copy.
     let text = error.to_string();
     format!("{path}: {}", text.split(" (os error").next().unwrap_or_default())

@@ -38,7 +38,7 @@ use tautline::CoreSet;
   taut doctor --fix-script > fix.sh     to read, change and run
   taut doctor --json | jq '.findings[] | select(.verdict == \"bad\")'
 
-Exit codes: 0 all is well, 1 something is bad or unknown, 2 what was given cannot be used.")]
+Exit codes: 0 all is well, 1 something is bad or unknown, 2 the arguments cannot be used.")]
 pub struct DoctorArgs {
     /// The cores of real-time threads, such as 2-3,5 [default: those of the system file, else isolated ones, else all]
     #[arg(long, value_name = "LIST", value_parser = cores)]

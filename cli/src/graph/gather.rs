@@ -2,9 +2,10 @@
 //! Selects the part of a domain to draw.
 
 use super::picture::{Edge, EdgeKind, Mismatch, Node, Picture, Rate, Topic, TopicKind};
-use crate::asking::{action_of, full_name};
-use crate::counts::Rates;
-use crate::fits;
+use crate::arguments::full_name;
+use crate::call::action_of;
+use crate::compatibility;
+use crate::rates::Rates;
 use crate::table::place;
 use crate::topic::info::qos_line;
 use crate::topic::tap;
@@ -56,7 +57,7 @@ pub fn gather(
         return Err(tap::unknown(graph, topic));
     }
 
-    let mismatches = fits::mismatches(graph);
+    let mismatches = compatibility::mismatches(graph);
     let mut ends: Vec<End> = topic_ends(graph, rates.map(|(rates, _)| rates), &mismatches);
     if wanted.services {
         ends.extend(service_ends(graph));
@@ -87,8 +88,8 @@ pub fn gather(
     let keys: BTreeSet<&(TopicKind, String)> = ends.iter().map(|end| &end.key).collect();
     let found = mismatches.iter().map(|found| Mismatch {
         topic: found.publisher.topic.clone(),
-        publisher: fits::label(found.publisher),
-        subscription: fits::label(found.subscription),
+        publisher: compatibility::label(found.publisher),
+        subscription: compatibility::label(found.subscription),
         reason: found.reason(),
     });
     let found = found.filter(|found| keys.contains(&(TopicKind::Topic, found.topic.clone())));
@@ -108,7 +109,11 @@ fn of_node(name: Option<&NodeName>, pid: Option<u32>, origin: &Origin) -> Node {
     Node { name: name.map(NodeName::full_name), pid, place: place(origin).map(str::to_owned) }
 }
 
-fn topic_ends(graph: &GraphSnapshot, rates: Option<&Rates>, mismatches: &[fits::Mismatch]) -> Vec<End> {
+fn topic_ends(
+    graph: &GraphSnapshot,
+    rates: Option<&Rates>,
+    mismatches: &[compatibility::Mismatch],
+) -> Vec<End> {
     let mut problems: BTreeMap<Gid, BTreeSet<String>> = BTreeMap::new();
     for found in mismatches {
         problems.entry(found.subscription.gid).or_default().insert(found.words());

@@ -12,7 +12,7 @@ mod svg;
 mod text;
 
 use crate::completions;
-use crate::counts::Counts;
+use crate::rates::RateMeter;
 use crate::verb::{CommonArgs, Failure, Outcome, time};
 use bounds::Running;
 use clap::{Args, ValueEnum};
@@ -41,7 +41,7 @@ use tautline_transport::Visitor;
   taut graph --system system.toml -o robot.svg
   taut graph --json | jq '.edges[] | select(.problem)'
 
-Exit codes: 0 done, 1 there is no such node or topic, 2 what was given cannot be used.")]
+Exit codes: 0 done, 1 there is no such node or topic, 2 the arguments cannot be used.")]
 pub struct GraphArgs {
     #[command(flatten)]
     common: CommonArgs,
@@ -107,7 +107,7 @@ impl Format {
 pub fn run(args: &GraphArgs) -> Outcome {
     let format = format_of(args)?;
     let checked = args.system.as_deref().map(read).transpose()?;
-    let picture = look(args, checked.as_ref())?;
+    let picture = gather_picture(args, checked.as_ref())?;
     let written = format.write(&picture);
     if format == Format::Mermaid && (picture.edges.len() > 500 || written.len() > 50_000) {
         eprintln!(
@@ -160,7 +160,7 @@ fn read(path: &Path) -> Outcome<CheckedSystem> {
     }
 }
 
-fn look(args: &GraphArgs, checked: Option<&CheckedSystem>) -> Outcome<Picture> {
+fn gather_picture(args: &GraphArgs, checked: Option<&CheckedSystem>) -> Outcome<Picture> {
     let domain = args.common.domain()?;
     let wanted = Wanted {
         node: args.node.as_deref(),
@@ -168,13 +168,13 @@ fn look(args: &GraphArgs, checked: Option<&CheckedSystem>) -> Outcome<Picture> {
         services: args.services,
         all: args.all,
     };
-    let (mut visitor, mut counts) = (Visitor::new(domain)?, Counts::default());
+    let (mut visitor, mut meter) = (Visitor::new(domain)?, RateMeter::default());
     let mut graph = visitor.graph()?;
     let mut rates = None;
     if !args.rates.is_zero() {
         // An unknown name is an error at once.
         gather::gather(domain, &graph, None, &wanted)?;
-        counts.look(&mut visitor, &graph)?;
+        meter.measure(&mut visitor, &graph)?;
         let start = Instant::now();
         let time = args.common.timeout().map_or(args.rates, |timeout| timeout.min(args.rates));
         if time > Duration::from_secs(1) {
@@ -184,7 +184,7 @@ fn look(args: &GraphArgs, checked: Option<&CheckedSystem>) -> Outcome<Picture> {
         std::thread::sleep(time);
         graph = visitor.graph()?;
         let seconds = start.elapsed().as_secs_f64();
-        rates = Some((counts.look(&mut visitor, &graph)?, seconds));
+        rates = Some((meter.measure(&mut visitor, &graph)?, seconds));
     }
     let rates = rates.as_ref().map(|(rates, seconds)| (rates, *seconds));
     let mut picture = gather::gather(domain, &graph, rates, &wanted)?;

@@ -4,7 +4,8 @@
 mod file;
 mod value;
 
-use crate::asking::{Asking, full_name, no_answer, node_with, nodes_with};
+use crate::arguments::full_name;
+use crate::call::{Caller, no_response, node_serving, nodes_serving};
 use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, Subcommand};
@@ -34,7 +35,7 @@ const LIST: &str = "list_parameters";
   taut param dump /controller > controller.yaml
   taut param load /controller controller.yaml
 
-Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
 pub struct ParamArgs {
     #[command(subcommand)]
     verb: Verb,
@@ -174,17 +175,17 @@ fn print_json(json: &Value) -> Outcome {
 
 fn list_all(common: &CommonArgs) -> Outcome {
     let (end, domain) = (End::within(PATIENCE_OF_ALL, common)?, common.domain()?);
-    let nodes = nodes_with(domain, LIST)?;
-    let mut asking = Asking::new(domain, end)?;
+    let nodes = nodes_serving(domain, LIST)?;
+    let mut caller = Caller::new(domain, end)?;
     let all = ListParameters::Request::default;
     let requests = nodes.iter().map(|node| (format!("{node}/{LIST}"), all())).collect();
-    let answers = asking.ask_all::<ListParameters::Service>(requests)?;
+    let answers = caller.call_all::<ListParameters::Service>(requests)?;
     let (mut listed, mut silent, mut out) = (Vec::new(), 0, crate::print::stdout());
     for (node, answer) in nodes.iter().zip(answers) {
         let names = answer.map(|answer| sorted(answer.result.names));
         if let Err(error) = &names {
             silent += 1;
-            eprintln!("taut: {node}: {}", no_answer(error));
+            eprintln!("taut: {node}: {}", no_response(error));
         }
         let names = names.ok();
         if common.json {
@@ -211,7 +212,7 @@ fn sorted(mut names: Vec<String>) -> Vec<String> {
 fn describe(common: &CommonArgs, node: &mut Node, names: Vec<String>) -> Outcome {
     let names = if names.is_empty() { node.names()? } else { names };
     let request = DescribeParameters::Request { names: names.clone() };
-    let mut told = node.ask::<DescribeParameters::Service>("describe_parameters", request)?.descriptors;
+    let mut told = node.call::<DescribeParameters::Service>("describe_parameters", request)?.descriptors;
     // Nodes of rclcpp return nothing for parameters that do not exist.
     told.resize_with(names.len(), ParameterDescriptor::default);
     for (name, told) in names.iter().zip(&told) {
@@ -290,22 +291,22 @@ impl Set {
 /// A node whose parameters are requested.
 struct Node {
     name: String,
-    asking: Asking,
+    caller: Caller,
 }
 
 impl Node {
     fn find(common: &CommonArgs, node: &str) -> Outcome<Self> {
         let (end, domain) = (End::within(PATIENCE, common)?, common.domain()?);
-        let name = node_with(domain, node, LIST, "does not serve its parameters")?;
-        Ok(Node { name, asking: Asking::new(domain, end)? })
+        let name = node_serving(domain, node, LIST, "does not serve its parameters")?;
+        Ok(Node { name, caller: Caller::new(domain, end)? })
     }
 
-    fn ask<T: tautline::Service>(&mut self, service: &str, request: T::Request) -> Outcome<T::Response> {
-        self.asking.ask::<T>(&format!("{}/{service}", self.name), request)
+    fn call<T: tautline::Service>(&mut self, service: &str, request: T::Request) -> Outcome<T::Response> {
+        self.caller.call::<T>(&format!("{}/{service}", self.name), request)
     }
 
     fn names(&mut self) -> Outcome<Vec<String>> {
-        let listed = self.ask::<ListParameters::Service>(LIST, ListParameters::Request::default())?;
+        let listed = self.call::<ListParameters::Service>(LIST, ListParameters::Request::default())?;
         Ok(sorted(listed.result.names))
     }
 
@@ -313,7 +314,7 @@ impl Node {
     fn get(&mut self, names: Vec<String>) -> Outcome<Vec<ParameterValue>> {
         let count = names.len();
         let request = GetParameters::Request { names };
-        let mut values = self.ask::<GetParameters::Service>("get_parameters", request)?.values;
+        let mut values = self.call::<GetParameters::Service>("get_parameters", request)?.values;
         // If one parameter is missing, nodes of rclcpp return none.
         values.resize_with(count, Default::default);
         Ok(values.into_iter().map(ParameterValue::try_from).collect::<Result<_, _>>()?)
@@ -323,7 +324,7 @@ impl Node {
         let message =
             |(name, value): &(String, ParameterValue)| Parameter { name: name.clone(), value: value.into() };
         let request = SetParameters::Request { parameters: parameters.iter().map(message).collect() };
-        let results = self.ask::<SetParameters::Service>("set_parameters", request)?.results;
+        let results = self.call::<SetParameters::Service>("set_parameters", request)?.results;
         let set = parameters.iter().zip(results).map(|((name, _), result)| Set {
             node: self.name.clone(),
             name: name.clone(),

@@ -51,7 +51,7 @@ pub struct Longest {
     pub taken_ns: u64,
     /// Time that jobs used beyond their wcet.
     pub overran_ns: u64,
-    /// Time that threads waited for the core, beyond what other callbacks may have had.
+    /// The time that threads waited for the core, less the time that other callbacks may have had it.
     pub waited_ns: u64,
 }
 

@@ -180,7 +180,7 @@ fn report_running(args: &ReportArgs) -> Result<bool, ReportError> {
     if args.watch {
         processes.wait_for_one(&end)?;
     }
-    processes.look()?;
+    processes.refresh()?;
     let path = match &args.file {
         Some(path) => path.clone(),
         None => processes.system_path()?,
@@ -193,7 +193,7 @@ fn report_running(args: &ReportArgs) -> Result<bool, ReportError> {
         let shown = last || args.common.json || io::stdout().is_terminal();
         let kept = if shown { print(args, &system, &run, args.watch)? } else { true };
         if last {
-            processes.tell_killed();
+            processes.print_killed();
             if let Some(path) = &args.save {
                 run.save(path)?;
                 eprintln!("Saved: {0}; `taut report {0}` shows it again.", path.display());
@@ -201,7 +201,7 @@ fn report_running(args: &ReportArgs) -> Result<bool, ReportError> {
             return Ok(kept);
         }
         end.pause(REFRESH);
-        processes.look()?;
+        processes.refresh()?;
     }
 }
 
@@ -262,7 +262,7 @@ fn print_wcets(
     } else {
         fits.write(&mut out)?;
         if let Some((changes, schedulable)) = &written {
-            tell_changes(&run.system_path, changes, *schedulable, &mut out)?;
+            print_changes(&run.system_path, changes, *schedulable, &mut out)?;
         }
     }
     out.flush()?;
@@ -273,7 +273,7 @@ fn print_wcets(
     })
 }
 
-fn tell_changes(path: &Path, changes: &[String], schedulable: bool, out: &mut impl Write) -> io::Result<()> {
+fn print_changes(path: &Path, changes: &[String], schedulable: bool, out: &mut impl Write) -> io::Result<()> {
     match changes {
         [] => writeln!(out, "{} states enough: nothing is changed.", path.display())?,
         _ => writeln!(out, "{} is changed:", path.display())?,

@@ -55,7 +55,7 @@ pub struct ChainRow {
     pub callbacks: Vec<String>,
     /// The sum of the callbacks' longest responses.
     pub longest_ns: u64,
-    /// The sum of the callbacks' bounds with what the host took; `None` if no process accounts for core time.
+    /// The sum of the callbacks' bounds including the time that the host took; `None` if no process accounts for core time.
     pub host_ns: Option<u64>,
 }
 

@@ -28,7 +28,7 @@ impl ObservedProcesses {
     }
 
     /// Adds new processes.
-    pub fn look(&mut self) -> Result<(), ReportError> {
+    pub fn refresh(&mut self) -> Result<(), ReportError> {
         let (found, killed) = tautline::shared_statistics(self.domain).map_err(ReportError::Domain)?;
         self.killed += killed;
         for process in found {
@@ -50,11 +50,11 @@ impl ObservedProcesses {
 
     /// Waits until there is a process.
     pub fn wait_for_one(&mut self, end: &End) -> Result<(), ReportError> {
-        self.look()?;
+        self.refresh()?;
         while self.processes.is_empty() && !end.is_reached() {
-            end.say_once(|| format!("a process with a system file in domain {}", self.domain));
+            end.print_waiting_once(|| format!("a process with a system file in domain {}", self.domain));
             end.pause(Duration::from_millis(200));
-            self.look()?;
+            self.refresh()?;
         }
         Ok(())
     }
@@ -99,7 +99,7 @@ impl ObservedProcesses {
     }
 
     /// Prints which files were removed.
-    pub fn tell_killed(&self) {
+    pub fn print_killed(&self) {
         if self.killed > 0 {
             eprintln!("Of the processes, {}.", killed_text(self.killed));
         }

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut service call`: sends a request and prints the response.
 
-use super::named::type_to_ask;
-use crate::asking::{Asking, full_name};
+use super::named::type_to_call;
+use crate::arguments::full_name;
+use crate::arguments::{WrittenMessage, type_and_values};
+use crate::call::Caller;
 use crate::completions;
-use crate::values::{WrittenMessage, type_and_values};
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::Args;
 use std::io::Write;
@@ -35,12 +36,12 @@ pub fn run(args: &CallArgs, common: &CommonArgs) -> Outcome {
     let (end, domain, service) = (End::of(common)?, common.domain()?, full_name(&args.service));
     let (type_name, values) = type_and_values(&args.request, "srv");
     let graph = graph_of(domain)?;
-    let type_name = type_to_ask("service", &service, &super::services(&graph), type_name)?;
-    let mut asking = Asking::new(domain, end)?;
-    let client = asking.node.create_client_untyped(&service, &type_name)?;
+    let type_name = type_to_call("service", &service, &super::services(&graph), type_name)?;
+    let mut caller = Caller::new(domain, end)?;
+    let client = caller.node.create_client_untyped(&service, &type_name)?;
     let (request, response) = client.definitions();
     let request = Json(WrittenMessage::new(request, values)?.message.to_json_value());
-    let answer = asking.wait(|| format!("'{service}' to answer"), async {
+    let answer = caller.wait(|| format!("'{service}' to answer"), async {
         client.wait_for_service()?.await?;
         client.request(&request)?.await
     })?;

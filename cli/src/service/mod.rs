@@ -4,12 +4,12 @@
 mod call;
 mod named;
 
-use crate::asking::full_name;
+use crate::arguments::full_name;
+use crate::arguments::full_type;
 use crate::completions;
-use crate::values::full_type;
 use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::{Args, Subcommand};
-pub use named::{Named, named, type_to_ask};
+pub use named::{Named, named, type_to_call};
 use serde_json::Value;
 use std::io::Write;
 use tautline::GraphSnapshot;
@@ -27,7 +27,7 @@ use tautline_transport::graph_of;
   taut service find std_srvs/srv/Trigger
   taut service call /lights '{data: true}'
 
-Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
 pub struct ServiceArgs {
     #[command(subcommand)]
     verb: Verb,

@@ -28,7 +28,7 @@ pub fn named<'g>(
 }
 
 /// The type to call with: that of the servers. If the user named a type, it must be one of theirs.
-pub fn type_to_ask(kind: &str, name: &str, all: &[Named], said: Option<String>) -> Outcome<String> {
+pub fn type_to_call(kind: &str, name: &str, all: &[Named], said: Option<String>) -> Outcome<String> {
     let served = all.iter().filter(|one| one.count(ServiceKind::Server) > 0);
     let types: Vec<&str> = served.clone().filter(|one| one.name == name).map(|one| one.type_name).collect();
     match (types.as_slice(), said) {

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut topic delay`: how old messages are when they are published, and when they are taken.
+//! `taut topic delay`: the ages of messages at their publication, and the time until they are taken.
 
 use super::sim_clock::SimClock;
 use super::tap::{POLL, ends, wait_for_type};
-use crate::asking::full_name;
+use crate::arguments::full_name;
 use crate::completions;
 use crate::table::write_table;
 use crate::times::Times;
@@ -20,7 +20,7 @@ use tautline_rt::{Policy, set_policy};
 use tautline_schema::{DynamicMessage, Endian, Schema};
 use tautline_transport::{Durability, Gid, Limits, Participant, Qos, Reliability, TakeError, TopicType};
 
-/// Prints how old messages are: from their stamp to their publication, and from there until they are taken here
+/// Prints the time from each message's stamp to its publication, and from there until it is taken here
 ///
 /// Subscribes as a node does: publishers wake this command for each message. The stamp is the field header.stamp, or stamp, by the
 /// system's clock, or with --sim-time by /clock.
@@ -28,18 +28,18 @@ use tautline_transport::{Durability, Gid, Limits, Participant, Qos, Reliability,
 #[command(after_help = "Examples:
   taut topic delay /scan
   taut topic delay /scan --priority 80         taken by a thread with SCHED_FIFO
-  taut topic delay /scan --max 5ms --timeout 10s   exits with 1 if one was older when it was taken")]
+  taut topic delay /scan --max 5ms --timeout 10s   exits with 1 if a message was taken later")]
 pub struct DelayArgs {
     /// The topic; waited for if it does not exist
     #[arg(value_name = "TOPIC", add = completions::topics())]
     topic: String,
-    /// How often is printed
+    /// Interval between outputs
     #[arg(long, value_name = "TIME", default_value = "1s", value_parser = time)]
     every: Duration,
     /// Take with this priority of SCHED_FIFO
     #[arg(long, value_name = "1..99", value_parser = clap::value_parser!(u8).range(1..=99))]
     priority: Option<u8>,
-    /// Exit with 1 if a message was published longer ago when it was taken
+    /// Exit with 1 if a message was taken later than this after its publication
     #[arg(long, value_name = "TIME", value_parser = time)]
     max: Option<Duration>,
     /// Compare stamps with the time of /clock, whose period is the resolution
@@ -47,14 +47,14 @@ pub struct DelayArgs {
     sim_time: bool,
 }
 
-/// How old one publisher's messages are.
+/// The delays of one publisher's messages.
 struct Ages {
     label: String,
-    /// From their stamp, of those that have one, to their publication.
+    /// Times from the stamp, of messages that have one, to the publication.
     published: Times,
-    /// From their publication on this host until they were taken.
+    /// Times from the publication on this host until the message was taken.
     taken: Times,
-    /// Stamps that are later than the publication.
+    /// The number of stamps that are later than the publication.
     ahead: u64,
 }
 
@@ -75,7 +75,7 @@ impl Ages {
     }
 }
 
-/// When a message says that it was made, in ns since 1970.
+/// The stamp of a message, in ns since 1970.
 fn stamp_of(schema: &Arc<Schema>, body: &[u8]) -> Option<i64> {
     let message = DynamicMessage::from_body(schema, body, Endian::Little).ok()?;
     let number =
@@ -103,11 +103,11 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
     let limits = Limits { held: 1, ..Limits::default() };
     let subscription =
         participant.for_node(&node).create_raw_subscription(&topic, &topic_type, qos, limits)?;
-    // Without the definition there are no stamps, and still the way through this host.
+    // Without the definition, only the time through this host is measured.
     let schema =
         topic_type.name.parse().ok().and_then(|name| find_schema(&topic, &name, Some(&topic_type)).ok());
     if schema.is_none() {
-        eprintln!("taut: the definition of {} is not known, so stamps are not seen", topic_type.name);
+        eprintln!("taut: the definition of {} is not known: its stamps cannot be read", topic_type.name);
     }
     let mut clock = SimClock::new(domain)?;
     if args.sim_time {
@@ -168,7 +168,7 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
                     })
                 )?;
             } else if all.is_empty() {
-                end.say_once(|| format!("a message on '{topic}'"));
+                end.print_waiting_once(|| format!("a message on '{topic}'"));
             } else {
                 let head =
                     ["publisher", "stamp-pub p50 ms", "p99", "max", "pub-take p50 ms", "p99", "max", "n"];
@@ -180,7 +180,7 @@ pub fn run(args: &DelayArgs, common: &CommonArgs) -> Outcome {
         if is_last {
             break;
         }
-        // The maximum time until a signal is handled; nothing rings for a message of /clock.
+        // The maximum time until a signal is handled; messages of /clock wake no observer.
         let patience = if args.sim_time { POLL } else { Duration::from_millis(50) };
         let patience = patience.min(end.left().unwrap_or(Duration::MAX));
         seat.sleep(Some(monotonic_ns() + nanoseconds(patience)));

@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut topic echo`: messages as they come.
+//! `taut topic echo`: prints messages.
 
 use super::filter::Filter;
 use super::tap::{POLL, Tap, wait_for_type};
-use crate::asking::full_name;
+use crate::arguments::full_name;
 use crate::completions;
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::Args;
 use std::io::Write;
 use tautline_schema::{DynamicMessage, EchoForm, Endian, Value};
 
-/// Prints the messages of a topic as they come
+/// Prints the messages of a topic
 ///
-/// Publishers on this host do not notice. Those of other hosts see a subscription, for without one nothing is sent over the
-/// network. What came faster than it was printed is said at the end.
+/// Publishers on this host are not disturbed. Those on other hosts see a subscription, because messages of a topic without one are not
+/// sent over the network. Messages that were overwritten before they were printed are counted at the end.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut topic echo /joint_states                 as ros2 topic echo, until Ctrl-C
@@ -35,16 +35,16 @@ pub struct EchoArgs {
     /// Print the messages for which a result of this jq program is neither false nor null
     #[arg(long, value_name = "JQ")]
     filter: Option<String>,
-    /// Say arrays and sequences by their type and length
+    /// Print only type and length of arrays and sequences
     #[arg(long)]
     no_arr: bool,
-    /// Say texts by their length
+    /// Print only the length of strings
     #[arg(long)]
     no_str: bool,
     /// Print all elements and characters, instead of the first 128
     #[arg(long, short = 'f')]
     full_length: bool,
-    /// Print the values in a line, with commas
+    /// Print the values of a message in one line, separated by commas
     #[arg(long, conflicts_with = "json")]
     csv: bool,
     /// Print the bytes of CDR, in hexadecimal, as `taut msg decode --hex` reads them
@@ -67,7 +67,7 @@ pub fn run(args: &EchoArgs, common: &CommonArgs) -> Outcome {
                 break;
             }
             if printed == 0 {
-                end.say_once(|| format!("a message on '{topic}'"));
+                end.print_waiting_once(|| format!("a message on '{topic}'"));
             }
             end.pause(POLL);
             continue;
@@ -81,7 +81,7 @@ pub fn run(args: &EchoArgs, common: &CommonArgs) -> Outcome {
         };
         match DynamicMessage::from_body(schema, sample.body(), Endian::Little) {
             Ok(message) => {
-                // A path that is wrong is so for every message; an element may be there in the next one.
+                // A wrong path is wrong for every message, but an element that is missing may exist in the next one.
                 if let Some(path) = args.field.as_ref().filter(|_| !std::mem::replace(&mut is_checked, true))
                 {
                     args.check_field(path, &message)?;
@@ -96,7 +96,7 @@ pub fn run(args: &EchoArgs, common: &CommonArgs) -> Outcome {
         }
     }
     if tap.lost() > 0 {
-        eprintln!("taut: {} messages came faster than they were printed, and are missing", tap.lost());
+        eprintln!("taut: {} messages were overwritten before they were printed", tap.lost());
     }
     match wanted.filter(|wanted| printed < *wanted) {
         Some(wanted) => Err(Failure::no(format!("{printed} of {wanted} messages came on '{topic}'"))),
@@ -114,7 +114,7 @@ impl EchoArgs {
         }
     }
 
-    /// What is printed of a message: `None` if it is filtered out, or has no such element.
+    /// The output for a message; `None` if the filter rejects it, or it does not have the element.
     fn text(
         &self,
         message: &DynamicMessage,
@@ -154,12 +154,12 @@ impl EchoArgs {
     }
 }
 
-/// `a.b[0]` as JSON's pointers are written.
+/// The JSON pointer of `a.b[0]`.
 fn pointer(path: &str) -> String {
     format!("/{}", path.replace(']', "").replace(['.', '['], "/"))
 }
 
-/// All values of a field, in their order.
+/// Appends all values of a field in order.
 fn collect(value: &Value, cells: &mut Vec<String>) {
     match value {
         Value::List(list) => {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut topic list` and `taut topic info`: who publishes and who subscribes, here and on other hosts.
+//! `taut topic list` and `taut topic info`: the publishers and subscriptions of topics, on this host and on others.
 
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -8,14 +8,14 @@ use std::time::Duration;
 use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint};
 use tautline_transport::{Durability, History, Qos, Reliability};
 
-/// A topic of one type, and its ends.
+/// A topic of one type, and its endpoints.
 pub struct Topic<'g> {
     name: &'g str,
     type_name: &'g str,
     ends: Vec<&'g TopicEndpoint>,
 }
 
-/// One for each name and type: ends of one name may differ, and do not match then.
+/// Groups endpoints by name and type. Endpoints of one name and different types are not connected.
 pub fn topics(graph: &GraphSnapshot) -> Vec<Topic<'_>> {
     let mut found: BTreeMap<(&str, &str), Vec<_>> = BTreeMap::new();
     for end in &graph.endpoints {
@@ -24,7 +24,7 @@ pub fn topics(graph: &GraphSnapshot) -> Vec<Topic<'_>> {
     found.into_iter().map(|((name, type_name), ends)| Topic { name, type_name, ends }).collect()
 }
 
-/// Prints all, one a line.
+/// Prints the topics, one on each line.
 pub fn list(topics: &[Topic<'_>], json: bool, out: &mut impl Write) -> io::Result<()> {
     if json {
         return writeln!(out, "{}", Value::from_iter(topics.iter().map(Topic::to_json)));
@@ -73,7 +73,7 @@ impl<'g> Topic<'g> {
         })
     }
 
-    /// Who has it; of each end, its quality of service too.
+    /// The nodes of a topic; with `verbose` also the QoS of each endpoint.
     pub fn info_json(&self) -> Value {
         let ends = |kind| self.of(kind).map(end_json).collect::<Value>();
         json!({
@@ -85,7 +85,7 @@ impl<'g> Topic<'g> {
         })
     }
 
-    /// As `ros2 topic info`.
+    /// Prints in the format of `ros2 topic info`.
     pub fn print(&self, verbose: bool, out: &mut impl Write) -> io::Result<()> {
         writeln!(out, "Type: {}", self.type_name)?;
         let kinds = [("Publisher", EndpointKind::Publisher), ("Subscription", EndpointKind::Subscription)];
@@ -155,7 +155,7 @@ struct Words {
     durability: &'static str,
 }
 
-/// As ROS 2's tools write them.
+/// A duration in the format of ROS 2's tools.
 fn words(qos: &Qos) -> Words {
     Words {
         reliability: match qos.reliability {
@@ -173,7 +173,7 @@ fn words(qos: &Qos) -> Words {
     }
 }
 
-/// What ends must agree on, and how much is kept, in one line.
+/// The QoS in one line.
 pub fn qos_line(qos: &Qos) -> String {
     let words = words(qos);
     let depth = if qos.history == History::KeepLast { format!(" {}", qos.depth) } else { String::new() };

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut topic`: the topics of a domain, and what is published on them, without a compiled-in type.
+//! `taut topic`: the topics of a domain and their messages, of any type.
 
 mod delay;
 mod echo;
@@ -10,10 +10,10 @@ mod rates;
 mod sim_clock;
 pub mod tap;
 
-use crate::asking::full_name;
+use crate::arguments::full_name;
+use crate::arguments::full_type;
 use crate::completions;
 use crate::table::write_names;
-use crate::values::full_type;
 use crate::verb::{CommonArgs, Outcome};
 use clap::{Args, Subcommand};
 use rates::Unit;
@@ -21,10 +21,10 @@ use serde_json::Value;
 use std::io::Write;
 use tautline_transport::graph_of;
 
-/// Lists topics; says who publishes and subscribes, how often and how much; prints and publishes messages.
+/// Lists topics, their publishers and subscriptions; measures rates, bandwidths and delays; prints and publishes messages.
 ///
-/// Topics of other hosts are seen if this host runs `taut gateway`.
-/// Types need not be compiled in: processes leave their definitions
+/// Topics of other hosts are visible if this host runs `taut gateway`.
+/// Types need not be compiled in: processes cache their definitions
 /// in /tmp/tautline_UID/schemas.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
@@ -35,7 +35,7 @@ use tautline_transport::graph_of;
   taut topic hz /scan --expect 39..41
   taut topic pub /chatter std_msgs/msg/String '{data: hello}' -r 10
 
-Exit codes: 0 done, 1 the answer is no, 2 what was given cannot be used.")]
+Exit codes: 0 done, 1 the answer is no, 2 the arguments cannot be used.")]
 pub struct TopicArgs {
     #[command(subcommand)]
     verb: Verb,
@@ -45,9 +45,9 @@ pub struct TopicArgs {
 
 #[derive(Subcommand, Clone, Debug)]
 enum Verb {
-    /// Prints the topics with their types, where they are, and how many publishers and subscriptions they have
+    /// Prints the topics with their types, places, and numbers of publishers and subscriptions
     List,
-    /// Prints how many publishers and subscriptions a topic has, and of what type
+    /// Prints the type and the numbers of publishers and subscriptions of a topic
     Info {
         /// The topic
         #[arg(value_name = "TOPIC", add = completions::topics())]
@@ -69,18 +69,18 @@ enum Verb {
         type_name: String,
     },
     Echo(echo::EchoArgs),
-    /// Prints how often and how regularly each publisher of a topic sends
+    /// Prints the rate and the periods of each publisher of a topic
     ///
-    /// On this host that is read from what publishers count anyway, and disturbs nobody.
+    /// Reads the counters of publishers on this host, which does not disturb them.
     #[command(after_help = "Examples:
   taut topic hz /scan
-  taut topic hz /scan --expect 39..41          exits with 1 if it is not so
-  taut topic hz /imu --take                    periods of what is faster than 400 Hz
+  taut topic hz /scan --expect 39..41          exits with 1 if the rate is outside
+  taut topic hz /imu --take                    also periods of publishers above 400 Hz
   taut topic hz /scan --json --every 100ms | jq .rate_hz")]
     Hz(rates::RateArgs),
-    /// Prints how many bytes each publisher of a topic sends, and how long its messages are
+    /// Prints the bandwidth of each publisher of a topic, and the sizes of its messages
     ///
-    /// On this host that is read from what publishers count anyway, and disturbs nobody.
+    /// Reads the counters of publishers on this host, which does not disturb them.
     #[command(after_help = "Examples:
   taut topic bw /camera
   taut topic bw /camera --expect ..1e8         exits with 1 if it is more")]
@@ -121,7 +121,7 @@ fn print_info(common: &CommonArgs, topic: &str, verbose: bool) -> Outcome {
         let topics = topics.iter().map(info::Topic::info_json);
         return Ok(writeln!(out, "{}", Value::from_iter(topics))?);
     }
-    // More than one if hosts disagree on its type.
+    // Hosts may disagree on a topic's type: then there are several.
     Ok(topics.iter().try_for_each(|topic| topic.print(verbose, &mut out))?)
 }
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut topic pub`: publishes messages written by hand.
 
-use crate::asking::full_name;
+use crate::arguments::full_name;
+use crate::arguments::{WrittenMessage, type_and_values};
 use crate::completions;
 use crate::times::Times;
-use crate::values::{WrittenMessage, type_and_values};
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, ValueEnum};
 use serde_json::json;

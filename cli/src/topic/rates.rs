@@ -6,11 +6,11 @@
 
 use super::sim_clock::SimClock;
 use super::tap::{POLL, Tap, ends, wait_for_type};
-use crate::asking::full_name;
+use crate::arguments::full_name;
 use crate::completions;
 use crate::table::write_table;
 use crate::times::Times;
-use crate::verb::{CommonArgs, End, Failure, Outcome, say, time};
+use crate::verb::{CommonArgs, End, Failure, Outcome, print_line, time};
 use clap::Args;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -20,11 +20,11 @@ use std::time::{Duration, Instant};
 use tautline::{EndpointKind, GraphSnapshot};
 use tautline_transport::{Gid, Sent, Visitor};
 
-/// Below this rate each message is seen by itself.
+/// Below this rate each message is seen separately.
 const SEEN_HZ: f64 = 400.0;
-/// How often counts are read of what is faster.
+/// The interval at which counts of faster publishers are read.
 const FAST_POLL: Duration = Duration::from_millis(50);
-/// How long `--expect` looks, if nothing else is said.
+/// The time that `--expect` measures by default.
 const EXPECT_TIME: Duration = Duration::from_secs(5);
 
 #[derive(Args, Clone, Debug)]
@@ -32,16 +32,16 @@ pub struct RateArgs {
     /// The topic; waited for if it does not exist
     #[arg(value_name = "TOPIC", add = completions::topics())]
     topic: String,
-    /// How often is printed
+    /// Interval between outputs
     #[arg(long, value_name = "TIME", default_value = "1s", value_parser = time)]
     every: Duration,
-    /// Count anew after this time; with --expect nothing is
+    /// Restart the counts after this time; --expect does not restart them
     #[arg(long, value_name = "TIME", default_value = "10s", value_parser = time)]
     window: Duration,
-    /// Look for 5 s, or --timeout; exit with 1 if all messages a second are not within LOW..HIGH, either of which may be left out
+    /// Measure for 5 s, or --timeout; exit with 1 if the sum of all publishers is not within LOW..HIGH; either may be omitted
     #[arg(long, value_name = "LOW..HIGH", value_parser = range)]
     expect: Option<RangeInclusive<f64>>,
-    /// Take every message, for the periods of what is too fast for counts, and for gaps in the numbers
+    /// Take every message: measures the periods of faster publishers, and counts gaps in sequence numbers
     #[arg(long)]
     take: bool,
     /// Count by the time of /clock, whose period is the resolution, instead of the system's; --every, --window and --timeout are the
@@ -50,7 +50,7 @@ pub struct RateArgs {
     sim_time: bool,
 }
 
-/// What is printed first.
+/// The main unit of the output.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Unit {
     Messages,
@@ -64,22 +64,22 @@ fn range(text: &str) -> Result<RangeInclusive<f64>, String> {
         text => text.parse::<f64>().map_err(|_| format!("'{text}' is no number")),
     };
     let (low, high) = (number(low, 0.0)?, number(high, f64::INFINITY)?);
-    if low <= high { Ok(low..=high) } else { Err("no number is both above and below".into()) }
+    if low <= high { Ok(low..=high) } else { Err("LOW is above HIGH".into()) }
 }
 
-/// What one publisher has sent since it was first looked at.
+/// What one publisher has sent since its first reading.
 struct Flow {
     label: String,
     pid: Option<u32>,
     first: Sent,
     last: Sent,
-    /// Between two messages.
+    /// Times between two messages.
     periods: Times,
-    /// Messages whose number or size is not known alone.
+    /// Messages of readings that cover several messages: their times and sizes are not known separately.
     unseen: u64,
-    /// Least and greatest message.
+    /// Sizes of the smallest and the largest message.
     sizes: Option<(u64, u64)>,
-    /// By gaps in the numbers; not known from counts.
+    /// By gaps in sequence numbers; `None` if only counts are read.
     lost: Option<u64>,
     number: u64,
 }
@@ -108,7 +108,7 @@ impl Flow {
             _ => self.unseen += new,
         }
         if self.last.last_ns == 0 {
-            // The first one ever: what follows is counted from it.
+            // This is the first message with a known time: later ones are counted from it.
             self.first = sent;
         }
         self.last = sent;
@@ -138,7 +138,7 @@ impl Flow {
         self.last.messages.wrapping_sub(self.first.messages)
     }
 
-    /// From the first message to the last one; of one that has fallen silent, until now.
+    /// The time from the first message to the last one; until now for a publisher that has fallen silent.
     fn seconds(&self, now_ns: u64) -> f64 {
         let span = self.last.last_ns.saturating_sub(self.first.last_ns);
         let silence = now_ns.saturating_sub(self.last.last_ns);
@@ -172,7 +172,7 @@ impl Flow {
     }
 }
 
-/// Where it is read.
+/// Where messages are counted.
 enum Source {
     Counts(Visitor),
     Messages(Tap),
@@ -204,13 +204,13 @@ impl Meter {
         Ok(Meter { domain, topic: topic.to_owned(), source, sim_clock, flows: BTreeMap::new() })
     }
 
-    /// Looks, and says how long to wait until it looks again.
-    fn look(&mut self) -> Outcome<Duration> {
+    /// Reads counts or takes messages. Returns the time until the next update.
+    fn update(&mut self) -> Outcome<Duration> {
         let (topic, flows) = (&self.topic, &mut self.flows);
         if let Some(clock) = &mut self.sim_clock
             && clock.poll()?
         {
-            say("taut: /clock jumped back: counting starts anew");
+            print_line("taut: /clock jumped back: counting starts anew");
             flows.clear();
         }
         match &mut self.source {
@@ -219,7 +219,7 @@ impl Meter {
                 if is_elsewhere(&graph, topic)
                     && let Some(first) = ends(&graph, topic).next()
                 {
-                    // Somebody on another host has begun to publish, which only who takes it sees.
+                    // A publisher on another host has appeared, whose messages must be taken to be counted.
                     flows.clear();
                     self.source = Source::Messages(Tap::open(self.domain, topic, first.topic_type.clone())?);
                     return Ok(Duration::ZERO);
@@ -339,19 +339,21 @@ impl Meter {
         write_table(head, 1, self.flows.values().map(row).collect(), out)
     }
 
-    /// What there is to know about where it comes from.
+    /// How the numbers were measured.
     fn explain(&self) -> String {
         match &self.source {
             Source::Counts(_) => {
                 let is_fast =
                     self.flows.values().any(|flow| flow.messages() > 0 && flow.known_periods().is_none());
-                let hint = if is_fast { "; too fast for periods: --take has them" } else { "" };
+                let hint = if is_fast { "; too fast for periods: --take measures them" } else { "" };
                 format!("(from the publishers' own counts{hint})")
             }
             Source::Messages(tap) => {
                 let lost = match tap.lost() {
                     0 => String::new(),
-                    lost => format!("; {lost} of the lost came faster than they were taken here"),
+                    lost => {
+                        format!("; {lost} of the lost messages were overwritten before they were taken here")
+                    }
                 };
                 let seen = if tap.is_seen() { ", which others see as a subscription" } else { "" };
                 format!("(from every message{seen}{lost})")
@@ -379,7 +381,7 @@ fn is_elsewhere(graph: &GraphSnapshot, topic: &str) -> bool {
     ends(graph, topic).any(|end| end.is_remote && end.kind == EndpointKind::Publisher)
 }
 
-/// Bytes as people read them.
+/// Bytes with a unit.
 fn size(bytes: f64) -> String {
     let units = [("GB", 1e9), ("MB", 1e6), ("kB", 1e3)];
     match units.iter().find(|(_, unit)| bytes >= *unit) {
@@ -398,7 +400,7 @@ pub fn run(args: &RateArgs, unit: Unit, common: &CommonArgs) -> Outcome {
     let is_over = || end.is_reached() || time.is_some_and(|time| start.elapsed() >= time);
     let mut next = start + args.every;
     loop {
-        let pause = meter.look()?;
+        let pause = meter.update()?;
         if let Some(clock) = &mut unused_clock {
             clock.poll()?;
             clock.warn(false);
@@ -410,7 +412,7 @@ pub fn run(args: &RateArgs, unit: Unit, common: &CommonArgs) -> Outcome {
             if common.json {
                 writeln!(out, "{}", meter.to_json(since))?;
             } else if meter.flows.is_empty() {
-                end.say_once(|| format!("a publisher of '{topic}'"));
+                end.print_waiting_once(|| format!("a publisher of '{topic}'"));
             } else {
                 meter.print(unit, &mut out)?;
                 writeln!(out, "{}\n", meter.explain())?;

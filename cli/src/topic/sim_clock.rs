@@ -2,7 +2,7 @@
 //! Simulated time: what `/clock` shows, and how fast it runs.
 
 use super::tap::{Tap, ends};
-use crate::verb::{End, Outcome, say};
+use crate::verb::{End, Outcome, print_line};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 use tautline::EndpointKind;
@@ -123,7 +123,7 @@ impl SimClock {
         }
         if let Some(difference) = self.readings.difference(with_offset) {
             self.is_reported = true;
-            say(&format!(
+            print_line(&format!(
                 "taut: {TOPIC} {difference}; these numbers are by the system's clock, --sim-time counts by {TOPIC}"
             ));
         }

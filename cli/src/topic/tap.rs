@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A topic as tools take from it: unseen, from publishers on this host; from others by a subscription, for a gateway fetches what
-//! somebody wants.
+//! Takes a topic's messages for tools: as an observer from publishers on this host; with a subscription from those on other hosts, because
+//! a gateway fetches only subscribed topics.
 
 use crate::verb::{End, Failure, Outcome};
 use std::sync::Arc;
@@ -12,12 +12,12 @@ use tautline_transport::{
     Visitor,
 };
 
-/// How often is looked for messages that nobody rings for.
+/// The interval at which an observer polls, because publishers do not ring for it.
 pub const POLL: Duration = Duration::from_millis(1);
-/// An observer's depth is that of the topic's ends, which costs no memory; but no more than this.
+/// The maximum depth of an observer. It has the depth of the topic's endpoints, which costs no memory.
 const MOST_DEPTH: usize = 1000;
-/// How often is looked who is there.
-const LOOK: Duration = Duration::from_millis(100);
+/// The interval at which the graph is checked for publishers on other hosts.
+const GRAPH_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Takes what is published on a topic.
 pub struct Tap {
@@ -25,15 +25,15 @@ pub struct Tap {
     participant: Participant,
     topic_type: TopicType,
     subscription: RawSubscription,
-    /// There are publishers elsewhere, for which the subscription is an ordinary one.
+    /// There are publishers on other hosts, for which the subscription is an ordinary one.
     is_seen: bool,
     epoch: u32,
-    looked: Instant,
-    /// Of subscriptions of before.
+    refreshed: Instant,
+    /// The losses of previous subscriptions.
     lost: u64,
 }
 
-/// The ends of a topic.
+/// The endpoints of a topic.
 pub fn ends<'g>(
     graph: &'g GraphSnapshot,
     topic: &'g str,
@@ -41,7 +41,7 @@ pub fn ends<'g>(
     graph.endpoints.iter().filter(move |end| end.topic == topic)
 }
 
-/// Waits until a topic has an end, and gives its type: that of its publishers, if it has any.
+/// Waits until a topic has an endpoint, and returns its type: that of its publishers, if it has any.
 pub fn wait_for_type(domain: u32, topic: &str, end: &End) -> Outcome<TopicType> {
     let mut visitor = Visitor::new(domain)?;
     let waited_for = || format!("topic '{topic}' to exist in domain {domain}");
@@ -53,7 +53,7 @@ pub fn wait_for_type(domain: u32, topic: &str, end: &End) -> Outcome<TopicType> 
 }
 
 impl Tap {
-    /// Of a topic that is there or comes: whose type is known.
+    /// Opens a topic whose type is known, even if it does not exist yet.
     pub fn open(domain: u32, topic: &str, topic_type: TopicType) -> Outcome<Self> {
         let participant = Participant::new(domain)?;
         let (epoch, graph) = (participant.graph_epoch(), participant.graph()?);
@@ -63,12 +63,12 @@ impl Tap {
             true => subscribe(&participant, &graph, topic, &topic_type, depth(&graph, topic))?,
             false => observe(&participant, &graph, topic, &topic_type)?,
         };
-        let (topic, looked) = (topic.to_owned(), Instant::now());
-        Ok(Tap { topic, participant, topic_type, subscription, is_seen, epoch, looked, lost: 0 })
+        let (topic, refreshed) = (topic.to_owned(), Instant::now());
+        Ok(Tap { topic, participant, topic_type, subscription, is_seen, epoch, refreshed, lost: 0 })
     }
 
-    /// The definition of the topic's type. If only nodes of other hosts know it the gateway asks them, for what somebody here takes,
-    /// and is waited for.
+    /// The definition of the topic's type. If only nodes of other hosts have it, the gateway requests it for a topic that is subscribed
+    /// to here; this waits for it.
     pub fn schema(&self, end: &End) -> Outcome<Arc<Schema>> {
         let name: TypeName = self.topic_type.name.parse()?;
         let find = || find_schema(&self.topic, &name, Some(&self.topic_type));
@@ -86,30 +86,30 @@ impl Tap {
 
     /// Takes the oldest message.
     pub fn take(&mut self) -> Outcome<Option<RawSample>> {
-        if self.looked.elapsed() >= LOOK {
-            self.look()?;
+        if self.refreshed.elapsed() >= GRAPH_INTERVAL {
+            self.refresh()?;
         }
         match self.subscription.try_take() {
             Ok(taken) => Ok(taken),
-            // Counted.
+            // Invalid messages are counted.
             Err(TakeError::Invalid(_)) => Ok(None),
             Err(error) => Err(error.into()),
         }
     }
 
-    /// Messages that came faster than they were taken.
+    /// Messages that were overwritten before they were taken.
     pub fn lost(&self) -> u64 {
         self.lost + self.subscription.counters().lost()
     }
 
-    /// Whether the topic's publishers are elsewhere, and see a subscription.
+    /// Whether publishers are on other hosts, and see a subscription.
     pub fn is_seen(&self) -> bool {
         self.is_seen
     }
 
-    /// Publishers may have come that only a subscription gets anything from.
-    fn look(&mut self) -> Outcome {
-        self.looked = Instant::now();
+    /// Subscribes if a publisher on another host has appeared.
+    fn refresh(&mut self) -> Outcome {
+        self.refreshed = Instant::now();
         let epoch = self.participant.graph_epoch();
         if epoch == std::mem::replace(&mut self.epoch, epoch) || self.is_seen {
             return Ok(());
@@ -131,7 +131,7 @@ fn is_elsewhere(graph: &GraphSnapshot, topic: &str, topic_type: &TopicType) -> b
     })
 }
 
-/// Sees what publishers on this host send to anybody.
+/// Observes the publishers on this host.
 fn observe(
     participant: &Participant,
     graph: &GraphSnapshot,
@@ -141,7 +141,7 @@ fn observe(
     Ok(participant.create_observer(topic, topic_type, depth(graph, topic), limits())?)
 }
 
-/// What every publisher offers is asked for, and no more, so that none is left out.
+/// Subscribes with the QoS that every publisher offers, so that all are compatible.
 pub fn subscribe(
     participant: &Participant,
     graph: &GraphSnapshot,
@@ -166,7 +166,7 @@ fn depth(graph: &GraphSnapshot, topic: &str) -> usize {
     ends(graph, topic).map(|end| end.qos.depth).max().unwrap_or(1).clamp(1, MOST_DEPTH)
 }
 
-/// Each is read, and given back.
+/// One sample is held at a time.
 fn limits() -> Limits {
     Limits { held: 1, ..Limits::default() }
 }

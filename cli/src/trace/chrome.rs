@@ -111,7 +111,7 @@ fn arrow(
     events.push((start_ns, ARROW, end("f", pid_, tid)));
 }
 
-/// Publications, takes, what mirrors do, and the sampler.
+/// Publications, takes, relays, and the sampler.
 fn others(recording: &Recording, events: &mut Vec<(u64, u8, Value)>) {
     let mut following: HashMap<(u32, u32), u64> = HashMap::new();
     let mut spin: HashMap<(u32, u32), u64> = HashMap::new();

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The recording's file: a magic word, then blocks of kind, length and content. Events are binary, all else is JSON.
 //!
-//! It is only ever appended to: what a killed recorder has written can be read.
+//! A recorder only appends to it, so that the file of a killed recorder can be read.
 
 use super::TraceError;
 use super::recording::{Recording, TimedEvent};

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut trace`: records what running processes do, and shows it.
+//! `taut trace`: records the trace events of running processes, and shows them.
 
 mod chrome;
 mod csv;

@@ -3,7 +3,7 @@
 
 use super::TraceError;
 use super::file::{Entry, Writer};
-use crate::verb::{CommonArgs, End, say, time};
+use crate::verb::{CommonArgs, End, print_line, time};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
@@ -71,12 +71,12 @@ pub fn record(path: &Path, domain: u32, end: &mut End, is_json: bool) -> Result<
     end.restart();
     let progress = progress(is_json);
     let until = if end.timeout().is_none() { ", until Ctrl-C" } else { "" };
-    say(&format!("recording domain {domain} into {}{until}", path.display()));
+    print_line(&format!("recording domain {domain} into {}{until}", path.display()));
     let mut next_flush = start + Duration::from_secs(1);
     while !end.is_reached() {
         recorder.poll(&mut |record| note(&mut writer, &mut sum, &record));
         for complaint in recorder.complaints() {
-            progress.suspend(|| say(&format!("taut: warning: {complaint}")));
+            progress.suspend(|| print_line(&format!("taut: warning: {complaint}")));
         }
         progress.set_message(format!(
             "{} processes recording, {} events, {} lost",
@@ -149,7 +149,7 @@ fn lower_priority() -> Result<(), TraceError> {
     }
 }
 
-/// What begins a recording.
+/// The first entry of a recording.
 pub fn session(domain: u32) -> Entry {
     let kernel = std::fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
     Entry::Session {

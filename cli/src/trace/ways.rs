@@ -72,16 +72,16 @@ pub struct Hop<'r> {
 /// More networks than any message passes. Without this limit, a damaged recording could cause an endless loop.
 const MAX_DOMAINS: usize = 64;
 
-/// What the recordings say of messages, by their ids.
+/// The events of messages in all recordings, by the messages' ids.
 #[derive(Default)]
 pub struct Ways<'r> {
     published: HashMap<MessageKey, (At, &'r str)>,
-    /// What messages of a mirror's ports were on the network.
+    /// The ids on the network of messages that a relay published here.
     let_in: HashMap<MessageKey, LetIn<'r>>,
-    /// By their ids on the network. Of several mirrors of a domain each may send.
+    /// Messages by their ids on the network; several relays of a domain may each send one.
     sent: HashMap<MessageKey, Vec<Sent<'r>>>,
     taken: Vec<Take<'r>>,
-    /// Subscriptions that messages were passed on from.
+    /// The subscriptions of relays.
     of_mirrors: HashSet<(Place, ObjectId)>,
 }
 
@@ -131,7 +131,7 @@ impl<'r> Ways<'r> {
                 }
                 EventKind::Receive => drop(received.insert((process, message), at)),
                 EventKind::Pass => {
-                    // Without it nothing is known of what the message became: that is warned of.
+                    // Without this event the message's path is unknown; the user is warned.
                     let Some(through) = object else { continue };
                     let [sequence_number, from_number, from_publisher] = event.arguments;
                     let from = MessageKey { publisher: from_publisher, sequence_number: from_number };
@@ -151,15 +151,15 @@ impl<'r> Ways<'r> {
         }
     }
 
-    /// What was sent that was received so: the last before that, if `is_before` can tell. Who does not count its messages numbers all
-    /// of them 0: which of them it was is not known.
+    /// The sending of a received message: the last one before its reception, as far as `is_before` knows. A sender that does not number its
+    /// messages gives all of them 0, so that they cannot be told apart.
     fn sending(&self, let_in: &LetIn<'_>, is_before: &impl Fn(At, At) -> bool) -> Option<&Sent<'r>> {
         let sent = self.sent.get(&let_in.network).filter(|_| let_in.network.sequence_number != 0)?;
         let before = |sent: &&Sent<'_>| let_in.received.is_none_or(|received| is_before(sent.at, received));
         sent.iter().rfind(before).or(sent.first())
     }
 
-    /// How many domains a message has been in before, its first id that is known, and its topic there.
+    /// The number of domains that a message passed before, its first known id, and its topic there.
     fn source(
         &self,
         message: MessageKey,
@@ -178,10 +178,10 @@ impl<'r> Ways<'r> {
         (MAX_DOMAINS, first, topic)
     }
 
-    /// Gives every hop of every message. `is_before` says whether the former was before the latter, as far as that is known.
+    /// Passes every hop of every message to `sink`. `is_before` returns whether the first event is known to precede the second.
     pub fn hops(&self, is_before: &impl Fn(At, At) -> bool, sink: &mut impl FnMut(Hop<'r>)) {
         for take in &self.taken {
-            // A mirror's subscription gets what the mirror itself publishes, and passes over it.
+            // A relay's subscription takes the messages that the relay itself publishes, and ignores them.
             if self.let_in.get(&take.message).is_some_and(|let_in| let_in.place == take.at.place) {
                 continue;
             }
@@ -189,7 +189,7 @@ impl<'r> Ways<'r> {
             let published = |message| self.published.get(message).map(|(at, _)| *at);
             let (from, to) = (published(&take.message), take.at);
             sink(Hop { topic, domains_before, kind: HopKind::PublishToTake, from, to });
-            // Where it came into the first of the domains from elsewhere, its way began elsewhere.
+            // A message that entered the first known domain through a relay began its path elsewhere.
             let is_whole = domains_before > 0 && !self.let_in.contains_key(&first);
             if is_whole && !self.of_mirrors.contains(&(to.place, take.subscription)) {
                 sink(Hop { topic, domains_before, kind: HopKind::WholeWay, from: published(&first), to });

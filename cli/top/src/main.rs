@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut-top`: the verb `top` of `taut`, which starts it for that.
+//! `taut-top`: the verb `top`, for which `taut` starts this program.
 #![forbid(unsafe_code)]
 
 mod picture;

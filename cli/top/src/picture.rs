@@ -1,22 +1,22 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What a domain does right now: callbacks, topics and cores, from what is written down anyway.
+//! The present state of a domain: callbacks, topics and cores, from the statistics that its processes keep in shared memory.
 
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
-use taut_cli::counts::{Counts, per_second};
+use taut_cli::rates::{RateMeter, per_second};
 use taut_cli::verb::Outcome;
 use tautline::{Bucket, CallbackSnapshot, EndpointKind, HistogramSnapshot};
 use tautline_analysis::file::SystemFile;
 use tautline_transport::{Gid, Visitor};
 
-/// All of it, over the time since the look before.
+/// The whole picture. Rates and loads are those since the previous refresh.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Picture {
     pub domain: u32,
-    /// How long ago the look before was; rates are of this time.
+    /// The time since the previous refresh, which rates cover.
     pub seconds: f64,
     pub callbacks: Vec<CallbackRow>,
     pub topics: Vec<TopicRow>,
@@ -28,18 +28,18 @@ pub struct CallbackRow {
     pub name: String,
     pub program: String,
     pub pid: u32,
-    /// Of SCHED_FIFO.
+    /// The priority of SCHED_FIFO.
     pub priority: Option<u8>,
     pub core: Option<usize>,
-    /// That have ended.
+    /// The number of jobs that have ended.
     pub jobs: u64,
     pub releases_hz: f64,
-    /// Of the jobs since the look before.
+    /// Response times of the jobs since the previous refresh.
     pub response_p50_ms: Option<f64>,
     pub response_p99_ms: Option<f64>,
-    /// Of all jobs.
+    /// The longest response time of all jobs.
     pub response_max_ms: Option<f64>,
-    /// What `taut check` computes from the process's system file.
+    /// The bound that `taut check` computes from the process's system file.
     pub bound_ms: Option<f64>,
     pub execution_max_ms: Option<f64>,
     pub budget_ms: Option<f64>,
@@ -58,40 +58,40 @@ pub struct TopicRow {
     pub type_name: String,
     pub publishers: usize,
     pub subscriptions: usize,
-    /// `None` if all its publishers are elsewhere: nobody counts them here.
+    /// `None` if all its publishers are on other hosts, which have no counters here.
     pub rate_hz: Option<f64>,
     pub bytes_per_s: Option<f64>,
-    /// Messages that made way for newer ones before a subscription of now took them; as `rate_hz`.
+    /// Messages that were overwritten before a current subscription took them; `None` as for `rate_hz`.
     pub lost: Option<u64>,
 }
 
 #[derive(Clone, Debug, Serialize)]
 pub struct CoreRow {
     pub core: usize,
-    /// Of the time since the look before.
+    /// The share of the time since the previous refresh.
     pub load_percent: f64,
-    /// What the hypervisor gave to others.
+    /// The share of the time that the hypervisor gave to others.
     pub steal_percent: f64,
-    /// How often it was slowed down for its temperature, since the system started; `None` if that is not known.
+    /// How often the core was throttled for its temperature since the system started; `None` if unknown.
     pub throttled: Option<u64>,
 }
 
 impl CallbackRow {
-    /// Whether something is not as it should be.
+    /// Whether a bound is exceeded, messages were lost, or deadlines or budgets were missed.
     pub fn is_bad(&self) -> bool {
         let is_late = self.bound_ms.zip(self.response_max_ms).is_some_and(|(bound, max)| max > bound);
         is_late || self.lost > 0 || self.missed > 0 || self.overruns > 0
     }
 }
 
-/// What the look before saw.
+/// The values at the previous refresh.
 #[derive(Default)]
 struct Before {
     callbacks: BTreeMap<(u32, String), (u64, BTreeMap<u64, u64>)>,
     cores: BTreeMap<usize, CoreTimes>,
 }
 
-/// Of /proc/stat, in ticks.
+/// Times of a core from /proc/stat, in ticks.
 #[derive(Clone, Copy, Default)]
 struct CoreTimes {
     all: u64,
@@ -102,25 +102,26 @@ struct CoreTimes {
 /// Bounds and capacities of a system file's callbacks.
 type Bounds = BTreeMap<String, (Option<u64>, Option<usize>)>;
 
-/// Looks, again and again.
+/// Refreshes the picture.
 pub struct Gatherer {
     domain: u32,
     visitor: Visitor,
-    counts: Counts,
+    rates: RateMeter,
     before: Before,
-    looked: Option<Instant>,
+    refreshed: Option<Instant>,
     systems: BTreeMap<PathBuf, Bounds>,
 }
 
 impl Gatherer {
     pub fn new(domain: u32) -> Outcome<Self> {
-        let (counts, before, looked, systems) = Default::default();
-        Ok(Gatherer { domain, visitor: Visitor::new(domain)?, counts, before, looked, systems })
+        let (rates, before, refreshed, systems) = Default::default();
+        Ok(Gatherer { domain, visitor: Visitor::new(domain)?, rates, before, refreshed, systems })
     }
 
-    pub fn look(&mut self) -> Outcome<Picture> {
+    /// Reads the domain, and returns what changed since the previous call.
+    pub fn refresh(&mut self) -> Outcome<Picture> {
         let now = Instant::now();
-        let seconds = self.looked.replace(now).map_or(0.0, |before| (now - before).as_secs_f64());
+        let seconds = self.refreshed.replace(now).map_or(0.0, |before| (now - before).as_secs_f64());
         let mut picture = Picture { domain: self.domain, seconds, ..Picture::default() };
         let before = std::mem::take(&mut self.before);
         picture.callbacks = self.callbacks(&before, seconds)?;
@@ -133,7 +134,7 @@ impl Gatherer {
         let mut rows = Vec::new();
         let (processes, _) = tautline::shared_statistics(self.domain)?;
         for process in processes {
-            // One that ends right now, or is of another version, is left out.
+            // A process that is ending, or has another version, is omitted.
             let Ok(Some(snapshot)) = process.read() else { continue };
             let bounds = self.bounds(&snapshot.process.system_path);
             for callback in snapshot.callbacks.iter().filter(|callback| !callback.ended && !callback.is_group)
@@ -191,13 +192,13 @@ impl Gatherer {
                     .collect(),
             )
         };
-        // A file that is not there any more, or is being edited, has no bounds.
+        // There are no bounds if the file was removed or is being edited.
         self.systems.entry(path.to_owned()).or_insert_with(|| read().unwrap_or_default()).clone()
     }
 
     fn topics(&mut self) -> Outcome<Vec<TopicRow>> {
         let graph = self.visitor.graph()?;
-        let rates = self.counts.look(&mut self.visitor, &graph)?;
+        let rates = self.rates.measure(&mut self.visitor, &graph)?;
         let subscriptions = graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Subscription);
         let subscriptions: BTreeSet<Gid> = subscriptions.map(|end| end.gid).collect();
         let mut rows: BTreeMap<(&str, &str), TopicRow> = BTreeMap::new();
@@ -216,7 +217,7 @@ impl Gatherer {
                 EndpointKind::Publisher => {
                     row.publishers += 1;
                     let lost = self.visitor.overwritten(end)?;
-                    // An observer's are nobody's loss.
+                    // What an observer misses is no loss.
                     let lost = lost.iter().filter(|(gid, _)| subscriptions.contains(gid));
                     let lost = lost.fold(0, |sum: u64, (_, count)| sum.saturating_add(*count));
                     let Some(rate) = rates.get(&end.gid) else { continue };
@@ -252,7 +253,7 @@ fn buckets(times: &HistogramSnapshot) -> BTreeMap<u64, u64> {
     times.buckets().map(|bucket| (bucket.low_ns, bucket.count)).collect()
 }
 
-/// The response times of the jobs that have ended since the look before.
+/// The response times of the jobs that have ended since the previous refresh.
 fn recent(callback: &CallbackSnapshot, before: Option<&BTreeMap<u64, u64>>) -> HistogramSnapshot {
     let max_ns = u64::try_from(callback.response.max().as_nanos()).unwrap_or(u64::MAX);
     let new = callback.response.buckets().filter_map(|bucket| {
@@ -266,13 +267,13 @@ fn recent(callback: &CallbackSnapshot, before: Option<&BTreeMap<u64, u64>>) -> H
 /// The lines `cpu0 ...` of /proc/stat.
 fn core_times(stat: &str) -> BTreeMap<usize, CoreTimes> {
     let line = |line: &str| {
-        // The first one is the sum, and has no number.
+        // The first line is the sum over all cores, and has no number.
         let numbered =
             line.strip_prefix("cpu").filter(|rest| rest.starts_with(|c: char| c.is_ascii_digit()))?;
         let mut words = numbered.split_whitespace();
         let core = words.next()?.parse().ok()?;
         let ticks: Vec<u64> = words.map_while(|word| word.parse().ok()).collect();
-        // user nice system idle iowait irq softirq steal; guests' are in user and nice.
+        // user nice system idle iowait irq softirq steal; the times of guests are part of user and nice.
         let at = |index: usize| ticks.get(index).copied().unwrap_or(0);
         let all = ticks.iter().take(8).sum();
         Some((core, CoreTimes { all, idle: at(3) + at(4), steal: at(7) }))
@@ -280,22 +281,22 @@ fn core_times(stat: &str) -> BTreeMap<usize, CoreTimes> {
     stat.lines().filter_map(line).collect()
 }
 
-/// What rows are put in order by.
+/// The order of rows.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
     /// By name
     #[default]
     Name,
-    /// The most often first
+    /// The highest rate first
     Rate,
-    /// What takes longest, or sends most, first
+    /// The longest response time or the highest bandwidth first
     Load,
-    /// What is not as it should be first
+    /// Rows with violations first
     Trouble,
 }
 
 impl Order {
-    /// The one after it.
+    /// The next order.
     pub fn next(self) -> Self {
         match self {
             Order::Name => Order::Rate,
@@ -307,12 +308,12 @@ impl Order {
 }
 
 impl Picture {
-    /// Leaves what has `text` in its name, in this order.
+    /// Keeps the rows whose names contain `text`, and sorts them.
     pub fn arrange(&mut self, text: &str, order: Order) {
         self.callbacks.retain(|row| row.name.contains(text) || row.program.contains(text));
         self.topics.retain(|row| row.name.contains(text));
         let descending = |one: f64, other: f64| other.total_cmp(&one);
-        // Stable: by name within the same.
+        // Stable: equal rows stay sorted by name.
         match order {
             Order::Name => {}
             Order::Rate => {
@@ -334,7 +335,7 @@ impl Picture {
         }
     }
 
-    /// How many processes there are.
+    /// The number of processes.
     pub fn processes(&self) -> usize {
         self.callbacks.iter().map(|row| row.pid).collect::<BTreeSet<_>>().len()
     }

@@ -10,7 +10,7 @@ use ratatui::widgets::{Block, Cell, Paragraph, Row, Table, TableState};
 use std::io::{self, Write};
 use taut_cli::table::{self, write_table};
 
-/// What somebody looks at.
+/// The state of the display.
 #[derive(Default)]
 pub struct View {
     pub order: Order,
@@ -70,7 +70,7 @@ fn callback(row: &CallbackRow) -> Vec<String> {
     ]
 }
 
-/// All rows of the three tables; whether each is as it should be.
+/// All rows of the three tables, each with whether it is free of violations.
 type Rows = Vec<(bool, Vec<String>)>;
 
 fn rows(picture: &Picture) -> [Rows; 3] {
@@ -98,7 +98,7 @@ fn rows(picture: &Picture) -> [Rows; 3] {
     [callbacks, picture.topics.iter().map(topic).collect(), picture.cores.iter().map(core).collect()]
 }
 
-/// Prints it.
+/// Prints the tables once.
 pub fn print(picture: &Picture, out: &mut impl Write) -> io::Result<()> {
     let [callbacks, topics, cores] = rows(picture);
     write_table(&CALLBACKS, 2, callbacks, out)?;
@@ -143,7 +143,7 @@ fn table(
         .block(Block::new().title(title))
 }
 
-/// Draws it.
+/// Draws the tables on the terminal.
 pub fn draw(frame: &mut Frame<'_>, picture: &Picture, view: &mut View) {
     let [callbacks, topics, cores] = rows(picture);
     let height = |rows: &Rows| u16::try_from(rows.len()).unwrap_or(u16::MAX).saturating_add(2);
@@ -241,7 +241,7 @@ mod tests {
         }
     }
 
-    /// However small it is.
+    /// Draws on terminals of any size.
     #[test]
     fn any_size_is_drawn() {
         for (width, height) in [(1, 1), (3, 2), (20, 5), (80, 24), (400, 3)] {

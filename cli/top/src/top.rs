@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut top`: what a domain does right now.
+//! `taut top`: shows the present state of a domain.
 
 use crate::picture::{Gatherer, Order, Picture};
 use crate::screen::{self, View};
@@ -14,9 +14,9 @@ use taut_cli::verb::{CommonArgs, End, Failure, Outcome, time};
 
 /// Shows callbacks, topics and cores as they are now: response times beside their bounds, rates, losses, load
 ///
-/// Subscribes to nothing, and disturbs nobody: it reads what processes count anyway. Response times are of the jobs since the
-/// picture before, the greatest of all jobs; bounds are those that `taut check` computes from the processes' system files. What
-/// is not as it should be is red.
+/// Does not subscribe and disturbs no process: it reads their statistics in shared memory. Response times are those of the jobs since the
+/// previous refresh; the maximum is that of all jobs. Bounds are those that `taut check` computes from the processes' system files.
+/// Violations are red.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut top
@@ -28,27 +28,27 @@ Keys: q quit, s next order, / filter (enter keeps, esc forgets it), space freeze
 pub struct TopArgs {
     #[command(flatten)]
     common: CommonArgs,
-    /// How often the picture is new
+    /// Interval between refreshes
     #[arg(long, value_name = "TIME", default_value = "1s", value_parser = time)]
     every: Duration,
     /// The order of callbacks and topics
     #[arg(long, value_enum, value_name = "ORDER", default_value_t)]
     sort: Order,
-    /// Show what has this text in its name, or in its program's
+    /// Show only rows whose name or program contains this text
     #[arg(long, value_name = "TEXT", default_value = "")]
     filter: String,
-    /// Print one picture; otherwise with --json one in a line each time
+    /// Print the state once; without this, --json prints one line at each refresh
     #[arg(long)]
     once: bool,
 }
 
-/// How soon a key is answered.
+/// The maximum delay of the response to a key.
 const KEYS: Duration = Duration::from_millis(50);
 
 pub fn run(args: &TopArgs) -> Outcome {
     let end = End::of(&args.common)?;
     let mut gatherer = Gatherer::new(args.common.domain()?)?;
-    let first = gatherer.look()?;
+    let first = gatherer.refresh()?;
     if args.once || args.common.json {
         return print(args, &mut gatherer, &end);
     }
@@ -56,7 +56,7 @@ pub fn run(args: &TopArgs) -> Outcome {
         return Err(Failure::unusable("this is no terminal: `taut top --once` prints one picture"));
     }
     end_with_terminal();
-    // Gives the terminal back as it was, also after a panic.
+    // Restores the terminal, also after a panic.
     let mut terminal = ratatui::try_init()?;
     let shown = show(args, &mut gatherer, first, &mut terminal, &end);
     ratatui::restore();
@@ -66,7 +66,7 @@ pub fn run(args: &TopArgs) -> Outcome {
 fn print(args: &TopArgs, gatherer: &mut Gatherer, end: &End) -> Outcome {
     loop {
         end.pause(args.every);
-        let mut picture = gatherer.look()?;
+        let mut picture = gatherer.refresh()?;
         picture.arrange(&args.filter, args.sort);
         let mut out = taut_cli::print::stdout();
         match args.common.json {
@@ -104,7 +104,7 @@ fn show(
             if Instant::now() >= next {
                 next = Instant::now() + args.every;
                 if !view.is_frozen {
-                    picture = gatherer.look()?;
+                    picture = gatherer.refresh()?;
                     is_same = false;
                 }
             }
@@ -113,19 +113,19 @@ fn show(
     Ok(())
 }
 
-/// Ends the process when its terminal hangs up, from which crossterm would read for ever.
+/// Ends the process when its terminal closes, because crossterm would read from it without end.
 fn end_with_terminal() {
     std::thread::spawn(|| {
         let stdin = io::stdin();
-        // That it has hung up is told unasked.
+        // A hang-up is reported without being requested.
         let mut input = [PollFd::new(&stdin, PollFlags::empty())];
         while let Err(Errno::INTR) = poll(&mut input, None) {}
-        // Nobody is left to be told.
+        // There is no terminal left to print to.
         std::process::exit(2);
     });
 }
 
-/// Does what a key says. False if it says to end.
+/// Handles a key. Returns false if the key ends the program.
 fn answer(event: &Event, view: &mut View) -> bool {
     let Event::Key(key) = event else { return true };
     if key.kind == KeyEventKind::Release {

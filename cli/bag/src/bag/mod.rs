@@ -13,7 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
-use taut_cli::asking::full_name;
+use taut_cli::arguments::full_name;
 use taut_cli::date::date;
 use taut_cli::table::write_table;
 use taut_cli::verb::{CommonArgs, Failure, Outcome, time};

@@ -68,7 +68,7 @@ fn obey(control: &Control, start_ns: u64, word: &Word) {
 pub fn watch(control: &Arc<Control>, end: &End, start_ns: u64, is_json: bool, is_over: impl Fn() -> bool) {
     let progress = progress(is_json);
     let typed = control.clone();
-    crate::keys::lines(move |line| match word(line) {
+    crate::terminal::on_line(move |line| match word(line) {
         Ok(word) => obey(&typed, start_ns, &word),
         Err(error) => say(&format!("taut: {error}")),
     });

@@ -10,7 +10,7 @@ mod stand_in;
 mod statement;
 
 use crate::definitions;
-use crate::offers;
+use crate::offered_qos;
 use crate::record::{failed, say, size};
 use clap::Args;
 use feeder::{Feeder, Part};
@@ -26,7 +26,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
-use taut_cli::asking::full_name;
+use taut_cli::arguments::full_name;
 use taut_cli::verb::{CommonArgs, End, Failure, Outcome, time};
 use tautline::{EndpointKind, find_schema, type_of};
 use tautline_bag::{CDR, Ordered, Topic};
@@ -335,7 +335,7 @@ impl PlayArgs {
         }
         let type_name = topic.type_name.parse().map_err(|error: SchemaError| unplayable(&error))?;
         let (schema, topic_type) = described(topic, &type_name);
-        let qos = offers::read(&topic.qos).unwrap_or_else(|error| {
+        let qos = offered_qos::read(&topic.qos).unwrap_or_else(|error| {
             say(&format!(
                 "taut: warning: {}: its recorded QoS cannot be read, so it has the default: {error}",
                 topic.name

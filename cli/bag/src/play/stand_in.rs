@@ -4,7 +4,7 @@
 use super::PlayArgs;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
-use taut_cli::asking::full_name;
+use taut_cli::arguments::full_name;
 use taut_cli::report::watch::ObservedProcesses;
 use taut_cli::verb::{Failure, Outcome};
 use tautline::{ProcessInfo, StatisticsFile};
@@ -29,7 +29,7 @@ impl PlayArgs {
             Some(path) => path,
             None => {
                 let mut processes = ObservedProcesses::new(domain);
-                let found = processes.look().and_then(|()| processes.system_path());
+                let found = processes.refresh().and_then(|()| processes.system_path());
                 found.map_err(|error| {
                     Failure::unusable(format!("--as needs a system file: {error}; or name it with --system"))
                 })?

@@ -119,7 +119,7 @@ impl Channels {
         let channel = if is_kept && publishers.len() < MOST_PUBLISHERS {
             let name = gid.0.iter().map(|byte| format!("{byte:02x}")).collect();
             let metadata = [(PUBLISHER.to_owned(), name)].into();
-            let topic = Topic { qos: crate::offers::write(qos), metadata, ..observed.topic.clone() };
+            let topic = Topic { qos: crate::offered_qos::write(qos), metadata, ..observed.topic.clone() };
             self.list.push(Channel { topic, kept: qos.depth });
             self.list.len() - 1
         } else {
@@ -139,7 +139,7 @@ impl Channels {
                 let known = observed.publishers.iter().flat_map(HashMap::values);
                 topic.qos = known.map(|channel| &*self.list[*channel].topic.qos).collect();
             }
-            let qos = crate::offers::read(&topic.qos).unwrap_or_default();
+            let qos = crate::offered_qos::read(&topic.qos).unwrap_or_default();
             let kept = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
             self.list.push(Channel { topic, kept });
             self.list.len() - 1

@@ -4,8 +4,8 @@
 use super::RecordArgs;
 use super::event::EVENTS;
 use regex::Regex;
-use taut_cli::asking::full_name;
-use taut_cli::values::full_type;
+use taut_cli::arguments::full_name;
+use taut_cli::arguments::full_type;
 use taut_cli::verb::{Failure, Outcome};
 
 pub struct Choice {

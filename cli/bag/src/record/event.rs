@@ -91,7 +91,7 @@ impl Events {
             type_name: self.event.name().to_string(),
             type_hash: type_of(&self.event).hash.as_deref().unwrap_or_default().to_owned(),
             definition: Some(Definition::ros2msg(definitions::for_bag(&self.event))),
-            qos: crate::offers::write(&Qos::default()),
+            qos: crate::offered_qos::write(&Qos::default()),
             ..Topic::default()
         }
     }

@@ -181,7 +181,7 @@ pub fn size(text: &str) -> Result<u64, String> {
 
 fn silent(text: &str) -> Result<(String, Duration), String> {
     let (topic, text) = text.rsplit_once('=').ok_or("TOPIC=TIME, such as /scan=200ms")?;
-    Ok((taut_cli::asking::full_name(topic), time(text)?))
+    Ok((taut_cli::arguments::full_name(topic), time(text)?))
 }
 
 fn cores(text: &str) -> Result<CoreSet, String> {
@@ -193,7 +193,7 @@ fn throttle(text: &str) -> Result<(String, f64), String> {
     let (topic, hz) = text.rsplit_once('=').ok_or("TOPIC=HZ, such as /scan=10")?;
     let hz = hz.parse::<f64>().ok().filter(|hz| (1e-6..1e9).contains(hz));
     let hz = hz.ok_or("HZ is a number of messages a second, above 0")?;
-    Ok((taut_cli::asking::full_name(topic), hz))
+    Ok((taut_cli::arguments::full_name(topic), hz))
 }
 
 pub fn run(args: &RecordArgs) -> Outcome {
@@ -340,7 +340,7 @@ fn watch(
             progress.set_message(format!("{state}{}", observers.progress()));
         }
         if observers.is_empty() {
-            end.say_once(|| "a topic to record".to_owned());
+            end.print_waiting_once(|| "a topic to record".to_owned());
         }
         end.pause(LOOK);
     }
@@ -375,7 +375,7 @@ fn listen(toggled: &Arc<AtomicBool>) -> Outcome {
         .map_err(|error| Failure::unusable(format!("SIGUSR1 cannot be caught: {error}")))?;
     let on_signal = handle.clone();
     std::thread::spawn(move || signals.forever().for_each(|_| on_signal()));
-    crate::keys::lines(move |_| handle());
+    crate::terminal::on_line(move |_| handle());
     Ok(())
 }
 

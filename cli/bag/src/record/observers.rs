@@ -5,7 +5,7 @@ use super::RecordArgs;
 use super::choice::Choice;
 use super::event::{EVENTS, Events, Part};
 use crate::definitions;
-use crate::offers;
+use crate::offered_qos;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -383,7 +383,7 @@ fn described(
         definition: schema.map(|schema| Definition::ros2msg(definitions::for_bag(&schema))),
         qos: publishers(ends)
             .filter(|publisher| publisher.qos.durability == Durability::Volatile)
-            .map(|publisher| offers::write(&publisher.qos))
+            .map(|publisher| offered_qos::write(&publisher.qos))
             .collect(),
         ..Topic::default()
     }

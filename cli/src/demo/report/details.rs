@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What `--verbose` adds to the table: each excess, the circumstances of the run, and the explanation of anything unusual.
+//! The part of the report that `--verbose` adds: each excess, the circumstances of the run, and the explanation of anything unusual.
 
 use super::DemoReport;
 use super::text::list;
@@ -7,13 +7,13 @@ use super::text::list;
 /// Some microseconds for each job are the kernel's, which changes from one thread to another: of forty jobs a fifth of a millisecond.
 const SWITCHES_MS: f64 = 0.5;
 
-/// The responses above the prediction, and what took the core during the worst of them; empty without any, or if no bound applies.
+/// The responses above the prediction, and the threads that had the core during the worst of them; empty if there are none, or if no bound applies.
 pub fn excesses(report: &DemoReport) -> String {
     let excesses = list(&report.topics, |topic| topic.beyond_prediction().filter(|_| report.realtime));
     if excesses.is_empty() { excesses } else { format!("Above RTA+overhead: {excesses}.") }
 }
 
-/// How and on what it ran, and what was measured beside the responses.
+/// The circumstances of the run, and the measurements other than responses.
 pub fn circumstances(report: &DemoReport) -> String {
     format!(
         "{:.1} s on core {}, sampler at priority {}. Measured overhead: {:.1} µs of middleware per message (most at once: {:.0} µs), \

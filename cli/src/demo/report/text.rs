@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The report for people: the table, and what a person wants to know of it in five lines.
+//! The printed report: the table, and five lines that summarise it.
 
 use std::io::{self, Write};
 

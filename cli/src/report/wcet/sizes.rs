@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Execution times by the size of the input, and a line that no job is above.
+//! Execution times by the size of the input, and a line that bounds them.
 
 use super::super::run::SizeClass;
 use super::tail::{NoTail, Tail, tail_of_longest};
@@ -8,13 +8,13 @@ use serde_json::{Value, json};
 use std::fmt;
 use std::io::{self, Write};
 
-/// Jobs with inputs of about one size, and what their tail says of longer ones.
+/// Jobs with inputs of about one size, and the estimated tail of their execution times.
 pub struct Class<'r> {
     seen: &'r SizeClass,
     pub tail: Result<Tail, NoTail>,
 }
 
-/// `wcet(size) = fixed + per_unit * size`, which never falls.
+/// `wcet(size) = fixed + per_unit * size`, with `per_unit >= 0`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Line {
     pub fixed_ns: f64,
@@ -26,7 +26,7 @@ impl<'r> Class<'r> {
         Class { seen, tail: tail_of_longest(&seen.longest_ns, seen.jobs, seen.max_ns, exceedance) }
     }
 
-    /// What was seen, and what is to be expected of as many jobs as were asked for.
+    /// The longest measured time, or the estimate for the requested number of jobs if that is longer.
     fn needed_ns(&self) -> f64 {
         let max_ns = self.seen.max_ns as f64;
         self.tail.map_or(max_ns, |tail| max_ns.max(tail.upper_ns))
@@ -51,16 +51,16 @@ impl<'r> Class<'r> {
 }
 
 impl Line {
-    /// A line that no job is above. Its slope is that of the lowest line above the longest job of each class: of all lines that none of
-    /// these is above, the one whose distances to them have the least sum. That is a linear program in two unknowns. With n classes of
-    /// mean size m the sum is n (fixed + per_unit m) less a constant, so the line is the one that is lowest at m: the edge there of the
-    /// upper convex hull (A. M. Andrew, Information Processing Letters 9(5), 1979). Instead of one that falls it is a level one, the
-    /// lowest of those that do not fall, as the sum is convex in the slope.
+    /// A line that bounds all jobs. Its slope is that of the lowest line above the longest job of each class: of all lines that bound these
+    /// jobs, the one with the least sum of distances to them. That is a linear program in two unknowns. With n classes of mean size m,
+    /// the sum is n (fixed + per_unit m) less a constant, so the line is the one that is lowest at m: the edge of the upper convex hull at
+    /// m (A. M. Andrew, Information Processing Letters 9(5), 1979). A falling line is replaced by the lowest level one, which is the best of
+    /// those that do not fall, because the sum is convex in the slope.
     ///
-    /// Of a class's other jobs only its least size is known: the line is raised until it is above the maximum there, by an eighth of
-    /// `per_unit * size` at most while classes are not merged.
+    /// The sizes of a class's other jobs are unknown. Therefore the line is raised until it is above the class's maximum at its least size,
+    /// by at most an eighth of `per_unit * size` while classes are not merged.
     ///
-    /// `None`: it takes two sizes.
+    /// `None` if there are fewer than two sizes.
     pub fn above(classes: &[Class<'_>]) -> Option<Line> {
         let mut points: Vec<(f64, f64)> =
             classes.iter().map(|class| (class.seen.size_of_max as f64, class.needed_ns())).collect();
@@ -69,7 +69,7 @@ impl Line {
         let slope = |from: (f64, f64), to: (f64, f64)| (to.1 - from.1) / (to.0 - from.0);
         let mut hull = Vec::<(f64, f64)>::new();
         for point in &points {
-            // Of one size the last is the highest.
+            // Of several classes of one size, the last one is the highest.
             hull.pop_if(|last| last.0 == point.0);
             while let [.., before, last] = hull[..]
                 && slope(before, last) <= slope(last, *point)
@@ -84,7 +84,7 @@ impl Line {
         Some(Line { fixed_ns: above.fold(f64::NEG_INFINITY, f64::max), per_unit_ns })
     }
 
-    /// Rounded up.
+    /// The bound for a size, rounded up.
     pub fn at(self, size: u64) -> u64 {
         (self.fixed_ns + self.per_unit_ns * size as f64).ceil() as u64
     }
@@ -94,7 +94,7 @@ impl Line {
     }
 }
 
-/// Rounded up, so that no job is above the line as it is printed either.
+/// The numbers are rounded up, so that the printed line bounds all jobs, too.
 impl fmt::Display for Line {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let time = |ns: f64| {
@@ -103,7 +103,7 @@ impl fmt::Display for Line {
                 ..1e6 => (ns / 1e3, "us"),
                 _ => (ns / 1e6, "ms"),
             };
-            // Four significant digits at least.
+            // At least four significant digits.
             let decimals = 3_i32.saturating_sub(value.abs().log10().floor() as i32).clamp(3, 12);
             let scale = 10_f64.powi(decimals);
             let text = format!("{:.*}", decimals as usize, (value * scale).ceil() / scale);
@@ -141,8 +141,8 @@ mod tests {
     }
 
     #[test]
-    fn the_line_is_the_lowest_that_no_class_is_above() {
-        // Straight; bent down and up, where the edge at the mean counts; one outlier; falling; two classes of one size.
+    fn the_line_is_the_lowest_that_bounds_all_classes() {
+        // On a line; below and above it, where the edge at the mean decides; with an outlier; falling; two classes of one size.
         for (classes, expected) in [
             (&[(0, 100), (10, 120), (20, 140)][..], Some((100.0, 2.0))),
             (&[(0, 0), (10, 100), (20, 150), (30, 160)], Some((50.0, 5.0))),
@@ -156,7 +156,7 @@ mod tests {
             let found = line(classes).map(|line| (line.fixed_ns, line.per_unit_ns));
             assert_eq!(found, expected, "{classes:?}");
         }
-        // Classes that are wide beside their distance: 100 + size, seen at the upper end of one and at the next.
+        // Classes whose width is large beside their distance: 100 + size, measured at the upper end of one and in the next one.
         let seen =
             [SizeClass { size_of_max: 1_151, ..class(1_024, 1_151, 1_251) }, class(1_152, 1_152, 1_252)];
         let wide = Line::above(&seen.each_ref().map(|seen| Class::new(seen, 1e-6)));
@@ -169,7 +169,7 @@ mod tests {
         assert_eq!(shown(0.0, 0.0), "0ns + 0ns * size");
     }
 
-    /// Against all lines through two classes, which the optimum of the program is one of, or level.
+    /// Compares with all lines through two classes and all level ones, one of which is the optimum of the program.
     #[test]
     fn no_other_line_is_lower() {
         let mut random = Random(3);
@@ -194,8 +194,8 @@ mod tests {
         }
     }
 
-    /// Jobs of a known line, less what varies, in the classes of the statistics: found again above all of them, and too high by a class's
-    /// width at most; beyond them, too.
+    /// The jobs lie at or below a known line. The line that is found bounds all of them, also at larger sizes, and is too high by at most the
+    /// width of a class.
     #[test]
     fn a_known_line_is_found_again() {
         let (fixed, per_unit) = (50_000.0, 30.0);
@@ -222,7 +222,7 @@ mod tests {
             of.longest_ns.sort_unstable();
             of.longest_ns.drain(..of.longest_ns.len().saturating_sub(64));
         }
-        // Where there are limits they are what the line is above.
+        // The line bounds the upper limits of the estimates where there are any.
         for (exceedance, estimated, most) in [(1e-6, false, 0.11), (1e-5, true, 0.17)] {
             let classes: Vec<_> = seen.values().map(|seen| Class::new(seen, exceedance)).collect();
             let line = Line::above(&classes).unwrap();

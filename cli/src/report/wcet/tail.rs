@@ -1,52 +1,53 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! The tail of measured execution times, by extreme-value theory: what is exceeded once in so many jobs.
+//! The tail of measured execution times, by extreme-value theory: the time that one job in a given number exceeds.
 //!
 //! Peaks over a threshold follow a generalized Pareto distribution (J. Pickands, Annals of Statistics 3(1), 1975). Its parameters are
-//! fitted by probability-weighted moments; what is off by chance is found by a parametric bootstrap. Jobs are taken as independent and
-//! alike, which no histogram can show.
+//! fitted by probability-weighted moments; a parametric bootstrap gives the error of the fit. Jobs are assumed to be independent and
+//! identically distributed, which no histogram can show.
 
 use tautline::Bucket;
 
-/// The share of the jobs that are looked at, and the fewest and the most of them.
+/// The share of the jobs that belong to the tail, and the minimum and maximum of their number.
 const TAIL: f64 = 0.1;
 const FEWEST: usize = 50;
 const MOST: usize = 2000;
-/// The rarest of which something is said is so many times as rare as one of all jobs.
+/// The largest extrapolation: an estimate is at most this many times as rare as one of all jobs.
 const FURTHEST: f64 = 100.0;
-/// Samples that are drawn from what was fitted.
+/// The number of samples of the bootstrap.
 const RESAMPLES: usize = 400;
-/// In such a share of runs the true value is to be below the limit. The bootstrap is a little short of it: 0.79 to 0.93 in the test, the least where the tail is heaviest; 0.87 to 0.99 of the longest 64.
+/// The share of runs in which the true value shall be below the limit. The bootstrap achieves a little less: 0.79 to 0.93 in the test, least
+/// for the heaviest tail; 0.87 to 0.99 if only the longest 64 jobs are known.
 pub const CONFIDENCE: f64 = 0.95;
-/// What is as rare as this, if the fit is right, is taken as proof that it is not.
+/// The significance level at which a fit is rejected.
 const SIGNIFICANCE: f64 = 0.05;
-/// From this shape on the moments say nothing.
+/// The shape from which on the moments do not exist.
 const HEAVIEST: f64 = 0.5;
 
-/// What a tail is like.
+/// An estimated tail.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tail {
-    /// Above 0 it has no end; below 0 it ends.
+    /// The shape: the tail is unbounded above 0, bounded below 0.
     pub shape: f64,
-    /// What one job in so many as were asked for exceeds, in nanoseconds.
+    /// The estimate: the time in nanoseconds that one job in the requested number exceeds.
     pub estimate_ns: f64,
-    /// That is at most this, with a confidence of 95 %.
+    /// The upper limit of the estimate, with a confidence of 95 %.
     pub upper_ns: f64,
 }
 
-/// Why nothing is known of a tail.
+/// Why a tail cannot be estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum NoTail {
-    /// So many are needed.
+    /// There are too few jobs; this many are needed.
     TooFewJobs(u64),
-    /// All jobs took the same.
+    /// All jobs took the same time.
     AllAlike,
-    /// Long jobs are too frequent for an estimate: they are of another kind than the rest.
+    /// There are too many long jobs: they are of another kind than the others.
     TooHeavy,
-    /// The distribution is none of these, by the bootstrap.
+    /// The bootstrap rejects the generalized Pareto distribution.
     NoFit,
 }
 
-/// A generalized Pareto distribution of what is above a threshold, with Hosking's sign of `k`: the shape is `-k`.
+/// A generalized Pareto distribution of the excesses over a threshold, with Hosking's sign of `k`: the shape is `-k`.
 #[derive(Clone, Copy)]
 struct Pareto {
     k: f64,
@@ -54,7 +55,7 @@ struct Pareto {
 }
 
 impl Pareto {
-    /// By probability-weighted moments (J. R. M. Hosking, J. R. Wallis, Technometrics 29(3), 1987, equation 7), of ascending values.
+    /// Fits ascending values by probability-weighted moments (J. R. M. Hosking, J. R. Wallis, Technometrics 29(3), 1987, equation 7).
     fn fit(excesses: &[f64]) -> Option<Pareto> {
         let n = excesses.len() as f64;
         let mean = excesses.iter().sum::<f64>() / n;
@@ -65,7 +66,7 @@ impl Pareto {
             .then(|| Pareto { k: mean / difference - 2.0, scale: 2.0 * mean * moment / difference })
     }
 
-    /// What one in `1 / beyond` exceeds.
+    /// The excess that one in `1 / beyond` exceeds.
     fn quantile(self, beyond: f64) -> f64 {
         if self.k.abs() < 1e-9 {
             return -self.scale * beyond.ln();
@@ -80,7 +81,7 @@ impl Pareto {
         1.0 - (1.0 - self.k * x / self.scale).max(0.0).powf(1.0 / self.k)
     }
 
-    /// How far from it ascending values are: the statistic of Cramér and von Mises.
+    /// The distance of ascending values from this distribution: the statistic of Cramér and von Mises.
     fn distance(self, excesses: &[f64]) -> f64 {
         let n = excesses.len() as f64;
         let of_one = |(j, x): (usize, &f64)| (self.cumulative(*x) - (j as f64 + 0.5) / n).powi(2);
@@ -88,16 +89,17 @@ impl Pareto {
     }
 }
 
-/// What one job in `1 / exceedance` exceeds, by the tail of these, which are ascending; `max_ns` is the longest one.
+/// The time that one job in `1 / exceedance` exceeds, estimated from the tail of these jobs. The buckets are ascending; `max_ns` is the
+/// longest job.
 ///
 /// # Errors
-/// There is no estimate, and why.
+/// The reason why there is no estimate.
 pub fn tail(buckets: &[Bucket], max_ns: u64, exceedance: f64) -> Result<Tail, NoTail> {
     let jobs: u64 = buckets.iter().map(|bucket| bucket.count).sum();
     suffice(jobs, exceedance)?;
     let wanted = ((jobs as f64 * TAIL) as u64).min(MOST as u64);
     let (mut above, mut first) = (0, buckets.len());
-    // Whole buckets: their least value is the threshold.
+    // The tail consists of whole buckets; the lower end of the first one is the threshold.
     while first > 0 && above < wanted {
         first -= 1;
         above += buckets[first].count;
@@ -106,20 +108,20 @@ pub fn tail(buckets: &[Bucket], max_ns: u64, exceedance: f64) -> Result<Tail, No
         return Err(NoTail::AllAlike);
     }
     let (threshold_ns, share) = (buckets[first].low_ns as f64, above as f64 / jobs as f64);
-    // Of as many as anybody asks for: each stands for some.
+    // If there are too many jobs, each value represents several.
     let step = (above as usize).div_ceil(10 * MOST) as u64;
     let mut excesses = Vec::new();
     for bucket in &buckets[first..] {
         let low = bucket.low_ns as f64;
         let width = (bucket.high_ns as f64 + 1.0 - low).max(0.0);
-        // Within a bucket they are anywhere.
+        // The jobs' places within a bucket are unknown.
         let spread = (0..bucket.count).step_by(step.max(1) as usize);
         excesses.extend(spread.map(|n| low - threshold_ns + width * (n as f64 + 0.5) / bucket.count as f64));
     }
     fit_above(threshold_ns, &excesses, share, exceedance, jobs ^ max_ns)
 }
 
-/// The same, if only the longest of these jobs are known: one of them is the threshold.
+/// As [`tail`], if only the longest jobs are known: one of them is the threshold.
 ///
 /// # Errors
 /// As [`tail`].
@@ -141,7 +143,7 @@ fn suffice(jobs: u64, exceedance: f64) -> Result<(), NoTail> {
     if jobs < needed { Err(NoTail::TooFewJobs(needed)) } else { Ok(()) }
 }
 
-/// By what a share of the jobs, in ascending order, exceeds a threshold.
+/// Fits the ascending excesses of a share of the jobs over a threshold.
 fn fit_above(
     threshold_ns: f64,
     excesses: &[f64],
@@ -174,11 +176,11 @@ fn fit_above(
     Ok(Tail { shape: -fitted.k, estimate_ns: threshold_ns + estimate, upper_ns: threshold_ns + upper })
 }
 
-/// splitmix64 (G. Steele, D. Lea, C. Flood, OOPSLA 2014): the same estimate of the same run.
+/// splitmix64 (G. Steele, D. Lea, C. Flood, OOPSLA 2014), so that a run always has the same estimate.
 pub struct Random(pub u64);
 
 impl Random {
-    /// Above 0, below 1.
+    /// A number above 0 and below 1.
     pub fn unit(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mut z = self.0;
@@ -193,7 +195,7 @@ mod tests {
     use super::*;
     use tautline::HistogramSnapshot;
 
-    /// As many jobs of a distribution, in the buckets of the statistics.
+    /// Draws jobs of a distribution, in the buckets of the statistics.
     fn run(jobs: u64, random: &mut Random, quantile: impl Fn(f64) -> f64) -> (Vec<Bucket>, u64) {
         let times: Vec<u64> = (0..jobs).map(|_| quantile(random.unit()) as u64).collect();
         let max_ns = times.iter().copied().max().unwrap();
@@ -202,7 +204,7 @@ mod tests {
         (histogram.buckets().collect(), max_ns)
     }
 
-    /// In such a share of runs the true value is at most the upper limit, and the estimate is so far off at most, in the middle.
+    /// The share of runs in which the true value is at most the upper limit, and the median error of the estimate.
     fn covered(quantile: impl Fn(f64) -> f64, exceedance: f64, of_longest: bool) -> (f64, f64) {
         let (mut random, truth) = (Random(7), quantile(exceedance));
         let (mut covered, mut off) = (0, Vec::new());
@@ -227,11 +229,11 @@ mod tests {
 
     #[test]
     fn the_true_value_is_below_the_limit() {
-        // What is far out of closed distributions: exponential, uniform, Pareto of shape 0.2.
+        // Distributions with known quantiles: exponential, uniform, Pareto of shape 0.2.
         let exponential = |u: f64| 1e6 - 5e4 * u.ln();
         let uniform = |u: f64| 1e6 + 5e5 * (1.0 - u);
         let pareto = |u: f64| 1e6 + 5e4 / 0.2 * (u.powf(-0.2) - 1.0);
-        // What docs/report.md says, too.
+        // docs/report.md states these numbers.
         for (of_longest, shares) in [(false, 0.785..0.935), (true, 0.865..0.995)] {
             for (name, (covered, off)) in [
                 ("exponential", covered(exponential, 1e-5, of_longest)),
@@ -244,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_told_is_not_told() {
+    fn without_enough_jobs_or_a_fit_there_is_no_estimate() {
         let mut random = Random(1);
         let (few, max) = run(9_999, &mut random, |u| 1e6 - 5e4 * u.ln());
         assert_eq!(tail(&few, max, 1e-6), Err(NoTail::TooFewJobs(10_000)));

@@ -2,7 +2,7 @@
 //! Which field is meant, and whether it can be drawn.
 
 use std::fmt;
-use taut_cli::asking::full_name;
+use taut_cli::arguments::full_name;
 use taut_cli::verb::{Failure, Outcome};
 use tautline_schema::{Base, Definition, FieldType, Primitive, Schema, Shape};
 

@@ -1,10 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Messages that are written on the command line: `[TYPE] [VALUES]`, as ROS 2's tools take them.
+//! Names, types and messages on the command line, as ROS 2's tools take them.
 
 use crate::verb::{Failure, Outcome};
 use std::sync::Arc;
 use tautline_rt::clock::wall_ns;
 use tautline_schema::{DynamicMessage, Schema};
+
+/// The full name; a relative name belongs to the namespace `/`.
+pub fn full_name(name: &str) -> String {
+    if name.starts_with('/') { name.to_owned() } else { format!("/{name}") }
+}
 
 /// The full name of a type. As in ROS 2's tools, the kind (`msg`, `srv`, `action`) may be omitted.
 pub fn full_type(name: &str, kind: &str) -> String {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Calls services and actions by the names that users type, through a temporary node, with a time limit.
 
+use crate::arguments::full_name;
 use crate::verb::{End, Failure, Outcome, Waited};
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
@@ -13,68 +14,71 @@ use tautline::{Client, Context, Error, GraphSnapshot, Node, Realtime, ServiceKin
 use tautline_msgs::Service;
 use tautline_transport::graph_of;
 
-pub type Answer<T> = Result<<T as Service>::Response, Error>;
+/// The response, or why there is none.
+pub type Response<T> = Result<<T as Service>::Response, Error>;
 
-/// A temporary node in the domain, and its sampler thread, which receives the responses.
-pub struct Asking {
+/// A temporary node that calls services, and its sampler thread, which receives the responses.
+pub struct Caller {
     pub node: Node,
     pub end: End,
     context: Context,
     sampler: Option<JoinHandle<Result<(), Error>>>,
 }
 
-impl Asking {
+impl Caller {
     /// Joins the domain.
     pub fn new(domain: u32, end: End) -> Outcome<Self> {
         let context = Context::builder().domain(domain).realtime(Realtime::Off).build()?;
         let node = Node::create(context.clone(), &format!("taut_{}", std::process::id()), "")?;
         let spun = context.clone();
         let sampler = std::thread::spawn(move || spun.spin());
-        Ok(Asking { node, end, context, sampler: Some(sampler) })
+        Ok(Caller { node, end, context, sampler: Some(sampler) })
     }
 
     /// Calls one service and returns its response.
-    pub fn ask<T: Service>(&mut self, service: &str, request: T::Request) -> Outcome<T::Response> {
-        let answer = self.ask_all::<T>(vec![(service.to_owned(), request)])?.remove(0);
-        answer.map_err(|error| Failure::no(no_answer(&error)))
+    pub fn call<T: Service>(&mut self, service: &str, request: T::Request) -> Outcome<T::Response> {
+        let response = self.call_all::<T>(vec![(service.to_owned(), request)])?.remove(0);
+        response.map_err(|error| Failure::no(no_response(&error)))
     }
 
     /// Calls several services at once. The result of a service that does not respond in time is [`Error::ServiceTimeout`].
-    pub fn ask_all<T: Service>(&mut self, requests: Vec<(String, T::Request)>) -> Outcome<Vec<Answer<T>>> {
+    pub fn call_all<T: Service>(&mut self, requests: Vec<(String, T::Request)>) -> Outcome<Vec<Response<T>>> {
         let timeout = self.end.timeout().unwrap_or_default();
         let graph = self.node.graph()?;
         let silent = |service: &String| Err(Error::ServiceTimeout { service: service.clone(), timeout });
-        let mut answers: Vec<_> = requests.iter().map(|(service, _)| silent(service)).collect();
-        let (mut waiting, mut asked) = (Vec::new(), FuturesUnordered::new());
+        let mut responses: Vec<_> = requests.iter().map(|(service, _)| silent(service)).collect();
+        let (mut waiting, mut calls) = (Vec::new(), FuturesUnordered::new());
         for (index, (service, request)) in requests.into_iter().enumerate() {
             let client = self.node.create_client::<T>(&service)?;
-            let is_there = has_server(&graph, &service);
+            let is_known = has_server(&graph, &service);
             waiting.push(Some(service));
-            asked.push(async move { (index, exchange(client, is_there, request).await) });
+            calls.push(async move { (index, exchange(client, is_known, request).await) });
         }
         // Creating clients for hundreds of nodes takes time, which does not count against the nodes.
         self.end.restart();
-        while !asked.is_empty() {
+        while !calls.is_empty() {
             let what = || {
                 let names: Vec<&str> = waiting.iter().flatten().map(String::as_str).collect();
-                format!("{} to answer", names.join(", "))
+                format!("responses of {}", names.join(", "))
             };
-            match self.end.look(what, polled(asked.next()))? {
-                Waited::For(Some((index, answer))) => (waiting[index], answers[index]) = (None, answer),
-                Waited::For(None) | Waited::InVain => break,
+            match self.end.try_wait(what, poll_future(calls.next()))? {
+                Waited::Ready(Some((index, response))) => {
+                    (waiting[index], responses[index]) = (None, response)
+                }
+                Waited::Ready(None) | Waited::TimedOut => break,
                 Waited::Interrupted => return Err(Failure::interrupted()),
             }
         }
-        Ok(answers)
+        Ok(responses)
     }
 
     /// Waits for another future.
     pub fn wait<T>(&self, what: impl Fn() -> String, future: impl Future<Output = T>) -> Outcome<T> {
-        self.end.wait(what, polled(future))
+        self.end.wait(what, poll_future(future))
     }
 }
 
-impl Drop for Asking {
+impl Drop for Caller {
     fn drop(&mut self) {
         self.context.shutdown();
         if let Some(sampler) = self.sampler.take() {
@@ -83,9 +87,9 @@ impl Drop for Asking {
     }
 }
 
-async fn exchange<T: Service>(client: Client<T>, is_there: bool, request: T::Request) -> Answer<T> {
+async fn exchange<T: Service>(client: Client<T>, is_known: bool, request: T::Request) -> Response<T> {
     // A gateway or bridge creates its proxy of the server only when a client appears.
-    if is_there {
+    if is_known {
         client.wait_for_service()?.await?;
     }
     client.request(&request)?.await
@@ -97,7 +101,7 @@ pub fn action_of<'a>(service: &'a str, type_name: &'a str) -> Option<(&'a str, &
 }
 
 /// The error text for a service that did not respond.
-pub fn no_answer(error: &Error) -> String {
+pub fn no_response(error: &Error) -> String {
     match error {
         Error::ServiceTimeout { .. } => format!("{error}: its node is stopped, or does not spin"),
         error => error.to_string(),
@@ -112,8 +116,8 @@ impl Wake for Unpark {
     }
 }
 
-/// Adapts a future to [`End::look`]: waking the future unparks this thread.
-pub fn polled<T>(future: impl Future<Output = T>) -> impl FnMut() -> Outcome<Option<T>> {
+/// Adapts a future to [`End::wait`]: waking the future unparks this thread.
+pub fn poll_future<T>(future: impl Future<Output = T>) -> impl FnMut() -> Outcome<Option<T>> {
     let waker = Waker::from(Arc::new(Unpark(std::thread::current())));
     let mut future = Box::pin(future);
     move || match future.as_mut().poll(&mut Polled::from_waker(&waker)) {
@@ -122,18 +126,13 @@ pub fn polled<T>(future: impl Future<Output = T>) -> impl FnMut() -> Outcome<Opt
     }
 }
 
-/// The full name; a relative name belongs to the namespace `/`.
-pub fn full_name(name: &str) -> String {
-    if name.starts_with('/') { name.to_owned() } else { format!("/{name}") }
-}
-
 /// Whether the service has a server, on any host.
 fn has_server(graph: &GraphSnapshot, service: &str) -> bool {
     graph.services.iter().any(|end| end.kind == ServiceKind::Server && end.name == service)
 }
 
 /// The nodes that serve `<node>/<service>`.
-pub fn nodes_with(domain: u32, service: &str) -> Outcome<Vec<String>> {
+pub fn nodes_serving(domain: u32, service: &str) -> Outcome<Vec<String>> {
     let graph = graph_of(domain)?;
     let servers = graph.services.iter().filter(|end| end.kind == ServiceKind::Server);
     let nodes = servers.filter_map(|end| end.name.strip_suffix(service)?.strip_suffix('/'));
@@ -142,7 +141,7 @@ pub fn nodes_with(domain: u32, service: &str) -> Outcome<Vec<String>> {
 }
 
 /// The full name of a node that serves `<node>/<service>`. For a node without it, the error says that the node `what`.
-pub fn node_with(domain: u32, node: &str, service: &str, what: &str) -> Outcome<String> {
+pub fn node_serving(domain: u32, node: &str, service: &str, what: &str) -> Outcome<String> {
     let (graph, node) = (graph_of(domain)?, full_name(node));
     let all: Vec<String> = graph.nodes.iter().map(|node| node.name.full_name()).collect();
     if has_server(&graph, &format!("{node}/{service}")) {

@@ -10,22 +10,22 @@ use std::time::Duration;
 /// The maximum length of a line.
 const LONGEST: usize = 4096;
 /// The interval at which the terminal is polled.
-const LOOK: Duration = Duration::from_millis(200);
+const POLL_INTERVAL: Duration = Duration::from_millis(200);
 
-/// Calls `hear` for each line that is typed at the terminal, if standard input is one. Reads only while this process is in the
+/// Calls `handle` for each line that is typed at the terminal, if standard input is one. Reads only while this process is in the
 /// foreground, because the kernel stops a background process that reads from its terminal.
-pub fn lines(mut hear: impl FnMut(&str) + Send + 'static) {
+pub fn on_line(mut handle: impl FnMut(&str) + Send + 'static) {
     let stdin = io::stdin();
     if !stdin.is_terminal() {
         return;
     }
     std::thread::spawn(move || {
-        let wait = Timespec { tv_sec: 0, tv_nsec: LOOK.subsec_nanos().into() };
+        let wait = Timespec { tv_sec: 0, tv_nsec: POLL_INTERVAL.subsec_nanos().into() };
         let (mut bytes, mut typed) = ([0; 256], Vec::new());
         loop {
             // If this is not the process's own terminal, the call fails, and reading does not stop the process.
             if tcgetpgrp(&stdin).is_ok_and(|foreground| foreground != getpgrp()) {
-                std::thread::sleep(LOOK);
+                std::thread::sleep(POLL_INTERVAL);
                 continue;
             }
             let mut ready = [PollFd::new(&stdin, PollFlags::IN)];
@@ -40,7 +40,7 @@ pub fn lines(mut hear: impl FnMut(&str) + Send + 'static) {
             }
             while let Some(end) = typed.iter().position(|byte| *byte == b'\n') {
                 let line: Vec<u8> = typed.drain(..=end).collect();
-                hear(String::from_utf8_lossy(&line).trim_end());
+                handle(String::from_utf8_lossy(&line).trim_end());
             }
             typed.truncate(LONGEST);
         }

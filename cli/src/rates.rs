@@ -7,9 +7,9 @@ use std::time::Instant;
 use tautline::{EndpointKind, GraphSnapshot};
 use tautline_transport::{Gid, Sent, Visitor};
 
-/// The previous readings.
+/// Measures rates from one reading of the counters to the next. It holds the previous reading.
 #[derive(Default)]
-pub struct Counts(BTreeMap<Gid, (Instant, Sent)>);
+pub struct RateMeter(BTreeMap<Gid, (Instant, Sent)>);
 
 /// The rate of a publisher.
 #[derive(Clone, Copy, Debug, Default)]
@@ -21,9 +21,9 @@ pub struct Rate {
 /// The rates of this host's publishers; `None` for a publisher without a previous reading. Publishers of other hosts have no counters here.
 pub type Rates = BTreeMap<Gid, Option<Rate>>;
 
-impl Counts {
+impl RateMeter {
     /// Reads the counters, and returns the rates since the previous reading.
-    pub fn look(&mut self, visitor: &mut Visitor, graph: &GraphSnapshot) -> Outcome<Rates> {
+    pub fn measure(&mut self, visitor: &mut Visitor, graph: &GraphSnapshot) -> Outcome<Rates> {
         let (before, mut rates) = (std::mem::take(&mut self.0), Rates::new());
         for end in graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Publisher) {
             let Some(sent) = visitor.sent(end)? else { continue };
