@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The one fixed-point search behind all bounds: a task, the thread it runs in, and everything that delays it.
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap, HashMap};
 
@@ -144,6 +144,44 @@ pub(crate) struct Core<'a> {
     /// A task that is released too often at once, if there is one.
     burst: Option<AnalysisError>,
     throttled: bool,
+    /// How much more work one period of the throttling may have before it throttles.
+    spare_ns: u64,
+    effort: Option<&'a Effort>,
+}
+
+#[cfg(test)]
+std::thread_local! {
+    /// All steps of this thread.
+    pub(crate) static STEPS: Cell<u64> = const { Cell::new(0) };
+}
+
+/// Counts the steps of searches for bounds, and may end them.
+#[derive(Debug)]
+pub(crate) struct Effort {
+    steps: Cell<u64>,
+    most: u64,
+    /// Whether a search is over once its bound is past the deadline.
+    until_late: bool,
+}
+
+impl Effort {
+    /// Counts only.
+    pub fn unlimited() -> Self {
+        Self { steps: Cell::new(0), most: u64::MAX, until_late: false }
+    }
+
+    /// To find out whether deadlines are met, in so many steps: past them there is no bound, and none past the deadline.
+    pub fn until_late(most: u64) -> Self {
+        Self { steps: Cell::new(0), most, until_late: true }
+    }
+
+    pub fn is_until_late(&self) -> bool {
+        self.until_late
+    }
+
+    pub fn steps(&self) -> u64 {
+        self.steps.get()
+    }
 }
 
 /// What all tasks of a thread have in common.
@@ -153,6 +191,8 @@ struct Shared {
     arrival_ns: u64,
     /// The busy window.
     busy_ns: u64,
+    /// When the last of its jobs ends, after the begin of that window.
+    end_ns: u64,
     utilisation: f64,
 }
 
@@ -163,6 +203,8 @@ pub(crate) struct Bound {
     pub arrival_ns: u64,
     /// From the nominal release to the end of a job for it or for a later one.
     pub reflected_ns: u64,
+    /// How much is released within this time may delay it: its longest busy window.
+    pub busy_ns: u64,
     pub utilisation: f64,
     /// Whether it may wait for the next period of its reservation.
     pub waits: bool,
@@ -204,11 +246,12 @@ impl<'a> Core<'a> {
             let release = Release::periodic(overheads.tick_period_ns);
             interrupts.push(Demand { release, cost_ns: overheads.tick_ns });
         }
-        let mut throttled = false;
+        let (mut throttled, mut spare_ns) = (false, u64::MAX);
         if let Some(limit) = overheads.throttling.filter(|limit| limit.runtime_ns < limit.period_ns) {
             let mut all = delays.iter().chain(&common).chain(&interrupts);
             let window = limit.period_ns.saturating_add(stall_ns);
             let work = all.try_fold(0, |sum: u64, demand| sum.checked_add(demand.within(window)?));
+            spare_ns = limit.runtime_ns.saturating_sub(work.unwrap_or(u64::MAX));
             throttled = work.is_none_or(|work| work > limit.runtime_ns);
             if throttled {
                 let release = Release::periodic(limit.period_ns);
@@ -258,12 +301,25 @@ impl<'a> Core<'a> {
             known,
             burst,
             throttled,
+            spare_ns: if throttled { u64::MAX } else { spare_ns },
+            effort: None,
         })
+    }
+
+    /// What ends a search leaves an error, whichever.
+    pub fn with_effort(mut self, effort: &'a Effort) -> Self {
+        self.effort = Some(effort);
+        self
     }
 
     /// Whether the kernel may pause this core's real-time threads; their bounds then contain the pauses.
     pub fn throttled(&self) -> bool {
         self.throttled
+    }
+
+    /// How much more work a period of the throttling may have before it throttles; the maximum without it, or if it does.
+    pub fn spare_ns(&self) -> u64 {
+        self.spare_ns
     }
 
     pub fn bound(&self, index: usize) -> Result<Bound, AnalysisError> {
@@ -284,11 +340,12 @@ impl<'a> Core<'a> {
             self.known.borrow_mut().insert(key, found.clone());
             found
         });
-        let Shared { arrival_ns, busy_ns, utilisation } = shared?;
+        let Shared { arrival_ns, busy_ns, end_ns, utilisation } = shared?;
         let nominal_ns = arrival_ns.checked_add(task.jitter_ns).ok_or_else(|| overflow(task))?;
         // The newest release of a timer goes behind what came before it, and the thread may get to it as late as possible.
         let reflected_ns = busy_ns.checked_add(task.jitter_ns).ok_or_else(|| overflow(task))?;
-        Ok(Bound { nominal_ns, arrival_ns, reflected_ns, utilisation, waits: false })
+        let busy_ns = busy_ns.max(end_ns);
+        Ok(Bound { nominal_ns, arrival_ns, reflected_ns, busy_ns, utilisation, waits: false })
     }
 }
 
@@ -401,7 +458,7 @@ impl<'a> Level<'a> {
         let spare_ns = runtime_ns.checked_sub(charged_ns).filter(|_| apart_ns >= period_ns);
         if let (Some(spare_ns), Ok(())) = (spare_ns, self.check_load()) {
             // Until when all that comes first is done: the wake-up may be as late.
-            let late_ns = self.finish(self.add(self.blocking, 1)?, 0, &mut 0)? - 1;
+            let late_ns = self.finish(self.add(self.blocking, 1)?, 0, u64::MAX, &mut 0)? - 1;
             let left_ns = late_ns.saturating_sub(apart_ns - period_ns);
             let rule = |ns: u64, of: u64| u128::from(ns) * u128::from(of);
             let is_left = left_ns == 0
@@ -432,11 +489,12 @@ impl<'a> Level<'a> {
 
     fn bound_without_gaps(&self) -> Result<Bound, AnalysisError> {
         self.check_load()?;
-        let (nominal_ns, arrival_ns) = self.alone()?;
+        let (nominal_ns, arrival_ns, busy_ns) = self.alone()?;
         Ok(Bound {
             nominal_ns,
             arrival_ns,
             reflected_ns: nominal_ns,
+            busy_ns,
             utilisation: self.utilisation_f64(),
             waits: false,
         })
@@ -445,12 +503,12 @@ impl<'a> Level<'a> {
     fn of_thread(&self, order: Order) -> Result<Shared, AnalysisError> {
         self.check_load()?;
         let busy_ns = self.busy_window()?;
-        let arrival_ns = match order {
+        let (arrival_ns, end_ns) = match order {
             Order::Fifo => self.first_in_first_out(busy_ns)?,
             // No second job of a lower rank is chosen before this level's busy window ends.
-            Order::Any | Order::Priority => busy_ns,
+            Order::Any | Order::Priority => (busy_ns, busy_ns),
         };
-        Ok(Shared { arrival_ns, busy_ns, utilisation: self.utilisation_f64() })
+        Ok(Shared { arrival_ns, busy_ns, end_ns, utilisation: self.utilisation_f64() })
     }
 
     /// Rounding down hides less than one unit for each demand, which is refused along with exactly 1.
@@ -471,15 +529,20 @@ impl<'a> Level<'a> {
     /// A task with a thread of its own: the longest response of the jobs of one busy window (Lehoczky 1990, with
     /// Tindell's jitter). A job that cannot be preempted ends its `tail` after it began (Davis et al. 2007); work that
     /// came meanwhile may delay the next one, so there the search goes on to the end of the busy window.
-    fn alone(&self) -> Result<(u64, u64), AnalysisError> {
+    fn alone(&self) -> Result<(u64, u64, u64), AnalysisError> {
         let jitter = self.task.jitter_ns;
         let window = if self.tail > 0 { self.busy_window()? } else { 0 };
-        let (mut nominal, mut arrival, mut iterations) = (0, 0, 0);
+        let (mut nominal, mut arrival, mut busy, mut iterations) = (0, 0, window, 0);
         let (mut work, mut end) = (self.blocking, 0);
         for job in 0.. {
             work = self.add(work, self.cost_ns)?;
-            end = self.finish(work - self.tail, end, &mut iterations)?;
+            let latest = match self.core.effort.is_some_and(Effort::is_until_late) {
+                true => self.release.shortest_span(job).saturating_add(self.task.deadline_ns),
+                false => u64::MAX,
+            };
+            end = self.finish(work - self.tail, end, latest, &mut iterations)?;
             let finish = self.without_preemption(end, &mut iterations)?;
+            busy = busy.max(finish);
             // The first job's nominal release may lie its jitter before the window, so this never falls below zero.
             nominal = nominal.max(self.add(finish, jitter)?.saturating_sub(self.release.nominal_span(job)));
             arrival = arrival.max(finish - self.release.shortest_span(job).min(finish));
@@ -492,7 +555,7 @@ impl<'a> Level<'a> {
             // Its place in the queue is not that of its nominal release.
             nominal = self.add(arrival, jitter)?;
         }
-        Ok((nominal, arrival))
+        Ok((nominal, arrival, busy))
     }
 
     /// When a job ends that nothing but interrupts delays from `start` on.
@@ -517,7 +580,7 @@ impl<'a> Level<'a> {
     /// A thread whose jobs run in the order of their release: a late one keeps its place, so that what the least distance of releases
     /// keeps apart may be queued at once. The longest response is that of a job that arrives when some
     /// task of the thread is released, as early as its curve allows (Bedarkar et al., ECRTS 2022).
-    fn first_in_first_out(&self, window: u64) -> Result<u64, AnalysisError> {
+    fn first_in_first_out(&self, window: u64) -> Result<(u64, u64), AnalysisError> {
         let nominal = |i: &usize| {
             let Demand { release, cost_ns } = &self.core.callbacks[*i];
             Demand { release: release.clone().min_distance(0), cost_ns: *cost_ns }
@@ -533,7 +596,7 @@ impl<'a> Level<'a> {
         while offset < window {
             let closed = self.add(offset, 1)?;
             let queued = queue.within(closed).and_then(|queued| queued.checked_add(self.blocking));
-            end = self.finish(queued.ok_or_else(|| overflow(self.task))?, end, &mut iterations)?;
+            end = self.finish(queued.ok_or_else(|| overflow(self.task))?, end, u64::MAX, &mut iterations)?;
             longest = longest.max(end.saturating_sub(offset));
             let Some(Reverse((next, _))) = offsets.peek().copied() else { break };
             offset = next;
@@ -544,7 +607,7 @@ impl<'a> Level<'a> {
                 offsets.push(Reverse((release.shortest_span(release.most_within(self.add(offset, 1)?)), i)));
             }
         }
-        Ok(longest)
+        Ok((longest, end))
     }
 
     /// The longest time that this level keeps the core busy, which bounds any job's response in any order.
@@ -567,14 +630,23 @@ impl<'a> Level<'a> {
         }
     }
 
-    /// Least fixed point of `work` plus interference, searched upwards from `window`, which must not exceed it.
-    fn finish(&self, work: u64, window: u64, iterations: &mut u32) -> Result<u64, AnalysisError> {
+    /// Least fixed point of `work` plus interference, searched upwards from `window`, which must not exceed it, and no further than `latest`.
+    fn finish(
+        &self,
+        work: u64,
+        window: u64,
+        latest: u64,
+        iterations: &mut u32,
+    ) -> Result<u64, AnalysisError> {
         let mut window = window.max(work);
         loop {
             self.count(iterations)?;
             let next = self.delayed(work, window)?;
             if next == window {
                 return Ok(window);
+            }
+            if next > latest {
+                *iterations = MAX_ITERATIONS;
             }
             window = next;
         }
@@ -596,7 +668,13 @@ impl<'a> Level<'a> {
 
     fn count(&self, iterations: &mut u32) -> Result<(), AnalysisError> {
         *iterations += 1;
-        if *iterations <= MAX_ITERATIONS {
+        #[cfg(test)]
+        STEPS.set(STEPS.get() + 1);
+        let goes_on = self.core.effort.is_none_or(|effort| {
+            effort.steps.set(effort.steps.get() + 1);
+            effort.steps.get() <= effort.most
+        });
+        if goes_on && *iterations <= MAX_ITERATIONS {
             return Ok(());
         }
         Err(AnalysisError::IterationLimit {

@@ -30,7 +30,9 @@ pub struct Response {
     pub waits_for_reservation: bool,
     /// From the nominal release to the end of a job for it or for a later one, in nanoseconds: a timer keeps only its newest release.
     pub(crate) reflected_ns: u64,
-    release: Release,
+    /// What is released within this time may delay it.
+    pub(crate) busy_ns: u64,
+    pub(crate) release: Release,
 }
 
 impl Response {
@@ -57,6 +59,7 @@ impl Response {
         self.response_ns = self.response_ns.max(other.response_ns);
         self.from_arrival_ns = self.from_arrival_ns.max(other.from_arrival_ns);
         self.reflected_ns = self.reflected_ns.max(other.reflected_ns);
+        self.busy_ns = self.busy_ns.max(other.busy_ns);
         self.level_utilisation = self.level_utilisation.max(other.level_utilisation);
         self.waits_for_reservation |= other.waits_for_reservation;
         self.met = self.response_ns <= self.deadline_ns;
@@ -77,6 +80,7 @@ impl Response {
             level_utilisation: bound.utilisation,
             waits_for_reservation: bound.waits,
             reflected_ns: bound.reflected_ns,
+            busy_ns: bound.busy_ns,
             release: task.release(),
         })
     }

@@ -1,28 +1,35 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! By how much execution times and overheads may grow before a deadline is missed.
 //!
-//! All bounds of this crate grow with every execution time and overhead, so a search by halving finds the limit.
+//! All bounds of this crate grow with every execution time and overhead, so a search by halving finds the limit. Of a large system it is ended
+//! early: all of its limits together cost as much as twenty checks, and each of them is then a lower bound.
+use std::ops::Range;
+
 use crate::Task;
+use crate::level::Effort;
 use crate::system::{Callback, Core, System};
 
 /// Factors are counted in thousandths.
-const UNIT: u64 = 1_000;
+pub(crate) const UNIT: u64 = 1_000;
 
 /// No factor above this many thousandths is looked for.
-const LIMIT: u64 = 1_000 * UNIT;
+pub(crate) const LIMIT: u64 = 1_000 * UNIT;
+
+/// So many steps take no time worth saving.
+pub(crate) const FEW: u64 = 20_000;
 
 /// The largest factor, in thousandths and at most 1,000,000, for which `schedulable` holds, provided that it holds for
-/// all smaller ones. 0 if it holds for none.
+/// all smaller ones. 0 if it holds for none. From 2,000 on, it is up to one in a thousand too low.
 pub fn largest_factor(mut schedulable: impl FnMut(u64) -> bool) -> u64 {
-    let (mut good, mut bad) = (0, UNIT);
+    let (mut good, mut bad, mut step) = (0, UNIT, 2);
     while schedulable(bad) {
         if bad >= LIMIT {
             return LIMIT;
         }
-        (good, bad) = (bad, (bad * 2).min(LIMIT));
+        (good, bad, step) = (bad, (bad * step).min(LIMIT), step * 2);
     }
-    while bad - good > 1 {
-        let middle = good + (bad - good) / 2;
+    while bad - good > (good / UNIT).max(1) {
+        let middle = if bad > 4 * good && good > 0 { (good * bad).isqrt() } else { good + (bad - good) / 2 };
         if schedulable(middle) { good = middle } else { bad = middle }
     }
     good
@@ -42,11 +49,19 @@ pub fn largest_factor(mut schedulable: impl FnMut(u64) -> bool) -> u64 {
 /// assert_eq!(sensitivity::load(&system), 1_111);
 /// ```
 pub fn load(system: &System) -> u64 {
-    largest_factor(|factor| {
+    search(system, |factor| {
         let callbacks = system.callbacks.iter();
         let scaled = callbacks.map(|c| crate::system::Callback { task: scale(&c.task, factor), ..c.clone() });
-        holds(&System { callbacks: scaled.collect(), ..system.clone() })
+        System { callbacks: scaled.collect(), ..system.clone() }
     })
+}
+
+/// By how many thousandths at least the execution times of each of these callbacks, given as their tasks, may be multiplied, the others unchanged:
+/// for all callbacks together this costs about as much as two searches for one, and may find less than [`wcet`]. `None` if a deadline is missed
+/// already.
+pub fn wcet_of_each(system: &System, callbacks: &[Range<usize>]) -> Option<Vec<u64>> {
+    let slack = system.slack()?;
+    Some(callbacks.iter().map(|callback| slack.factor(system, callback)).collect())
 }
 
 /// By how many thousandths the execution times of these callbacks may be multiplied, the others unchanged. 0 if one of
@@ -58,13 +73,13 @@ pub fn wcet(system: &System, callbacks: &[usize]) -> u64 {
     let mut scaled = system.clone();
     largest_factor(|factor| {
         callbacks.iter().for_each(|i| scaled.callbacks[*i].task = scale(&system.callbacks[*i].task, factor));
-        holds(&scaled)
+        scaled.holds(&Effort::until_late(u64::MAX))
     })
 }
 
 /// By how many thousandths all overheads together may be multiplied; the limit of 1,000,000 if there are none.
 pub fn overhead(system: &System) -> u64 {
-    largest_factor(|factor| {
+    search(system, |factor| {
         let mut scaled = system.clone();
         for Core { overheads, .. } in &mut scaled.cores {
             for time in
@@ -78,12 +93,8 @@ pub fn overhead(system: &System) -> u64 {
             task.message_overhead_ns = task.message_overhead_ns.map(|ns| times(ns, factor));
             task.executor_overhead_ns = times(task.executor_overhead_ns, factor);
         }
-        holds(&scaled)
+        scaled
     })
-}
-
-fn holds(system: &System) -> bool {
-    system.analyse().is_ok_and(|report| report.schedulable())
 }
 
 fn scale(task: &Task, factor: u64) -> Task {
@@ -93,7 +104,74 @@ fn scale(task: &Task, factor: u64) -> Task {
     Task { wcet_ns, non_preemptive_ns, bcet_ns: task.bcet_ns.min(wcet_ns), ..task.clone() }
 }
 
+/// The largest factor with which no deadline is missed, in about as many steps as six analyses. Near the limit an analysis takes very many:
+/// one that takes too many counts as a deadline missed.
+fn search(system: &System, scaled: impl Fn(u64) -> System) -> u64 {
+    if scaled(LIMIT) == *system {
+        return LIMIT;
+    }
+    let once = system.steps();
+    let (mut left, most) =
+        (once.saturating_mul(6).saturating_add(5 * FEW), once.saturating_mul(2).saturating_add(FEW));
+    largest_factor(|factor| {
+        let effort = Effort::until_late(left.min(most));
+        let holds = scaled(factor).holds(&effort);
+        left = left.saturating_sub(effort.steps());
+        holds
+    })
+}
+
 /// Rounded up; too long for the analysis if it does not fit.
 fn times(ns: u64, factor: u64) -> u64 {
     u64::try_from((u128::from(ns) * u128::from(factor)).div_ceil(UNIT.into())).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::file::SystemFile;
+    use crate::level::STEPS;
+    use std::cell::RefCell;
+    use std::fmt::Write;
+
+    /// A thousand callbacks on two cores, in chains: some have far to go, and some miss their deadlines.
+    #[test]
+    fn all_limits_cost_no_more_than_twenty_checks() {
+        for (length, cost_us) in [(1, 150), (10, 100), (1_000, 1)] {
+            let mut text = "[hosts.h]\ncores = 2\n[overheads]\nper_message = \"10ns\"\n".to_owned();
+            text += "[nodes.n]\ncore = 0\n[nodes.m]\ncore = 1\n";
+            for i in 0..1_000 {
+                let trigger = match i % length {
+                    0 => format!("period = \"{}ms\"", 100 + i / length),
+                    _ => format!("topic = \"t{}\"", i - 1),
+                };
+                let (node, priority) = (["n", "m"][i % 2], 1 + i % 80);
+                writeln!(
+                    text,
+                    "[callbacks.c{i}]\nnode = \"{node}\"\n{trigger}\nwcet = \"{cost_us}us\"\npublishes = \"t{i}\"\n\
+                     deadline = \"1s\"\npriority = {priority}\nshares_priority = true"
+                )
+                .unwrap();
+            }
+            let file = SystemFile::parse(&text).unwrap();
+            let (system, tasks) = (
+                file.system(),
+                file.callbacks().iter().map(|callback| callback.tasks.clone()).collect::<Vec<_>>(),
+            );
+            let steps = |run: &dyn Fn()| {
+                let before = STEPS.get();
+                run();
+                STEPS.get() - before
+            };
+            let check = steps(&|| drop(file.check()));
+            let free = file.system_without_overheads();
+            let found = RefCell::default();
+            let limits = steps(&|| {
+                let each = wcet_of_each(system, &tasks).map(|each| each[0]);
+                found.replace((load(system), load(&free), overhead(system), each));
+            });
+            println!("chains of {length}: {check} steps, {limits} for the limits {:?}", found.borrow());
+            assert!(limits <= 20 * check.max(FEW));
+        }
+    }
 }

@@ -11,7 +11,7 @@ use support::Running;
 use tautline::{Context, Node, Qos, Realtime};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_schema::{DynamicMessage, Schema};
-use tautline_transport::{EndpointKind, Limits, Participant, RawPublisher, TopicType, Visitor};
+use tautline_transport::{Limits, Participant, RawPublisher, TopicType};
 
 thread_local! {
     /// Each test has one of its own.

@@ -2,7 +2,8 @@
 //! Response times and jitter, repeated until they agree.
 use super::System;
 use super::join::{self, JoinBound, Timing};
-use crate::{AnalysisError, Release, Response, Task, level};
+use crate::level::{self, Effort};
+use crate::{AnalysisError, Release, Response, Task};
 
 /// Ends the search where chains that delay each other let jitter grow for ever.
 const MAX_ROUNDS: u32 = 1_000;
@@ -22,10 +23,17 @@ pub(super) struct Solved {
     pub timings: Vec<Timing>,
     /// Whether each core may be throttled.
     pub throttled: Vec<bool>,
+    /// How much more work a period of each core's throttling may have before it throttles.
+    pub spare_ns: Vec<u64>,
+    /// The callbacks, with the releases that they inherit.
+    pub tasks: Vec<Task>,
+    /// What is relayed on each core.
+    pub relays: Vec<Vec<(Release, u64)>>,
     pub rounds: u32,
 }
 
-pub(super) fn solve(system: &System) -> Result<Solved, AnalysisError> {
+/// With an effort until the first is late, that, or one without a bound, ends the search with an error, whichever.
+pub(super) fn solve(system: &System, effort: &Effort) -> Result<Solved, AnalysisError> {
     let order = upstream_first(system)?;
     for callback in &system.callbacks {
         if let Some(join) = &callback.join {
@@ -56,7 +64,7 @@ pub(super) fn solve(system: &System) -> Result<Solved, AnalysisError> {
         .collect();
     let unknown = |task: &Task| Err(AnalysisError::Overflow { task: task.name.clone() });
     let mut outcomes: Outcomes = tasks.iter().map(unknown).collect();
-    let mut throttled = vec![false; members.len()];
+    let (mut throttled, mut spare_ns) = (vec![false; members.len()], vec![u64::MAX; members.len()]);
     let mut relays = relayed(system, &tasks, &outcomes);
     let mut dirty = vec![true; members.len()];
     let mut rounds = 0;
@@ -64,23 +72,31 @@ pub(super) fn solve(system: &System) -> Result<Solved, AnalysisError> {
         rounds += 1;
         for core in 0..members.len() {
             if std::mem::take(&mut dirty[core]) {
-                throttled[core] |= analyse_core(
-                    system,
-                    core,
-                    &members[core],
-                    &relays[core],
-                    &tasks,
-                    &mut outcomes,
-                    rounds == 1,
-                )?;
+                let local: Vec<Task> = members[core].iter().map(|i| tasks[*i].clone()).collect();
+                let super::Core { overheads, stall_ns } = &system.cores[core];
+                let analysed = level::Core::beside(&local, overheads, &relays[core], *stall_ns)?;
+                let analysed = analysed.with_effort(effort);
+                for (place, &i) in members[core].iter().enumerate() {
+                    // Jitter only grows: what has no bound gets none.
+                    if rounds == 1 || outcomes[i].is_ok() {
+                        outcomes[i] = Response::of(&analysed, &local[place], place);
+                    }
+                    if effort.is_until_late()
+                        && !system.callbacks[i].meets(outcomes[i].as_ref().map_err(Clone::clone)?)
+                    {
+                        return Err(AnalysisError::NoSlack {
+                            task: local[place].name.clone(),
+                            priority: local[place].priority,
+                        });
+                    }
+                }
+                throttled[core] |= analysed.throttled();
+                spare_ns[core] = if throttled[core] { u64::MAX } else { analysed.spare_ns() };
             }
         }
         copies(system, &mut outcomes);
         let (grown, timings, mut joins) = pass_on(system, &order, &mut tasks, &outcomes);
-        let endless = |i: &usize| {
-            let Task { jitter_ns, period_ns, blocking_ns, .. } = tasks[*i];
-            jitter_ns / MAX_JITTER_PERIODS > period_ns.saturating_add(blocking_ns)
-        };
+        let endless = |i: &usize| is_endless(&tasks[*i], tasks[*i].blocking_ns);
         let now = relayed(system, &tasks, &outcomes);
         let is_still = grown.is_empty() && now == relays;
         if is_still || rounds == MAX_ROUNDS || grown.iter().any(endless) {
@@ -93,7 +109,7 @@ pub(super) fn solve(system: &System) -> Result<Solved, AnalysisError> {
                 .zip(&outcomes)
                 .filter(|(_, outcome)| outcome.is_err())
                 .for_each(|(join, _)| *join = None);
-            return Ok(Solved { outcomes, joins, timings, throttled, rounds });
+            return Ok(Solved { outcomes, joins, timings, throttled, spare_ns, tasks, relays, rounds });
         }
         grown.iter().for_each(|i| dirty[system.callbacks[*i].core] = true);
         dirty
@@ -104,25 +120,9 @@ pub(super) fn solve(system: &System) -> Result<Solved, AnalysisError> {
     }
 }
 
-fn analyse_core(
-    system: &System,
-    core: usize,
-    members: &[usize],
-    relays: &[(Release, u64)],
-    tasks: &[Task],
-    outcomes: &mut Outcomes,
-    is_first: bool,
-) -> Result<bool, AnalysisError> {
-    let local: Vec<Task> = members.iter().map(|i| tasks[*i].clone()).collect();
-    let super::Core { overheads, stall_ns } = &system.cores[core];
-    let analysed = level::Core::beside(&local, overheads, relays, *stall_ns)?;
-    for (place, &i) in members.iter().enumerate() {
-        // Jitter only grows: what has no bound gets none.
-        if is_first || outcomes[i].is_ok() {
-            outcomes[i] = Response::of(&analysed, &local[place], place);
-        }
-    }
-    Ok(analysed.throttled())
+/// Whether a task's jitter is not followed further, if it is blocked for so long.
+pub(super) fn is_endless(task: &Task, blocking_ns: u64) -> bool {
+    task.jitter_ns / MAX_JITTER_PERIODS > task.period_ns.saturating_add(blocking_ns)
 }
 
 /// Gives triggered callbacks the jitter of their triggers; returns those whose jitter grew, and how all lie to each other.

@@ -7,11 +7,13 @@
 //! its least and only grows, so what is reached is the least fixed point. A publisher that is held to its budget, or has a reservation, may
 //! publish as late as it likes: of n messages that its queue keeps, n + 1 may then come at once, as if they had that many periods of jitter. Callbacks that wait for messages of several
 //! others: [`Join`].
+use crate::level::Effort;
 use crate::{AnalysisError, Overheads, Release, Response, Task};
 
 mod chains;
 mod fixpoint;
 mod join;
+mod slack;
 
 pub use chains::ChainBound;
 pub use join::{Join, JoinBound, Matching};
@@ -160,6 +162,15 @@ impl Callback {
         self.trigger.is_some() || self.join.is_some()
     }
 
+    /// The response that its deadline is for.
+    fn counted_ns(&self, response: &Response) -> u64 {
+        if self.is_triggered() { response.from_arrival_ns } else { response.response_ns }
+    }
+
+    fn meets(&self, response: &Response) -> bool {
+        self.counted_ns(response) <= response.deadline_ns
+    }
+
     /// Whose messages release it.
     fn predecessors(&self) -> &[usize] {
         match (&self.trigger, &self.join) {
@@ -216,13 +227,11 @@ impl System {
     /// Faults that make the whole system meaningless: an index that does not exist, a cycle of triggers, an invalid task, a
     /// join without a meaning. The report contains the faults that leave single callbacks without a bound.
     pub fn analyse(&self) -> Result<SystemReport, AnalysisError> {
-        let solved = fixpoint::solve(self)?;
+        let solved = fixpoint::solve(self, &Effort::unlimited())?;
         let chains = self.chains.iter().map(|chain| chains::bound(self, chain, &solved)).collect();
         let callbacks = solved.outcomes.into_iter().zip(&self.callbacks).map(|(outcome, callback)| {
             outcome.map(|mut response| {
-                if callback.is_triggered() {
-                    response.met = response.from_arrival_ns <= response.deadline_ns;
-                }
+                response.met = callback.meets(&response);
                 response
             })
         });

@@ -14,6 +14,7 @@ const UNTIL: u64 = 1_500;
 pub struct Seen {
     pub responses: Vec<u64>,
     pub queues: Vec<usize>,
+    pub queues_without_stall: Vec<usize>,
     pub latencies: Vec<u64>,
     pub ages: Vec<u64>,
     pub reactions: Vec<u64>,
@@ -28,6 +29,7 @@ impl Seen {
         Seen {
             responses: vec![0; callbacks],
             queues: vec![0; callbacks],
+            queues_without_stall: vec![0; callbacks],
             latencies: vec![0; chains],
             ages: vec![0; chains],
             reactions: vec![0; chains],
@@ -43,6 +45,14 @@ impl Seen {
         longest(&mut self.latencies, &other.latencies);
         longest(&mut self.ages, &other.ages);
         longest(&mut self.reactions, &other.reactions);
+        for (mine, its) in self.queues_without_stall.iter_mut().zip(&other.queues) {
+            *mine = (*its).max(*mine);
+        }
+        self.stalled(other);
+    }
+
+    /// The same of a run with stalls, which only the queues outlast.
+    pub fn stalled(&mut self, other: &Seen) {
         self.queues.iter_mut().zip(&other.queues).for_each(|(mine, its)| *mine = (*its).max(*mine));
     }
 }
@@ -93,6 +103,16 @@ struct Thread {
     is_behind: bool,
 }
 
+impl Thread {
+    fn has_work(&self) -> bool {
+        self.job.is_some() || !self.queue.is_empty()
+    }
+
+    fn is_reserved(&self, model: &Model) -> bool {
+        matches!(model.callbacks[self.members[0]].budget, Budget::Reserved(..))
+    }
+}
+
 enum Event {
     Message(Message),
     /// The topic, the host, and what it says of each chain.
@@ -112,6 +132,9 @@ struct Machine<'m> {
     /// Of each core: work of the sampler and the gateway, with what the sampler then wakes.
     top: Vec<VecDeque<(u64, Option<Message>)>>,
     interrupts: Vec<u64>,
+    /// What real-time threads have used of this period of the throttling, and from when on each core stands still.
+    used: Vec<u64>,
+    stalled_from: Vec<u64>,
     holder: Vec<Option<usize>>,
     waiting: Vec<usize>,
     registers: Vec<Vec<Vec<Tag>>>,
@@ -122,7 +145,7 @@ struct Machine<'m> {
 }
 
 /// One run: with other phases, delays and execution times for each seed.
-pub fn simulate(model: &Model, seed: u64, is_wild: bool) -> Seen {
+pub fn simulate(model: &Model, seed: u64, is_wild: bool, stalls: bool) -> Seen {
     let mut rng = StdRng::seed_from_u64(seed);
     let (count, cores, chains) = (model.callbacks.len(), model.hosts.len(), model.chains.len());
     let mut threads: Vec<Thread> = Vec::new();
@@ -166,13 +189,16 @@ pub fn simulate(model: &Model, seed: u64, is_wild: bool) -> Seen {
             } else {
                 [0, rng.random_range(0..=most)][rng.random_range(0..2)]
             };
-            last = last.max(nominal + delay);
+            let earliest = if last > 0 { last + callback.min_distance } else { 0 };
+            last = earliest.max(nominal + delay);
             let order = if callback.is_outside { last } else { nominal };
             let message = Message { callback: i, topic: i, base: nominal, order, tags: vec![None; chains] };
             events.entry(last).or_default().push(Event::Message(message));
             nominal += callback.period;
         }
     }
+    let stalled_from =
+        (0..cores).map(|_| if stalls { rng.random_range(0..UNTIL / 2) } else { UNTIL }).collect();
     let hosts = model.hosts.iter().max().map_or(1, |last| last + 1);
     let mut machine = Machine {
         model,
@@ -183,6 +209,8 @@ pub fn simulate(model: &Model, seed: u64, is_wild: bool) -> Seen {
         thread_of,
         top: (0..cores).map(|_| VecDeque::new()).collect(),
         interrupts: vec![0; cores],
+        used: vec![0; cores],
+        stalled_from,
         holder: vec![None; cores],
         waiting: vec![0; count],
         registers: vec![vec![vec![None; chains]; hosts]; count],
@@ -232,7 +260,14 @@ impl Machine<'_> {
             {
                 self.interrupts[core] += wcet;
             }
-            self.run(core);
+            if let Some((period, runtime)) = self.model.throttling
+                && self.now % period == tick_from * 7 % period
+            {
+                self.used[core] = self.used[core].saturating_sub(runtime);
+            }
+            if !(self.stalled_from[core]..self.stalled_from[core] + self.model.stall).contains(&self.now) {
+                self.run(core);
+            }
         }
         self.now += 1;
     }
@@ -240,10 +275,21 @@ impl Machine<'_> {
     /// The sampler hands a message to its thread; a timer keeps only its newest release.
     fn wake(&mut self, message: Message) {
         let callback = &self.model.callbacks[message.callback];
-        let (i, thread) = (message.callback, &mut self.threads[self.thread_of[message.callback]]);
+        let (i, at) = (message.callback, self.thread_of[message.callback]);
+        if self.model.floats
+            && matches!(callback.budget, Budget::Reserved(..))
+            && !self.threads[at].has_work()
+        {
+            // Any core that no other reservation has.
+            let others =
+                self.threads.iter().filter(|other| other.is_reserved(self.model) && other.has_work());
+            let taken: Vec<usize> = others.map(|other| other.core).collect();
+            let free: Vec<usize> = (0..self.model.hosts.len()).filter(|core| !taken.contains(core)).collect();
+            self.threads[at].core = free[self.rng.random_range(0..free.len())];
+        }
+        let thread = &mut self.threads[at];
         if let Budget::Reserved(runtime, period) = callback.budget
-            && thread.job.is_none()
-            && thread.queue.is_empty()
+            && !thread.has_work()
         {
             // The server's rule for a thread that is woken.
             let rest = thread.refill_at.saturating_sub(self.now);
@@ -274,11 +320,16 @@ impl Machine<'_> {
             self.interrupts[core] -= 1;
             return;
         }
+        if self.model.throttling.is_some_and(|(_, runtime)| self.used[core] >= runtime) {
+            return;
+        }
         let here = |thread: &Thread| thread.core == core;
         let is_stiff = |thread: &Thread| {
             here(thread)
                 && thread.job.as_ref().is_some_and(|job| {
-                    job.done > 0 && self.model.callbacks[job.message.callback].is_non_preemptive
+                    // The executor comes first, which others preempt.
+                    job.done > self.model.executors[core].unwrap_or(0)
+                        && self.model.callbacks[job.message.callback].is_non_preemptive
                 })
         };
         if let Some(at) = self.threads.iter().position(is_stiff) {
@@ -291,6 +342,7 @@ impl Machine<'_> {
             let reserved = best.is_some_and(|at| self.rank(at) == 100);
             if !reserved && let Some((left, _)) = self.top[core].front_mut() {
                 *left -= 1;
+                self.used[core] += 1;
                 if *left == 0
                     && let Some((_, Some(message))) = self.top[core].pop_front()
                 {
@@ -368,6 +420,7 @@ impl Machine<'_> {
             false => self.rng.random_range(callback.bcet.max(1)..=most),
         };
         self.overran[i] |= work > callback.wcet;
+        let work = work + self.model.executors[callback.core].unwrap_or(0);
         let lock = callback
             .lock
             .filter(|(_, length)| *length <= work)
@@ -441,6 +494,7 @@ impl Machine<'_> {
         thread.left = thread.left.saturating_sub(1);
         let core = thread.core;
         let Some(job) = &mut thread.job else { return };
+        self.used[core] += u64::from(!job.is_demoted);
         job.done += 1;
         job.used += 1;
         let is_released = job.lock.is_some_and(|(offset, length)| job.done == offset + length);
@@ -500,7 +554,10 @@ impl Machine<'_> {
             }
             for other in 0..=self.model.hosts.iter().copied().max().unwrap_or(0) {
                 let (least, most) = self.model.network;
-                let at = if other == host { now } else { now + self.rng.random_range(least..=most) };
+                // Each of two gateways may stand still.
+                let stalls = if self.stalled_from[core] < UNTIL { self.model.stall * 2 } else { 0 };
+                let network = self.rng.random_range(least..=most + stalls);
+                let at = if other == host { now } else { now + network };
                 self.at(at, Event::Register(topic, other, tags.to_vec()));
                 let mut served = Vec::new();
                 let model = self.model;

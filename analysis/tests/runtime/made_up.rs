@@ -21,6 +21,8 @@ pub struct Callback {
     /// Its timer's period, or that of its topic from outside.
     pub period: u64,
     pub jitter: u64,
+    /// Between two of its own releases.
+    pub min_distance: u64,
     /// The callbacks whose topics trigger it; none: a timer or a topic from outside.
     pub triggers: Vec<usize>,
     pub is_outside: bool,
@@ -49,6 +51,14 @@ pub struct Model {
     pub per_message: u64,
     pub gateway: u64,
     pub tick: Option<(u64, u64)>,
+    /// Whether reservations run on any core.
+    pub floats: bool,
+    /// The period, and how much of it real-time threads may use.
+    pub throttling: Option<(u64, u64)>,
+    /// For how long each core may stand still.
+    pub stall: u64,
+    /// What an executor of rclcpp uses for each job; none on cores of Tautline's nodes.
+    pub executors: Vec<Option<u64>>,
     pub network: (u64, u64),
     pub is_ceiling: bool,
 }
@@ -61,7 +71,9 @@ impl Model {
         let hosts = [vec![0], vec![0, 0], vec![0, 1]][rng.random_range(0..3)].clone();
         let count = rng.random_range(2..=6);
         let load = rng.random_range(0.3..1.1);
-        let groups = hosts.iter().map(|_| rng.random_bool(0.7)).collect();
+        let executor = rng.random_range(0..4);
+        let executors: Vec<_> = hosts.iter().map(|_| rng.random_bool(0.15).then_some(executor)).collect();
+        let groups = executors.iter().map(|executor| executor.is_none() && rng.random_bool(0.7)).collect();
         let per_message = if rng.random_bool(0.5) { rng.random_range(1..=2) } else { 0 };
         let mut model = Model {
             callbacks: Vec::new(),
@@ -70,6 +82,13 @@ impl Model {
             per_message,
             gateway: if rng.random_bool(0.5) { rng.random_range(1..=3) } else { 0 },
             tick: rng.random_bool(0.3).then(|| (rng.random_range(20..60), 1)),
+            floats: hosts == [0, 0] && rng.random_bool(0.5),
+            throttling: rng.random_bool(0.15).then(|| {
+                let period = rng.random_range(100..400);
+                (period, period * rng.random_range(70..98) / 100)
+            }),
+            stall: if rng.random_bool(0.15) { rng.random_range(1..150) } else { 0 },
+            executors,
             network: if rng.random_bool(0.5) { (2, 2 + rng.random_range(0..60)) } else { (3, 3) },
             is_ceiling: rng.random_bool(0.5),
             hosts,
@@ -114,11 +133,14 @@ impl Model {
             0
         };
         let is_single = triggers.len() < 2;
-        let has_reserved = self
-            .callbacks
-            .iter()
-            .any(|other| other.core == core && matches!(other.budget, Budget::Reserved(..)));
+        // One on each core, or as many as there are cores.
+        let is_beside = |other: &&Callback| other.core == core || self.floats;
+        let reserved = self.callbacks.iter().filter(is_beside);
+        let reserved = reserved.filter(|other| matches!(other.budget, Budget::Reserved(..))).count();
+        let has_reserved = reserved >= if self.floats { self.hosts.len() } else { 1 };
+        let min_distance = if jitter > 0 && rng.random_bool(0.3) { rng.random_range(0..=period) } else { 0 };
         let budget = match rng.random_range(0..12) {
+            _ if self.executors[core].is_some() => Budget::Tell,
             0 | 1 => Budget::Demote,
             2 if is_single => Budget::Suspend,
             3 if is_single && !has_reserved && wcet + 2 < period => {
@@ -133,6 +155,7 @@ impl Model {
             core,
             period,
             jitter,
+            min_distance,
             triggers,
             is_outside,
             wcet,
@@ -146,6 +169,27 @@ impl Model {
             reads: (i > 0 && rng.random_bool(0.3)).then(|| rng.random_range(0..i)),
             also: (i > 0 && rng.random_bool(0.1)).then(|| rng.random_range(0..i)),
         }
+    }
+
+    /// What the system has that others lack.
+    pub fn features(&self) -> Vec<&'static str> {
+        let has = |what: &dyn Fn(&Callback) -> bool| self.callbacks.iter().any(what);
+        let features = [
+            ("demotion", has(&|c| c.budget == Budget::Demote)),
+            ("suspension", has(&|c| c.budget == Budget::Suspend)),
+            ("reservations", has(&|c| matches!(c.budget, Budget::Reserved(..)))),
+            ("floating", self.floats && has(&|c| matches!(c.budget, Budget::Reserved(..)))),
+            ("groups", has(&|c| c.group.is_some())),
+            ("locks", has(&|c| c.lock.is_some())),
+            ("sections", has(&|c| c.is_non_preemptive)),
+            ("several triggers", has(&|c| c.triggers.len() > 1)),
+            ("least distances", has(&|c| c.min_distance > 0)),
+            ("two hosts", self.hosts.contains(&1)),
+            ("gateways", self.gateway > 0),
+            ("throttling", self.throttling.is_some()),
+            ("rclcpp", self.executors.iter().any(Option::is_some)),
+        ];
+        features.into_iter().filter(|(_, has)| *has).map(|(name, _)| name).collect()
     }
 
     /// The shortest period with which a callback is released.
@@ -164,7 +208,8 @@ impl Model {
         for host in 0..=self.hosts.iter().copied().max().unwrap_or(0) {
             writeln!(
                 text,
-                "[hosts.h{host}]\ncores = {}",
+                "[hosts.h{host}]\nstall = \"{}us\"\ncores = {}",
+                self.stall,
                 self.hosts.iter().filter(|of| **of == host).count()
             )
             .unwrap();
@@ -182,17 +227,27 @@ impl Model {
             self.per_message, self.gateway
         )
         .unwrap();
+        let executor = self.executors.iter().flatten().next().unwrap_or(&0);
+        writeln!(text, "rclcpp = \"{executor}us\"").unwrap();
+        if let Some((period, runtime)) = self.throttling {
+            writeln!(text, "throttling = {{ period = \"{period}us\", runtime = \"{runtime}us\" }}").unwrap();
+        }
         if let Some((period, wcet)) = self.tick {
             writeln!(text, "tick = {{ period = \"{period}us\", wcet = \"{wcet}us\" }}").unwrap();
         }
         for (core, host) in self.hosts.iter().enumerate() {
             let number = self.hosts[..core].iter().filter(|other| *other == host).count();
             writeln!(text, "[nodes.n{core}]\nhost = \"h{host}\"\ncore = {number}").unwrap();
+            if self.executors[core].is_some() {
+                writeln!(text, "client = \"rclcpp\"").unwrap();
+            }
         }
         for (group, is_fifo) in self.groups.iter().enumerate() {
             if self.callbacks.iter().any(|callback| callback.group == Some(group)) {
-                writeln!(text, "[groups.g{group}]\norder = \"{}\"", if *is_fifo { "fifo" } else { "any" })
-                    .unwrap();
+                writeln!(text, "[groups.g{group}]").unwrap();
+                if self.executors[group].is_none() {
+                    writeln!(text, "order = \"{}\"", if *is_fifo { "fifo" } else { "any" }).unwrap();
+                }
             }
         }
         writeln!(text, "[topics]").unwrap();
@@ -206,25 +261,32 @@ impl Model {
                     if callback.budget == Budget::Tell { "\"auto\"".into() } else { DEPTH.to_string() };
                 writeln!(
                     text,
-                    "x{i} = {{ period = \"{}us\", jitter = \"{}us\", depth = {depth} }}",
-                    callback.period, callback.jitter
+                    "x{i} = {{ period = \"{}us\", jitter = \"{}us\", min_distance = \"{}us\", depth = {depth} }}",
+                    callback.period, callback.jitter, callback.min_distance
                 )
                 .unwrap();
             }
         }
         for (i, callback) in self.callbacks.iter().enumerate() {
-            let Callback { core, period, jitter, wcet, bcet, priority, .. } = callback;
+            let Callback { core, period, jitter, min_distance, wcet, bcet, priority, .. } = callback;
             writeln!(text, "[callbacks.c{i}]\nnode = \"n{core}\"\nwcet = \"{wcet}us\"\nbcet = \"{bcet}us\"\ndeadline = \"1s\"").unwrap();
             let topics: Vec<_> = callback.triggers.iter().map(|from| format!("\"t{from}\"")).collect();
             match (topics.is_empty(), callback.is_outside) {
                 (false, _) => writeln!(text, "topic = [{}]", topics.join(", ")).unwrap(),
                 (true, true) => writeln!(text, "topic = \"x{i}\"").unwrap(),
-                (true, false) => writeln!(text, "period = \"{period}us\"\njitter = \"{jitter}us\"").unwrap(),
+                (true, false) => writeln!(
+                    text,
+                    "period = \"{period}us\"\njitter = \"{jitter}us\"\nmin_distance = \"{min_distance}us\""
+                )
+                .unwrap(),
             }
             match (callback.budget, callback.group) {
                 (Budget::Reserved(runtime, period), _) => {
                     writeln!(text, "reservation = {{ runtime = \"{runtime}us\", period = \"{period}us\" }}")
                         .unwrap();
+                    if self.floats {
+                        writeln!(text, "core = \"any\"").unwrap();
+                    }
                 }
                 (_, Some(group)) => writeln!(text, "priority = {priority}\ngroup = \"g{group}\"").unwrap(),
                 _ => writeln!(text, "priority = {priority}\nshares_priority = true").unwrap(),
