@@ -234,8 +234,8 @@ fn core_of(thread: &ThreadInfo) -> (usize, bool) {
 /// In the largest unit without a loss.
 fn time(ns: u64) -> String {
     match ns {
-        _ if ns % 1_000_000 == 0 => format!("{}ms", ns / 1_000_000),
-        _ if ns % 1_000 == 0 => format!("{}us", ns / 1_000),
+        _ if ns.is_multiple_of(1_000_000) => format!("{}ms", ns / 1_000_000),
+        _ if ns.is_multiple_of(1_000) => format!("{}us", ns / 1_000),
         _ => format!("{ns}ns"),
     }
 }
