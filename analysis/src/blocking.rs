@@ -25,7 +25,7 @@ pub enum LockProtocol {
 /// [`Task::blocking_ns`] (Sha, Rajkumar & Lehoczky 1990).
 ///
 /// Only sections of lower priority count whose lock is also used at the task's priority or above. One that may be demoted is such a lower
-/// one, too: once it is, it does not go on before the task is done, so that it blocks once. Under the ceiling
+/// one, too: it may be in its section, demoted, when the task is released. Under the ceiling
 /// protocol the longest of them blocks, once. Under inheritance each lower task may block once, and so may each lock:
 /// the smaller of the two sums. Sections of tasks that do not exist are ignored.
 ///
@@ -53,7 +53,9 @@ pub fn blocking(tasks: &[Task], sections: &[CriticalSection], protocol: LockProt
         };
         let is_lower = |s: &CriticalSection| {
             let holder = tasks.get(s.task).filter(|_| !is_own(s.task));
-            holder.is_some_and(|holder| holder.priority < task.priority || holder.hold == Hold::Demoted)
+            holder.is_some_and(|holder| {
+                holder.priority < task.priority || matches!(holder.hold, Hold::Demoted { .. })
+            })
         };
         let blocks = |s: &&CriticalSection| is_lower(s) && ceiling(s.resource) >= Some(task.priority);
         let blocking: Vec<_> = sections.iter().filter(blocks).collect();

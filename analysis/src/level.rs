@@ -140,7 +140,7 @@ pub(crate) struct Core<'a> {
     /// The tasks of each thread that several share.
     threads: HashMap<u32, Vec<usize>>,
     /// What is known of these.
-    known: RefCell<HashMap<u32, Result<Shared, AnalysisError>>>,
+    known: RefCell<HashMap<(u32, u8), Result<Shared, AnalysisError>>>,
     /// A task that is released too often at once, if there is one.
     burst: Option<AnalysisError>,
     throttled: bool,
@@ -276,10 +276,12 @@ impl<'a> Core<'a> {
     fn bound_of(&self, task: &Task, index: usize) -> Result<Bound, AnalysisError> {
         let shares = |group: &Group| self.threads.get(&group.id).is_some_and(|members| members.len() > 1);
         let Some(group) = task.group.filter(shares) else { return Level::new(self, index)?.bound() };
-        let known = self.known.borrow().get(&group.id).cloned();
+        // All tasks of a thread have one bound, or those of one rank.
+        let key = (group.id, if group.order == Order::Priority { task.rank } else { 0 });
+        let known = self.known.borrow().get(&key).cloned();
         let shared = known.unwrap_or_else(|| {
             let found = Level::new(self, index).and_then(|level| level.of_thread(group.order));
-            self.known.borrow_mut().insert(group.id, found.clone());
+            self.known.borrow_mut().insert(key, found.clone());
             found
         });
         let Shared { arrival_ns, busy_ns, utilisation } = shared?;
@@ -297,7 +299,7 @@ struct Level<'a> {
     release: Release,
     /// The tasks of its thread: itself, and those that share the thread.
     members: Vec<usize>,
-    /// The demand of its thread.
+    /// The demand of its thread, without jobs of lower ranks.
     own: Curve,
     /// What a job of its own costs.
     cost_ns: u64,
@@ -307,6 +309,9 @@ struct Level<'a> {
     gap: Option<Demand>,
     /// What a job costs at the highest priority, in part in its own thread.
     message_ns: u64,
+    /// The longest section of a lower priority that nothing preempts.
+    sections: u64,
+    /// The same, and what else of lower priorities, or of a lower rank in its thread, holds it up.
     blocking: u64,
     /// The rest of a job once nothing can preempt it.
     tail: u64,
@@ -318,7 +323,9 @@ impl<'a> Level<'a> {
         let task = &core.tasks[index];
         let shared = task.group.and_then(|group| core.threads.get(&group.id));
         let members = shared.cloned().unwrap_or_else(|| vec![index]);
-        let mut blocking = 0;
+        let (mut blocking, mut lower_ns) = (0, 0);
+        let is_ranked = task.group.is_some_and(|group| group.order == Order::Priority);
+        let is_lower = |other: &Task| is_ranked && other.rank < task.rank;
         for &i in &members {
             let other = &core.tasks[i];
             if other.priority != task.priority || other.group != task.group {
@@ -326,6 +333,10 @@ impl<'a> Level<'a> {
                 return Err(AnalysisError::MixedGroup { task, other });
             }
             blocking = other.blocking_ns.max(blocking);
+            if is_lower(other) {
+                // One that was chosen before; nothing of it need be done yet.
+                lower_ns = core.callbacks[i].cost_ns.max(lower_ns);
+            }
         }
         let bands = &core.bands[..core.bands.partition_point(|(priority, ..)| *priority >= task.priority)];
         // A section delays only if it began before: at least 1 ns of it is over.
@@ -333,8 +344,9 @@ impl<'a> Level<'a> {
         // The end of a reservation preempts everything.
         let is_whole = task.non_preemptive_ns >= task.wcet_ns && task.reservation.is_none();
         let tail = if is_whole { task.wcet_ns - 1 } else { 0 };
-        let own =
-            Curve::new(members.iter().map(|i| core.callbacks[*i].clone())).ok_or_else(|| overflow(task))?;
+        let own = members.iter().filter(|i| !is_lower(&core.tasks[**i])).map(|i| core.callbacks[*i].clone());
+        let own = Curve::new(own).ok_or_else(|| overflow(task))?;
+        let blocking = u64::checked_add(blocking, sections).and_then(|sum| sum.checked_add(lower_ns));
         let level = Self {
             core,
             task,
@@ -345,7 +357,8 @@ impl<'a> Level<'a> {
             bands,
             gap: None,
             message_ns: core.messages[index],
-            blocking: u64::checked_add(blocking, sections).ok_or_else(|| overflow(task))?,
+            sections,
+            blocking: blocking.ok_or_else(|| overflow(task))?,
             tail,
             utilisation: 0,
         };
@@ -400,7 +413,14 @@ impl<'a> Level<'a> {
             }
         }
         let name = self.task.name.clone();
-        self.gap = Some(Demand { release: Release::periodic(period_ns), cost_ns: period_ns - runtime_ns });
+        let mut gap_ns = period_ns - runtime_ns;
+        // A section may begin in each gap, and last beyond it. The server makes up for that in the next periods, so that only the last one
+        // counts, unless it is more than a period behind: then it begins anew.
+        match self.sections {
+            section_ns if section_ns > period_ns => gap_ns = self.add(gap_ns, section_ns)?,
+            section_ns => self.blocking = self.add(self.blocking, section_ns)?,
+        }
+        self.gap = Some(Demand { release: Release::periodic(period_ns), cost_ns: gap_ns });
         let bound = self.with_utilisation()?.bound_without_gaps().map_err(|error| match error {
             AnalysisError::Overload { .. } | AnalysisError::NoSlack { .. } => {
                 AnalysisError::SmallReservation { task: name, charged_ns, runtime_ns, period_ns }
@@ -427,7 +447,8 @@ impl<'a> Level<'a> {
         let busy_ns = self.busy_window()?;
         let arrival_ns = match order {
             Order::Fifo => self.first_in_first_out(busy_ns)?,
-            Order::Any => busy_ns,
+            // No second job of a lower rank is chosen before this level's busy window ends.
+            Order::Any | Order::Priority => busy_ns,
         };
         Ok(Shared { arrival_ns, busy_ns, utilisation: self.utilisation_f64() })
     }
@@ -615,8 +636,12 @@ fn delay(task: &Task, own: &Demand, overheads: &Overheads) -> Result<Demand, Ana
             return Ok(own.clone());
         }
         // A budget has room for all work per message, of which the sampler does a part besides.
-        let budget = own.cost_ns.checked_add(task.per_message_ns(overheads));
+        let mut budget = own.cost_ns.checked_add(task.per_message_ns(overheads));
         let release = match task.hold {
+            Hold::Demoted { section_ns } => {
+                budget = budget.and_then(|budget| budget.checked_add(section_ns));
+                own.release.clone()
+            }
             // What is left of one budget may be used right before the next.
             Hold::Suspended { deferred: true } => Release::periodic(task.period_ns).jitter(task.period_ns),
             _ => own.release.clone(),

@@ -37,6 +37,8 @@ pub struct Task {
     pub reservation: Option<Reservation>,
     /// The thread that this task shares with all others of the same group; `None` for a thread of its own.
     pub group: Option<Group>,
+    /// The rank among the tasks of its thread, for [`Order::Priority`]: the highest runs first.
+    pub rank: u8,
     /// Middleware work for each message, in place of [`Overheads::per_message_ns`]: `Some(0)` for a task that no
     /// message wakes, such as a timer interrupt. Used only by the analyses that take [`Overheads`].
     pub message_overhead_ns: Option<u64>,
@@ -58,8 +60,11 @@ pub enum Hold {
     /// Nothing: its wcet is taken to be right.
     #[default]
     Nothing,
-    /// A job that exceeds its budget continues below all others.
-    Demoted,
+    /// A job that exceeds its budget continues below all others, once it holds no lock that they use.
+    Demoted {
+        /// The longest section of such a lock: each job may exceed its budget at the section's start, and end with it. In nanoseconds.
+        section_ns: u64,
+    },
     /// It sleeps until a period after its release. What is left of a budget may be used right before the next one, unless all
     /// releases are whole periods apart.
     Suspended {
@@ -106,6 +111,9 @@ pub enum Order {
     Fifo,
     /// Any order that leaves no job waiting while the thread idles, such as tasks that each drain their queue.
     Any,
+    /// The waiting job with the highest [rank](Task::rank), without preemption: a ROS executor to which the RMW reports the most important
+    /// message alone.
+    Priority,
 }
 
 impl Task {
@@ -125,6 +133,7 @@ impl Task {
             priority,
             reservation: None,
             group: None,
+            rank: 0,
             message_overhead_ns: None,
             executor_overhead_ns: 0,
             hold: Hold::Nothing,
@@ -183,6 +192,13 @@ impl Task {
     #[must_use = "it returns the changed Task"]
     pub fn group(mut self, id: u32, order: Order) -> Self {
         self.group = Some(Group { id, order });
+        self
+    }
+
+    /// Sets the rank among the tasks of its thread, for [`Order::Priority`]: the highest runs first.
+    #[must_use = "it returns the changed Task"]
+    pub fn rank(mut self, rank: u8) -> Self {
+        self.rank = rank;
         self
     }
 

@@ -124,6 +124,7 @@ fn admit(
     let job = timeline.jobs.len() - 1;
     let turn = match task.group.map(|group| group.order) {
         Some(Order::Any) => ((tasks.len() - i) as u64, job),
+        Some(Order::Priority) => (u64::from(u8::MAX - task.rank), job),
         _ => (now, job),
     };
     Ready {

@@ -104,6 +104,14 @@ fn a_demoted_job_that_holds_a_lock_blocks_as_a_lower_one() {
     covers(&checked, response(&checked, "mid"), 7.0);
 }
 
+/// At 0 a demoted job is at the begin of its section, with which it ends at 4. The next one is released then, uses its budget up just after it
+/// takes the lock again, and ends with that section at 13.
+#[test]
+fn every_demoted_job_may_end_with_a_section() {
+    let checked = case!("demoted_at_the_end_of_a_section");
+    covers(&checked, response(&checked, "mid"), 23.0);
+}
+
 /// What piled up during the stall uses up the runtime, so that the kernel stops it again.
 #[test]
 fn what_catches_up_after_a_stall_may_be_throttled() {
@@ -148,6 +156,13 @@ fn a_reservation_pays_for_its_messages() {
     let checked = case!("reservation_and_messages");
     covers(&checked, response(&checked, "points"), 20.0);
     warns(&checked, "reservation");
+}
+
+/// One section lasts to 9. The runtime is used up at 15; the other section begins just before the next period, at 19, and lasts to 28.
+#[test]
+fn a_section_may_begin_while_a_reservation_waits() {
+    let checked = case!("section_in_a_gap");
+    covers(&checked, response(&checked, "points"), 29.99);
 }
 
 #[test]
@@ -209,6 +224,14 @@ fn what_triggers_without_a_bound_delays_all_by_its_messages() {
 fn a_message_that_others_overtake_waits_for_them() {
     let checked = case!("reordering_network");
     covers(&checked, checked.chains[0].latency_ns.map(ms), 40.9);
+}
+
+/// The job of 0 sends at 57 us and the next one at 63, yet its value comes last, at 73. It stays until that of the third comes at 193; a reader that
+/// starts just before ends at 224.
+#[test]
+fn a_value_that_overtakes_the_next_is_a_period_older() {
+    let checked = case!("reordering_network_and_early_jobs");
+    covers(&checked, checked.chains[0].age_ns.map(ms), 0.2239);
 }
 
 #[test]

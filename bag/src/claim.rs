@@ -10,7 +10,7 @@ use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 /// How much is claimed at once, if there is as much.
 const STEP: u64 = 64 << 20;
@@ -62,6 +62,8 @@ pub fn create(
     is_behind: Arc<AtomicBool>,
 ) -> Result<(Claim, Claimed, Position), BagError> {
     let file = File::options().write(true).create_new(true).open(path).map_err(BagError::write(path))?;
+    // `recover` leaves it alone until this process has ended. File systems without locks have none.
+    let _ = file.try_lock();
     let position = Position::default();
     let (jobs, spare) = Disk::start(path, &file, piece_bytes, is_behind)?;
     let claim = Claim { file, path: path.to_owned(), claimed: 0, is_impossible: false, jobs: jobs.clone() };
@@ -112,8 +114,12 @@ impl Claim {
     /// # Errors
     /// It could not.
     pub fn wait(&self) -> Result<(), BagError> {
+        self.wait_for(Job::Tell)
+    }
+
+    fn wait_for(&self, job: impl FnOnce(SyncSender<()>) -> Job) -> Result<(), BagError> {
         let (tell, done) = sync_channel(1);
-        let told = self.jobs.give(Job::Tell(tell));
+        let told = self.jobs.send(job(tell));
         told.and_then(|()| done.recv().map_err(|_| self.jobs.fault())).map_err(BagError::write(&self.path))
     }
 
@@ -138,19 +144,19 @@ impl Claimed {
         let start = self.start;
         self.start += whole as u64;
         self.given = self.end.get();
-        self.jobs.give(Job::Write { piece, start, is_shared })
+        self.jobs.send(Job::Write { piece, start, is_shared })
     }
 
     fn hand_over_again(&mut self) -> io::Result<()> {
         let (at, bytes) = std::mem::take(&mut self.again);
-        if bytes.is_empty() { Ok(()) } else { self.jobs.give(Job::Again(at, bytes)) }
+        if bytes.is_empty() { Ok(()) } else { self.jobs.send(Job::Again(at, bytes)) }
     }
 }
 
 impl Drop for Claim {
-    /// What was given is in the file when this is gone: of a bag that was not finished, too.
+    /// What was given is in the file when this is gone, of a bag that was not finished, too; and the file is closed, for `recover`.
     fn drop(&mut self) {
-        let _ = self.wait();
+        let _ = self.wait_for(Job::Close);
     }
 }
 

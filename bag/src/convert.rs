@@ -1,34 +1,48 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Converts bags of rosbag2, in any storage and compression, to the wanted storage.
+//! Writes a new bag of other bags, in any storage and compression of rosbag2.
 
-use crate::metadata::custom;
+use crate::disk::rename_to_new;
 use crate::parts::{Form, Parts, form_of, is_compressed, parts_of};
 use crate::qos::in_words;
-use crate::reader::{Damage, Event, FileReader, FileSummary, Message};
+use crate::reader::{Attachment, Damage, Event, FileReader, FileSummary, Message};
 use crate::sqlite::{Database, SqliteWriter};
 use crate::unpack::{Allowance, room, unpack_file};
 use crate::writer::{Options, TopicId, Writer};
-use crate::{BagError, Storage, Topic, index_of};
-use rustix::fs::{CWD, RenameFlags, renameat_with};
+use crate::{BagError, CDR, Definition, PUBLISHER, Storage, Topic};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// How often is looked whether there is room.
 const STEP: u64 = 16 << 20;
+/// The record in which rosbag2 repeats its `metadata.yaml`, which a new bag has its own of.
+const OF_ROSBAG2: &str = "rosbag2";
 
 /// Finds the definition of a topic's type, with a message of the topic, if there is one.
-type Define<'h> = dyn FnMut(&Topic, Option<&[u8]>) -> Option<String> + 'h;
+type Define<'h> = Box<dyn FnMut(&Topic, Option<&[u8]>) -> Option<Definition> + 'h>;
 
-/// The callbacks of [`convert`].
+/// What a new bag has of the old ones, and the callbacks of [`convert`].
 pub struct Hooks<'h> {
-    /// Called for definitions that the bag itself does not contain.
-    pub define: &'h mut Define<'h>,
+    /// Whether a topic is kept.
+    pub wants: Box<dyn FnMut(&Topic) -> bool + 'h>,
+    /// Messages that were received in this time are kept, in nanoseconds since 1970.
+    pub span_ns: Range<u64>,
+    /// Called for definitions that the bag itself does not contain. `None`: topics are kept as they are, with QoS in any form.
+    pub define: Option<Define<'h>>,
     /// Called with each file before it is read.
-    pub tell: &'h mut dyn FnMut(&Path),
+    pub tell: Box<dyn FnMut(&Path) + 'h>,
     /// Called at each message; `false` stops the conversion.
-    pub go_on: &'h mut dyn FnMut() -> bool,
+    pub go_on: Box<dyn FnMut() -> bool + 'h>,
+}
+
+impl Default for Hooks<'_> {
+    /// Everything is kept as it is.
+    fn default() -> Self {
+        let (wants, tell, go_on) = (Box::new(|_: &Topic| true), Box::new(|_: &Path| {}), Box::new(|| true));
+        Hooks { wants, span_ns: 0..u64::MAX, define: None, tell, go_on }
+    }
 }
 
 /// The result of a conversion.
@@ -43,11 +57,12 @@ pub struct Converted {
 }
 
 /// Writes what is in `bags`, folders of rosbag2 or files of them, into a new bag in the folder `to`: MCAP or SQLite, compressed as a whole,
-/// message by message or not. Messages, their order, their times, QoS, hashes and definitions of types are kept.
+/// message by message or not. Messages of any encoding, their order, their times, topics with their metadata and definitions, attachments
+/// and metadata records are kept.
 ///
 /// # Errors
-/// A bag cannot be read, or the new one cannot be written. Then there is no new bag: it is written to a temporary path and renamed when it
-/// is complete.
+/// A bag cannot be read, or the new one cannot be written; [`BagError::Unkept`]: SQLite has no place for something. Then there is no new
+/// bag: it is written to a temporary path and renamed when it is complete.
 pub fn convert(
     bags: &[PathBuf],
     to: &Path,
@@ -59,32 +74,31 @@ pub fn convert(
         return Err(BagError::Exists(to.to_owned()));
     }
     let all = bags.iter().map(|bag| parts_of(bag)).collect::<Result<Vec<_>, _>>()?;
-    all.iter().flat_map(|parts| &parts.files).try_for_each(|file| form_of(file).map(drop))?;
+    let custom_data: BTreeMap<_, _> = all.iter().flat_map(|parts| parts.custom_data.clone()).collect();
     let work = Work::create(to)?;
     let name = to.file_name().map_or("bag".into(), |name| name.to_string_lossy().into_owned());
+    let session = BTreeMap::new();
     let out = match storage {
         Storage::Mcap => {
-            Out::Mcap(Box::new(Writer::create_in(&work.folder, &name, options, BTreeMap::new())?))
+            Out::Mcap(Box::new(Writer::create_in(&work.folder, &name, options, session, custom_data)?))
         }
-        Storage::Sqlite3 => Out::Sqlite3(Box::new(SqliteWriter::create(&work.folder, &name, options)?)),
+        Storage::Sqlite3 => {
+            Out::Sqlite3(Box::new(SqliteWriter::create(&work.folder, &name, options)?), custom_data)
+        }
     };
-    let (known, ids, type_hashes) = (HashMap::new(), HashMap::new(), BTreeMap::new());
-    let (said, damage, notes) = (BTreeMap::new(), Vec::new(), Vec::new());
-    let (folder, unkept, unseen) = (work.folder.clone(), 0, STEP);
-    let differing = BTreeSet::new();
     let conversion = Conversion {
-        folder,
+        folder: work.folder.clone(),
         out,
         hooks,
-        known,
-        ids,
-        differing,
-        type_hashes,
-        said,
-        damage,
-        notes,
-        unkept,
-        unseen,
+        known: HashMap::new(),
+        ids: HashMap::new(),
+        type_hashes: BTreeMap::new(),
+        metadata: BTreeSet::new(),
+        damage: Vec::new(),
+        notes: Vec::new(),
+        are_publishers_lost: false,
+        unkept: 0,
+        unseen: STEP,
     };
     let converted = conversion.run(all).map_err(|error| match error {
         // Nothing is kept of what is whole up to there.
@@ -114,12 +128,7 @@ impl Work {
 
     /// It is what it was written for, if nothing came there meanwhile.
     fn keep(self, to: &Path, files: Vec<FileSummary>) -> Result<Vec<FileSummary>, BagError> {
-        let renamed = match renameat_with(CWD, &self.folder, CWD, to, RenameFlags::NOREPLACE) {
-            // File systems that cannot do that refuse to replace a folder that has something in it.
-            Err(rustix::io::Errno::INVAL | rustix::io::Errno::NOSYS) => fs::rename(&self.folder, to),
-            other => other.map_err(Into::into),
-        };
-        renamed.map_err(|source| match source.kind() {
+        rename_to_new(&self.folder, to).map_err(|source| match source.kind() {
             std::io::ErrorKind::AlreadyExists => BagError::Exists(to.to_owned()),
             _ => BagError::Write { path: to.to_owned(), source },
         })?;
@@ -137,21 +146,43 @@ impl Drop for Work {
 
 enum Out {
     Mcap(Box<Writer>),
-    Sqlite3(Box<SqliteWriter>),
+    /// With the custom data of its `metadata.yaml`.
+    Sqlite3(Box<SqliteWriter>, BTreeMap<String, String>),
 }
 
 impl Out {
-    fn add_topic(&mut self, topic: Topic) -> TopicId {
+    fn add_topic(&mut self, topic: Topic) -> Result<TopicId, BagError> {
         match self {
             Out::Mcap(writer) => writer.add_topic(topic),
-            Out::Sqlite3(writer) => writer.add_topic(topic),
+            Out::Sqlite3(writer, _) => writer.add_topic(topic),
         }
     }
 
-    fn declare(&mut self, id: TopicId) -> Result<(), BagError> {
+    fn attach(&mut self, attachment: &Attachment<'_>) -> Result<(), BagError> {
         match self {
-            Out::Mcap(writer) => writer.declare(id),
-            Out::Sqlite3(writer) => writer.declare(id),
+            Out::Mcap(writer) => writer.attach(attachment),
+            Out::Sqlite3(..) => {
+                Err(BagError::Unkept { what: format!("the attachment '{}'", attachment.name) })
+            }
+        }
+    }
+
+    /// SQLite has it as custom data, `name/key`, or `name#2/key` if another record of the name has the key with another value.
+    fn write_metadata(&mut self, name: &str, values: BTreeMap<String, String>) -> Result<(), BagError> {
+        match self {
+            Out::Mcap(writer) => writer.write_metadata(name, values),
+            Out::Sqlite3(_, custom_data) => {
+                for (key, value) in values {
+                    let names = (1_u64..).map(|number| match number {
+                        1 => format!("{name}/{key}"),
+                        _ => format!("{name}#{number}/{key}"),
+                    });
+                    let mut free =
+                        names.filter(|name| custom_data.get(name).is_none_or(|known| *known == value));
+                    custom_data.extend(free.next().map(|name| (name, value.clone())));
+                }
+                Ok(())
+            }
         }
     }
 }
@@ -161,18 +192,18 @@ struct Conversion<'h> {
     folder: PathBuf,
     out: Out,
     hooks: Hooks<'h>,
-    /// The topics of what is read, by their addresses, which are not others' as long as they are here.
-    known: HashMap<usize, (Arc<Topic>, TopicId)>,
-    /// As they are written, with the QoS of whichever was first.
-    ids: HashMap<Topic, (TopicId, String)>,
-    /// Topics of which others have another QoS.
-    differing: BTreeSet<String>,
+    /// The topics of the file that is read, by their addresses; `None`: it is not wanted. Each topic comes before its messages.
+    known: HashMap<usize, Option<TopicId>>,
+    /// Those that are written.
+    ids: HashMap<Topic, TopicId>,
     /// What `metadata.yaml` of the bag that is read says.
     type_hashes: BTreeMap<(String, String), String>,
-    /// What the bags say of themselves.
-    said: BTreeMap<String, String>,
+    /// The records that are written: each file of a bag may have the same.
+    metadata: BTreeSet<(String, BTreeMap<String, String>)>,
     damage: Vec<(PathBuf, Damage)>,
     notes: Vec<String>,
+    /// Topics had a channel for each publisher.
+    are_publishers_lost: bool,
     /// Messages with a number or a time of publication, which SQLite has no column for.
     unkept: u64,
     /// Bytes that were written since it was looked how much room there is.
@@ -196,7 +227,6 @@ impl Conversion<'_> {
     fn take_in(&mut self, parts: Parts) -> Result<(), BagError> {
         self.notes.extend(parts.notes);
         self.type_hashes = parts.type_hashes;
-        self.said.extend(custom(parts.custom_data));
         let (allowance, unpacked) = (Allowance::default(), Vec::new());
         let mut source =
             Source { path: Path::new(""), packs_messages: parts.packs_messages, allowance, unpacked };
@@ -208,7 +238,7 @@ impl Conversion<'_> {
                 continue;
             }
             let unpacked = self.folder.join("unpacked");
-            unpack_file(path, &unpacked, self.hooks.go_on)?;
+            unpack_file(path, &unpacked, &mut self.hooks.go_on)?;
             let form = form_of(&unpacked).map_err(|error| unpacked_is(error, path))?;
             if form == Form::Zstd {
                 let reason = "it is compressed twice; unpack it with `zstd -d`".to_owned();
@@ -222,10 +252,10 @@ impl Conversion<'_> {
 
     /// Reads a file that is `source`, or what is unpacked of it.
     fn file(&mut self, path: &Path, source: &mut Source<'_>) -> Result<(), BagError> {
-        // What is read of the next file may come to lie where this one's was.
         self.known.clear();
         if form_of(path)? == Form::Sqlite3 {
             let mut database = Database::open(path)?;
+            // Definitions are looked for with a message of their topic, so those without any are last.
             database.read(&mut |message| self.message(&message, source))?;
             for topic in database.topics() {
                 self.id(topic, None)?;
@@ -235,23 +265,31 @@ impl Conversion<'_> {
         }
         let mut reader = FileReader::open(path)?;
         reader.read(&mut |event| match event {
-            Event::Message(message) => self.message(&message, source),
-            Event::Metadata(name, values) => {
-                // Later files of a recording say all that earlier ones do. rosbag2 has its metadata.yaml there.
-                if name != "rosbag2" {
-                    self.said.extend(values.into_iter().map(|(key, value)| (format!("{name}/{key}"), value)));
-                }
-                Ok::<_, BagError>(())
+            Event::Topic(topic) => {
+                // Its address may have been another's.
+                self.known.remove(&Arc::as_ptr(topic).addr());
+                // A definition is looked for with a message.
+                if self.hooks.define.is_none() { self.id(topic, None).map(drop) } else { Ok(()) }
             }
+            Event::Message(message) => self.message(&message, source),
+            Event::Attachment(attachment) => self.out.attach(&attachment),
+            Event::Metadata(name, values) => self.metadata(name, values),
         })?;
+        for topic in reader.topics() {
+            self.id(topic, None)?;
+        }
         let (some, _) = reader.damage();
         self.damage.extend(some.iter().map(|damage| (source.path.to_owned(), damage.clone())));
-        // Those without a message are in the index alone.
-        if let Some((summary, _)) = index_of(path)? {
-            for (topic, _) in summary.topics.into_values() {
-                self.id(&Arc::new(topic), None)?;
-            }
+        Ok(())
+    }
+
+    fn metadata(&mut self, name: String, values: BTreeMap<String, String>) -> Result<(), BagError> {
+        let record = (name, values);
+        if record.0 == OF_ROSBAG2 || self.metadata.contains(&record) {
+            return Ok(());
         }
+        self.out.write_metadata(&record.0, record.1.clone())?;
+        self.metadata.insert(record);
         Ok(())
     }
 
@@ -259,18 +297,22 @@ impl Conversion<'_> {
         if !(self.hooks.go_on)() {
             return Err(BagError::Interrupted);
         }
-        let is_packed = source.packs_messages.unwrap_or_else(|| is_compressed(message.cdr));
-        let cdr = if is_packed {
+        if !self.hooks.span_ns.contains(&message.stamp.log_ns) {
+            return Ok(());
+        }
+        let guess = || message.topic.encoding == CDR && is_compressed(message.cdr);
+        let cdr = if source.packs_messages.unwrap_or_else(guess) {
             source.allowance.message(source.path, message.cdr, &mut source.unpacked)?;
             &*source.unpacked
         } else {
             message.cdr
         };
-        let known = self.known.get(&Arc::as_ptr(message.topic).addr()).map(|(_, id)| *id);
+        let known = self.known.get(&Arc::as_ptr(message.topic).addr()).copied();
         let id = match known {
             Some(id) => id,
             None => self.id(message.topic, Some(cdr))?,
         };
+        let Some(id) = id else { return Ok(()) };
         self.unseen += cdr.len() as u64;
         if self.unseen >= STEP {
             room(&self.folder.join("bag"), self.unseen.max(STEP))?;
@@ -278,7 +320,7 @@ impl Conversion<'_> {
         }
         match &mut self.out {
             Out::Mcap(writer) => writer.write(id, message.stamp, cdr),
-            Out::Sqlite3(writer) => {
+            Out::Sqlite3(writer, _) => {
                 let stamp = message.stamp;
                 self.unkept += u64::from(stamp.sequence != 0 || stamp.publish_ns != stamp.log_ns);
                 writer.write(id, stamp, cdr)
@@ -286,65 +328,79 @@ impl Conversion<'_> {
         }
     }
 
-    /// The topic as it is written, which is in the bag from now on.
-    fn id(&mut self, topic: &Arc<Topic>, cdr: Option<&[u8]>) -> Result<TopicId, BagError> {
-        let mut key = Topic { qos: String::new(), ..Topic::clone(topic) };
+    /// The topic as it is written, which is in the bag from now on, if it is wanted.
+    fn id(&mut self, topic: &Arc<Topic>, cdr: Option<&[u8]>) -> Result<Option<TopicId>, BagError> {
+        let address = Arc::as_ptr(topic).addr();
+        if let Some(id) = self.known.get(&address) {
+            return Ok(*id);
+        }
+        let id = if (self.hooks.wants)(topic) { Some(self.wanted(topic, cdr)?) } else { None };
+        self.known.insert(address, id);
+        Ok(id)
+    }
+
+    fn wanted(&mut self, topic: &Topic, cdr: Option<&[u8]>) -> Result<TopicId, BagError> {
+        let mut key = topic.clone();
+        if let Out::Sqlite3(..) = self.out {
+            // A topic is one row there: only with its publishers has it several channels.
+            key.qos.clear();
+            if key.metadata.remove(PUBLISHER).is_some() {
+                self.are_publishers_lost = true;
+            }
+        }
         if key.type_hash.is_empty() {
             let names = (key.name.clone(), key.type_name.clone());
             key.type_hash = self.type_hashes.get(&names).cloned().unwrap_or_default();
         }
-        let id = match self.ids.get(&key) {
-            Some((id, qos)) => {
-                if *qos != topic.qos {
-                    self.differing.insert(topic.name.clone());
-                }
-                *id
+        if let Some(id) = self.ids.get(&key) {
+            if let Out::Sqlite3(writer, _) = &mut self.out {
+                writer.add_qos(*id, &topic.qos);
             }
-            None => {
-                let new = self.as_written(&key, &topic.qos, cdr);
-                let id = self.out.add_topic(new);
-                self.out.declare(id)?;
-                self.ids.insert(key, (id, topic.qos.clone()));
-                id
-            }
-        };
-        self.known.insert(Arc::as_ptr(topic).addr(), (topic.clone(), id));
+            return Ok(*id);
+        }
+        let new = self.as_written(Topic { qos: topic.qos.clone(), ..key.clone() }, cdr);
+        let id = self.out.add_topic(new)?;
+        self.ids.insert(key, id);
         Ok(id)
     }
 
-    fn as_written(&mut self, topic: &Topic, qos: &str, cdr: Option<&[u8]>) -> Topic {
-        let (name, of_type) = (&topic.name, &topic.type_name);
-        let qos = in_words(qos).unwrap_or_else(|error| {
-            let error = error.lines().next().unwrap_or_default();
+    fn as_written(&mut self, mut topic: Topic, cdr: Option<&[u8]>) -> Topic {
+        let Some(define) = &mut self.hooks.define else { return topic };
+        topic.qos = in_words(&topic.qos).unwrap_or_else(|error| {
+            let (name, error) = (&topic.name, error.lines().next().unwrap_or_default());
             self.notes.push(format!("{name}: its QoS cannot be read, so it is left out: {error}"));
             String::new()
         });
-        let definition = topic.definition.clone().filter(|text| !text.is_empty());
-        let definition = definition.or_else(|| (self.hooks.define)(topic, cdr));
-        if definition.is_none() {
-            self.notes.push(format!("{name}: the definition of {of_type} is not known"));
+        if topic.encoding == CDR && topic.definition.as_ref().is_none_or(|known| known.data.is_empty()) {
+            match define(&topic, cdr) {
+                None => {
+                    let Topic { name, type_name, .. } = &topic;
+                    self.notes.push(format!("{name}: the definition of {type_name} is not known"));
+                }
+                known => topic.definition = known,
+            }
         }
-        Topic { qos, definition, ..topic.clone() }
+        topic
     }
 
     fn finish(mut self) -> Result<Converted, BagError> {
-        let differ =
-            |name: &String| format!("{name}: its QoS differs between the files: that of the first is kept");
-        self.notes.extend(self.differing.iter().map(differ));
         let files = match self.out {
-            Out::Mcap(writer) => writer.finish(self.said)?.files,
-            Out::Sqlite3(writer) => {
+            Out::Mcap(writer) => writer.finish(BTreeMap::new())?.files,
+            Out::Sqlite3(writer, custom_data) => {
                 if self.unkept > 0 {
                     let unkept = self.unkept;
                     self.notes.push(format!(
                         "{unkept} messages lose their time of publication and sequence number: sqlite3 keeps the time of reception alone"
                     ));
                 }
+                if self.are_publishers_lost {
+                    self.notes.push("sqlite3 does not keep which publisher a message is from".to_owned());
+                }
                 let twice = writer.twice.keys().map(|name| {
                     format!("two topics have different definitions of {name}: sqlite3 keeps the first one")
                 });
                 self.notes.extend(twice);
-                writer.finish(&self.said)?
+                writer.finish(&custom_data)?
             }
         };
         Ok(Converted { files, damage: self.damage, notes: self.notes })

@@ -4,7 +4,9 @@
 //! for a long time.
 
 use crate::BagError;
-use std::fs::File;
+use rustix::fs::{CWD, RenameFlags, renameat_with};
+use rustix::io::Errno;
+use std::fs::{self, File};
 use std::io;
 use std::ops::Range;
 use std::os::fd::AsRawFd;
@@ -60,6 +62,8 @@ pub enum Job {
     Again(u64, Vec<u8>),
     /// To be said when all of before is done.
     Tell(SyncSender<()>),
+    /// The last one: to be said when all of before is done and the file is closed here.
+    Close(SyncSender<()>),
 }
 
 /// To the disk's thread.
@@ -71,7 +75,7 @@ pub struct Jobs {
 }
 
 impl Jobs {
-    pub fn give(&self, job: Job) -> io::Result<()> {
+    pub fn send(&self, job: Job) -> io::Result<()> {
         self.sender.send(job).map_err(|_| self.fault())
     }
 
@@ -115,13 +119,20 @@ impl Disk {
         let jobs = Jobs { sender, fault: Arc::default() };
         let fault = jobs.fault.clone();
         // Why it ends is there before it has ended.
-        let run = move || drop(disk.run(&work).map_err(|error| fault.set(error)));
+        let run = move || match disk.run(&work) {
+            Ok(closed) => {
+                drop(disk);
+                let _ = closed.map(|closed| closed.send(()));
+            }
+            Err(error) => drop(fault.set(error)),
+        };
         let thread = std::thread::Builder::new().name("disk".to_owned());
         thread.spawn(run).map_err(BagError::write(path))?;
         Ok((jobs, spare))
     }
 
-    fn run(&mut self, jobs: &Receiver<Job>) -> io::Result<()> {
+    /// Until the last job, or until there are no more; who is to be told that the file is closed.
+    fn run(&mut self, jobs: &Receiver<Job>) -> io::Result<Option<SyncSender<()>>> {
         while let Ok(job) = jobs.recv() {
             match job {
                 Job::Write { piece, start, is_shared } => {
@@ -131,9 +142,10 @@ impl Disk {
                 }
                 Job::Again(at, bytes) => self.file.write_all_at(&bytes, at)?,
                 Job::Tell(done) => drop(done.send(())),
+                Job::Close(closed) => return Ok(Some(closed)),
             }
         }
-        Ok(())
+        Ok(None)
     }
 
     /// Blocks that are written once go past the cache; one that two pieces share goes through it each time, for what the cache has of a
@@ -172,6 +184,16 @@ impl Disk {
             hurry(&self.file, before, libc::SYNC_FILE_RANGE_WAIT_BEFORE);
         }
         Ok(())
+    }
+}
+
+/// Renames, unless `to` exists.
+pub fn rename_to_new(from: &Path, to: &Path) -> io::Result<()> {
+    match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
+        // File systems that cannot do that; `rename` does not replace a folder that has something in it.
+        Err(Errno::INVAL | Errno::NOSYS) if from.is_dir() || !to.exists() => fs::rename(from, to),
+        Err(Errno::INVAL | Errno::NOSYS) => Err(io::ErrorKind::AlreadyExists.into()),
+        other => other.map_err(Into::into),
     }
 }
 

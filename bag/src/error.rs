@@ -17,6 +17,18 @@ pub enum BagError {
         /// How many bytes were to be reserved.
         bytes: u64,
     },
+    /// Another process writes it.
+    #[error("'{}' is being written by another process; stop that first", path.display())]
+    Busy {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The new storage has no place for it.
+    #[error("{what} cannot be kept in sqlite3; --storage mcap keeps it")]
+    Unkept {
+        /// What of the bag.
+        what: String,
+    },
     /// There is no space for a temporary file.
     #[error("the disk of '{}' is full: no room for {bytes} bytes and 64 MiB for others; nothing is left of it", path.display())]
     NoRoom {

@@ -62,6 +62,7 @@ pub fn index_of(path: &Path) -> Result<Option<(FileSummary, Vec<Metadata>)>, Bag
                     return Ok(None);
                 }
             }
+            Ok(Some(Record::AttachmentIndex(index))) => of_file.attachments.push(index.name),
             Ok(Some(Record::MetadataIndex(index))) => {
                 let record =
                     read(index.offset, index.offset.saturating_add(index.length))?.unwrap_or_default();

@@ -8,6 +8,9 @@
 //! checksum.
 #![deny(unsafe_code)]
 
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+
 mod claim;
 mod convert;
 mod disk;
@@ -20,7 +23,6 @@ mod qos;
 mod reader;
 mod record;
 mod recover;
-mod rewrite;
 mod sqlite;
 mod unpack;
 mod writer;
@@ -30,9 +32,8 @@ pub use error::BagError;
 pub use index::{Metadata, index_of};
 pub use ordered::{Ordered, OwnedMessage};
 pub use parts::is_compressed;
-pub use reader::{Damage, Event, FileReader, FileSummary, Message, files_of};
-pub use recover::{Recovered, recover};
-pub use rewrite::rewrite;
+pub use reader::{Attachment, Damage, Event, FileReader, FileSummary, Message, files_of};
+pub use recover::{Recovered, is_being_written, recover};
 pub use writer::{Finished, Options, TopicId, Writer};
 
 /// The storage format of a bag, in rosbag2's term.
@@ -76,19 +77,61 @@ impl Compression {
     }
 }
 
-/// A bag's description of a topic.
-#[derive(Clone, Debug, PartialEq, Eq, Hash, Default)]
+/// A bag's description of a topic: a channel and its schema, in MCAP's terms. A bag may have several for one name.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Topic {
     /// The fully qualified name.
     pub name: String,
-    /// `package/msg/Name`.
+    /// `package/msg/Name`; empty if there is no schema.
     pub type_name: String,
     /// `RIHS01_` and 64 digits; empty if unknown.
     pub type_hash: String,
-    /// The definition as ros2msg text, with those of the types that it needs, if known.
-    pub definition: Option<String>,
+    /// How its messages are encoded: [`CDR`], or what another program wrote, such as `json` or `protobuf`.
+    pub encoding: String,
+    /// The definition of its type, if known.
+    pub definition: Option<Definition>,
     /// The QoS profiles of its publishers, as rosbag2 writes them: a list in YAML.
     pub qos: String,
+    /// The other metadata of the channel.
+    pub metadata: BTreeMap<String, String>,
+}
+
+/// The encoding of ROS 2's messages.
+pub const CDR: &str = "cdr";
+
+/// The key of a channel's metadata that tells publishers of a topic apart: what each of them keeps for late joiners is its own.
+pub const PUBLISHER: &str = "publisher";
+
+/// The definition of a type, with those of the types that it needs.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Definition {
+    /// `ros2msg`, `ros2idl`, or what another program wrote, such as `jsonschema`; empty if unknown.
+    pub encoding: String,
+    /// A text, or what else the encoding says.
+    pub data: Vec<u8>,
+}
+
+impl Definition {
+    /// A definition in ROS 2's `.msg` format.
+    pub fn ros2msg(text: impl Into<String>) -> Self {
+        Definition { encoding: "ros2msg".to_owned(), data: text.into().into_bytes() }
+    }
+}
+
+impl Default for Topic {
+    fn default() -> Self {
+        let [name, type_name, type_hash, qos] = std::array::from_fn(|_| String::new());
+        let (encoding, metadata) = (CDR.to_owned(), BTreeMap::new());
+        Topic { name, type_name, type_hash, encoding, definition: None, qos, metadata }
+    }
+}
+
+impl Topic {
+    /// The definition, if it is in ROS 2's `.msg` format.
+    pub fn ros2msg(&self) -> Option<Cow<'_, str>> {
+        let definition = self.definition.as_ref().filter(|definition| definition.encoding == "ros2msg")?;
+        Some(String::from_utf8_lossy(&definition.data))
+    }
 }
 
 /// The metadata of a message.

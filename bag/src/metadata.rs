@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `metadata.yaml`, as rosbag2 of ROS 2 Jazzy writes it (version 9).
 
+use crate::qos::in_words;
 use crate::reader::FileSummary;
 use crate::{BagError, Storage, Topic};
 use std::collections::BTreeMap;
@@ -17,25 +18,15 @@ pub struct Description<'d> {
     pub custom_data: &'d BTreeMap<String, String>,
 }
 
-/// How custom data of a bag is called in what is said of several.
-const CUSTOM: &str = "custom_data/";
-
-/// Custom data of a bag that was read, as what is said of it.
-pub fn custom(data: BTreeMap<String, String>) -> impl Iterator<Item = (String, String)> {
-    // What was said of a bag before is not said to be of another one each time.
-    data.into_iter()
-        .map(|(key, value)| if key.contains('/') { (key, value) } else { (format!("{CUSTOM}{key}"), value) })
-}
-
-/// Writes that of an MCAP bag anew, at once or not at all.
-pub fn write_metadata(folder: &Path, files: &[FileSummary]) -> Result<(), BagError> {
-    let description =
-        Description { storage: Storage::Mcap, packs_messages: false, custom_data: &BTreeMap::new() };
-    write_described(folder, &description, files)
+impl<'d> Description<'d> {
+    /// That of an MCAP bag.
+    pub fn mcap(custom_data: &'d BTreeMap<String, String>) -> Self {
+        Description { storage: Storage::Mcap, packs_messages: false, custom_data }
+    }
 }
 
 /// Writes it anew, at once or not at all.
-pub fn write_described(
+pub fn write_metadata(
     folder: &Path,
     description: &Description<'_>,
     files: &[FileSummary],
@@ -62,9 +53,9 @@ fn text(description: &Description<'_>, files: &[FileSummary]) -> String {
     let start_ns = with_messages().map(|file| file.start_ns).min().unwrap_or(0);
     let end_ns = with_messages().map(|file| file.end_ns).max().unwrap_or(0);
     let messages: u64 = files.iter().map(|file| file.messages).sum();
-    let mut topics: BTreeMap<(&str, &str), (&Topic, u64)> = BTreeMap::new();
+    let mut all = FileSummary::default();
     for (topic, count) in files.iter().flat_map(|file| file.topics.values()) {
-        topics.entry((&topic.name, &topic.type_name)).or_insert((topic, 0)).1 += count;
+        all.count(topic, *count);
     }
     let storage = match description.storage {
         Storage::Mcap => "mcap",
@@ -72,7 +63,7 @@ fn text(description: &Description<'_>, files: &[FileSummary]) -> String {
     };
     let mut out = format!("rosbag2_bagfile_information:\n  version: 9\n  storage_identifier: {storage}\n");
     // Writing to a String does not fail.
-    let _ = write_all(&mut out, description, files, start_ns, end_ns, messages, topics.into_values());
+    let _ = write_all(&mut out, description, files, start_ns, end_ns, messages, all.topics.values());
     out
 }
 
@@ -83,7 +74,7 @@ fn write_all<'t>(
     start_ns: u64,
     end_ns: u64,
     messages: u64,
-    topics: impl Iterator<Item = (&'t Topic, u64)>,
+    topics: impl Iterator<Item = &'t (Topic, u64)>,
 ) -> std::fmt::Result {
     writeln!(out, "  duration:\n    nanoseconds: {}", end_ns - start_ns)?;
     writeln!(out, "  starting_time:\n    nanoseconds_since_epoch: {start_ns}")?;
@@ -94,12 +85,14 @@ fn write_all<'t>(
         writeln!(out, "    - topic_metadata:")?;
         writeln!(out, "        name: {}", quoted(&topic.name))?;
         writeln!(out, "        type: {}", quoted(&topic.type_name))?;
-        writeln!(out, "        serialization_format: cdr")?;
-        if topic.qos.is_empty() {
+        writeln!(out, "        serialization_format: {}", quoted(&topic.encoding))?;
+        // What is no list of profiles stays in the channel's metadata.
+        let qos = in_words(&topic.qos).unwrap_or_default();
+        if qos.is_empty() {
             writeln!(out, "        offered_qos_profiles: []")?;
         } else {
             writeln!(out, "        offered_qos_profiles:")?;
-            topic.qos.lines().try_for_each(|line| writeln!(out, "          {line}"))?;
+            qos.lines().try_for_each(|line| writeln!(out, "          {line}"))?;
         }
         writeln!(out, "        type_description_hash: {}", quoted(&topic.type_hash))?;
         writeln!(out, "      message_count: {count}")?;

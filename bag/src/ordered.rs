@@ -2,7 +2,7 @@
 //! The messages of a whole bag in the order of their reception, whatever order its files have them in.
 
 use crate::reader::{Damage, Event, Extent, FileReader, files_of};
-use crate::{BagError, Stamp, Topic};
+use crate::{BagError, PUBLISHER, Stamp, Topic};
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap, HashMap};
 use std::path::{Path, PathBuf};
@@ -37,7 +37,7 @@ pub struct Ordered {
     /// Those that were read from; a file is looked through once.
     open: Vec<Option<Open>>,
     topics: Vec<Arc<Topic>>,
-    numbers: HashMap<(String, String), usize>,
+    numbers: HashMap<(String, String, Option<String>), usize>,
     waiting: BinaryHeap<Reverse<Waiting>>,
     waiting_bytes: usize,
     /// Of messages with the same time the one that was read first is first.
@@ -96,14 +96,18 @@ impl Ordered {
         Ok(bag)
     }
 
-    /// Its topics; one for each type, if there are several. A damaged file may come to have more while it is read.
+    /// Its topics; of a name one for each type and [publisher](crate::PUBLISHER), if there are several. A damaged file may come to have
+    /// more while it is read.
     pub fn topics(&self) -> &[Arc<Topic>] {
         &self.topics
     }
 
     /// The earliest and the latest time of reception, by what the files say; `None` without messages.
     pub fn span_ns(&self) -> Option<(u64, u64)> {
-        let extents = self.extents.iter().map(|(_, extent)| extent);
+        let extents = || self.extents.iter().map(|(_, extent)| extent);
+        // A chunk with topics alone is of time 0.
+        let is_timed = extents().any(|extent| extent.end_ns > 0);
+        let extents = extents().filter(|extent| !is_timed || extent.end_ns > 0);
         let start = extents.clone().map(|extent| extent.start_ns).min();
         start.zip(extents.map(|extent| extent.end_ns).max())
     }
@@ -186,7 +190,8 @@ impl Ordered {
     }
 
     fn number(&mut self, topic: &Arc<Topic>) -> usize {
-        let key = (topic.name.clone(), topic.type_name.clone());
+        let publisher = topic.metadata.get(PUBLISHER).cloned();
+        let key = (topic.name.clone(), topic.type_name.clone(), publisher);
         *self.numbers.entry(key).or_insert_with(|| {
             self.topics.push(topic.clone());
             self.topics.len() - 1

@@ -3,7 +3,7 @@
 
 use crate::BagError;
 use serde::Deserialize;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::io::Read;
 use std::path::{Component, Path, PathBuf};
@@ -130,7 +130,14 @@ pub fn parts_of(path: &Path) -> Result<Parts, BagError> {
     Ok(parts)
 }
 
-fn described_parts(folder: &Path, described: &Path, file: File) -> Result<Parts, BagError> {
+/// The custom data of a folder's `metadata.yaml`; none if there is no such file, or it cannot be read.
+pub fn custom_data_of(folder: &Path) -> BTreeMap<String, String> {
+    let path = folder.join("metadata.yaml");
+    let information = File::open(&path).ok().and_then(|file| information(&path, file).ok());
+    information.and_then(|information| information.custom_data).unwrap_or_default()
+}
+
+fn information(described: &Path, file: File) -> Result<Information, BagError> {
     let wrong = |reason: String| BagError::NoBag { path: described.to_owned(), reason };
     let mut text = String::new();
     file.take(MOST_METADATA + 1).read_to_string(&mut text).map_err(BagError::read(described))?;
@@ -141,7 +148,12 @@ fn described_parts(folder: &Path, described: &Path, file: File) -> Result<Parts,
         let first = error.to_string().lines().next().unwrap_or_default().to_owned();
         wrong(format!("{first}; moved away, what is in the folder is taken"))
     })?;
-    let information = document.rosbag2_bagfile_information;
+    Ok(document.rosbag2_bagfile_information)
+}
+
+fn described_parts(folder: &Path, described: &Path, file: File) -> Result<Parts, BagError> {
+    let wrong = |reason: String| BagError::NoBag { path: described.to_owned(), reason };
+    let information = information(described, file)?;
     let mode = information.compression_mode.to_ascii_lowercase();
     if !matches!(&*mode, "" | "none" | "file" | "message" | "storage") {
         return Err(wrong(format!("the compression mode '{mode}' is unknown: none, file or message")));
@@ -185,7 +197,16 @@ fn described_parts(folder: &Path, described: &Path, file: File) -> Result<Parts,
     let type_hashes =
         topics.map(|topic| ((topic.name, topic.type_name), topic.type_description_hash)).collect();
     let custom_data = information.custom_data.unwrap_or_default();
-    Ok(Parts { files, packs_messages: Some(mode == "message"), type_hashes, custom_data, notes: Vec::new() })
+    // A recorder that was killed had not named its last file yet.
+    let bare = |file: &PathBuf| file.to_string_lossy().trim_end_matches(".zstd").to_owned();
+    // Decompressed files may be beside those that are named.
+    let named: BTreeSet<_> = files.iter().map(bare).collect();
+    let unnamed = files_in(folder).unwrap_or_default().into_iter();
+    let unnamed: Vec<_> = unnamed.filter(|file| !named.contains(&bare(file))).collect();
+    let note = |file: &PathBuf| format!("'{}' is taken, which metadata.yaml does not name", file.display());
+    let notes = unnamed.iter().map(note).collect();
+    files.extend(unnamed);
+    Ok(Parts { files, packs_messages: Some(mode == "message"), type_hashes, custom_data, notes })
 }
 
 /// The files of a folder that have a bag's names, in the order of their numbers.

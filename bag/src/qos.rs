@@ -85,9 +85,20 @@ pub fn in_words(text: &str) -> Result<String, String> {
     Ok(out)
 }
 
+/// A list that has the profiles of both; one that cannot be read is left out.
+pub fn joined(one: &str, other: &str) -> String {
+    let [one, other] = [one, other].map(|text| in_words(text).unwrap_or_default());
+    let profiles = |text: &str| -> Vec<String> {
+        let parts = text.split("- history").skip(1);
+        parts.map(|profile| format!("- history{profile}")).collect()
+    };
+    let known = profiles(&one);
+    one + &profiles(&other).into_iter().filter(|profile| !known.contains(profile)).collect::<String>()
+}
+
 #[cfg(test)]
 mod tests {
-    use super::in_words;
+    use super::{in_words, joined};
 
     #[test]
     fn numbers_become_words() {
@@ -105,6 +116,9 @@ mod tests {
         }
         assert_eq!(in_words(&words).as_ref(), Ok(&words));
         assert_eq!([in_words(""), in_words("[]\n")], [Ok(String::new()), Ok(String::new())]);
+        let other = in_words(&text.replace("depth: 7", "depth: 8")).unwrap();
+        assert_eq!(joined(text, &other), format!("{words}{other}"));
+        assert_eq!((joined(&words, text), joined("- [", text)), (words.clone(), words.clone()));
         for wrong in ["x", "- depth: 1", "- [", &text.replace("history: 1", "history: 9")] {
             assert!(in_words(wrong).is_err(), "{wrong}");
         }

@@ -2,8 +2,9 @@
 //! Reads a bag from its first byte to its last, with any content.
 
 use crate::parts::{Form, MAGIC, form_of, in_order};
+use crate::qos::joined;
 use crate::record::{Records, parse};
-use crate::{BagError, Compression, MOST_BYTES, Stamp, Topic};
+use crate::{BagError, Compression, Definition, MOST_BYTES, Stamp, Topic};
 use mcap::records::{ChunkHeader, Record, op};
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
@@ -31,8 +32,10 @@ pub struct FileSummary {
     pub start_ns: u64,
     /// The latest one.
     pub end_ns: u64,
-    /// By name and type; how many messages.
+    /// By name and type; how many messages. The QoS is that of all its channels.
     pub topics: BTreeMap<(String, String), (Topic, u64)>,
+    /// The names of its attachments.
+    pub attachments: Vec<String>,
     /// How its first chunk is compressed.
     pub compression: Compression,
     /// Messages that were received before the one that is in front of them.
@@ -49,7 +52,11 @@ impl FileSummary {
 
     pub(crate) fn count(&mut self, topic: &Topic, messages: u64) {
         let key = (topic.name.clone(), topic.type_name.clone());
-        self.topics.entry(key).or_insert_with(|| (topic.clone(), 0)).1 += messages;
+        let (known, count) = self.topics.entry(key).or_insert_with(|| (topic.clone(), 0));
+        if known.qos != topic.qos {
+            known.qos = joined(&known.qos, &topic.qos);
+        }
+        *count += messages;
     }
 
     /// The file's own name.
@@ -78,9 +85,28 @@ pub struct Message<'b> {
     pub cdr: &'b [u8],
 }
 
+/// A file that is in a bag.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Attachment<'b> {
+    /// Its name.
+    pub name: String,
+    /// Its media type, such as `application/yaml`.
+    pub media_type: String,
+    /// When it was attached, in nanoseconds since 1970.
+    pub log_ns: u64,
+    /// When it was created, in nanoseconds since 1970; 0 if unknown.
+    pub create_ns: u64,
+    /// Its content.
+    pub data: Cow<'b, [u8]>,
+}
+
 /// What comes next.
 #[derive(Debug)]
 pub enum Event<'b> {
+    /// A topic, before its first message, and if it has none.
+    Topic(&'b Arc<Topic>),
+    /// A file.
+    Attachment(Attachment<'b>),
     /// A message.
     Message(Message<'b>),
     /// What a file says of itself: a name, and keys and values.
@@ -96,7 +122,7 @@ pub struct FileReader {
     damage: Vec<Damage>,
     damages: u64,
     is_ended: bool,
-    schemas: HashMap<u16, (String, Option<String>)>,
+    schemas: HashMap<u16, (String, Option<Definition>)>,
     /// In order: of two channels of one topic the first says how it is.
     channels: BTreeMap<u16, (Arc<Topic>, u64)>,
     latest_ns: u64,
@@ -113,6 +139,10 @@ pub(crate) struct Extent {
     pub(crate) start_ns: u64,
     pub(crate) end_ns: u64,
 }
+
+/// Keys of a channel's metadata, as rosbag2 has them.
+pub(crate) const TYPE_HASH: &str = "topic_type_hash";
+pub(crate) const QOS: &str = "offered_qos_profiles";
 
 /// Linux's number of an error of the disk.
 const EIO: i32 = 5;
@@ -204,7 +234,7 @@ impl FileReader {
         let mut position = MAGIC.len() as u64;
         while !self.is_ended {
             let Some((kind, whole)) = self.whole(position)? else { return Ok(()) };
-            if !matches!(kind, op::ATTACHMENT | op::MESSAGE_INDEX | op::CHUNK_INDEX) {
+            if !matches!(kind, op::MESSAGE_INDEX | op::CHUNK_INDEX) {
                 self.read_at(position, whole, visit)?;
             }
             position += whole;
@@ -417,7 +447,21 @@ impl FileReader {
             Record::Schema { header, data } => {
                 self.schemas.insert(header.id, (header.name.clone(), definition(&header.encoding, data)));
             }
-            Record::Channel(channel) => self.channel(channel),
+            Record::Channel(channel) => {
+                if let Some(topic) = self.channel(channel) {
+                    return visit(Event::Topic(topic));
+                }
+            }
+            Record::Attachment { header, data, .. } => {
+                self.summary.attachments.push(header.name.clone());
+                return visit(Event::Attachment(Attachment {
+                    name: header.name.clone(),
+                    media_type: header.media_type.clone(),
+                    log_ns: header.log_time,
+                    create_ns: header.create_time,
+                    data: Cow::Borrowed(data),
+                }));
+            }
             Record::Metadata(metadata) => {
                 return visit(Event::Metadata(metadata.name.clone(), metadata.metadata.clone()));
             }
@@ -442,14 +486,16 @@ impl FileReader {
         Ok(())
     }
 
-    fn channel(&mut self, channel: &mcap::records::Channel) {
+    /// The topic of a channel, if it was not known: each chunk may state it again.
+    fn channel(&mut self, channel: &mcap::records::Channel) -> Option<&Arc<Topic>> {
         let topic = topic(channel, self.schemas.get(&channel.schema_id).cloned().unwrap_or_default());
-        // Each chunk may say it again.
-        if self.channels.get(&channel.id).is_none_or(|(known, _)| **known != topic)
-            && let Some((before, messages)) = self.channels.insert(channel.id, (Arc::new(topic), 0))
-        {
+        if self.channels.get(&channel.id).is_some_and(|(known, _)| **known == topic) {
+            return None;
+        }
+        if let Some((before, messages)) = self.channels.insert(channel.id, (Arc::new(topic), 0)) {
             self.summary.count(&before, messages);
         }
+        self.channels.get(&channel.id).map(|(topic, _)| topic)
     }
 }
 
@@ -480,15 +526,16 @@ fn unpack<'b>(header: &ChunkHeader, data: &'b [u8]) -> Result<Cow<'b, [u8]>, Str
     Ok(bytes)
 }
 
-/// As a schema has it; of other languages nothing is told.
-pub fn definition(encoding: &str, data: &[u8]) -> Option<String> {
-    (encoding == "ros2msg").then(|| String::from_utf8_lossy(data).into_owned())
+/// The definition that a schema has.
+pub fn definition(encoding: &str, data: &[u8]) -> Option<Definition> {
+    let is_there = !encoding.is_empty() || !data.is_empty();
+    is_there.then(|| Definition { encoding: encoding.to_owned(), data: data.to_vec() })
 }
 
-/// What a channel says of its topic, whose type has this name and definition.
-pub(crate) fn topic(channel: &mcap::records::Channel, schema: (String, Option<String>)) -> Topic {
-    let of = |key: &str| channel.metadata.get(key).cloned().unwrap_or_default();
-    let (type_name, definition) = schema;
-    let (name, qos) = (channel.topic.clone(), of("offered_qos_profiles"));
-    Topic { name, type_name, type_hash: of("topic_type_hash"), definition, qos }
+/// The topic of a channel whose type has this name and definition.
+pub(crate) fn topic(channel: &mcap::records::Channel, schema: (String, Option<Definition>)) -> Topic {
+    let mut metadata = channel.metadata.clone();
+    let [type_hash, qos] = [TYPE_HASH, QOS].map(|key| metadata.remove(key).unwrap_or_default());
+    let ((type_name, definition), encoding) = (schema, channel.message_encoding.clone());
+    Topic { name: channel.topic.clone(), type_name, type_hash, encoding, definition, qos, metadata }
 }

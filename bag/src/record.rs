@@ -9,10 +9,12 @@ enum Part {
     Bytes,
     /// Keys and values, each with its length. Whoever parses them reads on behind them, if a value is missing.
     Texts,
+    /// Bytes whose length has eight bytes.
+    Long,
     /// Channels and what is of each, two bytes and eight.
     Numbers,
 }
-use Part::{Bytes, Numbers, Texts};
+use Part::{Bytes, Long, Numbers, Texts};
 
 /// The parts of a record with a length of their own, each with how many bytes are before it. `None`: nobody here reads it.
 fn parts(kind: u8) -> Option<&'static [(usize, Part)]> {
@@ -25,6 +27,8 @@ fn parts(kind: u8) -> Option<&'static [(usize, Part)]> {
         op::CHUNK_INDEX => &[(32, Numbers), (8, Bytes)],
         op::STATISTICS => &[(42, Numbers)],
         op::METADATA => &[(0, Bytes), (0, Texts)],
+        op::ATTACHMENT => &[(16, Bytes), (0, Bytes), (0, Long)],
+        op::ATTACHMENT_INDEX => &[(40, Bytes), (0, Bytes)],
         op::METADATA_INDEX => &[(16, Bytes)],
         _ => return None,
     })
@@ -35,7 +39,7 @@ pub fn parse(kind: u8, body: &[u8]) -> Result<Option<Record<'_>>, String> {
     let Some(parts) = parts(kind) else { return Ok(None) };
     let mut rest = body;
     for (before, part) in parts {
-        let whole = rest.get(*before..).and_then(split);
+        let whole = rest.get(*before..).and_then(if let Long = part { split_long } else { split });
         let Some((bytes, behind)) = whole else {
             return Err("a record says that it is longer than it is".to_owned());
         };
@@ -49,6 +53,9 @@ pub fn parse(kind: u8, body: &[u8]) -> Result<Option<Record<'_>>, String> {
         }
         rest = behind;
     }
+    if kind == op::ATTACHMENT && rest.len() < 4 {
+        return Err("an attachment ends before its checksum".to_owned());
+    }
     mcap::parse_record(kind, body).map(Some).map_err(|error| error.to_string())
 }
 
@@ -56,6 +63,11 @@ pub fn parse(kind: u8, body: &[u8]) -> Result<Option<Record<'_>>, String> {
 fn split(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
     let (length, rest) = bytes.split_first_chunk()?;
     rest.split_at_checked(u32::from_le_bytes(*length) as usize)
+}
+
+fn split_long(bytes: &[u8]) -> Option<(&[u8], &[u8])> {
+    let (length, rest) = bytes.split_first_chunk()?;
+    rest.split_at_checked(u64::from_le_bytes(*length).try_into().ok()?)
 }
 
 /// Kind and body of each complete record; then the remaining bytes.

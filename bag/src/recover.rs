@@ -1,12 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Makes a valid bag of what a killed process, a full disk or a bad sector left.
 
-use crate::metadata::write_metadata;
+use crate::disk::rename_to_new;
+use crate::metadata::{Description, write_metadata};
+use crate::parts::custom_data_of;
 use crate::reader::{Event, FileReader, FileSummary, files_of};
 use crate::writer::{Open, TopicId};
 use crate::{BagError, Damage, Options, Topic};
 use std::collections::HashMap;
-use std::fs;
+use std::fs::{self, File, TryLockError};
+use std::io::{Error, ErrorKind};
+use std::os::fd::AsRawFd;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -21,25 +25,71 @@ pub struct Recovered {
     pub before: Option<PathBuf>,
 }
 
-/// Replaces each damaged file by a new one with all its undamaged messages, and writes the folder's `metadata.yaml` again. The original
-/// file is kept next to it as `.damaged`: other tools may be able to read more of it. `tell` is called with each file before it is read.
+/// Replaces each damaged file by a new one with all its undamaged messages, topics, attachments and metadata, and writes the folder's
+/// `metadata.yaml` again. The original file is kept next to it as `.damaged`, or `.damaged.1` and so on if that exists: other tools may
+/// be able to read more of it. `tell` is called with each file before it is read.
 ///
 /// # Errors
-/// There is no bag; a file cannot be read or written: then it is unchanged.
+/// There is no bag; a file of it is being written or recovered by another process; a file cannot be read or written: then it is
+/// unchanged.
 pub fn recover(path: &Path, tell: &mut dyn FnMut(&Path)) -> Result<Vec<Recovered>, BagError> {
-    let mut files = Vec::new();
-    for file in files_of(path)? {
-        tell(&file);
-        files.push(one(&file)?);
-    }
+    let files = files_of(path)?;
+    // All of them, before the first is changed.
+    let _locks = files.iter().map(|file| lock(file)).collect::<Result<Vec<_>, _>>()?;
+    let one = |file: &PathBuf| {
+        tell(file);
+        recover_file(file)
+    };
+    let files = files.iter().map(one).collect::<Result<Vec<_>, _>>()?;
     if path.is_dir() {
         let summaries: Vec<_> = files.iter().map(|file| file.summary.clone()).collect();
-        write_metadata(path, &summaries)?;
+        write_metadata(path, &Description::mcap(&custom_data_of(path)), &summaries)?;
     }
     Ok(files)
 }
 
-fn one(path: &Path) -> Result<Recovered, BagError> {
+/// Whether another process has the file open for writing, as far as the kernel tells this user. This user's files and, for root, all
+/// files on local file systems are told.
+///
+/// # Errors
+/// The file cannot be opened.
+pub fn is_being_written(path: &Path) -> Result<bool, BagError> {
+    let file = File::open(path).map_err(BagError::read(path))?;
+    Ok(is_locked(file.try_lock_shared()) || has_writer(&file))
+}
+
+/// The lock that a recorder and `recover` hold on a file.
+fn lock(path: &Path) -> Result<File, BagError> {
+    let file = File::open(path).map_err(BagError::read(path))?;
+    match is_locked(file.try_lock()) || has_writer(&file) {
+        true => Err(BagError::Busy { path: path.to_owned() }),
+        false => Ok(file),
+    }
+}
+
+/// File systems without locks have none.
+fn is_locked(locked: Result<(), TryLockError>) -> bool {
+    matches!(locked, Err(TryLockError::WouldBlock))
+}
+
+/// Whether any process, of any program, has the file open for writing: then the kernel grants no read lease.
+#[expect(unsafe_code, reason = "rustix has no leases")]
+fn has_writer(file: &File) -> bool {
+    /// Which signal tells of somebody who wants to write; of <linux/fcntl.h>.
+    const F_SETSIG: libc::c_int = 10;
+    let fd = file.as_raw_fd();
+    // SAFETY: the descriptor is open; the calls have integers for arguments. A process that opens the file for writing while the lease is
+    // held is made to wait and SIGURG is sent here, which is ignored by default.
+    unsafe {
+        libc::fcntl(fd, F_SETSIG, libc::SIGURG);
+        let is_refused = libc::fcntl(fd, libc::F_SETLEASE, libc::F_RDLCK) == -1
+            && Error::last_os_error().kind() == ErrorKind::WouldBlock;
+        libc::fcntl(fd, libc::F_SETLEASE, libc::F_UNLCK);
+        is_refused
+    }
+}
+
+fn recover_file(path: &Path) -> Result<Recovered, BagError> {
     let mut reader = FileReader::open(path)?;
     reader.read(&mut |_| Ok::<_, BagError>(()))?;
     let summary = reader.summary();
@@ -50,12 +100,13 @@ fn one(path: &Path) -> Result<Recovered, BagError> {
     let unfinished = path.with_extension("mcap.recovering");
     // Of a recovery that was killed.
     let _ = fs::remove_file(&unfinished);
-    let before = path.with_extension("mcap.damaged");
-    let in_place = || fs::rename(path, &before).and_then(|()| fs::rename(&unfinished, path));
-    let written = again(path, &unfinished, &summary);
-    let renamed = written.and_then(|summary| in_place().map(|()| summary).map_err(BagError::write(path)));
-    match renamed {
-        Ok(summary) => {
+    let written = rewrite(path, &unfinished, &summary).and_then(|summary| {
+        let before = keep_original(path)?;
+        fs::rename(&unfinished, path).map_err(BagError::write(path))?;
+        Ok((summary, before))
+    });
+    match written {
+        Ok((summary, before)) => {
             let summary = FileSummary { path: path.to_owned(), ..summary };
             Ok(Recovered { summary, damage, before: Some(before) })
         }
@@ -66,18 +117,40 @@ fn one(path: &Path) -> Result<Recovered, BagError> {
     }
 }
 
-fn again(path: &Path, to: &Path, summary: &FileSummary) -> Result<FileSummary, BagError> {
+/// The original file has another name, too, which nothing had. Whenever this process is killed, it is there.
+fn keep_original(path: &Path) -> Result<PathBuf, BagError> {
+    for number in 0_u32.. {
+        let end = if number == 0 { String::new() } else { format!(".{number}") };
+        let before = path.with_extension(format!("mcap.damaged{end}"));
+        // Without links, as on FAT, it is moved.
+        let kept = fs::hard_link(path, &before).or_else(|error| match error.kind() {
+            ErrorKind::AlreadyExists => Err(error),
+            _ => rename_to_new(path, &before),
+        });
+        match kept {
+            Ok(()) => return Ok(before),
+            Err(error) if error.kind() == ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(BagError::write(&before)(error)),
+        }
+    }
+    Err(BagError::Exists(path.with_extension("mcap.damaged")))
+}
+
+fn rewrite(path: &Path, to: &Path, summary: &FileSummary) -> Result<FileSummary, BagError> {
     let mut out =
         Open::create(to, Options { compression: summary.compression, ..Options::default() }, Arc::default())?;
-    let (mut ids, mut topics) = (HashMap::<Arc<Topic>, TopicId>::new(), Vec::<Topic>::new());
+    // By the addresses of the topics: each topic comes before its messages.
+    let (mut ids, mut topics) = (HashMap::<usize, TopicId>::new(), Vec::<Topic>::new());
     FileReader::open(path)?.read(&mut |event| match event {
-        Event::Metadata(name, metadata) => out.say(&name, metadata),
+        Event::Topic(topic) => {
+            ids.insert(Arc::as_ptr(topic).addr(), out.add_topic(topic)?);
+            topics.push(Topic::clone(topic));
+            Ok(())
+        }
+        Event::Attachment(attachment) => out.attach(&attachment),
+        Event::Metadata(name, metadata) => out.write_metadata(&name, metadata),
         Event::Message(message) => {
-            let id = *ids.entry(message.topic.clone()).or_insert_with(|| {
-                topics.push(Topic::clone(message.topic));
-                TopicId(topics.len() - 1)
-            });
-            out.write(id, message.topic, message.stamp, message.cdr)
+            out.write(ids[&Arc::as_ptr(message.topic).addr()], message.stamp, message.cdr)
         }
     })?;
     out.finish(&topics)

@@ -2,10 +2,11 @@
 //! Writing a bag: chunks of a file, files of a folder.
 
 use crate::claim::{Claim, Claimed, Position, create};
-use crate::metadata::write_metadata;
-use crate::reader::FileSummary;
-use crate::{BagError, Compression, MOST_BYTES, Stamp, Topic};
+use crate::metadata::{Description, write_metadata};
+use crate::reader::{Attachment, FileSummary, QOS, TYPE_HASH};
+use crate::{BagError, Compression, Definition, MOST_BYTES, Stamp, Topic};
 use mcap::records::{MessageHeader, Metadata};
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs;
 use std::num::NonZeroU32;
@@ -59,6 +60,8 @@ pub struct Writer {
     /// What each file says of the recording.
     session: BTreeMap<String, String>,
     topics: Vec<Topic>,
+    /// For metadata.yaml.
+    custom_data: BTreeMap<String, String>,
     file: Option<Open>,
     number: u32,
     done: Vec<FileSummary>,
@@ -83,8 +86,8 @@ pub(crate) struct Open {
     end: Position,
     flushed: u64,
     summary: FileSummary,
-    /// The file's number of a topic, and its messages.
-    channels: BTreeMap<TopicId, (u16, u64)>,
+    /// Of each topic, the file's number of its channel, and its messages.
+    channels: Vec<(u16, u64)>,
     /// Bytes of the chunk, at most.
     pending: u64,
     /// Bytes of what ends the file.
@@ -109,7 +112,7 @@ impl Writer {
             _ => BagError::Write { path: folder.to_owned(), source },
         })?;
         let name = folder.file_name().map_or("bag".into(), |name| name.to_string_lossy().into_owned());
-        Self::create_in(folder, &name, options, session)
+        Self::create_in(folder, &name, options, session, BTreeMap::new())
     }
 
     /// A bag in a folder that is there, in files with this name.
@@ -118,14 +121,26 @@ impl Writer {
         name: &str,
         options: Options,
         session: BTreeMap<String, String>,
+        custom_data: BTreeMap<String, String>,
     ) -> Result<Self, BagError> {
         let (folder, name, topics, done) = (folder.to_owned(), name.to_owned(), Vec::new(), Vec::new());
         let is_behind = Arc::default();
         let (file, number, removed) = (None, 0, 0);
-        let mut writer =
-            Writer { folder, name, options, session, topics, file, number, done, removed, is_behind };
+        let mut writer = Writer {
+            folder,
+            name,
+            options,
+            session,
+            topics,
+            custom_data,
+            file,
+            number,
+            done,
+            removed,
+            is_behind,
+        };
         // What cannot be written is known before there are messages.
-        writer.open()?;
+        writer.current()?;
         Ok(writer)
     }
 
@@ -140,18 +155,38 @@ impl Writer {
         self.is_behind.store(is_behind, Ordering::Relaxed);
     }
 
-    /// Adds a topic. A file contains it from its first message on.
-    pub fn add_topic(&mut self, topic: Topic) -> TopicId {
+    /// Adds a topic, which is in the current file and all later ones, with or without messages.
+    ///
+    /// # Errors
+    /// As [`write`](Self::write).
+    pub fn add_topic(&mut self, topic: Topic) -> Result<TopicId, BagError> {
+        let id = self.current()?.add_topic(&topic)?;
         self.topics.push(topic);
-        TopicId(self.topics.len() - 1)
+        Ok(id)
     }
 
-    /// The topic is in the file that is written, though it may have no message.
-    pub(crate) fn declare(&mut self, topic: TopicId) -> Result<(), BagError> {
-        match &mut self.file {
-            Some(file) => file.channel(topic, &self.topics[topic.0]).map(drop),
-            None => Ok(()),
-        }
+    /// Adds a file.
+    ///
+    /// # Errors
+    /// As [`write`](Self::write).
+    pub fn attach(&mut self, attachment: &Attachment<'_>) -> Result<(), BagError> {
+        self.current()?.attach(attachment)
+    }
+
+    /// Adds a record of metadata.
+    ///
+    /// # Errors
+    /// As [`write`](Self::write).
+    pub fn write_metadata(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), BagError> {
+        self.current()?.write_metadata(name, metadata)
+    }
+
+    fn current(&mut self) -> Result<&mut Open, BagError> {
+        let file = match self.file.take() {
+            Some(file) => file,
+            None => self.opened()?,
+        };
+        Ok(self.file.insert(file))
     }
 
     /// Writes a message, with its four bytes of encapsulation in front.
@@ -166,13 +201,7 @@ impl Writer {
         if self.file.as_ref().is_some_and(|file| file.is_over(&self.options, stamp.log_ns)) {
             self.split()?;
         }
-        if self.file.is_none() {
-            self.open()?;
-        }
-        match &mut self.file {
-            Some(file) => file.write(topic, &self.topics[topic.0], stamp, cdr),
-            None => Ok(()),
-        }
+        self.current()?.write(topic, stamp, cdr)
     }
 
     /// After this call all messages are in the file, whatever happens to this process.
@@ -191,29 +220,36 @@ impl Writer {
         done + self.file.as_ref().map_or(0, |file| file.flushed)
     }
 
-    /// Completes the bag; `statement` is written into the last file, as a record `tautline:recording`.
+    /// Completes the bag. `statement`, if it says anything, is written into the last file, as a record `tautline:recording`.
     ///
     /// # Errors
     /// The file cannot be written.
     pub fn finish(mut self, statement: BTreeMap<String, String>) -> Result<Finished, BagError> {
         if let Some(mut file) = self.file.take() {
-            file.say(RECORDING, statement)?;
+            file.state(RECORDING, statement)?;
             self.done.push(file.finish(&self.topics)?);
         }
         self.describe()?;
         Ok(Finished { files: self.done, removed: self.removed })
     }
 
-    fn open(&mut self) -> Result<(), BagError> {
+    /// The next file, with all topics.
+    fn opened(&self) -> Result<Open, BagError> {
         let path = self.folder.join(format!("{}_{}.mcap", self.name, self.number));
         let mut file = Open::create(&path, self.options, self.is_behind.clone())?;
-        file.say(SESSION, self.session.clone())?;
-        file.hand_over()?;
-        self.file = Some(file);
-        Ok(())
+        let begin = |file: &mut Open| {
+            file.state(SESSION, self.session.clone())?;
+            self.topics.iter().try_for_each(|topic| file.add_topic(topic).map(drop))?;
+            file.hand_over()
+        };
+        begin(&mut file).inspect_err(|_| {
+            // Nothing is lost with it, and without its end the bag would look damaged.
+            let _ = fs::remove_file(&path);
+        })?;
+        Ok(file)
     }
 
-    /// Ends a file and begins another one.
+    /// Ends a file.
     fn split(&mut self) -> Result<(), BagError> {
         let Some(file) = self.file.take() else { return Ok(()) };
         self.done.push(file.finish(&self.topics)?);
@@ -225,13 +261,12 @@ impl Writer {
             fs::remove_file(&oldest.path).map_err(BagError::write(&oldest.path))?;
             self.removed += 1;
         }
-        self.describe()?;
-        self.open()
+        self.describe()
     }
 
     /// What other programs look at first.
     fn describe(&self) -> Result<(), BagError> {
-        write_metadata(&self.folder, &self.done)
+        write_metadata(&self.folder, &Description::mcap(&self.custom_data), &self.done)
     }
 }
 
@@ -256,7 +291,7 @@ impl Open {
             .create(claimed)
             .map_err(BagError::mcap(path))?;
         let summary = FileSummary { path: path.to_owned(), ..FileSummary::default() };
-        let (flushed, channels) = (end.get(), BTreeMap::new());
+        let (flushed, channels) = (end.get(), Vec::new());
         Ok(Open { writer, claim, end, flushed, summary, channels, pending: 0, ending: OF_FILE })
     }
 
@@ -279,60 +314,81 @@ impl Open {
         Ok(())
     }
 
-    pub(crate) fn say(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), BagError> {
-        let bytes: usize = metadata.iter().map(|(key, value)| key.len() + value.len() + 8).sum();
-        // If it has no room, what it says is said elsewhere, too.
-        if self.claim(bytes as u64 + OF_TOPIC, OF_TOPIC).is_err() {
+    /// What the recorder states. If there is no room for it, the bag is complete without it: the recorder prints it, too.
+    fn state(&mut self, name: &str, metadata: BTreeMap<String, String>) -> Result<(), BagError> {
+        if metadata.is_empty() {
             return Ok(());
         }
+        match self.write_metadata(name, metadata) {
+            Err(BagError::Full { .. }) => Ok(()),
+            other => other,
+        }
+    }
+
+    pub(crate) fn write_metadata(
+        &mut self,
+        name: &str,
+        metadata: BTreeMap<String, String>,
+    ) -> Result<(), BagError> {
+        let bytes: usize = metadata.iter().map(|(key, value)| key.len() + value.len() + 8).sum();
+        let ending = OF_TOPIC + name.len() as u64;
+        self.claim(bytes as u64 + ending, ending)?;
         let record = Metadata { name: name.to_owned(), metadata };
         self.writer.write_metadata(&record).map_err(BagError::mcap(&self.summary.path))
     }
 
-    pub(crate) fn write(
-        &mut self,
-        topic: TopicId,
-        what: &Topic,
-        stamp: Stamp,
-        cdr: &[u8],
-    ) -> Result<(), BagError> {
-        let channel_id = self.channel(topic, what)?;
+    pub(crate) fn attach(&mut self, attachment: &Attachment<'_>) -> Result<(), BagError> {
+        let Attachment { name, media_type, log_ns, create_ns, data } = attachment;
+        let ending = OF_TOPIC + (name.len() + media_type.len()) as u64;
+        self.claim(data.len() as u64 + ending, ending)?;
+        let record = mcap::Attachment {
+            log_time: *log_ns,
+            create_time: *create_ns,
+            name: name.clone(),
+            media_type: media_type.clone(),
+            data: Cow::Borrowed(data),
+        };
+        self.writer.attach(&record).map_err(BagError::mcap(&self.summary.path))?;
+        self.summary.attachments.push(name.clone());
+        self.hand_over()
+    }
+
+    pub(crate) fn write(&mut self, topic: TopicId, stamp: Stamp, cdr: &[u8]) -> Result<(), BagError> {
         self.claim(cdr.len() as u64 + OF_MESSAGE, 0)?;
+        let (channel_id, messages) = &mut self.channels[topic.0];
         let Stamp { sequence, log_ns: log_time, publish_ns: publish_time } = stamp;
-        let header = MessageHeader { channel_id, sequence, log_time, publish_time };
+        let header = MessageHeader { channel_id: *channel_id, sequence, log_time, publish_time };
         self.writer.write_to_known_channel(&header, cdr).map_err(BagError::mcap(&self.summary.path))?;
+        *messages += 1;
         self.summary.see(log_time);
-        if let Some((_, messages)) = self.channels.get_mut(&topic) {
-            *messages += 1;
-        }
         if self.pending >= CHUNK_BYTES { self.hand_over() } else { Ok(()) }
     }
 
-    /// The file's number of a topic, which is in it from now on.
-    fn channel(&mut self, topic: TopicId, what: &Topic) -> Result<u16, BagError> {
-        match self.channels.get(&topic) {
-            Some((channel, _)) => Ok(*channel),
-            None => self.add(topic, what),
+    /// The next topic.
+    pub(crate) fn add_topic(&mut self, topic: &Topic) -> Result<TopicId, BagError> {
+        let Topic { name, type_name, type_hash, encoding, definition, qos, metadata } = topic;
+        let (of_definition, data) = match definition {
+            Some(Definition { encoding, data }) => (&**encoding, &**data),
+            None => ("", &[][..]),
+        };
+        let mut metadata = metadata.clone();
+        for (key, value) in [(TYPE_HASH, type_hash), (QOS, qos)] {
+            if !value.is_empty() {
+                metadata.insert(key.to_owned(), value.clone());
+            }
         }
-    }
-
-    fn add(&mut self, topic: TopicId, what: &Topic) -> Result<u16, BagError> {
-        let definition = what.definition.as_deref();
-        let texts = [&what.name, &what.type_name, &what.type_hash, &what.qos, definition.unwrap_or_default()];
-        let bytes = texts.iter().map(|text| text.len() as u64).sum::<u64>() + OF_TOPIC;
+        let texts = metadata.iter().map(|(key, value)| key.len() + value.len() + 8).sum::<usize>();
+        let bytes = (texts + name.len() + type_name.len() + encoding.len() + data.len()) as u64 + OF_TOPIC;
         // Once in a chunk, once in the summary.
         self.claim(bytes, bytes)?;
-        let mut metadata = BTreeMap::from([("offered_qos_profiles".to_owned(), what.qos.clone())]);
-        if !what.type_hash.is_empty() {
-            metadata.insert("topic_type_hash".to_owned(), what.type_hash.clone());
-        }
-        let encoding = definition.map_or("", |_| "ros2msg");
-        let schema =
-            self.writer.add_schema(&what.type_name, encoding, definition.unwrap_or_default().as_bytes());
-        let channel = schema.and_then(|schema| self.writer.add_channel(schema, &what.name, "cdr", &metadata));
-        let channel = channel.map_err(BagError::mcap(&self.summary.path))?;
-        self.channels.insert(topic, (channel, 0));
-        Ok(channel)
+        let path = &self.summary.path;
+        let schema = match (&**type_name, of_definition, data) {
+            ("", "", []) => Ok(0),
+            _ => self.writer.add_schema(type_name, of_definition, data),
+        };
+        let channel = schema.and_then(|schema| self.writer.add_channel(schema, name, encoding, &metadata));
+        self.channels.push((channel.map_err(BagError::mcap(path))?, 0));
+        Ok(TopicId(self.channels.len() - 1))
     }
 
     /// Ends the chunk, for the disk's thread to write.
@@ -354,8 +410,8 @@ impl Open {
         std::io::Write::flush(&mut claimed).map_err(BagError::write(&path))?;
         self.claim.release(self.end.get())?;
         self.summary.bytes = self.end.get();
-        for (topic, (_, messages)) in self.channels {
-            self.summary.count(&topics[topic.0], messages);
+        for (topic, (_, messages)) in topics.iter().zip(self.channels) {
+            self.summary.count(topic, messages);
         }
         Ok(self.summary)
     }

@@ -8,8 +8,8 @@ use std::fs;
 use std::num::NonZeroU32;
 use std::path::{Path, PathBuf};
 use tautline_bag::{
-    BagError, Compression, Event, FileReader, FileSummary, Finished, Options, Ordered, Stamp, Topic, Writer,
-    files_of, index_of, recover,
+    BagError, Compression, Definition, Event, FileReader, FileSummary, Finished, Options, Ordered, Stamp,
+    Topic, Writer, files_of, index_of, recover,
 };
 
 fn topic(name: &str) -> Topic {
@@ -17,8 +17,9 @@ fn topic(name: &str) -> Topic {
         name: name.to_owned(),
         type_name: "std_msgs/msg/String".to_owned(),
         type_hash: format!("RIHS01_{}", "0".repeat(64)),
-        definition: Some("string data\n".to_owned()),
+        definition: Some(Definition::ros2msg("string data\n")),
         qos: "- history: keep_last\n  depth: 10\n".to_owned(),
+        ..Topic::default()
     }
 }
 
@@ -35,8 +36,9 @@ fn body(n: u64) -> Vec<u8> {
 }
 
 fn write(folder: &Path, options: Options, messages: u64) -> Finished {
-    let mut writer = Writer::create(folder, options, BTreeMap::new()).unwrap();
-    let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)));
+    let session = BTreeMap::from([("host".to_owned(), "here".to_owned())]);
+    let mut writer = Writer::create(folder, options, session).unwrap();
+    let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)).unwrap());
     for n in 0..messages {
         writer.write(topics[n as usize % 2], stamp(n), &body(n)).unwrap();
     }
@@ -144,7 +146,7 @@ fn messages_come_in_the_order_of_their_reception() {
     let bag = folder.path().join("bag");
     let options = Options { split_bytes: Some(20_000), ..Options::default() };
     let mut writer = Writer::create(&bag, options, BTreeMap::new()).unwrap();
-    let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)));
+    let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)).unwrap());
     // In blocks of 50 whose second half is written first, as of recorders that look at one topic after the other.
     for block in (0..1000).step_by(50) {
         for n in (block + 25..block + 50).chain(block..block + 25) {
@@ -184,7 +186,7 @@ fn what_was_cut_off_anywhere_is_recovered() {
         let bag = folder.path().join(format!("{compression:?}"));
         let mut writer =
             Writer::create(&bag, Options { compression, ..Options::default() }, BTreeMap::new()).unwrap();
-        let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)));
+        let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)).unwrap());
         let mut flushed = vec![(writer.bytes(), 0)];
         for n in 0..200 {
             writer.write(topics[n as usize % 2], stamp(n), &body(n)).unwrap();
@@ -231,7 +233,7 @@ fn what_goes_to_the_disk_in_pieces_is_the_same() {
         let bag = folder.path().join(format!("{round}"));
         let options = Options { compression, memory_bytes, ..Options::default() };
         let mut writer = Writer::create(&bag, options, BTreeMap::new()).unwrap();
-        let long = writer.add_topic(topic("/long"));
+        let long = writer.add_topic(topic("/long")).unwrap();
         let file = files_of(&bag).unwrap().remove(0);
         let mut written: Vec<Vec<u8>> = Vec::new();
         let all = |file: &Path| {
@@ -272,7 +274,7 @@ fn a_changed_byte_costs_no_more_than_its_chunk() {
         let bag = folder.path().join(format!("{compression:?}"));
         let mut writer =
             Writer::create(&bag, Options { compression, ..Options::default() }, BTreeMap::new()).unwrap();
-        let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)));
+        let topics = ["/even", "/odd"].map(|name| writer.add_topic(topic(name)).unwrap());
         for n in 0..200 {
             writer.write(topics[n as usize % 2], stamp(n), &body(n)).unwrap();
             if n % 20 == 19 {

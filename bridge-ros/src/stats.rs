@@ -98,10 +98,10 @@ pub struct Stats {
     pub not_bridged: BTreeMap<String, String>,
     /// Topics with QoS-incompatible endpoints in ROS.
     pub incompatible_qos: BTreeMap<String, IncompatibleQos>,
-    /// Every topic that is or was bridged.
+    /// Every topic that is bridged, or was until a minute ago.
     pub topics: Vec<TopicStats>,
     /// Services that cannot be bridged, and why.
     pub services_not_bridged: BTreeMap<String, String>,
-    /// Every service that is or was bridged.
+    /// Every service that is bridged, or was until a minute ago.
     pub services: Vec<ServiceStats>,
 }

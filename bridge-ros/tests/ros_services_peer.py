@@ -238,6 +238,16 @@ class Peer(ros_peer.Peer):
             self.spinning.add_node(node)
         return True
 
+    def passing_node(self, name):
+        """A node as rclpy makes it by default, until `pass_by`."""
+        self.passing = rclpy.create_node(name)
+        return True
+
+    def pass_by(self):
+        self.passing.destroy_node()
+        self.passing = None
+        return True
+
     def all_heard(self, text):
         """Waits until each of these nodes has heard it."""
         return self.wait(lambda: self.heard.count(text) == len(self.many))

@@ -1,42 +1,104 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut init`: writes a commented system file to start from.
+
+mod running;
+
+use crate::trace::{self, record};
+use crate::verb::{CommonArgs, End, Failure, Outcome, time};
+use clap::Args;
 use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-
-use clap::Args;
+use std::time::Duration;
+use tautline_analysis::file::SystemFile;
 
 /// The template; it passes `taut check` unchanged.
 const TEMPLATE: &str = include_str!("init.toml");
 
 /// Writes a commented system file to start from
 ///
-/// The file describes a small robot and passes `taut check`; change it until it describes yours. An existing file is
-/// never overwritten.
+/// The file describes a small robot and passes `taut check`; change it until it describes yours. With --from-running it describes what
+/// runs in the domain: nodes of Tautline and of ROS 2 on rmw_tautline, their callbacks, topics, periods and execution times as a trace
+/// shows them. What is guessed is marked as such. An existing file is never overwritten.
 #[derive(Args, Clone, Debug)]
+#[command(after_help = "Examples:
+  taut init
+  taut init --from-running robot.toml                  ten seconds of what runs now
+  taut init --from-running --seconds 60 robot.toml
+  taut init --from-trace run.trace robot.toml          what `taut trace record` recorded on this host")]
 pub struct InitArgs {
     /// The file to write
     #[arg(default_value = "system.toml", value_name = "FILE")]
     file: PathBuf,
+    /// Describe what runs in the domain
+    #[arg(long)]
+    from_running: bool,
+    /// Observe it for this time; a plain number is in seconds
+    #[arg(long, value_name = "TIME", value_parser = time, default_value = "10", requires = "from_running")]
+    seconds: Duration,
+    /// Describe what a recording contains
+    #[arg(long, value_name = "TRACE", conflicts_with = "from_running")]
+    from_trace: Option<PathBuf>,
+    #[command(flatten)]
+    common: CommonArgs,
 }
 
 /// Runs the verb.
-pub fn run(args: &InitArgs) -> ExitCode {
+pub fn run(args: &InitArgs) -> Outcome<ExitCode> {
     let path = args.file.display();
-    let written = OpenOptions::new().write(true).create_new(true).open(&args.file);
-    match written.and_then(|mut file| file.write_all(TEMPLATE.as_bytes())) {
-        Ok(()) => {
-            println!("Wrote {path}. Change it to your system, then run: taut check {path}");
-            ExitCode::SUCCESS
-        }
-        Err(error) if error.kind() == ErrorKind::AlreadyExists => {
-            eprintln!("taut: {path} exists and is left as it is: name another file, or remove it first");
-            ExitCode::FAILURE
-        }
-        Err(error) => {
-            eprintln!("taut: {path} cannot be written: {error}");
-            ExitCode::FAILURE
-        }
+    if args.file.exists() {
+        return Err(exists(&args.file));
     }
+    if let (None, false) = (&args.from_trace, args.from_running) {
+        write(&args.file, TEMPLATE)?;
+        println!("Wrote {path}. Change it to your system, then run: taut check {path}");
+        return Ok(ExitCode::SUCCESS);
+    }
+    let refuse = |error: trace::TraceError| Failure::unusable(error.to_string());
+    let recording = match &args.from_trace {
+        Some(trace) => trace::file::read(trace).map_err(refuse)?,
+        None => observe(args).map_err(refuse)?,
+    };
+    recording.warnings.iter().for_each(|warning| eprintln!("taut: warning: {warning}"));
+    let described = running::describe(&recording);
+    if described.callbacks == 0 {
+        return Err(Failure::no(format!(
+            "no callback ran while the domain was observed, so there is nothing to describe; longer: --seconds {}",
+            args.seconds.as_secs().saturating_mul(6)
+        )));
+    }
+    write(&args.file, &described.text)?;
+    let running::Described { callbacks, guesses, .. } = described;
+    println!("Wrote {path}: {callbacks} callbacks, {guesses} guesses, marked `guess`");
+    match SystemFile::parse(&described.text) {
+        Ok(_) => {
+            println!("Correct the guesses, then run: taut check {path}");
+            Ok(ExitCode::SUCCESS)
+        }
+        Err(problems) => Err(Failure::no(format!("{path} is not complete yet:\n{problems}"))),
+    }
+}
+
+fn observe(args: &InitArgs) -> Result<trace::recording::Recording, trace::TraceError> {
+    let domain = args.common.domain().map_err(trace::TraceError::Domain)?;
+    let mut end = End::after(Some(args.seconds)).map_err(trace::TraceError::Signal)?;
+    let file = std::env::temp_dir().join(format!("taut-init-{}.trace", std::process::id()));
+    let recorded = record::record(&file, domain, &mut end, args.common.json);
+    let recording = recorded.and_then(|_| trace::file::read(&file));
+    let _ = std::fs::remove_file(&file);
+    recording
+}
+
+fn exists(path: &Path) -> Failure {
+    let path = path.display();
+    Failure::no(format!("{path} exists and is left as it is: name another file, or remove it first"))
+}
+
+fn write(path: &Path, text: &str) -> Outcome {
+    let written = OpenOptions::new().write(true).create_new(true).open(path);
+    written.and_then(|mut file| file.write_all(text.as_bytes())).map_err(|error| match error.kind() {
+        ErrorKind::AlreadyExists => exists(path),
+        _ => Failure::no(format!("{} cannot be written: {error}", path.display())),
+    })
 }

@@ -108,7 +108,7 @@ pub fn run() -> ExitCode {
     let said = |error: &dyn std::fmt::Display| Err(Failure::unusable(error.to_string()));
     let outcome = match Cli::parse().verb {
         Verb::Check(args) => return check::run(&args),
-        Verb::Init(args) => return init::run(&args),
+        Verb::Init(args) => init::run(&args),
         Verb::Report(args) => return report::run(&args),
         Verb::Apply(args) => apply::run(&args),
         Verb::Doctor(args) => doctor::run(&args),

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, Command, Output, Stdio};
-use tautline_bag::{Compression, Options, Stamp, Topic, Writer};
+use tautline_bag::{Compression, Definition, Options, PUBLISHER, Stamp, Topic, Writer};
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{
     EndpointKind, Limits, MessageInfo, Participant, Qos, RawSubscription, TopicType, graph_of,
@@ -34,7 +34,7 @@ fn topic(name: &str, type_name: &str, definition: &str, durability: &str) -> Top
     Topic {
         name: name.to_owned(),
         type_name: type_name.to_owned(),
-        definition: Some(definition.to_owned()),
+        definition: Some(Definition::ros2msg(definition)),
         qos: format!(
             "- history: keep_last\n  depth: 2\n  reliability: reliable\n  durability: {durability}\n  deadline: {infinite}\n  lifespan: \
              {infinite}\n  liveliness: automatic\n  liveliness_lease_duration: {infinite}\n"
@@ -67,7 +67,7 @@ impl Place {
         let options =
             Options { compression: Compression::Lz4, split_bytes: Some(20_000), ..Options::default() };
         let mut writer = Writer::create(&self.folder.path().join("bag"), options, BTreeMap::new()).unwrap();
-        let ids: Vec<_> = topics.iter().map(|topic| writer.add_topic(topic.clone())).collect();
+        let ids: Vec<_> = topics.iter().map(|topic| writer.add_topic(topic.clone()).unwrap()).collect();
         messages.for_each(|(topic, stamp, cdr)| writer.write(ids[topic], stamp, &cdr).unwrap());
         writer.finish(BTreeMap::new()).unwrap();
     }
@@ -246,6 +246,63 @@ fn a_part_of_it_is_played_and_again() {
     std::fs::remove_dir_all(place.folder.path().join("bag")).unwrap();
     let (code, _, errors) = place.play(&[]);
     assert!(code == 2 && errors.contains("'bag' cannot be read"), "{errors}");
+}
+
+/// A publisher is played by one that keeps for late joiners what it kept: the others' messages do not push it out.
+#[test]
+fn what_each_publisher_kept_is_kept() {
+    let place = Place::new(39);
+    let of = |publisher: &str| {
+        let mut topic = count("/tf_static", "transient_local");
+        topic.qos = topic.qos.replace("depth: 2", "depth: 1");
+        Topic { metadata: [(PUBLISHER.to_owned(), publisher.to_owned())].into(), ..topic }
+    };
+    let at = |publisher: usize, n: u64, ms: u64| (publisher, stamp(n, START_NS + ms * MS), cdr(n));
+    // The last one is far away: the others are kept until then.
+    let messages = [at(0, 10, 0), at(1, 3, 0), at(1, 4, 1), at(1, 5, 2), at(2, 0, 600_000)];
+    let topics = [of("lidar"), of("camera"), count("/tick", "volatile")];
+    place.write(&topics, messages.into_iter());
+    let join = || {
+        let topic_type = TopicType::new("demo_msgs/msg/Count");
+        let qos = Qos::keep_last(10).transient_local();
+        [place
+            .participant
+            .create_raw_subscription("/tf_static", &topic_type, qos, Limits::default())
+            .unwrap()]
+    };
+    let child = Place::begin(place.command(&["--json"]));
+    let early = join();
+    let mut numbers_of = Vec::new();
+    wait_for("the last message", || {
+        numbers_of.extend(numbers(&seen(&early)));
+        numbers_of.contains(&5)
+    });
+    let mut late = numbers(&all(&join(), 2));
+    late.sort_unstable();
+    assert_eq!(late, [5, 10]);
+    signal(&child, "-INT");
+    let (code, out, errors) = ended(child.wait_with_output().unwrap());
+    let report: Value = serde_json::from_str(&out).unwrap();
+    assert_eq!((code, report["topics"].as_array().unwrap().len()), (0, 2), "{out}{errors}");
+}
+
+#[test]
+fn what_can_be_played_is_played() {
+    let place = Place::new(40);
+    let json = Topic { encoding: "json".to_owned(), ..count("/log", "volatile") };
+    let messages = (0..10).map(|n| (n as usize % 2, stamp(n, START_NS + n * MS), cdr(n)));
+    place.write(&[count("/speed", "volatile"), json], messages);
+    let subscriptions = place.counts(&["/speed"]);
+    let why = "/log cannot be played: its messages are json, not cdr";
+    let (code, out, errors) = place.play(&["--json"]);
+    assert!(code == 1 && errors.contains(&format!("1 topics were not played; the first: {why}")), "{errors}");
+    assert_eq!(serde_json::from_str::<Value>(&out).unwrap()["unplayable_topics"][0], why);
+    assert_eq!(numbers(&all(&subscriptions, 5)), [0, 2, 4, 6, 8]);
+    let (code, _, errors) = place.play(&["/speed", "/log"]);
+    assert!(code == 2 && errors.contains(&format!("{why}; leave it out with -x")), "{errors}");
+    assert_eq!(place.play(&["-x", "log"]).0, 0);
+    let (code, _, errors) = place.play(&["-x", "speed"]);
+    assert!(code == 2 && errors.contains("no topic of the bag can be played"), "{errors}");
 }
 
 #[test]

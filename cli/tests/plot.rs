@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
 use std::process::Command;
-use tautline_bag::{Options, Stamp, Topic, Writer};
+use tautline_bag::{Definition, Options, Stamp, Topic, Writer};
 use tempfile::TempDir;
 
 const START_NS: u64 = 1_763_918_546_000_000_000;
@@ -24,10 +24,10 @@ impl Place {
         let topic = |name: &str| Topic {
             name: name.to_owned(),
             type_name: "demo_msgs/msg/Sample".to_owned(),
-            definition: Some(DEFINITION.to_owned()),
+            definition: Some(Definition::ros2msg(DEFINITION)),
             ..Topic::default()
         };
-        let ids = [topic("/wave"), topic("/one")].map(|topic| writer.add_topic(topic));
+        let ids = [topic("/wave"), topic("/one")].map(|topic| writer.add_topic(topic).unwrap());
         for n in 0..messages {
             let log_ns = START_NS + n * MS;
             let stamp = Stamp { sequence: 0, log_ns, publish_ns: log_ns };

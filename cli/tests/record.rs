@@ -474,6 +474,51 @@ fn a_recording_is_thinned_out_and_paused() {
     assert_eq!((&some["paused"], &some["throttled"]), (&1.into(), &(1000 - kept as u64).into()));
 }
 
+/// Each publisher's last message is in the bag though the recorder began with a pause, in a channel of the publisher; a topic without
+/// messages is in it, too.
+#[test]
+fn what_publishers_keep_is_recorded_after_a_pause() {
+    let place = Place::new(38);
+    let latched = Qos::keep_last(1).transient_local();
+    let [camera, lidar] = [(); 2].map(|()| place.publisher::<Count>("/tf_static", latched));
+    let silent = place.publisher::<Other>("/silent", Qos::default());
+    let tick = place.publisher::<Other>("/tick", Qos::default());
+    (1..=3).for_each(|n| camera.publish(&Count { n }).unwrap());
+    lidar.publish(&Count { n: 10 }).unwrap();
+    let recorder = place.record(&["-a", "--paused", "--json"]);
+    place.wait_for_observers([&camera, &lidar].map(Publisher::gid));
+    place.wait_for_observers([&silent, &tick].map(Publisher::gid));
+    tick.publish(&Other { n: 0 }).unwrap();
+    let summary = || {
+        let mut reader = FileReader::open(&files_of(&place.bag()).unwrap()[0]).unwrap();
+        reader.read(&mut |_| Ok::<_, BagError>(())).unwrap();
+        reader.summary()
+    };
+    assert_eq!(summary().messages, 0, "it is paused");
+    recorder.signal("-USR1");
+    wait_for("a message", || {
+        tick.publish(&Other { n: 1 }).unwrap();
+        summary().messages > 2
+    });
+    camera.publish(&Count { n: 4 }).unwrap();
+    let (code, out, errors) = recorder.end();
+    assert_eq!(code, 0, "{errors}{out}");
+    let topics = place.read();
+    let mut kept = numbers(&topics["/tf_static"]);
+    assert_eq!(kept.pop(), Some(4));
+    kept.sort_unstable();
+    assert_eq!(kept, [3, 10]);
+    let messages = |name: &str| {
+        let topics = summary().topics;
+        topics.values().find(|(topic, _)| topic.name == name).map(|(_, messages)| *messages)
+    };
+    assert_eq!((messages("/silent"), messages("/tf_static")), (Some(0), Some(3)));
+    let bag = tautline_bag::Ordered::open(&place.bag(), &mut |_| {}).unwrap();
+    let of_tf = bag.topics().iter().filter(|topic| topic.name == "/tf_static");
+    let publishers: Vec<_> = of_tf.map(|topic| topic.metadata[tautline_bag::PUBLISHER].clone()).collect();
+    assert!(publishers.len() == 2 && publishers[0] != publishers[1], "{publishers:?}");
+}
+
 /// Killed at random instants, it leaves a bag of all but the last second. `TAUT_KILLS` says how often.
 #[test]
 fn a_kill_costs_no_more_than_the_last_second() {

@@ -862,7 +862,7 @@ impl Drop for Killed {
 #[test]
 fn a_node_that_is_played_from_a_bag_is_told_of() {
     use std::collections::BTreeMap;
-    use tautline_bag::{Options, Stamp, Topic, Writer};
+    use tautline_bag::{Definition, Options, Stamp, Topic, Writer};
     let scratch = Scratch::new("stand_in");
     let text = format!(
         "{}\n[nodes.camera]\n[callbacks.capture]\nnode = \"camera\"\nperiod = \"1s\"\nwcet = \"1ms\"\npriority = 55\n\
@@ -878,10 +878,10 @@ fn a_node_that_is_played_from_a_bag_is_told_of() {
     let topic = |name: &str| Topic {
         name: name.to_owned(),
         type_name: "test_msgs/msg/Work".to_owned(),
-        definition: Some("uint64 burn_ns\n".to_owned()),
+        definition: Some(Definition::ros2msg("uint64 burn_ns\n")),
         ..Topic::default()
     };
-    let ids = ["/fine", "/elsewhere"].map(|name| writer.add_topic(topic(name)));
+    let ids = ["/fine", "/elsewhere"].map(|name| writer.add_topic(topic(name)).unwrap());
     for n in 0..3_u64 {
         let cdr = [&[0, 1, 0, 0][..], &1_000_000_u64.to_le_bytes()].concat();
         let stamp = Stamp { sequence: n as u32 + 1, log_ns: (n + 1) * 1_000_000_000, publish_ns: n };

@@ -465,7 +465,7 @@ impl Job {
             current(|thread| {
                 if let Some(to) = &thread.measured {
                     let job = to.end(begun, thread.input_size.take(), &to.stats);
-                    to.pass_over(to.watch.tell(to.stats.complete(&job), &job));
+                    to.pass_over(to.watch.call_handlers(to.stats.complete(&job), &job));
                 }
             });
         }
@@ -619,10 +619,10 @@ where
             tautline_trace::callback_end(self.traced);
             let input_size = current(|thread| thread.input_size.take()).flatten();
             let job = total.end(begun, input_size, &self.stats);
-            let of_member = self.watch.tell(self.stats.complete(&job), &job);
+            let of_member = self.watch.call_handlers(self.stats.complete(&job), &job);
             // Sizes of different members are of different things.
             let of_all = stats::Job { input_size: None, ..job };
-            let of_group = total.watch.tell(total.stats.complete(&of_all), &job);
+            let of_group = total.watch.call_handlers(total.stats.complete(&of_all), &job);
             total.pass_over(of_member || of_group);
         }
         Poll::Ready(())

@@ -9,7 +9,7 @@ use std::{fs, io};
 
 use rand::SeedableRng;
 use rand::rngs::StdRng;
-use tautline_bag::{BagError, Compression, Options, Stamp, Topic, Writer};
+use tautline_bag::{Attachment, BagError, Compression, Definition, Options, Stamp, Topic, Writer};
 use tautline_schema::{DynamicMessage, HashedTypeDescription, Packages, Schema};
 
 #[path = "../../msgs/ros/tests/values/random.rs"]
@@ -167,15 +167,14 @@ fn main() -> io::Result<()> {
 fn bag(folder: &Path, compression: Compression) -> Result<PathBuf, BagError> {
     let session = BTreeMap::from([("host".to_owned(), "seed".to_owned())]);
     let mut writer = Writer::create(folder, Options { compression, ..Options::default() }, session.clone())?;
-    let topics = ["/one", "/two"].map(|name| {
+    let mut topics = Vec::new();
+    for name in ["/one", "/two"] {
         let (name, type_name) = (name.to_owned(), "std_msgs/msg/String".to_owned());
-        writer.add_topic(Topic {
-            name,
-            type_name,
-            definition: Some("string data\n".into()),
-            ..Topic::default()
-        })
-    });
+        let definition = Some(Definition::ros2msg("string data\n"));
+        topics.push(writer.add_topic(Topic { name, type_name, definition, ..Topic::default() })?);
+    }
+    let (name, media_type, data) = ("notes.txt".to_owned(), "text/plain".to_owned(), b"some"[..].into());
+    writer.attach(&Attachment { name, media_type, log_ns: 1, create_ns: 0, data })?;
     for n in 0..8 {
         let stamp = Stamp { sequence: n, log_ns: u64::from(n) * 1000, publish_ns: u64::from(n) };
         writer.write(topics[n as usize % 2], stamp, &[0, 1, 0, 0, 2, 0, 0, 0, b'a', 0])?;

@@ -295,7 +295,7 @@ impl ContextBuilder {
         let system = system.map(|system| Arc::new(CurrentSystem::new(system)));
         if let (Some(system), Some(statistics)) = (&system, executor.statistics()) {
             let reload = Reload::new(statistics.orders(), executor.settings(), Arc::clone(system));
-            participant.attend(move || reload.look());
+            participant.attend(move || reload.serve_request());
         }
         let shared = ContextState {
             executor,

@@ -159,7 +159,7 @@ impl Node {
         let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
         let rules = &ctx.shared.arguments.parameters;
         let rules = if options.use_global_arguments { &rules[..] } else { &[] };
-        let given = parameters::given(rules, &options.parameter_overrides, &full_name);
+        let given = parameters::overrides(rules, &options.parameter_overrides, &full_name);
         let events = ParameterEvents::new(full_name.clone(), ctx.shared.parameter_events.clone());
         let parameters = Parameters::new(given, events);
         let logger = Logger::of_node(&full_name);

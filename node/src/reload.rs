@@ -59,7 +59,7 @@ impl Reload {
     }
 
     /// Looks whether it is asked something.
-    pub(crate) fn look(&self) {
+    pub(crate) fn serve_request(&self) {
         if let Some(order) = self.orders.next() {
             self.orders.answer(&order, self.follow(&order));
         }
@@ -161,7 +161,7 @@ pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<ProcessIn
                 why,
                 changed,
             };
-            ask(domain, statistics, file.fingerprint(), is_final).map_err(refused)?;
+            request_reload(domain, statistics, file.fingerprint(), is_final).map_err(refused)?;
             changed = is_final;
         }
     }
@@ -169,7 +169,7 @@ pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<ProcessIn
 }
 
 /// One order and its answer. A process that ends meanwhile needs no settings any more.
-fn ask(
+fn request_reload(
     domain: u32,
     process: &ForeignStatistics,
     system_hash: u64,

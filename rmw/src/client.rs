@@ -5,8 +5,9 @@ use crate::bindings::*;
 use crate::context::Watchers;
 use crate::end::{MessageQueue, ReceivingEndpoint};
 use crate::error::{Error, Result, answer, made};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
-use crate::node::Node;
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place};
+use crate::node::{self, Node};
+use crate::on_new::Listeners;
 use crate::qos;
 use crate::service::{Depth, info_of, name_of, profile_of};
 use crate::types::ServiceSupport;
@@ -23,6 +24,8 @@ pub(crate) struct Client {
     qos: rmw_qos_profile_t,
     depth: Depth,
     gid: Gid,
+    /// Servers of this context whose callbacks are called after a request.
+    listeners: Arc<Listeners>,
     end: Arc<ReceivingEndpoint<Asking>>,
 }
 
@@ -115,7 +118,7 @@ impl Client {
 }
 
 /// Sends waiting requests when a server appears or has room, and signals new servers, until the client is destroyed.
-async fn serve(end: Weak<ReceivingEndpoint<Asking>>, watchers: Arc<Watchers>) {
+async fn serve(end: Weak<ReceivingEndpoint<Asking>>, watchers: Arc<Watchers>, listeners: Arc<Listeners>) {
     let mut servers = 0;
     poll_fn(|context| {
         let Some(end) = end.upgrade() else { return Poll::Ready(()) };
@@ -123,6 +126,7 @@ async fn serve(end: Weak<ReceivingEndpoint<Asking>>, watchers: Arc<Watchers>) {
             asking.raw.wake_once(context.waker());
             (asking.flush(), asking.raw.server_count())
         });
+        listeners.tell();
         if let Err(error) = flushed {
             tracing::warn!("a request was not sent, retrying: {error:?}");
         }
@@ -155,10 +159,14 @@ pub unsafe extern "C" fn rmw_create_client(
         let (limits, depth) = unsafe { (of.request.limits(), Depth::of(profile, &wanted)) };
         let raw = node.participant.create_queued_client(name, &of.service_type, depth.room, limits)?;
         let gid = raw.gid();
-        let end = ReceivingEndpoint::new(node, Asking { raw, unsent: VecDeque::new() })?;
-        let (served, watchers) = (Arc::downgrade(&end), node.context().watchers().clone());
-        node.context().helper.run(move || serve(served, watchers));
-        let client = Client { node, of, qos: qos::to_ros(&wanted, false), depth, gid, end };
+        let context = node.context();
+        let (requests, responses) =
+            (context.listeners.of_requests(name), context.listeners.of_responses(name));
+        let end = ReceivingEndpoint::new(node, Asking { raw, unsent: VecDeque::new() }, responses)?;
+        let (served, watchers) = (Arc::downgrade(&end), context.watchers().clone());
+        let listeners = requests.clone();
+        context.helper.run(move || serve(served, watchers, requests));
+        let client = Client { node, of, qos: qos::to_ros(&wanted, false), depth, gid, listeners, end };
         let service_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anyone can see it.
         unsafe {
@@ -172,6 +180,7 @@ pub unsafe extern "C" fn rmw_create_client(
                 data: Box::into_raw(Box::new(client)).cast(),
                 service_name,
             });
+            node.own(handle);
             Ok(handle)
         }
     })
@@ -181,17 +190,8 @@ pub unsafe extern "C" fn rmw_create_client(
 /// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_destroy_client(node: *mut rmw_node_t, handle: *mut rmw_client_t) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract; checked to be ours, so created above.
-        unsafe {
-            behind(node)?;
-            behind(handle)?;
-            drop(take_back::<Client>((*handle).data));
-            free_text((*handle).service_name);
-            rmw_client_free(handle);
-        }
-        Ok(())
-    })
+    // SAFETY: rmw's contract.
+    answer(|| unsafe { node::destroy_endpoint(node, handle) })
 }
 
 /// # Safety
@@ -215,7 +215,10 @@ pub unsafe extern "C" fn rmw_send_request(
             // SAFETY: as above.
             unsafe { callbacks.write(request, body) }
         };
-        let sent = client.end.with(|asking| asking.ask(estimate, write))?;
+        let sent = client.end.with(|asking| asking.ask(estimate, write));
+        // Also of requests that had waited.
+        client.listeners.tell();
+        let sent = sent?;
         *number = i64::try_from(sent).unwrap_or(i64::MAX);
         Ok(())
     })

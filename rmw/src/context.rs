@@ -6,6 +6,7 @@ use crate::error::{Error, Result, answer};
 use crate::handle::{IDENTIFIER, behind_context, check_identifier, take_back, text};
 use crate::helper::{Helper, Ring};
 use crate::log;
+use crate::on_new::ListenersByName;
 use crate::options::{self, rmw_init_options_copy, rmw_init_options_fini};
 use crate::signal::{Signal, Waiter};
 use crate::system::System;
@@ -15,8 +16,9 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::task::{Context as TaskContext, Waker};
 use tautline_rt::FutexWord;
+use tautline_rt::fork::ProcessMark;
 use tautline_trace::SamplerObject;
-use tautline_transport::{GraphEvents, Participant, Slot};
+use tautline_transport::{GraphEvents, Participant, Slot, Wakeable};
 
 pub(crate) struct Context {
     // Dropped in this order: the helper serves the participant, and the last participant removes the domain's folder, which must
@@ -26,11 +28,12 @@ pub(crate) struct Context {
     pub(crate) participant: Participant,
     /// The enclave of its nodes.
     pub(crate) enclave: String,
-    is_shut_down: AtomicBool,
     /// Existing nodes.
     pub(crate) nodes: AtomicUsize,
     watchers: Arc<Watchers>,
     pub(crate) waiters: Arc<Waiters>,
+    /// Its endpoints with callbacks for new messages.
+    pub(crate) listeners: ListenersByName,
     /// Its waits, for trace events.
     pub(crate) waits: Arc<SamplerObject>,
 }
@@ -51,31 +54,80 @@ impl Watchers {
     }
 }
 
-/// Waiters that no wait set uses. None is dropped before its context and that context's wait sets, because a trigger of a guard
+/// The waiters of a context's wait sets. None is dropped before its context and that context's wait sets, because a trigger of a guard
 /// condition may still use it.
+pub(crate) struct Waiters {
+    /// No one wakes a thread of a forked child.
+    process: ProcessMark,
+    is_shut_down: AtomicBool,
+    lists: Mutex<WaiterLists>,
+}
+
 #[derive(Default)]
-pub(crate) struct Waiters(Mutex<Vec<Arc<Waiter>>>);
+struct WaiterLists {
+    used: Vec<Arc<Waiter>>,
+    free: Vec<Arc<Waiter>>,
+}
 
 impl Waiters {
-    fn free(&self) -> MutexGuard<'_, Vec<Arc<Waiter>>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    fn new() -> Self {
+        let (is_shut_down, lists) = Default::default();
+        Waiters { process: ProcessMark::new(), is_shut_down, lists }
+    }
+
+    /// Refuses to a forked child a wait in its parent's context.
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub(crate) fn check_process(&self) -> Result {
+        match self.process.is_here() {
+            true => Ok(()),
+            false => Err(Error::other(
+                "this process was forked from the one whose context this is: create a context of its own after the fork",
+            )),
+        }
+    }
+
+    fn lists(&self) -> MutexGuard<'_, WaiterLists> {
+        self.lists.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Ends all waits; there are none from now on.
+    fn shut_down(&self) {
+        self.is_shut_down.store(true, Ordering::Release);
+        // Who is woken sees it, and who is not in the list reads it before sleeping.
+        self.lists().used.iter().for_each(|waiter| Wakeable::wake(&**waiter));
+    }
+
+    /// Whether the context was shut down.
+    ///
+    /// # Real-time
+    /// Wait-free: one load.
+    pub(crate) fn is_shut_down(&self) -> bool {
+        self.is_shut_down.load(Ordering::Acquire)
     }
 
     /// A waiter for one wait set, until it is [given back](Self::give_back).
     pub(crate) fn claim(&self, participant: &Participant) -> Arc<Waiter> {
-        let mut free = self.free();
-        if let Some(at) = free.iter().rposition(|waiter| matches!(**waiter, Waiter::Bell(_))) {
-            return free.swap_remove(at);
-        }
-        match participant.doorbell().claim_thread_bell() {
-            Ok(bell) => Arc::new(Waiter::Bell(bell)),
-            // Slower without a bell, but nothing is missed.
-            Err(_) => free.pop().unwrap_or_else(|| Arc::new(Waiter::Word(FutexWord::new(0)))),
-        }
+        let WaiterLists { used, free } = &mut *self.lists();
+        let waiter = match free.iter().rposition(|waiter| matches!(**waiter, Waiter::Bell(_))) {
+            Some(at) => free.swap_remove(at),
+            // A child, where no wait succeeds, has no bells.
+            None if !self.process.is_here() => Arc::new(Waiter::Word(FutexWord::new(0))),
+            None => match participant.doorbell().claim_thread_bell() {
+                Ok(bell) => Arc::new(Waiter::Bell(bell)),
+                // Slower without a bell, but nothing is missed.
+                Err(_) => free.pop().unwrap_or_else(|| Arc::new(Waiter::Word(FutexWord::new(0)))),
+            },
+        };
+        used.push(waiter.clone());
+        waiter
     }
 
     pub(crate) fn give_back(&self, waiter: Arc<Waiter>) {
-        self.free().push(waiter);
+        let WaiterLists { used, free } = &mut *self.lists();
+        used.retain(|one| !Arc::ptr_eq(one, &waiter));
+        free.push(waiter);
     }
 }
 
@@ -90,15 +142,15 @@ impl Context {
         let (events, slot) = (participant.graph_events()?, Arc::new(participant.claim_slot()?));
         let watched = watchers.clone();
         helper.run(move || tell_of_changes(events, slot, watched));
-        let (is_shut_down, nodes, waiters) = Default::default();
+        let (nodes, waiters) = (AtomicUsize::new(0), Arc::new(Waiters::new()));
         Ok(Context {
             helper,
             participant,
             enclave: enclave.to_owned(),
-            is_shut_down,
             nodes,
             watchers,
             waiters,
+            listeners: ListenersByName::default(),
             waits,
             system,
         })
@@ -116,7 +168,7 @@ impl Context {
 
     /// An error if the context was shut down.
     pub(crate) fn check(&self) -> Result {
-        match self.is_shut_down.load(Ordering::Acquire) {
+        match self.waiters.is_shut_down() {
             false => Ok(()),
             true => Err(Error::invalid("the context was shut down")),
         }
@@ -159,6 +211,8 @@ pub unsafe extern "C" fn rmw_init(
             return Err(Error::invalid("the context is initialised already"));
         }
         log::start();
+        // ROS's logging would wait for its thread.
+        tautline_rt::exempt_children();
         let domain = options::check(options)?;
         // SAFETY: rmw's contract; checked not to be null.
         let made = Context::join(domain, unsafe { text(options.enclave, "the enclave")? })?;
@@ -178,7 +232,7 @@ pub unsafe extern "C" fn rmw_init(
 pub unsafe extern "C" fn rmw_shutdown(context: *mut rmw_context_t) -> rmw_ret_t {
     answer(|| {
         // SAFETY: rmw's contract.
-        unsafe { behind_context(context)? }.is_shut_down.store(true, Ordering::Release);
+        unsafe { behind_context(context)? }.waiters.shut_down();
         Ok(())
     })
 }
@@ -190,7 +244,7 @@ pub unsafe extern "C" fn rmw_context_fini(context: *mut rmw_context_t) -> rmw_re
     answer(|| {
         // SAFETY: rmw's contract.
         let behind = unsafe { behind_context(context)? };
-        if !behind.is_shut_down.load(Ordering::Acquire) {
+        if !behind.waiters.is_shut_down() {
             return Err(Error::invalid("the context is not shut down"));
         }
         let nodes = behind.nodes.load(Ordering::Acquire);

@@ -6,7 +6,9 @@ use crate::error::Result;
 use crate::helper::Helper;
 use crate::job::{self, Jobs};
 use crate::node::Node;
+use crate::on_new::{Listener, Listeners};
 use crate::signal::Waiter;
+use crate::thread::ThreadPlan;
 use std::future::poll_fn;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
@@ -36,6 +38,8 @@ pub(crate) struct ReceivingEndpoint<P> {
     jobs: Arc<Jobs>,
     /// Called for new messages.
     callback: EventCallback,
+    /// Those that the publishing threads of this context call.
+    listeners: Arc<Listeners>,
     /// Whether the helper has a task that calls it.
     is_served: AtomicBool,
 }
@@ -43,18 +47,22 @@ pub(crate) struct ReceivingEndpoint<P> {
 /// Where a port's rings go.
 #[derive(Default)]
 struct WakeTarget {
+    /// Who waits, or waited last.
     to: Option<Arc<Waiter>>,
-    /// The helper's task for new messages.
+    /// Whether publishers wake it.
+    is_direct: bool,
+    /// The helper's task for messages of other contexts.
     task: Option<Waker>,
     /// Messages for which the callback was called so far.
     told: u64,
 }
 
 impl<P: MessageQueue> ReceivingEndpoint<P> {
-    pub(crate) fn new(node: &Node, port: P) -> Result<Arc<Self>> {
+    pub(crate) fn new(node: &Node, port: P, listeners: Arc<Listeners>) -> Result<Arc<Self>> {
         let jobs = Jobs::new(node, port.subscription(), P::IS_TOPIC)?;
         let (route, callback, is_served) = Default::default();
-        Ok(Arc::new(ReceivingEndpoint { side: PiMutex::new((port, route)), jobs, callback, is_served }))
+        let side = PiMutex::new((port, route));
+        Ok(Arc::new(ReceivingEndpoint { side, jobs, callback, listeners, is_served }))
     }
 
     /// Uses the port.
@@ -63,6 +71,16 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
     /// Waits for another thread in it, which inherits this thread's priority.
     pub(crate) fn with<T>(&self, using: impl FnOnce(&mut P) -> T) -> T {
         using(&mut self.side.lock().0)
+    }
+
+    /// The thread that is to run its callback.
+    pub(crate) fn thread(&self) -> Option<&Arc<ThreadPlan>> {
+        self.jobs.thread.as_ref()
+    }
+
+    /// The rank of its callback, if its thread is to run the highest first.
+    pub(crate) fn rank(&self) -> Option<u8> {
+        self.jobs.rank
     }
 
     /// # Real-time
@@ -81,34 +99,47 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
     pub(crate) fn attach(&self, waiter: &Arc<Waiter>) {
         let (port, route) = &mut *self.side.lock();
         let subscription = port.subscription();
-        if !route.to.as_ref().is_some_and(|to| Arc::ptr_eq(to, waiter)) {
-            let is_direct = match &**waiter {
+        if self.callback.is_set() {
+            subscription.set_own_look(false);
+        }
+        // Without room it is retried at the next wait.
+        if !(route.is_direct && route.to.as_ref().is_some_and(|to| Arc::ptr_eq(to, waiter))) {
+            route.is_direct = match &**waiter {
                 Waiter::Bell(bell) => subscription.wake_thread(Some(bell)),
                 Waiter::Word(_) => subscription.wake_thread(None),
             };
-            // Without room it is retried at the next wait.
-            route.to = is_direct.then(|| waiter.clone());
+            route.to = Some(waiter.clone());
         }
         subscription.wake_once(&Waker::from(waiter.clone()));
     }
 
-    /// After a wait: from here on the helper calls the callback for new messages, if one is set. Otherwise rings still go to the
+    /// After a wait: from here on the callback for new messages is called, if one is set. Otherwise rings still go to the
     /// waiter, and the next wait sees them.
     ///
     /// # Real-time
     /// One load without a callback; else as [`with`](Self::with), and one futex wake.
     pub(crate) fn detach(&self) {
         if self.callback.is_set() {
-            self.go_home();
+            self.go_home(None);
+            // The helper calls for what came meanwhile.
+            self.with(|port| ring(port.subscription()));
         }
     }
 
-    /// Routes the rings to the helper's task, and wakes it.
-    fn go_home(&self) {
+    /// Routes the rings of other contexts to the helper's task, if there is a callback; publishers of this context call it. Who still
+    /// waits is woken, and attaches again. Check the queue afterwards.
+    fn go_home(&self, task: Option<&Waker>) {
         let (port, route) = &mut *self.side.lock();
-        if let Some(task) = route.task.clone() {
-            route.hear(port.subscription(), &task);
-            ring(port.subscription());
+        let subscription = port.subscription();
+        route.task = task.cloned().or_else(|| route.task.take());
+        let Some(task) = route.task.as_ref().filter(|_| self.callback.is_set()) else { return };
+        if std::mem::take(&mut route.is_direct) {
+            subscription.wake_thread(None);
+        }
+        subscription.wake_once(task);
+        subscription.set_own_look(true);
+        if let Some(waiter) = route.to.take() {
+            Wakeable::wake(&*waiter);
         }
     }
 
@@ -151,50 +182,59 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
     }
 
     /// Sets or removes the callback for new messages. It is called here for messages not reported before, like other RMWs do;
-    /// later the helper calls it.
+    /// later the publishing thread calls it, or the helper for a publisher of another context.
     pub(crate) fn set_on_new(self: &Arc<Self>, helper: &Helper, function: Function) {
+        if function.is_none() {
+            return self.remove_on_new();
+        }
         self.callback.replace(function);
         self.callback.settle();
-        if function.is_none() {
-            return;
+        self.listeners.add(self.listener());
+        self.go_home(None);
+        self.tell();
+        if !self.is_served.swap(true, Ordering::AcqRel) {
+            let end = Arc::downgrade(self);
+            helper.run(move || Self::serve(end));
         }
-        self.tell(None);
-        if self.is_served.swap(true, Ordering::AcqRel) {
-            return self.go_home();
-        }
-        let end = Arc::downgrade(self);
-        helper.run(move || Self::serve(end));
+    }
+
+    fn remove_on_new(self: &Arc<Self>) {
+        self.callback.replace(None);
+        self.callback.settle();
+        self.with(|port| port.subscription().set_own_look(false));
+        self.listeners.remove(&self.listener());
+    }
+
+    fn listener(self: &Arc<Self>) -> Weak<dyn Listener> {
+        Arc::downgrade(self) as Weak<dyn Listener>
     }
 
     /// Removes the callback: ROS destroys the endpoint.
-    pub(crate) fn close(&self) {
+    pub(crate) fn close(self: &Arc<Self>) {
         self.jobs.close();
-        self.callback.replace(None);
-        self.callback.settle();
+        self.remove_on_new();
     }
 
-    /// Calls the callback for new messages, until the endpoint is destroyed.
+    /// Calls the callback for messages of other contexts, until the endpoint is destroyed.
     async fn serve(end: Weak<Self>) {
         poll_fn(|context| match end.upgrade() {
             None => Poll::Ready(()),
             Some(end) => {
-                end.tell(Some(context.waker()));
+                end.go_home(Some(context.waker()));
+                end.tell();
                 Poll::Pending
             }
         })
         .await;
     }
+}
 
-    /// Calls the callback for unreported messages, and registers the helper's task for later ones.
-    fn tell(&self, task: Option<&Waker>) {
+impl<P: MessageQueue> Listener for ReceivingEndpoint<P> {
+    fn tell(&self) {
         let (call, new) = {
             let (port, route) = &mut *self.side.lock();
-            route.task = task.cloned().or_else(|| route.task.take());
             let Some(call) = self.callback.begin() else { return };
             let subscription = port.subscription();
-            if let Some(task) = task {
-                route.hear(subscription, task);
-            }
             let counters = subscription.counters();
             let past = counters.received() + counters.lost() + counters.expired() + counters.invalid();
             let all = past.saturating_add(subscription.waiting());
@@ -203,16 +243,6 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
             (call, all.saturating_sub(told))
         };
         call.run(usize::try_from(new).unwrap_or(usize::MAX));
-    }
-}
-
-impl WakeTarget {
-    /// Routes the rings to the helper.
-    fn hear(&mut self, subscription: &RawSubscription, task: &Waker) {
-        if self.to.take().is_some() {
-            subscription.wake_thread(None);
-        }
-        subscription.wake_once(task);
     }
 }
 

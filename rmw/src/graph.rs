@@ -412,7 +412,7 @@ fn write_info(
 }
 
 /// A hash as bytes; version 0 (unset) if unknown.
-fn type_hash(hash: Option<&str>) -> rosidl_type_hash_t {
+pub(crate) fn type_hash(hash: Option<&str>) -> rosidl_type_hash_t {
     let digits = hash.and_then(|hash| hash.strip_prefix("RIHS01_")).unwrap_or_default();
     let mut found = rosidl_type_hash_t { version: 0, value: [0; 32] };
     for (byte, digits) in found.value.iter_mut().zip(digits.as_bytes().chunks(2)) {

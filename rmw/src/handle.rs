@@ -36,6 +36,43 @@ pub(crate) trait Handle {
     fn data(&self) -> *mut c_void;
 }
 
+/// A publisher, subscription, service or client.
+pub(crate) trait EndpointHandle: Handle {
+    /// Takes the data out: the handle is then of no entity.
+    fn take_data(&mut self) -> *mut c_void;
+
+    /// Frees the handle and its text.
+    ///
+    /// # Safety
+    /// It was allocated by librmw's function for it and has its text from [`copy_text`], and is no longer used.
+    unsafe fn free(handle: *mut Self);
+}
+
+macro_rules! endpoints {
+    ($($handle:ty, $name:ident, $free:ident;)*) => {$(
+        impl EndpointHandle for $handle {
+            fn take_data(&mut self) -> *mut c_void {
+                std::mem::replace(&mut self.data, std::ptr::null_mut())
+            }
+
+            unsafe fn free(handle: *mut Self) {
+                // SAFETY: the caller's contract.
+                unsafe {
+                    free_text((*handle).$name);
+                    $free(handle);
+                }
+            }
+        }
+    )*};
+}
+
+endpoints! {
+    rmw_publisher_t, topic_name, rmw_publisher_free;
+    rmw_subscription_t, topic_name, rmw_subscription_free;
+    rmw_service_t, service_name, rmw_service_free;
+    rmw_client_t, service_name, rmw_client_free;
+}
+
 macro_rules! handles {
     ($($handle:ty, $data:ty, $what:literal;)*) => {$(
         impl Handle for $handle {

@@ -3,6 +3,7 @@
 
 use crate::error::Result;
 use crate::node::Node;
+use crate::thread::ThreadPlan;
 use std::cell::{Cell, RefCell};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -19,6 +20,10 @@ pub(crate) struct Jobs {
     depth: u64,
     /// Lost messages reported so far.
     noted: AtomicU64,
+    /// The callback's rank, if its thread is to run the highest first.
+    pub(crate) rank: Option<u8>,
+    /// The thread that the system file gives it.
+    pub(crate) thread: Option<Arc<ThreadPlan>>,
 }
 
 thread_local! {
@@ -31,11 +36,21 @@ thread_local! {
 impl Jobs {
     pub(crate) fn new(node: &Node, subscription: &RawSubscription, is_topic: bool) -> Result<Arc<Self>> {
         let topic = subscription.topic();
-        let (name, measured) = node.context().system.callback(&node.full_name, topic, is_topic)?;
+        let (system, node) = (&node.context().system, &node.full_name);
+        let (thread, rank) = system.place(node, topic);
+        let (name, measured) = system.callback(node, topic, is_topic)?;
         let traced = tautline_trace::subscription_callback_init(subscription.trace_id(), &name);
         let counters = subscription.counters();
         let noted = AtomicU64::new(counters.lost());
-        Ok(Arc::new(Jobs { traced, measured, counters, depth: subscription.qos().depth as u64, noted }))
+        Ok(Arc::new(Jobs {
+            traced,
+            measured,
+            counters,
+            depth: subscription.qos().depth as u64,
+            noted,
+            rank,
+            thread,
+        }))
     }
 
     /// This thread has taken a message, released at `released_ns`, and runs the callback.

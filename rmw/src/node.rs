@@ -5,11 +5,13 @@ use crate::bindings::*;
 use crate::context::Context;
 use crate::error::{Error, Result, answer, checked, made};
 use crate::guard;
-use crate::handle::{IDENTIFIER, behind, behind_context, copy_text, free_text, take_back, text};
+use crate::handle::{
+    EndpointHandle, IDENTIFIER, behind, behind_context, copy_text, free_text, take_back, text,
+};
 use crate::signal::Signal;
-use std::ffi::{CStr, c_char, c_int};
-use std::sync::Arc;
+use std::ffi::{CStr, c_char, c_int, c_void};
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tautline_transport::{NodeHandle, Participant};
 
 pub(crate) struct Node {
@@ -20,6 +22,23 @@ pub(crate) struct Node {
     pub(crate) participant: Participant,
     _handle: NodeHandle,
     graph_guard: *mut rmw_guard_condition_t,
+    /// Endpoints that ROS has not destroyed.
+    endpoints: Mutex<Vec<OwnedEndpoint>>,
+}
+
+/// A handle of ROS's, and what ends the endpoint behind it.
+struct OwnedEndpoint {
+    handle: *mut c_void,
+    end: unsafe fn(*mut c_void),
+}
+
+/// Ends the endpoint behind a handle of type `H`, which stays.
+///
+/// # Safety
+/// The handle is valid and ours, and its endpoint is no longer used.
+unsafe fn end<H: EndpointHandle>(handle: *mut c_void) {
+    // SAFETY: the caller's contract.
+    drop(unsafe { take_back::<H::Data>((*handle.cast::<H>()).take_data()) });
 }
 
 impl Node {
@@ -28,6 +47,46 @@ impl Node {
         // SAFETY: `rmw_context_fini` refuses to end a context that has nodes.
         unsafe { &*self.context }
     }
+
+    fn endpoints(&self) -> MutexGuard<'_, Vec<OwnedEndpoint>> {
+        self.endpoints.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The endpoint ends with this node at the latest.
+    pub(crate) fn own<H: EndpointHandle>(&self, handle: *mut H) {
+        self.endpoints().push(OwnedEndpoint { handle: handle.cast(), end: end::<H> });
+    }
+}
+
+impl Drop for Node {
+    fn drop(&mut self) {
+        for endpoint in std::mem::take(&mut *self.endpoints()) {
+            // SAFETY: rmw's contract: no endpoint is used after its node, and what was destroyed is not in the list. Client libraries
+            // forget some, whose handles they never free.
+            unsafe { (endpoint.end)(endpoint.handle) };
+        }
+    }
+}
+
+/// Destroys an endpoint of a node.
+///
+/// # Safety
+/// As documented by rmw for each function that destroys an endpoint.
+pub(crate) unsafe fn destroy_endpoint<H: EndpointHandle>(node: *mut rmw_node_t, handle: *mut H) -> Result {
+    // SAFETY: the caller's contract; what the node owns is ours, and in its list once.
+    unsafe {
+        let node = behind(node)?;
+        behind(handle)?;
+        let owned = {
+            let mut endpoints = node.endpoints();
+            let at = endpoints.iter().position(|owned| owned.handle == handle.cast());
+            let at = at.ok_or_else(|| Error::invalid(format!("{} belongs to another node", H::WHAT)))?;
+            endpoints.swap_remove(at)
+        };
+        (owned.end)(owned.handle);
+        H::free(handle);
+    }
+    Ok(())
 }
 
 type Validate = unsafe extern "C" fn(*const c_char, *mut c_int, *mut usize) -> rmw_ret_t;
@@ -107,7 +166,8 @@ pub unsafe extern "C" fn rmw_create_node(
         behind.watch_graph(&signal);
         let graph_guard = guard::create(context, signal)?;
         let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
-        let node = Node { context: behind, full_name, participant, _handle: handle, graph_guard };
+        let endpoints = Mutex::default();
+        let node = Node { context: behind, full_name, participant, _handle: handle, graph_guard, endpoints };
         // SAFETY: rmw's own memory, written before anyone can see it.
         unsafe {
             let handle = rmw_node_allocate();
@@ -138,9 +198,10 @@ pub unsafe extern "C" fn rmw_destroy_node(handle: *mut rmw_node_t) -> rmw_ret_t 
         unsafe {
             behind(handle)?;
             let node = take_back::<Node>((*handle).data);
-            guard::destroy(node.graph_guard);
-            node.context().nodes.fetch_sub(1, Ordering::AcqRel);
+            let (context, graph_guard) = (node.context, node.graph_guard);
             drop(node);
+            guard::destroy(graph_guard);
+            (*context).nodes.fetch_sub(1, Ordering::AcqRel);
             free_text((*handle).name);
             free_text((*handle).namespace_);
             rmw_node_free(handle);

@@ -6,8 +6,9 @@ use crate::cdr::{Callbacks, Length};
 use crate::copy::copy;
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
-use crate::node::Node;
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place};
+use crate::node::{self, Node};
+use crate::on_new::Listeners;
 use crate::qos::{self, EndpointRole};
 use crate::serialization::little_body;
 use crate::topic::EndpointArgs;
@@ -28,6 +29,8 @@ pub(crate) struct Publisher {
     qos: rmw_qos_profile_t,
     gid: Gid,
     matched: MatchedCount,
+    /// Endpoints of this context whose callbacks are called after publishing.
+    listeners: Arc<Listeners>,
     /// Used by one thread at a time.
     side: PiMutex<Publishing>,
 }
@@ -79,7 +82,8 @@ impl Publisher {
     /// # Real-time
     /// Like [`RawPublisher::loan`] of a publisher that claims memory on use, and [`RawLoan::publish`]: once the maximum of
     /// samples has been in flight, no allocation and no syscall except futex wakes. Waits for another thread in this publisher,
-    /// which inherits this thread's priority. A keep-all publisher waits up to 100 ms for room; others may publish meanwhile.
+    /// which inherits this thread's priority. A keep-all publisher waits up to 100 ms for room; others may publish meanwhile. Then as
+    /// [`Listeners::tell`].
     fn publish(&self, len_bytes: usize, write: impl FnOnce(&mut [u8]) -> Result<usize>) -> Result {
         let side = self.side.lock();
         let mut loan = side.raw.loan(len_bytes)?;
@@ -90,8 +94,15 @@ impl Publisher {
         self.publish_loan(side, loan)
     }
 
+    /// Publishes a loan, and calls the callbacks for it.
+    fn publish_loan<'p>(&'p self, side: PiGuard<'p, Publishing>, loan: RawLoan<'static>) -> Result {
+        self.submit(side, loan)?;
+        self.listeners.tell();
+        Ok(())
+    }
+
     /// Publishes a loan; a keep-all publisher waits for room. Others may use the publisher meanwhile.
-    fn publish_loan<'p>(&'p self, mut side: PiGuard<'p, Publishing>, loan: RawLoan<'static>) -> Result {
+    fn submit<'p>(&'p self, mut side: PiGuard<'p, Publishing>, loan: RawLoan<'static>) -> Result {
         let mut unpublished = match loan.publish() {
             Ok(()) => return Ok(()),
             Err(unpublished) => unpublished,
@@ -231,8 +242,8 @@ pub unsafe extern "C" fn rmw_create_publisher(
             let flows = options.require_unique_network_flow_endpoints;
             (options, EndpointArgs::new(node, support, topic, profile, flows)?)
         };
+        let wanted = asked.qos(EndpointRole::Publisher)?;
         let EndpointArgs { node, message_type, name, profile } = asked;
-        let wanted = qos::from_ros(profile, EndpointRole::Publisher, std::iter::empty())?;
         let raw = node.participant.create_raw_publisher(
             name,
             &message_type.topic_type,
@@ -248,6 +259,7 @@ pub unsafe extern "C" fn rmw_create_publisher(
             qos: qos::to_ros(&wanted, profile.avoid_ros_namespace_conventions),
             gid: raw.gid(),
             matched: raw.matched(),
+            listeners: node.context().listeners.of(name),
             side: PiMutex::new(Publishing { loans: Vec::new(), raw: Box::new(raw) }),
         };
         let can_loan_messages = publisher.message_type.is_plain();
@@ -266,6 +278,7 @@ pub unsafe extern "C" fn rmw_create_publisher(
                 options: *options,
                 can_loan_messages,
             });
+            node.own(handle);
             Ok(handle)
         }
     })
@@ -278,17 +291,8 @@ pub unsafe extern "C" fn rmw_destroy_publisher(
     node: *mut rmw_node_t,
     handle: *mut rmw_publisher_t,
 ) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract; checked to be ours, so created above.
-        unsafe {
-            behind(node)?;
-            behind(handle)?;
-            drop(take_back::<Publisher>((*handle).data));
-            free_text((*handle).topic_name);
-            rmw_publisher_free(handle);
-        }
-        Ok(())
-    })
+    // SAFETY: rmw's contract.
+    answer(|| unsafe { node::destroy_endpoint(node, handle) })
 }
 
 /// # Safety

@@ -49,6 +49,15 @@ fn is_best_available(time: &rmw_time_s) -> bool {
     (time.sec, time.nsec) == (ENDLESS_SECONDS, BEST_AVAILABLE_NANOSECONDS)
 }
 
+/// Whether a policy depends on the topic's other endpoints.
+pub(crate) fn has_best_available(profile: &rmw_qos_profile_t) -> bool {
+    profile.reliability == RMW_QOS_POLICY_RELIABILITY_BEST_AVAILABLE
+        || profile.durability == RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE
+        || profile.liveliness == RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE
+        || is_best_available(&profile.deadline)
+        || is_best_available(&profile.liveliness_lease_duration)
+}
+
 /// Tautline's QoS from ROS's. System defaults are reliable, volatile, keep last 1, as in Fast DDS. Best-available policies follow
 /// from `others`, the topic's endpoints, as in rmw_dds_common.
 pub(crate) fn from_ros<'e>(
@@ -56,17 +65,22 @@ pub(crate) fn from_ros<'e>(
     role: EndpointRole,
     others: impl Iterator<Item = &'e TopicEndpoint> + Clone,
 ) -> Result<Qos> {
-    // A subscription adapts to existing publishers; a publisher offers the most; a service uses the service defaults.
-    let publishers =
-        others.filter(|end| end.kind == EndpointKind::Publisher && role == EndpointRole::Subscription);
-    let all = |fits: fn(&TopicEndpoint) -> bool| publishers.clone().all(fits);
+    // A subscription requests what all publishers offer; a publisher offers what all subscriptions request, and the most where that is
+    // one; a service uses the service defaults.
+    let others = others.filter(|end| match role {
+        EndpointRole::Publisher => end.kind == EndpointKind::Subscription,
+        EndpointRole::Subscription => end.kind == EndpointKind::Publisher,
+        EndpointRole::Service => false,
+    });
+    let is_most =
+        |fits: fn(&TopicEndpoint) -> bool| role != EndpointRole::Subscription || others.clone().all(fits);
     let reliability = match profile.reliability {
         RMW_QOS_POLICY_RELIABILITY_SYSTEM_DEFAULT | RMW_QOS_POLICY_RELIABILITY_RELIABLE => {
             Reliability::Reliable
         }
         RMW_QOS_POLICY_RELIABILITY_BEST_EFFORT => Reliability::BestEffort,
         RMW_QOS_POLICY_RELIABILITY_BEST_AVAILABLE
-            if all(|end| end.qos.reliability == Reliability::Reliable) =>
+            if is_most(|end| end.qos.reliability == Reliability::Reliable) =>
         {
             Reliability::Reliable
         }
@@ -78,7 +92,7 @@ pub(crate) fn from_ros<'e>(
         RMW_QOS_POLICY_DURABILITY_TRANSIENT_LOCAL => Durability::TransientLocal,
         RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE if role == EndpointRole::Service => Durability::Volatile,
         RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE
-            if all(|end| end.qos.durability == Durability::TransientLocal) =>
+            if is_most(|end| end.qos.durability == Durability::TransientLocal) =>
         {
             Durability::TransientLocal
         }
@@ -90,13 +104,15 @@ pub(crate) fn from_ros<'e>(
             Liveliness::Automatic
         }
         RMW_QOS_POLICY_LIVELINESS_MANUAL_BY_TOPIC => Liveliness::ManualByTopic,
-        RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE
-            if publishers.clone().next().is_some()
-                && all(|end| end.qos.liveliness == Liveliness::ManualByTopic) =>
-        {
-            Liveliness::ManualByTopic
+        RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE => {
+            let mut manual = others.clone().map(|end| end.qos.liveliness == Liveliness::ManualByTopic);
+            let is_manual = match role {
+                EndpointRole::Publisher => manual.any(|is_manual| is_manual),
+                EndpointRole::Subscription => manual.all(|is_manual| is_manual),
+                EndpointRole::Service => false,
+            };
+            if is_manual { Liveliness::ManualByTopic } else { Liveliness::Automatic }
         }
-        RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE => Liveliness::Automatic,
         other => return refuse("liveliness", other),
     };
     let (history, depth) = match profile.history {
@@ -106,13 +122,13 @@ pub(crate) fn from_ros<'e>(
         RMW_QOS_POLICY_HISTORY_KEEP_ALL => (History::KeepAll, ALL),
         other => return refuse("history", other),
     };
-    // The longest of the publishers'; none if one has none.
-    let longest = |of: fn(&TopicEndpoint) -> Option<Duration>| {
-        publishers.clone().map(of).try_fold(Duration::ZERO, |longest, one| Some(longest.max(one?)))
-    };
-    let available = |time: &rmw_time_s, of| match is_best_available(time) {
-        true => longest(of).filter(|length| !length.is_zero()),
-        false => duration(time),
+    let available = |time: &rmw_time_s, of: fn(&TopicEndpoint) -> Option<Duration>| {
+        let lengths = others.clone().filter_map(of);
+        match role {
+            _ if !is_best_available(time) => duration(time),
+            EndpointRole::Subscription => lengths.max(),
+            EndpointRole::Publisher | EndpointRole::Service => lengths.min(),
+        }
     };
     Ok(Qos {
         history,

@@ -4,8 +4,9 @@
 use crate::bindings::*;
 use crate::end::{MessageQueue, ReceivingEndpoint};
 use crate::error::{Error, Result, answer, made};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back, text};
-use crate::node::{Node, check_full_name};
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, text};
+use crate::node::{self, Node, check_full_name};
+use crate::on_new::Listeners;
 use crate::qos::{self, EndpointRole};
 use crate::subscription::received_ns;
 use crate::types::ServiceSupport;
@@ -20,6 +21,8 @@ pub(crate) struct Service {
     of: ServiceSupport,
     qos: rmw_qos_profile_t,
     depth: Depth,
+    /// Clients of this context whose callbacks are called after a response.
+    listeners: Arc<Listeners>,
     end: Arc<ReceivingEndpoint<RawServer>>,
 }
 
@@ -161,12 +164,14 @@ pub unsafe extern "C" fn rmw_create_service(
         let depth = unsafe { Depth::of(profile, &wanted) };
         let raw =
             node.participant.create_raw_server(name, &of.service_type, depth.room, of.response.limits())?;
+        let listeners = &node.context().listeners;
         let service = Service {
             node,
             of,
             qos: qos::to_ros(&wanted, false),
             depth,
-            end: ReceivingEndpoint::new(node, raw)?,
+            listeners: listeners.of_responses(name),
+            end: ReceivingEndpoint::new(node, raw, listeners.of_requests(name))?,
         };
         let service_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anyone can see it.
@@ -181,6 +186,7 @@ pub unsafe extern "C" fn rmw_create_service(
                 data: Box::into_raw(Box::new(service)).cast(),
                 service_name,
             });
+            node.own(handle);
             Ok(handle)
         }
     })
@@ -190,17 +196,8 @@ pub unsafe extern "C" fn rmw_create_service(
 /// As documented by rmw.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_destroy_service(node: *mut rmw_node_t, handle: *mut rmw_service_t) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract; checked to be ours, so created above.
-        unsafe {
-            behind(node)?;
-            behind(handle)?;
-            drop(take_back::<Service>((*handle).data));
-            free_text((*handle).service_name);
-            rmw_service_free(handle);
-        }
-        Ok(())
-    })
+    // SAFETY: rmw's contract.
+    answer(|| unsafe { node::destroy_endpoint(node, handle) })
 }
 
 /// # Safety
@@ -266,6 +263,7 @@ pub unsafe extern "C" fn rmw_send_response(
             loan.truncate(written);
             loan.send().map_err(|unsent| Failed::from(unsent.error))
         });
+        service.listeners.tell();
         match sent {
             // The client has ended: not an error of the server.
             Ok(()) | Err(Failed::Send(ServiceError::ClientGone { .. })) => Ok(()),

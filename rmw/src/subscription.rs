@@ -6,8 +6,8 @@ use crate::cdr::Length;
 use crate::end::ReceivingEndpoint;
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place, take_back};
-use crate::node::Node;
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place};
+use crate::node::{self, Node};
 use crate::qos::{self, EndpointRole};
 use crate::serialization::write_serialized;
 use crate::topic::EndpointArgs;
@@ -274,10 +274,8 @@ pub unsafe extern "C" fn rmw_create_subscription(
             let flows = options.require_unique_network_flow_endpoints;
             (options, EndpointArgs::new(node, support, topic, profile, flows)?)
         };
+        let wanted = asked.qos(EndpointRole::Subscription)?;
         let EndpointArgs { node, message_type, name, profile } = asked;
-        let graph = node.participant.graph()?;
-        let of_topic = graph.endpoints.iter().filter(|end| end.topic == name).map(|end| &**end);
-        let wanted = qos::from_ros(profile, EndpointRole::Subscription, of_topic)?;
         let raw = node.participant.create_raw_subscription(
             name,
             &message_type.topic_type,
@@ -296,7 +294,7 @@ pub unsafe extern "C" fn rmw_create_subscription(
             matched,
             received: AtomicU64::new(0),
             loans: PiMutex::new(Vec::new()),
-            end: ReceivingEndpoint::new(node, raw)?,
+            end: ReceivingEndpoint::new(node, raw, node.context().listeners.of(name))?,
         };
         let topic_name = copy_text(name)?;
         // SAFETY: rmw's own memory, written before anyone can see it.
@@ -314,6 +312,7 @@ pub unsafe extern "C" fn rmw_create_subscription(
                 can_loan_messages,
                 is_cft_enabled: false,
             });
+            node.own(handle);
             Ok(handle)
         }
     })
@@ -326,17 +325,8 @@ pub unsafe extern "C" fn rmw_destroy_subscription(
     node: *mut rmw_node_t,
     handle: *mut rmw_subscription_t,
 ) -> rmw_ret_t {
-    answer(|| {
-        // SAFETY: rmw's contract; checked to be ours, so created above.
-        unsafe {
-            behind(node)?;
-            behind(handle)?;
-            drop(take_back::<Subscription>((*handle).data));
-            free_text((*handle).topic_name);
-            rmw_subscription_free(handle);
-        }
-        Ok(())
-    })
+    // SAFETY: rmw's contract.
+    answer(|| unsafe { node::destroy_endpoint(node, handle) })
 }
 
 /// # Safety

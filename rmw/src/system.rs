@@ -2,6 +2,7 @@
 //! Statistics of this process's callbacks, and their entries in the system file of `TAUT_SYSTEM`.
 
 use crate::error::{Error, Result};
+use crate::thread::{self, ThreadPlan};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -12,6 +13,8 @@ use tautline_executor::{CallbackOptions, ForeignCallback, ProcessInfo, Statistic
 /// A system file's entries for the ROS nodes of one host, if there is a file, and this process's callback statistics.
 pub(crate) struct System {
     callbacks: Vec<CheckedCallback>,
+    /// The threads of these callbacks, each once; none with `TAUT_REALTIME=off`.
+    threads: Vec<Option<Arc<ThreadPlan>>>,
     /// Whether there is a file, so that processor time is measured.
     is_named: bool,
     /// `None`: it could not be created, and there is no file.
@@ -30,6 +33,11 @@ impl System {
             (Vec::new(), ProcessInfo { realtime, ..ProcessInfo::of_this() })
         });
         let is_named = !callbacks.is_empty();
+        let is_governed = is_named && is_realtime_wanted()?;
+        if is_governed {
+            thread::prepare()?;
+        }
+        let threads = if is_governed { plans(&callbacks) } else { vec![None; callbacks.len()] };
         let statistics = match StatisticsFile::create(&StatisticsFile::prefix(domain), &about) {
             Ok(file) => Some(file),
             Err(error) if is_named => {
@@ -40,7 +48,7 @@ impl System {
                 None
             }
         };
-        Ok(System { is_named, callbacks, statistics, made: Mutex::default() })
+        Ok(System { is_named, callbacks, threads, statistics, made: Mutex::default() })
     }
 
     /// This host's ROS callbacks in a system file; `None` if there are none.
@@ -80,6 +88,31 @@ impl System {
         self.is_named
     }
 
+    /// The file's entry for what `node`, a full name, does with messages of `topic`.
+    fn entry(&self, node: &str, topic: &str) -> Option<usize> {
+        let short = node.rsplit('/').next().unwrap_or(node);
+        let of = |name: &str| {
+            let is_it = |callback: &CheckedCallback| {
+                callback.entry.node == name && callback.entry.topics.iter().any(|of| of == topic)
+            };
+            self.callbacks.iter().position(is_it)
+        };
+        of(node).or_else(|| of(short))
+    }
+
+    /// The thread that is to run a callback, and the callback's rank if that runs the highest first.
+    pub(crate) fn place(&self, node: &str, topic: &str) -> (Option<Arc<ThreadPlan>>, Option<u8>) {
+        match self.entry(node, topic) {
+            Some(index) => (self.threads[index].clone(), self.callbacks[index].entry.rank),
+            None => (None, None),
+        }
+    }
+
+    /// Whether threads get what the file states.
+    pub(crate) fn is_governing(&self) -> bool {
+        self.threads.iter().any(Option::is_some)
+    }
+
     /// The statistics of what `node`, a full name, does with messages of `topic`, under its name in the file. Equal names there
     /// are one callback, even with several topics.
     ///
@@ -91,14 +124,7 @@ impl System {
         topic: &str,
         is_topic: bool,
     ) -> Result<(String, Option<Arc<ForeignCallback>>)> {
-        let short = node.rsplit('/').next().unwrap_or(node);
-        let of = |name: &str| {
-            let is_it = |callback: &&CheckedCallback| {
-                callback.entry.node == name && callback.entry.topics.iter().any(|of| of == topic)
-            };
-            self.callbacks.iter().find(is_it)
-        };
-        let options = match of(node).or_else(|| of(short)) {
+        let options = match self.entry(node, topic).map(|index| &self.callbacks[index]) {
             Some(callback) => CallbackOptions {
                 bound: callback.response_overhead_ns.map(Duration::from_nanos),
                 ..CallbackOptions::other()
@@ -131,4 +157,26 @@ impl System {
         made.insert(options.name.clone(), Arc::downgrade(&callback));
         Ok((options.name, Some(callback)))
     }
+}
+
+/// As Tautline's own nodes read it.
+fn is_realtime_wanted() -> Result<bool> {
+    match std::env::var("TAUT_REALTIME").ok().as_deref() {
+        None | Some("" | "required") => Ok(true),
+        Some("off") => Ok(false),
+        Some(other) => {
+            Err(Error::other(format!("TAUT_REALTIME is '{other}': it may be 'required' or 'off'")))
+        }
+    }
+}
+
+/// The thread of each callback: those of a group share it.
+fn plans(callbacks: &[CheckedCallback]) -> Vec<Option<Arc<ThreadPlan>>> {
+    let mut plans: Vec<Option<Arc<ThreadPlan>>> = Vec::new();
+    for callback in callbacks {
+        let plan = ThreadPlan::of(callback);
+        let known = plans.iter().flatten().find(|known| ***known == plan).cloned();
+        plans.push(Some(known.unwrap_or_else(|| Arc::new(plan))));
+    }
+    plans
 }

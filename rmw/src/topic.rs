@@ -5,8 +5,10 @@ use crate::bindings::*;
 use crate::error::{Error, Result};
 use crate::handle::{behind, text};
 use crate::node::{Node, check_full_name};
+use crate::qos::{self, EndpointRole};
 use crate::types::MessageType;
 use std::ffi::c_char;
+use tautline_transport::Qos;
 
 /// Checked arguments for creating a topic endpoint.
 pub(crate) struct EndpointArgs<'a> {
@@ -45,5 +47,15 @@ impl EndpointArgs<'_> {
             ));
         }
         Ok(EndpointArgs { node, message_type, name, profile })
+    }
+
+    /// The QoS, of which best-available policies follow from the topic's endpoints.
+    pub(crate) fn qos(&self, role: EndpointRole) -> Result<Qos> {
+        if !qos::has_best_available(self.profile) {
+            return qos::from_ros(self.profile, role, std::iter::empty());
+        }
+        let graph = self.node.participant.graph()?;
+        let of_topic = graph.endpoints.iter().filter(|end| end.topic == self.name).map(|end| &**end);
+        qos::from_ros(self.profile, role, of_topic)
     }
 }

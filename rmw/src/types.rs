@@ -219,7 +219,9 @@ unsafe fn known(
 
 /// # Safety
 /// The description comes from its generator.
-unsafe fn described(description: &rosidl_runtime_c__type_description__TypeDescription) -> TypeDescription {
+pub(crate) unsafe fn described(
+    description: &rosidl_runtime_c__type_description__TypeDescription,
+) -> TypeDescription {
     let referenced = &description.referenced_type_descriptions;
     // SAFETY: the caller's contract.
     unsafe {

@@ -12,6 +12,7 @@ use crate::job;
 use crate::service::Service;
 use crate::signal::{Signal, Waiter, deadline_ns};
 use crate::subscription::Subscription;
+use crate::thread::{self, ThreadPlan};
 use std::ffi::c_void;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -24,6 +25,8 @@ pub(crate) struct WaitSet {
     waits: Arc<SamplerObject>,
     /// Whether callbacks' processor time is measured.
     is_measured: bool,
+    /// Whether threads get what the system file states.
+    is_governed: bool,
     in_use: AtomicBool,
 }
 
@@ -154,29 +157,48 @@ impl WaitEntities<'_> {
         self.clients().for_each(|client| client.end().detach());
     }
 
-    /// Waits until something is ready, or until `deadline_ns`.
+    /// Waits until something is ready, until `deadline_ns`, or until the context is shut down.
     ///
     /// # Real-time
     /// As [`is_something_ready`](Self::is_something_ready) for each ring, and a syscall to sleep.
-    fn wait(&self, waiter: &Arc<Waiter>, deadline_ns: Option<u64>) {
+    fn wait(&self, wait_set: &WaitSet, deadline_ns: Option<u64>) {
+        let waiter = &wait_set.waiter;
         loop {
             let count = waiter.count();
             self.attach_data(waiter);
             let is_over = deadline_ns.is_some_and(|deadline_ns| monotonic_ns() >= deadline_ns);
-            if self.is_something_ready() || is_over {
+            if self.is_something_ready() || is_over || wait_set.waiters.is_shut_down() {
                 return;
             }
             waiter.sleep(count, deadline_ns);
         }
     }
 
-    /// Keeps ready entities, which resets guard conditions. Returns whether there are any.
+    /// The threads that are to run the callbacks.
+    fn threads(&self) -> impl Iterator<Item = &Arc<ThreadPlan>> {
+        let subscriptions = self.subscriptions().filter_map(|one| one.end().thread());
+        let services = self.services().filter_map(|one| one.end().thread());
+        subscriptions.chain(services).chain(self.clients().filter_map(|one| one.end().thread()))
+    }
+
+    /// The highest rank among callbacks that have something to take; those without a rank are below all others.
+    fn highest_rank(&self) -> Option<u8> {
+        let of = |rank: Option<u8>, has_data: &dyn Fn() -> bool| rank.filter(|_| has_data());
+        let subscriptions = self.subscriptions().map(|one| of(one.end().rank(), &|| one.has_data()));
+        let services = self.services().map(|one| of(one.end().rank(), &|| one.end().has_data()));
+        let clients = self.clients().map(|one| of(one.end().rank(), &|| one.end().has_data()));
+        subscriptions.chain(services).chain(clients).max().flatten()
+    }
+
+    /// Keeps ready entities, of those with messages only the ones with the highest rank, and resets guard conditions. The others stay
+    /// ready for the next wait. Returns whether there are any.
     fn report(&mut self) -> bool {
+        let highest = self.highest_rank();
         // SAFETY: as above.
         unsafe {
-            self.subscriptions.keep(Subscription::has_data);
-            self.services.keep(|service: &Service| service.end().has_data());
-            self.clients.keep(|client: &Client| client.end().has_data());
+            self.subscriptions.keep(|one: &Subscription| one.end().rank() == highest && one.has_data());
+            self.services.keep(|one: &Service| one.end().rank() == highest && one.end().has_data());
+            self.clients.keep(|one: &Client| one.end().rank() == highest && one.end().has_data());
             self.guards.keep(|guard: &GuardCondition| guard.signal.take());
             self.events.keep(|event| event::signal_of(event).is_some_and(Signal::is_set));
         }
@@ -215,7 +237,8 @@ pub unsafe extern "C" fn rmw_create_wait_set(
             let waiter = context.waiters.claim(&context.participant);
             let (waiters, waits) = (context.waiters.clone(), context.waits.clone());
             let (is_measured, in_use) = (context.system.measures_execution(), AtomicBool::new(false));
-            let wait_set = WaitSet { waiters, waiter, waits, is_measured, in_use };
+            let is_governed = context.system.is_governing();
+            let wait_set = WaitSet { waiters, waiter, waits, is_measured, is_governed, in_use };
             handle.write(rmw_wait_set_t {
                 implementation_identifier: IDENTIFIER.as_ptr(),
                 guard_conditions: std::ptr::null_mut(),
@@ -279,7 +302,11 @@ pub unsafe extern "C" fn rmw_wait(
             };
             (behind(wait_set)?, timeout.as_ref(), wanted)
         };
+        wait_set.waiters.check_process()?;
         let _turn = Turn::of(wait_set)?;
+        if wait_set.is_governed {
+            thread::govern(wanted.threads())?;
+        }
         let deadline = timeout.map(|time| deadline_ns(time.sec, time.nsec));
         job::wait(&wait_set.waits, deadline, wait_set.is_measured);
         let is_look_only = timeout.is_some_and(|time| (time.sec, time.nsec) == (0, 0));
@@ -287,14 +314,14 @@ pub unsafe extern "C" fn rmw_wait(
         let waited = if wanted.is_something_ready() || is_look_only {
             Ok(())
         } else {
-            let attached = Attached { wanted: &wanted, waiter: &wait_set.waiter };
+            let _attached = Attached { wanted: &wanted, waiter: &wait_set.waiter };
             let has_room = wanted.attach_signals(&wait_set.waiter);
-            has_room.map(|()| wanted.wait(attached.waiter, deadline))
+            has_room.map(|()| wanted.wait(wait_set, deadline))
         };
         waited?;
         let is_ready = wanted.report();
         job::wake(&wait_set.waits, is_ready);
-        // Another thread may have taken it; without a time limit this does not end the wait.
+        // Another thread may have taken it, or the context was shut down; without a time limit this is no timeout.
         is_over = !is_ready && timeout.is_some();
         Ok(())
     });

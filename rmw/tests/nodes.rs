@@ -3,8 +3,11 @@
 
 mod support;
 
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
-use std::process::Command;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::process::{Child, Command};
 use std::time::Duration;
 use support::gateway::link;
 use support::{
@@ -12,7 +15,10 @@ use support::{
     take, take_texts, text_body, text_of, wait_until,
 };
 use tautline_schema::{DynamicMessage, Endian, Packages};
-use tautline_transport::{EndpointKind, Limits, Qos, RequestId, SchemaStore, ServiceKind, ServiceType};
+use tautline_transport::{
+    EndpointKind, Limits, NodeName, Qos, RawPublisher, RawSubscription, RequestId, SchemaStore, ServiceKind,
+    ServiceType,
+};
 
 const SET_BOOL: &str = "std_srvs/srv/SetBool";
 const BASIC_TYPES: &str = "test_msgs/srv/BasicTypes";
@@ -161,6 +167,23 @@ fn each_side_sees_the_others_graph() {
     assert_eq!(services, json!(["/here/serve"]));
     drop((ours, server, of_node, node));
     peer.tell(json!({ "do": "wait_node", "name": "/here/ours", "there": false }));
+}
+
+/// Also of what rclpy never destroys, its type description service.
+#[test]
+fn nothing_is_left_of_a_node_that_was_destroyed() {
+    let Some(domain) = Domain::new(84) else { return };
+    let (mut one, mut other) = (domain.peer("one"), domain.peer("other"));
+    one.tell(json!({ "do": "passing_node", "name": "passing" }));
+    other.tell(json!({ "do": "wait_node", "name": "/passing" }));
+    one.tell(json!({ "do": "pass_by" }));
+    other.tell(json!({ "do": "wait_node", "name": "/passing", "there": false }));
+    wait_until("its endpoints to go", || {
+        let graph = domain.participant.graph().unwrap();
+        let services = graph.services.iter().map(|end| &end.node);
+        let of_node = |node: &Option<NodeName>| node.as_ref().is_some_and(|node| node.name == "passing");
+        !graph.endpoints.iter().map(|end| &end.node).chain(services).any(of_node)
+    });
 }
 
 /// The body of a `SetBool` request, and the text of its response.
@@ -321,6 +344,93 @@ fn who_is_killed_stops_nobody() {
     assert_eq!(take_texts(&here, 1), ["to the living"]);
 }
 
+/// The processes of `fork_peer.py`, which answer with their role and process number.
+struct ForkPeers {
+    ask: RawPublisher,
+    answers: RawSubscription,
+    first: Child,
+    pids: BTreeMap<String, i32>,
+}
+
+impl ForkPeers {
+    fn start(domain: &Domain, how: &str) -> Self {
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fork_peer.py");
+        let mut command = Command::new(domain.venv.join("bin/python"));
+        command.arg(script).arg(how).env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        command.env("ROS_DOMAIN_ID", domain.number.to_string()).env("PYTHONDONTWRITEBYTECODE", "1");
+        on_tautline(&mut command);
+        let ask = publisher(&domain.participant, "/ask", STRING, Qos::keep_last(10));
+        let answers = subscription(&domain.participant, "/answer", STRING, Qos::keep_last(10));
+        ForkPeers { ask, answers, first: command.spawn().unwrap(), pids: BTreeMap::new() }
+    }
+
+    /// Asks, and waits until these have answered, who are all.
+    fn ask(&mut self, roles: &[&str], text: &str) {
+        matched(&self.ask, roles.len());
+        self.ask.publish(&text_body(text)).unwrap();
+        let mut answered = BTreeSet::new();
+        for answer in take_texts(&self.answers, roles.len()) {
+            let [role, pid, said] = answer.split(' ').collect::<Vec<_>>()[..] else { panic!("{answer}") };
+            assert_eq!(said, text);
+            self.pids.insert(role.to_owned(), pid.parse().unwrap());
+            answered.insert(role.to_owned());
+        }
+        assert!(answered.iter().eq(roles), "{answered:?}");
+    }
+
+    fn kill(&mut self, role: &str) {
+        let pid = self.pids.remove(role).unwrap();
+        kill_process(Pid::from_raw(pid).unwrap(), Signal::KILL).unwrap();
+    }
+}
+
+impl Drop for ForkPeers {
+    fn drop(&mut self) {
+        for role in self.pids.keys().cloned().collect::<Vec<_>>() {
+            self.kill(&role);
+        }
+        let _ = self.first.kill();
+        let _ = self.first.wait();
+    }
+}
+
+/// In a process that multiprocessing makes, rclpy has a context of its own; whichever of both is killed, the other one goes on.
+fn with_multiprocessing(domain: u32, how: &str) {
+    let Some(domain) = Domain::new(domain) else { return };
+    for (killed, living) in [("child", "parent"), ("parent", "child")] {
+        let mut peers = ForkPeers::start(&domain, how);
+        peers.ask(&["child", "parent"], "both");
+        peers.kill(killed);
+        peers.ask(&[living], "one");
+        drop(peers);
+        wait_until("both to be cleaned up after", || domain.others() == 0);
+    }
+}
+
+#[test]
+fn processes_that_multiprocessing_forks_live_on_their_own() {
+    with_multiprocessing(85, "fork");
+}
+
+#[test]
+fn processes_that_multiprocessing_spawns_live_on_their_own() {
+    with_multiprocessing(86, "spawn");
+}
+
+#[test]
+fn processes_of_multiprocessings_forkserver_live_on_their_own() {
+    with_multiprocessing(87, "forkserver");
+}
+
+/// What a forked child does with its parent's node is an error that says what to do, and it exits.
+#[test]
+fn a_forked_child_is_refused_its_parents_node_and_exits() {
+    let Some(domain) = Domain::new(88) else { return };
+    let mut peers = ForkPeers::start(&domain, "exit");
+    assert_eq!(take_texts(&peers.answers, 1), ["exited with 7"]);
+    peers.ask(&["parent"], "still");
+}
+
 /// As many nodes as a large robot has, each with what rclpy gives a node: parameters' services, events, its log.
 #[test]
 fn a_hundred_nodes_see_and_hear_each_other() {
@@ -396,7 +506,10 @@ fn callbacks_of_rclpy_are_reported_and_traced() {
         "#;
     std::fs::write(&system, text).unwrap();
     let (system, trace) = (system.to_str().unwrap(), trace.to_str().unwrap());
-    let mut peer = domain.simple_peer_with("listener", &[("TAUT_SYSTEM", system), ("TAUT_TRACE", "on")]);
+    let mut peer = domain.simple_peer_with(
+        "listener",
+        &[("TAUT_SYSTEM", system), ("TAUT_TRACE", "on"), ("TAUT_REALTIME", "off")],
+    );
     let (heard, unlisted) =
         (peer.subscription("/heard", STRING, json!({})), peer.subscription("/unlisted", STRING, json!({})));
     let also = peer.subscription("/also", STRING, json!({}));
@@ -444,6 +557,130 @@ fn callbacks_of_rclpy_are_reported_and_traced() {
     assert_eq!(of(",/heard,").iter().filter(|kind| **kind == "take").count(), 5, "{events}");
 }
 
+/// Five topics, three messages each, all there before an unchanged executor of rclpy begins.
+const QUEUED: &str = r#"
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+rclpy.init()
+node, source, order = rclpy.create_node("listener"), rclpy.create_node("source"), []
+topics = [f"/t{n}" for n in range(5)] + ["/unlisted"]
+subscriptions = [node.create_subscription(String, topic, lambda m: order.append(m.data), 10) for topic in topics]
+publishers = [source.create_publisher(String, topic, 10) for topic in topics]
+while any(publisher.get_subscription_count() < 1 for publisher in publishers): pass
+for _ in range(3):
+    for topic, publisher in zip(topics, publishers): publisher.publish(String(data=topic[-1]))
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+while len(order) < 18: executor.spin_once()
+print("".join(order))
+executor.shutdown()
+rclpy.shutdown()
+"#;
+
+/// A system file orders the callbacks of an executor that knows nothing of it; what it does not list comes last.
+#[test]
+fn ready_callbacks_run_by_their_priorities() {
+    let Some(venv) = ros() else { return };
+    reserve(68);
+    let folder = tempfile::tempdir().unwrap();
+    let order = |text: &str| {
+        let path = folder.path().join("system.toml");
+        std::fs::write(&path, text).unwrap();
+        let mut command = Command::new(venv.join("bin/python"));
+        command.args(["-c", QUEUED]).env("ROS_DOMAIN_ID", "68").env("TAUT_SYSTEM", path);
+        command.env("TAUT_REALTIME", "off");
+        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        on_tautline(&mut command);
+        let output = command.output().unwrap();
+        let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+        assert!(output.status.success(), "{errors}");
+        out.trim().to_owned()
+    };
+    let mut text = "[hosts.here]\ncores = 1\n[nodes.listener]\nclient = \"rclpy\"\n[groups.all]\n".to_owned();
+    let head = text.len();
+    for n in 0..5 {
+        text += &format!(
+            "[callbacks.t{n}]\ntopic = \"/t{n}\"\ngroup = \"all\"\nwcet = \"1ms\"\n[topics.\"/t{n}\"]\nperiod = \"100ms\"\n"
+        );
+    }
+    assert_eq!(order(&text), "01234d".repeat(3), "in rounds");
+    text.insert_str(head, "order = \"priority\"\npriority = 40\n");
+    for n in 0..5 {
+        // The third and the fourth are alike: they are reported together.
+        let rank = [1, 2, 3, 3, 5][n];
+        text =
+            text.replace(&format!("topic = \"/t{n}\"\n"), &format!("topic = \"/t{n}\"\npriority = {rank}\n"));
+    }
+    assert_eq!(order(&text), "444232323111000ddd");
+}
+
+/// Each topic has an executor, and prints what its callback's thread is.
+const SCHEDULED: &str = r#"
+import os, rclpy, threading
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+rclpy.init()
+node = rclpy.create_node("listener")
+seen = {topic: [] for topic in ("/fast", "/slow", "/unlisted")}
+def listen(topic):
+    def heard(_):
+        seen[topic].append((os.sched_getscheduler(0), os.sched_getparam(0).sched_priority, sorted(os.sched_getaffinity(0))))
+    return heard
+nodes = {topic: rclpy.create_node("listener" if topic != "/unlisted" else "ordinary") for topic in seen}
+subscriptions = [nodes[topic].create_subscription(String, topic, listen(topic), 10) for topic in seen]
+publishers = {topic: node.create_publisher(String, topic, 10) for topic in seen}
+while any(publisher.get_subscription_count() < 1 for publisher in publishers.values()): pass
+def spin(topic):
+    executor = SingleThreadedExecutor()
+    executor.add_node(nodes[topic])
+    while not seen[topic]: executor.spin_once()
+threads = [threading.Thread(target=spin, args=(topic,)) for topic in seen]
+[thread.start() for thread in threads]
+for publisher in publishers.values(): publisher.publish(String(data="some"))
+[thread.join() for thread in threads]
+for topic, all in seen.items():
+    policy, priority, cores = all[0]
+    print(topic, ["other", "fifo"][policy], priority, cores)
+rclpy.shutdown()
+"#;
+
+/// The thread that waits for a callback becomes the thread that the system file describes; others stay as they are.
+#[test]
+fn threads_of_unchanged_executors_are_those_of_the_system_file() {
+    let Some(venv) = ros() else { return };
+    if let Err(error) = tautline_rt::permission::realtime_permitted(41) {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        return eprintln!("skipped: {error}");
+    }
+    reserve(69);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("system.toml");
+    let callback = |name: &str, priority: u8| {
+        format!(
+            "[callbacks.{name}]\ntopic = \"/{name}\"\npriority = {priority}\nwcet = \"1ms\"\n[topics.\"/{name}\"]\nperiod = \"1s\"\n"
+        )
+    };
+    let head = "[hosts.here]\ncores = 1\nsampler_priority = 90\n[nodes.listener]\nclient = \"rclpy\"\n";
+    std::fs::write(&path, [head, &callback("fast", 41), &callback("slow", 40)].concat()).unwrap();
+    let run = |realtime: &str| {
+        let mut command = Command::new(venv.join("bin/python"));
+        command.args(["-c", SCHEDULED]).env("ROS_DOMAIN_ID", "69").env("TAUT_SYSTEM", &path);
+        command.env("TAUT_REALTIME", realtime).env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        on_tautline(&mut command);
+        let output = command.output().unwrap();
+        let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+        assert!(output.status.success(), "{errors}");
+        out
+    };
+    let cores =
+        tautline_rt::current_affinity().unwrap().iter().map(|core| core.to_string()).collect::<Vec<_>>();
+    let ordinary = |topic: &str| format!("{topic} other 0 [{}]\n", cores.join(", "));
+    let governed = ["/fast fifo 41 [0]\n/slow fifo 40 [0]\n", &ordinary("/unlisted")].concat();
+    assert_eq!(run("required"), governed);
+    assert_eq!(run("off"), ["/fast", "/slow", "/unlisted"].map(ordinary).concat());
+}
+
 /// Nothing was prepared: no system file, no trace.
 #[test]
 fn callbacks_of_any_node_of_rclpy_are_seen() {
@@ -475,7 +712,8 @@ fn a_system_file_is_used_or_what_is_wrong_with_it_is_said() {
     let init = |variables: &[(&str, &str)]| {
         let mut command = Command::new(venv.join("bin/python"));
         command.args(["-c", "import rclpy; rclpy.init(domain_id=67)"]);
-        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH").envs(variables.iter().copied());
+        command.env("TAUT_REALTIME", "off").envs(variables.iter().copied());
+        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
         on_tautline(&mut command);
         let output = command.output().unwrap();
         (output.status.success(), String::from_utf8_lossy(&output.stderr).into_owned())
@@ -493,6 +731,7 @@ fn a_system_file_is_used_or_what_is_wrong_with_it_is_said() {
     let refused = [
         (&[file("/nowhere/system.toml")][..], "TAUT_SYSTEM: `/nowhere/system.toml` cannot be read"),
         (&[file(path)], "has several hosts: set TAUT_HOST to one of a, b"),
+        (&[file(path), ("TAUT_HOST", "a"), ("TAUT_REALTIME", "of")], "TAUT_REALTIME is 'of': it may be"),
         (&[file(path), ("TAUT_HOST", "c")], "has no host `c`: set TAUT_HOST to one of a, b"),
     ];
     for (variables, why) in refused {

@@ -2,6 +2,7 @@
 //! Cleanup at the end of a process that returns from `main` or calls `exit` while its other threads still run: objects that these
 //! threads hold are not dropped then.
 
+use std::ffi::{c_int, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, Once, PoisonError};
@@ -33,13 +34,13 @@ pub struct AtExit(u64);
 /// # Real-time
 /// Setup only.
 pub fn at_exit(last: impl FnOnce() + Send + 'static) -> AtExit {
-    static REGISTERED: Once = Once::new();
-    // SAFETY: `run` may be called at any time from C, and does not unwind. If that is refused, nothing is called.
-    REGISTERED.call_once(|| _ = unsafe { libc::atexit(run) });
     let mut list = list();
     if PID.swap(std::process::id(), Ordering::Relaxed) != std::process::id() {
         // What its parent leaves is not to be done here, nor dropped.
         std::mem::forget(std::mem::take(&mut list.entries));
+        // Also anew in a child, which may not call what its parent registered.
+        // SAFETY: `run` may be called at any time from C, and does not unwind. If that is refused, nothing is called.
+        unsafe { libc::atexit(run) };
     }
     list.next += 1;
     let number = list.next;
@@ -62,5 +63,36 @@ extern "C" fn run() {
     for (_, last) in entries.into_iter().rev() {
         // Said by the panic itself; the others are still called.
         let _ = catch_unwind(AssertUnwindSafe(last));
+    }
+}
+
+/// Has children that are forked from now on exit without the exit handlers and static destructors, of any library, that this process
+/// has registered by then. These are for the parent's objects, often threads, of which a child has none: a logging library waits for
+/// its own forever. A child's own handlers are still called, and C's streams are flushed.
+///
+/// # Real-time
+/// Setup only. Each fork registers a handler in the child.
+pub fn exempt_children() {
+    static REGISTERED: Once = Once::new();
+    // SAFETY: `in_child` may be called in any child, and does not unwind. If that is refused, children exit as ever.
+    REGISTERED.call_once(|| _ = unsafe { libc::pthread_atfork(None, None, Some(in_child)) });
+}
+
+unsafe extern "C" {
+    /// Of the C library: as `atexit`, for a function that gets the status.
+    fn on_exit(function: extern "C" fn(c_int, *mut c_void), argument: *mut c_void) -> c_int;
+}
+
+/// Handlers are called in the reverse order of their registration: this one before all of the parent's.
+unsafe extern "C" fn in_child() {
+    // SAFETY: `end` may be called at any time.
+    unsafe { on_exit(end, std::ptr::null_mut()) };
+}
+
+extern "C" fn end(status: c_int, _: *mut c_void) {
+    // SAFETY: all streams; ends the process.
+    unsafe {
+        libc::fflush(std::ptr::null_mut());
+        libc::_exit(status);
     }
 }

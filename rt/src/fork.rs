@@ -10,11 +10,12 @@
 //!
 //! `vfork` and `posix_spawn` are not concerned: their children only `exec`, which closes all of it.
 
+use crate::{PiGuard, PiMutex};
 use std::cell::UnsafeCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd, RawFd};
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Mutex, MutexGuard, Once, PoisonError};
+use std::sync::{LazyLock, Once};
 
 /// What this process does not share with its children.
 struct List {
@@ -25,29 +26,33 @@ struct List {
     mappings: BTreeMap<usize, usize>,
 }
 
-static LIST: Mutex<List> = Mutex::new(List { null: None, files: BTreeSet::new(), mappings: BTreeMap::new() });
+/// Of threads of all priorities: the last owner of a mapping may be a callback's.
+static LIST: LazyLock<PiMutex<List>> =
+    LazyLock::new(|| PiMutex::new(List { null: None, files: BTreeSet::new(), mappings: BTreeMap::new() }));
 /// How often this process and those that it comes from were forked off.
 static FORKS: AtomicU32 = AtomicU32::new(0);
 
 /// The lock while the process forks.
-struct Held(UnsafeCell<Option<MutexGuard<'static, List>>>);
+struct Held(UnsafeCell<Option<PiGuard<'static, List>>>);
 
 // SAFETY: accessed only by the thread that holds the lock of `LIST`, or has just got it.
 unsafe impl Sync for Held {}
 
 static HELD: Held = Held(UnsafeCell::new(None));
 
-fn list() -> MutexGuard<'static, List> {
+fn list() -> PiGuard<'static, List> {
     static REGISTERED: Once = Once::new();
     REGISTERED.call_once(|| {
+        // The handlers find it made.
+        LazyLock::force(&LIST);
         // SAFETY: these may be called at any time, and do not unwind. Should there be no memory for them, a child keeps what it inherits.
         unsafe { libc::pthread_atfork(Some(before), Some(in_parent), Some(in_child)) };
     });
-    LIST.lock().unwrap_or_else(PoisonError::into_inner)
+    LIST.lock()
 }
 
 unsafe extern "C" fn before() {
-    let guard = LIST.lock().unwrap_or_else(PoisonError::into_inner);
+    let guard = LIST.lock();
     // SAFETY: this thread has the lock.
     unsafe { *HELD.0.get() = Some(guard) };
 }
@@ -74,6 +79,8 @@ unsafe extern "C" fn in_child() {
         // SAFETY: over a mapping whose content may change at any time anyway, to zeros now.
         unsafe { libc::mmap(at, *len, libc::PROT_READ | libc::PROT_WRITE, flags, -1, 0) };
     }
+    // SAFETY: the child's only thread has the lock, and there is no other guard.
+    unsafe { PiGuard::unlock_in_child(list) };
 }
 
 /// A descriptor of this process alone.

@@ -72,7 +72,7 @@ pub use core_time::{CoreMark, CoreTime};
 pub use cores::{CoreSet, affinity_of, current_affinity, set_affinity, set_affinity_of};
 pub use enforcement::{Enforcement, prove_enforcement, prove_enforcement_by};
 pub use error::RtError;
-pub use exit::{AtExit, at_exit};
+pub use exit::{AtExit, at_exit, exempt_children};
 pub use futex::FutexWord;
 pub use idle::IdleHold;
 pub use latest::{LatestReader, LatestWriter, latest};

@@ -34,19 +34,9 @@ impl<T> PiMutex<T> {
     /// # Panics
     /// If the C library has no mutexes with priority inheritance; those of Linux have had it since 2006.
     pub fn new(value: T) -> Self {
-        let mut attributes = MaybeUninit::uninit();
         let mut raw = MaybeUninit::uninit();
-        // SAFETY: both are written before they are read, and the attributes are destroyed once.
-        let made = unsafe {
-            libc::pthread_mutexattr_init(attributes.as_mut_ptr()) == 0
-                && libc::pthread_mutexattr_setprotocol(attributes.as_mut_ptr(), libc::PTHREAD_PRIO_INHERIT)
-                    == 0
-                && libc::pthread_mutexattr_settype(attributes.as_mut_ptr(), libc::PTHREAD_MUTEX_ERRORCHECK)
-                    == 0
-                && libc::pthread_mutex_init(raw.as_mut_ptr(), attributes.as_ptr()) == 0
-                && libc::pthread_mutexattr_destroy(attributes.as_mut_ptr()) == 0
-        };
-        assert!(made, "no mutex that inherits priority");
+        // SAFETY: it is there to be written.
+        assert!(unsafe { make(raw.as_mut_ptr()) }, "no mutex that inherits priority");
         // SAFETY: initialised above. It may move: nobody has locked it yet.
         let raw = Box::new(UnsafeCell::new(unsafe { raw.assume_init() }));
         PiMutex { raw, value: UnsafeCell::new(value) }
@@ -66,6 +56,22 @@ impl<T> PiMutex<T> {
         let locked = unsafe { libc::pthread_mutex_lock(self.raw.get()) };
         assert!(locked == 0, "a thread locks a mutex that it holds");
         PiGuard { mutex: self }
+    }
+}
+
+/// Makes an unlocked mutex; false if the C library has none that inherits priority.
+///
+/// # Safety
+/// `raw` can be written, and no thread uses a mutex there.
+unsafe fn make(raw: *mut libc::pthread_mutex_t) -> bool {
+    let mut attributes = MaybeUninit::uninit();
+    // SAFETY: the attributes are written before they are read and destroyed once; the caller vouches for `raw`.
+    unsafe {
+        libc::pthread_mutexattr_init(attributes.as_mut_ptr()) == 0
+            && libc::pthread_mutexattr_setprotocol(attributes.as_mut_ptr(), libc::PTHREAD_PRIO_INHERIT) == 0
+            && libc::pthread_mutexattr_settype(attributes.as_mut_ptr(), libc::PTHREAD_MUTEX_ERRORCHECK) == 0
+            && libc::pthread_mutex_init(raw, attributes.as_ptr()) == 0
+            && libc::pthread_mutexattr_destroy(attributes.as_mut_ptr()) == 0
     }
 }
 
@@ -92,6 +98,19 @@ impl<T> std::fmt::Debug for PiMutex<T> {
 #[must_use = "the mutex is unlocked when this is dropped"]
 pub struct PiGuard<'m, T> {
     mutex: &'m PiMutex<T>,
+}
+
+impl<T> PiGuard<'_, T> {
+    /// Unlocks the mutex in a forked child, where the thread that had locked it has another number, by which the kernel knows owners.
+    ///
+    /// # Safety
+    /// This is the child's only thread.
+    pub(crate) unsafe fn unlock_in_child(guard: Self) {
+        let raw = guard.mutex.raw.get();
+        std::mem::forget(guard);
+        // SAFETY: no other thread is there to use it.
+        unsafe { make(raw) };
+    }
 }
 
 impl<T> Deref for PiGuard<'_, T> {

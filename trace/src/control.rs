@@ -67,7 +67,7 @@ fn path(domain: u32) -> PathBuf {
 }
 
 /// Looks whether a recorder is there.
-pub(crate) fn asked(domain: u32) -> RecorderRequest {
+pub(crate) fn recorder_request(domain: u32) -> RecorderRequest {
     request_at(path(domain))
 }
 

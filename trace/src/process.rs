@@ -179,7 +179,7 @@ impl OwnTraceFile {
 
     /// Whether a recorder is there.
     fn attend(&self) -> bool {
-        let asked = control::asked(self.domain);
+        let asked = control::recorder_request(self.domain);
         if self.mode != TraceMode::On {
             let wanted = if asked == RecorderRequest::Record { state::ASKED } else { state::OFF };
             if self.map.state().load(Ordering::Relaxed) != wanted {
@@ -223,7 +223,7 @@ impl OwnTraceFile {
         self.until_look.set(left.saturating_sub(1));
         let is_recorded = self.map.state().load(Ordering::Relaxed) != state::OFF;
         if left == 0 || (is_recorded && self.free_rings() <= SPARE_RINGS) {
-            self.give_back_rings(control::asked(self.domain));
+            self.give_back_rings(control::recorder_request(self.domain));
             self.until_look.set(RINGS - self.free_rings());
         }
     }
@@ -273,7 +273,8 @@ impl OwnTraceFile {
     /// What nobody has fetched stays for a recorder: the one that asked for it, or any if it was recorded from the start.
     fn leave(&self) {
         hot::switch(false);
-        let wanted = self.mode == TraceMode::On || control::asked(self.domain) != RecorderRequest::Nothing;
+        let wanted =
+            self.mode == TraceMode::On || control::recorder_request(self.domain) != RecorderRequest::Nothing;
         if !wanted || self.map.is_drained() {
             self.file.retire();
             control::leave_folder(self.domain);

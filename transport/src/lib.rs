@@ -90,6 +90,7 @@ pub use tautline_doorbell::{
 pub use topic::compatibility::QosPolicyKind;
 pub use topic::endpoints::MatchedCount;
 pub use topic::participant::Participant;
+pub use topic::publisher::claimer::MemoryClaimer;
 pub use topic::publisher::gate::Gate;
 pub use topic::publisher::hot::RawLoan;
 pub use topic::publisher::{PublisherCounters, RawPublisher};

@@ -254,8 +254,8 @@ fn deadline_lifespan_lease_and_who_watches_them() {
             assert!(subscription.try_take().unwrap().is_some());
             assert!(subscription.try_take().unwrap().is_some());
         }
-        offered.look();
-        let changes = requested.look(n);
+        offered.changes();
+        let changes = requested.changes(n);
         lost += changes.message_lost.map_or(0, |lost| lost.total_count_change);
         n += 1;
     };

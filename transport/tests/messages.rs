@@ -352,19 +352,19 @@ fn ends_of_other_types_do_not_match_and_both_are_named() {
     let said = |parts: &[&str]| log.iter().any(|line| parts.iter().all(|part| line.contains(part)));
     assert!(said(&[Image::TYPE_NAME, hash, &other, "/hash"]), "{log:?}");
     let found = |count| Some(IncompatibleType { total_count: count, total_count_change: 1 });
-    assert_eq!(raw.monitor(&slots[1]).look(0).incompatible_type, found(1));
-    assert_eq!(monitor.look().incompatible_type, found(1));
+    assert_eq!(raw.monitor(&slots[1]).changes(0).incompatible_type, found(1));
+    assert_eq!(monitor.changes().incompatible_type, found(1));
     let compressed =
         || participant.create_subscription::<CompressedImage>("/hash", Qos::default(), LIMITS).unwrap();
     let (compressed, log) = log::of(compressed);
     let said = |parts: &[&str]| log.iter().any(|line| parts.iter().all(|part| line.contains(part)));
     assert!(said(&[hash, CompressedImage::TYPE_HASH.unwrap(), CompressedImage::TYPE_NAME]), "{log:?}");
-    let changes = compressed.raw().monitor(&slots[2]).look(0);
+    let changes = compressed.raw().monitor(&slots[2]).changes(0);
     assert_eq!(
         (changes.incompatible_type, changes.matched, changes.incompatible_qos),
         (found(1), None, None)
     );
-    assert_eq!((monitor.look().incompatible_type, publisher.subscription_count()), (found(2), 0));
+    assert_eq!((monitor.changes().incompatible_type, publisher.subscription_count()), (found(2), 0));
     publisher.publish(&Image::default()).unwrap();
     assert!(raw.try_take().unwrap().is_none() && compressed.try_take().unwrap().is_none());
     // All three are there for who looks, of no type that they agree on.

@@ -64,7 +64,7 @@ fn an_observer_gets_everything_and_is_seen_by_nobody() {
         for publisher in [&latched, &best_effort, &strict] {
             assert_eq!(publisher.subscription_count(), 0);
         }
-        assert_eq!((monitor.look().matched, monitor.look().incompatible_qos), (None, None));
+        assert_eq!((monitor.changes().matched, monitor.changes().incompatible_qos), (None, None));
         // Nobody waits for it: it loses the oldest, and counts them.
         for n in 10..20 {
             strict.publish(&Count { n }).unwrap();
@@ -72,7 +72,7 @@ fn an_observer_gets_everything_and_is_seen_by_nobody() {
         assert_eq!(take_all(&observer), [16, 17, 18, 19]);
         assert_eq!(observer.counters().lost(), 6);
         drop(observer);
-        assert_eq!(monitor.look().matched, None);
+        assert_eq!(monitor.changes().matched, None);
     }
 }
 

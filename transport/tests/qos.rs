@@ -226,14 +226,14 @@ fn monitors_tell_of_matches() {
     let events = participant.claim_slot().unwrap();
     let publisher = publisher(&participant, "/matches", Qos { deadline: HOUR, ..Qos::default() });
     let mut monitor = publisher.raw().monitor(&events);
-    assert_eq!(monitor.look(), Default::default());
+    assert_eq!(monitor.changes(), Default::default());
     let first = subscription(&participant, "/matches", Qos::default());
     let strict = subscription(
         &participant,
         "/matches",
         Qos { deadline: Some(Duration::from_secs(1)), ..Qos::default() },
     );
-    let changes = monitor.look();
+    let changes = monitor.changes();
     assert_eq!(
         changes.matched,
         Some(Matched { total_count: 1, total_count_change: 1, current_count: 1, current_count_change: 1 })
@@ -241,10 +241,10 @@ fn monitors_tell_of_matches() {
     let found =
         IncompatibleQos { total_count: 1, total_count_change: 1, last_policy_kind: QosPolicyKind::Deadline };
     assert_eq!(changes.incompatible_qos, Some(found));
-    assert_eq!(monitor.look(), Default::default(), "once");
+    assert_eq!(monitor.changes(), Default::default(), "once");
     drop((first, strict));
     let gone = Matched { total_count: 1, total_count_change: 0, current_count: 0, current_count_change: -1 };
-    assert_eq!(monitor.look().matched, Some(gone));
+    assert_eq!(monitor.changes().matched, Some(gone));
     assert!(!monitor.has_ended());
     drop(publisher);
     assert!(monitor.has_ended());
@@ -252,7 +252,7 @@ fn monitors_tell_of_matches() {
     let subscription = subscription(&participant, "/matches", Qos::default());
     let mut monitor = subscription.raw().monitor(&events);
     let one = self::publisher(&participant, "/matches", Qos::default());
-    let changes = monitor.look(monotonic_ns());
+    let changes = monitor.changes(monotonic_ns());
     assert_eq!(changes.matched.unwrap().current_count, 1);
     let alive = LivelinessChanged {
         alive_count: 1,
@@ -264,7 +264,7 @@ fn monitors_tell_of_matches() {
     drop(one);
     // It said that it went: it did not die.
     let gone = LivelinessChanged { alive_count: 0, alive_count_change: -1, ..alive };
-    assert_eq!(monitor.look(monotonic_ns()).liveliness, Some(gone));
+    assert_eq!(monitor.changes(monotonic_ns()).liveliness, Some(gone));
     drop(subscription);
     assert!(monitor.has_ended());
 }
@@ -276,15 +276,15 @@ fn losses_are_told() {
     let subscription = subscription(&participant, "/losses", Qos::keep_last(2));
     let publisher = publisher(&participant, "/losses", Qos::keep_last(1));
     let mut monitor = subscription.raw().monitor(&events);
-    monitor.look(0);
+    monitor.changes(0);
     for (round, total) in [(1, 3), (2, 6)] {
         for n in 0..5 {
             publisher.publish(&Count { n }).unwrap();
         }
-        assert_eq!(monitor.look(0).message_lost, None, "round {round}: nobody has looked into the queue");
+        assert_eq!(monitor.changes(0).message_lost, None, "round {round}: nobody has looked into the queue");
         assert_eq!(take_all(&subscription), [3, 4]);
         let lost = MessageLost { total_count: total, total_count_change: 3 };
-        assert_eq!(monitor.look(0).message_lost, Some(lost), "round {round}");
+        assert_eq!(monitor.changes(0).message_lost, Some(lost), "round {round}");
     }
 }
 
@@ -296,17 +296,17 @@ fn who_was_there_first_is_told_of_what_does_not_fit() {
     let wanted = Qos::default().transient_local();
     let publisher = publisher(&early, "/offered", Qos::default());
     let mut monitor = publisher.raw().monitor(&events);
-    assert_eq!(monitor.look(), Default::default());
+    assert_eq!(monitor.changes(), Default::default());
     let _strict = subscription(&late, "/offered", wanted);
     let policy = |found: Option<IncompatibleQos>| found.map(|found| found.last_policy_kind);
     wait_for("the subscription", || {
-        policy(monitor.look().incompatible_qos) == Some(QosPolicyKind::Durability)
+        policy(monitor.changes().incompatible_qos) == Some(QosPolicyKind::Durability)
     });
     let strict = subscription(&early, "/requested", wanted);
     let mut monitor = strict.raw().monitor(&events);
     let _loose = self::publisher(&late, "/requested", Qos::default());
     let found =
-        |monitor: &mut tautline_transport::SubscriptionMonitor| policy(monitor.look(0).incompatible_qos);
+        |monitor: &mut tautline_transport::SubscriptionMonitor| policy(monitor.changes(0).incompatible_qos);
     wait_for("the publisher", || found(&mut monitor) == Some(QosPolicyKind::Durability));
 }
 
@@ -325,7 +325,7 @@ fn a_lease_is_kept_by_publishing_or_by_word() {
     let mut monitor = subscription.raw().monitor(&events);
     let lease_ns = lease.as_nanos() as u64;
     let look = |monitor: &mut tautline_transport::SubscriptionMonitor, now_ns: u64| {
-        let changes = monitor.look(now_ns);
+        let changes = monitor.changes(now_ns);
         let counts = changes.liveliness.map(|change| (change.alive_count, change.not_alive_count));
         (counts, changes.look_again_ns.unwrap())
     };
@@ -354,8 +354,9 @@ fn a_killed_publisher_is_told_from_one_that_went() {
     for cycle in 0..3 {
         let mut part = Part::start("publisher", 114);
         assert_eq!(part.hear(), "ready");
-        let look =
-            |monitor: &mut tautline_transport::SubscriptionMonitor| monitor.look(monotonic_ns()).liveliness;
+        let look = |monitor: &mut tautline_transport::SubscriptionMonitor| {
+            monitor.changes(monotonic_ns()).liveliness
+        };
         let mut last = None;
         let mut until = |monitor: &mut _, counts: (u64, u64)| {
             wait_for("the liveliness", || {
@@ -386,14 +387,14 @@ fn monitors_tell_of_ends_on_other_hosts_and_not_of_their_stand_ins() {
     let slots = [participant.claim_slot().unwrap(), participant.claim_slot().unwrap()];
     let mut requested = subscription.raw().monitor(&slots[0]);
     let mut offered = publisher.raw().monitor(&slots[1]);
-    assert_eq!(requested.look(monotonic_ns()).matched.unwrap().current_count, 1);
-    assert_eq!(offered.look().matched.unwrap().current_count, 1);
+    assert_eq!(requested.changes(monotonic_ns()).matched.unwrap().current_count, 1);
+    assert_eq!(offered.changes().matched.unwrap().current_count, 1);
 
     let topic_type = TopicType::of::<Count>();
     let relay = gateway.create_relay_publisher("/far", &topic_type, Qos::default(), LIMITS).unwrap();
     let _out = gateway.create_relay_subscription("/far", &topic_type, Qos::default(), LIMITS).unwrap();
-    assert_eq!(requested.look(monotonic_ns()), Default::default(), "a stand-in is no end");
-    assert_eq!(offered.look(), Default::default());
+    assert_eq!(requested.changes(monotonic_ns()), Default::default(), "a stand-in is no end");
+    assert_eq!(offered.changes(), Default::default());
     let end = |topic: &str, type_name: &'static str, kind, gid| TopicEndpoint {
         kind,
         topic: topic.into(),
@@ -423,7 +424,7 @@ fn monitors_tell_of_ends_on_other_hosts_and_not_of_their_stand_ins() {
     gateway.set_remote(&remote).unwrap();
     let mut changes = Default::default();
     wait_for("publishers elsewhere", || {
-        changes = requested.look(monotonic_ns());
+        changes = requested.changes(monotonic_ns());
         changes.matched.is_some()
     });
     let matched = changes.matched.unwrap();
@@ -437,19 +438,22 @@ fn monitors_tell_of_ends_on_other_hosts_and_not_of_their_stand_ins() {
     };
     assert_eq!(changes.liveliness, Some(alive(3, 0, 2, 0)));
     wait_for("a subscription elsewhere", || {
-        offered.look().matched.is_some_and(|matched| (matched.current_count, matched.total_count) == (2, 2))
+        offered
+            .changes()
+            .matched
+            .is_some_and(|matched| (matched.current_count, matched.total_count) == (2, 2))
     });
 
     // Who looks later sees it at once, as who looked before.
     let mut late = subscription.raw().monitor(&slots[0]);
-    assert_eq!(late.look(monotonic_ns()).matched.unwrap().current_count, 3);
+    assert_eq!(late.changes(monotonic_ns()).matched.unwrap().current_count, 3);
     let requested = &mut late;
     relay.publish(&7u64.to_le_bytes()).unwrap();
     assert_eq!(take_all(&subscription), [7]);
     remote.endpoints.remove(0);
     gateway.set_remote(&remote).unwrap();
     wait_for("the end of a publisher", || {
-        changes = requested.look(monotonic_ns());
+        changes = requested.changes(monotonic_ns());
         changes.matched.is_some()
     });
     assert_eq!(changes.liveliness, Some(alive(2, 1, -1, 1)), "nobody says that it ended");
@@ -458,20 +462,20 @@ fn monitors_tell_of_ends_on_other_hosts_and_not_of_their_stand_ins() {
     remote.ended.insert(ended.gid.tag());
     gateway.set_remote(&remote).unwrap();
     wait_for("the orderly end of a publisher", || {
-        changes = requested.look(monotonic_ns());
+        changes = requested.changes(monotonic_ns());
         changes.matched.is_some()
     });
     assert_eq!(changes.liveliness, Some(alive(1, 0, -1, -1)));
     remote.endpoints.push(end("/far", count, publishing, 6));
     gateway.set_remote(&remote).unwrap();
     wait_for("another publisher", || {
-        changes = requested.look(monotonic_ns());
+        changes = requested.changes(monotonic_ns());
         changes.matched.is_some()
     });
     assert_eq!(changes.liveliness, Some(alive(2, 0, 1, 0)));
     drop((relay, _out, gateway));
     wait_for("the end of the gateway", || {
-        changes = requested.look(monotonic_ns());
+        changes = requested.changes(monotonic_ns());
         changes.matched.is_some()
     });
     assert_eq!((changes.matched.unwrap().current_count, changes.liveliness), (1, Some(alive(1, 1, -1, 1))));
@@ -505,7 +509,7 @@ fn an_end_that_two_tell_of_is_one() {
     };
     let (mut matched, mut alive, mut total) = (0, (0, 0), 0);
     let mut look = || {
-        let changes = monitor.look(monotonic_ns());
+        let changes = monitor.changes(monotonic_ns());
         if let Some(now) = changes.matched {
             (matched, total) = (now.current_count, now.total_count);
         }

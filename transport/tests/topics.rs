@@ -266,8 +266,8 @@ fn ends_of_other_types_get_nothing_from_each_other_and_are_told() {
     let slots = [(); 2].map(|()| participant.claim_slot().unwrap());
     let mut offered = publisher.raw().monitor(&slots[0]);
     let mut requested = other.raw().monitor(&slots[1]);
-    assert_eq!(offered.look().incompatible_type.map(|found| found.total_count), Some(2));
-    let changes = requested.look(0);
+    assert_eq!(offered.changes().incompatible_type.map(|found| found.total_count), Some(2));
+    let changes = requested.changes(0);
     assert_eq!(changes.incompatible_type.map(|found| found.total_count), Some(1));
     assert_eq!((changes.matched, changes.incompatible_qos), (None, None));
     let seat = participant.doorbell().claim_sampler().unwrap();
@@ -276,7 +276,7 @@ fn ends_of_other_types_get_nothing_from_each_other_and_are_told() {
     let mut rung = Vec::new();
     seat.drain(|slot| rung.push(slot));
     assert!(rung.contains(&slots[1].index()), "{rung:?}");
-    let found = requested.look(0).incompatible_type.unwrap();
+    let found = requested.changes(0).incompatible_type.unwrap();
     assert_eq!((found.total_count, found.total_count_change), (2, 1));
     assert!(participant.topic_type("/typed").unwrap().is_none(), "they disagree");
 }

@@ -59,6 +59,13 @@ pub fn documents(targets: &str) -> Result<Vec<PathBuf>, String> {
     Ok(Built::by(&mut json(targets))?.documents)
 }
 
+/// The test executables of this name of a build that is there, or is made.
+pub fn executables(targets: &str, name: &str) -> Result<Vec<PathBuf>, String> {
+    let mut executables = Built::by(&mut json(targets))?.executables;
+    executables.retain(|(of_target, _)| of_target == name);
+    Ok(executables.into_iter().map(|(_, path)| path).collect())
+}
+
 /// A build that says in JSON what it makes and finds.
 fn json(targets: &str) -> Command {
     cargo(&format!("build {targets} --message-format=json"))
@@ -70,6 +77,8 @@ struct Built {
     /// What compilers say of the code, which has been shown. A library's tests have what the library has.
     findings: BTreeSet<String>,
     documents: Vec<PathBuf>,
+    /// Tests, with the names of their targets.
+    executables: Vec<(String, PathBuf)>,
 }
 
 impl Built {
@@ -89,6 +98,11 @@ impl Built {
         // Build scripts print something else.
         let Ok(mut said) = serde_json::from_str::<Value>(line) else { return };
         self.documents.extend(document(&said));
+        if let (true, Some(name), Some(path)) =
+            (said["profile"]["test"] == true, said["target"]["name"].as_str(), said["executable"].as_str())
+        {
+            self.executables.push((name.to_owned(), path.into()));
+        }
         if let Some(finding) = finding(&said["message"].take())
             && self.findings.insert(finding.clone())
         {

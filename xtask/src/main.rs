@@ -44,6 +44,7 @@ mod examples;
 mod fuzz;
 mod lab;
 mod lints;
+mod locks;
 mod lttng;
 mod machine;
 mod packages;
@@ -119,6 +120,8 @@ enum Verb {
         #[arg(long)]
         bless: bool,
     },
+    /// Reads from the tests' machine code that no lock without priority inheritance is reached from a hot.rs
+    Locks,
     /// Runs each example and compares what it prints with examples/expected
     Examples {
         /// Write what the examples print to examples/expected
@@ -245,6 +248,10 @@ fn main() -> ExitCode {
         Verb::Api { bless } => as_steps(|steps| {
             r2r::prepare_libclang(steps, false);
             steps.step("api", || api::check(bless));
+        }),
+        Verb::Locks => as_steps(|steps| {
+            r2r::prepare_libclang(steps, false);
+            steps.step("locks", || locks::check(&build::most()));
         }),
         Verb::Examples { bless } => as_steps(|steps| {
             let mut build =

@@ -5,7 +5,7 @@
 use crate::build::{Build, SAME, TARGETS, WITH_GATEWAY, WITH_ROS, most};
 use crate::reports::{ABLATION, DEMO};
 use crate::steps::{Steps, cargo, execute, reported};
-use crate::{examples, lints, machine, machine::Scope, r2r};
+use crate::{examples, lints, locks, machine, machine::Scope, r2r};
 use std::process::Command;
 
 /// Runs every step, whatever fails.
@@ -16,6 +16,9 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     // Most wait for each other's processes more than they compute.
     nextest(steps, "tests", &most(), &format!("not({WITH_GATEWAY}|{WITH_ROS})"), 2);
     steps.command("doc tests", &mut lints::cargo(&format!("test {} --no-fail-fast --doc", most())));
+    if built {
+        steps.step("locks behind hot.rs", || locks::check(&most()));
+    }
     demo(steps, built);
     examples::run(steps, built, Build::Tests, false);
     loom(steps);

@@ -337,6 +337,7 @@ impl Union {
                 group: None,
                 core,
                 priority,
+                rank: None,
                 reservation: thread.reservation,
                 floats: thread.reservation.is_some() && thread.core.is_none(),
                 topics: Vec::new(),

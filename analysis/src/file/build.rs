@@ -211,7 +211,7 @@ impl Builder<'_> {
         task = task.released(Release::periodic(period).jitter(jitter).min_distance(distance));
         task.hold = match declared.overrun.as_ref().map_or(OverrunPolicy::Tell, |overrun| overrun.value) {
             OverrunPolicy::Tell => Hold::Nothing,
-            OverrunPolicy::Demote | OverrunPolicy::End => Hold::Demoted,
+            OverrunPolicy::Demote | OverrunPolicy::End => Hold::Demoted { section_ns: 0 },
             // Releases that are whole periods apart leave nothing of a budget for later.
             OverrunPolicy::Suspend => Hold::Suspended { deferred: source != Source::Period || jitter > 0 },
         };
@@ -227,6 +227,7 @@ impl Builder<'_> {
             let order =
                 self.threads[thread].group.map_or(crate::Order::Any, |group| self.order(thread, group));
             task = task.group(u32::try_from(thread).unwrap_or(u32::MAX), order);
+            task = task.rank(self.rank(index, thread).unwrap_or(0));
         }
         Callback { trigger, ..Callback::new(task, place.core) }
     }
@@ -243,11 +244,20 @@ impl Builder<'_> {
         }
     }
 
-    /// An executor of ROS 2's polls in rounds, and a join takes all that is queued for it: neither keeps an order.
+    /// The rank of a callback in a thread that runs the highest first. ROS's executors look at timers themselves, and run them first.
+    fn rank(&self, index: usize, thread: usize) -> Option<u8> {
+        let callback = &self.file.callbacks[index];
+        let group = self.threads[thread].group.map(|group| &self.file.groups[group])?;
+        let stated = callback.priority.as_ref().map_or(0, |priority| priority.value);
+        group.is_ranked().then_some(if callback.topics.is_empty() { u8::MAX } else { stated })
+    }
+
+    /// An executor of ROS 2's polls in rounds, unless the RMW orders what it sees, and a join takes all that is queued for it: neither keeps an order.
     fn order(&self, thread: usize, group: usize) -> Order {
         let first = self.threads[thread].callbacks[0];
         let joins = self.threads[thread].callbacks.iter().any(|i| self.streams.is_join(*i));
         match &self.file.groups[group].order {
+            Some(At { value: Order::Priority, .. }) => Order::Priority,
             _ if joins || self.file.nodes[self.places[first].node].client != Client::Tautline => Order::Any,
             Some(order) => order.value,
             None => Order::Fifo,
@@ -420,6 +430,7 @@ impl Builder<'_> {
             group: self.threads[thread].group.map(|group| self.file.groups[group].name.clone()),
             core: self.places[index].core,
             priority: self.threads[thread].priority.unwrap_or(1),
+            rank: self.rank(index, thread),
             topics: declared.topics.iter().map(|topic| topic.value.clone()).collect(),
             publishes: declared.publishes.iter().map(|topic| topic.value.clone()).collect(),
             depth: depths.map(|depth| depth.value).min(),
@@ -471,17 +482,41 @@ fn hold(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: 
     }
 }
 
-/// An executor of ROS 2's takes what is ready in rounds.
+/// An executor of ROS 2's takes what is ready in rounds, or the RMW shows it the highest priority alone.
 fn orders(file: &Declared, places: &[Option<Place>], threads: &[Thread], problems: &mut Collector) {
     for thread in threads {
         let Some(group) = thread.group.map(|group| &file.groups[group]) else { continue };
         let ros = places[thread.callbacks[0]]
             .is_some_and(|place| file.nodes[place.node].client != Client::Tautline);
-        if let (true, Some(At { value: Order::Fifo, at })) = (ros, &group.order) {
-            problems.add(
+        let name = &group.name;
+        match &group.order {
+            Some(At { value: Order::Fifo, at }) if ros => problems.add(
                 *at,
-                format!("group `{}` is run by an executor of ROS 2's, which is not first in, first out: leave out its `order`", group.name),
-            );
+                format!("group `{name}` is run by an executor of ROS 2's, which is not first in, first out: leave out its `order`"),
+            ),
+            Some(At { value: Order::Priority, at }) if !ros => problems.add(
+                *at,
+                format!("group `{name}` is run by Tautline, where each callback with a priority has a thread: leave out `order`, or the group"),
+            ),
+            Some(At { value: Order::Priority, at }) if group.priority.is_none() => problems.add(
+                *at,
+                format!("group `{name}` orders its callbacks by their priorities: give it a `priority`, too, that of its thread"),
+            ),
+            _ => {}
+        }
+        for callback in thread.callbacks.iter().map(|i| &file.callbacks[*i]).filter(|_| group.is_ranked()) {
+            let of = &callback.name;
+            match (callback.topics.is_empty(), &callback.priority) {
+                (true, Some(At { at, .. })) => problems.add(
+                    *at,
+                    format!("callback `{of}` is a timer, which an executor of ROS 2's runs before all messages: leave out its `priority`"),
+                ),
+                (false, None) => problems.add(
+                    callback.at,
+                    format!("callback `{of}` of group `{name}` has no `priority`, by which the group's callbacks are ordered"),
+                ),
+                _ => {}
+            }
         }
     }
 }

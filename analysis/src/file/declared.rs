@@ -59,6 +59,13 @@ pub(super) struct Group {
     pub priority: Option<At<u8>>,
 }
 
+impl Group {
+    /// Whether its thread runs the callback with the highest priority first.
+    pub fn is_ranked(&self) -> bool {
+        self.order.as_ref().is_some_and(|order| order.value == Order::Priority)
+    }
+}
+
 pub(super) struct Callback {
     pub name: String,
     pub at: usize,

@@ -7,7 +7,7 @@ use super::places::Place;
 use super::problem::Collector;
 use super::streams::Streams;
 use crate::system::System;
-use crate::{CriticalSection, LockProtocol, Task, blocking};
+use crate::{CriticalSection, Hold, LockProtocol, Task, blocking};
 
 /// A lock blocks only within a core.
 pub(super) fn check(file: &Declared, places: &[Option<Place>], problems: &mut Collector) {
@@ -89,6 +89,23 @@ pub(super) fn block(locks: &[Lock], system: &mut System) {
             for (i, ns) in members.iter().zip(blocking(&local, &sections, protocol)) {
                 let blocking_ns = &mut system.callbacks[*i].task.blocking_ns;
                 *blocking_ns = blocking_ns.saturating_add(ns);
+            }
+            // A holder that is demoted keeps the priority that the lock gives it.
+            for section in &sections {
+                let is_used = |other: &CriticalSection| {
+                    other.resource == section.resource && other.task != section.task
+                };
+                if protocol == LockProtocol::PriorityInheritance && !sections.iter().any(is_used) {
+                    continue;
+                }
+                let (own, holder) = (members[section.task], &local[section.task]);
+                let is_own =
+                    |i: &&usize| **i == own || (holder.group.is_some() && tasks[**i].group == holder.group);
+                for i in members.iter().filter(is_own) {
+                    if let Hold::Demoted { section_ns } = &mut system.callbacks[*i].task.hold {
+                        *section_ns = section.length_ns.max(*section_ns);
+                    }
+                }
             }
         }
     }

@@ -39,6 +39,8 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &mut 
         let stated = reserved.or(callback.priority.as_ref().map(|priority| priority.value));
         let of_group = group.and_then(|g| file.groups[g].priority.as_ref().map(|p| p.value));
         let known = group.and_then(|g| threads.iter_mut().find(|thread| thread.group == Some(g)));
+        // There a callback's own is its rank, and the group's is the thread's.
+        let stated = if group.is_some_and(|g| file.groups[g].is_ranked()) { None } else { stated };
         let Some(thread) = known else {
             let (priority, callbacks) = (of_group.or(stated), vec![i]);
             threads.push(Thread { name: name.clone(), core: place.core, callbacks, priority, group });

@@ -248,7 +248,7 @@ fn topic(name: String, mut section: Section<'_>, problems: &mut Collector) -> To
 }
 
 fn group(name: String, mut section: Section<'_>, problems: &mut Collector) -> Group {
-    let orders = [("fifo", Order::Fifo), ("any", Order::Any)];
+    let orders = [("fifo", Order::Fifo), ("any", Order::Any), ("priority", Order::Priority)];
     let order_at = section.raw("order").map(|value| value.span().start);
     let order = choice(&mut section, "order", &orders, problems);
     let order = order.zip(order_at).map(|(value, at)| At { value, at });

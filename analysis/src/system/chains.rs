@@ -86,21 +86,24 @@ pub(super) fn bound(system: &System, chain: &Chain, solved: &Solved) -> Result<C
 
 /// How much older a value may be that is read, and how much later it is reflected, where the network may let an older one overtake it.
 ///
-/// The last value to arrive was sent no more than the network's spread before any other that is there. An older one may overwrite the value; the
+/// The last value to arrive was sent no more than the network's spread before any other that is there, so what it is made of is older by that
+/// spread and by what the times from release to publication differ. An older one may overwrite the value; the
 /// next that is sent a spread later comes after all of these.
 fn overtaken(system: &System, solved: &Solved, from: &Part, to: &Part) -> Result<(u64, u64), AnalysisError> {
     let spread_ns = to.transfer.most_ns.saturating_sub(to.transfer.least_ns);
-    let mut later_ns = 0;
+    let (mut older_ns, mut later_ns): (u64, u64) = (0, 0);
     for way in from.ways.iter().filter(|way| spread_ns > 0 && !way.is_empty()) {
         let writer = &system.callbacks[way[way.len() - 1]].task;
         let response = outcome(solved, way[way.len() - 1])?;
         let period_ns = pace(system, solved, way[0])?.0.unwrap_or(u64::MAX);
         let late_ns = response.response_ns.saturating_sub(writer.bcet_ns);
         if writer.is_held() || late_ns.saturating_add(spread_ns) >= response.period_ns {
-            later_ns = later_ns.max(spread_ns.saturating_add(period_ns).saturating_add(late_ns));
+            let spread_ns = spread_ns.saturating_add(late_ns);
+            older_ns = older_ns.max(spread_ns);
+            later_ns = later_ns.max(spread_ns.saturating_add(period_ns));
         }
     }
-    Ok(if later_ns > 0 { (spread_ns, later_ns) } else { (0, 0) })
+    Ok((older_ns, later_ns))
 }
 
 /// The parts, each with stages that trigger one another: of a part with one way these are found here.

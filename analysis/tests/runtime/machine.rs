@@ -60,6 +60,8 @@ type Tag = Option<(usize, u64)>;
 #[derive(Clone)]
 struct Message {
     callback: usize,
+    /// The topic, each of which has a queue of its own; of its own releases, the callback.
+    topic: usize,
     /// From when its response counts: the nominal release, or the arrival.
     base: u64,
     /// Its place in a group's queue.
@@ -166,7 +168,7 @@ pub fn simulate(model: &Model, seed: u64, is_wild: bool) -> Seen {
             };
             last = last.max(nominal + delay);
             let order = if callback.is_outside { last } else { nominal };
-            let message = Message { callback: i, base: nominal, order, tags: vec![None; chains] };
+            let message = Message { callback: i, topic: i, base: nominal, order, tags: vec![None; chains] };
             events.entry(last).or_default().push(Event::Message(message));
             nominal += callback.period;
         }
@@ -238,7 +240,18 @@ impl Machine<'_> {
     /// The sampler hands a message to its thread; a timer keeps only its newest release.
     fn wake(&mut self, message: Message) {
         let callback = &self.model.callbacks[message.callback];
-        let (i, queue) = (message.callback, &mut self.threads[self.thread_of[message.callback]].queue);
+        let (i, thread) = (message.callback, &mut self.threads[self.thread_of[message.callback]]);
+        if let Budget::Reserved(runtime, period) = callback.budget
+            && thread.job.is_none()
+            && thread.queue.is_empty()
+        {
+            // The server's rule for a thread that is woken.
+            let rest = thread.refill_at.saturating_sub(self.now);
+            if rest == 0 || thread.left * period > rest * runtime {
+                (thread.left, thread.refill_at) = (runtime, self.now + period);
+            }
+        }
+        let queue = &mut thread.queue;
         let is_timer = callback.triggers.is_empty() && !callback.is_outside;
         let most = if is_timer {
             1
@@ -247,8 +260,9 @@ impl Machine<'_> {
         } else {
             DEPTH
         };
-        while queue.iter().filter(|other| other.callback == i).count() >= most {
-            let oldest = queue.iter().position(|other| other.callback == i).unwrap_or(0);
+        let is_alike = |other: &Message| (other.callback, other.topic) == (i, message.topic);
+        while queue.iter().filter(|other| is_alike(other)).count() >= most {
+            let oldest = queue.iter().position(is_alike).unwrap_or(0);
             queue.remove(oldest);
             self.waiting[i] -= 1;
         }
@@ -287,6 +301,8 @@ impl Machine<'_> {
             let Some(at) = best else { return };
             if self.threads[at].job.is_none() {
                 self.begin(at);
+                // It may be demoted from the start.
+                continue;
             }
             if self.may_go_on(core, at) {
                 self.work(at);
@@ -303,14 +319,14 @@ impl Machine<'_> {
             && (thread.job.is_some() || !thread.queue.is_empty())
     }
 
-    /// The priority at which a thread runs now.
+    /// The priority at which a thread runs now: between jobs its own, so that the next one is taken at once and waits below all others as a job
+    /// (ADR 10), not in the queue.
     fn rank(&self, at: usize) -> u8 {
         let thread = &self.threads[at];
         let callback = &self.model.callbacks[thread.members[0]];
         let own = match (&thread.job, callback.budget) {
             (_, Budget::Reserved(..)) => return 100,
             (Some(job), _) if job.is_demoted => 0,
-            (None, Budget::Demote) if thread.queue[0].order <= thread.low_until && thread.low_until > 0 => 0,
             _ => callback.priority,
         };
         if self.holder[thread.core] != Some(at) {
@@ -367,23 +383,13 @@ impl Machine<'_> {
         }
         let thread = &mut self.threads[at];
         let budget = callback.wcet + self.model.per_message;
-        match callback.budget {
-            Budget::Suspend => {
-                thread.is_behind &= message.order < thread.refill_at;
-                if !thread.is_behind {
-                    let period = self.model.period(i);
-                    (thread.left, thread.refill_at) =
-                        (budget, message.order.max(self.now.saturating_sub(period)) + period);
-                }
+        if callback.budget == Budget::Suspend {
+            thread.is_behind &= message.order < thread.refill_at;
+            if !thread.is_behind {
+                let period = self.model.period(i);
+                (thread.left, thread.refill_at) =
+                    (budget, message.order.max(self.now.saturating_sub(period)) + period);
             }
-            Budget::Reserved(runtime, period) => {
-                // The server's rule for a thread that is woken.
-                let rest = thread.refill_at.saturating_sub(self.now);
-                if rest == 0 || thread.left * period > rest * runtime {
-                    (thread.left, thread.refill_at) = (runtime, self.now + period);
-                }
-            }
-            _ => {}
         }
         let is_demoted =
             callback.budget == Budget::Demote && message.order <= thread.low_until && thread.low_until > 0;
@@ -410,6 +416,12 @@ impl Machine<'_> {
                 thread.asleep_until = thread.refill_at;
                 thread.left = more;
                 thread.refill_at += period;
+                if matches!(self.model.callbacks[i].budget, Budget::Reserved(..))
+                    && thread.refill_at < self.now
+                {
+                    // More than a period behind, the server begins anew.
+                    thread.refill_at = self.now + period;
+                }
                 return thread.asleep_until <= self.now;
             }
             _ => {}
@@ -507,7 +519,8 @@ impl Machine<'_> {
                             let follows = path.windows(2).any(|pair| pair == [from, i]);
                             tags[chain] = tags[chain].filter(|_| follows);
                         }
-                        self.at(at, Event::Message(Message { callback: i, base: at, order: at, tags }));
+                        let message = Message { callback: i, topic, base: at, order: at, tags };
+                        self.at(at, Event::Message(message));
                     }
                 }
             }

@@ -2,7 +2,7 @@
 //! Reading a `.db3` file of any rosbag2: schemas 1 (Dashing) to 4 (Iron and later). Its content is untrusted.
 
 use crate::reader::{Message, definition};
-use crate::{BagError, Stamp, Topic};
+use crate::{BagError, Definition, Stamp, Topic};
 use rusqlite::config::DbConfig;
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags, Row};
@@ -52,7 +52,7 @@ impl Database {
         connection.pragma_update(None, "cell_size_check", true).map_err(fail)?;
         let (path, topics) = (path.to_owned(), BTreeMap::new());
         let mut database = Database { connection, path, bytes, topics, notes: Vec::new() };
-        database.look()?;
+        database.read_schema()?;
         Ok(database)
     }
 
@@ -114,7 +114,7 @@ impl Database {
     }
 
     /// Which tables there are, with which columns; what is in all but the messages'.
-    fn look(&mut self) -> Result<(), BagError> {
+    fn read_schema(&mut self) -> Result<(), BagError> {
         let fail = |error| failed(&self.path, error);
         let mut statement = self.connection.prepare("PRAGMA main.table_list").map_err(fail)?;
         let mut tables = HashMap::new();
@@ -174,7 +174,7 @@ impl Database {
     }
 
     /// By type.
-    fn definitions(&self) -> Result<BTreeMap<String, String>, BagError> {
+    fn definitions(&self) -> Result<BTreeMap<String, Definition>, BagError> {
         self.columns("message_definitions", &["topic_type", "encoding", "encoded_message_definition"])?;
         let text =
             "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions ORDER BY rowid";
@@ -194,7 +194,7 @@ impl Database {
     fn read_topics(
         &self,
         columns: &[String],
-        definitions: &BTreeMap<String, String>,
+        definitions: &BTreeMap<String, Definition>,
     ) -> Result<BTreeMap<i64, Arc<Topic>>, BagError> {
         let optional = |name: &str| {
             if columns.iter().any(|column| column == name) { name.to_owned() } else { "''".to_owned() }
@@ -208,14 +208,13 @@ impl Database {
         self.each(&text, "topics", |row| {
             let id = integer(row, 0, "id")?;
             let (name, type_name) = (string(row, 1, "name")?, string(row, 2, "type")?);
-            let format = string(row, 3, "serialization_format")?;
-            if format != "cdr" {
-                return Err(format!("{name} is serialized as '{format}': only cdr can be read"));
-            }
+            let encoding = string(row, 3, "serialization_format")?;
             let (qos, type_hash) =
                 (string(row, 4, "offered_qos_profiles")?, string(row, 5, "type_description_hash")?);
             let definition = definitions.get(&type_name).cloned();
-            topics.insert(id, Arc::new(Topic { name, type_name, type_hash, definition, qos }));
+            let metadata = BTreeMap::new();
+            let topic = Topic { name, type_name, type_hash, encoding, definition, qos, metadata };
+            topics.insert(id, Arc::new(topic));
             Ok(())
         })?;
         Ok(topics)

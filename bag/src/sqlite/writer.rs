@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Writing a bag of `.db3` files as rosbag2 of ROS 2 Jazzy does (schema 4).
 
-use crate::metadata::{Description, information, write_described};
+use crate::metadata::{Description, information, write_metadata};
+use crate::qos::joined;
 use crate::reader::FileSummary;
 use crate::writer::TopicId;
-use crate::{BagError, Compression, Options, Stamp, Storage, Topic};
+use crate::{BagError, Compression, Definition, Options, Stamp, Storage, Topic};
 use rusqlite::{Connection, params};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -48,7 +49,7 @@ struct Open {
     summary: FileSummary,
     /// Messages of each topic that is in it.
     counts: BTreeMap<TopicId, u64>,
-    definitions: BTreeMap<String, String>,
+    definitions: BTreeMap<String, Definition>,
     bytes: u64,
     pending: u64,
 }
@@ -71,16 +72,28 @@ impl SqliteWriter {
         Ok(writer)
     }
 
-    pub fn add_topic(&mut self, topic: Topic) -> TopicId {
-        self.topics.push(topic);
-        TopicId(self.topics.len() - 1)
-    }
-
-    /// The topic is in the file, though it may have no message.
+    /// Adds a topic, which is in each file, with or without messages.
     ///
     /// # Errors
-    /// The file cannot be written.
-    pub fn declare(&mut self, id: TopicId) -> Result<(), BagError> {
+    /// The file cannot be written; [`BagError::Unkept`].
+    pub fn add_topic(&mut self, topic: Topic) -> Result<TopicId, BagError> {
+        if let Some(key) = topic.metadata.keys().next() {
+            return Err(BagError::Unkept { what: format!("the metadata '{key}' of {}", topic.name) });
+        }
+        let id = TopicId(self.topics.len());
+        self.topics.push(topic);
+        self.declare(id)?;
+        Ok(id)
+    }
+
+    /// Adds the profiles of other publishers of a topic.
+    pub fn add_qos(&mut self, id: TopicId, qos: &str) {
+        let topic = &mut self.topics[id.0];
+        topic.qos = joined(&topic.qos, qos);
+    }
+
+    /// The topic is in the file.
+    fn declare(&mut self, id: TopicId) -> Result<(), BagError> {
         if self.file.is_none() {
             self.open()?;
         }
@@ -90,23 +103,30 @@ impl SqliteWriter {
         }
         file.counts.insert(id, 0);
         let fail = |error| failed(&file.summary.path, error);
-        let qos = if topic.qos.is_empty() { "[]" } else { &topic.qos };
-        let text = "INSERT INTO topics VALUES (?, ?, ?, 'cdr', ?, ?)";
-        let values = params![id.0 as i64 + 1, topic.name, topic.type_name, qos, topic.type_hash];
+        // The QoS is known at the file's end.
+        let text = "INSERT INTO topics VALUES (?, ?, ?, ?, '[]', ?)";
+        let Topic { name, type_name, encoding, type_hash, .. } = topic;
+        let values = params![id.0 as i64 + 1, name, type_name, encoding, type_hash];
         file.connection.execute(text, values).map_err(fail)?;
         let Some(definition) = &topic.definition else { return Ok(()) };
-        match file.definitions.get(&topic.type_name) {
+        match file.definitions.get(type_name) {
             Some(known) => {
                 if known != definition {
-                    *self.twice.entry(topic.type_name.clone()).or_default() += 1;
+                    *self.twice.entry(type_name.clone()).or_default() += 1;
                 }
             }
             None => {
+                let Ok(data) = std::str::from_utf8(&definition.data) else {
+                    let encoding = &definition.encoding;
+                    return Err(BagError::Unkept {
+                        what: format!("the {encoding} definition of {type_name}, which is no text,"),
+                    });
+                };
                 let text = "INSERT INTO message_definitions \
-                            (topic_type, encoding, encoded_message_definition, type_description_hash) VALUES (?, 'ros2msg', ?, ?)";
-                let values = params![topic.type_name, definition, topic.type_hash];
+                            (topic_type, encoding, encoded_message_definition, type_description_hash) VALUES (?, ?, ?, ?)";
+                let values = params![type_name, definition.encoding, data, type_hash];
                 file.connection.execute(text, values).map_err(fail)?;
-                file.definitions.insert(topic.type_name.clone(), definition.clone());
+                file.definitions.insert(type_name.clone(), definition.clone());
             }
         }
         Ok(())
@@ -167,7 +187,7 @@ impl SqliteWriter {
         self.end_file()?;
         let storage = Storage::Sqlite3;
         let packs_messages = self.options.compression != Compression::None;
-        write_described(&self.folder, &Description { storage, packs_messages, custom_data }, &self.done)?;
+        write_metadata(&self.folder, &Description { storage, packs_messages, custom_data }, &self.done)?;
         Ok(self.done)
     }
 
@@ -191,7 +211,12 @@ impl SqliteWriter {
         let path = file.summary.path.clone();
         let fail = |error| failed(&path, error);
         for (id, messages) in &file.counts {
-            file.summary.count(&self.topics[id.0], *messages);
+            let topic = &self.topics[id.0];
+            file.summary.count(topic, *messages);
+            if !topic.qos.is_empty() {
+                let text = "UPDATE topics SET offered_qos_profiles = ? WHERE id = ?";
+                file.connection.execute(text, params![topic.qos, id.0 as i64 + 1]).map_err(fail)?;
+            }
         }
         file.summary.compression = self.options.compression;
         let packs_messages = self.options.compression != Compression::None;

@@ -3,7 +3,6 @@
 //!
 //! Both sides wake the thread: rcl for requests and responses in ROS, a guard condition for those in the domain.
 
-mod pending;
 mod types;
 
 use crate::rcl::{
@@ -11,13 +10,13 @@ use crate::rcl::{
     WaitSet, Waitable,
 };
 use futures::task::{ArcWake, waker};
-use pending::Pending;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::task::Waker;
 use std::time::{Duration, Instant};
 use tautline_relay::{
-    Arrived, FarClient, FarServer, FarServices, OfferedService, Response, ServerId, SoughtService, TopicKey,
+    Arrived, FarClient, FarServer, FarServices, OfferedService, Pending, Response, ServerId, SoughtService,
+    TopicKey,
 };
 use tautline_transport::{Gid, NodeName, RawSample, RequestId, ServiceType};
 use types::{BridgedService, ServiceTypes, from_body, to_body};
@@ -178,20 +177,15 @@ impl FarClient for Client {
         self.pending.set_servers(servers)
     }
 
-    /// Drops requests of ended clients, then the oldest after a time-out, because its response may be lost.
     fn make_room(&mut self, is_waited_for: &dyn Fn(Gid) -> bool) -> (bool, Option<RequestId>) {
-        if self.pending.is_full() {
-            self.pending.retain(|id| is_waited_for(id.client));
-        }
-        let silent = if self.pending.is_full() { self.pending.take_silent(Instant::now()) } else { None };
-        (!self.pending.is_full(), silent)
+        self.pending.make_room(is_waited_for, Instant::now())
     }
 
     fn ask(&mut self, id: RequestId, request: &RawSample) -> Result<(), String> {
         from_body(request.body(), &self.types.request, &mut self.request, &mut self.buffer)
             .map_err(|error| error.to_string())?;
         let number = self.client.send(&self.request).map_err(|error| error.reason)?;
-        self.pending.add(number, id, self.servers.clone(), Instant::now());
+        self.pending.add(number, id, self.servers.clone(), Instant::now(), ());
         Ok(())
     }
 
@@ -214,8 +208,6 @@ impl FarClient for Client {
     }
 
     fn forget(&mut self) -> usize {
-        let pending = self.pending.len();
-        self.pending.clear();
-        pending
+        self.pending.clear()
     }
 }

@@ -29,8 +29,8 @@ pub fn write(qos: &Qos) -> String {
     )
 }
 
-/// The QoS of one publisher that replaces all publishers of the list: every subscription that is compatible with one of them is compatible
-/// with it.
+/// The QoS of one publisher that replaces all publishers of the list: a subscription that is compatible with one of them is compatible with it, and a late
+/// joiner gets what all of them had kept.
 ///
 /// # Errors
 /// The text is not such a list.
@@ -38,7 +38,13 @@ pub fn read(text: &str) -> Result<Qos, String> {
     let offers: Vec<Offer> = serde_saphyr::from_str(text).map_err(|error| error.to_string())?;
     let strongest = |one: Qos, other: Qos| Qos {
         history: if one.history == History::KeepAll { one.history } else { other.history },
-        depth: one.depth.max(other.depth),
+        depth: match (one.durability, other.durability) {
+            (Durability::TransientLocal, Durability::TransientLocal) => one.depth + other.depth,
+            (Durability::TransientLocal, _) => one.depth,
+            (_, Durability::TransientLocal) => other.depth,
+            _ => one.depth.max(other.depth),
+        }
+        .min(Limits::MAX_DEPTH),
         reliability: if one.reliability == Reliability::Reliable {
             one.reliability
         } else {
@@ -156,6 +162,9 @@ mod tests {
         assert_eq!(read(&write(&second)), Ok(second));
         let both = Qos { deadline: ms(20), ..second };
         assert_eq!(read(&[first, second].map(|qos| write(&qos)).concat()), Ok(both));
+        // What two publishers keep is kept together.
+        let twice = Qos { depth: 10, ..second };
+        assert_eq!(read(&[second, second].map(|qos| write(&qos)).concat()), Ok(twice));
         assert_eq!((read(""), read("[]")), (Ok(Qos::default()), Ok(Qos::default())));
     }
 

@@ -4,6 +4,7 @@
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::atomic::{Ordering, fence};
 use taut_cli::verb::{Failure, Outcome};
+use tautline_transport::Gid;
 
 /// The header of each message in the ring.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,9 +16,11 @@ pub struct Head {
     pub sequence: u64,
     pub log_ns: u64,
     pub publish_ns: u64,
+    /// Who published the message, if it is recorded.
+    pub publisher: Gid,
 }
 
-pub const HEAD_BYTES: usize = 32;
+pub const HEAD_BYTES: usize = 48;
 
 impl Head {
     pub fn to_bytes(self) -> [u8; HEAD_BYTES] {
@@ -27,6 +30,7 @@ impl Head {
         bytes[8..16].copy_from_slice(&self.sequence.to_le_bytes());
         bytes[16..24].copy_from_slice(&self.log_ns.to_le_bytes());
         bytes[24..32].copy_from_slice(&self.publish_ns.to_le_bytes());
+        bytes[32..].copy_from_slice(&self.publisher.0);
         bytes
     }
 
@@ -39,6 +43,7 @@ impl Head {
             sequence: eight(8),
             log_ns: eight(16),
             publish_ns: eight(24),
+            publisher: Gid(bytes[32..].try_into().unwrap_or_default()),
         }
     }
 }
@@ -80,7 +85,14 @@ mod tests {
 
     #[test]
     fn heads_come_back() {
-        let head = Head { topic: 1, cdr_bytes: u32::MAX, sequence: 3, log_ns: u64::MAX, publish_ns: 5 };
+        let head = Head {
+            topic: 1,
+            cdr_bytes: u32::MAX,
+            sequence: 3,
+            log_ns: u64::MAX,
+            publish_ns: 5,
+            publisher: Gid([6; 16]),
+        };
         assert_eq!(Head::from_bytes(head.to_bytes()), head);
     }
 }

@@ -6,9 +6,9 @@ mod csv;
 pub mod file;
 mod hops;
 mod latency;
-mod messages;
+pub mod messages;
 pub mod record;
-mod recording;
+pub mod recording;
 mod ways;
 
 use crate::verb::CommonArgs;

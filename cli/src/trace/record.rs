@@ -9,7 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::{Duration, Instant};
 use tautline_rt::{self as rt, Policy};
@@ -39,7 +39,7 @@ pub struct RecordArgs {
 
 /// The progress of the recording.
 #[derive(Default)]
-struct Sum {
+pub struct Sum {
     processes: u64,
     events: u64,
     lost: u64,
@@ -50,18 +50,28 @@ struct Sum {
 pub fn run(args: &RecordArgs, common: &CommonArgs) -> Result<ExitCode, TraceError> {
     let domain = common.domain().map_err(TraceError::Domain)?;
     let mut end = End::after(args.seconds.or(common.timeout())).map_err(TraceError::Signal)?;
+    let (sum, time) = record(&args.out, domain, &mut end, common.json)?;
+    print(args, common, domain, &sum, time);
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Records a domain into a file; what was recorded, and how long.
+///
+/// # Errors
+/// Another recorder records the domain, or the file cannot be written.
+pub fn record(path: &Path, domain: u32, end: &mut End, is_json: bool) -> Result<(Sum, Duration), TraceError> {
     lower_priority()?;
     let mut recorder = tautline_transport::start_recorder(domain)?;
-    let refuse = |source| TraceError::Write { path: args.out.clone(), source };
-    let file = File::create(&args.out).map_err(refuse)?;
+    let refuse = |source| TraceError::Write { path: path.to_owned(), source };
+    let file = File::create(path).map_err(refuse)?;
     let mut writer = Writer::new(BufWriter::new(file)).map_err(refuse)?;
     writer.entry(&session(domain)).map_err(refuse)?;
 
     let (mut sum, start) = (Sum::default(), Instant::now());
     end.restart();
-    let progress = progress(common.json);
+    let progress = progress(is_json);
     let until = if end.timeout().is_none() { ", until Ctrl-C" } else { "" };
-    print_line(&format!("recording domain {domain} into {}{until}", args.out.display()));
+    print_line(&format!("recording domain {domain} into {}{until}", path.display()));
     let mut next_flush = start + Duration::from_secs(1);
     while !end.is_reached() {
         recorder.poll(&mut |record| note(&mut writer, &mut sum, &record));
@@ -90,8 +100,7 @@ pub fn run(args: &RecordArgs, common: &CommonArgs) -> Result<ExitCode, TraceErro
         return Err(refuse(error));
     }
     progress.finish_and_clear();
-    print(args, common, domain, &sum, start.elapsed());
-    Ok(ExitCode::SUCCESS)
+    Ok((sum, start.elapsed()))
 }
 
 fn note(writer: &mut Writer<BufWriter<File>>, sum: &mut Sum, record: &Record<'_>) {

@@ -213,7 +213,7 @@ pub(crate) struct Violations {
 
 impl Watch {
     /// Calls the handlers of what was violated; says whether one was called.
-    pub(crate) fn tell(&self, violations: Violations, done: &Job) -> bool {
+    pub(crate) fn call_handlers(&self, violations: Violations, done: &Job) -> bool {
         let Job { release_ns, response_ns, execution_ns, .. } = *done;
         let job = violations.job;
         let mut told = false;

@@ -140,10 +140,10 @@ fn shaped(base: &str, shape: Shape) -> String {
 fn rust_primitive(primitive: Primitive) -> &'static str {
     match primitive {
         Primitive::Bool => "bool",
-        Primitive::Byte | Primitive::Char | Primitive::U8 => "u8",
+        Primitive::Byte | Primitive::Char | Primitive::IdlChar | Primitive::U8 => "u8",
         Primitive::I8 => "i8",
         Primitive::I16 => "i16",
-        Primitive::U16 => "u16",
+        Primitive::IdlWChar | Primitive::U16 => "u16",
         Primitive::I32 => "i32",
         Primitive::U32 => "u32",
         Primitive::I64 => "i64",

@@ -13,8 +13,12 @@ pub enum Primitive {
     Bool,
     /// `byte`: 8 bits without a meaning.
     Byte,
-    /// `char`: in ROS 2 another name of `uint8`.
+    /// `char`: in ROS 2's definitions another name of `uint8`.
     Char,
+    /// The `char` of IDL files, 8 bits, which no `.msg` file can define. `idl_char` in texts.
+    IdlChar,
+    /// The `wchar` of IDL files, 16 bits, which no `.msg` file can define. `idl_wchar` in texts.
+    IdlWChar,
     /// `int8`.
     I8,
     /// `uint8`.
@@ -38,10 +42,12 @@ pub enum Primitive {
 }
 
 impl Primitive {
-    const ALL: [(Self, &'static str); 13] = [
+    const ALL: [(Self, &'static str); 15] = [
         (Self::Bool, "bool"),
         (Self::Byte, "byte"),
         (Self::Char, "char"),
+        (Self::IdlChar, "idl_char"),
+        (Self::IdlWChar, "idl_wchar"),
         (Self::I8, "int8"),
         (Self::U8, "uint8"),
         (Self::I16, "int16"),
@@ -67,8 +73,8 @@ impl Primitive {
     /// Its size in bytes, which is its alignment as well.
     pub fn size(self) -> usize {
         match self {
-            Self::Bool | Self::Byte | Self::Char | Self::I8 | Self::U8 => 1,
-            Self::I16 | Self::U16 => 2,
+            Self::Bool | Self::Byte | Self::Char | Self::IdlChar | Self::I8 | Self::U8 => 1,
+            Self::IdlWChar | Self::I16 | Self::U16 => 2,
             Self::I32 | Self::U32 | Self::F32 => 4,
             Self::I64 | Self::U64 | Self::F64 => 8,
         }

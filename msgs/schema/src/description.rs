@@ -175,7 +175,6 @@ impl From<&FieldType> for FieldTypeDescription {
 }
 
 const NESTED: u8 = 1;
-const CHAR: u8 = 13;
 const STRING: u8 = 17;
 const WSTRING: u8 = 18;
 const BOUNDED_STRING: u8 = 21;
@@ -184,7 +183,7 @@ const ARRAY: u8 = 48;
 const BOUNDED: u8 = 96;
 const UNBOUNDED: u8 = 144;
 
-/// The `char` of definitions is a `uint8`.
+/// The `char` of definitions is a `uint8`; that of IDL files is not.
 fn primitive_id(primitive: Primitive) -> u8 {
     match primitive {
         Primitive::I8 => 2,
@@ -197,14 +196,16 @@ fn primitive_id(primitive: Primitive) -> u8 {
         Primitive::U64 => 9,
         Primitive::F32 => 10,
         Primitive::F64 => 11,
+        Primitive::IdlChar => 13,
+        Primitive::IdlWChar => 14,
         Primitive::Bool => 15,
         Primitive::Byte => 16,
     }
 }
 
 fn primitive_of(id: u8) -> Option<Primitive> {
-    use Primitive::{Bool, Byte, F32, F64, I8, I16, I32, I64, U8, U16, U32, U64};
-    [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64, Bool, Byte]
+    use Primitive::{Bool, Byte, F32, F64, I8, I16, I32, I64, IdlChar, IdlWChar, U8, U16, U32, U64};
+    [I8, U8, I16, U16, I32, U32, I64, U64, F32, F64, IdlChar, IdlWChar, Bool, Byte]
         .into_iter()
         .find(|&one| primitive_id(one) == id)
 }
@@ -223,7 +224,7 @@ impl IndividualTypeDescription {
             }
             let ty = field.ty.parse().ok_or_else(|| {
                 error(format!(
-                    "the type of field `{}` (id {}) does not exist in ROS 2",
+                    "the type of field `{}` (id {}) is none that messages of ROS 2 have",
                     field.name, field.ty.type_id
                 ))
             })?;
@@ -260,7 +261,6 @@ impl FieldTypeDescription {
         let bound = Some(u32::try_from(self.string_capacity).ok()?);
         let base = match self.type_id - offset {
             NESTED => Base::Nested(self.nested_type_name.parse().ok()?),
-            CHAR => Base::Primitive(Primitive::Char),
             STRING => Base::String { bound: None },
             WSTRING => Base::WString { bound: None },
             BOUNDED_STRING if bound != Some(0) => Base::String { bound },

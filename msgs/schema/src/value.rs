@@ -158,10 +158,12 @@ impl List {
         match base {
             Base::Primitive(primitive) => match primitive {
                 Primitive::Bool => Self::Bool(Vec::new()),
-                Primitive::Byte | Primitive::Char | Primitive::U8 => Self::U8(Vec::new()),
+                Primitive::Byte | Primitive::Char | Primitive::IdlChar | Primitive::U8 => {
+                    Self::U8(Vec::new())
+                }
                 Primitive::I8 => Self::I8(Vec::new()),
                 Primitive::I16 => Self::I16(Vec::new()),
-                Primitive::U16 => Self::U16(Vec::new()),
+                Primitive::IdlWChar | Primitive::U16 => Self::U16(Vec::new()),
                 Primitive::I32 => Self::I32(Vec::new()),
                 Primitive::U32 => Self::U32(Vec::new()),
                 Primitive::I64 => Self::I64(Vec::new()),
@@ -260,10 +262,12 @@ impl Value {
     pub(crate) fn from_integer(primitive: Primitive, value: i128) -> Option<Self> {
         Some(match primitive {
             Primitive::Bool => return None,
-            Primitive::Byte | Primitive::Char | Primitive::U8 => Self::U8(value.try_into().ok()?),
+            Primitive::Byte | Primitive::Char | Primitive::IdlChar | Primitive::U8 => {
+                Self::U8(value.try_into().ok()?)
+            }
             Primitive::I8 => Self::I8(value.try_into().ok()?),
             Primitive::I16 => Self::I16(value.try_into().ok()?),
-            Primitive::U16 => Self::U16(value.try_into().ok()?),
+            Primitive::IdlWChar | Primitive::U16 => Self::U16(value.try_into().ok()?),
             Primitive::I32 => Self::I32(value.try_into().ok()?),
             Primitive::U32 => Self::U32(value.try_into().ok()?),
             Primitive::I64 => Self::I64(value.try_into().ok()?),

@@ -148,7 +148,7 @@ impl<P: ActionCodec> ActionClientState<P> {
                 futures::select! {
                     (id, feedback) = feedback.select_next_some() => {
                         let Some(shared) = weak.upgrade() else { return };
-                        lost.look(&shared.name);
+                        lost.prune(&shared.name);
                         shared.pass_on(id, feedback);
                     }
                     message = status.select_next_some() => {
@@ -167,7 +167,7 @@ impl<P: ActionCodec> ActionClientState<P> {
                             let Some(Some((id, feedback))) = feedback.next().now_or_never() else { break };
                             shared.pass_on(id, feedback);
                         }
-                        lost.look(&shared.name);
+                        lost.prune(&shared.name);
                         shared.end(id);
                     }
                 }
@@ -269,7 +269,7 @@ struct Lost {
 
 impl Lost {
     /// Not each time: when they are twice as many.
-    fn look(&mut self, action: &str) {
+    fn prune(&mut self, action: &str) {
         let lost = self.counters.lost();
         if lost > self.said.saturating_mul(2) {
             self.said = lost;

@@ -94,7 +94,12 @@ impl<W> Goals<W> {
 
     /// Somebody asks for a result. If as many wait for it as can, those who are not `there` any more do no longer; if that is not
     /// enough, who asks is told that nothing is known.
-    pub(crate) fn ask(&mut self, id: GoalId, who: W, there: impl FnMut(&W) -> bool) -> ResultOf<W> {
+    pub(crate) fn request_result(
+        &mut self,
+        id: GoalId,
+        who: W,
+        there: impl FnMut(&W) -> bool,
+    ) -> ResultOf<W> {
         match self.get(id) {
             None => ResultOf::Unknown(who),
             Some(Goal { result: Some((body, _)), .. }) => ResultOf::Known(who, body.clone()),
@@ -195,11 +200,17 @@ mod tests {
         let mut goals = goals();
         let max = MAX_WAITING as u32;
         for who in 0..max {
-            assert!(matches!(goals.ask(A, who, |_| unreachable!()), ResultOf::Later));
+            assert!(matches!(goals.request_result(A, who, |_| unreachable!()), ResultOf::Later));
         }
-        assert!(matches!(goals.ask(A, max, |_| true), ResultOf::TooMany(who) if who == max));
-        assert!(matches!(goals.ask(A, max, |who| who % 2 == 0), ResultOf::Later), "others have gone");
-        assert!(matches!(goals.ask(B, 0, |_| unreachable!()), ResultOf::Later), "each goal has its own");
+        assert!(matches!(goals.request_result(A, max, |_| true), ResultOf::TooMany(who) if who == max));
+        assert!(
+            matches!(goals.request_result(A, max, |who| who % 2 == 0), ResultOf::Later),
+            "others have gone"
+        );
+        assert!(
+            matches!(goals.request_result(B, 0, |_| unreachable!()), ResultOf::Later),
+            "each goal has its own"
+        );
         goals.happen(A, GoalEvent::Succeed).unwrap();
         assert_eq!(goals.finish(A, vec![], 0).len(), MAX_WAITING / 2 + 1);
     }
@@ -208,14 +219,14 @@ mod tests {
     fn results_are_given_to_those_who_wait_and_to_those_who_come_later_until_they_expire() {
         let mut goals = goals();
         assert_eq!(goals.accept(A, (9, 9)).err(), Some(GoalStatus::Executing), "one goal of an id");
-        assert!(matches!(goals.ask(A, 1, |_| true), ResultOf::Later));
+        assert!(matches!(goals.request_result(A, 1, |_| true), ResultOf::Later));
         assert_eq!(goals.happen(A, GoalEvent::Canceled), Err(GoalStatus::Executing));
         goals.happen(A, GoalEvent::Succeed).unwrap();
         assert_eq!(goals.finish(A, vec![7], 1000), [1]);
-        assert!(matches!(goals.ask(A, 2, |_| true), ResultOf::Known(2, body) if body == [7]));
+        assert!(matches!(goals.request_result(A, 2, |_| true), ResultOf::Known(2, body) if body == [7]));
         assert!(!goals.expire(1099));
         assert!(goals.expire(1100));
-        assert!(matches!(goals.ask(A, 3, |_| true), ResultOf::Unknown(3)));
+        assert!(matches!(goals.request_result(A, 3, |_| true), ResultOf::Unknown(3)));
         assert_eq!((goals.status(A), goals.status(B)), (GoalStatus::Unknown, GoalStatus::Executing));
         assert!(!goals.expire(u64::MAX), "what is pursued does not expire");
         assert_eq!(goals.all().count(), 2);

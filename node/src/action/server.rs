@@ -134,7 +134,7 @@ impl<T: Action> Server<T> {
     fn answer(&self, request: ServiceRequest<T::GetResult>) {
         let (message, reply) = request.into_parts();
         let id = T::destructure_result_request_msg(message);
-        let asked = self.state().goals.ask(id, reply, Reply::is_awaited);
+        let asked = self.state().goals.request_result(id, reply, Reply::is_awaited);
         match asked {
             ResultOf::Later => {}
             ResultOf::Known(reply, body) => respond::<T>(reply, &body),
@@ -388,7 +388,7 @@ struct Decision<T: Action> {
 }
 
 impl<T: Action> Decision<T> {
-    fn tell(&mut self, accepted: bool, stamp: Stamp) -> Result<()> {
+    fn respond(&mut self, accepted: bool, stamp: Stamp) -> Result<()> {
         let Some(reply) = self.reply.take() else { return Ok(()) };
         reply.respond(&T::make_goal_response_msg(accepted, stamp))
     }
@@ -396,7 +396,7 @@ impl<T: Action> Decision<T> {
 
 impl<T: Action> Drop for Decision<T> {
     fn drop(&mut self) {
-        if let Err(error) = self.tell(false, (0, 0)) {
+        if let Err(error) = self.respond(false, (0, 0)) {
             tracing::warn!("{error}");
         }
     }
@@ -439,7 +439,7 @@ impl<T: Action> ActionServerGoalRequest<T> {
         drop(state);
         let pursued = Arc::new(Pursued { id, status, user: self.user.clone() });
         self.user.server.happen(id, GoalEvent::Execute)?;
-        self.decision.tell(true, stamp)?;
+        self.decision.respond(true, stamp)?;
         Ok((ActionServerGoal { uuid: self.uuid, goal: self.goal, pursued }, cancel_requests))
     }
 
@@ -448,7 +448,7 @@ impl<T: Action> ActionServerGoalRequest<T> {
     /// # Errors
     /// [`Error::Service`] if the client cannot be informed.
     pub fn reject(mut self) -> Result<()> {
-        self.decision.tell(false, (0, 0))
+        self.decision.respond(false, (0, 0))
     }
 }
 

@@ -54,14 +54,14 @@ impl Node {
         let (set, mut to_stream) = (parameters.clone(), changes.clone());
         let set = self.answer::<SetParameters::Service>("set_parameters", move |request| {
             let (response, changed) = services::set(&set, request);
-            tell(&mut to_stream, changed);
+            notify(&mut to_stream, changed);
             response
         })?;
         let mut to_stream = changes;
         let atomically =
             self.answer::<SetParametersAtomically::Service>("set_parameters_atomically", move |request| {
                 let (response, changed) = services::set_atomically(&parameters, request);
-                tell(&mut to_stream, changed);
+                notify(&mut to_stream, changed);
                 response
             })?;
         let answers = join_all([get, types, describe, list, set, atomically]);
@@ -93,7 +93,7 @@ impl Node {
     }
 }
 
-fn tell(stream: &mut mpsc::Sender<(String, ParameterValue)>, changed: Changed) {
+fn notify(stream: &mut mpsc::Sender<(String, ParameterValue)>, changed: Changed) {
     for change in changed {
         // Nobody may want them.
         if stream.try_send(change).is_err_and(|error| error.is_full()) {

@@ -30,5 +30,5 @@ pub use store::{OnSetParameters, Parameters};
 pub use value::{ParameterType, ParameterValue, ParameterVariant, UnknownParameterType, WrongParameterType};
 
 pub(crate) use events::{EventTopic, ParameterEvents};
-pub(crate) use node::{given, read_parameter_file};
+pub(crate) use node::{overrides, read_parameter_file};
 pub(crate) use store::ParameterMap;

@@ -10,7 +10,7 @@ use crate::node::Node;
 use std::path::Path;
 
 /// What the command line, parameter files and a node's options give the node of this name. Later ones count.
-pub(crate) fn given(
+pub(crate) fn overrides(
     rules: &[(String, Vec<(String, ParameterValue)>)],
     own: &[(String, ParameterValue)],
     fully_qualified_name: &str,
@@ -27,7 +27,7 @@ pub(crate) fn given(
 /// [`Error::Parameter`](crate::Error::Parameter): it cannot be read, or is not a parameter file; the error
 /// names the line.
 pub fn parameters_of_file(path: &Path, fully_qualified_name: &str) -> Result<Vec<(String, ParameterValue)>> {
-    let given = given(&read_parameter_file(path)?, &[], fully_qualified_name);
+    let given = overrides(&read_parameter_file(path)?, &[], fully_qualified_name);
     Ok(given.into_iter().map(|(name, parameter)| (name, parameter.value)).collect())
 }
 

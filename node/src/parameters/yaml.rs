@@ -414,7 +414,7 @@ robot:
         let nodes = read_file(text).unwrap();
         let names: Vec<_> = nodes.iter().map(|(node, _)| node.as_str()).collect();
         assert_eq!(names, ["robot/arm", "robot/leg", "robot/arm", "robot/arm"]);
-        let given = crate::parameters::node::given(&nodes, &[], "/robot/arm");
+        let given = crate::parameters::node::overrides(&nodes, &[], "/robot/arm");
         let given: Vec<_> =
             given.iter().map(|(name, parameter)| (name.as_str(), parameter.value.clone())).collect();
         assert_eq!(given, [("a", Value::Integer(3)), ("b.c", Value::Integer(4))]);

@@ -100,7 +100,7 @@ impl WaitFor {
     }
 
     /// What there is, or what is missing.
-    fn look(&self) -> Result<Result<Stamped, LookupError>, u64> {
+    fn lookup(&self) -> Result<Result<Stamped, LookupError>, u64> {
         let (Ok(target), Ok(source)) = (self.target.find(&self.buffer), self.source.find(&self.buffer))
         else {
             return Err(ANY);
@@ -121,16 +121,16 @@ impl WaitFor {
     }
 
     /// Says what is waited for, and looks again: whatever is set after that wakes.
-    fn say(&self, place: usize, interest: u64) -> Result<Result<Stamped, LookupError>, u64> {
+    fn register(&self, place: usize, interest: u64) -> Result<Result<Stamped, LookupError>, u64> {
         // Release: pairs with the Acquire in `notify`.
         self.buffer.tree.waiters.places[place].interest.store(interest, Ordering::Release);
         // Pairs with the fence in `notify`.
         fence(Ordering::SeqCst);
-        self.look()
+        self.lookup()
     }
 
     fn wait(&mut self, cx: &Context<'_>) -> Result<Result<Stamped, LookupError>, WaitOn> {
-        let missing = match self.look() {
+        let missing = match self.lookup() {
             Ok(ready) => return Ok(ready),
             Err(missing) => missing,
         };
@@ -138,10 +138,10 @@ impl WaitFor {
         let Some(place) = self.place.or_else(|| waiters.claim(self.time)) else { return Err(WaitOn::Full) };
         self.place = Some(place);
         waiters.places[place].waker.register(cx.waker());
-        match self.say(place, missing) {
+        match self.register(place, missing) {
             Err(still) if still == missing => Err(WaitOn::Set),
             // It is about something else by now: any set will do.
-            Err(_) => self.say(place, ANY).map_err(|_| WaitOn::Set),
+            Err(_) => self.register(place, ANY).map_err(|_| WaitOn::Set),
             ready => ready.map_err(|_| WaitOn::Set),
         }
     }

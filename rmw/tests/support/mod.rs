@@ -47,7 +47,7 @@ impl Domain {
     }
 
     /// Members of the domain besides this process.
-    fn others(&self) -> usize {
+    pub fn others(&self) -> usize {
         let folder = std::fs::read_dir(tautline_rt::domain::shared_path(self.number)).unwrap();
         let names = folder.map(|entry| entry.unwrap().file_name().into_string().unwrap());
         names.filter(|name| name.starts_with('p')).count() - 1

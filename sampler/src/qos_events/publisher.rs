@@ -75,8 +75,8 @@ impl PublisherEvents {
         self.monitor.topic()
     }
 
-    fn look(&mut self, context: &mut Context<'_>) {
-        let changes = self.monitor.look();
+    fn poll_changes(&mut self, context: &mut Context<'_>) {
+        let changes = self.monitor.changes();
         self.ready.add(PublisherEvent::Matched, changes.matched);
         self.ready.add(PublisherEvent::OfferedIncompatibleQos, changes.incompatible_qos);
         self.ready.add(PublisherEvent::IncompatibleType, changes.incompatible_type);
@@ -104,7 +104,7 @@ impl Stream for PublisherEvents {
         if self.monitor.has_ended() {
             return Poll::Ready(None);
         }
-        self.look(context);
+        self.poll_changes(context);
         self.ready.next().map_or(Poll::Pending, |event| Poll::Ready(Some(event)))
     }
 }

@@ -42,8 +42,8 @@ impl SubscriptionEvents {
         self.monitor.topic()
     }
 
-    fn look(&mut self, context: &mut Context<'_>) {
-        let changes = self.monitor.look(monotonic_ns());
+    fn poll_changes(&mut self, context: &mut Context<'_>) {
+        let changes = self.monitor.changes(monotonic_ns());
         self.ready.add(SubscriptionEvent::Matched, changes.matched);
         self.ready.add(SubscriptionEvent::RequestedIncompatibleQos, changes.incompatible_qos);
         self.ready.add(SubscriptionEvent::IncompatibleType, changes.incompatible_type);
@@ -74,7 +74,7 @@ impl Stream for SubscriptionEvents {
             if self.monitor.has_ended() {
                 return Poll::Ready(None);
             }
-            self.look(context);
+            self.poll_changes(context);
             if let Some(event) = self.ready.next() {
                 return Poll::Ready(Some(event));
             }

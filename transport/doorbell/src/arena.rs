@@ -284,13 +284,13 @@ impl Arena {
         count
     }
 
-    /// Marks the sample that was just queued for the subscription of `slot`, if it wants to be rung. Returns the sleeper that
-    /// [`wake`](Self::wake) must wake, after a sequentially consistent fence.
+    /// Marks the sample that a publisher of this arena, or of another one, has just queued for the subscription of `slot`, if that wants to
+    /// be rung. Returns the sleeper that [`wake`](Self::wake) must wake, after a sequentially consistent fence.
     ///
     /// # Real-time
     /// Wait-free; no syscall.
-    pub fn mark_sample(&self, slot: usize) -> Option<Sleeper> {
-        let words = self.words(slot).filter(|words| words.flags.wants_ring())?;
+    pub fn mark_sample(&self, slot: usize, is_own: bool) -> Option<Sleeper> {
+        let words = self.words(slot).filter(|words| words.flags.wants_ring(is_own))?;
         Some(match words.route.get() {
             None => {
                 self.mark(slot);
@@ -435,7 +435,9 @@ mod tests {
             arena.ring(slot);
             arena.ring_events(slot);
             arena.set_activity(Activity { slot, kind: ActivityKind::Sample }, 1);
-            assert!(arena.mark_sample(slot).is_none() && arena.flags(slot).is_none() && !arena.has(slot));
+            assert!(
+                arena.mark_sample(slot, false).is_none() && arena.flags(slot).is_none() && !arena.has(slot)
+            );
         }
         assert!(!arena.bell().is_pending());
         arena.add_window(WINDOWS, memory(64));

@@ -209,6 +209,8 @@ impl Flags {
     const DEADLINE: u32 = 2;
     /// The subscription takes what waits, and looks again before it sleeps.
     const DRAINING: u32 = 4;
+    /// Whoever publishes through the subscription's own arena looks into its queue: these publishers need not ring.
+    const OWN_LOOK: u32 = 8;
 
     fn has(&self, flag: u32) -> bool {
         self.0.load(Ordering::Relaxed) & flag != 0
@@ -247,13 +249,23 @@ impl Flags {
         fence(Ordering::SeqCst);
     }
 
-    /// Whether a publisher must ring. Call it after the sample was queued, with a sequentially consistent fence
-    /// in between.
+    /// Sets whether publishers of the subscription's own arena need not ring, because whoever publishes with one looks into the
+    /// queue afterwards. For the slot's owner, which must check its queue once more after each change.
+    ///
+    /// # Real-time
+    /// Wait-free: a load, a store and a fence.
+    pub fn set_own_look(&self, is_looked: bool) {
+        self.put(Self::OWN_LOOK, is_looked);
+        fence(Ordering::SeqCst);
+    }
+
+    /// Whether a publisher, of the slot's own arena or of another one, must ring. Call it after the sample was queued, with a
+    /// sequentially consistent fence in between.
     ///
     /// # Real-time
     /// Wait-free: one load.
-    pub fn wants_ring(&self) -> bool {
-        !self.has(Self::QUIET | Self::DRAINING)
+    pub fn wants_ring(&self, is_own: bool) -> bool {
+        !self.has(Self::QUIET | Self::DRAINING | if is_own { Self::OWN_LOOK } else { 0 })
     }
 
     /// Publishers need not ring until [`stop_draining`](Self::stop_draining). For the slot's owner.

@@ -111,7 +111,7 @@ fn loom_a_sample_that_nobody_rang_for_is_seen_before_its_reader_sleeps() {
                 for sample in 1..=2 {
                     queued.store(sample, Ordering::Release);
                     fence(Ordering::SeqCst);
-                    if flags.wants_ring() {
+                    if flags.wants_ring(false) {
                         bell.ring(0);
                     }
                 }
@@ -141,7 +141,7 @@ fn loom_a_sample_is_seen_by_a_reader_that_no_longer_polls_by_itself() {
             thread::spawn(move || {
                 queued.store(1, Ordering::Release);
                 fence(Ordering::SeqCst);
-                if flags.wants_ring() {
+                if flags.wants_ring(false) {
                     bell.ring(0);
                 }
             })
@@ -153,6 +153,31 @@ fn loom_a_sample_is_seen_by_a_reader_that_no_longer_polls_by_itself() {
             }
         }
         publisher.join().unwrap();
+    });
+}
+
+#[test]
+fn loom_a_sample_is_seen_by_whoever_published_it_or_by_who_asks_for_that() {
+    model(|| {
+        let (bell, flags) = (Arc::new(Bell::<1>::new()), Arc::new(Flags::new()));
+        let queued = Arc::new(AtomicU32::new(0));
+        let publisher = {
+            let (bell, flags, queued) = (bell.clone(), flags.clone(), queued.clone());
+            thread::spawn(move || {
+                queued.store(1, Ordering::Release);
+                fence(Ordering::SeqCst);
+                let rings = flags.wants_ring(true);
+                if rings {
+                    bell.ring(0);
+                }
+                // Otherwise it looks itself.
+                !rings
+            })
+        };
+        flags.set_own_look(true);
+        let is_seen = queued.load(Ordering::Acquire) == 1;
+        let has_looked = publisher.join().unwrap();
+        assert!(is_seen || has_looked || bell.is_pending());
     });
 }
 

@@ -20,7 +20,7 @@ use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 use tautline_schema::Schema;
 use tautline_transport::{
-    Durability, EndpointKind, Gid, GraphSnapshot, Limits, NodeInfo, Participant, Qos, RawPublisher,
+    Durability, EndpointKind, Gid, GraphSnapshot, History, Limits, NodeInfo, Participant, Qos, RawPublisher,
     RawSubscription, RemoteGraph, RemoteNode, ServiceEndpoint, TopicEndpoint, TopicType, TransportError,
 };
 
@@ -200,11 +200,11 @@ pub struct Report {
     pub uptime_s: f64,
     /// Topics that cannot be mirrored, and why.
     pub problems: BTreeMap<String, String>,
-    /// Every topic that is or was mirrored.
+    /// Every topic that is mirrored, or was until a minute ago.
     pub topics: Vec<TopicStats<TopicKey, Direction>>,
     /// Services that cannot be mirrored, and why.
     pub service_problems: BTreeMap<String, String>,
-    /// Every service that is or was mirrored.
+    /// Every service that is mirrored, or was until a minute ago.
     pub services: Vec<ServiceStats<TopicKey, Direction>>,
 }
 
@@ -617,7 +617,8 @@ impl<F: FarSide> MirrorControl<F> {
         let topic_type = TopicType { hash, ..TopicType::new(key.type_name.clone()) };
         let durability = if outward.is_kept { Durability::TransientLocal } else { Durability::Volatile };
         let depth = outward.depth.clamp(1, Limits::MAX_DEPTH);
-        let qos = Qos { durability, ..Qos::keep_last(depth) };
+        let history = if outward.keeps_all { History::KeepAll } else { History::KeepLast };
+        let qos = Qos { durability, history, ..Qos::keep_last(depth) };
         self.participant.create_relay_subscription(&key.topic, &topic_type, qos, Limits::default())
     }
 
@@ -674,7 +675,7 @@ impl<F: FarSide> MirrorControl<F> {
             problems,
             topics: self.stats.read(elapsed),
             service_problems: self.services.problems(),
-            services: self.services.read(),
+            services: self.services.read(elapsed),
         };
         self.far.report(report, &self.writers);
     }

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tautline_rt::clock::{monotonic_ns, nanoseconds, wall_ns};
 use tautline_schema::{DynamicMessage, Endian, Schema};
-use tautline_transport::{Gid, LoanError, MessageInfo, PublishError, RawPublisher};
+use tautline_transport::{Gid, LoanError, MemoryClaimer, MessageInfo, PublishError, RawPublisher};
 
 /// Fast CDR appends up to this many bytes after the last field.
 const TRAILING_BYTES: usize = 8;
@@ -210,6 +210,24 @@ impl Ingress {
         self.senders.find(publisher) == SenderRole::Other
     }
 
+    /// If a message of this publisher needs memory that is not claimed yet: claims it, in a thread that may do so.
+    ///
+    /// # Real-time
+    /// As [`RawPublisher::has_memory`].
+    pub fn missing_memory(&self, publisher: &Gid, len_bytes: usize) -> Option<MemoryClaimer> {
+        let IngressPort::New(port) = &self.port else { return None };
+        // Bytes after the last field are dropped.
+        let len_bytes = len_bytes.min(port.topic_type().body_bytes.unwrap_or(len_bytes));
+        let has_memory = self.leaves(publisher) || port.has_memory(len_bytes);
+        (!has_memory).then(|| port.claimer())
+    }
+
+    /// Drops a message.
+    pub fn refuse(&mut self, source: &MessageMeta, reason: impl ToString) {
+        self.is_new(source);
+        self.counters.dropped(reason);
+    }
+
     /// Forwards a message, holds it, or ignores it if it comes another way.
     ///
     /// # Real-time
@@ -226,13 +244,17 @@ impl Ingress {
         }
     }
 
+    /// Counts what is missing before a message. False if it is a duplicate.
+    fn is_new(&mut self, source: &MessageMeta) -> bool {
+        let Some(number) = source.number.filter(|_| source.are_numbers_whole) else { return true };
+        let missing = self.numbers.missing(source.publisher, number);
+        self.counters.lost(missing.unwrap_or(0));
+        missing.is_some() || !self.delivery.is_ordered
+    }
+
     fn pass<B: Body + ?Sized>(&mut self, body: &B, source: MessageMeta, lifespan: Option<Duration>) {
-        if let Some(number) = source.number.filter(|_| source.are_numbers_whole) {
-            match self.numbers.missing(source.publisher, number) {
-                Some(missing) => self.counters.lost(missing),
-                None if self.delivery.is_ordered => return,
-                None => {}
-            }
+        if !self.is_new(&source) {
+            return;
         }
         match self.publish(body, source, lifespan) {
             Ok(len_bytes) => self.counters.passed(len_bytes, source.timestamp_ns),
@@ -395,6 +417,46 @@ mod tests {
         assert_eq!(found(&[wanted, other, new], true), [Wanted(None), Other, Other]);
         // Its port failed: its messages are held for the retry.
         assert_eq!(found(&[wanted, other], false), [Unknown, Other, Unknown]);
+    }
+
+    /// Small messages find memory, as every publisher's; what a large one lacks is claimed by who may do that, once.
+    #[test]
+    fn memory_that_is_missing_is_claimed_elsewhere() {
+        crate::tests::isolated();
+        let participant = Participant::new(212).unwrap();
+        let topic_type = TopicType::new("test_msgs/msg/Image");
+        let (qos, limits) = (Qos::keep_last(10), Limits::default());
+        let heard = participant.create_raw_subscription("/x", &topic_type, qos, limits).unwrap();
+        let port = participant.create_relay_publisher("/x", &topic_type, qos, limits).unwrap();
+        let growths = port.counters();
+        let [one, other, _] = NAMES;
+        let mut ingress = Ingress::new(
+            IngressPort::New(Box::new(port)),
+            None,
+            Arc::default(),
+            Limiter::new(None),
+            Senders::of(&[one, other].into(), &[(one, None)].into(), true),
+            DELIVERY,
+        );
+        assert!(ingress.missing_memory(&one, 4096).is_none());
+        let image = vec![7; 2 << 20];
+        assert!(ingress.missing_memory(&other, image.len()).is_none(), "it comes another way");
+        let mut claims = 0;
+        for number in 1..=10 {
+            if let Some(claimer) = ingress.missing_memory(&one, image.len()) {
+                claimer.claim(image.len()).unwrap();
+                claims += 1;
+            }
+            let before = growths.growths();
+            ingress.receive(&image[..], source(one, number));
+            assert_eq!(growths.growths(), before);
+            assert_eq!(heard.try_take().unwrap().unwrap().body().len(), image.len());
+        }
+        assert_eq!(claims, 2, "a sample comes back with the next take");
+        ingress.refuse(&source(one, 11), Refused::Rate);
+        ingress.receive(&image[..], source(one, 12));
+        let reading = ingress.counters().read();
+        assert_eq!((reading.messages, reading.lost, reading.dropped.values().sum()), (11, 0, 1_u64));
     }
 
     #[test]

@@ -32,7 +32,7 @@ pub use budget::{Budget, Guard, ThreadLister};
 pub use control::{
     Event, FarGraph, FarSide, FoundType, LocalGraph, MirrorControl, Parts, Publisher, Report, watch_domain,
 };
-pub use ingress::{Body, Delivery, Ingress, IngressUpdate, MessageMeta};
+pub use ingress::{Body, Delivery, Ingress, IngressUpdate, MessageMeta, Refused};
 pub use instance::{Instance, InstanceError, InstanceLock};
 pub use limiter::Limiter;
 pub use mirror::{InKey, Inward, Side, TopicKey};
@@ -45,8 +45,8 @@ pub use relay::{Relay, RelayError};
 pub use route::{EarlyLimits, Egress, Last, Outbound, OutboundSample};
 pub use rules::{Direction, QosOverride, Rule, Rules};
 pub use services::{
-    Arrived, FarClient, FarServer, FarServices, OfferedService, Response, ServerId, ServiceStats, Services,
-    SoughtService, TakenRequest,
+    Arrived, FarClient, FarServer, FarServices, OfferedService, Pending, Response, ServerId, ServiceStats,
+    Services, SoughtService, TakenRequest,
 };
 pub use stats::{Latency, Reading, TopicCounters, TopicStats, passing};
 pub use transit::Transit;

@@ -164,6 +164,8 @@ pub struct Outward {
     pub depth: usize,
     /// Whether any publisher is transient local.
     pub is_kept: bool,
+    /// Whether a publisher waits for samples to be taken: it and a subscription on a network keep all.
+    pub keeps_all: bool,
     /// See [`Rule::min_period`](crate::Rule::min_period).
     pub min_period: Option<Duration>,
     /// The type hash that the topic states.
@@ -311,6 +313,7 @@ impl Mirror {
                 // Values only grow, because a restart loses or repeats samples.
                 outward.depth = outward.depth.max(running.depth);
                 outward.is_kept |= running.is_kept;
+                outward.keeps_all |= running.keeps_all;
             }
             if running != Some(&outward) || regained.contains(&key) {
                 actions.push(Action::StartOut(key.clone(), outward.clone()));
@@ -510,8 +513,15 @@ impl MirrorPlan {
         };
         let depth =
             |end: &&&TopicEndpoint| end.qos.depth.max(if end.origin.is_here() { 1 } else { RELAYED_DEPTH });
+        let keeps_all = |end: &TopicEndpoint| {
+            end.qos.history == History::KeepAll && end.qos.reliability == Reliability::Reliable
+        };
+        let keeps_all = side == Side::Network
+            && writers().any(|end| keeps_all(end))
+            && there.iter().any(|(end, _)| end.kind == EndpointKind::Subscription && keeps_all(end));
         if let (true, Some(depth)) = (is_read, writers().map(|end| depth(&end)).max()) {
-            let outward = Outward { depth, is_kept, min_period: choice.min_period, type_hash: hash };
+            let outward =
+                Outward { depth, is_kept, keeps_all, min_period: choice.min_period, type_hash: hash };
             self.out.insert(key.clone(), outward);
         }
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The thread that takes the samples of all topics.
 
-use crate::route::{Egress, Sources, TopicRoute};
+use crate::route::{Egress, Served, Sources, TopicRoute};
 use crate::waker::RelayWaker;
 use crate::worker::{Job, Worker, commanded};
 use futures::task::waker;
@@ -112,23 +112,26 @@ struct Loop<O: Egress> {
 impl<O: Egress> Loop<O> {
     fn run(mut self, jobs: &mpsc::Receiver<Job<Self>>) {
         const LOOK: Duration = Duration::from_millis(500);
+        /// While a topic waits for room.
+        const BLOCKED_LOOK: Duration = Duration::from_millis(5);
         let mut next_look = Instant::now() + LOOK;
         loop {
             self.waker.drain(&self.seat);
             if !commanded(jobs, |job| job(&mut self)) {
                 return;
             }
-            let mut is_busy = false;
-            for route in self.routes.values_mut() {
-                is_busy |= route.serve_if_rung(&self.sources, &mut self.egress);
-            }
+            let (sources, egress) = (&self.sources, &mut self.egress);
+            let served = self.routes.values_mut().map(|route| route.serve_if_rung(sources, egress)).max();
             if Instant::now() >= next_look {
                 next_look = Instant::now() + LOOK;
                 self.routes.values_mut().for_each(|route| route.look(&self.sources));
             }
-            if !is_busy {
-                self.seat.sleep(Some(monotonic_ns() + LOOK.as_nanos() as u64));
-            }
+            let timeout = match served {
+                Some(Served::Some) => continue,
+                Some(Served::Blocked) => BLOCKED_LOOK,
+                Some(Served::All) | None => LOOK,
+            };
+            self.seat.sleep(Some(monotonic_ns() + timeout.as_nanos() as u64));
         }
     }
 

@@ -25,6 +25,12 @@ pub trait Egress: Send + 'static {
     /// Limits of samples held for a counterpart.
     const EARLY: EarlyLimits;
 
+    /// Whether another sample of this counterpart can be forwarded. If not, the topic's samples stay in its subscription's queue.
+    fn has_room(&self, sender: &Self::Sender) -> bool {
+        let _ = sender;
+        true
+    }
+
     /// Forwards a sample. After a change of subscription or port, samples come again: see [`Last`].
     fn pass(&mut self, topic: &mut Self::Topic, sender: &mut Self::Sender, sample: OutboundSample);
 
@@ -148,6 +154,17 @@ pub(crate) struct TopicRoute<O: Egress> {
     flag: Arc<Flag>,
 }
 
+/// The outcome of a topic's turn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Served {
+    /// There was no more.
+    All,
+    /// There is no room for more.
+    Blocked,
+    /// There may be more.
+    Some,
+}
+
 impl Sources {
     fn are_passed_over(&self) -> PiGuard<'_, HashSet<Gid>> {
         self.passed_over.lock()
@@ -175,11 +192,19 @@ impl<O: Egress> TopicRoute<O> {
         self.flag.set();
     }
 
-    /// If rung, forwards at most one turn of samples. Returns whether there may be more.
-    pub(crate) fn serve_if_rung(&mut self, sources: &Sources, egress: &mut O) -> bool {
-        self.flag.take() && self.serve(sources, egress)
+    /// If rung, forwards at most one turn of samples.
+    pub(crate) fn serve_if_rung(&mut self, sources: &Sources, egress: &mut O) -> Served {
+        if !self.flag.take() {
+            return Served::All;
+        }
+        if !self.senders.values().all(|sender| egress.has_room(sender)) {
+            self.flag.set();
+            return Served::Blocked;
+        }
+        if self.serve(sources, egress) { Served::Some } else { Served::All }
     }
 
+    /// Returns whether there may be more.
     fn serve(&mut self, sources: &Sources, egress: &mut O) -> bool {
         let waker = self.flag.waker();
         let mut context = Context::from_waker(&waker);

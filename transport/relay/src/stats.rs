@@ -16,6 +16,21 @@ use crate::program::{counted, rate};
 /// Largest difference of time stamps that counts as a latency.
 const CLOCKS_AGREE_NS: i64 = 10_000_000_000;
 
+/// How long a topic or service that has ended stays in the statistics.
+const ENDED_TIME: Duration = Duration::from_secs(60);
+
+/// The time since the end of a topic or service.
+#[derive(Debug, Default)]
+pub(crate) struct SinceEnd(Duration);
+
+impl SinceEnd {
+    /// After `elapsed` more time, in which it was in use or not: whether it stays in the statistics.
+    pub(crate) fn stays(&mut self, is_used: bool, elapsed: Duration) -> bool {
+        self.0 = if is_used { Duration::ZERO } else { self.0.saturating_add(elapsed) };
+        self.0 < ENDED_TIME
+    }
+}
+
 /// Counters of one topic in one direction, shared by carrying threads and a reader of lower priority.
 #[derive(Debug)]
 pub struct TopicCounters(PiMutex<Counts>);
@@ -170,6 +185,7 @@ struct Counted {
     counters: Arc<TopicCounters>,
     /// Messages and bytes at the last reading.
     before: (u64, u64),
+    since_end: SinceEnd,
 }
 
 impl<N, D> Default for TopicStatsTable<N, D> {
@@ -190,8 +206,10 @@ impl<N: Clone + Ord, D: Copy + Ord> TopicStatsTable<N, D> {
         self.0.entry((name, direction)).or_default().counters.clone()
     }
 
-    /// Reads all counters, with rates over `elapsed`, the time since the last call.
+    /// Reads all counters, with rates over `elapsed`, the time since the last call. A minute after its end a topic is forgotten.
     pub fn read(&mut self, elapsed: Duration) -> Vec<TopicStats<N, D>> {
+        self.0
+            .retain(|_, counted| counted.since_end.stays(Arc::strong_count(&counted.counters) > 1, elapsed));
         let read = |((name, direction), counted): (&(N, D), &mut Counted)| {
             let mut reading = counted.counters.read();
             let (messages, bytes) = std::mem::replace(&mut counted.before, (reading.messages, reading.bytes));
@@ -308,6 +326,20 @@ mod tests {
         let left: Vec<_> =
             stats.read(Duration::ZERO).into_iter().map(|topic| (topic.name, topic.active)).collect();
         assert_eq!(left, [(7, true), (TopicStatsTable::<usize, ()>::MOST, false)]);
+        drop(goes_on);
+    }
+
+    #[test]
+    fn a_topic_that_has_ended_goes_after_a_while() {
+        let mut stats = TopicStatsTable::default();
+        let (ends, goes_on) = (stats.counters("/ends", ()), stats.counters("/goes_on", ()));
+        let mut left = |elapsed| -> Vec<_> {
+            stats.read(elapsed).into_iter().map(|topic| (topic.name, topic.active)).collect()
+        };
+        assert_eq!(left(ENDED_TIME), [("/ends", true), ("/goes_on", true)]);
+        drop(ends);
+        assert_eq!(left(ENDED_TIME / 2), [("/ends", false), ("/goes_on", true)]);
+        assert_eq!(left(ENDED_TIME / 2), [("/goes_on", true)]);
         drop(goes_on);
     }
 }

@@ -162,7 +162,7 @@ impl Candidate {
                         return warden.clean_up_all(&self.domain);
                     }
                     warden.listen(&self.domain);
-                    warden.look(&self.domain);
+                    warden.check_due(&self.domain);
                 }
                 None => {
                     let (pipe, retry) = match self.elect() {
@@ -263,7 +263,7 @@ impl ActiveWarden {
     /// Cleans up after all participants that are dead by now.
     fn clean_up_all(&mut self, domain: &Domain) {
         self.suspect_all(domain);
-        self.look(domain);
+        self.check_due(domain);
         while !self.dead.is_empty() {
             std::thread::sleep(dead_participant::PERIOD);
             dead_participant::clean_up(domain, &mut self.dead);
@@ -314,7 +314,7 @@ impl ActiveWarden {
     }
 
     /// Checks the files that are due, and cleans up after dead participants.
-    fn look(&mut self, domain: &Domain) {
+    fn check_due(&mut self, domain: &Domain) {
         let now_ns = monotonic_ns();
         if self.look_all_ns != 0 && self.look_all_ns <= now_ns {
             self.look_all_ns = 0;

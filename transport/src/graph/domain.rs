@@ -23,14 +23,14 @@ use rustix::io::Errno;
 use std::io;
 use std::mem::offset_of;
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_rt::domain::{shared_folder, shared_path};
 use tautline_rt::fork::{ProcessFd, ProcessMark};
 use tautline_rt::shm::{self, Mapping, ShmError};
-use tautline_rt::{FutexWord, Patience};
+use tautline_rt::{FutexWord, Patience, PiMutex};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautdom2");
 /// Greatest domain number, as in ROS 2.
@@ -86,7 +86,7 @@ pub(crate) struct Domain {
     number: u32,
     file: ProcessFd,
     map: Mapping,
-    has_left: Mutex<bool>,
+    has_left: PiMutex<bool>,
     process: ProcessMark,
 }
 
@@ -151,7 +151,7 @@ impl Domain {
     }
 
     fn of(number: u32, file: ProcessFd, map: Mapping) -> Arc<Self> {
-        let (has_left, process) = (Mutex::default(), ProcessMark::new());
+        let (has_left, process) = (PiMutex::default(), ProcessMark::new());
         Arc::new(Domain { number, file, map, has_left, process })
     }
 
@@ -313,7 +313,7 @@ impl Domain {
         if !self.process.is_here() {
             return;
         }
-        let mut has_left = self.has_left.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut has_left = self.has_left.lock();
         if std::mem::replace(&mut has_left, true) {
             return;
         }
@@ -327,7 +327,7 @@ impl Domain {
 
     /// Whether it was left, by a process that ends.
     pub(crate) fn has_left(&self) -> bool {
-        *self.has_left.lock().unwrap_or_else(PoisonError::into_inner)
+        *self.has_left.lock()
     }
 }
 

@@ -203,7 +203,7 @@ impl Model {
     }
 
     /// The graph as it is now.
-    pub(crate) fn look(&mut self, domain: &Domain) -> Result<Arc<GraphSnapshot>, TransportError> {
+    pub(crate) fn refresh(&mut self, domain: &Domain) -> Result<Arc<GraphSnapshot>, TransportError> {
         // Before the look: what changes after this is seen by the next one.
         let epoch = domain.epoch();
         if self.epoch == Some(epoch) {

@@ -11,16 +11,17 @@ use crate::graph::remote::{RemoteGraph, RemoteNode};
 use crate::memory::file::OwnMemory;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, OnceLock, Weak};
 use std::{fmt, io};
 use tautline_doorbell::Slot;
+use tautline_rt::{PiGuard, PiMutex};
 
 pub(crate) struct OwnRecord {
     domain: Arc<Domain>,
     memory: Arc<OwnMemory>,
     /// This participant's index among the members.
     place: OnceLock<usize>,
-    state: Mutex<OwnRecordState>,
+    state: PiMutex<OwnRecordState>,
 }
 
 struct OwnRecordState {
@@ -45,7 +46,7 @@ impl OwnRecord {
     pub(crate) fn new(domain: &Arc<Domain>, memory: &Arc<OwnMemory>) -> Arc<Self> {
         let state = OwnRecordState { log: Log::new(memory.clone()), remote: Remote::default() };
         let (domain, memory) = (domain.clone(), memory.clone());
-        Arc::new(OwnRecord { domain, memory, place: OnceLock::new(), state: Mutex::new(state) })
+        Arc::new(OwnRecord { domain, memory, place: OnceLock::new(), state: PiMutex::new(state) })
     }
 
     /// The record is the member's at `place`.
@@ -59,8 +60,8 @@ impl OwnRecord {
     }
 
     /// Its lock is taken while things are set up and when they end, never by publish or take.
-    fn state(&self) -> MutexGuard<'_, OwnRecordState> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> PiGuard<'_, OwnRecordState> {
+        self.state.lock()
     }
 
     fn changed(&self) {
@@ -137,7 +138,7 @@ impl OwnRecord {
             number
         };
         self.changed();
-        let (record, has_ended, slots) = (self.clone(), AtomicBool::new(false), Mutex::default());
+        let (record, has_ended, slots) = (self.clone(), AtomicBool::new(false), PiMutex::default());
         Ok(Arc::new(NodeEntry { record, number, node, has_ended, slots }))
     }
 
@@ -269,7 +270,7 @@ pub(crate) struct NodeEntry {
     pub(crate) node: NodeName,
     has_ended: AtomicBool,
     /// The slots of the objects that end with it.
-    slots: Mutex<Vec<Weak<Slot>>>,
+    slots: PiMutex<Vec<Weak<Slot>>>,
 }
 
 impl NodeEntry {
@@ -298,8 +299,8 @@ impl NodeEntry {
         self.has_ended.load(Ordering::Acquire)
     }
 
-    fn slots(&self) -> MutexGuard<'_, Vec<Weak<Slot>>> {
-        self.slots.lock().unwrap_or_else(PoisonError::into_inner)
+    fn slots(&self) -> PiGuard<'_, Vec<Weak<Slot>>> {
+        self.slots.lock()
     }
 }
 

@@ -15,12 +15,13 @@ use std::collections::BTreeMap;
 use std::io;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
+use std::sync::{Arc, Once, Weak};
 use tautline_doorbell::{
     Arena, ArenaId, Doorbell, DoorbellError, MAIN_BYTES, WINDOWS, window_bytes, window_of,
 };
 use tautline_rt::domain::{shared_folder, shared_path};
 use tautline_rt::shm::{self, Mapping, OwnFile, PeerFile, Region, ShmError, page_bytes};
+use tautline_rt::{PiGuard, PiMutex};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautpart");
 const VERSION: u32 = 2;
@@ -109,11 +110,11 @@ fn head(first: &Mapping) -> &ParticipantHeader {
 pub(crate) struct OwnMemory {
     file: OwnFile,
     first: Arc<Mapping>,
-    ranges: Mutex<Ranges>,
+    ranges: PiMutex<Ranges>,
     layout: FileLayout,
     /// The length of the file.
-    len: Mutex<u64>,
-    stand_in: Mutex<Option<OwnFile>>,
+    len: PiMutex<u64>,
+    stand_in: PiMutex<Option<OwnFile>>,
 }
 
 impl OwnMemory {
@@ -146,10 +147,10 @@ impl OwnMemory {
         Ok(OwnMemory {
             file,
             first,
-            ranges: Mutex::new(layout.ranges()),
+            ranges: PiMutex::new(layout.ranges()),
             layout,
-            len: Mutex::new(first_bytes as u64),
-            stand_in: Mutex::default(),
+            len: PiMutex::new(first_bytes as u64),
+            stand_in: PiMutex::default(),
         })
     }
 
@@ -196,8 +197,8 @@ impl OwnMemory {
         Ok(memory)
     }
 
-    fn ranges(&self) -> MutexGuard<'_, Ranges> {
-        self.ranges.lock().unwrap_or_else(PoisonError::into_inner)
+    fn ranges(&self) -> PiGuard<'_, Ranges> {
+        self.ranges.lock()
     }
 
     /// Takes a part of the file that is at least `len` bytes long, without memory yet. It reads as zeros.
@@ -207,7 +208,7 @@ impl OwnMemory {
         }
         let none = || io::Error::other("the file of this participant is at its greatest length");
         let range = self.ranges().take(len).ok_or_else(none)?;
-        let mut file_len = self.len.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut file_len = self.len.lock();
         if range.end() > *file_len {
             if let Err(error) = self.file.set_len(range.end()) {
                 self.ranges().give_back(range);
@@ -250,8 +251,8 @@ impl OwnMemory {
         Ok(())
     }
 
-    fn stand_in(&self) -> MutexGuard<'_, Option<OwnFile>> {
-        self.stand_in.lock().unwrap_or_else(PoisonError::into_inner)
+    fn stand_in(&self) -> PiGuard<'_, Option<OwnFile>> {
+        self.stand_in.lock()
     }
 
     /// Removes the file.

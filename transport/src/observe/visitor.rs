@@ -62,7 +62,7 @@ impl Visitor {
             self.looked = Instant::now();
             self.model.forget_dead(domain);
         }
-        let graph = self.model.look(domain)?;
+        let graph = self.model.refresh(domain)?;
         self.views.retain(|gid, _| self.model.memory_of(*gid).is_some());
         Ok(graph)
     }

@@ -115,7 +115,7 @@ impl Endpoints {
     }
 
     /// Tells monitors, if anything changed since this was last called, and says whether it did.
-    pub(crate) fn tell(&mut self, matched: &AtomicUsize) -> bool {
+    pub(crate) fn notify(&mut self, matched: &AtomicUsize) -> bool {
         if !std::mem::take(&mut self.has_changed) {
             return false;
         }

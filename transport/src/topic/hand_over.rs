@@ -56,7 +56,7 @@ impl HandOver {
     }
 
     /// From one state to another, if it is in that.
-    fn go(&self, from: u32, to: u32) -> bool {
+    fn transition(&self, from: u32, to: u32) -> bool {
         self.0.compare_exchange(from, to, Ordering::AcqRel, Ordering::Acquire).is_ok()
     }
 
@@ -81,12 +81,12 @@ impl HandOver {
 
     /// Setup takes it for a moment. False: it is the thread's, or retired.
     pub(crate) fn hold(&self) -> bool {
-        self.go(NEW, HELD)
+        self.transition(NEW, HELD)
     }
 
     /// Setup is done with what it held.
     pub(crate) fn give_back(&self) {
-        let is_given = self.go(HELD, NEW);
+        let is_given = self.transition(HELD, NEW);
         debug_assert!(is_given, "setup holds it, under its lock");
     }
 
@@ -95,7 +95,7 @@ impl HandOver {
     /// # Real-time
     /// Wait-free; no syscall.
     pub(crate) fn adopt(&self) -> bool {
-        self.word() == NEW && self.go(NEW, LIVE)
+        self.word() == NEW && self.transition(NEW, LIVE)
     }
 
     /// The thread is done with it.
@@ -109,7 +109,7 @@ impl HandOver {
     /// Setup wants it back. If it is the thread's, that finishes it when it next finds a table.
     pub(crate) fn retire(&self) -> Retired {
         let is_first = self.0.fetch_or(RETIRED, Ordering::AcqRel) & RETIRED == 0;
-        Retired { is_first, is_setups: self.go(NEW | RETIRED, DONE | RETIRED) }
+        Retired { is_first, is_setups: self.transition(NEW | RETIRED, DONE | RETIRED) }
     }
 
     /// Setup takes it back, when there is no thread any more that uses it.

@@ -119,7 +119,7 @@ impl Participant {
         record.publish(place);
         let refresh = {
             let matcher = matcher.clone();
-            move || matcher.look()
+            move || matcher.refresh()
         };
         let janitor = Janitor::start(&domain, place, &doorbell, &memory, Box::new(refresh))?;
         let warden = Warden::start(&domain)?;
@@ -240,7 +240,7 @@ impl Participant {
 impl ParticipantState {
     /// Everything that exists in the domain: see [`Participant::graph`].
     pub(crate) fn graph(&self) -> Result<Arc<GraphSnapshot>, TransportError> {
-        self.model.lock().unwrap_or_else(PoisonError::into_inner).look(&self.domain)
+        self.model.lock().unwrap_or_else(PoisonError::into_inner).refresh(&self.domain)
     }
 
     /// Wakes a task when the graph changes: see [`Participant::graph_events`].

@@ -30,7 +30,8 @@ use tautline_transport::MAX_DOMAIN;
   taut gateway --config zenoh.json5 --json | jq .topics
   taut gateway --domain 5 --network-domain 0        topics of domain 5 appear in domain 0 elsewhere")]
 pub struct Args {
-    /// Accept links here; may be given several times [default: loopback only]
+    /// Accept links here, such as tcp/0.0.0.0:7447, or unixsock-stream/PATH for this user only; may be given several times [default:
+    /// loopback only]
     #[arg(long, value_name = "ENDPOINT")]
     listen: Vec<String>,
     /// Link to a gateway, router or ROS 2 node; may be given several times [default: tcp/localhost:7447]

@@ -293,6 +293,12 @@ fn endpoints(config: &Config, which: &str) -> Vec<String> {
     list.into_iter().map(text).collect()
 }
 
+/// The path of a Unix socket.
+pub(crate) fn socket_path(endpoint: &str) -> Option<&Path> {
+    let rest = endpoint.strip_prefix("unixsock-stream/")?;
+    rest.split(['?', '#']).next().map(Path::new)
+}
+
 pub(crate) fn is_loopback(endpoint: &str) -> bool {
     let Some((protocol, rest)) = endpoint.split_once('/') else { return false };
     let address = rest.split(['?', '#']).next().unwrap_or(rest);

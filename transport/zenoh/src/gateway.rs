@@ -11,6 +11,7 @@ use crate::services::NetworkServices;
 use crate::session::{self, SessionError, network_threads};
 use crate::side::{Events, NetworkSide, ends_to, tokens_to};
 use crate::stats::Stats;
+use crate::unclaimed::ClaimThread;
 use crate::wire::{Token, token_wildcard};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
@@ -219,8 +220,16 @@ impl Gateway {
         gateway.control = {
             let (session, state) = (gateway.session.clone(), gateway.state.clone());
             let rules = Rules { auto: true, filter: options.filter.clone(), ..Rules::default() };
-            let (far, transit) =
-                NetworkSide::new(options.clone(), participant.clone(), session, descriptions, state.clone());
+            let claims =
+                ClaimThread::start(ThreadBuilder { cores: options.cores, ..ThreadBuilder::new("gw-claim") })?;
+            let (far, transit) = NetworkSide::new(
+                options.clone(),
+                participant.clone(),
+                session,
+                descriptions,
+                claims,
+                state.clone(),
+            );
             let (participant, service_rules) = (participant.clone(), rules.clone());
             let parts = Parts { participant, far, relay: outgoing, services, transit, rules, service_rules };
             let control = MirrorControl::new(parts);

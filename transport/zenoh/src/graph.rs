@@ -1,14 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The nodes and endpoints of other hosts, from their liveliness tokens. Bounded, however many tokens a hostile peer declares.
 
+use crate::kept::SessionId;
 use crate::origin::origin;
 use crate::remote::{RemoteEntity, entity};
-use crate::wire::{EndpointKind, NodeName, Token, TopicKey};
+use crate::wire::{EndpointKind, NodeName, Token, TopicKey, TypeId};
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::time::{Duration, Instant};
 use tautline_relay::FarGraph;
 use tautline_schema::{TypeHash, TypeName};
-use tautline_transport::{EndpointKind::Publisher, RemoteNode};
+use tautline_transport::{Durability, EndpointKind::Publisher, RemoteNode};
 
 /// How long, and for how many publishers, a normal end is remembered.
 const ENDED_TIME: Duration = Duration::from_secs(10);
@@ -139,6 +140,19 @@ impl Graph {
                 })
             })
             .map(|token| &token.node)
+    }
+
+    /// The number of each session's publishers that keep samples for late joiners, by topic.
+    pub(crate) fn keeping(&self) -> HashMap<(&str, &TypeId), BTreeMap<SessionId, usize>> {
+        let mut keeping = HashMap::<_, BTreeMap<_, _>>::new();
+        for token in self.tokens() {
+            let Some(end) = &token.endpoint else { continue };
+            if end.kind == EndpointKind::Publisher && end.qos.durability == Durability::TransientLocal {
+                let of_topic = keeping.entry((&*end.name, &end.type_id)).or_default();
+                *of_topic.entry(token.zid.to_le_bytes()).or_default() += 1;
+            }
+        }
+        keeping
     }
 
     /// The hash that other hosts state for a topic's type.

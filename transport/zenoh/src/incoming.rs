@@ -2,17 +2,19 @@
 //! From the network to shared memory: a sample is checked, and its body copied once, from Zenoh's slices into a loan, for all
 //! subscriptions of the host.
 //!
-//! This runs in Zenoh's thread and never waits: a slow subscription loses its oldest samples.
+//! This runs in Zenoh's thread and never waits: a slow subscription loses its oldest samples, and memory is claimed by [another
+//! thread](crate::unclaimed).
 
-use crate::kept::{KeptSamples, Placed, Publisher, Request};
+use crate::kept::{KeptSamples, Placed, Publisher, Request, SessionId, Target};
+use crate::unclaimed::{ClaimQueue, Claimed, Next, Unclaimed};
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Weak};
-use std::time::Duration;
-use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, MessageMeta};
+use std::time::{Duration, Instant};
+use tautline_relay::{Body, Delivery, Ingress, IngressUpdate, Inward, MessageMeta, Refused};
 use tautline_rt::PiMutex;
 use tautline_rt::clock::wall_ns;
-use tautline_transport::{Durability, Reliability};
+use tautline_transport::{Durability, LoanError, Reliability};
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Subscriber;
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply, ReplyKeyExpr};
@@ -27,6 +29,8 @@ pub(crate) const DELIVERY: Delivery = Delivery { early: None, is_ordered: false 
 const FUTURE_NS: i64 = 3_600_000_000_000;
 /// Time-out of a request for kept samples.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long the graph is the same before missing kept samples are requested again.
+const RETRY_TIME: Duration = Duration::from_secs(1);
 /// How long new samples wait, at the start, until it is known which publishers exist.
 const START_TIMEOUT: Duration = Duration::from_secs(1);
 
@@ -41,12 +45,28 @@ pub(crate) enum Dropped {
     Sequence,
     #[error("time stamp before 1970 or far in the future")]
     Time,
+    #[error("too many messages wait for shared memory")]
+    Unclaimed,
 }
+
+/// How often kept samples are requested again of publishers of which none have come; the first time after a second, then later each
+/// time. A publisher may have none.
+const MOST_RETRIES: u32 = 5;
 
 /// An incoming topic. Dropping it ends the subscriptions on the network.
 pub(crate) struct Incoming {
     gate: Arc<Gate>,
+    retries: Option<Retries>,
     _subscribers: Vec<Subscriber<()>>,
+}
+
+/// Of a transient-local topic: requests to publishers that were missed.
+struct Retries {
+    requests: Requests,
+    /// The number of each session's publishers that keep samples.
+    keeping: BTreeMap<SessionId, usize>,
+    count: u32,
+    next: Instant,
 }
 
 impl Incoming {
@@ -55,30 +75,62 @@ impl Incoming {
         key: &TopicKey,
         inward: &Inward,
         ingress: Ingress,
+        waiting: Vec<(Sample, MessageMeta)>,
         max_bytes: usize,
+        claims: ClaimQueue,
     ) -> zenoh::Result<Self> {
         let qos = &inward.qos;
         let is_kept = qos.durability == Durability::TransientLocal;
         let kept = is_kept.then(|| KeptSamples::new(qos.depth, qos.reliability == Reliability::Reliable));
-        let gate =
-            Arc::new(Gate(PiMutex::new(Some(Way { kept, port: SampleAdmission { ingress, max_bytes } }))));
+        let gate = Arc::new_cyclic(|gate: &Weak<Gate>| {
+            let unclaimed = Unclaimed::new(gate.clone(), claims);
+            Gate(PiMutex::new(Some(Way { kept, port: SampleAdmission { ingress, max_bytes, unclaimed } })))
+        });
+        gate.with(|way| {
+            waiting.into_iter().for_each(|(sample, source)| way.port.keep_unclaimed(sample, source));
+        });
         let of_group = gate.clone();
         // Newer publishers of images and the like use this key.
         let cpu_group = session.declare_subscriber(key.cpu_group()).allowed_origin(Locality::Remote);
         // Their sequence numbers also count samples to other subscriptions: gaps are not losses.
         let cpu_group =
-            cpu_group.callback(move |sample| of_group.with(|way| way.port.take(&sample, false))).wait()?;
+            cpu_group.callback(move |sample| of_group.with(|way| way.port.take(sample, false))).wait()?;
         let requests =
             Requests { session: session.clone(), gate: Arc::downgrade(&gate), key: key.to_string() };
         let samples = session.declare_subscriber(key.to_string()).allowed_origin(Locality::Remote);
         let (receiving, lost) = (gate.clone(), requests.clone());
         let samples = samples.callback(move |sample| lost.send(receiving.with(|way| way.receive(sample))));
         let mut subscribers = vec![cpu_group, samples.wait()?];
+        let mut retries = None;
         if is_kept {
             // After the samples: what is published after an answer arrives.
             subscribers.extend(requests.watch()?);
+            let (keeping, count, next) = (BTreeMap::new(), 0, Instant::now());
+            retries = Some(Retries { requests, keeping, count, next });
         }
-        Ok(Incoming { gate, _subscribers: subscribers })
+        Ok(Incoming { gate, retries, _subscribers: subscribers })
+    }
+
+    pub(crate) fn is_kept(&self) -> bool {
+        self.retries.is_some()
+    }
+
+    /// Requests kept samples again where some are missing: Zenoh may have told late of a publisher, or not at all, or a request was lost.
+    /// `keeping` has the number of each session's publishers of this topic that keep samples, by the graph. Call it now and then.
+    pub(crate) fn retry(&mut self, keeping: &BTreeMap<SessionId, usize>) {
+        let Some(retries) = &mut self.retries else { return };
+        let now = Instant::now();
+        if retries.keeping != *keeping {
+            let next = now + RETRY_TIME;
+            (retries.keeping, retries.count, retries.next) = (keeping.clone(), 0, next);
+        }
+        if retries.count >= MOST_RETRIES || now < retries.next {
+            return;
+        }
+        retries.next = now + RETRY_TIME * (2 << retries.count);
+        retries.count += 1;
+        let missing = self.gate.with(|way| way.kept.as_ref().map(|kept| kept.missing(keeping)));
+        missing.into_iter().flatten().for_each(|request| retries.requests.send(Some(request)));
     }
 
     /// See [`Ingress::change`].
@@ -86,9 +138,10 @@ impl Incoming {
         self.gate.with(|way| way.port.ingress.change(change));
     }
 
-    /// Ends this one and returns its ingress for the next.
-    pub(crate) fn end(self) -> Option<Ingress> {
-        Some(self.gate.0.lock().take()?.port.ingress)
+    /// Ends this one and returns its ingress for the next, and the messages that wait for memory.
+    pub(crate) fn end(self) -> Option<(Ingress, Vec<(Sample, MessageMeta)>)> {
+        let SampleAdmission { ingress, mut unclaimed, .. } = self.gate.0.lock().take()?.port;
+        Some((ingress, std::iter::from_fn(|| unclaimed.pop()).collect()))
     }
 }
 
@@ -191,8 +244,8 @@ impl Answer {
     }
 
     fn request(self) {
-        let Request { publisher, what, .. } = self.request;
-        let cache = format!("{}/@adv/pub/{publisher}/**?{}", self.requests.key, what.parameters());
+        let Request { target, what, .. } = self.request;
+        let cache = format!("{}/@adv/pub/{target}/**?{}", self.requests.key, what.parameters());
         let session = self.requests.session.clone();
         let get = session.get(&cache).allowed_destination(Locality::Remote).target(QueryTarget::All);
         let get = get.consolidation(ConsolidationMode::None).accept_replies(ReplyKeyExpr::Any);
@@ -204,7 +257,7 @@ impl Answer {
     fn add(&self, reply: Reply) {
         let Ok(sample) = reply.into_result() else { return };
         let is_wanted = sample.key_expr().as_str() == self.requests.key
-            && sample.place().is_some_and(|(publisher, _)| publisher == self.request.publisher);
+            && sample.place().is_some_and(|(publisher, _)| self.request.target.includes(publisher));
         let mut kept = self.kept.lock();
         kept.extend(is_wanted.then_some(sample));
         // More than it was asked for: the last ones count.
@@ -218,21 +271,21 @@ impl Drop for Answer {
     fn drop(&mut self) {
         let Some(gate) = self.requests.gate.upgrade() else { return };
         let kept = Vec::from(std::mem::take(&mut *self.kept.lock()));
-        let lost = gate.with(|way| way.answered(self.request.publisher, kept));
+        let lost = gate.with(|way| way.answered(self.request.target, kept));
         self.requests.send_from_drop(Vec::from_iter(lost));
     }
 }
 
 /// The way in, shared by the threads of several links; `None` after another one took over.
-struct Gate(PiMutex<Option<Way>>);
+pub(crate) struct Gate(PiMutex<Option<Way>>);
 
 impl Gate {
-    fn with<T: Default>(&self, act: impl FnOnce(&mut Way) -> T) -> T {
+    pub(crate) fn with<T: Default>(&self, act: impl FnOnce(&mut Way) -> T) -> T {
         self.0.lock().as_mut().map(act).unwrap_or_default()
     }
 }
 
-struct Way {
+pub(crate) struct Way {
     /// Of a transient-local topic.
     kept: Option<KeptSamples<Sample>>,
     port: SampleAdmission,
@@ -243,26 +296,34 @@ impl Way {
     fn receive(&mut self, sample: Sample) -> Option<Request> {
         let port = &mut self.port;
         match &mut self.kept {
-            Some(kept) => kept.published(sample, &mut |sample| port.take(&sample, true)),
+            Some(kept) => kept.published(sample, &mut |sample| port.take(sample, true)),
             None => {
-                port.take(&sample, true);
+                port.take(sample, true);
                 None
             }
         }
     }
 
+    /// See [`SampleAdmission::pass_waiting`].
+    pub(crate) fn pass_waiting(&mut self, claimed: Claimed) -> Next {
+        self.port.pass_waiting(claimed)
+    }
+
     fn started(&mut self) {
         let port = &mut self.port;
         if let Some(kept) = &mut self.kept {
-            kept.started(&mut |sample| port.take(&sample, true));
+            kept.started(&mut |sample| port.take(sample, true));
         }
     }
 
-    /// What a publisher keeps.
-    fn answered(&mut self, publisher: Publisher, samples: Vec<Sample>) -> Option<Request> {
-        let port = &mut self.port;
-        let (late, lost) =
-            self.kept.as_mut()?.answered(publisher, samples, &mut |sample| port.take(&sample, true));
+    /// What publishers keep.
+    fn answered(&mut self, target: Target, samples: Vec<Sample>) -> Option<Request> {
+        let (port, kept) = (&mut self.port, self.kept.as_mut()?);
+        let mut deliver = |sample| port.take(sample, true);
+        let (late, lost) = match target {
+            Target::Publisher(publisher) => kept.answered(publisher, samples, &mut deliver),
+            Target::Session(_) => (kept.answered_by_session(samples, &mut deliver), None),
+        };
         port.ingress.counters().lost(late);
         lost
     }
@@ -272,16 +333,46 @@ impl Way {
 struct SampleAdmission {
     ingress: Ingress,
     max_bytes: usize,
+    unclaimed: Unclaimed,
 }
 
 impl SampleAdmission {
-    fn take(&mut self, sample: &Sample, are_numbers_whole: bool) {
-        match self.check(sample) {
-            Ok(source) => {
-                self.ingress.receive(&Payload(sample.payload()), MessageMeta { are_numbers_whole, ..source });
-            }
-            Err(reason) => self.ingress.counters().dropped(reason),
+    fn take(&mut self, sample: Sample, are_numbers_whole: bool) {
+        let source = match self.check(&sample) {
+            Ok(source) => MessageMeta { are_numbers_whole, ..source },
+            Err(reason) => return self.ingress.counters().dropped(reason),
+        };
+        let body = Payload(sample.payload());
+        if self.unclaimed.is_empty()
+            && self.ingress.missing_memory(&source.publisher, body.len_bytes()).is_none()
+        {
+            self.ingress.receive(&body, source);
+        } else {
+            self.keep_unclaimed(sample, source);
         }
+    }
+
+    fn keep_unclaimed(&mut self, sample: Sample, source: MessageMeta) {
+        if !self.unclaimed.push(sample, source) {
+            self.ingress.refuse(&source, Dropped::Unclaimed);
+        }
+    }
+
+    /// Passes the first message that waits for memory, if that is there.
+    fn pass_waiting(&mut self, claimed: Claimed) -> Next {
+        let Some((sample, source)) = self.unclaimed.first() else { return Next::Done };
+        let body = Payload(sample.payload());
+        let missing = self.ingress.missing_memory(&source.publisher, body.len_bytes());
+        match (missing, claimed) {
+            (None, _) => self.ingress.receive(&body, *source),
+            (Some(claimer), None) => return Next::Claim(claimer, body.len_bytes()),
+            (Some(_), Some(claimed)) => {
+                let reason = claimed.err().unwrap_or(LoanError::OutOfMemory);
+                self.ingress.refuse(source, Refused::Loan(reason));
+            }
+        }
+        self.unclaimed.pop();
+        if self.unclaimed.is_empty() { Next::Done } else { Next::Pass }
     }
 
     /// The metadata of a sample, after checking its frame.

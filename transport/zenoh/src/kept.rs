@@ -5,16 +5,19 @@
 //! zenoh-ext's `AdvancedSubscriber` is not used: it delivers a new sample that arrives during a request at once, and then drops the
 //! kept ones as older, uncounted (1.10.2).
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::str::FromStr;
 use zenoh::sample::Sample;
 use zenoh::session::ZenohId;
 
+/// A session's id.
+pub(crate) type SessionId = [u8; 16];
+
 /// A publisher, as zenoh-ext tells it apart: its session, and its number there. `None`: all of the session whose samples have only
 /// a time stamp.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct Publisher([u8; 16], Option<u32>);
+pub(crate) struct Publisher(SessionId, Option<u32>);
 
 impl Publisher {
     /// From the key of the token `<topic>/@adv/pub/<session>/<number or uhlc>/<metadata>` of a publisher that is not of the session
@@ -36,13 +39,32 @@ impl Publisher {
     }
 }
 
-/// As in its keys.
-impl fmt::Display for Publisher {
+/// Whose kept samples are requested.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Target {
+    Publisher(Publisher),
+    /// All publishers of a session.
+    Session(SessionId),
+}
+
+impl Target {
+    pub(crate) fn includes(&self, publisher: Publisher) -> bool {
+        match self {
+            Target::Publisher(one) => *one == publisher,
+            Target::Session(session) => *session == publisher.0,
+        }
+    }
+}
+
+/// As in the keys of caches.
+impl fmt::Display for Target {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let session = ZenohId::try_from(&self.0[..]).map_err(|_| fmt::Error)?;
-        match self.1 {
-            Some(number) => write!(f, "{session}/{number}"),
-            None => write!(f, "{session}/uhlc"),
+        let (Target::Publisher(Publisher(session, _)) | Target::Session(session)) = self;
+        let session = ZenohId::try_from(&session[..]).map_err(|_| fmt::Error)?;
+        match self {
+            Target::Publisher(Publisher(_, Some(number))) => write!(f, "{session}/{number}"),
+            Target::Publisher(Publisher(_, None)) => write!(f, "{session}/uhlc"),
+            Target::Session(_) => write!(f, "{session}"),
         }
     }
 }
@@ -76,10 +98,11 @@ fn after(publisher: Publisher, number: u64, base: u64) -> i64 {
     }
 }
 
-/// A request to a publisher's cache; [`KeptSamples::answered`] must follow.
+/// A request to a publisher's cache, which [`KeptSamples::answered`] must follow, or to all of a session:
+/// [`KeptSamples::answered_by_session`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Request {
-    pub(crate) publisher: Publisher,
+    pub(crate) target: Target,
     pub(crate) what: What,
     /// Maximum of samples in its answer.
     pub(crate) most: usize,
@@ -125,6 +148,8 @@ struct PublisherState<S> {
     delivered: Option<(u64, u64)>,
     /// Whether it is no loss if what was delivered first has something before it: after an answer, or instead of one.
     is_whole: bool,
+    /// Whether an answer had a sample of it.
+    is_answered: bool,
     /// From where lost samples were requested last: what the publisher does not have any more is not requested again.
     asked: Option<u32>,
 }
@@ -155,7 +180,31 @@ impl<S: Placed> KeptSamples<S> {
         let state = self.state(publisher).filter(|state| state.requests < Self::REQUESTS)?;
         state.requests += 1;
         state.is_waiting = true;
-        Some(Request { publisher, what, most })
+        Some(Request { target: Target::Publisher(publisher), what, most })
+    }
+
+    /// Requests to the sessions that have more publishers than have answered. `keeping` has the number of each session's publishers that
+    /// keep samples.
+    pub(crate) fn missing(&self, keeping: &BTreeMap<SessionId, usize>) -> Vec<Request> {
+        let answered = |session: &SessionId| {
+            let of_session = |(publisher, state): &(&Publisher, &PublisherState<S>)| {
+                publisher.0 == *session && state.is_answered
+            };
+            let answered = self.publishers.iter().filter(of_session);
+            // Those without numbers have answered together.
+            answered.fold(0, |sum: usize, (publisher, _)| {
+                sum.saturating_add(if publisher.is_single() { 1 } else { usize::MAX })
+            })
+        };
+        let missing = keeping.iter().filter(|(session, count)| answered(session) < **count);
+        let most = self.depth.saturating_mul(Self::TOGETHER);
+        missing
+            .map(|(session, _)| Request {
+                target: Target::Session(*session),
+                what: What::Last(self.depth),
+                most,
+            })
+            .collect()
     }
 
     /// All publishers that exist have [appeared](Self::appeared).
@@ -233,27 +282,36 @@ impl<S: Placed> KeptSamples<S> {
     pub(crate) fn answered(
         &mut self,
         publisher: Publisher,
-        mut kept: Vec<S>,
+        kept: Vec<S>,
         deliver: &mut impl FnMut(S),
     ) -> (u64, Option<Request>) {
         let (is_starting, recovers) = (self.is_starting, self.recovers);
         let Some(state) = self.publishers.get_mut(&publisher) else { return (0, None) };
-        sort(publisher, &mut kept);
-        let first = state.delivered.filter(|_| !state.is_whole).map(|(first, _)| first);
-        let mut late = 0;
-        for sample in kept {
-            let Some((_, number)) = sample.place() else { continue };
-            late += u64::from(first.is_some_and(|first| after(publisher, number, first) < 0));
-            state.deliver(publisher, number, sample, deliver);
-        }
+        let late = state.deliver_kept(publisher, kept, deliver);
         state.requests = state.requests.saturating_sub(1);
-        state.is_whole = true;
         if is_starting {
             state.is_waiting = false;
             return (late, None);
         }
         let lost = state.advance(publisher, recovers && publisher.is_single(), deliver);
         (late, lost.and_then(|from| self.request(publisher, What::From(from))))
+    }
+
+    /// The answer of a session: the kept samples of publishers that are not about to answer by themselves. Returns how many came too late.
+    pub(crate) fn answered_by_session(&mut self, kept: Vec<S>, deliver: &mut impl FnMut(S)) -> u64 {
+        let mut by_publisher = HashMap::<Publisher, Vec<S>>::new();
+        for sample in kept {
+            if let Some((publisher, _)) = sample.place() {
+                by_publisher.entry(publisher).or_default().push(sample);
+            }
+        }
+        let mut late = 0;
+        for (publisher, kept) in by_publisher {
+            if let Some(state) = self.state(publisher).filter(|state| state.requests == 0) {
+                late += state.deliver_kept(publisher, kept, deliver);
+            }
+        }
+        late
     }
 
     fn state(&mut self, publisher: Publisher) -> Option<&mut PublisherState<S>> {
@@ -282,8 +340,8 @@ fn sort<S: Placed>(publisher: Publisher, samples: &mut [S]) {
 
 impl<S> Default for PublisherState<S> {
     fn default() -> Self {
-        let (requests, is_waiting, waiting, delivered, is_whole, asked) = Default::default();
-        PublisherState { requests, is_waiting, waiting, delivered, is_whole, asked }
+        let (requests, is_waiting, waiting, delivered, is_whole, is_answered, asked) = Default::default();
+        PublisherState { requests, is_waiting, waiting, delivered, is_whole, is_answered, asked }
     }
 }
 
@@ -296,6 +354,21 @@ impl<S: Placed> PublisherState<S> {
             Some(_) => return,
         }
         deliver(sample);
+    }
+
+    /// Delivers kept samples. Returns how many came too late.
+    fn deliver_kept(&mut self, publisher: Publisher, mut kept: Vec<S>, deliver: &mut impl FnMut(S)) -> u64 {
+        sort(publisher, &mut kept);
+        let first = self.delivered.filter(|_| !self.is_whole).map(|(first, _)| first);
+        let mut late = 0;
+        for sample in kept {
+            let Some((_, number)) = sample.place() else { continue };
+            late += u64::from(first.is_some_and(|first| after(publisher, number, first) < 0));
+            self.deliver(publisher, number, sample, deliver);
+            self.is_answered = true;
+        }
+        self.is_whole = true;
+        late
     }
 
     /// Delivers what waits; if it `recovers`, up to a gap from which on nothing was requested before, which it returns.
@@ -375,7 +448,7 @@ mod tests {
     #[test]
     fn what_is_new_waits_for_what_was_kept() {
         let mut kept = kept(3);
-        let request = Request { publisher: ONE, what: What::Last(3), most: 3 };
+        let request = Request { target: Target::Publisher(ONE), what: What::Last(3), most: 3 };
         assert_eq!(kept.appeared(ONE), Some(request));
         assert_eq!(request.what.parameters(), "_max=3");
         assert!(published(&mut kept, ONE, &[2, 3]).is_empty());
@@ -449,6 +522,35 @@ mod tests {
         assert!(kept.appeared(ONE).is_some());
         assert!(published(&mut kept, ONE, &[15]).is_empty());
         assert_eq!(answered(&mut kept, ONE, &[14, 15, 16]), (vec![15, 16], 0, None));
+    }
+
+    #[test]
+    fn who_has_not_answered_is_asked_again_with_its_session() {
+        let mut kept = kept(3);
+        let missing = |kept: &KeptSamples<Test>, count| kept.missing(&[(ONE.0, count)].into()).len();
+        let by_session = |kept: &mut KeptSamples<Test>, samples: &[(Publisher, u64)]| {
+            let mut delivered = Vec::new();
+            let answer = samples.iter().copied().map(Some).collect();
+            let late = kept.answered_by_session(answer, &mut |sample| delivered.push(sample.unwrap()));
+            delivered.sort_by_key(|(publisher, number)| (publisher.1, *number));
+            (delivered, late)
+        };
+        assert_eq!((missing(&kept, 0), missing(&kept, 1)), (0, 1));
+        assert!(kept.appeared(ONE).is_some());
+        answered(&mut kept, ONE, &[]);
+        assert_eq!(missing(&kept, 1), 1, "it had nothing, or was not reached");
+        assert!(kept.appeared(OTHER).is_some(), "on its way");
+        assert_eq!(by_session(&mut kept, &[(ONE, 2), (OTHER, 5), (ONE, 1)]), (vec![(ONE, 1), (ONE, 2)], 0));
+        assert_eq!((missing(&kept, 1), missing(&kept, 2)), (0, 1));
+        assert_eq!(answered(&mut kept, OTHER, &[5]), (vec![5], 0, None));
+        assert_eq!(by_session(&mut kept, &[(ONE, 2), (OTHER, 5), (OTHER, 6)]), (vec![(OTHER, 6)], 0));
+        assert_eq!((missing(&kept, 2), missing(&kept, 3)), (0, 1));
+        by_session(&mut kept, &[(BY_TIME, 1)]);
+        assert_eq!(missing(&kept, 3), 0, "who has no number answers for all of them");
+        // A publisher that was heard before it was asked.
+        let late = Publisher([1; 16], Some(9));
+        assert_eq!(published(&mut kept, late, &[3]), [3]);
+        assert_eq!(by_session(&mut kept, &[(late, 2), (late, 3)]), (vec![], 1));
     }
 
     #[test]

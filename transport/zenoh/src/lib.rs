@@ -7,8 +7,9 @@
 //!
 //! `gw-out` takes the host's samples and puts them on Zenoh; `gw-wait` and `gw-bulk` put those that may wait for a link;
 //! `gw-services` carries requests and responses; `gw-control` and `gw-watch` follow both graphs. They and Zenoh's own threads run
-//! at `SCHED_FIFO` 80 unless [`Options`] set another priority, within the processor [`Budget`]. No default build uses Zenoh. The
-//! program is `taut-gateway`; `docs/deployment.md` describes its use.
+//! at `SCHED_FIFO` 80 unless [`Options`] set another priority, within the processor [`Budget`]; `gw-claim`, which claims shared memory
+//! for what arrives, at `SCHED_OTHER`. No default build uses Zenoh. The program is `taut-gateway`; `docs/deployment.md` describes its
+//! use.
 
 mod access;
 mod config;
@@ -30,6 +31,7 @@ mod stats;
 mod tests;
 mod tokens;
 mod types;
+mod unclaimed;
 
 pub use access::access_layer;
 pub use config::{ConfigError, MAX_MESSAGE_BYTES, Mode, Network, SessionConfig};

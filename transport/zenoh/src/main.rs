@@ -8,6 +8,7 @@ mod status;
 
 use args::Args;
 use clap::Parser;
+use rustix::fs::Mode;
 use std::error::Error;
 use std::io::IsTerminal;
 use std::process::ExitCode;
@@ -22,6 +23,8 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 fn main() -> ExitCode {
     let args = Args::parse();
+    // A Unix socket to listen on is its user's only, from its first moment on.
+    rustix::process::umask(Mode::RWXG | Mode::RWXO);
     // Before threads start. Zenoh allocates and frees some MB for each large message, which costs a third of its rate if the heap
     // shrinks and grows each time.
     tautline_rt::keep_freed_memory();
@@ -80,9 +83,15 @@ fn introduce(gateway: &Gateway, options: &Options) {
             );
         }
     } else {
-        let locators = if locators.is_empty() { "nothing".into() } else { locators };
+        let is_users = |locator: &str| locator.starts_with("unixsock-stream/");
+        let whom = match locators.as_str() {
+            "" => "nobody",
+            _ if locators.split(' ').all(is_users) => "only this user",
+            _ => "every user of this host",
+        };
+        let locators = if locators.is_empty() { "nothing" } else { &locators };
         eprintln!(
-            "listening on {locators}: loopback only, no other host can connect; --listen tcp/0.0.0.0:7447 opens it"
+            "listening on {locators}: {whom} can connect, no other host can; --listen tcp/0.0.0.0:7447 opens it"
         );
     }
     if !config.connect.is_empty() {

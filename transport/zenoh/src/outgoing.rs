@@ -3,12 +3,14 @@
 //!
 //! It never waits long for the network: on a busy link a sample is dropped, and the receiver counts the gap in sequence numbers.
 //! Two kinds of samples may wait longer, each in its own thread: large ones, whose fragments fill the link's queue, and those of
-//! publishers that are transient local, or reliable and keep all. If too many of these wait, they are dropped too, and counted.
-//! Local publishers are not affected.
+//! publishers that are transient local, or reliable and keep all. If too many of these wait, no more are taken from shared memory: the
+//! topic's queue there loses its oldest, which are counted, or, where both ends keep all, its publisher has to wait. Other local
+//! publishers are not affected.
 
 use crate::rules::{BULK_BYTES, Rule, Urgency, ruled};
 use crate::wire::{Attachment, ENCAPSULATION, TopicKey, WireQos};
 use std::any::Any;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock, mpsc};
 use std::time::{Duration, Instant};
 use tautline_relay::{
@@ -29,10 +31,10 @@ use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, Mis
 
 /// Bodies of at least this size go to Zenoh without a copy; smaller ones are copied behind their header.
 const IN_PLACE_BYTES: usize = 4096;
-/// Queue of samples from publishers that are transient local, or reliable and keep all.
-const WAITING_SAMPLES: usize = 256;
-/// Queue of large samples.
-const WAITING_BULK: usize = 8;
+/// From so many bytes on, a queue of samples that may wait has no room for more.
+const MOST_WAITING_BYTES: usize = 16 << 20;
+/// What a sample in it takes besides its body.
+const OVERHEAD_BYTES: usize = 1024;
 /// As in rmw_zenoh.
 const HEARTBEAT: Duration = Duration::from_millis(500);
 
@@ -51,8 +53,7 @@ pub(crate) fn start(
     cores: Option<CoreSet>,
 ) -> Result<Outgoing, RelayError> {
     let thread = |name| ThreadBuilder { cores, ..ThreadBuilder::new(name) }.policy(policy).realtime(realtime);
-    let patient = Queue::start(thread(THREADS[1]), WAITING_SAMPLES)?;
-    let bulk = Queue::start(thread(THREADS[2]), WAITING_BULK)?;
+    let (patient, bulk) = (Queue::start(thread(THREADS[1]))?, Queue::start(thread(THREADS[2]))?);
     Relay::start(participant, thread(THREADS[0]), Network { patient, bulk })
 }
 
@@ -116,7 +117,11 @@ impl Egress for Network {
     type Sender = NetworkSender;
 
     // Until the control thread has discovered the publisher.
-    const EARLY: EarlyLimits = EarlyLimits { samples: 64, bytes: 4 << 20, time: Duration::from_secs(2) };
+    const EARLY: EarlyLimits = EarlyLimits { samples: 1000, bytes: 16 << 20, time: Duration::from_secs(2) };
+
+    fn has_room(&self, sender: &NetworkSender) -> bool {
+        self.queue(sender).is_none_or(Queue::has_room)
+    }
 
     fn pass(&mut self, topic: &mut Outbound, sender: &mut NetworkSender, sample: OutboundSample) {
         let (info, len_bytes) = (sample.info(), sample.body().len());
@@ -148,6 +153,15 @@ impl Egress for Network {
 }
 
 impl Network {
+    /// Where samples of this publisher wait, if they may.
+    fn queue(&self, sender: &NetworkSender) -> Option<&Queue> {
+        match (sender.may_wait(), sender.is_bulk) {
+            (true, _) => Some(&self.patient),
+            (false, true) => Some(&self.bulk),
+            (false, false) => None,
+        }
+    }
+
     fn put(
         &self,
         sender: &NetworkSender,
@@ -159,12 +173,8 @@ impl Network {
     ) {
         let attachment = sender.attachment(info);
         let publisher = &sender.publisher;
-        let queue = match (sender.may_wait(), sender.is_bulk) {
-            (true, _) => &self.patient,
-            (false, true) => &self.bulk,
-            (false, false) => {
-                return sent(counters, publisher.put(payload, &attachment, traced), len_bytes, &attachment);
-            }
+        let Some(queue) = self.queue(sender) else {
+            return sent(counters, publisher.put(payload, &attachment, traced), len_bytes, &attachment);
         };
         let (publisher, counters) = (publisher.clone(), counters.clone());
         queue.push(QueuedSample { publisher, payload, attachment, len_bytes, traced, counters });
@@ -293,23 +303,30 @@ impl AnyPublisher {
 
 /// A queue of samples that may wait, and its thread.
 struct Queue {
-    samples: Option<mpsc::SyncSender<QueuedSample>>,
+    samples: Option<mpsc::Sender<QueuedSample>>,
+    waiting_bytes: Arc<AtomicUsize>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Queue {
-    fn start(thread: ThreadBuilder, len: usize) -> Result<Self, RtError> {
-        let (samples, waiting) = mpsc::sync_channel(len);
-        let thread = thread.spawn(move || move || send_waiting(&waiting))?;
-        Ok(Queue { samples: Some(samples), thread: Some(thread) })
+    fn start(thread: ThreadBuilder) -> Result<Self, RtError> {
+        let (samples, waiting) = mpsc::channel();
+        let waiting_bytes = Arc::<AtomicUsize>::default();
+        let left = waiting_bytes.clone();
+        let thread = thread.spawn(move || move || send_waiting(&waiting, &left))?;
+        Ok(Queue { samples: Some(samples), waiting_bytes, thread: Some(thread) })
     }
 
+    fn has_room(&self) -> bool {
+        self.waiting_bytes.load(Ordering::Relaxed) < MOST_WAITING_BYTES
+    }
+
+    /// Room is checked before samples are taken, so that they stay where they are.
     fn push(&self, sample: QueuedSample) {
-        let Some(samples) = &self.samples else { return };
-        if let Err(mpsc::TrySendError::Full(sample) | mpsc::TrySendError::Disconnected(sample)) =
-            samples.try_send(sample)
-        {
-            sample.counters.dropped("too many samples wait for the link");
+        self.waiting_bytes.fetch_add(sample.waiting_bytes(), Ordering::Relaxed);
+        if let Some(samples) = &self.samples {
+            // Ignored: the thread ends only when this is dropped.
+            let _ = samples.send(sample);
         }
     }
 }
@@ -334,10 +351,17 @@ struct QueuedSample {
     counters: Arc<TopicCounters>,
 }
 
-fn send_waiting(samples: &mpsc::Receiver<QueuedSample>) {
-    while let Ok(QueuedSample { publisher, payload, attachment, len_bytes, traced, counters }) =
-        samples.recv()
-    {
+impl QueuedSample {
+    fn waiting_bytes(&self) -> usize {
+        self.len_bytes + OVERHEAD_BYTES
+    }
+}
+
+fn send_waiting(samples: &mpsc::Receiver<QueuedSample>, waiting_bytes: &AtomicUsize) {
+    while let Ok(sample) = samples.recv() {
+        // The one that is being sent does not count: the next large one is there when it was sent.
+        waiting_bytes.fetch_sub(sample.waiting_bytes(), Ordering::Relaxed);
+        let QueuedSample { publisher, payload, attachment, len_bytes, traced, counters } = sample;
         sent(&counters, publisher.put(payload, &attachment, traced), len_bytes, &attachment);
     }
 }

@@ -11,12 +11,13 @@ use std::task::Waker;
 use std::thread::Thread;
 use std::time::{Duration, Instant};
 use tautline_relay::{
-    Arrived, FarClient, FarServer, FarServices, OfferedService, Response, ServerId, SoughtService,
+    Arrived, FarClient, FarServer, FarServices, OfferedService, Pending, Response, ServerId, SoughtService,
 };
 use tautline_rt::PiMutex;
 use tautline_rt::clock::wall_ns;
 use tautline_transport::{Gid, RawSample, RequestId, ServiceType};
 use zenoh::bytes::ZBytes;
+use zenoh::cancellation::CancellationToken;
 use zenoh::query::{ConsolidationMode, Query, QueryTarget, Queryable, Reply};
 use zenoh::{Session, Wait};
 
@@ -24,6 +25,9 @@ use zenoh::{Session, Wait};
 const MOST_WAITING: usize = 4096;
 /// Zenoh's time-out; clients' own are shorter. An action's result may take any time.
 const TIMEOUT: Duration = Duration::from_secs(7 * 24 * 3600);
+/// Maximum of pending queries of a service: if its server is silent, the oldest end before that time. Another gateway gives up the oldest
+/// of far fewer at once.
+const MOST_PENDING: usize = 4096;
 
 pub(crate) struct NetworkServices {
     session: Session,
@@ -150,7 +154,8 @@ impl FarServices for NetworkServices {
     ) -> Result<(ServiceType, Client), String> {
         let (wire_key, service_type) = self.key(key)?;
         let (session, key) = (self.session.clone(), wire_key.to_string());
-        let client = Client { session, key, max_bytes: self.max_bytes, outcomes: Inbox::new(&self.waker) };
+        let (outcomes, pending) = (Inbox::new(&self.waker), Pending::new(MOST_PENDING));
+        let client = Client { session, key, max_bytes: self.max_bytes, outcomes, pending, asked: 0 };
         Ok((service_type, client))
     }
 
@@ -243,20 +248,34 @@ pub(crate) struct Client {
     key: String,
     max_bytes: usize,
     outcomes: Arc<Inbox<Outcome>>,
+    pending: Pending<Cancel>,
+    /// The number of the last query.
+    asked: i64,
 }
 
+/// Ends a query when it is dropped.
+struct Cancel(CancellationToken);
+
+impl Drop for Cancel {
+    fn drop(&mut self) {
+        // Ignored: then it ends by itself.
+        let _ = self.0.cancel().wait();
+    }
+}
+
+/// The outcome of the query with this number.
 enum Outcome {
     /// A reply, not validated yet.
-    Reply(RequestId, ZBytes),
+    Reply(i64, ZBytes),
     /// The query has ended without a reply.
-    Unanswered(RequestId),
+    Unanswered(i64),
 }
 
 /// A pending query. Dropped with it, when no more replies come.
 struct PendingQuery {
     outcomes: Arc<Inbox<Outcome>>,
     key: String,
-    id: RequestId,
+    number: i64,
     is_answered: AtomicBool,
 }
 
@@ -264,7 +283,7 @@ impl PendingQuery {
     fn hear(&self, reply: &Reply) {
         match reply.result() {
             Ok(sample) => {
-                if self.outcomes.push(Outcome::Reply(self.id, sample.payload().clone()), MOST_WAITING) {
+                if self.outcomes.push(Outcome::Reply(self.number, sample.payload().clone()), MOST_WAITING) {
                     self.is_answered.store(true, Ordering::Relaxed);
                 }
             }
@@ -280,7 +299,33 @@ impl Drop for PendingQuery {
     fn drop(&mut self) {
         if !self.is_answered.load(Ordering::Relaxed) {
             // Bounded: one per sent request.
-            self.outcomes.push(Outcome::Unanswered(self.id), usize::MAX);
+            self.outcomes.push(Outcome::Unanswered(self.number), usize::MAX);
+        }
+    }
+}
+
+impl Client {
+    fn query(&mut self, id: RequestId, source_timestamp_ns: i64, request: &[u8]) {
+        let sequence_number = i64::try_from(id.sequence_number).unwrap_or(i64::MAX);
+        let attachment = Attachment { sequence_number, source_timestamp_ns, gid: id.client };
+        self.asked += 1;
+        let (outcomes, key, number) = (self.outcomes.clone(), self.key.clone(), self.asked);
+        let asked = PendingQuery { outcomes, key, number, is_answered: AtomicBool::new(false) };
+        let token = CancellationToken::default();
+        self.pending.add(number, id, BTreeSet::new(), Instant::now(), Cancel(token.clone()));
+        let query = self
+            .session
+            .get(&self.key)
+            .payload([&ENCAPSULATION[..], request].concat())
+            .attachment(&attachment.encode()[..])
+            .target(QueryTarget::AllComplete)
+            .consolidation(ConsolidationMode::None)
+            .timeout(TIMEOUT)
+            .cancellation_token(token)
+            .callback(move |reply| asked.hear(&reply));
+        if let Err(error) = query.wait() {
+            // Dropping its callback ends it as unanswered.
+            tracing::warn!("{}: a request is not sent: {error}", self.key);
         }
     }
 }
@@ -298,47 +343,35 @@ impl FarClient for Client {
         Vec::new()
     }
 
-    fn make_room(&mut self, _: &dyn Fn(Gid) -> bool) -> (bool, Option<RequestId>) {
-        (true, None)
+    fn make_room(&mut self, is_waited_for: &dyn Fn(Gid) -> bool) -> (bool, Option<RequestId>) {
+        self.pending.make_room(is_waited_for, Instant::now())
     }
 
     fn ask(&mut self, id: RequestId, request: &RawSample) -> Result<(), String> {
-        let attachment = Attachment {
-            sequence_number: i64::try_from(id.sequence_number).unwrap_or(i64::MAX),
-            source_timestamp_ns: request.info().source_timestamp_ns,
-            gid: id.client,
-        };
-        let (outcomes, key, is_answered) = (self.outcomes.clone(), self.key.clone(), AtomicBool::new(false));
-        let asked = PendingQuery { outcomes, key, id, is_answered };
-        let query = self
-            .session
-            .get(&self.key)
-            .payload([&ENCAPSULATION[..], request.body()].concat())
-            .attachment(&attachment.encode()[..])
-            .target(QueryTarget::AllComplete)
-            .consolidation(ConsolidationMode::None)
-            .timeout(TIMEOUT)
-            .callback(move |reply| asked.hear(&reply));
-        if let Err(error) = query.wait() {
-            // Dropping its callback ends it as unanswered.
-            tracing::warn!("{}: a request is not sent: {error}", self.key);
-        }
+        self.query(id, request.info().source_timestamp_ns, request.body());
         Ok(())
     }
 
+    /// Of several servers, the first response counts.
     fn take(&mut self) -> Option<Response> {
-        Some(match self.outcomes.pop()? {
-            Outcome::Reply(id, payload) => match body(&payload.to_bytes(), self.max_bytes) {
-                Ok(body) => Response::Answer(id, body.to_vec()),
-                Err(reason) => Response::None(id, reason),
-            },
-            Outcome::Unanswered(id) => Response::None(id, "no answer".to_owned()),
-        })
+        loop {
+            let (number, reply) = match self.outcomes.pop()? {
+                Outcome::Reply(number, payload) => (number, Some(payload)),
+                Outcome::Unanswered(number) => (number, None),
+            };
+            let Some(id) = self.pending.remove(number) else { continue };
+            return Some(match reply.as_ref().map(|payload| payload.to_bytes()) {
+                Some(payload) => match body(&payload, self.max_bytes) {
+                    Ok(body) => Response::Answer(id, body.to_vec()),
+                    Err(reason) => Response::None(id, reason),
+                },
+                None => Response::None(id, "no answer".to_owned()),
+            });
+        }
     }
 
-    /// Later replies are dropped.
     fn forget(&mut self) -> usize {
-        0
+        self.pending.clear()
     }
 }
 

@@ -2,7 +2,11 @@
 //! Opens Zenoh with threads of the required priority. Zenoh has no setting for that: its threads inherit the policy of the thread
 //! that starts them. So a thread of that policy opens the session, and policies are read back.
 
-use crate::config::SessionConfig;
+use crate::config::{SessionConfig, socket_path};
+use std::fs::Permissions;
+use std::io;
+use std::os::unix::fs::PermissionsExt;
+use std::path::PathBuf;
 use tautline_rt::{CoreSet, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 use zenoh::{Session, Wait};
 
@@ -21,6 +25,14 @@ pub enum SessionError {
         /// The endpoints to listen on.
         listen: Vec<String>,
     },
+    /// The socket may be open to other users.
+    #[error("{} cannot be given mode 600, so that only this user reaches it: {source}", path.display())]
+    Socket {
+        /// Its path.
+        path: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
 }
 
 /// Opens a session whose threads have `policy`.
@@ -35,9 +47,16 @@ pub(crate) fn open(
 ) -> Result<Session, SessionError> {
     let SessionConfig { zenoh: zenoh_config, listen, .. } = config;
     let open = move || {
-        zenoh::open(zenoh_config)
+        let session = zenoh::open(zenoh_config)
             .wait()
-            .map_err(|error| SessionError::Open { reason: error.to_string(), listen })
+            .map_err(|error| SessionError::Open { reason: error.to_string(), listen: listen.clone() })?;
+        // Zenoh leaves a socket's mode to the umask.
+        for path in listen.iter().filter_map(|endpoint| socket_path(endpoint)) {
+            let only_user = Permissions::from_mode(0o600);
+            std::fs::set_permissions(path, only_user)
+                .map_err(|source| SessionError::Socket { path: path.into(), source })?;
+        }
+        Ok(session)
     };
     // Zenoh's builders need a deep stack.
     let builder = ThreadBuilder { cores, ..ThreadBuilder::new("gw-open") }

@@ -12,6 +12,7 @@ use crate::services::NetworkServices;
 use crate::stats::{ServiceNames, TopicNames};
 use crate::tokens::{TokenChange, Tokens};
 use crate::types::Types;
+use crate::unclaimed::ClaimThread;
 use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, TypeId, token_wildcard};
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -22,9 +23,7 @@ use tautline_relay::{
     Publisher, Report, Side, Transit, Writers,
 };
 use tautline_schema::Packages;
-use tautline_transport::{
-    Claim, Durability, Limits, Participant, Qos, RawPublisher, SchemaStore, TopicType, TransportError,
-};
+use tautline_transport::{Limits, Participant, Qos, RawPublisher, SchemaStore, TopicType, TransportError};
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::{Query, Reply};
 use zenoh::sample::{Sample, SampleKind};
@@ -91,6 +90,7 @@ const MOST_ENDED: usize = 4096;
 
 pub(crate) struct NetworkSide {
     incoming: BTreeMap<InKey, Incoming>,
+    claims: ClaimThread,
     declared: HashMap<String, LivelinessToken>,
     /// Announcements of publishers' ends, kept until other hosts have received them.
     ended: VecDeque<(Instant, LivelinessToken)>,
@@ -117,6 +117,7 @@ impl NetworkSide {
         participant: Participant,
         session: Session,
         descriptions: Descriptions,
+        claims: ClaimThread,
         state: Arc<GatewayState>,
     ) -> (Self, Transit) {
         let domain = options.domain_there();
@@ -127,6 +128,7 @@ impl NetworkSide {
         let (incoming, declared, ended, changes, undescribed) = Default::default();
         let side = NetworkSide {
             incoming,
+            claims,
             declared,
             ended,
             graph: Graph::new(domain, zid, options.limits),
@@ -177,6 +179,20 @@ impl NetworkSide {
         self.undescribed.retain(|key| types.schema(&key.type_id).is_none());
         for key in &self.undescribed {
             self.descriptions.ask(&self.session, key, &self.graph);
+        }
+    }
+
+    /// Requests kept samples of publishers that the graph has and that have not answered.
+    fn retry_kept(&mut self) {
+        if !self.incoming.values().any(Incoming::is_kept) {
+            return;
+        }
+        let keeping = self.graph.keeping();
+        let (none, domain) = (BTreeMap::new(), self.options.domain_there());
+        for (key, incoming) in &mut self.incoming {
+            if let Ok(TopicKey { topic, type_id, .. }) = wire_key(domain, &key.topic) {
+                incoming.retry(keeping.get(&(&*topic, &type_id)).unwrap_or(&none));
+            }
         }
     }
 
@@ -326,6 +342,7 @@ impl FarSide for NetworkSide {
         }
         self.ended.retain(|(since, _)| since.elapsed() < ENDED_TIME);
         self.ask_for_types();
+        self.retry_kept();
         is_missed
     }
 
@@ -369,24 +386,24 @@ impl FarSide for NetworkSide {
         topic_type: &TopicType,
         offered: Qos,
     ) -> Result<RawPublisher, TransportError> {
-        // Claimed as samples come, not as much as anyone may request.
-        let is_kept = offered.durability == Durability::TransientLocal;
-        let claim = if is_kept { Claim::OnUse } else { Claim::Ahead };
-        participant.create_relay_publisher(topic, topic_type, offered, Limits { claim, ..Limits::default() })
+        participant.create_relay_publisher(topic, topic_type, offered, Limits::default())
     }
 
     fn start_in(&mut self, key: &InKey, inward: &Inward, mut ingress: Ingress) -> Result<(), String> {
         let wire_key = self.wire_key(&key.topic)?;
         // After a restart, kept samples are requested again, so that the new port has them for late joiners here.
-        if let Some(old) = self.incoming.remove(key).and_then(Incoming::end) {
+        let mut waiting = Vec::new();
+        if let Some((old, unclaimed)) = self.incoming.remove(key).and_then(Incoming::end) {
             ingress.take_over(old, key.is_kept());
+            waiting = unclaimed;
         }
         if self.types.schema(&wire_key.type_id).is_none() {
             self.undescribed.insert(wire_key.clone());
             self.descriptions.ask(&self.session, &wire_key, &self.graph);
         }
         let max_bytes = self.options.max_message_bytes;
-        let started = Incoming::start(&self.session, &wire_key, inward, ingress, max_bytes);
+        let claims = self.claims.queue();
+        let started = Incoming::start(&self.session, &wire_key, inward, ingress, waiting, max_bytes, claims);
         self.incoming.insert(key.clone(), started.map_err(|error| error.to_string())?);
         Ok(())
     }

@@ -53,9 +53,9 @@ pub struct Stats {
     pub unauthorized: BTreeMap<String, u64>,
     /// How often the network's threads exceeded the processor budget.
     pub throttled: u64,
-    /// Every topic that is or was mirrored.
+    /// Every topic that is mirrored, or was until a minute ago.
     pub topics: Vec<TopicStats>,
-    /// Every service that is or was mirrored.
+    /// Every service that is mirrored, or was until a minute ago.
     pub services: Vec<ServiceStats>,
 }
 

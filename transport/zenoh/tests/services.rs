@@ -4,11 +4,13 @@
 mod support;
 
 use futures::FutureExt;
+use std::sync::{Arc, Mutex};
 use support::{Host, until, wait};
 use tautline_gateway::wire::EndpointKind;
 use tautline_transport::{
     Limits, Participant, RawClient, RawPending, RawSample, RawServer, ServiceError, ServiceType,
 };
+use zenoh::Wait;
 
 /// Some type of bytes.
 fn service_type() -> ServiceType {
@@ -180,4 +182,32 @@ fn who_gets_no_answer_does_not_wait_for_it() {
     reply(&query(&answered), &[0, 1, 0, 0, 7]);
     assert_eq!(response(answered).unwrap().body(), [7]);
     assert_eq!(client.server_count(), 1, "it is still there");
+}
+
+/// One on another host that never answers: a bounded number of requests is pending there, and those of ended clients make room.
+#[test]
+fn a_silent_server_holds_a_bounded_number_of_requests() {
+    const MOST: usize = 4096;
+    let host = Host::first(84, 84);
+    let silent = host.session();
+    let hash = format!("RIHS01_{}", "7".repeat(64));
+    let name = format!("some_srvs::srv::dds_::Bytes_/{hash}");
+    let queries = Arc::<Mutex<Vec<zenoh::query::Query>>>::default();
+    let held = queries.clone();
+    let server = silent.declare_queryable(format!("84/trigger/{name}")).complete(true);
+    let _server = server.callback(move |query| held.lock().unwrap().push(query)).wait().unwrap();
+    let token = format!("@ros2_lv/84/bad/0/1/SS/%/%/silent/%trigger/{name}/::,10:,:,:,,");
+    let _token = silent.liveliness().declare_token(token).wait().unwrap();
+
+    let mut clients: Vec<_> = (0..65).map(|_| client(&host)).collect();
+    until("the service", || clients.iter().all(|client| client.server_count() == 1));
+    let mut pending: Vec<Vec<_>> =
+        clients.iter().map(|client| (0..64).map(|n| ask(client, &[n])).collect()).collect();
+    let held = || queries.lock().unwrap().len();
+    until("as many as may be pending", || held() >= MOST);
+    let uptime = host.stats().uptime_s;
+    until("new numbers", || host.stats().uptime_s > uptime);
+    assert_eq!(held(), MOST);
+    drop((clients.remove(0), pending.remove(0)));
+    until("those that waited", || held() == 65 * 64);
 }

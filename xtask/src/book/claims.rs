@@ -90,6 +90,8 @@ const DEPLOYMENT: &[Claim] = &[
     ),
     ("up to 1 KiB Zenoh's priority `interactive_high`", "transport/zenoh/src", "SMALL_BYTES: usize = 1024;"),
     ("from 64 KiB on `data_low`", "transport/zenoh/src", "BULK_BYTES: usize = 64 << 10;"),
+    ("16 MiB of each", "transport/zenoh/src", "MOST_WAITING_BYTES: usize = 16 << 20;"),
+    ("at most 4096 are pending", "transport/zenoh/src", "MOST_PENDING: usize = 4096;"),
     (
         "more than 10 s old are counted as `clocks_differ`",
         "transport/relay/src",
@@ -191,7 +193,7 @@ const OTHERS: &[(&str, Claim)] = &[
         "docs/bridge-services.md",
         (
             "if it has had no response for 30 s",
-            "bridge-ros/src",
+            "transport/relay/src",
             "SILENT_TIME: Duration = Duration::from_secs(30);",
         ),
     ),

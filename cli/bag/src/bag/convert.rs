@@ -10,16 +10,16 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use taut_cli::verb::{CommonArgs, End, Failure, Outcome};
 use tautline::{find_schema, type_of};
-use tautline_bag::{BagError, Hooks, Storage, Topic, convert};
+use tautline_bag::{BagError, Definition, Hooks, Storage, Topic, convert};
 use tautline_msgs::split_header;
 use tautline_schema::{DynamicMessage, Endian, Schema, TypeName};
 use tautline_transport::TopicType;
 
 /// Writes bags of rosbag2 into a new one: SQLite to MCAP or back, decompressed, compressed
 ///
-/// Messages, their order and times, QoS, hashes and definitions of types are kept; what cannot be is said. Definitions that an old bag has
-/// not are taken from a sourced ROS 2, or those that are built in, if its messages are of them. Nothing is left of a new bag
-/// that cannot be ended.
+/// Messages of any encoding, their order and times, QoS, hashes and definitions of types, attachments and metadata are kept; what SQLite
+/// cannot hold is refused by name. Definitions that an old bag does not have are taken from a sourced ROS 2, or from those that are built
+/// in, if its messages are of them. A new bag that cannot be completed is removed.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut bag convert foxy_run -o run1                 a folder of .db3 files
@@ -46,21 +46,33 @@ enum Stored {
 }
 
 pub fn run(args: &ConvertArgs, common: &CommonArgs) -> Outcome {
-    let end = End::of(common)?;
-    let progress = Progress::new(common.json);
     let storage = match args.storage {
         Stored::Mcap => Storage::Mcap,
         Stored::Sqlite3 => Storage::Sqlite3,
     };
-    let hooks = Hooks {
-        define: &mut |topic, cdr| defined(topic, cdr).map(|schema| schema.to_text()),
-        tell: &mut |path| progress.say(path),
-        go_on: &mut || {
-            progress.tick();
-            !end.is_reached()
-        },
+    let define = |topic: &Topic, cdr: Option<&[u8]>| {
+        defined(topic, cdr).map(|schema| Definition::ros2msg(schema.to_text()))
     };
-    let written = convert(&args.bags, &args.new.output, storage, args.new.options(), hooks);
+    let hooks = Hooks { define: Some(Box::new(define)), ..Hooks::default() };
+    write(&args.bags, &args.new, storage, hooks, common)
+}
+
+/// Writes the new bag and prints what is in it.
+pub fn write(
+    bags: &[PathBuf],
+    new: &NewArgs,
+    storage: Storage,
+    hooks: Hooks<'_>,
+    common: &CommonArgs,
+) -> Outcome {
+    let end = End::of(common)?;
+    let progress = Progress::new(common.json);
+    let go_on = || {
+        progress.tick();
+        !end.is_reached()
+    };
+    let hooks = Hooks { tell: Box::new(|path| progress.say(path)), go_on: Box::new(go_on), ..hooks };
+    let written = convert(bags, &new.output, storage, new.options(), hooks);
     progress.end();
     let converted =
         written.map_err(|error| match (error, common.timeout().filter(|_| end.is_reached())) {
@@ -78,7 +90,7 @@ pub fn run(args: &ConvertArgs, common: &CommonArgs) -> Outcome {
         report["notes"] = json!(converted.notes);
         writeln!(out, "{report}")?;
     } else {
-        sum.write(&args.new.output, &converted.files, out)?;
+        sum.write(&new.output, &converted.files, out)?;
     }
     whole(&converted.damage)
 }

@@ -9,7 +9,7 @@ use clap::{Args, Subcommand};
 use indicatif::ProgressBar;
 use regex::Regex;
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -18,7 +18,8 @@ use taut_cli::date::date;
 use taut_cli::table::write_table;
 use taut_cli::verb::{CommonArgs, Failure, Outcome, time};
 use tautline_bag::{
-    BagError, Damage, FileReader, FileSummary, Message, Options, files_of, index_of, recover, rewrite,
+    BagError, CDR, Damage, Event, FileReader, FileSummary, Hooks, Options, Storage, Topic, files_of,
+    index_of, is_being_written, recover,
 };
 
 /// Looks into bags, checks, mends, converts and draws them
@@ -137,38 +138,58 @@ pub fn run(args: &BagArgs) -> Outcome {
         return Err(Failure::unusable("a bag is of no domain: leave --domain out"));
     }
     let is_json = args.common.json;
-    // Who has something to remove ends by himself.
-    if !matches!(args.verb, Verb::Convert(_)) {
+    // A verb that has something to remove ends by itself.
+    if !matches!(args.verb, Verb::Cut(_) | Verb::Merge(_) | Verb::Convert(_)) {
         args.common.bound();
     }
     match &args.verb {
         Verb::Info(args) => info(&args.bag, is_json),
         Verb::Check(args) => check(&args.bag, is_json),
         Verb::Recover(args) => mend(&args.bag, is_json),
-        Verb::Cut(args) => cut(args, is_json),
-        Verb::Merge(args) => write_anew(&args.bags, &args.new, is_json, |_| true),
+        Verb::Cut(verb) => cut(verb, &args.common),
+        Verb::Merge(verb) => {
+            convert::write(&verb.bags, &verb.new, Storage::Mcap, Hooks::default(), &args.common)
+        }
         Verb::Convert(verb) => convert::run(verb, &args.common),
         Verb::Plot(args) => plot::run(args, is_json),
     }
 }
 
 fn info(bag: &Path, is_json: bool) -> Outcome {
-    let (mut files, mut said, mut without) = (Vec::new(), Vec::new(), Vec::new());
+    let progress = Progress::new(is_json);
+    let (mut files, mut said, mut damaged) = (Vec::new(), Vec::new(), None);
     for path in files_of(bag).map_err(failed)? {
         match index_of(&path).map_err(failed)? {
             Some((summary, metadata)) => {
                 files.push(summary);
                 said.extend(metadata);
             }
+            // A file without an index is complete if nothing of it is damaged.
             None => {
-                // Not even the beginning of one.
-                FileReader::open(&path).map_err(failed)?;
-                without.push(path);
+                progress.say(&path);
+                let mut reader = FileReader::open(&path).map_err(failed)?;
+                let read = reader.read(&mut |event| {
+                    progress.tick();
+                    if let Event::Metadata(name, values) = event {
+                        said.push((name, values));
+                    }
+                    Ok::<_, BagError>(())
+                });
+                read.map_err(failed)?;
+                files.push(reader.summary());
+                damaged = damaged.or(reader.damage().0.first().map(|damage| (path, damage.clone())));
             }
         }
     }
+    progress.end();
     let last = |name: &str| said.iter().rev().find(|(other, _)| other == name).map(|(_, values)| values);
     let (session, recording) = (last("tautline:session"), last("tautline:recording"));
+    // Each bag that this one was made of has its own.
+    let recordings = || said.iter().filter(|(name, _)| name == "tautline:recording");
+    let lost: Option<u64> = recordings().map(|(_, values)| values.get("lost")?.parse::<u64>().ok()).sum();
+    let lost = lost.filter(|_| recording.is_some());
+    let of_others: BTreeSet<_> =
+        said.iter().map(|(name, _)| &**name).filter(|name| !name.starts_with("tautline:")).collect();
     let out = &mut anstream::stdout().lock();
     let sum = Sum::of(&files);
     if is_json {
@@ -180,30 +201,39 @@ fn info(bag: &Path, is_json: bool) -> Outcome {
         let mut report = sum.json(&files);
         report["session"] = session.map_or(Value::Null, values);
         report["recording"] = recording.map_or(Value::Null, values);
-        report["without_index"] = json!(without);
+        report["lost"] = json!(lost);
+        report["metadata"] = json!(of_others);
         writeln!(out, "{report}")?;
     } else {
         sum.write(bag, &files, out)?;
+        if !of_others.is_empty() {
+            writeln!(out, "metadata: {}", of_others.into_iter().collect::<Vec<_>>().join(", "))?;
+        }
         if let Some(host) = session.and_then(|session| session.get("host")) {
             let said = |key: &str| recording.and_then(|recording| recording.get(key));
-            let lost = match (said("lost"), said("why")) {
+            let lost = match (lost, said("why")) {
                 (_, Some(why)) => format!("from its black box: {why}"),
-                (Some(lost), _) if lost == "0" => "and lost nothing".to_owned(),
+                (Some(0), _) => "and lost nothing".to_owned(),
                 (Some(lost), _) => format!("and lost {lost} messages"),
                 (None, _) => "and did not come to its end".to_owned(),
             };
             writeln!(out, "taut record wrote it on {host}, {lost}")?;
         }
     }
-    if without.is_empty() {
-        return Ok(());
+    match damaged {
+        None => Ok(()),
+        Some((path, Damage { offset, what })) => {
+            Err(Failure::no(format!("{}: at byte {offset}: {what}; {}", path.display(), advice(bag, &path))))
+        }
     }
-    let names: Vec<_> = without.iter().map(|path| path.display().to_string()).collect();
-    Err(Failure::no(format!(
-        "no index in {}; `taut bag recover {}` makes one",
-        names.join(", "),
-        bag.display()
-    )))
+}
+
+/// What to do about a damaged file.
+fn advice(bag: &Path, file: &Path) -> String {
+    match is_being_written(file) {
+        Ok(true) => "it is still being written".to_owned(),
+        _ => format!("`taut bag recover {}` keeps what is whole", bag.display()),
+    }
 }
 
 fn check(bag: &Path, is_json: bool) -> Outcome {
@@ -240,7 +270,8 @@ fn check(bag: &Path, is_json: bool) -> Outcome {
         }
         sum.write(bag, &files, out)?;
     }
-    let recover = format!("`taut bag recover {}` keeps what is whole", bag.display());
+    let first = damage.first().map_or(bag, |(path, _)| path);
+    let recover = advice(bag, first);
     match (damages, is_described) {
         (0, true) => Ok(()),
         (0, false) => Err(Failure::no(format!("there is no metadata.yaml; {recover}, and writes it"))),
@@ -270,7 +301,7 @@ fn mend(bag: &Path, is_json: bool) -> Outcome {
             Some(Damage { offset, what }) => {
                 writeln!(out, "{path}: {what}, at byte {offset}: {messages} messages kept")?;
                 if let Some(before) = &file.before {
-                    writeln!(out, "  what it was is {}: remove it if nothing is missing", before.display())?;
+                    writeln!(out, "  the original is kept as {}", before.display())?;
                 }
             }
         }
@@ -278,7 +309,7 @@ fn mend(bag: &Path, is_json: bool) -> Outcome {
     Ok(())
 }
 
-fn cut(args: &CutArgs, is_json: bool) -> Outcome {
+fn cut(args: &CutArgs, common: &CommonArgs) -> Outcome {
     let topics: Vec<_> = args.topics.iter().map(|topic| full_name(topic)).collect();
     let exclude = args.exclude.as_deref().map(Regex::new).transpose()?;
     let mut files = Vec::new();
@@ -305,36 +336,12 @@ fn cut(args: &CutArgs, is_json: bool) -> Outcome {
         let seconds = there.seconds();
         return Err(Failure::unusable(format!("there is nothing between: the bag is of {seconds:.1} s")));
     }
-    write_anew(std::slice::from_ref(&args.bag), &args.new, is_json, |message| {
-        let name = &message.topic.name;
-        (from_ns..to_ns).contains(&message.stamp.log_ns)
-            && (topics.is_empty() || topics.contains(name))
-            && !exclude.as_ref().is_some_and(|regex| regex.is_match(name))
-    })
-}
-
-fn write_anew(
-    bags: &[PathBuf],
-    new: &NewArgs,
-    is_json: bool,
-    mut wanted: impl FnMut(&Message<'_>) -> bool,
-) -> Outcome {
-    let progress = Progress::new(is_json);
-    let wanted = &mut |message: &Message<'_>| {
-        progress.tick();
-        wanted(message)
+    let wants = |topic: &Topic| {
+        (topics.is_empty() || topics.contains(&topic.name))
+            && !exclude.as_ref().is_some_and(|regex| regex.is_match(&topic.name))
     };
-    let written = rewrite(bags, &new.output, new.options(), wanted, &mut |path| progress.say(path));
-    progress.end();
-    let (finished, damage) = written.map_err(failed)?;
-    let out = &mut anstream::stdout().lock();
-    let sum = Sum::of(&finished.files);
-    if is_json {
-        writeln!(out, "{}", sum.json(&finished.files))?;
-    } else {
-        sum.write(&new.output, &finished.files, out)?;
-    }
-    whole(&damage)
+    let hooks = Hooks { wants: Box::new(wants), span_ns: from_ns..to_ns, ..Hooks::default() };
+    convert::write(std::slice::from_ref(&args.bag), &args.new, Storage::Mcap, hooks, common)
 }
 
 /// Whether all of what was read was taken.
@@ -349,7 +356,8 @@ fn whole(damage: &[(PathBuf, Damage)]) -> Outcome {
 
 /// Of all files.
 struct Sum {
-    topics: BTreeMap<(String, String), (String, u64)>,
+    topics: BTreeMap<(String, String), (Topic, u64)>,
+    attachments: Vec<String>,
     messages: u64,
     bytes: u64,
     start_ns: u64,
@@ -361,10 +369,11 @@ impl Sum {
         let with_messages = || files.iter().filter(|file| file.messages > 0);
         let mut topics = BTreeMap::new();
         for (key, (topic, messages)) in files.iter().flat_map(|file| &file.topics) {
-            topics.entry(key.clone()).or_insert_with(|| (topic.type_hash.clone(), 0)).1 += messages;
+            topics.entry(key.clone()).or_insert_with(|| (topic.clone(), 0)).1 += messages;
         }
         Sum {
             topics,
+            attachments: files.iter().flat_map(|file| file.attachments.clone()).collect(),
             messages: files.iter().map(|file| file.messages).sum(),
             bytes: files.iter().map(|file| file.bytes).sum(),
             start_ns: with_messages().map(|file| file.start_ns).min().unwrap_or(0),
@@ -377,7 +386,7 @@ impl Sum {
     }
 
     fn json(&self, files: &[FileSummary]) -> Value {
-        let topic = |((name, type_name), (hash, messages)): (&(String, String), &(String, u64))| json!({ "topic": name, "type": type_name, "hash": hash, "messages": messages });
+        let topic = |(Topic { name, type_name, type_hash, encoding, .. }, messages): &(Topic, u64)| json!({ "topic": name, "type": type_name, "hash": type_hash, "encoding": encoding, "messages": messages });
         let file = |file: &FileSummary| {
             json!({
                 "file": file.name(), "bytes": file.bytes, "messages": file.messages,
@@ -386,22 +395,25 @@ impl Sum {
         };
         json!({
             "messages": self.messages, "bytes": self.bytes, "start_ns": self.start_ns, "end_ns": self.end_ns,
-            "topics": self.topics.iter().map(topic).collect::<Vec<_>>(), "files": files.iter().map(file).collect::<Vec<_>>(),
+            "topics": self.topics.values().map(topic).collect::<Vec<_>>(), "files": files.iter().map(file).collect::<Vec<_>>(),
+            "attachments": self.attachments,
         })
     }
 
     fn write(&self, bag: &Path, files: &[FileSummary], out: &mut impl Write) -> io::Result<()> {
         let seconds = self.seconds();
         if !self.topics.is_empty() {
-            let row = |((name, type_name), (_, messages)): (&(String, String), &(String, u64))| {
+            let row = |(Topic { name, type_name, encoding, .. }, messages): &(Topic, u64)| {
                 let hz =
                     if seconds > 0.0 { format!("{:.1}", *messages as f64 / seconds) } else { "-".into() };
-                (true, vec![name.clone(), type_name.clone(), messages.to_string(), hz])
+                let of_type =
+                    if encoding == CDR { type_name.clone() } else { format!("{type_name} ({encoding})") };
+                (true, vec![name.clone(), of_type, messages.to_string(), hz])
             };
             write_table(
                 &["topic", "type", "messages", "mean/s"],
                 2,
-                self.topics.iter().map(row).collect(),
+                self.topics.values().map(row).collect(),
                 out,
             )?;
         }
@@ -414,8 +426,12 @@ impl Sum {
             if files == 1 { "file" } else { "files" }
         )?;
         match self.messages {
-            0 => writeln!(out),
-            _ => writeln!(out, ", {seconds:.1} s from {} UTC", date(self.start_ns.cast_signed())),
+            0 => writeln!(out)?,
+            _ => writeln!(out, ", {seconds:.1} s from {} UTC", date(self.start_ns.cast_signed()))?,
+        }
+        match &*self.attachments {
+            [] => Ok(()),
+            names => writeln!(out, "attachments: {}", names.join(", ")),
         }
     }
 }

@@ -18,7 +18,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use taut_cli::verb::{Failure, Outcome, time};
 use tautline::find_schema;
-use tautline_bag::{Ordered, Topic, is_compressed};
+use tautline_bag::{CDR, Ordered, Topic, is_compressed};
 use tautline_rt::clock::nanoseconds;
 use tautline_schema::{DynamicMessage, Primitive, Schema, TypeName, Value};
 use tautline_transport::TopicType;
@@ -60,8 +60,8 @@ pub struct PlotArgs {
 /// A field as it is read.
 struct Line {
     wanted: Wanted,
-    /// Which topic of the bag.
-    topic: usize,
+    /// Which topics of the bag: one, or one for each publisher.
+    topics: Vec<usize>,
     schema: Arc<Schema>,
     is_bool: bool,
     columns: Columns,
@@ -105,7 +105,7 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
             continue;
         }
         let mut read: Option<Result<DynamicMessage, String>> = None;
-        for line in lines.iter_mut().filter(|line| line.topic == message.topic) {
+        for line in lines.iter_mut().filter(|line| line.topics.contains(&message.topic)) {
             let read = read.get_or_insert_with(|| {
                 if is_compressed(&message.cdr) {
                     return Err(
@@ -184,17 +184,19 @@ impl PlotArgs {
             let what = format!("topic '{}' in {}", wanted.topic, self.bag.display());
             return Err(field::missing(&what, &wanted.topic, names));
         };
-        if topics.iter().filter(|topic| topic.name == wanted.topic).count() > 1 {
-            let (name, of_type) = (&wanted.topic, &topics[topic].type_name);
+        let (name, of_type) = (&wanted.topic, &topics[topic].type_name);
+        let of_name = || topics.iter().enumerate().filter(|(_, topic)| topic.name == *name);
+        if of_name().any(|(_, topic)| topic.type_name != *of_type) {
             say(&format!("taut: warning: {name} has several types, of which {of_type} is drawn"));
         }
         let schema = schema_of(&topics[topic])?;
+        let topics = of_name().filter(|(_, topic)| topic.type_name == *of_type).map(|(at, _)| at).collect();
         let is_bool = wanted.check(&schema)? == Primitive::Bool;
         // One for each column of pixels.
         let columns = Columns::new(from_ns, to_ns, usize::from(self.width));
         let (points, unread) = (Vec::new(), (0, None));
         let (wanted, messages, gaps) = (wanted.clone(), 0, 0);
-        Ok(Line { wanted, topic, schema, is_bool, columns, points, messages, gaps, unread })
+        Ok(Line { wanted, topics, schema, is_bool, columns, points, messages, gaps, unread })
     }
 }
 
@@ -250,8 +252,11 @@ impl Line {
 /// As the bag has it, or else as it is known here.
 fn schema_of(topic: &Topic) -> Outcome<Arc<Schema>> {
     let unusable = |error: &dyn std::fmt::Display| Failure::unusable(format!("{}: {error}", topic.name));
+    if topic.encoding != CDR {
+        return Err(unusable(&format!("its messages are {}; only {CDR} can be drawn", topic.encoding)));
+    }
     let name: TypeName = topic.type_name.parse().map_err(|error| unusable(&error))?;
-    if let Some(text) = &topic.definition {
+    if let Some(text) = &topic.ros2msg() {
         return crate::definitions::from_bag(&name, text).map(Arc::new).map_err(|error| unusable(&error));
     }
     let bare = TopicType::new(topic.type_name.clone());

@@ -12,6 +12,7 @@ use tautline_bag::{BagError, Ordered, OwnedMessage, is_compressed};
 use tautline_msgs::cdr::Endian;
 use tautline_msgs::split_header;
 use tautline_schema::{DynamicMessage, Schema};
+use tautline_transport::Gid;
 
 /// So much of the bag's time is enough to begin with, or what is read in so long.
 const ENOUGH: Duration = Duration::from_secs(2);
@@ -231,6 +232,7 @@ impl Feeder {
             sequence: message.stamp.sequence.into(),
             log_ns,
             publish_ns: message.stamp.publish_ns,
+            publisher: Gid::default(),
         };
         self.given += 1;
         let (since, from_ns) = *self.filling.get_or_insert((Instant::now(), log_ns));
@@ -281,7 +283,7 @@ impl Feeder {
 }
 
 fn mark(topic: u32, log_ns: u64, generation: u64) -> Head {
-    Head { topic, cdr_bytes: 0, sequence: generation, log_ns, publish_ns: 0 }
+    Head { topic, cdr_bytes: 0, sequence: generation, log_ns, publish_ns: 0, publisher: Gid::default() }
 }
 
 fn note((count, first): &mut (u64, Option<String>), why: String) {

@@ -19,6 +19,8 @@ use regex::Regex;
 use stand_in::StandIn;
 use statement::Statement;
 use std::cell::Cell;
+use std::collections::BTreeSet;
+use std::fmt::Display;
 use std::num::NonZeroU64;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -27,9 +29,9 @@ use std::time::{Duration, Instant};
 use taut_cli::arguments::full_name;
 use taut_cli::verb::{CommonArgs, End, Failure, Outcome, time};
 use tautline::{EndpointKind, find_schema, type_of};
-use tautline_bag::{Ordered, Topic};
+use tautline_bag::{CDR, Ordered, Topic};
 use tautline_rt::{self as rt, CoreSet, MemoryLock, Policy, ThreadBuilder};
-use tautline_schema::{Schema, TypeName};
+use tautline_schema::{Schema, SchemaError, TypeName};
 use tautline_transport::{Durability, Limits, Participant, Qos, RawPublisher, TopicType, Visitor};
 
 /// How long subscriptions of another host or of ROS may take to find who publishes to them.
@@ -142,6 +144,15 @@ struct Role {
     part: Part,
 }
 
+/// What is played.
+struct Chosen {
+    roles: Vec<Role>,
+    /// Of each topic of the bag, which role it is.
+    numbers: Vec<Option<usize>>,
+    /// Topics that nobody named and that cannot be played, with the reason.
+    unplayable: Vec<String>,
+}
+
 pub fn run(args: &PlayArgs) -> Outcome {
     let domain = args.common.domain()?;
     let control = Arc::new(Control::default());
@@ -163,7 +174,7 @@ pub fn run(args: &PlayArgs) -> Outcome {
         CoreSet::one(core).check().map_err(|error| Failure::unusable(format!("--core: {error}")))?;
     }
     let stand_in = args.stand_in(domain)?;
-    let (roles, numbers) = args.roles(&bag, stand_in.as_ref())?;
+    let Chosen { roles, numbers, unplayable } = args.choose(&bag, stand_in.as_ref())?;
     let participant = Participant::new(domain)?;
     let (name, namespace) = match &stand_in {
         Some(stand_in) => stand_in.name(&participant)?,
@@ -219,13 +230,14 @@ pub fn run(args: &PlayArgs) -> Outcome {
     let thread = thread.spawn(move || move || player.run())?;
     end.restart();
     let until = if args.again == Some(None) { ", until Ctrl-C" } else { "" };
-    say(&format!("playing {} topics of {} in domain {domain}{until}", roles.len(), args.bag.display()));
+    let topics = roles.iter().map(|role| &role.name).collect::<BTreeSet<_>>().len();
+    say(&format!("playing {topics} topics of {} in domain {domain}{until}", args.bag.display()));
     console::watch(&control, &end, start_ns, args.common.json, || thread.is_finished());
     let is_interrupted = !thread.is_finished();
     control.stop.store(true, Ordering::Relaxed);
     let played = thread.join()?;
     let fed = feeder.join().map_err(|_| Failure::unusable("the thread that reads the bag panicked"))?;
-    Statement { args, roles: &roles, played, fed, is_interrupted }.print()
+    Statement { args, roles: &roles, unplayable, played, fed, is_interrupted }.print()
 }
 
 impl PlayArgs {
@@ -259,8 +271,7 @@ impl PlayArgs {
         Ok((self.from.map_or(0, at), to_ns))
     }
 
-    /// What is played, and which of it each topic of the bag is.
-    fn roles(&self, bag: &Ordered, stand_in: Option<&StandIn>) -> Outcome<(Vec<Role>, Vec<Option<usize>>)> {
+    fn choose(&self, bag: &Ordered, stand_in: Option<&StandIn>) -> Outcome<Chosen> {
         let names: Vec<_> = match stand_in {
             None => self.topics.iter().map(|name| full_name(name)).collect(),
             Some(stand_in) => stand_in.topics().collect(),
@@ -283,24 +294,47 @@ impl PlayArgs {
                 && !self.exclude.as_ref().is_some_and(|regex| regex.is_match(name))
                 && !(self.clock.is_some() && name == "/clock")
         };
-        let (mut roles, mut numbers) = (Vec::new(), Vec::new());
+        let (mut roles, mut numbers, mut unplayable) = (Vec::new(), Vec::new(), Vec::new());
         for topic in bag.topics() {
-            numbers.push(is_wanted(&topic.name).then_some(roles.len()));
-            if is_wanted(&topic.name) {
-                roles.push(self.role(topic)?);
+            if !is_wanted(&topic.name) {
+                numbers.push(None);
+                continue;
+            }
+            match self.role(topic) {
+                Ok(role) => {
+                    numbers.push(Some(roles.len()));
+                    roles.push(role);
+                }
+                Err(error) if names.contains(&topic.name) => {
+                    return Err(Failure::unusable(format!("{error}; leave it out with -x")));
+                }
+                Err(error) => {
+                    say(&format!("taut: warning: {error}"));
+                    unplayable.push(error);
+                    numbers.push(None);
+                }
             }
         }
-        if roles.is_empty() {
-            return Err(Failure::unusable(
+        match (roles.is_empty(), unplayable.first()) {
+            (false, _) => Ok(Chosen { roles, numbers, unplayable }),
+            (true, Some(first)) => {
+                Err(Failure::unusable(format!("no topic of the bag can be played; the first: {first}")))
+            }
+            (true, None) => Err(Failure::unusable(
                 "no topic of the bag is chosen; `taut bag info` prints which there are",
-            ));
+            )),
         }
-        Ok((roles, numbers))
     }
 
-    fn role(&self, topic: &Arc<Topic>) -> Outcome<Role> {
+    /// How a topic is played, or why it cannot be.
+    fn role(&self, topic: &Arc<Topic>) -> Result<Role, String> {
         let name = self.remap.iter().find(|(from, _)| *from == topic.name).map_or(&topic.name, |(_, to)| to);
-        let (schema, topic_type) = described(topic)?;
+        let unplayable = |why: &dyn Display| format!("{} cannot be played: {why}", topic.name);
+        if topic.encoding != CDR {
+            return Err(unplayable(&format!("its messages are {}, not {CDR}", topic.encoding)));
+        }
+        let type_name = topic.type_name.parse().map_err(|error: SchemaError| unplayable(&error))?;
+        let (schema, topic_type) = described(topic, &type_name);
         let qos = offered_qos::read(&topic.qos).unwrap_or_else(|error| {
             say(&format!(
                 "taut: warning: {}: its recorded QoS cannot be read, so it has the default: {error}",
@@ -319,11 +353,12 @@ impl PlayArgs {
             return Ok(());
         }
         let graph = participant.graph()?;
-        let names = || roles.iter().map(|role| &*role.name).chain(self.clock.map(|_| "/clock"));
+        let names: BTreeSet<_> =
+            roles.iter().map(|role| &*role.name).chain(self.clock.map(|_| "/clock")).collect();
         let is_live = |name: &&str| {
             graph.endpoints.iter().any(|end| end.kind == EndpointKind::Publisher && end.topic == *name)
         };
-        let live: Vec<_> = names().filter(is_live).collect();
+        let live: Vec<_> = names.into_iter().filter(is_live).collect();
         if live.is_empty() {
             return Ok(());
         }
@@ -390,16 +425,12 @@ impl PlayArgs {
 }
 
 /// The definition of a topic's type, and all that is known of it.
-fn described(topic: &Topic) -> Outcome<(Option<Arc<Schema>>, TopicType)> {
+fn described(topic: &Topic, name: &TypeName) -> (Option<Arc<Schema>>, TopicType) {
     let bare = TopicType::new(topic.type_name.clone());
     let recorded =
         if topic.type_hash.is_empty() { bare.clone() } else { bare.with_hash(topic.type_hash.clone()) };
-    let unusable = |error: &dyn std::fmt::Display| {
-        Failure::unusable(format!("{}: {error}; leave it out with -x", topic.name))
-    };
-    let name: TypeName = topic.type_name.parse().map_err(|error| unusable(&error))?;
-    let schema = match &topic.definition {
-        Some(text) => match definitions::from_bag(&name, text) {
+    let schema = match topic.ros2msg() {
+        Some(text) => match definitions::from_bag(name, &text) {
             Ok(schema) => Some(Arc::new(schema)),
             Err(error) => {
                 say(&format!(
@@ -411,17 +442,17 @@ fn described(topic: &Topic) -> Outcome<(Option<Arc<Schema>>, TopicType)> {
         },
         None => None,
     };
-    let schema = schema.or_else(|| find_schema(&topic.name, &name, Some(&recorded)).ok());
+    let schema = schema.or_else(|| find_schema(&topic.name, name, Some(&recorded)).ok());
     let agreed =
         schema.map(|schema| (type_of(&schema), schema)).filter(|(known, _)| known.agrees_with(&recorded));
     match agreed {
-        Some((topic_type, schema)) => Ok((Some(schema), topic_type)),
+        Some((topic_type, schema)) => (Some(schema), topic_type),
         None => {
             say(&format!(
                 "taut: warning: {}: the definition of {} is not known, so what is sent is not checked",
                 topic.name, topic.type_name
             ));
-            Ok((None, recorded))
+            (None, recorded)
         }
     }
 }

@@ -15,6 +15,8 @@ use taut_cli::verb::{Failure, Outcome};
 pub struct Statement<'a> {
     pub args: &'a PlayArgs,
     pub roles: &'a [Role],
+    /// Topics that cannot be played, with the reason.
+    pub unplayable: Vec<String>,
     pub played: Played,
     pub fed: Fed,
     pub is_interrupted: bool,
@@ -35,12 +37,20 @@ impl Statement<'_> {
         self.played.published.iter().sum()
     }
 
-    fn rows(&self) -> impl Iterator<Item = (&Role, u64, u64)> {
+    /// One for each topic, of all its publishers.
+    fn rows(&self) -> Vec<(&Role, u64, u64)> {
+        let mut rows: Vec<(&Role, u64, u64)> = Vec::new();
         let counts = self.played.published.iter().zip(&self.fed.unplayable);
-        self.roles
-            .iter()
-            .zip(counts)
-            .map(|(role, (published, (unplayable, _)))| (role, *published, *unplayable))
+        for (role, (published, (unplayable, _))) in self.roles.iter().zip(counts) {
+            let is_same = |(row, ..): &&mut (&Role, u64, u64)| {
+                row.name == role.name && row.topic.type_name == role.topic.type_name
+            };
+            match rows.iter_mut().find(is_same) {
+                Some(row) => (row.1, row.2) = (row.1 + published, row.2 + unplayable),
+                None => rows.push((role, *published, *unplayable)),
+            }
+        }
+        rows
     }
 
     fn json(&self, out: &mut impl Write) -> io::Result<()> {
@@ -54,7 +64,7 @@ impl Statement<'_> {
             "bag": self.args.bag, "published": self.published(), "rate": self.args.rate, "interrupted": self.is_interrupted,
             "late_ms": self.played.late.to_json(), "timer_late_ms": self.played.timer.to_json(),
             "starved": self.played.starved, "refused": self.played.refused, "damaged_parts": self.fed.damaged,
-            "topics": self.rows().map(topic).collect::<Vec<_>>(),
+            "topics": self.rows().into_iter().map(topic).collect::<Vec<_>>(), "unplayable_topics": self.unplayable,
         });
         writeln!(out, "{report}")
     }
@@ -69,7 +79,12 @@ impl Statement<'_> {
             ];
             (unplayable == 0, cells)
         };
-        write_table(&["topic", "type", "published", "unplayable"], 2, self.rows().map(row).collect(), out)?;
+        write_table(
+            &["topic", "type", "published", "unplayable"],
+            2,
+            self.rows().into_iter().map(row).collect(),
+            out,
+        )?;
         let interrupted = if self.is_interrupted { "interrupted: " } else { "" };
         write!(out, "{interrupted}{} messages", self.published())?;
         let words = |times: &Times| {
@@ -122,6 +137,10 @@ impl Statement<'_> {
         }
         if let Some(first) = self.fed.damage {
             return Err(Failure::no(format!("{} parts of the bag are damaged; {first}", self.fed.damaged)));
+        }
+        if let Some(first) = self.unplayable.first() {
+            let topics = self.unplayable.len();
+            return Err(Failure::no(format!("{topics} topics were not played; the first: {first}")));
         }
         let late = Duration::from_nanos(self.played.late.max_ns());
         match self.args.max_jitter {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Who writes messages to the disk, from the ring.
 
-use super::event::Events;
-use super::observers::Kept;
+use super::channels::Channels;
+use super::observers::Announced;
 use crate::ring::{HEAD_BYTES, Head};
 use rtrb::Consumer;
 use std::collections::BTreeMap;
@@ -42,14 +42,15 @@ impl BagWriter {
     pub fn start(
         writer: Writer,
         consumer: Consumer<u8>,
-        topics: Receiver<Kept>,
+        announced: Receiver<Announced>,
         is_over: Arc<AtomicBool>,
         offset_ns: i64,
     ) -> Outcome<Self> {
         let (statement, stated) = channel();
         let thread = ThreadBuilder::new("bag-writer").policy(Policy::Other { nice: 0 });
-        let (kept, scratch) = (Vec::new(), Vec::new());
-        let work = Work { writer, consumer, topics, kept, scratch, messages: 0, offset_ns };
+        let channels = Channels::new(announced);
+        let (ids, scratch) = (Vec::new(), Vec::new());
+        let work = Work { writer, consumer, channels, ids, scratch, messages: 0, offset_ns };
         let thread = thread.spawn(move || move || work.run(&is_over, &stated))?;
         Ok(BagWriter { statement, thread })
     }
@@ -65,8 +66,9 @@ impl BagWriter {
 struct Work {
     writer: Writer,
     consumer: Consumer<u8>,
-    topics: Receiver<Kept>,
-    kept: Vec<(TopicId, Option<Events>)>,
+    channels: Channels,
+    /// Of each channel.
+    ids: Vec<TopicId>,
     /// A message that goes over the ring's end.
     scratch: Vec<u8>,
     messages: u64,
@@ -80,6 +82,9 @@ impl Work {
         let failed = loop {
             let start = Instant::now();
             let written = self.some().and_then(|is_more| {
+                // A silent topic is in the bag, too.
+                self.channels.refresh();
+                self.channels.write(&mut self.writer, &mut self.ids)?;
                 if flushed.elapsed() >= FLUSH {
                     flushed = Instant::now();
                     self.writer.flush()?;
@@ -131,16 +136,9 @@ impl Work {
         let whole = HEAD_BYTES + head.cdr_bytes as usize;
         // The reader is not through with it.
         let Ok(chunk) = self.consumer.read_chunk(whole) else { return Ok(false) };
-        while self.kept.len() <= head.topic as usize {
-            // Told before its first message.
-            let Ok(kept) = self.topics.recv() else { return Ok(false) };
-            self.kept.push(match kept {
-                Kept::Topic(topic) => (self.writer.add_topic(topic), None),
-                Kept::Requests(topic, events) => (self.writer.add_topic(topic), Some(events)),
-                Kept::Responses(requests) => (self.kept[requests].0, None),
-            });
-        }
-        let (topic, events) = &self.kept[head.topic as usize];
+        let Some(channel) = self.channels.of(&head) else { return Ok(false) };
+        self.channels.write(&mut self.writer, &mut self.ids)?;
+        let (topic, events) = (self.ids[channel], self.channels.events(&head));
         let (first, second) = chunk.as_slices();
         let cdr = if second.is_empty() {
             &first[HEAD_BYTES..]
@@ -152,9 +150,9 @@ impl Work {
         };
         let stamp =
             Stamp { sequence: head.sequence as u32, log_ns: head.log_ns, publish_ns: head.publish_ns };
-        let is_written = match events.as_ref().map(|events| events.written(cdr)) {
-            None => self.writer.write(*topic, stamp, cdr).map(|()| true),
-            Some(Ok(event)) => self.writer.write(*topic, stamp, &event).map(|()| true),
+        let is_written = match events.map(|events| events.written(cdr)) {
+            None => self.writer.write(topic, stamp, cdr).map(|()| true),
+            Some(Ok(event)) => self.writer.write(topic, stamp, &event).map(|()| true),
             // No request of its service: what is missing in the end is said.
             Some(Err(_)) => Ok(false),
         };

@@ -8,7 +8,7 @@
 use crate::definitions;
 use std::sync::Arc;
 use tautline::{find_schema, type_of};
-use tautline_bag::Topic;
+use tautline_bag::{Definition, Topic};
 use tautline_schema::{DynamicMessage, Endian, List, MessageError, Schema, Value};
 use tautline_transport::{MessageInfo, Qos, ServiceEndpoint, TopicType};
 
@@ -90,8 +90,9 @@ impl Events {
             name: format!("{service}{EVENTS}"),
             type_name: self.event.name().to_string(),
             type_hash: type_of(&self.event).hash.as_deref().unwrap_or_default().to_owned(),
-            definition: Some(definitions::for_bag(&self.event)),
+            definition: Some(Definition::ros2msg(definitions::for_bag(&self.event))),
             qos: crate::offered_qos::write(&Qos::default()),
+            ..Topic::default()
         }
     }
 

@@ -7,6 +7,7 @@
 mod aside;
 mod bag_writer;
 mod black_box;
+mod channels;
 mod choice;
 mod event;
 mod observers;
@@ -203,8 +204,9 @@ pub fn run(args: &RecordArgs) -> Outcome {
         // Threads that it starts are there, too.
         rt::set_affinity(cores).map_err(|error| Failure::unusable(format!("--cores: {error}")))?;
     }
-    let (is_paused, asked) = (Arc::new(AtomicBool::new(args.paused)), Arc::new(AtomicBool::new(false)));
-    listen(if args.black_box.is_some() { &asked } else { &is_paused })?;
+    let pause = Pause { wanted: flag(args.paused), is_paused: flag(args.paused) };
+    let asked = flag(false);
+    listen(if args.black_box.is_some() { &asked } else { &pause.wanted })?;
     // Before anything else: what is locked, and what it costs, is there before the first message.
     if let Err(error) = rt::lock_memory(MemoryLock::OnFault) {
         say(&format!("taut: warning: the buffers are not locked into memory: {error}"));
@@ -214,8 +216,8 @@ pub fn run(args: &RecordArgs) -> Outcome {
     let participant = Participant::new(domain)?;
     let (stop, is_over) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
     let (observers, new_observers) = Observers::new(participant, choice, args)?;
-    let pace =
-        Pace { period_ns: rt::clock::nanoseconds(args.period).max(100_000), is_paused: is_paused.clone() };
+    let period_ns = rt::clock::nanoseconds(args.period).max(100_000);
+    let pace = Pace { period_ns, is_paused: pause.is_paused.clone() };
     let reader = Reader::new(producer, new_observers.observers, pace, stop.clone());
     let mut behind = match args.black_box {
         None => {
@@ -223,7 +225,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
             Behind::BagWriter(BagWriter::start(
                 writer,
                 consumer,
-                new_observers.topics,
+                new_observers.announced,
                 is_over.clone(),
                 reader.offset_ns(),
             )?)
@@ -232,7 +234,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
             let plan = args.plan(&folder, domain, span, reader.offset_ns())?;
             let tracing = args.tracing(domain, span)?;
             let alarms = Alarms::new(domain, &args.on, &args.silent, span, asked)?;
-            let dumper = Dumper::start(plan, consumer, new_observers.topics, tracing, is_over.clone())?;
+            let dumper = Dumper::start(plan, consumer, new_observers.announced, tracing, is_over.clone())?;
             Behind::Dumper(dumper, Box::new(alarms))
         }
     };
@@ -248,7 +250,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
         Some(span) => format!("the last {} s of ", span.as_secs_f64()),
     };
     say(&format!("recording {what}domain {domain} into {}{until}", folder.display()));
-    let watched = watch(args, &end, observers, &mut behind, (&is_over, &is_paused));
+    let watched = watch(args, &end, observers, &mut behind, (&is_over, &pause));
     // What was sent until now is taken, then written; whatever happened.
     stop.store(true, Ordering::Release);
     let taken = thread.join()?;
@@ -285,19 +287,44 @@ enum Behind {
     Dumper(Dumper, Box<Alarms>),
 }
 
+fn flag(value: bool) -> Arc<AtomicBool> {
+    Arc::new(AtomicBool::new(value))
+}
+
+/// Whether the recorder is paused: as was asked for, and as the reader has it.
+struct Pause {
+    wanted: Arc<AtomicBool>,
+    is_paused: Arc<AtomicBool>,
+}
+
+impl Pause {
+    /// Pauses or goes on, as was asked for.
+    fn follow(&self, observers: &Observers, tell: impl Fn(&str)) -> Outcome {
+        let wanted = self.wanted.load(Ordering::Relaxed);
+        if self.is_paused.load(Ordering::Relaxed) && !wanted {
+            observers.renew(tell)?;
+        }
+        // The reader has the new observers before it goes on.
+        self.is_paused.store(wanted, Ordering::Release);
+        Ok(())
+    }
+}
+
 /// Until the end. Whoever writes may have none to write to before.
 fn watch(
     args: &RecordArgs,
     end: &End,
     mut observers: Observers,
     behind: &mut Behind,
-    (is_over, is_paused): (&AtomicBool, &AtomicBool),
+    (is_over, pause): (&AtomicBool, &Pause),
 ) -> Outcome<Observers> {
     let progress = progress(args.common.json);
     let mut said = Instant::now();
     let mut aside = if args.cores.is_none() { Some(Aside::new()?) } else { None };
     while !end.is_reached() && !is_over.load(Ordering::Acquire) {
-        observers.look(|words| progress.suspend(|| say(&format!("taut: {words}"))))?;
+        let tell = |words: &str| progress.suspend(|| say(&format!("taut: {words}")));
+        observers.look(tell)?;
+        pause.follow(&observers, tell)?;
         if let Some(words) = aside.as_mut().and_then(|aside| aside.look(observers.processes())) {
             progress.suspend(|| say(&format!("taut: {words}")));
         }
@@ -309,7 +336,7 @@ fn watch(
         }
         if said.elapsed() >= SAY {
             said = Instant::now();
-            let state = if is_paused.load(Ordering::Relaxed) { "paused, " } else { "" };
+            let state = if pause.is_paused.load(Ordering::Relaxed) { "paused, " } else { "" };
             progress.set_message(format!("{state}{}", observers.progress()));
         }
         if observers.is_empty() {

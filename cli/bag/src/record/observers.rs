@@ -13,9 +13,9 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use taut_cli::topic::tap;
 use taut_cli::verb::Outcome;
 use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint, find_schema};
-use tautline_bag::Topic;
+use tautline_bag::{Definition, Topic};
 use tautline_transport::{
-    Gid, Limits, Participant, RawSubscription, ServiceEndpoint, ServiceType, TopicType,
+    Durability, Gid, Limits, Participant, Qos, RawSubscription, ServiceEndpoint, ServiceType, TopicType,
 };
 
 /// So many messages wait for the recorder, if that takes no more than [`QUEUE_BYTES`].
@@ -32,6 +32,8 @@ pub struct Observer {
     /// The least time between two messages that are kept.
     pub throttle_ns: Option<u64>,
     pub counts: Arc<Counts>,
+    /// What the subscription that it replaces still has came while the recorder was paused.
+    pub is_renewed: bool,
 }
 
 /// What came so far, for who looks on.
@@ -42,14 +44,16 @@ pub struct Counts {
     pub lost: AtomicU64,
 }
 
-/// What the writer makes of the messages of an observer.
-pub enum Kept {
-    /// Themselves.
+/// What the writer is told of observers, in the order of their numbers, and of publishers.
+pub enum Announced {
+    /// An observer's messages are in the bag as they are. The QoS is that of publishers that keep nothing for late joiners.
     Topic(Topic),
-    /// Events of requests.
+    /// An observer's messages are requests, which the writer makes events.
     Requests(Topic, Events),
     /// The reader has made them events, of the topic of this observer.
     Responses(usize),
+    /// A publisher of an observer's topic.
+    Publisher { number: usize, gid: Gid, qos: Qos },
 }
 
 /// A topic that is recorded, or one half of a service's events.
@@ -93,13 +97,15 @@ pub struct Observers {
     /// Topics whose publishers are elsewhere, which was said.
     elsewhere: HashSet<String>,
     to_taker: Sender<Observer>,
-    to_writer: Sender<Kept>,
+    to_writer: Sender<Announced>,
+    /// Publishers that the writer was told of.
+    announced: HashSet<(usize, Gid)>,
 }
 
 /// What the other threads are told of it: each topic, then the observer of the same number.
 pub struct NewObservers {
     pub observers: Receiver<Observer>,
-    pub topics: Receiver<Kept>,
+    pub announced: Receiver<Announced>,
 }
 
 impl Observers {
@@ -110,7 +116,7 @@ impl Observers {
         // Clients publish requests.
         let clients = graph.services.iter().map(|end| end.gid);
         let before = publishers.map(|end| end.gid).chain(clients).collect();
-        let ((to_taker, observers), (to_writer, topics)) = (channel(), channel());
+        let ((to_taker, observers), (to_writer, announced)) = (channel(), channel());
         let here = Observers {
             participant,
             choice,
@@ -127,8 +133,9 @@ impl Observers {
             elsewhere: HashSet::new(),
             to_taker,
             to_writer,
+            announced: HashSet::new(),
         };
-        Ok((here, NewObservers { observers, topics }))
+        Ok((here, NewObservers { observers, announced }))
     }
 
     /// Who has ends in the domain, but for this process.
@@ -153,9 +160,12 @@ impl Observers {
                 if !self.choice.takes(topic, &end.topic_type.name) {
                     continue;
                 }
-                if let Err(failure) = self.observe(&graph, &ends, end, &tell) {
-                    tell(&format!("warning: {topic} cannot be recorded: {failure}"));
-                    self.refused.insert(topic.to_owned());
+                match self.observe(&graph, &ends, end, &tell) {
+                    Ok(number) => self.announce(number, end),
+                    Err(failure) => {
+                        tell(&format!("warning: {topic} cannot be recorded: {failure}"));
+                        self.refused.insert(topic.to_owned());
+                    }
                 }
             }
         }
@@ -200,37 +210,86 @@ impl Observers {
             is_fetched: false,
             counts: Arc::default(),
         };
-        self.add(recorded(Part::Request), Kept::Requests(topic.clone(), events));
-        self.add(recorded(Part::Response), Kept::Responses(number));
-        self.take_place(number, requests);
-        self.take_place(number + 1, responses);
+        self.add(recorded(Part::Request), Announced::Requests(topic.clone(), events));
+        self.add(recorded(Part::Response), Announced::Responses(number));
+        self.take_place(number, requests, false);
+        self.take_place(number + 1, responses, false);
         Ok(())
     }
 
-    fn add(&mut self, topic: RecordedTopic, kept: Kept) {
+    /// The writer hears of each publisher of a topic once.
+    fn announce(&mut self, number: Option<usize>, publisher: &TopicEndpoint) {
+        let (gid, qos) = (publisher.gid, publisher.qos);
+        if let Some(number) = number.filter(|number| self.announced.insert((*number, gid))) {
+            let _ = self.to_writer.send(Announced::Publisher { number, gid, qos });
+        }
+    }
+
+    fn add(&mut self, topic: RecordedTopic, announced: Announced) {
         // The writer ends before this only with an error of its own, which is told.
-        let _ = self.to_writer.send(kept);
+        let _ = self.to_writer.send(announced);
         self.numbers.entry(topic.topic.name.clone()).or_default().push(self.topics.len());
         self.topics.push(topic);
     }
 
     /// The reader takes the messages of this observer from there now.
-    fn take_place(&mut self, number: usize, subscription: RawSubscription) {
+    fn take_place(&self, number: usize, subscription: RawSubscription, is_renewed: bool) {
         let RecordedTopic { topic, part, counts, .. } = &self.topics[number];
         let hz = self.throttle.iter().find(|(name, _)| *name == topic.name).map(|(_, hz)| *hz);
         let throttle_ns = hz.map(|hz| (1e9 / hz) as u64);
         let (part, counts) = (*part, counts.clone());
-        let _ = self.to_taker.send(Observer { number, part, subscription, throttle_ns, counts });
+        let observer = Observer { number, part, subscription, throttle_ns, counts, is_renewed };
+        let _ = self.to_taker.send(observer);
     }
 
-    /// `ends` are those of the topic, `end` is one of its publishers.
+    /// The recorder goes on after a pause: it gets again what publishers keep for late joiners.
+    pub fn renew(&self, tell: impl Fn(&str)) -> Outcome {
+        let graph = self.participant.graph()?;
+        let keeps = |topic: &RecordedTopic| {
+            graph.endpoints.iter().any(|end| {
+                end.kind == EndpointKind::Publisher
+                    && end.topic == topic.topic.name
+                    && end.qos.durability == Durability::TransientLocal
+            })
+        };
+        for (number, topic) in self.topics.iter().enumerate() {
+            if topic.part != Part::Message || !keeps(topic) {
+                continue;
+            }
+            let RecordedTopic { topic: Topic { name, .. }, topic_type, depth, is_fetched, .. } = topic;
+            match self.subscription(&graph, name, topic_type, *depth, *is_fetched) {
+                Ok(subscription) => self.take_place(number, subscription, true),
+                Err(failure) => tell(&format!(
+                    "warning: {name}: what its publishers keep for late joiners is not recorded: {failure}"
+                )),
+            }
+        }
+        Ok(())
+    }
+
+    fn subscription(
+        &self,
+        graph: &GraphSnapshot,
+        name: &str,
+        topic_type: &TopicType,
+        depth: usize,
+        is_fetched: bool,
+    ) -> Outcome<RawSubscription> {
+        if is_fetched {
+            return tap::subscribe(&self.participant, graph, name, topic_type, depth);
+        }
+        let limits = Limits { held: 1, ..Limits::default() };
+        Ok(self.participant.create_observer(name, topic_type, depth, limits)?)
+    }
+
+    /// `ends` are those of the topic, `end` is one of its publishers. Its observer's number, if it is recorded.
     fn observe(
         &mut self,
         graph: &GraphSnapshot,
         ends: &[&TopicEndpoint],
         end: &TopicEndpoint,
         tell: &impl Fn(&str),
-    ) -> Outcome {
+    ) -> Outcome<Option<usize>> {
         let of_topic = self.numbers.get(&end.topic).map_or(&[][..], Vec::as_slice);
         let agrees = |number: &&usize| self.topics[**number].topic_type.agrees_with(&end.topic_type);
         let known = of_topic.iter().find(agrees).copied();
@@ -244,27 +303,21 @@ impl Observers {
         }
         let is_observed = known.is_some_and(|known| self.topics[known].is_fetched || !is_fetched);
         if is_observed || self.refused.contains(&end.topic) {
-            return Ok(());
+            return Ok(known);
         }
         let topic_type = TopicType { definition: None, body_bytes: None, ..end.topic_type.clone() };
         let depth = self.depth.unwrap_or_else(|| depth(ends, end));
-        let subscription = match is_fetched {
-            true => tap::subscribe(&self.participant, graph, &end.topic, &topic_type, depth)?,
-            false => {
-                let limits = Limits { held: 1, ..Limits::default() };
-                self.participant.create_observer(&end.topic, &topic_type, depth, limits)?
-            }
-        };
+        let subscription = self.subscription(graph, &end.topic, &topic_type, depth, is_fetched)?;
         let number = known.unwrap_or(self.topics.len());
         if known.is_none() {
             let (topic, part, counts) =
                 (described(ends, end, &mut self.unknown, tell), Part::Message, Arc::default());
-            let kept = Kept::Topic(topic.clone());
-            self.add(RecordedTopic { topic, part, depth, topic_type, is_fetched, counts }, kept);
+            let announced = Announced::Topic(topic.clone());
+            self.add(RecordedTopic { topic, part, depth, topic_type, is_fetched, counts }, announced);
         }
         self.topics[number].is_fetched = is_fetched;
-        self.take_place(number, subscription);
-        Ok(())
+        self.take_place(number, subscription, false);
+        Ok(Some(number))
     }
 
     /// Topics by their numbers, with the messages that came.
@@ -327,7 +380,11 @@ fn described(
         name: end.topic.clone(),
         type_name: end.topic_type.name.to_string(),
         type_hash: end.topic_type.hash.as_deref().unwrap_or_default().to_owned(),
-        definition: schema.map(|schema| definitions::for_bag(&schema)),
-        qos: publishers(ends).map(|publisher| offered_qos::write(&publisher.qos)).collect(),
+        definition: schema.map(|schema| Definition::ros2msg(definitions::for_bag(&schema))),
+        qos: publishers(ends)
+            .filter(|publisher| publisher.qos.durability == Durability::Volatile)
+            .map(|publisher| offered_qos::write(&publisher.qos))
+            .collect(),
+        ..Topic::default()
     }
 }

@@ -38,6 +38,8 @@ pub struct Reader {
     /// From `CLOCK_MONOTONIC` to the times in the bag.
     offset_ns: i64,
     began_ns: u64,
+    /// Since when messages are recorded: from the beginning, or from the end of the last pause.
+    since_ns: u64,
     /// What is released later is not recorded.
     until_ns: u64,
     waited: u64,
@@ -116,6 +118,7 @@ impl Reader {
             places: Vec::new(),
             offset_ns,
             began_ns,
+            since_ns: began_ns,
             until_ns: u64::MAX,
             waited: 0,
         }
@@ -127,12 +130,17 @@ impl Reader {
     }
 
     pub fn run(mut self) -> Harvest {
-        let mut next_ns = self.began_ns;
+        let (mut next_ns, mut is_paused) = (self.began_ns, false);
         loop {
             let is_last = self.stop.load(Ordering::Acquire);
+            // Before the observers that are new at the end of a pause.
+            let was_paused = std::mem::replace(&mut is_paused, self.pace.is_paused.load(Ordering::Acquire));
             self.admit();
             let looked_ns = monotonic_ns();
-            self.look();
+            if was_paused && !is_paused {
+                self.since_ns = looked_ns;
+            }
+            self.look(is_paused);
             if is_last {
                 break;
             }
@@ -141,14 +149,14 @@ impl Reader {
             next_ns = (next_ns + self.pace.period_ns).max(now_ns + (now_ns - looked_ns));
             sleep_until_monotonic(next_ns);
         }
-        self.drain();
+        self.drain(is_paused);
         let topics =
             self.places.into_iter().map(|place| Taken { lost: place.lost(), ..place.taken }).collect();
         Harvest { topics, waited: self.waited, began_ns: self.began_ns, ended_ns: monotonic_ns() }
     }
 
     /// What was sent before the end is taken, as soon as there is room for it. What there is no room for is lost.
-    fn drain(&mut self) {
+    fn drain(&mut self, is_paused: bool) {
         let ended_ns = monotonic_ns();
         self.until_ns = ended_ns;
         for place in &mut self.places {
@@ -156,7 +164,7 @@ impl Reader {
         }
         while !self.producer.is_abandoned() && monotonic_ns() - ended_ns < PATIENCE_NS {
             let waited = self.waited;
-            let took = self.look();
+            let took = self.look(is_paused);
             if self.waited != waited {
                 sleep_until_monotonic(monotonic_ns() + self.pace.period_ns);
             } else if !took {
@@ -172,8 +180,14 @@ impl Reader {
 
     fn admit(&mut self) {
         while let Ok(observer) = self.new_observers.try_recv() {
-            let Observer { number, part, subscription, throttle_ns, counts } = observer;
+            let Observer { number, part, subscription, throttle_ns, counts, is_renewed } = observer;
             match self.places.get_mut(number) {
+                Some(place) if is_renewed => {
+                    let former = std::mem::replace(&mut place.subscription, subscription);
+                    let samples = std::iter::from_fn(|| take(&former));
+                    place.taken.paused += samples.take(MOST_AT_ONCE).count() as u64;
+                    place.lost_before += former.counters().lost();
+                }
                 Some(place) => {
                     // What it still has is taken first.
                     place.former.push(std::mem::replace(&mut place.subscription, subscription));
@@ -195,9 +209,8 @@ impl Reader {
     }
 
     /// Whether there was something.
-    fn look(&mut self) -> bool {
-        let mut took = false;
-        let (is_paused, until_ns) = (self.pace.is_paused.load(Ordering::Relaxed), self.until_ns);
+    fn look(&mut self, is_paused: bool) -> bool {
+        let (mut took, until_ns) = (false, self.until_ns);
         let mut now_ns = monotonic_ns();
         for (number, place) in self.places.iter_mut().enumerate() {
             if number % AT_A_TIME == 0 {
@@ -224,9 +237,9 @@ impl Reader {
                     place.taken.oversized += 1;
                     continue;
                 }
-                let (released_ns, began_ns) = (sample.info().released_ns, self.began_ns);
+                let (released_ns, since_ns) = (sample.info().released_ns, self.since_ns);
                 // What a publisher kept for late joiners came when this one joined.
-                let received_ns = released_ns.max(began_ns).min(now_ns.max(began_ns));
+                let received_ns = released_ns.max(since_ns).min(now_ns.max(since_ns));
                 let log_ns = received_ns.cast_signed().saturating_add(self.offset_ns).max(0).cast_unsigned();
                 if copy(&mut self.producer, number, log_ns, front, &sample) {
                     place.note(&sample);
@@ -251,6 +264,7 @@ fn copy(producer: &mut Producer<u8>, number: usize, log_ns: u64, front: &[u8], s
         sequence: info.sequence_number,
         log_ns,
         publish_ns: info.source_timestamp_ns.max(0).cast_unsigned(),
+        publisher: info.publisher_gid,
     };
     if producer.slots() < HEAD_BYTES + 4 + front.len() + body.len() {
         return false;

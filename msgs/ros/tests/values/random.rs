@@ -50,10 +50,10 @@ fn number(rng: &mut StdRng, primitive: Primitive) -> Value {
     let bits = rng.next_u64();
     match primitive {
         Primitive::Bool => Value::Bool(bits & 1 == 1),
-        Primitive::Byte | Primitive::Char | Primitive::U8 => Value::U8(bits as u8),
+        Primitive::Byte | Primitive::Char | Primitive::IdlChar | Primitive::U8 => Value::U8(bits as u8),
         Primitive::I8 => Value::I8(bits as i8),
         Primitive::I16 => Value::I16(bits as i16),
-        Primitive::U16 => Value::U16(bits as u16),
+        Primitive::IdlWChar | Primitive::U16 => Value::U16(bits as u16),
         Primitive::I32 => Value::I32(bits as i32),
         Primitive::U32 => Value::U32(bits as u32),
         Primitive::I64 => Value::I64(bits as i64),
@@ -82,10 +82,10 @@ fn list(base: &Base, items: Vec<Value>) -> Value {
         Base::Nested(_) => collect!(Struct),
         Base::Primitive(primitive) => match primitive {
             Primitive::Bool => collect!(Bool),
-            Primitive::Byte | Primitive::Char | Primitive::U8 => collect!(U8),
+            Primitive::Byte | Primitive::Char | Primitive::IdlChar | Primitive::U8 => collect!(U8),
             Primitive::I8 => collect!(I8),
             Primitive::I16 => collect!(I16),
-            Primitive::U16 => collect!(U16),
+            Primitive::IdlWChar | Primitive::U16 => collect!(U16),
             Primitive::I32 => collect!(I32),
             Primitive::U32 => collect!(U32),
             Primitive::I64 => collect!(I64),

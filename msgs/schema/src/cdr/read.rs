@@ -180,10 +180,12 @@ impl<'a> Reader<'a> {
                 }
                 List::Bool(bytes.iter().map(|&byte| byte == 1).collect())
             }
-            Primitive::Byte | Primitive::Char | Primitive::U8 => List::U8(bytes.to_vec()),
+            Primitive::Byte | Primitive::Char | Primitive::IdlChar | Primitive::U8 => {
+                List::U8(bytes.to_vec())
+            }
             Primitive::I8 => List::I8(numbers!(i8)),
             Primitive::I16 => List::I16(numbers!(i16)),
-            Primitive::U16 => List::U16(numbers!(u16)),
+            Primitive::IdlWChar | Primitive::U16 => List::U16(numbers!(u16)),
             Primitive::I32 => List::I32(numbers!(i32)),
             Primitive::U32 => List::U32(numbers!(u32)),
             Primitive::I64 => List::I64(numbers!(i64)),

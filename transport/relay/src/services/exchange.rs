@@ -176,9 +176,9 @@ impl<F: FarServices> Services<F> {
         }
     }
 
-    /// Statistics of all services.
-    pub fn read(&self) -> Vec<ServiceStats<TopicKey, Direction>> {
-        self.state.stats.read()
+    /// Statistics of all services, `elapsed` after the last call.
+    pub fn read(&self, elapsed: Duration) -> Vec<ServiceStats<TopicKey, Direction>> {
+        self.state.stats.read(elapsed)
     }
 }
 

@@ -11,12 +11,14 @@
 
 mod exchange;
 mod offered;
+mod pending;
 mod routes;
 mod sought;
 mod stats;
 
 pub use exchange::{Arrived, FarServices, Services};
 pub use offered::{FarServer, TakenRequest};
+pub use pending::Pending;
 pub use routes::{OfferedService, Routes, ServerId, SoughtService};
 pub use sought::{FarClient, Response};
 pub use stats::ServiceStats;

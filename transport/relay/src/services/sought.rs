@@ -130,9 +130,9 @@ impl<C: FarClient> Sought<C> {
         }
     }
 
-    /// Whether error responses wait to be sent.
+    /// Whether a request waits for room, or error responses wait to be sent.
     pub(super) fn is_waiting(&self) -> bool {
-        !self.untold.is_empty()
+        self.next.is_some() || !self.untold.is_empty()
     }
 
     /// Ends the server here, so that all pending requests get an error.

@@ -3,9 +3,11 @@
 
 use crate::mirror::TopicKey;
 use crate::rules::Direction;
+use crate::stats::SinceEnd;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 use tautline_rt::PiMutex;
 
 /// Maximum of distinct reasons; more are counted together.
@@ -75,21 +77,29 @@ impl ServiceCounters {
 
 /// The counters of all services.
 #[derive(Debug, Default)]
-pub(super) struct ServiceStatsTable(PiMutex<BTreeMap<(TopicKey, Direction), Arc<ServiceCounters>>>);
+pub(super) struct ServiceStatsTable(PiMutex<BTreeMap<(TopicKey, Direction), Counted>>);
+
+#[derive(Debug, Default)]
+struct Counted {
+    counters: Arc<ServiceCounters>,
+    since_end: SinceEnd,
+}
 
 impl ServiceStatsTable {
     pub(super) fn counters(&self, key: &TopicKey, direction: Direction) -> Arc<ServiceCounters> {
         let mut all = self.0.lock();
         if all.len() >= MOST_SERVICES {
-            all.retain(|_, counters| counters.0.lock().active);
+            all.retain(|_, counted| counted.counters.0.lock().active);
         }
-        all.entry((key.clone(), direction)).or_default().clone()
+        all.entry((key.clone(), direction)).or_default().counters.clone()
     }
 
-    pub(super) fn read(&self) -> Vec<ServiceStats<TopicKey, Direction>> {
-        let all = self.0.lock();
-        let stats = |((key, direction), counters): (&(TopicKey, Direction), &Arc<ServiceCounters>)| {
-            let Counts { active, answered, failed } = counters.0.lock().clone();
+    /// Reads all counters, `elapsed` after the last call. A minute after its end a service is forgotten.
+    pub(super) fn read(&self, elapsed: Duration) -> Vec<ServiceStats<TopicKey, Direction>> {
+        let mut all = self.0.lock();
+        all.retain(|_, counted| counted.since_end.stays(Arc::strong_count(&counted.counters) > 1, elapsed));
+        let stats = |((key, direction), counted): (&(TopicKey, Direction), &Counted)| {
+            let Counts { active, answered, failed } = counted.counters.0.lock().clone();
             ServiceStats { name: key.clone(), direction: *direction, active, answered, failed }
         };
         all.iter().map(stats).collect()
@@ -110,9 +120,13 @@ mod tests {
             counters.failed(index % 50);
         }
         counters.answered();
-        let all = stats.read();
+        let all = stats.read(Duration::ZERO);
         let ServiceStats { answered, failed, active, .. } = &all[0];
         assert_eq!((all.len(), *answered, *active, failed.len()), (1, 1, false, MOST_REASONS + 1));
         assert_eq!((failed["0"], failed.values().sum::<u64>()), (2, 100));
+        let hour = Duration::from_secs(3600);
+        assert_eq!(stats.read(hour).len(), 1);
+        drop(counters);
+        assert_eq!(stats.read(hour).len(), 0, "it has ended");
     }
 }

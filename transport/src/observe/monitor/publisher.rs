@@ -46,7 +46,7 @@ impl PublisherMonitor {
     /// # Real-time
     /// One load if nothing has changed; otherwise O(subscriptions), and allocates if there are more than ever before. No
     /// syscall.
-    pub fn look(&mut self) -> PublisherChanges {
+    pub fn changes(&mut self) -> PublisherChanges {
         let Changes { matched, incompatible_qos, incompatible_type, .. } = self.endpoints.update();
         PublisherChanges { matched, incompatible_qos, incompatible_type }
     }

@@ -67,7 +67,7 @@ impl SubscriptionMonitor {
     ///
     /// # Real-time
     /// O(publishers); no syscall; allocates if there are more publishers than ever before.
-    pub fn look(&mut self, now_ns: u64) -> SubscriptionChanges {
+    pub fn changes(&mut self, now_ns: u64) -> SubscriptionChanges {
         let Changes { matched, incompatible_qos, incompatible_type, killed } = self.endpoints.update();
         let mut changes = SubscriptionChanges {
             matched,

@@ -124,7 +124,7 @@ impl Index {
     }
 
     /// Reads on in the records that have changed.
-    pub(super) fn look(&mut self, domain: &Domain, peers: &mut Peers) -> IndexUpdate {
+    pub(super) fn refresh(&mut self, domain: &Domain, peers: &mut Peers) -> IndexUpdate {
         let mut update = IndexUpdate { added: std::mem::take(&mut self.retries), ..IndexUpdate::default() };
         let epoch = domain.epoch();
         let is_same = self.epoch == Some(epoch);
@@ -451,18 +451,18 @@ mod tests {
         let add = |topic: &str| record.add_port(record.number(), &port(topic)).unwrap();
         add("/a");
         let (mut index, mut peers) = (Index::new(1), Peers::default());
-        let added = index.look(&domain, &mut peers).added;
+        let added = index.refresh(&domain, &mut peers).added;
         let [found] = added[..] else { panic!("{added:?}") };
         assert_eq!((index.port(found), index.has_retries()), (Some(port("/a")), false));
         // Its record is written anew, as it gets longer.
         (0..100).for_each(|n| add(&format!("/b{n}")));
         assert_eq!((index.port(found), index.has_retries()), (None, true));
-        let added = index.look(&domain, &mut peers).added;
+        let added = index.refresh(&domain, &mut peers).added;
         assert!(added.contains(&found) && added.len() == 101, "{added:?}");
         assert_eq!((index.port(found), index.has_retries()), (Some(port("/a")), false));
         assert_eq!(index.ports(hash_of("/a"), PortKind::Subscription), [(found.0, port("/a"))]);
         record.remove(found.0.number());
-        let update = index.look(&domain, &mut peers);
+        let update = index.refresh(&domain, &mut peers);
         assert_eq!((update.added, update.removed), (vec![], vec![(found.0, found.1, false)]));
         assert_eq!((index.port(found), index.has_retries()), (None, false), "it has gone");
         memory.retire();

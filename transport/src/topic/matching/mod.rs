@@ -31,10 +31,11 @@ use crate::topic::reader::core::{DiscoveredPublisher, SubscriptionCore};
 use crate::topic::reader::source::{PeerPublishers, PublisherMemory};
 use crate::topic::writer::core::{DiscoveredSubscription, PublisherCore};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
+use tautline_rt::{PiGuard, PiMutex};
 
 /// How long a new subscription waits for the participants of publishers that are there.
 const PATIENCE: Duration = Duration::from_millis(100);
@@ -42,7 +43,7 @@ const PATIENCE: Duration = Duration::from_millis(100);
 pub(crate) struct Matcher {
     domain: Arc<Domain>,
     record: Arc<OwnRecord>,
-    state: Mutex<MatcherState>,
+    state: PiMutex<MatcherState>,
 }
 
 struct MatcherState {
@@ -112,11 +113,11 @@ impl Matcher {
             departing: BTreeMap::new(),
             returning: Vec::new(),
         };
-        Matcher { domain: domain.clone(), record: record.clone(), state: Mutex::new(state) }
+        Matcher { domain: domain.clone(), record: record.clone(), state: PiMutex::new(state) }
     }
 
-    fn state(&self) -> MutexGuard<'_, MatcherState> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> PiGuard<'_, MatcherState> {
+        self.state.lock()
     }
 
     /// Does `what` with the lock held, and what it makes necessary; then calls whom that concerns.
@@ -192,7 +193,7 @@ impl Matcher {
             // Before the look: who connects it calls this participant.
             let seen = calls.0.load(Ordering::Acquire);
             let left = self.work_and_leave(|state, work| {
-                state.look(work);
+                state.refresh(work);
                 work.subscription(core);
                 let left = core.attach();
                 work.outcome.is_pending |= left.is_err();
@@ -219,7 +220,7 @@ impl Matcher {
     /// How many nodes of the domain have the name that has this hash.
     pub(crate) fn nodes(&self, hash: u64) -> usize {
         let others = self.work_and_leave(|state, work| {
-            state.look(work);
+            state.refresh(work);
             state.index.nodes(hash)
         });
         others + self.record.nodes(hash)
@@ -231,7 +232,7 @@ impl Matcher {
         let said = self.record.set_remote(remote, &mut topics);
         self.work_and_leave(|state, work| {
             // Who has made a port since then has seen it.
-            state.look(work);
+            state.refresh(work);
             work.calls.extend(topics.iter().flat_map(|hash| state.index.participants(*hash)));
         });
         said
@@ -258,7 +259,7 @@ impl Matcher {
                 work.subscription(&subscription);
             }
             // Who has made a subscription since then has seen that.
-            state.look(work);
+            state.refresh(work);
             work.calls.extend(state.index.participants(core.hash()));
             state.forget(core.hash(), core.gid.number());
             state.departing.insert(core.gid.number(), core.clone());
@@ -277,7 +278,7 @@ impl Matcher {
                 state.disconnect(&publisher, core.gid, false, work);
             }
             // Who has made a publisher since then has seen that.
-            state.look(work);
+            state.refresh(work);
             work.calls.extend(state.index.participants(core.hash()));
             state.forget(core.hash(), core.gid.number());
         });
@@ -285,9 +286,9 @@ impl Matcher {
 
     /// For the janitor: looks at what has changed in the domain since the last time, and does what is to be done for this participant's
     /// ports.
-    pub(crate) fn look(&self) -> LookOutcome {
+    pub(crate) fn refresh(&self) -> LookOutcome {
         let look = |state: &mut MatcherState, work: &mut Work| {
-            state.look(work);
+            state.refresh(work);
             // Who is done with an ended publisher elsewhere has called.
             let departing: Vec<u64> = state.departing.keys().copied().collect();
             state.release(departing, work);
@@ -299,7 +300,7 @@ impl Matcher {
     pub(crate) fn is_awaited(&self) -> bool {
         let mut state = self.state();
         let MatcherState { index, peers, departing, domain, .. } = &mut *state;
-        index.look(domain, peers);
+        index.refresh(domain, peers);
         departing.values().any(|core| core.is_awaited(|gid| index.has(gid, core.hash())))
     }
 }
@@ -328,7 +329,7 @@ impl MatcherState {
     fn connect_all(&mut self, core: &Arc<PublisherCore>, work: &mut Work) -> Result<(), TransportError> {
         work.publisher(core);
         // First what has changed, so that nothing is new later that is there now.
-        self.look(work);
+        self.refresh(work);
         // Those that cannot be seen now may see this one.
         work.calls.extend(self.index.refused());
         let own = self.own_subscriptions(core.hash());
@@ -354,7 +355,7 @@ impl MatcherState {
     /// Finds the publishers that are there for a new subscription.
     fn find_all(&mut self, core: &Arc<SubscriptionCore>, work: &mut Work) -> Result<(), TransportError> {
         work.subscription(core);
-        self.look(work);
+        self.refresh(work);
         work.calls.extend(self.index.refused());
         let requested = core.record(None);
         for publisher in self.own_publishers(core.hash()) {
@@ -445,9 +446,9 @@ impl MatcherState {
 
     /// Reads what other participants' records say that is new, and connects or disconnects what is concerned. What is refused now is
     /// tried again.
-    fn look(&mut self, work: &mut Work) {
+    fn refresh(&mut self, work: &mut Work) {
         let IndexUpdate { added, ended, removed, gone, is_refused, grown } =
-            self.index.look(&self.domain, &mut self.peers);
+            self.index.refresh(&self.domain, &mut self.peers);
         work.outcome.has_gone |= gone;
         work.outcome.is_pending |= is_refused;
         for (gid, hash, is_dead) in removed {

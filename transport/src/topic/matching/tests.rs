@@ -88,7 +88,7 @@ fn a_subscription_that_goes_before_it_has_found_its_publisher_calls_it_and_holds
     let before = one.calls();
     other.matcher.remove_subscription(&subscription);
     assert_ne!(one.calls(), before, "its publisher is told");
-    one.matcher.look();
+    one.matcher.refresh();
     assert!(publisher.participants().is_empty(), "nothing is kept for it");
     assert_eq!(publisher.matched.load(Ordering::Acquire), 0);
 }
@@ -104,7 +104,7 @@ fn a_publisher_is_awaited_until_what_it_sends_from_can_be_reached() {
         // It waits for the publisher's participant.
         let added = scope.spawn(|| other.matcher.add_subscription(&subscription, None).unwrap());
         while !added.is_finished() {
-            one.matcher.look();
+            one.matcher.refresh();
             std::thread::yield_now();
         }
     });
@@ -113,6 +113,6 @@ fn a_publisher_is_awaited_until_what_it_sends_from_can_be_reached() {
     publisher.lengthen(1 << 16).unwrap();
     one.matcher.announce_segments(&publisher);
     assert!(publisher.is_awaited(all), "there is a segment that it has not mapped");
-    other.matcher.look();
+    other.matcher.refresh();
     assert!(!publisher.is_awaited(all));
 }

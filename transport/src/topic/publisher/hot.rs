@@ -109,21 +109,16 @@ impl RawPublisher {
         if self.loaned.get() >= self.core.limits.loans {
             return Err(LoanError::Exhausted);
         }
-        let needed_bytes = sample_bytes(len_bytes);
-        if needed_bytes > self.sample_bytes.get() {
-            self.lengthen(len_bytes)?;
-        }
         let mut publish_state = self.publish_state.borrow_mut();
         publish_state.refresh(self.core.history.as_ref());
-        publish_state.reclaim(TAKEN_BACK);
-        let taken = take(&publish_state).or_else(|| {
-            publish_state.reclaim(usize::MAX);
-            take(&publish_state)
-        });
-        let (segment, index) = match taken {
+        if sample_bytes(len_bytes) > publish_state.table().sample_bytes {
+            self.lengthen(len_bytes, publish_state.table().sample_bytes)?;
+            publish_state.refresh(self.core.history.as_ref());
+        }
+        let (segment, index) = match take_returned(&mut publish_state) {
             Some(taken) => taken,
             None => {
-                self.claim_more()?;
+                self.claimer().claim_more()?;
                 publish_state.refresh(self.core.history.as_ref());
                 take(&publish_state).ok_or(LoanError::OutOfMemory)?
             }
@@ -140,25 +135,35 @@ impl RawPublisher {
         Ok(loan)
     }
 
+    /// Whether a loan of `len_bytes` claims no memory. If not, a [`MemoryClaimer`] can claim it before the loan, in another thread.
+    ///
+    /// # Real-time
+    /// As [`loan`](Self::loan), but it never claims memory.
+    pub fn has_memory(&self, len_bytes: usize) -> bool {
+        if len_bytes > self.most_bytes {
+            // The loan says why it fails.
+            return true;
+        }
+        let mut publish_state = self.publish_state.borrow_mut();
+        publish_state.refresh(self.core.history.as_ref());
+        if sample_bytes(len_bytes) > publish_state.table().sample_bytes {
+            return false;
+        }
+        let Some((segment, index)) = take_returned(&mut publish_state) else { return false };
+        // SAFETY: the segment is in the table, and stays while one of its samples has a reference, which this one has until here.
+        unsafe { segment.as_ref() }.release(index);
+        true
+    }
+
     /// From now on samples are longer.
     #[cold]
-    fn lengthen(&self, len_bytes: usize) -> Result<(), LoanError> {
-        let after = self.core.lengthen(len_bytes).map_err(|_| LoanError::OutOfMemory)?;
-        self.participant.matcher.announce_segments(&self.core);
-        let before = self.sample_bytes.replace(after);
+    fn lengthen(&self, len_bytes: usize, before: usize) -> Result<(), LoanError> {
+        let after = self.claimer().lengthen(len_bytes)?;
         // Who claims on use has asked for it, and claims the sample next: that is counted.
         if self.core.limits.claim == Claim::Ahead {
             self.counters.growths.fetch_add(1, Ordering::Relaxed);
             self.warn_of_growth(len_bytes, before, after);
         }
-        Ok(())
-    }
-
-    #[cold]
-    fn claim_more(&self) -> Result<(), LoanError> {
-        self.core.claim_more().map_err(|_| LoanError::OutOfMemory)?;
-        self.participant.matcher.announce_segments(&self.core);
-        self.counters.growths.fetch_add(1, Ordering::Relaxed);
         Ok(())
     }
 
@@ -341,6 +346,15 @@ fn take(publish_state: &PublishState) -> Option<(NonNull<Segment>, usize)> {
     let table = publish_state.table();
     let of_size = table.pool.segments().filter(|segment| segment.sample_bytes() == table.sample_bytes);
     of_size.into_iter().find_map(|segment| Some((NonNull::from(&**segment), segment.take()?)))
+}
+
+/// The same; before that, subscriptions return samples that they have taken: all of them only if no other is free.
+fn take_returned(publish_state: &mut PublishState) -> Option<(NonNull<Segment>, usize)> {
+    publish_state.reclaim(TAKEN_BACK);
+    take(publish_state).or_else(|| {
+        publish_state.reclaim(usize::MAX);
+        take(publish_state)
+    })
 }
 
 /// Whether each keep-all subscription can queue one more. Only this publisher fills its queues, so room stays room.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Untyped publishers: loan, write in place, publish. The layer above knows the type.
 
+pub(crate) mod claimer;
 pub(crate) mod gate;
 pub(crate) mod hot;
 
@@ -14,6 +15,7 @@ use crate::qos::{History, Limits, Liveliness, Qos};
 use crate::topic::declaration::Topic;
 use crate::topic::endpoints::MatchedCount;
 use crate::topic::participant::{Participant, ParticipantState};
+use crate::topic::publisher::claimer::MemoryClaimer;
 use crate::topic::publisher::gate::Gate;
 use crate::topic::writer::core::{PublisherCore, PublisherRole};
 use crate::topic::writer::sender::PublishState;
@@ -42,8 +44,6 @@ pub struct RawPublisher {
     trace: tautline_trace::Object,
     /// The length of the longest body that it sends.
     most_bytes: usize,
-    /// Bytes of a sample that fits without a larger segment.
-    sample_bytes: Cell<usize>,
     counters: Arc<PublisherCounters>,
     participant: Arc<ParticipantState>,
     process: ProcessMark,
@@ -91,7 +91,8 @@ impl Participant {
     }
 
     /// Like [`create_raw_publisher`](Self::create_raw_publisher), for relayed messages: every subscription gets them, whatever
-    /// it requests.
+    /// it requests. With [`Claim::Ahead`](crate::Claim::Ahead) at most 1 MiB is claimed ahead, because nobody has stated how long the
+    /// messages are; more is claimed on use, or before that by a [`MemoryClaimer`](crate::MemoryClaimer).
     ///
     /// # Real-time
     /// Setup only.
@@ -143,7 +144,6 @@ impl RawPublisher {
             lifespan_ns: qos.lifespan.map_or(NEVER, nanoseconds),
             trace,
             most_bytes,
-            sample_bytes: Cell::new(sample_bytes(stated_bytes)),
             counters: Arc::default(),
             core,
             participant: state,
@@ -158,6 +158,12 @@ impl RawPublisher {
     pub fn with_gate(mut self, gate: Gate) -> Self {
         self.gate = Some(gate);
         self
+    }
+
+    /// Claims its memory in another thread; see [`has_memory`](Self::has_memory).
+    pub fn claimer(&self) -> MemoryClaimer {
+        let (core, counters) = (self.core.clone(), self.counters.clone());
+        MemoryClaimer { core, counters, participant: self.participant.clone() }
     }
 
     /// What its monitor watches.

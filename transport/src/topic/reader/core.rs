@@ -14,10 +14,10 @@ use crate::topic::endpoints::{Endpoint, EndpointList, Endpoints, LivelinessSourc
 use crate::topic::reader::receiver::{Receiver, TakeState, WriterEntry, WriterProxy, WriterTable};
 use crate::topic::reader::source::PublisherMemory;
 use std::collections::HashSet;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tautline_doorbell::Slot;
-use tautline_rt::{LatestReader, LatestWriter, latest};
+use tautline_rt::{LatestReader, LatestWriter, PiGuard, PiMutex, latest};
 
 /// Publishers that have ended with samples that no take has seen: of more, the samples of the one that ended first are lost, and
 /// counted.
@@ -56,7 +56,7 @@ pub(crate) struct SubscriptionCore {
     pub(crate) has_called: AtomicBool,
     /// Publishers that are expected, and publishers that must be closed.
     unfinished: AtomicUsize,
-    setup: Mutex<Setup>,
+    setup: PiMutex<Setup>,
 }
 
 struct Setup {
@@ -120,13 +120,13 @@ impl SubscriptionCore {
             is_returned: AtomicBool::new(false),
             has_called: AtomicBool::new(false),
             unfinished: AtomicUsize::new(0),
-            setup: Mutex::new(setup),
+            setup: PiMutex::new(setup),
         };
         (Arc::new(core), TakeState::new(reader))
     }
 
-    fn setup(&self) -> MutexGuard<'_, Setup> {
-        self.setup.lock().unwrap_or_else(PoisonError::into_inner)
+    fn setup(&self) -> PiGuard<'_, Setup> {
+        self.setup.lock()
     }
 
     /// What others read of it.
@@ -314,7 +314,7 @@ impl SubscriptionCore {
         if is_stale {
             hand_over(&mut setup);
         }
-        if setup.endpoints.tell(&self.matched) {
+        if setup.endpoints.notify(&self.matched) {
             self.slot.doorbell().arena().ring_events(self.slot.index());
         }
         if was_stale || is_stale {

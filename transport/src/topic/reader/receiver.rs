@@ -207,7 +207,7 @@ impl Receiver {
     ///
     /// # Safety
     /// For the thread that takes, of a live receiver.
-    unsafe fn look(self: &Arc<Self>, segments: &SegmentViews, has_ended: bool) -> TakeOutcome {
+    unsafe fn take_oldest(self: &Arc<Self>, segments: &SegmentViews, has_ended: bool) -> TakeOutcome {
         // SAFETY: as the caller promises.
         let half = unsafe { &mut *self.half.get() };
         // SAFETY: as the caller promises.
@@ -377,7 +377,7 @@ impl TakeState {
                 continue;
             }
             // SAFETY: it is live, and this is the thread that takes.
-            match unsafe { entry.receiver.look(&entry.segments, entry.has_ended) } {
+            match unsafe { entry.receiver.take_oldest(&entry.segments, entry.has_ended) } {
                 TakeOutcome::Taken(taken) => {
                     self.in_a_row = if place == self.next { self.in_a_row + 1 } else { 1 };
                     self.next = place;

@@ -12,8 +12,9 @@ use crate::memory::ranges::Range;
 use crate::topic::writer::core::PublisherCore;
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 use tautline_rt::shm::Mapping;
+use tautline_rt::{PiGuard, PiMutex};
 
 /// A publisher's memory.
 #[derive(Clone)]
@@ -76,7 +77,7 @@ impl PublisherMemory {
 /// A publisher of another participant, whose memory is mapped once for all subscriptions of this one.
 pub(crate) struct PeerPublisher {
     peer: Arc<Peer>,
-    state: Mutex<PeerPublisherState>,
+    state: PiMutex<PeerPublisherState>,
 }
 
 struct PeerPublisherState {
@@ -86,8 +87,8 @@ struct PeerPublisherState {
 }
 
 impl PeerPublisher {
-    fn state(&self) -> MutexGuard<'_, PeerPublisherState> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> PiGuard<'_, PeerPublisherState> {
+        self.state.lock()
     }
 
     fn connection(&self, subscription: Gid) -> Result<Option<Connection>, TransportError> {
@@ -170,7 +171,7 @@ impl PeerPublishers {
         let Some(first) = PackedRange::from_word(at) else { return Ok(None) };
         let Some(map) = peer.map(first, true)? else { return Ok(None) };
         let Some(view) = View::open(first, map, gid) else { return Ok(None) };
-        let state = Mutex::new(PeerPublisherState { view, segments: Arc::from([]), grown: None });
+        let state = PiMutex::new(PeerPublisherState { view, segments: Arc::from([]), grown: None });
         let publisher = Arc::new(PeerPublisher { peer: peer.clone(), state });
         self.known.insert(gid, Arc::downgrade(&publisher));
         Ok(Some(PublisherMemory::Peer(publisher)))

@@ -278,6 +278,16 @@ impl RawSubscription {
         self.slot().waker().register(waker);
     }
 
+    /// Sets whether publishers of this participant leave this subscription unrung, because whoever publishes with one of them
+    /// [looks into the queue](Self::waiting) afterwards. Publishers of other participants ring as before. Check the queue after
+    /// each change.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub fn set_own_look(&self, is_looked: bool) {
+        self.slot().flags().set_own_look(is_looked);
+    }
+
     /// Sets whether this subscription is polled without a doorbell (by a busy-polling callback). If it no longer is, its
     /// doorbell is rung once, for samples that arrived meanwhile.
     ///

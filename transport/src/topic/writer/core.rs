@@ -31,7 +31,8 @@ use tautline_rt::{LatestWriter, PiGuard, PiMutex, latest};
 const FIRST_SAMPLES: usize = 4;
 /// A publisher of responses has memory for so many from the start: each of its clients gets others.
 const FIRST_RESPONSES: usize = 16;
-/// Below this many bytes a publisher that needs more samples gets twice as many, so that it seldom needs more.
+/// Below this many bytes a publisher that needs more samples gets twice as many, so that it seldom needs more. As much is claimed ahead
+/// for relayed messages.
 const DOUBLED_BYTES: usize = 1 << 20;
 
 /// What a publisher is made for, besides its topic.
@@ -231,7 +232,8 @@ impl PublisherCore {
         let (connection, place) = connected.map_err(refuse)?;
         let owner = (target.owner.clone(), slot);
         let samples = pool.end().max(*words * 64);
-        let sender = ReaderChannel::new(target.gid, shape, &target.port, owner, connection, samples);
+        let is_own = target.gid.participant() == self.gid.participant();
+        let sender = ReaderChannel::new(target.gid, is_own, shape, &target.port, owner, connection, samples);
         let history = self.history.as_ref().filter(|_| qos.durability == Durability::TransientLocal);
         if let Some(history) = history {
             if is_on_use {
@@ -293,13 +295,15 @@ impl PublisherCore {
     }
 
     /// How many samples are to be there before they are needed.
-    fn ahead(&self, demand: Demand) -> usize {
+    fn ahead(&self, demand: Demand, sample_bytes: usize) -> usize {
         let all = demand.samples(self.limits.loans);
         match self.limits.claim {
             Claim::OnUse => 0,
             Claim::Ahead if self.is_addressed => {
                 all.min(self.limits.loans + FIRST_RESPONSES + demand.observed)
             }
+            // Nobody has stated how long they are.
+            Claim::Ahead if self.is_relay => all.min(DOUBLED_BYTES / sample_bytes),
             Claim::Ahead => all,
         }
     }
@@ -308,7 +312,8 @@ impl PublisherCore {
     fn grow(&self, setup: &mut Setup, more: impl IntoIterator<Item = Shape>) -> Result<(), TransportError> {
         let mut demand = setup.demand;
         more.into_iter().for_each(|shape| self.join(&mut demand, shape));
-        let (wanted, there) = (self.ahead(demand), setup.pool.samples(setup.sample_bytes));
+        let (wanted, there) =
+            (self.ahead(demand, setup.sample_bytes), setup.pool.samples(setup.sample_bytes));
         if there >= wanted {
             return Ok(());
         }
@@ -349,14 +354,17 @@ impl PublisherCore {
         Ok(())
     }
 
-    /// One more sample is needed, of a publisher whose memory is claimed on use, or of responses.
+    /// One more sample is needed, of a publisher whose memory is claimed on use, or of responses, or relayed. Large ones are claimed
+    /// one by one at first, and never a quarter more than needed.
     pub(crate) fn claim_more(&self) -> io::Result<()> {
         let mut setup = self.setup();
         let there = setup.pool.samples(setup.sample_bytes);
         let most = setup.demand.samples(self.limits.loans);
-        let more = there.max(FIRST_SAMPLES).min(most.saturating_sub(there));
-        if more == 0 {
-            return Err(io::Error::other("all samples are in use"));
+        let doubled = there.max(FIRST_SAMPLES);
+        let is_small = doubled.saturating_mul(setup.sample_bytes) < DOUBLED_BYTES;
+        let more = if is_small { doubled } else { (there / 4).max(1) }.min(most.saturating_sub(there));
+        if more == 0 || setup.control.is_none() {
+            return Err(io::Error::other("all samples are in use, or the publisher has ended"));
         }
         self.add_samples(&mut setup, more).map_err(|error| match error {
             TransportError::Memory { source, .. } => source,
@@ -370,7 +378,7 @@ impl PublisherCore {
     pub(crate) fn lengthen(&self, len_bytes: usize) -> io::Result<usize> {
         let mut setup = self.setup();
         let (before, wanted) = (setup.sample_bytes, grown_sample_bytes(len_bytes));
-        if wanted <= before {
+        if wanted <= before || setup.control.is_none() {
             return Ok(before);
         }
         setup.sample_bytes = wanted;
@@ -477,7 +485,7 @@ impl PublisherCore {
             self.hand_over(&mut setup);
             self.top_up(&mut setup);
         }
-        if setup.endpoints.tell(&self.matched) {
+        if setup.endpoints.notify(&self.matched) {
             self.slot.doorbell().arena().ring_events(self.slot.index());
             // It may wait for room in a queue that has gone.
             self.slot.ring();

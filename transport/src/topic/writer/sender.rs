@@ -39,6 +39,8 @@ pub(crate) struct ReaderChannel {
     pub(crate) partner: Option<u64>,
     owner: ArenaOwner,
     slot: usize,
+    /// It belongs to the publisher's participant.
+    is_own: bool,
     connection: Connection,
     turn: HandOver,
     /// The subscription has ended, and some of its samples are still in use.
@@ -126,6 +128,7 @@ impl ReaderChannel {
     #[allow(clippy::too_many_arguments, clippy::disallowed_macros, reason = "set-up")]
     pub(crate) fn new(
         subscription: Gid,
+        is_own: bool,
         shape: Shape,
         port: &PortRecord,
         (owner, slot): (ArenaOwner, usize),
@@ -144,6 +147,7 @@ impl ReaderChannel {
             partner: port.partner,
             owner,
             slot,
+            is_own,
             connection,
             turn: HandOver::new(),
             leaving: AtomicBool::new(false),
@@ -527,7 +531,7 @@ impl PublishState {
         for sender in ringing() {
             // SAFETY: it is live, so its sending half is this thread's.
             let half = unsafe { &mut *sender.half.get() };
-            half.sleeper = sender.owner.arena().mark_sample(sender.slot);
+            half.sleeper = sender.owner.arena().mark_sample(sender.slot, sender.is_own);
         }
         fence(Ordering::SeqCst);
         let (mut last, mut woken) = (None, WokenSleepers::default());

@@ -6,8 +6,8 @@
 
 use super::alarms::{Alarm, Kind};
 use super::tracing::Tracing;
-use crate::record::event::Events;
-use crate::record::observers::Kept;
+use crate::record::channels::Channels;
+use crate::record::observers::Announced;
 use crate::ring::{HEAD_BYTES, Head};
 use rtrb::Consumer;
 use serde_json::{Value, json};
@@ -18,10 +18,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 use taut_cli::verb::Outcome;
-use tautline_bag::{BagError, Options, Stamp, Topic, TopicId, Writer};
+use tautline_bag::{BagError, Options, Stamp, TopicId, Writer};
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{Policy, ThreadBuilder};
-use tautline_transport::Durability;
 
 /// How often is looked what is too old.
 const PERIOD: Duration = Duration::from_millis(2);
@@ -98,7 +97,7 @@ impl Dumper {
     pub fn start(
         plan: Plan,
         consumer: Consumer<u8>,
-        topics: Receiver<Kept>,
+        announced: Receiver<Announced>,
         tracing: Option<Tracing>,
         is_over: Arc<AtomicBool>,
     ) -> Outcome<Self> {
@@ -106,8 +105,8 @@ impl Dumper {
         let work = Work {
             plan,
             consumer,
-            new_observers: topics,
-            topics: Vec::new(),
+            channels: Channels::new(announced),
+            latched: Vec::new(),
             tracing,
             number: 0,
             scratch: Vec::new(),
@@ -130,22 +129,15 @@ impl Dumper {
     }
 }
 
-/// What is known of an observer.
-struct Known {
-    topic: Topic,
-    events: Option<Events>,
-    /// Whose channel it has.
-    channel: usize,
-    /// How many messages its publishers keep for late joiners.
-    latch: usize,
-    latched: VecDeque<(Stamp, Vec<u8>)>,
-}
+/// What a publisher keeps for late joiners.
+type Latched = VecDeque<(Head, Vec<u8>)>;
 
 struct Work {
     plan: Plan,
     consumer: Consumer<u8>,
-    new_observers: Receiver<Kept>,
-    topics: Vec<Known>,
+    channels: Channels,
+    /// Of each channel.
+    latched: Vec<Latched>,
     tracing: Option<Tracing>,
     number: u32,
     scratch: Vec<u8>,
@@ -207,8 +199,8 @@ impl Work {
                 let kept_ns = self.plan.span_ns - (head.log_ns - oldest_ns).min(self.plan.span_ns);
                 self.done.shortest_ns = Some(self.done.shortest_ns.map_or(kept_ns, |ns| ns.min(kept_ns)));
             }
-            let Some(stamp) = self.take(head) else { return };
-            self.latch(head, stamp);
+            self.take(head);
+            self.latch(head);
         }
     }
 
@@ -221,45 +213,34 @@ impl Work {
         let head = Head::from_bytes(bytes);
         // The reader is not through with it.
         self.consumer.read_chunk(HEAD_BYTES + head.cdr_bytes as usize).ok()?;
-        while self.topics.len() <= head.topic as usize {
-            // Told before its first message.
-            let channel = self.topics.len();
-            let known = |topic: Topic, events, channel| {
-                let qos = crate::offered_qos::read(&topic.qos).unwrap_or_default();
-                let latch = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
-                Known { topic, events, channel, latch, latched: VecDeque::new() }
-            };
-            let known = match self.new_observers.recv().ok()? {
-                Kept::Topic(topic) => known(topic, None, channel),
-                Kept::Requests(topic, events) => known(topic, Some(events), channel),
-                Kept::Responses(requests) => known(self.topics.get(requests)?.topic.clone(), None, requests),
-            };
-            self.topics.push(known);
-        }
+        self.channels.of(&head)?;
         Some(head)
     }
 
-    /// Takes it out of the ring, into `scratch`, as it is in a bag. `None`: it is gone, or none of its service.
-    fn take(&mut self, head: Head) -> Option<Stamp> {
-        let chunk = self.consumer.read_chunk(HEAD_BYTES + head.cdr_bytes as usize).ok()?;
+    /// Takes the message of [`head`](Self::head) out of the ring, into `scratch`, as it is in a bag.
+    fn take(&mut self, head: Head) {
+        let Ok(chunk) = self.consumer.read_chunk(HEAD_BYTES + head.cdr_bytes as usize) else { return };
         let (first, second) = chunk.as_slices();
         self.scratch.clear();
         self.scratch.extend_from_slice(first);
         self.scratch.extend_from_slice(second);
         self.scratch.drain(..HEAD_BYTES);
         chunk.commit_all();
-        Some(Stamp { sequence: head.sequence as u32, log_ns: head.log_ns, publish_ns: head.publish_ns })
     }
 
     /// What was taken may be wanted by who joins late.
-    fn latch(&mut self, head: Head, stamp: Stamp) {
-        let Some(known) = self.topics.get_mut(head.topic as usize).filter(|known| known.latch > 0) else {
+    fn latch(&mut self, head: Head) {
+        let Some(channel) = self.channels.of(&head) else { return };
+        let kept = self.channels.list()[channel].kept;
+        if kept == 0 {
             return;
-        };
-        known.latched.push_back((stamp, self.scratch.clone()));
-        let mut bytes: usize = known.latched.iter().map(|(_, cdr)| cdr.len()).sum();
-        while known.latched.len() > known.latch || bytes > LATCHED_BYTES && known.latched.len() > 1 {
-            bytes -= known.latched.pop_front().map_or(0, |(_, cdr)| cdr.len());
+        }
+        self.latched.resize_with(self.latched.len().max(channel + 1), VecDeque::new);
+        let latched = &mut self.latched[channel];
+        latched.push_back((head, self.scratch.clone()));
+        let mut bytes: usize = latched.iter().map(|(_, cdr)| cdr.len()).sum();
+        while latched.len() > kept || bytes > LATCHED_BYTES && latched.len() > 1 {
+            bytes -= latched.pop_front().map_or(0, |(_, cdr)| cdr.len());
         }
     }
 
@@ -268,17 +249,19 @@ impl Work {
         let kind = due.alarms.first().map_or(Kind::Request, |alarm| alarm.kind);
         let folder = self.plan.folder.join(format!("{:03}_{}", self.number, kind.name()));
         let mut writer = Writer::create(&folder, self.plan.options, self.plan.session.clone())?;
-        let mut channels: Vec<Option<TopicId>> = Vec::new();
+        self.channels.refresh();
+        let mut ids = Vec::new();
+        self.channels.write(&mut writer, &mut ids)?;
         let until_ns = self.logged(due.due_ns);
         let (mut messages, mut span) = (0, None);
         let mut failed = None;
         while let Some(head) = self.head().filter(|head| head.log_ns <= until_ns) {
             if span.is_none() {
-                messages += self.write_latched(&mut writer, &mut channels, head.log_ns)?;
+                messages += self.write_latched(&mut writer, &mut ids, head.log_ns)?;
             }
             span = Some((span.map_or(head.log_ns, |(first, _)| first), head.log_ns));
-            let Some(stamp) = self.take(head) else { break };
-            match self.write(&mut writer, &mut channels, head.topic as usize, stamp) {
+            self.take(head);
+            match self.write(&mut writer, &mut ids, head) {
                 Ok(written) => messages += u64::from(written),
                 Err(full @ BagError::Full { .. }) => {
                     failed = Some(full);
@@ -286,7 +269,7 @@ impl Work {
                 }
                 Err(error) => return Err(error),
             }
-            self.latch(head, stamp);
+            self.latch(head);
         }
         let beside = |name: &str| folder.join(name);
         let trace_events = self.tracing.as_ref().and_then(|tracing| tracing.write(&beside("taut.trace")));
@@ -312,31 +295,25 @@ impl Work {
     fn write_latched(
         &mut self,
         writer: &mut Writer,
-        channels: &mut Vec<Option<TopicId>>,
+        ids: &mut Vec<TopicId>,
         log_ns: u64,
     ) -> Result<u64, BagError> {
         let mut messages = 0;
-        for number in 0..self.topics.len() {
-            for (stamp, cdr) in self.topics[number].latched.clone() {
-                self.scratch = cdr;
-                messages += u64::from(self.write(writer, channels, number, Stamp { log_ns, ..stamp })?);
-            }
+        for (head, cdr) in self.latched.iter().flatten().cloned().collect::<Vec<_>>() {
+            self.scratch = cdr;
+            messages += u64::from(self.write(writer, ids, Head { log_ns, ..head })?);
         }
         Ok(messages)
     }
 
     /// What is in `scratch`. False: it is no request of its service.
-    fn write(
-        &mut self,
-        writer: &mut Writer,
-        channels: &mut Vec<Option<TopicId>>,
-        number: usize,
-        stamp: Stamp,
-    ) -> Result<bool, BagError> {
-        let Some(known) = self.topics.get(number) else { return Ok(false) };
-        channels.resize(self.topics.len().max(channels.len()), None);
-        let id = *channels[known.channel].get_or_insert_with(|| writer.add_topic(known.topic.clone()));
-        match known.events.as_ref().map(|events| events.written(&self.scratch)) {
+    fn write(&mut self, writer: &mut Writer, ids: &mut Vec<TopicId>, head: Head) -> Result<bool, BagError> {
+        let Some(channel) = self.channels.of(&head) else { return Ok(false) };
+        self.channels.write(writer, ids)?;
+        let id = ids[channel];
+        let stamp =
+            Stamp { sequence: head.sequence as u32, log_ns: head.log_ns, publish_ns: head.publish_ns };
+        match self.channels.events(&head).map(|events| events.written(&self.scratch)) {
             None => writer.write(id, stamp, &self.scratch).map(|()| true),
             Some(Ok(event)) => writer.write(id, stamp, &event).map(|()| true),
             Some(Err(_)) => {

@@ -1,0 +1,148 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! The bag's topics as the observers announce them. A publisher that keeps messages for late joiners has a topic of its own, so that
+//! `taut play` keeps for late joiners what each publisher kept.
+
+use super::event::Events;
+use super::observers::Announced;
+use crate::ring::Head;
+use std::collections::HashMap;
+use std::sync::mpsc::Receiver;
+use std::time::Duration;
+use tautline_bag::{BagError, PUBLISHER, Topic, TopicId, Writer};
+use tautline_transport::{Durability, Gid, Qos};
+
+/// A publisher is announced when the graph is looked at next; one that had ended by then is not.
+const PATIENCE: Duration = Duration::from_millis(500);
+/// Publishers of a topic that have a topic of their own; others share one.
+const MOST_PUBLISHERS: usize = 1000;
+
+/// The topics of a bag, in the order in which they become known.
+pub struct Channels {
+    announced: Receiver<Announced>,
+    observers: Vec<Observed>,
+    list: Vec<Channel>,
+}
+
+/// A topic of the bag.
+pub struct Channel {
+    pub topic: Topic,
+    /// So many messages are kept for late joiners.
+    pub kept: usize,
+}
+
+/// What is known of an observer.
+struct Observed {
+    topic: Topic,
+    events: Option<Events>,
+    /// That of all publishers that do not keep messages for late joiners.
+    shared: Option<usize>,
+    /// `None`: its messages are events of a service, all of one topic.
+    publishers: Option<HashMap<Gid, usize>>,
+}
+
+impl Channels {
+    pub fn new(announced: Receiver<Announced>) -> Self {
+        Channels { announced, observers: Vec::new(), list: Vec::new() }
+    }
+
+    /// Those that are known.
+    pub fn list(&self) -> &[Channel] {
+        &self.list
+    }
+
+    /// Adds those to a bag that it does not have yet; `ids` are of those that it has.
+    pub fn write(&self, writer: &mut Writer, ids: &mut Vec<TopicId>) -> Result<(), BagError> {
+        for channel in &self.list[ids.len()..] {
+            ids.push(writer.add_topic(channel.topic.clone())?);
+        }
+        Ok(())
+    }
+
+    /// How the messages of an observer become events of a service.
+    pub fn events(&self, head: &Head) -> Option<&Events> {
+        self.observers.get(head.topic as usize)?.events.as_ref()
+    }
+
+    /// Takes in what was announced.
+    pub fn refresh(&mut self) {
+        while let Ok(announced) = self.announced.try_recv() {
+            self.add(announced);
+        }
+    }
+
+    /// Which of the [list](Self::list) a message belongs to. `None`: the recorder has ended before it said.
+    pub fn of(&mut self, head: &Head) -> Option<usize> {
+        let number = head.topic as usize;
+        while self.observers.len() <= number {
+            // Announced before its first message.
+            let announced = self.announced.recv().ok()?;
+            self.add(announced);
+        }
+        while let Some(publishers) = &self.observers[number].publishers {
+            if let Some(channel) = publishers.get(&head.publisher) {
+                return Some(*channel);
+            }
+            match self.announced.recv_timeout(PATIENCE) {
+                Ok(announced) => self.add(announced),
+                Err(_) => self.publisher(number, head.publisher, &Qos::default()),
+            }
+        }
+        Some(self.shared(number))
+    }
+
+    fn add(&mut self, announced: Announced) {
+        match announced {
+            Announced::Topic(topic) => {
+                let publishers = Some(HashMap::new());
+                self.observers.push(Observed { topic, events: None, shared: None, publishers });
+            }
+            Announced::Requests(topic, events) => {
+                let (events, shared, publishers) = (Some(events), Some(self.list.len()), None);
+                self.list.push(Channel { topic: topic.clone(), kept: 0 });
+                self.observers.push(Observed { topic, events, shared, publishers });
+            }
+            Announced::Responses(requests) => {
+                let Observed { topic, shared, .. } = &self.observers[requests];
+                let (topic, shared) = (topic.clone(), *shared);
+                self.observers.push(Observed { topic, events: None, shared, publishers: None });
+            }
+            Announced::Publisher { number, gid, qos } => self.publisher(number, gid, &qos),
+        }
+    }
+
+    fn publisher(&mut self, number: usize, gid: Gid, qos: &Qos) {
+        let observed = &self.observers[number];
+        let Some(publishers) = observed.publishers.as_ref().filter(|known| !known.contains_key(&gid)) else {
+            return;
+        };
+        let is_kept = qos.durability == Durability::TransientLocal;
+        let channel = if is_kept && publishers.len() < MOST_PUBLISHERS {
+            let name = gid.0.iter().map(|byte| format!("{byte:02x}")).collect();
+            let metadata = [(PUBLISHER.to_owned(), name)].into();
+            let topic = Topic { qos: crate::offered_qos::write(qos), metadata, ..observed.topic.clone() };
+            self.list.push(Channel { topic, kept: qos.depth });
+            self.list.len() - 1
+        } else {
+            self.shared(number)
+        };
+        if let Some(publishers) = &mut self.observers[number].publishers {
+            publishers.insert(gid, channel);
+        }
+    }
+
+    fn shared(&mut self, number: usize) -> usize {
+        let observed = &mut self.observers[number];
+        *observed.shared.get_or_insert_with(|| {
+            let mut topic = observed.topic.clone();
+            if topic.qos.is_empty() {
+                // Of a publisher that was never announced: it is as those that were.
+                let known = observed.publishers.iter().flat_map(HashMap::values);
+                topic.qos = known.map(|channel| &*self.list[*channel].topic.qos).collect();
+            }
+            let qos = crate::offered_qos::read(&topic.qos).unwrap_or_default();
+            let kept = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
+            self.list.push(Channel { topic, kept });
+            self.list.len() - 1
+        })
+    }
+}

@@ -1,0 +1,391 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A system file of what a recording shows. Callbacks are those that ran; what each publishes is what its thread published meanwhile.
+
+use crate::trace::messages::{Run, runs};
+use crate::trace::recording::Recording;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::fmt::Write;
+use tautline_rt::{self as rt, Policy, ThreadInfo};
+use tautline_trace::{EventKind, ObjectId, ObjectKind};
+
+/// What was written.
+pub struct Described {
+    pub text: String,
+    pub callbacks: usize,
+    /// Values that were not stated but measured or assumed.
+    pub guesses: usize,
+}
+
+/// A callback that ran.
+struct Callback {
+    /// Its key in the file.
+    key: String,
+    node: String,
+    process: u32,
+    tid: u32,
+    trigger: Trigger,
+    runs: usize,
+    longest_ns: u64,
+    publishes: BTreeSet<String>,
+}
+
+#[derive(Clone, PartialEq, Eq, PartialOrd, Ord)]
+enum Trigger {
+    /// With its period.
+    Timer(u64),
+    Topic(String),
+    /// A stream of the program's own.
+    Unknown,
+}
+
+/// How often something was published by other threads than those of callbacks.
+struct Rate {
+    messages: usize,
+    /// Mean distance and greatest deviation from that; `None` with fewer than three messages.
+    regular: Option<(u64, u64)>,
+}
+
+pub fn describe(recording: &Recording) -> Described {
+    let callbacks = callbacks(recording);
+    let threads = threads(recording, &callbacks);
+    let mut file = File { text: String::new(), guesses: 0 };
+    file.head(recording, &threads);
+    file.nodes(recording, &callbacks);
+    file.topics(&rates(recording, &callbacks));
+    let placed: Vec<_> =
+        callbacks.iter().map(|callback| threads.get(&(callback.process, callback.tid))).collect();
+    let groups = file.groups(recording, &callbacks, &placed);
+    for (index, callback) in callbacks.iter().enumerate() {
+        let shares = || {
+            let others = callbacks.iter().zip(&placed).filter(|(other, _)| other.tid != callback.tid);
+            let own = placed[index].map(|thread| (thread.policy, core_of(thread).0));
+            others
+                .into_iter()
+                .any(|(_, thread)| own.is_some() && thread.map(|t| (t.policy, core_of(t).0)) == own)
+        };
+        let group = groups.get(&(callback.process, callback.tid)).map(String::as_str);
+        file.callback(callback, placed[index], group, shares());
+    }
+    let count = callbacks.iter().filter(|callback| callback.trigger != Trigger::Unknown).count();
+    Described { text: file.text, callbacks: count, guesses: file.guesses }
+}
+
+/// One for each node and topic, or timer.
+fn callbacks(recording: &Recording) -> Vec<Callback> {
+    let mut found: BTreeMap<(String, Trigger, u32, u32), Callback> = BTreeMap::new();
+    let runs = runs(recording);
+    let mut open: HashMap<(u32, u32), Vec<&Run>> = HashMap::new();
+    runs.iter().for_each(|run| open.entry((run.process, run.tid)).or_default().push(run));
+    let mut published: HashMap<(u32, u32, u64), BTreeSet<&str>> = HashMap::new();
+    for timed in recording.events.iter().filter(|timed| timed.event.kind == EventKind::Publish) {
+        let Some(topic) = recording.object(timed.process, timed.event.object) else { continue };
+        if let Some(run) = run_at(&open, timed.process, timed.tid, timed.event.time_ns) {
+            published.entry((run.process, run.tid, run.start_ns)).or_default().insert(&topic.name);
+        }
+    }
+    for run in &runs {
+        let Some(callback) = recording.object(run.process, run.callback) else { continue };
+        let source = recording.object(run.process, callback.parent);
+        let trigger = match source.map(|source| (source.kind, source.detail, &source.name)) {
+            Some((ObjectKind::Timer, period_ns, _)) if period_ns > 0 => Trigger::Timer(period_ns),
+            Some((ObjectKind::Subscription, _, topic)) => Trigger::Topic(topic.clone()),
+            _ => Trigger::Unknown,
+        };
+        let node = source.and_then(|source| node_of(recording, run.process, source.parent));
+        // An RMW that has no system file calls a callback `/node /topic`.
+        let node = node.or_else(|| callback.name.split_once(" /").map(|(node, _)| node.to_owned()));
+        let node = node.unwrap_or_else(|| format!("process_{}", pid(recording, run.process)));
+        let place = (node.clone(), trigger.clone(), run.process, run.tid);
+        let one = found.entry(place).or_insert_with(|| Callback {
+            key: key(&callback.name),
+            node,
+            process: run.process,
+            tid: run.tid,
+            trigger,
+            runs: 0,
+            longest_ns: 0,
+            publishes: BTreeSet::new(),
+        });
+        one.runs += 1;
+        one.longest_ns =
+            one.longest_ns.max(run.end_ns.map_or(0, |end_ns| end_ns.saturating_sub(run.start_ns)));
+        let topics = published.get(&(run.process, run.tid, run.start_ns)).into_iter().flatten();
+        one.publishes.extend(topics.map(|topic| (*topic).to_owned()));
+    }
+    let mut callbacks: Vec<_> = found.into_values().collect();
+    let mut taken = BTreeSet::new();
+    for callback in &mut callbacks {
+        let names =
+            (1..).map(|n: u32| if n == 1 { callback.key.clone() } else { format!("{}_{n}", callback.key) });
+        let free = names.into_iter().find(|name| !taken.contains(name));
+        callback.key = free.unwrap_or_default();
+        taken.insert(callback.key.clone());
+    }
+    callbacks
+}
+
+/// The run of a thread's callback at this time.
+fn run_at<'r>(
+    runs: &HashMap<(u32, u32), Vec<&'r Run>>,
+    process: u32,
+    tid: u32,
+    time_ns: u64,
+) -> Option<&'r Run> {
+    let of_thread = runs.get(&(process, tid))?;
+    let before = of_thread.partition_point(|run| run.start_ns <= time_ns);
+    let run = of_thread.get(before.checked_sub(1)?)?;
+    run.end_ns.is_none_or(|end_ns| time_ns <= end_ns).then_some(run)
+}
+
+fn node_of(recording: &Recording, process: u32, id: ObjectId) -> Option<String> {
+    let node = recording.object(process, id).filter(|object| object.kind == ObjectKind::Node)?;
+    Some(node.name.clone())
+}
+
+fn pid(recording: &Recording, process: u32) -> u32 {
+    recording.processes.get(&process).map_or(0, |of| of.pid)
+}
+
+/// As a key in TOML, which needs no quotes.
+fn key(name: &str) -> String {
+    let letters = name.chars().map(|c| if c.is_ascii_alphanumeric() || "_-".contains(c) { c } else { '_' });
+    let key: String = letters.collect();
+    let key = key.trim_matches('_').to_owned();
+    if key.is_empty() { "callback".to_owned() } else { key }
+}
+
+/// The threads that run callbacks, as far as they still exist.
+fn threads(recording: &Recording, callbacks: &[Callback]) -> HashMap<(u32, u32), ThreadInfo> {
+    let mut threads = HashMap::new();
+    for process in callbacks.iter().map(|callback| callback.process).collect::<BTreeSet<_>>() {
+        let here = rt::threads_of(pid(recording, process)).unwrap_or_default();
+        threads.extend(here.into_iter().map(|thread| ((process, thread.tid), thread)));
+    }
+    threads
+}
+
+/// Topics that threads without callbacks publish, or that callbacks take and nobody here publishes.
+fn rates(recording: &Recording, callbacks: &[Callback]) -> BTreeMap<String, Rate> {
+    let by_callbacks: BTreeSet<_> = callbacks.iter().flat_map(|callback| &callback.publishes).collect();
+    let mut times: BTreeMap<String, Vec<u64>> = BTreeMap::new();
+    let taken: BTreeSet<_> = callbacks
+        .iter()
+        .filter_map(|callback| match &callback.trigger {
+            Trigger::Topic(topic) => Some(topic),
+            _ => None,
+        })
+        .filter(|topic| !by_callbacks.contains(topic))
+        .collect();
+    let mut published: BTreeSet<&str> = BTreeSet::new();
+    for kind in [EventKind::Publish, EventKind::Take] {
+        for timed in recording.events.iter().filter(|timed| timed.event.kind == kind) {
+            let Some(object) = recording.object(timed.process, timed.event.object) else { continue };
+            let is_first_choice = kind == EventKind::Publish || !published.contains(&*object.name);
+            if taken.contains(&object.name) && is_first_choice {
+                times.entry(object.name.clone()).or_default().push(timed.event.time_ns);
+            }
+        }
+        published = times.keys().filter_map(|name| taken.get(name)).map(|name| name.as_str()).collect();
+    }
+    times.into_iter().map(|(topic, times)| (topic, rate(&times))).collect()
+}
+
+fn rate(times: &[u64]) -> Rate {
+    let regular = || {
+        let (first, last) = (*times.first()?, *times.last()?);
+        let period = (last - first).checked_div(times.len() as u64 - 1).filter(|period| *period > 0)?;
+        let late = times
+            .iter()
+            .enumerate()
+            .map(|(n, at)| i128::from(*at) - i128::from(first) - n as i128 * i128::from(period));
+        let (least, most) = late.fold((0, 0), |(least, most), late| (late.min(least), late.max(most)));
+        Some((period, u64::try_from(most - least).unwrap_or(u64::MAX)))
+    };
+    Rate { messages: times.len(), regular: if times.len() > 2 { regular() } else { None } }
+}
+
+/// The core of a thread, and whether it may run on others, too.
+fn core_of(thread: &ThreadInfo) -> (usize, bool) {
+    (thread.cores.iter().next().unwrap_or(0), thread.cores.len() > 1)
+}
+
+/// In the largest unit without a loss.
+fn time(ns: u64) -> String {
+    match ns {
+        _ if ns % 1_000_000 == 0 => format!("{}ms", ns / 1_000_000),
+        _ if ns % 1_000 == 0 => format!("{}us", ns / 1_000),
+        _ => format!("{ns}ns"),
+    }
+}
+
+/// Up to two digits that count.
+fn rounded_up(ns: u64) -> u64 {
+    let unit = 10_u64.pow(ns.max(1_000).ilog10().saturating_sub(1));
+    ns.max(1).next_multiple_of(unit)
+}
+
+struct File {
+    text: String,
+    guesses: usize,
+}
+
+impl File {
+    /// A line; `why` is why its value is a guess.
+    fn guess(&mut self, line: &str, why: &str) {
+        self.guesses += 1;
+        let _ = writeln!(self.text, "{line:<28} # guess: {why}");
+    }
+
+    fn line(&mut self, line: &str) {
+        let _ = writeln!(self.text, "{line}");
+    }
+
+    fn head(&mut self, recording: &Recording, threads: &HashMap<(u32, u32), ThreadInfo>) {
+        let events = recording.events.iter().map(|timed| timed.event.time_ns);
+        let seconds =
+            events.clone().max().unwrap_or(0).saturating_sub(events.min().unwrap_or(0)) as f64 / 1e9;
+        self.line(&format!("# What ran for {seconds:.1} s, by `taut init`. All keys: docs/system-toml.md"));
+        self.line("# A `guess` is a value that nobody stated: replace it by what must hold, then run `taut check`.\n");
+        let host = key(&rt::host::name());
+        self.line(&format!("[hosts.{host}]"));
+        let cores = rt::CoreSet::allowed().map_or(1, |cores| cores.iter().last().map_or(1, |last| last + 1));
+        self.line(&format!("cores = {cores}"));
+        let samplers = threads.values().filter(|thread| thread.name == "sampler");
+        let lowest = samplers.filter_map(|thread| fifo(thread.policy)).min();
+        if let Some(priority) = lowest.filter(|priority| *priority != 90) {
+            self.line(&format!("sampler_priority = {priority}"));
+        }
+        self.line("\n[overheads]");
+        self.guess("context_switch = \"2us\"", "of a common machine");
+        self.guess("per_message = \"20us\"", "`taut demo` measures it");
+    }
+
+    fn nodes(&mut self, recording: &Recording, callbacks: &[Callback]) {
+        let nodes: BTreeMap<_, _> =
+            callbacks.iter().map(|callback| (&callback.node, callback.process)).collect();
+        for (node, process) in nodes {
+            self.line(&format!("\n[nodes.{}]", node_key(node)));
+            let of_ros = recording.processes.get(&process).is_some_and(|of| {
+                of.objects
+                    .values()
+                    .any(|object| object.kind == ObjectKind::Sampler && object.name == "rmw_wait")
+            });
+            if of_ros {
+                let exe =
+                    std::fs::read_link(format!("/proc/{}/exe", pid(recording, process))).unwrap_or_default();
+                let name = exe.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                let client = if name.starts_with("python") { "rclpy" } else { "rclcpp" };
+                self.line(&format!("client = \"{client}\""));
+            }
+        }
+    }
+
+    fn topics(&mut self, rates: &BTreeMap<String, Rate>) {
+        for (topic, Rate { messages, regular }) in rates {
+            self.line(&format!("\n[topics.\"{topic}\"]"));
+            match regular {
+                Some((period, jitter)) => {
+                    self.guess(
+                        &format!("period = \"{}\"", time(*period)),
+                        &format!("the mean of {messages} messages"),
+                    );
+                    self.guess(
+                        &format!("jitter = \"{}\"", time(rounded_up(*jitter))),
+                        "as late as one of them was",
+                    );
+                }
+                None => self.guess("period = \"1s\"", &format!("only {messages} messages were seen")),
+            }
+        }
+    }
+
+    /// Threads with several callbacks.
+    fn groups(
+        &mut self,
+        recording: &Recording,
+        callbacks: &[Callback],
+        placed: &[Option<&ThreadInfo>],
+    ) -> HashMap<(u32, u32), String> {
+        let mut groups = HashMap::new();
+        for (callback, thread) in callbacks.iter().zip(placed) {
+            let place = (callback.process, callback.tid);
+            let of_thread = callbacks.iter().filter(|other| (other.process, other.tid) == place);
+            let count = of_thread.filter(|other| other.trigger != Trigger::Unknown).count();
+            if count < 2 || groups.contains_key(&place) {
+                continue;
+            }
+            let thread_name = recording.thread_name(callback.process, callback.tid);
+            let name = key(thread_name.strip_prefix("cb:").unwrap_or(&thread_name));
+            let name = if groups.values().any(|group| *group == name) {
+                format!("{name}_{}", callback.tid)
+            } else {
+                name
+            };
+            self.line(&format!("\n# A thread with several callbacks.\n[groups.{name}]"));
+            if let Some(priority) = thread.and_then(|thread| fifo(thread.policy)) {
+                self.line(&format!("priority = {priority}"));
+            }
+            groups.insert(place, name);
+        }
+        groups
+    }
+
+    fn callback(
+        &mut self,
+        callback: &Callback,
+        thread: Option<&ThreadInfo>,
+        group: Option<&str>,
+        shares: bool,
+    ) {
+        let Callback { key, node, trigger, runs, longest_ns, publishes, .. } = callback;
+        if *trigger == Trigger::Unknown {
+            self.line(&format!(
+                "\n# {key} of {node} ran {runs} times for neither a topic nor a timer: it is not described."
+            ));
+            return;
+        }
+        self.line(&format!("\n[callbacks.{key}]\nnode = {:?}", node_name(node)));
+        match trigger {
+            Trigger::Timer(period_ns) => self.line(&format!("period = \"{}\"", time(*period_ns))),
+            Trigger::Topic(topic) => self.line(&format!("topic = {topic:?}")),
+            Trigger::Unknown => {}
+        }
+        let wcet = format!("wcet = \"{}\"", time(rounded_up(*longest_ns)));
+        self.guess(&wcet, &format!("the longest of {runs} runs, by the clock"));
+        match thread.map(core_of) {
+            Some((core, false)) => self.line(&format!("core = {core}")),
+            Some((core, true)) => self.guess(&format!("core = {core}"), "its thread may run on others, too"),
+            None => self.guess("core = 0", "its thread has ended"),
+        }
+        let priority = thread.and_then(|thread| fifo(thread.policy));
+        match (group, priority) {
+            (Some(group), _) => self.line(&format!("group = {group:?}")),
+            (None, Some(priority)) => self.line(&format!("priority = {priority}")),
+            (None, None) => self.line("# It has no real-time priority: [priorities] chooses one."),
+        }
+        if shares && priority.is_some() {
+            self.line("shares_priority = true       # with another thread of its core");
+        }
+        if !publishes.is_empty() {
+            let topics: Vec<_> = publishes.iter().map(|topic| format!("{topic:?}")).collect();
+            self.line(&format!("publishes = [{}]", topics.join(", ")));
+        }
+    }
+}
+
+fn fifo(policy: Policy) -> Option<u8> {
+    match policy {
+        Policy::Fifo(priority) => Some(priority),
+        _ => None,
+    }
+}
+
+/// As callbacks name it: in the root namespace without the slash.
+fn node_name(node: &str) -> &str {
+    node.strip_prefix('/').filter(|short| !short.contains('/')).unwrap_or(node)
+}
+
+fn node_key(node: &str) -> String {
+    let name = node_name(node);
+    if key(name) == name { name.to_owned() } else { format!("{name:?}") }
+}

@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Exit handlers of a process and of those that it forks.
+
+use std::sync::atomic::{AtomicI32, Ordering};
+use tautline_rt::{at_exit, exempt_children};
+
+/// The process whose exit handler this is.
+static PARENT: AtomicI32 = AtomicI32::new(0);
+
+/// As that of a library whose thread a child does not have: only the parent comes back from it.
+extern "C" fn wait_for_a_thread() {
+    // SAFETY: no conditions.
+    if unsafe { libc::getpid() } != PARENT.load(Ordering::Relaxed) {
+        std::process::abort();
+    }
+}
+
+#[test]
+fn a_child_exits_with_its_own_handlers_only() {
+    // SAFETY: a function that may be called at any time; no conditions.
+    unsafe {
+        PARENT.store(libc::getpid(), Ordering::Relaxed);
+        libc::atexit(wait_for_a_thread);
+    }
+    exempt_children();
+    let (mut pipe, mut status) = ([0; 2], 0);
+    // SAFETY: room for two descriptors; the child has only this thread, and ends here.
+    unsafe {
+        assert_eq!(libc::pipe(pipe.as_mut_ptr()), 0);
+        let child = libc::fork();
+        if child == 0 {
+            // It ends in any case.
+            libc::alarm(60);
+            let end = pipe[1];
+            let _own = at_exit(move || _ = libc::write(end, [7u8].as_ptr().cast(), 1));
+            libc::exit(3);
+        }
+        assert_eq!(libc::waitpid(child, &mut status, 0), child);
+        let mut written = 0u8;
+        libc::close(pipe[1]);
+        assert_eq!(libc::read(pipe[0], (&raw mut written).cast(), 1), 1, "the child's own handler");
+        assert_eq!(written, 7);
+        libc::close(pipe[0]);
+    }
+    assert!(libc::WIFEXITED(status) && libc::WEXITSTATUS(status) == 3, "{status}");
+}

@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Claims a publisher's memory, in the publishing thread or in another one.
+
+use crate::error::LoanError;
+use crate::topic::participant::ParticipantState;
+use crate::topic::publisher::PublisherCounters;
+use crate::topic::writer::core::PublisherCore;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+/// Claims memory of a publisher for a thread that must not: one that receives for many topics, for instance.
+#[derive(Clone)]
+pub struct MemoryClaimer {
+    pub(super) core: Arc<PublisherCore>,
+    pub(super) counters: Arc<PublisherCounters>,
+    pub(super) participant: Arc<ParticipantState>,
+}
+
+impl MemoryClaimer {
+    /// Claims memory for one more sample of `len_bytes`, and for some more of them if they are small.
+    ///
+    /// # Real-time
+    /// Setup only: claims and maps memory, while the publisher may be in use in another thread.
+    ///
+    /// # Errors
+    /// [`LoanError::OutOfMemory`]: there is no shared memory for it, or as many samples are in use as there can be.
+    pub fn claim(&self, len_bytes: usize) -> Result<(), LoanError> {
+        self.lengthen(len_bytes)?;
+        self.claim_more()
+    }
+
+    pub(super) fn lengthen(&self, len_bytes: usize) -> Result<usize, LoanError> {
+        self.announce(self.core.lengthen(len_bytes))
+    }
+
+    pub(super) fn claim_more(&self) -> Result<(), LoanError> {
+        self.announce(self.core.claim_more())?;
+        self.counters.growths.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    }
+
+    fn announce<T>(&self, claimed: io::Result<T>) -> Result<T, LoanError> {
+        let claimed = claimed.map_err(|_| LoanError::OutOfMemory)?;
+        self.participant.matcher.announce_segments(&self.core);
+        Ok(claimed)
+    }
+}
+
+impl std::fmt::Debug for MemoryClaimer {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("MemoryClaimer").field("topic", &self.core.topic.name).finish_non_exhaustive()
+    }
+}

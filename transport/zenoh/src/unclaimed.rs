@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Messages that need shared memory which is not claimed yet: the first ones, and ones longer than all before. Claiming some MiB
+//! takes milliseconds, in which Zenoh's thread would receive nothing of any topic, so they wait for a thread that may claim.
+
+use crate::incoming::Gate;
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Weak, mpsc};
+use tautline_relay::MessageMeta;
+use tautline_rt::{JoinHandle, RtError, ThreadBuilder};
+use tautline_transport::{LoanError, MemoryClaimer};
+use zenoh::sample::Sample;
+
+/// Maximum of bytes that wait, of all topics; one message of any length may wait alone.
+const MOST_BYTES: usize = 256 << 20;
+/// What a message takes besides its body.
+const OVERHEAD_BYTES: usize = 1024;
+
+/// The thread that claims memory; dropping this ends it.
+pub(crate) struct ClaimThread {
+    queue: ClaimQueue,
+    thread: Option<JoinHandle<()>>,
+}
+
+/// Its queue: topics whose messages wait, each once; `None` ends it.
+#[derive(Clone)]
+pub(crate) struct ClaimQueue {
+    topics: mpsc::Sender<Option<Weak<Gate>>>,
+    waiting_bytes: Arc<AtomicUsize>,
+}
+
+impl ClaimThread {
+    pub(crate) fn start(thread: ThreadBuilder) -> Result<Self, RtError> {
+        let (topics, waiting) = mpsc::channel::<Option<Weak<Gate>>>();
+        let thread = thread.spawn(move || {
+            move || {
+                while let Ok(Some(gate)) = waiting.recv() {
+                    gate.upgrade().inspect(|gate| pass_waiting(gate));
+                }
+            }
+        })?;
+        let queue = ClaimQueue { topics, waiting_bytes: Arc::default() };
+        Ok(ClaimThread { queue, thread: Some(thread) })
+    }
+
+    pub(crate) fn queue(&self) -> ClaimQueue {
+        self.queue.clone()
+    }
+}
+
+impl Drop for ClaimThread {
+    fn drop(&mut self) {
+        let _ = self.queue.topics.send(None);
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// What to do next for a topic whose messages wait.
+#[derive(Default)]
+pub(crate) enum Next {
+    /// Nothing: none waits.
+    #[default]
+    Done,
+    /// Pass the next one.
+    Pass,
+    /// Claim memory for a message of this length.
+    Claim(MemoryClaimer, usize),
+}
+
+/// Claims without the topic's lock, and gives it up after each message: the receiving threads are waiting for it.
+fn pass_waiting(gate: &Gate) {
+    let mut claimed = None;
+    loop {
+        match gate.with(|way| way.pass_waiting(claimed.take())) {
+            Next::Done => return,
+            Next::Pass => {}
+            Next::Claim(claimer, len_bytes) => claimed = Some(claimer.claim(len_bytes)),
+        }
+    }
+}
+
+/// The outcome of a claim for the first message that waits; `None`: there was none.
+pub(crate) type Claimed = Option<Result<(), LoanError>>;
+
+/// A topic's messages that wait for memory, in order.
+pub(crate) struct Unclaimed {
+    messages: VecDeque<(Sample, MessageMeta)>,
+    gate: Weak<Gate>,
+    queue: ClaimQueue,
+}
+
+impl Unclaimed {
+    pub(crate) fn new(gate: Weak<Gate>, queue: ClaimQueue) -> Self {
+        Unclaimed { messages: VecDeque::new(), gate, queue }
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.messages.is_empty()
+    }
+
+    /// Returns whether there is room for it.
+    pub(crate) fn push(&mut self, sample: Sample, source: MessageMeta) -> bool {
+        let bytes = bytes(&sample);
+        let admitted =
+            |waiting: usize| (waiting == 0 || waiting + bytes <= MOST_BYTES).then_some(waiting + bytes);
+        let waiting = &self.queue.waiting_bytes;
+        if waiting.fetch_update(Ordering::Relaxed, Ordering::Relaxed, admitted).is_err() {
+            return false;
+        }
+        if self.messages.is_empty() {
+            // Ignored: the gateway is ending.
+            let _ = self.queue.topics.send(Some(self.gate.clone()));
+        }
+        self.messages.push_back((sample, source));
+        true
+    }
+
+    pub(crate) fn first(&self) -> Option<&(Sample, MessageMeta)> {
+        self.messages.front()
+    }
+
+    pub(crate) fn pop(&mut self) -> Option<(Sample, MessageMeta)> {
+        let message = self.messages.pop_front()?;
+        self.queue.waiting_bytes.fetch_sub(bytes(&message.0), Ordering::Relaxed);
+        Some(message)
+    }
+}
+
+impl Drop for Unclaimed {
+    fn drop(&mut self) {
+        while self.pop().is_some() {}
+    }
+}
+
+fn bytes(sample: &Sample) -> usize {
+    sample.payload().len() + OVERHEAD_BYTES
+}

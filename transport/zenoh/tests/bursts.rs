@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Bursts of samples that are kept for late joiners, or between endpoints that keep all, arrive whole on another host.
+
+mod support;
+
+use support::{Host, connect, string_type, take, until};
+use tautline_transport::{PublishError, Qos, RawSubscription};
+
+fn numbers(subscription: &RawSubscription, count: u64) -> Vec<u64> {
+    let mut numbers = Vec::new();
+    while (numbers.len() as u64) < count {
+        let body = take(subscription).body().try_into().ok();
+        numbers.extend(body.map(u64::from_le_bytes));
+    }
+    numbers
+}
+
+#[test]
+fn a_burst_of_kept_samples_arrives_and_is_kept() {
+    const COUNT: u64 = 1000;
+    let a = Host::first(89, 89);
+    let b = Host::beside(&a, 90);
+    let qos = Qos::keep_last(COUNT as usize).transient_local();
+    let publisher = a.publisher("/map", &string_type(), qos);
+    let subscription = b.subscription("/map", &string_type(), qos);
+    connect(&publisher, &[&subscription], b"probe");
+    (0..COUNT).for_each(|n| publisher.publish(&n.to_le_bytes()).unwrap());
+    assert!(numbers(&subscription, COUNT).into_iter().eq(0..COUNT));
+    // A late joiner gets what the network's cache has.
+    let c = Host::beside(&a, 91);
+    let late = c.subscription("/map", &string_type(), qos);
+    assert!(numbers(&late, COUNT).into_iter().eq(0..COUNT));
+}
+
+/// Of a topic whose samples go out already: the new publisher's wait until it is announced.
+#[test]
+fn a_burst_of_a_new_publisher_arrives() {
+    const COUNT: u64 = 1000;
+    let a = Host::first(97, 97);
+    let b = Host::beside(&a, 98);
+    let qos = Qos::keep_last(COUNT as usize).transient_local();
+    let publisher = a.publisher("/map", &string_type(), qos);
+    let subscription = b.subscription("/map", &string_type(), qos);
+    connect(&publisher, &[&subscription], b"probe");
+    let new = a.publisher("/map", &string_type(), qos);
+    (0..COUNT).for_each(|n| new.publish(&n.to_le_bytes()).unwrap());
+    assert!(numbers(&subscription, COUNT).into_iter().eq(0..COUNT));
+}
+
+#[test]
+fn between_ends_that_keep_all_nothing_is_lost() {
+    const COUNT: u64 = 5000;
+    let a = Host::first(95, 95);
+    let b = Host::beside(&a, 96);
+    let publisher = a.publisher("/log", &string_type(), Qos::keep_all(10));
+    let subscription = b.subscription("/log", &string_type(), Qos::keep_all(COUNT as usize));
+    connect(&publisher, &[&subscription], b"probe");
+    let start = std::time::Instant::now();
+    for n in 0..COUNT {
+        until("room", || match publisher.publish(&n.to_le_bytes()) {
+            Ok(()) => true,
+            Err(PublishError::Full) => false,
+            Err(error) => panic!("{error}"),
+        });
+    }
+    println!("published in {:?}", start.elapsed());
+    assert!(numbers(&subscription, COUNT).into_iter().eq(0..COUNT));
+}
