@@ -299,7 +299,7 @@ fn print_waiting(what: &str) {
 
 /// Writes a line to standard error. A reader that has gone, or a closed terminal, is no error: the verb goes on.
 pub fn print_line(line: &str) {
-    let _ = writeln!(io::stderr(), "{line}");
+    let _ = writeln!(crate::print::stderr(), "{line}");
 }
 
 #[cfg(test)]

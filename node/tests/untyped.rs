@@ -252,7 +252,7 @@ fn a_definition_comes_with_the_topic() {
     for (json, expected) in [
         (json!({ "points": [{}, { "y": 40_000 }] }), "points[1].y"),
         (json!({ "points": [{}, {}, {}, {}, {}] }), "points"),
-        (json!({ "seen": 1 }), "seen"),
+        (json!({ "seen": 2 }), "seen"),
     ] {
         let error = untyped.publish(&Json(json)).unwrap_err().to_string();
         assert!(error.contains(expected), "{error}");

@@ -20,8 +20,8 @@ const EXEMPT: [&str; 3] = [
     // The end of the program.
     "core::panicking::",
     "core::result::unwrap_failed",
-    // Logs, once for each publisher, that a message was longer than all that the publisher reserved memory for.
-    "::warn_of_growth",
+    // A log line, of a fault or a growth, is registered once; clippy keeps logging out of hot.rs itself.
+    "tracing_core::callsite::",
 ];
 
 /// Reads the test executables of a build of these packages.
@@ -176,8 +176,12 @@ mod tests {
 
     #[test]
     fn a_way_to_a_lock_is_found_through_other_functions() {
-        let names =
-            ["tautline_x::hot::publish", "grow", "a::futex::Mutex>::lock_contended", "x::warn_of_growth"];
+        let names = [
+            "tautline_x::hot::publish",
+            "grow",
+            "a::futex::Mutex>::lock_contended",
+            "tracing_core::callsite::register",
+        ];
         let names = (1..).zip(names.map(str::to_owned)).collect();
         let callees = HashMap::from([(1, [2, 4].into()), (2, [3].into()), (4, [3].into())]);
         let calls = Calls { names, callees };

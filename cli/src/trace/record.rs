@@ -124,11 +124,11 @@ fn print(args: &RecordArgs, common: &CommonArgs, domain: u32, sum: &Sum, time: D
             "file": args.out, "domain": domain, "seconds": time.as_secs_f64(),
             "processes": sum.processes, "events": sum.events, "events_lost": sum.lost,
         });
-        writeln!(io::stdout(), "{report}")
+        writeln!(crate::print::stdout(), "{report}")
     } else {
         let Sum { processes, events, lost, .. } = sum;
         let file = args.out.display();
-        writeln!(io::stdout(), "{file}: {events} events of {processes} processes, {lost} lost")
+        writeln!(crate::print::stdout(), "{file}: {events} events of {processes} processes, {lost} lost")
     };
 }
 

@@ -58,7 +58,7 @@ fn components_of_one_process_work_together_until_it_ends() {
         ["demo::Counter", "demo::Doubler"].map(|component| format!("{}:{component}", library.display()));
     // One of them behind ROS 2's arguments.
     let mut command = container(59, &loads[..1]);
-    command.args(["--namespace", "/robot", "--ros-args", "-p", "counter:step:=4", "--", &loads[1]]);
+    command.args(["--namespace", "/robot", "--ros-args", "-p", "/robot/counter:step:=4", "--", &loads[1]]);
     command.stdout(Stdio::piped());
     let mut running = Running(command.spawn().unwrap());
     let lines = BufReader::new(running.0.stdout.take().unwrap()).lines().take(2).map(Result::unwrap);

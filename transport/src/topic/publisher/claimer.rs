@@ -17,6 +17,13 @@ pub struct MemoryClaimer {
     pub(super) participant: Arc<ParticipantState>,
 }
 
+/// Claims memory of a publisher that outlives this: in the publishing thread nothing is dropped.
+pub(super) struct Claiming<'p> {
+    pub(super) core: &'p Arc<PublisherCore>,
+    pub(super) counters: &'p PublisherCounters,
+    pub(super) participant: &'p ParticipantState,
+}
+
 impl MemoryClaimer {
     /// Claims memory for one more sample of `len_bytes`, and for some more of them if they are small.
     ///
@@ -26,10 +33,14 @@ impl MemoryClaimer {
     /// # Errors
     /// [`LoanError::OutOfMemory`]: there is no shared memory for it, or as many samples are in use as there can be.
     pub fn claim(&self, len_bytes: usize) -> Result<(), LoanError> {
-        self.lengthen(len_bytes)?;
-        self.claim_more()
+        let MemoryClaimer { core, counters, participant } = self;
+        let claiming = Claiming { core, counters, participant };
+        claiming.lengthen(len_bytes)?;
+        claiming.claim_more()
     }
+}
 
+impl Claiming<'_> {
     pub(super) fn lengthen(&self, len_bytes: usize) -> Result<usize, LoanError> {
         self.announce(self.core.lengthen(len_bytes))
     }
@@ -42,7 +53,7 @@ impl MemoryClaimer {
 
     fn announce<T>(&self, claimed: io::Result<T>) -> Result<T, LoanError> {
         let claimed = claimed.map_err(|_| LoanError::OutOfMemory)?;
-        self.participant.matcher.announce_segments(&self.core);
+        self.participant.matcher.announce_segments(self.core);
         Ok(claimed)
     }
 }

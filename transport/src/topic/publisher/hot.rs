@@ -118,7 +118,7 @@ impl RawPublisher {
         let (segment, index) = match take_returned(&mut publish_state) {
             Some(taken) => taken,
             None => {
-                self.claimer().claim_more()?;
+                self.claiming().claim_more()?;
                 publish_state.refresh(self.core.history.as_ref());
                 take(&publish_state).ok_or(LoanError::OutOfMemory)?
             }
@@ -135,7 +135,7 @@ impl RawPublisher {
         Ok(loan)
     }
 
-    /// Whether a loan of `len_bytes` claims no memory. If not, a [`MemoryClaimer`] can claim it before the loan, in another thread.
+    /// Whether a loan of `len_bytes` claims no memory. If not, a [`MemoryClaimer`](crate::MemoryClaimer) can claim it before the loan, in another thread.
     ///
     /// # Real-time
     /// As [`loan`](Self::loan), but it never claims memory.
@@ -158,7 +158,7 @@ impl RawPublisher {
     /// From now on samples are longer.
     #[cold]
     fn lengthen(&self, len_bytes: usize, before: usize) -> Result<(), LoanError> {
-        let after = self.claimer().lengthen(len_bytes)?;
+        let after = self.claiming().lengthen(len_bytes)?;
         // Who claims on use has asked for it, and claims the sample next: that is counted.
         if self.core.limits.claim == Claim::Ahead {
             self.counters.growths.fetch_add(1, Ordering::Relaxed);

@@ -16,7 +16,7 @@ use crate::qos::{History, Limits, Liveliness, Qos};
 use crate::topic::declaration::Topic;
 use crate::topic::endpoints::MatchedCount;
 use crate::topic::participant::{Participant, ParticipantState};
-use crate::topic::publisher::claimer::MemoryClaimer;
+use crate::topic::publisher::claimer::{Claiming, MemoryClaimer};
 use crate::topic::publisher::counters::PublisherCounters;
 use crate::topic::publisher::gate::Gate;
 use crate::topic::writer::core::{PublisherCore, PublisherRole};
@@ -145,6 +145,10 @@ impl RawPublisher {
     pub fn claimer(&self) -> MemoryClaimer {
         let (core, counters) = (self.core.clone(), self.counters.clone());
         MemoryClaimer { core, counters, participant: self.participant.clone() }
+    }
+
+    fn claiming(&self) -> Claiming<'_> {
+        Claiming { core: &self.core, counters: &self.counters, participant: &self.participant }
     }
 
     /// What its monitor watches.
