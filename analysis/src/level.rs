@@ -380,7 +380,8 @@ impl<'a> Level<'a> {
         let task = &core.tasks[index];
         let shared = task.group.and_then(|group| core.threads.get(&group.id));
         let members = shared.cloned().unwrap_or_else(|| vec![index]);
-        let (mut blocking, mut lower_ns) = (0, 0);
+        // What each lower rank's callbacks use, one job each: those of one rank are reported together.
+        let (mut blocking, mut lower_ns) = (0, BTreeMap::<u8, u64>::new());
         let is_ranked = task.group.is_some_and(|group| group.order == Order::Priority);
         let is_lower = |other: &Task| is_ranked && other.rank < task.rank;
         for &i in &members {
@@ -391,8 +392,8 @@ impl<'a> Level<'a> {
             }
             blocking = other.blocking_ns.max(blocking);
             if is_lower(other) {
-                // One that was chosen before; nothing of it need be done yet.
-                lower_ns = core.callbacks[i].cost_ns.max(lower_ns);
+                let of_rank = lower_ns.entry(other.rank).or_default();
+                *of_rank = of_rank.saturating_add(core.callbacks[i].cost_ns);
             }
         }
         let bands = &core.bands[..core.bands.partition_point(|(priority, ..)| *priority >= task.priority)];
@@ -403,7 +404,9 @@ impl<'a> Level<'a> {
         let tail = if is_whole { task.wcet_ns - 1 } else { 0 };
         let own = members.iter().filter(|i| !is_lower(&core.tasks[**i])).map(|i| core.callbacks[*i].clone());
         let own = Curve::new(own).ok_or_else(|| overflow(task))?;
-        let blocking = u64::checked_add(blocking, sections).and_then(|sum| sum.checked_add(lower_ns));
+        let blocking = u64::checked_add(blocking, sections)
+            // Those that were chosen before; nothing of them need be done yet.
+            .and_then(|sum| sum.checked_add(lower_ns.into_values().max().unwrap_or(0)));
         let level = Self {
             core,
             task,
@@ -505,7 +508,7 @@ impl<'a> Level<'a> {
         let busy_ns = self.busy_window()?;
         let (arrival_ns, end_ns) = match order {
             Order::Fifo => self.first_in_first_out(busy_ns)?,
-            // No second job of a lower rank is chosen before this level's busy window ends.
+            // No lower rank is chosen a second time before this level's busy window ends.
             Order::Any | Order::Priority => (busy_ns, busy_ns),
         };
         Ok(Shared { arrival_ns, busy_ns, end_ns, utilisation: self.utilisation_f64() })

@@ -11,8 +11,8 @@ use tautline_analysis::file::SystemFile;
 struct Callback {
     period: u64,
     wcet: u64,
-    /// Its priority within the group; `None` for a timer.
-    rank: Option<u8>,
+    /// Its priority within the group.
+    rank: u8,
 }
 
 /// The group's callbacks, and other threads on the core: (period, wcet, whether above the group).
@@ -36,13 +36,10 @@ fn file(case: &Case) -> String {
             text,
             "[callbacks.g{i}]\nnode = \"n\"\ngroup = \"g\"\nwcet = \"{wcet}us\"\ndeadline = \"3600s\"\n"
         );
-        let _ = match rank {
-            Some(rank) => writeln!(
-                text,
-                "topic = \"/t{i}\"\npriority = {rank}\n[topics.\"/t{i}\"]\nperiod = \"{period}us\""
-            ),
-            None => writeln!(text, "period = \"{period}us\""),
-        };
+        let _ = writeln!(
+            text,
+            "topic = \"/t{i}\"\npriority = {rank}\n[topics.\"/t{i}\"]\nperiod = \"{period}us\""
+        );
     }
     for (i, (period, wcet, is_above)) in case.others.iter().enumerate() {
         let priority = if *is_above { ABOVE } else { BELOW } + i as u8;
@@ -74,23 +71,28 @@ fn simulate(case: &Case, first: &[u64], until: u64) -> Vec<u64> {
     let group = case.group.len();
     let period = |i: usize| if i < group { case.group[i].period } else { case.others[i - group].0 };
     let wcet = |i: usize| if i < group { case.group[i].wcet } else { case.others[i - group].1 };
-    let rank = |i: usize| case.group[i].rank.map_or(255, u64::from);
+    let rank = |i: usize| case.group[i].rank;
     // Released and not ended: who, when, what is left.
     let mut ready: Vec<(usize, u64, u64)> = Vec::new();
     let mut next = first.to_vec();
-    let mut chosen: Option<usize> = None;
     let mut longest = vec![0; group];
+    // What was reported together, and is run before the thread waits again.
+    let mut round: Vec<(usize, u64)> = Vec::new();
     for now in 0..until {
         for (i, next) in next.iter_mut().enumerate().filter(|(_, next)| **next == now) {
             ready.push((i, now, wcet(i)));
             *next += period(i);
         }
-        // The thread chooses when it is through with the last one, whoever runs then.
-        if chosen.is_none() {
-            let of_group = ready.iter().enumerate().filter(|(_, (i, ..))| *i < group);
-            let best = of_group.max_by_key(|(_, (i, since, _))| (rank(*i), std::cmp::Reverse(*since)));
-            chosen = best.map(|(at, _)| at);
+        if round.is_empty() {
+            let of_group = || ready.iter().filter(|(i, ..)| *i < group);
+            let highest = of_group().map(|(i, ..)| rank(*i)).max();
+            let mut of_highest: Vec<_> = of_group().filter(|(i, ..)| Some(rank(*i)) == highest).collect();
+            // One job of each, its oldest, in the order of creation.
+            of_highest.sort_by_key(|(i, since, _)| (*i, *since));
+            of_highest.dedup_by_key(|(i, ..)| *i);
+            round = of_highest.into_iter().rev().map(|(i, since, _)| (*i, *since)).collect();
         }
+        let chosen = round.last().and_then(|job| ready.iter().position(|(i, since, _)| (*i, *since) == *job));
         let other = |is_above: bool| {
             let of = ready
                 .iter()
@@ -101,19 +103,13 @@ fn simulate(case: &Case, first: &[u64], until: u64) -> Vec<u64> {
         let Some(at) = other(true).or(chosen).or(other(false)) else { continue };
         ready[at].2 -= 1;
         let (i, since, left) = ready[at];
-        if left > 0 {
-            continue;
+        if left == 0 {
+            if i < group {
+                longest[i] = longest[i].max(now + 1 - since);
+                round.pop();
+            }
+            ready.swap_remove(at);
         }
-        if i < group {
-            longest[i] = longest[i].max(now + 1 - since);
-        }
-        ready.swap_remove(at);
-        // The last one has its place now.
-        chosen = match chosen {
-            Some(chosen) if chosen == at => None,
-            Some(chosen) if chosen == ready.len() => Some(at),
-            chosen => chosen,
-        };
     }
     longest
 }
@@ -122,7 +118,7 @@ fn simulate(case: &Case, first: &[u64], until: u64) -> Vec<u64> {
 fn the_highest_waits_for_one_job_and_the_lowest_for_all() {
     let callback = |period, wcet, rank| Callback { period, wcet, rank };
     let case = Case {
-        group: vec![callback(100, 10, Some(3)), callback(100, 20, Some(2)), callback(100, 30, Some(1))],
+        group: vec![callback(100, 10, 3), callback(100, 20, 2), callback(100, 30, 1)],
         others: vec![],
     };
     // 30 before it and 10 of its own; 30, 10 and 20; all three.
@@ -133,12 +129,13 @@ fn the_highest_waits_for_one_job_and_the_lowest_for_all() {
         any.lines().filter(|line| !line.starts_with("priority")).map(|line| format!("{line}\n")).collect();
     let checked = SystemFile::parse(&any).unwrap().check().callbacks;
     assert!(checked.iter().all(|callback| callback.response_ns == Some(60_000)));
-    // A timer goes first, whatever it is.
-    let case = Case { group: vec![callback(100, 10, Some(99)), callback(100, 5, None)], others: vec![] };
-    assert_eq!(bounds(&case), [Some(15), Some(15)]);
+    // Two of one rank are reported together, before a third one comes.
+    let case =
+        Case { group: vec![callback(100, 1, 3), callback(100, 20, 1), callback(100, 20, 1)], others: vec![] };
+    assert_eq!(bounds(&case)[0], Some(41));
     // A thread above preempts all of it.
     let case = Case {
-        group: vec![callback(100, 10, Some(2)), callback(100, 30, Some(1))],
+        group: vec![callback(100, 10, 2), callback(100, 30, 1)],
         others: vec![(50, 5, true), (1000, 500, false)],
     };
     assert_eq!(bounds(&case), [Some(45), Some(45)]);
@@ -178,9 +175,9 @@ fn made_up(random: &mut impl Rng) -> Case {
         wcet
     };
     let mut below = |most: u64| random.random_range(0..most);
-    let group = (0..2 + below(4)).map(|i| {
+    let group = (0..2 + below(4)).map(|_| {
         let period = 40 + below(100);
-        let rank = if i == 0 && below(3) == 0 { None } else { Some(1 + below(4) as u8) };
+        let rank = 1 + below(4) as u8;
         Callback { period, wcet: share(&mut below, period), rank }
     });
     let group = group.collect();
@@ -195,7 +192,7 @@ fn made_up(random: &mut impl Rng) -> Case {
 fn ranks_are_of_executors_of_ros() {
     let wrong = |from: &str, to: &str, why: &str| {
         let callback = |rank| Callback { period: 100, wcet: 1, rank };
-        let case = Case { group: vec![callback(Some(7)), callback(None)], others: vec![] };
+        let case = Case { group: vec![callback(7), callback(6)], others: vec![] };
         let text = file(&case);
         assert!(text.contains(from), "{text}");
         let error = SystemFile::parse(&text.replacen(from, to, 1)).unwrap_err().to_string();
@@ -208,10 +205,6 @@ fn ranks_are_of_executors_of_ros() {
     );
     wrong("\npriority = 40", "", "orders its callbacks by their priorities: give it a `priority`, too");
     wrong("priority = 7\n", "", "callback `g0` of group `g` has no `priority`");
-    let timer = "deadline = \"3600s\"\nperiod";
-    wrong(
-        timer,
-        &format!("priority = 9\n{timer}"),
-        "callback `g1` is a timer, which an executor of ROS 2's runs",
-    );
+    let topic = "topic = \"/t1\"\npriority = 6\n[topics.\"/t1\"]\n";
+    wrong(topic, "", "callback `g1` is a timer, which rcl runs beside the message that is reported");
 }

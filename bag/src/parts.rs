@@ -202,7 +202,17 @@ fn described_parts(folder: &Path, described: &Path, file: File) -> Result<Parts,
     // Decompressed files may be beside those that are named.
     let named: BTreeSet<_> = files.iter().map(bare).collect();
     let unnamed = files_in(folder).unwrap_or_default().into_iter();
-    let unnamed: Vec<_> = unnamed.filter(|file| !named.contains(&bare(file))).collect();
+    let end = |file: &Path| {
+        let name = file.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        name.split_once('.').map(|(_, end)| end.to_owned())
+    };
+    // Of the same kind, or it is a copy in another one; an empty one has nothing.
+    let is_part = |file: &PathBuf| {
+        !named.contains(&bare(file))
+            && files.iter().any(|named| end(named) == end(file))
+            && form_of(file).is_ok()
+    };
+    let unnamed: Vec<_> = unnamed.filter(is_part).collect();
     let note = |file: &PathBuf| format!("'{}' is taken, which metadata.yaml does not name", file.display());
     let notes = unnamed.iter().map(note).collect();
     files.extend(unnamed);

@@ -234,6 +234,11 @@ impl FileReader {
         let mut position = MAGIC.len() as u64;
         while !self.is_ended {
             let Some((kind, whole)) = self.whole(position)? else { return Ok(()) };
+            if kind == op::ATTACHMENT && whole > 2 * MOST_BYTES as u64 {
+                let reason =
+                    format!("an attachment of {whole} bytes is longer than {} bytes", 2 * MOST_BYTES);
+                return Err(BagError::Format { path: self.path.clone(), reason }.into());
+            }
             if !matches!(kind, op::MESSAGE_INDEX | op::CHUNK_INDEX) {
                 self.read_at(position, whole, visit)?;
             }

@@ -102,7 +102,11 @@ fn recover_file(path: &Path) -> Result<Recovered, BagError> {
     let _ = fs::remove_file(&unfinished);
     let written = rewrite(path, &unfinished, &summary).and_then(|summary| {
         let before = keep_original(path)?;
-        fs::rename(&unfinished, path).map_err(BagError::write(path))?;
+        fs::rename(&unfinished, path).map_err(|error| {
+            // If it was moved, it goes back.
+            let _ = rename_to_new(&before, path);
+            BagError::write(path)(error)
+        })?;
         Ok((summary, before))
     });
     match written {

@@ -2,7 +2,7 @@
 //! Statistics of this process's callbacks, and their entries in the system file of `TAUT_SYSTEM`.
 
 use crate::error::{Error, Result};
-use crate::thread::{self, ThreadPlan};
+use crate::thread::ThreadPlan;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -34,9 +34,6 @@ impl System {
         });
         let is_named = !callbacks.is_empty();
         let is_governed = is_named && is_realtime_wanted()?;
-        if is_governed {
-            thread::prepare()?;
-        }
         let threads = if is_governed { plans(&callbacks) } else { vec![None; callbacks.len()] };
         let statistics = match StatisticsFile::create(&StatisticsFile::prefix(domain), &about) {
             Ok(file) => Some(file),

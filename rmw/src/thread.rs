@@ -1,21 +1,21 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Threads of the system file: the thread that waits for a callback's messages runs that callback, and gets the policy and core that the
-//! file states.
+//! Threads of the system file: the thread that waits for a callback's messages runs that callback, and gets the priority and core that
+//! the file states.
 
 use crate::error::{Error, Result};
 use std::cell::RefCell;
-use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use tautline_analysis::file::CheckedCallback;
-use tautline_rt::{CoreSet, MemoryLock, Policy, ThreadBuilder};
+use tautline_rt::{CoreSet, MemoryLock, RtError, ThreadBuilder};
 
 /// What the file states of a thread.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct ThreadPlan {
     /// Its name in the file: `cb:` and the callback or group.
     name: String,
-    policy: Policy,
-    /// `None`: any core.
-    core: Option<usize>,
+    priority: u8,
+    core: usize,
 }
 
 thread_local! {
@@ -23,70 +23,66 @@ thread_local! {
     static APPLIED: RefCell<Option<Arc<ThreadPlan>>> = const { RefCell::new(None) };
 }
 
+/// Whether memory is locked.
+static IS_PREPARED: Mutex<bool> = Mutex::new(false);
+/// Whether a wait for several threads' callbacks was warned of.
+static IS_WARNED: AtomicBool = AtomicBool::new(false);
+
 impl ThreadPlan {
     pub(crate) fn of(callback: &CheckedCallback) -> Self {
-        let entry = &callback.entry;
-        let policy = match entry.reservation {
-            Some(reservation) => {
-                Policy::Deadline { runtime_ns: reservation.runtime_ns, period_ns: reservation.period_ns }
-            }
-            None => Policy::Fifo(entry.priority),
-        };
-        let core = (!entry.floats).then_some(callback.core);
-        ThreadPlan { name: entry.thread.clone(), policy, core }
+        let (name, priority) = (callback.entry.thread.clone(), callback.entry.priority);
+        ThreadPlan { name, priority, core: callback.core }
     }
 
-    /// Gives this thread its policy and core, and reads both back.
+    /// Gives this thread its priority and core, and reads both back. What it starts is ordinary again.
     fn apply(&self) -> Result {
-        let refuse = |error: tautline_rt::RtError| {
+        let refuse = |error: RtError| {
             Error::other(format!(
                 "thread '{}' of TAUT_SYSTEM: {error}; TAUT_REALTIME=off only measures",
                 self.name
             ))
         };
+        prepare().map_err(refuse)?;
         tautline_rt::prefault_stack(ThreadBuilder::STACK_BYTES / 4);
-        if let Some(core) = self.core {
-            tautline_rt::set_affinity(CoreSet::one(core)).map_err(refuse)?;
-        }
-        tautline_rt::set_policy(self.policy).map_err(refuse)?;
-        tracing::info!("this thread is '{}' of the system file: {}", self.name, self.policy);
+        tautline_rt::set_own_priority(self.priority).map_err(refuse)?;
+        tautline_rt::set_affinity(CoreSet::one(self.core)).map_err(refuse)?;
+        tracing::info!("this thread is '{}' of the system file: SCHED_FIFO {}", self.name, self.priority);
         Ok(())
     }
 }
 
 /// Before the first thread is governed: memory stays in place, and what was freed is used again.
-pub(crate) fn prepare() -> Result {
-    let refuse = |error| Error::other(format!("TAUT_SYSTEM: {error}; TAUT_REALTIME=off only measures"));
-    tautline_rt::lock_memory(MemoryLock::OnFault).map_err(refuse)?;
-    tautline_rt::keep_freed_memory();
+fn prepare() -> std::result::Result<(), RtError> {
+    let mut is_prepared = IS_PREPARED.lock().unwrap_or_else(PoisonError::into_inner);
+    if !*is_prepared {
+        tautline_rt::lock_memory(MemoryLock::OnFault)?;
+        tautline_rt::keep_freed_memory();
+        *is_prepared = true;
+    }
     Ok(())
 }
 
 /// Makes this thread the one that all `wanted` name. If they name several, it is the one with the highest priority, and a warning names two.
+/// A thread never gets a lower priority than it got here before.
 ///
 /// # Real-time
 /// O(wanted); no syscall and no allocation if the thread is that already.
 ///
 /// # Errors
-/// The policy or the core is refused.
+/// Locked memory, the priority or the core is refused.
 pub(crate) fn govern<'p>(wanted: impl Iterator<Item = &'p Arc<ThreadPlan>>) -> Result {
     let (mut highest, mut other): (Option<&Arc<ThreadPlan>>, Option<&Arc<ThreadPlan>>) = (None, None);
     for plan in wanted {
         match highest {
             Some(known) if Arc::ptr_eq(known, plan) => {}
-            Some(known) if rank(known.policy) >= rank(plan.policy) => other = Some(plan),
+            Some(known) if known.priority >= plan.priority => other = Some(plan),
             known => (highest, other) = (Some(plan), known.or(other)),
         }
     }
     let Some(plan) = highest else { return Ok(()) };
-    let is_applied = |applied: &RefCell<Option<Arc<ThreadPlan>>>| {
-        applied.borrow().as_ref().is_some_and(|applied| Arc::ptr_eq(applied, plan))
-    };
-    // A thread in shutdown has no thread-locals.
-    if APPLIED.try_with(is_applied).unwrap_or(true) {
-        return Ok(());
-    }
-    if let Some(other) = other {
+    if let Some(other) = other
+        && !IS_WARNED.swap(true, Ordering::Relaxed)
+    {
         tracing::warn!(
             "one executor waits for callbacks of two threads of the system file, '{}' and '{}': give each an executor, or name one group for \
              them",
@@ -94,15 +90,13 @@ pub(crate) fn govern<'p>(wanted: impl Iterator<Item = &'p Arc<ThreadPlan>>) -> R
             other.name
         );
     }
-    plan.apply()?;
-    let _ = APPLIED.try_with(|applied| applied.replace(Some(plan.clone())));
-    Ok(())
-}
-
-fn rank(policy: Policy) -> u8 {
-    match policy {
-        Policy::Fifo(priority) => priority,
-        // Above all others.
-        _ => u8::MAX,
+    let is_applied = |applied: &RefCell<Option<Arc<ThreadPlan>>>| {
+        applied.borrow().as_ref().is_some_and(|applied| applied.priority >= plan.priority)
+    };
+    // A thread in shutdown has no thread-locals.
+    if !APPLIED.try_with(is_applied).unwrap_or(true) {
+        plan.apply()?;
+        let _ = APPLIED.try_with(|applied| applied.replace(Some(plan.clone())));
     }
+    Ok(())
 }

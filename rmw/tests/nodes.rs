@@ -664,7 +664,7 @@ for publisher in publishers.values(): publisher.publish(String(data="some"))
 [thread.join() for thread in threads]
 for topic, all in seen.items():
     policy, priority, cores = all[0]
-    print(topic, ["other", "fifo"][policy], priority, cores)
+    print(topic, ["other", "fifo"][policy & ~os.SCHED_RESET_ON_FORK], priority, cores)
 rclpy.shutdown()
 "#;
 

@@ -116,13 +116,31 @@ pub fn set_policy(policy: Policy) -> Result<(), RtError> {
     }
 }
 
+/// Gives the current thread SCHED_FIFO with a priority, and reads it back. Threads and processes that it starts are ordinary, unlike those
+/// after [`set_policy`].
+///
+/// # Errors
+/// As [`set_policy`].
+pub fn set_own_priority(priority: u8) -> Result<(), RtError> {
+    set_policy_with(
+        current_tid(),
+        Policy::Fifo(priority),
+        libc::SCHED_FLAG_RESET_ON_FORK.cast_unsigned().into(),
+    )
+}
+
 /// Sets the policy of thread `tid` and reads it back.
 ///
 /// # Errors
 /// As [`set_policy`]; [`RtError::NoSuchThread`] when the thread has ended.
 pub fn set_policy_of(tid: u32, policy: Policy) -> Result<(), RtError> {
+    set_policy_with(tid, policy, 0)
+}
+
+fn set_policy_with(tid: u32, policy: Policy, flags: u64) -> Result<(), RtError> {
     policy.check()?;
     let mut attr = empty_attr();
+    attr.sched_flags = flags;
     let class = match policy {
         Policy::Fifo(priority) => {
             attr.sched_priority = priority.into();

@@ -244,12 +244,11 @@ impl Builder<'_> {
         }
     }
 
-    /// The rank of a callback in a thread that runs the highest first. ROS's executors look at timers themselves, and run them first.
+    /// The rank of a callback in a thread that runs the highest first.
     fn rank(&self, index: usize, thread: usize) -> Option<u8> {
         let callback = &self.file.callbacks[index];
         let group = self.threads[thread].group.map(|group| &self.file.groups[group])?;
-        let stated = callback.priority.as_ref().map_or(0, |priority| priority.value);
-        group.is_ranked().then_some(if callback.topics.is_empty() { u8::MAX } else { stated })
+        group.is_ranked().then_some(callback.priority.as_ref().map_or(0, |priority| priority.value))
     }
 
     /// An executor of ROS 2's polls in rounds, unless the RMW orders what it sees, and a join takes all that is queued for it: neither keeps an order.
@@ -506,16 +505,16 @@ fn orders(file: &Declared, places: &[Option<Place>], threads: &[Thread], problem
         }
         for callback in thread.callbacks.iter().map(|i| &file.callbacks[*i]).filter(|_| group.is_ranked()) {
             let of = &callback.name;
-            match (callback.topics.is_empty(), &callback.priority) {
-                (true, Some(At { at, .. })) => problems.add(
-                    *at,
-                    format!("callback `{of}` is a timer, which an executor of ROS 2's runs before all messages: leave out its `priority`"),
-                ),
-                (false, None) => problems.add(
+            if callback.topics.is_empty() {
+                problems.add(
+                    callback.at,
+                    format!("callback `{of}` is a timer, which rcl runs beside the message that is reported: give it an executor of its own"),
+                );
+            } else if callback.priority.is_none() {
+                problems.add(
                     callback.at,
                     format!("callback `{of}` of group `{name}` has no `priority`, by which the group's callbacks are ordered"),
-                ),
-                _ => {}
+                );
             }
         }
     }

@@ -77,7 +77,7 @@ pub struct CallbackEntry {
     pub core: usize,
     /// SCHED_FIFO priority of the thread, 1 to 99, or [`Reservation::PRIORITY`].
     pub priority: u8,
-    /// Its rank in a group with `order = "priority"`: the highest of the waiting callbacks runs next. 255 for timers.
+    /// Its rank in a group with `order = "priority"`: the highest of the waiting callbacks runs next.
     pub rank: Option<u8>,
     /// What the kernel reserves for the thread, if it runs under SCHED_DEADLINE.
     pub reservation: Option<Reservation>,

@@ -7,7 +7,7 @@ use super::observers::Announced;
 use crate::ring::Head;
 use std::collections::HashMap;
 use std::sync::mpsc::Receiver;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tautline_bag::{BagError, PUBLISHER, Topic, TopicId, Writer};
 use tautline_transport::{Durability, Gid, Qos};
 
@@ -21,6 +21,8 @@ pub struct Channels {
     announced: Receiver<Announced>,
     observers: Vec<Observed>,
     list: Vec<Channel>,
+    /// Until then an announcement is not waited for.
+    waits_from: Instant,
 }
 
 /// A topic of the bag.
@@ -36,13 +38,15 @@ struct Observed {
     events: Option<Events>,
     /// That of all publishers that do not keep messages for late joiners.
     shared: Option<usize>,
+    /// That of publishers which nobody announced, if there is no other.
+    unannounced: Option<usize>,
     /// `None`: its messages are events of a service, all of one topic.
     publishers: Option<HashMap<Gid, usize>>,
 }
 
 impl Channels {
     pub fn new(announced: Receiver<Announced>) -> Self {
-        Channels { announced, observers: Vec::new(), list: Vec::new() }
+        Channels { announced, observers: Vec::new(), list: Vec::new(), waits_from: Instant::now() }
     }
 
     /// Those that are known.
@@ -78,13 +82,21 @@ impl Channels {
             let announced = self.announced.recv().ok()?;
             self.add(announced);
         }
+        let mut since = None;
         while let Some(publishers) = &self.observers[number].publishers {
             if let Some(channel) = publishers.get(&head.publisher) {
                 return Some(*channel);
             }
-            match self.announced.recv_timeout(PATIENCE) {
+            let now = Instant::now();
+            let left = PATIENCE.saturating_sub(now.duration_since(*since.get_or_insert(now)));
+            let left = if now < self.waits_from { Duration::ZERO } else { left };
+            match self.announced.recv_timeout(left) {
                 Ok(announced) => self.add(announced),
-                Err(_) => self.publisher(number, head.publisher, &Qos::default()),
+                Err(_) => {
+                    // Many that come and go do not stop the writer again and again.
+                    self.waits_from = now + 20 * PATIENCE;
+                    return Some(self.unannounced(number));
+                }
             }
         }
         Some(self.shared(number))
@@ -94,17 +106,29 @@ impl Channels {
         match announced {
             Announced::Topic(topic) => {
                 let publishers = Some(HashMap::new());
-                self.observers.push(Observed { topic, events: None, shared: None, publishers });
+                self.observers.push(Observed {
+                    topic,
+                    events: None,
+                    shared: None,
+                    unannounced: None,
+                    publishers,
+                });
             }
             Announced::Requests(topic, events) => {
                 let (events, shared, publishers) = (Some(events), Some(self.list.len()), None);
                 self.list.push(Channel { topic: topic.clone(), kept: 0 });
-                self.observers.push(Observed { topic, events, shared, publishers });
+                self.observers.push(Observed { topic, events, shared, unannounced: None, publishers });
             }
             Announced::Responses(requests) => {
                 let Observed { topic, shared, .. } = &self.observers[requests];
                 let (topic, shared) = (topic.clone(), *shared);
-                self.observers.push(Observed { topic, events: None, shared, publishers: None });
+                self.observers.push(Observed {
+                    topic,
+                    events: None,
+                    shared,
+                    unannounced: None,
+                    publishers: None,
+                });
             }
             Announced::Publisher { number, gid, qos } => self.publisher(number, gid, &qos),
         }
@@ -133,12 +157,22 @@ impl Channels {
     fn shared(&mut self, number: usize) -> usize {
         let observed = &mut self.observers[number];
         *observed.shared.get_or_insert_with(|| {
+            let topic = observed.topic.clone();
+            self.list.push(Channel { topic, kept: 0 });
+            self.list.len() - 1
+        })
+    }
+
+    /// That of a publisher which was never announced: it is as those that were.
+    fn unannounced(&mut self, number: usize) -> usize {
+        let observed = &mut self.observers[number];
+        if let Some(shared) = observed.shared {
+            return shared;
+        }
+        *observed.unannounced.get_or_insert_with(|| {
             let mut topic = observed.topic.clone();
-            if topic.qos.is_empty() {
-                // Of a publisher that was never announced: it is as those that were.
-                let known = observed.publishers.iter().flat_map(HashMap::values);
-                topic.qos = known.map(|channel| &*self.list[*channel].topic.qos).collect();
-            }
+            let known = observed.publishers.iter().flat_map(HashMap::values);
+            topic.qos = known.map(|channel| &*self.list[*channel].topic.qos).collect();
             let qos = crate::offered_qos::read(&topic.qos).unwrap_or_default();
             let kept = if qos.durability == Durability::TransientLocal { qos.depth } else { 0 };
             self.list.push(Channel { topic, kept });

@@ -94,6 +94,8 @@ struct Place {
     /// Taken, without room in the ring.
     held: Option<RawSample>,
     looked_ns: u64,
+    /// The subscription is for the time after a pause, which has not ended yet.
+    is_renewed: bool,
     /// By subscriptions of before.
     lost_before: u64,
     /// Those, while they have something.
@@ -187,6 +189,7 @@ impl Reader {
                     let samples = std::iter::from_fn(|| take(&former));
                     place.taken.paused += samples.take(MOST_AT_ONCE).count() as u64;
                     place.lost_before += former.counters().lost();
+                    place.is_renewed = true;
                 }
                 Some(place) => {
                     // What it still has is taken first.
@@ -200,6 +203,7 @@ impl Reader {
                     counts,
                     held: None,
                     looked_ns: u64::MAX,
+                    is_renewed: false,
                     lost_before: 0,
                     former: Vec::new(),
                     taken: Taken::default(),
@@ -220,7 +224,8 @@ impl Reader {
             if place.looked_ns != u64::MAX || !self.stop.load(Ordering::Relaxed) {
                 place.looked_ns = now_ns;
             }
-            if place.is_empty() {
+            place.is_renewed &= is_paused;
+            if place.is_renewed || place.is_empty() {
                 continue;
             }
             now_ns = monotonic_ns();

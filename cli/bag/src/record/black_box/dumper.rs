@@ -238,9 +238,22 @@ impl Work {
         self.latched.resize_with(self.latched.len().max(channel + 1), VecDeque::new);
         let latched = &mut self.latched[channel];
         latched.push_back((head, self.scratch.clone()));
-        let mut bytes: usize = latched.iter().map(|(_, cdr)| cdr.len()).sum();
-        while latched.len() > kept || bytes > LATCHED_BYTES && latched.len() > 1 {
-            bytes -= latched.pop_front().map_or(0, |(_, cdr)| cdr.len());
+        if latched.len() > kept {
+            latched.pop_front();
+        }
+        // Of all publishers of the topic, also of those that have ended.
+        let topic = &self.channels.list()[channel].topic.name;
+        let of_topic = |at: &usize| self.channels.list()[*at].topic.name == *topic;
+        let members: Vec<_> = (0..self.latched.len()).filter(of_topic).collect();
+        let bytes = |latched: &Latched| latched.iter().map(|(_, cdr)| cdr.len()).sum::<usize>();
+        let mut all: usize = members.iter().map(|at| bytes(&self.latched[*at])).sum();
+        while all > LATCHED_BYTES {
+            let oldest = |at: &&usize| self.latched[**at].front().map_or(u64::MAX, |(head, _)| head.log_ns);
+            let Some(first) = members.iter().min_by_key(oldest) else { return };
+            match self.latched[*first].pop_front() {
+                Some((_, cdr)) => all -= cdr.len(),
+                None => return,
+            }
         }
     }
 

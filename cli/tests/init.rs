@@ -1,0 +1,87 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `taut init --from-running`: what runs is in the file, which `taut check` takes.
+
+mod support;
+
+use futures::StreamExt;
+use serde_json::Value;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use support::Here;
+use tautline::Qos;
+use tautline::example_interfaces::msg::UInt64;
+use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
+
+const PERIOD: Duration = Duration::from_millis(20);
+
+#[test]
+fn what_runs_becomes_a_file() {
+    let mut here = Here::new(41);
+    let (mut driver, mut planner) = (here.node("driver", ""), here.node("planner", "/front"));
+    let mut timer = driver.create_wall_timer(PERIOD).unwrap();
+    let scans = driver.create_publisher::<UInt64>("/scan", Qos::default()).unwrap();
+    let mut taken = planner.subscribe::<UInt64>("/scan", Qos::default()).unwrap();
+    let paths = planner.create_publisher::<UInt64>("/path", Qos::default()).unwrap();
+    let mut joystick = planner.subscribe::<UInt64>("/joystick", Qos::default()).unwrap();
+    here.serve(&mut driver, async move {
+        while timer.next().await.is_some() {
+            scans.publish(&UInt64 { data: 1 }).unwrap();
+        }
+    });
+    here.serve(&mut planner, async move {
+        while taken.next().await.is_some() {
+            paths.publish(&UInt64 { data: 1 }).unwrap();
+        }
+    });
+    here.serve(&mut planner, async move { while joystick.next().await.is_some() {} });
+    // A thread that is no callback's.
+    let (stop, mut source) = (Arc::new(AtomicBool::new(false)), here.node("source", ""));
+    let commands = source.create_publisher::<UInt64>("/joystick", Qos::default()).unwrap();
+    let is_stopped = stop.clone();
+    let publishing = std::thread::spawn(move || {
+        let start_ns = monotonic_ns();
+        for n in (1..).take_while(|_| !is_stopped.load(Ordering::Relaxed)) {
+            commands.publish(&UInt64 { data: n }).unwrap();
+            sleep_until_monotonic(start_ns + n * 10_000_000);
+        }
+        commands
+    });
+
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("robot.toml");
+    let path = file.to_str().unwrap();
+    let said = here.taut(&["init", "--from-running", "--seconds", "1", path]);
+    assert!(said.contains("3 callbacks") && said.contains(&format!("taut check {path}")), "{said}");
+    let text = std::fs::read_to_string(&file).unwrap();
+    for part in [
+        "[nodes.driver]",
+        "[nodes.\"/front/planner\"]",
+        "node = \"/front/planner\"",
+        "period = \"20ms\"",
+        "topic = \"/scan\"",
+        "publishes = [\"/scan\"]",
+        "publishes = [\"/path\"]",
+        "# guess: the longest of ",
+        "[topics.\"/joystick\"]",
+    ] {
+        assert!(text.contains(part), "no {part} in:\n{text}");
+    }
+    // What `taut check` reads is what ran: the reader of /scan has the period of its publisher.
+    let (_, checked, errors) = here.refused(&["check", path, "--json"]);
+    let checked: Value =
+        serde_json::from_str(&checked).unwrap_or_else(|error| panic!("{error}: {errors}\n{text}"));
+    let callbacks = checked["callbacks"].as_array().unwrap();
+    let periods: Vec<f64> =
+        callbacks.iter().map(|callback| callback["period_ms"].as_f64().unwrap()).collect();
+    assert_eq!(periods.iter().filter(|period| **period == 20.0).count(), 2, "{checked}");
+    assert!(periods.iter().any(|period| (9.0..11.0).contains(period)), "{checked}");
+
+    let (code, _, words) = here.refused(&["init", "--from-running", path]);
+    assert!(code == 1 && words.contains("exists and is left as it is"), "{words}");
+    stop.store(true, Ordering::Relaxed);
+    drop(publishing.join().unwrap());
+    let (code, _, words) =
+        here.refused(&["init", "--from-running", "--seconds", "0.1", "--domain", "42", "other.toml"]);
+    assert!(code == 1 && words.contains("no callback ran while the domain was observed"), "{words}");
+}
