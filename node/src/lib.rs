@@ -183,9 +183,9 @@ pub mod raw {
     pub use tautline_trace::ObjectId;
     pub use tautline_transport::{
         Activity, ActivityKind, Arena, ArenaId, BellRoute, Doorbell, DoorbellError, Flags, GrowArena,
-        MatchedCount, Origin, PublisherChanges, PublisherMonitor, Rank, RawLoan, RawPublisher, RawSample,
-        RawSubscription, SamplerSeat, Sleeper, Slot, SubscriptionChanges, SubscriptionMonitor, ThreadBell,
-        TopicType, TracedPort,
+        MatchedCount, MemoryClaimer, Origin, PublisherChanges, PublisherMonitor, Rank, RawLoan, RawPublisher,
+        RawSample, RawSubscription, SamplerSeat, Sleeper, Slot, SubscriptionChanges, SubscriptionMonitor,
+        ThreadBell, TopicType, TracedPort,
     };
 }
 

@@ -21,7 +21,7 @@ fn publishers_of_another_host_are_watched_one_by_one() {
     let mut matched = 0;
     let mut last = LivelinessChanged::default();
     let mut look = |alive: u64| {
-        let changes = monitor.look(monotonic_ns());
+        let changes = monitor.changes(monotonic_ns());
         if let Some(now) = changes.matched {
             matched = now.current_count;
         }
@@ -73,7 +73,7 @@ fn on_another_host_an_end_is_told_from_a_death() {
     let mut monitor = subscription.monitor(&events);
     let mut last = LivelinessChanged::default();
     let mut look = |alive: u64| {
-        last = monitor.look(monotonic_ns()).liveliness.unwrap_or(last);
+        last = monitor.changes(monotonic_ns()).liveliness.unwrap_or(last);
         (last.alive_count == alive).then_some((last.alive_count_change, last.not_alive_count))
     };
     for is_killed in [false, true, false] {
@@ -105,7 +105,7 @@ fn with_the_gateway_go_the_publishers_of_other_hosts() {
     let mut monitor = subscription.monitor(&events);
     let mut matched = 0;
     let mut look = |count: u64| {
-        matched = monitor.look(monotonic_ns()).matched.map_or(matched, |now| now.current_count);
+        matched = monitor.changes(monotonic_ns()).matched.map_or(matched, |now| now.current_count);
         matched == count
     };
     let _publisher = a.publisher("/chatter", &string_type(), Qos::keep_last(10));
