@@ -8,6 +8,7 @@ use crate::verb::{CommonArgs, End, Failure, Outcome, time};
 use clap::Args;
 use std::fs::OpenOptions;
 use std::io::{ErrorKind, Write};
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
@@ -83,10 +84,14 @@ pub fn run(args: &InitArgs) -> Outcome<ExitCode> {
 fn observe(args: &InitArgs) -> Result<trace::recording::Recording, trace::TraceError> {
     let domain = args.common.domain().map_err(trace::TraceError::Domain)?;
     let mut end = End::after(Some(args.seconds)).map_err(trace::TraceError::Signal)?;
-    let file = std::env::temp_dir().join(format!("taut-init-{}.trace", std::process::id()));
-    let recorded = record::record(&file, domain, &mut end, args.common.json);
+    // A folder of its own, where nobody else can have put a file.
+    let folder = std::env::temp_dir().join(format!("taut-init-{}", std::process::id()));
+    let refuse = |source| trace::TraceError::Write { path: folder.clone(), source };
+    std::fs::DirBuilder::new().mode(0o700).create(&folder).map_err(refuse)?;
+    let (file, begun) = (folder.join("trace"), format!("observing domain {domain} for {:?}", args.seconds));
+    let recorded = record::record(&file, domain, &mut end, args.common.json, &begun);
     let recording = recorded.and_then(|_| trace::file::read(&file));
-    let _ = std::fs::remove_file(&file);
+    let _ = std::fs::remove_dir_all(&folder);
     recording
 }
 

@@ -37,17 +37,15 @@ pub fn check(packages: &str) -> Result<(), String> {
         if !calls.names.values().any(|name| name.contains(LOCKS[0]) || name.contains(LOCKS[1])) {
             return Err(format!("{}: no mutex of the standard library is in it", executable.display()));
         }
-        if !calls.hot().any(|hot| calls.callees.contains_key(&hot)) {
-            return Err(format!("{}: no function of a hot.rs calls anything", executable.display()));
-        }
-        hot += calls.hot().count();
+        // Instructions that are not understood call nothing.
+        hot += calls.hot().filter(|hot| calls.callees.contains_key(hot)).count();
         faults.extend(calls.locks().into_iter().map(|path| path.join("\n    called by ")));
     }
     // Names change with compilers.
     if hot < 100 {
-        return Err(format!("{hot} functions of hot.rs are in {executables:?}, which cannot be"));
+        return Err(format!("{hot} functions of hot.rs call others in {executables:?}, which cannot be"));
     }
-    println!("{hot} functions of hot.rs in {} executables", executables.len());
+    println!("{hot} functions of hot.rs call others in {} executables", executables.len());
     match faults.len() {
         0 => Ok(()),
         count => {

@@ -50,16 +50,24 @@ pub struct Sum {
 pub fn run(args: &RecordArgs, common: &CommonArgs) -> Result<ExitCode, TraceError> {
     let domain = common.domain().map_err(TraceError::Domain)?;
     let mut end = End::after(args.seconds.or(common.timeout())).map_err(TraceError::Signal)?;
-    let (sum, time) = record(&args.out, domain, &mut end, common.json)?;
+    let until = if end.timeout().is_none() { ", until Ctrl-C" } else { "" };
+    let begun = format!("recording domain {domain} into {}{until}", args.out.display());
+    let (sum, time) = record(&args.out, domain, &mut end, common.json, &begun)?;
     print(args, common, domain, &sum, time);
     Ok(ExitCode::SUCCESS)
 }
 
-/// Records a domain into a file; what was recorded, and how long.
+/// Records a domain into a file, and prints `begun` when it begins; what was recorded, and how long.
 ///
 /// # Errors
 /// Another recorder records the domain, or the file cannot be written.
-pub fn record(path: &Path, domain: u32, end: &mut End, is_json: bool) -> Result<(Sum, Duration), TraceError> {
+pub fn record(
+    path: &Path,
+    domain: u32,
+    end: &mut End,
+    is_json: bool,
+    begun: &str,
+) -> Result<(Sum, Duration), TraceError> {
     lower_priority()?;
     let mut recorder = tautline_transport::start_recorder(domain)?;
     let refuse = |source| TraceError::Write { path: path.to_owned(), source };
@@ -70,8 +78,7 @@ pub fn record(path: &Path, domain: u32, end: &mut End, is_json: bool) -> Result<
     let (mut sum, start) = (Sum::default(), Instant::now());
     end.restart();
     let progress = progress(is_json);
-    let until = if end.timeout().is_none() { ", until Ctrl-C" } else { "" };
-    print_line(&format!("recording domain {domain} into {}{until}", path.display()));
+    print_line(begun);
     let mut next_flush = start + Duration::from_secs(1);
     while !end.is_reached() {
         recorder.poll(&mut |record| note(&mut writer, &mut sum, &record));
