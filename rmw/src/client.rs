@@ -126,7 +126,7 @@ async fn serve(end: Weak<ReceivingEndpoint<Asking>>, watchers: Arc<Watchers>, li
             asking.raw.wake_once(context.waker());
             (asking.flush(), asking.raw.server_count())
         });
-        listeners.tell();
+        listeners.notify();
         if let Err(error) = flushed {
             tracing::warn!("a request was not sent, retrying: {error:?}");
         }
@@ -217,7 +217,7 @@ pub unsafe extern "C" fn rmw_send_request(
         };
         let sent = client.end.with(|asking| asking.ask(estimate, write));
         // Also of requests that had waited.
-        client.listeners.tell();
+        client.listeners.notify();
         let sent = sent?;
         *number = i64::try_from(sent).unwrap_or(i64::MAX);
         Ok(())

@@ -191,7 +191,7 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         self.callback.settle();
         self.listeners.add(self.listener());
         self.go_home(None);
-        self.tell();
+        self.notify();
         if !self.is_served.swap(true, Ordering::AcqRel) {
             let end = Arc::downgrade(self);
             helper.run(move || Self::serve(end));
@@ -221,7 +221,7 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
             None => Poll::Ready(()),
             Some(end) => {
                 end.go_home(Some(context.waker()));
-                end.tell();
+                end.notify();
                 Poll::Pending
             }
         })
@@ -230,7 +230,7 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
 }
 
 impl<P: MessageQueue> Listener for ReceivingEndpoint<P> {
-    fn tell(&self) {
+    fn notify(&self) {
         let (call, new) = {
             let (port, route) = &mut *self.side.lock();
             let Some(call) = self.callback.begin() else { return };

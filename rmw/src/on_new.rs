@@ -20,7 +20,7 @@ use tautline_rt::PiMutex;
 /// An endpoint with a callback for new messages.
 pub(crate) trait Listener: Send + Sync {
     /// Calls the callback for messages that were not reported yet.
-    fn tell(&self);
+    fn notify(&self);
 }
 
 /// The endpoints of a context that hear one topic and have a callback.
@@ -39,14 +39,14 @@ impl Listeners {
     /// # Real-time
     /// One load without callbacks; else O(listeners), the callbacks themselves, and a wait for each thread that takes from a
     /// listener or adds one, which inherits this thread's priority.
-    pub(crate) fn tell(&self) {
+    pub(crate) fn notify(&self) {
         // Pairs with the fence in `change`: who was told not to ring sees the listener.
         fence(Ordering::Acquire);
         if self.count.load(Ordering::Relaxed) == 0 {
             return;
         }
         let endpoints = self.endpoints.lock().clone();
-        endpoints.iter().filter_map(Weak::upgrade).for_each(|endpoint| endpoint.tell());
+        endpoints.iter().filter_map(Weak::upgrade).for_each(|endpoint| endpoint.notify());
     }
 
     /// Adds an endpoint, once.

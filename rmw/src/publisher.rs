@@ -97,7 +97,7 @@ impl Publisher {
     /// Publishes a loan, and calls the callbacks for it.
     fn publish_loan<'p>(&'p self, side: PiGuard<'p, Publishing>, loan: RawLoan<'static>) -> Result {
         self.submit(side, loan)?;
-        self.listeners.tell();
+        self.listeners.notify();
         Ok(())
     }
 

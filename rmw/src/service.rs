@@ -263,7 +263,7 @@ pub unsafe extern "C" fn rmw_send_response(
             loan.truncate(written);
             loan.send().map_err(|unsent| Failed::from(unsent.error))
         });
-        service.listeners.tell();
+        service.listeners.notify();
         match sent {
             // The client has ended: not an error of the server.
             Ok(()) | Err(Failed::Send(ServiceError::ClientGone { .. })) => Ok(()),

@@ -142,7 +142,7 @@ impl Reader {
             if was_paused && !is_paused {
                 self.since_ns = looked_ns;
             }
-            self.look(is_paused);
+            self.take_waiting(is_paused);
             if is_last {
                 break;
             }
@@ -166,7 +166,7 @@ impl Reader {
         }
         while !self.producer.is_abandoned() && monotonic_ns() - ended_ns < PATIENCE_NS {
             let waited = self.waited;
-            let took = self.look(is_paused);
+            let took = self.take_waiting(is_paused);
             if self.waited != waited {
                 sleep_until_monotonic(monotonic_ns() + self.pace.period_ns);
             } else if !took {
@@ -212,8 +212,8 @@ impl Reader {
         }
     }
 
-    /// Whether there was something.
-    fn look(&mut self, is_paused: bool) -> bool {
+    /// Takes what waits in each observer, a turn of each; whether there was anything.
+    fn take_waiting(&mut self, is_paused: bool) -> bool {
         let (mut took, until_ns) = (false, self.until_ns);
         let mut now_ns = monotonic_ns();
         for (number, place) in self.places.iter_mut().enumerate() {

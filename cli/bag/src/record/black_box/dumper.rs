@@ -130,7 +130,25 @@ impl Dumper {
 }
 
 /// What a publisher keeps for late joiners.
-type Latched = VecDeque<(Head, Vec<u8>)>;
+#[derive(Default)]
+struct Latched {
+    messages: VecDeque<(Head, Vec<u8>)>,
+    bytes: usize,
+}
+
+impl Latched {
+    fn push(&mut self, head: Head, cdr: Vec<u8>) {
+        self.bytes += cdr.len();
+        self.messages.push_back((head, cdr));
+    }
+
+    /// Removes the oldest message; its length.
+    fn pop(&mut self) -> usize {
+        let bytes = self.messages.pop_front().map_or(0, |(_, cdr)| cdr.len());
+        self.bytes -= bytes;
+        bytes
+    }
+}
 
 struct Work {
     plan: Plan,
@@ -235,25 +253,22 @@ impl Work {
         if kept == 0 {
             return;
         }
-        self.latched.resize_with(self.latched.len().max(channel + 1), VecDeque::new);
+        self.latched.resize_with(self.latched.len().max(channel + 1), Latched::default);
         let latched = &mut self.latched[channel];
-        latched.push_back((head, self.scratch.clone()));
-        if latched.len() > kept {
-            latched.pop_front();
+        latched.push(head, self.scratch.clone());
+        if latched.messages.len() > kept {
+            latched.pop();
         }
-        // Of all publishers of the topic, also of those that have ended.
+        // Publishers that have ended count, too.
         let topic = &self.channels.list()[channel].topic.name;
         let of_topic = |at: &usize| self.channels.list()[*at].topic.name == *topic;
         let members: Vec<_> = (0..self.latched.len()).filter(of_topic).collect();
-        let bytes = |latched: &Latched| latched.iter().map(|(_, cdr)| cdr.len()).sum::<usize>();
-        let mut all: usize = members.iter().map(|at| bytes(&self.latched[*at])).sum();
-        while all > LATCHED_BYTES {
-            let oldest = |at: &&usize| self.latched[**at].front().map_or(u64::MAX, |(head, _)| head.log_ns);
-            let Some(first) = members.iter().min_by_key(oldest) else { return };
-            match self.latched[*first].pop_front() {
-                Some((_, cdr)) => all -= cdr.len(),
-                None => return,
-            }
+        let mut bytes: usize = members.iter().map(|at| self.latched[*at].bytes).sum();
+        while bytes > LATCHED_BYTES {
+            let since =
+                |at: &&usize| self.latched[**at].messages.front().map_or(u64::MAX, |(head, _)| head.log_ns);
+            let Some(oldest) = members.iter().min_by_key(since) else { return };
+            bytes -= self.latched[*oldest].pop();
         }
     }
 
@@ -312,7 +327,9 @@ impl Work {
         log_ns: u64,
     ) -> Result<u64, BagError> {
         let mut messages = 0;
-        for (head, cdr) in self.latched.iter().flatten().cloned().collect::<Vec<_>>() {
+        for (head, cdr) in
+            self.latched.iter().flat_map(|latched| latched.messages.clone()).collect::<Vec<_>>()
+        {
             self.scratch = cdr;
             messages += u64::from(self.write(writer, ids, Head { log_ns, ..head })?);
         }
