@@ -648,6 +648,11 @@ node = rclpy.create_node("listener")
 seen = {topic: [] for topic in ("/fast", "/slow", "/unlisted")}
 def listen(topic):
     def heard(_):
+        started = []
+        thread = threading.Thread(target=lambda: started.append(os.sched_getscheduler(0)))
+        thread.start()
+        thread.join()
+        assert started == [os.SCHED_OTHER], "what it starts is ordinary"
         seen[topic].append((os.sched_getscheduler(0), os.sched_getparam(0).sched_priority, sorted(os.sched_getaffinity(0))))
     return heard
 nodes = {topic: rclpy.create_node("listener" if topic != "/unlisted" else "ordinary") for topic in seen}
