@@ -39,14 +39,12 @@ pub fn run(args: &ApplyArgs) -> Outcome<ExitCode> {
         return Ok(ExitCode::from(2));
     }
     let domain = args.common.domain()?;
-    let processes = match apply_system(domain, &args.file) {
+    let labels = match apply_system(domain, &args.file) {
         Err(error @ (Error::NotAdmitted { .. } | Error::NobodyHas { .. } | Error::NotTakenUp { .. })) => {
             return Err(Failure::no(error.to_string()));
         }
         outcome => outcome?,
     };
-    let labels: Vec<_> =
-        processes.iter().map(|process| format!("{} (process {})", process.program, process.pid)).collect();
     let mut out = crate::print::stdout();
     if args.common.json {
         writeln!(out, "{}", serde_json::json!({ "domain": domain, "processes": labels }))?;

@@ -141,7 +141,10 @@ fn a_reservation_leaves_the_core_and_comes_back() {
             let callback = executor.spawn_callback(above, async {}).unwrap();
             let policy = Policy::Deadline { runtime_ns: 2_000_000, period_ns: 20_000_000 };
             assert_eq!(callback.thread().policy, policy);
-            assert_eq!(callback.stats().snapshot().unwrap().priority, Some(Policy::RESERVATION));
+            assert_eq!(
+                tautline_executor::CallbackSnapshot::of(callback.stats()).unwrap().priority,
+                Some(Policy::RESERVATION)
+            );
             callback.join().unwrap();
         }
         Err(error) => panic!("{error}"),

@@ -12,16 +12,13 @@
 //! processes fits alone but not both together, one of them is refused.
 
 use crate::error::{Error, Result};
-use crate::statistics::shared_statistics;
 use crate::system::LoadedSystem;
 use std::fs::{File, TryLockError};
-use std::path::Path;
 use std::time::Duration;
-use tautline_analysis::Reservation;
-use tautline_analysis::file::SystemFile;
-use tautline_analysis::file::admission::{Broken, Candidate, LooseThread, Machine, Share};
-use tautline_executor::{Admitted, CallbackOptions, CallbackSnapshot, ProcessInfo, ProcessSnapshot};
-use tautline_rt::{Patience, Policy, domain::shared_path};
+use tautline_analysis::file::admission::{Broken, Candidate, LooseThread, Share};
+use tautline_executor::{Admitted, CallbackOptions, CallbackSnapshot, ProcessInfo};
+use tautline_load::{Running, label_of, reservation_of, shared_statistics};
+use tautline_rt::{Patience, domain::shared_path};
 
 /// Whether new load is checked against the load that runs in the domain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,146 +36,11 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// As many deadlines as an error names.
 const NAMED: usize = 3;
 
-/// What runs in a domain at real-time priorities, as far as its processes share their statistics.
-#[derive(Debug, Default)]
-pub struct Running {
-    files: Vec<FileInUse>,
-    threads: Vec<LooseThread>,
-    /// Programs, with their process ids.
-    pub processes: Vec<String>,
-    /// Notes for the user.
-    pub notes: Vec<String>,
-}
-
-#[derive(Debug)]
-struct FileInUse {
-    file: SystemFile,
-    host: String,
-    label: String,
-}
-
-impl Running {
-    /// Reads what runs in `domain` now, of this user and on this host. Processes without real-time priorities delay no
-    /// real-time thread.
-    ///
-    /// # Errors
-    /// [`Error::Statistics`] if the statistics cannot be read.
-    pub fn of_domain(domain: u32) -> Result<Running> {
-        Running::beside(domain, None)
-    }
-
-    /// As [`of_domain`](Self::of_domain), but of processes that have the file at this path only what another text of it does not count.
-    pub(crate) fn beside(domain: u32, without: Option<(&Path, &SystemFile)>) -> Result<Running> {
-        let mut running = Running::default();
-        let mut found = Vec::new();
-        for statistics in shared_statistics(domain)?.0 {
-            match statistics.read() {
-                Ok(snapshot) => {
-                    found.extend(snapshot.filter(|of| of.process.realtime && statistics.is_running()));
-                }
-                // Such as of a process that was built with another version of Tautline.
-                Err(error) => running.notes.push(format!("a process is not looked at: {error}")),
-            }
-        }
-        for snapshot in &mut found {
-            if let Some((_, file)) = without.filter(|(path, _)| snapshot.process.system_path == *path) {
-                let counts =
-                    |of: &CallbackSnapshot| file.callbacks().iter().any(|entry| entry.name == of.name);
-                snapshot.callbacks.retain(|callback| !counts(callback));
-                continue;
-            }
-            running.processes.push(label_of(&snapshot.process));
-            running.add_file(&snapshot.process);
-        }
-        let mut seen = Vec::new();
-        for snapshot in &found {
-            for callback in snapshot.callbacks.iter().filter(|of| !of.is_group && !of.ended) {
-                running.add_callback(snapshot, callback, &mut seen);
-            }
-        }
-        Ok(running)
-    }
-
-    /// The load, for the analysis.
-    pub fn machine(&self) -> Machine<'_> {
-        let mut machine = Machine::default();
-        for FileInUse { file, host, label } in &self.files {
-            machine.add_file(Share { file, host, label });
-        }
-        self.threads.iter().for_each(|thread| machine.add_thread(thread.clone()));
-        machine
-    }
-
-    fn add_file(&mut self, process: &ProcessInfo) {
-        if process.system_path.as_os_str().is_empty() || self.file_of(process).is_some() {
-            return;
-        }
-        let label = process.system_path.display().to_string();
-        match SystemFile::read(&process.system_path) {
-            Ok(file) if file.fingerprint() == process.system_hash => {
-                self.files.push(FileInUse { file, host: process.host.clone(), label });
-            }
-            // What it runs says of itself what it needs.
-            Ok(_) => self.notes.push(format!(
-                "{} was started with another text of {label}: of it only what runs now is looked at; restart it",
-                label_of(process)
-            )),
-            Err(error) => self.notes.push(format!(
-                "{}: of it only what runs now is looked at: {error}",
-                label_of(process)
-            )),
-        }
-    }
-
-    fn file_of(&self, process: &ProcessInfo) -> Option<&FileInUse> {
-        let is_it =
-            |used: &&FileInUse| used.file.fingerprint() == process.system_hash && used.host == process.host;
-        self.files.iter().find(is_it)
-    }
-
-    /// A callback that is where its file says is part of the file, the first time.
-    fn add_callback(
-        &mut self,
-        snapshot: &ProcessSnapshot,
-        callback: &CallbackSnapshot,
-        seen: &mut Vec<(u64, String, String)>,
-    ) {
-        let Some(priority) = callback.priority else { return };
-        let process = &snapshot.process;
-        let reservation = tautline_rt::policy_of(callback.tid).ok().and_then(reservation_of);
-        if self.file_of(process).is_some_and(|used| {
-            used.file.callbacks().iter().any(|entry| {
-                let core = &used.file.cores()[entry.core];
-                (entry.name.as_str(), entry.priority, core.host.as_str())
-                    == (callback.name.as_str(), priority, process.host.as_str())
-                    && (entry.floats || callback.core == Some(core.number))
-                    && entry.reservation == reservation
-            })
-        }) {
-            let key = (process.system_hash, process.host.clone(), callback.name.clone());
-            if !seen.contains(&key) {
-                return seen.push(key);
-            }
-        }
-        self.threads.push(LooseThread {
-            name: callback.name.clone(),
-            label: label_of(process),
-            core: callback.core,
-            priority,
-            reservation,
-            period_ns: callback.period_ns,
-            jitter_ns: 0,
-            budget_ns: callback.budget_ns,
-            deadline_ns: callback.deadline_ns,
-        });
-    }
-}
-
 /// Whether a callback of a system file runs already, in whatever process.
 fn runs(domain: u32, system: &LoadedSystem, callback: &str) -> Result<bool> {
     let is_it =
         |of: &CallbackSnapshot| !of.is_group && !of.ended && of.priority.is_some() && of.name == callback;
-    for statistics in shared_statistics(domain)?.0 {
+    for statistics in shared_statistics(domain).map_err(Error::Statistics)?.0 {
         let Ok(Some(snapshot)) = statistics.read() else { continue };
         let has_file = system.is_of(&snapshot.process);
         if has_file && statistics.is_running() && snapshot.callbacks.iter().any(is_it) {
@@ -186,10 +48,6 @@ fn runs(domain: u32, system: &LoadedSystem, callback: &str) -> Result<bool> {
         }
     }
     Ok(false)
-}
-
-pub(crate) fn label_of(process: &ProcessInfo) -> String {
-    format!("{} (process {})", process.program, process.pid)
 }
 
 /// Held by the process that is being admitted; the kernel releases it if that process dies.
@@ -231,7 +89,7 @@ impl Drop for Gate {
 /// Checks all that the file says of this host. The gate is to be held until others can read of it.
 pub(crate) fn admit_system(domain: u32, mode: Admission, system: &LoadedSystem) -> Result<(Gate, Admitted)> {
     let gate = Gate::enter(domain, mode)?;
-    let running = Running::of_domain(domain)?;
+    let running = Running::of_domain(domain).map_err(Error::Statistics)?;
     let label = system.label();
     let candidate = Candidate::File(Share { file: &system.file, host: &system.host, label: &label });
     let admitted = decide(domain, mode, &running, &candidate, &label, Some(&label))?;
@@ -257,7 +115,7 @@ pub(crate) fn admit_callbacks<'o>(
         }
         let running = match &mut running {
             Some(running) => running,
-            none => none.insert(Running::of_domain(domain)?),
+            none => none.insert(Running::of_domain(domain).map_err(Error::Statistics)?),
         };
         let loose = loose(thread, callback, of_file);
         let silent = loose.period_ns.is_none() || loose.budget_ns.is_none();
@@ -267,7 +125,7 @@ pub(crate) fn admit_callbacks<'o>(
         if let forced @ Admitted::Forced(_) = decide(domain, mode, running, &candidate, &what, None)? {
             outcome = forced;
         }
-        running.threads.push(loose);
+        running.add_thread(loose);
     }
     Ok((gate, outcome))
 }
@@ -297,14 +155,6 @@ fn loose(
         jitter_ns: of_file.map_or(0, |system| system.jitter_ns(&callback.name)),
         budget_ns: callback.budget.map(ns),
         deadline_ns: callback.effective_deadline().map(ns),
-    }
-}
-
-/// What the kernel reserves for a thread.
-fn reservation_of(policy: Policy) -> Option<Reservation> {
-    match policy {
-        Policy::Deadline { runtime_ns, period_ns } => Some(Reservation { runtime_ns, period_ns }),
-        _ => None,
     }
 }
 

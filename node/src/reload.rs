@@ -10,16 +10,16 @@
 //!                            <-       done
 //! ```
 
-use crate::admission::{Admission, Gate, Running, decide, label_of};
+use crate::admission::{Admission, Gate, decide};
 use crate::error::{Error, Result};
-use crate::statistics::shared_statistics;
 use crate::system::LoadedSystem;
 use std::path::Path;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 use tautline_analysis::file::SystemFile;
 use tautline_analysis::file::admission::{Candidate, Share};
-use tautline_executor::{CallbackOptions, CallbackSettings, ForeignStatistics, Order, Orders, ProcessInfo};
+use tautline_executor::{CallbackOptions, CallbackSettings, ForeignStatistics, Order, Orders};
+use tautline_load::{Running, label_of, shared_statistics};
 use tautline_rt::Patience;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::domain::shared_path;
@@ -101,7 +101,7 @@ impl Reload {
 }
 
 /// Makes every process of `domain` that runs with the system file at `path` adopt the file's present text: priorities, reservations,
-/// budgets and deadlines of running callbacks, and of callbacks that are spawned later. Returns the processes.
+/// budgets and deadlines of running callbacks, and of callbacks that are spawned later. Returns the programs, with their process ids.
 ///
 /// The new text is first checked against the other load in the domain, as if it were just started. While the processes change, for some
 /// milliseconds, the bounds of neither text hold.
@@ -110,7 +110,7 @@ impl Reload {
 /// [`Error::System`] with all errors of the file, [`Error::NobodyHas`], [`Error::NotAdmitted`] with the response times that would be too
 /// long; [`Error::NotTakenUp`] for differences that cannot be adopted at run time: callbacks, nodes, cores, threads, topics, periods,
 /// deeper queues.
-pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<ProcessInfo>> {
+pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<String>> {
     let path = std::path::absolute(&path).unwrap_or_else(|_| path.as_ref().to_path_buf());
     let file = SystemFile::read(&path)?;
     if !shared_path(domain).exists() {
@@ -118,7 +118,7 @@ pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<ProcessIn
     }
     let _gate = Gate::enter(domain, Admission::Check)?;
     let mut members = Vec::new();
-    for statistics in shared_statistics(domain)?.0 {
+    for statistics in shared_statistics(domain).map_err(Error::Statistics)?.0 {
         // One of another version cannot have been asked; one that ends right now need not.
         let Ok(Some(snapshot)) = statistics.read() else { continue };
         let process = snapshot.process;
@@ -140,7 +140,7 @@ pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<ProcessIn
     hosts.sort_unstable();
     hosts.dedup();
     for host in hosts {
-        let running = Running::beside(domain, Some((&path, &file)))?;
+        let running = Running::beside(domain, Some((&path, &file))).map_err(Error::Statistics)?;
         let candidate = Candidate::File(Share { file: &file, host, label: &label });
         decide(domain, Admission::Check, &running, &candidate, &label, Some(&label)).map_err(|error| {
             match error {
@@ -165,7 +165,7 @@ pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<ProcessIn
             changed = is_final;
         }
     }
-    Ok(members.into_iter().map(|(_, process)| process).collect())
+    Ok(members.iter().map(|(_, process)| label_of(process)).collect())
 }
 
 /// One order and its answer. A process that ends meanwhile needs no settings any more.

@@ -10,10 +10,9 @@ use std::time::Duration;
 
 use common::realtime;
 use futures::future::pending;
-use tautline::{
-    Admission, Admitted, CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Result,
-    Running, shared_statistics,
-};
+use tautline::{Admission, CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Result};
+use tautline_executor::Admitted;
+use tautline_load::{Running, shared_statistics};
 
 /// Each test has a domain of its own, in a scope of its own.
 fn scope() {

@@ -16,10 +16,10 @@ use tautline::example_interfaces::action::Fibonacci;
 use tautline::example_interfaces::srv::AddTwoInts;
 use tautline::std_msgs::msg::UInt64;
 use tautline::{
-    CallbackOptions, Context, EndpointKind, Error, Gid, GoalStatus, Node, PublishError, Publisher, Qos,
-    SendError, ServiceError,
+    CallbackOptions, Context, Error, Gid, GoalStatus, Node, PublishError, Publisher, Qos, SendError,
+    ServiceError,
 };
-use tautline_transport::graph_of;
+use tautline_transport::{EndpointKind, graph_of};
 
 /// From one survivor to the other; actors only subscribe.
 pub const NUMBERS: &str = "/survivors/numbers";
