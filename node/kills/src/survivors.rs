@@ -368,7 +368,7 @@ fn client(context: &Context) -> Result<()> {
     // Each step of a goal by itself: it has no limit of its own.
     let clock = node.context().events().clone();
     asking.push(ask(ACTORS_FIBONACCI, &asked, &stop, move || {
-        let mut alarm = clock.alarm()?;
+        let mut alarm = tautline_sampler::Alarm::new(&clock)?;
         let limit = tautline_rt::clock::monotonic_ns() + PATIENCE.as_nanos() as u64;
         alarm.set(Some(limit));
         let goal = actions.send_goal_request(Fibonacci::Goal { order: 5 })?;
