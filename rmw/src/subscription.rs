@@ -505,8 +505,6 @@ pub unsafe extern "C" fn rmw_subscription_set_on_new_message_callback(
     answer(|| {
         // SAFETY: rmw's contract.
         let subscription = unsafe { behind(handle)? };
-        let helper = &subscription.node().context().helper;
-        subscription.end.set_on_new(helper, callback.map(|function| (function, data)));
-        Ok(())
+        subscription.end.set_on_new(subscription.node().context(), callback.map(|function| (function, data)))
     })
 }

@@ -14,7 +14,7 @@ use tautline_rt::{CoreSet, MemoryLock, RtError, ThreadBuilder};
 pub(crate) struct ThreadPlan {
     /// Its name in the file: `cb:` and the callback or group.
     name: String,
-    priority: u8,
+    pub(crate) priority: u8,
     core: usize,
 }
 
