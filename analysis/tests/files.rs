@@ -342,6 +342,23 @@ fn locks_and_groups() {
     expect(&across, &[(21, "`map` is locked by callbacks `scan` and `drive` on different cores")]);
     let alone = with("wcet = \"2ms\"", "wcet = \"2ms\"\ngroup = \"sensor\"");
     expect(&alone, &[(14, "in group `sensor`, which is not in [groups]: add [groups.sensor]")]);
+    // An executor of ROS 2 is one thread for the callbacks of several nodes.
+    let group = |driver: &str, control: &str| {
+        let text = GOOD.replace("wcet = \"1ms\"", "wcet = \"1ms\"\ngroup = \"main\"");
+        let text = text.replace("wcet = \"2ms\"", "wcet = \"2ms\"\ngroup = \"main\"");
+        let text = text.replacen("core = 0", driver, 1).replacen("core = 1", control, 1);
+        text.replace("[[chains]]", "[groups.main]\n[[chains]]")
+    };
+    let ros = "core = 0\nclient = \"rclcpp\"";
+    expect(&group(ros, "core = 0\nclient = \"rclpy\""), &[]);
+    expect(
+        &group(ros, "core = 0"),
+        &[(22, "`scan` and `drive` of group `main` are not of one node: only an executor of ROS 2")],
+    );
+    expect(
+        &group(ros, "core = 1\nclient = \"rclcpp\""),
+        &[(23, "`scan` and `drive` of group `main` are not on one core: a group is one thread")],
+    );
 }
 
 #[test]
