@@ -6,9 +6,10 @@ use std::collections::{BTreeMap, VecDeque};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
-use super::made_up::{Budget, Callback, DEPTH, Model, Order, group_priority, longer};
+use super::made_up::{Budget, Callback, Matching, Model, Order, group_priority, longer};
 use super::waiting::Waiting;
 
+/// How long a run of a random system takes.
 const UNTIL: u64 = 1_500;
 /// Of a synchronizer that never drops anything for want of room.
 const ENDLESS: usize = 1_000;
@@ -24,6 +25,36 @@ pub struct Run {
     pub stalls: bool,
     /// How many messages of a topic each join keeps, if jobs exceed budgets.
     pub queue_sizes: Vec<usize>,
+    pub until: u64,
+}
+
+/// What happens on the way, for another runtime to be held against.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Step {
+    /// A message of a topic, by its number, with its stamp.
+    Arrived {
+        callback: usize,
+        topic: usize,
+        number: u64,
+        stamp: u64,
+    },
+    /// A join has taken a message.
+    Taken {
+        callback: usize,
+        topic: usize,
+    },
+    /// A job, with the numbers of its messages.
+    Begun {
+        callback: usize,
+        numbers: Vec<u64>,
+    },
+    /// It has used up its budget.
+    Demoted {
+        callback: usize,
+    },
+    Ended {
+        callback: usize,
+    },
 }
 
 impl Run {
@@ -35,7 +66,8 @@ impl Run {
             phase % callback.period
         };
         let phases = model.callbacks.iter().map(phase).collect();
-        Run { phases, seed: rng.random(), is_wild: false, stalls: false, queue_sizes: Vec::new() }
+        let (seed, queue_sizes) = (rng.random(), Vec::new());
+        Run { phases, seed, is_wild: false, stalls: false, queue_sizes, until: UNTIL }
     }
 
     /// One phase a little different, or anywhere; or other times at the same phases.
@@ -73,6 +105,11 @@ pub struct Seen {
     pub is_direct: Vec<bool>,
     /// Whether what reflects an event can be told: joins on the way take a topic from one way only.
     pub reflects: Vec<bool>,
+    pub steps: Vec<(u64, Step)>,
+    /// How many messages of each topic were overwritten before a callback took them.
+    pub lost: BTreeMap<(usize, usize), u64>,
+    /// Of each topic that a join waits for: how many it dropped and refused.
+    pub unused: Vec<Vec<[u64; 2]>>,
 }
 
 impl Seen {
@@ -89,6 +126,9 @@ impl Seen {
             reactions: vec![0; chains],
             waits: model.callbacks.iter().map(|callback| vec![0; callback.triggers.len()]).collect(),
             held: vec![0; callbacks],
+            steps: Vec::new(),
+            lost: BTreeMap::new(),
+            unused: vec![Vec::new(); callbacks],
             reflects: model.chains.iter().map(reflects).collect(),
             is_direct: model.chains.iter().map(is_direct).collect(),
         }
@@ -152,13 +192,18 @@ pub struct Message {
     pub stamp: u64,
     /// By which callbacks and topics it came.
     pub way: u64,
-    /// Whether it is all that a join has waited for.
-    is_set: bool,
+    pub number: u64,
+    /// Those of all that a join has waited for.
+    pub set: Vec<u64>,
+    /// Whether its group has taken it, to know whose turn it is.
+    is_held: bool,
     pub tags: Vec<Tag>,
 }
 
 struct Job {
     message: Message,
+    /// What a join takes besides.
+    more: Vec<Message>,
     work: u64,
     done: u64,
     /// Its sections: of which lock, from when in its work, and how long.
@@ -230,6 +275,7 @@ struct Machine<'m> {
     registers: Vec<Vec<Vec<Tag>>>,
     starts: Vec<Vec<u64>>,
     reflected: Vec<Option<usize>>,
+    published: u64,
     overran: Vec<bool>,
     seen: Seen,
 }
@@ -271,7 +317,7 @@ pub fn simulate(model: &Model, run: &Run) -> Seen {
     {
         let first = run.phases[i];
         let (mut nominal, mut last) = (first, 0);
-        while nominal < UNTIL {
+        while nominal < run.until {
             // As late as it can come for a while, then early: bursts.
             let most = callback.jitter;
             let delay = if late && nominal < first + callback.period {
@@ -291,7 +337,9 @@ pub fn simulate(model: &Model, run: &Run) -> Seen {
                 order,
                 stamp,
                 way: i as u64,
-                is_set: false,
+                number: nominal,
+                set: Vec::new(),
+                is_held: false,
                 tags,
             };
             events.entry(last).or_default().push(Event::Message(message));
@@ -299,7 +347,7 @@ pub fn simulate(model: &Model, run: &Run) -> Seen {
         }
     }
     let stalled_from =
-        (0..cores).map(|_| if stalls { rng.random_range(0..UNTIL / 2) } else { UNTIL }).collect();
+        (0..cores).map(|_| if stalls { rng.random_range(0..run.until / 2) } else { u64::MAX }).collect();
     let hosts = model.hosts.iter().max().map_or(1, |last| last + 1);
     let mut machine = Machine {
         model,
@@ -324,12 +372,13 @@ pub fn simulate(model: &Model, run: &Run) -> Seen {
         registers: vec![vec![vec![None; chains]; hosts]; count],
         starts: vec![Vec::new(); chains],
         reflected: vec![None; chains],
+        published: 0,
         overran: vec![false; count],
         seen: Seen::new(model),
         rng,
     };
     let tick_from = machine.rng.random_range(0..50);
-    while machine.now < UNTIL {
+    while machine.now < run.until {
         machine.step(tick_from);
     }
     for (chain, path) in model.chains.iter().enumerate() {
@@ -339,13 +388,13 @@ pub fn simulate(model: &Model, run: &Run) -> Seen {
         let missed =
             machine.starts[chain].iter().skip(last).find(|start| since.is_some_and(|since| **start >= since));
         if let Some(start) = missed.filter(|_| is_timer(model, path[0])) {
-            machine.seen.reactions[chain] = machine.seen.reactions[chain].max(UNTIL - start);
+            machine.seen.reactions[chain] = machine.seen.reactions[chain].max(run.until - start);
         }
     }
     let Machine { mut seen, overran, joins, .. } = machine;
     for (i, join) in joins.into_iter().enumerate() {
         if let Some(join) = join {
-            (seen.waits[i], seen.held[i]) = (join.waits, join.most);
+            (seen.waits[i], seen.held[i], seen.unused[i]) = (join.waits, join.most, join.unused);
         }
     }
     // What exceeds its budget may be as late as it likes, and so may chains through it, and what waits for it.
@@ -381,6 +430,8 @@ impl Machine<'_> {
                     self.top[core].push_back((self.model.gateway[self.model.hosts[core]], None));
                 }
                 Event::Message(message) => {
+                    let Message { callback, topic, number, stamp, .. } = message;
+                    self.step_of(Step::Arrived { callback, topic, number, stamp });
                     let i = message.callback;
                     let waiting = self.waiting(&message);
                     *waiting += 1;
@@ -407,11 +458,17 @@ impl Machine<'_> {
             {
                 self.used[core] = self.used[core].saturating_sub(runtime);
             }
-            if !(self.stalled_from[core]..self.stalled_from[core] + self.model.stall).contains(&self.now) {
+            if !(self.stalled_from[core]..self.stalled_from[core].saturating_add(self.model.stall))
+                .contains(&self.now)
+            {
                 self.run(core);
             }
         }
         self.now += 1;
+    }
+
+    fn step_of(&mut self, step: Step) {
+        self.seen.steps.push((self.now, step));
     }
 
     fn waiting(&mut self, of: &Message) -> &mut usize {
@@ -458,14 +515,11 @@ impl Machine<'_> {
             return *self.waiting(&message) -= 1;
         }
         let queue = &mut thread.queue;
-        let most = if is_timer(self.model, i) {
-            1
-        } else if callback.budget == Budget::Tell {
-            usize::MAX
-        } else {
-            DEPTH
+        let most = if is_timer(self.model, i) { 1 } else { callback.depth };
+        let topic = message.topic;
+        let is_alike = |other: &Message| {
+            other.set.is_empty() && !other.is_held && (other.callback, other.topic) == (i, topic)
         };
-        let is_alike = |other: &Message| !other.is_set && (other.callback, other.topic) == (i, message.topic);
         let mut lost = 0;
         while queue.iter().filter(|other| is_alike(other)).count() >= most {
             let oldest = queue.iter().position(is_alike).unwrap_or(0);
@@ -474,6 +528,7 @@ impl Machine<'_> {
         }
         queue.push(message.clone());
         *self.waiting(&message) -= lost;
+        *self.seen.lost.entry((i, topic)).or_default() += lost as u64;
     }
 
     fn run(&mut self, core: usize) {
@@ -567,16 +622,22 @@ impl Machine<'_> {
         let mut message = thread.queue.remove(next);
         let i = message.callback;
         let callback = &self.model.callbacks[i];
-        let takes = callback.join.filter(|_| !message.is_set).map(|(_, take)| take);
+        let mut more = Vec::new();
+        if matches!(callback.join, Some((Matching::Newest, _))) && message.set.is_empty() {
+            more = thread.queue.extract_if(.., |other| other.callback == i).collect();
+        }
+        let takes = callback.join.filter(|_| message.set.is_empty()).map(|(_, take)| take);
         let may_overrun = self.is_wild && callback.budget != Budget::Tell && self.rng.random_bool(0.4);
+        let takes = takes.map(|take| take * (1 + more.len() as u64));
         let most = if may_overrun { callback.wcet * 3 + 2 } else { takes.unwrap_or(callback.wcet) };
         let work = match self.rng.random_bool(0.7) {
             true => most,
             false => self.rng.random_range(callback.bcet.clamp(1, most)..=most),
         };
-        self.overran[i] |= work > callback.wcet;
+        self.overran[i] |= work > callback.wcet && takes.is_none();
         // The executor comes first, which others preempt; a set is passed on in the run that takes its last message.
-        let executor = self.model.executors[callback.core].filter(|_| !message.is_set).unwrap_or(0);
+        let executor = self.model.executors[callback.core].filter(|_| message.set.is_empty()).unwrap_or(0);
+        let executor = executor * (1 + more.len() as u64);
         let length = callback.non_preemptive.min(work);
         let section = (executor + self.rng.random_range(0..=work - length), length);
         let mut locks = Vec::new();
@@ -590,6 +651,11 @@ impl Machine<'_> {
             }
         }
         let work = work + executor;
+        if takes.is_none() {
+            let own = message.number;
+            let numbers = if message.set.is_empty() { vec![own] } else { message.set.clone() };
+            self.step_of(Step::Begun { callback: i, numbers });
+        }
         for (chain, path) in self.model.chains.iter().enumerate().filter(|_| takes.is_none()) {
             let Some(stage) = path.iter().position(|stage| *stage == i) else { continue };
             if stage == 0 {
@@ -611,21 +677,27 @@ impl Machine<'_> {
         }
         let is_demoted =
             callback.budget.demotes() && message.order <= thread.low_until && thread.low_until > 0;
-        thread.job = Some(Job { message, work, done: 0, locks, section, is_demoted, used: 0 });
+        thread.job = Some(Job { message, more, work, done: 0, locks, section, is_demoted, used: 0 });
     }
 
     /// What a thread takes next from its queue: its own topics one after the other, those of several in any order; a set before more of what made it.
     fn next(&mut self, at: usize) -> usize {
         let model = self.model;
         let thread = &mut self.threads[at];
+        let group = model.callbacks[thread.queue[0].callback].group;
+        if group.is_some_and(|group| model.groups[group] == Order::Fifo) {
+            for member in thread.members.iter().filter(|i| model.callbacks[**i].join.is_none()) {
+                let first = thread.queue.iter_mut().find(|message| message.callback == *member);
+                first.into_iter().for_each(|message| message.is_held = true);
+            }
+        }
         let queue = &thread.queue;
-        let group = model.callbacks[queue[0].callback].group;
         let callback = match group.map(|group| model.groups[group]) {
             Some(Order::Fifo) if !thread.members.iter().any(|i| model.callbacks[*i].join.is_some()) => {
                 return (0..queue.len()).min_by_key(|m| queue[*m].order).unwrap_or(0);
             }
             // A set is passed on by what takes its last message.
-            Some(Order::Rank) if queue[0].is_set => return 0,
+            Some(Order::Rank) if !queue[0].set.is_empty() => return 0,
             Some(Order::Rank) => {
                 thread.round.retain(|i| queue.iter().any(|message| message.callback == *i));
                 if thread.round.is_empty() {
@@ -640,9 +712,14 @@ impl Machine<'_> {
             _ => queue[self.rng.random_range(0..queue.len())].callback,
         };
         let of: Vec<usize> = (0..queue.len()).filter(|m| queue[*m].callback == callback).collect();
-        let any = queue[of[self.rng.random_range(0..of.len())]].topic;
-        let mut of = of.into_iter();
-        of.clone().find(|m| queue[*m].is_set).or_else(|| of.find(|m| queue[*m].topic == any)).unwrap_or(0)
+        if let Some(set) = of.iter().find(|m| !queue[**m].set.is_empty()) {
+            return *set;
+        }
+        let topic = match &self.joins[callback] {
+            Some(join) => join.turn(|topic| of.iter().any(|m| queue[*m].topic == topic)),
+            None => queue[of[self.rng.random_range(0..of.len())]].topic,
+        };
+        of.into_iter().find(|m| queue[*m].topic == topic).unwrap_or(0)
     }
 
     /// Whether a job has a budget and its lock; otherwise it is demoted, sleeps or waits.
@@ -654,6 +731,7 @@ impl Machine<'_> {
         match self.model.callbacks[i].budget {
             Budget::Demote | Budget::End if job.used >= budget && !job.is_demoted => {
                 job.is_demoted = true;
+                self.step_of(Step::Demoted { callback: i });
                 return false;
             }
             Budget::Suspend | Budget::Reserved(..) if thread.left == 0 => {
@@ -708,8 +786,8 @@ impl Machine<'_> {
 
     fn end(&mut self, at: usize, job: &Job) {
         let (i, now) = (job.message.callback, self.now + 1);
-        if !job.message.is_set {
-            *self.waiting(&job.message) -= 1;
+        if job.message.set.is_empty() {
+            job.more.iter().chain([&job.message]).for_each(|message| *self.waiting(message) -= 1);
         }
         if job.is_demoted {
             self.threads[at].low_until = now;
@@ -720,15 +798,24 @@ impl Machine<'_> {
             }
         }
         self.seen.responses[i] = self.seen.responses[i].max(now - job.message.base);
-        if let Some(join) = self.joins[i].as_mut().filter(|_| !job.message.is_set) {
-            let sets = join.take(self.model, &job.message, now);
+        if self.joins[i].is_some() && job.message.set.is_empty() {
+            for message in [&job.message].into_iter().chain(&job.more) {
+                self.seen.steps.push((now, Step::Taken { callback: i, topic: message.topic }));
+            }
+        } else {
+            self.seen.steps.push((now, Step::Ended { callback: i }));
+        }
+        if let Some(join) = self.joins[i].as_mut().filter(|_| job.message.set.is_empty()) {
+            let sets = join.take(self.model, &job.message, &job.more, now);
             let set = |set: super::waiting::Set| Message {
                 topic: i,
                 base: set.activation,
                 order: set.activation,
                 stamp: set.stamp,
                 way: i as u64,
-                is_set: true,
+                number: 0,
+                set: set.numbers,
+                is_held: false,
                 tags: set.tags,
                 callback: i,
             };
@@ -764,7 +851,10 @@ impl Machine<'_> {
         }
         let stamps_now = self.stamps == 2 && self.model.callbacks[i].triggers.is_empty();
         let stamp = if stamps_now { now } else { job.message.stamp };
-        self.publish(&Message { stamp, tags, ..job.message.clone() }, now);
+        self.published += 1;
+        let number = self.published;
+        let (set, is_held) = (Vec::new(), false);
+        self.publish(&Message { stamp, tags, number, set, is_held, ..job.message.clone() }, now);
     }
 
     fn at(&mut self, at: u64, event: Event) {
@@ -783,7 +873,7 @@ impl Machine<'_> {
             for other in 0..=self.model.hosts.iter().copied().max().unwrap_or(0) {
                 let (least, most) = self.model.network;
                 // Each of two gateways may stand still.
-                let stalls = if self.stalled_from[core] < UNTIL { self.model.stall * 2 } else { 0 };
+                let stalls = if self.stalled_from[core] < u64::MAX { self.model.stall * 2 } else { 0 };
                 let network = self.rng.random_range(least..=most + stalls);
                 let at = if other == host { now } else { now + network };
                 self.at(at, Event::Register(topic, other, tags.clone()));
@@ -805,9 +895,16 @@ impl Machine<'_> {
                             tags[chain] = tags[chain].filter(|_| follows);
                         }
                         let way = longer(*way, from, topic);
-                        let is_set = false;
-                        let message =
-                            Message { callback: i, topic, base: at, order: at, stamp, way, is_set, tags };
+                        let message = Message {
+                            callback: i,
+                            topic,
+                            base: at,
+                            order: at,
+                            stamp,
+                            way,
+                            tags,
+                            ..message.clone()
+                        };
                         self.at(at, Event::Message(message));
                     }
                 }

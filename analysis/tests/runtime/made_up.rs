@@ -64,6 +64,8 @@ pub struct Callback {
     pub locks: Vec<(usize, u64)>,
     /// How much of a run nothing preempts.
     pub non_preemptive: u64,
+    /// The depth of its queues, if the file states one; otherwise they never overflow.
+    pub depth: usize,
     /// The callback whose topic it reads.
     pub reads: Option<usize>,
     /// The callback whose topic it publishes too.
@@ -97,7 +99,7 @@ pub struct Model {
 }
 
 /// The depth of queues that the file states.
-pub const DEPTH: usize = 3;
+const DEPTH: usize = 3;
 
 impl Model {
     pub fn random(rng: &mut StdRng) -> Model {
@@ -245,6 +247,7 @@ impl Model {
             budget,
             locks,
             non_preemptive: if is_stiff { section } else { 0 },
+            depth: if budget == Budget::Tell { usize::MAX } else { DEPTH },
             reads: (i > 0 && rng.random_bool(0.3)).then(|| rng.random_range(0..i)),
             also: (i > 0 && rng.random_bool(0.1)).then(|| rng.random_range(0..i)),
         }

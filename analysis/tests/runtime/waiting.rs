@@ -25,14 +25,21 @@ pub struct Waiting {
     /// From when all send.
     pub since: Option<u64>,
     /// When the last of all messages that it took had come.
-    activation: u64,
+    latest: u64,
+    /// Of each topic, when the first message had come since the last set.
+    firsts: Vec<Option<u64>>,
+    /// The topic whose turn is next.
+    turn: usize,
     pub waits: Vec<u64>,
     pub most: usize,
+    /// Of each topic: how many it dropped, and how many it refused.
+    pub unused: Vec<[u64; 2]>,
 }
 
 pub struct Set {
     pub activation: u64,
     pub stamp: u64,
+    pub numbers: Vec<u64>,
     pub tags: Vec<Tag>,
 }
 
@@ -64,9 +71,12 @@ impl Waiting {
             queues: vec![Vec::new(); count],
             missing: model.taken(callback),
             since: None,
-            activation: 0,
+            latest: 0,
+            firsts: vec![None; count],
+            turn: 0,
             waits: vec![0; count],
             most: 0,
+            unused: vec![[0; 2]; count],
         })
     }
 
@@ -78,13 +88,24 @@ impl Waiting {
         }
     }
 
-    /// The sets that a message completes, which is taken now.
-    pub fn take(&mut self, model: &Model, message: &Message, now: u64) -> Vec<Set> {
-        let input = self.topics.iter().position(|topic| *topic == message.topic).unwrap_or(0);
-        self.activation = self.activation.max(message.base);
-        let sets = self.decide(input, message.clone(), now);
+    /// Which topic it takes a message of next, of those that have one: all in turn.
+    pub fn turn(&self, has: impl Fn(usize) -> bool) -> usize {
+        let mut topics = self.topics.iter().cycle().skip(self.turn).take(self.topics.len());
+        *topics.find(|topic| has(**topic)).unwrap_or(&self.topics[0])
+    }
+
+    /// The sets that a message completes, which is taken now; with `more`, of the newest of each.
+    pub fn take(&mut self, model: &Model, message: &Message, more: &[Message], now: u64) -> Vec<Set> {
+        let mut found = Vec::new();
+        for message in [message].into_iter().chain(more) {
+            let input = self.topics.iter().position(|topic| *topic == message.topic).unwrap_or(0);
+            self.turn = input + 1;
+            self.latest = self.latest.max(message.base);
+            self.firsts[input] = self.firsts[input].or(Some(message.base));
+            found = self.decide(input, message.clone(), now);
+        }
         self.most = self.queues.iter().map(Vec::len).max().unwrap_or(0).max(self.most);
-        sets.into_iter().map(|set| self.pass_on(model, &set)).collect()
+        found.into_iter().map(|set| self.pass_on(model, message.base, &set)).collect()
     }
 
     fn decide(&mut self, input: usize, message: Message, now: u64) -> Vec<Vec<Message>> {
@@ -94,8 +115,9 @@ impl Waiting {
         let stamp = message.stamp as i64;
         let policy = match &mut self.decider {
             Decider::Newest => {
+                self.unused[input][0] += queues[input].len() as u64;
                 queues[input] = vec![message];
-                return if is_full(queues) { vec![take(queues)] } else { Vec::new() };
+                return if is_full(queues) { vec![queues.concat()] } else { Vec::new() };
             }
             Decider::Rates(policy) => {
                 queues[input] = vec![message];
@@ -106,24 +128,44 @@ impl Waiting {
         };
         match policy.arrived(input, stamp) {
             Arrival::Wait(place) | Arrival::WaitTooClose(place) => queues[input].insert(place, message),
-            Arrival::Refuse => return Vec::new(),
+            Arrival::Refuse => {
+                self.unused[input][1] += 1;
+                return Vec::new();
+            }
         }
         let mut sets = Vec::new();
-        while policy.decide(&mut |input| drop(queues[input].remove(0))) {
+        let unused = &mut self.unused;
+        while policy.decide(&mut |input| {
+            unused[input][0] += 1;
+            queues[input].remove(0);
+        }) {
             sets.push(take(queues));
         }
         sets
     }
 
-    fn pass_on(&mut self, model: &Model, set: &[Message]) -> Set {
-        let activation = self.activation;
+    /// `last` had come when the message did that completes it. What others of no use here took longer to come is part of the thread's response.
+    fn pass_on(&mut self, model: &Model, last: u64, set: &[Message]) -> Set {
+        let (activation, response_from) = match self.decider {
+            Decider::Newest => {
+                self.queues.iter_mut().for_each(Vec::clear);
+                let firsts = self.firsts.iter_mut().filter_map(Option::take);
+                let activation = firsts.max().unwrap_or(last);
+                (activation, activation)
+            }
+            Decider::Rates(_) => (last, last),
+            Decider::Stamps(_) => {
+                (set.iter().map(|message| message.base).max().unwrap_or(0).max(last), self.latest)
+            }
+        };
         for (wait, message) in self.waits.iter_mut().zip(set) {
             if self.since.is_some_and(|since| message.base >= since) {
-                *wait = (activation - message.base).max(*wait);
+                *wait = activation.saturating_sub(message.base).max(*wait);
             }
         }
         let tag = |chain: usize| set.iter().find_map(|message| message.tags[chain]);
         let tags = (0..model.chains.len()).map(tag).collect();
-        Set { activation, stamp: set[0].stamp, tags }
+        let numbers = set.iter().map(|message| message.number).collect();
+        Set { activation: response_from, stamp: set[0].stamp, numbers, tags }
     }
 }
