@@ -234,6 +234,14 @@ fn a_value_that_overtakes_the_next_is_a_period_older() {
     covers(&checked, checked.chains[0].age_ns.map(ms), 0.2239);
 }
 
+/// The message of 0 is sent at 24 and comes at 84, that of 60 is sent at 61 and comes at 63: the value that is made of the first is written last, at 91,
+/// and stays until that of the third, sent at 144, is written at 211. A reader that starts just before ends at 224.
+#[test]
+fn a_value_made_of_an_overtaken_message_is_a_period_older() {
+    let checked = case!("reordering_network_before_a_register");
+    covers(&checked, checked.chains[0].age_ns.map(ms), 0.2239);
+}
+
 #[test]
 fn any_trigger_of_a_reader_reflects_what_it_reads() {
     let checked = case!("reader_with_two_triggers");
