@@ -8,11 +8,8 @@
 //! preempts, budgets that demote or suspend, reservations on one core or any, per-message work, ticks, throttling, and stalls, which queues outlast.
 //! Joins have a simulation of their own (joins.rs).
 
-mod runtime {
-    pub mod machine;
-    pub mod made_up;
-    pub mod waiting;
-}
+#[path = "runtime/mod.rs"]
+mod runtime;
 
 use std::collections::BTreeMap;
 

@@ -365,7 +365,7 @@ pub fn simulate(model: &Model, run: &Run) -> Seen {
         joins: (0..count)
             .map(|i| {
                 let size = run.queue_sizes.get(i).copied().filter(|_| is_wild).unwrap_or(ENDLESS);
-                Waiting::new(model, i, size, &mut rng)
+                Waiting::new(model, i, size)
             })
             .collect(),
         stamps,
@@ -651,11 +651,6 @@ impl Machine<'_> {
             }
         }
         let work = work + executor;
-        if takes.is_none() {
-            let own = message.number;
-            let numbers = if message.set.is_empty() { vec![own] } else { message.set.clone() };
-            self.step_of(Step::Begun { callback: i, numbers });
-        }
         for (chain, path) in self.model.chains.iter().enumerate().filter(|_| takes.is_none()) {
             let Some(stage) = path.iter().position(|stage| *stage == i) else { continue };
             if stage == 0 {
@@ -766,6 +761,13 @@ impl Machine<'_> {
 
     fn work(&mut self, at: usize) {
         let thread = &mut self.threads[at];
+        let begins = thread.job.as_ref().filter(|job| job.done == 0);
+        if let Some(Message { callback, number, set, .. }) = begins.map(|job| &job.message)
+            && (self.joins[*callback].is_none() || !set.is_empty())
+        {
+            let numbers = if set.is_empty() { vec![*number] } else { set.clone() };
+            self.seen.steps.push((self.now, Step::Begun { callback: *callback, numbers }));
+        }
         thread.left = thread.left.saturating_sub(1);
         let core = thread.core;
         let Some(job) = &mut thread.job else { return };

@@ -3,12 +3,10 @@
 
 use std::time::Duration;
 
-use rand::RngExt;
-use rand::rngs::StdRng;
 use tautline_join::{ApproximateEpsilonTime, ApproximateTime, Arrival, ExactTime, LatestTime, Policy};
 
 use super::machine::{Message, Tag};
-use super::made_up::{Matching, Model};
+use super::made_up::{Matching, Model, age_penalty};
 
 enum Decider {
     Newest,
@@ -44,7 +42,7 @@ pub struct Set {
 }
 
 impl Waiting {
-    pub fn new(model: &Model, callback: usize, size: usize, rng: &mut StdRng) -> Option<Waiting> {
+    pub fn new(model: &Model, callback: usize, size: usize) -> Option<Waiting> {
         let (matching, _) = model.callbacks[callback].join?;
         let topics = model.callbacks[callback].triggers.clone();
         let started = |mut policy: Box<dyn Policy>| {
@@ -57,8 +55,7 @@ impl Waiting {
             Matching::Exact => started(Box::new(ExactTime::new(size))),
             Matching::Approximate(window) => {
                 let policy = ApproximateTime::new(size).max_interval(Duration::from_nanos(window));
-                let penalty = if rng.random_bool(0.5) { 0.1 } else { rng.random_range(0.0..2.0) };
-                started(Box::new(policy.age_penalty(penalty)))
+                started(Box::new(policy.age_penalty(age_penalty(window))))
             }
             Matching::Epsilon(window) => {
                 started(Box::new(ApproximateEpsilonTime::new(size, Duration::from_nanos(window))))
