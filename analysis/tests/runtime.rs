@@ -57,6 +57,7 @@ fn nothing_exceeds_its_bound() {
         };
         let checked = file.check();
         for (callback, checked) in model.callbacks.iter_mut().zip(&checked.callbacks) {
+            callback.charged = checked.charged_ns / 1_000;
             if model.policy.is_some() && checked.entry.rank.is_none() {
                 callback.priority = checked.entry.priority;
             }

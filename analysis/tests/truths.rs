@@ -189,6 +189,14 @@ fn who_waits_for_a_lock_pays_for_two_switches_more() {
     covers(&checked, response(&checked, "high"), 8.0);
 }
 
+/// The lower one runs from 1 on and takes the lock. The higher one comes at once, runs from 2 on and waits; the lower one has its section from 3 to 6, the
+/// higher one runs from 7 to 9, and the lower one has its last 2 ms from 10 to 12.
+#[test]
+fn who_holds_a_lock_pays_for_the_switches_of_who_waits() {
+    let checked = case!("inheritance_switches");
+    covers(&checked, response(&checked, "low"), 12.0);
+}
+
 #[test]
 fn interrupts_and_throttling_do_not_wait_for_a_section() {
     let checked = case!("tail_and_ticks");

@@ -262,6 +262,9 @@ struct Machine<'m> {
     /// Of each core: work of the sampler and the gateway, with what the sampler then wakes.
     top: Vec<VecDeque<(u64, Option<Message>)>>,
     interrupts: Vec<u64>,
+    /// Of each core: the thread that it switched to last, and what is left of the switch.
+    running: Vec<Option<usize>>,
+    switching: Vec<u64>,
     /// What real-time threads have used of this period of the throttling, and from when on each core stands still.
     used: Vec<u64>,
     stalled_from: Vec<u64>,
@@ -346,8 +349,14 @@ pub fn simulate(model: &Model, run: &Run) -> Seen {
             nominal += callback.period;
         }
     }
-    let stalled_from =
-        (0..cores).map(|_| if stalls { rng.random_range(0..run.until / 2) } else { u64::MAX }).collect();
+    // Each core stands still once, in half of the runs right after the one before.
+    let (mut next, in_turn) = (rng.random_range(0..run.until / 2), rng.random_bool(0.5));
+    let stall = |_| {
+        let from = if in_turn { next } else { rng.random_range(0..run.until / 2) };
+        next = from + model.stall;
+        if stalls { from } else { u64::MAX }
+    };
+    let stalled_from = (0..cores).map(stall).collect();
     let hosts = model.hosts.iter().max().map_or(1, |last| last + 1);
     let mut machine = Machine {
         model,
@@ -358,6 +367,8 @@ pub fn simulate(model: &Model, run: &Run) -> Seen {
         thread_of,
         top: (0..cores).map(|_| VecDeque::new()).collect(),
         interrupts: vec![0; cores],
+        running: vec![None; cores],
+        switching: vec![0; cores],
         used: vec![0; cores],
         stalled_from,
         holder: vec![[None; 2]; cores],
@@ -399,8 +410,8 @@ pub fn simulate(model: &Model, run: &Run) -> Seen {
     }
     // What exceeds its budget may be as late as it likes, and so may chains through it, and what waits for it.
     let late = |i: usize| model.upstream(i).iter().any(|i| overran[*i]);
-    for i in 0..count {
-        if overran[i] {
+    for (i, overran) in overran.iter().enumerate() {
+        if *overran {
             (seen.responses[i], seen.queues[i]) = (0, 0);
         }
         if model.callbacks[i].join.is_some() && late(i) {
@@ -547,13 +558,20 @@ impl Machine<'_> {
                     (from + 1..from + length).contains(&job.done)
                 })
         };
+        if self.switching[core] > 0 {
+            self.switching[core] -= 1;
+            self.used[core] += 1;
+            return;
+        }
         if let Some(at) = self.threads.iter().position(is_stiff) {
             self.work(at);
             return;
         }
         loop {
-            let best =
-                (0..self.threads.len()).filter(|at| self.is_ready(core, *at)).max_by_key(|at| self.rank(*at));
+            // Of equals the one that runs goes on, and what a lock has made equal was there before.
+            let goes_on = |at: usize| self.running[core] == Some(at) || self.holder[core].contains(&Some(at));
+            let ready = (0..self.threads.len()).filter(|at| self.is_ready(core, *at));
+            let best = ready.max_by_key(|at| (self.rank(*at), goes_on(*at)));
             let reserved = best.is_some_and(|at| self.rank(at) == 100);
             if !reserved && let Some((left, _)) = self.top[core].front_mut() {
                 *left -= 1;
@@ -565,17 +583,60 @@ impl Machine<'_> {
                 }
                 return;
             }
-            let Some(at) = best else { return };
+            let Some(at) = best else {
+                self.switch(core, None);
+                return;
+            };
             if self.threads[at].job.is_none() {
                 self.begin(at);
                 // It may be demoted from the start.
                 continue;
+            }
+            if !self.is_used_up(at) && self.switch(core, Some(at)) {
+                return;
             }
             if self.may_go_on(core, at) {
                 self.work(at);
                 return;
             }
         }
+    }
+
+    /// Whether this step is spent on the switch to a thread, or to none: the first switch to a job is the job's own, others are part of what
+    /// preempted it.
+    fn switch(&mut self, core: usize, to: Option<usize>) -> bool {
+        let cost = self.model.switch;
+        let from = std::mem::replace(&mut self.running[core], to);
+        if cost == 0 || from == to {
+            return false;
+        }
+        self.switching[core] = cost - 1;
+        self.used[core] += 1;
+        let budget =
+            to.and_then(|at| self.threads[at].job.as_ref()).map(|job| self.budget(job.message.callback));
+        if let Some(thread) = to.map(|at| &mut self.threads[at]) {
+            let is_new = thread.job.as_ref().is_some_and(|job| job.used == 0) || Some(thread.left) == budget;
+            if is_new {
+                thread.left = thread.left.saturating_sub(cost);
+                thread.job.iter_mut().for_each(|job| job.used += cost);
+            }
+        }
+        true
+    }
+
+    /// What a job may use before it is held.
+    fn budget(&self, callback: usize) -> u64 {
+        let Callback { charged, wcet, .. } = self.model.callbacks[callback];
+        charged.max(wcet)
+    }
+
+    fn is_used_up(&self, at: usize) -> bool {
+        let thread = &self.threads[at];
+        thread.job.as_ref().is_some_and(|job| match self.model.callbacks[job.message.callback].budget {
+            Budget::Tell => false,
+            Budget::Demote | Budget::End => !job.is_demoted && job.used >= self.budget(job.message.callback),
+            Budget::Suspend | Budget::Reserved(..) => thread.left == 0,
+        })
     }
 
     fn is_ready(&self, core: usize, at: usize) -> bool {
@@ -637,7 +698,8 @@ impl Machine<'_> {
         self.overran[i] |= work > callback.wcet && takes.is_none();
         // The executor comes first, which others preempt; a set is passed on in the run that takes its last message.
         let executor = self.model.executors[callback.core].filter(|_| message.set.is_empty()).unwrap_or(0);
-        let executor = executor * (1 + more.len() as u64);
+        let is_held = callback.budget.demotes() || callback.budget == Budget::Suspend;
+        let executor = executor * (1 + more.len() as u64) + if is_held { self.model.demotion } else { 0 };
         let length = callback.non_preemptive.min(work);
         let section = (executor + self.rng.random_range(0..=work - length), length);
         let mut locks = Vec::new();
@@ -660,7 +722,7 @@ impl Machine<'_> {
                 message.tags[chain] = self.registers[path[stage - 1]][self.model.hosts[callback.core]][chain];
             }
         }
-        let budget = callback.wcet + self.model.per_message[self.model.hosts[callback.core]];
+        let budget = self.budget(i);
         let thread = &mut self.threads[at];
         if callback.budget == Budget::Suspend {
             thread.is_behind &= message.order < thread.refill_at;
@@ -720,16 +782,16 @@ impl Machine<'_> {
     /// Whether a job has a budget and its lock; otherwise it is demoted, sleeps or waits.
     fn may_go_on(&mut self, core: usize, at: usize) -> bool {
         let Some(i) = self.threads[at].job.as_ref().map(|job| job.message.callback) else { return false };
-        let budget = self.model.callbacks[i].wcet + self.per_message(i);
+        let (budget, is_used_up) = (self.budget(i), self.is_used_up(at));
         let thread = &mut self.threads[at];
         let Some(job) = &mut thread.job else { return false };
         match self.model.callbacks[i].budget {
-            Budget::Demote | Budget::End if job.used >= budget && !job.is_demoted => {
+            Budget::Demote | Budget::End if is_used_up => {
                 job.is_demoted = true;
                 self.step_of(Step::Demoted { callback: i });
                 return false;
             }
-            Budget::Suspend | Budget::Reserved(..) if thread.left == 0 => {
+            Budget::Suspend | Budget::Reserved(..) if is_used_up => {
                 let (more, period) = match self.model.callbacks[i].budget {
                     Budget::Reserved(runtime, period) => (runtime, period),
                     _ => (budget, self.model.period(i)),

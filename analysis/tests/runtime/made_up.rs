@@ -55,6 +55,8 @@ pub struct Callback {
     pub join: Option<(Matching, u64)>,
     pub is_outside: bool,
     pub wcet: u64,
+    /// What its budget is, if more than that.
+    pub charged: u64,
     pub bcet: u64,
     /// In a group that goes by ranks, that.
     pub priority: u8,
@@ -83,6 +85,9 @@ pub struct Model {
     /// Of each host.
     pub per_message: Vec<u64>,
     pub gateway: Vec<u64>,
+    /// What a switch costs, and what holds a job to its budget.
+    pub switch: u64,
+    pub demotion: u64,
     pub tick: Option<(u64, u64)>,
     /// Whether reservations run on any core.
     pub floats: bool,
@@ -125,6 +130,8 @@ impl Model {
             chains: Vec::new(),
             per_message,
             gateway,
+            switch: rng.random_range(0..5) / 3,
+            demotion: rng.random_range(0..3),
             tick: rng.random_bool(0.3).then(|| (rng.random_range(20..60), 1)),
             floats: hosts == [0, 0] && rng.random_bool(0.5),
             throttling: rng.random_bool(0.15).then(|| {
@@ -211,8 +218,8 @@ impl Model {
             0 => Budget::Demote,
             1 => [Budget::Demote, Budget::End][rng.random_range(0..2)],
             2 if is_single => Budget::Suspend,
-            3 if is_single && !has_reserved && wcet + 2 < period => {
-                Budget::Reserved(wcet + 2, period.max(100))
+            3 if is_single && !has_reserved && wcet + 4 < period => {
+                Budget::Reserved(wcet + 2 + 2 * self.switch, period.max(100))
             }
             _ => Budget::Tell,
         };
@@ -237,6 +244,7 @@ impl Model {
             join,
             is_outside,
             wcet,
+            charged: 0,
             bcet: rng.random_range(0..=wcet),
             priority: match group {
                 Some(_) if is_ranked => rng.random_range(1..=4),
@@ -269,6 +277,7 @@ impl Model {
             ("several triggers", has(&|c| c.triggers.len() > 1 && c.join.is_none())),
             ("least distances", has(&|c| c.min_distance > 0)),
             ("two hosts", self.hosts.contains(&1)),
+            ("switches", self.switch > 0),
             ("gateways", self.gateway.iter().any(|cost| *cost > 0)),
             ("throttling", self.throttling.is_some()),
             ("rclcpp", self.executors.iter().any(Option::is_some)),
@@ -358,6 +367,7 @@ impl Model {
         let executor = self.executors.iter().flatten().next().unwrap_or(&0);
         let clients = [("rclcpp", 0), ("rclpy", 1)];
         writeln!(text, "[overheads]\n{}", costs(0)).unwrap();
+        writeln!(text, "context_switch = \"{}us\"\ndemotion = \"{}us\"", self.switch, self.demotion).unwrap();
         clients.iter().for_each(|(client, _)| writeln!(text, "{client} = \"{executor}us\"").unwrap());
         if let Some((period, runtime)) = self.throttling {
             writeln!(text, "throttling = {{ period = \"{period}us\", runtime = \"{runtime}us\" }}").unwrap();
