@@ -21,7 +21,6 @@ mod callback;
 mod cdr;
 mod client;
 mod context;
-mod copy;
 mod end;
 mod error;
 mod event;

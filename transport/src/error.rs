@@ -101,7 +101,7 @@ pub enum TransportError {
     },
     /// There is not enough shared memory for the samples in flight.
     #[error(
-        "{}: {source}: it needs {bytes} bytes of /dev/shm for samples of {sample_bytes} bytes; make /dev/shm larger (mount -o remount,size=), or lower the depth, `Limits::held`, `Limits::loans` or `Limits::message_bytes`",
+        "{}: {source}: it needs {bytes} bytes of /dev/shm for samples of {sample_bytes} bytes; make /dev/shm larger (mount -o remount,size=), or lower the depth, `Limits::held`, `Limits::loans`, `Limits::spare_bytes` or `Limits::message_bytes`",
         named(topic)
     )]
     Memory {

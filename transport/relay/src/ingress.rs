@@ -81,7 +81,7 @@ impl Body for [u8] {
 
     fn copy_to(&self, to: &mut [u8]) {
         let len = to.len().min(self.len());
-        to[..len].copy_from_slice(&self[..len]);
+        tautline_rt::copy_to_shared(&mut to[..len], &self[..len]);
         to[len..].fill(0);
     }
 }

@@ -435,7 +435,7 @@ fn copy<'a>(slices: impl Iterator<Item = &'a [u8]>, mut skip: usize, to: &mut [u
         let (skipped, slice) = slice.split_at(skip.min(slice.len()));
         skip -= skipped.len();
         let len = slice.len().min(to.len() - at);
-        to[at..at + len].copy_from_slice(&slice[..len]);
+        tautline_rt::copy_to_shared(&mut to[at..at + len], &slice[..len]);
         at += len;
         if at == to.len() {
             break;
