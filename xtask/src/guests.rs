@@ -131,7 +131,8 @@ fn build(architecture: Architecture, targets: &str) -> Result<Vec<Executable>, S
         steps::cargo(&format!("build --target {triple} {PACKAGES} {TARGETS} --message-format=json"));
     command.envs(debian::compiler(architecture)?).arg("--target-dir").arg(debian::folder().join("build"));
     // Nobody debugs it.
-    command.envs(["CARGO_PROFILE_DEV_DEBUG", "CARGO_PROFILE_DEV_BUILD_OVERRIDE_DEBUG"].map(|it| (it, "none")));
+    command
+        .envs(["CARGO_PROFILE_DEV_DEBUG", "CARGO_PROFILE_DEV_BUILD_OVERRIDE_DEBUG"].map(|it| (it, "none")));
     lints::executables(command.envs([("CARGO_INCREMENTAL", "0"), ("CARGO_PROFILE_DEV_STRIP", "debuginfo")]))
 }
 
@@ -191,6 +192,13 @@ impl Guest {
                 image.file(&format!("expected/{name}.txt"), &fs::read(examples::expected(name))?)?;
             }
             jobs += &format!("program 'example {0}' /init together '{0}'\n", programs.join("|"));
+        }
+        // Examples look for their system files where they were built.
+        for file in fs::read_dir(machine::root().join("examples/systems"))?.flatten().map(|file| file.path())
+        {
+            if file.is_file() {
+                image.file(file.to_string_lossy().trim_start_matches('/'), &fs::read(&file)?)?;
+            }
         }
         jobs += "program demo taut demo --seconds 3\nprogram doctor /init doctor\n";
         image.file("jobs", jobs.as_bytes())?;

@@ -65,8 +65,8 @@ mod test;
 
 use bench::Bench;
 use build::{Build, SAME};
-use guests::{Extent, Guest};
 use clap::{Parser, Subcommand, ValueEnum};
+use guests::{Extent, Guest};
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 use steps::Steps;

@@ -92,7 +92,10 @@ pub fn newest(architecture: Architecture, among: &[&str]) -> Result<String, Stri
     update(architecture)?;
     let mut newest = among.iter().map(|package| needs(architecture, &[package]));
     newest.find_map(|needs| needs.map(|needs| needs.into_iter().next()).transpose()).unwrap_or_else(|| {
-        Err(format!("apt knows no {} for {architecture}: is this a Debian, with a network?", among.join(", ")))
+        Err(format!(
+            "apt knows no {} for {architecture}: is this a Debian, with a network?",
+            among.join(", ")
+        ))
     })
 }
 
@@ -129,7 +132,8 @@ pub fn unpack(
     let mut all = String::new();
     for (architecture, package) in packages()? {
         let fetched = execute(apt("apt-get", architecture)?.args(["download", &package]).current_dir(to));
-        fetched.map_err(|reason| format!("{package} cannot be downloaded ({reason}): is there a network?"))?;
+        fetched
+            .map_err(|reason| format!("{package} cannot be downloaded ({reason}): is there a network?"))?;
         for file in fs::read_dir(to).map_err(say)?.flatten().map(|entry| entry.path()) {
             if file.extension().is_some_and(|ending| ending == "deb") {
                 execute(Command::new("dpkg").arg("-x").arg(&file).arg(to))?;
@@ -174,7 +178,8 @@ fn debians_compiler(target: Architecture) -> Result<PathBuf, String> {
     unpack(&to, || {
         update(here)?;
         update(target)?;
-        let is_part = |package: &String| ["libstd-rust", "libllvm"].iter().any(|part| package.starts_with(part));
+        let is_part =
+            |package: &String| ["libstd-rust", "libllvm"].iter().any(|part| package.starts_with(part));
         let parts = needs(here, &["--recurse", "rustc-web"])?.into_iter().filter(is_part);
         let parts = BTreeSet::from_iter(parts.chain(["rustc-web".to_owned()]));
         let parts = parts.into_iter().map(|package| (here, package));

@@ -54,8 +54,12 @@ pub fn run(name: &str, of: Architecture, kernel: &Path, image: &Path) -> Result<
         return Ok(report);
     }
     let last = said.lines().rev().take(5).collect::<Vec<_>>().join(" | ");
-    let ended = status.map_or_else(|| format!("not within {} s", PATIENCE.as_secs()), |status| status.to_string());
-    Err(format!("it did not come to an end ({ended}); all that it said is in {}, lastly: {last}", log.display()))
+    let ended =
+        status.map_or_else(|| format!("not within {} s", PATIENCE.as_secs()), |status| status.to_string());
+    Err(format!(
+        "it did not come to an end ({ended}); all that it said is in {}, lastly: {last}",
+        log.display()
+    ))
 }
 
 impl Report {
@@ -69,7 +73,9 @@ impl Report {
     }
 
     fn hear(&mut self, guest: &str, line: &str) {
-        let Some((kind, text)) = line.strip_prefix('@').map(|line| line.split_once(' ').unwrap_or((line, ""))) else {
+        let Some((kind, text)) =
+            line.strip_prefix('@').map(|line| line.split_once(' ').unwrap_or((line, "")))
+        else {
             return;
         };
         match kind {
@@ -99,7 +105,10 @@ impl Report {
 
 /// A line for each guest.
 pub fn print(reports: &[(String, Report)]) {
-    println!("\n{:<10} {:>8} {:>7} {:>6} {:>7} {:>8}", "guest", "programs", "passed", "flaky", "failed", "seconds");
+    println!(
+        "\n{:<10} {:>8} {:>7} {:>6} {:>7} {:>8}",
+        "guest", "programs", "passed", "flaky", "failed", "seconds"
+    );
     for (guest, report) in reports {
         let Report { programs, passed, flaky, failed, took, .. } = report;
         println!("{guest:<10} {programs:>8} {passed:>7} {flaky:>6} {failed:>7} {:>8.0}", took.as_secs_f64());

@@ -2,21 +2,20 @@
 //! The file system that a guest starts with: an archive in the format that the kernel reads (cpio, newc).
 
 use super::debian::Architecture;
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-const FOLDERS: [&str; 6] = ["bin", "lib", "lib64", "programs", "tests", "expected"];
-
 /// From the packages of a system: tools and libraries.
-const FILES: [&str; 5] =
-    ["bin/busybox", "bin/flock", "lib/libc.so.6", "lib/libm.so.6", "lib/libgcc_s.so.1"];
+const FILES: [&str; 5] = ["bin/busybox", "bin/flock", "lib/libc.so.6", "lib/libm.so.6", "lib/libgcc_s.so.1"];
 
 /// Such an archive while it is written.
 pub struct Image {
     out: BufWriter<File>,
     entries: u32,
+    folders: BTreeSet<PathBuf>,
     /// A program, and where it puts what it has made.
     strip: String,
     stripped: PathBuf,
@@ -26,10 +25,8 @@ impl Image {
     /// With the first process and what programs need.
     pub fn new(path: &Path, system: &Path, architecture: Architecture) -> io::Result<Image> {
         let (out, stripped) = (BufWriter::new(File::create(path)?), path.with_extension("stripped"));
-        let mut image = Image { out, entries: 0, strip: architecture.tool("strip"), stripped };
-        for folder in FOLDERS {
-            image.entry(folder, 0o040_755, &[])?;
-        }
+        let strip = architecture.tool("strip");
+        let mut image = Image { out, entries: 0, folders: BTreeSet::new(), strip, stripped };
         image.file("init", include_bytes!("init.sh"))?;
         for file in FILES.into_iter().chain([architecture.loader()]) {
             image.file(file, &fs::read(find(system, file)?)?)?;
@@ -37,7 +34,15 @@ impl Image {
         Ok(image)
     }
 
+    /// A file, and the folders that it is in.
     pub fn file(&mut self, name: &str, content: &[u8]) -> io::Result<()> {
+        let above: Vec<_> =
+            Path::new(name).ancestors().skip(1).filter(|path| path.parent().is_some()).collect();
+        for folder in above.into_iter().rev() {
+            if self.folders.insert(folder.to_owned()) {
+                self.entry(&folder.display().to_string(), 0o040_755, &[])?;
+            }
+        }
         self.entry(name, 0o100_755, content)
     }
 
@@ -76,7 +81,8 @@ impl Image {
 pub fn kernel(system: &Path) -> Result<PathBuf, String> {
     let boot = system.join("boot");
     let names = fs::read_dir(&boot).map_err(|error| format!("{}: {error}", boot.display()))?;
-    let mut kernels = names.flatten().filter(|file| file.file_name().to_string_lossy().starts_with("vmlinuz"));
+    let mut kernels =
+        names.flatten().filter(|file| file.file_name().to_string_lossy().starts_with("vmlinuz"));
     kernels.next().map(|kernel| kernel.path()).ok_or_else(|| format!("{} has no kernel", boot.display()))
 }
 
@@ -89,7 +95,9 @@ fn find(system: &Path, file: &str) -> io::Result<PathBuf> {
             match entry.file_type()?.is_dir() {
                 true => folders.push(entry.path()),
                 // No link to what is in another package.
-                false if Some(&*entry.file_name()) == name && entry.path().is_file() => return Ok(entry.path()),
+                false if Some(&*entry.file_name()) == name && entry.path().is_file() => {
+                    return Ok(entry.path());
+                }
                 false => {}
             }
         }
@@ -102,17 +110,27 @@ mod tests {
     use super::*;
 
     #[test]
-    fn entries_begin_at_multiples_of_four() {
+    fn entries_begin_at_multiples_of_four_and_folders_come_before_their_files() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("image");
-        let out = BufWriter::new(File::create(&path).unwrap());
-        let mut image = Image { out, entries: 0, strip: String::new(), stripped: folder.path().join("none") };
-        image.file("a", b"12345").unwrap();
+        let (out, stripped) = (BufWriter::new(File::create(&path).unwrap()), folder.path().join("none"));
+        let mut image = Image { out, entries: 0, folders: BTreeSet::new(), strip: String::new(), stripped };
+        image.file("a/b/c", b"12345").unwrap();
+        image.file("a/b/d", b"").unwrap();
         image.finish().unwrap();
         let archive = fs::read(path).unwrap();
-        assert_eq!(&archive[..22], b"07070100000001000081ed");
-        assert_eq!(&archive[54..62], b"00000005");
-        assert_eq!(&archive[110..120], b"a\x0012345\0\0\0");
-        assert_eq!((&archive[120..126], archive.len() % 4), (&b"070701"[..], 0));
+        let (mut at, mut names) = (0, Vec::new());
+        while at < archive.len() {
+            assert_eq!(&archive[at..at + 6], b"070701");
+            let field = |index: usize| {
+                let digits = std::str::from_utf8(&archive[at + 6 + 8 * index..][..8]).unwrap();
+                usize::from_str_radix(digits, 16).unwrap()
+            };
+            let (mode, len, name_len) = (field(1), field(6), field(11));
+            let name = String::from_utf8_lossy(&archive[at + 110..][..name_len - 1]).into_owned();
+            names.push(format!("{name} {mode:o} {len}"));
+            at = (at + 110 + name_len).next_multiple_of(4) + len.next_multiple_of(4);
+        }
+        assert_eq!(names, ["a 40755 0", "a/b 40755 0", "a/b/c 100755 5", "a/b/d 100755 0", "TRAILER!!! 0 0"]);
     }
 }

@@ -1,18 +1,8 @@
 #!/bin/busybox sh
 # The first process of a guest: does what /jobs says, and tells how that went in lines that begin with `@`.
-/bin/busybox mkdir -p /proc /sys /dev /tmp /run /root
-/bin/busybox --install -s /bin
-mount -t proc proc /proc; mount -t sysfs sys /sys; mount -t devtmpfs dev /dev
-mkdir -p /dev/shm /dev/pts
-mount -t tmpfs -o mode=1777 shm /dev/shm; mount -t tmpfs -o mode=1777 tmp /tmp; mount -t devpts pts /dev/pts
-mount -t cgroup2 cgroup /sys/fs/cgroup; mount -t debugfs debug /sys/kernel/debug
-ln -s /proc/self/fd /dev/fd
-ifconfig lo 127.0.0.1 up; hostname guest
-export PATH=/programs:/bin HOME=/root USER=root CI=true TAUT_SCOPE=guest
-
 # Runs a command, whose output goes to /tmp/said, and ends what it leaves behind.
 attempt() {
-    timeout -s KILL 180 "$@" >/tmp/said 2>&1 </dev/null
+    timeout -s KILL 300 "$@" >/tmp/said 2>&1 </dev/null
     code=$?
     kill -9 -1 2>/dev/null
     rm -rf /dev/shm/*
@@ -66,6 +56,16 @@ doctor() {
 }
 
 case $1 in together | doctor) "$@"; exit $? ;; esac
+
+/bin/busybox mkdir -p /proc /sys /dev /tmp /run /root
+/bin/busybox --install -s /bin
+mount -t proc proc /proc; mount -t sysfs sys /sys; mount -t devtmpfs dev /dev
+mkdir -p /dev/shm /dev/pts
+mount -t tmpfs -o mode=1777 shm /dev/shm; mount -t tmpfs -o mode=1777 tmp /tmp; mount -t devpts pts /dev/pts
+mount -t cgroup2 cgroup /sys/fs/cgroup; mount -t debugfs debug /sys/kernel/debug
+ln -s /proc/self/fd /dev/fd
+ifconfig lo 127.0.0.1 up; hostname guest
+export PATH=/programs:/bin HOME=/root USER=root CI=true TAUT_SCOPE=guest TAUT_TIME_SCALE=50
 
 echo "@guest $(uname -srvm), $(nproc) cores, $(grep -m 1 KernelPageSize /proc/self/smaps)"
 . /jobs
