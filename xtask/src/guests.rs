@@ -75,18 +75,18 @@ const QUICK_EXAMPLES: [&str; 2] = ["talker 5", "budget"];
 
 /// What guests of these kinds need from the network.
 pub fn prepare(guests: &[Guest]) -> Outcome {
-    let emulators: Vec<_> = guests.iter().map(|guest| guest.architecture().emulator()).collect();
-    let missing = || match emulators.iter().find(|[program, _]| !packages::runs(program, &["--version"])) {
-        Some([program, _]) => Err(*program),
+    let emulators: Vec<_> = guests.iter().map(|guest| guest.architecture().emulator()[1]).collect();
+    let missing = || match guests.iter().find(|guest| !guest.has_emulator()) {
+        Some(guest) => Err(guest.architecture().emulator()[0]),
         None => Ok(()),
     };
-    match packages::prepare(&emulators.iter().map(|[_, package]| *package).collect::<Vec<_>>(), missing) {
-        Outcome::Ok => guests.iter().try_for_each(|guest| guest.system().map(drop)).into(),
+    match packages::prepare(&emulators, missing) {
+        Outcome::Ok => guests.iter().try_for_each(|guest| guest.unpack()).into(),
         other => other,
     }
 }
 
-/// The verb: all of it on these guests; on all if none is named.
+/// The verb: these guests, or all if none is named.
 pub fn run(steps: &mut Steps, named: &[Guest], extent: Extent) {
     let guests = if named.is_empty() { Guest::value_variants() } else { named };
     let is_prepared = steps.step("guests: packages", || match prepare(guests) {
@@ -99,41 +99,56 @@ pub fn run(steps: &mut Steps, named: &[Guest], extent: Extent) {
     }
 }
 
-/// A step for each guest, with what the tests' build of `targets` makes where this machine's programs run; at last a table.
+/// A step for each guest, with what the tests' build of `targets` makes where this machine can run it; then a table.
 pub fn test(steps: &mut Steps, guests: &[Guest], extent: Extent, targets: &str) {
     let mut reports = Vec::new();
     for architecture in [Architecture::Amd64, Architecture::Arm64] {
         let guests: Vec<_> = guests.iter().filter(|guest| guest.architecture() == architecture).collect();
         let mut built = Vec::new();
-        let name = format!("guests: build for {architecture}");
-        if guests.is_empty() || !steps.step(&name, || build(architecture, targets).map(|all| built = all)) {
-            continue;
+        if guests.iter().any(|guest| guest.is_there()) {
+            let name = format!("guests: build for {architecture}");
+            steps.step(&name, || build(architecture, targets).map(|all| built = all));
         }
         for guest in guests {
-            steps.step(&format!("guest {}", word(*guest)), || {
-                let report = guest.run(&built, extent)?;
-                let verdict = report.verdict();
-                reports.push((word(*guest), report));
-                verdict
-            });
+            let name = format!("guest {}", word(*guest));
+            match (guest.is_there(), built.is_empty()) {
+                (false, _) => steps.skip(&name, "without its packages"),
+                (true, true) => steps.skip(&name, "not built"),
+                (true, false) => drop(steps.step(&name, || {
+                    let report = guest.run(&built, extent)?;
+                    let verdict = report.verdict();
+                    reports.push((word(*guest), report));
+                    verdict
+                })),
+            }
         }
     }
-    emulator::print(&reports);
+    if !reports.is_empty() {
+        emulator::print(&reports);
+    }
 }
 
 /// What runs on machines of this architecture.
 fn build(architecture: Architecture, targets: &str) -> Result<Vec<Executable>, String> {
-    if architecture.is_here() {
-        return lints::executables(&mut lints::json(&format!("{targets} {TARGETS}")));
-    }
-    let triple = architecture.triple();
-    let mut command =
-        steps::cargo(&format!("build --target {triple} {PACKAGES} {TARGETS} --message-format=json"));
-    command.envs(debian::compiler(architecture)?).arg("--target-dir").arg(debian::folder().join("build"));
-    // Nobody debugs it.
-    command
-        .envs(["CARGO_PROFILE_DEV_DEBUG", "CARGO_PROFILE_DEV_BUILD_OVERRIDE_DEBUG"].map(|it| (it, "none")));
-    lints::executables(command.envs([("CARGO_INCREMENTAL", "0"), ("CARGO_PROFILE_DEV_STRIP", "debuginfo")]))
+    let mut command = if architecture.is_here() {
+        lints::json(&format!("{targets} {TARGETS}"))
+    } else {
+        let triple = architecture.triple();
+        let mut command =
+            steps::cargo(&format!("build --target {triple} {PACKAGES} {TARGETS} --message-format=json"));
+        command.envs(debian::compiler(architecture)?).arg("--target-dir").arg(debian::folder().join("build"));
+        // Nobody debugs it.
+        for (setting, value) in
+            [("DEV_DEBUG", "none"), ("DEV_BUILD_OVERRIDE_DEBUG", "none"), ("DEV_STRIP", "debuginfo")]
+        {
+            command.env(format!("CARGO_PROFILE_{setting}"), value);
+        }
+        command.env("CARGO_INCREMENTAL", "0");
+        command
+    };
+    let mut built = lints::executables(&mut command)?;
+    built.sort_by(|one, other| (&one.folder, &one.target).cmp(&(&other.folder, &other.target)));
+    Ok(built)
 }
 
 impl Guest {
@@ -154,20 +169,30 @@ impl Guest {
         }
     }
 
-    /// The folder with its kernel, its shell and its libraries.
-    fn system(self) -> Result<PathBuf, String> {
-        let to = debian::folder().join(word(self));
+    fn has_emulator(self) -> bool {
+        packages::runs(self.architecture().emulator()[0], &["--version"])
+    }
+
+    /// Where its kernel, its shell and its libraries are.
+    fn system(self) -> PathBuf {
+        debian::folder().join(word(self))
+    }
+
+    fn is_there(self) -> bool {
+        self.has_emulator() && debian::is_complete(&self.system())
+    }
+
+    fn unpack(self) -> Result<(), String> {
         let of = self.architecture();
-        debian::unpack(&to, || {
+        debian::unpack(&self.system(), || {
             let kernel = debian::newest(of, &self.kernel())?;
             let all = [&*kernel, "busybox-static", "libc6", "libgcc-s1", "util-linux"];
             Ok(all.map(|package| (of, package.to_owned())).to_vec())
-        })?;
-        Ok(to)
+        })
     }
 
     fn run(self, built: &[Executable], extent: Extent) -> Result<Report, String> {
-        let (system, name) = (self.system()?, word(self));
+        let (system, name) = (self.system(), word(self));
         let path = debian::folder().join(format!("{name}.cpio"));
         self.pack(&path, &system, built, extent).map_err(|error| format!("{}: {error}", path.display()))?;
         emulator::run(&name, self.architecture(), &image::kernel(&system)?, &path)

@@ -119,9 +119,7 @@ pub fn unpack(
     to: &Path,
     packages: impl FnOnce() -> Result<Vec<(Architecture, String)>, String>,
 ) -> Result<(), String> {
-    // Written last: what was interrupted is made anew.
-    let complete = to.join("packages.txt");
-    if complete.exists() {
+    if is_complete(to) {
         return Ok(());
     }
     let say = |error: io::Error| format!("{}: {error}", to.display());
@@ -142,7 +140,14 @@ pub fn unpack(
         }
         all += &format!("{package} {architecture}\n");
     }
-    fs::write(complete, all).map_err(say)
+    fs::write(to.join(LIST), all).map_err(say)
+}
+
+/// Written last: what was interrupted is made anew.
+const LIST: &str = "packages.txt";
+
+pub fn is_complete(folder: &Path) -> bool {
+    folder.join(LIST).exists()
 }
 
 /// What a build for another architecture than this machine's needs: a linker, and a compiler whose standard library is there, too. This

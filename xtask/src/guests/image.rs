@@ -9,7 +9,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// From the packages of a system: tools and libraries.
-const FILES: [&str; 5] = ["bin/busybox", "bin/flock", "lib/libc.so.6", "lib/libm.so.6", "lib/libgcc_s.so.1"];
+const FILES: [&str; 6] =
+    ["bin/busybox", "bin/flock", "bin/unshare", "lib/libc.so.6", "lib/libm.so.6", "lib/libgcc_s.so.1"];
 
 /// Such an archive while it is written.
 pub struct Image {
