@@ -499,7 +499,7 @@ extern "C" fn fired(_: libc::c_int) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::clock::{burn_cpu, monotonic_ns, sleep_until_monotonic};
+    use crate::clock::{burn_cpu, monotonic_ns, sleep_until_monotonic, test_time};
     use crate::permission::realtime_permitted;
     use crate::{Realtime, ThreadBuilder, current_policy, prove_enforcement_by};
 
@@ -527,6 +527,14 @@ mod tests {
         }
     }
 
+    fn ms(time: u64) -> Duration {
+        test_time(Duration::from_millis(time))
+    }
+
+    fn ns(time: u64) -> u64 {
+        crate::clock::nanoseconds(ms(time))
+    }
+
     fn own() -> Arc<OwnPriority> {
         Arc::new(OwnPriority::new(Policy::Fifo(PRIORITY)))
     }
@@ -548,17 +556,17 @@ mod tests {
             let policy = Policy::Fifo(PRIORITY);
             assert!(BudgetTimer::new(own()).is_err(), "one for a thread");
             for round in 0..20 {
-                timer.arm(thread_cpu_ns(), Duration::from_millis(2));
-                burn_cpu(Duration::from_millis(1));
+                timer.arm(thread_cpu_ns(), ms(2));
+                burn_cpu(ms(1));
                 assert_eq!(current_policy().unwrap(), policy, "{round}");
-                burn_cpu(Duration::from_millis(2));
+                burn_cpu(ms(2));
                 assert_eq!(current_policy().unwrap(), Policy::Other { nice: 0 }, "{round}");
                 assert!(timer.disarm());
                 assert_eq!(current_policy().unwrap(), policy, "{round}");
             }
-            timer.arm(thread_cpu_ns(), Duration::from_millis(2));
+            timer.arm(thread_cpu_ns(), ms(2));
             assert!(!timer.disarm());
-            burn_cpu(Duration::from_millis(3));
+            burn_cpu(ms(3));
             assert_eq!(current_policy().unwrap(), policy, "nothing is held to");
             timer.demote();
             assert_eq!(current_policy().unwrap(), Policy::Other { nice: 0 });
@@ -624,23 +632,21 @@ mod tests {
     #[test]
     fn who_is_suspended_gets_no_more_than_its_refills() {
         on_threads(Policy::Other { nice: 0 }, |timer, _| {
-            let (period, budget) = (Duration::from_millis(20), Duration::from_millis(2));
+            let (period, budget) = (ms(20), ms(2));
             let begin_ns = monotonic_ns();
-            let refill = Refill { at_ns: begin_ns + 20_000_000, period, budget };
-            timer.arm_refilled(thread_cpu_ns(), 2_000_000, refill);
+            let refill = Refill { at_ns: begin_ns + ns(20), period, budget };
+            timer.arm_refilled(thread_cpu_ns(), ns(2), refill);
             assert!(!timer.was_suspended());
-            burn_cpu(Duration::from_millis(7));
+            burn_cpu(ms(7));
             // Three refills were needed: 2 ms at once, and after 20, 40 and 60 ms.
             let taken_ns = monotonic_ns() - begin_ns;
-            assert!(taken_ns >= 60_000_000, "{taken_ns}");
+            assert!(taken_ns >= ns(60), "{taken_ns}");
             assert!(timer.was_suspended());
             let RemainingBudget { budget_ns, refill_at_ns } = timer.disarm_refilled();
             // A thread that got the processor late may have missed the time of one.
-            assert!(
-                (refill_at_ns - begin_ns).is_multiple_of(20_000_000) && refill_at_ns >= begin_ns + 80_000_000
-            );
-            assert!(budget_ns < 2_000_000 && !timer.was_suspended());
-            burn_cpu(Duration::from_millis(3));
+            assert!((refill_at_ns - begin_ns).is_multiple_of(ns(20)) && refill_at_ns >= begin_ns + ns(80));
+            assert!(budget_ns < ns(2) && !timer.was_suspended());
+            burn_cpu(ms(3));
             assert!(!timer.was_suspended(), "nothing is held to");
         });
     }
@@ -648,14 +654,14 @@ mod tests {
     #[test]
     fn time_that_others_use_is_not_counted() {
         on_threads(Policy::Other { nice: 0 }, |timer, _| {
-            timer.arm(thread_cpu_ns(), Duration::from_millis(5));
+            timer.arm(thread_cpu_ns(), ms(5));
             // Five times the budget on the clock, and none of it on the processor.
-            sleep_until_monotonic(monotonic_ns() + 25_000_000);
+            sleep_until_monotonic(monotonic_ns() + ns(25));
             assert!(!timer.disarm());
             // A signal comes all the same, and the rest of the budget is still held.
-            timer.arm(thread_cpu_ns(), Duration::from_millis(5));
-            sleep_until_monotonic(monotonic_ns() + 10_000_000);
-            burn_cpu(Duration::from_millis(6));
+            timer.arm(thread_cpu_ns(), ms(5));
+            sleep_until_monotonic(monotonic_ns() + ns(10));
+            burn_cpu(ms(6));
             assert!(timer.disarm());
         });
     }
