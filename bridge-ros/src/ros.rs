@@ -98,7 +98,7 @@ impl RosSide {
 
     /// Services and clients in ROS, without this bridge's, each with its announcer.
     fn read_services(&mut self, here: &LocalGraph) -> Vec<(ServiceEndpoint, u128)> {
-        let others = self.graph.nodes.iter().filter(|node| !self.shown.has(node));
+        let others = self.graph.nodes.iter().map(|(node, _)| node).filter(|node| !self.shown.has(node));
         let mut ends = ros_graph::services(&self.node, others, &self.place);
         let tables = &self.graph.tables;
         let told = || {
@@ -143,7 +143,8 @@ impl RosSide {
             writers.iter().map(|(_, gid, proxy)| (gid, proxy.writer.publisher.gid())).collect();
         let mut graph = RemoteGraph::default();
         graph.nodes.extend(here.nodes.iter().filter_map(|node| {
-            Some(RemoteNode { name: node.name.clone(), origin: announced(&node.origin)? })
+            let (name, enclave) = (node.name.clone(), node.enclave.clone());
+            Some(RemoteNode { name, enclave, origin: announced(&node.origin)? })
         }));
         for end in &here.endpoints {
             let (gid, way) = match end.kind {

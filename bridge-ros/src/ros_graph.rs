@@ -22,8 +22,8 @@ pub(crate) const NAME_TIME: Duration = Duration::from_secs(7);
 /// The ROS graph.
 #[derive(Default)]
 pub(crate) struct RosGraph {
-    /// All nodes, including bridges'.
-    pub(crate) nodes: Vec<NodeName>,
+    /// All nodes, including bridges', with their enclaves.
+    pub(crate) nodes: Vec<(NodeName, String)>,
     /// ROS nodes' publishers and subscriptions, and those that other bridges mirror, each with its announcer; see [`Transit`](tautline_relay::Transit).
     pub(crate) endpoints: Vec<(TopicEndpoint, u128)>,
     /// By topic, all publishers that are identified.
@@ -106,7 +106,7 @@ impl RosGraph {
             }
         }
         let mut count = BTreeMap::<&NodeName, usize>::new();
-        for node in self.nodes.iter().filter(|node| !node.name.starts_with(BRIDGE_PREFIX)) {
+        for (node, enclave) in self.nodes.iter().filter(|(node, _)| !node.name.starts_with(BRIDGE_PREFIX)) {
             // One node per name is a bridge's; any other is a ROS node.
             if let Some(at) = shown.iter().position(|shown| shown == node) {
                 shown.swap_remove(at);
@@ -121,7 +121,7 @@ impl RosGraph {
                 .map_or_else(|| format!("{domain:x}"), |process| format!("{process:02x?}"));
             let tag = Origin::tag_of(&format!("{of} {node} {count}"));
             let origin = Origin { tag, ..Origin::here(Gid::default(), place) };
-            nodes.push((RemoteNode { name: node.clone(), origin }, 0));
+            nodes.push((RemoteNode { name: node.clone(), enclave: enclave.clone(), origin }, 0));
         }
         nodes
     }

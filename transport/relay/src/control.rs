@@ -451,9 +451,9 @@ impl<F: FarSide> MirrorControl<F> {
     fn remote(&self, there: FarGraph) -> RemoteGraph {
         let rules = &self.mirror.rules;
         let mut remote = RemoteGraph { ended: there.ended, ..RemoteGraph::default() };
-        for (RemoteNode { name, origin }, teller) in there.nodes {
-            let told = self.transit.told(&origin, teller);
-            remote.nodes.extend(told.map(|origin| RemoteNode { name, origin }));
+        for (node, teller) in there.nodes {
+            let told = self.transit.told(&node.origin, teller);
+            remote.nodes.extend(told.map(|origin| RemoteNode { origin, ..node }));
         }
         for (end, teller) in there.endpoints {
             let Some(topic) = rules.here_name(&end.topic) else { continue };

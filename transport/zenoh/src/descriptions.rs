@@ -237,7 +237,8 @@ impl Descriptions {
             // A unique GID: the hash of its token.
             let (name, suffix) = (topic.clone(), String::new());
             let said = Endpoint { id: 0, kind, name, type_id: type_id.clone(), qos, suffix };
-            let said = Token { domain: 0, zid: 0, node_id: 0, node: node.clone(), endpoint: Some(said) };
+            let (endpoint, note) = (Some(said), String::new());
+            let said = Token { domain: 0, zid: 0, node_id: 0, node: node.clone(), endpoint, note };
             let gid = endpoint_gid(&said);
             LocalEndpoint { gid, kind, topic, type_id, qos, node, origin: Origin::here(gid, "") }
         };

@@ -302,8 +302,11 @@ impl FarSide for NetworkSide {
         let descriptions = &self.descriptions;
         ends.retain(|end| end.origin.is_here() || !descriptions.is_theirs(end));
         here.services.retain(|end| end.origin.is_here() || !descriptions.answers_for(end));
-        let nodes: Vec<_> =
-            here.nodes.iter().map(|node| (wire_node(&node.name), node.origin.clone())).collect();
+        let nodes: Vec<_> = here
+            .nodes
+            .iter()
+            .map(|node| (wire_node(&node.name, &node.enclave), node.origin.clone()))
+            .collect();
         let names = nodes.iter().map(|(name, _)| name).chain(ends.iter().map(|end| &end.node));
         let mut offered = descriptions.offered(names, &ends);
         let filter = &self.options.filter;
