@@ -107,10 +107,13 @@ fn services_and_actions_cross_both_ways() {
         let (server, client) = if is_ours { (&mut ours, &mut theirs) } else { (&mut theirs, &mut ours) };
         server.tell(json!({ "do": "service", "name": name, "type": BASIC_TYPES, "behaviour": "echo" }));
         let end = client.tell(json!({ "do": "client", "name": name, "type": BASIC_TYPES }));
-        let requests: Vec<Value> = (0..200).map(|n| json!({ "int32_value": n })).collect();
-        let answers = client.tell(json!({ "do": "call", "end": end, "requests": requests }));
-        let numbers = answers.as_array().unwrap().iter().map(|answer| answer["int32_value"].as_i64());
-        assert!(numbers.eq((0..200).map(Some)), "{name}: {answers}");
+        // rmw_zenoh_cpp queues ten responses, or requests, and drops older ones.
+        for first in (0..200).step_by(5) {
+            let requests: Vec<Value> = (first..first + 5).map(|n| json!({ "int32_value": n })).collect();
+            let answers = client.tell(json!({ "do": "call", "end": end, "requests": requests }));
+            let numbers = answers.as_array().unwrap().iter().map(|answer| answer["int32_value"].as_i64());
+            assert!(numbers.eq((first..first + 5).map(Some)), "{name}: {answers}");
+        }
 
         let name = format!("{name}/count");
         server.tell(json!({ "do": "action_server", "name": name }));
@@ -134,12 +137,12 @@ fn late_joiners_get_what_is_kept() {
         let (from, to) = if is_ours { (&mut ours, &mut theirs) } else { (&mut theirs, &mut ours) };
         let texts = |topic: usize| (0..10).map(|n| format!("{way} {topic} {n}")).collect::<Vec<_>>();
         for topic in 0..100 {
-            let publisher = from.publisher(&format!("/{way}/{topic}"), STRING, qos.clone());
+            let publisher = from.publisher(&format!("/{way}/topic{topic}"), STRING, qos.clone());
             from.publish_text(publisher, &texts(topic));
         }
         under_load(|| {
             let joined: Vec<u64> = (0..100)
-                .map(|topic| to.subscription(&format!("/{way}/{topic}"), STRING, qos.clone()))
+                .map(|topic| to.subscription(&format!("/{way}/topic{topic}"), STRING, qos.clone()))
                 .collect();
             for (topic, end) in joined.into_iter().enumerate() {
                 assert_eq!(to.take_texts(end, 10), texts(topic));
