@@ -2,10 +2,10 @@
 //! The ROS graph without this bridge's endpoints, also in Tautline's terms, for nodes and tools.
 
 use crate::rcl::{Node, RclError, RosEndpoint};
-use crate::table::{self, OriginTable, Tables};
+use crate::table::{self, NAME_TIME, OriginTable, Tables};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use tautline_transport::{
     EndpointKind, Gid, NodeName, Origin, Qos, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint,
     TopicType,
@@ -13,11 +13,6 @@ use tautline_transport::{
 
 /// Prefix of bridges' node names: the endpoints of such a node mirror others.
 pub const BRIDGE_PREFIX: &str = "taut_bridge_";
-
-/// DDS announces the node of an endpoint later than the endpoint; without a node for this long, it belongs to no ROS node. Longer
-/// than two heartbeats of Fast DDS (3 s), after which it retransmits, so that another bridge's endpoint is not taken for a
-/// node's. Also the time-out for another bridge's announcement of what its endpoint mirrors.
-pub(crate) const NAME_TIME: Duration = Duration::from_secs(7);
 
 /// The ROS graph.
 #[derive(Default)]
@@ -169,7 +164,7 @@ pub(crate) fn mark(ends: &mut [ServiceEndpoint], domain: u64, is_alone: bool) {
 }
 
 /// The GID that announces the service or client with this tag in the domain.
-pub(crate) fn told_gid(tag: u64) -> Gid {
+pub(crate) fn announced_gid(tag: u64) -> Gid {
     let halves = ["a", "b"].map(|half| Origin::tag_of(&format!("{half} {tag:x}")).to_le_bytes());
     Gid(std::array::from_fn(|at| halves[at / 8][at % 8]))
 }

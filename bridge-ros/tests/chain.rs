@@ -51,7 +51,7 @@ fn values_cross(domains: [u32; 2], types: &[&str]) {
     let Some(_chain) = Chain::new(domains) else { return };
     let mut left = Peer::start(&venv, domains[0], "left");
     let mut right = Peer::start(&venv, domains[1], "right");
-    cross(&mut left, &mut right, &mut packages, types);
+    cross(&mut left, &mut right, &mut packages, types, false);
 }
 
 #[test]

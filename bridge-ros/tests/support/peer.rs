@@ -438,13 +438,13 @@ fn connect(from: &mut Peer, to: &mut Peer, publisher: u64, subscription: u64) {
 }
 
 /// Random values of these types from one node of rclpy to another: equal, in order, none lost.
-pub fn cross(from: &mut Peer, to: &mut Peer, packages: &mut Packages, types: &[&str]) {
+pub fn cross(from: &mut Peer, to: &mut Peer, packages: &mut Packages, types: &[&str], keeps_all: bool) {
     for name in types {
         let schema = Arc::new(packages.schema(&name.parse().unwrap()).unwrap());
         let text = |value: &Value| DynamicMessage::from_json(&schema, &value.to_string()).unwrap().to_json();
         let topic = format!("/{}", name.replace('/', "_").to_lowercase());
         let values = Values::new(name);
-        let qos = json!({ "depth": values.depth });
+        let qos = json!({ "depth": values.depth, "keep_all": keeps_all });
         let subscription = to.subscription(&topic, name, qos.clone());
         let publisher = from.publisher(&topic, name, qos);
         from.tell(values.prepare(name, 300));

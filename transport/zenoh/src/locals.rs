@@ -2,7 +2,7 @@
 //! The domain's endpoints in terms of the network, including those that bridges and other gateways announce in it.
 
 use crate::tokens::LocalEndpoint;
-use crate::wire::{EndpointKind, NodeName, TypeId, WireDuration, WireQos};
+use crate::wire::{EndpointKind, NodeName, TopicKey, TypeId, WireDuration, WireQos};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use tautline_relay::{LocalGraph, process_node};
@@ -150,6 +150,14 @@ fn type_id(
         format!("no hash is known for type {name}: declare the type with one, or add its definition to AMENT_PREFIX_PATH")
     })?;
     Ok(TypeId { name, hash })
+}
+
+/// The key of a topic or service on the network.
+pub(crate) fn wire_key(domain: u32, key: &tautline_relay::TopicKey) -> Result<TopicKey, String> {
+    let type_id =
+        || Some(TypeId { name: key.type_name.parse().ok()?, hash: key.type_hash.as_ref()?.parse().ok()? });
+    let type_id = type_id().ok_or_else(|| format!("'{}' is not a ROS 2 type name", key.type_name))?;
+    Ok(TopicKey { domain, topic: key.far_topic.clone(), type_id })
 }
 
 pub(crate) fn wire_node(node: &tautline_transport::NodeName, enclave: &str) -> NodeName {

@@ -76,7 +76,7 @@ impl Tokens {
     }
 
     /// Announces exactly these nodes and endpoints; also that publishers with tags in `ended` ended normally.
-    pub(crate) fn tell(
+    pub(crate) fn update(
         &mut self,
         nodes: &[(NodeName, Origin)],
         ends: Vec<LocalEndpoint>,
@@ -202,7 +202,7 @@ mod tests {
     const NONE: [&str; 0] = [];
 
     fn tell(tokens: &mut Tokens, ends: &[LocalEndpoint]) -> Vec<String> {
-        declared(&tokens.tell(&[], ends.to_vec(), &HashSet::new()))
+        declared(&tokens.update(&[], ends.to_vec(), &HashSet::new()))
     }
 
     #[test]
@@ -216,7 +216,7 @@ mod tests {
         assert_eq!(tell(&mut tokens, &[]), ["- Client /add", "- node /n"]);
         // A node without endpoints.
         let node = [(NodeName::new("/a", "m"), Origin { tag: 99, ..Origin::default() })];
-        let mut changes = |ends| declared(&tokens.tell(&node, ends, &HashSet::new()));
+        let mut changes = |ends| declared(&tokens.update(&node, ends, &HashSet::new()));
         assert_eq!(changes(vec![]), ["+ node /a/m"]);
         assert_eq!(changes(vec![publisher(1)]), ["+ node /n", "+ Publisher /x"]);
         assert_eq!(changes(vec![]), ["- Publisher /x", "- node /n"]);
@@ -227,7 +227,7 @@ mod tests {
         let mut tokens = Tokens::new(5, 1);
         tell(&mut tokens, &[publisher(1), publisher(2), end(3, EndpointKind::Subscription, "x")]);
         // Its tag is its GID's here; only publishers' ends are announced.
-        let changes = tokens.tell(&[], vec![], &HashSet::from([1, 3, 9]));
+        let changes = tokens.update(&[], vec![], &HashSet::from([1, 3, 9]));
         let expected = ["ended 1", "- Publisher /x", "- Publisher /x", "- Subscription /x", "- node /n"];
         assert_eq!(declared(&changes), expected);
     }
@@ -250,7 +250,7 @@ mod tests {
         let mut tokens = Tokens::new(5, 1);
         let mut ids = BTreeSet::new();
         for n in 0..100 {
-            for change in tokens.tell(&[], vec![publisher(n)], &HashSet::new()) {
+            for change in tokens.update(&[], vec![publisher(n)], &HashSet::new()) {
                 if let TokenChange::Declare(token) = change {
                     assert!(ids.insert(token.endpoint.map_or(token.node_id, |endpoint| endpoint.id)));
                 }
