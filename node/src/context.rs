@@ -219,7 +219,7 @@ impl ContextBuilder {
     /// | `-r FROM:=TO`, `--remap` | see [`RemapRules`]; come before those of [`remap`](Self::remap) |
     /// | `--log-level [LOGGER:=]LEVEL` | `debug`, `info`, `warn`, `error` or `fatal`; all loggers, or one and those below |
     /// | `--disable-stdout-logs`, `--disable-rosout-logs` | lines are not printed, not published; also `--enable-...` |
-    /// | `-e PATH`, `--enclave` | accepted without effect: there is no security here that it could select |
+    /// | `-e PATH`, `--enclave` | of the nodes, as others see it; it selects no security |
     pub fn args(mut self, args: impl IntoIterator<Item = impl Into<String>>) -> Self {
         self.args = args.into_iter().map(Into::into).collect();
         self

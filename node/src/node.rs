@@ -147,7 +147,8 @@ impl Node {
         let name = remap.node_name(name).to_owned();
         let namespace = names::absolute_namespace(remap.namespace(&name).unwrap_or(namespace))?;
         let participant = &ctx.shared.participant;
-        let handle = participant.create_node(&name, &namespace)?;
+        let enclave = ctx.shared.arguments.enclave.as_deref().unwrap_or("/");
+        let handle = participant.create_node_in_enclave(&name, &namespace, enclave)?;
         if participant.node_count(handle.name()) > 1 {
             tracing::warn!(
                 "there is another node called {}: lookups by this name may return either; rename one with __node or __ns",

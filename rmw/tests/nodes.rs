@@ -133,7 +133,9 @@ fn deadlines_losses_matches_and_liveliness_are_told() {
 #[test]
 fn each_side_sees_the_others_graph() {
     let Some(domain) = Domain::new(58) else { return };
-    let mut peer = domain.peer("seen");
+    let mut peer = Peer::start_as(&domain.venv, 58, "seen", "ros_services_peer.py", |command| {
+        on_tautline(command.args(["--ros-args", "--enclave", "/theirs"]));
+    });
     peer.publisher("/there", STRING, json!({ "best_effort": true }));
     peer.tell(json!({ "do": "service", "name": "/serve", "type": SET_BOOL, "behaviour": "set_bool" }));
     let mut found = None;
@@ -146,18 +148,21 @@ fn each_side_sees_the_others_graph() {
     let found = found.unwrap();
     assert_eq!((found.kind, &*found.topic_type.name), (EndpointKind::Publisher, STRING));
     assert_eq!(found.node.clone().unwrap().full_name(), "/seen");
+    let nodes = domain.participant.graph().unwrap().nodes.clone();
+    assert!(nodes.iter().any(|node| node.name.name == "seen" && node.enclave == "/theirs"), "{nodes:?}");
     let service =
         domain.participant.graph().unwrap().services.iter().find(|end| end.name == "/serve").cloned();
     let service = service.unwrap();
     assert_eq!((service.kind, &*service.type_name), (ServiceKind::Server, SET_BOOL));
 
-    let node = domain.participant.create_node("ours", "/here").unwrap();
+    let node = domain.participant.create_node_in_enclave("ours", "/here", "/ours").unwrap();
     let of_node = domain.participant.for_node(&node);
     let ours = publisher(&of_node, "/ours", STRING, Qos::keep_last(3).transient_local());
     let server = of_node
         .create_raw_server("/here/serve", &ServiceType::new(SET_BOOL, None), 10, Limits::default())
         .unwrap();
-    peer.tell(json!({ "do": "wait_node", "name": "/here/ours" }));
+    assert_eq!(peer.tell(json!({ "do": "enclave", "node": "/here/ours" })), "/ours");
+    assert_eq!(peer.tell(json!({ "do": "enclave", "node": "/seen" })), "/theirs");
     peer.tell(json!({ "do": "wait_topic", "topic": "/ours", "type": STRING }));
     assert_eq!(
         peer.tell(json!({ "do": "endpoints", "topic": "/ours" })),

@@ -75,6 +75,14 @@ pub enum TransportError {
         /// The name, with its namespace.
         name: String,
     },
+    /// The text is not a valid enclave.
+    #[error(
+        "'{enclave}' cannot be an enclave: use '/', or letters, digits and '_' in a path that begins with '/'"
+    )]
+    Enclave {
+        /// The text.
+        enclave: String,
+    },
     /// The name is not a valid service name.
     #[error("'{service}' cannot be a service: {reason}")]
     ServiceName {

@@ -143,7 +143,8 @@ enum Verb {
         #[arg(long)]
         test: bool,
     },
-    /// Tests the gateway against hiroz and zenoh-ros2-sdk (made under target/peers); minutes to build
+    /// Tests the gateway against hiroz, zenoh-ros2-sdk (made under target/peers) and an rmw_zenoh_cpp that is sourced or that
+    /// `TAUT_RMW_ZENOH` names; minutes to build
     Peers,
     /// Runs the programs of the tests of tautline-r2r on r2r, with the ROS 2 that is sourced or that under target/ros
     R2r,
