@@ -197,6 +197,17 @@ fn who_holds_a_lock_pays_for_the_switches_of_who_waits() {
     covers(&checked, response(&checked, "low"), 12.0);
 }
 
+/// `low` runs from 1 on. `held` comes at 1 and at 11: 1 ms to switch to it, 2 ms until its budget is used up, 1 ms to switch back.
+#[test]
+fn a_budget_ends_with_a_switch_to_another() {
+    let text = "[hosts.h]\ncores = 1\n[overheads]\ncontext_switch = \"1ms\"\n[nodes.n]\n\
+                [callbacks.held]\nperiod = \"10ms\"\nwcet = \"1ms\"\npriority = 50\noverrun = \"suspend\"\n\
+                [callbacks.low]\nperiod = \"100ms\"\nwcet = \"10ms\"\npriority = 30\n";
+    covers(&check(text), response(&check(text), "low"), 19.0);
+    let text = text.replace("suspend", "demote");
+    covers(&check(&text), response(&check(&text), "low"), 19.0);
+}
+
 #[test]
 fn interrupts_and_throttling_do_not_wait_for_a_section() {
     let checked = case!("tail_and_ticks");

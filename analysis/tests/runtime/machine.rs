@@ -73,10 +73,8 @@ impl Run {
     /// One phase a little different, or anywhere; or other times at the same phases.
     pub fn changed(&self, model: &Model, rng: &mut StdRng) -> Run {
         let mut run = self.clone();
-        let (i, period) = {
-            let i = rng.random_range(0..run.phases.len());
-            (i, model.callbacks[i].period)
-        };
+        let i = rng.random_range(0..run.phases.len());
+        let period = model.callbacks[i].period;
         match rng.random_range(0..3) {
             0 => run.seed = rng.random(),
             1 => run.phases[i] = rng.random_range(0..period),
@@ -442,7 +440,7 @@ impl Machine<'_> {
                 }
                 Event::Message(message) => {
                     let Message { callback, topic, number, stamp, .. } = message;
-                    self.step_of(Step::Arrived { callback, topic, number, stamp });
+                    self.record(Step::Arrived { callback, topic, number, stamp });
                     let i = message.callback;
                     let waiting = self.waiting(&message);
                     *waiting += 1;
@@ -478,7 +476,7 @@ impl Machine<'_> {
         self.now += 1;
     }
 
-    fn step_of(&mut self, step: Step) {
+    fn record(&mut self, step: Step) {
         self.seen.steps.push((self.now, step));
     }
 
@@ -788,7 +786,7 @@ impl Machine<'_> {
         match self.model.callbacks[i].budget {
             Budget::Demote | Budget::End if is_used_up => {
                 job.is_demoted = true;
-                self.step_of(Step::Demoted { callback: i });
+                self.record(Step::Demoted { callback: i });
                 return false;
             }
             Budget::Suspend | Budget::Reserved(..) if is_used_up => {

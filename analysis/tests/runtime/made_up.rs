@@ -365,10 +365,10 @@ impl Model {
             writeln!(text, "[hosts.h1.overheads]\n{}", costs(1)).unwrap();
         }
         let executor = self.executors.iter().flatten().next().unwrap_or(&0);
-        let clients = [("rclcpp", 0), ("rclpy", 1)];
+        let clients = ["rclcpp", "rclpy"];
         writeln!(text, "[overheads]\n{}", costs(0)).unwrap();
         writeln!(text, "context_switch = \"{}us\"\ndemotion = \"{}us\"", self.switch, self.demotion).unwrap();
-        clients.iter().for_each(|(client, _)| writeln!(text, "{client} = \"{executor}us\"").unwrap());
+        clients.iter().for_each(|client| writeln!(text, "{client} = \"{executor}us\"").unwrap());
         if let Some((period, runtime)) = self.throttling {
             writeln!(text, "throttling = {{ period = \"{period}us\", runtime = \"{runtime}us\" }}").unwrap();
         }
@@ -379,7 +379,7 @@ impl Model {
             let number = self.hosts[..core].iter().filter(|other| *other == host).count();
             writeln!(text, "[nodes.n{core}]\nhost = \"h{host}\"\ncore = {number}").unwrap();
             if self.executors[core].is_some() {
-                writeln!(text, "client = \"{}\"", clients[core % 2].0).unwrap();
+                writeln!(text, "client = \"{}\"", clients[core % 2]).unwrap();
             }
         }
         for (group, order) in self.groups.iter().enumerate() {
