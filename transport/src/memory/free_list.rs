@@ -14,6 +14,7 @@ use core::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 /// The samples that were freed last wait in the order in which they were freed. A longer list has the others, of which the one that was
 /// added last is used first: so no more than those that wait, and those in use, are used in turn.
 pub(crate) struct FreeList {
+    /// Empty if one is used in turn: the list of the others has that order.
     waiting: Box<[AtomicU32]>,
     /// The place of the one that has waited for longest, and how many there are.
     first: AtomicUsize,
@@ -28,7 +29,7 @@ impl FreeList {
     pub(crate) fn new(samples: usize, in_turn: usize) -> Self {
         let places = |count: usize| (0..count).map(|_| AtomicU32::new(0)).collect();
         FreeList {
-            waiting: places(in_turn.clamp(1, samples.max(1))),
+            waiting: places(if in_turn > 1 { in_turn.min(samples) } else { 0 }),
             first: AtomicUsize::new(0),
             waiting_len: AtomicUsize::new(0),
             others: places(samples),
@@ -41,7 +42,7 @@ impl FreeList {
     pub(crate) fn take(&self) -> Option<u32> {
         let (waiting, others) =
             (self.waiting_len.load(Ordering::Relaxed), self.others_len.load(Ordering::Relaxed));
-        if others > 0 && waiting < self.waiting.len() {
+        if others > 0 && (waiting < self.waiting.len() || self.waiting.is_empty()) {
             self.others_len.store(others - 1, Ordering::Relaxed);
             return Some(self.others.get(others - 1)?.load(Ordering::Relaxed));
         }
@@ -51,8 +52,13 @@ impl FreeList {
     fn take_waiting(&self, waiting: usize) -> Option<u32> {
         self.waiting_len.store(waiting.checked_sub(1)?, Ordering::Relaxed);
         let first = self.first.load(Ordering::Relaxed);
-        self.first.store((first + 1) % self.waiting.len(), Ordering::Relaxed);
+        self.first.store(self.place(first + 1), Ordering::Relaxed);
         Some(self.waiting.get(first)?.load(Ordering::Relaxed))
+    }
+
+    /// Of less than twice as many as there are places, the place.
+    fn place(&self, at: usize) -> usize {
+        if at < self.waiting.len() { at } else { at - self.waiting.len() }
     }
 
     /// A sample was freed.
@@ -60,13 +66,16 @@ impl FreeList {
     /// # Real-time
     /// Wait-free; no syscall.
     pub(crate) fn give(&self, sample: u32) {
+        if self.waiting.is_empty() {
+            return self.add(sample);
+        }
         if self.waiting_len.load(Ordering::Relaxed) == self.waiting.len()
             && let Some(longest) = self.take_waiting(self.waiting.len())
         {
             self.add(longest);
         }
         let waiting = self.waiting_len.load(Ordering::Relaxed);
-        let last = (self.first.load(Ordering::Relaxed) + waiting) % self.waiting.len();
+        let last = self.place(self.first.load(Ordering::Relaxed) + waiting);
         if let Some(place) = self.waiting.get(last) {
             place.store(sample, Ordering::Relaxed);
             self.waiting_len.store(waiting + 1, Ordering::Relaxed);
@@ -88,6 +97,7 @@ impl FreeList {
 }
 
 #[cfg(all(test, not(taut_loom)))]
+#[allow(clippy::disallowed_methods, clippy::unwrap_used, reason = "a test")]
 mod tests {
     use super::*;
     use rand::RngExt;
