@@ -315,7 +315,8 @@ impl<'t> Reader<'t> {
         };
         let number = number.filter(|number| (least..=most).contains(number));
         number.and_then(|number| number.try_into().ok()).or_else(|| {
-            let message = format!("`{key}` is {}: write a whole number from {least} to {most}", described(value));
+            let message =
+                format!("`{key}` is {}: write a whole number from {least} to {most}", described(value));
             self.refuse(value, message)
         })
     }
@@ -347,7 +348,10 @@ impl<'t> Reader<'t> {
         chosen.map(|(_, chosen)| *chosen).or_else(|| {
             let names: Vec<String> = choices.iter().map(|(name, _)| format!("\"{name}\"")).collect();
             let (last, others) = names.split_last()?;
-            self.refuse(value, format!("`{key}` is {}: write {} or {last}", described(value), others.join(", ")))
+            self.refuse(
+                value,
+                format!("`{key}` is {}: write {} or {last}", described(value), others.join(", ")),
+            )
         })
     }
 
