@@ -9,6 +9,21 @@ use support::gateway::{GatewayProcess, link};
 use support::{BridgeProcess, Peer, STRING, TYPES, cross, ros, wait_until};
 use tautline_schema::Packages;
 
+impl Drop for Chain {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.gateways
+                .iter()
+                .flatten()
+                .for_each(|gateway| println!("a gateway's numbers: {}", gateway.stats()));
+            self.bridges
+                .iter()
+                .flatten()
+                .for_each(|bridge| println!("a bridge's numbers: {}", bridge.stats()));
+        }
+    }
+}
+
 /// Two hosts, each with a ROS graph of its own.
 struct Chain {
     gateways: [Option<GatewayProcess>; 2],

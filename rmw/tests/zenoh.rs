@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use support::gateway::{GatewayProcess, listen};
-use support::{Domain, Peer, STRING, TYPES, cross, wait_until};
+use support::{Domain, Peer, STRING, TYPES, cross, on_tautline, wait_until};
 use tautline_schema::Packages;
 
 const BASIC_TYPES: &str = "test_msgs/srv/BasicTypes";
@@ -32,21 +32,30 @@ impl Hosts {
 
     /// A node on rmw_tautline and one on rmw_zenoh_cpp, which know of each other.
     fn peers(&self) -> [Peer; 2] {
-        let mut ours = self.domain.peer("ours");
-        let mut theirs = self.theirs("theirs", &[]);
+        self.both("ros_peer.py")
+    }
+
+    /// The same with services and actions.
+    fn peers_with_services(&self) -> [Peer; 2] {
+        self.both("ros_services_peer.py")
+    }
+
+    fn both(&self, script: &str) -> [Peer; 2] {
+        let mut ours = Peer::start_as(&self.domain.venv, self.domain.number, "ours", script, on_tautline);
+        let mut theirs = self.theirs("theirs", script, &[]);
         ours.tell(json!({ "do": "wait_node", "name": "/theirs" }));
         theirs.tell(json!({ "do": "wait_node", "name": "/ours" }));
         [ours, theirs]
     }
 
-    fn theirs(&self, name: &str, arguments: &[&str]) -> Peer {
+    fn theirs(&self, name: &str, script: &str, arguments: &[&str]) -> Peer {
         let prefix = self.library.ancestors().nth(2).unwrap();
         let prefixes = std::env::var("AMENT_PREFIX_PATH").unwrap_or_default();
         let links = format!(
             "connect/endpoints=[\"{}\"];listen/endpoints=[\"tcp/127.0.0.1:0\"]",
             self.gateway.endpoint()
         );
-        Peer::start_as(&self.domain.venv, self.domain.number, name, "ros_services_peer.py", |command| {
+        Peer::start_as(&self.domain.venv, self.domain.number, name, script, |command| {
             command.args(arguments);
             command.env("RMW_IMPLEMENTATION", "rmw_zenoh_cpp").env("LD_PRELOAD", &self.library);
             command.env("AMENT_PREFIX_PATH", format!("{}:{prefixes}", prefix.display()));
@@ -112,7 +121,7 @@ fn values_of_sensors_and_joints() {
 #[test]
 fn services_and_actions_cross_both_ways() {
     let Some(hosts) = Hosts::new(124) else { return };
-    let [mut ours, mut theirs] = hosts.peers();
+    let [mut ours, mut theirs] = hosts.peers_with_services();
     let both = [("/of_ours", true), ("/of_theirs", false)];
     for (name, is_ours) in both {
         let (server, client) = if is_ours { (&mut ours, &mut theirs) } else { (&mut theirs, &mut ours) };
@@ -258,11 +267,11 @@ fn large_images_arrive_whole() {
 fn each_side_sees_the_others_enclaves() {
     let Some(hosts) = Hosts::new(128) else { return };
     let _node = hosts.domain.participant.create_node_in_enclave("ours", "/here", "/our/enclave").unwrap();
-    let mut theirs = hosts.theirs("theirs", &["--ros-args", "--enclave", "/their/enclave"]);
-    let mut ours = hosts.domain.peer("seen");
+    let mut theirs = hosts.theirs("theirs", "ros_peer.py", &["--ros-args", "--enclave", "/their/enclave"]);
+    let mut ours = hosts.domain.simple_peer("seen");
     assert_eq!(theirs.tell(json!({ "do": "enclave", "node": "/here/ours" })), "/our/enclave");
     assert_eq!(ours.tell(json!({ "do": "enclave", "node": "/theirs" })), "/their/enclave");
     // One that comes later reads all tokens at once.
-    let mut later = hosts.theirs("later", &[]);
+    let mut later = hosts.theirs("later", "ros_peer.py", &[]);
     assert_eq!(later.tell(json!({ "do": "enclave", "node": "/here/ours" })), "/our/enclave");
 }

@@ -81,9 +81,8 @@ pub(crate) fn list(
         }
     }
     let (mut processes, mut problems) = (HashMap::new(), BTreeMap::new());
-    let key = |name, pid, teller| (name, pid, teller);
     let enclaves: HashMap<_, &str> =
-        here.nodes.iter().map(|node| (key(&node.name, node.pid, node.teller), &*node.enclave)).collect();
+        here.nodes.iter().map(|node| ((&node.name, node.pid, node.teller), &*node.enclave)).collect();
     // Once per topic: the look-up is slow.
     let mut found = HashMap::<(String, TypeName), Option<TypeHash>>::new();
     let mut hash_of = |topic: &str, name: &TypeName| {
@@ -102,7 +101,7 @@ pub(crate) fn list(
             qos: end.qos,
             node: match end.node {
                 Some(node) => {
-                    wire_node(node, enclaves.get(&key(node, end.pid, end.teller)).copied().unwrap_or("/"))
+                    wire_node(node, enclaves.get(&(node, end.pid, end.teller)).copied().unwrap_or("/"))
                 }
                 None => {
                     processes.entry(end.pid).or_insert_with(|| wire_node(&process_node(end.pid), "/")).clone()
