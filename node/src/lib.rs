@@ -44,7 +44,6 @@
 
 #[cfg(feature = "action_msgs")]
 mod action;
-mod admission;
 mod args;
 mod callbacks;
 mod context;
@@ -57,7 +56,6 @@ mod qos_events;
 mod reload;
 mod remap;
 mod service;
-mod statistics;
 mod subscription;
 mod system;
 #[cfg(feature = "rosgraph_msgs")]
@@ -77,7 +75,6 @@ pub use action::{
     ActionClient, ActionClientGoal, ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest,
     ActionServerOptions, GoalStatus,
 };
-pub use admission::{Admission, Running};
 pub use callbacks::NodeCallbacks;
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
@@ -97,7 +94,6 @@ pub use qos_events::{
 pub use reload::apply_system;
 pub use remap::RemapRules;
 pub use service::{Client, ResponseFuture, Server, ServiceRequest};
-pub use statistics::shared_statistics;
 pub use subscription::Subscription;
 pub use system::CallbackJoin;
 #[cfg(feature = "rosgraph_msgs")]
@@ -147,6 +143,7 @@ pub mod rt {
     }
 }
 pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
+pub use tautline_system::{Admission, Running, SystemError, shared_statistics};
 /// Types that are known at run time. The parser of definitions is the crate `tautline-schema`.
 #[cfg(feature = "untyped")]
 pub mod schema {

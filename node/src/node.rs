@@ -344,7 +344,7 @@ impl Node {
     /// delays the wake-up of all others.
     ///
     /// # Errors
-    /// [`Error::Executor`] with the fix if a setting is refused; [`Error::NotAdmitted`] if the context checks new load, and a deadline
+    /// [`Error::Executor`] with the fix if a setting is refused; [`SystemError::NotAdmitted`](crate::SystemError::NotAdmitted) if the context checks new load, and a deadline
     /// would be missed: see [`ContextBuilder::admission`](crate::ContextBuilder::admission).
     pub fn spawn_callback(
         &self,

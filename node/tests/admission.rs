@@ -12,7 +12,7 @@ use common::realtime;
 use futures::future::pending;
 use tautline::{
     Admission, Admitted, CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Result,
-    Running, shared_statistics,
+    Running, SystemError, shared_statistics,
 };
 
 /// Each test has a domain of its own, in a scope of its own.
@@ -59,7 +59,7 @@ impl Drop for File {
 #[track_caller]
 fn refusal<T>(result: Result<T>) -> String {
     match result {
-        Err(error @ Error::NotAdmitted { .. }) => error.to_string(),
+        Err(error @ Error::System(SystemError::NotAdmitted { .. })) => error.to_string(),
         Err(error) => panic!("another error: {error}"),
         Ok(_) => panic!("admitted"),
     }
@@ -227,7 +227,7 @@ fn child_main() {
             println!("\nadmitted");
             std::io::stdin().lines().next();
         }
-        Err(Error::NotAdmitted { .. }) => println!("\nrefused"),
+        Err(Error::System(SystemError::NotAdmitted { .. })) => println!("\nrefused"),
         Err(error) => println!("\n{error}"),
     }
 }

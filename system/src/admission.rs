@@ -11,9 +11,9 @@
 //! files. A process that is being admitted holds a lock of the domain until other processes can read its load. So if each of two
 //! processes fits alone but not both together, one of them is refused.
 
-use crate::error::{Error, Result};
+use crate::error::{Result, SystemError};
+use crate::loaded::LoadedSystem;
 use crate::statistics::shared_statistics;
-use crate::system::LoadedSystem;
 use std::fs::{File, TryLockError};
 use std::path::Path;
 use std::time::Duration;
@@ -62,13 +62,13 @@ impl Running {
     /// real-time thread.
     ///
     /// # Errors
-    /// [`Error::Statistics`] if the statistics cannot be read.
+    /// [`SystemError::Statistics`] if the statistics cannot be read.
     pub fn of_domain(domain: u32) -> Result<Running> {
         Running::beside(domain, None)
     }
 
     /// As [`of_domain`](Self::of_domain), but of processes that have the file at this path only what another text of it does not count.
-    pub(crate) fn beside(domain: u32, without: Option<(&Path, &SystemFile)>) -> Result<Running> {
+    pub fn beside(domain: u32, without: Option<(&Path, &SystemFile)>) -> Result<Running> {
         let mut running = Running::default();
         let mut found = Vec::new();
         for statistics in shared_statistics(domain)?.0 {
@@ -188,30 +188,34 @@ fn runs(domain: u32, system: &LoadedSystem, callback: &str) -> Result<bool> {
     Ok(false)
 }
 
-pub(crate) fn label_of(process: &ProcessInfo) -> String {
+/// How a process is named to people.
+pub fn label_of(process: &ProcessInfo) -> String {
     format!("{} (process {})", process.program, process.pid)
 }
 
 /// Held by the process that is being admitted; the kernel releases it if that process dies.
 #[derive(Debug)]
-pub(crate) struct Gate(Option<File>);
+pub struct Gate(Option<File>);
 
 impl Gate {
     /// Locks the folder of a domain that this process has joined.
-    pub(crate) fn enter(domain: u32, mode: Admission) -> Result<Gate> {
+    ///
+    /// # Errors
+    /// [`SystemError::AdmissionBusy`], [`SystemError::Statistics`].
+    pub fn enter(domain: u32, mode: Admission) -> Result<Gate> {
         let path = shared_path(domain);
-        let folder = File::open(&path).map_err(Error::Statistics)?;
+        let folder = File::open(&path).map_err(SystemError::Statistics)?;
         let mut patience = Patience::new(PATIENCE);
         loop {
             match folder.try_lock() {
                 Ok(()) => break,
-                Err(TryLockError::Error(error)) => return Err(Error::Statistics(error)),
+                Err(TryLockError::Error(error)) => return Err(SystemError::Statistics(error)),
                 Err(TryLockError::WouldBlock) if !patience.is_over() => {
                     std::thread::sleep(Duration::from_millis(1));
                 }
                 Err(TryLockError::WouldBlock) if mode == Admission::Force => return Ok(Gate(None)),
                 Err(TryLockError::WouldBlock) => {
-                    return Err(Error::AdmissionBusy { domain, folder: path, waited: PATIENCE });
+                    return Err(SystemError::AdmissionBusy { domain, folder: path, waited: PATIENCE });
                 }
             }
         }
@@ -229,7 +233,10 @@ impl Drop for Gate {
 }
 
 /// Checks all that the file says of this host. The gate is to be held until others can read of it.
-pub(crate) fn admit_system(domain: u32, mode: Admission, system: &LoadedSystem) -> Result<(Gate, Admitted)> {
+///
+/// # Errors
+/// [`SystemError::NotAdmitted`], and those of [`Gate::enter`].
+pub fn admit_system(domain: u32, mode: Admission, system: &LoadedSystem) -> Result<(Gate, Admitted)> {
     let gate = Gate::enter(domain, mode)?;
     let running = Running::of_domain(domain)?;
     let label = system.label();
@@ -239,7 +246,10 @@ pub(crate) fn admit_system(domain: u32, mode: Admission, system: &LoadedSystem) 
 }
 
 /// Checks callbacks that are to be spawned on a thread with the settings `thread`. The gate is to be held until they are.
-pub(crate) fn admit_callbacks<'o>(
+///
+/// # Errors
+/// As [`admit_system`].
+pub fn admit_callbacks<'o>(
     domain: u32,
     mode: Admission,
     system: Option<&LoadedSystem>,
@@ -308,7 +318,11 @@ fn reservation_of(policy: Policy) -> Option<Reservation> {
     }
 }
 
-pub(crate) fn decide(
+/// Checks a candidate beside what runs; `what` names it, and `file` the file that it is.
+///
+/// # Errors
+/// [`SystemError::NotAdmitted`], unless `mode` is [`Admission::Force`].
+pub fn decide(
     domain: u32,
     mode: Admission,
     running: &Running,
@@ -336,7 +350,7 @@ pub(crate) fn decide(
         None => "`taut report` shows what runs".to_owned(),
     };
     let table = format!("{table}; TAUT_ADMISSION=force runs it all the same, and `taut report` says so");
-    Err(Error::NotAdmitted { what: what.to_owned(), domain, late, beside, table })
+    Err(SystemError::NotAdmitted { what: what.to_owned(), domain, late, beside, table })
 }
 
 fn late(broken: &[Broken]) -> String {
