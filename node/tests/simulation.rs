@@ -507,7 +507,7 @@ fn threads_begin_in_the_order_of_the_simulation() {
     }
     let seed = tautline_seed::seed();
     isolate();
-    let context = Context::builder().domain(230).realtime(Realtime::Required).build().unwrap();
+    let context = Context::builder().domain(229).realtime(Realtime::Required).build().unwrap();
     let _spinning = spin(&context);
     compare(&context, seed, 20, threads);
 }
