@@ -239,12 +239,13 @@ impl Jobs {
 
 /// The part of a system that is looked at, in the runtime.
 struct Real {
-    _node: Node,
-    publishers: HashMap<(usize, usize), Publisher<Number>>,
+    /// Jobs end when these are dropped, which is first, or the node would wait for them.
     orders: HashMap<usize, Sender<Command>>,
+    publishers: HashMap<(usize, usize), Publisher<Number>>,
     happened: Receiver<Step>,
     callbacks: HashMap<usize, CallbackHandle>,
     counters: Option<std::sync::Arc<JoinCounters>>,
+    _node: Node,
 }
 
 impl Real {
@@ -366,8 +367,9 @@ impl Real {
             }
         }
         for (callback, expected) in model.callbacks.iter().zip(&seen.unused) {
-            // A join at the pace of the fastest reads the others.
-            if callback.join.is_some_and(|(matching, _)| matching != Matching::LatestTime) {
+            // A join at the pace of the fastest reads the others. While a job is open, the runtime has yet to decide on the next set.
+            let is_idle = matches!(seen.steps.last(), Some((_, Step::Taken { .. })));
+            if is_idle && callback.join.is_some_and(|(matching, _)| matching != Matching::LatestTime) {
                 let inputs = self.counters.as_ref().unwrap().inputs();
                 let unused = || inputs.iter().map(|input| [input.dropped(), input.refused()]);
                 eventually(&format!("{expected:?} dropped and refused, {context}"), || {
@@ -486,7 +488,7 @@ fn compare(context: &Context, seed: u64, systems: usize, make: fn(&mut StdRng) -
 #[test]
 fn a_group_begins_what_the_simulation_begins() {
     let seed = tautline_seed::seed();
-    let context = context(61);
+    let context = context(231);
     let _spinning = spin(&context);
     compare(&context, seed, 30, group);
 }
@@ -494,7 +496,7 @@ fn a_group_begins_what_the_simulation_begins() {
 #[test]
 fn a_join_makes_the_sets_of_the_simulation() {
     let seed = tautline_seed::seed();
-    let context = context(62);
+    let context = context(232);
     let _spinning = spin(&context);
     compare(&context, seed, 40, join);
 }
@@ -506,7 +508,7 @@ fn threads_begin_in_the_order_of_the_simulation() {
     }
     let seed = tautline_seed::seed();
     isolate();
-    let context = Context::builder().domain(63).realtime(Realtime::Required).build().unwrap();
+    let context = Context::builder().domain(229).realtime(Realtime::Required).build().unwrap();
     let _spinning = spin(&context);
     compare(&context, seed, 20, threads);
 }
