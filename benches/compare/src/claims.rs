@@ -277,7 +277,7 @@ fn behind(experiment: &str, bytes: usize) -> Vec<(Metric, &'static str)> {
         ["robot", _, "at-once", ..] => of_robot(A_THREAD_EACH),
         ["robot", ..] => of_robot(TWO_WAKES),
         ["throughput", ..] if bytes >= LARGE => vec![(Metric::Interval, FILLING)],
-        ["throughput", ..] if bytes == 64 => vec![(Metric::Interval, BATCHES)],
+        ["throughput", ..] => vec![(Metric::Interval, BATCHES)],
         ["start-up", "100-topics", ..] => vec![(Metric::Start, CONNECTED)],
         ["start-up", ..] => vec![(Metric::Start, UNKNOWN)],
         _ => Vec::new(),
