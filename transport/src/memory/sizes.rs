@@ -81,10 +81,10 @@ impl Window {
         Window::of(Caches::of_machine())
     }
 
-    /// Both caches twice, and half of the one that is shared, if that is more than both.
+    /// Both caches twice, and a quarter of the one that is shared, if that is more than both.
     fn of(Caches { l2_bytes, l3_bytes }: Caches) -> Self {
-        let most_bytes = if l3_bytes / 2 > 2 * l2_bytes { l3_bytes / 2 } else { 0 };
-        Window { spare_bytes: (4 * l2_bytes).min(most_bytes / 2), most_bytes }
+        let most_bytes = if l3_bytes / 4 > 2 * l2_bytes { l3_bytes / 4 } else { 0 };
+        Window { spare_bytes: (4 * l2_bytes).min(most_bytes), most_bytes }
     }
 
     pub(crate) fn in_turn(self, sample_bytes: usize) -> usize {
@@ -159,7 +159,7 @@ mod tests {
             [64, 4 << 10, 16 << 10, 64 << 10, mib, 4 * mib, 8 * mib, 64 * mib]
                 .map(|body| window.in_turn(sample_bytes(body)))
         };
-        assert_eq!(in_turn(epyc), [1, 1, 1020, 256, 16, 4, 2, 1]);
+        assert_eq!(in_turn(epyc), [1, 1, 510, 128, 8, 2, 1, 1]);
         // Nothing is shared, or less than the cores have for themselves.
         for l3_bytes in [0, 2 * mib] {
             assert_eq!(
