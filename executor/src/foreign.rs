@@ -40,7 +40,7 @@ pub struct ForeignCallback {
 }
 
 impl ForeignCallback {
-    /// These options are used: name, period, deadline, budget, bound, and whether the execution time is measured.
+    /// These options are used: name, policy, cores, period, deadline, budget, bound, and whether the execution time is measured.
     ///
     /// # Real-time
     /// Setup only.
@@ -54,6 +54,11 @@ impl ForeignCallback {
         stats.set_bound(options.bound);
         stats.place(Some(file), kind::CALLBACK)?;
         stats.describe_jobs(options.period, options.execution_time);
+        if options.policy.realtime_priority().is_some() {
+            // What its thread is to be: admission counts it from here on. The first job says what it is.
+            let cores = options.cores.map_or_else(current_affinity, Ok).map_err(io::Error::other)?;
+            stats.set_thread(&ThreadInfo { tid: 0, name: String::new(), policy: options.policy, cores });
+        }
         Ok(ForeignCallback { stats: PiMutex::new(stats), measures_execution: options.execution_time })
     }
 

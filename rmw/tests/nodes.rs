@@ -709,6 +709,82 @@ fn threads_of_unchanged_executors_are_those_of_the_system_file() {
     assert_eq!(run("off"), ["/fast", "/slow", "/unlisted"].map(ordinary).concat());
 }
 
+/// Waits for words, subscribes to `/work` of a depth of 1, and lives until its input ends.
+const ADMITTED: &str = r#"
+import rclpy, sys
+from std_msgs.msg import String
+rclpy.init()
+node = rclpy.create_node(sys.argv[1])
+subscriptions = [node.create_subscription(String, topic, lambda m: None, 1) for topic in ("/work", "/unlisted")]
+print("runs", flush=True)
+sys.stdin.read()
+"#;
+
+/// Load is checked beside what runs, as that of Tautline's own nodes; what the file says of queues is set, and what it lacks is named.
+#[test]
+fn load_of_unchanged_nodes_is_admitted_or_refused() {
+    let Some(venv) = ros() else { return };
+    if let Err(error) = tautline_rt::permission::realtime_permitted(50) {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        return eprintln!("skipped: {error}");
+    }
+    let Some(domain) = Domain::new(90) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, wcet_ms: u32, priority: u8, more: &str| {
+        let path = folder.path().join(format!("{name}.toml"));
+        let text = format!(
+            "[hosts.here]\ncores = 1\nsampler_priority = 90\n[overheads]\nrclpy = \"1us\"\n[nodes.{name}]\nclient = \"rclpy\"\n[callbacks.{name}]\ntopic = \"/work\"\n\
+             wcet = \"{wcet_ms}ms\"\npriority = {priority}\ndeadline = \"60ms\"\n[topics.\"/work\"]\nperiod = \"10ms\"\n{more}"
+        );
+        std::fs::write(&path, text).unwrap();
+        path
+    };
+    let start = |path: &Path, name: &str, admission: &str| {
+        let said = tempfile::NamedTempFile::new().unwrap();
+        let mut command = Command::new(venv.join("bin/python"));
+        command.args(["-c", ADMITTED, name]).env("ROS_DOMAIN_ID", domain.number.to_string());
+        command.env("TAUT_SYSTEM", path).env("TAUT_ADMISSION", admission);
+        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        on_tautline(&mut command);
+        let output = said.reopen().unwrap();
+        command.stdin(Stdio::piped()).stdout(output.try_clone().unwrap()).stderr(output);
+        let mut process = command.spawn().unwrap();
+        let words = || std::fs::read_to_string(said.path()).unwrap();
+        wait_until("the node to run or end", || {
+            words().contains("runs\n") || process.try_wait().unwrap().is_some()
+        });
+        // Log lines come from a thread of their own.
+        if words().contains("runs\n") {
+            wait_until("its warnings", || words().contains("`/unlisted`"));
+        }
+        let text = words();
+        (process, text)
+    };
+    let end = |(mut process, text): (std::process::Child, String)| {
+        drop(process.stdin.take());
+        process.wait().unwrap();
+        text
+    };
+    let first = file("first", 6, 40, "jitter = \"25ms\"\n");
+    let second = file("second", 7, 50, "depth = \"auto\"\njitter = \"25ms\"\n");
+    let running = start(&first, "first", "check");
+    assert!(running.1.contains("`/work` has depth 1, but"), "{}", running.1);
+    // 6 + 7 > 10: at the lower priority, `first` has no bound, or is late.
+    let refused = end(start(&second, "second", "check"));
+    for part in ["second.toml is not admitted to domain 90", "callback `first` of", "its deadline is 60ms"] {
+        assert!(refused.contains(part), "{part}: {refused}");
+    }
+    let forced = end(start(&second, "second", "force"));
+    assert!(forced.contains("runs by force") && forced.contains("runs\n"), "{forced}");
+    assert!(!forced.contains("has depth 1, but"), "it was made deep enough: {forced}");
+    // The same file is one system; a callback of it that runs already is load once more.
+    let again = end(start(&first, "first", "check"));
+    assert!(again.contains("callback 'first'") && again.contains("is not admitted"), "{again}");
+    end(running);
+    let alone = end(start(&second, "second", "check"));
+    assert!(alone.contains("runs\n"), "what has ended leaves its place: {alone}");
+}
+
 /// Nothing was prepared: no system file, no trace.
 #[test]
 fn callbacks_of_any_node_of_rclpy_are_seen() {
@@ -747,7 +823,7 @@ fn a_system_file_is_used_or_what_is_wrong_with_it_is_said() {
         (output.status.success(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
     let file = tempfile::NamedTempFile::new().unwrap();
-    let hosts = "[hosts.a]\ncores = 1\n[hosts.b]\ncores = 1\n[nodes.n]\nclient = \"rclpy\"\nhost = \"a\"\n\
+    let hosts = "[overheads]\nrclpy = \"1us\"\ncontext_switch = \"1us\"\n[hosts.a]\ncores = 1\n[hosts.b]\ncores = 1\n[nodes.n]\nclient = \"rclpy\"\nhost = \"a\"\n\
                  [callbacks.c]\nperiod = \"1s\"\nwcet = \"1ms\"\n";
     std::fs::write(file.path(), hosts).unwrap();
     let path = file.path().to_str().unwrap();
@@ -758,9 +834,12 @@ fn a_system_file_is_used_or_what_is_wrong_with_it_is_said() {
     assert!(is_made && said.contains("has no callback of host `b`"), "{said}");
     let refused = [
         (&[file("/nowhere/system.toml")][..], "TAUT_SYSTEM: `/nowhere/system.toml` cannot be read"),
-        (&[file(path)], "has several hosts: set TAUT_HOST to one of a, b"),
-        (&[file(path), ("TAUT_HOST", "a"), ("TAUT_REALTIME", "of")], "TAUT_REALTIME is 'of': it may be"),
-        (&[file(path), ("TAUT_HOST", "c")], "has no host `c`: set TAUT_HOST to one of a, b"),
+        (&[file(path)], "has no host 'none': set TAUT_HOST, or `ContextBuilder::host`, to one of a, b"),
+        (
+            &[file(path), ("TAUT_HOST", "a"), ("TAUT_REALTIME", "of")],
+            "TAUT_REALTIME=of is not understood: it may be",
+        ),
+        (&[file(path), ("TAUT_HOST", "c")], "has no host 'c': set TAUT_HOST, or"),
     ];
     for (variables, why) in refused {
         let (is_made, said) = init(variables);
