@@ -6,8 +6,9 @@ use crate::error::{Error, Result};
 use std::cell::RefCell;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use tautline_analysis::file::CheckedCallback;
-use tautline_rt::{CoreSet, MemoryLock, RtError, ThreadBuilder};
+use tautline_analysis::file::{CheckedCallback, OverrunPolicy};
+use tautline_executor::foreign;
+use tautline_rt::{CoreSet, MemoryLock, Policy, RtError, ThreadBuilder};
 
 /// What the file states of a thread.
 #[derive(Debug)]
@@ -16,6 +17,8 @@ pub(crate) struct ThreadPlan {
     pub(crate) name: String,
     priority: u8,
     core: usize,
+    /// Whether a callback of it is held to its budget, which then has the thread for itself.
+    holds: bool,
     /// The last thread that became it; 0: none.
     tid: AtomicU32,
 }
@@ -33,7 +36,8 @@ static IS_WARNED: AtomicBool = AtomicBool::new(false);
 impl ThreadPlan {
     pub(crate) fn of(callback: &CheckedCallback) -> Self {
         let (name, priority) = (callback.entry.thread.clone(), callback.entry.priority);
-        ThreadPlan { name, priority, core: callback.core, tid: AtomicU32::new(0) }
+        let holds = callback.entry.overrun == OverrunPolicy::Demote;
+        ThreadPlan { name, priority, core: callback.core, holds, tid: AtomicU32::new(0) }
     }
 
     fn refused(&self, error: RtError) -> Error {
@@ -55,6 +59,7 @@ impl ThreadPlan {
         tautline_rt::prefault_stack(ThreadBuilder::STACK_BYTES / 4);
         tautline_rt::set_own_priority(self.priority).map_err(refuse)?;
         tautline_rt::set_affinity(CoreSet::one(self.core)).map_err(refuse)?;
+        foreign::hold_to_budgets(Policy::Fifo(self.priority), self.holds).map_err(refuse)?;
         let (tid, name) = (tautline_rt::current_tid(), &self.name);
         let former = self.tid.swap(tid, Ordering::Relaxed);
         if former != 0 && former != tid && tautline_rt::policy_of(former).is_ok() {

@@ -785,6 +785,70 @@ fn load_of_unchanged_nodes_is_admitted_or_refused() {
     assert!(alone.contains("runs\n"), "what has ended leaves its place: {alone}");
 }
 
+/// The first callback computes until it is demoted, the second was released before that one has ended; each tells its thread's policy.
+const OVERRUNNING: &str = r#"
+import os, rclpy, threading, time
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+rclpy.init()
+node, source, seen = rclpy.create_node("listener"), rclpy.create_node("source"), []
+def is_fifo(): return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+def heard(message):
+    seen.append(is_fifo())
+    end = time.thread_time() + 5
+    while message.data == "long" and is_fifo() and time.thread_time() < end: pass
+    seen.append(is_fifo())
+    started = []
+    thread = threading.Thread(target=lambda: started.append(is_fifo()))
+    thread.start()
+    thread.join()
+    seen.append(started[0])
+subscription = node.create_subscription(String, "/work", heard, 10)
+publisher = source.create_publisher(String, "/work", 10)
+while publisher.get_subscription_count() < 1: pass
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+for text in ("long", "waited", "later"):
+    # A wait ends the callback before.
+    if text == "later": executor.spin_once(timeout_sec=0)
+    publisher.publish(String(data=text))
+    count = len(seen)
+    while len(seen) == count: executor.spin_once()
+print(seen)
+rclpy.shutdown()
+"#;
+
+/// A callback that uses more than its budget is demoted until its executor waits again.
+#[test]
+fn an_unchanged_callback_is_held_to_its_budget() {
+    let Some(venv) = ros() else { return };
+    if let Err(error) = tautline_rt::permission::realtime_permitted(42) {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        return eprintln!("skipped: {error}");
+    }
+    reserve(91);
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let run = |overrun: &str| {
+        let text = format!(
+            "[hosts.here]\ncores = 1\nsampler_priority = 90\n[overheads]\nrclpy = \"20ms\"\n[nodes.listener]\nclient = \"rclpy\"\n[callbacks.work]\n\
+             topic = \"/work\"\nwcet = \"100ms\"\npriority = 40\noverrun = \"{overrun}\"\n[topics.\"/work\"]\nperiod = \"1s\"\n"
+        );
+        std::fs::write(file.path(), text).unwrap();
+        let mut command = Command::new(venv.join("bin/python"));
+        command.args(["-c", OVERRUNNING]).env("ROS_DOMAIN_ID", "91").env("TAUT_SYSTEM", file.path());
+        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        on_tautline(&mut command);
+        let output = command.output().unwrap();
+        [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap())
+    };
+    let [seen, errors] = run("demote");
+    assert_eq!(seen.trim(), "[True, False, False, False, False, False, True, True, False]", "{errors}");
+    let [seen, errors] = run("tell");
+    assert_eq!(seen.trim(), "[True, True, False, True, True, False, True, True, False]", "{errors}");
+    let [_, errors] = run("suspend");
+    assert!(errors.contains("say \"demote\" or \"tell\""), "{errors}");
+}
+
 /// Nothing was prepared: no system file, no trace.
 #[test]
 fn callbacks_of_any_node_of_rclpy_are_seen() {
