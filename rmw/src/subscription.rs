@@ -274,8 +274,9 @@ pub unsafe extern "C" fn rmw_create_subscription(
             let flows = options.require_unique_network_flow_endpoints;
             (options, EndpointArgs::new(node, support, topic, profile, flows)?)
         };
-        let wanted = asked.qos(EndpointRole::Subscription)?;
+        let mut wanted = asked.qos(EndpointRole::Subscription)?;
         let EndpointArgs { node, message_type, name, profile } = asked;
+        node.context().system.set_depth(&node.full_name, name, &mut wanted);
         let raw = node.participant.create_raw_subscription(
             name,
             &message_type.topic_type,

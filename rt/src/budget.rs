@@ -92,6 +92,8 @@ pub struct RemainingBudget {
 #[derive(Debug)]
 pub struct OwnPriority {
     is_round_robin: bool,
+    /// The kernel's flag for threads that start ordinary threads, which one without privileges cannot clear.
+    flags: libc::c_int,
     priority: AtomicU8,
     /// Set before the thread lowers its own priority, and cleared before it gets its priority back.
     lowered: AtomicBool,
@@ -108,10 +110,16 @@ impl OwnPriority {
     pub fn new(policy: Policy) -> OwnPriority {
         OwnPriority {
             is_round_robin: matches!(policy, Policy::RoundRobin(_)),
+            flags: 0,
             priority: AtomicU8::new(policy.realtime_priority().unwrap_or(1)),
             lowered: AtomicBool::new(false),
             enforced: OnceLock::new(),
         }
+    }
+
+    /// That of a thread that got it with [`set_own_priority`](crate::set_own_priority): what it starts is ordinary.
+    pub fn with_ordinary_children(policy: Policy) -> OwnPriority {
+        OwnPriority { flags: libc::SCHED_RESET_ON_FORK, ..OwnPriority::new(policy) }
     }
 
     /// The policy that the thread has, or gets back after a demotion.
@@ -129,7 +137,7 @@ impl OwnPriority {
         // Whoever changes it later sets it, too.
         for _ in 0..8 {
             let policy = self.policy();
-            if !schedule(policy) || self.policy() == policy {
+            if !schedule(policy, self.flags) || self.policy() == policy {
                 return;
             }
         }
@@ -393,7 +401,7 @@ fn demote(state: &HandlerState) {
     // SAFETY: set by `BudgetTimer::new` to what that keeps, and to null before it lets go of it, in this thread.
     let Some(own) = (unsafe { state.own.get().as_ref() }) else { return };
     own.lowered.store(true, Ordering::SeqCst);
-    if schedule(Policy::Other { nice: 0 }) {
+    if schedule(Policy::Other { nice: 0 }, own.flags) {
         state.demoted.store(true, Ordering::Relaxed);
     } else {
         own.lowered.store(false, Ordering::SeqCst);
@@ -432,7 +440,7 @@ fn suspend(state: &HandlerState, budget_ns: u64) {
 }
 
 /// Sets the policy of this thread, by the bare system call: for a signal handler.
-fn schedule(policy: Policy) -> bool {
+fn schedule(policy: Policy, flags: libc::c_int) -> bool {
     let (class, priority) = match policy {
         Policy::Fifo(priority) => (libc::SCHED_FIFO, priority),
         Policy::RoundRobin(priority) => (libc::SCHED_RR, priority),
@@ -440,7 +448,7 @@ fn schedule(policy: Policy) -> bool {
     };
     let param = libc::sched_param { sched_priority: priority.into() };
     // SAFETY: `param` outlives the call; 0 is the calling thread.
-    unsafe { libc::syscall(libc::SYS_sched_setscheduler, 0, class, &raw const param) == 0 }
+    unsafe { libc::syscall(libc::SYS_sched_setscheduler, 0, class | flags, &raw const param) == 0 }
 }
 
 /// The process's signal for this, with its handler.
