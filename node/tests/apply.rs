@@ -8,7 +8,9 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use common::realtime;
-use tautline::{CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Policy, SystemError, apply_system};
+use tautline::{
+    CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Policy, SystemError, apply_system,
+};
 use tautline_rt::{policy_of, set_policy_of};
 
 const DOMAIN: u32 = 98;
