@@ -592,8 +592,16 @@ fn a_callback_that_is_demoted_costs_what_the_file_says_and_has_a_thread_of_its_o
     );
     let grouped = overrun("overrun = \"demote\"\ngroup = \"g\"") + "[groups.g]\n";
     expect(&grouped, &[(19, "callback `plan` has `overrun = \"demote\"`, but shares its thread")]);
-    let foreign = overrun("overrun = \"demote\"").replace("core = 1", "core = 1\nclient = \"rclcpp\"");
-    expect(&foreign, &[(20, "is run by an executor of ROS 2's")]);
+    let foreign = |policy: &str| {
+        overrun(&format!("overrun = \"{policy}\"")).replace("core = 1", "core = 1\nclient = \"rclcpp\"")
+    };
+    assert!(SystemFile::parse(&foreign("demote")).is_ok());
+    for policy in ["suspend", "end"] {
+        expect(&foreign(policy), &[(20, "which can neither sleep nor end in a callback: say \"demote\"")]);
+    }
+    let timer = "[hosts.h]\ncores = 1\n[nodes.n]\nclient = \"rclpy\"\n[callbacks.t]\nperiod = \"1s\"\nwcet = \"1ms\"\n\
+                 overrun = \"demote\"\n";
+    expect(timer, &[(8, "is a timer of ROS 2's")]);
     let locked = overrun("overrun = \"suspend\"\nlocks = [{ resource = \"map\", length = \"1ms\" }]");
     expect(&locked, &[(19, "callback `plan` has `overrun = \"suspend\"`, but takes locks")]);
 }
