@@ -716,8 +716,9 @@ fn delay(task: &Task, own: &Demand, overheads: &Overheads) -> Result<Demand, Ana
         if task.hold == Hold::Nothing {
             return Ok(own.clone());
         }
-        // A budget has room for all work per message, of which the sampler does a part besides.
-        let mut budget = own.cost_ns.checked_add(task.per_message_ns(overheads));
+        // A budget has room for all work per message, of which the sampler does a part besides; once it is used up, another thread is switched to.
+        let more = task.per_message_ns(overheads).saturating_add(overheads.context_switch_ns);
+        let mut budget = own.cost_ns.checked_add(more);
         let release = match task.hold {
             Hold::Demoted { section_ns } => {
                 budget = budget.and_then(|budget| budget.checked_add(section_ns));

@@ -45,6 +45,8 @@ pub struct Task {
     /// The time that an executor of a library other than Tautline uses for each job, in the task's thread: in rclcpp, to wait, to
     /// find what is ready, and to take it. Used only by the analyses that take [`Overheads`].
     pub executor_overhead_ns: u64,
+    /// How often a job may wait for a lock that inherits priorities: each time it switches to the holder and back.
+    pub lock_waits: u64,
     /// What happens to a job that uses more than is charged for it.
     pub hold: Hold,
     /// The most messages that its queue keeps, if that is known; a timer keeps one release. Of a task that is held to its budget: as many
@@ -136,6 +138,7 @@ impl Task {
             rank: 0,
             message_overhead_ns: None,
             executor_overhead_ns: 0,
+            lock_waits: 0,
             hold: Hold::Nothing,
             depth: None,
             unordered: false,
@@ -209,9 +212,11 @@ impl Task {
         self
     }
 
-    /// What one job costs its thread: its execution time, two context switches, and what its executor uses.
+    /// What one job costs its thread: its execution time, two context switches, two for each lock that it waits for, and what its executor
+    /// uses.
     pub(crate) fn charged_ns(&self, overheads: &Overheads) -> u64 {
-        let switches = overheads.context_switch_ns.saturating_mul(2);
+        let switches =
+            overheads.context_switch_ns.saturating_mul(self.lock_waits.saturating_add(1).saturating_mul(2));
         self.wcet_ns.saturating_add(switches).saturating_add(self.executor_overhead_ns)
     }
 

@@ -342,6 +342,23 @@ fn locks_and_groups() {
     expect(&across, &[(21, "`map` is locked by callbacks `scan` and `drive` on different cores")]);
     let alone = with("wcet = \"2ms\"", "wcet = \"2ms\"\ngroup = \"sensor\"");
     expect(&alone, &[(14, "in group `sensor`, which is not in [groups]: add [groups.sensor]")]);
+    // An executor of ROS 2 is one thread for the callbacks of several nodes.
+    let group = |driver: &str, control: &str| {
+        let text = GOOD.replace("wcet = \"1ms\"", "wcet = \"1ms\"\ngroup = \"main\"");
+        let text = text.replace("wcet = \"2ms\"", "wcet = \"2ms\"\ngroup = \"main\"");
+        let text = text.replacen("core = 0", driver, 1).replacen("core = 1", control, 1);
+        text.replace("[[chains]]", "[groups.main]\n[[chains]]")
+    };
+    let ros = "core = 0\nclient = \"rclcpp\"";
+    expect(&group(ros, "core = 0\nclient = \"rclpy\""), &[]);
+    expect(
+        &group(ros, "core = 0"),
+        &[(22, "`scan` and `drive` of group `main` are not of one node: only an executor of ROS 2")],
+    );
+    expect(
+        &group(ros, "core = 1\nclient = \"rclcpp\""),
+        &[(23, "`scan` and `drive` of group `main` are not on one core: a group is one thread")],
+    );
 }
 
 #[test]
@@ -575,8 +592,16 @@ fn a_callback_that_is_demoted_costs_what_the_file_says_and_has_a_thread_of_its_o
     );
     let grouped = overrun("overrun = \"demote\"\ngroup = \"g\"") + "[groups.g]\n";
     expect(&grouped, &[(19, "callback `plan` has `overrun = \"demote\"`, but shares its thread")]);
-    let foreign = overrun("overrun = \"demote\"").replace("core = 1", "core = 1\nclient = \"rclcpp\"");
-    expect(&foreign, &[(20, "is run by an executor of ROS 2's")]);
+    let foreign = |policy: &str| {
+        overrun(&format!("overrun = \"{policy}\"")).replace("core = 1", "core = 1\nclient = \"rclcpp\"")
+    };
+    assert!(SystemFile::parse(&foreign("demote")).is_ok());
+    for policy in ["suspend", "end"] {
+        expect(&foreign(policy), &[(20, "which can neither sleep nor end in a callback: say \"demote\"")]);
+    }
+    let timer = "[hosts.h]\ncores = 1\n[nodes.n]\nclient = \"rclpy\"\n[callbacks.t]\nperiod = \"1s\"\nwcet = \"1ms\"\n\
+                 overrun = \"demote\"\n";
+    expect(timer, &[(8, "is a timer of ROS 2's")]);
     let locked = overrun("overrun = \"suspend\"\nlocks = [{ resource = \"map\", length = \"1ms\" }]");
     expect(&locked, &[(19, "callback `plan` has `overrun = \"suspend\"`, but takes locks")]);
 }

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Groups with `order = "priority"`: a thread that always runs the waiting callback with the highest rank next. Bounds are compared with a
-//! schedule that is worked out by hand, and with schedules of random systems, which a simulation of its own plays.
+//! schedule that is worked out by hand; runtime.rs has random systems.
 
-use rand::{Rng, RngExt};
 use std::fmt::Write;
 use tautline_analysis::file::SystemFile;
 
@@ -66,54 +65,6 @@ fn bounds(case: &Case) -> Vec<Option<u64>> {
         .collect()
 }
 
-/// The longest response of each callback of the group until `until`, with these first releases: all at their whole wcet.
-fn simulate(case: &Case, first: &[u64], until: u64) -> Vec<u64> {
-    let group = case.group.len();
-    let period = |i: usize| if i < group { case.group[i].period } else { case.others[i - group].0 };
-    let wcet = |i: usize| if i < group { case.group[i].wcet } else { case.others[i - group].1 };
-    let rank = |i: usize| case.group[i].rank;
-    // Released and not ended: who, when, what is left.
-    let mut ready: Vec<(usize, u64, u64)> = Vec::new();
-    let mut next = first.to_vec();
-    let mut longest = vec![0; group];
-    // What was reported together, and is run before the thread waits again.
-    let mut round: Vec<(usize, u64)> = Vec::new();
-    for now in 0..until {
-        for (i, next) in next.iter_mut().enumerate().filter(|(_, next)| **next == now) {
-            ready.push((i, now, wcet(i)));
-            *next += period(i);
-        }
-        if round.is_empty() {
-            let of_group = || ready.iter().filter(|(i, ..)| *i < group);
-            let highest = of_group().map(|(i, ..)| rank(*i)).max();
-            let mut of_highest: Vec<_> = of_group().filter(|(i, ..)| Some(rank(*i)) == highest).collect();
-            // One job of each, its oldest, in the order of creation.
-            of_highest.sort_by_key(|(i, since, _)| (*i, *since));
-            of_highest.dedup_by_key(|(i, ..)| *i);
-            round = of_highest.into_iter().rev().map(|(i, since, _)| (*i, *since)).collect();
-        }
-        let chosen = round.last().and_then(|job| ready.iter().position(|(i, since, _)| (*i, *since) == *job));
-        let other = |is_above: bool| {
-            let of = ready
-                .iter()
-                .enumerate()
-                .filter(|(_, (i, ..))| *i >= group && case.others[i - group].2 == is_above);
-            of.max_by_key(|(_, (i, ..))| *i).map(|(at, _)| at)
-        };
-        let Some(at) = other(true).or(chosen).or(other(false)) else { continue };
-        ready[at].2 -= 1;
-        let (i, since, left) = ready[at];
-        if left == 0 {
-            if i < group {
-                longest[i] = longest[i].max(now + 1 - since);
-                round.pop();
-            }
-            ready.swap_remove(at);
-        }
-    }
-    longest
-}
-
 #[test]
 fn the_highest_waits_for_one_job_and_the_lowest_for_all() {
     let callback = |period, wcet, rank| Callback { period, wcet, rank };
@@ -139,53 +90,6 @@ fn the_highest_waits_for_one_job_and_the_lowest_for_all() {
         others: vec![(50, 5, true), (1000, 500, false)],
     };
     assert_eq!(bounds(&case), [Some(45), Some(45)]);
-}
-
-#[test]
-fn no_schedule_is_longer_than_its_bound() {
-    let (mut random, mut compared, mut reached) = (tautline_seed::random(), 0, 0);
-    for _ in 0..400 {
-        let case = made_up(&mut random);
-        let bounds = bounds(&case);
-        let all = case.group.len() + case.others.len();
-        let mut longest = vec![0; case.group.len()];
-        for _ in 0..20 {
-            let first: Vec<u64> = (0..all).map(|_| random.random_range(0..60)).collect();
-            let found = simulate(&case, &first, 1500);
-            longest.iter_mut().zip(found).for_each(|(longest, found)| *longest = found.max(*longest));
-        }
-        for (bound, longest) in bounds.iter().zip(&longest) {
-            let Some(bound) = bound else { continue };
-            assert!(longest <= bound, "{longest} > {bound}: {case:?}\n{bounds:?}");
-            compared += 1;
-            reached += u64::from(longest * 10 >= bound * 8);
-        }
-    }
-    println!(
-        "{compared} bounds, {reached} of them within a quarter above the longest response that was found"
-    );
-    assert!(compared > 500 && reached * 4 > compared, "{reached} of {compared}");
-}
-
-fn made_up(random: &mut impl Rng) -> Case {
-    let mut left = 900;
-    let mut share = |random: &mut dyn FnMut(u64) -> u64, period: u64| {
-        let wcet = (1 + random(20)).min(left * period / 1000).max(1);
-        left = left.saturating_sub(wcet * 1000 / period);
-        wcet
-    };
-    let mut below = |most: u64| random.random_range(0..most);
-    let group = (0..2 + below(4)).map(|_| {
-        let period = 40 + below(100);
-        let rank = 1 + below(4) as u8;
-        Callback { period, wcet: share(&mut below, period), rank }
-    });
-    let group = group.collect();
-    let others = (0..below(3)).map(|_| {
-        let period = 40 + below(100);
-        (period, share(&mut below, period), below(2) == 0)
-    });
-    Case { others: others.collect(), group }
 }
 
 #[test]

@@ -189,6 +189,25 @@ fn who_waits_for_a_lock_pays_for_two_switches_more() {
     covers(&checked, response(&checked, "high"), 8.0);
 }
 
+/// The lower one runs from 1 on and takes the lock. The higher one comes at once, runs from 2 on and waits; the lower one has its section from 3 to 6, the
+/// higher one runs from 7 to 9, and the lower one has its last 2 ms from 10 to 12.
+#[test]
+fn who_holds_a_lock_pays_for_the_switches_of_who_waits() {
+    let checked = case!("inheritance_switches");
+    covers(&checked, response(&checked, "low"), 12.0);
+}
+
+/// `low` runs from 1 on. `held` comes at 1 and at 11: 1 ms to switch to it, 2 ms until its budget is used up, 1 ms to switch back.
+#[test]
+fn a_budget_ends_with_a_switch_to_another() {
+    let text = "[hosts.h]\ncores = 1\n[overheads]\ncontext_switch = \"1ms\"\n[nodes.n]\n\
+                [callbacks.held]\nperiod = \"10ms\"\nwcet = \"1ms\"\npriority = 50\noverrun = \"suspend\"\n\
+                [callbacks.low]\nperiod = \"100ms\"\nwcet = \"10ms\"\npriority = 30\n";
+    covers(&check(text), response(&check(text), "low"), 19.0);
+    let text = text.replace("suspend", "demote");
+    covers(&check(&text), response(&check(&text), "low"), 19.0);
+}
+
 #[test]
 fn interrupts_and_throttling_do_not_wait_for_a_section() {
     let checked = case!("tail_and_ticks");
@@ -231,6 +250,14 @@ fn a_message_that_others_overtake_waits_for_them() {
 #[test]
 fn a_value_that_overtakes_the_next_is_a_period_older() {
     let checked = case!("reordering_network_and_early_jobs");
+    covers(&checked, checked.chains[0].age_ns.map(ms), 0.2239);
+}
+
+/// The message of 0 is sent at 24 and comes at 84, that of 60 is sent at 61 and comes at 63: the value that is made of the first is written last, at 91,
+/// and stays until that of the third, sent at 144, is written at 211. A reader that starts just before ends at 224.
+#[test]
+fn a_value_made_of_an_overtaken_message_is_a_period_older() {
+    let checked = case!("reordering_network_before_a_register");
     covers(&checked, checked.chains[0].age_ns.map(ms), 0.2239);
 }
 

@@ -1,102 +1,26 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The bridge: joins both domains and starts its threads.
 
+use crate::error::BridgeError;
 use crate::incoming::Incoming;
+use crate::options::Options;
 use crate::outgoing::{Outgoing, Ros};
 use crate::rcl::{
-    Context, GraphGuard, GuardCondition, Node, RclError, RosSubscription, SerializedMessage, WaitSet,
-    Waitable, rmw_implementation,
+    Context, GraphGuard, GuardCondition, Node, RosSubscription, SerializedMessage, WaitSet, Waitable,
+    rmw_implementation,
 };
 use crate::ros::RosSide;
 use crate::ros_graph::BRIDGE_PREFIX;
 use crate::services::RosServices;
-use crate::stats::Stats;
+use crate::stats::{BridgeState, Stats};
 use crate::table::{self, OwnTable, Tables};
 use crate::threads;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, mpsc};
 use std::time::Duration;
-use tautline_relay::{
-    Budget, Event, Guard, Instance, InstanceError, InstanceLock, MirrorControl, Parts, RelayError, Rules,
-    Services, watch_domain,
-};
-use tautline_rt::{JoinHandle, Realtime, RtError, ThreadInfo};
-use tautline_transport::{Participant, RemoteGraph, TransportError};
-
-/// Options of a bridge. Every field has a default.
-#[derive(Clone, Debug)]
-pub struct Options {
-    /// Tautline's domain.
-    pub domain: u32,
-    /// ROS's domain; `None`: `ROS_DOMAIN_ID`, else 0.
-    pub ros_domain: Option<u32>,
-    /// The topics to bridge.
-    pub rules: Rules,
-    /// The services to bridge.
-    pub services: Rules,
-    /// Whether endpoints that gateways and other bridges announce in the domain are mirrored into ROS.
-    pub transit: bool,
-    /// `SCHED_FIFO` priority of the threads that carry messages, at least 3. The RMW's threads run one below, the bridge's
-    /// other threads two below. It must be below the sampler's (90) and above the callbacks'.
-    pub priority: u8,
-    /// Whether real-time priorities are required.
-    pub realtime: Realtime,
-    /// Processor budget at these priorities; `None`: no limit.
-    pub budget: Option<Budget>,
-}
-
-impl Options {
-    /// Default of [`Options::priority`].
-    pub const PRIORITY: u8 = 80;
-    /// Default of [`Options::budget`]: half a core.
-    pub const BUDGET: Budget = Budget { percent: 50 };
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        let rules = Rules { auto: true, ..Rules::default() };
-        Options {
-            domain: 0,
-            ros_domain: None,
-            services: rules.clone(),
-            rules,
-            transit: true,
-            priority: Self::PRIORITY,
-            realtime: Realtime::Required,
-            budget: Some(Self::BUDGET),
-        }
-    }
-}
-
-/// Why a bridge could not start.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum BridgeError {
-    /// Another bridge already joins these domains, or the lock file failed.
-    #[error(transparent)]
-    Instance(#[from] InstanceError),
-    /// The type support for the table that bridges exchange could not be loaded.
-    #[error("bridges cannot announce their endpoints to each other: {0}")]
-    Table(String),
-    /// rcl or the RMW failed.
-    #[error("{0}; source ROS 2, and unset RMW_IMPLEMENTATION or set it to an installed RMW")]
-    Ros(#[from] RclError),
-    /// Shared memory of the domain failed.
-    #[error(transparent)]
-    Transport(#[from] TransportError),
-    /// A thread could not start.
-    #[error(transparent)]
-    Threads(#[from] RtError),
-}
-
-impl From<RelayError> for BridgeError {
-    fn from(error: RelayError) -> Self {
-        match error {
-            RelayError::Transport(error) => error.into(),
-            RelayError::Rt(error) => error.into(),
-        }
-    }
-}
+use tautline_relay::{Event, Guard, Instance, InstanceLock, MirrorControl, Parts, Services, watch_domain};
+use tautline_rt::{JoinHandle, Realtime, ThreadInfo};
+use tautline_transport::{Participant, RemoteGraph};
 
 /// A running bridge. Dropping it removes its endpoints and nodes and ends its threads.
 pub struct Bridge {
@@ -109,20 +33,6 @@ pub struct Bridge {
     // Dropped before the participant, which removes the folder of the lock file.
     _lock: InstanceLock,
     _participant: Participant,
-}
-
-/// State that [`Bridge`] reads.
-pub(crate) struct BridgeState {
-    pub(crate) stop: AtomicBool,
-    /// [`Stats::returned`].
-    pub(crate) returned: AtomicU64,
-    stats: Mutex<Stats>,
-}
-
-impl BridgeState {
-    pub(crate) fn stats(&self) -> MutexGuard<'_, Stats> {
-        self.stats.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 /// Capacity of the event queue. If it is full, the graphs are read anyway.

@@ -315,7 +315,8 @@ impl<'t> Reader<'t> {
         };
         let number = number.filter(|number| (least..=most).contains(number));
         number.and_then(|number| number.try_into().ok()).or_else(|| {
-            let message = format!("`{key}` is {}: write a whole number from {least} to {most}", shown(value));
+            let message =
+                format!("`{key}` is {}: write a whole number from {least} to {most}", described(value));
             self.refuse(value, message)
         })
     }
@@ -329,7 +330,7 @@ impl<'t> Reader<'t> {
         };
         number.filter(|rate| (1e-3..=1e6).contains(rate)).or_else(|| {
             let what = "messages per second, from 0.001 to 1000000";
-            self.refuse(value, format!("`max_rate_hz` is {}: write {what}", shown(value)))
+            self.refuse(value, format!("`max_rate_hz` is {}: write {what}", described(value)))
         })
     }
 
@@ -347,7 +348,10 @@ impl<'t> Reader<'t> {
         chosen.map(|(_, chosen)| *chosen).or_else(|| {
             let names: Vec<String> = choices.iter().map(|(name, _)| format!("\"{name}\"")).collect();
             let (last, others) = names.split_last()?;
-            self.refuse(value, format!("`{key}` is {}: write {} or {last}", shown(value), others.join(", ")))
+            self.refuse(
+                value,
+                format!("`{key}` is {}: write {} or {last}", described(value), others.join(", ")),
+            )
         })
     }
 
@@ -383,7 +387,7 @@ impl<'t> Reader<'t> {
     }
 }
 
-fn shown(value: &Value<'_>) -> String {
+fn described(value: &Value<'_>) -> String {
     match value.get_ref() {
         DeValue::String(text) => format!("\"{text}\""),
         DeValue::Integer(number) => number.as_str().to_owned(),

@@ -4,12 +4,13 @@
 //! The RMW's queue is the only one, with the depth of the QoS: there is no second queue before the loan that could overflow. A
 //! message is taken into a buffer of rmw's, validated there, and copied once, into a loan.
 
-use crate::bridge::{BridgeError, BridgeState};
+use crate::error::BridgeError;
 use crate::outgoing::ENCAPSULATION;
 use crate::rcl::{
     Context, GuardCondition, RclError, RosMessageInfo, RosSubscription, SerializedMessage, WaitSet, Waitable,
 };
-use crate::ros_graph::NAME_TIME;
+use crate::stats::BridgeState;
+use crate::table::NAME_TIME;
 use std::collections::HashMap;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, mpsc};
@@ -66,11 +67,11 @@ impl Incoming {
 
     /// Takes from `subscription` from now on, in place of the key's previous route.
     pub(crate) fn open(&self, key: InKey, subscription: RosSubscription, ingress: Ingress) {
-        self.worker.tell(Box::new(move |incoming| incoming.open(key, subscription, ingress)));
+        self.worker.send(Box::new(move |incoming| incoming.open(key, subscription, ingress)));
     }
 
     pub(crate) fn change(&self, key: InKey, change: IngressUpdate) {
-        self.worker.tell(Box::new(move |incoming| {
+        self.worker.send(Box::new(move |incoming| {
             if let Some((_, route)) = incoming.routes.iter_mut().find(|(other, _)| *other == key) {
                 route.ingress.change(change);
             }
@@ -78,7 +79,7 @@ impl Incoming {
     }
 
     pub(crate) fn close(&self, key: InKey) {
-        self.worker.tell(Box::new(move |incoming| drop(incoming.end(&key))));
+        self.worker.send(Box::new(move |incoming| drop(incoming.end(&key))));
     }
 }
 
@@ -131,7 +132,7 @@ impl Loop {
                 if is_ready || route.has_more {
                     route.serve(&mut self.buffer, &self.state);
                 }
-                route.look();
+                route.drop_expired();
             }
         }
     }
@@ -206,7 +207,7 @@ impl IngressRoute {
     }
 
     fn receive(&mut self, bytes: &[u8], info: RosMessageInfo) {
-        if self.ingress.leaves(&info.gid) {
+        if self.ingress.ignores(&info.gid) {
             return;
         }
         if info.sequence_number.is_none() {
@@ -233,12 +234,12 @@ impl IngressRoute {
     }
 
     /// Ends expired waits.
-    fn look(&mut self) {
+    fn drop_expired(&mut self) {
         // Not before the queue was empty.
         if !self.has_more {
             self.previous.retain(|(_, until)| Instant::now() < *until);
         }
-        self.ingress.look();
+        self.ingress.drop_expired();
     }
 }
 

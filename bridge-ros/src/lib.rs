@@ -12,7 +12,9 @@
 
 mod bridge;
 mod config;
+mod error;
 mod incoming;
+mod options;
 mod outgoing;
 mod qos;
 mod rcl;
@@ -25,8 +27,10 @@ mod table;
 mod threads;
 mod types;
 
-pub use bridge::{Bridge, BridgeError, Options};
+pub use bridge::Bridge;
 pub use config::{Config, ConfigError, Problem};
+pub use error::BridgeError;
+pub use options::Options;
 pub use rcl::{RclError, ignore_own_endpoints};
 pub use ros_graph::BRIDGE_PREFIX;
 pub use stats::{Direction, IncompatibleQos, ServiceNames, ServiceStats, Stats, TopicNames, TopicStats};

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The ROS 2 graph as the other side of a mirror.
 
-use crate::bridge::{BridgeState, Options};
 use crate::incoming::{self, Incoming};
+use crate::options::Options;
 use crate::outgoing::{Ros, Writer};
 use crate::rcl::{Node, RosPublisher, RosSubscription};
 use crate::ros_graph::{self, RosGraph};
 use crate::services::{Nodes, RosServices};
 use crate::shown::ShownNodes;
-use crate::stats::{IncompatibleQos, ServiceNames, TopicNames};
+use crate::stats::{BridgeState, IncompatibleQos, ServiceNames, TopicNames};
 use crate::table::{OriginTable, OwnTable, Tables};
 use crate::types::Types;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -98,7 +98,7 @@ impl RosSide {
 
     /// Services and clients in ROS, without this bridge's, each with its announcer.
     fn read_services(&mut self, here: &LocalGraph) -> Vec<(ServiceEndpoint, u128)> {
-        let others = self.graph.nodes.iter().filter(|node| !self.shown.has(node));
+        let others = self.graph.nodes.iter().map(|(node, _)| node).filter(|node| !self.shown.has(node));
         let mut ends = ros_graph::services(&self.node, others, &self.place);
         let tables = &self.graph.tables;
         let told = || {
@@ -132,7 +132,12 @@ impl RosSide {
     }
 
     /// Announces to other bridges of the ROS domain what this bridge's endpoints mirror.
-    fn tell_bridges(&mut self, here: &LocalGraph, transit: &Transit, writers: &Writers<ProxyPublisher>) {
+    fn announce_to_bridges(
+        &mut self,
+        here: &LocalGraph,
+        transit: &Transit,
+        writers: &Writers<ProxyPublisher>,
+    ) {
         let announced = |origin| transit.announced(origin);
         let mut processes = HashMap::new();
         let mut of_node = |node: &Option<NodeName>, pid: Option<u32>| {
@@ -143,14 +148,15 @@ impl RosSide {
             writers.iter().map(|(_, gid, proxy)| (gid, proxy.writer.publisher.gid())).collect();
         let mut graph = RemoteGraph::default();
         graph.nodes.extend(here.nodes.iter().filter_map(|node| {
-            Some(RemoteNode { name: node.name.clone(), origin: announced(&node.origin)? })
+            let (name, enclave) = (node.name.clone(), node.enclave.clone());
+            Some(RemoteNode { name, enclave, origin: announced(&node.origin)? })
         }));
         for end in &here.endpoints {
             let (gid, way) = match end.kind {
                 EndpointKind::Publisher => (stand_ins.get(&end.gid).copied(), Direction::Out),
                 EndpointKind::Subscription => (Some(end.gid), Direction::In),
             };
-            let choice = self.rules.choice(&end.topic).filter(|choice| choice.goes(way));
+            let choice = self.rules.choice(&end.topic).filter(|choice| choice.allows(way));
             let (Some(origin), Some(gid), Some(choice)) = (announced(&end.origin), gid, choice) else {
                 continue;
             };
@@ -162,12 +168,12 @@ impl RosSide {
                 ServiceKind::Server => Direction::Out,
                 ServiceKind::Client => Direction::In,
             };
-            let choice = self.service_rules.choice(&end.name).filter(|choice| choice.goes(way));
+            let choice = self.service_rules.choice(&end.name).filter(|choice| choice.allows(way));
             let (Some(origin), Some(choice)) = (announced(&end.origin), choice) else { continue };
             let (name, node) = (choice.far_topic, of_node(&end.node, end.pid));
             graph.services.push(ServiceEndpoint { name, node, origin, ..(**end).clone() });
         }
-        if let Err(reason) = self.own_table.say(OriginTable { bridge: here.own, graph }) {
+        if let Err(reason) = self.own_table.publish(OriginTable { bridge: here.own, graph }) {
             tracing::warn!("endpoints are not announced to other bridges of the ROS domain: {reason}");
         }
     }
@@ -182,11 +188,11 @@ impl FarSide for RosSide {
     type Services = RosServices;
     const PATIENCE: Option<Duration> = None;
 
-    fn hear(&mut self, (): ()) -> bool {
+    fn handle(&mut self, (): ()) -> bool {
         true
     }
 
-    fn look(&mut self, here: &LocalGraph) -> Result<FarGraph, String> {
+    fn read_graph(&mut self, here: &LocalGraph) -> Result<FarGraph, String> {
         self.graph.read(&self.node, &self.place, &self.tables).map_err(|error| error.to_string())?;
         self.endpoint_count = self.graph.endpoints.len();
         Ok(FarGraph {
@@ -200,20 +206,20 @@ impl FarSide for RosSide {
 
     fn prepare(&mut self, _: &mut LocalGraph, _: &Transit) {}
 
-    fn show(&mut self, here: &LocalGraph, transit: &Transit) -> Nodes {
+    fn update_services(&mut self, here: &LocalGraph, transit: &Transit) -> Nodes {
         let announced = here.nodes.iter().filter(|node| transit.announced(&node.origin).is_some());
         let (own, others): (Vec<_>, Vec<_>) = announced.partition(|node| node.origin.is_here());
         let shown = own.into_iter().chain(others.into_iter().take(MOST_SHOWN));
         self.shown.update(&self.node, shown.map(|node| &node.name));
-        self.shown()
+        self.service_context()
     }
 
-    fn shown(&self) -> Nodes {
+    fn service_context(&self) -> Nodes {
         self.shown.by_name()
     }
 
-    fn tell(&mut self, here: &LocalGraph, transit: &Transit, writers: &Writers<ProxyPublisher>) {
-        self.tell_bridges(here, transit, writers);
+    fn announce(&mut self, here: &LocalGraph, transit: &Transit, writers: &Writers<ProxyPublisher>) {
+        self.announce_to_bridges(here, transit, writers);
     }
 
     fn tick(&mut self, writers: &mut Writers<ProxyPublisher>) -> bool {
@@ -265,8 +271,8 @@ impl FarSide for RosSide {
         self.incoming.close(key.clone());
     }
 
-    fn told_gid(end: &ServiceEndpoint) -> Gid {
-        ros_graph::told_gid(end.origin.tag)
+    fn announced_gid(end: &ServiceEndpoint) -> Gid {
+        ros_graph::announced_gid(end.origin.tag)
     }
 
     fn report(&mut self, report: Report, writers: &Writers<ProxyPublisher>) {

@@ -2,10 +2,10 @@
 //! The ROS graph without this bridge's endpoints, also in Tautline's terms, for nodes and tools.
 
 use crate::rcl::{Node, RclError, RosEndpoint};
-use crate::table::{self, OriginTable, Tables};
+use crate::table::{self, NAME_TIME, OriginTable, Tables};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use tautline_transport::{
     EndpointKind, Gid, NodeName, Origin, Qos, RemoteNode, ServiceEndpoint, ServiceKind, TopicEndpoint,
     TopicType,
@@ -14,16 +14,11 @@ use tautline_transport::{
 /// Prefix of bridges' node names: the endpoints of such a node mirror others.
 pub const BRIDGE_PREFIX: &str = "taut_bridge_";
 
-/// DDS announces the node of an endpoint later than the endpoint; without a node for this long, it belongs to no ROS node. Longer
-/// than two heartbeats of Fast DDS (3 s), after which it retransmits, so that another bridge's endpoint is not taken for a
-/// node's. Also the time-out for another bridge's announcement of what its endpoint mirrors.
-pub(crate) const NAME_TIME: Duration = Duration::from_secs(7);
-
 /// The ROS graph.
 #[derive(Default)]
 pub(crate) struct RosGraph {
-    /// All nodes, including bridges'.
-    pub(crate) nodes: Vec<NodeName>,
+    /// All nodes, including bridges', with their enclaves.
+    pub(crate) nodes: Vec<(NodeName, String)>,
     /// ROS nodes' publishers and subscriptions, and those that other bridges mirror, each with its announcer; see [`Transit`](tautline_relay::Transit).
     pub(crate) endpoints: Vec<(TopicEndpoint, u128)>,
     /// By topic, all publishers that are identified.
@@ -106,7 +101,7 @@ impl RosGraph {
             }
         }
         let mut count = BTreeMap::<&NodeName, usize>::new();
-        for node in self.nodes.iter().filter(|node| !node.name.starts_with(BRIDGE_PREFIX)) {
+        for (node, enclave) in self.nodes.iter().filter(|(node, _)| !node.name.starts_with(BRIDGE_PREFIX)) {
             // One node per name is a bridge's; any other is a ROS node.
             if let Some(at) = shown.iter().position(|shown| shown == node) {
                 shown.swap_remove(at);
@@ -121,7 +116,7 @@ impl RosGraph {
                 .map_or_else(|| format!("{domain:x}"), |process| format!("{process:02x?}"));
             let tag = Origin::tag_of(&format!("{of} {node} {count}"));
             let origin = Origin { tag, ..Origin::here(Gid::default(), place) };
-            nodes.push((RemoteNode { name: node.clone(), origin }, 0));
+            nodes.push((RemoteNode { name: node.clone(), enclave: enclave.clone(), origin }, 0));
         }
         nodes
     }
@@ -169,7 +164,7 @@ pub(crate) fn mark(ends: &mut [ServiceEndpoint], domain: u64, is_alone: bool) {
 }
 
 /// The GID that announces the service or client with this tag in the domain.
-pub(crate) fn told_gid(tag: u64) -> Gid {
+pub(crate) fn announced_gid(tag: u64) -> Gid {
     let halves = ["a", "b"].map(|half| Origin::tag_of(&format!("{half} {tag:x}")).to_le_bytes());
     Gid(std::array::from_fn(|at| halves[at / 8][at % 8]))
 }

@@ -3,6 +3,8 @@
 
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use tautline_relay::TopicKey;
 
 /// A topic in one direction.
@@ -104,4 +106,18 @@ pub struct Stats {
     pub services_not_bridged: BTreeMap<String, String>,
     /// Every service that is bridged, or was until a minute ago.
     pub services: Vec<ServiceStats>,
+}
+
+/// What a running bridge shows.
+pub(crate) struct BridgeState {
+    pub(crate) stop: AtomicBool,
+    /// [`Stats::returned`].
+    pub(crate) returned: AtomicU64,
+    pub(crate) stats: Mutex<Stats>,
+}
+
+impl BridgeState {
+    pub(crate) fn stats(&self) -> MutexGuard<'_, Stats> {
+        self.stats.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }

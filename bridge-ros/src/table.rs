@@ -2,16 +2,20 @@
 //! The tables that bridges of one ROS domain exchange: what each of their endpoints in ROS mirrors, and its origin. ROS's graph
 //! cannot carry this, so each bridge publishes one table on a hidden transient-local topic.
 
-use crate::bridge::BridgeError;
+use crate::error::BridgeError;
 use crate::outgoing::ENCAPSULATION;
 use crate::rcl::{MessageSupport, Node, RclError, RosPublisher, RosSubscription, SerializedMessage};
-use crate::ros_graph::NAME_TIME;
 use crate::types::Types;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tautline_transport::{Gid, Qos, RemoteGraph};
+
+/// DDS announces the node of an endpoint later than the endpoint; without a node for this long, it belongs to no ROS node. Longer
+/// than two heartbeats of Fast DDS (3 s), after which it retransmits, so that another bridge's endpoint is not taken for a
+/// node's. Also the time-out for another bridge's announcement of what its endpoint mirrors.
+pub(crate) const NAME_TIME: Duration = Duration::from_secs(7);
 
 /// The underscore hides it from ROS's tools.
 pub(crate) const TOPIC: &str = "/_tautline/ends";
@@ -134,7 +138,7 @@ impl OwnTable {
     ///
     /// # Errors
     /// Why that failed; an oversized table is reported once.
-    pub(crate) fn say(&mut self, table: OriginTable) -> Result<(), String> {
+    pub(crate) fn publish(&mut self, table: OriginTable) -> Result<(), String> {
         if self.said.as_ref() == Some(&table) {
             return Ok(());
         }

@@ -3,12 +3,26 @@
 
 mod support;
 
-use serde_json::{Value, json};
-use std::sync::Arc;
-use std::time::{Duration, Instant};
+use serde_json::json;
+use std::time::Instant;
 use support::gateway::{GatewayProcess, link};
-use support::{BridgeProcess, Peer, STRING, TYPES, Values, ros, wait_until};
-use tautline_schema::{DynamicMessage, Packages};
+use support::{BridgeProcess, Peer, STRING, TYPES, cross, ros, wait_until};
+use tautline_schema::Packages;
+
+impl Drop for Chain {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.gateways
+                .iter()
+                .flatten()
+                .for_each(|gateway| println!("a gateway's numbers: {}", gateway.stats()));
+            self.bridges
+                .iter()
+                .flatten()
+                .for_each(|bridge| println!("a bridge's numbers: {}", bridge.stats()));
+        }
+    }
+}
 
 /// Two hosts, each with a ROS graph of its own.
 struct Chain {
@@ -45,22 +59,6 @@ impl Chain {
     }
 }
 
-/// Publishes one at a time until what is published arrives, and nothing is left on the way.
-fn connect(from: &mut Peer, to: &mut Peer, publisher: u64, subscription: u64) {
-    let mut in_step = 0;
-    wait_until("the way from end to end", || {
-        from.tell(json!({ "do": "publish_prepared", "end": publisher, "count": 1 }));
-        let end = Instant::now() + Duration::from_millis(500);
-        let mut heard = 0;
-        while heard == 0 && Instant::now() < end {
-            heard = to.take(subscription, 0).len();
-        }
-        in_step = if heard == 1 { in_step + 1 } else { 0 };
-        in_step == 3
-    });
-    assert!(to.take(subscription, 0).is_empty());
-}
-
 fn values_cross(domains: [u32; 2], types: &[&str]) {
     let Some(venv) = ros() else { return };
     let mut packages = Packages::new();
@@ -68,30 +66,7 @@ fn values_cross(domains: [u32; 2], types: &[&str]) {
     let Some(_chain) = Chain::new(domains) else { return };
     let mut left = Peer::start(&venv, domains[0], "left");
     let mut right = Peer::start(&venv, domains[1], "right");
-    for name in types {
-        let schema = Arc::new(packages.schema(&name.parse().unwrap()).unwrap());
-        let text = |value: &Value| DynamicMessage::from_json(&schema, &value.to_string()).unwrap().to_json();
-        let topic = format!("/{}", name.replace('/', "_").to_lowercase());
-        let values = Values::new(name);
-        let qos = json!({ "depth": values.depth });
-        let subscription = right.subscription(&topic, name, qos.clone());
-        let publisher = left.publisher(&topic, name, qos);
-        left.tell(values.prepare(name, 300));
-        connect(&mut left, &mut right, publisher, subscription);
-        let said = left.tell(values.prepare(name, values.count));
-        let said = said.as_array().unwrap();
-        let mut received = Vec::new();
-        while received.len() < values.count {
-            let count = values.at_once.min(values.count - received.len());
-            left.tell(json!({ "do": "publish_prepared", "end": publisher, "count": count }));
-            received.extend(right.take(subscription, count));
-        }
-        assert_eq!((received.len(), said.len()), (values.count, values.count), "{name}");
-        for (received, said) in received.iter().zip(said) {
-            assert_eq!(text(received), text(said), "{name}");
-        }
-        assert!(right.take(subscription, 0).is_empty(), "{name}");
-    }
+    cross(&mut left, &mut right, &mut packages, types, false);
 }
 
 #[test]

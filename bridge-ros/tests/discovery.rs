@@ -272,10 +272,12 @@ fn each_side_lists_the_other() {
     const DOMAIN: u32 = 12;
     let _bridge = BridgeProcess::start(DOMAIN, DOMAIN, &[]);
     let participant = Participant::new(DOMAIN).unwrap();
-    let node = participant.create_node("driver", "/robot").unwrap();
+    let node = participant.create_node_in_enclave("driver", "/robot", "/ours").unwrap();
     let of_node = participant.for_node(&node);
     let _port = publisher(&of_node, "/lidar", "sensor_msgs/msg/PointCloud2", Qos::default().best_effort());
-    let mut peer = Peer::start(&venv, DOMAIN, "lister");
+    let mut peer = Peer::start_as(&venv, DOMAIN, "lister", "ros_peer.py", |command| {
+        command.args(["--ros-args", "--enclave", "/theirs"]);
+    });
     peer.tell(json!({ "do": "wait_node", "name": "/robot/driver" }));
     peer.tell(json!({ "do": "wait_topic", "topic": "/lidar", "type": "sensor_msgs/msg/PointCloud2" }));
     let _there = peer.publisher("/theirs", STRING, json!({ "latched": true }));
@@ -285,7 +287,7 @@ fn each_side_lists_the_other() {
         let node = graph.nodes.iter().find(|node| node.name.full_name() == "/lister");
         let end = graph.endpoints.iter().find(|end| end.topic == "/theirs");
         let Some((node, end)) = node.zip(end) else { return false };
-        assert!(node.is_remote && node.pid.is_none(), "{node:?}");
+        assert!(node.is_remote && node.pid.is_none() && node.enclave == "/theirs", "{node:?}");
         assert_eq!((end.kind, &*end.topic_type.name), (EndpointKind::Publisher, STRING));
         assert!(end.topic_type.hash.as_deref().is_some_and(|hash| hash.starts_with("RIHS01_df668c74")));
         assert_eq!(end.qos.durability, tautline_transport::Durability::TransientLocal);

@@ -204,6 +204,14 @@ class Peer:
         self.wait(lambda: (name in names()) == there)
         return names()
 
+    def enclave(self, node):
+        """Waits until the graph has a node of this full name; its enclave."""
+        def enclaves():
+            all = self.node.get_node_names_and_namespaces_with_enclaves()
+            return {f"{ns.rstrip('/')}/{name}": enclave for name, ns, enclave in all}
+        self.wait(lambda: node in enclaves())
+        return enclaves()[node]
+
     def endpoints(self, topic):
         """Nodes and QoS of a topic's publishers and subscriptions."""
         def told(infos):

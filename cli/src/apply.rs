@@ -8,7 +8,7 @@ use clap::Args;
 use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use tautline::{Error, apply_system};
+use tautline::{Error, SystemError, apply_system};
 use tautline_analysis::file::SystemFile;
 
 /// Makes running processes adopt the present text of their system file: priorities, reservations, budgets and deadlines
@@ -40,7 +40,11 @@ pub fn run(args: &ApplyArgs) -> Outcome<ExitCode> {
     }
     let domain = args.common.domain()?;
     let labels = match apply_system(domain, &args.file) {
-        Err(error @ (Error::NotAdmitted { .. } | Error::NobodyHas { .. } | Error::NotTakenUp { .. })) => {
+        Err(
+            error @ (Error::System(SystemError::NotAdmitted { .. })
+            | Error::NobodyHas { .. }
+            | Error::NotTakenUp { .. }),
+        ) => {
             return Err(Failure::no(error.to_string()));
         }
         outcome => outcome?,

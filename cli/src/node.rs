@@ -83,6 +83,7 @@ fn facts(node: &NodeInfo) -> Value {
     json!({
         "name": node.name.name,
         "namespace": node.name.namespace,
+        "enclave": node.enclave,
         "pid": node.pid,
         "remote": node.is_remote,
         "place": crate::table::place(&node.origin),
@@ -131,7 +132,8 @@ impl Parts {
 
     fn print(&self, node: &NodeInfo, out: &mut impl Write) -> io::Result<()> {
         let place = node.pid.map_or_else(|| on(node), |pid| format!("process {pid}"));
-        writeln!(out, "{} ({place})", node.name)?;
+        let enclave = if node.enclave == "/" { String::new() } else { format!(", enclave {}", node.enclave) };
+        writeln!(out, "{} ({place}{enclave})", node.name)?;
         for (part, entries) in &self.0 {
             writeln!(out, "  {}:", part.replace('_', " "))?;
             entries.iter().try_for_each(|(name, of_type)| writeln!(out, "    {name}: {of_type}"))?;

@@ -211,6 +211,54 @@ fn a_bad_host() {
     assert_eq!(output.status.code(), Some(1));
 }
 
+/// As Linux 6.12 shows them on an emulated aarch64 machine.
+#[test]
+fn interrupts_that_each_core_has_for_itself_are_no_devices() {
+    let root = good_host();
+    let irq = |number: u32, chip: &str, id: &str, actions: &str| {
+        put(&root, &format!("proc/irq/{number}/effective_affinity_list"), "\n");
+        put(&root, &format!("proc/irq/{number}/smp_affinity_list"), "0-3\n");
+        for (name, text) in
+            [("chip_name", chip), ("hwirq", id), ("actions", actions), ("per_cpu_count", "465,412,400,390")]
+        {
+            put(&root, &format!("sys/kernel/irq/{number}/{name}"), &format!("{text}\n"));
+        }
+    };
+    for (number, chip, id, actions) in [
+        (1, "GICv3", "0", "IPI"),
+        (11, "GICv3", "27", "arch_timer"),
+        (16, "GIC-0", "23", "arm-pmu"),
+        (17, "GICv3", "1056", "arm-spe"),
+        (18, "RISC-V INTC", "5", "riscv-timer"),
+    ] {
+        irq(number, chip, id, actions);
+    }
+    expect(&root, "interrupts", "good", "no device has interrupted cores 2-3");
+    irq(13, "GICv3", "33", "uart-pl011");
+    expect(&root, "interrupts", "bad", "devices interrupt real-time cores 2-3: 13 uart-pl011 (790)");
+}
+
+#[test]
+fn a_hypervisor_is_seen_where_no_flag_of_the_processor_tells() {
+    const ARM: &str = "processor\t: 0\nBogoMIPS\t: 125.00\nFeatures\t: fp asimd\nCPU architecture: 8\n";
+    let is_seen = |files: &[(&str, &str)]| {
+        let root = good_host();
+        put(&root, "proc/cpuinfo", ARM);
+        files.iter().for_each(|(path, text)| put(&root, path, text));
+        finding(&root, "steal", &[]).1.contains("this is a virtual machine")
+    };
+    let (vendor, product) = ("sys/class/dmi/id/sys_vendor", "sys/class/dmi/id/product_name");
+    assert!(!is_seen(&[]));
+    assert!(!is_seen(&[("proc/device-tree/compatible", "raspberrypi,5-model-b\0brcm,bcm2712\0")]));
+    assert!(is_seen(&[("proc/device-tree/compatible", "linux,dummy-virt\0")]));
+    assert!(is_seen(&[("proc/device-tree/fw-cfg@9020000/compatible", "qemu,fw-cfg-mmio\0")]));
+    assert!(is_seen(&[("proc/device-tree/hypervisor/compatible", "xen,xen\0")]));
+    assert!(is_seen(&[(vendor, "QEMU\n"), (product, "KVM Virtual Machine\n")]));
+    assert!(is_seen(&[(vendor, "Amazon EC2\n"), (product, "c7g.large\n")]));
+    assert!(!is_seen(&[(vendor, "Amazon EC2\n"), (product, "c7g.metal\n")]));
+    assert!(!is_seen(&[(vendor, "NVIDIA\n"), (product, "Jetson AGX Orin\n")]));
+}
+
 #[test]
 fn the_latency_of_an_idle_state_is_its_cost_unless_a_hypervisor_hides_it() {
     let root = good_host();

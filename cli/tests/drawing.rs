@@ -117,7 +117,7 @@ fn a_domain_is_drawn() {
         origin: there(1),
         teller: None,
     };
-    let nodes = vec![RemoteNode { name: lidar, origin: there(2) }];
+    let nodes = vec![RemoteNode { name: lidar, enclave: "/".into(), origin: there(2) }];
     let gateway = Participant::new(DOMAIN).unwrap();
     gateway.set_remote(&RemoteGraph { nodes, endpoints: vec![far], ..RemoteGraph::default() }).unwrap();
 

@@ -75,7 +75,7 @@ fn nodes_services_and_ends_of_topics_are_printed() {
         origin: there(2),
         teller: None,
     };
-    let viewer = RemoteNode { name: theirs, origin: there(3) };
+    let viewer = RemoteNode { name: theirs, enclave: "/secure/viewer".into(), origin: there(3) };
     let remote = RemoteGraph {
         nodes: vec![viewer],
         endpoints: vec![subscription],
@@ -87,8 +87,14 @@ fn nodes_services_and_ends_of_topics_are_printed() {
     let pid = std::process::id();
     let nodes = parsed(&["node", "list", "--json"]);
     let expected = json!([
-        { "name": "viewer", "namespace": "/", "pid": null, "remote": true, "place": "robot2" },
-        { "name": "camera", "namespace": "/robot", "pid": pid, "remote": false, "place": null },
+        {
+            "name": "viewer", "namespace": "/", "enclave": "/secure/viewer", "pid": null, "remote": true,
+            "place": "robot2",
+        },
+        {
+            "name": "camera", "namespace": "/robot", "enclave": "/", "pid": pid, "remote": false,
+            "place": null,
+        },
     ]);
     assert_eq!(nodes, expected);
     let table = text(&["node", "list"]);
@@ -101,6 +107,8 @@ fn nodes_services_and_ends_of_topics_are_printed() {
          /robot/turn: a_msgs/action/Turn\n  action clients:\n"
     );
     assert_eq!(text(&["node", "info", "/robot/camera"]), expected);
+    let viewer = text(&["node", "info", "viewer"]);
+    assert!(viewer.starts_with("/viewer (on robot2, enclave /secure/viewer)\n"), "{viewer}");
     let viewer = parsed(&["node", "info", "viewer", "--json"]);
     assert_eq!(viewer["subscribers"], json!([{ "name": "/image", "type": "a_msgs/msg/Image" }]));
     assert_eq!(viewer["remote"], json!(true));

@@ -666,6 +666,7 @@ ticks = { period = "1s", wcet = "1ms", priority = 24 }
     running.handle("lossy", 1, &releases(3, Duration::ZERO, LITTLE));
     running.handle("full", 3, &releases(3, PERIOD, LITTLE));
     running.handle_with(CallbackOptions::other().name("stray"), "stray", 1, &releases(1, PERIOD, LITTLE));
+    running.handle_with(CallbackOptions::other().name("idle"), "idle", 1, &[]);
     // Any two may be that close, but not all of them.
     running.handle("often", 9, &releases(9, PERIOD / 10, Duration::ZERO));
     let ticks = running.context.callback("ticks").unwrap();
@@ -701,6 +702,7 @@ ticks = { period = "1s", wcet = "1ms", priority = 24 }
         "absent: not running: no process of domain 169",
         "ticks: not running: its future has ended in report-",
         "`stray` runs in report-",
+        "note: not in the file, and not run yet: idle",
         "Violated: ",
     ] {
         assert!(shown.replace('\n', " ").contains(said), "{said}\n{shown}");

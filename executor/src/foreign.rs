@@ -1,19 +1,45 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Callbacks that other executors run, such as rclcpp's. Their jobs are measured like this crate's jobs.
 
+use std::cell::RefCell;
 use std::io;
+use std::sync::Arc;
 
-use tautline_rt::clock::monotonic_ns;
-use tautline_rt::{PiMutex, ThreadInfo, current_affinity, current_policy, current_tid};
+use tautline_rt::clock::{monotonic_ns, thread_cpu_ns};
+use tautline_rt::{
+    BudgetTimer, OwnPriority, PiMutex, RtError, ThreadInfo, current_affinity, current_policy, current_tid,
+};
 
-use crate::hot::Stopwatch;
+use crate::hot::{BudgetEnforcer, Stopwatch};
 use crate::job::QueueState;
 use crate::stats::{Job, kind};
-use crate::{CallbackOptions, CallbackStats, StatisticsFile};
+use crate::{CallbackOptions, CallbackStats, OverrunPolicy, Policy, StatisticsFile};
 
 thread_local! {
     static TID: u32 = current_tid();
     static STOPWATCH: Stopwatch = const { Stopwatch::new(false) };
+    static ENFORCER: RefCell<Option<BudgetEnforcer>> = const { RefCell::new(None) };
+}
+
+/// Says what this thread's policy is, which it got with [`set_own_priority`](tautline_rt::set_own_priority). If `holds`, jobs of callbacks with [`OverrunPolicy::Demote`] are from now on held to their budgets here.
+///
+/// # Real-time
+/// Setup only.
+///
+/// # Errors
+/// Those of [`BudgetTimer::new`].
+pub fn hold_to_budgets(policy: Policy, holds: bool) -> Result<(), RtError> {
+    ENFORCER.with(|enforcer| {
+        // Before the new one: a thread has at most one timer.
+        let former = enforcer.take();
+        let holds = holds || former.is_some();
+        drop(former);
+        if holds {
+            let timer = BudgetTimer::new(Arc::new(OwnPriority::with_ordinary_children(policy)))?;
+            enforcer.replace(Some(BudgetEnforcer::demoting(timer, None)));
+        }
+        Ok(())
+    })
 }
 
 /// A callback whose thread does not belong to this crate. The code that knows when its jobs start and end calls these functions,
@@ -37,10 +63,12 @@ pub struct ForeignCallback {
     /// Several threads may run it, but each counter may have only one writer at a time.
     stats: PiMutex<CallbackStats>,
     measures_execution: bool,
+    /// Whether its jobs are held to their budgets.
+    holds: bool,
 }
 
 impl ForeignCallback {
-    /// These options are used: name, period, deadline, budget, bound, and whether the execution time is measured.
+    /// These options are used: name, policy, cores, period, deadline, budget, bound, overrun policy (only [`OverrunPolicy::Demote`] is enforced), and whether the execution time is measured.
     ///
     /// # Real-time
     /// Setup only.
@@ -54,13 +82,20 @@ impl ForeignCallback {
         stats.set_bound(options.bound);
         stats.place(Some(file), kind::CALLBACK)?;
         stats.describe_jobs(options.period, options.execution_time);
-        Ok(ForeignCallback { stats: PiMutex::new(stats), measures_execution: options.execution_time })
+        if options.policy.realtime_priority().is_some() {
+            // What its thread is to be: admission counts it from here on. The first job says what it is.
+            let cores = options.cores.map_or_else(current_affinity, Ok).map_err(io::Error::other)?;
+            stats.set_thread(&ThreadInfo { tid: 0, name: String::new(), policy: options.policy, cores });
+        }
+        let holds = options.execution_time && options.overrun_policy == OverrunPolicy::Demote;
+        Ok(ForeignCallback { stats: PiMutex::new(stats), measures_execution: options.execution_time, holds })
     }
 
     /// Starts a job of the callback in this thread, released at the `CLOCK_MONOTONIC` time `release_ns`.
     ///
     /// # Real-time
-    /// Waits for a thread that starts or ends a job of it at the same time, with priority inheritance; no allocation; four syscalls
+    /// Waits for a thread that starts or ends a job of it at the same time, with priority inheritance; no allocation; where it is held to its
+    /// budget, at most two syscalls; four syscalls
     /// if another thread ran the previous job, one in a thread's first job, and one more in each of these cases where the execution
     /// time is measured.
     pub fn begin(&self, release_ns: u64) {
@@ -75,6 +110,10 @@ impl ForeignCallback {
         if self.measures_execution {
             STOPWATCH.with(Stopwatch::begin);
         }
+        if self.holds {
+            let since_ns = STOPWATCH.with(Stopwatch::since_ns).unwrap_or_else(thread_cpu_ns);
+            with_enforcer(|enforcer| enforcer.begin(release_ns, since_ns, stats.budget()));
+        }
     }
 
     /// Ends the job. If its execution time is measured, the job is charged this thread's processor time since the end of the previous
@@ -84,6 +123,9 @@ impl ForeignCallback {
     /// As [`begin`](Self::begin), with one syscall where the execution time is measured.
     pub fn end(&self, release_ns: u64) {
         let response_ns = monotonic_ns().saturating_sub(release_ns);
+        if self.holds && with_enforcer(BudgetEnforcer::end) == Some(true) {
+            self.stats.lock().demoted();
+        }
         let execution_ns = self.measures_execution.then(|| STOPWATCH.with(Stopwatch::lap));
         self.stats.lock().complete(&Job { release_ns, response_ns, execution_ns, input_size: None });
     }
@@ -95,6 +137,11 @@ impl ForeignCallback {
     pub fn note_queue(&self, queue: QueueState) {
         self.stats.lock().note_queue(queue);
     }
+}
+
+/// `None` in a thread that holds nothing to a budget.
+fn with_enforcer<R>(using: impl FnOnce(&BudgetEnforcer) -> R) -> Option<R> {
+    ENFORCER.try_with(|enforcer| enforcer.try_borrow().ok()?.as_ref().map(using)).ok()?
 }
 
 /// Call when this thread starts to wait: the processor time used since its last job is charged to no job.

@@ -89,7 +89,7 @@ impl BudgetEnforcer {
 
     /// A job begins that has a budget, in a thread that had used `since_ns`. One that has waited for an overrun is done below all
     /// others: its release is past, and at the thread's priority it would be an interference that nobody has counted.
-    fn begin(&self, release_ns: u64, since_ns: u64, budget: Option<Duration>) {
+    pub fn begin(&self, release_ns: u64, since_ns: u64, budget: Option<Duration>) {
         let is_first = self.running.replace(self.running.get().saturating_add(1)) == 0;
         match &self.how {
             Enforcement::Demote { overran_until_ns, .. }
@@ -131,7 +131,7 @@ impl BudgetEnforcer {
     }
 
     /// A job ends. Says whether it was demoted or suspended. Jobs that overlap share what comes of it, until the last of them ends.
-    fn end(&self) -> bool {
+    pub fn end(&self) -> bool {
         self.running.set(self.running.get().saturating_sub(1));
         if self.running.get() > 0 {
             return false;
@@ -180,6 +180,11 @@ pub(crate) struct Stopwatch {
 impl Stopwatch {
     pub const fn new(busy: bool) -> Stopwatch {
         Stopwatch { busy, since_ns: Cell::new(None) }
+    }
+
+    /// The end of the previous job, in the thread's processor time.
+    pub fn since_ns(&self) -> Option<u64> {
+        self.since_ns.get()
     }
 
     fn now_ns(&self) -> u64 {

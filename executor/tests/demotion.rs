@@ -16,7 +16,9 @@ use tautline_executor::{
 };
 use tautline_rt::{Policy, clock, current_policy};
 
-const BUDGET: Duration = Duration::from_millis(2);
+fn budget() -> Duration {
+    clock::test_time(Duration::from_millis(2))
+}
 
 /// What a job is to do: released when, with how much work.
 type Order = (u64, Duration);
@@ -64,7 +66,7 @@ fn what_waited_for_an_overrun_is_done_below_too_and_what_comes_later_is_not() {
         async {}
     });
     let executor = Executor::new(Realtime::Required);
-    let options = CallbackOptions::fifo(20).name("held").budget(BUDGET).demote_on_overrun();
+    let options = CallbackOptions::fifo(20).name("held").budget(budget()).demote_on_overrun();
     let callback = executor.spawn_callback(options, work).unwrap();
     let send = |release_ns, work| orders.unbounded_send((release_ns, work)).unwrap();
     let done = |count| {
@@ -72,14 +74,14 @@ fn what_waited_for_an_overrun_is_done_below_too_and_what_comes_later_is_not() {
             std::thread::yield_now();
         }
     };
-    let little = BUDGET / 4;
+    let little = budget() / 4;
     send(clock::monotonic_ns(), little);
     done(1);
     // Ten times the budget, and two that are released meanwhile, whenever the thread comes to them.
     let now = clock::monotonic_ns();
-    send(now, BUDGET * 10);
+    send(now, budget() * 10);
     send(now + 1, little);
-    send(now + 2, BUDGET * 3);
+    send(now + 2, budget() * 3);
     done(4);
     // What the job before has to be over for is its end, which comes before the thread takes another.
     while callback.stats().completions() < 4 {
@@ -107,14 +109,14 @@ fn a_callback_that_is_to_end_does_no_other_job() {
         work_log.add(level());
         async {}
     });
-    let little = BUDGET / 4;
-    for work in [little, BUDGET * 5, little] {
+    let little = budget() / 4;
+    for work in [little, budget() * 5, little] {
         orders.unbounded_send((clock::monotonic_ns(), work)).unwrap();
     }
     let executor = Executor::new(Realtime::Required);
     let told = Log::default();
     let handler_told = told.clone();
-    let options = CallbackOptions::fifo(20).name("last").budget(BUDGET).end_on_overrun();
+    let options = CallbackOptions::fifo(20).name("last").budget(budget()).end_on_overrun();
     let options = options.on_overrun(move |overrun| handler_told.add(format!("job {}", overrun.job)));
     let callback = executor.spawn_callback(options, work).unwrap();
     let stats = callback.stats().clone();
@@ -151,7 +153,7 @@ fn a_lower_priority_runs_while_a_higher_one_overruns() {
         async {}
     });
     let options = |priority| CallbackOptions::fifo(priority).core(core);
-    let held = options(20).name("hog").budget(BUDGET).demote_on_overrun();
+    let held = options(20).name("hog").budget(budget()).demote_on_overrun();
     let hog = executor.spawn_callback(held, hog).unwrap();
     let modest = jobs(from_low).for_each(move |_| {
         ran.store(true, Ordering::SeqCst);
@@ -159,9 +161,9 @@ fn a_lower_priority_runs_while_a_higher_one_overruns() {
     });
     let modest = executor.spawn_callback(options(10).name("modest"), modest).unwrap();
     for _ in 0..20 {
-        high.unbounded_send((clock::monotonic_ns(), BUDGET)).unwrap();
+        high.unbounded_send((clock::monotonic_ns(), budget())).unwrap();
     }
-    low.unbounded_send((clock::monotonic_ns(), BUDGET)).unwrap();
+    low.unbounded_send((clock::monotonic_ns(), budget())).unwrap();
     drop((high, low));
     let stats = hog.stats().clone();
     hog.join().unwrap();
@@ -177,7 +179,7 @@ fn a_group_holds_each_member_to_its_own_budget() {
     }
     let (log, mut group) = (Log::default(), CallbackGroup::new());
     for (name, budget, work, releases) in
-        [("modest", BUDGET * 20, BUDGET * 2, [1, 3]), ("greedy", BUDGET, BUDGET * 2, [2, 4])]
+        [("modest", budget() * 20, budget() * 2, [1, 3]), ("greedy", budget(), budget() * 2, [2, 4])]
     {
         let log = log.clone();
         // Released in the future: nothing waits for anything.
@@ -208,9 +210,9 @@ fn what_cannot_be_demoted_says_why() {
         assert!(matches!(error, ExecutorError::CannotHold { .. }), "{error}");
         error.to_string()
     };
-    let fifo = CallbackOptions::fifo(20).budget(BUDGET);
+    let fifo = CallbackOptions::fifo(20).budget(budget());
     assert!(refused(CallbackOptions::fifo(20)).contains("state it with `.budget(..)`"));
-    assert!(refused(CallbackOptions::other().budget(BUDGET)).contains("no real-time priority"));
+    assert!(refused(CallbackOptions::other().budget(budget())).contains("no real-time priority"));
     assert!(refused(fifo.clone().execution_time(false)).contains("not measured"));
     assert!(refused(fifo.clone().core(0).busy_poll()).contains("polls busily"));
     // Without real time there is nothing to hold, and nothing is refused.

@@ -13,8 +13,13 @@ use futures::StreamExt;
 use tautline_executor::{CallbackOptions, CallbackStats, Executor, ExecutorError, Policy, Realtime, job};
 use tautline_rt::clock;
 
-const BUDGET: Duration = Duration::from_millis(2);
-const PERIOD: Duration = Duration::from_millis(20);
+fn budget() -> Duration {
+    clock::test_time(Duration::from_millis(2))
+}
+
+fn period() -> Duration {
+    budget() * 10
+}
 
 /// A job that is released now.
 fn one_job() -> impl futures::Stream<Item = ()> + Send {
@@ -74,7 +79,7 @@ fn a_suspended_job_leaves_the_core_and_comes_back() {
         return;
     }
     let core = cores()[0];
-    let above = CallbackOptions::fifo(20).core(core).name("above").period(PERIOD).budget(BUDGET);
+    let above = CallbackOptions::fifo(20).core(core).name("above").period(period()).budget(budget());
     let stats = shares_its_core(above.suspend_on_overrun());
     // How much it had used by then is not known: more than its budget only if the one below was not there before.
     assert_eq!(stats.completions(), 1);
@@ -87,11 +92,12 @@ fn jobs_that_waited_for_a_suspended_one_share_its_refills() {
         return;
     }
     let executor = Executor::new(Realtime::Required);
-    let options = CallbackOptions::fifo(20).name("held").period(PERIOD).budget(BUDGET).suspend_on_overrun();
+    let options =
+        CallbackOptions::fifo(20).name("held").period(period()).budget(budget()).suspend_on_overrun();
     let times = Arc::new(std::sync::Mutex::new(Vec::new()));
     let each_times = Arc::clone(&times);
     // All released with the first one, which takes 3 of 2 ms: what is left of the refill is for one more, and so on.
-    let mut works = [3_000, 600, 600, 600].map(Duration::from_micros).into_iter();
+    let mut works = [30, 6, 6, 6].map(|tenths| budget() * tenths / 20).into_iter();
     let mut running: Option<job::Job> = None;
     let mut first_ns = None;
     let stream = futures::stream::poll_fn(move |_| {
@@ -113,7 +119,7 @@ fn jobs_that_waited_for_a_suspended_one_share_its_refills() {
     callback.join().unwrap();
     let times = times.lock().unwrap();
     let at_least = |index: usize, periods: u64| {
-        assert!(times[index] >= periods * 20_000_000, "job {index}: {:?}", *times);
+        assert!(times[index] >= periods * clock::nanoseconds(period()), "job {index}: {:?}", *times);
     };
     at_least(0, 1);
     // 4.8 ms in all: no less than two refills.
@@ -129,7 +135,7 @@ fn a_reservation_leaves_the_core_and_comes_back() {
     }
     // Bound to a core it may not be on this kernel: then it may run beside the other one, and nothing is to be seen.
     let core = cores()[0];
-    let above = CallbackOptions::reserved(BUDGET, PERIOD).name("above");
+    let above = CallbackOptions::reserved(budget(), period()).name("above");
     let executor = Executor::new(Realtime::Required);
     match executor.spawn_callback(above.clone().core(core), async {}) {
         Ok(callback) => {
@@ -139,7 +145,8 @@ fn a_reservation_leaves_the_core_and_comes_back() {
         Err(ExecutorError::Thread { source, .. }) => {
             println!("not bound: {source}");
             let callback = executor.spawn_callback(above, async {}).unwrap();
-            let policy = Policy::Deadline { runtime_ns: 2_000_000, period_ns: 20_000_000 };
+            let [runtime_ns, period_ns] = [budget(), period()].map(clock::nanoseconds);
+            let policy = Policy::Deadline { runtime_ns, period_ns };
             assert_eq!(callback.thread().policy, policy);
             assert_eq!(
                 tautline_executor::CallbackSnapshot::of(callback.stats()).unwrap().priority,
@@ -159,8 +166,8 @@ fn what_cannot_be_suspended_says_why() {
         assert!(matches!(error, ExecutorError::CannotHold { .. }), "{error}");
         error.to_string()
     };
-    let fifo = CallbackOptions::fifo(20).budget(BUDGET);
+    let fifo = CallbackOptions::fifo(20).budget(budget());
     assert!(refused(fifo.clone()).contains("no period to wait for"));
     assert!(refused(fifo.period(Duration::ZERO)).contains("no period to wait for"));
-    assert!(refused(CallbackOptions::reserved(BUDGET, PERIOD)).contains("holds its thread"));
+    assert!(refused(CallbackOptions::reserved(budget(), period())).contains("holds its thread"));
 }

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The context: membership of a domain, a sampler, callback threads.
 
-use crate::admission::{self, Admission, Gate};
 use crate::args::Arguments;
 use crate::error::{Error, Result};
 use crate::logging::{self, FlushOnDrop, Rosout};
@@ -9,7 +8,7 @@ use crate::parameters::EventTopic;
 use crate::reload::{CurrentSystem, Reload};
 use crate::remap::RemapRules;
 use crate::subscription::thread_parkers;
-use crate::system::{CallbackJoin, LoadedSystem};
+use crate::system::{CallbackJoin, join_of};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -19,6 +18,10 @@ use tautline_executor::{
 };
 use tautline_rt::{IdleHold, MemoryLock, ThreadBuilder};
 use tautline_sampler::{Events, Sampler, Sleep, Wait};
+use tautline_system::{
+    Admission, Gate, LoadedSystem, SystemError, admission_of_environment, admit_callbacks, admit_system,
+    environment, realtime_of_environment, switch_of_environment,
+};
 use tautline_trace::TraceSettings;
 use tautline_transport::Participant;
 use tautline_transport::Qos;
@@ -226,7 +229,7 @@ impl ContextBuilder {
     /// | `-r FROM:=TO`, `--remap` | see [`RemapRules`]; come before those of [`remap`](Self::remap) |
     /// | `--log-level [LOGGER:=]LEVEL` | `debug`, `info`, `warn`, `error` or `fatal`; all loggers, or one and those below |
     /// | `--disable-stdout-logs`, `--disable-rosout-logs` | lines are not printed, not published; also `--enable-...` |
-    /// | `-e PATH`, `--enclave` | accepted without effect: there is no security here that it could select |
+    /// | `-e PATH`, `--enclave` | of the nodes, as others see it; it selects no security |
     pub fn args(mut self, args: impl IntoIterator<Item = impl Into<String>>) -> Self {
         self.args = args.into_iter().map(Into::into).collect();
         self
@@ -235,9 +238,9 @@ impl ContextBuilder {
     /// Joins the domain.
     ///
     /// # Errors
-    /// [`Error::Argument`], [`Error::Remap`] and [`Error::Parameter`] for an invalid command line; [`Error::Environment`] for an invalid
-    /// variable; [`Error::System`] and [`Error::Host`] for a system file that cannot be used; [`Error::NotAdmitted`] for a file whose load
-    /// does not fit beside the running load; [`Error::Transport`] and [`Error::Statistics`] if shared memory is not available.
+    /// [`Error::Argument`], [`Error::Remap`] and [`Error::Parameter`] for an invalid command line; [`SystemError::Environment`] for an invalid
+    /// variable; [`Error::System`] and [`SystemError::Host`] for a system file that cannot be used; [`SystemError::NotAdmitted`] for a file whose load
+    /// does not fit beside the running load; [`Error::Transport`] and [`SystemError::Statistics`] if shared memory is not available.
     pub fn build(mut self) -> Result<Context> {
         let arguments = Arguments::parse(std::mem::take(&mut self.args))?;
         self.remap = arguments.remap.clone().then(&self.remap);
@@ -265,7 +268,7 @@ impl ContextBuilder {
         let participant = Participant::new(domain)?;
         let (_gate, admitted) = match &system {
             Some(system) if admission != Admission::Off => {
-                let (gate, admitted) = admission::admit_system(domain, admission, system)?;
+                let (gate, admitted) = admit_system(domain, admission, system)?;
                 (Some(gate), admitted)
             }
             _ => (None, Admitted::Unchecked),
@@ -294,7 +297,7 @@ impl ContextBuilder {
                 system.describe(&mut about);
             }
             let prefix = StatisticsFile::prefix(domain);
-            let file = StatisticsFile::create(&prefix, &about).map_err(Error::Statistics)?;
+            let file = StatisticsFile::create(&prefix, &about).map_err(SystemError::Statistics)?;
             executor = executor.with_statistics(file);
         }
         let sampler_statistics = executor.sampler_statistics()?;
@@ -346,45 +349,6 @@ impl Default for ContextBuilder {
     }
 }
 
-fn realtime_of_environment() -> Result<Realtime> {
-    let (variable, expected) = ("TAUT_REALTIME", "it may be 'required' or 'off'");
-    match environment(variable) {
-        None => Ok(Realtime::Required),
-        Some(value) if value == "required" => Ok(Realtime::Required),
-        Some(value) if value == "off" => Ok(Realtime::Off),
-        Some(value) => Err(Error::Environment { variable, value, expected }),
-    }
-}
-
-fn admission_of_environment(has_system: bool) -> Result<Admission> {
-    let (variable, expected) = ("TAUT_ADMISSION", "it may be 'check', 'force' or 'off'");
-    match environment(variable).as_deref() {
-        None if has_system => Ok(Admission::Check),
-        None | Some("off") => Ok(Admission::Off),
-        Some("check") => Ok(Admission::Check),
-        Some("force") => Ok(Admission::Force),
-        Some(value) => Err(Error::Environment { variable, value: value.to_owned(), expected }),
-    }
-}
-
-/// `None` if it is not set.
-fn switch_of_environment(variable: &'static str) -> Result<Option<bool>> {
-    match environment(variable).as_deref() {
-        None => Ok(None),
-        Some("off") => Ok(Some(false)),
-        Some("on") => Ok(Some(true)),
-        Some(value) => {
-            Err(Error::Environment { variable, value: value.to_owned(), expected: "it may be 'on' or 'off'" })
-        }
-    }
-}
-
-/// A variable that is set to something. Not UTF-8 is something, too: it will not be understood.
-fn environment(variable: &str) -> Option<String> {
-    let value = std::env::var_os(variable)?.to_string_lossy().into_owned();
-    (!value.is_empty()).then_some(value)
-}
-
 impl Context {
     /// A context with every default, and the [arguments](ContextBuilder::args) of the process.
     ///
@@ -403,13 +367,13 @@ impl Context {
     /// The domain that a context joins unless its builder names one: `TAUT_DOMAIN`, else `ROS_DOMAIN_ID`, else 0.
     ///
     /// # Errors
-    /// [`Error::Environment`] for an invalid variable.
+    /// [`SystemError::Environment`] for an invalid variable.
     pub fn domain_of_environment() -> Result<u32> {
         let expected = "a domain is a number from 0 to 232";
         for variable in ["TAUT_DOMAIN", "ROS_DOMAIN_ID"] {
             if let Some(value) = environment(variable) {
                 let domain = value.parse().ok().filter(|&domain| domain <= tautline_transport::MAX_DOMAIN);
-                return domain.ok_or(Error::Environment { variable, value, expected });
+                return Ok(domain.ok_or(SystemError::Environment { variable, value, expected })?);
             }
         }
         Ok(0)
@@ -431,27 +395,27 @@ impl Context {
     /// [`CallbackGroup::add`](crate::CallbackGroup::add) if the callback shares its thread.
     ///
     /// # Errors
-    /// [`Error::NoSystem`] without a system file; [`Error::UnknownCallback`] if it lacks the callback on this host.
+    /// [`Error::NoSystem`] without a system file; [`SystemError::UnknownCallback`] if it lacks the callback on this host.
     pub fn callback(&self, name: &str) -> Result<CallbackOptions> {
-        self.system_for(name)?.options(name)
+        Ok(self.system_for(name)?.options(name)?)
     }
 
     /// The thread options of the group `name` from the system file: priority and core, for
     /// [`Node::spawn_group`](crate::Node::spawn_group).
     ///
     /// # Errors
-    /// [`Error::NoSystem`] without a system file; [`Error::UnknownGroup`] if it lacks the group on this host.
+    /// [`Error::NoSystem`] without a system file; [`SystemError::UnknownGroup`] if it lacks the group on this host.
     pub fn group(&self, name: &str) -> Result<CallbackOptions> {
-        self.system_for(name)?.group(name)
+        Ok(self.system_for(name)?.group(name)?)
     }
 
     /// The queue of the callback `name`: keep-last with the depth that the system file states, else with the capacity at
     /// which, as computed, no message is lost.
     ///
     /// # Errors
-    /// As [`callback`](Self::callback); [`Error::NoCapacity`] if the callback has no bound.
+    /// As [`callback`](Self::callback); [`SystemError::NoCapacity`] if the callback has no bound.
     pub fn callback_qos(&self, name: &str) -> Result<Qos> {
-        self.system_for(name)?.qos(name)
+        Ok(Qos::keep_last(self.system_for(name)?.depth(name)?))
     }
 
     /// The join settings of the callback `name`, which waits for several topics (`all`), from the system file: its window, and how
@@ -475,9 +439,9 @@ impl Context {
     /// ```
     ///
     /// # Errors
-    /// As [`callback`](Self::callback); [`Error::NoJoin`] if it waits for one topic only; [`Error::NoCapacity`] if it has no bound.
+    /// As [`callback`](Self::callback); [`Error::NoJoin`] if it waits for one topic only; [`SystemError::NoCapacity`] if it has no bound.
     pub fn callback_join(&self, name: &str) -> Result<CallbackJoin> {
-        self.system_for(name)?.join(name)
+        join_of(&*self.system_for(name)?, name)
     }
 
     /// The arguments of the command line that are not ROS 2's, with the program's name.
@@ -592,8 +556,7 @@ impl Context {
         if mode == Admission::Off || thread.policy.realtime_priority().is_none() {
             return Ok(None);
         }
-        let (gate, admitted) =
-            admission::admit_callbacks(self.domain(), mode, system.as_deref(), thread, callbacks)?;
+        let (gate, admitted) = admit_callbacks(self.domain(), mode, system.as_deref(), thread, callbacks)?;
         if let (Admitted::Forced(_), Some(file)) = (&admitted, self.shared.executor.statistics()) {
             file.set_admitted(&admitted);
         }

@@ -6,6 +6,7 @@ use std::time::Duration;
 use tautline_executor::ExecutorError;
 use tautline_msgs::cdr::{DecodeError, EncodeError, WriteError};
 use tautline_rt::RtError;
+use tautline_system::SystemError;
 use tautline_transport::{
     LoanError, PublishCdrError, PublishError, SendError, ServiceError, TakeError, TransportError,
 };
@@ -45,16 +46,9 @@ pub enum Error {
     /// A parameter was not declared, read or set, or a parameter file is not understood.
     #[error(transparent)]
     Parameter(Box<ParameterError>),
-    /// An environment variable has an invalid value.
-    #[error("{variable}={value} is not understood: {expected}")]
-    Environment {
-        /// The variable.
-        variable: &'static str,
-        /// Its value.
-        value: String,
-        /// The allowed values.
-        expected: &'static str,
-    },
+    /// A system file or an environment variable that cannot be used, or load that is not admitted.
+    #[error(transparent)]
+    System(#[from] SystemError),
     /// The awaited object ended with its node.
     #[error("the node was dropped, and its timers with it: keep the node as long as they are used")]
     NodeEnded,
@@ -80,19 +74,6 @@ pub enum Error {
         /// The maximum.
         max: usize,
     },
-    /// The system file cannot be read, or has errors: all of them, with line and column.
-    #[error(transparent)]
-    System(Box<dyn std::error::Error + Send + Sync>),
-    /// It is not known which of the system file's hosts this is.
-    #[error("host '{wanted}' is not one of {}'s hosts ({known}): name this one with `ContextBuilder::host` or TAUT_HOST", path.display())]
-    Host {
-        /// The file.
-        path: PathBuf,
-        /// The requested host.
-        wanted: String,
-        /// The existing hosts.
-        known: String,
-    },
     /// A callback was requested by name, but the context was built without a system file.
     #[error(
         "callback '{name}' is requested by name, but this context has no system file: give it one with `ContextBuilder::system`"
@@ -100,47 +81,6 @@ pub enum Error {
     NoSystem {
         /// The callback.
         name: String,
-    },
-    /// The system file has no such callback on this host.
-    #[error("callback '{name}' is not in {} on host '{host}'; there are: {known}", path.display())]
-    UnknownCallback {
-        /// The callback.
-        name: String,
-        /// The file.
-        path: PathBuf,
-        /// This host.
-        host: String,
-        /// The existing callbacks.
-        known: String,
-    },
-    /// The system file has no such group on this host.
-    #[error("group '{name}' is not in {} on host '{host}'; there are: {known}", path.display())]
-    UnknownGroup {
-        /// The group.
-        name: String,
-        /// The file.
-        path: PathBuf,
-        /// This host.
-        host: String,
-        /// The existing groups.
-        known: String,
-    },
-    /// The new load does not fit beside the load that runs in the domain.
-    #[error(
-        "{what} is not admitted to domain {domain}: {late}; beside it run: {beside}. Lower the load or its priority, move it to another \
-         core, or end what runs; {table}"
-    )]
-    NotAdmitted {
-        /// A system file, or a callback.
-        what: String,
-        /// The domain.
-        domain: u32,
-        /// The response times that would be too long, with their deadlines.
-        late: String,
-        /// The running processes.
-        beside: String,
-        /// A command that shows everything, and other possible actions.
-        table: String,
     },
     /// No process runs with this system file.
     #[error("no process of domain {domain} runs with {}: start one with it, or name the domain and the path that it was given (`taut report` lists them)", path.display())]
@@ -161,32 +101,6 @@ pub enum Error {
         why: String,
         /// Whether other processes have already changed.
         changed: bool,
-    },
-    /// The admission of another process does not end.
-    #[error(
-        "a process has been checked against domain {domain} for {waited:?}, and only one can be at a time: see who holds {} \
-         (`fuser`), end it, or set TAUT_ADMISSION=off", folder.display()
-    )]
-    AdmissionBusy {
-        /// The domain.
-        domain: u32,
-        /// The locked folder.
-        folder: PathBuf,
-        /// How long this process has waited.
-        waited: Duration,
-    },
-    /// The statistics could not be shared with other processes.
-    #[error(
-        "the callbacks' statistics cannot be shared: {0}; `ContextBuilder::share_statistics(false)` does without"
-    )]
-    Statistics(std::io::Error),
-    /// The analysis gives the callback no bound, so no queue is deep enough.
-    #[error("callback '{name}' of {} has no bound, so no queue depth is enough for it: see `taut check`, or state its topic's depth", path.display())]
-    NoCapacity {
-        /// The callback.
-        name: String,
-        /// The file.
-        path: PathBuf,
     },
     /// A transform buffer that cannot be created.
     #[cfg(feature = "tf2_msgs")]
@@ -313,12 +227,6 @@ pub enum Error {
     /// No sample was taken.
     #[error(transparent)]
     Take(#[from] TakeError),
-}
-
-impl From<tautline_analysis::file::FileError> for Error {
-    fn from(error: tautline_analysis::file::FileError) -> Self {
-        Error::System(error.into())
-    }
 }
 
 impl From<ParameterError> for Error {

@@ -44,7 +44,6 @@
 
 #[cfg(feature = "action_msgs")]
 mod action;
-mod admission;
 mod args;
 mod callbacks;
 mod context;
@@ -76,7 +75,6 @@ pub use action::{
     ActionClient, ActionClientGoal, ActionServerCancelRequest, ActionServerGoal, ActionServerGoalRequest,
     ActionServerOptions, GoalStatus,
 };
-pub use admission::Admission;
 pub use callbacks::NodeCallbacks;
 pub use context::{Context, ContextBuilder};
 pub use error::{Error, Result};
@@ -175,6 +173,7 @@ pub mod rt {
     }
 }
 pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
+pub use tautline_system::{Admission, SystemError};
 pub use tautline_transport::{
     Claim, DoorbellError, Durability, Gid, GraphEvents, History, IncompatibleQos, IncompatibleType, Limits,
     Liveliness, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS, Matched, MessageInfo, MessageLost,

@@ -147,7 +147,8 @@ impl Node {
         let name = remap.node_name(name).to_owned();
         let namespace = names::absolute_namespace(remap.namespace(&name).unwrap_or(namespace))?;
         let participant = &ctx.shared.participant;
-        let handle = participant.create_node(&name, &namespace)?;
+        let enclave = ctx.shared.arguments.enclave.as_deref().unwrap_or("/");
+        let handle = participant.create_node_in_enclave(&name, &namespace, enclave)?;
         if participant.node_count(handle.name()) > 1 {
             tracing::warn!(
                 "there is another node called {}: lookups by this name may return either; rename one with __node or __ns",
@@ -346,7 +347,7 @@ impl Node {
     /// delays the wake-up of all others.
     ///
     /// # Errors
-    /// [`Error::Executor`] with the fix if a setting is refused; [`Error::NotAdmitted`] if the context checks new load, and a deadline
+    /// [`Error::Executor`] with the fix if a setting is refused; [`SystemError::NotAdmitted`](crate::SystemError::NotAdmitted) if the context checks new load, and a deadline
     /// would be missed: see [`ContextBuilder::admission`](crate::ContextBuilder::admission).
     pub fn spawn_callback(
         &self,

@@ -10,19 +10,19 @@
 //!                            <-       done
 //! ```
 
-use crate::admission::{Admission, Gate, decide};
 use crate::error::{Error, Result};
-use crate::system::LoadedSystem;
 use std::path::Path;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 use tautline_analysis::file::SystemFile;
 use tautline_analysis::file::admission::{Candidate, Share};
 use tautline_executor::{CallbackOptions, CallbackSettings, ForeignStatistics, Order, Orders};
-use tautline_load::{Running, label_of, shared_statistics};
 use tautline_rt::Patience;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::domain::shared_path;
+use tautline_system::{
+    Admission, Gate, LoadedSystem, Running, SystemError, decide, label_of, shared_statistics,
+};
 
 /// How long a process may take to answer.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -80,7 +80,9 @@ impl Reload {
         if !order.is_final {
             return Ok(());
         }
-        let threads = |system: &LoadedSystem| system.threads().collect::<Result<Vec<CallbackOptions>>>();
+        let threads = |system: &LoadedSystem| {
+            system.threads().collect::<std::result::Result<Vec<CallbackOptions>, SystemError>>()
+        };
         let (former, wanted) =
             threads(&current).and_then(|old| Ok((old, threads(&new)?))).map_err(|e| e.to_string())?;
         for (done, options) in wanted.iter().enumerate() {
@@ -107,18 +109,18 @@ impl Reload {
 /// milliseconds, the bounds of neither text hold.
 ///
 /// # Errors
-/// [`Error::System`] with all errors of the file, [`Error::NobodyHas`], [`Error::NotAdmitted`] with the response times that would be too
+/// [`Error::System`] with all errors of the file, [`Error::NobodyHas`], [`SystemError::NotAdmitted`] with the response times that would be too
 /// long; [`Error::NotTakenUp`] for differences that cannot be adopted at run time: callbacks, nodes, cores, threads, topics, periods,
 /// deeper queues.
 pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<String>> {
     let path = std::path::absolute(&path).unwrap_or_else(|_| path.as_ref().to_path_buf());
-    let file = SystemFile::read(&path)?;
+    let file = SystemFile::read(&path).map_err(SystemError::from)?;
     if !shared_path(domain).exists() {
         return Err(Error::NobodyHas { path, domain });
     }
     let _gate = Gate::enter(domain, Admission::Check)?;
     let mut members = Vec::new();
-    for statistics in shared_statistics(domain).map_err(Error::Statistics)?.0 {
+    for statistics in shared_statistics(domain)?.0 {
         // One of another version cannot have been asked; one that ends right now need not.
         let Ok(Some(snapshot)) = statistics.read() else { continue };
         let process = snapshot.process;
@@ -140,13 +142,13 @@ pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<String>> 
     hosts.sort_unstable();
     hosts.dedup();
     for host in hosts {
-        let running = Running::beside(domain, Some((&path, &file))).map_err(Error::Statistics)?;
+        let running = Running::beside(domain, Some((&path, &file)))?;
         let candidate = Candidate::File(Share { file: &file, host, label: &label });
         decide(domain, Admission::Check, &running, &candidate, &label, Some(&label)).map_err(|error| {
             match error {
-                Error::NotAdmitted { what, domain, late, beside, .. } => {
+                SystemError::NotAdmitted { what, domain, late, beside, .. } => {
                     let table = "nothing was changed".to_owned();
-                    Error::NotAdmitted { what, domain, late, beside, table }
+                    SystemError::NotAdmitted { what, domain, late, beside, table }
                 }
                 error => error,
             }

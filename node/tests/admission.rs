@@ -10,9 +10,11 @@ use std::time::Duration;
 
 use common::realtime;
 use futures::future::pending;
-use tautline::{Admission, CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Result};
+use tautline::{
+    Admission, CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Result, SystemError,
+};
 use tautline_executor::Admitted;
-use tautline_load::{Running, shared_statistics};
+use tautline_system::{Running, shared_statistics};
 
 /// Each test has a domain of its own, in a scope of its own.
 fn scope() {
@@ -58,7 +60,7 @@ impl Drop for File {
 #[track_caller]
 fn refusal<T>(result: Result<T>) -> String {
     match result {
-        Err(error @ Error::NotAdmitted { .. }) => error.to_string(),
+        Err(error @ Error::System(SystemError::NotAdmitted { .. })) => error.to_string(),
         Err(error) => panic!("another error: {error}"),
         Ok(_) => panic!("admitted"),
     }
@@ -226,7 +228,7 @@ fn child_main() {
             println!("\nadmitted");
             std::io::stdin().lines().next();
         }
-        Err(Error::NotAdmitted { .. }) => println!("\nrefused"),
+        Err(Error::System(SystemError::NotAdmitted { .. })) => println!("\nrefused"),
         Err(error) => println!("\n{error}"),
     }
 }

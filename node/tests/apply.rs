@@ -8,7 +8,9 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use common::realtime;
-use tautline::{CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Policy, apply_system};
+use tautline::{
+    CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Policy, SystemError, apply_system,
+};
 use tautline_rt::{policy_of, set_policy_of};
 
 const DOMAIN: u32 = 98;
@@ -97,7 +99,7 @@ fn a_new_text_is_taken_up_by_what_runs_or_by_nobody() {
     let error = apply(&file).unwrap_err();
     assert!(error.contains("another period") && error.contains("nothing was changed"), "{error}");
     file.write("[hosts");
-    assert!(matches!(apply_system(DOMAIN, &file.0), Err(Error::System { .. })));
+    assert!(matches!(apply_system(DOMAIN, &file.0), Err(Error::System(SystemError::File(_)))));
     assert_eq!(now(), second);
 
     file.write(&text(30, "2ms", ""));
@@ -120,7 +122,8 @@ fn what_runs_besides_keeps_its_deadlines() {
     file.write(&text(30, "6ms", ""));
     let error = apply_system(DOMAIN + 1, &file.0).unwrap_err();
     assert!(
-        matches!(error, Error::NotAdmitted { .. }) && error.to_string().contains("callback `loose`"),
+        matches!(error, Error::System(SystemError::NotAdmitted { .. }))
+            && error.to_string().contains("callback `loose`"),
         "{error}"
     );
     assert_eq!(fast.stats().budget(), Some(Duration::from_millis(2)));

@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use common::{Log, Number};
 use futures::StreamExt;
 use tautline::{CallbackOptions, Context, LoanError, Node, PublishError, Qos, Realtime};
+use tautline_rt::clock::test_time;
 
 /// Runs in a forked child, which then ends without anything else of a process's end. A child that hangs is killed after a minute.
 fn in_a_fork(run: impl FnOnce()) {
@@ -23,7 +24,7 @@ fn in_a_fork(run: impl FnOnce()) {
     let (mut status, begin) = (0, Instant::now());
     // SAFETY: `status` is writable; it is this process's child.
     while unsafe { libc::waitpid(pid, &raw mut status, libc::WNOHANG) } == 0 {
-        if begin.elapsed() > Duration::from_secs(60) {
+        if begin.elapsed() > test_time(Duration::from_secs(60)) {
             // SAFETY: it is this process's child, which has not been waited for.
             unsafe { libc::kill(pid, libc::SIGKILL) };
         }
@@ -63,7 +64,7 @@ fn a_child_ends_or_begins_anew_and_its_parent_goes_on() {
         let mut node = Node::create(own.clone(), "child", "").unwrap();
         let publisher = node.create_publisher::<Number>("/forks", Qos::default()).unwrap();
         let begin = Instant::now();
-        while publisher.subscription_count() == 0 && begin.elapsed() < Duration::from_secs(30) {
+        while publisher.subscription_count() == 0 && begin.elapsed() < test_time(Duration::from_secs(30)) {
             std::thread::sleep(Duration::from_millis(1));
         }
         publisher.publish(&Number { value: 3 }).unwrap();

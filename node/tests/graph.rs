@@ -38,7 +38,9 @@ fn map(pairs: &[(&str, &str)]) -> HashMap<String, Vec<String>> {
 
 #[test]
 fn a_node_sees_what_others_have() {
-    let ctx = context(109);
+    common::isolate();
+    let args = ["--ros-args", "--enclave", "/front"];
+    let ctx = Context::builder().domain(109).realtime(Realtime::Off).args(args).build().unwrap();
     let mut talker = Node::create(ctx.clone(), "talker", "/robot").unwrap();
     let mut listener = Node::create(ctx, "listener", "").unwrap();
     let qos = Qos::keep_last(7).best_effort().transient_local();
@@ -51,6 +53,7 @@ fn a_node_sees_what_others_have() {
     let _other = listener.create_client::<Add>("/nobody").unwrap();
 
     assert_eq!(listener.get_node_names().unwrap(), ["/listener", "/robot/talker"]);
+    assert!(talker.graph().unwrap().nodes.iter().all(|node| node.enclave == "/front"));
     let pair = |name: &str, namespace: &str| (name.to_owned(), namespace.to_owned());
     assert_eq!(
         listener.get_node_names_and_namespaces().unwrap(),

@@ -13,6 +13,7 @@ use futures::executor::block_on;
 use futures::{FutureExt, StreamExt};
 use tautline::example_interfaces::srv::AddTwoInts;
 use tautline::{Error, Node, Qos, ServiceError};
+use tautline_rt::clock::test_time;
 
 const DOMAIN: u32 = 154;
 const PART: &str = "TAUT_TEST_PART";
@@ -127,8 +128,9 @@ fn a_killed_client_is_forgotten() {
         client.kill();
         let sum = AddTwoInts::Response { sum: 2 };
         request.respond(sum).expect("whether the client has been missed yet or not");
-        let answer =
-            own.request_timeout(&AddTwoInts::Request { a: 2, b: 2 }, Duration::from_secs(30)).unwrap();
+        let answer = own
+            .request_timeout(&AddTwoInts::Request { a: 2, b: 2 }, test_time(Duration::from_secs(30)))
+            .unwrap();
         block_on(requests.next()).unwrap().respond(AddTwoInts::Response { sum: 4 }).unwrap();
         assert_eq!(block_on(answer).unwrap().sum, 4);
     }

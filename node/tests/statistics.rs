@@ -9,8 +9,8 @@ use common::{Log, Number, run_again, spin};
 use futures::StreamExt;
 use tautline::{CallbackGroup, Context, Node, Qos, Realtime};
 use tautline_executor::{CallbackSnapshot, MomentKind, ProcessSnapshot};
-use tautline_load::shared_statistics;
 use tautline_rt::clock;
+use tautline_system::shared_statistics;
 
 const DOMAIN: u32 = 166;
 const KILLED: u32 = 167;

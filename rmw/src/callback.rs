@@ -4,8 +4,8 @@
 use std::cell::Cell;
 use std::ffi::c_void;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
+use tautline_rt::PiMutex;
 
 /// `rmw_event_callback_t` and its argument; `None` removes a callback.
 pub(crate) type Function = Option<(unsafe extern "C" fn(*const c_void, usize), *const c_void)>;
@@ -13,7 +13,7 @@ pub(crate) type Function = Option<(unsafe extern "C" fn(*const c_void, usize), *
 /// Holds a callback.
 #[derive(Default)]
 pub(crate) struct EventCallback {
-    function: Mutex<Sent>,
+    function: PiMutex<Sent>,
     is_set: AtomicBool,
     /// Calls in progress.
     calls: AtomicU32,
@@ -37,7 +37,7 @@ impl EventCallback {
     /// Sets the callback. The previous one may still be running; see [`settle`](Self::settle).
     pub(crate) fn replace(&self, function: Function) {
         self.is_set.store(function.is_some(), Ordering::Release);
-        *self.function.lock().unwrap_or_else(PoisonError::into_inner) = Sent(function);
+        *self.function.lock() = Sent(function);
     }
 
     /// Waits until calls in progress have returned, unless called from a callback. The caller must hold no lock that they need.
@@ -55,7 +55,7 @@ impl EventCallback {
 
     /// Begins a call if a callback is set. Call this with the counters locked, and [`Call::run`] unlocked.
     pub(crate) fn begin(&self) -> Option<Call<'_>> {
-        let function = self.function.lock().unwrap_or_else(PoisonError::into_inner);
+        let function = self.function.lock();
         let function = function.0?;
         self.calls.fetch_add(1, Ordering::AcqRel);
         Some(Call { callback: self, function })

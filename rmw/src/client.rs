@@ -351,8 +351,6 @@ pub unsafe extern "C" fn rmw_client_set_on_new_response_callback(
     answer(|| {
         // SAFETY: rmw's contract.
         let client = unsafe { behind(handle)? };
-        let helper = &client.node().context().helper;
-        client.end.set_on_new(helper, callback.map(|function| (function, data)));
-        Ok(())
+        client.end.set_on_new(client.node().context(), callback.map(|function| (function, data)))
     })
 }

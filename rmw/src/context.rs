@@ -6,7 +6,8 @@ use crate::error::{Error, Result, answer};
 use crate::handle::{IDENTIFIER, behind_context, check_identifier, take_back, text};
 use crate::helper::{Helper, Ring};
 use crate::log;
-use crate::on_new::ListenersByName;
+use crate::notifier::{Home, Notifier};
+use crate::on_new::{Listener, ListenersByName};
 use crate::options::{self, rmw_init_options_copy, rmw_init_options_fini};
 use crate::signal::{Signal, Waiter};
 use crate::system::System;
@@ -23,6 +24,7 @@ use tautline_transport::{GraphEvents, Participant, Slot, Wakeable};
 pub(crate) struct Context {
     // Dropped in this order: the helper serves the participant, and the last participant removes the domain's folder, which must
     // be empty by then.
+    notifier: Notifier,
     pub(crate) helper: Helper,
     pub(crate) system: System,
     pub(crate) participant: Participant,
@@ -144,6 +146,7 @@ impl Context {
         helper.run(move || tell_of_changes(events, slot, watched));
         let (nodes, waiters) = (AtomicUsize::new(0), Arc::new(Waiters::new()));
         Ok(Context {
+            notifier: Notifier::default(),
             helper,
             participant,
             enclave: enclave.to_owned(),
@@ -154,6 +157,12 @@ impl Context {
             waits,
             system,
         })
+    }
+
+    /// Where the rings of an endpoint with a callback for new messages go, which is served from now on.
+    /// `priority`: that of the thread that the system file gives its callback.
+    pub(crate) fn home(&self, endpoint: Weak<dyn Listener>, priority: Option<u8>) -> Result<Arc<Home>> {
+        self.notifier.serve(endpoint, priority, || self.waiters.claim(&self.participant))
     }
 
     /// For changes that are known before the graph shows them.

@@ -2,17 +2,16 @@
 //! A receiving endpoint: used by one thread at a time, and woken by its publishers.
 
 use crate::callback::{EventCallback, Function};
+use crate::context::Context;
 use crate::error::Result;
-use crate::helper::Helper;
 use crate::job::{self, Jobs};
 use crate::node::Node;
+use crate::notifier::Home;
 use crate::on_new::{Listener, Listeners};
 use crate::signal::Waiter;
 use crate::thread::ThreadPlan;
-use std::future::poll_fn;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Weak};
-use std::task::{Poll, Waker};
+use std::task::Waker;
 use tautline_rt::PiMutex;
 use tautline_transport::{MessageInfo, RawSample, RawSubscription, TakeError, Wakeable};
 
@@ -40,8 +39,6 @@ pub(crate) struct ReceivingEndpoint<P> {
     callback: EventCallback,
     /// Those that the publishing threads of this context call.
     listeners: Arc<Listeners>,
-    /// Whether the helper has a task that calls it.
-    is_served: AtomicBool,
 }
 
 /// Where a port's rings go.
@@ -51,8 +48,8 @@ struct WakeTarget {
     to: Option<Arc<Waiter>>,
     /// Whether publishers wake it.
     is_direct: bool,
-    /// The helper's task for messages of other contexts.
-    task: Option<Waker>,
+    /// Where they go while no one waits, once there was a callback.
+    home: Option<Arc<Home>>,
     /// Messages for which the callback was called so far.
     told: u64,
 }
@@ -60,9 +57,9 @@ struct WakeTarget {
 impl<P: MessageQueue> ReceivingEndpoint<P> {
     pub(crate) fn new(node: &Node, port: P, listeners: Arc<Listeners>) -> Result<Arc<Self>> {
         let jobs = Jobs::new(node, port.subscription(), P::IS_TOPIC)?;
-        let (route, callback, is_served) = Default::default();
+        let (route, callback) = Default::default();
         let side = PiMutex::new((port, route));
-        Ok(Arc::new(ReceivingEndpoint { side, jobs, callback, listeners, is_served }))
+        Ok(Arc::new(ReceivingEndpoint { side, jobs, callback, listeners }))
     }
 
     /// Uses the port.
@@ -104,10 +101,7 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         }
         // Without room it is retried at the next wait.
         if !(route.is_direct && route.to.as_ref().is_some_and(|to| Arc::ptr_eq(to, waiter))) {
-            route.is_direct = match &**waiter {
-                Waiter::Bell(bell) => subscription.wake_thread(Some(bell)),
-                Waiter::Word(_) => subscription.wake_thread(None),
-            };
+            route.is_direct = subscription.wake_thread(waiter.bell());
             route.to = Some(waiter.clone());
         }
         subscription.wake_once(&Waker::from(waiter.clone()));
@@ -120,25 +114,25 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
     /// One load without a callback; else as [`with`](Self::with), and one futex wake.
     pub(crate) fn detach(&self) {
         if self.callback.is_set() {
-            self.go_home(None);
-            // The helper calls for what came meanwhile.
+            self.go_home();
+            // The notifier calls for what came meanwhile.
             self.with(|port| ring(port.subscription()));
         }
     }
 
-    /// Routes the rings of other contexts to the helper's task, if there is a callback; publishers of this context call it. Who still
-    /// waits is woken, and attaches again. Check the queue afterwards.
-    fn go_home(&self, task: Option<&Waker>) {
+    /// Routes the rings of other contexts to the notifier, if there is a callback; publishers of this context call it. Who still waits
+    /// is woken, and attaches again. Check the queue afterwards.
+    fn go_home(&self) {
         let (port, route) = &mut *self.side.lock();
         let subscription = port.subscription();
-        route.task = task.cloned().or_else(|| route.task.take());
-        let Some(task) = route.task.as_ref().filter(|_| self.callback.is_set()) else { return };
-        if std::mem::take(&mut route.is_direct) {
-            subscription.wake_thread(None);
+        let Some(home) = route.home.as_ref().filter(|_| self.callback.is_set()) else { return };
+        let waiter = route.to.take();
+        if waiter.is_some() || !route.is_direct {
+            route.is_direct = subscription.wake_thread(home.waiter.bell());
         }
-        subscription.wake_once(task);
+        subscription.wake_once(&Waker::from(home.clone()));
         subscription.set_own_look(true);
-        if let Some(waiter) = route.to.take() {
+        if let Some(waiter) = waiter {
             Wakeable::wake(&*waiter);
         }
     }
@@ -182,20 +176,19 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
     }
 
     /// Sets or removes the callback for new messages. It is called here for messages not reported before, like other RMWs do;
-    /// later the publishing thread calls it, or the helper for a publisher of another context.
-    pub(crate) fn set_on_new(self: &Arc<Self>, helper: &Helper, function: Function) {
+    /// later the publishing thread calls it, or the notifier for a publisher of another context.
+    pub(crate) fn set_on_new(self: &Arc<Self>, context: &Context, function: Function) -> Result {
         if function.is_none() {
-            return self.remove_on_new();
+            self.remove_on_new();
+            return Ok(());
         }
+        let home = context.home(self.listener(), self.thread().map(|plan| plan.priority))?;
+        self.side.lock().1.home = Some(home);
         self.callback.replace(function);
         self.callback.settle();
         self.listeners.add(self.listener());
-        self.go_home(None);
-        self.notify();
-        if !self.is_served.swap(true, Ordering::AcqRel) {
-            let end = Arc::downgrade(self);
-            helper.run(move || Self::serve(end));
-        }
+        self.receive();
+        Ok(())
     }
 
     fn remove_on_new(self: &Arc<Self>) {
@@ -214,22 +207,14 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         self.jobs.close();
         self.remove_on_new();
     }
-
-    /// Calls the callback for messages of other contexts, until the endpoint is destroyed.
-    async fn serve(end: Weak<Self>) {
-        poll_fn(|context| match end.upgrade() {
-            None => Poll::Ready(()),
-            Some(end) => {
-                end.go_home(Some(context.waker()));
-                end.notify();
-                Poll::Pending
-            }
-        })
-        .await;
-    }
 }
 
 impl<P: MessageQueue> Listener for ReceivingEndpoint<P> {
+    fn receive(&self) {
+        self.go_home();
+        self.notify();
+    }
+
     fn notify(&self) {
         let (call, new) = {
             let (port, route) = &mut *self.side.lock();

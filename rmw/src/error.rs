@@ -5,6 +5,7 @@ use crate::bindings::*;
 use std::any::Any;
 use std::ffi::CString;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use tautline_system::SystemError;
 use tautline_transport::{DoorbellError, LoanError, ServiceError, TransportError};
 
 /// Why a call failed.
@@ -61,6 +62,12 @@ impl From<TransportError> for Error {
             _ => RET_ERROR,
         };
         Error::new(code, error.to_string())
+    }
+}
+
+impl From<SystemError> for Error {
+    fn from(error: SystemError) -> Self {
+        Error::other(error)
     }
 }
 

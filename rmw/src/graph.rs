@@ -9,7 +9,7 @@ use crate::qos;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::{CString, c_char};
 use std::sync::Arc;
-use tautline_transport::{EndpointKind, GraphSnapshot, NodeInfo, NodeName, ServiceKind, TopicEndpoint};
+use tautline_transport::{EndpointKind, GraphSnapshot, NodeName, ServiceKind, TopicEndpoint};
 
 /// Names, each with its types.
 type Names<'g> = BTreeMap<&'g str, BTreeSet<&'g str>>;
@@ -137,13 +137,7 @@ unsafe fn node_names(
     fill(names, nodes.iter().map(|node| node.name.name.as_str()), &allocator)?;
     let mut filled = fill(namespaces, nodes.iter().map(|node| node.name.namespace.as_str()), &allocator);
     if let (Ok(()), Some(enclaves)) = (&filled, enclaves) {
-        // The graph has no enclaves: nodes of other processes get the root.
-        // SAFETY: rmw's contract.
-        let own = &unsafe { behind(node)? }.context().enclave;
-        let pid = Some(std::process::id());
-        let enclave = |node: &Arc<NodeInfo>| if node.pid == pid { own.clone() } else { "/".to_owned() };
-        let of_nodes: Vec<String> = nodes.iter().map(enclave).collect();
-        filled = fill(enclaves, of_nodes.iter().map(String::as_str), &allocator);
+        filled = fill(enclaves, nodes.iter().map(|node| node.enclave.as_str()), &allocator);
         if filled.is_err() {
             // SAFETY: filled above.
             let _ = unsafe { rcutils_string_array_fini(namespaces) };

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A context's helper thread: in place of the sampler, it serves everything except data. QoS events, graph changes, requests that
-//! wait for a server, and callbacks for messages of other contexts are tasks of its pool.
+//! A context's helper thread: in place of the sampler, it serves everything except data. QoS events, graph changes and requests that
+//! wait for a server are tasks of its pool.
 
 use crate::error::{self, Error, Result};
 use futures::FutureExt;

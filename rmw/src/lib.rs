@@ -9,7 +9,7 @@
 //! | `context` | a participant of a domain; `options`: its options |
 //! | `node`, `publisher`, `subscription`, `service`, `client` | ROS's entities; `topic`: arguments for creating topic endpoints |
 //! | `wait` | wait sets; `signal`: what they sleep on; `end`: receiving endpoints, woken by publishers; `guard`: flags that any thread sets |
-//! | `event` | QoS events, received by the `helper`, a thread in place of the sampler; `callback`: callbacks of ROS; `on_new`: those for messages |
+//! | `event` | QoS events, received by the `helper`, a thread in place of the sampler; `callback`: callbacks of ROS; `on_new`: those for messages; `notifier`: the thread that calls them for other contexts |
 //! | `graph` | the graph |
 //! | `types` | type supports; `cdr`: their callbacks; `layout`: types with equal layout in memory and CDR; `serialization`: messages as bytes; `qos`: profiles |
 //! | `handle` | ROS's handles |
@@ -21,7 +21,6 @@ mod callback;
 mod cdr;
 mod client;
 mod context;
-mod copy;
 mod end;
 mod error;
 mod event;
@@ -33,6 +32,7 @@ mod job;
 mod layout;
 mod log;
 mod node;
+mod notifier;
 mod on_new;
 mod options;
 mod publisher;

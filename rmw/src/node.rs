@@ -160,7 +160,7 @@ pub unsafe extern "C" fn rmw_create_node(
             check_namespace(namespace)?;
             (behind, text(name, "the node's name")?, text(namespace, "the namespace")?)
         };
-        let handle = behind.participant.create_node(name, namespace)?;
+        let handle = behind.participant.create_node_in_enclave(name, namespace, &behind.enclave)?;
         let participant = behind.participant.for_node(&handle);
         let signal = Arc::<Signal>::default();
         behind.watch_graph(&signal);

@@ -10,7 +10,7 @@
 //! ```
 //!
 //! As with a ring, either the publisher does what the endpoint wants, or the endpoint sees the message. Publishers of other contexts
-//! ring, and the helper calls.
+//! ring, and the notifier calls.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering, fence};
@@ -21,6 +21,9 @@ use tautline_rt::PiMutex;
 pub(crate) trait Listener: Send + Sync {
     /// Calls the callback for messages that were not reported yet.
     fn notify(&self);
+
+    /// The same in the notifier, which was rung, and is to be rung for the next message.
+    fn receive(&self);
 }
 
 /// The endpoints of a context that hear one topic and have a callback.

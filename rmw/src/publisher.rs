@@ -3,7 +3,6 @@
 
 use crate::bindings::*;
 use crate::cdr::{Callbacks, Length};
-use crate::copy::copy;
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place};
@@ -342,7 +341,7 @@ pub unsafe extern "C" fn rmw_publish_serialized_message(
         // SAFETY: rmw's contract.
         let body = unsafe { little_body(message, &publisher.message_type)? };
         publisher.publish(body.len(), |loan| {
-            copy(loan, &body);
+            tautline_rt::copy_to_shared(loan, &body);
             Ok(body.len())
         })
     })

@@ -332,8 +332,6 @@ pub unsafe extern "C" fn rmw_service_set_on_new_request_callback(
     answer(|| {
         // SAFETY: rmw's contract.
         let service = unsafe { behind(handle)? };
-        let helper = &service.node().context().helper;
-        service.end.set_on_new(helper, callback.map(|function| (function, data)));
-        Ok(())
+        service.end.set_on_new(service.node().context(), callback.map(|function| (function, data)))
     })
 }

@@ -32,6 +32,14 @@ impl Wakeable for Waiter {
 }
 
 impl Waiter {
+    /// What publishers ring, if they do.
+    pub(crate) fn bell(&self) -> Option<&Arc<ThreadBell>> {
+        match self {
+            Waiter::Bell(bell) => Some(bell),
+            Waiter::Word(_) => None,
+        }
+    }
+
     /// Read this before the check that precedes the sleep.
     pub(crate) fn count(&self) -> u32 {
         match self {

@@ -274,8 +274,9 @@ pub unsafe extern "C" fn rmw_create_subscription(
             let flows = options.require_unique_network_flow_endpoints;
             (options, EndpointArgs::new(node, support, topic, profile, flows)?)
         };
-        let wanted = asked.qos(EndpointRole::Subscription)?;
+        let mut wanted = asked.qos(EndpointRole::Subscription)?;
         let EndpointArgs { node, message_type, name, profile } = asked;
+        node.context().system.set_depth(&node.full_name, name, &mut wanted);
         let raw = node.participant.create_raw_subscription(
             name,
             &message_type.topic_type,
@@ -505,8 +506,6 @@ pub unsafe extern "C" fn rmw_subscription_set_on_new_message_callback(
     answer(|| {
         // SAFETY: rmw's contract.
         let subscription = unsafe { behind(handle)? };
-        let helper = &subscription.node().context().helper;
-        subscription.end.set_on_new(helper, callback.map(|function| (function, data)));
-        Ok(())
+        subscription.end.set_on_new(subscription.node().context(), callback.map(|function| (function, data)))
     })
 }

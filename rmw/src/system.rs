@@ -4,19 +4,29 @@
 use crate::error::{Error, Result};
 use crate::thread::ThreadPlan;
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
-use std::time::Duration;
-use tautline_analysis::file::{CheckedCallback, Client, SystemFile};
-use tautline_executor::{CallbackOptions, ForeignCallback, ProcessInfo, StatisticsFile};
+use tautline_analysis::file::{CheckedCallback, Client};
+use tautline_executor::{Admitted, CallbackOptions, ForeignCallback, ProcessInfo, Realtime, StatisticsFile};
+use tautline_system::{
+    Admission, Gate, LoadedSystem, admission_of_environment, admit_callbacks, admit_system,
+    realtime_of_environment,
+};
+use tautline_transport::{History, Qos, Reliability};
 
-/// A system file's entries for the ROS nodes of one host, if there is a file, and this process's callback statistics.
+/// Topics that ROS's client libraries subscribe to for a node.
+const OF_EVERY_NODE: [&str; 2] = ["/parameter_events", "/clock"];
+
+/// A system file as this process has it, if there is one, and this process's callback statistics.
 pub(crate) struct System {
+    domain: u32,
+    /// `None` also if it has no ROS callbacks of this host.
+    file: Option<LoadedSystem>,
+    /// The ROS callbacks of this host.
     callbacks: Vec<CheckedCallback>,
     /// The threads of these callbacks, each once; none with `TAUT_REALTIME=off`.
     threads: Vec<Option<Arc<ThreadPlan>>>,
-    /// Whether there is a file, so that processor time is measured.
-    is_named: bool,
+    admission: Admission,
     /// `None`: it could not be created, and there is no file.
     statistics: Option<StatisticsFile>,
     /// By name.
@@ -24,20 +34,32 @@ pub(crate) struct System {
 }
 
 impl System {
-    /// From the environment.
+    /// From the environment. A file is checked beside what runs in the domain, which this process has joined.
     pub(crate) fn of_environment(domain: u32) -> Result<Self> {
         let path = std::env::var_os("TAUT_SYSTEM").filter(|path| !path.is_empty());
-        let named = path.map(|path| Self::read(std::path::absolute(&path).unwrap_or_else(|_| path.into())));
-        let (callbacks, about) = named.transpose()?.flatten().unwrap_or_else(|| {
-            let realtime = tautline_rt::permission::realtime_permitted(1).is_ok();
-            (Vec::new(), ProcessInfo { realtime, ..ProcessInfo::of_this() })
-        });
-        let is_named = !callbacks.is_empty();
-        let is_governed = is_named && is_realtime_wanted()?;
+        let file = path.map(|path| Self::read(path.as_ref())).transpose()?.flatten();
+        let of_ros = |callback: &&CheckedCallback| callback.entry.client != Client::Tautline;
+        let callbacks: Vec<_> =
+            file.iter().flat_map(|file| file.callbacks().filter(of_ros)).cloned().collect();
+        let is_governed = file.is_some() && realtime_of_environment()? == Realtime::Required;
+        let admission = if is_governed { admission_of_environment(true)? } else { Admission::Off };
+        let (_gate, admitted) = match &file {
+            Some(file) if admission != Admission::Off => {
+                let (gate, admitted) = admit_system(domain, admission, file)?;
+                (Some(gate), admitted)
+            }
+            _ => (None, Admitted::Unchecked),
+        };
+        let highest = callbacks.iter().map(|callback| callback.entry.priority).max().unwrap_or(1);
+        let realtime = tautline_rt::permission::realtime_permitted(highest).is_ok();
+        let mut about = ProcessInfo { realtime, admitted, ..ProcessInfo::of_this() };
+        if let Some(file) = &file {
+            file.describe(&mut about);
+        }
         let threads = if is_governed { plans(&callbacks) } else { vec![None; callbacks.len()] };
         let statistics = match StatisticsFile::create(&StatisticsFile::prefix(domain), &about) {
-            Ok(file) => Some(file),
-            Err(error) if is_named => {
+            Ok(made) => Some(made),
+            Err(error) if file.is_some() => {
                 return Err(Error::other(format!("statistics in /dev/shm: {error}")));
             }
             Err(error) => {
@@ -45,44 +67,28 @@ impl System {
                 None
             }
         };
-        Ok(System { is_named, callbacks, threads, statistics, made: Mutex::default() })
+        let made = Mutex::default();
+        Ok(System { domain, file, callbacks, threads, admission, statistics, made })
     }
 
-    /// This host's ROS callbacks in a system file; `None` if there are none.
-    fn read(path: PathBuf) -> Result<Option<(Vec<CheckedCallback>, ProcessInfo)>> {
-        let refuse = |reason: String| Error::other(format!("TAUT_SYSTEM: {reason}"));
-        let file = SystemFile::read(&path).map_err(|error| refuse(error.to_string()))?;
-        let wanted = std::env::var("TAUT_HOST").ok().filter(|host| !host.is_empty());
-        let host = file.host(wanted.as_deref()).map_err(|hosts| {
-            let (path, hosts) = (path.display(), hosts.join(", "));
-            refuse(match &wanted {
-                Some(wanted) => format!("`{path}` has no host `{wanted}`: set TAUT_HOST to one of {hosts}"),
-                None => format!("`{path}` has several hosts: set TAUT_HOST to one of {hosts}"),
-            })
-        })?;
-        let of_ros =
-            |callback: &CheckedCallback| callback.host == host && callback.entry.client != Client::Tautline;
-        let callbacks: Vec<_> = file.check().callbacks.into_iter().filter(of_ros).collect();
-        let Some(highest) = callbacks.iter().map(|callback| callback.entry.priority).max() else {
-            tracing::warn!(
-                "TAUT_SYSTEM: `{}` has no callback of host `{host}` whose node has `client = \"rclcpp\"` or \"rclpy\"",
-                path.display()
-            );
-            return Ok(None);
-        };
-        let about = ProcessInfo {
-            host: host.to_owned(),
-            realtime: tautline_rt::permission::realtime_permitted(highest).is_ok(),
-            system_path: path,
-            system_hash: file.fingerprint(),
-            ..ProcessInfo::of_this()
-        };
-        Ok(Some((callbacks, about)))
+    /// A system file; `None` if it has no ROS callbacks of this host.
+    fn read(path: &Path) -> Result<Option<LoadedSystem>> {
+        let host = tautline_system::environment("TAUT_HOST");
+        let file = LoadedSystem::read(path, host.as_deref())
+            .map_err(|error| Error::other(format!("TAUT_SYSTEM: {error}")))?;
+        if file.callbacks().any(|callback| callback.entry.client != Client::Tautline) {
+            return Ok(Some(file));
+        }
+        let (path, host) = (path.display(), &file.host);
+        tracing::warn!(
+            "TAUT_SYSTEM: `{path}` has no callback of host `{host}` whose node has `client = \"rclcpp\"` or \"rclpy\""
+        );
+        Ok(None)
     }
 
     /// Whether processor time of callbacks is measured, which costs a system call for each.
     pub(crate) fn measures_execution(&self) -> bool {
-        self.is_named
+        self.file.is_some()
     }
 
     /// The file's entry for what `node`, a full name, does with messages of `topic`.
@@ -105,6 +111,61 @@ impl System {
         }
     }
 
+    /// Names what the file does not know of a node that it has: what that costs is in no bound.
+    fn warn_of_unlisted(&self, node: &str, topic: &str) {
+        let short = node.rsplit('/').next().unwrap_or(node);
+        let is_known = |callback: &CheckedCallback| [node, short].contains(&callback.entry.node.as_str());
+        if !OF_EVERY_NODE.contains(&topic) && self.is_governing() && self.callbacks.iter().any(is_known) {
+            tracing::warn!(
+                "the system file has no callback of node `{node}` for `{topic}`: the bounds of callbacks whose executor also runs that one do \
+                 not hold; add it to the file, or give it an executor of its own"
+            );
+        }
+    }
+
+    /// The depth of a subscription's queue: for a reliable keep-last one as the file says, if it says so. A shorter one than the analysis
+    /// needs is warned of.
+    pub(crate) fn set_depth(&self, node: &str, topic: &str, qos: &mut Qos) {
+        let (Some(file), Some(index)) = (&self.file, self.entry(node, topic)) else { return };
+        if qos.history != History::KeepLast || qos.reliability != Reliability::Reliable {
+            return;
+        }
+        let callback = &self.callbacks[index];
+        let (name, capacity) = (&callback.entry.name, callback.capacity.map(|capacity| capacity.max(1)));
+        let stated = file.file.topics().iter().find(|of| of.name == topic);
+        let number = stated.and_then(|of| usize::try_from(of.depth?).ok());
+        let wanted = number.or_else(|| capacity.filter(|_| stated.is_some_and(|of| of.is_auto)));
+        if let Some(depth) = wanted.filter(|depth| *depth != qos.depth) {
+            tracing::info!(
+                "callback `{name}`: `{topic}` has depth {depth}, as the system file says, not {}",
+                qos.depth
+            );
+            qos.depth = depth;
+        }
+        if let Some(capacity) = capacity.filter(|capacity| *capacity > qos.depth) {
+            tracing::warn!(
+                "callback `{name}`: `{topic}` has depth {}, but {capacity} messages may wait: set `depth = \"auto\"` for the topic in the \
+                 system file, or {capacity} in the node",
+                qos.depth
+            );
+        }
+    }
+
+    /// Checks a callback of the file that is about to be made: that its thread may have its priority, and its load if it runs elsewhere already.
+    fn admit(&self, plan: &ThreadPlan, name: &str) -> Result<Option<Gate>> {
+        plan.check_permission()?;
+        let Some(file) = self.file.as_ref().filter(|_| self.admission != Admission::Off) else {
+            return Ok(None);
+        };
+        let options = file.options(name)?;
+        let (gate, admitted) =
+            admit_callbacks(self.domain, self.admission, Some(file), &options, std::iter::once(&options))?;
+        if let (Admitted::Forced(_), Some(statistics)) = (&admitted, &self.statistics) {
+            statistics.set_admitted(&admitted);
+        }
+        Ok(Some(gate))
+    }
+
     /// Whether threads get what the file states.
     pub(crate) fn is_governing(&self) -> bool {
         self.threads.iter().any(Option::is_some)
@@ -121,19 +182,25 @@ impl System {
         topic: &str,
         is_topic: bool,
     ) -> Result<(String, Option<Arc<ForeignCallback>>)> {
-        let options = match self.entry(node, topic).map(|index| &self.callbacks[index]) {
-            Some(callback) => CallbackOptions {
-                bound: callback.response_overhead_ns.map(Duration::from_nanos),
-                ..CallbackOptions::other()
-                    .name(&callback.entry.name)
-                    .period(Duration::from_nanos(callback.period_ns))
-                    .deadline(Duration::from_nanos(callback.entry.deadline_ns))
-                    .budget(Duration::from_nanos(callback.charged_ns))
-            },
-            None => CallbackOptions::other().name(format!("{node} {topic}")),
+        let (entry, is_named) = (self.entry(node, topic), self.file.is_some());
+        let plan = entry.and_then(|index| self.threads[index].as_deref());
+        let options = match (&self.file, entry) {
+            (Some(file), Some(index)) => {
+                let options = file.options(&self.callbacks[index].entry.name)?;
+                let is_measured_only = plan.is_none();
+                if is_measured_only {
+                    CallbackOptions { policy: CallbackOptions::other().policy, ..options }
+                } else {
+                    options
+                }
+            }
+            _ => CallbackOptions::other().name(format!("{node} {topic}")),
         }
-        .execution_time(self.is_named);
-        let Some(statistics) = self.statistics.as_ref().filter(|_| self.is_named || is_topic) else {
+        .execution_time(is_named);
+        if entry.is_none() && is_topic {
+            self.warn_of_unlisted(node, topic);
+        }
+        let Some(statistics) = self.statistics.as_ref().filter(|_| is_named || is_topic) else {
             return Ok((options.name, None));
         };
         let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
@@ -141,9 +208,10 @@ impl System {
             return Ok((options.name, Some(callback)));
         }
         made.retain(|_, callback| callback.strong_count() > 0);
+        let _gate = plan.map(|plan| self.admit(plan, &options.name)).transpose()?;
         let callback = match ForeignCallback::new(statistics, &options) {
             Ok(callback) => Arc::new(callback),
-            Err(error) if self.is_named => {
+            Err(error) if is_named => {
                 return Err(Error::other(format!("statistics of '{}': {error}", options.name)));
             }
             Err(error) => {
@@ -156,23 +224,12 @@ impl System {
     }
 }
 
-/// As Tautline's own nodes read it.
-fn is_realtime_wanted() -> Result<bool> {
-    match std::env::var("TAUT_REALTIME").ok().as_deref() {
-        None | Some("" | "required") => Ok(true),
-        Some("off") => Ok(false),
-        Some(other) => {
-            Err(Error::other(format!("TAUT_REALTIME is '{other}': it may be 'required' or 'off'")))
-        }
-    }
-}
-
 /// The thread of each callback: those of a group share it.
 fn plans(callbacks: &[CheckedCallback]) -> Vec<Option<Arc<ThreadPlan>>> {
     let mut plans: Vec<Option<Arc<ThreadPlan>>> = Vec::new();
     for callback in callbacks {
         let plan = ThreadPlan::of(callback);
-        let known = plans.iter().flatten().find(|known| ***known == plan).cloned();
+        let known = plans.iter().flatten().find(|known| known.name == plan.name).cloned();
         plans.push(Some(known.unwrap_or_else(|| Arc::new(plan))));
     }
     plans

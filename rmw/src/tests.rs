@@ -12,7 +12,8 @@ use std::ffi::{CStr, c_char, c_void};
 use std::ptr::{null, null_mut};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::channel;
-use std::sync::{Arc, Barrier};
+use std::sync::{Arc, Barrier, Mutex};
+use tautline_rt::Policy;
 
 /// Counts a thread's allocations.
 struct Counting;
@@ -85,9 +86,10 @@ fn said() -> String {
     }
 }
 
-/// A node in a domain of its own.
+/// A node of a context of its own.
 struct World {
-    domain: u32,
+    /// Nothing of which is left when it is dropped, unless the node [joined](World::join) another one's.
+    domain: Option<u32>,
     context: Box<rmw_context_t>,
     node: *mut rmw_node_t,
 }
@@ -121,8 +123,15 @@ impl World {
             assert_eq!(options::rmw_init_options_fini(&mut options), RET_OK);
             let node = node::rmw_create_node(&mut *context, c"node".as_ptr(), c"/".as_ptr());
             assert!(!node.is_null(), "{}", said());
-            World { domain: domain as u32, context, node }
+            World { domain: Some(domain as u32), context, node }
         }
+    }
+
+    /// In the domain of another one, which ends later.
+    fn join(domain: usize) -> Self {
+        let mut world = World::new(domain);
+        world.domain = None;
+        world
     }
 
     fn publisher(
@@ -159,7 +168,8 @@ impl Drop for World {
             assert_eq!(context::rmw_shutdown(&mut *self.context), RET_OK);
             assert_eq!(context::rmw_context_fini(&mut *self.context), RET_OK);
         }
-        let folder = std::path::Path::new("/dev/shm").join(tautline_rt::domain::shared_folder(self.domain));
+        let Some(domain) = self.domain else { return };
+        let folder = std::path::Path::new("/dev/shm").join(tautline_rt::domain::shared_folder(domain));
         let left = std::fs::read_dir(&folder).into_iter().flatten().map(|file| file.unwrap().file_name());
         // The process's traces are in its first domain, as long as it is in any.
         let left: Vec<_> = left.filter(|name| !name.to_string_lossy().starts_with("trace_p")).collect();
@@ -913,7 +923,7 @@ unsafe extern "C" fn note(called: *const c_void, count: usize) {
 /// another context. The same for requests and responses.
 #[test]
 fn callbacks_are_called_by_the_publishing_thread() {
-    let (mut world, called) = (World::new(84), Called::default());
+    let (world, called) = (World::new(84), Called::default());
     let (data, of): (*const Called, _) = (&called, support("geometry_msgs", "Point"));
     let counted = || called.messages.load(Ordering::SeqCst);
     let point = Point::default();
@@ -938,13 +948,8 @@ fn callbacks_are_called_by_the_publishing_thread() {
         }
         assert_eq!(allocated, 0);
         // A second context in this process.
-        let (mut options, mut context) = (options(84), Box::new(rmw_get_zero_initialized_context()));
-        assert_eq!(context::rmw_init(&options, &mut *context), RET_OK, "{}", said());
-        assert_eq!(options::rmw_init_options_fini(&mut options), RET_OK);
-        let own = world.node;
-        world.node = node::rmw_create_node(&mut *context, c"other".as_ptr(), c"/".as_ptr());
-        let other = world.publisher(of, &profile(100));
-        let node = std::mem::replace(&mut world.node, own);
+        let second = World::join(84);
+        let other = second.publisher(of, &profile(100));
         let mut count = 0;
         wait_until(|| {
             publisher::rmw_publisher_count_matched_subscriptions(other, &mut count);
@@ -957,10 +962,8 @@ fn callbacks_are_called_by_the_publishing_thread() {
             assert_eq!(publisher::rmw_publish(publisher, place.cast(), null_mut()), RET_OK);
         }
         assert_eq!(counted(), 201);
-        assert_eq!(publisher::rmw_destroy_publisher(node, other), RET_OK);
-        assert_eq!(node::rmw_destroy_node(node), RET_OK);
-        assert_eq!(context::rmw_shutdown(&mut *context), RET_OK);
-        assert_eq!(context::rmw_context_fini(&mut *context), RET_OK);
+        assert_eq!(publisher::rmw_destroy_publisher(second.node, other), RET_OK);
+        drop(second);
         assert_eq!(publisher::rmw_destroy_publisher(world.node, publisher), RET_OK);
         assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
 
@@ -986,6 +989,57 @@ fn callbacks_are_called_by_the_publishing_thread() {
         assert_eq!(counted(), 2);
         assert_eq!(client::rmw_destroy_client(world.node, client), RET_OK);
         assert_eq!(service::rmw_destroy_service(world.node, server), RET_OK);
+    }
+}
+
+/// The thread that calls callbacks for messages of other contexts has the priority of the thread that set them.
+#[test]
+fn callbacks_for_other_contexts_have_the_priority_of_who_set_them() {
+    if let Err(error) = tautline_rt::permission::realtime_permitted(31) {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        return eprintln!("skipped: {error}");
+    }
+    type Found = Mutex<Option<Policy>>;
+    unsafe extern "C" fn read_policy(found: *const c_void, _: usize) {
+        // SAFETY: what the callback was set with, which outlives it.
+        let found = unsafe { &*found.cast::<Found>() };
+        *found.lock().unwrap() = tautline_rt::current_policy().ok();
+    }
+    let (world, other) = (World::new(86), World::join(86));
+    let (found, of, point) = (Found::default(), support("geometry_msgs", "Point"), Point::default());
+    let (data, place): (*const Found, *const Point) = (&found, &point);
+    // SAFETY: rmw's protocol.
+    unsafe {
+        let (publisher, subscription) =
+            (other.publisher(of, &profile(10)), world.subscription(of, &profile(10)));
+        let (subscription_of_thread, data_of_thread) = (subscription as usize, data as usize);
+        let set_callback = move || {
+            let (subscription, data) = (subscription_of_thread as *mut _, data_of_thread as *const _);
+            let set = subscription::rmw_subscription_set_on_new_message_callback;
+            assert_eq!(set(subscription, Some(read_policy), data), RET_OK);
+        };
+        let mut count = 0;
+        wait_until(|| {
+            publisher::rmw_publisher_count_matched_subscriptions(publisher, &mut count);
+            count == 1
+        });
+        let policy_of_call = || {
+            *found.lock().unwrap() = None;
+            assert_eq!(publisher::rmw_publish(publisher, place.cast(), null_mut()), RET_OK);
+            wait_until(|| found.lock().unwrap().is_some());
+            *found.lock().unwrap()
+        };
+        set_callback();
+        assert_eq!(policy_of_call(), Some(Policy::Other { nice: 0 }));
+        std::thread::spawn(move || {
+            tautline_rt::set_own_priority(31).unwrap();
+            set_callback();
+        })
+        .join()
+        .unwrap();
+        assert_eq!(policy_of_call(), Some(Policy::Fifo(31)));
+        assert_eq!(subscription::rmw_destroy_subscription(world.node, subscription), RET_OK);
+        assert_eq!(publisher::rmw_destroy_publisher(other.node, publisher), RET_OK);
     }
 }
 

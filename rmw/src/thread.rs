@@ -4,18 +4,23 @@
 
 use crate::error::{Error, Result};
 use std::cell::RefCell;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use tautline_analysis::file::CheckedCallback;
-use tautline_rt::{CoreSet, MemoryLock, RtError, ThreadBuilder};
+use tautline_analysis::file::{CheckedCallback, OverrunPolicy};
+use tautline_executor::foreign;
+use tautline_rt::{CoreSet, MemoryLock, Policy, RtError, ThreadBuilder};
 
 /// What the file states of a thread.
-#[derive(Debug, PartialEq, Eq)]
+#[derive(Debug)]
 pub(crate) struct ThreadPlan {
-    /// Its name in the file: `cb:` and the callback or group.
-    name: String,
-    priority: u8,
+    /// Its name in the file, which no other has: `cb:` and the callback or group.
+    pub(crate) name: String,
+    pub(crate) priority: u8,
     core: usize,
+    /// Whether a callback of it is held to its budget, which then has the thread for itself.
+    holds: bool,
+    /// The last thread that became it; 0: none.
+    tid: AtomicU32,
 }
 
 thread_local! {
@@ -31,21 +36,38 @@ static IS_WARNED: AtomicBool = AtomicBool::new(false);
 impl ThreadPlan {
     pub(crate) fn of(callback: &CheckedCallback) -> Self {
         let (name, priority) = (callback.entry.thread.clone(), callback.entry.priority);
-        ThreadPlan { name, priority, core: callback.core }
+        let holds = callback.entry.overrun == OverrunPolicy::Demote;
+        ThreadPlan { name, priority, core: callback.core, holds, tid: AtomicU32::new(0) }
+    }
+
+    fn refused(&self, error: RtError) -> Error {
+        Error::other(format!(
+            "thread '{}' of TAUT_SYSTEM: {error}; TAUT_REALTIME=off only measures",
+            self.name
+        ))
+    }
+
+    /// Whether a thread may have its priority.
+    pub(crate) fn check_permission(&self) -> Result {
+        tautline_rt::permission::realtime_permitted(self.priority).map_err(|error| self.refused(error))
     }
 
     /// Gives this thread its priority and core, and reads both back. What it starts is ordinary again.
     fn apply(&self) -> Result {
-        let refuse = |error: RtError| {
-            Error::other(format!(
-                "thread '{}' of TAUT_SYSTEM: {error}; TAUT_REALTIME=off only measures",
-                self.name
-            ))
-        };
+        let refuse = |error| self.refused(error);
         prepare().map_err(refuse)?;
         tautline_rt::prefault_stack(ThreadBuilder::STACK_BYTES / 4);
         tautline_rt::set_own_priority(self.priority).map_err(refuse)?;
         tautline_rt::set_affinity(CoreSet::one(self.core)).map_err(refuse)?;
+        foreign::hold_to_budgets(Policy::Fifo(self.priority), self.holds).map_err(refuse)?;
+        let (tid, name) = (tautline_rt::current_tid(), &self.name);
+        let former = self.tid.swap(tid, Ordering::Relaxed);
+        if former != 0 && former != tid && tautline_rt::policy_of(former).is_ok() {
+            tracing::warn!(
+                "two threads, {former} and {tid}, wait for callbacks of '{name}', which the system file gives one thread: its bounds do not \
+                 hold; use one executor for them, with one thread, or name two groups in the file"
+            );
+        }
         tracing::info!("this thread is '{}' of the system file: SCHED_FIFO {}", self.name, self.priority);
         Ok(())
     }

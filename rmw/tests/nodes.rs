@@ -133,7 +133,9 @@ fn deadlines_losses_matches_and_liveliness_are_told() {
 #[test]
 fn each_side_sees_the_others_graph() {
     let Some(domain) = Domain::new(58) else { return };
-    let mut peer = domain.peer("seen");
+    let mut peer = Peer::start_as(&domain.venv, 58, "seen", "ros_services_peer.py", |command| {
+        on_tautline(command.args(["--ros-args", "--enclave", "/theirs"]));
+    });
     peer.publisher("/there", STRING, json!({ "best_effort": true }));
     peer.tell(json!({ "do": "service", "name": "/serve", "type": SET_BOOL, "behaviour": "set_bool" }));
     let mut found = None;
@@ -146,18 +148,21 @@ fn each_side_sees_the_others_graph() {
     let found = found.unwrap();
     assert_eq!((found.kind, &*found.topic_type.name), (EndpointKind::Publisher, STRING));
     assert_eq!(found.node.clone().unwrap().full_name(), "/seen");
+    let nodes = domain.participant.graph().unwrap().nodes.clone();
+    assert!(nodes.iter().any(|node| node.name.name == "seen" && node.enclave == "/theirs"), "{nodes:?}");
     let service =
         domain.participant.graph().unwrap().services.iter().find(|end| end.name == "/serve").cloned();
     let service = service.unwrap();
     assert_eq!((service.kind, &*service.type_name), (ServiceKind::Server, SET_BOOL));
 
-    let node = domain.participant.create_node("ours", "/here").unwrap();
+    let node = domain.participant.create_node_in_enclave("ours", "/here", "/ours").unwrap();
     let of_node = domain.participant.for_node(&node);
     let ours = publisher(&of_node, "/ours", STRING, Qos::keep_last(3).transient_local());
     let server = of_node
         .create_raw_server("/here/serve", &ServiceType::new(SET_BOOL, None), 10, Limits::default())
         .unwrap();
-    peer.tell(json!({ "do": "wait_node", "name": "/here/ours" }));
+    assert_eq!(peer.tell(json!({ "do": "enclave", "node": "/here/ours" })), "/ours");
+    assert_eq!(peer.tell(json!({ "do": "enclave", "node": "/seen" })), "/theirs");
     peer.tell(json!({ "do": "wait_topic", "topic": "/ours", "type": STRING }));
     assert_eq!(
         peer.tell(json!({ "do": "endpoints", "topic": "/ours" })),
@@ -709,6 +714,146 @@ fn threads_of_unchanged_executors_are_those_of_the_system_file() {
     assert_eq!(run("off"), ["/fast", "/slow", "/unlisted"].map(ordinary).concat());
 }
 
+/// Waits for words, subscribes to `/work` of a depth of 1, and lives until its input ends.
+const ADMITTED: &str = r#"
+import rclpy, sys
+from std_msgs.msg import String
+rclpy.init()
+node = rclpy.create_node(sys.argv[1])
+subscriptions = [node.create_subscription(String, topic, lambda m: None, 1) for topic in ("/work", "/unlisted")]
+print("runs", flush=True)
+sys.stdin.read()
+"#;
+
+/// Load is checked beside what runs, as that of Tautline's own nodes; what the file says of queues is set, and what it lacks is named.
+#[test]
+fn load_of_unchanged_nodes_is_admitted_or_refused() {
+    let Some(venv) = ros() else { return };
+    if let Err(error) = tautline_rt::permission::realtime_permitted(50) {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        return eprintln!("skipped: {error}");
+    }
+    let Some(domain) = Domain::new(90) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, wcet_ms: u32, priority: u8, more: &str| {
+        let path = folder.path().join(format!("{name}.toml"));
+        let text = format!(
+            "[hosts.here]\ncores = 1\nsampler_priority = 90\n[overheads]\nrclpy = \"1us\"\n[nodes.{name}]\nclient = \"rclpy\"\n[callbacks.{name}]\ntopic = \"/work\"\n\
+             wcet = \"{wcet_ms}ms\"\npriority = {priority}\ndeadline = \"60ms\"\n[topics.\"/work\"]\nperiod = \"10ms\"\n{more}"
+        );
+        std::fs::write(&path, text).unwrap();
+        path
+    };
+    let start = |path: &Path, name: &str, admission: &str| {
+        let said = tempfile::NamedTempFile::new().unwrap();
+        let mut command = Command::new(venv.join("bin/python"));
+        command.args(["-c", ADMITTED, name]).env("ROS_DOMAIN_ID", domain.number.to_string());
+        command.env("TAUT_SYSTEM", path).env("TAUT_ADMISSION", admission);
+        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        on_tautline(&mut command);
+        let output = said.reopen().unwrap();
+        command.stdin(Stdio::piped()).stdout(output.try_clone().unwrap()).stderr(output);
+        let mut process = command.spawn().unwrap();
+        let words = || std::fs::read_to_string(said.path()).unwrap();
+        wait_until("the node to run or end", || {
+            words().contains("runs\n") || process.try_wait().unwrap().is_some()
+        });
+        // Log lines come from a thread of their own.
+        if words().contains("runs\n") {
+            wait_until("its warnings", || words().contains("`/unlisted`"));
+        }
+        let text = words();
+        (process, text)
+    };
+    let end = |(mut process, text): (std::process::Child, String)| {
+        drop(process.stdin.take());
+        process.wait().unwrap();
+        text
+    };
+    let first = file("first", 6, 40, "jitter = \"25ms\"\n");
+    let second = file("second", 7, 50, "depth = \"auto\"\njitter = \"25ms\"\n");
+    let running = start(&first, "first", "check");
+    assert!(running.1.contains("`/work` has depth 1, but"), "{}", running.1);
+    // 6 + 7 > 10: at the lower priority, `first` has no bound, or is late.
+    let refused = end(start(&second, "second", "check"));
+    for part in ["second.toml is not admitted to domain 90", "callback `first` of", "its deadline is 60ms"] {
+        assert!(refused.contains(part), "{part}: {refused}");
+    }
+    let forced = end(start(&second, "second", "force"));
+    assert!(forced.contains("runs by force") && forced.contains("runs\n"), "{forced}");
+    assert!(!forced.contains("has depth 1, but"), "it was made deep enough: {forced}");
+    // The same file is one system; a callback of it that runs already is load once more.
+    let again = end(start(&first, "first", "check"));
+    assert!(again.contains("callback 'first'") && again.contains("is not admitted"), "{again}");
+    end(running);
+    let alone = end(start(&second, "second", "check"));
+    assert!(alone.contains("runs\n"), "what has ended leaves its place: {alone}");
+}
+
+/// The first callback computes until it is demoted, the second was released before that one has ended; each tells its thread's policy.
+const OVERRUNNING: &str = r#"
+import os, rclpy, threading, time
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+rclpy.init()
+node, source, seen = rclpy.create_node("listener"), rclpy.create_node("source"), []
+def is_fifo(): return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+def heard(message):
+    seen.append(is_fifo())
+    end = time.thread_time() + 5
+    while message.data == "long" and is_fifo() and time.thread_time() < end: pass
+    seen.append(is_fifo())
+    started = []
+    thread = threading.Thread(target=lambda: started.append(is_fifo()))
+    thread.start()
+    thread.join()
+    seen.append(started[0])
+subscription = node.create_subscription(String, "/work", heard, 10)
+publisher = source.create_publisher(String, "/work", 10)
+while publisher.get_subscription_count() < 1: pass
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+for text in ("long", "waited", "later"):
+    # A wait ends the callback before.
+    if text == "later": executor.spin_once(timeout_sec=0)
+    publisher.publish(String(data=text))
+    count = len(seen)
+    while len(seen) == count: executor.spin_once()
+print(seen)
+rclpy.shutdown()
+"#;
+
+/// A callback that uses more than its budget is demoted until its executor waits again.
+#[test]
+fn an_unchanged_callback_is_held_to_its_budget() {
+    let Some(venv) = ros() else { return };
+    if let Err(error) = tautline_rt::permission::realtime_permitted(42) {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        return eprintln!("skipped: {error}");
+    }
+    reserve(91);
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let run = |overrun: &str| {
+        let text = format!(
+            "[hosts.here]\ncores = 1\nsampler_priority = 90\n[overheads]\nrclpy = \"20ms\"\n[nodes.listener]\nclient = \"rclpy\"\n[callbacks.work]\n\
+             topic = \"/work\"\nwcet = \"100ms\"\npriority = 40\noverrun = \"{overrun}\"\n[topics.\"/work\"]\nperiod = \"1s\"\n"
+        );
+        std::fs::write(file.path(), text).unwrap();
+        let mut command = Command::new(venv.join("bin/python"));
+        command.args(["-c", OVERRUNNING]).env("ROS_DOMAIN_ID", "91").env("TAUT_SYSTEM", file.path());
+        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        on_tautline(&mut command);
+        let output = command.output().unwrap();
+        [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap())
+    };
+    let [seen, errors] = run("demote");
+    assert_eq!(seen.trim(), "[True, False, False, False, False, False, True, True, False]", "{errors}");
+    let [seen, errors] = run("tell");
+    assert_eq!(seen.trim(), "[True, True, False, True, True, False, True, True, False]", "{errors}");
+    let [_, errors] = run("suspend");
+    assert!(errors.contains("say \"demote\" or \"tell\""), "{errors}");
+}
+
 /// Nothing was prepared: no system file, no trace.
 #[test]
 fn callbacks_of_any_node_of_rclpy_are_seen() {
@@ -747,7 +892,7 @@ fn a_system_file_is_used_or_what_is_wrong_with_it_is_said() {
         (output.status.success(), String::from_utf8_lossy(&output.stderr).into_owned())
     };
     let file = tempfile::NamedTempFile::new().unwrap();
-    let hosts = "[hosts.a]\ncores = 1\n[hosts.b]\ncores = 1\n[nodes.n]\nclient = \"rclpy\"\nhost = \"a\"\n\
+    let hosts = "[overheads]\nrclpy = \"1us\"\ncontext_switch = \"1us\"\n[hosts.a]\ncores = 1\n[hosts.b]\ncores = 1\n[nodes.n]\nclient = \"rclpy\"\nhost = \"a\"\n\
                  [callbacks.c]\nperiod = \"1s\"\nwcet = \"1ms\"\n";
     std::fs::write(file.path(), hosts).unwrap();
     let path = file.path().to_str().unwrap();
@@ -758,9 +903,12 @@ fn a_system_file_is_used_or_what_is_wrong_with_it_is_said() {
     assert!(is_made && said.contains("has no callback of host `b`"), "{said}");
     let refused = [
         (&[file("/nowhere/system.toml")][..], "TAUT_SYSTEM: `/nowhere/system.toml` cannot be read"),
-        (&[file(path)], "has several hosts: set TAUT_HOST to one of a, b"),
-        (&[file(path), ("TAUT_HOST", "a"), ("TAUT_REALTIME", "of")], "TAUT_REALTIME is 'of': it may be"),
-        (&[file(path), ("TAUT_HOST", "c")], "has no host `c`: set TAUT_HOST to one of a, b"),
+        (&[file(path)], "has no host 'none': set TAUT_HOST, or `ContextBuilder::host`, to one of a, b"),
+        (
+            &[file(path), ("TAUT_HOST", "a"), ("TAUT_REALTIME", "of")],
+            "TAUT_REALTIME=of is not understood: it may be",
+        ),
+        (&[file(path), ("TAUT_HOST", "c")], "has no host 'c': set TAUT_HOST, or"),
     ];
     for (variables, why) in refused {
         let (is_made, said) = init(variables);

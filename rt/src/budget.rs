@@ -92,6 +92,8 @@ pub struct RemainingBudget {
 #[derive(Debug)]
 pub struct OwnPriority {
     is_round_robin: bool,
+    /// The kernel's flag for threads that start ordinary threads, which one without privileges cannot clear.
+    flags: libc::c_int,
     priority: AtomicU8,
     /// Set before the thread lowers its own priority, and cleared before it gets its priority back.
     lowered: AtomicBool,
@@ -108,10 +110,16 @@ impl OwnPriority {
     pub fn new(policy: Policy) -> OwnPriority {
         OwnPriority {
             is_round_robin: matches!(policy, Policy::RoundRobin(_)),
+            flags: 0,
             priority: AtomicU8::new(policy.realtime_priority().unwrap_or(1)),
             lowered: AtomicBool::new(false),
             enforced: OnceLock::new(),
         }
+    }
+
+    /// That of a thread that got it with [`set_own_priority`](crate::set_own_priority): what it starts is ordinary.
+    pub fn with_ordinary_children(policy: Policy) -> OwnPriority {
+        OwnPriority { flags: libc::SCHED_RESET_ON_FORK, ..OwnPriority::new(policy) }
     }
 
     /// The policy that the thread has, or gets back after a demotion.
@@ -129,7 +137,7 @@ impl OwnPriority {
         // Whoever changes it later sets it, too.
         for _ in 0..8 {
             let policy = self.policy();
-            if !schedule(policy) || self.policy() == policy {
+            if !schedule(policy, self.flags) || self.policy() == policy {
                 return;
             }
         }
@@ -393,7 +401,7 @@ fn demote(state: &HandlerState) {
     // SAFETY: set by `BudgetTimer::new` to what that keeps, and to null before it lets go of it, in this thread.
     let Some(own) = (unsafe { state.own.get().as_ref() }) else { return };
     own.lowered.store(true, Ordering::SeqCst);
-    if schedule(Policy::Other { nice: 0 }) {
+    if schedule(Policy::Other { nice: 0 }, own.flags) {
         state.demoted.store(true, Ordering::Relaxed);
     } else {
         own.lowered.store(false, Ordering::SeqCst);
@@ -432,7 +440,7 @@ fn suspend(state: &HandlerState, budget_ns: u64) {
 }
 
 /// Sets the policy of this thread, by the bare system call: for a signal handler.
-fn schedule(policy: Policy) -> bool {
+fn schedule(policy: Policy, flags: libc::c_int) -> bool {
     let (class, priority) = match policy {
         Policy::Fifo(priority) => (libc::SCHED_FIFO, priority),
         Policy::RoundRobin(priority) => (libc::SCHED_RR, priority),
@@ -440,7 +448,7 @@ fn schedule(policy: Policy) -> bool {
     };
     let param = libc::sched_param { sched_priority: priority.into() };
     // SAFETY: `param` outlives the call; 0 is the calling thread.
-    unsafe { libc::syscall(libc::SYS_sched_setscheduler, 0, class, &raw const param) == 0 }
+    unsafe { libc::syscall(libc::SYS_sched_setscheduler, 0, class | flags, &raw const param) == 0 }
 }
 
 /// The process's signal for this, with its handler.
@@ -499,7 +507,7 @@ extern "C" fn fired(_: libc::c_int) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::clock::{burn_cpu, monotonic_ns, sleep_until_monotonic};
+    use crate::clock::{burn_cpu, monotonic_ns, sleep_until_monotonic, test_time};
     use crate::permission::realtime_permitted;
     use crate::{Realtime, ThreadBuilder, current_policy, prove_enforcement_by};
 
@@ -527,6 +535,14 @@ mod tests {
         }
     }
 
+    fn ms(time: u64) -> Duration {
+        test_time(Duration::from_millis(time))
+    }
+
+    fn ns(time: u64) -> u64 {
+        crate::clock::nanoseconds(ms(time))
+    }
+
     fn own() -> Arc<OwnPriority> {
         Arc::new(OwnPriority::new(Policy::Fifo(PRIORITY)))
     }
@@ -548,17 +564,17 @@ mod tests {
             let policy = Policy::Fifo(PRIORITY);
             assert!(BudgetTimer::new(own()).is_err(), "one for a thread");
             for round in 0..20 {
-                timer.arm(thread_cpu_ns(), Duration::from_millis(2));
-                burn_cpu(Duration::from_millis(1));
+                timer.arm(thread_cpu_ns(), ms(2));
+                burn_cpu(ms(1));
                 assert_eq!(current_policy().unwrap(), policy, "{round}");
-                burn_cpu(Duration::from_millis(2));
+                burn_cpu(ms(2));
                 assert_eq!(current_policy().unwrap(), Policy::Other { nice: 0 }, "{round}");
                 assert!(timer.disarm());
                 assert_eq!(current_policy().unwrap(), policy, "{round}");
             }
-            timer.arm(thread_cpu_ns(), Duration::from_millis(2));
+            timer.arm(thread_cpu_ns(), ms(2));
             assert!(!timer.disarm());
-            burn_cpu(Duration::from_millis(3));
+            burn_cpu(ms(3));
             assert_eq!(current_policy().unwrap(), policy, "nothing is held to");
             timer.demote();
             assert_eq!(current_policy().unwrap(), Policy::Other { nice: 0 });
@@ -624,23 +640,21 @@ mod tests {
     #[test]
     fn who_is_suspended_gets_no_more_than_its_refills() {
         on_threads(Policy::Other { nice: 0 }, |timer, _| {
-            let (period, budget) = (Duration::from_millis(20), Duration::from_millis(2));
+            let (period, budget) = (ms(20), ms(2));
             let begin_ns = monotonic_ns();
-            let refill = Refill { at_ns: begin_ns + 20_000_000, period, budget };
-            timer.arm_refilled(thread_cpu_ns(), 2_000_000, refill);
+            let refill = Refill { at_ns: begin_ns + ns(20), period, budget };
+            timer.arm_refilled(thread_cpu_ns(), ns(2), refill);
             assert!(!timer.was_suspended());
-            burn_cpu(Duration::from_millis(7));
+            burn_cpu(ms(7));
             // Three refills were needed: 2 ms at once, and after 20, 40 and 60 ms.
             let taken_ns = monotonic_ns() - begin_ns;
-            assert!(taken_ns >= 60_000_000, "{taken_ns}");
+            assert!(taken_ns >= ns(60), "{taken_ns}");
             assert!(timer.was_suspended());
             let RemainingBudget { budget_ns, refill_at_ns } = timer.disarm_refilled();
             // A thread that got the processor late may have missed the time of one.
-            assert!(
-                (refill_at_ns - begin_ns).is_multiple_of(20_000_000) && refill_at_ns >= begin_ns + 80_000_000
-            );
-            assert!(budget_ns < 2_000_000 && !timer.was_suspended());
-            burn_cpu(Duration::from_millis(3));
+            assert!((refill_at_ns - begin_ns).is_multiple_of(ns(20)) && refill_at_ns >= begin_ns + ns(80));
+            assert!(budget_ns < ns(2) && !timer.was_suspended());
+            burn_cpu(ms(3));
             assert!(!timer.was_suspended(), "nothing is held to");
         });
     }
@@ -648,14 +662,14 @@ mod tests {
     #[test]
     fn time_that_others_use_is_not_counted() {
         on_threads(Policy::Other { nice: 0 }, |timer, _| {
-            timer.arm(thread_cpu_ns(), Duration::from_millis(5));
+            timer.arm(thread_cpu_ns(), ms(5));
             // Five times the budget on the clock, and none of it on the processor.
-            sleep_until_monotonic(monotonic_ns() + 25_000_000);
+            sleep_until_monotonic(monotonic_ns() + ns(25));
             assert!(!timer.disarm());
             // A signal comes all the same, and the rest of the budget is still held.
-            timer.arm(thread_cpu_ns(), Duration::from_millis(5));
-            sleep_until_monotonic(monotonic_ns() + 10_000_000);
-            burn_cpu(Duration::from_millis(6));
+            timer.arm(thread_cpu_ns(), ms(5));
+            sleep_until_monotonic(monotonic_ns() + ns(10));
+            burn_cpu(ms(6));
             assert!(timer.disarm());
         });
     }

@@ -73,6 +73,16 @@ pub fn burn_cpu(time: Duration) {
     }
 }
 
+/// A time span of a test: `TAUT_TIME_SCALE` times as long, for machines on which a thread that could run often waits, such as emulated ones.
+///
+/// # Real-time
+/// Reads the environment: setup only.
+#[doc(hidden)]
+pub fn test_time(time: Duration) -> Duration {
+    let scale = std::env::var("TAUT_TIME_SCALE").ok().and_then(|scale| scale.parse().ok());
+    time.saturating_mul(scale.unwrap_or(1))
+}
+
 /// A time span in nanoseconds, the unit of these clocks: at most 584 years.
 pub fn nanoseconds(span: Duration) -> u64 {
     u64::try_from(span.as_nanos()).unwrap_or(u64::MAX)

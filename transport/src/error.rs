@@ -75,6 +75,14 @@ pub enum TransportError {
         /// The name, with its namespace.
         name: String,
     },
+    /// The text is not a valid enclave.
+    #[error(
+        "'{enclave}' cannot be an enclave: use '/', or letters, digits and '_' in a path that begins with '/'"
+    )]
+    Enclave {
+        /// The text.
+        enclave: String,
+    },
     /// The name is not a valid service name.
     #[error("'{service}' cannot be a service: {reason}")]
     ServiceName {
@@ -101,7 +109,7 @@ pub enum TransportError {
     },
     /// There is not enough shared memory for the samples in flight.
     #[error(
-        "{}: {source}: it needs {bytes} bytes of /dev/shm for samples of {sample_bytes} bytes; make /dev/shm larger (mount -o remount,size=), or lower the depth, `Limits::held`, `Limits::loans` or `Limits::message_bytes`",
+        "{}: {source}: it needs {bytes} bytes of /dev/shm for samples of {sample_bytes} bytes; make /dev/shm larger (mount -o remount,size=), or lower the depth, `Limits::held`, `Limits::loans`, `Limits::spare_bytes` or `Limits::message_bytes`",
         named(topic)
     )]
     Memory {

@@ -29,6 +29,7 @@ const LIMITS: Limits = Limits {
     message_bytes: 4096,
     may_grow: true,
     claim: tautline_transport::Claim::Ahead,
+    spare_bytes: 0,
 };
 
 fn header() -> HeaderSizes {

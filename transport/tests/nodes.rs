@@ -80,12 +80,13 @@ fn nodes_and_what_is_theirs_are_seen_until_they_end() {
     assert!(nodes(&observer).is_empty());
 
     let epoch = observer.graph_epoch();
-    let node = participant.create_node("listener", "/robot").unwrap();
+    let node = participant.create_node_in_enclave("listener", "/robot", "/front").unwrap();
     assert_ne!(observer.graph_epoch(), epoch);
     let listed = nodes(&observer);
     let [me] = listed.as_slice() else { panic!("{listed:?}") };
     let process = Some(std::process::id());
     assert_eq!((&me.name, me.pid, me.is_remote), (&name("/robot", "listener"), process, false));
+    assert_eq!(me.enclave, "/front");
     assert!(observer.graph().unwrap().endpoints.is_empty());
 
     let of_node = participant.for_node(&node);
@@ -159,6 +160,8 @@ fn what_no_node_can_be_called_is_refused() {
         let error = participant.create_node(name, namespace).unwrap_err();
         assert!(matches!(error, TransportError::NodeName { .. }), "{namespace} {name}: {error}");
     }
+    let error = participant.create_node_in_enclave("n", "/", "front").unwrap_err();
+    assert!(matches!(error, TransportError::Enclave { .. }), "{error}");
     assert!(participant.graph().unwrap().nodes.is_empty());
 }
 
@@ -243,7 +246,7 @@ fn origin(gid: u8) -> Origin {
 }
 
 fn remote_node(of: &str, gid: u8) -> RemoteNode {
-    RemoteNode { name: name("/theirs", of), origin: origin(gid) }
+    RemoteNode { name: name("/theirs", of), enclave: "/".into(), origin: origin(gid) }
 }
 
 /// Two ways lead to one end: a ring. It is listed as the shorter way tells of it, as the other once that one has gone.

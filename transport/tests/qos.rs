@@ -22,6 +22,7 @@ const LIMITS: Limits = Limits {
     message_bytes: 4096,
     may_grow: true,
     claim: tautline_transport::Claim::Ahead,
+    spare_bytes: 0,
 };
 
 /// How often a task was woken.

@@ -19,6 +19,7 @@ const DEFAULT: Limits = Limits {
     message_bytes: 4096,
     may_grow: true,
     claim: tautline_transport::Claim::Ahead,
+    spare_bytes: 0,
 };
 
 #[derive(Message, Clone, Copy)]

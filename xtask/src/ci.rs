@@ -5,12 +5,13 @@
 
 use crate::bench::{self, Name};
 use crate::build::{Build, SAME, TARGETS, WHOLE, WITH_GATEWAY, WITH_ROS};
+use crate::guests::{Extent, Guest};
 use crate::machine::{self, Scope};
 use crate::steps::{Background, Outcome, Steps, cargo, execute, reported};
 use crate::test::{self, nextest};
 use crate::{
-    api, book, bridge, fuzz, lab, lints, lttng, packages, peers, programs, r2r, r2r_tests, reports, rmw, ros,
-    shared, stress_doorbell, stress_kills, word,
+    api, book, bridge, fuzz, guests, lab, lints, lttng, packages, peers, programs, r2r, r2r_tests, reports,
+    rmw, ros, shared, stress_doorbell, stress_kills, word,
 };
 use clap::ValueEnum;
 use std::path::Path;
@@ -21,6 +22,9 @@ const RINGS: u64 = 1_000_000;
 
 /// Within two minutes; `cargo xtask stress kills` kills as many as it is told to.
 const KILLS: u64 = 1000;
+
+/// Without a build of its own; `cargo xtask guests` has more of them.
+const GUESTS: [Guest; 1] = [Guest::RtX86];
 
 /// Steps in the background of others: while these build, those wait, or the other way round. Cargo lets one build go on at a time, so that
 /// all others of that time do without it; `cargo install` has a folder of its own.
@@ -90,6 +94,7 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     }
     let r2r = r2r_tests::build(steps);
     if built {
+        guests::test(steps, &GUESTS, Extent::Quick, WHOLE);
         let apart = Job::Apart.start();
         r2r.run(steps);
         of_the_build(steps);
@@ -139,6 +144,7 @@ fn prepare(steps: &mut Steps) {
     steps.step("peers: zenoh-ros2-sdk", peers::prepare);
     steps.step("gateway: packages", packages::firewall);
     steps.step("lttng: packages", lttng::prepare);
+    steps.step("guests: packages", || guests::prepare(&GUESTS).unless_ci());
 }
 
 /// Workspaces that are no part of [`mod@test`].

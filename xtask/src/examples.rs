@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 /// Programs with their arguments. Those of one run are started one after the other, each when the one before has printed
 /// its first line.
-const RUNS: [&[&str]; 18] = [
+pub const RUNS: [&[&str]; 18] = [
     &["listener 5", "talker 5"],
     &["zero_copy_image"],
     &["variable_image"],
@@ -59,7 +59,7 @@ pub fn run(steps: &mut Steps, built: bool, build: Build, bless: bool) {
     }
 }
 
-fn name_of(program: &str) -> &str {
+pub fn name_of(program: &str) -> &str {
     program.split(' ').next().unwrap_or(program)
 }
 
@@ -121,6 +121,7 @@ fn compare(name: &str, printed: &str, bless: bool) -> Result<(), String> {
     Err(format!("{name} printed other lines than {}", path.display()))
 }
 
-fn expected(name: &str) -> PathBuf {
+/// What it prints.
+pub fn expected(name: &str) -> PathBuf {
     machine::root().join("examples/expected").join(name).with_extension("txt")
 }

@@ -59,16 +59,34 @@ pub fn documents(targets: &str) -> Result<Vec<PathBuf>, String> {
     Ok(Built::by(&mut json(targets))?.documents)
 }
 
-/// The test executables of this name of a build that is there, or is made.
-pub fn executables(targets: &str, name: &str) -> Result<Vec<PathBuf>, String> {
-    let mut executables = Built::by(&mut json(targets))?.executables;
-    executables.retain(|(of_target, _)| of_target == name);
-    Ok(executables.into_iter().map(|(_, path)| path).collect())
+/// What can be run of a build that is there, or is made, by a command of [`json`]'s kind.
+pub fn executables(command: &mut Command) -> Result<Vec<Executable>, String> {
+    Ok(Built::by(command)?.executables)
 }
 
 /// A build that says in JSON what it makes and finds.
-fn json(targets: &str) -> Command {
+pub fn json(targets: &str) -> Command {
     cargo(&format!("build {targets} --message-format=json"))
+}
+
+/// A program, or a target's tests.
+pub struct Executable {
+    /// Of its package's `Cargo.toml`.
+    pub folder: PathBuf,
+    pub target: String,
+    pub is_test: bool,
+    pub path: PathBuf,
+}
+
+impl Executable {
+    fn of(said: &Value) -> Option<Self> {
+        Some(Executable {
+            folder: Path::new(said["manifest_path"].as_str()?).parent()?.to_owned(),
+            target: said["target"]["name"].as_str()?.to_owned(),
+            is_test: said["profile"]["test"] == true,
+            path: said["executable"].as_str()?.into(),
+        })
+    }
 }
 
 /// What such a build has said.
@@ -77,8 +95,7 @@ struct Built {
     /// What compilers say of the code, which has been shown. A library's tests have what the library has.
     findings: BTreeSet<String>,
     documents: Vec<PathBuf>,
-    /// Tests, with the names of their targets.
-    executables: Vec<(String, PathBuf)>,
+    executables: Vec<Executable>,
 }
 
 impl Built {
@@ -98,11 +115,7 @@ impl Built {
         // Build scripts print something else.
         let Ok(mut said) = serde_json::from_str::<Value>(line) else { return };
         self.documents.extend(document(&said));
-        if let (true, Some(name), Some(path)) =
-            (said["profile"]["test"] == true, said["target"]["name"].as_str(), said["executable"].as_str())
-        {
-            self.executables.push((name.to_owned(), path.into()));
-        }
+        self.executables.extend(Executable::of(&said));
         if let Some(finding) = finding(&said["message"].take())
             && self.findings.insert(finding.clone())
         {

@@ -29,7 +29,9 @@ pub fn check(packages: &str) -> Result<(), String> {
     if cfg!(not(target_arch = "x86_64")) {
         return Err("the machine code of x86-64 alone can be read".to_owned());
     }
-    let executables = lints::executables(&format!("{packages} {TARGETS}"), TESTS)?;
+    let executables = lints::executables(&mut lints::json(&format!("{packages} {TARGETS}")))?;
+    let executables = executables.into_iter().filter(|built| built.is_test && built.target == TESTS);
+    let executables: Vec<_> = executables.map(|built| built.path).collect();
     let mut faults = BTreeSet::new();
     let mut hot = 0;
     for executable in &executables {

@@ -14,6 +14,7 @@
 //! | `bridge` | lints and tests of the bridge to ROS 2 |
 //! | `colcon` | rmw_tautline as a package of a ROS 2 workspace |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
+//! | `guests` | tests, examples and the demo on emulated machines |
 //! | `fuzz` | inputs made up by libFuzzer |
 //! | `lab` | the laboratory, `benches/`: built and tested |
 //! | `lints` | clippy's findings, with the tests' build |
@@ -42,6 +43,7 @@ mod compare;
 mod compiler;
 mod examples;
 mod fuzz;
+mod guests;
 mod lab;
 mod lints;
 mod locks;
@@ -64,6 +66,7 @@ mod test;
 use bench::Bench;
 use build::{Build, SAME};
 use clap::{Parser, Subcommand, ValueEnum};
+use guests::{Extent, Guest};
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 use steps::Steps;
@@ -140,7 +143,8 @@ enum Verb {
         #[arg(long)]
         test: bool,
     },
-    /// Tests the gateway against hiroz and zenoh-ros2-sdk (made under target/peers); minutes to build
+    /// Tests the gateway against hiroz, zenoh-ros2-sdk (made under target/peers) and an rmw_zenoh_cpp that is sourced or that
+    /// `TAUT_RMW_ZENOH` names; minutes to build
     Peers,
     /// Runs the programs of the tests of tautline-r2r on r2r, with the ROS 2 that is sourced or that under target/ros
     R2r,
@@ -193,6 +197,23 @@ minutes to build."
         /// The targets; all if none is named
         #[arg(value_name = "TARGET", value_parser = fuzz::TARGETS)]
         targets: Vec<String>,
+    },
+    /// Runs tests, the examples and the demo on emulated machines: PREEMPT_RT, aarch64, pages of 16 KiB
+    #[command(after_help = "Examples:
+  cargo xtask guests                          all, an hour: for aarch64 everything is built once more
+  cargo xtask guests --only rt-x86 --quick    what CI runs, some minutes
+  cargo xtask guests --only arm64-16k
+
+QEMU emulates them (Debian: qemu-system-x86, qemu-system-arm; for aarch64 also gcc-aarch64-linux-gnu);
+kernels are Debian's, fetched with apt-get. It shows that programs work there, not how fast, nor that
+they get by with ARM's weak memory order.")]
+    Guests {
+        /// Only these machines [default: all]
+        #[arg(long, value_name = "GUEST,...", value_delimiter = ',', value_enum)]
+        only: Vec<Guest>,
+        /// Only what depends most on the kernel
+        #[arg(long)]
+        quick: bool,
     },
     /// Tries to break something by doing it very often
     #[command(subcommand)]
@@ -271,6 +292,10 @@ fn main() -> ExitCode {
         Verb::Readme { quick, only, minutes } => exit(readme::run(quick, minutes, &only)),
         Verb::Miri => as_steps(ci::miri),
         Verb::Fuzz { runs, targets } => as_steps(|steps| fuzz::run(steps, runs, &targets)),
+        Verb::Guests { only, quick } => as_steps(|steps| {
+            let extent = if quick { Extent::Quick } else { Extent::Whole };
+            guests::run(steps, &only, extent);
+        }),
         Verb::Stress(Stress::Doorbell { rings }) => {
             exit(steps::execute(&mut stress_doorbell(Build::Release, rings)))
         }

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The gateway with peers that are not ours: hiroz in a workspace of its own, zenoh-ros2-sdk in a Python environment under
-//! the target directory.
+//! the target directory, and rmw_zenoh_cpp where it is installed.
 
 use crate::machine::{self, Scope};
 use crate::running::Running;
 use crate::steps::{Outcome, Steps, cargo};
-use crate::{lints, ros};
+use crate::{bridge, lints, r2r, rmw, ros};
 use std::path::PathBuf;
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -21,6 +21,23 @@ pub fn build_and_test(steps: &mut Steps) {
     steps.command("gateway", &mut lints::cargo("build -p tautline-gateway"));
     steps.step("peers: zenoh-ros2-sdk", prepare);
     test(steps);
+    rmw_zenoh(steps);
+}
+
+/// The RMW's tests with the rmw_zenoh_cpp that `TAUT_RMW_ZENOH` names, or that of the ROS 2 that is sourced.
+fn rmw_zenoh(steps: &mut Steps) {
+    const NAME: &str = "peers: rmw_zenoh_cpp";
+    let prefixes = std::env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();
+    let sourced = std::env::split_paths(&prefixes).map(|prefix| prefix.join("lib/librmw_zenoh_cpp.so"));
+    let named = std::env::var_os("TAUT_RMW_ZENOH").map(PathBuf::from);
+    if !named.into_iter().chain(sourced).any(|library| library.is_file()) {
+        return steps.skip(NAME, "no ROS 2 that is sourced has its library, and TAUT_RMW_ZENOH names none");
+    }
+    let Some(environment) = r2r::environment_of(steps, NAME) else { return };
+    let mut library = lints::cargo(&format!("build {}", rmw::WHOLE));
+    steps.command("peers: rmw_tautline", bridge::with_libraries(&environment, &mut library));
+    let mut tests = lints::cargo(&bridge::nextest(&format!("{} --test zenoh", rmw::WHOLE)));
+    steps.command(NAME, bridge::with_libraries(&environment, &mut tests));
 }
 
 /// Runs the tests and an example in the environment of [`prepare`], with the gateway and the examples of the tests' build.

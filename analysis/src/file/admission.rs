@@ -262,7 +262,7 @@ impl Union {
         // Where else a reservation may run follows from all cores; the copies come last.
         for callback in file.system.callbacks.iter().filter(|callback| callback.copy_of.is_none()) {
             let mut callback = Callback { core: cores[callback.core], ..callback.clone() };
-            callback.task.blocking_ns = 0;
+            (callback.task.blocking_ns, callback.task.lock_waits) = (0, 0);
             if let Some((source, _)) = &mut callback.trigger {
                 *source += first;
             }

@@ -395,6 +395,7 @@ impl Builder<'_> {
             name: topic.name.clone(),
             type_name: topic.type_name.clone(),
             depth: topic.depth.as_ref().map(|depth| depth.value),
+            is_auto: topic.is_auto,
             remote: topic.remote,
             priority: topic.priority,
             express: topic.express,
@@ -407,6 +408,7 @@ impl Builder<'_> {
                     name: name.value.clone(),
                     type_name: None,
                     depth: None,
+                    is_auto: false,
                     remote: false,
                     priority: None,
                     express: false,
@@ -461,8 +463,14 @@ fn hold(file: &Declared, places: &[Option<Place>], streams: &Streams, problems: 
                 "shares its thread, whose other callbacks it would take with it: give it a thread of its own, or leave out `overrun`",
             );
         }
-        if place.is_some_and(|place| file.nodes[place.node].client != Client::Tautline) {
-            problem("is run by an executor of ROS 2's: leave out `overrun`");
+        let is_of_ros = place.is_some_and(|place| file.nodes[place.node].client != Client::Tautline);
+        if is_of_ros && overrun.value != OverrunPolicy::Demote {
+            problem(
+                "is run by an executor of ROS 2's, which can neither sleep nor end in a callback: say \"demote\" or \"tell\"",
+            );
+        }
+        if is_of_ros && callback.topics.is_empty() {
+            problem("is a timer of ROS 2's, which rmw_tautline does not see: leave out `overrun`");
         }
         if callback.non_preemptive.as_ref().is_some_and(|section| section.value > 0) {
             problem("has a `non_preemptive` section, which nothing stops: leave out one of them");

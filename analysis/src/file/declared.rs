@@ -44,6 +44,7 @@ pub(super) struct Topic {
     pub name: String,
     pub type_name: Option<String>,
     pub depth: Option<At<u64>>,
+    pub is_auto: bool,
     pub remote: bool,
     pub priority: Option<LinkPriority>,
     pub express: bool,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Locks that callbacks share, and how long they block.
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use super::declared::{Callback, Declared};
 use super::places::Place;
@@ -36,6 +36,8 @@ pub(super) fn check(file: &Declared, places: &[Option<Place>], problems: &mut Co
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Lock {
     pub task: usize,
+    /// How many tasks from that one on are of its callback, one for each way that messages reach it.
+    pub streams: usize,
     pub resource: String,
     pub length_ns: u64,
     pub protocol: LockProtocol,
@@ -45,8 +47,10 @@ pub(super) struct Lock {
 pub(super) fn of(file: &Declared, streams: &Streams) -> Vec<Lock> {
     let of = |(i, callback): (usize, &Callback)| {
         let (task, protocol) = (streams.tasks(i).start, file.protocol);
+        let streams = if streams.is_join(i) { 1 } else { streams.tasks(i).len() };
         let lock = move |(resource, length_ns): &(String, u64)| Lock {
             task,
+            streams,
             resource: resource.clone(),
             length_ns: *length_ns,
             protocol,
@@ -69,15 +73,16 @@ pub(super) fn block(locks: &[Lock], system: &mut System) {
             let core = system.callbacks[lock.task].core;
             let next = names.len();
             let resource = *names.entry(&lock.resource).or_insert(next);
-            // Who waits for a lock that inherits switches to its holder and back.
-            let switches = match protocol {
-                LockProtocol::PriorityInheritance => {
-                    system.cores[core].overheads.context_switch_ns.saturating_mul(2)
+            let section = CriticalSection { task: lock.task, resource, length_ns: lock.length_ns };
+            sections.entry(core).or_default().push(section);
+        }
+        if protocol == LockProtocol::PriorityInheritance {
+            for lock in locks {
+                let waits = waits(lock, locks, &tasks);
+                for callback in &mut system.callbacks[lock.task..lock.task + lock.streams] {
+                    callback.task.lock_waits = waits;
                 }
-                LockProtocol::PriorityCeiling => 0,
-            };
-            let length_ns = lock.length_ns.saturating_add(switches);
-            sections.entry(core).or_default().push(CriticalSection { task: lock.task, resource, length_ns });
+            }
         }
         for (core, mut sections) in sections {
             let members: Vec<usize> =
@@ -109,4 +114,23 @@ pub(super) fn block(locks: &[Lock], system: &mut System) {
             }
         }
     }
+}
+
+/// How often a job may wait for locks that inherit, held by lower ones: once for each of these, and once for each lock.
+fn waits(of: &Lock, locks: &[Lock], tasks: &[Task]) -> u64 {
+    let own = &tasks[of.task];
+    let thread = |lock: &Lock| tasks[lock.task].group.map_or(Err(lock.task), |group| Ok(group.id));
+    let is_lower = |lock: &&Lock| {
+        let other = &tasks[lock.task];
+        thread(lock) != thread(of)
+            && (other.priority <= own.priority || matches!(other.hold, Hold::Demoted { .. }))
+    };
+    let inherits = |lock: &&Lock| lock.protocol == LockProtocol::PriorityInheritance;
+    let taken: HashSet<&str> =
+        locks.iter().filter(|lock| lock.task == of.task).map(|lock| &*lock.resource).collect();
+    let held =
+        || locks.iter().filter(inherits).filter(is_lower).filter(|lock| taken.contains(&*lock.resource));
+    let resources: HashSet<&str> = held().map(|lock| &*lock.resource).collect();
+    let holders: HashSet<_> = held().map(thread).collect();
+    resources.len().min(holders.len()) as u64
 }

@@ -115,8 +115,10 @@ pub struct TopicEntry {
     pub name: String,
     /// Its type, such as `sensor_msgs/msg/Imu`, if the file states it.
     pub type_name: Option<String>,
-    /// Its queue depth; `None` for `auto`, what the analysis computes.
+    /// Its queue depth; `None`: what the analysis computes.
     pub depth: Option<u64>,
+    /// Whether the file says `depth = "auto"`.
+    pub is_auto: bool,
     /// Whether it goes to other hosts.
     pub remote: bool,
     /// Its priority on a busy link; `None`: by size, smaller messages first.

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Threads and their priorities.
+use super::Client;
 use super::declared::{Declared, Policy};
 use super::places::Place;
 use super::problem::Collector;
@@ -46,17 +47,22 @@ pub(super) fn threads(file: &Declared, places: &[Option<Place>], problems: &mut 
             threads.push(Thread { name: name.clone(), core: place.core, callbacks, priority, group });
             continue;
         };
-        let first = &file.callbacks[thread.callbacks[0]].name;
-        if places[thread.callbacks[0]]
-            .is_some_and(|other| (other.node, other.core) != (place.node, place.core))
-        {
+        let first = thread.callbacks[0];
+        let fault = places[first].and_then(|other| {
+            let is_ros = |place: Place| file.nodes[place.node].client != Client::Tautline;
+            if (other.host, other.core) != (place.host, place.core) {
+                Some("are not on one core: a group is one thread")
+            } else if other.node != place.node && !(is_ros(other) && is_ros(place)) {
+                Some("are not of one node: only an executor of ROS 2 (`client`) runs several in a thread")
+            } else {
+                None
+            }
+        });
+        if let Some(fault) = fault {
+            let first = &file.callbacks[first].name;
             problems.add(
                 callback.at,
-                format!(
-                    "callbacks `{first}` and `{}` of group `{name}` are not on \
-                 one node and core: a group is one thread",
-                    callback.name
-                ),
+                format!("callbacks `{first}` and `{}` of group `{name}` {fault}", callback.name),
             );
         }
         if let (Some(stated), Some(priority)) = (stated, thread.priority)

@@ -206,8 +206,12 @@ fn node(name: String, mut section: Section<'_>, problems: &mut Collector) -> Nod
 
 fn topic(name: String, mut section: Section<'_>, problems: &mut Collector) -> Topic {
     let type_name = section.text("type", problems).map(|text| text.value);
+    let mut is_auto = false;
     let depth = match section.raw("depth").map(|value| (value, value.get_ref())) {
-        Some((_, toml::de::DeValue::String(text))) if text == "auto" => None,
+        Some((_, toml::de::DeValue::String(text))) if text == "auto" => {
+            is_auto = true;
+            None
+        }
         Some((value, _)) => integer("depth", value, problems).and_then(|depth| {
             let value = u64::try_from(depth.value).ok().filter(|depth| *depth > 0);
             if value.is_none() {
@@ -235,6 +239,7 @@ fn topic(name: String, mut section: Section<'_>, problems: &mut Collector) -> To
     let topic = Topic {
         type_name,
         depth,
+        is_auto,
         remote: section.flag("remote", problems),
         priority: link_priority,
         express,

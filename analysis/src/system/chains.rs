@@ -84,7 +84,8 @@ pub(super) fn bound(system: &System, chain: &Chain, solved: &Solved) -> Result<C
     Ok(ChainBound { latency_ns, reaction_ns: reaction.ok(), age_ns, deadline_ns, met })
 }
 
-/// How much older a value may be that is read, and how much later it is reflected, where the network may let an older one overtake it.
+/// How much older a value may be that is read, and how much later it is reflected, where the network may let an older one overtake it: on its way
+/// to the reader, or on that of the message from which it is made.
 ///
 /// The last value to arrive was sent no more than the network's spread before any other that is there, so what it is made of is older by that
 /// spread and by what the times from release to publication differ. An older one may overwrite the value; the
@@ -92,9 +93,13 @@ pub(super) fn bound(system: &System, chain: &Chain, solved: &Solved) -> Result<C
 fn overtaken(system: &System, solved: &Solved, from: &Part, to: &Part) -> Result<(u64, u64), AnalysisError> {
     let spread_ns = to.transfer.most_ns.saturating_sub(to.transfer.least_ns);
     let (mut older_ns, mut later_ns): (u64, u64) = (0, 0);
-    for way in from.ways.iter().filter(|way| spread_ns > 0 && !way.is_empty()) {
-        let writer = &system.callbacks[way[way.len() - 1]].task;
-        let response = outcome(solved, way[way.len() - 1])?;
+    for way in from.ways.iter().filter(|way| !way.is_empty()) {
+        let last = way[way.len() - 1];
+        if spread_ns == 0 && !solved.tasks[last].unordered {
+            continue;
+        }
+        let writer = &system.callbacks[last].task;
+        let response = outcome(solved, last)?;
         let period_ns = pace(system, solved, way[0])?.0.unwrap_or(u64::MAX);
         let late_ns = response.response_ns.saturating_sub(writer.bcet_ns);
         if writer.is_held() || late_ns.saturating_add(spread_ns) >= response.period_ns {

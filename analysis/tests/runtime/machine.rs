@@ -6,9 +6,86 @@ use std::collections::{BTreeMap, VecDeque};
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
 
-use super::made_up::{Budget, Callback, DEPTH, Model};
+use super::made_up::{Budget, Callback, Matching, Model, Order, group_priority, longer};
+use super::waiting::Waiting;
 
+/// How long a run of a random system takes.
 const UNTIL: u64 = 1_500;
+/// Of a synchronizer that never drops anything for want of room.
+const ENDLESS: usize = 1_000;
+
+/// What a run does: other phases, delays and execution times for each seed.
+#[derive(Clone)]
+pub struct Run {
+    pub seed: u64,
+    /// When the first release of each callback is due.
+    pub phases: Vec<u64>,
+    /// Whether jobs that are held to their budgets exceed them.
+    pub is_wild: bool,
+    pub stalls: bool,
+    /// How many messages of a topic each join keeps, if jobs exceed budgets.
+    pub queue_sizes: Vec<usize>,
+    pub until: u64,
+}
+
+/// What happens on the way, for another runtime to be held against.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Step {
+    /// A message of a topic, by its number, with its stamp.
+    Arrived {
+        callback: usize,
+        topic: usize,
+        number: u64,
+        stamp: u64,
+    },
+    /// A join has taken a message.
+    Taken {
+        callback: usize,
+        topic: usize,
+    },
+    /// A job, with the numbers of its messages.
+    Begun {
+        callback: usize,
+        numbers: Vec<u64>,
+    },
+    /// It has used up its budget.
+    Demoted {
+        callback: usize,
+    },
+    Ended {
+        callback: usize,
+    },
+}
+
+impl Run {
+    /// Together at first, or anywhere.
+    pub fn random(model: &Model, rng: &mut StdRng) -> Run {
+        let together = rng.random_range(0..200);
+        let phase = |callback: &Callback| {
+            let phase = if rng.random_bool(0.6) { together } else { rng.random_range(0..callback.period) };
+            phase % callback.period
+        };
+        let phases = model.callbacks.iter().map(phase).collect();
+        let (seed, queue_sizes) = (rng.random(), Vec::new());
+        Run { phases, seed, is_wild: false, stalls: false, queue_sizes, until: UNTIL }
+    }
+
+    /// One phase a little different, or anywhere; or other times at the same phases.
+    pub fn changed(&self, model: &Model, rng: &mut StdRng) -> Run {
+        let mut run = self.clone();
+        let i = rng.random_range(0..run.phases.len());
+        let period = model.callbacks[i].period;
+        match rng.random_range(0..3) {
+            0 => run.seed = rng.random(),
+            1 => run.phases[i] = rng.random_range(0..period),
+            _ => {
+                run.phases[i] =
+                    (run.phases[i] + [1, 2, period - 1, period - 2][rng.random_range(0..4)]) % period
+            }
+        }
+        run
+    }
+}
 
 /// The worst of what was seen, in steps.
 pub struct Seen {
@@ -18,14 +95,26 @@ pub struct Seen {
     pub latencies: Vec<u64>,
     pub ages: Vec<u64>,
     pub reactions: Vec<u64>,
+    /// Of each topic that a join waits for, by callback.
+    pub waits: Vec<Vec<u64>>,
+    /// How many messages of one topic wait in each join.
+    pub held: Vec<usize>,
     /// Whether each stage of a chain triggers the next.
     pub is_direct: Vec<bool>,
+    /// Whether what reflects an event can be told: joins on the way take a topic from one way only.
+    pub reflects: Vec<bool>,
+    pub steps: Vec<(u64, Step)>,
+    /// How many messages of each topic were overwritten before a callback took them.
+    pub lost: BTreeMap<(usize, usize), u64>,
+    /// Of each topic that a join waits for: how many it dropped and refused.
+    pub unused: Vec<Vec<[u64; 2]>>,
 }
 
 impl Seen {
     pub fn new(model: &Model) -> Seen {
         let (callbacks, chains) = (model.callbacks.len(), model.chains.len());
         let is_direct = |path: &Vec<usize>| path.windows(2).all(|pair| triggers(model, pair[0], pair[1]));
+        let reflects = |path: &Vec<usize>| path.windows(2).all(|pair| is_only_way(model, pair[0], pair[1]));
         Seen {
             responses: vec![0; callbacks],
             queues: vec![0; callbacks],
@@ -33,6 +122,12 @@ impl Seen {
             latencies: vec![0; chains],
             ages: vec![0; chains],
             reactions: vec![0; chains],
+            waits: model.callbacks.iter().map(|callback| vec![0; callback.triggers.len()]).collect(),
+            held: vec![0; callbacks],
+            steps: Vec::new(),
+            lost: BTreeMap::new(),
+            unused: vec![Vec::new(); callbacks],
+            reflects: model.chains.iter().map(reflects).collect(),
             is_direct: model.chains.iter().map(is_direct).collect(),
         }
     }
@@ -45,6 +140,7 @@ impl Seen {
         longest(&mut self.latencies, &other.latencies);
         longest(&mut self.ages, &other.ages);
         longest(&mut self.reactions, &other.reactions);
+        self.waits.iter_mut().zip(&other.waits).for_each(|(mine, its)| longest(mine, its));
         for (mine, its) in self.queues_without_stall.iter_mut().zip(&other.queues) {
             *mine = (*its).max(*mine);
         }
@@ -53,8 +149,23 @@ impl Seen {
 
     /// The same of a run with stalls, which only the queues outlast.
     pub fn stalled(&mut self, other: &Seen) {
-        self.queues.iter_mut().zip(&other.queues).for_each(|(mine, its)| *mine = (*its).max(*mine));
+        let most = |mine: &mut [usize], its: &[usize]| {
+            mine.iter_mut().zip(its).for_each(|(mine, its)| *mine = (*its).max(*mine))
+        };
+        most(&mut self.queues, &other.queues);
+        most(&mut self.held, &other.held);
     }
+}
+
+/// Whether what comes to a join by this step is all of one topic, of which nothing else comes.
+fn is_only_way(model: &Model, from: usize, to: usize) -> bool {
+    if model.callbacks[to].join.is_none() {
+        return true;
+    }
+    let topics = model.callbacks[to].triggers.iter();
+    let mut topics = topics.filter(|topic| model.publishers(**topic).any(|publisher| publisher == from));
+    let alone = topics.next().is_some_and(|topic| model.publishers(*topic).count() == 1);
+    alone && topics.next().is_none() && model.ways(from).len() == 1
 }
 
 fn triggers(model: &Model, from: usize, to: usize) -> bool {
@@ -65,25 +176,38 @@ fn triggers(model: &Model, from: usize, to: usize) -> bool {
 }
 
 /// Which job of a chain's first stage something goes back to, and from when that one's response counts.
-type Tag = Option<(usize, u64)>;
+pub type Tag = Option<(usize, u64)>;
 
 #[derive(Clone)]
-struct Message {
-    callback: usize,
+pub struct Message {
+    pub callback: usize,
     /// The topic, each of which has a queue of its own; of its own releases, the callback.
-    topic: usize,
+    pub topic: usize,
     /// From when its response counts: the nominal release, or the arrival.
-    base: u64,
+    pub base: u64,
     /// Its place in a group's queue.
     order: u64,
-    tags: Vec<Tag>,
+    pub stamp: u64,
+    /// By which callbacks and topics it came.
+    pub way: u64,
+    pub number: u64,
+    /// Those of all that a join has waited for.
+    pub set: Vec<u64>,
+    /// Whether its group has taken it, to know whose turn it is.
+    is_held: bool,
+    pub tags: Vec<Tag>,
 }
 
 struct Job {
     message: Message,
+    /// What a join takes besides.
+    more: Vec<Message>,
     work: u64,
     done: u64,
-    lock: Option<(u64, u64)>,
+    /// Its sections: of which lock, from when in its work, and how long.
+    locks: Vec<(usize, u64, u64)>,
+    /// What nothing preempts: from when in its work, and how long.
+    section: (u64, u64),
     is_demoted: bool,
     used: u64,
 }
@@ -93,7 +217,11 @@ struct Thread {
     members: Vec<usize>,
     queue: Vec<Message>,
     job: Option<Job>,
-    is_blocked: bool,
+    /// The lock that it waits for.
+    blocked_on: Option<usize>,
+    /// In the order of ranks, whose jobs were reported together and are still to be done.
+    round: Vec<usize>,
+    is_over: bool,
     /// Jobs that arrived up to then run below all others, after one that was demoted.
     low_until: u64,
     asleep_until: u64,
@@ -132,21 +260,30 @@ struct Machine<'m> {
     /// Of each core: work of the sampler and the gateway, with what the sampler then wakes.
     top: Vec<VecDeque<(u64, Option<Message>)>>,
     interrupts: Vec<u64>,
+    /// Of each core: the thread that it switched to last, and what is left of the switch.
+    running: Vec<Option<usize>>,
+    switching: Vec<u64>,
     /// What real-time threads have used of this period of the throttling, and from when on each core stands still.
     used: Vec<u64>,
     stalled_from: Vec<u64>,
-    holder: Vec<Option<usize>>,
-    waiting: Vec<usize>,
+    /// Who holds each lock of each core.
+    holder: Vec<[Option<usize>; 2]>,
+    /// By callback, and of a join by topic.
+    waiting: BTreeMap<(usize, usize), usize>,
+    joins: Vec<Option<Waiting>>,
+    /// Whether timers stamp by when a release was due, came, or its job ended.
+    stamps: u8,
     registers: Vec<Vec<Vec<Tag>>>,
     starts: Vec<Vec<u64>>,
     reflected: Vec<Option<usize>>,
+    published: u64,
     overran: Vec<bool>,
     seen: Seen,
 }
 
-/// One run: with other phases, delays and execution times for each seed.
-pub fn simulate(model: &Model, seed: u64, is_wild: bool, stalls: bool) -> Seen {
-    let mut rng = StdRng::seed_from_u64(seed);
+pub fn simulate(model: &Model, run: &Run) -> Seen {
+    let mut rng = StdRng::seed_from_u64(run.seed);
+    let Run { is_wild, stalls, .. } = *run;
     let (count, cores, chains) = (model.callbacks.len(), model.hosts.len(), model.chains.len());
     let mut threads: Vec<Thread> = Vec::new();
     let mut thread_of = Vec::new();
@@ -160,7 +297,9 @@ pub fn simulate(model: &Model, seed: u64, is_wild: bool, stalls: bool) -> Seen {
                 members: Vec::new(),
                 queue: Vec::new(),
                 job: None,
-                is_blocked: false,
+                blocked_on: None,
+                round: Vec::new(),
+                is_over: false,
                 low_until: 0,
                 asleep_until: 0,
                 left: 0,
@@ -172,19 +311,17 @@ pub fn simulate(model: &Model, seed: u64, is_wild: bool, stalls: bool) -> Seen {
         threads[at].members.push(i);
         thread_of.push(at);
     }
-    // Together at first, or anywhere.
-    let (together, late) = (rng.random_range(0..200), rng.random_bool(0.5));
+    let (late, stamps) = (rng.random_bool(0.5), rng.random_range(0..3));
     let mut events: BTreeMap<u64, Vec<Event>> = BTreeMap::new();
     for (i, callback) in
         model.callbacks.iter().enumerate().filter(|(_, callback)| callback.triggers.is_empty())
     {
-        let mut nominal = if rng.random_bool(0.6) { together } else { rng.random_range(0..callback.period) };
-        nominal %= callback.period;
-        let mut last = 0;
-        while nominal < UNTIL {
+        let first = run.phases[i];
+        let (mut nominal, mut last) = (first, 0);
+        while nominal < run.until {
             // As late as it can come for a while, then early: bursts.
             let most = callback.jitter;
-            let delay = if late && nominal < together + callback.period {
+            let delay = if late && nominal < first + callback.period {
                 most
             } else {
                 [0, rng.random_range(0..=most)][rng.random_range(0..2)]
@@ -192,13 +329,32 @@ pub fn simulate(model: &Model, seed: u64, is_wild: bool, stalls: bool) -> Seen {
             let earliest = if last > 0 { last + callback.min_distance } else { 0 };
             last = earliest.max(nominal + delay);
             let order = if callback.is_outside { last } else { nominal };
-            let message = Message { callback: i, topic: i, base: nominal, order, tags: vec![None; chains] };
+            let stamp = if stamps == 1 { last } else { nominal };
+            let tags = vec![None; chains];
+            let message = Message {
+                callback: i,
+                topic: i,
+                base: nominal,
+                order,
+                stamp,
+                way: i as u64,
+                number: nominal,
+                set: Vec::new(),
+                is_held: false,
+                tags,
+            };
             events.entry(last).or_default().push(Event::Message(message));
             nominal += callback.period;
         }
     }
-    let stalled_from =
-        (0..cores).map(|_| if stalls { rng.random_range(0..UNTIL / 2) } else { UNTIL }).collect();
+    // Each core stands still once, in half of the runs right after the one before.
+    let (mut next, in_turn) = (rng.random_range(0..run.until / 2), rng.random_bool(0.5));
+    let stall = |_| {
+        let from = if in_turn { next } else { rng.random_range(0..run.until / 2) };
+        next = from + model.stall;
+        if stalls { from } else { u64::MAX }
+    };
+    let stalled_from = (0..cores).map(stall).collect();
     let hosts = model.hosts.iter().max().map_or(1, |last| last + 1);
     let mut machine = Machine {
         model,
@@ -209,32 +365,69 @@ pub fn simulate(model: &Model, seed: u64, is_wild: bool, stalls: bool) -> Seen {
         thread_of,
         top: (0..cores).map(|_| VecDeque::new()).collect(),
         interrupts: vec![0; cores],
+        running: vec![None; cores],
+        switching: vec![0; cores],
         used: vec![0; cores],
         stalled_from,
-        holder: vec![None; cores],
-        waiting: vec![0; count],
+        holder: vec![[None; 2]; cores],
+        waiting: BTreeMap::new(),
+        joins: (0..count)
+            .map(|i| {
+                let size = run.queue_sizes.get(i).copied().filter(|_| is_wild).unwrap_or(ENDLESS);
+                Waiting::new(model, i, size)
+            })
+            .collect(),
+        stamps,
         registers: vec![vec![vec![None; chains]; hosts]; count],
         starts: vec![Vec::new(); chains],
         reflected: vec![None; chains],
+        published: 0,
         overran: vec![false; count],
         seen: Seen::new(model),
         rng,
     };
     let tick_from = machine.rng.random_range(0..50);
-    while machine.now < UNTIL {
+    while machine.now < run.until {
         machine.step(tick_from);
     }
-    let Machine { mut seen, overran, .. } = machine;
-    // What exceeds its budget may be as late as it likes, and so may chains through it.
-    for i in (0..count).filter(|i| overran[*i]) {
-        (seen.responses[i], seen.queues[i]) = (0, 0);
+    for (chain, path) in model.chains.iter().enumerate() {
+        // What was never reflected, as far as there was time to.
+        let last = machine.reflected[chain].unwrap_or(0);
+        let since = machine.since(path);
+        let missed =
+            machine.starts[chain].iter().skip(last).find(|start| since.is_some_and(|since| **start >= since));
+        if let Some(start) = missed.filter(|_| is_timer(model, path[0])) {
+            machine.seen.reactions[chain] = machine.seen.reactions[chain].max(run.until - start);
+        }
+    }
+    let Machine { mut seen, overran, joins, .. } = machine;
+    for (i, join) in joins.into_iter().enumerate() {
+        if let Some(join) = join {
+            (seen.waits[i], seen.held[i], seen.unused[i]) = (join.waits, join.most, join.unused);
+        }
+    }
+    // What exceeds its budget may be as late as it likes, and so may chains through it, and what waits for it.
+    let late = |i: usize| model.upstream(i).iter().any(|i| overran[*i]);
+    for (i, overran) in overran.iter().enumerate() {
+        if *overran {
+            (seen.responses[i], seen.queues[i]) = (0, 0);
+        }
+        if model.callbacks[i].join.is_some() && late(i) {
+            seen.waits[i].fill(0);
+            seen.held[i] = 0;
+        }
     }
     for (i, path) in model.chains.iter().enumerate() {
-        if path.iter().any(|stage| overran[*stage]) {
+        let waits = |stage: &usize| model.callbacks[*stage].join.is_some() && late(*stage);
+        if path.iter().any(|stage| overran[*stage] || waits(stage)) {
             (seen.latencies[i], seen.ages[i], seen.reactions[i]) = (0, 0, 0);
         }
     }
     seen
+}
+
+fn is_timer(model: &Model, i: usize) -> bool {
+    model.callbacks[i].triggers.is_empty() && !model.callbacks[i].is_outside
 }
 
 impl Machine<'_> {
@@ -242,12 +435,21 @@ impl Machine<'_> {
         for event in self.events.remove(&self.now).unwrap_or_default() {
             match event {
                 Event::Register(topic, host, tags) => self.registers[topic][host] = tags,
-                Event::Gateway(core) => self.top[core].push_back((self.model.gateway, None)),
+                Event::Gateway(core) => {
+                    self.top[core].push_back((self.model.gateway[self.model.hosts[core]], None));
+                }
                 Event::Message(message) => {
+                    let Message { callback, topic, number, stamp, .. } = message;
+                    self.record(Step::Arrived { callback, topic, number, stamp });
                     let i = message.callback;
-                    self.waiting[i] += 1;
-                    self.seen.queues[i] = self.seen.queues[i].max(self.waiting[i]);
-                    match self.model.per_message {
+                    let waiting = self.waiting(&message);
+                    *waiting += 1;
+                    let waiting = *waiting;
+                    self.seen.queues[i] = self.seen.queues[i].max(waiting);
+                    if let Some(join) = &mut self.joins[i] {
+                        join.came(&message);
+                    }
+                    match self.per_message(i) {
                         0 => self.wake(message),
                         cost => self.top[self.model.callbacks[i].core].push_back((cost, Some(message))),
                     }
@@ -265,11 +467,32 @@ impl Machine<'_> {
             {
                 self.used[core] = self.used[core].saturating_sub(runtime);
             }
-            if !(self.stalled_from[core]..self.stalled_from[core] + self.model.stall).contains(&self.now) {
+            if !(self.stalled_from[core]..self.stalled_from[core].saturating_add(self.model.stall))
+                .contains(&self.now)
+            {
                 self.run(core);
             }
         }
         self.now += 1;
+    }
+
+    fn record(&mut self, step: Step) {
+        self.seen.steps.push((self.now, step));
+    }
+
+    fn waiting(&mut self, of: &Message) -> &mut usize {
+        let topic = if self.model.callbacks[of.callback].join.is_some() { of.topic } else { 0 };
+        self.waiting.entry((of.callback, topic)).or_default()
+    }
+
+    fn per_message(&self, callback: usize) -> u64 {
+        self.model.per_message[self.model.hosts[self.model.callbacks[callback].core]]
+    }
+
+    /// From when all that the joins of a chain wait for has come.
+    fn since(&self, path: &[usize]) -> Option<u64> {
+        let mut joins = path.iter().filter_map(|stage| self.joins[*stage].as_ref());
+        joins.try_fold(0, |latest: u64, join| Some(latest.max(join.since?)))
     }
 
     /// The sampler hands a message to its thread; a timer keeps only its newest release.
@@ -297,22 +520,24 @@ impl Machine<'_> {
                 (thread.left, thread.refill_at) = (runtime, self.now + period);
             }
         }
+        if thread.is_over {
+            return *self.waiting(&message) -= 1;
+        }
         let queue = &mut thread.queue;
-        let is_timer = callback.triggers.is_empty() && !callback.is_outside;
-        let most = if is_timer {
-            1
-        } else if callback.budget == Budget::Tell {
-            usize::MAX
-        } else {
-            DEPTH
+        let most = if is_timer(self.model, i) { 1 } else { callback.depth };
+        let topic = message.topic;
+        let is_alike = |other: &Message| {
+            other.set.is_empty() && !other.is_held && (other.callback, other.topic) == (i, topic)
         };
-        let is_alike = |other: &Message| (other.callback, other.topic) == (i, message.topic);
+        let mut lost = 0;
         while queue.iter().filter(|other| is_alike(other)).count() >= most {
             let oldest = queue.iter().position(is_alike).unwrap_or(0);
             queue.remove(oldest);
-            self.waiting[i] -= 1;
+            lost += 1;
         }
-        queue.push(message);
+        queue.push(message.clone());
+        *self.waiting(&message) -= lost;
+        *self.seen.lost.entry((i, topic)).or_default() += lost as u64;
     }
 
     fn run(&mut self, core: usize) {
@@ -327,18 +552,24 @@ impl Machine<'_> {
         let is_stiff = |thread: &Thread| {
             here(thread)
                 && thread.job.as_ref().is_some_and(|job| {
-                    // The executor comes first, which others preempt.
-                    job.done > self.model.executors[core].unwrap_or(0)
-                        && self.model.callbacks[job.message.callback].is_non_preemptive
+                    let (from, length) = job.section;
+                    (from + 1..from + length).contains(&job.done)
                 })
         };
+        if self.switching[core] > 0 {
+            self.switching[core] -= 1;
+            self.used[core] += 1;
+            return;
+        }
         if let Some(at) = self.threads.iter().position(is_stiff) {
             self.work(at);
             return;
         }
         loop {
-            let best =
-                (0..self.threads.len()).filter(|at| self.is_ready(core, *at)).max_by_key(|at| self.rank(*at));
+            // Of equals the one that runs goes on, and what a lock has made equal was there before.
+            let goes_on = |at: usize| self.running[core] == Some(at) || self.holder[core].contains(&Some(at));
+            let ready = (0..self.threads.len()).filter(|at| self.is_ready(core, *at));
+            let best = ready.max_by_key(|at| (self.rank(*at), goes_on(*at)));
             let reserved = best.is_some_and(|at| self.rank(at) == 100);
             if !reserved && let Some((left, _)) = self.top[core].front_mut() {
                 *left -= 1;
@@ -350,11 +581,17 @@ impl Machine<'_> {
                 }
                 return;
             }
-            let Some(at) = best else { return };
+            let Some(at) = best else {
+                self.switch(core, None);
+                return;
+            };
             if self.threads[at].job.is_none() {
                 self.begin(at);
                 // It may be demoted from the start.
                 continue;
+            }
+            if !self.is_used_up(at) && self.switch(core, Some(at)) {
+                return;
             }
             if self.may_go_on(core, at) {
                 self.work(at);
@@ -363,10 +600,47 @@ impl Machine<'_> {
         }
     }
 
+    /// Whether this step is spent on the switch to a thread, or to none: the first switch to a job is the job's own, others are part of what
+    /// preempted it.
+    fn switch(&mut self, core: usize, to: Option<usize>) -> bool {
+        let cost = self.model.switch;
+        let from = std::mem::replace(&mut self.running[core], to);
+        if cost == 0 || from == to {
+            return false;
+        }
+        self.switching[core] = cost - 1;
+        self.used[core] += 1;
+        let budget =
+            to.and_then(|at| self.threads[at].job.as_ref()).map(|job| self.budget(job.message.callback));
+        if let Some(thread) = to.map(|at| &mut self.threads[at]) {
+            let is_new = thread.job.as_ref().is_some_and(|job| job.used == 0) || Some(thread.left) == budget;
+            if is_new {
+                thread.left = thread.left.saturating_sub(cost);
+                thread.job.iter_mut().for_each(|job| job.used += cost);
+            }
+        }
+        true
+    }
+
+    /// What a job may use before it is held.
+    fn budget(&self, callback: usize) -> u64 {
+        let Callback { charged, wcet, .. } = self.model.callbacks[callback];
+        charged.max(wcet)
+    }
+
+    fn is_used_up(&self, at: usize) -> bool {
+        let thread = &self.threads[at];
+        thread.job.as_ref().is_some_and(|job| match self.model.callbacks[job.message.callback].budget {
+            Budget::Tell => false,
+            Budget::Demote | Budget::End => !job.is_demoted && job.used >= self.budget(job.message.callback),
+            Budget::Suspend | Budget::Reserved(..) => thread.left == 0,
+        })
+    }
+
     fn is_ready(&self, core: usize, at: usize) -> bool {
         let thread = &self.threads[at];
         thread.core == core
-            && !thread.is_blocked
+            && thread.blocked_on.is_none()
             && thread.asleep_until <= self.now
             && (thread.job.is_some() || !thread.queue.is_empty())
     }
@@ -379,53 +653,65 @@ impl Machine<'_> {
         let own = match (&thread.job, callback.budget) {
             (_, Budget::Reserved(..)) => return 100,
             (Some(job), _) if job.is_demoted => 0,
-            _ => callback.priority,
+            _ => self.priority(at),
         };
-        if self.holder[thread.core] != Some(at) {
+        let Some(lock) = self.holder[thread.core].iter().position(|holder| *holder == Some(at)) else {
             return own;
-        }
-        let users = self.threads.iter().filter(|other| other.core == thread.core);
+        };
+        let users = (0..self.threads.len()).filter(|other| self.threads[*other].core == thread.core);
+        let locks = |i: &usize| self.model.callbacks[*i].locks.iter().any(|(other, _)| *other == lock);
         let users = users.filter(|other| match self.model.is_ceiling {
-            true => other.members.iter().any(|i| self.model.callbacks[*i].lock.is_some()),
-            false => other.is_blocked,
+            true => self.threads[*other].members.iter().any(locks),
+            false => self.threads[*other].blocked_on == Some(lock),
         });
-        users.map(|other| self.model.callbacks[other.members[0]].priority).max().unwrap_or(0).max(own)
+        users.map(|other| self.priority(other)).max().unwrap_or(0).max(own)
+    }
+
+    fn priority(&self, at: usize) -> u8 {
+        let callback = &self.model.callbacks[self.threads[at].members[0]];
+        match callback.group {
+            Some(group) if self.model.groups[group] == Order::Rank => group_priority(group),
+            _ => callback.priority,
+        }
     }
 
     fn begin(&mut self, at: usize) {
+        let next = self.next(at);
         let thread = &mut self.threads[at];
-        let i = thread.queue[0].callback;
-        let group = self.model.callbacks[i].group;
-        let is_fifo = group.is_none_or(|group| self.model.groups[group]);
-        let many = self.model.callbacks[i].triggers.len() > 1;
-        let next = match is_fifo {
-            true if group.is_none() && !many => 0,
-            true if group.is_some() => {
-                (0..thread.queue.len()).min_by_key(|m| thread.queue[*m].order).unwrap_or(0)
-            }
-            // Each callback takes its own messages in their order.
-            _ => {
-                let m = self.rng.random_range(0..thread.queue.len());
-                let of = thread.queue[m].callback;
-                thread.queue.iter().position(|message| message.callback == of).unwrap_or(m)
-            }
-        };
         let mut message = thread.queue.remove(next);
         let i = message.callback;
         let callback = &self.model.callbacks[i];
+        let mut more = Vec::new();
+        if matches!(callback.join, Some((Matching::Newest, _))) && message.set.is_empty() {
+            more = thread.queue.extract_if(.., |other| other.callback == i).collect();
+        }
+        let takes = callback.join.filter(|_| message.set.is_empty()).map(|(_, take)| take);
         let may_overrun = self.is_wild && callback.budget != Budget::Tell && self.rng.random_bool(0.4);
-        let most = if may_overrun { callback.wcet * 3 + 2 } else { callback.wcet };
+        let takes = takes.map(|take| take * (1 + more.len() as u64));
+        let most = if may_overrun { callback.wcet * 3 + 2 } else { takes.unwrap_or(callback.wcet) };
         let work = match self.rng.random_bool(0.7) {
             true => most,
-            false => self.rng.random_range(callback.bcet.max(1)..=most),
+            false => self.rng.random_range(callback.bcet.clamp(1, most)..=most),
         };
-        self.overran[i] |= work > callback.wcet;
-        let work = work + self.model.executors[callback.core].unwrap_or(0);
-        let lock = callback
-            .lock
-            .filter(|(_, length)| *length <= work)
-            .map(|(_, length)| (self.rng.random_range(0..=work - length), length));
-        for (chain, path) in self.model.chains.iter().enumerate() {
+        self.overran[i] |= work > callback.wcet && takes.is_none();
+        // The executor comes first, which others preempt; a set is passed on in the run that takes its last message.
+        let executor = self.model.executors[callback.core].filter(|_| message.set.is_empty()).unwrap_or(0);
+        let is_held = callback.budget.demotes() || callback.budget == Budget::Suspend;
+        let executor = executor * (1 + more.len() as u64) + if is_held { self.model.demotion } else { 0 };
+        let length = callback.non_preemptive.min(work);
+        let section = (executor + self.rng.random_range(0..=work - length), length);
+        let mut locks = Vec::new();
+        let mut free = work.saturating_sub(callback.locks.iter().map(|(_, length)| length).sum());
+        let mut from = executor;
+        for (lock, length) in callback.locks.iter().filter(|_| takes.is_none()) {
+            if from + free + length <= executor + work {
+                let before = self.rng.random_range(0..=free);
+                locks.push((*lock, from + before, *length));
+                (from, free) = (from + before + length, free - before);
+            }
+        }
+        let work = work + executor;
+        for (chain, path) in self.model.chains.iter().enumerate().filter(|_| takes.is_none()) {
             let Some(stage) = path.iter().position(|stage| *stage == i) else { continue };
             if stage == 0 {
                 self.starts[chain].push(self.now);
@@ -434,8 +720,8 @@ impl Machine<'_> {
                 message.tags[chain] = self.registers[path[stage - 1]][self.model.hosts[callback.core]][chain];
             }
         }
+        let budget = self.budget(i);
         let thread = &mut self.threads[at];
-        let budget = callback.wcet + self.model.per_message;
         if callback.budget == Budget::Suspend {
             thread.is_behind &= message.order < thread.refill_at;
             if !thread.is_behind {
@@ -445,22 +731,65 @@ impl Machine<'_> {
             }
         }
         let is_demoted =
-            callback.budget == Budget::Demote && message.order <= thread.low_until && thread.low_until > 0;
-        thread.job = Some(Job { message, work, done: 0, lock, is_demoted, used: 0 });
+            callback.budget.demotes() && message.order <= thread.low_until && thread.low_until > 0;
+        thread.job = Some(Job { message, more, work, done: 0, locks, section, is_demoted, used: 0 });
+    }
+
+    /// What a thread takes next from its queue: its own topics one after the other, those of several in any order; a set before more of what made it.
+    fn next(&mut self, at: usize) -> usize {
+        let model = self.model;
+        let thread = &mut self.threads[at];
+        let group = model.callbacks[thread.queue[0].callback].group;
+        if group.is_some_and(|group| model.groups[group] == Order::Fifo) {
+            for member in thread.members.iter().filter(|i| model.callbacks[**i].join.is_none()) {
+                let first = thread.queue.iter_mut().find(|message| message.callback == *member);
+                first.into_iter().for_each(|message| message.is_held = true);
+            }
+        }
+        let queue = &thread.queue;
+        let callback = match group.map(|group| model.groups[group]) {
+            Some(Order::Fifo) if !thread.members.iter().any(|i| model.callbacks[*i].join.is_some()) => {
+                return (0..queue.len()).min_by_key(|m| queue[*m].order).unwrap_or(0);
+            }
+            // A set is passed on by what takes its last message.
+            Some(Order::Rank) if !queue[0].set.is_empty() => return 0,
+            Some(Order::Rank) => {
+                thread.round.retain(|i| queue.iter().any(|message| message.callback == *i));
+                if thread.round.is_empty() {
+                    let rank = |i: &usize| model.callbacks[*i].priority;
+                    let highest = queue.iter().map(|message| rank(&message.callback)).max();
+                    let members = thread.members.iter().copied();
+                    let waits = |i: &usize| queue.iter().any(|message| message.callback == *i);
+                    thread.round = members.filter(|i| Some(rank(i)) == highest && waits(i)).collect();
+                }
+                thread.round.remove(0)
+            }
+            _ => queue[self.rng.random_range(0..queue.len())].callback,
+        };
+        let of: Vec<usize> = (0..queue.len()).filter(|m| queue[*m].callback == callback).collect();
+        if let Some(set) = of.iter().find(|m| !queue[**m].set.is_empty()) {
+            return *set;
+        }
+        let topic = match &self.joins[callback] {
+            Some(join) => join.turn(|topic| of.iter().any(|m| queue[*m].topic == topic)),
+            None => queue[of[self.rng.random_range(0..of.len())]].topic,
+        };
+        of.into_iter().find(|m| queue[*m].topic == topic).unwrap_or(0)
     }
 
     /// Whether a job has a budget and its lock; otherwise it is demoted, sleeps or waits.
     fn may_go_on(&mut self, core: usize, at: usize) -> bool {
+        let Some(i) = self.threads[at].job.as_ref().map(|job| job.message.callback) else { return false };
+        let (budget, is_used_up) = (self.budget(i), self.is_used_up(at));
         let thread = &mut self.threads[at];
         let Some(job) = &mut thread.job else { return false };
-        let i = job.message.callback;
-        let budget = self.model.callbacks[i].wcet + self.model.per_message;
         match self.model.callbacks[i].budget {
-            Budget::Demote if job.used >= budget && !job.is_demoted => {
+            Budget::Demote | Budget::End if is_used_up => {
                 job.is_demoted = true;
+                self.record(Step::Demoted { callback: i });
                 return false;
             }
-            Budget::Suspend | Budget::Reserved(..) if thread.left == 0 => {
+            Budget::Suspend | Budget::Reserved(..) if is_used_up => {
                 let (more, period) = match self.model.callbacks[i].budget {
                     Budget::Reserved(runtime, period) => (runtime, period),
                     _ => (budget, self.model.period(i)),
@@ -479,32 +808,38 @@ impl Machine<'_> {
             }
             _ => {}
         }
-        if job.lock.is_some_and(|(offset, _)| offset == job.done) && self.holder[core] != Some(at) {
-            if self.holder[core].is_some() {
-                thread.is_blocked = true;
+        let taken = job.locks.iter().find(|(_, offset, _)| *offset == job.done);
+        if let Some((lock, ..)) = taken.filter(|(lock, ..)| self.holder[core][*lock] != Some(at)) {
+            if self.holder[core][*lock].is_some() {
+                thread.blocked_on = Some(*lock);
                 return false;
             }
-            self.holder[core] = Some(at);
+            self.holder[core][*lock] = Some(at);
         }
         true
     }
 
     fn work(&mut self, at: usize) {
         let thread = &mut self.threads[at];
+        let begins = thread.job.as_ref().filter(|job| job.done == 0);
+        if let Some(Message { callback, number, set, .. }) = begins.map(|job| &job.message)
+            && (self.joins[*callback].is_none() || !set.is_empty())
+        {
+            let numbers = if set.is_empty() { vec![*number] } else { set.clone() };
+            self.seen.steps.push((self.now, Step::Begun { callback: *callback, numbers }));
+        }
         thread.left = thread.left.saturating_sub(1);
         let core = thread.core;
         let Some(job) = &mut thread.job else { return };
         self.used[core] += u64::from(!job.is_demoted);
         job.done += 1;
         job.used += 1;
-        let is_released = job.lock.is_some_and(|(offset, length)| job.done == offset + length);
+        let released = job.locks.iter().find(|(_, offset, length)| job.done == offset + length);
         let is_done = job.done == job.work;
-        if is_released {
-            self.holder[core] = None;
-            self.threads
-                .iter_mut()
-                .filter(|other| other.core == core)
-                .for_each(|other| other.is_blocked = false);
+        if let Some(lock) = released.map(|(lock, ..)| *lock) {
+            self.holder[core][lock] = None;
+            let waits = |other: &&mut Thread| other.core == core && other.blocked_on == Some(lock);
+            self.threads.iter_mut().filter(waits).for_each(|other| other.blocked_on = None);
         }
         if is_done && let Some(job) = self.threads[at].job.take() {
             self.end(at, &job);
@@ -513,24 +848,62 @@ impl Machine<'_> {
 
     fn end(&mut self, at: usize, job: &Job) {
         let (i, now) = (job.message.callback, self.now + 1);
-        self.waiting[i] -= 1;
+        if job.message.set.is_empty() {
+            job.more.iter().chain([&job.message]).for_each(|message| *self.waiting(message) -= 1);
+        }
         if job.is_demoted {
             self.threads[at].low_until = now;
+            if self.model.callbacks[i].budget == Budget::End {
+                self.threads[at].is_over = true;
+                let queued = std::mem::take(&mut self.threads[at].queue);
+                queued.iter().for_each(|message| *self.waiting(message) -= 1);
+            }
         }
         self.seen.responses[i] = self.seen.responses[i].max(now - job.message.base);
+        if self.joins[i].is_some() && job.message.set.is_empty() {
+            for message in [&job.message].into_iter().chain(&job.more) {
+                self.seen.steps.push((now, Step::Taken { callback: i, topic: message.topic }));
+            }
+        } else {
+            self.seen.steps.push((now, Step::Ended { callback: i }));
+        }
+        if let Some(join) = self.joins[i].as_mut().filter(|_| job.message.set.is_empty()) {
+            let sets = join.take(self.model, &job.message, &job.more, now);
+            let set = |set: super::waiting::Set| Message {
+                topic: i,
+                base: set.activation,
+                order: set.activation,
+                stamp: set.stamp,
+                way: i as u64,
+                number: 0,
+                set: set.numbers,
+                is_held: false,
+                tags: set.tags,
+                callback: i,
+            };
+            let queue = &mut self.threads[at].queue;
+            queue.splice(0..0, sets.into_iter().map(set));
+            return;
+        }
         let mut tags = job.message.tags.clone();
         for (chain, path) in self.model.chains.iter().enumerate() {
             if !path.contains(&i) {
                 tags[chain] = None;
             }
             let Some((source, base)) = tags[chain].filter(|_| path.last() == Some(&i)) else { continue };
+            let Some(since) = self.since(path) else { continue };
+            if base < since {
+                self.reflected[chain] = self.reflected[chain].max(Some(source));
+                continue;
+            }
             self.seen.latencies[chain] = self.seen.latencies[chain].max(now - base);
             self.seen.ages[chain] = self.seen.ages[chain].max(now - base);
-            let first = &self.model.callbacks[path[0]];
-            if first.triggers.is_empty() && !first.is_outside {
+            if is_timer(self.model, path[0]) {
                 // Events just after the start of the job before are reflected for the first time.
                 for event in self.reflected[chain].map_or(source, |last| last + 1)..=source {
-                    if let Some(missed) = event.checked_sub(1) {
+                    if let Some(missed) =
+                        event.checked_sub(1).filter(|missed| self.starts[chain][*missed] >= since)
+                    {
                         self.seen.reactions[chain] =
                             self.seen.reactions[chain].max(now - self.starts[chain][missed]);
                     }
@@ -538,27 +911,34 @@ impl Machine<'_> {
             }
             self.reflected[chain] = self.reflected[chain].max(Some(source));
         }
-        self.publish(i, now, &tags);
+        let stamps_now = self.stamps == 2 && self.model.callbacks[i].triggers.is_empty();
+        let stamp = if stamps_now { now } else { job.message.stamp };
+        self.published += 1;
+        let number = self.published;
+        let (set, is_held) = (Vec::new(), false);
+        self.publish(&Message { stamp, tags, number, set, is_held, ..job.message.clone() }, now);
     }
 
     fn at(&mut self, at: u64, event: Event) {
         self.events.entry(at.max(self.now + 1)).or_default().push(event);
     }
 
-    fn publish(&mut self, from: usize, now: u64, tags: &[Tag]) {
+    fn publish(&mut self, message: &Message, now: u64) {
+        let Message { callback: from, tags, stamp, way, .. } = message;
+        let (from, stamp) = (*from, *stamp);
         let Callback { core, also, .. } = self.model.callbacks[from];
         let host = self.model.hosts[core];
         for topic in [Some(from), also].into_iter().flatten() {
-            if self.model.gateway > 0 {
+            if self.model.gateway[host] > 0 {
                 self.at(now, Event::Gateway(core));
             }
             for other in 0..=self.model.hosts.iter().copied().max().unwrap_or(0) {
                 let (least, most) = self.model.network;
                 // Each of two gateways may stand still.
-                let stalls = if self.stalled_from[core] < UNTIL { self.model.stall * 2 } else { 0 };
+                let stalls = if self.stalled_from[core] < u64::MAX { self.model.stall * 2 } else { 0 };
                 let network = self.rng.random_range(least..=most + stalls);
                 let at = if other == host { now } else { now + network };
-                self.at(at, Event::Register(topic, other, tags.to_vec()));
+                self.at(at, Event::Register(topic, other, tags.clone()));
                 let mut served = Vec::new();
                 let model = self.model;
                 for (i, to) in model.callbacks.iter().enumerate() {
@@ -566,17 +946,27 @@ impl Machine<'_> {
                     if self.model.hosts[to.core] != other || !(is_taker || to.reads == Some(topic)) {
                         continue;
                     }
-                    if other != host && self.model.gateway > 0 && !served.contains(&to.core) {
+                    if other != host && self.model.gateway[other] > 0 && !served.contains(&to.core) {
                         served.push(to.core);
                         self.at(at, Event::Gateway(to.core));
                     }
                     if is_taker {
-                        let mut tags = tags.to_vec();
+                        let mut tags = tags.clone();
                         for (chain, path) in self.model.chains.iter().enumerate() {
                             let follows = path.windows(2).any(|pair| pair == [from, i]);
                             tags[chain] = tags[chain].filter(|_| follows);
                         }
-                        let message = Message { callback: i, topic, base: at, order: at, tags };
+                        let way = longer(*way, from, topic);
+                        let message = Message {
+                            callback: i,
+                            topic,
+                            base: at,
+                            order: at,
+                            stamp,
+                            way,
+                            tags,
+                            ..message.clone()
+                        };
                         self.at(at, Event::Message(message));
                     }
                 }

@@ -10,9 +10,35 @@ use rand::rngs::StdRng;
 pub enum Budget {
     Tell,
     Demote,
+    /// As demoted, and nothing after that job.
+    End,
     Suspend,
     /// Runtime and period.
     Reserved(u64, u64),
+}
+
+impl Budget {
+    pub fn demotes(self) -> bool {
+        matches!(self, Budget::Demote | Budget::End)
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Order {
+    Fifo,
+    Any,
+    /// The highest rank next, with all others of it that wait then.
+    Rank,
+}
+
+/// What a callback that waits for all of its topics takes for a set. Windows in steps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Matching {
+    Newest,
+    Exact,
+    Approximate(u64),
+    Epsilon(u64),
+    LatestTime,
 }
 
 #[derive(Debug, Clone)]
@@ -25,15 +51,23 @@ pub struct Callback {
     pub min_distance: u64,
     /// The callbacks whose topics trigger it; none: a timer or a topic from outside.
     pub triggers: Vec<usize>,
+    /// If it waits for all of these: what for, and the longest run that only takes a message.
+    pub join: Option<(Matching, u64)>,
     pub is_outside: bool,
     pub wcet: u64,
+    /// What its budget is, if more than that.
+    pub charged: u64,
     pub bcet: u64,
+    /// In a group that goes by ranks, that.
     pub priority: u8,
     pub group: Option<usize>,
     pub budget: Budget,
-    /// The offset in the job's work and the length of its section, of the one lock of its core.
-    pub lock: Option<(u64, u64)>,
-    pub is_non_preemptive: bool,
+    /// Which locks of its core it holds, one after the other, and for how long.
+    pub locks: Vec<(usize, u64)>,
+    /// How much of a run nothing preempts.
+    pub non_preemptive: u64,
+    /// The depth of its queues, if the file states one; otherwise they never overflow.
+    pub depth: usize,
     /// The callback whose topic it reads.
     pub reads: Option<usize>,
     /// The callback whose topic it publishes too.
@@ -45,11 +79,15 @@ pub struct Model {
     /// The host of each core.
     pub hosts: Vec<usize>,
     pub callbacks: Vec<Callback>,
-    /// Whether each group is first in, first out.
-    pub groups: Vec<bool>,
+    /// How the group of each core goes on.
+    pub groups: Vec<Order>,
     pub chains: Vec<Vec<usize>>,
-    pub per_message: u64,
-    pub gateway: u64,
+    /// Of each host.
+    pub per_message: Vec<u64>,
+    pub gateway: Vec<u64>,
+    /// What a switch costs, and what holds a job to its budget.
+    pub switch: u64,
+    pub demotion: u64,
     pub tick: Option<(u64, u64)>,
     /// Whether reservations run on any core.
     pub floats: bool,
@@ -61,10 +99,12 @@ pub struct Model {
     pub executors: Vec<Option<u64>>,
     pub network: (u64, u64),
     pub is_ceiling: bool,
+    /// Who chooses priorities, if the file states none.
+    pub policy: Option<&'static str>,
 }
 
 /// The depth of queues that the file states.
-pub const DEPTH: usize = 3;
+const DEPTH: usize = 3;
 
 impl Model {
     pub fn random(rng: &mut StdRng) -> Model {
@@ -73,14 +113,25 @@ impl Model {
         let load = rng.random_range(0.3..1.1);
         let executor = rng.random_range(0..4);
         let executors: Vec<_> = hosts.iter().map(|_| rng.random_bool(0.15).then_some(executor)).collect();
-        let groups = executors.iter().map(|executor| executor.is_none() && rng.random_bool(0.7)).collect();
-        let per_message = if rng.random_bool(0.5) { rng.random_range(1..=2) } else { 0 };
+        let groups = executors.iter().map(|executor| match (executor, rng.random_range(0..10)) {
+            (None, 0..7) => Order::Fifo,
+            (Some(_), 0..6) => Order::Rank,
+            _ => Order::Any,
+        });
+        let groups = groups.collect();
+        let mut of_hosts = |most: u64| {
+            let first = rng.random_range(0..=most * 2).saturating_sub(most);
+            vec![first, if rng.random_bool(0.3) { rng.random_range(0..=most) } else { first }]
+        };
+        let (per_message, gateway) = (of_hosts(2), of_hosts(3));
         let mut model = Model {
             callbacks: Vec::new(),
             groups,
             chains: Vec::new(),
             per_message,
-            gateway: if rng.random_bool(0.5) { rng.random_range(1..=3) } else { 0 },
+            gateway,
+            switch: rng.random_range(0..5) / 3,
+            demotion: rng.random_range(0..3),
             tick: rng.random_bool(0.3).then(|| (rng.random_range(20..60), 1)),
             floats: hosts == [0, 0] && rng.random_bool(0.5),
             throttling: rng.random_bool(0.15).then(|| {
@@ -91,6 +142,9 @@ impl Model {
             executors,
             network: if rng.random_bool(0.5) { (2, 2 + rng.random_range(0..60)) } else { (3, 3) },
             is_ceiling: rng.random_bool(0.5),
+            policy: rng
+                .random_bool(0.1)
+                .then(|| ["rate-monotonic", "deadline-monotonic", "audsley"][rng.random_range(0..3)]),
             hosts,
         };
         for i in 0..count {
@@ -98,9 +152,10 @@ impl Model {
             model.callbacks.push(one);
         }
         for to in 1..count {
+            let any = rng.random_range(0..3);
             let before = |i: usize| {
                 let Callback { triggers, reads, .. } = &model.callbacks[i];
-                triggers.first().copied().or(*reads)
+                triggers.get(any % triggers.len().max(1)).copied().or(*reads)
             };
             let mut path = vec![to];
             while let Some(from) = before(path[0]).filter(|_| path.len() < 4) {
@@ -116,7 +171,12 @@ impl Model {
     fn callback(&self, i: usize, count: usize, load: f64, rng: &mut StdRng) -> Callback {
         let core = rng.random_range(0..self.hosts.len());
         let period = [20, 30, 40, 50, 60, 80, 100, 150, 200][rng.random_range(0..9)];
+        let waits = i > 1 && rng.random_bool(0.2);
         let triggers = match i {
+            _ if waits => {
+                let inputs = rng.random_range(2..=i.min(3));
+                rand::seq::index::sample(rng, i, inputs).into_vec()
+            }
             _ if i == 0 || rng.random_bool(0.55) => Vec::new(),
             _ if i > 1 && rng.random_bool(0.15) => vec![i - 1, i - 2],
             _ => vec![rng.random_range(0..i)],
@@ -126,13 +186,27 @@ impl Model {
         let share = load * self.hosts.len() as f64 / count as f64;
         let wcet =
             (slowest as f64 * share * rng.random_range(0.2..1.6)).round().clamp(1.0, slowest as f64) as u64;
-        let is_outside = triggers.is_empty() && rng.random_bool(0.4);
+        let is_ranked = self.groups[core] == Order::Rank;
+        let in_group = rng.random_bool(if is_ranked { 0.7 } else { 0.25 });
+        let is_outside = triggers.is_empty() && (rng.random_bool(0.4) || is_ranked && in_group);
+        let join = waits.then(|| {
+            let window = rng.random_range(1..=slowest * 2);
+            let from_one = triggers.windows(2).all(|pair| self.source(pair[0]) == self.source(pair[1]));
+            let matching = match rng.random_range(0..5) {
+                _ if from_one && rng.random_bool(0.6) => Matching::Exact,
+                0 | 1 => Matching::Newest,
+                2 => Matching::Approximate(window),
+                3 => Matching::Epsilon(window),
+                _ => Matching::LatestTime,
+            };
+            (matching, rng.random_range(1..=wcet.min(4)))
+        });
         let jitter = if triggers.is_empty() && rng.random_bool(0.4) {
             rng.random_range(0..=period * 3 / 2)
         } else {
             0
         };
-        let is_single = triggers.len() < 2;
+        let is_single = triggers.len() < 2 && !triggers.iter().any(|from| self.follows_join(*from));
         // One on each core, or as many as there are cores.
         let is_beside = |other: &&Callback| other.core == core || self.floats;
         let reserved = self.callbacks.iter().filter(is_beside);
@@ -140,32 +214,48 @@ impl Model {
         let has_reserved = reserved >= if self.floats { self.hosts.len() } else { 1 };
         let min_distance = if jitter > 0 && rng.random_bool(0.3) { rng.random_range(0..=period) } else { 0 };
         let budget = match rng.random_range(0..12) {
-            _ if self.executors[core].is_some() => Budget::Tell,
-            0 | 1 => Budget::Demote,
+            _ if self.executors[core].is_some() || waits => Budget::Tell,
+            0 => Budget::Demote,
+            1 => [Budget::Demote, Budget::End][rng.random_range(0..2)],
             2 if is_single => Budget::Suspend,
-            3 if is_single && !has_reserved && wcet + 2 < period => {
-                Budget::Reserved(wcet + 2, period.max(100))
+            3 if is_single && !has_reserved && wcet + 4 < period => {
+                Budget::Reserved(wcet + 2 + 2 * self.switch, period.max(100))
             }
             _ => Budget::Tell,
         };
-        let group = (budget == Budget::Tell && rng.random_bool(0.25)).then_some(core);
-        let locks = matches!(budget, Budget::Tell | Budget::Demote) && rng.random_bool(0.25);
-        let length = rng.random_range(1..=wcet);
+        let group = (budget == Budget::Tell && in_group).then_some(core);
+        let may_lock = budget == Budget::Tell || budget.demotes();
+        let mut locks = Vec::new();
+        if may_lock && rng.random_bool(0.25) {
+            let first = rng.random_range(0..2);
+            locks.push((first, rng.random_range(1..=wcet)));
+            if locks[0].1 < wcet && rng.random_bool(0.3) {
+                locks.push((1 - first, rng.random_range(1..=wcet - locks[0].1)));
+            }
+        }
+        let is_stiff = budget == Budget::Tell && group.is_none() && locks.is_empty() && rng.random_bool(0.12);
+        let section = if rng.random_bool(0.5) { wcet } else { rng.random_range(1..=wcet) };
         Callback {
             core,
             period,
             jitter,
             min_distance,
             triggers,
+            join,
             is_outside,
             wcet,
+            charged: 0,
             bcet: rng.random_range(0..=wcet),
-            priority: group
-                .map_or(10 + 3 * ((i as u8 * 7 + rng.random_range(0..7)) % 20), |core| 12 + 3 * core as u8),
+            priority: match group {
+                Some(_) if is_ranked => rng.random_range(1..=4),
+                Some(core) => group_priority(core),
+                None => 10 + 3 * ((i as u8 * 7 + rng.random_range(0..7)) % 20),
+            },
             group,
             budget,
-            lock: locks.then(|| (rng.random_range(0..=wcet - length), length)),
-            is_non_preemptive: budget == Budget::Tell && group.is_none() && !locks && rng.random_bool(0.1),
+            locks,
+            non_preemptive: if is_stiff { section } else { 0 },
+            depth: if budget == Budget::Tell { usize::MAX } else { DEPTH },
             reads: (i > 0 && rng.random_bool(0.3)).then(|| rng.random_range(0..i)),
             also: (i > 0 && rng.random_bool(0.1)).then(|| rng.random_range(0..i)),
         }
@@ -175,17 +265,20 @@ impl Model {
     pub fn features(&self) -> Vec<&'static str> {
         let has = |what: &dyn Fn(&Callback) -> bool| self.callbacks.iter().any(what);
         let features = [
-            ("demotion", has(&|c| c.budget == Budget::Demote)),
+            ("demotion", has(&|c| c.budget.demotes())),
+            ("joins", has(&|c| c.join.is_some())),
+            ("ranks", has(&|c| c.group.is_some_and(|group| self.groups[group] == Order::Rank))),
             ("suspension", has(&|c| c.budget == Budget::Suspend)),
             ("reservations", has(&|c| matches!(c.budget, Budget::Reserved(..)))),
             ("floating", self.floats && has(&|c| matches!(c.budget, Budget::Reserved(..)))),
             ("groups", has(&|c| c.group.is_some())),
-            ("locks", has(&|c| c.lock.is_some())),
-            ("sections", has(&|c| c.is_non_preemptive)),
-            ("several triggers", has(&|c| c.triggers.len() > 1)),
+            ("locks", has(&|c| !c.locks.is_empty())),
+            ("sections", has(&|c| c.non_preemptive > 0)),
+            ("several triggers", has(&|c| c.triggers.len() > 1 && c.join.is_none())),
             ("least distances", has(&|c| c.min_distance > 0)),
             ("two hosts", self.hosts.contains(&1)),
-            ("gateways", self.gateway > 0),
+            ("switches", self.switch > 0),
+            ("gateways", self.gateway.iter().any(|cost| *cost > 0)),
             ("throttling", self.throttling.is_some()),
             ("rclcpp", self.executors.iter().any(Option::is_some)),
         ];
@@ -196,6 +289,53 @@ impl Model {
     pub fn period(&self, i: usize) -> u64 {
         let Callback { period, triggers, .. } = &self.callbacks[i];
         triggers.iter().map(|from| self.period(*from)).min().unwrap_or(*period)
+    }
+
+    /// Whose releases those of a callback are in the end; `None` if it has several.
+    fn source(&self, i: usize) -> Option<usize> {
+        match self.callbacks[i].triggers[..] {
+            [] => Some(i),
+            [from] => self.source(from),
+            _ => None,
+        }
+    }
+
+    fn follows_join(&self, i: usize) -> bool {
+        let Callback { triggers, join, .. } = &self.callbacks[i];
+        join.is_some() || triggers.iter().any(|from| self.follows_join(*from))
+    }
+
+    /// The ways by which releases reach a callback, each by a number of its own.
+    pub fn ways(&self, i: usize) -> Vec<u64> {
+        if self.callbacks[i].triggers.is_empty() || self.callbacks[i].join.is_some() {
+            return vec![i as u64];
+        }
+        self.taken(i)
+    }
+
+    /// The ways of the messages that it takes.
+    pub fn taken(&self, i: usize) -> Vec<u64> {
+        let topics = self.callbacks[i].triggers.iter();
+        let of = |topic: &usize| -> Vec<u64> {
+            let publishers = self.publishers(*topic);
+            let ways = publishers.flat_map(|from| self.ways(from).into_iter().map(move |way| (from, way)));
+            ways.map(|(from, way)| longer(way, from, *topic)).collect()
+        };
+        topics.flat_map(of).collect()
+    }
+
+    /// A callback, and all before it.
+    pub fn upstream(&self, i: usize) -> Vec<usize> {
+        let (mut found, mut next) = (vec![i], 0);
+        while let Some(&i) = found.get(next) {
+            next += 1;
+            for from in self.callbacks[i].triggers.iter().flat_map(|topic| self.publishers(*topic)) {
+                if !found.contains(&from) {
+                    found.push(from);
+                }
+            }
+        }
+        found
     }
 
     /// Who publishes the topic of a callback.
@@ -215,20 +355,20 @@ impl Model {
             .unwrap();
         }
         writeln!(text, "[network]\nlatency = [\"{}us\", \"{}us\"]", self.network.0, self.network.1).unwrap();
-        writeln!(
-            text,
-            "[priorities]\nlocks = \"{}\"",
-            if self.is_ceiling { "ceiling" } else { "inheritance" }
-        )
-        .unwrap();
-        writeln!(
-            text,
-            "[overheads]\nper_message = \"{}us\"\ngateway = \"{}us\"",
-            self.per_message, self.gateway
-        )
-        .unwrap();
+        let protocol = if self.is_ceiling { "ceiling" } else { "inheritance" };
+        let policy = self.policy.unwrap_or("rate-monotonic");
+        writeln!(text, "[priorities]\nlocks = \"{protocol}\"\npolicy = \"{policy}\"").unwrap();
+        let costs = |host: usize| {
+            format!("per_message = \"{}us\"\ngateway = \"{}us\"", self.per_message[host], self.gateway[host])
+        };
+        if self.hosts.contains(&1) && costs(0) != costs(1) {
+            writeln!(text, "[hosts.h1.overheads]\n{}", costs(1)).unwrap();
+        }
         let executor = self.executors.iter().flatten().next().unwrap_or(&0);
-        writeln!(text, "rclcpp = \"{executor}us\"").unwrap();
+        let clients = ["rclcpp", "rclpy"];
+        writeln!(text, "[overheads]\n{}", costs(0)).unwrap();
+        writeln!(text, "context_switch = \"{}us\"\ndemotion = \"{}us\"", self.switch, self.demotion).unwrap();
+        clients.iter().for_each(|client| writeln!(text, "{client} = \"{executor}us\"").unwrap());
         if let Some((period, runtime)) = self.throttling {
             writeln!(text, "throttling = {{ period = \"{period}us\", runtime = \"{runtime}us\" }}").unwrap();
         }
@@ -239,14 +379,18 @@ impl Model {
             let number = self.hosts[..core].iter().filter(|other| *other == host).count();
             writeln!(text, "[nodes.n{core}]\nhost = \"h{host}\"\ncore = {number}").unwrap();
             if self.executors[core].is_some() {
-                writeln!(text, "client = \"rclcpp\"").unwrap();
+                writeln!(text, "client = \"{}\"", clients[core % 2]).unwrap();
             }
         }
-        for (group, is_fifo) in self.groups.iter().enumerate() {
+        for (group, order) in self.groups.iter().enumerate() {
             if self.callbacks.iter().any(|callback| callback.group == Some(group)) {
                 writeln!(text, "[groups.g{group}]").unwrap();
-                if self.executors[group].is_none() {
-                    writeln!(text, "order = \"{}\"", if *is_fifo { "fifo" } else { "any" }).unwrap();
+                match order {
+                    Order::Fifo => writeln!(text, "order = \"fifo\"").unwrap(),
+                    Order::Any => writeln!(text, "order = \"any\"").unwrap(),
+                    Order::Rank => {
+                        writeln!(text, "order = \"priority\"\npriority = {}", group_priority(group)).unwrap();
+                    }
                 }
             }
         }
@@ -272,6 +416,9 @@ impl Model {
             writeln!(text, "[callbacks.c{i}]\nnode = \"n{core}\"\nwcet = \"{wcet}us\"\nbcet = \"{bcet}us\"\ndeadline = \"1s\"").unwrap();
             let topics: Vec<_> = callback.triggers.iter().map(|from| format!("\"t{from}\"")).collect();
             match (topics.is_empty(), callback.is_outside) {
+                (false, _) if callback.join.is_some() => {
+                    writeln!(text, "all = [{}]", topics.join(", ")).unwrap();
+                }
                 (false, _) => writeln!(text, "topic = [{}]", topics.join(", ")).unwrap(),
                 (true, true) => writeln!(text, "topic = \"x{i}\"").unwrap(),
                 (true, false) => writeln!(
@@ -280,6 +427,20 @@ impl Model {
                 )
                 .unwrap(),
             }
+            if let Some((matching, take)) = callback.join {
+                writeln!(text, "take = \"{take}us\"").unwrap();
+                match matching {
+                    Matching::Newest => {}
+                    Matching::Exact => writeln!(text, "window = \"0ms\"").unwrap(),
+                    Matching::Approximate(window) => writeln!(text, "window = \"{window}us\"").unwrap(),
+                    Matching::Epsilon(window) => {
+                        writeln!(text, "window = \"{window}us\"\npolicy = \"approximate_epsilon_time\"")
+                            .unwrap();
+                    }
+                    Matching::LatestTime => writeln!(text, "policy = \"latest_time\"").unwrap(),
+                }
+            }
+            let is_ranked = callback.group.is_some_and(|group| self.groups[group] == Order::Rank);
             match (callback.budget, callback.group) {
                 (Budget::Reserved(runtime, period), _) => {
                     writeln!(text, "reservation = {{ runtime = \"{runtime}us\", period = \"{period}us\" }}")
@@ -288,19 +449,26 @@ impl Model {
                         writeln!(text, "core = \"any\"").unwrap();
                     }
                 }
+                (_, Some(group)) if self.policy.is_some() && !is_ranked => {
+                    writeln!(text, "group = \"g{group}\"").unwrap();
+                }
                 (_, Some(group)) => writeln!(text, "priority = {priority}\ngroup = \"g{group}\"").unwrap(),
+                _ if self.policy.is_some() => {}
                 _ => writeln!(text, "priority = {priority}\nshares_priority = true").unwrap(),
             }
             match callback.budget {
                 Budget::Demote => writeln!(text, "overrun = \"demote\"").unwrap(),
+                Budget::End => writeln!(text, "overrun = \"end\"").unwrap(),
                 Budget::Suspend => writeln!(text, "overrun = \"suspend\"").unwrap(),
                 _ => {}
             }
-            if let Some((_, length)) = callback.lock {
-                writeln!(text, "locks = [{{ resource = \"l{core}\", length = \"{length}us\" }}]").unwrap();
-            }
-            if callback.is_non_preemptive {
-                writeln!(text, "non_preemptive = \"{wcet}us\"").unwrap();
+            let lock = |(lock, length): &(usize, u64)| {
+                format!("{{ resource = \"l{core}_{lock}\", length = \"{length}us\" }}")
+            };
+            let locks: Vec<_> = callback.locks.iter().map(lock).collect();
+            writeln!(text, "locks = [{}]", locks.join(", ")).unwrap();
+            if callback.non_preemptive > 0 {
+                writeln!(text, "non_preemptive = \"{}us\"", callback.non_preemptive).unwrap();
             }
             if let Some(from) = callback.reads {
                 writeln!(text, "reads = \"t{from}\"").unwrap();
@@ -315,4 +483,19 @@ impl Model {
         }
         text
     }
+}
+
+/// The priority of a core's group.
+pub const fn group_priority(core: usize) -> u8 {
+    12 + 3 * core as u8
+}
+
+/// The way from a way's callback on, by its topic.
+pub const fn longer(way: u64, from: usize, topic: usize) -> u64 {
+    way.wrapping_mul(1_000_003).wrapping_add(from as u64 * 64 + topic as u64 + 1)
+}
+
+/// The age penalty of a join with a window, which no file states.
+pub const fn age_penalty(window: u64) -> f64 {
+    [0.1, 0.0, 0.1, 1.5][window as usize % 4]
 }

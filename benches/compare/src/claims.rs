@@ -16,6 +16,9 @@ const SLEEPING: &[&str] = &["blocking", "direct", "one-thread"];
 /// Those with a thread for each callback.
 const THREADS: &[&str] = &["blocking", "direct"];
 
+/// Of large payloads: buffers that are written in turn, or around the caches.
+const FLOORS: &[&str] = &["futex", "streaming"];
+
 const RIVALS: [&str; 5] = ["fastdds", "cyclonedds", "zenoh", "hiroz", "r2r"];
 
 fn ours<'a>(experiment: &'a str, bytes: usize, modes: &'a [&'a str]) -> Ways<'a> {
@@ -43,7 +46,7 @@ pub fn verdicts(rows: &[Row]) -> Vec<Verdict> {
 fn latency(rows: &[Row]) -> Vec<Verdict> {
     let (held, shipped) = ("latency/whole/held-off", "latency/whole/as-shipped");
     let mut claims = Vec::new();
-    for bytes in [64, 4 * KIB, MIB, 8 * MIB] {
+    for bytes in [64, 4 * KIB, 16 * KIB, 64 * KIB, 256 * KIB, MIB, 4 * MIB, 8 * MIB] {
         let at_most = |times, system, modes| {
             let theirs = Ways::new(held, bytes, system, modes);
             Claim::new(Metric::P50, ours(held, bytes, SLEEPING), Goal::Times(times, theirs))
@@ -67,13 +70,14 @@ fn latency(rows: &[Row]) -> Vec<Verdict> {
 /// Written and read whole: near the floor, and several times faster than who copies.
 fn large_messages(rows: &[Row]) -> Vec<Verdict> {
     let (held, shipped) = ("latency/whole/held-off", "latency/whole/as-shipped");
-    let mut claims = Vec::new();
+    let sharing = Ways::new(held, MIB, "fastdds", &["data-sharing"]);
+    let mut claims = vec![Claim::new(Metric::P50, ours(held, MIB, SLEEPING), Goal::Times(0.5, sharing))];
     for bytes in [MIB, 8 * MIB] {
-        let floor = Ways::new(held, bytes, "floor", &["futex"]);
+        let floor = Ways::new(held, bytes, "floor", FLOORS);
         claims.push(Claim::new(Metric::P50, ours(held, bytes, SLEEPING), Goal::Times(1.15, floor)));
         let at_most = |times, experiment, modes, system, theirs| {
             let theirs = Ways::new(experiment, bytes, system, theirs);
-            let floor = Some(Ways::new(experiment, bytes, "floor", &["futex"]));
+            let floor = Some(Ways::new(experiment, bytes, "floor", FLOORS));
             let goal = Goal::Times(times, theirs);
             Claim { floor, ..Claim::new(Metric::P50, ours(experiment, bytes, modes), goal) }
         };
@@ -157,11 +161,14 @@ fn streams(rows: &[Row]) -> Vec<Verdict> {
     let experiment = "throughput/held-off";
     let theirs: [(&str, &[&str]); 4] =
         [("fastdds", &[]), ("iceoryx2", &[]), ("zenoh", &[]), ("cyclonedds", &["default", "tuned"])];
-    let claim = |(system, modes)| {
-        let theirs = Ways::new(experiment, MIB, system, modes);
-        Claim::new(Metric::Interval, ours(experiment, MIB, THREADS), Goal::Times(1.1, theirs))
+    let claim = |times, bytes, (system, modes)| {
+        let theirs = Ways::new(experiment, bytes, system, modes);
+        Claim::new(Metric::Interval, ours(experiment, bytes, THREADS), Goal::Times(times, theirs))
     };
-    judge(rows, theirs.map(claim))
+    let large = [64 * KIB, 256 * KIB, MIB, 4 * MIB, 8 * MIB];
+    let rivals = large.iter().flat_map(|bytes| theirs.map(|rival| claim(1.0, *bytes, rival)));
+    let sharing: &[&str] = &["data-sharing"];
+    judge(rows, rivals.chain([claim(0.5, MIB, ("fastdds", sharing)), claim(1.15, MIB, ("floor", &["ring"]))]))
 }
 
 fn start_up(rows: &[Row]) -> Vec<Verdict> {
@@ -269,8 +276,8 @@ fn behind(experiment: &str, bytes: usize) -> Vec<(Metric, &'static str)> {
         ["fan-out", ..] => vec![(Metric::P50, TO_ALL), (Metric::CpuTime, JANITOR)],
         ["robot", _, "at-once", ..] => of_robot(A_THREAD_EACH),
         ["robot", ..] => of_robot(TWO_WAKES),
-        ["throughput", ..] if bytes == MIB => vec![(Metric::Interval, FILLING)],
-        ["throughput", ..] if bytes == 64 => vec![(Metric::Interval, BATCHES)],
+        ["throughput", ..] if bytes >= LARGE => vec![(Metric::Interval, FILLING)],
+        ["throughput", ..] => vec![(Metric::Interval, BATCHES)],
         ["start-up", "100-topics", ..] => vec![(Metric::Start, CONNECTED)],
         ["start-up", ..] => vec![(Metric::Start, UNKNOWN)],
         _ => Vec::new(),
@@ -294,7 +301,7 @@ const BATCHES: &str =
 const CONNECTED: &str = "each publisher is announced and connected as it is made, some tens of µs; the rest is the tries, one in 10 ms, of which every system needs more than one, and a little more is a whole try more";
 const COPIED_ONCE_MORE: &str =
     "each message wakes three threads more, and is copied once more, from Zenoh's packets into shared memory";
-const FILLING: &str = "no cause in Tautline is known: nearly all of it is filling and reading the payload, of which the floor itself differs as much from round to round";
+const FILLING: &str = "nearly all of it is filling and reading the payload, whose cost is where its lines are: where two cores share less cache than the kernel says, more buffers in turn are faster than a quarter of that cache, which Tautline uses, and stores that go around the caches are";
 const JANITOR: &str = "in each process a janitor thread looks at the ports when they have changed, which here is spread over some tens of messages; and with several subscriptions in a process a thread is woken for each";
 const QUEUES: &str = "beyond the floor is what loaning, queueing and taking each of the 20 messages costs, and nobody sleeps between them";
 const RARE: &str = "no cause in Tautline is known: a tail of few messages, which changes from run to run";

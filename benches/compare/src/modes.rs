@@ -52,6 +52,8 @@ pub enum Part {
     Small,
     /// Flows of many topics.
     Topics,
+    /// The same, and streams.
+    Flows,
     /// Requests and their responses.
     Requests,
     /// The same of 64 B.
@@ -111,11 +113,13 @@ const fn json(system: &'static str, mode: &'static str, part: Part) -> Mode {
 /// All of them, rivals in question next to each other.
 pub const MODES: &[Mode] = &[
     own("floor", "futex", Part::RoundTrips)
-        .settings("memory that both processes map; one futex wake each way; the payload is written and read there"),
-    own("floor", "ring", Part::Topics)
-        .settings("memory that both processes map, with room for 64 messages of any topic; one futex wake for each; one thread receives all"),
+        .settings("memory that both processes map; one futex wake each way; the payload is written and read there, from 16 KiB in buffers of 4 MiB together, which are written in turn"),
+    own("floor", "streaming", Part::Whole)
+        .settings("as futex, but in one buffer each way, which is written with non-temporal stores"),
+    own("floor", "ring", Part::Flows)
+        .settings("memory that both processes map, with room for 64 messages of any topic, or for 4 MiB of large ones; one futex wake for each; one thread receives all"),
     own("floor", "one-core", Part::RoundTrips).one_core()
-        .settings("as futex, with both processes on one core"),
+        .settings("as futex, with both processes on one core and one buffer each way"),
     own("floor", "memcpy", Part::Copy)
         .settings("a copy of the payload from one buffer to another within a process"),
     own("tautline", "blocking", Part::All)

@@ -144,7 +144,7 @@ impl Setup<'_> {
     /// What a system's processes find each other by, if they need it.
     fn meeting_place(&self, case: &Case) -> Result<Option<String>> {
         Ok(match (case.mode.system, case.mode.mode) {
-            ("floor", mode @ ("futex" | "one-core" | "ring")) => {
+            ("floor", mode @ ("futex" | "streaming" | "one-core" | "ring")) => {
                 let path = PathBuf::from("/dev/shm").join(format!("{}{mode}", self.scratch.prefix()));
                 let file = File::options().create(true).truncate(true).read(true).write(true).open(&path)?;
                 let bytes = match mode {

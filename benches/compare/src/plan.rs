@@ -40,7 +40,7 @@ impl Bench {
         match (self, mode.system, mode.mode) {
             (Bench::Compare, ..) => !is_request,
             (Bench::Services, ..) => is_request,
-            (Bench::Wake, "floor", mode) => ["futex", "one-core"].contains(&mode),
+            (Bench::Wake, "floor", mode) => ["futex", "streaming", "one-core"].contains(&mode),
             (Bench::Wake, "tautline", mode) => {
                 ["blocking", "two-cores", "one-core", "busy-poll"].contains(&mode)
             }
@@ -272,7 +272,8 @@ fn takes_part(bench: Bench, mode: &Mode, setting: &Setting) -> bool {
         (Part::RoundTrips, Task::RoundTrips { .. }) => true,
         (Part::AsShipped, Task::RoundTrips { .. }) => setting.idle == Idle::AsShipped,
         (Part::Small, Task::RoundTrips { .. }) => setting.payload_bytes == 64,
-        (Part::Topics, Task::Paced { topics, .. }) => topics > 1,
+        (Part::Topics | Part::Flows, Task::Paced { topics, .. }) => topics > 1,
+        (Part::Flows, Task::Stream { .. }) => true,
         (Part::Copy, Task::RoundTrips { whole }) => whole && setting.idle == Idle::HeldOff,
         (Part::Whole, Task::RoundTrips { whole }) => whole,
         (Part::Requests, Task::Requests) => true,

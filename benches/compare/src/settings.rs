@@ -107,6 +107,8 @@ const MIB: usize = 1 << 20;
 const LATENCIES: &[Kind] = &[Untouched, Whole];
 const OPEN_LOOP: &[Kind] = &[Quiet, Loaded];
 const START_UP: &[Kind] = &[FirstMessage, LateJoiner, HundredTopics];
+/// Of which streams are measured besides 64 B and 1 MiB.
+const STREAMS: &[usize] = &[4 * KIB, 16 * KIB, 64 * KIB, 256 * KIB, 4 * MIB, 8 * MIB];
 const REMOTE_STREAMS: &[Kind] = &[Window, StreamUntouched];
 
 const COMPARE_SMOKE: &[Line] = &[
@@ -136,19 +138,19 @@ const COMPARE_QUICK: &[Line] = &[
     held(&[Stream], &[64, MIB], 400, 1),
     shipped(START_UP, &[64], 10, 1),
 ];
-/// Powers of 8, and the two sizes of which ratios are promised.
+/// Powers of 4 and 8, and the two sizes of which most is promised.
 const COMPARE_FULL: &[Line] = &[
     held(&[Whole], &[64], 100, 3),
-    held(&[Whole], &[512, 4 * KIB, 32 * KIB, 256 * KIB], 100, 1),
+    held(&[Whole], &[4 * KIB, 16 * KIB, 64 * KIB, 256 * KIB], 100, 2),
     held(&[Whole], &[MIB], 100, 3),
-    held(&[Whole], &[2 * MIB], 100, 1),
+    held(&[Whole], &[4 * MIB], 200, 2),
     held(&[Whole], &[8 * MIB], 400, 3),
-    held(&[Untouched], &[64, 512, 4 * KIB, 32 * KIB, 256 * KIB, MIB, 2 * MIB], 100, 1),
+    held(&[Untouched], &[64, 4 * KIB, 64 * KIB, MIB], 100, 1),
     held(&[Untouched], &[8 * MIB], 400, 1),
     shipped(&[Whole], &[64], 100, 2),
-    shipped(&[Whole], &[512, 4 * KIB, 32 * KIB, 256 * KIB], 100, 1),
+    shipped(&[Whole], &[4 * KIB, 16 * KIB, 64 * KIB, 256 * KIB], 100, 1),
     shipped(&[Whole], &[MIB], 100, 2),
-    shipped(&[Whole], &[2 * MIB], 100, 1),
+    shipped(&[Whole], &[4 * MIB], 200, 1),
     shipped(&[Whole], &[8 * MIB], 400, 2),
     shipped(&[Untouched], &[64, 4 * KIB, 256 * KIB], 100, 1),
     shipped(&[Untouched], &[8 * MIB], 400, 1),
@@ -164,7 +166,9 @@ const COMPARE_FULL: &[Line] = &[
     held(&[Robot], &[4 * KIB], 1000, 1),
     held(&[AtOnce], &[4 * KIB], 600, 1),
     held(&[Stream], &[64, MIB], 500, 3),
+    held(&[Stream], STREAMS, 400, 2),
     shipped(&[Stream], &[64, MIB], 500, 1),
+    shipped(&[Stream], STREAMS, 300, 1),
     shipped(START_UP, &[64], 10, 3),
     held(START_UP, &[64], 10, 1),
 ];

@@ -16,8 +16,13 @@ use crate::job::Role;
 const PAGE: usize = 4096;
 /// Farther apart than the cache lines that processors prefetch together.
 const WORDS: [usize; 2] = [0, 1024];
-/// Capacity of a ring.
-const RING: u32 = 64;
+/// Capacity of a ring at most.
+const RING: usize = 64;
+/// Buffers of this many bytes together are written in turn: one that is written again has left the reader's own caches by then, and not the
+/// one that both share. Below the other number of bytes a message nothing is gained by that.
+const ROTATED_BYTES: usize = 4 << 20;
+/// See [`ROTATED_BYTES`].
+const LEAST_ROTATED: usize = 16 << 10;
 /// Bytes before a message in a ring: its topic.
 const TOPIC_BYTES: usize = 8;
 
@@ -91,32 +96,52 @@ impl Drop for SharedMemory {
     }
 }
 
-/// One side of memory with a word and an area per direction. A message is sent only after the previous one was answered.
+/// Buffers that messages of a size go through in turn.
+fn rotated(payload_bytes: usize) -> usize {
+    if payload_bytes < LEAST_ROTATED { 1 } else { (ROTATED_BYTES / payload_bytes).max(1) }
+}
+
+/// One side of memory with a word and buffers per direction. A message is sent only after the previous one was answered.
 #[derive(Debug)]
 pub struct FutexPair {
     shared: SharedMemory,
-    /// Indices of the directions' words and areas.
+    /// Indices of the directions' words and first areas.
     outgoing: usize,
     incoming: usize,
-    /// Messages received, modulo 2^32.
+    /// Buffers of a direction.
+    buffers: usize,
+    /// Messages sent and received, modulo 2^32.
+    sent: u32,
     received: u32,
 }
 
 impl FutexPair {
     /// Required length of the file.
     pub fn memory_bytes(payload_bytes: usize) -> usize {
-        SharedMemory::bytes(payload_bytes, 2)
+        SharedMemory::bytes(payload_bytes, 2 * rotated(payload_bytes))
     }
 
-    /// Maps a file of [`memory_bytes`](Self::memory_bytes).
-    pub fn open(file: impl AsFd, role: Role, payload_bytes: usize) -> rustix::io::Result<Self> {
+    /// Maps a file of [`memory_bytes`](Self::memory_bytes). Each side may write its buffers in turn, or the first one alone; both do the same.
+    pub fn open(
+        file: impl AsFd,
+        role: Role,
+        payload_bytes: usize,
+        in_turn: bool,
+    ) -> rustix::io::Result<Self> {
         let (outgoing, incoming) = if role == Role::Near { (0, 1) } else { (1, 0) };
-        Ok(Self { shared: SharedMemory::open(file, payload_bytes, 2)?, outgoing, incoming, received: 0 })
+        let buffers = if in_turn { rotated(payload_bytes) } else { 1 };
+        let shared = SharedMemory::open(file, payload_bytes, 2 * buffers)?;
+        Ok(Self { shared, outgoing, incoming, buffers, sent: 0, received: 0 })
+    }
+
+    fn area(&self, direction: usize, number: u32) -> *mut u8 {
+        self.shared.area(direction + 2 * (number as usize % self.buffers))
     }
 
     /// Writes a message with `fill`, and wakes the other side.
     pub fn send(&mut self, fill: impl FnOnce(&mut [MaybeUninit<u8>])) -> rustix::io::Result<()> {
-        let area = self.shared.area(self.outgoing).cast::<MaybeUninit<u8>>();
+        let area = self.area(self.outgoing, self.sent).cast::<MaybeUninit<u8>>();
+        self.sent = self.sent.wrapping_add(1);
         // SAFETY: the length of an area; the peer reads it only between the wake below and its own next message.
         fill(unsafe { std::slice::from_raw_parts_mut(area, self.shared.area_bytes) });
         self.shared.count(self.outgoing)
@@ -131,8 +156,8 @@ impl FutexPair {
         if !self.shared.wait(self.incoming, self.received, patience)? {
             return Ok(None);
         }
+        let area = self.area(self.incoming, self.received);
         self.received = self.received.wrapping_add(1);
-        let area = self.shared.area(self.incoming);
         // SAFETY: the length of an area; the peer writes it again only after our next message.
         Ok(Some(read(unsafe { std::slice::from_raw_parts(area, self.shared.area_bytes) })))
     }
@@ -142,8 +167,15 @@ impl FutexPair {
 #[derive(Debug)]
 pub struct FutexRing {
     shared: SharedMemory,
+    /// Messages that it has room for.
+    room: u32,
     /// Messages sent or received by this side, modulo 2^32.
     count: u32,
+}
+
+/// As many as there are [buffers](rotated) of a large message, but two at least.
+fn room(payload_bytes: usize) -> usize {
+    if payload_bytes < LEAST_ROTATED { RING } else { rotated(payload_bytes).clamp(2, RING) }
 }
 
 const SENT: usize = 0;
@@ -152,12 +184,14 @@ const RECEIVED: usize = 1;
 impl FutexRing {
     /// Required length of the file.
     pub fn memory_bytes(payload_bytes: usize) -> usize {
-        SharedMemory::bytes(TOPIC_BYTES + payload_bytes, RING as usize)
+        SharedMemory::bytes(TOPIC_BYTES + payload_bytes, room(payload_bytes))
     }
 
     /// Maps a file of [`memory_bytes`](Self::memory_bytes), all of it zero.
     pub fn open(file: impl AsFd, payload_bytes: usize) -> rustix::io::Result<Self> {
-        Ok(Self { shared: SharedMemory::open(file, TOPIC_BYTES + payload_bytes, RING as usize)?, count: 0 })
+        let room = room(payload_bytes);
+        let shared = SharedMemory::open(file, TOPIC_BYTES + payload_bytes, room)?;
+        Ok(Self { shared, room: room as u32, count: 0 })
     }
 
     /// Writes a message of a topic with `fill` when there is room, and wakes the other side. For the near endpoint only.
@@ -167,10 +201,10 @@ impl FutexRing {
         fill: impl FnOnce(&mut [MaybeUninit<u8>]),
     ) -> rustix::io::Result<()> {
         // Acquire: the reader has finished with the area; pairs with the Release in `count`.
-        while self.count.wrapping_sub(self.shared.word(RECEIVED).load(Ordering::Acquire)) >= RING {
-            std::thread::sleep(Duration::from_micros(100));
+        while self.count.wrapping_sub(self.shared.word(RECEIVED).load(Ordering::Acquire)) >= self.room {
+            std::thread::yield_now();
         }
-        let area = self.shared.area(self.count as usize).cast::<MaybeUninit<u8>>();
+        let area = self.shared.area((self.count % self.room) as usize).cast::<MaybeUninit<u8>>();
         // SAFETY: the length of an area; the peer has counted the previous message, and reads the next one after the wake.
         let area = unsafe { std::slice::from_raw_parts_mut(area, self.shared.area_bytes) };
         let (before, payload) = area.split_at_mut(TOPIC_BYTES);
@@ -189,7 +223,7 @@ impl FutexRing {
         if !self.shared.wait(SENT, self.count, patience)? {
             return Ok(None);
         }
-        let area = self.shared.area(self.count as usize);
+        let area = self.shared.area((self.count % self.room) as usize);
         // SAFETY: the length of an area; the peer writes it again only after the count below.
         let area = unsafe { std::slice::from_raw_parts(area, self.shared.area_bytes) };
         let (before, payload) = area.split_at(TOPIC_BYTES);
@@ -207,11 +241,31 @@ mod tests {
     use super::*;
 
     #[test]
+    fn messages_of_a_pair_go_through_its_buffers_in_turn() {
+        let (bytes, near, far) = (1 << 20, Role::Near, Role::Far);
+        let file = tempfile::tempfile().unwrap();
+        file.set_len(FutexPair::memory_bytes(bytes) as u64).unwrap();
+        let mut ends = [near, far].map(|role| FutexPair::open(&file, role, bytes, true).unwrap());
+        let mut places = Vec::new();
+        for number in 0..9 {
+            let fill = |out: &mut [MaybeUninit<u8>]| {
+                places.push(out.as_ptr().addr());
+                out.fill(MaybeUninit::new(number));
+            };
+            ends[0].send(fill).unwrap();
+            let read = ends[1].receive(Duration::ZERO, |bytes| (bytes[0], bytes.len())).unwrap();
+            assert_eq!(read, Some((number, bytes)));
+        }
+        assert_eq!(places[4..8], places[..4]);
+        assert_eq!(places.iter().collect::<std::collections::BTreeSet<_>>().len(), 4);
+    }
+
+    #[test]
     fn a_ring_keeps_order_and_topics_and_holds_its_sender_back() {
         let file = tempfile::tempfile().unwrap();
         file.set_len(FutexRing::memory_bytes(16) as u64).unwrap();
         let mut far = FutexRing::open(&file, 16).unwrap();
-        let count = 3 * RING as usize;
+        let count = 3 * RING;
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 let mut near = FutexRing::open(&file, 16).unwrap();

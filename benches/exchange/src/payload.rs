@@ -38,6 +38,30 @@ impl Stamp {
         self.write_words(words, whole, |word| word.map(MaybeUninit::new));
     }
 
+    /// Writes all of a message with non-temporal stores, which take no line from another core's caches; where the processor has none that
+    /// are always there, as [`write_uninit`](Self::write_uninit).
+    ///
+    /// # Panics
+    /// If there are fewer than [`BYTES`](Self::BYTES).
+    pub fn write_streaming(self, out: &mut [MaybeUninit<u8>]) {
+        #[cfg(target_arch = "x86_64")]
+        {
+            use std::arch::x86_64::{_mm_set1_epi64x, _mm_sfence, _mm_stream_si128};
+            let (blocks, rest) = out.as_chunks_mut::<16>();
+            assert!(blocks.as_ptr().addr().is_multiple_of(16), "a message begins at a multiple of 16");
+            // SAFETY: every x86-64 has SSE2; each block is this call's to write, and lies at a multiple of 16.
+            unsafe {
+                let word = _mm_set1_epi64x(self.number.cast_signed());
+                blocks[1..].iter_mut().for_each(|block| _mm_stream_si128(block.as_mut_ptr().cast(), word));
+                _mm_sfence();
+            }
+            self.write_uninit(&mut blocks.as_flattened_mut()[..16], false);
+            rest.fill(MaybeUninit::new(0));
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        self.write_uninit(out, true);
+    }
+
     /// A completely written message, each byte once.
     ///
     /// # Panics
@@ -88,6 +112,14 @@ mod tests {
         for bytes in [16, 64, 4096] {
             let message = stamp.written(bytes);
             assert_eq!((message.len(), Stamp::read(&message, true).unwrap()), (bytes, stamp));
+            let mut streamed = vec![[MaybeUninit::new(0_u128)]; bytes / 16];
+            // SAFETY: the same memory as bytes, which are written next.
+            let streamed: &mut [MaybeUninit<u8>] =
+                unsafe { std::slice::from_raw_parts_mut(streamed.as_mut_ptr().cast(), bytes) };
+            stamp.write_streaming(streamed);
+            // SAFETY: every byte has a value.
+            let streamed = unsafe { streamed.assume_init_ref() };
+            assert_eq!(streamed, message);
         }
     }
 

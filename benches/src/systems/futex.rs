@@ -20,8 +20,11 @@ const COPIED_BYTES: usize = 256 << 10;
 pub fn run(job: &Job) -> Result<()> {
     let (own, stop) = (job.clone(), stop_flag());
     job.as_application(move || {
-        let pair = FutexPair::open(memory(&own)?, own.role, own.payload_bytes)?;
-        let mut end = End { pair, whole: own.way.whole };
+        let (whole, streaming) = (own.way.whole, own.way.mode == "streaming");
+        // One that both touch on the same core is in its caches.
+        let in_turn = own.way.mode == "futex";
+        let pair = FutexPair::open(memory(&own)?, own.role, own.payload_bytes, in_turn)?;
+        let mut end = End { pair, whole, streaming };
         play(&own, &mut end, &stop, own.endpoint.clone())
     })
 }
@@ -60,12 +63,17 @@ pub fn flow(job: &Job) -> Result<()> {
 struct End {
     pair: FutexPair,
     whole: bool,
+    /// The payload is written with non-temporal stores.
+    streaming: bool,
 }
 
 impl Link for End {
     fn send(&mut self, number: u64) -> Result<()> {
         let stamp = Stamp { number, sent_ns: monotonic_ns() };
-        Ok(self.pair.send(|out| stamp.write_uninit(out, self.whole))?)
+        Ok(self.pair.send(|out| match self.streaming {
+            true => stamp.write_streaming(out),
+            false => stamp.write_uninit(out, self.whole),
+        })?)
     }
 
     fn receive(&mut self, patience: Duration) -> Result<Option<u64>> {

@@ -95,13 +95,13 @@ macro_rules! frames {
 
 frames! {
     64 Frame64B "bench_msgs/msg/Frame64B",
-    512 Frame512B "bench_msgs/msg/Frame512B",
     1024 Frame1KiB "bench_msgs/msg/Frame1KiB",
     4096 Frame4KiB "bench_msgs/msg/Frame4KiB",
-    32768 Frame32KiB "bench_msgs/msg/Frame32KiB",
+    16384 Frame16KiB "bench_msgs/msg/Frame16KiB",
+    65536 Frame64KiB "bench_msgs/msg/Frame64KiB",
     262144 Frame256KiB "bench_msgs/msg/Frame256KiB",
     1048576 Frame1MiB "bench_msgs/msg/Frame1MiB",
-    2097152 Frame2MiB "bench_msgs/msg/Frame2MiB",
+    4194304 Frame4MiB "bench_msgs/msg/Frame4MiB",
     8388608 Frame8MiB "bench_msgs/msg/Frame8MiB",
 }
 

@@ -83,22 +83,29 @@ impl Node {
         }
     }
 
-    /// All nodes; a name is listed once per node.
-    pub fn nodes(&self) -> Result<Vec<NodeName>, RclError> {
-        // SAFETY: the node is initialised; both lists start zero, get the same length, and end here.
+    /// All nodes with their enclaves; a name is listed once per node.
+    pub fn nodes(&self) -> Result<Vec<(NodeName, String)>, RclError> {
+        // SAFETY: the node is initialised; the lists start zero, get the same length, and end here.
         unsafe {
-            let mut names = rcutils_get_zero_initialized_string_array();
-            let mut namespaces = rcutils_get_zero_initialized_string_array();
+            let [mut names, mut namespaces, mut enclaves] =
+                [(); 3].map(|()| rcutils_get_zero_initialized_string_array());
             let allocator = rcutils_get_default_allocator();
-            let code = rcl_get_node_names(self.raw(), allocator, &mut names, &mut namespaces);
+            let code = rcl_get_node_names_with_enclaves(
+                self.raw(),
+                allocator,
+                &mut names,
+                &mut namespaces,
+                &mut enclaves,
+            );
             let listed = check("listing nodes", code).map(|()| {
-                let all = strings(names.data, names.size)
-                    .into_iter()
-                    .zip(strings(namespaces.data, namespaces.size));
-                all.map(|(name, namespace)| NodeName { name, namespace }).collect()
+                let [names, namespaces, enclaves] =
+                    [&names, &namespaces, &enclaves].map(|list| strings(list.data, list.size));
+                let names = names.into_iter().zip(namespaces);
+                names.map(|(name, namespace)| NodeName { name, namespace }).zip(enclaves).collect()
             });
-            let _ = rcutils_string_array_fini(&mut names);
-            let _ = rcutils_string_array_fini(&mut namespaces);
+            for list in [&mut names, &mut namespaces, &mut enclaves] {
+                let _ = rcutils_string_array_fini(list);
+            }
             listed
         }
     }

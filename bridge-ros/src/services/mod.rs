@@ -166,7 +166,7 @@ impl Client {
 }
 
 impl FarClient for Client {
-    const IS_LOOKED_AT: bool = true;
+    const IS_POLLED: bool = true;
 
     fn is_available(&mut self) -> bool {
         self.client.is_available().unwrap_or(false)
@@ -181,7 +181,7 @@ impl FarClient for Client {
         self.pending.make_room(is_waited_for, Instant::now())
     }
 
-    fn ask(&mut self, id: RequestId, request: &RawSample) -> Result<(), String> {
+    fn send(&mut self, id: RequestId, request: &RawSample) -> Result<(), String> {
         from_body(request.body(), &self.types.request, &mut self.request, &mut self.buffer)
             .map_err(|error| error.to_string())?;
         let number = self.client.send(&self.request).map_err(|error| error.reason)?;

@@ -62,7 +62,7 @@ impl GatewayProcess {
     }
 
     /// Where it listens on loopback.
-    fn endpoint(&self) -> String {
+    pub fn endpoint(&self) -> String {
         let mut found = None;
         wait_until("where the gateway listens", || {
             found = endpoint_in(&self.said());
@@ -81,13 +81,18 @@ fn endpoint_in(said: &str) -> Option<String> {
     Some(format!("{HERE}{}", &port[..digits]))
 }
 
-/// The gateways of two domains, which are linked, and one domain on the network; prints why a test is skipped without the program.
-pub fn link(first: u32, second: u32) -> Option<[GatewayProcess; 2]> {
+/// A domain's gateway, which looks for no router; prints why a test is skipped without the program.
+pub fn listen(domain: u32) -> Option<GatewayProcess> {
     let program = built("taut-gateway", "tautline-gateway")?;
-    // It looks for no router.
     let alone = ["--listen", "tcp/127.0.0.1:0", "--connect", "tcp/127.0.0.1:1"];
-    let listening = GatewayProcess::start(&program, [first, first], &alone);
-    let connecting = GatewayProcess::start(&program, [second, first], &["--connect", &listening.endpoint()]);
+    Some(GatewayProcess::start(&program, [domain, domain], &alone))
+}
+
+/// The gateways of two domains, which are linked, and one domain on the network; as [`listen`].
+pub fn link(first: u32, second: u32) -> Option<[GatewayProcess; 2]> {
+    let listening = listen(first)?;
+    let connect = ["--connect", &listening.endpoint()];
+    let connecting = GatewayProcess::start(&listening.program, [second, first], &connect);
     for gateway in [&listening, &connecting] {
         gateway.wait_for("a link", |stats| stats["links"].as_u64().is_some_and(|links| links > 0));
     }

@@ -6,7 +6,7 @@ use serde::Serialize;
 use tautline::Context;
 use tautline_analysis::file::admission::{Admission, Candidate, Share};
 use tautline_analysis::file::{CheckedSystem, SystemFile};
-use tautline_load::Running;
+use tautline_system::Running;
 
 use crate::table::{BAD, GOOD, WARNING, wrap};
 

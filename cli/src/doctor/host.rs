@@ -124,14 +124,41 @@ impl Host {
         }
     }
 
-    /// Whether it runs on a hypervisor, according to the processor or the kernel.
+    /// Whether it runs on a hypervisor, according to the processor, the kernel or the firmware.
     pub fn is_virtual(&self) -> Result<bool, String> {
         let info = self.tree.read("/proc/cpuinfo")?;
-        let flags = info.lines().filter(|line| line.starts_with("flags"));
-        let is_told = flags.flat_map(str::split_whitespace).any(|flag| flag == "hypervisor");
-        Ok(is_told || self.tree.has("/sys/hypervisor/type"))
+        let mut flags = info.lines().filter(|line| line.starts_with("flags")).peekable();
+        if self.tree.has("/sys/hypervisor/type") {
+            return Ok(true);
+        }
+        if flags.peek().is_some() {
+            return Ok(flags.flat_map(str::split_whitespace).any(|flag| flag == "hypervisor"));
+        }
+        // An x86 processor tells; others have no such flag.
+        let has_node = |node: &String| node == "hypervisor" || node.starts_with("fw-cfg@");
+        let tree = self.tree.list("/proc/device-tree").unwrap_or_default();
+        let compatible = self.tree.read("/proc/device-tree/compatible").unwrap_or_default();
+        let told = ["sys_vendor", "product_name"]
+            .map(|name| self.tree.read(&format!("/sys/class/dmi/id/{name}")).unwrap_or_default());
+        let is_makers = VIRTUAL.iter().any(|maker| told.iter().any(|text| text.starts_with(maker)));
+        let is_metal = told[1].ends_with(".metal") || told[1].contains(".metal-");
+        Ok(tree.iter().any(has_node) || compatible.contains("dummy-virt") || is_makers && !is_metal)
     }
 }
+
+/// How hypervisors name the machines that they make, in the firmware's tables (DMI).
+const VIRTUAL: [&str; 10] = [
+    "QEMU",
+    "KVM",
+    "OpenStack",
+    "Amazon EC2",
+    "Google Compute Engine",
+    "Virtual Machine",
+    "VMware",
+    "Xen",
+    "Parallels",
+    "Apple Virtualization",
+];
 
 /// Cores that are isolated from other threads, by isolcpus or by a cpuset partition.
 pub fn isolated(tree: &Tree) -> Result<CoreSet, String> {

@@ -97,8 +97,14 @@ impl Comparison {
         let host = Host::new(checked, run);
         let rows: Vec<Row> = seen.into_iter().map(|predicted| row(predicted, run, &host)).collect();
         let chains: Vec<_> = checked.chains.iter().filter_map(|of| chain(of, checked, &rows)).collect();
-        let unknown = unknown(&here, run);
+        let (unknown, idle): (Vec<_>, Vec<_>) = unknown(&here, run).into_iter().partition(|one| {
+            one.callback.response.max_ns().is_some() || one.callback.unfinished_ns.is_some()
+        });
         let mut notes = notes(file, checked, run, &rows, &host);
+        if !idle.is_empty() {
+            let names: Vec<_> = idle.iter().map(|one| &*one.name).collect();
+            notes.push(format!("not in the file, and not run yet: {}", names.join(", ")));
+        }
         let played: BTreeSet<_> = rows
             .iter()
             .filter(|row| row.measured.is_none())

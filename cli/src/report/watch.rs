@@ -29,8 +29,8 @@ impl ObservedProcesses {
 
     /// Adds new processes.
     pub fn refresh(&mut self) -> Result<(), ReportError> {
-        let (found, killed) =
-            tautline_load::shared_statistics(self.domain).map_err(ReportError::Statistics)?;
+        let (found, killed) = tautline_system::shared_statistics(self.domain)
+            .map_err(|error| ReportError::Domain(error.into()))?;
         self.killed += killed;
         for process in found {
             let is_known = self.processes.iter().any(|known| known.path() == process.path());

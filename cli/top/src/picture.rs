@@ -133,7 +133,7 @@ impl Gatherer {
 
     fn callbacks(&mut self, before: &Before, seconds: f64) -> Outcome<Vec<CallbackRow>> {
         let mut rows = Vec::new();
-        let (processes, _) = tautline_load::shared_statistics(self.domain)?;
+        let (processes, _) = tautline_system::shared_statistics(self.domain)?;
         for process in processes {
             // A process that is ending, or has another version, is omitted.
             let Ok(Some(snapshot)) = process.read() else { continue };

@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use futures::StreamExt;
 use tautline::{CallbackOptions, Context, CoreSet, Message, Node, Qos, Realtime};
+use tautline_rt::clock::test_time;
 use tautline_rt::permission::realtime_permitted;
 
 #[derive(Message, Clone, Copy, Debug, PartialEq)]
@@ -42,7 +43,8 @@ impl<T: Clone> Log<T> {
     pub fn wait_for(&self, count: usize) -> Vec<T> {
         let events = self.events.lock().unwrap();
         let few = |events: &mut Vec<T>| events.len() < count;
-        let (events, wait) = self.more.wait_timeout_while(events, Duration::from_secs(60), few).unwrap();
+        let patience = test_time(Duration::from_secs(60));
+        let (events, wait) = self.more.wait_timeout_while(events, patience, few).unwrap();
         assert!(!wait.timed_out(), "{} of {count} events came", events.len());
         events.clone()
     }
@@ -103,9 +105,9 @@ impl Drop for Spinning {
 
 /// Waits for what another context or process does; a test that would hang fails after half a minute instead.
 pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
-    let start = std::time::Instant::now();
+    let (start, patience) = (std::time::Instant::now(), test_time(Duration::from_secs(30)));
     while !condition() {
-        assert!(start.elapsed() < Duration::from_secs(30), "waited in vain for {what}");
+        assert!(start.elapsed() < patience, "waited in vain for {what}");
         std::thread::sleep(Duration::from_millis(1));
     }
 }

@@ -13,12 +13,14 @@ use std::path::Path;
 use std::process::{Child, Command};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use tautline_rt::clock::monotonic_ns;
+use std::time::Duration;
+use tautline_rt::clock::{monotonic_ns, nanoseconds, test_time};
 use tautline_rt::shm::{Mapping, OwnFile, PeerFile, Region};
 
 const RINGERS: usize = 4;
 const DEFAULT_RINGS: u64 = 100_000;
-const TIMEOUT_NS: u64 = 2_000_000_000;
+/// Longer than a ringer waits for a core between setting its bit and waking the sampler.
+const TIMEOUT: Duration = Duration::from_secs(2);
 /// Set for the children: file, ringer's number, rings, seed.
 const RINGER: &str = "TAUT_STRESS_RINGER";
 
@@ -33,6 +35,7 @@ fn stress_no_ring_is_lost() {
     let arena = Arena::create(ArenaId(1), memory.arena.clone());
     let mut ringers: Vec<_> = (0..RINGERS).map(|number| spawn(file.path(), number, each, seed)).collect();
 
+    let timeout_ns = nanoseconds(test_time(TIMEOUT));
     let (mut sleeps, mut lost, mut last) = (0u64, 0u64, [0u64; RINGERS]);
     let start_ns = monotonic_ns();
     while last.iter().any(|last| *last < each) {
@@ -43,7 +46,7 @@ fn stress_no_ring_is_lost() {
             taken.store(last[slot], Ordering::Release);
         });
         if drained == 0 {
-            let deadline_ns = monotonic_ns() + TIMEOUT_NS;
+            let deadline_ns = monotonic_ns() + timeout_ns;
             arena.bell().sleep(Some(deadline_ns));
             sleeps += 1;
             if monotonic_ns() >= deadline_ns {

@@ -74,7 +74,7 @@ impl Meter {
     }
 
     /// `spent` is the total since start.
-    fn look(&mut self, spent: ThreadTime) -> Verdict {
+    fn check(&mut self, spent: ThreadTime) -> Verdict {
         self.looks += 1;
         let ThreadTime { used_ns, waited_ns } = spent.minus(self.at_start);
         let is_end = self.looks >= LOOKS_PER_WINDOW;
@@ -171,7 +171,7 @@ fn watch(budget: Budget, list: ThreadLister, stop: &AtomicBool, demotions: &Atom
         if looks.is_multiple_of(RENEWAL_LOOKS) {
             threads.renew();
         }
-        match meter.look(threads.spent()) {
+        match meter.check(threads.spent()) {
             Verdict::Keep => {}
             Verdict::Demote => {
                 demotions.fetch_add(1, Ordering::Relaxed);
@@ -260,7 +260,7 @@ mod tests {
             for look in 0..count {
                 let share = |percent: u64| LOOK_NS * percent / 100;
                 self.1 = self.1.plus(ThreadTime { used_ns: share(used), waited_ns: share(waited) });
-                verdicts.push((look, self.0.look(self.1)));
+                verdicts.push((look, self.0.check(self.1)));
             }
             verdicts.retain(|(_, verdict)| *verdict != Verdict::Keep);
             verdicts

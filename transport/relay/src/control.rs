@@ -42,25 +42,29 @@ pub trait FarSide: Sized {
     const PATIENCE: Option<Duration>;
 
     /// Handles an event. Returns whether the far graph changed.
-    fn hear(&mut self, event: Self::Event) -> bool;
+    fn handle(&mut self, event: Self::Event) -> bool;
 
     /// Reads the far graph, without this mirror's endpoints; `here` is the domain's. An error is logged and retried.
     ///
     /// # Errors
     /// Why the graph cannot be read.
-    fn look(&mut self, here: &LocalGraph) -> Result<FarGraph, String>;
+    fn read_graph(&mut self, here: &LocalGraph) -> Result<FarGraph, String>;
 
     /// Called first: `here` is in terms of the domain; removes from it what cannot be announced there.
     fn prepare(&mut self, here: &mut LocalGraph, transit: &Transit);
 
     /// Called after topics are mirrored: returns the context for services there.
-    fn show(&mut self, here: &LocalGraph, transit: &Transit) -> <Self::Services as FarServices>::With;
+    fn update_services(
+        &mut self,
+        here: &LocalGraph,
+        transit: &Transit,
+    ) -> <Self::Services as FarServices>::With;
 
     /// The same context again, as last returned.
-    fn shown(&self) -> <Self::Services as FarServices>::With;
+    fn service_context(&self) -> <Self::Services as FarServices>::With;
 
     /// Called after services are routed: announces `here` there.
-    fn tell(&mut self, here: &LocalGraph, transit: &Transit, writers: &Writers<Self::Writer>);
+    fn announce(&mut self, here: &LocalGraph, transit: &Transit, writers: &Writers<Self::Writer>);
 
     /// Called each second. Returns whether the far graph must be read again.
     fn tick(&mut self, writers: &mut Writers<Self::Writer>) -> bool;
@@ -111,7 +115,7 @@ pub trait FarSide: Sized {
     fn start_in(&mut self, key: &InKey, inward: &Inward, ingress: Ingress) -> Result<(), String>;
 
     /// Whether messages of a class are being taken; a failed restart may have ended that.
-    fn takes(&self, key: &InKey) -> bool {
+    fn is_taking(&self, key: &InKey) -> bool {
         let _ = key;
         true
     }
@@ -123,7 +127,7 @@ pub trait FarSide: Sized {
     fn stop_in(&mut self, key: &InKey);
 
     /// The GID that announces a far service or client in the domain.
-    fn told_gid(end: &ServiceEndpoint) -> Gid {
+    fn announced_gid(end: &ServiceEndpoint) -> Gid {
         end.gid
     }
 
@@ -344,7 +348,7 @@ impl<F: FarSide> MirrorControl<F> {
             for event in first.into_iter().chain(events.try_iter()).take(EVENTS_AT_ONCE) {
                 is_changed |= match event {
                     Event::LocalChange => true,
-                    Event::FarChange(event) => self.far.hear(event),
+                    Event::FarChange(event) => self.far.handle(event),
                     Event::Stop => false,
                 };
             }
@@ -354,7 +358,7 @@ impl<F: FarSide> MirrorControl<F> {
                 last_tick += elapsed;
                 is_changed |= self.far.tick(&mut self.writers) || self.is_stale;
                 self.try_again();
-                self.services.try_again(|| self.far.shown());
+                self.services.try_again(|| self.far.service_context());
                 self.report(elapsed);
             }
             if is_changed && Instant::now() >= next_update {
@@ -363,7 +367,7 @@ impl<F: FarSide> MirrorControl<F> {
                 self.update();
                 next_update = Instant::now() + PAUSE + start.elapsed() * PAUSE_PER_LOOK;
             }
-            self.look_for_matches();
+            self.open_matched();
         }
         if is_changed {
             self.update();
@@ -376,7 +380,7 @@ impl<F: FarSide> MirrorControl<F> {
     fn update(&mut self) {
         let seen = self.participant.graph().map_err(|error| error.to_string()).and_then(|snapshot| {
             let here = LocalGraph::of(self.participant.id(), &snapshot);
-            Ok((self.far.look(&here)?, here, snapshot))
+            Ok((self.far.read_graph(&here)?, here, snapshot))
         });
         // Retried with the next tick.
         self.is_stale = seen.is_err();
@@ -385,7 +389,7 @@ impl<F: FarSide> MirrorControl<F> {
             Err(error) => return tracing::warn!("the graph cannot be read, retrying: {error}"),
         };
         let transit = &mut self.transit;
-        transit.look_anew(&snapshot.rivals);
+        transit.reset(&snapshot.rivals);
         there.nodes.iter().for_each(|(node, teller)| transit.insert(&node.origin, *teller));
         there.endpoints.iter().for_each(|(end, teller)| transit.insert(&end.origin, *teller));
         there.services.iter().for_each(|(end, teller)| transit.insert(&end.origin, *teller));
@@ -398,7 +402,7 @@ impl<F: FarSide> MirrorControl<F> {
         self.mirror_topics(&here, &there);
         // After the topics: an action's feedback must have a path before its goals.
         self.route_services(&here, &there);
-        self.far.tell(&here, &self.transit, &self.writers);
+        self.far.announce(&here, &self.transit, &self.writers);
         if let Err(error) = self.participant.set_remote(&self.remote(there)) {
             tracing::warn!("remote endpoints are not announced to nodes and tools of this host: {error}");
         }
@@ -419,7 +423,7 @@ impl<F: FarSide> MirrorControl<F> {
         drop(before);
         let far = there.endpoints.iter().filter_map(|(end, teller)| match end.kind {
             EndpointKind::Publisher => Some((end, transit.carries(&end.origin, *teller))),
-            EndpointKind::Subscription => transit.told(&end.origin, *teller).map(|_| (end, true)),
+            EndpointKind::Subscription => transit.origin_here(&end.origin, *teller).map(|_| (end, true)),
         });
         let far: Vec<Far> = far.collect();
         let actions = self.mirror.update(told, &far);
@@ -433,7 +437,7 @@ impl<F: FarSide> MirrorControl<F> {
     }
 
     fn route_services(&mut self, here: &LocalGraph, there: &FarGraph) {
-        let with = self.far.show(here, &self.transit);
+        let with = self.far.update_services(here, &self.transit);
         let transit = &self.transit;
         let there = there.services.iter().filter(|(end, teller)| transit.carries(&end.origin, *teller));
         let there: Vec<ServiceEndpoint> = there.map(|(end, _)| end.clone()).collect();
@@ -451,9 +455,9 @@ impl<F: FarSide> MirrorControl<F> {
     fn remote(&self, there: FarGraph) -> RemoteGraph {
         let rules = &self.mirror.rules;
         let mut remote = RemoteGraph { ended: there.ended, ..RemoteGraph::default() };
-        for (RemoteNode { name, origin }, teller) in there.nodes {
-            let told = self.transit.told(&origin, teller);
-            remote.nodes.extend(told.map(|origin| RemoteNode { name, origin }));
+        for (node, teller) in there.nodes {
+            let told = self.transit.origin_here(&node.origin, teller);
+            remote.nodes.extend(told.map(|origin| RemoteNode { origin, ..node }));
         }
         for (end, teller) in there.endpoints {
             let Some(topic) = rules.here_name(&end.topic) else { continue };
@@ -462,14 +466,14 @@ impl<F: FarSide> MirrorControl<F> {
                 EndpointKind::Publisher => Direction::In,
                 EndpointKind::Subscription => Direction::Out,
             };
-            let goes = rules.choice(&topic).is_some_and(|choice| choice.goes(way));
-            let told = self.transit.told(&end.origin, teller).filter(|_| goes);
+            let goes = rules.choice(&topic).is_some_and(|choice| choice.allows(way));
+            let told = self.transit.origin_here(&end.origin, teller).filter(|_| goes);
             remote.endpoints.extend(told.map(|origin| TopicEndpoint { topic, origin, ..end }));
         }
         for (end, teller) in there.services {
             let Some(name) = self.service_rules.here_name(&end.name) else { continue };
-            let told = self.transit.told(&end.origin, teller);
-            let gid = F::told_gid(&end);
+            let told = self.transit.origin_here(&end.origin, teller);
+            let gid = F::announced_gid(&end);
             remote.services.extend(told.map(|origin| ServiceEndpoint { name, gid, origin, ..end }));
         }
         remote.nodes.sort();
@@ -575,7 +579,7 @@ impl<F: FarSide> MirrorControl<F> {
     }
 
     /// Starts taking samples once a writer has matched.
-    fn look_for_matches(&mut self) {
+    fn open_matched(&mut self) {
         for (key, (outward, since)) in std::mem::take(&mut self.waiting) {
             if !self.writers.is_matched(&key) {
                 self.waiting.insert(key, (outward, since));
@@ -593,7 +597,7 @@ impl<F: FarSide> MirrorControl<F> {
             let is_taken = |key: &TopicKey| self.out.contains_key(key);
             let made = self.writers.open(is_taken, |key, writer| sender(&mut self.far, key, writer));
             made.into_iter().for_each(|(key, gid, sender)| self.relay.open(key, gid, sender));
-            self.writers.look_later(is_taken);
+            self.writers.schedule_check(is_taken);
         }
     }
 
@@ -642,7 +646,7 @@ impl<F: FarSide> MirrorControl<F> {
         let limiter = Limiter::new(inward.min_period);
         let ingress = Ingress::new(port, schema, counters, limiter, senders.clone(), F::DELIVERY);
         if let Err(reason) = self.far.start_in(key, inward, ingress) {
-            if !self.far.takes(key) {
+            if !self.far.is_taking(key) {
                 // The next attempt starts from scratch.
                 self.inward.remove(key);
             }

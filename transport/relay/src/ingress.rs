@@ -81,7 +81,7 @@ impl Body for [u8] {
 
     fn copy_to(&self, to: &mut [u8]) {
         let len = to.len().min(self.len());
-        to[..len].copy_from_slice(&self[..len]);
+        tautline_rt::copy_to_shared(&mut to[..len], &self[..len]);
         to[len..].fill(0);
     }
 }
@@ -206,7 +206,7 @@ impl Ingress {
     }
 
     /// Whether this publisher's messages come another way.
-    pub fn leaves(&self, publisher: &Gid) -> bool {
+    pub fn ignores(&self, publisher: &Gid) -> bool {
         self.senders.find(publisher) == SenderRole::Other
     }
 
@@ -218,7 +218,7 @@ impl Ingress {
         let IngressPort::New(port) = &self.port else { return None };
         // Bytes after the last field are dropped.
         let len_bytes = len_bytes.min(port.topic_type().body_bytes.unwrap_or(len_bytes));
-        let has_memory = self.leaves(publisher) || port.has_memory(len_bytes);
+        let has_memory = self.ignores(publisher) || port.has_memory(len_bytes);
         (!has_memory).then(|| port.claimer())
     }
 
@@ -336,7 +336,7 @@ impl Ingress {
     }
 
     /// Drops messages that were held too long. Call it now and then.
-    pub fn look(&mut self) {
+    pub fn drop_expired(&mut self) {
         let Some(EarlyLimits { time, .. }) = self.delivery.early else { return };
         let is_late = |early: &Early| early.since.elapsed() >= time;
         if self.early.first().is_some_and(is_late) {

@@ -427,10 +427,10 @@ impl MirrorPlan {
     }
 
     fn both_ways(&mut self, side: Side, ends: &Ends) {
-        if ends.choice.goes(Direction::Out) {
+        if ends.choice.allows(Direction::Out) {
             self.out(side, ends);
         }
-        if ends.choice.goes(Direction::In) {
+        if ends.choice.allows(Direction::In) {
             match side {
                 Side::Ros => self.by_class(ends),
                 Side::Network => self.all_in_one(ends),

@@ -1,20 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The thread that takes the samples of all topics.
 
-use crate::route::{Egress, Served, Sources, TopicRoute};
+use crate::route::{Egress, PassedOver, Served, Sources, TopicRoute};
 use crate::waker::RelayWaker;
 use crate::worker::{Job, Worker, commanded};
 use futures::task::waker;
+use std::collections::HashMap;
 use std::collections::hash_map::Entry;
-use std::collections::{HashMap, HashSet};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
 use tautline_rt::clock::monotonic_ns;
-use tautline_rt::{PiMutex, RtError, ThreadBuilder, ThreadInfo};
+use tautline_rt::{RtError, ThreadBuilder, ThreadInfo};
 use tautline_transport::{Gid, Participant, RawSubscription, SamplerSeat, TransportError};
-
-/// Publishers whose samples are not forwarded, because another relay carries them.
-pub type PassedOver = Arc<PiMutex<HashSet<Gid>>>;
 
 /// The thread that takes samples and gives them to an [`Egress`]; dropping this ends both.
 pub struct Relay<O: Egress> {
@@ -63,13 +60,13 @@ impl<O: Egress> Relay<O> {
         senders: Vec<(Gid, O::Sender)>,
     ) {
         let subscription = Box::new(subscription);
-        self.worker.tell(Box::new(move |relay| relay.start(key, subscription, topic, senders)));
+        self.worker.send(Box::new(move |relay| relay.start(key, subscription, topic, senders)));
     }
 
     /// Forwards samples of the publisher `gid` through `sender`. The publisher may be of this host, or mirrored by another
     /// participant's port.
     pub fn open(&self, key: O::Key, gid: Gid, sender: O::Sender) {
-        self.worker.tell(Box::new(move |Loop { routes, egress, .. }| {
+        self.worker.send(Box::new(move |Loop { routes, egress, .. }| {
             if let Some(route) = routes.get_mut(&key) {
                 route.open(gid, sender, egress);
             }
@@ -78,7 +75,7 @@ impl<O: Egress> Relay<O> {
 
     /// The publisher `gid` has ended.
     pub fn close(&self, key: O::Key, gid: Gid) {
-        self.worker.tell(Box::new(move |Loop { routes, sources, egress, .. }| {
+        self.worker.send(Box::new(move |Loop { routes, sources, egress, .. }| {
             if let Some(route) = routes.get_mut(&key) {
                 route.close(gid, sources, egress);
             }
@@ -87,7 +84,7 @@ impl<O: Egress> Relay<O> {
 
     /// Takes the topic's remaining samples, then stops.
     pub fn stop_topic(&self, key: O::Key) {
-        self.worker.tell(Box::new(move |Loop { routes, sources, egress, .. }| {
+        self.worker.send(Box::new(move |Loop { routes, sources, egress, .. }| {
             if let Some(route) = routes.remove(&key) {
                 route.end(sources, egress);
             }
@@ -111,10 +108,10 @@ struct Loop<O: Egress> {
 
 impl<O: Egress> Loop<O> {
     fn run(mut self, jobs: &mpsc::Receiver<Job<Self>>) {
-        const LOOK: Duration = Duration::from_millis(500);
+        const REFRESH_PERIOD: Duration = Duration::from_millis(500);
         /// While a topic waits for room.
-        const BLOCKED_LOOK: Duration = Duration::from_millis(5);
-        let mut next_look = Instant::now() + LOOK;
+        const BLOCKED_PERIOD: Duration = Duration::from_millis(5);
+        let mut next_check = Instant::now() + REFRESH_PERIOD;
         loop {
             self.waker.drain(&self.seat);
             if !commanded(jobs, |job| job(&mut self)) {
@@ -122,14 +119,14 @@ impl<O: Egress> Loop<O> {
             }
             let (sources, egress) = (&self.sources, &mut self.egress);
             let served = self.routes.values_mut().map(|route| route.serve_if_rung(sources, egress)).max();
-            if Instant::now() >= next_look {
-                next_look = Instant::now() + LOOK;
-                self.routes.values_mut().for_each(|route| route.look(&self.sources));
+            if Instant::now() >= next_check {
+                next_check = Instant::now() + REFRESH_PERIOD;
+                self.routes.values_mut().for_each(|route| route.refresh(&self.sources));
             }
             let timeout = match served {
                 Some(Served::Some) => continue,
-                Some(Served::Blocked) => BLOCKED_LOOK,
-                Some(Served::All) | None => LOOK,
+                Some(Served::Blocked) => BLOCKED_PERIOD,
+                Some(Served::All) | None => REFRESH_PERIOD,
             };
             self.seat.sleep(Some(monotonic_ns() + timeout.as_nanos() as u64));
         }

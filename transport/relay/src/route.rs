@@ -2,7 +2,6 @@
 //! The path of one topic: from its subscription, and from held samples, to the counterparts of its publishers.
 
 use crate::limiter::Limiter;
-use crate::relay::PassedOver;
 use crate::stats::TopicCounters;
 use crate::waker::Flag;
 use std::collections::{HashMap, HashSet, VecDeque};
@@ -10,7 +9,7 @@ use std::hash::Hash;
 use std::sync::Arc;
 use std::task::{Context, Poll, Waker};
 use std::time::{Duration, Instant};
-use tautline_rt::PiGuard;
+use tautline_rt::{PiGuard, PiMutex};
 use tautline_transport::{Gid, MessageInfo, RawSample, RawSubscription};
 
 /// Forwards samples. Called by the relay's thread.
@@ -133,6 +132,9 @@ impl Last {
     }
 }
 
+/// Publishers whose samples are not forwarded, because another relay carries them.
+pub type PassedOver = Arc<PiMutex<HashSet<Gid>>>;
+
 /// Which samples are forwarded.
 pub(crate) struct Sources {
     /// The relay's own participant: samples from its ports came from the far side.
@@ -187,7 +189,7 @@ impl<O: Egress> TopicRoute<O> {
     ) {
         // The new one has existed for a while: first older samples, then common ones once.
         self.serve_all(sources, egress);
-        self.look(sources);
+        self.refresh(sources);
         (self.subscription, self.topic, self.lost) = (subscription, topic, 0);
         self.flag.set();
     }
@@ -277,12 +279,12 @@ impl<O: Egress> TopicRoute<O> {
     /// Forwards what is queued, and drops held samples.
     pub(crate) fn end(mut self, sources: &Sources, egress: &mut O) {
         self.serve_all(sources, egress);
-        self.look(sources);
+        self.refresh(sources);
         self.early.iter().for_each(|_| O::dropped(&self.topic));
     }
 
     /// Drops held samples after the time-out, and reads the subscription's losses.
-    pub(crate) fn look(&mut self, sources: &Sources) {
+    pub(crate) fn refresh(&mut self, sources: &Sources) {
         let (topic, bytes) = (&self.topic, &mut self.early_bytes);
         if !self.early.is_empty() {
             let passed_over = sources.are_passed_over();

@@ -100,7 +100,7 @@ pub struct Choice {
 
 impl Choice {
     /// Whether messages go in this direction.
-    pub fn goes(&self, direction: Direction) -> bool {
+    pub fn allows(&self, direction: Direction) -> bool {
         self.direction.is_none_or(|only| only == direction)
     }
 }

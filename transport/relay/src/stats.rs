@@ -25,7 +25,7 @@ pub(crate) struct SinceEnd(Duration);
 
 impl SinceEnd {
     /// After `elapsed` more time, in which it was in use or not: whether it stays in the statistics.
-    pub(crate) fn stays(&mut self, is_used: bool, elapsed: Duration) -> bool {
+    pub(crate) fn is_kept(&mut self, is_used: bool, elapsed: Duration) -> bool {
         self.0 = if is_used { Duration::ZERO } else { self.0.saturating_add(elapsed) };
         self.0 < ENDED_TIME
     }
@@ -208,8 +208,9 @@ impl<N: Clone + Ord, D: Copy + Ord> TopicStatsTable<N, D> {
 
     /// Reads all counters, with rates over `elapsed`, the time since the last call. A minute after its end a topic is forgotten.
     pub fn read(&mut self, elapsed: Duration) -> Vec<TopicStats<N, D>> {
-        self.0
-            .retain(|_, counted| counted.since_end.stays(Arc::strong_count(&counted.counters) > 1, elapsed));
+        self.0.retain(|_, counted| {
+            counted.since_end.is_kept(Arc::strong_count(&counted.counters) > 1, elapsed)
+        });
         let read = |((name, direction), counted): (&(N, D), &mut Counted)| {
             let mut reading = counted.counters.read();
             let (messages, bytes) = std::mem::replace(&mut counted.before, (reading.messages, reading.bytes));

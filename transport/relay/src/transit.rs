@@ -47,7 +47,7 @@ impl Transit {
 
     /// Sets the others' announcements in the domain: [`GraphSnapshot::rivals`](tautline_transport::GraphSnapshot::rivals).
     /// Forgets the far side.
-    pub fn look_anew(&mut self, rivals: &HashMap<u64, Rank>) {
+    pub fn reset(&mut self, rivals: &HashMap<u64, Rank>) {
         self.rivals.clone_from(rivals);
         self.far.clear();
     }
@@ -67,7 +67,7 @@ impl Transit {
 
     /// The origin under which to announce `teller`'s endpoint in the domain; `None`: do not, because it has passed the domain
     /// before, or there is a better announcer.
-    pub fn told(&self, origin: &Origin, teller: u128) -> Option<Origin> {
+    pub fn origin_here(&self, origin: &Origin, teller: u128) -> Option<Origin> {
         let is_best = self.best(origin.tag).is_none_or(|best| best == origin.rank(teller));
         if !is_best || !origin.is_new_to(self.domain) {
             return None;
@@ -82,7 +82,7 @@ impl Transit {
 
     /// Whether its messages enter the domain here.
     pub fn carries(&self, origin: &Origin, teller: u128) -> bool {
-        let Some(told) = self.told(origin, teller) else { return false };
+        let Some(told) = self.origin_here(origin, teller) else { return false };
         let own = told.rank(self.participant.into());
         self.rivals.get(&origin.tag).is_none_or(|rival| own < *rival)
     }

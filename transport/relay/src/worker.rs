@@ -35,7 +35,7 @@ impl<C: Send + 'static> Worker<C> {
     }
 
     /// Sends a command.
-    pub fn tell(&self, command: C) {
+    pub fn send(&self, command: C) {
         if let Some(commands) = &self.commands {
             // Ignored: the thread ends only when this is dropped.
             let _ = commands.send(command);

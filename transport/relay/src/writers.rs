@@ -110,7 +110,7 @@ impl<W: FarWriter> Writers<W> {
     }
 
     /// Sets the time of the next check, for topics that are taken.
-    pub(crate) fn look_later(&mut self, is_taken: impl Fn(&TopicKey) -> bool) {
+    pub(crate) fn schedule_check(&mut self, is_taken: impl Fn(&TopicKey) -> bool) {
         let closed = self.held.iter().filter(|((key, _), held)| !held.is_open && is_taken(key));
         self.next = closed.map(|(_, held)| held.later.unwrap_or_else(Instant::now)).min();
     }

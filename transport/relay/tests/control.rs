@@ -94,11 +94,11 @@ impl FarSide for Play {
     type Services = PlayServices;
     const PATIENCE: Option<Duration> = Some(Duration::from_secs(30));
 
-    fn hear(&mut self, (): ()) -> bool {
+    fn handle(&mut self, (): ()) -> bool {
         false
     }
 
-    fn look(&mut self, _: &LocalGraph) -> Result<FarGraph, String> {
+    fn read_graph(&mut self, _: &LocalGraph) -> Result<FarGraph, String> {
         let endpoints = of(&self.0).there.clone();
         let mut publishers = HashMap::<String, BTreeSet<Gid>>::new();
         for end in endpoints.iter().filter(|end| end.kind == EndpointKind::Publisher) {
@@ -110,11 +110,11 @@ impl FarSide for Play {
 
     fn prepare(&mut self, _: &mut LocalGraph, _: &Transit) {}
 
-    fn show(&mut self, _: &LocalGraph, _: &Transit) {}
+    fn update_services(&mut self, _: &LocalGraph, _: &Transit) {}
 
-    fn shown(&self) {}
+    fn service_context(&self) {}
 
-    fn tell(&mut self, _: &LocalGraph, _: &Transit, _: &Writers<ProxyPublisher>) {}
+    fn announce(&mut self, _: &LocalGraph, _: &Transit, _: &Writers<ProxyPublisher>) {}
 
     fn tick(&mut self, _: &mut Writers<ProxyPublisher>) -> bool {
         true
@@ -246,7 +246,7 @@ impl FarServer for Server {
 }
 
 impl FarClient for Client {
-    const IS_LOOKED_AT: bool = false;
+    const IS_POLLED: bool = false;
 
     fn is_available(&mut self) -> bool {
         true
@@ -260,7 +260,7 @@ impl FarClient for Client {
         (true, None)
     }
 
-    fn ask(&mut self, _: RequestId, _: &RawSample) -> Result<(), String> {
+    fn send(&mut self, _: RequestId, _: &RawSample) -> Result<(), String> {
         Ok(())
     }
 

@@ -37,6 +37,8 @@ impl fmt::Display for NodeName {
 pub struct NodeInfo {
     /// Its name. Two nodes may have the same.
     pub name: NodeName,
+    /// Its SROS 2 enclave; `/` for the root.
+    pub enclave: String,
     /// Its process, if it is on this host.
     pub pid: Option<u32>,
     /// Whether it is on another host, or in ROS.

@@ -121,10 +121,18 @@ impl ParticipantRecord {
 
     /// How what it says under `number` is listed.
     fn listed(&self, own: u64, id: u64, number: u64) -> Option<Listed> {
-        if let Some(NodeRecord { name, origin }) = self.nodes.get(&number) {
-            let (name, origin) = (name.clone(), origin.clone().unwrap_or_else(|| here(Gid::of(id, number))));
+        if let Some(NodeRecord { name, enclave, origin }) = self.nodes.get(&number) {
+            let (name, enclave) = (name.clone(), enclave.clone());
+            let origin = origin.clone().unwrap_or_else(|| here(Gid::of(id, number)));
             let (is_remote, teller) = (self.is_relay, self.is_relay.then_some(id));
-            return Some(Listed::Node(NodeInfo { name, pid: self.pid(), is_remote, origin, teller }));
+            return Some(Listed::Node(NodeInfo {
+                name,
+                enclave,
+                pid: self.pid(),
+                is_remote,
+                origin,
+                teller,
+            }));
         }
         if let Some(port) = self.ports.get(&number).filter(|port| !self.is_relay && !port.observer) {
             let (gid, kind) = (Gid::of(id, number), EndpointKind::from(port.kind));

@@ -6,7 +6,7 @@ use crate::graph::domain::Domain;
 use crate::graph::entities::NodeName;
 use crate::graph::log;
 use crate::graph::log::{EntryKind, Log, hash_of};
-use crate::graph::record::{NodeRecord, PortRecord, to_body};
+use crate::graph::record::{NodeRecord, PortRecord, is_enclave, to_body};
 use crate::graph::remote::{RemoteGraph, RemoteNode};
 use crate::memory::file::OwnMemory;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -124,15 +124,22 @@ impl OwnRecord {
         self.changed();
     }
 
-    pub(crate) fn add_node(self: &Arc<Self>, node: NodeName) -> Result<Arc<NodeEntry>, TransportError> {
+    pub(crate) fn add_node(
+        self: &Arc<Self>,
+        node: NodeName,
+        enclave: &str,
+    ) -> Result<Arc<NodeEntry>, TransportError> {
         if !node.is_valid() {
             return Err(TransportError::NodeName { name: node.full_name() });
+        }
+        if !is_enclave(enclave) {
+            return Err(TransportError::Enclave { enclave: enclave.to_owned() });
         }
         let number = {
             let mut state = self.state();
             let number = state.log.number();
             let hash = hash_of(&node.full_name());
-            let body = to_body(&NodeRecord { name: node.clone(), origin: None });
+            let body = to_body(&NodeRecord { name: node.clone(), enclave: enclave.to_owned(), origin: None });
             let entry = log::LogEntry { kind: EntryKind::Node, number, hash, body };
             state.log.add(&entry).map_err(self.failed())?;
             number
@@ -211,9 +218,13 @@ impl OwnRecordState {
                 Some(number) => number,
                 None => {
                     changed = true;
-                    let RemoteNode { name, origin } = node.clone();
+                    let RemoteNode { name, enclave, origin } = node.clone();
                     let hash = hash_of(&name.full_name());
-                    self.add(EntryKind::Node, hash, to_body(&NodeRecord { name, origin: Some(origin) }))?
+                    self.add(
+                        EntryKind::Node,
+                        hash,
+                        to_body(&NodeRecord { name, enclave, origin: Some(origin) }),
+                    )?
                 }
             };
             numbers.entry(node.name.clone()).or_insert(number);

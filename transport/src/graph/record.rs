@@ -178,8 +178,24 @@ pub(crate) struct RemoteServiceRecord {
 pub(crate) struct NodeRecord {
     #[serde(flatten)]
     pub(crate) name: NodeName,
+    #[serde(skip_serializing_if = "is_root", default = "root")]
+    pub(crate) enclave: String,
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub(crate) origin: Option<Origin>,
+}
+
+/// The enclave of nodes that state none.
+pub(crate) fn root() -> String {
+    "/".to_owned()
+}
+
+fn is_root(enclave: &String) -> bool {
+    enclave == "/"
+}
+
+/// Whether this is a valid enclave.
+pub(crate) fn is_enclave(enclave: &str) -> bool {
+    enclave == "/" || is_absolute(enclave)
 }
 
 /// What a tag is not told of is one of its own.
@@ -315,7 +331,7 @@ impl NodeRecord {
 
     /// Whether an honest participant says it.
     pub(crate) fn is_valid(&self) -> bool {
-        self.name.is_valid() && self.origin.as_ref().is_none_or(Origin::is_valid)
+        self.name.is_valid() && is_enclave(&self.enclave) && self.origin.as_ref().is_none_or(Origin::is_valid)
     }
 }
 
@@ -390,9 +406,9 @@ mod tests {
         assert_eq!(PortRecord::parse(&padded), Some(port()));
         assert_eq!(PortRecord::parse(&body).unwrap().qos.qos(), qos());
         assert_eq!(QosRecord::from(&Qos::default()).qos(), Qos::default());
-        let record = NodeRecord { name: node(), origin: None };
+        let record = NodeRecord { name: node(), enclave: root(), origin: None };
         assert_eq!(NodeRecord::parse(&to_body(&record)), Some(record));
-        let told = NodeRecord { name: node(), origin: Some(origin()) };
+        let told = NodeRecord { name: node(), enclave: "/front/left".into(), origin: Some(origin()) };
         assert_eq!(NodeRecord::parse(&to_body(&told)), Some(told));
         let end = TopicEndpoint {
             kind: EndpointKind::Publisher,
@@ -454,6 +470,10 @@ mod tests {
         for (namespace, name) in [("", "n"), ("/robot", "a b"), ("/robot/", "n"), ("robot", "n"), ("/", "")] {
             let node = NodeName { namespace: namespace.into(), name: name.into() };
             assert_eq!(NodeRecord::parse(&to_body(&node)), None, "{node}");
+        }
+        for enclave in ["", "front", "/front/", "/fr ont", "/\u{1b}[2J"] {
+            let record = NodeRecord { name: node(), enclave: enclave.into(), origin: None };
+            assert_eq!(NodeRecord::parse(&to_body(&record)), None, "{enclave:?}");
         }
     }
 

@@ -3,7 +3,7 @@
 
 use crate::graph::entities::{NodeName, ServiceEndpoint, TopicEndpoint};
 use crate::graph::origin::Origin;
-use crate::graph::record::{NodeRecord, RemotePortRecord, RemoteServiceRecord};
+use crate::graph::record::{NodeRecord, RemotePortRecord, RemoteServiceRecord, is_enclave, root};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeSet, HashMap};
 
@@ -12,6 +12,8 @@ use std::collections::{BTreeSet, HashMap};
 pub struct RemoteNode {
     /// Its name. Two nodes may have the same.
     pub name: NodeName,
+    /// Its SROS 2 enclave; `/` for the root.
+    pub enclave: String,
     /// Its origin.
     pub origin: Origin,
 }
@@ -38,14 +40,17 @@ pub struct RemoteGraph {
 impl RemoteGraph {
     /// Its nodes, each once, and one for each name of an end's node that none of them has, without an origin.
     pub(crate) fn all_nodes(&self) -> Vec<RemoteNode> {
-        let nodes = self.nodes.iter().filter(|node| node.origin.is_valid());
+        let nodes = self.nodes.iter().filter(|node| node.origin.is_valid() && is_enclave(&node.enclave));
         let nodes: BTreeSet<&RemoteNode> = nodes.collect();
         let listed: BTreeSet<&NodeName> = nodes.iter().map(|node| &node.name).collect();
         let of_ends = self.endpoints.iter().filter_map(|end| end.node.as_ref());
         let of_ends = of_ends.chain(self.services.iter().filter_map(|end| end.node.as_ref()));
         let unlisted: BTreeSet<&NodeName> = of_ends.filter(|name| !listed.contains(name)).collect();
-        let unlisted =
-            unlisted.into_iter().map(|name| RemoteNode { name: name.clone(), origin: Origin::default() });
+        let unlisted = unlisted.into_iter().map(|name| RemoteNode {
+            name: name.clone(),
+            enclave: root(),
+            origin: Origin::default(),
+        });
         nodes.into_iter().cloned().chain(unlisted).filter(|node| node.name.is_valid()).collect()
     }
 
@@ -84,9 +89,9 @@ impl From<RemoteGraph> for Text {
         }
         let (ends, services) = graph.records(&places);
         // What only ends name has no origin, and is no node there either.
-        let record = |RemoteNode { name, origin }| {
+        let record = |RemoteNode { name, enclave, origin }| {
             let origin = (origin != Origin::default()).then_some(origin);
-            NodeRecord { name, origin }
+            NodeRecord { name, enclave, origin }
         };
         Text { nodes: nodes.into_iter().map(record).collect(), ends, services }
     }
@@ -103,8 +108,11 @@ impl From<Text> for RemoteGraph {
         let services = services.iter().filter(|end| end.is_valid());
         let services = services.filter_map(|end| Some(end.endpoint(node_at(end.node())?, None))).collect();
         let nodes = nodes.into_iter().filter(NodeRecord::is_valid);
-        let nodes =
-            nodes.filter_map(|node| Some(RemoteNode { name: node.name, origin: node.origin? })).collect();
+        let nodes = nodes
+            .filter_map(|NodeRecord { name, enclave, origin }| {
+                Some(RemoteNode { name, enclave, origin: origin? })
+            })
+            .collect();
         RemoteGraph { nodes, endpoints, services, ended: BTreeSet::new() }
     }
 }
@@ -145,7 +153,7 @@ mod tests {
             origin: origin(3),
             teller: None,
         };
-        let nodes = vec![RemoteNode { name: node("n"), origin: origin(1) }];
+        let nodes = vec![RemoteNode { name: node("n"), enclave: "/front".into(), origin: origin(1) }];
         RemoteGraph { nodes, endpoints: vec![end], services: vec![service], ..RemoteGraph::default() }
     }
 

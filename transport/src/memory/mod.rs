@@ -9,6 +9,7 @@
 pub(crate) mod connection;
 pub(crate) mod control;
 pub(crate) mod file;
+pub(crate) mod free_list;
 pub(crate) mod header;
 pub(crate) mod pool;
 pub(crate) mod ranges;

@@ -2,27 +2,26 @@
 //! A publisher's samples: their positions, which of them are free, and who uses the others.
 //!
 //! Samples of one size lie in a segment, which is part of the participant's file; a publisher gets more segments when more or larger
-//! samples are needed. iceoryx2's lock-free pool allocator knows which samples are free. Each sample has a reference count: its
-//! loan, each subscription that it was sent to, and the history of a publisher that keeps samples for late joiners each hold a
-//! reference. When the last reference is released, the sample is free.
+//! samples are needed. Each sample has a reference count: its loan, each subscription that it was sent to, and the history of a
+//! publisher that keeps samples for late joiners each hold a reference. A sample without a reference is free. What the publishing thread
+//! frees goes into its [list](FreeList); what setup code frees that thread finds by the count, when its list is empty.
 
+use crate::memory::free_list::FreeList;
 use crate::memory::header::{HEADER_BYTES, SampleHeader};
 use crate::memory::ranges::Range;
 use crate::memory::references::References;
+#[cfg(all(test, not(taut_loom)))]
 use crate::memory::sizes::SAMPLE_ALIGNMENT;
-use iceoryx2_bb_elementary::bump_allocator::BumpAllocator;
-use iceoryx2_bb_elementary_traits::allocator::Allocate;
-use iceoryx2_cal::shm_allocator::pool_allocator::{Config, PoolAllocator};
-use iceoryx2_cal::shm_allocator::{PointerOffset, SegmentId, ShmAllocator};
-use std::alloc::Layout;
+use iceoryx2_cal::shm_allocator::{PointerOffset, SegmentId};
 use std::ptr::NonNull;
 use std::sync::Arc;
 use tautline_rt::shm::Mapping;
 
 /// Segments of a publisher at most: what [`PointerOffset`] can tell apart, and fits into a publisher's head.
 pub(crate) const SEGMENTS: usize = 64;
-/// Samples of a segment at most: what iceoryx2's pool can count.
-pub(crate) const MAX_SAMPLES: usize = (1 << 24) - 2;
+/// Samples of a segment at most: what a [word](Segment::word) can tell apart.
+pub(crate) const MAX_SAMPLES: usize = 1 << INDEX_BITS;
+const INDEX_BITS: u32 = 24;
 
 /// A segment of this process's.
 pub(crate) struct Segment {
@@ -33,9 +32,6 @@ pub(crate) struct Segment {
     samples: usize,
     /// The number of the publisher's samples before the first one of this segment.
     first: usize,
-    /// Boxed, because it contains offsets relative to its own position.
-    free: Box<PoolAllocator>,
-    _books: Box<[u64]>,
     references: Box<[References]>,
 }
 
@@ -62,7 +58,7 @@ impl Segment {
     /// The segment `id`, in fresh memory of `samples` samples.
     ///
     /// # Panics
-    /// If the mapping is too short, or iceoryx2's allocator refuses memory of the size that it asked for.
+    /// If the mapping is too short.
     pub(crate) fn new(
         id: usize,
         range: Range,
@@ -75,19 +71,8 @@ impl Segment {
             samples * sample_bytes <= map.len_bytes() && samples <= MAX_SAMPLES,
             "a segment fits its memory"
         );
-        let config = Config { bucket_layout: layout(sample_bytes) };
-        let managed = NonNull::slice_from_raw_parts(map.start().cast::<u8>(), samples * sample_bytes);
-        let books_bytes = PoolAllocator::management_size(managed.len(), &config);
-        let mut books = vec![0_u64; books_bytes.div_ceil(8) + 1].into_boxed_slice();
-        // SAFETY: the managed memory is mapped as long as `map`, which goes with the allocator.
-        let mut free = Box::new(unsafe { PoolAllocator::new_uninit(SAMPLE_ALIGNMENT, managed, &config) });
-        let start = NonNull::from(&mut *books).cast::<u8>();
-        let bump = BumpAllocator::new(start, size_of_val(&*books));
-        // SAFETY: once, and the allocator stays in its box as long as its books in theirs.
-        let made = unsafe { free.init(&bump) };
-        assert!(made.is_ok(), "iceoryx2's pool takes the memory that it asks for: {made:?}");
         let references = (0..samples).map(|_| References::none()).collect();
-        Segment { id: id as u8, range, map, sample_bytes, samples, first, free, _books: books, references }
+        Segment { id: id as u8, range, map, sample_bytes, samples, first, references }
     }
 
     pub(crate) fn id(&self) -> usize {
@@ -108,16 +93,9 @@ impl Segment {
         self.first + index
     }
 
-    /// Takes a free sample, with one reference.
-    ///
-    /// # Real-time
-    /// Lock-free: another thread that gives a sample back meanwhile makes it try again; no allocation; no syscall.
-    pub(crate) fn take(&self) -> Option<usize> {
-        // SAFETY: initialised in `new`.
-        let free = unsafe { self.free.assume_init() };
-        let index = free.allocate(layout(self.sample_bytes)).ok()?.offset() / self.sample_bytes;
-        self.references.get(index)?.begin();
-        Some(index)
+    /// What a [`FreeList`] knows a sample by.
+    fn word(&self, index: usize) -> u32 {
+        u32::from(self.id) << INDEX_BITS | index as u32
     }
 
     /// One more reference to a sample that has some.
@@ -135,15 +113,13 @@ impl Segment {
         self.references.get(index).is_some_and(References::pin)
     }
 
-    /// One reference less: with the last one the sample is free.
+    /// One reference less: with the last one the sample is free. True if it was that; for setup code, and for samples of a size that is
+    /// not loaned any more. The publishing thread calls [`Pool::release`].
     ///
     /// # Real-time
-    /// As [`take`](Self::take).
-    pub(crate) fn release(&self, index: usize) {
-        if self.references.get(index).is_some_and(References::release) {
-            // SAFETY: it was allocated, and nobody refers to it any more.
-            unsafe { self.free.deallocate_bucket(PointerOffset::new(index * self.sample_bytes)) };
-        }
+    /// Wait-free; no syscall.
+    pub(crate) fn release(&self, index: usize) -> bool {
+        self.references.get(index).is_some_and(References::release)
     }
 
     /// Whether all of its samples are free.
@@ -157,7 +133,7 @@ impl Segment {
 
     /// The header of a sample.
     pub(crate) fn header(&self, index: usize) -> NonNull<SampleHeader> {
-        // SAFETY: indices come from the allocator; it manages that much of the mapping.
+        // SAFETY: indices are less than `samples`, for which the mapping has room.
         unsafe { self.map.start().byte_add(index * self.sample_bytes).cast() }
     }
 
@@ -169,16 +145,15 @@ impl Segment {
     }
 }
 
-fn layout(sample_bytes: usize) -> Layout {
-    Layout::from_size_align(sample_bytes, SAMPLE_ALIGNMENT).unwrap_or(Layout::new::<SampleHeader>())
-}
-
-/// All segments of a publisher, by their ids.
-#[derive(Clone, Default)]
+/// All segments of a publisher, by their ids. The publishing thread's has the list of free samples, setup code's has none.
+#[derive(Default)]
 pub(crate) struct Pool {
     segments: Vec<Option<Arc<Segment>>>,
     /// The id of the next segment.
     next: usize,
+    free: Option<FreeList>,
+    /// The size of the samples that are loaned.
+    pub(crate) sample_bytes: usize,
 }
 
 impl Pool {
@@ -230,11 +205,54 @@ impl Pool {
         (index < segment.samples).then_some((segment, index))
     }
 
+    /// The same segments for the publishing thread, which loans samples of this size, and uses so many of the free ones in turn.
+    pub(crate) fn for_publishing(&self, sample_bytes: usize, in_turn: usize) -> Self {
+        let free = Some(FreeList::new(self.samples(sample_bytes), in_turn));
+        Pool { segments: self.segments.clone(), next: self.next, free, sample_bytes }
+    }
+
+    /// Lists the free samples of the size that is loaned, if the list is empty.
+    ///
+    /// # Real-time
+    /// Wait-free, O(samples); no allocation; no syscall.
+    pub(crate) fn list_free(&self) {
+        let Some(free) = self.free.as_ref().filter(|free| free.is_empty()) else { return };
+        for segment in self.segments().filter(|segment| segment.sample_bytes == self.sample_bytes) {
+            let is_free = |index: &usize| segment.references.get(*index).is_some_and(References::is_none);
+            (0..segment.samples).rev().filter(is_free).for_each(|index| free.add(segment.word(index)));
+        }
+    }
+
+    /// Takes a sample of the list, with one reference.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub(crate) fn take(&self) -> Option<(&Segment, usize)> {
+        let word = self.free.as_ref()?.take()?;
+        let segment = self.segments.get((word >> INDEX_BITS) as usize)?.as_deref()?;
+        let index = word as usize & (MAX_SAMPLES - 1);
+        segment.references.get(index)?.begin();
+        Some((segment, index))
+    }
+
+    /// One reference less to a sample. With the last one the sample is free, and is listed if this is the publishing thread's.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall.
+    pub(crate) fn release(&self, segment: &Segment, index: usize) {
+        if segment.release(index)
+            && segment.sample_bytes == self.sample_bytes
+            && let Some(free) = &self.free
+        {
+            free.give(segment.word(index));
+        }
+    }
+
     /// One reference less to the sample with this number.
     pub(crate) fn release_number(&self, number: usize) {
         let has_it = |segment: &&Arc<Segment>| (segment.first..segment.end()).contains(&number);
         if let Some(segment) = self.segments().find(has_it) {
-            segment.release(number - segment.first);
+            self.release(segment, number - segment.first);
         }
     }
 }
@@ -265,21 +283,63 @@ mod tests {
         Segment::new(id, Range { offset: 0, len: len as u64 }, map, sample_bytes, samples, first)
     }
 
+    /// The publishing thread's, which loans samples as long as the first segment's.
+    fn pool<const N: usize>(segments: [Segment; N], in_turn: usize) -> Pool {
+        let (mut pool, sample_bytes) = (Pool::default(), segments[0].sample_bytes());
+        segments.into_iter().for_each(|segment| pool.add(Arc::new(segment)));
+        let pool = pool.for_publishing(sample_bytes, in_turn);
+        pool.list_free();
+        pool
+    }
+
     #[test]
     fn a_sample_is_free_with_its_last_reference() {
-        let segment = segment(0, 128, 3, 0);
-        let taken: Vec<_> = (0..3).map(|_| segment.take().unwrap()).collect();
-        assert!(segment.take().is_none());
-        segment.add(taken[1]);
-        segment.release(taken[1]);
-        assert!(segment.take().is_none(), "one is left");
-        assert!(segment.pin(taken[1]));
-        segment.release(taken[1]);
-        segment.release(taken[1]);
-        assert!(!segment.pin(taken[1]), "it is free");
-        assert_eq!(segment.take(), Some(taken[1]));
-        taken.into_iter().for_each(|index| segment.release(index));
+        let pool = pool([segment(0, 128, 3, 0)], 3);
+        let taken: Vec<_> = (0..3).map(|_| pool.take().unwrap()).collect();
+        assert!(pool.take().is_none());
+        let (segment, index) = taken[1];
+        segment.add(index);
+        pool.release(segment, index);
+        assert!(pool.take().is_none(), "one is left");
+        assert!(segment.pin(index));
+        pool.release(segment, index);
+        pool.release(segment, index);
+        assert!(!segment.pin(index), "it is free");
+        assert_eq!(pool.take().map(|(_, index)| index), Some(index));
+        taken.into_iter().for_each(|(segment, index)| pool.release(segment, index));
         assert!(segment.is_unused());
+    }
+
+    #[test]
+    fn samples_of_all_segments_are_used_in_the_order_in_which_they_were_freed() {
+        let pool = pool([segment(0, 128, 2, 0), segment(1, 192, 2, 2), segment(2, 128, 3, 4)], 5);
+        let mut taken: Vec<_> = std::iter::from_fn(|| pool.take()).collect();
+        let numbers = |of: &[(&Segment, usize)]| of.iter().map(|(of, at)| of.number(*at)).collect::<Vec<_>>();
+        assert_eq!(numbers(&taken), [4, 5, 6, 0, 1], "of the size that is loaned");
+        taken.swap(0, 3);
+        taken.swap(1, 4);
+        for _ in 0..3 {
+            taken.iter().for_each(|(segment, index)| pool.release(segment, *index));
+            let again: Vec<_> = std::iter::from_fn(|| pool.take()).collect();
+            assert_eq!(numbers(&again), numbers(&taken));
+        }
+    }
+
+    #[test]
+    fn what_setup_frees_is_found_when_no_other_is_free() {
+        let pool = pool([segment(0, 128, 3, 0)], 3);
+        let taken: Vec<_> = std::iter::from_fn(|| pool.take()).collect();
+        let (segment, _) = taken[0];
+        segment.release(taken[2].1);
+        pool.release(segment, taken[1].1);
+        assert_eq!(pool.take().map(|(_, index)| index), Some(taken[1].1));
+        assert!(pool.take().is_none());
+        for _ in 0..2 {
+            pool.list_free();
+        }
+        assert_eq!(pool.take().map(|(_, index)| index), Some(taken[2].1));
+        pool.list_free();
+        assert!(pool.take().is_none(), "none is listed twice");
     }
 
     #[test]
@@ -289,8 +349,10 @@ mod tests {
         pool.add(Arc::new(segment(1, 4096, 3, 40)));
         assert_eq!((pool.next_id(), pool.end(), pool.samples(4096)), (Some(2), 43, 3));
         let mut numbers = Vec::new();
-        for segment in pool.segments() {
-            while let Some(index) = segment.take() {
+        for sample_bytes in [128, 4096] {
+            let pool = pool.for_publishing(sample_bytes, 1);
+            pool.list_free();
+            while let Some((segment, index)) = pool.take() {
                 let payload = segment.payload(index);
                 assert_eq!(payload.len(), segment.sample_bytes() - HEADER_BYTES);
                 assert!(payload.cast::<u8>().addr().get().is_multiple_of(SAMPLE_ALIGNMENT));
@@ -321,16 +383,18 @@ mod tests {
 
     #[test]
     fn given_back_by_other_threads() {
-        let segment = &segment(0, 64 + 64, 8, 0);
+        let pool = pool([segment(0, 64 + 64, 8, 0)], 8);
+        let (segment, _) = pool.find(ChunkOffset { segment: 0, offset_bytes: 0 }.to_word()).unwrap();
         let (sender, receiver) = std::sync::mpsc::sync_channel::<usize>(4);
         std::thread::scope(|scope| {
-            scope.spawn(move || receiver.iter().for_each(|index| segment.release(index)));
+            scope.spawn(move || receiver.iter().for_each(|index| _ = segment.release(index)));
             for _ in 0..10_000 {
                 let index = loop {
-                    match segment.take() {
-                        Some(index) => break index,
+                    match pool.take() {
+                        Some((_, index)) => break index,
                         None => std::thread::yield_now(),
                     }
+                    pool.list_free();
                 };
                 sender.send(index).unwrap();
             }

@@ -43,3 +43,40 @@ impl References {
         self.0.load(Ordering::Acquire) == 0
     }
 }
+
+#[cfg(all(test, taut_loom))]
+mod loom_tests {
+    use super::*;
+    use loom::cell::UnsafeCell;
+    use loom::sync::Arc;
+
+    /// As `Pool::release` and `Pool::list_free` do it: the publishing thread frees the sample, or finds that setup code has.
+    #[test]
+    fn loom_a_sample_that_setup_frees_is_taken_again_when_its_use_is_over() {
+        struct Sample(References, UnsafeCell<u64>);
+        // SAFETY: loom checks the accesses.
+        unsafe impl Sync for Sample {}
+        // SAFETY: as above.
+        unsafe impl Send for Sample {}
+        loom::model(|| {
+            let sample = Arc::new(Sample(References::none(), UnsafeCell::new(1)));
+            sample.0.begin();
+            sample.0.add();
+            let setup = {
+                let sample = sample.clone();
+                loom::thread::spawn(move || {
+                    // SAFETY: loom checks it.
+                    assert_eq!(sample.1.with(|content| unsafe { *content }), 1);
+                    sample.0.release()
+                })
+            };
+            let is_listed = sample.0.release();
+            if is_listed || sample.0.is_none() {
+                sample.0.begin();
+                // SAFETY: loom checks it.
+                sample.1.with_mut(|content| unsafe { *content = 2 });
+            }
+            assert_ne!(setup.join().unwrap(), is_listed, "one of the two frees it");
+        });
+    }
+}

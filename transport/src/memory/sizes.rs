@@ -2,10 +2,13 @@
 //! How much shared memory a publisher needs.
 
 use crate::memory::header::HEADER_BYTES;
-use crate::qos::{Durability, Limits, Qos};
+use crate::qos::{Claim, Durability, Limits, Qos};
+use tautline_rt::Caches;
 
 /// Samples start at multiples of this.
 pub(crate) const SAMPLE_ALIGNMENT: usize = 64;
+/// Shorter samples fit into any cache beside each other: of them the one that was freed last is used first.
+const LEAST_IN_TURN: usize = 16 << 10;
 /// Bodies are CDR, whose alignment is at most 8.
 pub(crate) const BODY_ALIGNMENT: usize = 8;
 
@@ -63,10 +66,52 @@ impl Demand {
     }
 }
 
+/// How many samples of a publisher are used in turn, in the order in which they are freed: as few as take until then to leave the caches
+/// of the two cores that touched them, and no more than the cache that these share can hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Window {
+    /// Bytes for which spare samples are claimed.
+    spare_bytes: usize,
+    /// Bytes that are used in turn at most.
+    most_bytes: usize,
+}
+
+impl Window {
+    pub(crate) fn of_machine() -> Self {
+        Window::of(Caches::of_machine())
+    }
+
+    /// Both caches twice, and a quarter of the one that is shared, if that is more than both.
+    fn of(Caches { l2_bytes, l3_bytes }: Caches) -> Self {
+        let most_bytes = if l3_bytes / 4 > 2 * l2_bytes { l3_bytes / 4 } else { 0 };
+        Window { spare_bytes: (4 * l2_bytes).min(most_bytes), most_bytes }
+    }
+
+    pub(crate) fn in_turn(self, sample_bytes: usize) -> usize {
+        let count = (self.most_bytes + sample_bytes / 2) / sample_bytes;
+        if sample_bytes < LEAST_IN_TURN { 1 } else { count.max(1) }
+    }
+
+    /// Samples to have beyond those that can be in flight.
+    pub(crate) fn spare(
+        self,
+        Demand { held, .. }: Demand,
+        sample_bytes: usize,
+        samples: usize,
+        limits: &Limits,
+    ) -> usize {
+        if held == 0 || sample_bytes < LEAST_IN_TURN || limits.claim == Claim::OnUse {
+            return 0;
+        }
+        let wanted = (self.spare_bytes / sample_bytes).saturating_sub(samples);
+        wanted.min(limits.spare_bytes / sample_bytes)
+    }
+}
+
 /// The shared memory of one publisher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TopicMemory {
-    /// Samples that can be in flight.
+    /// Samples that can be in flight, and spare ones ([`Limits::spare_bytes`]).
     pub samples: usize,
     /// Bytes of one sample.
     pub sample_bytes: usize,
@@ -76,7 +121,7 @@ pub struct TopicMemory {
 }
 
 /// The memory of one publisher of messages of `body_bytes` that offers `qos`, with `subscriptions` subscriptions of depth `depth` at
-/// most, each of which may hold `limits.held` samples.
+/// most, each of which may hold `limits.held` samples. Spare samples are counted by the caches of the machine that computes this.
 ///
 /// For a type without a fixed size `body_bytes` is the largest message, and `limits.message_bytes` is at least that. If it
 /// is not, the size of a sample doubles until a larger message fits, in a new segment with the same number of samples; the
@@ -97,13 +142,57 @@ pub fn topic_memory(
 ) -> TopicMemory {
     let mut demand = Demand::of_publisher(&qos);
     demand.join(depth, subscriptions.saturating_mul(limits.held));
-    let (samples, sample_bytes) = (demand.samples(limits.loans), sample_bytes(body_bytes));
+    let (in_flight, sample_bytes) = (demand.samples(limits.loans), sample_bytes(body_bytes));
+    let spare = Window::of_machine().spare(demand, sample_bytes, in_flight, &limits);
+    let samples = in_flight.saturating_add(spare);
     TopicMemory { samples, sample_bytes, claimed_bytes: samples.saturating_mul(sample_bytes) }
 }
 
 #[cfg(all(test, not(taut_loom)))]
 mod tests {
     use super::*;
+
+    #[test]
+    fn samples_are_used_in_turn_by_the_caches() {
+        let (mib, epyc) = (1 << 20, Window::of(Caches { l2_bytes: 1 << 20, l3_bytes: 32 << 20 }));
+        let in_turn = |window: Window| {
+            [64, 4 << 10, 16 << 10, 64 << 10, mib, 4 * mib, 8 * mib, 64 * mib]
+                .map(|body| window.in_turn(sample_bytes(body)))
+        };
+        assert_eq!(in_turn(epyc), [1, 1, 510, 128, 8, 2, 1, 1]);
+        // Nothing is shared, or less than the cores have for themselves.
+        for l3_bytes in [0, 2 * mib] {
+            assert_eq!(
+                in_turn(Window::of(Caches { l2_bytes: mib, l3_bytes })),
+                [1; 8],
+                "last freed, first used"
+            );
+        }
+    }
+
+    #[test]
+    fn spare_samples_are_for_long_messages_that_somebody_takes_and_bounded() {
+        let window = Window::of(Caches { l2_bytes: 1 << 20, l3_bytes: 32 << 20 });
+        let (mut demand, none) =
+            (Demand::of_publisher(&Qos::default()), Limits { spare_bytes: 0, ..Limits::default() });
+        let spare = |demand: Demand, body, limits: Limits| {
+            window.spare(demand, sample_bytes(body), demand.samples(limits.loans), &limits)
+        };
+        assert_eq!(spare(demand, 64 << 10, Limits::default()), 0, "nobody takes them");
+        demand.join(10, 4);
+        let bodies = [64, 4 << 10, 16 << 10, 64 << 10, 1 << 20];
+        let few = Limits { spare_bytes: 1 << 20, ..Limits::default() };
+        let on_use = Limits { claim: Claim::OnUse, ..Limits::default() };
+        assert_eq!(bodies.map(|body| spare(demand, body, Limits::default())), [0, 0, 237, 45, 0]);
+        assert_eq!(bodies.map(|body| spare(demand, body, few)), [0, 0, 63, 15, 0]);
+        assert_eq!([none, on_use].map(|limits| spare(demand, 64 << 10, limits)), [0; 2]);
+        let [all, smallest] =
+            [Limits::default(), none].map(|limits| topic_memory(64 << 10, Qos::default(), limits, 1, 10));
+        let spare =
+            Window::of_machine().spare(demand, smallest.sample_bytes, smallest.samples, &Limits::default());
+        assert_eq!((smallest.samples, all.samples), (18, 18 + spare));
+        assert_eq!(all.claimed_bytes, all.samples * all.sample_bytes);
+    }
 
     #[test]
     fn a_sample_has_room_for_its_body() {

@@ -187,9 +187,22 @@ impl Participant {
     /// # Errors
     /// [`TransportError`]: names that break ROS 2's rules, no shared memory.
     pub fn create_node(&self, name: &str, namespace: &str) -> Result<NodeHandle, TransportError> {
+        self.create_node_in_enclave(name, namespace, "/")
+    }
+
+    /// As [`create_node`](Self::create_node), in an SROS 2 enclave, which others see. Nothing is encrypted by it.
+    ///
+    /// # Errors
+    /// As [`create_node`](Self::create_node).
+    pub fn create_node_in_enclave(
+        &self,
+        name: &str,
+        namespace: &str,
+        enclave: &str,
+    ) -> Result<NodeHandle, TransportError> {
         self.check_process()?;
         let node = NodeName { namespace: namespace.into(), name: name.into() };
-        Ok(NodeHandle { entry: self.state.record.add_node(node)? })
+        Ok(NodeHandle { entry: self.state.record.add_node(node, enclave)? })
     }
 
     /// The same membership; publishers and subscriptions that are created through the result belong to the

@@ -12,6 +12,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tautline_msgs::Message;
+use tautline_rt::clock::test_time;
 use tautline_transport::{Participant, Subscription};
 
 #[derive(Message, Clone, Copy, Debug, PartialEq)]
@@ -64,9 +65,9 @@ pub fn take_all(subscription: &Subscription<Count>) -> Vec<u64> {
 
 /// Waits for what another thread or process does; a test that hangs fails after half a minute instead.
 pub fn wait_for(what: &str, mut condition: impl FnMut() -> bool) {
-    let start = Instant::now();
+    let (start, patience) = (Instant::now(), test_time(Duration::from_secs(30)));
     while !condition() {
-        assert!(start.elapsed() < Duration::from_secs(30), "waited in vain for {what}");
+        assert!(start.elapsed() < patience, "waited in vain for {what}");
         std::thread::sleep(Duration::from_millis(1));
     }
 }

@@ -221,7 +221,8 @@ fn config_of(settings: &Value) -> Result<Config, ConfigError> {
 
 /// rmw_zenoh's defaults: a peer without multicast that connects to a router on its own host. Different from rmw_zenoh: a router
 /// too listens on loopback only, connecting never gives up, a silent link is closed after 10 s, and the memory per peer is
-/// bounded. Queues are long enough for short stalls of a link.
+/// bounded. Queues are as long as Zenoh permits: what finds one full for a millisecond is dropped, and on a busy machine the thread that
+/// empties it may not run for longer.
 fn defaults(mode: Mode, max_message_bytes: usize) -> Value {
     let (listen, connect) = match mode {
         Mode::Peer => (json!(["tcp/localhost:0"]), json!(["tcp/localhost:7447"])),
@@ -245,8 +246,8 @@ fn defaults(mode: Mode, max_message_bytes: usize) -> Value {
             "link": {
                 "tx": { "queue": {
                     "size": {
-                        "control": 4, "real_time": 12, "interactive_high": 12, "interactive_low": 12,
-                        "data_high": 12, "data": 12, "data_low": 12, "background": 12,
+                        "control": 4, "real_time": 16, "interactive_high": 16, "interactive_low": 16,
+                        "data_high": 16, "data": 16, "data_low": 16, "background": 16,
                     },
                     "congestion_control": {
                         "drop": { "wait_before_drop": 1000, "max_wait_before_drop_fragments": 50000 },

@@ -4,8 +4,8 @@
 //!
 //! Responses are untrusted: bounded before they are stored, and stored only if their computed hash is the requested one.
 
+use crate::events::{Events, NetworkEvent};
 use crate::graph::Graph;
-use crate::side::{Events, NetworkEvent};
 use crate::tokens::LocalEndpoint;
 use crate::types::Types;
 use crate::wire::{
@@ -127,7 +127,7 @@ impl Descriptions {
     }
 
     /// Requests the topic's type from one of its publishers' nodes there, unless a request is pending or all nodes were asked.
-    pub(crate) fn ask(&mut self, session: &Session, key: &TopicKey, graph: &Graph) {
+    pub(crate) fn request(&mut self, session: &Session, key: &TopicKey, graph: &Graph) {
         let id = &key.type_id;
         if self.pending.get(id).is_some_and(|since| since.elapsed() < TIMEOUT) {
             return;
@@ -237,7 +237,8 @@ impl Descriptions {
             // A unique GID: the hash of its token.
             let (name, suffix) = (topic.clone(), String::new());
             let said = Endpoint { id: 0, kind, name, type_id: type_id.clone(), qos, suffix };
-            let said = Token { domain: 0, zid: 0, node_id: 0, node: node.clone(), endpoint: Some(said) };
+            let (endpoint, note) = (Some(said), String::new());
+            let said = Token { domain: 0, zid: 0, node_id: 0, node: node.clone(), endpoint, note };
             let gid = endpoint_gid(&said);
             LocalEndpoint { gid, kind, topic, type_id, qos, node, origin: Origin::here(gid, "") }
         };

@@ -1,85 +1,28 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The gateway: joins the domain and the network, and starts its threads.
 
-use crate::config::{ConfigError, MAX_MESSAGE_BYTES, Network, SessionConfig, is_loopback};
+use crate::config::{ConfigError, SessionConfig, is_loopback};
 use crate::descriptions::Descriptions;
-use crate::graph::GraphLimits;
+use crate::events::{Events, ends_to, tokens_to};
+use crate::options::Options;
 use crate::origin::ended_wildcard;
 use crate::outgoing::{self, THREADS};
-use crate::rules::Rule;
 use crate::services::NetworkServices;
 use crate::session::{self, SessionError, network_threads};
-use crate::side::{Events, NetworkSide, ends_to, tokens_to};
-use crate::stats::Stats;
+use crate::side::NetworkSide;
+use crate::stats::{GatewayState, Stats};
 use crate::unclaimed::ClaimThread;
 use crate::wire::{Token, token_wildcard};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use tautline_relay::{
-    Budget, Event, Filter, Guard, Instance, InstanceError, InstanceLock, MirrorControl, Parts, RelayError,
-    Rules, Services, watch_domain,
+    Event, Guard, Instance, InstanceError, InstanceLock, MirrorControl, Parts, RelayError, Rules, Services,
+    watch_domain,
 };
-use tautline_rt::{CoreSet, JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
+use tautline_rt::{JoinHandle, Policy, Realtime, RtError, ThreadBuilder, ThreadInfo};
 use tautline_schema::SchemaError;
 use tautline_transport::{Participant, RemoteGraph, SchemaStore, TransportError};
 use zenoh::{Session, Wait};
-
-/// Options of a gateway. Every field has a default that works on one host.
-#[derive(Clone, Debug)]
-pub struct Options {
-    /// The domain on this host.
-    pub domain: u32,
-    /// The domain on the network, if different.
-    pub network_domain: Option<u32>,
-    /// Network options.
-    pub network: Network,
-    /// Topics to mirror: all by default.
-    pub filter: Filter,
-    /// Priorities on a busy link; topics without a rule go by size.
-    pub rules: Vec<Rule>,
-    /// Whether endpoints that bridges announce in the domain are announced too.
-    pub transit: bool,
-    /// `SCHED_FIFO` priority of the network's threads: below the sampler's (90), above the callbacks'.
-    pub priority: u8,
-    /// Whether real-time priorities are required.
-    pub realtime: Realtime,
-    /// Cores of the network's threads.
-    pub cores: Option<CoreSet>,
-    /// Processor budget at that priority; `None`: no limit.
-    pub budget: Option<Budget>,
-    /// Longest body accepted from the network.
-    pub max_message_bytes: usize,
-    /// Limits of what is stored about other hosts.
-    pub limits: GraphLimits,
-}
-
-impl Options {
-    /// Default of [`Options::priority`].
-    pub const PRIORITY: u8 = 80;
-
-    pub(crate) fn domain_there(&self) -> u32 {
-        self.network_domain.unwrap_or(self.domain)
-    }
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Options {
-            domain: 0,
-            network_domain: None,
-            network: Network::default(),
-            filter: Filter::default(),
-            rules: Vec::new(),
-            transit: true,
-            priority: Self::PRIORITY,
-            realtime: Realtime::Required,
-            cores: None,
-            budget: Some(Budget::default()),
-            max_message_bytes: MAX_MESSAGE_BYTES,
-            limits: GraphLimits::default(),
-        }
-    }
-}
 
 /// Why a gateway could not start.
 #[derive(Debug, thiserror::Error)]
@@ -132,14 +75,6 @@ pub struct Gateway {
     config: SessionConfig,
     session: Session,
     _lock: InstanceLock,
-}
-
-/// State that [`Gateway`] reads.
-pub(crate) struct GatewayState {
-    pub(crate) stop: AtomicBool,
-    pub(crate) stats: Mutex<Stats>,
-    /// Nodes and endpoints of other hosts.
-    pub(crate) remote: Mutex<Arc<Vec<Token>>>,
 }
 
 /// Capacity of the event queue; on overflow all tokens are requested again.

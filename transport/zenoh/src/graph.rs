@@ -95,7 +95,8 @@ impl Graph {
         for (token, entity) in self.tokens.values() {
             match entity {
                 RemoteEntity::Node(name) => {
-                    let node = RemoteNode { name: name.clone(), origin: origin(token) };
+                    let (name, enclave) = (name.clone(), token.node.enclave.clone());
+                    let node = RemoteNode { name, enclave, origin: origin(token) };
                     there.nodes.push((node, token.zid));
                 }
                 RemoteEntity::Topic(end) => {

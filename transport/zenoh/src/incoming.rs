@@ -6,7 +6,7 @@
 //! thread](crate::unclaimed).
 
 use crate::kept::{KeptSamples, Placed, Publisher, Request, SessionId, Target};
-use crate::unclaimed::{ClaimQueue, Claimed, Next, Unclaimed};
+use crate::unclaimed::{ClaimQueue, Claimant, Claimed, Next, Unclaimed};
 use crate::wire::{Attachment, ENCAPSULATION, Malformed, TopicKey, check_encapsulation};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Weak};
@@ -158,11 +158,11 @@ impl Requests {
     /// Watches the publishers, those that come and those that exist.
     fn watch(&self) -> zenoh::Result<[Subscriber<()>; 2]> {
         let publishers = format!("{}/@adv/pub/**", self.key);
-        let (coming, telling) = (self.clone(), self.clone());
+        let (coming, beating) = (self.clone(), self.clone());
         let tokens = self.session.liveliness().declare_subscriber(publishers.clone());
         let tokens = tokens.callback(move |token| coming.send(coming.appeared(&token))).wait()?;
         let numbers = self.session.declare_subscriber(publishers.clone()).allowed_origin(Locality::Remote);
-        let numbers = numbers.callback(move |number| telling.send(telling.told(&number))).wait()?;
+        let numbers = numbers.callback(move |number| beating.send(beating.heartbeat(&number))).wait()?;
         let start = Start { requests: self.clone(), found: PiMutex::default() };
         let found = self.session.liveliness().get(publishers).timeout(START_TIMEOUT);
         found.callback(move |token| token.result().into_iter().for_each(|token| start.add(token))).wait()?;
@@ -184,9 +184,9 @@ impl Requests {
     }
 
     /// A publisher tells the number of its last sample.
-    fn told(&self, sample: &Sample) -> Option<Request> {
+    fn heartbeat(&self, sample: &Sample) -> Option<Request> {
         let (publisher, number) = (self.publisher(sample)?, z_deserialize::<u32>(sample.payload()).ok()?);
-        self.with_kept(|kept| kept.told(publisher, number))
+        self.with_kept(|kept| kept.heartbeat(publisher, number))
     }
 
     fn send(&self, request: Option<Request>) {
@@ -277,15 +277,21 @@ impl Drop for Answer {
 }
 
 /// The way in, shared by the threads of several links; `None` after another one took over.
-pub(crate) struct Gate(PiMutex<Option<Way>>);
+struct Gate(PiMutex<Option<Way>>);
 
 impl Gate {
-    pub(crate) fn with<T: Default>(&self, act: impl FnOnce(&mut Way) -> T) -> T {
+    fn with<T: Default>(&self, act: impl FnOnce(&mut Way) -> T) -> T {
         self.0.lock().as_mut().map(act).unwrap_or_default()
     }
 }
 
-pub(crate) struct Way {
+impl Claimant for Gate {
+    fn pass_waiting(&self, claimed: Claimed) -> Next {
+        self.with(|way| way.port.pass_waiting(claimed))
+    }
+}
+
+struct Way {
     /// Of a transient-local topic.
     kept: Option<KeptSamples<Sample>>,
     port: SampleAdmission,
@@ -302,11 +308,6 @@ impl Way {
                 None
             }
         }
-    }
-
-    /// See [`SampleAdmission::pass_waiting`].
-    pub(crate) fn pass_waiting(&mut self, claimed: Claimed) -> Next {
-        self.port.pass_waiting(claimed)
     }
 
     fn started(&mut self) {
@@ -435,7 +436,7 @@ fn copy<'a>(slices: impl Iterator<Item = &'a [u8]>, mut skip: usize, to: &mut [u
         let (skipped, slice) = slice.split_at(skip.min(slice.len()));
         skip -= skipped.len();
         let len = slice.len().min(to.len() - at);
-        to[at..at + len].copy_from_slice(&slice[..len]);
+        tautline_rt::copy_to_shared(&mut to[at..at + len], &slice[..len]);
         at += len;
         if at == to.len() {
             break;

@@ -220,7 +220,7 @@ impl<S: Placed> KeptSamples<S> {
     }
 
     /// A publisher has told the number of its last sample.
-    pub(crate) fn told(&mut self, publisher: Publisher, number: u32) -> Option<Request> {
+    pub(crate) fn heartbeat(&mut self, publisher: Publisher, number: u32) -> Option<Request> {
         let is_idle = self.recovers && !self.is_starting;
         let state = self.publishers.get(&publisher).filter(|state| is_idle && state.requests == 0)?;
         let what = match state.delivered {
@@ -501,15 +501,15 @@ mod tests {
         assert_eq!(What::From(5).parameters(), "_sn=5..");
         assert_eq!(answered(&mut kept, ONE, &[6, 7]), (vec![6, 7], 0, None), "5 is not kept any more");
         // The last one was lost.
-        assert_eq!(kept.told(ONE, 7), None);
-        assert_eq!(from(kept.told(ONE, 9)), 8);
-        assert_eq!(kept.told(ONE, 9), None, "it is on its way");
+        assert_eq!(kept.heartbeat(ONE, 7), None);
+        assert_eq!(from(kept.heartbeat(ONE, 9)), 8);
+        assert_eq!(kept.heartbeat(ONE, 9), None, "it is on its way");
         assert_eq!(answered(&mut kept, ONE, &[8, 9]), (vec![8, 9], 0, None));
-        assert_eq!(kept.told(OTHER, 9), None, "a publisher that was never seen");
+        assert_eq!(kept.heartbeat(OTHER, 9), None, "a publisher that was never seen");
         let mut careless = KeptSamples::new(4, false);
         careless.started(&mut none);
         assert_eq!(published(&mut careless, ONE, &[1, 3]), [1, 3]);
-        assert_eq!(careless.told(ONE, 9), None);
+        assert_eq!(careless.heartbeat(ONE, 9), None);
     }
 
     #[test]

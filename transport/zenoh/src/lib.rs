@@ -14,11 +14,13 @@
 mod access;
 mod config;
 mod descriptions;
+mod events;
 mod gateway;
 mod graph;
 mod incoming;
 mod kept;
 mod locals;
+mod options;
 mod origin;
 mod outgoing;
 mod remote;
@@ -35,8 +37,9 @@ mod unclaimed;
 
 pub use access::access_layer;
 pub use config::{ConfigError, MAX_MESSAGE_BYTES, Mode, Network, SessionConfig};
-pub use gateway::{Gateway, GatewayError, Options};
+pub use gateway::{Gateway, GatewayError};
 pub use graph::GraphLimits;
+pub use options::Options;
 pub use rules::{Rule, RuleError, Urgency};
 pub use session::{SessionError, network_threads};
 pub use stats::{Direction, ServiceNames, ServiceStats, Stats, TopicNames, TopicStats};

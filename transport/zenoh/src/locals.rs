@@ -2,7 +2,7 @@
 //! The domain's endpoints in terms of the network, including those that bridges and other gateways announce in it.
 
 use crate::tokens::LocalEndpoint;
-use crate::wire::{EndpointKind, NodeName, TypeId, WireDuration, WireQos};
+use crate::wire::{EndpointKind, NodeName, TopicKey, TypeId, WireDuration, WireQos};
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use tautline_relay::{LocalGraph, process_node};
@@ -20,6 +20,7 @@ struct EndpointView<'a> {
     qos: WireQos,
     node: Option<&'a tautline_transport::NodeName>,
     pid: Option<u32>,
+    teller: Option<u64>,
     origin: &'a Origin,
 }
 
@@ -37,6 +38,7 @@ impl<'a> EndpointView<'a> {
             qos: wire_qos(&end.qos),
             node: end.node.as_ref(),
             pid: end.pid,
+            teller: end.teller,
             origin: &end.origin,
         }
     }
@@ -55,6 +57,7 @@ impl<'a> EndpointView<'a> {
             qos: wire_qos(&Qos::keep_last(10)),
             node: end.node.as_ref(),
             pid: end.pid,
+            teller: end.teller,
             origin: &end.origin,
         }
     }
@@ -78,6 +81,8 @@ pub(crate) fn list(
         }
     }
     let (mut processes, mut problems) = (HashMap::new(), BTreeMap::new());
+    let enclaves: HashMap<_, &str> =
+        here.nodes.iter().map(|node| ((&node.name, node.pid, node.teller), &*node.enclave)).collect();
     // Once per topic: the look-up is slow.
     let mut found = HashMap::<(String, TypeName), Option<TypeHash>>::new();
     let mut hash_of = |topic: &str, name: &TypeName| {
@@ -95,8 +100,12 @@ pub(crate) fn list(
             type_id,
             qos: end.qos,
             node: match end.node {
-                Some(node) => wire_node(node),
-                None => processes.entry(end.pid).or_insert_with(|| wire_node(&process_node(end.pid))).clone(),
+                Some(node) => {
+                    wire_node(node, enclaves.get(&(node, end.pid, end.teller)).copied().unwrap_or("/"))
+                }
+                None => {
+                    processes.entry(end.pid).or_insert_with(|| wire_node(&process_node(end.pid), "/")).clone()
+                }
             },
             origin: end.origin.clone(),
         }));
@@ -142,8 +151,16 @@ fn type_id(
     Ok(TypeId { name, hash })
 }
 
-pub(crate) fn wire_node(node: &tautline_transport::NodeName) -> NodeName {
-    NodeName::new(&node.namespace, &node.name)
+/// The key of a topic or service on the network.
+pub(crate) fn wire_key(domain: u32, key: &tautline_relay::TopicKey) -> Result<TopicKey, String> {
+    let type_id =
+        || Some(TypeId { name: key.type_name.parse().ok()?, hash: key.type_hash.as_ref()?.parse().ok()? });
+    let type_id = type_id().ok_or_else(|| format!("'{}' is not a ROS 2 type name", key.type_name))?;
+    Ok(TopicKey { domain, topic: key.far_topic.clone(), type_id })
+}
+
+pub(crate) fn wire_node(node: &tautline_transport::NodeName, enclave: &str) -> NodeName {
+    NodeName { enclave: enclave.to_owned(), ..NodeName::new(&node.namespace, &node.name) }
 }
 
 pub(crate) fn wire_qos(qos: &Qos) -> WireQos {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Origins of endpoints and nodes in tokens: in the enclave, which rmw_zenoh treats as free text and hashes into GIDs.
-//! `/tautline/<tag>/<times over ROS>/<place>/<domain>/<domain>...`, numbers in hexadecimal.
+//! Origins of endpoints and nodes in tokens: in the note, which rmw_zenoh does not read.
+//! `tautline,<tag>,<times over ROS>,<place>,<domain>,<domain>...`, numbers in hexadecimal.
 
-use crate::wire::{NodeName, Token, endpoint_gid};
+use crate::wire::{Token, endpoint_gid};
 use tautline_transport::{Gid, Origin};
 
 /// Prefix of announcements that a publisher ended normally, kept for a while as liveliness tokens, which arrive in order:
@@ -27,22 +27,20 @@ pub(crate) fn ended_tag(key: &str) -> Option<(u128, u64)> {
         .filter(|_| parts.next().is_none())
 }
 
-const OURS: &str = "/tautline/";
+const OURS: &str = "tautline,";
 /// The place of entities whose token no gateway declared.
 const PLACE: &str = "zenoh";
 
-/// A node's names with an origin.
-pub(crate) fn named(node: &NodeName, origin: &Origin) -> NodeName {
+/// The note of a token with an origin.
+pub(crate) fn note(origin: &Origin) -> String {
     let Origin { tag, path, ros, place } = origin;
-    // No part may be empty.
-    let place = if place.is_empty() { "_" } else { place };
-    let path: String = path.iter().map(|domain| format!("/{domain:016x}")).collect();
-    NodeName { enclave: format!("{OURS}{tag:016x}/{ros:x}/{place}{path}"), ..node.clone() }
+    let path: String = path.iter().map(|domain| format!(",{domain:016x}")).collect();
+    format!("{OURS}{tag:016x},{ros:x},{place}{path}")
 }
 
 /// The origin that a token states, or the entity's own, if no gateway declared it.
 pub(crate) fn origin(token: &Token) -> Origin {
-    said(&token.node.enclave).unwrap_or_else(|| {
+    parse(&token.note).unwrap_or_else(|| {
         let gid = match token.endpoint {
             Some(_) => endpoint_gid(token),
             None => Gid((token.zid ^ u128::from(token.node_id) << 64).to_le_bytes()),
@@ -51,23 +49,21 @@ pub(crate) fn origin(token: &Token) -> Origin {
     })
 }
 
-/// Parses an enclave, which is untrusted.
-fn said(enclave: &str) -> Option<Origin> {
-    let mut parts = enclave.strip_prefix(OURS)?.split('/');
+/// Parses a note, which is untrusted.
+fn parse(note: &str) -> Option<Origin> {
+    let mut parts = note.strip_prefix(OURS)?.split(',');
     let number = |text: &str| u64::from_str_radix(text, 16).ok();
     let tag = number(parts.next()?)?;
     let ros = u8::from_str_radix(parts.next()?, 16).ok()?;
-    let place = parts.next()?;
+    let place = parts.next()?.to_owned();
     let path = parts.map(number).collect::<Option<Vec<u64>>>()?;
-    let is_short = place.len() <= Origin::MOST_PLACE_BYTES && path.len() <= Origin::MOST_HOPS;
-    let place = if place == "_" { String::new() } else { place.to_owned() };
-    is_short.then_some(Origin { tag, path, ros, place })
+    Some(Origin { tag, path, ros, place }).filter(Origin::is_valid)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wire::MAX_NAME_BYTES;
+    use crate::wire::NodeName;
 
     #[test]
     fn what_is_written_is_read() {
@@ -79,9 +75,8 @@ mod tests {
         };
         let node = NodeName::new("/robot", "n");
         for origin in [far, Origin::default(), Origin::here(Gid([3; 16]), "host").told_by(7)] {
-            let named = named(&node, &origin);
-            assert!(named.enclave.len() <= MAX_NAME_BYTES);
-            let token = Token { domain: 5, zid: 1, node_id: 2, node: named, endpoint: None };
+            let (node, note) = (node.clone(), note(&origin));
+            let token = Token { domain: 5, zid: 1, node_id: 2, node, endpoint: None, note };
             let parsed = Token::parse(&token.to_string()).unwrap();
             assert_eq!(super::origin(&parsed), origin);
         }
@@ -101,11 +96,14 @@ mod tests {
 
     #[test]
     fn what_no_gateway_writes_is_the_networks_own() {
-        for enclave in ["/", "/secure/robot", "/tautline/x/0/_", "/tautline/1/0", "/tautline/1/0/_/y"] {
-            let node = NodeName { enclave: enclave.into(), ..NodeName::new("/", "n") };
-            let token = |node_id| Token { domain: 5, zid: 1, node_id, node: node.clone(), endpoint: None };
+        for note in ["", "other", "tautline,x,0,", "tautline,1,0", "tautline,1,0,,y", "tautline,1,0,a b"] {
+            let node = NodeName::new("/", "n");
+            let token = |node_id| {
+                let (node, note) = (node.clone(), note.into());
+                Token { domain: 5, zid: 1, node_id, node, endpoint: None, note }
+            };
             let [one, other] = [1, 2].map(|id| origin(&token(id)));
-            assert!(one.path.is_empty() && one.tag != 0 && one.tag != other.tag, "{enclave}: {one:?}");
+            assert!(one.path.is_empty() && one.tag != 0 && one.tag != other.tag, "{note}: {one:?}");
             assert_eq!(one.place, "zenoh");
         }
     }

@@ -115,7 +115,7 @@ impl NetworkServices {
     }
 
     fn key(&self, key: &tautline_relay::TopicKey) -> Result<(TopicKey, ServiceType), String> {
-        let wire_key = crate::side::wire_key(self.domain, key)?;
+        let wire_key = crate::locals::wire_key(self.domain, key)?;
         Ok((wire_key, ServiceType::new(&key.type_name, key.type_hash.as_deref())))
     }
 }
@@ -280,7 +280,7 @@ struct PendingQuery {
 }
 
 impl PendingQuery {
-    fn hear(&self, reply: &Reply) {
+    fn receive(&self, reply: &Reply) {
         match reply.result() {
             Ok(sample) => {
                 if self.outcomes.push(Outcome::Reply(self.number, sample.payload().clone()), MOST_WAITING) {
@@ -322,7 +322,7 @@ impl Client {
             .consolidation(ConsolidationMode::None)
             .timeout(TIMEOUT)
             .cancellation_token(token)
-            .callback(move |reply| asked.hear(&reply));
+            .callback(move |reply| asked.receive(&reply));
         if let Err(error) = query.wait() {
             // Dropping its callback ends it as unanswered.
             tracing::warn!("{}: a request is not sent: {error}", self.key);
@@ -331,7 +331,7 @@ impl Client {
 }
 
 impl FarClient for Client {
-    const IS_LOOKED_AT: bool = false;
+    const IS_POLLED: bool = false;
 
     /// The relay creates it only while another host has a server.
     fn is_available(&mut self) -> bool {
@@ -347,7 +347,7 @@ impl FarClient for Client {
         self.pending.make_room(is_waited_for, Instant::now())
     }
 
-    fn ask(&mut self, id: RequestId, request: &RawSample) -> Result<(), String> {
+    fn send(&mut self, id: RequestId, request: &RawSample) -> Result<(), String> {
         self.query(id, request.info().source_timestamp_ns, request.body());
         Ok(())
     }

@@ -2,84 +2,32 @@
 //! The network as the far side of a mirror.
 
 use crate::descriptions::Descriptions;
-use crate::gateway::{GatewayState, Options};
+use crate::events::{self, NetworkEvent, cut};
 use crate::graph::Graph;
 use crate::incoming::{self, Incoming};
-use crate::locals::{self, wire_node, wire_qos};
-use crate::origin::{ended, ended_tag};
+use crate::locals::{self, wire_key, wire_node, wire_qos};
+use crate::options::Options;
+use crate::origin::ended;
 use crate::outgoing::{Identity, Network, NetworkSender, Writer};
 use crate::services::NetworkServices;
-use crate::stats::{ServiceNames, TopicNames};
+use crate::stats::{GatewayState, ServiceNames, TopicNames};
 use crate::tokens::{TokenChange, Tokens};
 use crate::types::Types;
 use crate::unclaimed::ClaimThread;
-use crate::wire::{MAX_KEY_BYTES, Token, TopicKey, TypeId, token_wildcard};
+use crate::wire::{Token, TopicKey, token_wildcard};
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 use tautline_relay::{
-    Delivery, Event, FarGraph, FarSide, FoundType, InKey, Ingress, IngressUpdate, Inward, LocalGraph,
-    Publisher, Report, Side, Transit, Writers,
+    Delivery, FarGraph, FarSide, FoundType, InKey, Ingress, IngressUpdate, Inward, LocalGraph, Publisher,
+    Report, Side, Transit, Writers,
 };
 use tautline_schema::Packages;
 use tautline_transport::{Limits, Participant, Qos, RawPublisher, SchemaStore, TopicType, TransportError};
 use zenoh::liveliness::LivelinessToken;
-use zenoh::query::{Query, Reply};
-use zenoh::sample::{Sample, SampleKind};
+use zenoh::query::Reply;
 use zenoh::{Session, Wait};
-
-/// Events from the network.
-pub(crate) enum NetworkEvent {
-    TokenUp(String),
-    TokenDown(String),
-    /// A publisher of another host ended normally.
-    Ended(u64),
-    /// A node there answered with this type's description; `None` if it is too long.
-    Described(TypeId, Option<Vec<u8>>),
-    /// A node there requests a type from a node here.
-    Asked(Query),
-}
-
-/// The queue of these events.
-pub(crate) type Events = mpsc::SyncSender<Event<NetworkEvent>>;
-
-/// Passes tokens from Zenoh's thread to the control thread. On overflow, all tokens are requested again later.
-pub(crate) fn tokens_to(events: Events) -> impl Fn(Sample) + Send + Sync + 'static {
-    move |sample| {
-        let key = cut(sample.key_expr().as_str());
-        let event = match sample.kind() {
-            SampleKind::Put => NetworkEvent::TokenUp(key),
-            SampleKind::Delete => NetworkEvent::TokenDown(key),
-        };
-        if events.try_send(Event::FarChange(event)).is_err() {
-            MISSED.store(true, Ordering::Relaxed);
-        }
-    }
-}
-
-/// The same for announcements of publishers' ends, except those of this session.
-pub(crate) fn ends_to(events: Events, own_zid: u128) -> impl Fn(Sample) + Send + Sync + 'static {
-    move |sample| {
-        let said = ended_tag(sample.key_expr().as_str()).filter(|_| sample.kind() == SampleKind::Put);
-        if let Some((_, tag)) = said.filter(|(zid, _)| *zid != own_zid) {
-            // On overflow it counts as a death.
-            let _ = events.try_send(Event::FarChange(NetworkEvent::Ended(tag)));
-        }
-    }
-}
-
-/// Truncates overlong keys, which are then refused without being stored.
-fn cut(key: &str) -> String {
-    let mut end = key.len().min(MAX_KEY_BYTES + 1);
-    while !key.is_char_boundary(end) {
-        end += 1;
-    }
-    key[..end].to_owned()
-}
-
-/// Whether an event was dropped, at any gateway of the process: one resync too many does no harm.
-static MISSED: AtomicBool = AtomicBool::new(false);
 
 /// Time-out of a request for all tokens.
 const RESYNC_TIMEOUT: Duration = Duration::from_secs(2);
@@ -150,7 +98,7 @@ impl NetworkSide {
         wire_key(self.options.domain_there(), key)
     }
 
-    fn say(&mut self, change: TokenChange) {
+    fn apply(&mut self, change: TokenChange) {
         match change {
             TokenChange::Declare(token) => {
                 let text = token.to_string();
@@ -174,11 +122,11 @@ impl NetworkSide {
     }
 
     /// Requests unknown types of incoming topics from nodes that were not asked yet.
-    fn ask_for_types(&mut self) {
+    fn request_types(&mut self) {
         let types = &mut self.types;
         self.undescribed.retain(|key| types.schema(&key.type_id).is_none());
         for key in &self.undescribed {
-            self.descriptions.ask(&self.session, key, &self.graph);
+            self.descriptions.request(&self.session, key, &self.graph);
         }
     }
 
@@ -233,14 +181,6 @@ impl NetworkSide {
     }
 }
 
-/// The key of a topic or service on the network.
-pub(crate) fn wire_key(domain: u32, key: &tautline_relay::TopicKey) -> Result<TopicKey, String> {
-    let type_id =
-        || Some(TypeId { name: key.type_name.parse().ok()?, hash: key.type_hash.as_ref()?.parse().ok()? });
-    let type_id = type_id().ok_or_else(|| format!("'{}' is not a ROS 2 type name", key.type_name))?;
-    Ok(TopicKey { domain, topic: key.far_topic.clone(), type_id })
-}
-
 impl FarSide for NetworkSide {
     const SIDE: Side = Side::Network;
     const DELIVERY: Delivery = incoming::DELIVERY;
@@ -250,14 +190,14 @@ impl FarSide for NetworkSide {
     type Services = NetworkServices;
     const PATIENCE: Option<Duration> = Some(Duration::from_secs(1));
 
-    fn hear(&mut self, event: NetworkEvent) -> bool {
+    fn handle(&mut self, event: NetworkEvent) -> bool {
         let is_changed = match event {
             NetworkEvent::TokenUp(key) => self.graph.insert(&key),
             NetworkEvent::TokenDown(key) => {
                 let was_there = self.graph.remove(&key);
                 if self.graph.wants_resync() {
                     // With the next tick, because it takes a while.
-                    MISSED.store(true, Ordering::Relaxed);
+                    events::set_missed();
                 }
                 was_there
             }
@@ -278,7 +218,7 @@ impl FarSide for NetworkSide {
         is_changed
     }
 
-    fn look(&mut self, _: &LocalGraph) -> Result<FarGraph, String> {
+    fn read_graph(&mut self, _: &LocalGraph) -> Result<FarGraph, String> {
         if std::mem::take(&mut self.is_unseen) {
             let remote: Vec<Token> = self.graph.tokens().cloned().collect();
             *self.state.remote.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(remote);
@@ -302,8 +242,11 @@ impl FarSide for NetworkSide {
         let descriptions = &self.descriptions;
         ends.retain(|end| end.origin.is_here() || !descriptions.is_theirs(end));
         here.services.retain(|end| end.origin.is_here() || !descriptions.answers_for(end));
-        let nodes: Vec<_> =
-            here.nodes.iter().map(|node| (wire_node(&node.name), node.origin.clone())).collect();
+        let nodes: Vec<_> = here
+            .nodes
+            .iter()
+            .map(|node| (wire_node(&node.name, &node.enclave), node.origin.clone()))
+            .collect();
         let names = nodes.iter().map(|(name, _)| name).chain(ends.iter().map(|end| &end.node));
         let mut offered = descriptions.offered(names, &ends);
         let filter = &self.options.filter;
@@ -322,26 +265,26 @@ impl FarSide for NetworkSide {
             .filter_map(|(name, origin)| Some((name, transit.announced(&origin)?)))
             .collect();
         let ended = here.ended.iter().copied().collect();
-        self.changes.append(&mut self.tokens.tell(&nodes, ends, &ended));
+        self.changes.append(&mut self.tokens.update(&nodes, ends, &ended));
     }
 
-    fn show(&mut self, _: &LocalGraph, _: &Transit) {}
+    fn update_services(&mut self, _: &LocalGraph, _: &Transit) {}
 
-    fn shown(&self) {}
+    fn service_context(&self) {}
 
-    fn tell(&mut self, _: &LocalGraph, _: &Transit, _: &Writers<Writer>) {
+    fn announce(&mut self, _: &LocalGraph, _: &Transit, _: &Writers<Writer>) {
         for change in std::mem::take(&mut self.changes) {
-            self.say(change);
+            self.apply(change);
         }
     }
 
     fn tick(&mut self, _: &mut Writers<Writer>) -> bool {
-        let is_missed = MISSED.swap(false, Ordering::Relaxed);
+        let is_missed = events::take_missed();
         if is_missed {
             self.resync();
         }
         self.ended.retain(|(since, _)| since.elapsed() < ENDED_TIME);
-        self.ask_for_types();
+        self.request_types();
         self.retry_kept();
         is_missed
     }
@@ -399,7 +342,7 @@ impl FarSide for NetworkSide {
         }
         if self.types.schema(&wire_key.type_id).is_none() {
             self.undescribed.insert(wire_key.clone());
-            self.descriptions.ask(&self.session, &wire_key, &self.graph);
+            self.descriptions.request(&self.session, &wire_key, &self.graph);
         }
         let max_bytes = self.options.max_message_bytes;
         let claims = self.claims.queue();
@@ -408,7 +351,7 @@ impl FarSide for NetworkSide {
         Ok(())
     }
 
-    fn takes(&self, key: &InKey) -> bool {
+    fn is_taking(&self, key: &InKey) -> bool {
         self.incoming.contains_key(key)
     }
 

@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Statistics of the gateway.
 
+use crate::wire::Token;
 use serde::Serialize;
 use std::collections::BTreeMap;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex};
 pub use tautline_relay::Direction;
 use tautline_relay::TopicKey;
 
@@ -76,4 +79,12 @@ impl ServiceNames {
     pub(crate) fn of(key: TopicKey) -> Self {
         ServiceNames { service: key.topic, type_name: key.type_name }
     }
+}
+
+/// What a running gateway shows.
+pub(crate) struct GatewayState {
+    pub(crate) stop: AtomicBool,
+    pub(crate) stats: Mutex<Stats>,
+    /// Nodes and endpoints of other hosts.
+    pub(crate) remote: Mutex<Arc<Vec<Token>>>,
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The domain's liveliness tokens on the network: one for each node and endpoint. Decided here, declared elsewhere.
 
-use crate::origin::named;
+use crate::origin::note;
 use crate::wire::{CPU_BACKEND, Endpoint, EndpointKind, NodeName, Token, TypeId, WireQos, endpoint_gid};
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use tautline_transport::{Durability, Gid, Origin};
@@ -41,7 +41,7 @@ pub(crate) struct Tokens {
     zid: u128,
     domain: u32,
     next_id: u64,
-    nodes: BTreeMap<NodeName, Token>,
+    nodes: BTreeMap<(NodeName, Origin), Token>,
     ends: BTreeMap<Gid, DeclaredEndpoint>,
 }
 
@@ -76,7 +76,7 @@ impl Tokens {
     }
 
     /// Announces exactly these nodes and endpoints; also that publishers with tags in `ended` ended normally.
-    pub(crate) fn tell(
+    pub(crate) fn update(
         &mut self,
         nodes: &[(NodeName, Origin)],
         ends: Vec<LocalEndpoint>,
@@ -84,31 +84,32 @@ impl Tokens {
     ) -> Vec<TokenChange> {
         let mut changes = Vec::new();
         // By name and path: endpoints identify their nodes no further.
-        let mut named_nodes = BTreeMap::<NodeKey, BTreeSet<NodeName>>::new();
+        let mut wanted = BTreeMap::<NodeKey, BTreeSet<(NodeName, Origin)>>::new();
         for (name, origin) in nodes {
-            named_nodes.entry(node_key(name, origin)).or_default().insert(named(name, origin));
+            wanted.entry(node_key(name, origin)).or_default().insert((name.clone(), origin.clone()));
         }
         for end in &ends {
             let key = node_key(&end.node, &end.origin);
             let tag = Origin::tag_of(&format!("{:x?} {}", key.1.path.first(), key.0));
-            let unlisted = || BTreeSet::from([named(&end.node, &Origin { tag, ..end.origin.clone() })]);
-            named_nodes.entry(key).or_insert_with(unlisted);
+            let unlisted = || BTreeSet::from([(end.node.clone(), Origin { tag, ..end.origin.clone() })]);
+            wanted.entry(key).or_insert_with(unlisted);
         }
-        let used: BTreeSet<NodeName> = named_nodes.values().flatten().cloned().collect();
-        for node in &used {
-            if !self.nodes.contains_key(node) {
+        let used: BTreeSet<(NodeName, Origin)> = wanted.values().flatten().cloned().collect();
+        for key in &used {
+            if !self.nodes.contains_key(key) {
                 let (domain, zid, node_id) = (self.domain, self.zid, self.id());
-                let token = Token { domain, zid, node_id, node: node.clone(), endpoint: None };
+                let (node, note) = (key.0.clone(), note(&key.1));
+                let token = Token { domain, zid, node_id, node, endpoint: None, note };
                 changes.push(TokenChange::Declare(token.clone()));
-                self.nodes.insert(node.clone(), token);
+                self.nodes.insert(key.clone(), token);
             }
         }
         // Of several nodes, the oldest gets the endpoints.
-        let oldest = |names: &BTreeSet<NodeName>| {
-            names.iter().filter_map(|name| self.nodes.get(name)).map(|token| token.node_id).min()
+        let oldest = |nodes: &BTreeSet<(NodeName, Origin)>| {
+            nodes.iter().filter_map(|node| self.nodes.get(node)).map(|token| token.node_id).min()
         };
         let node_ids: BTreeMap<NodeKey, u64> =
-            named_nodes.iter().filter_map(|(key, names)| Some((key.clone(), oldest(names)?))).collect();
+            wanted.iter().filter_map(|(key, nodes)| Some((key.clone(), oldest(nodes)?))).collect();
         let node_of = |end: &LocalEndpoint| node_ids.get(&node_key(&end.node, &end.origin)).copied();
         let now: BTreeMap<Gid, LocalEndpoint> = ends.into_iter().map(|end| (end.gid, end)).collect();
         // A changed endpoint gets a new token. Its old one is withdrawn last, so that others always see one.
@@ -135,10 +136,11 @@ impl Tokens {
             }
         }
         changes.append(&mut replaced);
-        let unused: Vec<NodeName> = self.nodes.keys().filter(|node| !used.contains(node)).cloned().collect();
-        changes.extend(
-            unused.into_iter().filter_map(|node| self.nodes.remove(&node).map(TokenChange::Withdraw)),
-        );
+        self.nodes.retain(|node, token| {
+            let is_used = used.contains(node);
+            changes.extend((!is_used).then(|| TokenChange::Withdraw(token.clone())));
+            is_used
+        });
         changes
     }
 
@@ -154,8 +156,8 @@ impl Tokens {
         let is_volatile = kind == EndpointKind::Subscription && qos.durability == Durability::Volatile;
         let suffix = if is_volatile { CPU_BACKEND.to_owned() } else { String::new() };
         let endpoint = Endpoint { id: self.id(), kind, name: topic, type_id, qos, suffix };
-        let node = named(&node, &origin);
-        Token { domain: self.domain, zid: self.zid, node_id, node, endpoint: Some(endpoint) }
+        let note = note(&origin);
+        Token { domain: self.domain, zid: self.zid, node_id, node, endpoint: Some(endpoint), note }
     }
 }
 
@@ -200,7 +202,7 @@ mod tests {
     const NONE: [&str; 0] = [];
 
     fn tell(tokens: &mut Tokens, ends: &[LocalEndpoint]) -> Vec<String> {
-        declared(&tokens.tell(&[], ends.to_vec(), &HashSet::new()))
+        declared(&tokens.update(&[], ends.to_vec(), &HashSet::new()))
     }
 
     #[test]
@@ -214,7 +216,7 @@ mod tests {
         assert_eq!(tell(&mut tokens, &[]), ["- Client /add", "- node /n"]);
         // A node without endpoints.
         let node = [(NodeName::new("/a", "m"), Origin { tag: 99, ..Origin::default() })];
-        let mut changes = |ends| declared(&tokens.tell(&node, ends, &HashSet::new()));
+        let mut changes = |ends| declared(&tokens.update(&node, ends, &HashSet::new()));
         assert_eq!(changes(vec![]), ["+ node /a/m"]);
         assert_eq!(changes(vec![publisher(1)]), ["+ node /n", "+ Publisher /x"]);
         assert_eq!(changes(vec![]), ["- Publisher /x", "- node /n"]);
@@ -225,7 +227,7 @@ mod tests {
         let mut tokens = Tokens::new(5, 1);
         tell(&mut tokens, &[publisher(1), publisher(2), end(3, EndpointKind::Subscription, "x")]);
         // Its tag is its GID's here; only publishers' ends are announced.
-        let changes = tokens.tell(&[], vec![], &HashSet::from([1, 3, 9]));
+        let changes = tokens.update(&[], vec![], &HashSet::from([1, 3, 9]));
         let expected = ["ended 1", "- Publisher /x", "- Publisher /x", "- Subscription /x", "- node /n"];
         assert_eq!(declared(&changes), expected);
     }
@@ -248,7 +250,7 @@ mod tests {
         let mut tokens = Tokens::new(5, 1);
         let mut ids = BTreeSet::new();
         for n in 0..100 {
-            for change in tokens.tell(&[], vec![publisher(n)], &HashSet::new()) {
+            for change in tokens.update(&[], vec![publisher(n)], &HashSet::new()) {
                 if let TokenChange::Declare(token) = change {
                     assert!(ids.insert(token.endpoint.map_or(token.node_id, |endpoint| endpoint.id)));
                 }

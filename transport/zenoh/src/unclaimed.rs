@@ -2,7 +2,6 @@
 //! Messages that need shared memory which is not claimed yet: the first ones, and ones longer than all before. Claiming some MiB
 //! takes milliseconds, in which Zenoh's thread would receive nothing of any topic, so they wait for a thread that may claim.
 
-use crate::incoming::Gate;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Weak, mpsc};
@@ -25,17 +24,17 @@ pub(crate) struct ClaimThread {
 /// Its queue: topics whose messages wait, each once; `None` ends it.
 #[derive(Clone)]
 pub(crate) struct ClaimQueue {
-    topics: mpsc::Sender<Option<Weak<Gate>>>,
+    topics: mpsc::Sender<Option<Weak<dyn Claimant>>>,
     waiting_bytes: Arc<AtomicUsize>,
 }
 
 impl ClaimThread {
     pub(crate) fn start(thread: ThreadBuilder) -> Result<Self, RtError> {
-        let (topics, waiting) = mpsc::channel::<Option<Weak<Gate>>>();
+        let (topics, waiting) = mpsc::channel::<Option<Weak<dyn Claimant>>>();
         let thread = thread.spawn(move || {
             move || {
                 while let Ok(Some(gate)) = waiting.recv() {
-                    gate.upgrade().inspect(|gate| pass_waiting(gate));
+                    gate.upgrade().inspect(|gate| pass_waiting(&**gate));
                 }
             }
         })?;
@@ -57,6 +56,12 @@ impl Drop for ClaimThread {
     }
 }
 
+/// A topic whose messages wait.
+pub(crate) trait Claimant: Send + Sync {
+    /// Passes the first message that waits, if its memory is there.
+    fn pass_waiting(&self, claimed: Claimed) -> Next;
+}
+
 /// What to do next for a topic whose messages wait.
 #[derive(Default)]
 pub(crate) enum Next {
@@ -70,10 +75,10 @@ pub(crate) enum Next {
 }
 
 /// Claims without the topic's lock, and gives it up after each message: the receiving threads are waiting for it.
-fn pass_waiting(gate: &Gate) {
+fn pass_waiting(gate: &dyn Claimant) {
     let mut claimed = None;
     loop {
-        match gate.with(|way| way.pass_waiting(claimed.take())) {
+        match gate.pass_waiting(claimed.take()) {
             Next::Done => return,
             Next::Pass => {}
             Next::Claim(claimer, len_bytes) => claimed = Some(claimer.claim(len_bytes)),
@@ -87,12 +92,12 @@ pub(crate) type Claimed = Option<Result<(), LoanError>>;
 /// A topic's messages that wait for memory, in order.
 pub(crate) struct Unclaimed {
     messages: VecDeque<(Sample, MessageMeta)>,
-    gate: Weak<Gate>,
+    gate: Weak<dyn Claimant>,
     queue: ClaimQueue,
 }
 
 impl Unclaimed {
-    pub(crate) fn new(gate: Weak<Gate>, queue: ClaimQueue) -> Self {
+    pub(crate) fn new(gate: Weak<dyn Claimant>, queue: ClaimQueue) -> Self {
         Unclaimed { messages: VecDeque::new(), gate, queue }
     }
 

@@ -3,6 +3,7 @@
 
 mod support;
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use support::{Host, connect, string_type, take, until};
 use tautline_transport::{PublishError, Qos, RawSubscription};
 
@@ -65,4 +66,40 @@ fn between_ends_that_keep_all_nothing_is_lost() {
     }
     println!("published in {:?}", start.elapsed());
     assert!(numbers(&subscription, COUNT).into_iter().eq(0..COUNT));
+}
+
+/// As many bytes as DDS has room for at once, one burst after the other, beside threads that keep Zenoh's from a processor.
+#[test]
+fn a_burst_waits_for_the_links_thread() {
+    const COUNT: u64 = 50;
+    let a = Host::first(99, 99);
+    let b = Host::beside(&a, 100);
+    let qos = Qos::keep_last(COUNT as usize);
+    let publisher = a.publisher("/nested", &string_type(), qos);
+    let subscription = b.subscription("/nested", &string_type(), qos);
+    connect(&publisher, &[&subscription], b"probe");
+    let has_ended = AtomicBool::new(false);
+    let bursts = || {
+        for burst in 0..100 {
+            for n in 0..COUNT {
+                let mut body = vec![0; 6000 + (n as usize * 397) % 9200];
+                body[..8].copy_from_slice(&(burst * COUNT + n).to_le_bytes());
+                publisher.publish(&body).unwrap();
+            }
+            let first = |_| u64::from_le_bytes(take(&subscription).body()[..8].try_into().unwrap());
+            assert!((0..COUNT).map(first).eq(burst * COUNT..(burst + 1) * COUNT), "burst {burst}");
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 0..4 * std::thread::available_parallelism().map_or(1, usize::from) {
+            scope.spawn(|| {
+                while !has_ended.load(Ordering::Relaxed) {
+                    std::hint::spin_loop();
+                }
+            });
+        }
+        let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(bursts));
+        has_ended.store(true, Ordering::Relaxed);
+        outcome.unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+    });
 }

@@ -27,7 +27,9 @@ fn nodes_of_both_generations_find_and_hear_ours() {
     let told = move |sample: zenoh::sample::Sample| drop(found.send(sample.key_expr().to_string()));
     let _look = look.callback(told).wait().unwrap();
     let announced = wait("our subscription's token", || tokens.try_recv().ok());
-    assert!(announced.ends_with("/::,100:,:,:,,/backends:cpu:"), "{announced}");
+    // It reads six fields of the QoS.
+    let [.., qos, backends] = *announced.split('/').collect::<Vec<_>>() else { panic!("{announced}") };
+    assert!(qos.starts_with("::,100:,:,:,,:tautline,") && backends == "backends:cpu:", "{announced}");
 
     for (id, suffix, at) in [(1, "", key.to_string()), (2, "/backends:cpu:;cuda:0", key.cpu_group())] {
         let token =

@@ -118,7 +118,7 @@ fn messages_are_written_here_and_read_there() {
 fn hosts_see_each_others_nodes() {
     let a = Host::first(113, 113);
     let b = Host::beside(&a, 114);
-    let node = a.participant.create_node("talker", "/robot").unwrap();
+    let node = a.participant.create_node_in_enclave("talker", "/robot", "/front/left").unwrap();
     let silent = a.participant.create_node("silent", "/").unwrap();
     let qos = Qos::keep_last(7).best_effort().transient_local();
     let publisher = a
@@ -143,6 +143,15 @@ fn hosts_see_each_others_nodes() {
     };
     until("nodes", || names(&b).len() >= 2);
     assert_eq!(names(&b), [("/silent".into(), true), ("/robot/talker".into(), true)]);
+    let nodes = b.participant.graph().unwrap().nodes.clone();
+    let enclaves: Vec<&str> = nodes.iter().map(|node| &*node.enclave).collect();
+    assert_eq!(enclaves, ["/", "/front/left"]);
+    // Also in the tokens of what belongs to the node, as any peer of the network sees them.
+    let tokens = b.gateway().remote();
+    let theirs = tokens.iter().filter(|token| token.node.name == "talker");
+    let theirs: Vec<_> = theirs.map(|token| (&*token.node.enclave, token.endpoint.is_some())).collect();
+    assert!(theirs.iter().all(|(enclave, _)| *enclave == "/front/left"), "{theirs:?}");
+    assert!([true, false].iter().all(|is_end| theirs.iter().any(|(_, end)| end == is_end)), "{theirs:?}");
     let services = || {
         let mut services = b.participant.graph().unwrap().services.clone();
         // Beside those that tell of types.

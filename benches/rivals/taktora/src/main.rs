@@ -21,13 +21,13 @@ fn run(job: &Job) -> Result<()> {
     configure(job)?;
     match job.payload_bytes {
         64 => play::<8>(job),
-        512 => play::<64>(job),
         1024 => play::<128>(job),
         4096 => play::<512>(job),
-        32768 => play::<4096>(job),
+        16384 => play::<2048>(job),
+        65536 => play::<8192>(job),
         262144 => play::<32768>(job),
         1048576 => play::<131072>(job),
-        2097152 => play::<262144>(job),
+        4194304 => play::<524288>(job),
         8388608 => play::<1048576>(job),
         bytes => Err(format!("there is no frame of {bytes} bytes").into()),
     }

@@ -19,7 +19,7 @@ use tautline_transport::{Participant, ServiceType};
 /// Interval of checks whether a server there is available.
 const SEEK_PERIOD: Duration = Duration::from_millis(20);
 /// Interval of checks whether it still is, and of time-outs of requests.
-const LOOK_PERIOD: Duration = Duration::from_millis(500);
+const CHECK_PERIOD: Duration = Duration::from_millis(500);
 
 /// The far side's part in services, owned by the thread.
 pub trait FarServices: Send + Sized + 'static {
@@ -133,7 +133,7 @@ impl<F: FarServices> Services<F> {
             waker: waker.clone(),
             state: state.clone(),
             refused,
-            looked: Instant::now(),
+            checked: Instant::now(),
         };
         let wake = move || waker.wake_by_ref();
         let worker = Worker::start(thread, wake, move |commands| exchange.run(&commands))?;
@@ -152,7 +152,7 @@ impl<F: FarServices> Services<F> {
         }
         self.routes = routes.clone();
         let (_done, applied) = mpsc::channel();
-        self.worker.tell(Command { routes, with, _done });
+        self.worker.send(Command { routes, with, _done });
         RoutesApplied(Some(applied))
     }
 
@@ -192,7 +192,7 @@ struct Exchange<F: FarServices> {
     /// Last errors of routes that could not be opened.
     refused: BTreeMap<TopicKey, String>,
     /// When all services were last checked.
-    looked: Instant,
+    checked: Instant,
 }
 
 impl<F: FarServices> Exchange<F> {
@@ -206,7 +206,7 @@ impl<F: FarServices> Exchange<F> {
             if let Some(command) = last {
                 self.set_routes(&command.routes, &command.with);
             }
-            let is_time = self.next_look().is_some_and(|next| next <= Instant::now());
+            let is_time = self.next_check().is_some_and(|next| next <= Instant::now());
             let is_busy = self.poll(is_time);
             if let Err(error) = self.wait(is_busy) {
                 // One log line is enough, and a thread of this priority must not spin.
@@ -217,21 +217,21 @@ impl<F: FarServices> Exchange<F> {
     }
 
     /// When to check for changes that nothing signals.
-    fn next_look(&self) -> Option<Instant> {
+    fn next_check(&self) -> Option<Instant> {
         let is_seeking = self.sought.values().any(Sought::is_seeking);
         let is_waiting = || {
-            (F::Client::IS_LOOKED_AT && !self.sought.is_empty())
+            (F::Client::IS_POLLED && !self.sought.is_empty())
                 || self.offered.values().any(Offered::is_waiting)
                 || self.sought.values().any(Sought::is_waiting)
         };
-        let period = if is_seeking { Some(SEEK_PERIOD) } else { is_waiting().then_some(LOOK_PERIOD) };
-        Some(self.looked + period?)
+        let period = if is_seeking { Some(SEEK_PERIOD) } else { is_waiting().then_some(CHECK_PERIOD) };
+        Some(self.checked + period?)
     }
 
     /// Handles events of the domain. Returns whether there may be more.
     fn poll(&mut self, is_time: bool) -> bool {
         if is_time {
-            self.looked = Instant::now();
+            self.checked = Instant::now();
         }
         let mut is_busy = false;
         let mut refused = Vec::new();
@@ -253,7 +253,7 @@ impl<F: FarServices> Exchange<F> {
     fn wait(&mut self, is_busy: bool) -> Result<(), String> {
         let timeout = match is_busy {
             true => Some(Duration::ZERO),
-            false => self.next_look().map(|next| next.saturating_duration_since(Instant::now())),
+            false => self.next_check().map(|next| next.saturating_duration_since(Instant::now())),
         };
         let servers: Vec<&F::Server> = self.offered.values().map(Offered::far).collect();
         let clients: Vec<&F::Client> = self.sought.values().map(Sought::far).collect();

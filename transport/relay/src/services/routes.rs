@@ -90,10 +90,10 @@ impl Routes {
                 ends.iter().filter(|end| end.kind == ServiceKind::Server).collect();
             let same = servers_of(there, &choice).filter(|end| type_of(end) == of_type);
             let same: Vec<&ServiceEndpoint> = same.collect();
-            if choice.goes(Direction::Out) && servers.iter().any(|end| announced(end)) {
+            if choice.allows(Direction::Out) && servers.iter().any(|end| announced(end)) {
                 let type_hash = key.type_hash.clone();
                 self.offered.insert(key, OfferedService { type_hash, node: None });
-            } else if choice.goes(Direction::In) && servers.is_empty() && !same.is_empty() {
+            } else if choice.allows(Direction::In) && servers.is_empty() && !same.is_empty() {
                 // The rest are clients.
                 self.seek(key, ends[0], &same);
             }
@@ -135,11 +135,11 @@ impl Routes {
         let is_nearer = !same.is_empty() && server.is_some_and(|server| !server.origin.is_here());
         match (server, other.first()) {
             (Some(server), _) if !announced(server) => {}
-            (Some(_), _) if is_nearer && is_asked && choice.goes(Direction::In) => {
+            (Some(_), _) if is_nearer && is_asked && choice.allows(Direction::In) => {
                 self.seek(key, end, &same);
             }
             (Some(_), _) if is_nearer => {}
-            (Some(server), _) if choice.goes(Direction::Out) => {
+            (Some(server), _) if choice.allows(Direction::Out) => {
                 let is_alone = same.is_empty() && other.is_empty();
                 if !is_alone {
                     // Clients in ROS would get two responses.
@@ -151,7 +151,7 @@ impl Routes {
                     self.offered.insert(key, OfferedService { type_hash, node });
                 }
             }
-            (None, _) if choice.goes(Direction::In) && !same.is_empty() => {
+            (None, _) if choice.allows(Direction::In) && !same.is_empty() => {
                 self.seek(key, end, &same);
             }
             (None, Some(other)) => {

@@ -18,7 +18,7 @@ use tautline_transport::{
 const DEPTH: usize = 100;
 
 /// Maximum of pending error responses per service.
-const MOST_UNTOLD: usize = 1024;
+const MOST_UNSENT_ERRORS: usize = 1024;
 
 const SERVER_GONE: &str = "its server has gone";
 
@@ -28,7 +28,7 @@ pub trait FarClient: Send {
     fn is_available(&mut self) -> bool;
 
     /// Whether changes of that are not signalled, and must be polled.
-    const IS_LOOKED_AT: bool;
+    const IS_POLLED: bool;
 
     /// Sets the present servers. Returns the requests that no server can answer any more.
     fn set_servers(&mut self, servers: &BTreeSet<ServerId>) -> Vec<RequestId>;
@@ -40,7 +40,7 @@ pub trait FarClient: Send {
     ///
     /// # Errors
     /// Why that failed.
-    fn ask(&mut self, id: RequestId, request: &RawSample) -> Result<(), String>;
+    fn send(&mut self, id: RequestId, request: &RawSample) -> Result<(), String>;
 
     /// Takes a response; `None` if there is none.
     fn take(&mut self) -> Option<Response>;
@@ -67,7 +67,7 @@ pub(super) struct Sought<C: FarClient> {
     /// A request that waits for room there.
     next: Option<RawSample>,
     /// Requests whose error response could not be sent yet.
-    untold: VecDeque<RequestId>,
+    unsent_errors: VecDeque<RequestId>,
     service: String,
     service_type: ServiceType,
     participant: Participant,
@@ -88,7 +88,7 @@ impl<C: FarClient> Sought<C> {
             far,
             server: None,
             next: None,
-            untold: VecDeque::new(),
+            unsent_errors: VecDeque::new(),
             flag,
             service,
             service_type,
@@ -116,15 +116,15 @@ impl<C: FarClient> Sought<C> {
     /// Answers the client with an error.
     fn refuse(&mut self, id: RequestId, reason: impl ToString) {
         self.counters.failed(reason);
-        self.tell(id);
+        self.send_error(id);
     }
 
-    fn tell(&mut self, id: RequestId) {
+    fn send_error(&mut self, id: RequestId) {
         let Some(server) = &self.server else { return };
         match server.refuse(id) {
             Ok(()) | Err(ServiceError::ClientGone { .. }) => {}
             // Its queue is full, or memory is exhausted: retried later.
-            Err(_) if self.untold.len() < MOST_UNTOLD => self.untold.push_back(id),
+            Err(_) if self.unsent_errors.len() < MOST_UNSENT_ERRORS => self.unsent_errors.push_back(id),
             // Ending the server ends its requests.
             Err(_) => self.let_go(),
         }
@@ -132,7 +132,7 @@ impl<C: FarClient> Sought<C> {
 
     /// Whether a request waits for room, or error responses wait to be sent.
     pub(super) fn is_waiting(&self) -> bool {
-        self.next.is_some() || !self.untold.is_empty()
+        self.next.is_some() || !self.unsent_errors.is_empty()
     }
 
     /// Ends the server here, so that all pending requests get an error.
@@ -140,7 +140,7 @@ impl<C: FarClient> Sought<C> {
         self.counters.set_active(false);
         self.counters.failed_times(self.far.forget(), SERVER_GONE);
         (self.server, self.next) = (None, None);
-        self.untold.clear();
+        self.unsent_errors.clear();
     }
 
     /// If the flag is set or `is_time`, sends requests of clients here, at most one turn. Returns whether there may be more.
@@ -162,9 +162,9 @@ impl<C: FarClient> Sought<C> {
             self.server = Some(self.participant.create_raw_server(service, service_type, DEPTH, limits())?);
             self.counters.set_active(true);
         }
-        for _ in 0..self.untold.len() {
-            let id = self.untold.pop_front();
-            id.into_iter().for_each(|id| self.tell(id));
+        for _ in 0..self.unsent_errors.len() {
+            let id = self.unsent_errors.pop_front();
+            id.into_iter().for_each(|id| self.send_error(id));
         }
         for _ in 0..TURN {
             let Some(request) = self.next.take().or_else(|| self.take(context)) else { return Ok(false) };
@@ -173,7 +173,7 @@ impl<C: FarClient> Sought<C> {
                 return Ok(false);
             }
             let id = RequestId::of(request.info());
-            if let Err(reason) = self.far.ask(id, &request) {
+            if let Err(reason) = self.far.send(id, &request) {
                 self.refuse(id, reason);
             }
         }

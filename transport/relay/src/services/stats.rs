@@ -97,7 +97,7 @@ impl ServiceStatsTable {
     /// Reads all counters, `elapsed` after the last call. A minute after its end a service is forgotten.
     pub(super) fn read(&self, elapsed: Duration) -> Vec<ServiceStats<TopicKey, Direction>> {
         let mut all = self.0.lock();
-        all.retain(|_, counted| counted.since_end.stays(Arc::strong_count(&counted.counters) > 1, elapsed));
+        all.retain(|_, counted| counted.since_end.is_kept(Arc::strong_count(&counted.counters) > 1, elapsed));
         let stats = |((key, direction), counted): (&(TopicKey, Direction), &Counted)| {
             let Counts { active, answered, failed } = counted.counters.0.lock().clone();
             ServiceStats { name: key.clone(), direction: *direction, active, answered, failed }

@@ -136,10 +136,10 @@ impl World {
             let best = rivals.entry(origin.tag).or_insert(rank);
             *best = rank.min(*best);
         }
-        transit.look_anew(&rivals);
+        transit.reset(&rivals);
         there.iter().for_each(|(origin, teller)| transit.insert(origin, *teller));
         let told: BTreeMap<u64, Origin> = (there.iter())
-            .filter_map(|(origin, teller)| Some((origin.tag, transit.told(origin, *teller)?)))
+            .filter_map(|(origin, teller)| Some((origin.tag, transit.origin_here(origin, *teller)?)))
             .collect();
         let carries: BTreeSet<u64> = (there.iter())
             .filter(|(origin, teller)| transit.carries(origin, *teller))
@@ -163,7 +163,9 @@ impl World {
             .map(|(_, (rank, origin))| end(domain, rank.teller, origin))
             .collect();
         let there: Vec<(TopicEndpoint, bool)> = (there.iter())
-            .filter(|(origin, teller)| is_publisher(origin.tag) || transit.told(origin, *teller).is_some())
+            .filter(|(origin, teller)| {
+                is_publisher(origin.tag) || transit.origin_here(origin, *teller).is_some()
+            })
             .map(|(origin, teller)| (end(far, *teller, origin), transit.carries(origin, *teller)))
             .collect();
         let there: Vec<Far> = there.iter().map(|(end, comes_in)| (end, *comes_in)).collect();
@@ -351,7 +353,7 @@ fn what_does_not_go_on_stops_at_its_domain() {
     let announced = Origin { place: "host".into(), ..here.clone().told_by(1) };
     assert_eq!(transit.announced(&here), Some(announced));
     assert_eq!(transit.announced(&elsewhere), None);
-    assert!(transit.told(&elsewhere, 9).is_some() && transit.carries(&elsewhere, 9));
+    assert!(transit.origin_here(&elsewhere, 9).is_some() && transit.carries(&elsewhere, 9));
 }
 
 /// An announcement with another's tag and no path.

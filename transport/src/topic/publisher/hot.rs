@@ -22,6 +22,7 @@ use core::sync::atomic::{Ordering, fence};
 use core::task::Poll;
 use tautline_doorbell::ActivityKind;
 use tautline_rt::clock::{monotonic_ns, wall_ns};
+use tautline_rt::copy_to_shared;
 
 /// How many samples of a subscription a loan takes back at most, unless no other is free. One more than a publication adds: what is
 /// returned at once, as by a recorder, is spread over the next loans, and yet no more is out than `depth`, `held` and `loans` together. For
@@ -87,8 +88,7 @@ impl RawPublisher {
     /// write every byte.
     ///
     /// # Real-time
-    /// Lock-free, O(subscriptions), and O(returned samples) if no other sample is free: retries only while the janitor returns samples
-    /// of a subscription that has ended; no allocation; no syscall. For a type without a fixed size, a body that is longer than
+    /// Wait-free, O(subscriptions), and O(samples) if none is free but those that were returned last; no allocation; no syscall. For a type without a fixed size, a body that is longer than
     /// `Limits::message_bytes` and than all bodies before needs a larger segment, and a publisher whose memory is claimed on use may
     /// need more samples: allocates, maps memory, takes a lock, which inherits priority.
     ///
@@ -111,8 +111,8 @@ impl RawPublisher {
         }
         let mut publish_state = self.publish_state.borrow_mut();
         publish_state.refresh(self.core.history.as_ref());
-        if sample_bytes(len_bytes) > publish_state.table().sample_bytes {
-            self.lengthen(len_bytes, publish_state.table().sample_bytes)?;
+        if sample_bytes(len_bytes) > publish_state.table().pool.sample_bytes {
+            self.lengthen(len_bytes, publish_state.table().pool.sample_bytes)?;
             publish_state.refresh(self.core.history.as_ref());
         }
         let (segment, index) = match take_returned(&mut publish_state) {
@@ -146,12 +146,12 @@ impl RawPublisher {
         }
         let mut publish_state = self.publish_state.borrow_mut();
         publish_state.refresh(self.core.history.as_ref());
-        if sample_bytes(len_bytes) > publish_state.table().sample_bytes {
+        if sample_bytes(len_bytes) > publish_state.table().pool.sample_bytes {
             return false;
         }
         let Some((segment, index)) = take_returned(&mut publish_state) else { return false };
         // SAFETY: the segment is in the table, and stays while one of its samples has a reference, which this one has until here.
-        unsafe { segment.as_ref() }.release(index);
+        publish_state.table().pool.release(unsafe { segment.as_ref() }, index);
         true
     }
 
@@ -176,7 +176,7 @@ impl RawPublisher {
     /// [`PublishError`]; nothing was sent.
     pub fn publish(&self, body: &[u8]) -> Result<(), PublishError> {
         let mut loan = self.loan(body.len())?;
-        loan.copy_from_slice(body);
+        copy_to_shared(&mut loan, body);
         loan.publish().map_err(PublishError::from)
     }
 
@@ -249,7 +249,7 @@ impl RawPublisher {
             segment.add(index);
             if let Some((former, former_index)) = history.keep(number, chunk).and_then(|word| pool.find(word))
             {
-                former.release(former_index);
+                pool.release(former, former_index);
             }
         }
         for sender in publish_state.table().receiving(sending.to) {
@@ -262,7 +262,7 @@ impl RawPublisher {
                 sender.submit(if is_others { sender.next_own() } else { number }, chunk, pool);
             }
         }
-        segment.release(index);
+        pool.release(segment, index);
         // Release: pairs with the Acquire of who sets up a late joiner; what is kept is kept.
         core.published.store(publish_state.sequence_number, Ordering::Release);
         core.traffic.note(len_bytes, now_ns);
@@ -343,16 +343,17 @@ impl RawPublisher {
 
 /// A free sample of the size that is loaned.
 fn take(publish_state: &PublishState) -> Option<(NonNull<Segment>, usize)> {
-    let table = publish_state.table();
-    let of_size = table.pool.segments().filter(|segment| segment.sample_bytes() == table.sample_bytes);
-    of_size.into_iter().find_map(|segment| Some((NonNull::from(&**segment), segment.take()?)))
+    let (segment, index) = publish_state.table().pool.take()?;
+    Some((NonNull::from(segment), index))
 }
 
-/// The same; before that, subscriptions return samples that they have taken: all of them only if no other is free.
+/// The same; before that, subscriptions return samples that they have taken: all of them only if no other is free. What setup code has freed
+/// is looked for last.
 fn take_returned(publish_state: &mut PublishState) -> Option<(NonNull<Segment>, usize)> {
     publish_state.reclaim(TAKEN_BACK);
     take(publish_state).or_else(|| {
         publish_state.reclaim(usize::MAX);
+        publish_state.table().pool.list_free();
         take(publish_state)
     })
 }
@@ -527,7 +528,12 @@ impl Drop for RawLoan<'_> {
     fn drop(&mut self) {
         self.publisher.loaned.set(self.publisher.loaned.get() - 1);
         // SAFETY: the sample has this loan's reference until here, so its segment is there.
-        unsafe { self.segment.as_ref() }.release(self.index);
+        let segment = unsafe { self.segment.as_ref() };
+        match self.publisher.publish_state.try_borrow() {
+            Ok(publish_state) => publish_state.table().pool.release(segment, self.index),
+            // Found when no other is free.
+            Err(_) => _ = segment.release(self.index),
+        }
     }
 }
 

@@ -355,7 +355,7 @@ impl<T: Message> Codec for T {
         }
         let body = body.get(..body.len() - padding).unwrap_or_default();
         let mut loan = publisher.raw.loan(body.len())?;
-        loan.copy_from_slice(body);
+        tautline_rt::copy_to_shared(&mut loan, body);
         let memory = Body::new(loan.payload(), body.len()).map_err(whole::<T>)?;
         <T as Message>::view(memory)?;
         Ok(loan.publish().map_err(PublishError::from)?)

@@ -11,7 +11,7 @@ use crate::memory::control::{PublisherControl, Traffic, View};
 use crate::memory::file::{ArenaOwner, OwnMemory};
 use crate::memory::header::Gid;
 use crate::memory::pool::{MAX_SAMPLES, Pool, SEGMENTS, Segment, SegmentView, SegmentViews};
-use crate::memory::sizes::{Demand, grown_sample_bytes, sample_bytes};
+use crate::memory::sizes::{Demand, Window, grown_sample_bytes, sample_bytes};
 use crate::qos::{Claim, Durability, Limits, Qos};
 use crate::topic::chunks::{Chunks, Keyed};
 use crate::topic::declaration::Topic;
@@ -25,7 +25,7 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use tautline_doorbell::Slot;
-use tautline_rt::{LatestWriter, PiGuard, PiMutex, latest};
+use tautline_rt::{LatestWriter, PiGuard, PiMutex, affinity_of, latest};
 
 /// Samples that a publisher whose memory is claimed on use claims at once, at least.
 const FIRST_SAMPLES: usize = 4;
@@ -34,6 +34,14 @@ const FIRST_RESPONSES: usize = 16;
 /// Below this many bytes a publisher that needs more samples gets twice as many, so that it seldom needs more. As much is claimed ahead
 /// for relayed messages.
 const DOUBLED_BYTES: usize = 1 << 20;
+
+/// Whether this process and those that take its samples are bound to the same core.
+fn is_on_one_core(proxies: &Chunks<ReaderProxy>) -> bool {
+    let core_of = |process| affinity_of(process).ok().filter(|cores| cores.len() == 1);
+    let Some(own) = core_of(std::process::id()) else { return false };
+    let mut takers = proxies.iter().map(|proxy| &proxy.sender).filter(|sender| !sender.is_observer);
+    takers.all(|sender| core_of(sender.process()) == Some(own))
+}
 
 /// What a publisher is made for, besides its topic.
 #[derive(Clone, Copy, Debug, Default)]
@@ -304,7 +312,7 @@ impl PublisherCore {
             }
             // Nobody has stated how long they are.
             Claim::Ahead if self.is_relay => all.min(DOUBLED_BYTES / sample_bytes),
-            Claim::Ahead => all,
+            Claim::Ahead => all + Window::of_machine().spare(demand, sample_bytes, all, &self.limits),
         }
     }
 
@@ -558,10 +566,11 @@ impl PublisherCore {
                 }
             }
         }
+        let in_turn = Window::of_machine().in_turn(setup.sample_bytes);
+        let in_turn = if in_turn > 1 && is_on_one_core(&setup.proxies) { 1 } else { in_turn };
         let table = ReaderTable {
             proxies: setup.proxies.clone(),
-            pool: setup.pool.clone(),
-            sample_bytes: setup.sample_bytes,
+            pool: setup.pool.for_publishing(setup.sample_bytes, in_turn),
             claims_on_use: self.limits.claim == Claim::OnUse,
         };
         setup.table.write(Arc::new(table));

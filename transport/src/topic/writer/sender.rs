@@ -94,9 +94,8 @@ impl Keyed for ReaderProxy {
 pub(crate) struct ReaderTable {
     /// Grouped by participant.
     pub(super) proxies: Chunks<ReaderProxy>,
+    /// With the list of free samples.
     pub(crate) pool: Pool,
-    /// The sample size of the segments from which samples are loaned.
-    pub(crate) sample_bytes: usize,
     /// Whether memory of queues is claimed on use.
     pub(crate) claims_on_use: bool,
 }
@@ -174,6 +173,14 @@ impl ReaderChannel {
 
     pub(crate) fn room(&self) -> usize {
         self.room.load(Ordering::Acquire)
+    }
+
+    /// The process that takes.
+    pub(crate) fn process(&self) -> u32 {
+        match &self.owner {
+            ArenaOwner::Own(_) => std::process::id(),
+            ArenaOwner::Peer(peer) => peer.pid(),
+        }
     }
 
     fn flags(&self) -> Option<&Flags> {
@@ -400,7 +407,7 @@ fn set(out: &mut [u64], number: usize, is_out: bool) -> bool {
 fn release(out: &mut [u64], chunk: u64, pool: &Pool) {
     let Some((segment, index)) = pool.find(chunk) else { return };
     if set(out, segment.number(index), false) {
-        segment.release(index);
+        pool.release(segment, index);
     }
 }
 
@@ -441,7 +448,8 @@ impl ReaderTable {
     }
 
     pub(crate) fn empty(sample_bytes: usize, claims_on_use: bool) -> Self {
-        ReaderTable { proxies: Default::default(), pool: Pool::default(), sample_bytes, claims_on_use }
+        let pool = Pool::default().for_publishing(sample_bytes, 1);
+        ReaderTable { proxies: Default::default(), pool, claims_on_use }
     }
 }
 
@@ -460,8 +468,8 @@ impl PublishState {
     /// Looks whether subscriptions or segments have come or gone, and takes over what has.
     ///
     /// # Real-time
-    /// Wait-free: one load. When they have: O(subscriptions x samples / 64) and, for each late joiner, O(history); no allocation; no
-    /// syscall.
+    /// Wait-free: one load. When they have: O(samples), O(subscriptions x samples / 64) and, for each late joiner, O(history); no
+    /// allocation; no syscall.
     #[inline]
     pub(crate) fn refresh(&mut self, history: Option<&History>) {
         if self.table.is_fresh() {
@@ -473,6 +481,7 @@ impl PublishState {
     fn adopt(&mut self, history: Option<&History>) {
         let sequence_number = self.sequence_number;
         let table = self.table.read();
+        table.pool.list_free();
         for ReaderProxy { sender, spare, .. } in table.proxies.iter() {
             if sender.turn.adopt()
                 && let Some(history) = history

@@ -52,6 +52,7 @@ fn token(random: &mut StdRng) -> Token {
             },
             suffix: String::new(),
         }),
+        note: String::new(),
     }
 }
 
@@ -107,8 +108,16 @@ fn hiroz_writes_what_we_write_and_reads_what_we_read() {
         let parsed = Theirs::parse_liveliness(&token.to_string().try_into().unwrap()).unwrap();
         // It gives an absent namespace back as absent, a present one as written.
         assert_eq!(parsed, Entity::Endpoint(entity.clone()));
+        let note = "tautline,0,1,x".to_owned();
+        let noted = Token { note, ..token.clone() };
+        assert_eq!(Theirs::parse_liveliness(&noted.to_string().try_into().unwrap()).unwrap(), parsed);
 
         let of_node = Token { endpoint: None, ..token.clone() };
+        let noted = Token { endpoint: None, ..noted };
+        assert_eq!(
+            Theirs::parse_liveliness(&noted.to_string().try_into().unwrap()).unwrap(),
+            Theirs::parse_liveliness(&of_node.to_string().try_into().unwrap()).unwrap()
+        );
         assert_eq!(of_node.to_string(), Theirs::node_liveliness_key_expr(&node).unwrap().to_string());
 
         let endpoint = token.endpoint.unwrap();

@@ -72,8 +72,9 @@ fn malformed_keys() {
 #[test]
 fn tokens() {
     let node = "@ros2_lv/0/a0b1/0/0/NN/%/%/talker";
-    let token =
-        Token { domain: 0, zid: 0xa0b1, node_id: 0, node: NodeName::new("/", "talker"), endpoint: None };
+    let (endpoint, note) = (None, String::new());
+    let talker = NodeName::new("/", "talker");
+    let token = Token { domain: 0, zid: 0xa0b1, node_id: 0, node: talker, endpoint, note };
     assert_eq!(token.to_string(), node);
     assert_eq!(Token::parse(node), Ok(token));
 
@@ -135,9 +136,33 @@ fn tokens_of_both_generations() {
     let node = "@ros2_lv/0/a1/3/3/NN/%/%/viewer";
     let token = Token::parse(node).unwrap();
     for suffix in SUFFIXES {
-        assert_eq!(Token::parse(&format!("{node}/{suffix}")), Ok(token.clone()));
+        let parsed = Token::parse(&format!("{node}/{suffix}")).unwrap();
+        assert_eq!(parsed.note, suffix.split('/').next().unwrap());
+        assert_eq!(Token { note: String::new(), ..parsed }, token);
     }
     assert_eq!(token.to_string(), node);
+}
+
+/// rmw_zenoh_cpp 0.2.10 and 0.10.5, src/detail/liveliness_utils.cpp: `Entity::make` needs 9 parts of a node, `keyexpr_to_qos` 6 fields;
+/// both ignore what follows, and the constructor writes the text for the gid anew.
+#[test]
+fn notes_do_not_change_gids() {
+    let end =
+        format!("@ros2_lv/0/a1/3/12/MP/%front/%/n/%x/std_msgs::msg::dds_::String_/{STRING_HASH}/::,5:,:,:,,");
+    let plain = Token::parse(&end).unwrap();
+    for suffix in ["", "/backends:cpu:"] {
+        let token = Token::parse(&format!("{end}:a,b:c{suffix}")).unwrap();
+        assert_eq!((&*token.note, &*token.node.enclave), ("a,b:c", "/front"));
+        assert_eq!(token.to_string(), format!("{end}:a,b:c{suffix}"));
+        let without = Token { note: String::new(), ..token.clone() };
+        assert_eq!(endpoint_gid(&token), endpoint_gid(&without));
+        assert_eq!(endpoint_gid(&token) == endpoint_gid(&plain), suffix.is_empty());
+    }
+    let node = "@ros2_lv/0/a1/3/3/NN/%front/%/n/a,b";
+    assert_eq!(Token::parse(node).map(|token| token.to_string()), Ok(node.to_owned()));
+    for hostile in ["*", "a$*", "a?", "a#b"] {
+        assert_eq!(Token::parse(&format!("{end}:{hostile}")), Err(Malformed::Suffix), "{hostile}");
+    }
 }
 
 #[test]
@@ -367,7 +392,8 @@ fn random_token(random: &mut StdRng) -> Token {
         },
         suffix: if random.random() { String::new() } else { (*SUFFIXES.choose(random).unwrap()).into() },
     });
-    Token { domain, zid: random.random::<u128>().max(1), node_id, node, endpoint }
+    let note = ["", "a", "tautline,0,1,x"].choose(random).unwrap().to_string();
+    Token { domain, zid: random.random::<u128>().max(1), node_id, node, endpoint, note }
 }
 
 #[test]

@@ -11,6 +11,8 @@ const ADMIN: &str = "@ros2_lv";
 /// Number of parts of a node's token, and of an endpoint's without its suffix.
 const NODE_PARTS: usize = 9;
 const ENDPOINT_PARTS: usize = 13;
+/// Number of fields of a QoS.
+const QOS_FIELDS: usize = 6;
 
 /// The suffix of a volatile subscription that takes plain samples only. From rmw_zenoh 0.10.5 on, volatile publishers of types
 /// with an unbounded `uint8[]` serve it on [`TopicKey::cpu_group`](super::TopicKey::cpu_group).
@@ -81,8 +83,7 @@ pub struct Endpoint {
     pub suffix: String,
 }
 
-/// A node, or an endpoint and its node. Its `Display` is the token's key expression, in the canonical form from which GIDs are
-/// computed.
+/// A node, or an endpoint and its node. Its `Display` is the token's key expression in its canonical form.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Token {
     /// ROS domain.
@@ -95,11 +96,14 @@ pub struct Token {
     pub node: NodeName,
     /// `None`: the token is a node's.
     pub endpoint: Option<Endpoint>,
+    /// A part after a node's name, or a field after an endpoint's QoS. rmw_zenoh reads neither, and computes GIDs without them. Valid in
+    /// a key, without '/'; empty: there is none.
+    pub note: String,
 }
 
 impl Token {
-    /// Parses a token's key expression. Further parts are kept for an endpoint's token, and dropped for a node's, as in
-    /// rmw_zenoh.
+    /// Parses a token's key expression. Further parts are kept for an endpoint's token, and dropped for a node's behind the note,
+    /// as in rmw_zenoh.
     ///
     /// # Errors
     /// [`Malformed`].
@@ -129,37 +133,61 @@ impl Token {
             return Err(Malformed::NodeName);
         }
         let node = NodeName { enclave, namespace: space, name: name.into() };
-        let endpoint = match kind {
+        let (endpoint, note) = match kind {
             None if id != node_id => return Err(Malformed::Id),
-            None => {
-                suffix(key, NODE_PARTS)?;
-                None
-            }
+            None => (None, suffix(key, NODE_PARTS)?.split('/').next().unwrap_or_default()),
             Some(kind) => {
                 let name = topic(next()?)?;
                 let type_id = TypeId::parse(next()?, next()?)?;
-                let qos = WireQos::parse(next()?)?;
-                Some(Endpoint { id, kind, name, type_id, qos, suffix: suffix(key, ENDPOINT_PARTS)?.into() })
+                let text = next()?;
+                let (qos, note) = match text.match_indices(':').nth(QOS_FIELDS - 1) {
+                    Some((at, _)) => (&text[..at], &text[at + 1..]),
+                    None => (text, ""),
+                };
+                let qos = WireQos::parse(qos)?;
+                // The note is checked as well.
+                suffix(key, ENDPOINT_PARTS - 1)?;
+                let suffix = suffix(key, ENDPOINT_PARTS)?.into();
+                (Some(Endpoint { id, kind, name, type_id, qos, suffix }), note)
             }
         };
-        Ok(Token { domain, zid, node_id, node, endpoint })
+        Ok(Token { domain, zid, node_id, node, endpoint, note: note.into() })
     }
+
+    /// The text from which peers compute its GID: as it would be written without a note.
+    pub(super) fn without_note(&self) -> impl fmt::Display {
+        Text { token: self, note: "" }
+    }
+}
+
+/// Writes a token with this note.
+struct Text<'a> {
+    token: &'a Token,
+    note: &'a str,
 }
 
 impl fmt::Display for Token {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let NodeName { enclave, namespace, name } = &self.node;
-        let id = self.endpoint.as_ref().map_or(self.node_id, |endpoint| endpoint.id);
-        let kind = self.endpoint.as_ref().map_or("NN", |endpoint| endpoint.kind.as_str());
-        write!(f, "{ADMIN}/{}/{:x}/{}/{id}/{kind}", self.domain, self.zid, self.node_id)?;
+        Text { token: self, note: &self.note }.fmt(f)
+    }
+}
+
+impl fmt::Display for Text<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Text { token: Token { domain, zid, node_id, node, endpoint, .. }, note } = self;
+        let NodeName { enclave, namespace, name } = node;
+        let id = endpoint.as_ref().map_or(*node_id, |endpoint| endpoint.id);
+        let kind = endpoint.as_ref().map_or("NN", |endpoint| endpoint.kind.as_str());
+        write!(f, "{ADMIN}/{domain}/{zid:x}/{node_id}/{id}/{kind}")?;
         write!(f, "/{}/{}/{name}", mangled_namespace(enclave), mangled_namespace(namespace))?;
-        if let Some(Endpoint { name, type_id, qos, suffix, .. }) = &self.endpoint {
-            write!(f, "/{}/{}/{}/{qos}", Mangled(name), type_id.dds_name(), type_id.hash)?;
-            if !suffix.is_empty() {
-                write!(f, "/{suffix}")?;
-            }
-        }
-        Ok(())
+        let note = |f: &mut fmt::Formatter<'_>, separator: char| match note.is_empty() {
+            true => Ok(()),
+            false => write!(f, "{separator}{note}"),
+        };
+        let Some(Endpoint { name, type_id, qos, suffix, .. }) = endpoint else { return note(f, '/') };
+        write!(f, "/{}/{}/{}/{qos}", Mangled(name), type_id.dds_name(), type_id.hash)?;
+        note(f, ':')?;
+        if suffix.is_empty() { Ok(()) } else { write!(f, "/{suffix}") }
     }
 }
 

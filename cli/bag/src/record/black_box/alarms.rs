@@ -10,8 +10,8 @@ use std::time::Duration;
 use taut_cli::report::run::Run;
 use taut_cli::verb::Outcome;
 use tautline_executor::ForeignStatistics;
-use tautline_load::shared_statistics;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
+use tautline_system::shared_statistics;
 use tautline_transport::{EndpointKind, Visitor};
 
 /// How often statistics are looked at.

@@ -1,0 +1,7 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! A simulation of the runtime. node/tests/simulation.rs holds it against the runtime itself.
+#![allow(dead_code, reason = "each test uses its part")]
+
+pub mod machine;
+pub mod made_up;
+pub mod waiting;

@@ -1,0 +1,362 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Admission: new load is checked against the load that runs in the domain, by an analysis of both together.
+//!
+//! | new load | is counted as |
+//! |---|---|
+//! | a context with a system file | everything in the file for this host |
+//! | a callback with the priority and the core that the file gives it | already part of the file, unless it also runs elsewhere |
+//! | any other real-time callback | its period, jitter and budget, on its core |
+//!
+//! The running load is read from the statistics that processes share: their system files, and the threads that are not in these
+//! files. A process that is being admitted holds a lock of the domain until other processes can read its load. So if each of two
+//! processes fits alone but not both together, one of them is refused.
+
+use crate::error::{Result, SystemError};
+use crate::loaded::LoadedSystem;
+use crate::statistics::shared_statistics;
+use std::fs::{File, TryLockError};
+use std::path::Path;
+use std::time::Duration;
+use tautline_analysis::Reservation;
+use tautline_analysis::file::SystemFile;
+use tautline_analysis::file::admission::{Broken, Candidate, LooseThread, Machine, Share};
+use tautline_executor::{Admitted, CallbackOptions, CallbackSnapshot, ProcessInfo, ProcessSnapshot};
+use tautline_rt::{Patience, Policy, domain::shared_path};
+
+/// Whether new load is checked against the load that runs in the domain.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Admission {
+    /// Load that would cause a missed deadline is refused.
+    Check,
+    /// It runs nevertheless: a warning and `taut report` state what would be late.
+    Force,
+    /// Nothing is checked.
+    Off,
+}
+
+/// How long a process waits for another one that is just being admitted.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// As many deadlines as an error names.
+const NAMED: usize = 3;
+
+/// What runs in a domain at real-time priorities, as far as its processes share their statistics.
+#[derive(Debug, Default)]
+pub struct Running {
+    files: Vec<FileInUse>,
+    threads: Vec<LooseThread>,
+    /// Programs, with their process ids.
+    pub processes: Vec<String>,
+    /// Notes for the user.
+    pub notes: Vec<String>,
+}
+
+#[derive(Debug)]
+struct FileInUse {
+    file: SystemFile,
+    host: String,
+    label: String,
+}
+
+impl Running {
+    /// Reads what runs in `domain` now, of this user and on this host. Processes without real-time priorities delay no
+    /// real-time thread.
+    ///
+    /// # Errors
+    /// [`SystemError::Statistics`] if the statistics cannot be read.
+    pub fn of_domain(domain: u32) -> Result<Running> {
+        Running::beside(domain, None)
+    }
+
+    /// As [`of_domain`](Self::of_domain), but of processes that have the file at this path only what another text of it does not count.
+    pub fn beside(domain: u32, without: Option<(&Path, &SystemFile)>) -> Result<Running> {
+        let mut running = Running::default();
+        let mut found = Vec::new();
+        for statistics in shared_statistics(domain)?.0 {
+            match statistics.read() {
+                Ok(snapshot) => {
+                    found.extend(snapshot.filter(|of| of.process.realtime && statistics.is_running()));
+                }
+                // Such as of a process that was built with another version of Tautline.
+                Err(error) => running.notes.push(format!("a process is not looked at: {error}")),
+            }
+        }
+        for snapshot in &mut found {
+            if let Some((_, file)) = without.filter(|(path, _)| snapshot.process.system_path == *path) {
+                let counts =
+                    |of: &CallbackSnapshot| file.callbacks().iter().any(|entry| entry.name == of.name);
+                snapshot.callbacks.retain(|callback| !counts(callback));
+                continue;
+            }
+            running.processes.push(label_of(&snapshot.process));
+            running.add_file(&snapshot.process);
+        }
+        let mut seen = Vec::new();
+        for snapshot in &found {
+            for callback in snapshot.callbacks.iter().filter(|of| !of.is_group && !of.ended) {
+                running.add_callback(snapshot, callback, &mut seen);
+            }
+        }
+        Ok(running)
+    }
+
+    /// The load, for the analysis.
+    pub fn machine(&self) -> Machine<'_> {
+        let mut machine = Machine::default();
+        for FileInUse { file, host, label } in &self.files {
+            machine.add_file(Share { file, host, label });
+        }
+        self.threads.iter().for_each(|thread| machine.add_thread(thread.clone()));
+        machine
+    }
+
+    fn add_file(&mut self, process: &ProcessInfo) {
+        if process.system_path.as_os_str().is_empty() || self.file_of(process).is_some() {
+            return;
+        }
+        let label = process.system_path.display().to_string();
+        match SystemFile::read(&process.system_path) {
+            Ok(file) if file.fingerprint() == process.system_hash => {
+                self.files.push(FileInUse { file, host: process.host.clone(), label });
+            }
+            // What it runs says of itself what it needs.
+            Ok(_) => self.notes.push(format!(
+                "{} was started with another text of {label}: of it only what runs now is looked at; restart it",
+                label_of(process)
+            )),
+            Err(error) => self.notes.push(format!(
+                "{}: of it only what runs now is looked at: {error}",
+                label_of(process)
+            )),
+        }
+    }
+
+    fn file_of(&self, process: &ProcessInfo) -> Option<&FileInUse> {
+        let is_it =
+            |used: &&FileInUse| used.file.fingerprint() == process.system_hash && used.host == process.host;
+        self.files.iter().find(is_it)
+    }
+
+    /// A callback that is where its file says is part of the file, the first time.
+    fn add_callback(
+        &mut self,
+        snapshot: &ProcessSnapshot,
+        callback: &CallbackSnapshot,
+        seen: &mut Vec<(u64, String, String)>,
+    ) {
+        let Some(priority) = callback.priority else { return };
+        let process = &snapshot.process;
+        let reservation = tautline_rt::policy_of(callback.tid).ok().and_then(reservation_of);
+        if self.file_of(process).is_some_and(|used| {
+            used.file.callbacks().iter().any(|entry| {
+                let core = &used.file.cores()[entry.core];
+                (entry.name.as_str(), entry.priority, core.host.as_str())
+                    == (callback.name.as_str(), priority, process.host.as_str())
+                    && (entry.floats || callback.core == Some(core.number))
+                    && entry.reservation == reservation
+            })
+        }) {
+            let key = (process.system_hash, process.host.clone(), callback.name.clone());
+            if !seen.contains(&key) {
+                return seen.push(key);
+            }
+        }
+        self.threads.push(LooseThread {
+            name: callback.name.clone(),
+            label: label_of(process),
+            core: callback.core,
+            priority,
+            reservation,
+            period_ns: callback.period_ns,
+            jitter_ns: 0,
+            budget_ns: callback.budget_ns,
+            deadline_ns: callback.deadline_ns,
+        });
+    }
+}
+
+/// Whether a callback of a system file runs already, in whatever process.
+fn runs(domain: u32, system: &LoadedSystem, callback: &str) -> Result<bool> {
+    let is_it =
+        |of: &CallbackSnapshot| !of.is_group && !of.ended && of.priority.is_some() && of.name == callback;
+    for statistics in shared_statistics(domain)?.0 {
+        let Ok(Some(snapshot)) = statistics.read() else { continue };
+        let has_file = system.is_of(&snapshot.process);
+        if has_file && statistics.is_running() && snapshot.callbacks.iter().any(is_it) {
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+/// How a process is named to people.
+pub fn label_of(process: &ProcessInfo) -> String {
+    format!("{} (process {})", process.program, process.pid)
+}
+
+/// Held by the process that is being admitted; the kernel releases it if that process dies.
+#[derive(Debug)]
+pub struct Gate(Option<File>);
+
+impl Gate {
+    /// Locks the folder of a domain that this process has joined.
+    ///
+    /// # Errors
+    /// [`SystemError::AdmissionBusy`], [`SystemError::Statistics`].
+    pub fn enter(domain: u32, mode: Admission) -> Result<Gate> {
+        let path = shared_path(domain);
+        let folder = File::open(&path).map_err(SystemError::Statistics)?;
+        let mut patience = Patience::new(PATIENCE);
+        loop {
+            match folder.try_lock() {
+                Ok(()) => break,
+                Err(TryLockError::Error(error)) => return Err(SystemError::Statistics(error)),
+                Err(TryLockError::WouldBlock) if !patience.is_over() => {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                Err(TryLockError::WouldBlock) if mode == Admission::Force => return Ok(Gate(None)),
+                Err(TryLockError::WouldBlock) => {
+                    return Err(SystemError::AdmissionBusy { domain, folder: path, waited: PATIENCE });
+                }
+            }
+        }
+        Ok(Gate(Some(folder)))
+    }
+}
+
+impl Drop for Gate {
+    /// Not by closing alone: a child of another thread may have the descriptor for a moment, before it becomes another program.
+    fn drop(&mut self) {
+        if let Some(folder) = &self.0 {
+            let _ = folder.unlock();
+        }
+    }
+}
+
+/// Checks all that the file says of this host. The gate is to be held until others can read of it.
+///
+/// # Errors
+/// [`SystemError::NotAdmitted`], and those of [`Gate::enter`].
+pub fn admit_system(domain: u32, mode: Admission, system: &LoadedSystem) -> Result<(Gate, Admitted)> {
+    let gate = Gate::enter(domain, mode)?;
+    let running = Running::of_domain(domain)?;
+    let label = system.label();
+    let candidate = Candidate::File(Share { file: &system.file, host: &system.host, label: &label });
+    let admitted = decide(domain, mode, &running, &candidate, &label, Some(&label))?;
+    Ok((gate, admitted))
+}
+
+/// Checks callbacks that are to be spawned on a thread with the settings `thread`. The gate is to be held until they are.
+///
+/// # Errors
+/// As [`admit_system`].
+pub fn admit_callbacks<'o>(
+    domain: u32,
+    mode: Admission,
+    system: Option<&LoadedSystem>,
+    thread: &CallbackOptions,
+    callbacks: impl Iterator<Item = &'o CallbackOptions>,
+) -> Result<(Gate, Admitted)> {
+    let gate = Gate::enter(domain, mode)?;
+    let (mut running, mut outcome) = (None, Admitted::Checked);
+    for callback in callbacks {
+        let of_file = system.filter(|system| system.describes(thread, &callback.name));
+        if let Some(system) = of_file
+            && !runs(domain, system, &callback.name)?
+        {
+            continue;
+        }
+        let running = match &mut running {
+            Some(running) => running,
+            none => none.insert(Running::of_domain(domain)?),
+        };
+        let loose = loose(thread, callback, of_file);
+        let silent = loose.period_ns.is_none() || loose.budget_ns.is_none();
+        let hint = if silent { " (which states no `period` or no `budget`)" } else { "" };
+        let what = format!("callback '{}'{hint}", callback.name);
+        let candidate = Candidate::Thread(loose.clone());
+        if let forced @ Admitted::Forced(_) = decide(domain, mode, running, &candidate, &what, None)? {
+            outcome = forced;
+        }
+        running.threads.push(loose);
+    }
+    Ok((gate, outcome))
+}
+
+/// What the analysis needs to know of a callback that no file counts.
+fn loose(
+    thread: &CallbackOptions,
+    callback: &CallbackOptions,
+    of_file: Option<&LoadedSystem>,
+) -> LooseThread {
+    let ns = |time: Duration| u64::try_from(time.as_nanos()).unwrap_or(u64::MAX);
+    // With a reservation any, unless it is bound.
+    let reservation = reservation_of(thread.policy);
+    let cores =
+        thread.cores.or_else(|| tautline_rt::current_affinity().ok().filter(|_| reservation.is_none()));
+    let mut cores = cores.iter().flat_map(|cores| cores.iter());
+    LooseThread {
+        name: callback.name.clone(),
+        label: label_of(&ProcessInfo::of_this()),
+        core: cores.next().filter(|_| cores.next().is_none()),
+        priority: thread.policy.realtime_priority().unwrap_or(1),
+        reservation,
+        // Of several topics any may send at once: as if one sent as often as all together.
+        period_ns: callback
+            .period
+            .map(|period| ns(period) / of_file.map_or(1, |of| of.streams(&callback.name))),
+        jitter_ns: of_file.map_or(0, |system| system.jitter_ns(&callback.name)),
+        budget_ns: callback.budget.map(ns),
+        deadline_ns: callback.effective_deadline().map(ns),
+    }
+}
+
+/// What the kernel reserves for a thread.
+fn reservation_of(policy: Policy) -> Option<Reservation> {
+    match policy {
+        Policy::Deadline { runtime_ns, period_ns } => Some(Reservation { runtime_ns, period_ns }),
+        _ => None,
+    }
+}
+
+/// Checks a candidate beside what runs; `what` names it, and `file` the file that it is.
+///
+/// # Errors
+/// [`SystemError::NotAdmitted`], unless `mode` is [`Admission::Force`].
+pub fn decide(
+    domain: u32,
+    mode: Admission,
+    running: &Running,
+    candidate: &Candidate,
+    what: &str,
+    file: Option<&str>,
+) -> Result<Admitted> {
+    running.notes.iter().for_each(|note| tracing::warn!("{note}"));
+    let broken = running.machine().admit(candidate).broken;
+    if broken.is_empty() {
+        return Ok(Admitted::Checked);
+    }
+    let late = late(&broken);
+    if mode == Admission::Force {
+        tracing::warn!("{what} runs by force: {late}");
+        return Ok(Admitted::Forced(format!("{what}: {late}")));
+    }
+    let beside = match running.processes.len() {
+        0 => "nothing".to_owned(),
+        count @ 1..=NAMED => running.processes[..count].join(", "),
+        count => format!("{} and {} more", running.processes[..NAMED].join(", "), count - NAMED),
+    };
+    let table = match file {
+        Some(file) => format!("`taut check {file} --admit` shows all response times"),
+        None => "`taut report` shows what runs".to_owned(),
+    };
+    let table = format!("{table}; TAUT_ADMISSION=force runs it all the same, and `taut report` says so");
+    Err(SystemError::NotAdmitted { what: what.to_owned(), domain, late, beside, table })
+}
+
+fn late(broken: &[Broken]) -> String {
+    let mut text = broken.iter().take(NAMED).map(ToString::to_string).collect::<Vec<_>>().join("; ");
+    if broken.len() > NAMED {
+        text.push_str(&format!("; and {} more", broken.len() - NAMED));
+    }
+    text
+}

@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! Events from the network, on their way to the control thread.
+
+use crate::origin::ended_tag;
+use crate::wire::{MAX_KEY_BYTES, TypeId};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
+use tautline_relay::Event;
+use zenoh::query::Query;
+use zenoh::sample::{Sample, SampleKind};
+
+/// Events from the network.
+pub(crate) enum NetworkEvent {
+    TokenUp(String),
+    TokenDown(String),
+    /// A publisher of another host ended normally.
+    Ended(u64),
+    /// A node there answered with this type's description; `None` if it is too long.
+    Described(TypeId, Option<Vec<u8>>),
+    /// A node there requests a type from a node here.
+    Asked(Query),
+}
+
+/// The queue of these events.
+pub(crate) type Events = mpsc::SyncSender<Event<NetworkEvent>>;
+
+/// Passes tokens from Zenoh's thread to the control thread. On overflow, all tokens are requested again later.
+pub(crate) fn tokens_to(events: Events) -> impl Fn(Sample) + Send + Sync + 'static {
+    move |sample| {
+        let key = cut(sample.key_expr().as_str());
+        let event = match sample.kind() {
+            SampleKind::Put => NetworkEvent::TokenUp(key),
+            SampleKind::Delete => NetworkEvent::TokenDown(key),
+        };
+        if events.try_send(Event::FarChange(event)).is_err() {
+            set_missed();
+        }
+    }
+}
+
+/// The same for announcements of publishers' ends, except those of this session.
+pub(crate) fn ends_to(events: Events, own_zid: u128) -> impl Fn(Sample) + Send + Sync + 'static {
+    move |sample| {
+        let said = ended_tag(sample.key_expr().as_str()).filter(|_| sample.kind() == SampleKind::Put);
+        if let Some((_, tag)) = said.filter(|(zid, _)| *zid != own_zid) {
+            // On overflow it counts as a death.
+            let _ = events.try_send(Event::FarChange(NetworkEvent::Ended(tag)));
+        }
+    }
+}
+
+/// Truncates overlong keys, which are then refused without being stored.
+pub(crate) fn cut(key: &str) -> String {
+    let mut end = key.len().min(MAX_KEY_BYTES + 1);
+    while !key.is_char_boundary(end) {
+        end += 1;
+    }
+    key[..end].to_owned()
+}
+
+/// Whether an event was dropped, at any gateway of the process: one resync too many does no harm.
+static MISSED: AtomicBool = AtomicBool::new(false);
+
+pub(crate) fn set_missed() {
+    MISSED.store(true, Ordering::Relaxed);
+}
+
+/// Whether one was dropped since the last call.
+pub(crate) fn take_missed() -> bool {
+    MISSED.swap(false, Ordering::Relaxed)
+}

@@ -1,0 +1,242 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `cargo xtask guests`: test executables, examples and the demo on emulated machines that are unlike this one: kernels with PREEMPT_RT, aarch64,
+//! pages of 16 KiB. It shows that they work there, not how fast; nor that they get by with ARM's weak memory order, for the emulator orders memory
+//! as this machine does.
+//!
+//! | module | holds |
+//! |---|---|
+//! | `debian` | packages that guests and their compiler are made of, unpacked under the target directory |
+//! | `image` | the file system that a guest starts with |
+//! | `emulator` | a guest while it runs, and what it says |
+//! | `init.sh` | its first process |
+
+mod debian;
+mod emulator;
+mod image;
+
+use crate::build::{SAME, TARGETS};
+use crate::lints::{self, Executable};
+use crate::steps::{self, Outcome, Steps};
+use crate::{examples, machine, packages, word};
+use clap::ValueEnum;
+use debian::Architecture;
+use emulator::Report;
+use image::Image;
+use std::path::{Path, PathBuf};
+use std::{fs, io};
+
+/// A kind of emulated machine.
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Guest {
+    /// x86-64, PREEMPT_RT
+    RtX86,
+    /// aarch64
+    Arm64,
+    /// aarch64, PREEMPT_RT
+    RtArm64,
+    /// aarch64, pages of 16 KiB
+    #[value(name = "arm64-16k")]
+    Arm64Pages16k,
+}
+
+/// How much is run.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Extent {
+    /// What depends most on the kernel, in minutes.
+    Quick,
+    Whole,
+}
+
+/// What is built for a guest.
+const PACKAGES: &str = "-p tautline-rt -p tautline-trace -p tautline-doorbell -p tautline-sampler -p tautline-executor \
+                        -p tautline-transport -p tautline -p taut -p tautline-examples -p own-messages";
+
+/// Folders of the packages whose tests are run.
+const TESTED: [&str; 7] = ["rt", "trace", "transport/doorbell", "sampler", "executor", "transport", "node"];
+
+/// Reads this repository's files.
+const NOT_TESTED: &str = "transport/structure";
+
+/// Executables of [`Extent::Quick`], with a pattern of tests.
+const QUICK: [(&str, &str); 9] = [
+    ("rt", "."),
+    ("rt/realtime", "."),
+    ("transport/doorbell", "."),
+    ("sampler/timers", "."),
+    ("executor/demotion", "."),
+    ("executor/enforcer", "."),
+    ("executor/suspension", "."),
+    ("transport/topics", "."),
+    ("node/topics", "."),
+];
+
+/// Its examples.
+const QUICK_EXAMPLES: [&str; 2] = ["talker 5", "budget"];
+
+/// What guests of these kinds need from the network.
+pub fn prepare(guests: &[Guest]) -> Outcome {
+    let emulators: Vec<_> = guests.iter().map(|guest| guest.architecture().emulator()[1]).collect();
+    let missing = || match guests.iter().find(|guest| !guest.has_emulator()) {
+        Some(guest) => Err(guest.architecture().emulator()[0]),
+        None => Ok(()),
+    };
+    match packages::prepare(&emulators, missing) {
+        Outcome::Ok => guests.iter().try_for_each(|guest| guest.unpack()).into(),
+        other => other,
+    }
+}
+
+/// The verb: these guests, or all if none is named.
+pub fn run(steps: &mut Steps, named: &[Guest], extent: Extent) {
+    let guests = if named.is_empty() { Guest::value_variants() } else { named };
+    let is_prepared = steps.step("guests: packages", || match prepare(guests) {
+        // It was asked for.
+        Outcome::Skipped(reason) => Outcome::Failed(reason),
+        other => other,
+    });
+    if is_prepared {
+        test(steps, guests, extent, &format!("{PACKAGES} {SAME}"));
+    }
+}
+
+/// A step for each guest, with what the tests' build of `targets` makes where this machine can run it; then a table.
+pub fn test(steps: &mut Steps, guests: &[Guest], extent: Extent, targets: &str) {
+    let mut reports = Vec::new();
+    for architecture in [Architecture::Amd64, Architecture::Arm64] {
+        let guests: Vec<_> = guests.iter().filter(|guest| guest.architecture() == architecture).collect();
+        let mut built = Vec::new();
+        if guests.iter().any(|guest| guest.is_there()) {
+            let name = format!("guests: build for {architecture}");
+            steps.step(&name, || build(architecture, targets).map(|all| built = all));
+        }
+        for guest in guests {
+            let name = format!("guest {}", word(*guest));
+            match (guest.is_there(), built.is_empty()) {
+                (false, _) => steps.skip(&name, "without its packages"),
+                (true, true) => steps.skip(&name, "not built"),
+                (true, false) => drop(steps.step(&name, || {
+                    let report = guest.run(&built, extent)?;
+                    let verdict = report.verdict();
+                    reports.push((word(*guest), report));
+                    verdict
+                })),
+            }
+        }
+    }
+    if !reports.is_empty() {
+        emulator::print(&reports);
+    }
+}
+
+/// What runs on machines of this architecture.
+fn build(architecture: Architecture, targets: &str) -> Result<Vec<Executable>, String> {
+    let mut command = if architecture.is_here() {
+        lints::json(&format!("{targets} {TARGETS}"))
+    } else {
+        let triple = architecture.triple();
+        let mut command =
+            steps::cargo(&format!("build --target {triple} {PACKAGES} {TARGETS} --message-format=json"));
+        command.envs(debian::compiler(architecture)?).arg("--target-dir").arg(debian::folder().join("build"));
+        // Nobody debugs it.
+        for (setting, value) in
+            [("DEV_DEBUG", "none"), ("DEV_BUILD_OVERRIDE_DEBUG", "none"), ("DEV_STRIP", "debuginfo")]
+        {
+            command.env(format!("CARGO_PROFILE_{setting}"), value);
+        }
+        command.env("CARGO_INCREMENTAL", "0");
+        command
+    };
+    let mut built = lints::executables(&mut command)?;
+    built.sort_by(|one, other| (&one.folder, &one.target).cmp(&(&other.folder, &other.target)));
+    Ok(built)
+}
+
+impl Guest {
+    fn architecture(self) -> Architecture {
+        match self {
+            Guest::RtX86 => Architecture::Amd64,
+            Guest::Arm64 | Guest::RtArm64 | Guest::Arm64Pages16k => Architecture::Arm64,
+        }
+    }
+
+    /// Packages that depend on the newest kernel of a kind, as a Debian names them that has several, and any other.
+    fn kernel(self) -> [&'static str; 2] {
+        match self {
+            Guest::RtX86 => ["linux-image-6.12-rt-amd64", "linux-image-rt-amd64"],
+            Guest::Arm64 => ["linux-image-6.12-arm64", "linux-image-arm64"],
+            Guest::RtArm64 => ["linux-image-6.12-rt-arm64", "linux-image-rt-arm64"],
+            Guest::Arm64Pages16k => ["linux-image-6.12-arm64-16k", "linux-image-arm64-16k"],
+        }
+    }
+
+    fn has_emulator(self) -> bool {
+        packages::runs(self.architecture().emulator()[0], &["--version"])
+    }
+
+    /// Where its kernel, its shell and its libraries are.
+    fn system(self) -> PathBuf {
+        debian::folder().join(word(self))
+    }
+
+    fn is_there(self) -> bool {
+        self.has_emulator() && debian::is_complete(&self.system())
+    }
+
+    fn unpack(self) -> Result<(), String> {
+        let of = self.architecture();
+        debian::unpack(&self.system(), || {
+            let kernel = debian::newest(of, &self.kernel())?;
+            let all = [&*kernel, "busybox-static", "libc6", "libgcc-s1", "util-linux"];
+            Ok(all.map(|package| (of, package.to_owned())).to_vec())
+        })
+    }
+
+    fn run(self, built: &[Executable], extent: Extent) -> Result<Report, String> {
+        let (system, name) = (self.system(), word(self));
+        let path = debian::folder().join(format!("{name}.cpio"));
+        self.pack(&path, &system, built, extent).map_err(|error| format!("{}: {error}", path.display()))?;
+        emulator::run(&name, self.architecture(), &image::kernel(&system)?, &path)
+    }
+
+    /// Makes its file system.
+    fn pack(self, path: &Path, system: &Path, built: &[Executable], extent: Extent) -> io::Result<()> {
+        let mut image = Image::new(path, system, self.architecture())?;
+        let mut jobs = String::new();
+        for executable in built {
+            let folder = executable.folder.strip_prefix(machine::root()).unwrap_or(&executable.folder);
+            if let Some((name, tests)) = tests(executable, folder, extent) {
+                image.program(&format!("tests/{}", name.replace('/', "-")), &executable.path)?;
+                jobs += &format!("tests {name} '{tests}'\n");
+            } else if !executable.is_test && (folder.starts_with("examples") || executable.target == "taut") {
+                image.program(&format!("programs/{}", executable.target), &executable.path)?;
+            }
+        }
+        let is_wanted = |programs: &&[&str]| extent == Extent::Whole || QUICK_EXAMPLES.contains(&programs[0]);
+        for programs in examples::RUNS.into_iter().filter(is_wanted) {
+            for name in programs.iter().map(|program| examples::name_of(program)) {
+                image.file(&format!("expected/{name}.txt"), &fs::read(examples::expected(name))?)?;
+            }
+            jobs += &format!("program 'example {0}' /init together '{0}'\n", programs.join("|"));
+        }
+        // Examples look for their system files where they were built.
+        for file in fs::read_dir(machine::root().join("examples/systems"))?.flatten().map(|file| file.path())
+        {
+            if file.is_file() {
+                image.file(file.to_string_lossy().trim_start_matches('/'), &fs::read(&file)?)?;
+            }
+        }
+        jobs += "program demo taut demo --seconds 3\nprogram doctor /init doctor\n";
+        image.file("jobs", jobs.as_bytes())?;
+        image.finish()
+    }
+}
+
+/// The name by which an executable's tests are shown, and a pattern of those that are run, if any. A library's have its folder's name.
+fn tests(executable: &Executable, folder: &Path, extent: Extent) -> Option<(String, &'static str)> {
+    let folder = folder.to_str().filter(|folder| executable.is_test && TESTED.contains(folder))?;
+    let is_library = executable.target.starts_with("tautline");
+    let name = if is_library { folder.to_owned() } else { format!("{folder}/{}", executable.target) };
+    let quick = || QUICK.iter().find(|(quick, _)| *quick == name).map(|(_, pattern)| *pattern);
+    let pattern = if extent == Extent::Quick { quick()? } else { "." };
+    (name != NOT_TESTED).then_some((name, pattern))
+}
