@@ -187,7 +187,7 @@ impl ContextBuilder {
     }
 
     /// Whether the statistics of callbacks lie in a file of `/dev/shm`, where other processes read them
-    /// ([`shared_statistics`](crate::shared_statistics)): `taut report` does this, if there is a system file. On by default; it costs
+    /// (`tautline_system::shared_statistics`): `taut report` does this, if there is a system file. On by default; it costs
     /// callbacks nothing.
     pub fn share_statistics(mut self, share: bool) -> Self {
         self.share_statistics = share;

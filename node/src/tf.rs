@@ -41,7 +41,10 @@ use tautline_ros_msgs::tf2_msgs::msg::TFMessage;
 use tautline_transport::Qos;
 use tautline_transport::{PublishError, Publisher, Sample};
 
-pub use tautline_tf::*;
+pub use tautline_tf::{
+    Buffer, BufferCounters, Frame, FrameId, FrameInfo, FrameName, Kind, Limits, LimitsError, LookupError,
+    MAX_DEPTH, NamedFrame, SetError, Stamped, Time, Transform, TransformStamped, WaitError, WaitFor, Writer,
+};
 
 /// The queue of `/tf`, as tf2_ros has it.
 const DEPTH: usize = 100;

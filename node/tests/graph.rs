@@ -53,7 +53,7 @@ fn a_node_sees_what_others_have() {
     let _other = listener.create_client::<Add>("/nobody").unwrap();
 
     assert_eq!(listener.get_node_names().unwrap(), ["/listener", "/robot/talker"]);
-    assert!(talker.graph().unwrap().nodes.iter().all(|node| node.enclave == "/front"));
+    assert!(talker.context().as_ref().graph().unwrap().nodes.iter().all(|node| node.enclave == "/front"));
     let pair = |name: &str, namespace: &str| (name.to_owned(), namespace.to_owned());
     assert_eq!(
         listener.get_node_names_and_namespaces().unwrap(),
