@@ -39,7 +39,7 @@ pub fn run(args: &ApplyArgs) -> Outcome<ExitCode> {
         return Ok(ExitCode::from(2));
     }
     let domain = args.common.domain()?;
-    let processes = match apply_system(domain, &args.file) {
+    let labels = match apply_system(domain, &args.file) {
         Err(
             error @ (Error::System(SystemError::NotAdmitted { .. })
             | Error::NobodyHas { .. }
@@ -49,8 +49,6 @@ pub fn run(args: &ApplyArgs) -> Outcome<ExitCode> {
         }
         outcome => outcome?,
     };
-    let labels: Vec<_> =
-        processes.iter().map(|process| format!("{} (process {})", process.program, process.pid)).collect();
     let mut out = crate::print::stdout();
     if args.common.json {
         writeln!(out, "{}", serde_json::json!({ "domain": domain, "processes": labels }))?;

@@ -10,9 +10,9 @@ use std::future::Future;
 use std::sync::Arc;
 use std::task::{Context as Polled, Wake, Waker};
 use std::thread::{JoinHandle, Thread};
-use tautline::{Client, Context, Error, GraphSnapshot, Node, Realtime, ServiceKind};
+use tautline::{Client, Context, Error, Node, Realtime};
 use tautline_msgs::Service;
-use tautline_transport::graph_of;
+use tautline_transport::{GraphSnapshot, ServiceKind, graph_of};
 
 /// The response, or why there is none.
 pub type Response<T> = Result<<T as Service>::Response, Error>;
@@ -44,7 +44,7 @@ impl Caller {
     /// Calls several services at once. The result of a service that does not respond in time is [`Error::ServiceTimeout`].
     pub fn call_all<T: Service>(&mut self, requests: Vec<(String, T::Request)>) -> Outcome<Vec<Response<T>>> {
         let timeout = self.end.timeout().unwrap_or_default();
-        let graph = self.node.graph()?;
+        let graph = self.context.as_ref().graph()?;
         let silent = |service: &String| Err(Error::ServiceTimeout { service: service.clone(), timeout });
         let mut responses: Vec<_> = requests.iter().map(|(service, _)| silent(service)).collect();
         let (mut waiting, mut calls) = (Vec::new(), FuturesUnordered::new());

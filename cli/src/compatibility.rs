@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Publishers and subscriptions of one topic that are incompatible.
 
-use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint};
-use tautline_transport::QosPolicyKind;
+use tautline_transport::{EndpointKind, GraphSnapshot, QosPolicyKind, TopicEndpoint};
 
 /// A publisher, and a subscription of its topic that gets none of its messages.
 pub struct Mismatch<'g> {

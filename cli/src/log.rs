@@ -13,10 +13,12 @@ use serde_json::json;
 use std::collections::BTreeSet;
 use std::io::Write;
 use std::time::{Duration, Instant};
+use tautline::LogSeverity;
 use tautline::rcl_interfaces::msg::{Log, LoggerLevel};
 use tautline::rcl_interfaces::srv::{GetLoggerLevels, SetLoggerLevels};
-use tautline::{EndpointKind, LogSeverity};
-use tautline_transport::{Gid, GraphSnapshot, Limits, Participant, Qos, Subscription, TakeError, graph_of};
+use tautline_transport::{
+    EndpointKind, Gid, GraphSnapshot, Limits, Participant, Qos, Subscription, TakeError, graph_of,
+};
 
 const TOPIC: &str = "/rosout";
 /// The number of lines that ROS 2's nodes keep.

@@ -2,13 +2,13 @@
 //! Moments of callbacks in the form in which they are saved and passed between processes.
 
 use serde::{Deserialize, Serialize};
-use tautline::MomentKind;
 use tautline_analysis::taken::{Seen, Taken};
+use tautline_executor::MomentKind;
 
 /// The resolution of core time accounting: shorter intervals and smaller delays of a wake-up may be missing.
 pub const ACCOUNTED_TO_NS: u64 = 100_000;
 
-/// A [`tautline::Moment`] that can be serialized.
+/// A [`tautline_executor::Moment`] that can be serialized.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Moment {
     pub kind: Kind,
@@ -29,8 +29,8 @@ pub enum Kind {
     Waited,
 }
 
-impl From<&tautline::Moment> for Moment {
-    fn from(moment: &tautline::Moment) -> Moment {
+impl From<&tautline_executor::Moment> for Moment {
+    fn from(moment: &tautline_executor::Moment) -> Moment {
         let kind = match moment.kind {
             MomentKind::Late => Kind::Late,
             MomentKind::Taken => Kind::Taken,
@@ -39,7 +39,7 @@ impl From<&tautline::Moment> for Moment {
             MomentKind::Served => Kind::Served,
             MomentKind::Waited => Kind::Waited,
         };
-        let tautline::Moment { from_ns, to_ns, length_ns, .. } = *moment;
+        let tautline_executor::Moment { from_ns, to_ns, length_ns, .. } = *moment;
         Moment { kind, from_ns, to_ns, length_ns }
     }
 }

@@ -10,8 +10,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::sync::Arc;
-use tautline::{EndpointKind, GraphSnapshot, NodeInfo, ServiceKind};
-use tautline_transport::graph_of;
+use tautline_transport::{EndpointKind, GraphSnapshot, NodeInfo, ServiceKind, graph_of};
 
 /// Lists nodes, and the topics, services and actions of a node.
 ///

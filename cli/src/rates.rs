@@ -4,8 +4,7 @@
 use crate::verb::Outcome;
 use std::collections::BTreeMap;
 use std::time::Instant;
-use tautline::{EndpointKind, GraphSnapshot};
-use tautline_transport::{Gid, Sent, Visitor};
+use tautline_transport::{EndpointKind, Gid, GraphSnapshot, Sent, Visitor};
 
 /// Measures rates from one reading of the counters to the next. It holds the previous reading.
 #[derive(Default)]

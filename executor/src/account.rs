@@ -205,7 +205,7 @@ mod tests {
         note(mark(1_000, 50, 3), mark(9_000, u64::MAX, 4));
         note(mark(1_000, 50, 3), mark(9_000, 450, 4));
         note(mark(1_000, 50, 3), mark(2_000, 450, 3));
-        let seen = sampler.stats().snapshot().unwrap().moments;
+        let seen = crate::CallbackSnapshot::of(sampler.stats()).unwrap().moments;
         let seen: Vec<_> = seen.iter().map(|of| (of.kind, of.from_ns, of.to_ns, of.length_ns)).collect();
         assert_eq!(seen, [(MomentKind::Waited, 8_600, 9_000, 400), (MomentKind::Waited, 1_001, 2_000, 400)]);
     }
@@ -218,7 +218,7 @@ mod tests {
         account.sleeps();
         account.woke(None);
         account.sleeps();
-        let moments = sampler.stats().snapshot().unwrap().moments.into_iter();
+        let moments = crate::CallbackSnapshot::of(sampler.stats()).unwrap().moments.into_iter();
         assert_eq!(moments.filter(|of| of.kind == MomentKind::Waited).count(), 1);
     }
 
@@ -235,7 +235,7 @@ mod tests {
             now_ns
         };
         let waits = || {
-            let moments = sampler.stats().snapshot().unwrap().moments.into_iter();
+            let moments = crate::CallbackSnapshot::of(sampler.stats()).unwrap().moments.into_iter();
             moments.filter(|of| of.kind == MomentKind::Waited).collect::<Vec<_>>()
         };
         // What was released before the thread began has waited for that, and not for a core.

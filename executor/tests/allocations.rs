@@ -180,7 +180,7 @@ fn waking_and_polling_a_callback() {
         let callback = executor.spawn_callback(options, future).unwrap();
         assert_eq!(cycle(&[&trigger]), [0, 0]);
         assert!(callback.stats().completions() >= CYCLES);
-        let seen = callback.stats().snapshot().unwrap();
+        let seen = tautline_executor::CallbackSnapshot::of(callback.stats()).unwrap();
         assert_eq!((seen.accounts_core_time, seen.older_moments >= CYCLES - 128), (accounts, notes));
         let jobs: u64 = seen.inputs.iter().map(|class| class.jobs).sum();
         let measured = seen.measures_execution;
@@ -276,7 +276,7 @@ fn the_sampler_is_accounted_for_without_allocation() {
         account.woke(None);
     }
     assert_eq!(HEAP_CALLS.get() - before, 0);
-    let seen = sampler.stats().snapshot().unwrap();
+    let seen = tautline_executor::CallbackSnapshot::of(sampler.stats()).unwrap();
     let late = seen.moments.iter().filter(|moment| moment.kind == MomentKind::WokenLate).count();
     assert!(seen.older_moments + 128 >= 2 * SLEEPS && late > 0, "{late} of {}", seen.older_moments);
 }

@@ -278,7 +278,12 @@ fn an_input_size_is_that_of_the_job_that_stated_it() {
     let all = group.stats().clone();
     group.join().unwrap();
     let seen = |stats: &CallbackStats| -> Vec<_> {
-        stats.snapshot().unwrap().inputs.iter().map(|class| (class.least, class.jobs)).collect()
+        tautline_executor::CallbackSnapshot::of(stats)
+            .unwrap()
+            .inputs
+            .iter()
+            .map(|class| (class.least, class.jobs))
+            .collect()
     };
     assert_eq!((seen(&alone), alone.completions()), (vec![(3, 2), (700, 1)], 4));
     assert_eq!((seen(&member), seen(&silent)), (vec![(5, 2), (900, 1)], vec![]));

@@ -126,7 +126,7 @@ fn a_callback_that_is_to_end_does_no_other_job() {
         (log.events(), told.events()),
         (vec!["own".to_owned(), "below".to_owned()], vec!["job 2".to_owned()])
     );
-    let seen = stats.snapshot().unwrap();
+    let seen = tautline_executor::CallbackSnapshot::of(&stats).unwrap();
     assert_eq!((seen.completions, seen.demotions, seen.ended), (2, 1, true));
     drop(orders);
 }

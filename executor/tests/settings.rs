@@ -35,7 +35,7 @@ fn a_running_callback_gets_another_priority_and_other_limits() {
     let stats = callback.stats();
     assert_eq!((policy(&callback), policy(&other)), (Policy::Fifo(25), Policy::Fifo(20)));
     assert_eq!((stats.budget(), stats.deadline()), (Some(ms(3)), Some(ms(8))));
-    let seen = stats.snapshot().unwrap();
+    let seen = tautline_executor::CallbackSnapshot::of(&stats).unwrap();
     assert_eq!((seen.priority, seen.bound_ns), (Some(25), Some(7_000_000)));
 
     let reserved = CallbackOptions::reserved(ms(1), ms(10)).name("a");
@@ -66,7 +66,7 @@ fn a_member_brings_its_group_along() {
     executor.settings().change(&CallbackOptions::fifo(22).name("b").budget(ms(2))).unwrap();
     assert_eq!(policy(&thread), Policy::Fifo(22));
     assert_eq!((a.budget(), b.budget()), (Some(ms(1)), Some(ms(2))));
-    assert_eq!(a.snapshot().unwrap().priority, Some(22));
+    assert_eq!(tautline_executor::CallbackSnapshot::of(&a).unwrap().priority, Some(22));
 }
 
 #[test]

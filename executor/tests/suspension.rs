@@ -148,7 +148,10 @@ fn a_reservation_leaves_the_core_and_comes_back() {
             let [runtime_ns, period_ns] = [budget(), period()].map(clock::nanoseconds);
             let policy = Policy::Deadline { runtime_ns, period_ns };
             assert_eq!(callback.thread().policy, policy);
-            assert_eq!(callback.stats().snapshot().unwrap().priority, Some(Policy::RESERVATION));
+            assert_eq!(
+                tautline_executor::CallbackSnapshot::of(callback.stats()).unwrap().priority,
+                Some(Policy::RESERVATION)
+            );
             callback.join().unwrap();
         }
         Err(error) => panic!("{error}"),

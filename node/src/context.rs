@@ -72,6 +72,13 @@ pub(crate) struct ContextState {
     settings: ContextBuilder,
 }
 
+/// The layer below messages, for tools: see the crate `tautline-transport`.
+impl AsRef<Participant> for Context {
+    fn as_ref(&self) -> &Participant {
+        &self.shared.participant
+    }
+}
+
 impl std::fmt::Debug for Context {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("Context").field("domain", &self.domain()).finish_non_exhaustive()

@@ -138,36 +138,19 @@ pub enum Error {
     /// A definition of a message type, or its name, is not valid.
     #[cfg(feature = "untyped")]
     #[error(transparent)]
-    Schema(Box<tautline_schema::SchemaError>),
+    Schema(Box<dyn std::error::Error + Send + Sync>),
     /// The stored definition of a topic's type is not its definition.
     #[cfg(feature = "untyped")]
-    #[error(
-        "the definition in {} cannot be used: {reason}; remove the file, then restart a process that has the type: it writes the file anew",
-        path.display()
-    )]
-    StoredDefinition {
-        /// The file.
-        path: PathBuf,
-        /// The error.
-        reason: String,
-    },
+    #[error(transparent)]
+    StoredDefinition(Box<dyn std::error::Error + Send + Sync>),
     /// No definition of a message type was found.
     #[cfg(feature = "untyped")]
-    #[error(
-        "topic '{topic}': the definition of '{type_name}' was found neither beside the topic ({stored}), nor in AMENT_PREFIX_PATH, nor among the bundled packages: source the ROS 2 workspace that has it, or start a process first whose type has a definition, as those of tautline-build have"
-    )]
-    UnknownType {
-        /// The topic.
-        topic: String,
-        /// The requested type.
-        type_name: String,
-        /// What the topic itself provided.
-        stored: String,
-    },
+    #[error(transparent)]
+    UnknownType(Box<dyn std::error::Error + Send + Sync>),
     /// JSON or bytes are not a message of the type.
     #[cfg(feature = "untyped")]
     #[error(transparent)]
-    Message(Box<tautline_schema::MessageError>),
+    Message(Box<dyn std::error::Error + Send + Sync>),
     /// A managed node did not begin a transition.
     #[cfg(feature = "lifecycle_msgs")]
     #[error(transparent)]
@@ -246,6 +229,12 @@ pub enum Error {
     Take(#[from] TakeError),
 }
 
+impl From<tautline_analysis::file::FileError> for Error {
+    fn from(error: tautline_analysis::file::FileError) -> Self {
+        Error::System(error.into())
+    }
+}
+
 impl From<ParameterError> for Error {
     fn from(error: ParameterError) -> Self {
         Error::Parameter(error.into())
@@ -263,6 +252,18 @@ impl From<tautline_schema::SchemaError> for Error {
 impl From<tautline_schema::MessageError> for Error {
     fn from(error: tautline_schema::MessageError) -> Self {
         Error::Message(error.into())
+    }
+}
+
+#[cfg(feature = "untyped")]
+impl From<tautline_definitions::DefinitionError> for Error {
+    fn from(error: tautline_definitions::DefinitionError) -> Self {
+        use tautline_definitions::DefinitionError;
+        match error {
+            DefinitionError::Unknown { .. } => Error::UnknownType(error.into()),
+            DefinitionError::Stored { .. } => Error::StoredDefinition(error.into()),
+            error => Error::Schema(error.into()),
+        }
     }
 }
 

@@ -59,18 +59,14 @@ pub struct TopicEndpointInfo {
 /// # Ok::<(), tautline::Error>(())
 /// ```
 impl Node {
-    /// Everything that exists in the domain.
-    ///
-    /// # Errors
-    /// [`Error::Transport`](crate::Error::Transport) if the domain's topics cannot be listed.
-    pub fn graph(&self) -> Result<Arc<GraphSnapshot>> {
+    pub(crate) fn graph(&self) -> Result<Arc<GraphSnapshot>> {
         Ok(self.participant.graph()?)
     }
 
     /// The fully qualified names of the domain's nodes, sorted by namespace. A name of two nodes is listed twice.
     ///
     /// # Errors
-    /// As [`graph`](Self::graph).
+    /// [`Error::Transport`](crate::Error::Transport) if the domain's topics cannot be listed.
     pub fn get_node_names(&self) -> Result<Vec<String>> {
         Ok(self.graph()?.nodes.iter().map(|node| node.name.full_name()).collect())
     }
@@ -87,7 +83,7 @@ impl Node {
     /// The domain's topics with their types.
     ///
     /// # Errors
-    /// As [`graph`](Self::graph).
+    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_topic_names_and_types(&self) -> Result<HashMap<String, Vec<String>>> {
         Ok(topics(&*self.graph()?, |_| true))
     }
@@ -95,7 +91,7 @@ impl Node {
     /// The domain's services that have a server, with their types.
     ///
     /// # Errors
-    /// As [`graph`](Self::graph).
+    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_service_names_and_types(&self) -> Result<HashMap<String, Vec<String>>> {
         Ok(services(&*self.graph()?, ServiceKind::Server, |_| true))
     }
@@ -103,7 +99,7 @@ impl Node {
     /// The domain's actions that have a server, with their types.
     ///
     /// # Errors
-    /// As [`graph`](Self::graph).
+    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_action_names_and_types(&self) -> Result<HashMap<String, Vec<String>>> {
         let mut found: HashMap<String, Vec<String>> = HashMap::new();
         for (service, types) in self.get_service_names_and_types()? {
@@ -117,7 +113,7 @@ impl Node {
     /// The topics that a node publishes, with their types.
     ///
     /// # Errors
-    /// As [`graph`](Self::graph).
+    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_publisher_names_and_types_by_node(
         &self,
         node_name: &str,
@@ -129,7 +125,7 @@ impl Node {
     /// The topics that a node subscribes to, with their types.
     ///
     /// # Errors
-    /// As [`graph`](Self::graph).
+    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_subscriber_names_and_types_by_node(
         &self,
         node_name: &str,
@@ -141,7 +137,7 @@ impl Node {
     /// The services of which a node has a server, with their types.
     ///
     /// # Errors
-    /// As [`graph`](Self::graph).
+    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_service_names_and_types_by_node(
         &self,
         node_name: &str,
@@ -153,7 +149,7 @@ impl Node {
     /// The services of which a node has a client, with their types.
     ///
     /// # Errors
-    /// As [`graph`](Self::graph).
+    /// As [`get_node_names`](Self::get_node_names).
     pub fn get_client_names_and_types_by_node(
         &self,
         node_name: &str,
@@ -185,7 +181,7 @@ impl Node {
     /// The publishers of a topic.
     ///
     /// # Errors
-    /// [`Error::Name`](crate::Error::Name); as [`graph`](Self::graph).
+    /// [`Error::Name`](crate::Error::Name); as [`get_node_names`](Self::get_node_names).
     pub fn get_publishers_info_by_topic(&self, topic_name: &str) -> Result<Vec<TopicEndpointInfo>> {
         self.ends(topic_name, EndpointKind::Publisher)
     }
@@ -235,7 +231,7 @@ impl Node {
     /// callbacks with deadlines.
     ///
     /// # Errors
-    /// As [`graph_events`](Self::graph_events). Errors of the future: those of [`graph`](Self::graph).
+    /// As [`graph_events`](Self::graph_events). Errors of the future: those of [`get_node_names`](Self::get_node_names).
     pub fn wait_for_node(
         &self,
         fully_qualified_node_name: &str,

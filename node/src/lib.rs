@@ -100,7 +100,7 @@ pub use system::CallbackJoin;
 pub use time::{Clock, ClockChange, ClockJump, ClockType, JumpCallback, JumpThreshold, TimeSource};
 pub use timer::Timer;
 #[cfg(feature = "untyped")]
-pub use untyped::{Bundled, Cdr, Json, find_schema, type_of};
+pub use untyped::{Cdr, Json};
 
 pub use indexmap;
 pub use tautline_derive::RosParams;
@@ -108,27 +108,57 @@ pub use tautline_trace::{TraceError, TraceMode, TraceSettings};
 #[cfg(feature = "action_msgs")]
 pub use uuid;
 
-/// Response times and the system file: the analysis behind `taut check`.
-pub use tautline_analysis as analysis;
 pub use tautline_executor::{
-    Admitted, Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackSnapshot, CallbackStats,
-    CoreSet, DeadlineMiss, ExecutorError, ForeignStatistics, Handler, Histogram, HistogramSnapshot,
-    MemberOptions, Moment, MomentKind, Order, Orders, Overrun, OverrunPolicy, Panic, Policy, ProcessInfo,
-    ProcessSnapshot, Realtime, SizeClass, StatisticsFile, Watch, assign, job::set_input_size,
+    Bucket, CallbackGroup, CallbackHandle, CallbackOptions, CallbackStats, CoreSet, DeadlineMiss,
+    ExecutorError, Handler, Histogram, HistogramSnapshot, MemberOptions, Overrun, OverrunPolicy, Panic,
+    Policy, Realtime, Watch, assign, job::set_input_size,
 };
 /// Callbacks that wait for several topics.
 pub use tautline_join as join;
 pub use tautline_msgs as msgs;
 pub use tautline_msgs::{Action, HasStamp, Message, Plain, Service};
-#[cfg(feature = "ros_msgs")]
-#[doc(no_inline)]
-pub use tautline_ros_msgs::*;
+
+/// The message packages, each with its feature.
+macro_rules! packages {
+    ($($package:ident $feature:literal)*) => {
+        $(
+            #[cfg(feature = $feature)]
+            #[doc(no_inline)]
+            pub use tautline_ros_msgs::$package;
+        )*
+    };
+}
+packages! {
+    action_msgs "action_msgs"
+    builtin_interfaces "builtin_interfaces"
+    composition_interfaces "composition_interfaces"
+    diagnostic_msgs "diagnostic_msgs"
+    example_interfaces "example_interfaces"
+    geometry_msgs "geometry_msgs"
+    lifecycle_msgs "lifecycle_msgs"
+    nav_msgs "nav_msgs"
+    rcl_interfaces "rcl_interfaces"
+    rosgraph_msgs "rosgraph_msgs"
+    sensor_msgs "sensor_msgs"
+    service_msgs "service_msgs"
+    shape_msgs "shape_msgs"
+    statistics_msgs "statistics_msgs"
+    std_msgs "std_msgs"
+    std_srvs "std_srvs"
+    stereo_msgs "stereo_msgs"
+    test_msgs "test_msgs"
+    tf2_msgs "tf2_msgs"
+    trajectory_msgs "trajectory_msgs"
+    type_description_interfaces "type_description_interfaces"
+    unique_identifier_msgs "unique_identifier_msgs"
+    visualization_msgs "visualization_msgs"
+}
+
 /// Policies, cores, clocks and locks, as programs use them beside their callbacks. All of it is the crate `tautline-rt`.
 pub mod rt {
     pub use tautline_rt::{
-        CoreSet, Enforcement, Interruptions, JoinHandle, LatestReader, LatestWriter, MemoryLock, PiGuard,
-        PiMutex, Policy, RtError, ThreadBuilder, ThreadInfo, current_affinity, current_policy, latest,
-        set_affinity, set_policy,
+        CoreSet, Enforcement, LatestReader, LatestWriter, PiGuard, PiMutex, Policy, RtError, ThreadInfo,
+        current_affinity, current_policy, latest, set_affinity, set_policy,
     };
     /// Times in nanoseconds.
     pub mod clock {
@@ -143,24 +173,13 @@ pub mod rt {
     }
 }
 pub use tautline_sampler::{Events, GuardCondition, Tick, Wait};
-pub use tautline_system::{Admission, Running, SystemError, shared_statistics};
-/// Types that are known at run time. The parser of definitions is the crate `tautline-schema`.
-#[cfg(feature = "untyped")]
-pub mod schema {
-    pub use tautline_schema::{
-        Base, Constant, DecodeFault, Definition, DynamicMessage, EchoForm, Endian, Fault, Field,
-        FieldDescription, FieldType, FieldTypeDescription, HashedTypeDescription, IndividualTypeDescription,
-        Kind, List, Lookup, MessageError, NamedHash, Place, Primitive, Schema, SchemaError, Shape,
-        TypeDescription, TypeHash, TypeName, Value,
-    };
-}
+pub use tautline_system::{Admission, SystemError};
 pub use tautline_transport::{
-    Claim, Durability, EndpointKind, Gate, Gid, GraphEvents, GraphSnapshot, History, IncompatibleQos,
-    IncompatibleType, Limits, Liveliness, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS, Matched,
-    MessageInfo, MessageLost, NodeHandle, NodeInfo, NodeName, PendingResponse, PublishCdrError, PublishError,
-    Publisher, PublisherCounters, Qos, QosPolicyKind, Reliability, Request, RequestId, Response, Sample,
-    SendError, ServiceEndpoint, ServiceError, ServiceKind, SubscriptionCounters, TakeError, TopicEndpoint,
-    TopicMemory, TransportError, Unwritten, UnwrittenResponse, topic_memory,
+    Claim, DoorbellError, Durability, Gid, GraphEvents, History, IncompatibleQos, IncompatibleType, Limits,
+    Liveliness, LivelinessChanged, Loan, LoanError, MAX_PENDING_REQUESTS, Matched, MessageInfo, MessageLost,
+    PendingResponse, PublishCdrError, PublishError, Publisher, PublisherCounters, Qos, QosPolicyKind,
+    Reliability, Request, RequestId, Response, Sample, SendError, ServiceError, SubscriptionCounters,
+    TakeError, TopicMemory, TransportError, Unwritten, UnwrittenResponse, topic_memory,
 };
 
 /// The codecs over which endpoints of topics, services and actions are generic: a Rust type is its own codec;
@@ -170,20 +189,6 @@ pub mod codec {
     #[cfg(feature = "action_msgs")]
     pub use crate::action::ActionCodec;
     pub use tautline_transport::{Codec, Decode, ServiceCodec};
-}
-
-/// What endpoints and events of other layers are made of, where a node's methods name it. All of the layer below messages is the crate
-/// `tautline-transport`.
-pub mod raw {
-    pub use tautline_rt::shm::{Mapping, Region};
-    pub use tautline_sampler::{Alarm, Expiry, Timer, Watchdog};
-    pub use tautline_trace::ObjectId;
-    pub use tautline_transport::{
-        Activity, ActivityKind, Arena, ArenaId, BellRoute, Doorbell, DoorbellError, Flags, GrowArena,
-        MatchedCount, MemoryClaimer, Origin, PublisherChanges, PublisherMonitor, Rank, RawLoan, RawPublisher,
-        RawSample, RawSubscription, SamplerSeat, Sleeper, Slot, SubscriptionChanges, SubscriptionMonitor,
-        ThreadBell, TopicType, TracedPort,
-    };
 }
 
 /// Functions that the macros' code calls.

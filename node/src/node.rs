@@ -222,7 +222,7 @@ impl Node {
     }
 
     /// The handle under which other processes see this node, to announce its services and clients.
-    pub fn handle(&self) -> &NodeHandle {
+    pub(crate) fn handle(&self) -> &NodeHandle {
         &self.handle
     }
 
@@ -326,7 +326,7 @@ impl Node {
     pub fn create_wall_timer(&mut self, period: Duration) -> Result<Timer> {
         check_period(period)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(Timer::new(&self.handle, self.context.events().timer(period)?))
+        Ok(Timer::new(&self.handle, tautline_sampler::Timer::new(self.context.events(), period)?))
     }
 
     /// Creates a timer whose first release is at `first_release_ns` on `CLOCK_MONOTONIC`.
@@ -336,7 +336,10 @@ impl Node {
     pub fn create_wall_timer_at(&mut self, first_release_ns: u64, period: Duration) -> Result<Timer> {
         check_period(period)?;
         let _node = tautline_trace::in_node(self.trace.id());
-        Ok(Timer::new(&self.handle, self.context.events().timer_at(first_release_ns, period)?))
+        Ok(Timer::new(
+            &self.handle,
+            tautline_sampler::Timer::starting_at(self.context.events(), first_release_ns, period)?,
+        ))
     }
 
     /// Runs a future on its own thread, with the policy, priority and core of `options`. On return the kernel has

@@ -5,11 +5,12 @@ pub use tautline_sampler::{DeadlineMissed, LivelinessLost, PublisherEvent, Subsc
 
 use crate::error::Result;
 use crate::node::Node;
+use crate::subscription::Subscription;
 use futures::{Stream, StreamExt};
 use std::pin::Pin;
 use std::task::{Context, Poll};
 use tautline_executor::stop_requested;
-use tautline_transport::{RawPublisher, RawSubscription};
+use tautline_transport::{Codec, Decode, Publisher};
 
 /// The QoS events of a publisher: a stream. See [`Node::publisher_events`].
 #[must_use = "no events are reported unless it is polled"]
@@ -71,7 +72,7 @@ impl Node {
     /// # Errors
     /// [`Error::Transport`](crate::Error::Transport) if the context has no slot left; the stream needs up to
     /// three.
-    pub fn publisher_events(&self, publisher: &impl AsRef<RawPublisher>) -> Result<PublisherEvents> {
+    pub fn publisher_events(&self, publisher: &Publisher<impl Codec>) -> Result<PublisherEvents> {
         Ok(PublisherEvents(tautline_sampler::PublisherEvents::new(
             self.context.events(),
             publisher.as_ref(),
@@ -102,7 +103,7 @@ impl Node {
     /// As [`publisher_events`](Self::publisher_events); the stream needs up to two slots.
     pub fn subscription_events(
         &self,
-        subscription: &impl AsRef<RawSubscription>,
+        subscription: &Subscription<impl Decode>,
     ) -> Result<SubscriptionEvents> {
         Ok(SubscriptionEvents(tautline_sampler::SubscriptionEvents::new(
             self.context.events(),

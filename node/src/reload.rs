@@ -16,7 +16,7 @@ use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 use tautline_analysis::file::SystemFile;
 use tautline_analysis::file::admission::{Candidate, Share};
-use tautline_executor::{CallbackOptions, CallbackSettings, ForeignStatistics, Order, Orders, ProcessInfo};
+use tautline_executor::{CallbackOptions, CallbackSettings, ForeignStatistics, Order, Orders};
 use tautline_rt::Patience;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::domain::shared_path;
@@ -103,7 +103,7 @@ impl Reload {
 }
 
 /// Makes every process of `domain` that runs with the system file at `path` adopt the file's present text: priorities, reservations,
-/// budgets and deadlines of running callbacks, and of callbacks that are spawned later. Returns the processes.
+/// budgets and deadlines of running callbacks, and of callbacks that are spawned later. Returns the programs, with their process ids.
 ///
 /// The new text is first checked against the other load in the domain, as if it were just started. While the processes change, for some
 /// milliseconds, the bounds of neither text hold.
@@ -112,7 +112,7 @@ impl Reload {
 /// [`Error::System`] with all errors of the file, [`Error::NobodyHas`], [`SystemError::NotAdmitted`] with the response times that would be too
 /// long; [`Error::NotTakenUp`] for differences that cannot be adopted at run time: callbacks, nodes, cores, threads, topics, periods,
 /// deeper queues.
-pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<ProcessInfo>> {
+pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<String>> {
     let path = std::path::absolute(&path).unwrap_or_else(|_| path.as_ref().to_path_buf());
     let file = SystemFile::read(&path).map_err(SystemError::from)?;
     if !shared_path(domain).exists() {
@@ -167,7 +167,7 @@ pub fn apply_system(domain: u32, path: impl AsRef<Path>) -> Result<Vec<ProcessIn
             changed = is_final;
         }
     }
-    Ok(members.into_iter().map(|(_, process)| process).collect())
+    Ok(members.iter().map(|(_, process)| label_of(process)).collect())
 }
 
 /// One order and its answer. A process that ends meanwhile needs no settings any more.

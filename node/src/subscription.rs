@@ -82,6 +82,7 @@ impl<T: Decode> Subscription<T> {
     }
 }
 
+/// The untyped subscription.
 impl<T: Decode> AsRef<RawSubscription> for Subscription<T> {
     fn as_ref(&self) -> &RawSubscription {
         self.samples.source().raw()
@@ -145,7 +146,7 @@ impl<T: Decode> SampleSource for tautline_transport::Subscription<T> {
     type Sample = Sample<T>;
 
     fn raw(&self) -> &RawSubscription {
-        self.raw()
+        self.as_ref()
     }
 
     fn try_take_valid(&mut self) -> Result<Option<Sample<T>>, TakeError> {

@@ -11,9 +11,10 @@ use std::time::Duration;
 use common::realtime;
 use futures::future::pending;
 use tautline::{
-    Admission, Admitted, CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Result,
-    Running, SystemError, shared_statistics,
+    Admission, CallbackGroup, CallbackHandle, CallbackOptions, Context, Error, Node, Result, SystemError,
 };
+use tautline_executor::Admitted;
+use tautline_system::{Running, shared_statistics};
 
 /// Each test has a domain of its own, in a scope of its own.
 fn scope() {

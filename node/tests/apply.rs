@@ -80,7 +80,7 @@ fn a_new_text_is_taken_up_by_what_runs_or_by_nobody() {
     assert_eq!(apply(&file), Ok(1));
     let second = (Policy::Fifo(10), Policy::Fifo(20), Some(ms(3)), Some(ms(9)));
     assert_eq!(now(), second);
-    assert_eq!(fast.stats().snapshot().unwrap().priority, Some(10));
+    assert_eq!(tautline_executor::CallbackSnapshot::of(fast.stats()).unwrap().priority, Some(10));
     // Whatever is spawned now is as the new text says.
     assert_eq!(context.callback("fast").unwrap().policy, Policy::Fifo(10));
 

@@ -402,7 +402,7 @@ fn json_is_read_and_answered_in_place() {
 #[test]
 fn the_kept_definition_of_a_service_has_its_hash() {
     use tautline::Service;
-    use tautline::schema::Schema;
+    use tautline_schema::Schema;
     fn check<S: Service>() {
         let kept = tautline_transport::ServiceType::of::<S>().request;
         let text = kept.definition.expect("generated types have one");

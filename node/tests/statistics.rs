@@ -7,11 +7,10 @@ use std::path::PathBuf;
 
 use common::{Log, Number, run_again, spin};
 use futures::StreamExt;
-use tautline::{
-    CallbackGroup, CallbackSnapshot, Context, MomentKind, Node, ProcessSnapshot, Qos, Realtime,
-    shared_statistics,
-};
+use tautline::{CallbackGroup, Context, Node, Qos, Realtime};
+use tautline_executor::{CallbackSnapshot, MomentKind, ProcessSnapshot};
 use tautline_rt::clock;
+use tautline_system::shared_statistics;
 
 const DOMAIN: u32 = 166;
 const KILLED: u32 = 167;
@@ -105,7 +104,7 @@ fn what_callbacks_do_is_seen_from_outside() {
     assert_eq!(about.system_hash, file.fingerprint());
 
     let callback = find(snapshot, "scan");
-    assert_eq!(Some(callback), scan.stats().snapshot().as_ref());
+    assert_eq!(Some(callback), CallbackSnapshot::of(scan.stats()).as_ref());
     assert_eq!((callback.releases, callback.lost, callback.max_queue, callback.depth), (2, 3, 2, 2));
     assert_eq!((callback.least_distance_ns, callback.first_release_ns), (Some(7_000), first_ns + 21_000));
     assert_eq!((callback.period_ns, callback.budget_ns), (Some(10_000_000), Some(4_034_000)));

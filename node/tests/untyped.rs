@@ -7,12 +7,12 @@ mod common;
 use common::{Log, context, eventually, spin};
 use futures::{FutureExt, Stream, StreamExt};
 use serde_json::{Value, json};
-use tautline::schema::{DynamicMessage, Schema};
 use tautline::sensor_msgs::msg::Image;
 use tautline::std_msgs::msg::{Empty, String as Text};
 use tautline::{
     CallbackOptions, Error, IncompatibleType, Json, Limits, Message, Node, Qos, SubscriptionEvent,
 };
+use tautline_schema::{DynamicMessage, Schema};
 use tautline_transport::{Participant, SchemaStore, TopicType};
 
 const DOMAIN: u32 = 117;
@@ -299,8 +299,10 @@ fn a_topic_with_another_hash_does_not_match_and_is_told() {
     let json = node.subscribe_untyped("/other", "std_msgs/msg/String", qos()).unwrap();
     let raw = node.subscribe_raw("/other", "std_msgs/msg/String", qos()).unwrap();
     let of_another_type = node.subscribe_raw("/other", "std_msgs/msg/Empty", qos()).unwrap();
-    for subscription in [json.as_ref(), raw.as_ref(), of_another_type.as_ref()] {
-        let mut events = node.subscription_events(subscription).unwrap();
+    let json = node.subscription_events(&json).unwrap();
+    for mut events in
+        [json, node.subscription_events(&raw).unwrap(), node.subscription_events(&of_another_type).unwrap()]
+    {
         let expected = IncompatibleType { total_count: 1, total_count_change: 1 };
         assert_eq!(drain(&mut events), [SubscriptionEvent::IncompatibleType(expected)]);
     }

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Wakes a task once, at a time that the task sets.
 
-use crate::events::SamplerState;
+use crate::events::{Events, SamplerState};
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use tautline_rt::clock::monotonic_ns;
-use tautline_transport::Slot;
+use tautline_transport::{Slot, TransportError};
 
 /// Wakes one task at a time that can be changed. Ringing its slot also wakes the task, so a task that waits for several things
 /// needs only one alarm.
@@ -16,8 +16,16 @@ pub struct Alarm {
 }
 
 impl Alarm {
-    pub(crate) fn new(state: Arc<SamplerState>, slot: Slot) -> Self {
-        Alarm { state, slot, at_ns: None }
+    /// An alarm that is not set.
+    ///
+    /// # Real-time
+    /// Like [`Doorbell::claim`](tautline_transport::Doorbell::claim): wait-free, without allocation or syscall, unless its slot is in
+    /// a new window, or in a window that had no timer before: then it allocates and takes a lock.
+    ///
+    /// # Errors
+    /// [`TransportError::Doorbell`] if there is no memory for its slot.
+    pub fn new(events: &Events) -> Result<Alarm, TransportError> {
+        Ok(Alarm { state: events.state.clone(), slot: events.timer_slot()?, at_ns: None })
     }
 
     /// The alarm's slot.

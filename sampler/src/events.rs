@@ -1,17 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a sampler serves in addition to samples: timers and guard conditions, created from any thread.
 
-use crate::alarm::Alarm;
-use crate::timer::Timer;
 use crate::timers::{SpareQueues, Timers};
-use crate::watchdog::Watchdog;
 use std::future::poll_fn;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll};
-use std::time::Duration;
-use tautline_rt::clock::{monotonic_ns, nanoseconds};
-use tautline_transport::{Activity, Doorbell, Participant, Slot, TransportError};
+use tautline_transport::{Doorbell, Participant, Slot, TransportError};
 
 /// The part of a sampler that other threads use, to create timers and guard conditions, and to stop the sampler.
 #[derive(Clone)]
@@ -39,56 +34,8 @@ impl Events {
         Ok((Events { state: Arc::new(state) }, spares))
     }
 
-    /// A timer whose first release is one period from now.
-    ///
-    /// # Real-time
-    /// Setup only.
-    ///
-    /// # Errors
-    /// [`TransportError::Doorbell`] if there is no memory for its slot.
-    pub fn timer(&self, period: Duration) -> Result<Timer, TransportError> {
-        let period_ns = nanoseconds(period).max(1);
-        self.timer_at(monotonic_ns().saturating_add(period_ns), period)
-    }
-
-    /// A timer whose first release is at `first_release_ns` on `CLOCK_MONOTONIC`; periods below 1 ns are 1 ns.
-    ///
-    /// # Real-time
-    /// Setup only.
-    ///
-    /// # Errors
-    /// [`TransportError::Doorbell`] if there is no memory for its slot.
-    pub fn timer_at(&self, first_release_ns: u64, period: Duration) -> Result<Timer, TransportError> {
-        let slot = self.timer_slot()?;
-        Ok(Timer::arm(self.state.clone(), slot, first_release_ns, nanoseconds(period).max(1)))
-    }
-
-    /// Monitors that `activity` is seen at least once in each `period`, from the first time on that it was seen.
-    ///
-    /// # Real-time
-    /// Setup only.
-    ///
-    /// # Errors
-    /// [`TransportError::Doorbell`] if there is no memory for its slot.
-    pub fn watchdog(&self, activity: Activity, period: Duration) -> Result<Watchdog, TransportError> {
-        let slot = self.timer_slot()?;
-        Ok(Watchdog::arm(self.state.clone(), slot, activity, nanoseconds(period).max(1)))
-    }
-
-    /// An alarm that is not set.
-    ///
-    /// # Real-time
-    /// Like [`Doorbell::claim`]: wait-free, without allocation or syscall, unless its slot is in a new window, or in a window that
-    /// had no timer before: then it allocates and takes a lock.
-    ///
-    /// # Errors
-    /// [`TransportError::Doorbell`] if there is no memory for its slot.
-    pub fn alarm(&self) -> Result<Alarm, TransportError> {
-        Ok(Alarm::new(self.state.clone(), self.timer_slot()?))
-    }
-
     /// A slot at which the sampler may release something.
-    fn timer_slot(&self) -> Result<Slot, TransportError> {
+    pub(crate) fn timer_slot(&self) -> Result<Slot, TransportError> {
         let slot = self.state.doorbell.claim()?;
         self.state.timers.cover(slot.index());
         Ok(slot)
@@ -135,6 +82,13 @@ pub struct GuardCondition {
     seen: u64,
 }
 
+/// The condition's slot.
+impl AsRef<Arc<Slot>> for GuardCondition {
+    fn as_ref(&self) -> &Arc<Slot> {
+        &self.condition.slot
+    }
+}
+
 impl GuardCondition {
     /// Triggers the condition. All triggers before the task checks count as one.
     ///
@@ -144,11 +98,6 @@ impl GuardCondition {
         // Release: pairs with the Acquire in `poll_triggered`.
         self.condition.triggered.fetch_add(1, Ordering::Release);
         self.condition.slot.ring();
-    }
-
-    /// The condition's slot.
-    pub fn slot(&self) -> &Arc<Slot> {
-        &self.condition.slot
     }
 
     /// Waits until the condition has been triggered since the last wait, or since it was created. Only one task may

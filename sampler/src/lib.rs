@@ -17,12 +17,12 @@
 //!
 //! ```
 //! use std::time::Duration;
-//! use tautline_sampler::Sampler;
+//! use tautline_sampler::{Sampler, Timer};
 //! use tautline_transport::Participant;
 //!
 //! let participant = Participant::new(121)?;
 //! let mut sampler = Sampler::new(&participant)?;
-//! let mut timer = sampler.events().timer(Duration::from_millis(1))?;
+//! let mut timer = Timer::new(sampler.events(), Duration::from_millis(1))?;
 //!
 //! let mut pool = futures::executor::LocalPool::new();
 //! futures::task::LocalSpawnExt::spawn_local(&pool.spawner(), async move {

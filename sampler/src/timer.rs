@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Absolute periodic timers, released by the sampler.
 
-use crate::events::SamplerState;
+use crate::events::{Events, SamplerState};
 use futures::Stream;
 use std::future::poll_fn;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll};
-use tautline_transport::{Activity, Slot};
+use std::time::Duration;
+use tautline_rt::clock::{monotonic_ns, nanoseconds};
+use tautline_transport::{Activity, Slot, TransportError};
 
 /// What a timer and the sampler tell each other, one per slot.
 #[derive(Default)]
@@ -91,7 +93,35 @@ pub struct Timer {
 }
 
 impl Timer {
-    pub(crate) fn arm(state: Arc<SamplerState>, slot: Slot, first_release_ns: u64, period_ns: u64) -> Self {
+    /// A timer whose first release is one period from now.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError::Doorbell`] if there is no memory for its slot.
+    pub fn new(events: &Events, period: Duration) -> Result<Timer, TransportError> {
+        let period_ns = nanoseconds(period).max(1);
+        Timer::starting_at(events, monotonic_ns().saturating_add(period_ns), period)
+    }
+
+    /// A timer whose first release is at `first_release_ns` on `CLOCK_MONOTONIC`; periods below 1 ns are 1 ns.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError::Doorbell`] if there is no memory for its slot.
+    pub fn starting_at(
+        events: &Events,
+        first_release_ns: u64,
+        period: Duration,
+    ) -> Result<Timer, TransportError> {
+        let (state, slot) = (events.state.clone(), events.timer_slot()?);
+        Ok(Timer::arm(state, slot, first_release_ns, nanoseconds(period).max(1)))
+    }
+
+    fn arm(state: Arc<SamplerState>, slot: Slot, first_release_ns: u64, period_ns: u64) -> Self {
         let number = state.timers.at(slot.index()).arm(first_release_ns, period_ns, None);
         slot.ring();
         Timer { state, slot: Arc::new(slot), first_release_ns, period_ns, number, seen: 0, missed: 0 }
@@ -158,8 +188,6 @@ mod tests {
     use super::*;
     use crate::Sampler;
     use std::task::Waker;
-    use std::time::Duration;
-    use tautline_rt::clock::{monotonic_ns, nanoseconds};
     use tautline_transport::Participant;
 
     /// The sampler accepts the timer when it looks for the ring of the slot's owner before, and again for its own.
@@ -169,7 +197,7 @@ mod tests {
         let mut sampler = Sampler::new(&participant).unwrap();
         let hour = Duration::from_secs(3600);
         let start = monotonic_ns();
-        let mut timer = sampler.events().timer_at(start, hour).unwrap();
+        let mut timer = Timer::starting_at(sampler.events(), start, hour).unwrap();
         let state = timer.state.clone();
         let words = &state.timers.at(timer.slot.index());
         let mut poll = || timer.poll_tick(&mut Context::from_waker(Waker::noop()));

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Activities that must happen in time, monitored by the sampler.
 
-use crate::events::SamplerState;
+use crate::events::{Events, SamplerState};
 use std::future::poll_fn;
 use std::sync::Arc;
 use std::sync::atomic::{Ordering, fence};
 use std::task::{Context, Poll};
-use tautline_rt::clock::monotonic_ns;
-use tautline_transport::{Activity, Slot};
+use std::time::Duration;
+use tautline_rt::clock::{monotonic_ns, nanoseconds};
+use tautline_transport::{Activity, Slot, TransportError};
 
 /// An activity did not happen in time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,7 +32,16 @@ pub struct Watchdog {
 }
 
 impl Watchdog {
-    pub(crate) fn arm(state: Arc<SamplerState>, slot: Slot, activity: Activity, period_ns: u64) -> Self {
+    /// Monitors that `activity` is seen at least once in each `period`, from the first time on that it was seen.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// [`TransportError::Doorbell`] if there is no memory for its slot.
+    pub fn new(events: &Events, activity: Activity, period: Duration) -> Result<Watchdog, TransportError> {
+        let (state, slot, period_ns) =
+            (events.state.clone(), events.timer_slot()?, nanoseconds(period).max(1));
         let now_ns = monotonic_ns();
         let first_ns = match state.doorbell.activity_ns(activity) {
             0 => now_ns.saturating_add(period_ns),
@@ -39,7 +49,7 @@ impl Watchdog {
         };
         let number = state.timers.at(slot.index()).arm(first_ns, period_ns, Some(activity));
         slot.ring();
-        Watchdog { state, slot, number, seen: 0 }
+        Ok(Watchdog { state, slot, number, seen: 0 })
     }
 
     /// Waits for the next expiry.
@@ -93,7 +103,8 @@ mod tests {
         let mut sampler = Sampler::new(&participant).unwrap();
         let slot = participant.claim_slot().unwrap();
         let hour = Duration::from_secs(3600);
-        let mut watchdog = sampler.events().watchdog(slot.activity(ActivityKind::Sample), hour).unwrap();
+        let mut watchdog =
+            Watchdog::new(sampler.events(), slot.activity(ActivityKind::Sample), hour).unwrap();
         sampler.spin_once(Some(Duration::ZERO));
         let state = watchdog.state.clone();
         let words = &state.timers.at(watchdog.slot.index());

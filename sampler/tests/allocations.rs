@@ -10,7 +10,7 @@ use std::task::Context;
 use std::time::Duration;
 use support::{Count, domain};
 use tautline_rt::clock::monotonic_ns;
-use tautline_sampler::Sampler;
+use tautline_sampler::{Sampler, Timer};
 use tautline_transport::{Limits, Participant, Qos};
 
 const CYCLES: u64 = 10_000;
@@ -48,7 +48,9 @@ fn wake_and_poll() {
     let subscription = participant.create_subscription::<Count>("/heap", Qos::default(), limits).unwrap();
     let mut condition = sampler.events().guard_condition().unwrap();
     let mut timers: Vec<_> = [10, 70, 300]
-        .map(|micros| sampler.events().timer_at(monotonic_ns(), Duration::from_micros(micros)).unwrap())
+        .map(|micros| {
+            Timer::starting_at(sampler.events(), monotonic_ns(), Duration::from_micros(micros)).unwrap()
+        })
         .into();
     // A real waker, counted references and all.
     let pool = futures::executor::LocalPool::new();

@@ -7,7 +7,7 @@ use rustix::time::{ClockId, Timespec, clock_gettime, clock_settime};
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tautline_rt::clock::monotonic_ns;
-use tautline_sampler::{Sampler, Tick};
+use tautline_sampler::{Sampler, Tick, Timer};
 use tautline_transport::Participant;
 
 const HOUR: i64 = 3_600;
@@ -48,7 +48,7 @@ fn a_clock_step_does_not_disturb_timers() {
     let participant = Participant::new(193).unwrap();
     let mut sampler = Sampler::new(&participant).unwrap();
     let first_ns = monotonic_ns();
-    let mut timer = sampler.events().timer_at(first_ns, PERIOD).unwrap();
+    let mut timer = Timer::starting_at(sampler.events(), first_ns, PERIOD).unwrap();
     let mut next = || loop {
         if let Poll::Ready(tick) = timer.poll_tick(&mut Context::from_waker(noop_waker_ref())) {
             return tick;

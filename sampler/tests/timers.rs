@@ -46,7 +46,7 @@ fn next(sampler: &mut Sampler, timer: &mut Timer) -> Tick {
 fn releases_are_absolute() {
     let mut sampler = sampler(170);
     let (start, period) = (monotonic_ns() + 2 * MS, 3 * MS);
-    let mut timer = sampler.events().timer_at(start, Duration::from_nanos(period)).unwrap();
+    let mut timer = Timer::starting_at(sampler.events(), start, Duration::from_nanos(period)).unwrap();
     let mut index = 0;
     for turn in 1..=30 {
         let tick = next(&mut sampler, &mut timer);
@@ -69,7 +69,7 @@ fn missed_releases_are_counted_and_come_as_one() {
     let (now, late) = (monotonic_ns(), 5);
     let period = now / 8;
     let start = now - late * period - period / 2;
-    let mut timer = sampler.events().timer_at(start, Duration::from_nanos(period)).unwrap();
+    let mut timer = Timer::starting_at(sampler.events(), start, Duration::from_nanos(period)).unwrap();
     let tick = next(&mut sampler, &mut timer);
     assert_eq!(tick, Tick { release_ns: start + late * period, index: late + 1, missed: late });
     assert_eq!(sampler.spin_once(Some(Duration::ZERO)), 0);
@@ -85,7 +85,7 @@ fn timers_are_released_in_order() {
     let start = monotonic_ns() + 5 * MS;
     // Armed in another order than they are due. One period so long that it ticks once.
     for (name, at) in [("third", 9), ("first", 1), ("fourth", 13), ("second", 5)] {
-        let mut timer = sampler.events().timer_at(start + at * MS, HOUR).unwrap();
+        let mut timer = Timer::starting_at(sampler.events(), start + at * MS, HOUR).unwrap();
         let log = log.clone();
         let task = async move {
             let tick = timer.tick().await;
@@ -112,7 +112,7 @@ fn sleeps_are_told_with_what_is_due() {
     let mut sampler = sampler(226);
     let events = sampler.events().clone();
     let due_ns = monotonic_ns() + HOUR.as_nanos() as u64;
-    let _timer = events.timer_at(due_ns, HOUR).unwrap();
+    let _timer = Timer::starting_at(&events, due_ns, HOUR).unwrap();
     let mut told = Vec::new();
     sampler.spin_told(|sleep| {
         told.push(sleep);
@@ -125,10 +125,10 @@ fn sleeps_are_told_with_what_is_due() {
 fn a_timer_may_be_dropped_and_another_made_while_the_sampler_sleeps() {
     let sampler = sampler(173);
     let thread = sampler.start(ThreadBuilder::new("sampler")).unwrap();
-    let long = thread.events().timer(HOUR).unwrap();
+    let long = Timer::new(thread.events(), HOUR).unwrap();
     drop(long);
     for _ in 0..100 {
-        let mut timer = thread.events().timer(Duration::from_micros(300)).unwrap();
+        let mut timer = Timer::new(thread.events(), Duration::from_micros(300)).unwrap();
         let ticks: Vec<_> = futures::executor::block_on(timer.by_ref().take(3).collect());
         assert!(ticks.is_sorted_by(|a, b| a.index < b.index));
     }
@@ -146,7 +146,7 @@ fn spin_once_returns_at_its_timeout_and_not_before() {
             assert!(monotonic_ns() - start >= timeout.as_nanos() as u64);
         }
         // A timer ends the longest timeout there is.
-        let mut timer = sampler.events().timer(Duration::from_millis(2)).unwrap();
+        let mut timer = Timer::new(sampler.events(), Duration::from_millis(2)).unwrap();
         while poll(&mut timer).is_pending() {
             assert!(sampler.spin_once(Some(Duration::MAX)) > 0);
         }
@@ -224,7 +224,7 @@ fn thousands_of_timers_tick_and_their_slots_come_back() {
     for _ in 0..3 {
         // Due at once, and then for an hour no more.
         let start = monotonic_ns();
-        let timer = |_| sampler.events().timer_at(start, HOUR).unwrap();
+        let timer = |_| Timer::starting_at(sampler.events(), start, HOUR).unwrap();
         let mut timers: Vec<Timer> = (0..MANY).map(timer).collect();
         let mut conditions: Vec<_> = (0..MANY).map(|_| sampler.events().guard_condition().unwrap()).collect();
         let mut slots: Vec<usize> = timers.iter().map(|timer| timer.slot().index()).collect();

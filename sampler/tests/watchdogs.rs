@@ -9,7 +9,7 @@ mod support;
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 use tautline_rt::clock::monotonic_ns;
-use tautline_sampler::{Expiry, Sampler, Watchdog};
+use tautline_sampler::{Alarm, Expiry, Sampler, Watchdog};
 use tautline_transport::{ActivityKind, Participant, Slot};
 
 const MS: u64 = 1_000_000;
@@ -35,7 +35,7 @@ fn two_hundred_topics_of_which_every_second_is_fed() {
         .enumerate()
         .map(|(index, slot)| {
             slot.note(ActivityKind::Sample, due(index) - 60_000 * MS);
-            sampler.events().watchdog(slot.activity(ActivityKind::Sample), minute).unwrap()
+            Watchdog::new(sampler.events(), slot.activity(ActivityKind::Sample), minute).unwrap()
         })
         .collect();
     // Happens again in time.
@@ -63,7 +63,7 @@ fn silence_expires_once_in_each_period_and_nothing_before_the_first_sign() {
     let mut sampler = Sampler::new(&participant).unwrap();
     let slot = participant.claim_slot().unwrap();
     let (activity, period_ns) = (slot.activity(ActivityKind::Liveliness), 2 * MS);
-    let mut watchdog = sampler.events().watchdog(activity, Duration::from_nanos(period_ns)).unwrap();
+    let mut watchdog = Watchdog::new(sampler.events(), activity, Duration::from_nanos(period_ns)).unwrap();
     let end = monotonic_ns() + 5 * period_ns;
     while monotonic_ns() < end {
         sampler.spin_once(Some(Duration::from_nanos(period_ns)));
@@ -87,7 +87,7 @@ fn silence_expires_once_in_each_period_and_nothing_before_the_first_sign() {
 fn an_alarm_rings_when_it_is_set_to_and_can_be_set_anew() {
     let participant = Participant::new(support::domain(115)).unwrap();
     let mut sampler = Sampler::new(&participant).unwrap();
-    let mut alarm = sampler.events().alarm().unwrap();
+    let mut alarm = Alarm::new(sampler.events()).unwrap();
     let mut rung = |alarm: &tautline_sampler::Alarm| {
         sampler.spin_once(Some(Duration::ZERO));
         alarm.poll(&mut Context::from_waker(Waker::noop())).is_ready()

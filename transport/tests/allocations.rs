@@ -243,8 +243,8 @@ fn deadline_lifespan_lease_and_who_watches_them() {
     let publisher = participant.create_publisher::<Count>("/watched", qos, limits).unwrap();
     let subscription = participant.create_subscription::<Count>("/watched", qos, limits).unwrap();
     let slots = [(); 2].map(|()| participant.claim_slot().unwrap());
-    let mut offered = publisher.raw().monitor(&slots[0]);
-    let mut requested = subscription.raw().monitor(&slots[1]);
+    let mut offered = publisher.as_ref().monitor(&slots[0]);
+    let mut requested = subscription.as_ref().monitor(&slots[1]);
     let (mut lost, mut n) = (0, 0);
     let mut cycle = || {
         publisher.assert_liveliness();

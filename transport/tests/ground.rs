@@ -181,10 +181,10 @@ fn whoever_no_longer_polls_by_itself_is_woken_for_what_comes_then() {
             }
         });
         for n in 0..2000 {
-            subscription.raw().set_quiet(true);
+            subscription.as_ref().set_quiet(true);
             seat.drain(|_| {});
             sender.send(n).unwrap();
-            subscription.raw().set_quiet(false);
+            subscription.as_ref().set_quiet(false);
             // Looks only when it was rung. The end is for a test that fails.
             let end_ns = monotonic_ns() + 30_000_000_000;
             let mut taken = None;

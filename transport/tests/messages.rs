@@ -221,7 +221,7 @@ fn owned_plain_written_in_place_and_raw_ends_share_topics() {
         .publish()
         .unwrap();
     ends.raw.publish(&twist.to_cdr().unwrap()[4..]).unwrap();
-    assert_eq!(ends.publisher.raw().limits().message_bytes, 48);
+    assert_eq!(ends.publisher.as_ref().limits().message_bytes, 48);
     ends.expect(&twist, 4);
 }
 
@@ -255,7 +255,7 @@ impl<T: Message + PartialEq + std::fmt::Debug> Ends<T> {
         for n in 0..count {
             assert_eq!(self.raw_subscription.try_take().unwrap().unwrap().body(), body, "message {n}");
             let sample = self.subscription.try_take().unwrap().unwrap();
-            assert_eq!((&sample.to_owned(), sample.raw().body()), (message, body), "message {n}");
+            assert_eq!((&sample.to_owned(), sample.as_ref().body()), (message, body), "message {n}");
         }
         assert!(self.subscription.try_take().unwrap().is_none());
     }
@@ -288,7 +288,7 @@ fn padding_is_zero_whatever_was_assigned() {
             _ => loan.publish_released_at(5).unwrap(),
         }
         let sample = ends.subscription.try_take().unwrap().unwrap();
-        assert_eq!((*sample, sample.raw().body()), (value, &body[..]));
+        assert_eq!((*sample, sample.as_ref().body()), (value, &body[..]));
         // SAFETY: a Gaps in shared memory, where padding has a value too.
         let memory = unsafe { std::slice::from_raw_parts((&raw const *sample).cast::<u8>(), 24) };
         assert_eq!(memory[18..], [0; 6], "nothing follows the body either");
@@ -344,7 +344,7 @@ fn ends_of_other_types_do_not_match_and_both_are_named() {
     let participant = Participant::new(domain(194)).unwrap();
     let publisher = participant.create_publisher::<Image>("/hash", Qos::default(), LIMITS).unwrap();
     let slots = [(); 3].map(|()| participant.claim_slot().unwrap());
-    let mut monitor = publisher.raw().monitor(&slots[0]);
+    let mut monitor = publisher.as_ref().monitor(&slots[0]);
     let hash = Image::TYPE_HASH.unwrap();
     let other = format!("RIHS01_{}", "5".repeat(64));
     let changed = TopicType::new(Image::TYPE_NAME).with_hash(other.clone());
@@ -360,7 +360,7 @@ fn ends_of_other_types_do_not_match_and_both_are_named() {
     let (compressed, log) = log::of(compressed);
     let said = |parts: &[&str]| log.iter().any(|line| parts.iter().all(|part| line.contains(part)));
     assert!(said(&[hash, CompressedImage::TYPE_HASH.unwrap(), CompressedImage::TYPE_NAME]), "{log:?}");
-    let changes = compressed.raw().monitor(&slots[2]).changes(0);
+    let changes = compressed.as_ref().monitor(&slots[2]).changes(0);
     assert_eq!(
         (changes.incompatible_type, changes.matched, changes.incompatible_qos),
         (found(1), None, None)
@@ -486,7 +486,7 @@ where
     // The stream passes over what is none.
     raw.publish(&[0x77; 3]).unwrap();
     raw.publish(valid).unwrap();
-    assert_eq!(subscription.try_take_valid().unwrap().unwrap().raw().body(), valid);
+    assert_eq!(subscription.try_take_valid().unwrap().unwrap().as_ref().body(), valid);
     assert_eq!(counters.invalid(), refused + 1);
 }
 
@@ -583,7 +583,7 @@ fn a_plain_message_is_written_where_it_lies() {
 
     // No bools where they will be.
     for _ in 0..LIMITS.loans {
-        publisher.raw().publish(&[7; size_of::<Whole>()]).unwrap();
+        publisher.as_ref().publish(&[7; size_of::<Whole>()]).unwrap();
     }
     let memory = vec![0; size_of::<Whole>()].leak();
     let refused = publisher.loan_with(()).unwrap().write(|writer| {

@@ -48,7 +48,7 @@ fn an_observer_gets_everything_and_is_seen_by_nobody() {
         let strict = publisher(&robot, "/seen", strict);
         (1..=3).for_each(|n| latched.publish(&Count { n }).unwrap());
         let slot = robot.claim_slot().unwrap();
-        let mut monitor = latched.raw().monitor(&slot);
+        let mut monitor = latched.as_ref().monitor(&slot);
         let epoch = (robot.graph_epoch(), robot.graph().unwrap());
         let observer = observer(looker, "/seen", 4);
         assert_ne!(robot.graph_epoch(), epoch.0, "otherwise the next line says nothing");
@@ -105,7 +105,7 @@ fn an_observer_that_holds_on_costs_no_loan() {
         }
     }
     assert_eq!(observer.try_take().err(), Some(TakeError::TooManyHeld));
-    assert_eq!(publisher.raw().counters().growths(), 0);
+    assert_eq!(publisher.as_ref().counters().growths(), 0);
 }
 
 fn of_topic(visitor: &mut Visitor, topic: &str) -> BTreeMap<Gid, TopicEndpoint> {
@@ -128,21 +128,24 @@ fn what_publishers_send_can_be_read_without_a_subscription() {
     let ends = of_topic(&mut visitor, "/counted");
     assert_eq!(ends.len(), 3);
     let mut sent = |gid| visitor.sent(&ends[&gid]).unwrap();
-    assert_eq!(sent(subscription.raw().gid()), None, "it sends nothing");
-    assert_eq!((sent(typed.raw().gid()), sent(bytes.gid())), (Some(Sent::default()), Some(Sent::default())));
+    assert_eq!(sent(subscription.as_ref().gid()), None, "it sends nothing");
+    assert_eq!(
+        (sent(typed.as_ref().gid()), sent(bytes.gid())),
+        (Some(Sent::default()), Some(Sent::default()))
+    );
     let before_ns = monotonic_ns();
     for n in 0..1000 {
         typed.publish(&Count { n }).unwrap();
         bytes.publish(&[7; 13]).unwrap();
     }
     let after_ns = monotonic_ns();
-    let (of_typed, of_bytes) = (sent(typed.raw().gid()).unwrap(), sent(bytes.gid()).unwrap());
+    let (of_typed, of_bytes) = (sent(typed.as_ref().gid()).unwrap(), sent(bytes.gid()).unwrap());
     assert_eq!((of_typed.messages, of_typed.bytes), (1000, 8000));
     assert_eq!((of_bytes.messages, of_bytes.bytes), (1000, 13_000));
     assert!(before_ns <= of_typed.last_ns && of_typed.last_ns <= of_bytes.last_ns);
     assert!(of_bytes.last_ns <= after_ns);
-    let gid = typed.raw().gid();
-    let lost = subscription.raw().gid();
+    let gid = typed.as_ref().gid();
+    let lost = subscription.as_ref().gid();
     let kept = Qos::default().depth as u64;
     assert_eq!(
         visitor.overwritten(&ends[&gid]).unwrap(),
@@ -154,7 +157,7 @@ fn what_publishers_send_can_be_read_without_a_subscription() {
     typed.publish(&Count { n: 0 }).unwrap();
     let now: BTreeMap<_, _> = visitor.overwritten(&ends[&gid]).unwrap().into_iter().collect();
     assert_eq!((now.len(), now[&lost], now[&observer.gid()]), (2, 1000 - kept, 0));
-    assert_eq!((taken, subscription.raw().counters().lost()), (kept, 1000 - kept), "as it counts itself");
+    assert_eq!((taken, subscription.as_ref().counters().lost()), (kept, 1000 - kept), "as it counts itself");
     assert_eq!(visitor.overwritten(&ends[&lost]).unwrap(), [], "it sends nothing");
     drop(typed);
     let left = of_topic(&mut visitor, "/counted");

@@ -163,7 +163,7 @@ fn a_take_looks_at_so_many_and_no_more_and_says_when_there_may_be_more() {
     let publisher = publisher(&participant, "/passed", Qos::default());
     // Too old as soon as it is looked at.
     let publish_short = |n: u64| {
-        let mut loan = publisher.raw().loan(8).unwrap();
+        let mut loan = publisher.as_ref().loan(8).unwrap();
         loan.copy_from_slice(&n.to_le_bytes());
         loan.publish_as_for(MessageInfo::default(), Duration::from_nanos(1)).unwrap();
     };
@@ -226,7 +226,7 @@ fn monitors_tell_of_matches() {
     let participant = Participant::new(domain(113)).unwrap();
     let events = participant.claim_slot().unwrap();
     let publisher = publisher(&participant, "/matches", Qos { deadline: HOUR, ..Qos::default() });
-    let mut monitor = publisher.raw().monitor(&events);
+    let mut monitor = publisher.as_ref().monitor(&events);
     assert_eq!(monitor.changes(), Default::default());
     let first = subscription(&participant, "/matches", Qos::default());
     let strict = subscription(
@@ -251,7 +251,7 @@ fn monitors_tell_of_matches() {
     assert!(monitor.has_ended());
 
     let subscription = subscription(&participant, "/matches", Qos::default());
-    let mut monitor = subscription.raw().monitor(&events);
+    let mut monitor = subscription.as_ref().monitor(&events);
     let one = self::publisher(&participant, "/matches", Qos::default());
     let changes = monitor.changes(monotonic_ns());
     assert_eq!(changes.matched.unwrap().current_count, 1);
@@ -276,7 +276,7 @@ fn losses_are_told() {
     let events = participant.claim_slot().unwrap();
     let subscription = subscription(&participant, "/losses", Qos::keep_last(2));
     let publisher = publisher(&participant, "/losses", Qos::keep_last(1));
-    let mut monitor = subscription.raw().monitor(&events);
+    let mut monitor = subscription.as_ref().monitor(&events);
     monitor.changes(0);
     for (round, total) in [(1, 3), (2, 6)] {
         for n in 0..5 {
@@ -296,7 +296,7 @@ fn who_was_there_first_is_told_of_what_does_not_fit() {
     let events = early.claim_slot().unwrap();
     let wanted = Qos::default().transient_local();
     let publisher = publisher(&early, "/offered", Qos::default());
-    let mut monitor = publisher.raw().monitor(&events);
+    let mut monitor = publisher.as_ref().monitor(&events);
     assert_eq!(monitor.changes(), Default::default());
     let _strict = subscription(&late, "/offered", wanted);
     let policy = |found: Option<IncompatibleQos>| found.map(|found| found.last_policy_kind);
@@ -304,7 +304,7 @@ fn who_was_there_first_is_told_of_what_does_not_fit() {
         policy(monitor.changes().incompatible_qos) == Some(QosPolicyKind::Durability)
     });
     let strict = subscription(&early, "/requested", wanted);
-    let mut monitor = strict.raw().monitor(&events);
+    let mut monitor = strict.as_ref().monitor(&events);
     let _loose = self::publisher(&late, "/requested", Qos::default());
     let found =
         |monitor: &mut tautline_transport::SubscriptionMonitor| policy(monitor.changes(0).incompatible_qos);
@@ -323,7 +323,7 @@ fn a_lease_is_kept_by_publishing_or_by_word() {
     };
     let subscription = subscription(&participant, "/lease", manual);
     let publisher = publisher(&participant, "/lease", manual);
-    let mut monitor = subscription.raw().monitor(&events);
+    let mut monitor = subscription.as_ref().monitor(&events);
     let lease_ns = lease.as_nanos() as u64;
     let look = |monitor: &mut tautline_transport::SubscriptionMonitor, now_ns: u64| {
         let changes = monitor.changes(now_ns);
@@ -351,7 +351,7 @@ fn a_killed_publisher_is_told_from_one_that_went() {
     let participant = Participant::new(domain(114)).unwrap();
     let events = participant.claim_slot().unwrap();
     let subscription = subscription(&participant, "/killed", Qos::default());
-    let mut monitor = subscription.raw().monitor(&events);
+    let mut monitor = subscription.as_ref().monitor(&events);
     for cycle in 0..3 {
         let mut part = Part::start("publisher", 114);
         assert_eq!(part.hear(), "ready");
@@ -386,8 +386,8 @@ fn monitors_tell_of_ends_on_other_hosts_and_not_of_their_stand_ins() {
     let subscription = subscription(&participant, "/far", Qos::default());
     let publisher = publisher(&participant, "/far", Qos::default());
     let slots = [participant.claim_slot().unwrap(), participant.claim_slot().unwrap()];
-    let mut requested = subscription.raw().monitor(&slots[0]);
-    let mut offered = publisher.raw().monitor(&slots[1]);
+    let mut requested = subscription.as_ref().monitor(&slots[0]);
+    let mut offered = publisher.as_ref().monitor(&slots[1]);
     assert_eq!(requested.changes(monotonic_ns()).matched.unwrap().current_count, 1);
     assert_eq!(offered.changes().matched.unwrap().current_count, 1);
 
@@ -446,7 +446,7 @@ fn monitors_tell_of_ends_on_other_hosts_and_not_of_their_stand_ins() {
     });
 
     // Who looks later sees it at once, as who looked before.
-    let mut late = subscription.raw().monitor(&slots[0]);
+    let mut late = subscription.as_ref().monitor(&slots[0]);
     assert_eq!(late.changes(monotonic_ns()).matched.unwrap().current_count, 3);
     let requested = &mut late;
     relay.publish(&7u64.to_le_bytes()).unwrap();
@@ -490,7 +490,7 @@ fn an_end_that_two_tell_of_is_one() {
     let [observer, near, far] = [(); 3].map(|()| Participant::new(domain).unwrap());
     let subscription = subscription(&observer, "/far", Qos::default());
     let slot = observer.claim_slot().unwrap();
-    let mut monitor = subscription.raw().monitor(&slot);
+    let mut monitor = subscription.as_ref().monitor(&slot);
     let topic_type = TopicType::of::<Count>();
     let told = |gid, path: &[u64]| RemoteGraph {
         endpoints: vec![TopicEndpoint {

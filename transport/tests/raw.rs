@@ -81,7 +81,7 @@ fn raw_and_typed_ends_share_a_topic() {
 
     raw.publish(&7u64.to_le_bytes()).unwrap();
     let sample = typed_in.try_take().unwrap().unwrap();
-    assert_eq!((sample.n, sample.raw().body()), (7, &7u64.to_le_bytes()[..]));
+    assert_eq!((sample.n, sample.as_ref().body()), (7, &7u64.to_le_bytes()[..]));
     assert_eq!(sample.info().publisher_gid, raw.gid());
     // Too short is published, and is no message; too long does not fit where the size is known.
     raw.publish(&[1; 5]).unwrap();

@@ -265,8 +265,8 @@ fn ends_of_other_types_get_nothing_from_each_other_and_are_told() {
     );
 
     let slots = [(); 2].map(|()| participant.claim_slot().unwrap());
-    let mut offered = publisher.raw().monitor(&slots[0]);
-    let mut requested = other.raw().monitor(&slots[1]);
+    let mut offered = publisher.as_ref().monitor(&slots[0]);
+    let mut requested = other.as_ref().monitor(&slots[1]);
     assert_eq!(offered.changes().incompatible_type.map(|found| found.total_count), Some(2));
     let changes = requested.changes(0);
     assert_eq!(changes.incompatible_type.map(|found| found.total_count), Some(1));
@@ -523,11 +523,11 @@ fn another_participants_thread_is_not_woken_directly() {
     let publisher = here.create_publisher::<Count>("/two", Qos::keep_last(4), DEFAULT).unwrap();
     let rung = || [&seats[0], &seats[1]].map(|seat| seat.drain(|_| {}));
     let bell = there.doorbell().claim_thread_bell().unwrap();
-    subscriptions[0].raw().wake_thread(Some(&bell));
+    subscriptions[0].as_ref().wake_thread(Some(&bell));
     rung();
     publisher.publish(&Count { n: 1 }).unwrap();
     assert_eq!(rung(), [1, 1], "both samplers");
-    subscriptions[1].raw().wake_thread(Some(&bell));
+    subscriptions[1].as_ref().wake_thread(Some(&bell));
     publisher.publish(&Count { n: 2 }).unwrap();
     assert_eq!(rung(), [1, 0], "one sampler, and the thread that is its participant's");
     bell.wait(std::time::Duration::ZERO);

@@ -2,7 +2,7 @@
 //! What users of the crate `tautline` see, from rustdoc's JSON: each item by its path, with its declaration; not which traits it
 //! implements. A change of it is seen in `node/api.txt`; and whatever a declaration names has a path by which a program can name it, too.
 
-use crate::build::{TARGETS, WHOLE};
+use crate::build::SAME;
 use crate::{lints, machine};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -12,11 +12,26 @@ use std::path::{Path, PathBuf};
 /// The crate whose surface this is.
 const CRATE: &str = "tautline";
 
+/// Everything that it can have: the bundled messages, and `logging::TracingLayer`.
+const FEATURES: &str = "--features tautline/ros_all,tautline/tracing-layer";
+
 /// Others' names for it begin so, too: their items are told of, and followed, if this one exports them.
 const OURS: &str = "tautline";
 
 /// Where messages are generated: their names are those of ROS, and not followed.
 const GENERATED: &str = "tautline_ros_msgs";
+
+/// Crates of others whose types it names, each with a reason.
+const THEIRS: [(&str, &str); 5] = [
+    ("indexmap", "the parameters of r2r's `RosParams`, in order"),
+    ("serde_json", "`Json` holds a value"),
+    ("uuid", "a goal's identifier"),
+    (
+        "futures_core",
+        "`Stream`, which std does not have; its version is the one that all of Rust's async code agrees on",
+    ),
+    ("tracing_subscriber", "`logging::TracingLayer` is a layer of its registry"),
+];
 
 /// Traits that nobody else is to implement, with their crates: they have no path on purpose.
 const SEALED: [(&str, &str); 2] = [("tautline_tf", "Sealed"), ("tautline_join", "Tuple")];
@@ -26,8 +41,7 @@ const FORMAT: u64 = 57;
 
 /// Compares the surface with the one that was written down; with `bless` writes it down.
 pub fn check(bless: bool) -> Result<(), String> {
-    // All targets, by which cargo takes the features that the tests have of everything.
-    let surface = Surface::read(&lints::documents(&format!("{WHOLE} {TARGETS}"))?)?;
+    let surface = Surface::read(&lints::documents(&format!("--package {CRATE} {FEATURES} {SAME} --lib"))?)?;
     let listed = machine::root().join("node/api.txt");
     let text = surface.lines.iter().map(|line| format!("{line}\n")).collect::<String>();
     let before = fs::read_to_string(&listed).unwrap_or_default();
@@ -47,6 +61,15 @@ pub fn check(bless: bool) -> Result<(), String> {
         let named = surface.unnameable.iter().map(|(name, user)| format!("{name} (in {user})"));
         faults.push(format!("no path to {}", named.collect::<Vec<_>>().join(", ")));
     }
+    let ours = |of: &str| of.starts_with(OURS) || ["alloc", "core", "std"].contains(&of);
+    let theirs = |of: &str| THEIRS.iter().any(|(known, _)| *known == of);
+    for (of, user) in surface.foreign.iter().filter(|(of, _)| !ours(of) && !theirs(of)) {
+        faults.push(format!("{user} names a type of {of}: users would depend on its version"));
+    }
+    if !surface.globs.is_empty() {
+        faults.push(format!("exported by a glob, not by name: {}", surface.globs.join(", ")));
+    }
+    println!("{} items", surface.lines.len());
     if faults.is_empty() { Ok(()) } else { Err(faults.join("; ")) }
 }
 
@@ -104,6 +127,11 @@ struct Surface {
     /// Which declarations name it.
     named: BTreeMap<Definition, String>,
     unnameable: BTreeMap<String, String>,
+    /// Crates whose types it names, and where first.
+    foreign: BTreeMap<String, String>,
+    globs: Vec<String>,
+    /// By owner and identifier: an item's first path. By others it is one line.
+    first: HashMap<(String, String), String>,
     seen: HashSet<(String, String)>,
 }
 
@@ -122,6 +150,9 @@ impl Surface {
             exported: HashMap::new(),
             named: BTreeMap::new(),
             unnameable: BTreeMap::new(),
+            foreign: BTreeMap::new(),
+            globs: Vec::new(),
+            first: HashMap::new(),
             seen: HashSet::new(),
         };
         let root = surface
@@ -167,6 +198,11 @@ impl Surface {
             return;
         }
         self.exported.entry((owner.to_owned(), name.to_owned())).or_insert_with(|| path.clone());
+        let first = self.first.entry((owner.to_owned(), id.to_string())).or_insert_with(|| path.clone());
+        if *first != path {
+            self.lines.insert(format!("use {path} = {first}"));
+            return;
+        }
         if kind == "module" {
             self.lines.insert(format!("mod {path}"));
             return self.module(owner, &id.to_string(), &path);
@@ -207,6 +243,9 @@ impl Surface {
 
     fn reexport(&mut self, owner: &str, inner: &Value, path: &str) {
         let id = &inner["id"];
+        if owner == CRATE && inner["is_glob"] == true {
+            self.globs.push(format!("{path}::{}", inner["source"].as_str().unwrap_or_default()));
+        }
         let name = inner["name"].as_str().unwrap_or_default();
         if self.crates[owner].item(id).is_some() {
             if inner["is_glob"] == true {
@@ -252,6 +291,7 @@ impl Surface {
         names(&item["inner"], &mut named);
         for id in named {
             let Some(definition) = self.crates[owner].definition(&id) else { continue };
+            self.foreign.entry(definition.0.clone()).or_insert_with(|| path.to_owned());
             if self.crates.contains_key(&definition.0) {
                 self.named.entry(definition).or_insert_with(|| path.to_owned());
             }

@@ -16,12 +16,11 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
-use tautline::{
-    CallbackHandle, CallbackOptions, CallbackStats, Context, ContextBuilder, Moment, MomentKind, Node,
-};
+use tautline::{CallbackHandle, CallbackOptions, CallbackStats, Context, ContextBuilder, Node};
 use tautline_analysis::taken::{self, Sight, Taken, TakenTimes};
 use tautline_analysis::{Response, Task, response_times};
 use tautline_benches::Stage;
+use tautline_executor::{Moment, MomentKind};
 use tautline_harness::readings::{Reading, judge};
 use tautline_harness::table::Column::{Number, Words};
 use tautline_harness::table::Table;
@@ -209,7 +208,7 @@ struct Missed {
 
 impl Missed {
     fn so_far(callback: &CallbackHandle) -> Missed {
-        let seen = callback.stats().snapshot();
+        let seen = CallbackSnapshot::of(callback.stats());
         let (late, passed) = seen.map_or((0, 0), |seen| (seen.deadline_misses, seen.lost));
         Missed { late, passed, overruns: callback.stats().overruns() }
     }
@@ -264,7 +263,7 @@ impl Watch<'_> {
     fn cause(&self, who: usize, begin_ns: u64, before: &[Missed]) -> (Cause, TakenTimes) {
         let (mut late, mut sights, mut is_held) = (Vec::new(), Vec::new(), false);
         for (i, callback) in self.callbacks.iter().enumerate() {
-            let Some(seen) = callback.stats().snapshot() else { continue };
+            let Some(seen) = CallbackSnapshot::of(callback.stats()) else { continue };
             let (task, bound_ns) = (&self.tasks[i], self.bounds[i].response_ns);
             let priority = Some(task.priority);
             let of = |job| Late { job, deadline_ns: task.period_ns, bound_ns, priority };
@@ -289,7 +288,7 @@ impl Watch<'_> {
                 sights.push(sight(&moment, seen, length_ns, i as u64, priority));
             }
         }
-        let sampler = self.sampler.and_then(|sampler| sampler.snapshot());
+        let sampler = self.sampler.and_then(|sampler| CallbackSnapshot::of(&sampler));
         for moment in sampler.into_iter().flat_map(|seen| seen.moments).filter(|of| of.to_ns >= begin_ns) {
             let seen = match moment.kind {
                 MomentKind::Taken => taken::Seen::Running,

@@ -48,7 +48,7 @@ fn renamed(text: &str, name: impl Fn(&str) -> String) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tautline::find_schema;
+    use tautline_definitions::find_schema;
 
     #[test]
     fn parts_of_services_and_actions_come_back() {

@@ -11,8 +11,7 @@ use crate::verb::{CommonArgs, Failure, Outcome};
 use clap::{Args, Subcommand};
 use serde_json::Value;
 use std::io::{self, Write};
-use tautline::{GraphSnapshot, ServiceKind};
-use tautline_transport::graph_of;
+use tautline_transport::{GraphSnapshot, ServiceKind, graph_of};
 
 /// Lists actions and their nodes, and sends goals.
 ///

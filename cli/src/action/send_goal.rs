@@ -16,9 +16,10 @@ use std::io::Write;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
-use tautline::{ActionClient, Error, GoalStatus, GraphSnapshot, Json, find_schema};
+use tautline::{ActionClient, Error, GoalStatus, Json};
+use tautline_definitions::find_schema;
 use tautline_schema::{DynamicMessage, Schema};
-use tautline_transport::{TopicType, graph_of};
+use tautline_transport::{GraphSnapshot, TopicType, graph_of};
 
 /// How long an action's server may take to cancel a goal.
 const CANCELLING: Duration = Duration::from_secs(10);

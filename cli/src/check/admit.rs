@@ -3,9 +3,10 @@
 use std::io::{self, Write};
 
 use serde::Serialize;
-use tautline::{Context, Running};
+use tautline::Context;
 use tautline_analysis::file::admission::{Admission, Candidate, Share};
 use tautline_analysis::file::{CheckedSystem, SystemFile};
+use tautline_system::Running;
 
 use crate::table::{BAD, GOOD, WARNING, wrap};
 

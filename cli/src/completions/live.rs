@@ -22,10 +22,10 @@ use std::time::Duration;
 use tautline::composition_interfaces::srv::ListNodes;
 use tautline::lifecycle_msgs::srv::GetAvailableTransitions;
 use tautline::rcl_interfaces::srv::ListParameters;
-use tautline::{ServiceKind, find_schema};
+use tautline_definitions::find_schema;
 use tautline_msgs::Service;
 use tautline_schema::{Kind, TypeName};
-use tautline_transport::graph_of;
+use tautline_transport::{ServiceKind, graph_of};
 
 /// The time after its start at which this process answers: people notice 100 ms, and the shell needs a part of them.
 const LIMIT: Duration = Duration::from_millis(80);
@@ -79,7 +79,7 @@ pub fn topics() -> ArgValueCompleter {
     completer(|asked, _| {
         let Some(domain) = asked.line.domain() else { return Ok(None) };
         let graph = graph_of(domain)?;
-        let name = |end: &std::sync::Arc<tautline::TopicEndpoint>| {
+        let name = |end: &std::sync::Arc<tautline_transport::TopicEndpoint>| {
             (end.topic.clone(), end.topic_type.name.to_string())
         };
         Ok(Some(graph.endpoints.iter().map(name).collect()))

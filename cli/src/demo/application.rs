@@ -151,7 +151,7 @@ impl MomentCollector {
 
 /// Adds the moments since the last call; returns how many were overwritten.
 fn collect((stats, known): &mut (Arc<CallbackStats>, u64), moments: &mut Vec<Moment>) -> u64 {
-    let Some(seen) = stats.snapshot() else { return 0 };
+    let Some(seen) = tautline_executor::CallbackSnapshot::of(stats) else { return 0 };
     let (older, latest) = (seen.older_moments, seen.moments);
     let known = std::mem::replace(known, older + latest.len() as u64);
     let seen_before = usize::try_from(known.saturating_sub(older)).unwrap_or(usize::MAX);

@@ -8,11 +8,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
-use tautline::{GraphSnapshot, TransportError};
+use tautline::TransportError;
 use tautline_rt::domain::{all_shared_folders, shared_folder};
 use tautline_rt::shm::{self, PeerFile};
 use tautline_trace::is_trace_file;
-use tautline_transport::{Visitor, is_dead_domain, remove_dead_domain};
+use tautline_transport::{GraphSnapshot, Visitor, is_dead_domain, remove_dead_domain};
 
 /// The memory of a minimal process: its context, the domain's file and the trace file (docs/memory.md).
 const LEAST_BYTES: u64 = 6 << 20;
@@ -62,7 +62,7 @@ fn versions(left_out: &[TransportError]) -> Vec<Finding> {
 
 fn names(graph: &GraphSnapshot) -> Vec<Finding> {
     let twice = graph.nodes.chunk_by(|one, other| one.name == other.name).filter(|same| same.len() > 1);
-    let bad = |same: &[std::sync::Arc<tautline::NodeInfo>]| {
+    let bad = |same: &[std::sync::Arc<tautline_transport::NodeInfo>]| {
         let places = same.iter().map(|node| match node.pid {
             Some(pid) => format!("process {pid}"),
             None => format!("on {}", crate::table::place(&node.origin).unwrap_or("this host")),

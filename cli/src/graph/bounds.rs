@@ -3,8 +3,8 @@
 
 use super::picture::{Bound, Chain, EdgeKind, Picture};
 use std::collections::{BTreeMap, BTreeSet};
-use tautline::GraphSnapshot;
 use tautline_analysis::file::{CheckedCallback, CheckedSystem};
+use tautline_transport::GraphSnapshot;
 
 /// Everything that runs, including nodes that are not shown.
 pub struct Running {

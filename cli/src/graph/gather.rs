@@ -11,8 +11,7 @@ use crate::topic::info::qos_line;
 use crate::topic::tap;
 use crate::verb::{Failure, Outcome};
 use std::collections::{BTreeMap, BTreeSet};
-use tautline::{EndpointKind, GraphSnapshot, NodeName, ServiceKind};
-use tautline_transport::{Gid, Origin};
+use tautline_transport::{EndpointKind, Gid, GraphSnapshot, NodeName, Origin, ServiceKind};
 
 /// The selection.
 #[derive(Debug, Default)]
@@ -118,7 +117,7 @@ fn topic_ends(
     for found in mismatches {
         problems.entry(found.subscription.gid).or_default().insert(found.words());
     }
-    let end = |end: &std::sync::Arc<tautline::TopicEndpoint>| {
+    let end = |end: &std::sync::Arc<tautline_transport::TopicEndpoint>| {
         let (kind, rate) = match (end.kind, rates) {
             (EndpointKind::Subscription, _) => (EdgeKind::Subscribes, Rate::None),
             (EndpointKind::Publisher, None) => (EdgeKind::Publishes, Rate::None),

@@ -200,7 +200,7 @@ fn gather_picture(args: &GraphArgs, checked: Option<&CheckedSystem>) -> Outcome<
 /// Maps each callback's name to the process that runs it.
 fn callbacks(domain: u32) -> Outcome<BTreeMap<String, BTreeSet<u32>>> {
     let mut found: BTreeMap<String, BTreeSet<u32>> = BTreeMap::new();
-    for process in tautline::shared_statistics(domain)?.0 {
+    for process in tautline_system::shared_statistics(domain)?.0 {
         // A process that is ending, or has another version, is omitted.
         let Ok(Some(snapshot)) = process.read() else { continue };
         for callback in snapshot.callbacks.iter().filter(|callback| !callback.ended && !callback.is_group) {

@@ -6,7 +6,8 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::{env, fs};
-use tautline::{Bundled, TransportError, find_schema};
+use tautline::TransportError;
+use tautline_definitions::{Bundled, DefinitionError, find_schema};
 use tautline_schema::{HashedTypeDescription, Kind, Packages, Schema, SchemaError, TypeName};
 use tautline_transport::graph_of;
 
@@ -91,7 +92,7 @@ impl Finder {
         for known in types.filter(|known| known.name == name.as_str()) {
             match find_schema("", name, Some(known)) {
                 Ok(schema) => return Ok(Arc::unwrap_or_clone(schema)),
-                Err(tautline::Error::UnknownType { .. }) => {}
+                Err(DefinitionError::Unknown { .. }) => {}
                 Err(error) => return Err(MsgError::Known(error)),
             }
         }

@@ -62,7 +62,7 @@ pub enum MsgError {
     #[error("{0}")]
     Schema(#[from] SchemaError),
     #[error("{0}")]
-    Known(tautline::Error),
+    Known(tautline_definitions::DefinitionError),
     #[error("{0}")]
     Message(#[from] MessageError),
     #[error("{} cannot be read: {source}", path.display())]

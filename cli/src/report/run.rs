@@ -4,9 +4,8 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
-use tautline::{
-    Admitted, Bucket, CallbackSnapshot, ForeignStatistics, HistogramSnapshot, Policy, ProcessSnapshot,
-};
+use tautline::{Bucket, HistogramSnapshot, Policy};
+use tautline_executor::{Admitted, CallbackSnapshot, ForeignStatistics, ProcessSnapshot};
 
 use super::ReportError;
 use crate::moment::Moment;
@@ -112,7 +111,7 @@ pub struct Callback {
     pub inputs: Vec<SizeClass>,
 }
 
-/// A `tautline::SizeClass` that can be serialized.
+/// A `tautline_executor::SizeClass` that can be serialized.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct SizeClass {
     pub jobs: u64,
@@ -311,9 +310,9 @@ impl Callback {
     }
 }
 
-impl From<&tautline::SizeClass> for SizeClass {
-    fn from(of: &tautline::SizeClass) -> SizeClass {
-        let tautline::SizeClass { jobs, least, greatest, max_ns, size_of_max, ref longest_ns } = *of;
+impl From<&tautline_executor::SizeClass> for SizeClass {
+    fn from(of: &tautline_executor::SizeClass) -> SizeClass {
+        let tautline_executor::SizeClass { jobs, least, greatest, max_ns, size_of_max, ref longest_ns } = *of;
         SizeClass { jobs, least, greatest, max_ns, size_of_max, longest_ns: longest_ns.clone() }
     }
 }

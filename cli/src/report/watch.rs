@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use tautline::ForeignStatistics;
+use tautline_executor::ForeignStatistics;
 
 use super::run::Run;
 use super::{ReportError, killed_text};
@@ -29,8 +29,8 @@ impl ObservedProcesses {
 
     /// Adds new processes.
     pub fn refresh(&mut self) -> Result<(), ReportError> {
-        let (found, killed) =
-            tautline::shared_statistics(self.domain).map_err(|error| ReportError::Domain(error.into()))?;
+        let (found, killed) = tautline_system::shared_statistics(self.domain)
+            .map_err(|error| ReportError::Domain(error.into()))?;
         self.killed += killed;
         for process in found {
             let is_known = self.processes.iter().any(|known| known.path() == process.path());

@@ -12,8 +12,7 @@ use clap::{Args, Subcommand};
 pub use named::{Named, named, type_to_call};
 use serde_json::Value;
 use std::io::Write;
-use tautline::GraphSnapshot;
-use tautline_transport::graph_of;
+use tautline_transport::{GraphSnapshot, graph_of};
 
 /// Lists and calls services.
 ///

@@ -4,7 +4,7 @@
 use crate::verb::{Failure, Outcome};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use tautline::{GraphSnapshot, NodeName, ServiceEndpoint, ServiceKind};
+use tautline_transport::{GraphSnapshot, NodeName, ServiceEndpoint, ServiceKind};
 
 /// A service or an action of one type, with its endpoints.
 pub struct Named<'g> {

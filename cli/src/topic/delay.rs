@@ -14,11 +14,13 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tautline::{EndpointKind, find_schema};
+use tautline_definitions::find_schema;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_rt::{Policy, set_policy};
 use tautline_schema::{DynamicMessage, Endian, Schema};
-use tautline_transport::{Durability, Gid, Limits, Participant, Qos, Reliability, TakeError, TopicType};
+use tautline_transport::{
+    Durability, EndpointKind, Gid, Limits, Participant, Qos, Reliability, TakeError, TopicType,
+};
 
 /// Prints the time from each message's stamp to its publication, and from there until it is taken here
 ///

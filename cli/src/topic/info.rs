@@ -5,8 +5,7 @@ use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Write};
 use std::time::Duration;
-use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint};
-use tautline_transport::{Durability, History, Qos, Reliability};
+use tautline_transport::{Durability, EndpointKind, GraphSnapshot, History, Qos, Reliability, TopicEndpoint};
 
 /// A topic of one type, and its endpoints.
 pub struct Topic<'g> {

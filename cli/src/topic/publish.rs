@@ -10,10 +10,10 @@ use clap::{Args, ValueEnum};
 use serde_json::json;
 use std::sync::Arc;
 use std::time::Duration;
-use tautline::{Context, EndpointKind, Json, Node, Publisher, Qos, Realtime, TopicEndpoint};
+use tautline::{Context, Json, Node, Publisher, Qos, Realtime};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_rt::{Policy, set_policy};
-use tautline_transport::{Visitor, graph_of};
+use tautline_transport::{EndpointKind, TopicEndpoint, Visitor, graph_of};
 
 /// The time in which a subscription on another host or in ROS discovers its new publisher there.
 const FAR: Duration = Duration::from_secs(1);
@@ -165,7 +165,7 @@ fn wait_for_subscriptions(
 ) -> Outcome {
     let what = || format!("{wanted} subscriptions of '{}'", publisher.topic());
     end.wait(what, || {
-        let graph = node.graph()?;
+        let graph = node.context().as_ref().graph()?;
         let elsewhere = graph.endpoints.iter().filter(|end| {
             end.is_remote && end.topic == publisher.topic() && end.kind == EndpointKind::Subscription
         });

@@ -17,8 +17,7 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::ops::RangeInclusive;
 use std::time::{Duration, Instant};
-use tautline::{EndpointKind, GraphSnapshot};
-use tautline_transport::{Gid, Sent, Visitor};
+use tautline_transport::{EndpointKind, Gid, GraphSnapshot, Sent, Visitor};
 
 /// Below this rate each message is seen separately.
 const SEEN_HZ: f64 = 400.0;

@@ -5,8 +5,7 @@ use super::tap::{Tap, ends};
 use crate::verb::{End, Outcome, print_line};
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
-use tautline::EndpointKind;
-use tautline_transport::{RawSample, Visitor};
+use tautline_transport::{EndpointKind, RawSample, Visitor};
 
 const TOPIC: &str = "/clock";
 const TYPE: &str = "rosgraph_msgs/msg/Clock";

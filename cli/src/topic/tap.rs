@@ -5,11 +5,11 @@
 use crate::verb::{End, Failure, Outcome};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint, find_schema};
+use tautline_definitions::{DefinitionError, find_schema};
 use tautline_schema::{Schema, TypeName};
 use tautline_transport::{
-    Durability, Limits, Participant, Qos, RawSample, RawSubscription, Reliability, TakeError, TopicType,
-    Visitor,
+    Durability, EndpointKind, GraphSnapshot, Limits, Participant, Qos, RawSample, RawSubscription,
+    Reliability, TakeError, TopicEndpoint, TopicType, Visitor,
 };
 
 /// The interval at which an observer polls, because publishers do not ring for it.
@@ -76,9 +76,7 @@ impl Tap {
         end.wait(
             || format!("the definition of {name}, from another host"),
             || match find() {
-                Err(tautline::Error::UnknownType { .. }) if self.is_seen && Instant::now() < patience => {
-                    Ok(None)
-                }
+                Err(DefinitionError::Unknown { .. }) if self.is_seen && Instant::now() < patience => Ok(None),
                 found => Ok(Some(found?)),
             },
         )

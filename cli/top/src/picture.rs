@@ -8,9 +8,10 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use taut_cli::rates::{RateMeter, per_second};
 use taut_cli::verb::Outcome;
-use tautline::{Bucket, CallbackSnapshot, EndpointKind, HistogramSnapshot};
+use tautline::{Bucket, HistogramSnapshot};
 use tautline_analysis::file::SystemFile;
-use tautline_transport::{Gid, Visitor};
+use tautline_executor::CallbackSnapshot;
+use tautline_transport::{EndpointKind, Gid, Visitor};
 
 /// The whole picture. Rates and loads are those since the previous refresh.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -132,7 +133,7 @@ impl Gatherer {
 
     fn callbacks(&mut self, before: &Before, seconds: f64) -> Outcome<Vec<CallbackRow>> {
         let mut rows = Vec::new();
-        let (processes, _) = tautline::shared_statistics(self.domain)?;
+        let (processes, _) = tautline_system::shared_statistics(self.domain)?;
         for process in processes {
             // A process that is ending, or has another version, is omitted.
             let Ok(Some(snapshot)) = process.read() else { continue };

@@ -185,14 +185,6 @@ impl CallbackStats {
         self.block.get().map_or(&NOTHING, |block| &block.response)
     }
 
-    /// A snapshot, for evaluation or storage. `None` before the callback is spawned.
-    ///
-    /// # Real-time
-    /// Not for the callback's thread: allocates.
-    pub fn snapshot(&self) -> Option<CallbackSnapshot> {
-        self.block.get().map(Block::snapshot)
-    }
-
     /// The deadline that misses are counted against.
     pub fn deadline(&self) -> Option<Duration> {
         self.limit(Self::DEADLINE)
@@ -235,6 +227,16 @@ impl CallbackStats {
     }
 }
 
+impl CallbackSnapshot {
+    /// The present values, for evaluation or storage. `None` before the callback is spawned.
+    ///
+    /// # Real-time
+    /// Not for the callback's thread: allocates.
+    pub fn of(stats: &CallbackStats) -> Option<CallbackSnapshot> {
+        stats.block.get().map(Block::snapshot)
+    }
+}
+
 fn nanoseconds(time: Option<Duration>) -> u64 {
     time.map_or(0, tautline_rt::clock::nanoseconds)
 }
@@ -270,7 +272,7 @@ mod tests {
         let stats = CallbackStats::new("a");
         stats.place(None, kind::CALLBACK).unwrap();
         let seen = |stats: &CallbackStats| {
-            let now = stats.snapshot().unwrap();
+            let now = CallbackSnapshot::of(&stats).unwrap();
             (now.releases, now.first_release_ns, now.last_release_ns, now.least_distance_ns)
         };
         stats.release(1_000);
@@ -291,7 +293,7 @@ mod tests {
         for response_ns in [100, 101, 7, 300] {
             stats.complete(&Job { release_ns: 5, ..job(response_ns, None) });
         }
-        let now = stats.snapshot().unwrap();
+        let now = CallbackSnapshot::of(&stats).unwrap();
         let late = |length_ns| Moment { kind: MomentKind::Late, from_ns: 5, to_ns: 5 + length_ns, length_ns };
         assert_eq!((now.moments, now.older_moments), (vec![late(101), late(300)], 0));
         assert_eq!((now.bound_ns, now.accounts_core_time), (Some(100), false));
@@ -304,7 +306,7 @@ mod tests {
         for (lost, max_queue, depth) in [(2, 1, 4), (0, 3, 4), (1, 2, 8)] {
             stats.note_queue(QueueState { lost, max_queue, depth });
         }
-        let now = stats.snapshot().unwrap();
+        let now = CallbackSnapshot::of(&stats).unwrap();
         assert_eq!((now.lost, now.max_queue, now.depth), (3, 3, 8));
     }
 }

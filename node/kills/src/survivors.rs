@@ -16,10 +16,10 @@ use tautline::example_interfaces::action::Fibonacci;
 use tautline::example_interfaces::srv::AddTwoInts;
 use tautline::std_msgs::msg::UInt64;
 use tautline::{
-    CallbackOptions, Context, EndpointKind, Error, Gid, GoalStatus, Node, PublishError, Publisher, Qos,
-    SendError, ServiceError,
+    CallbackOptions, Context, Error, Gid, GoalStatus, Node, PublishError, Publisher, Qos, SendError,
+    ServiceError,
 };
-use tautline_transport::graph_of;
+use tautline_transport::{EndpointKind, graph_of};
 
 /// From one survivor to the other; actors only subscribe.
 pub const NUMBERS: &str = "/survivors/numbers";
@@ -368,7 +368,7 @@ fn client(context: &Context) -> Result<()> {
     // Each step of a goal by itself: it has no limit of its own.
     let clock = node.context().events().clone();
     asking.push(ask(ACTORS_FIBONACCI, &asked, &stop, move || {
-        let mut alarm = clock.alarm()?;
+        let mut alarm = tautline_sampler::Alarm::new(&clock)?;
         let limit = tautline_rt::clock::monotonic_ns() + PATIENCE.as_nanos() as u64;
         alarm.set(Some(limit));
         let goal = actions.send_goal_request(Fibonacci::Goal { order: 5 })?;

@@ -68,7 +68,7 @@ impl ManagedNode {
     /// # Errors
     /// As [`Node::create_publisher`].
     pub fn create_publisher<T: Message>(&mut self, topic: &str, qos: Qos) -> Result<Publisher<T>> {
-        Ok(self.node.create_publisher(topic, qos)?.with_gate(self.gate.clone()))
+        Ok(self.gate.guard(self.node.create_publisher(topic, qos)?))
     }
 
     /// Like [`create_publisher`](Self::create_publisher), for a type that is known by name.
@@ -83,7 +83,7 @@ impl ManagedNode {
         qos: Qos,
     ) -> Result<Publisher<crate::Json>> {
         let publisher = self.node.create_publisher_untyped(topic, topic_type, qos)?;
-        Ok(publisher.with_gate(self.gate.clone()))
+        Ok(self.gate.guard(publisher))
     }
 }
 

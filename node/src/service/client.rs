@@ -173,7 +173,7 @@ struct Limit {
 
 impl Limit {
     fn new(events: &Events, timeout: Duration, service: &str) -> Result<Self> {
-        let mut alarm = events.alarm()?;
+        let mut alarm = Alarm::new(events)?;
         let timeout_ns = tautline_rt::clock::nanoseconds(timeout);
         alarm.set(Some(monotonic_ns().saturating_add(timeout_ns)));
         Ok(Limit { alarm, timeout, service: service.to_owned() })

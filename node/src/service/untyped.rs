@@ -4,8 +4,9 @@
 use super::{Client, Server};
 use crate::error::Result;
 use crate::node::Node;
-use crate::untyped::{Json, find_schema, type_of};
+use crate::untyped::Json;
 use std::sync::Arc;
+use tautline_definitions::{find_schema, type_of};
 use tautline_schema::{Schema, TypeName};
 use tautline_transport::{Qos, ServiceType, TopicType};
 

@@ -106,9 +106,9 @@ impl Clock {
                 return Ok(());
             }
             let mut timer = match self.kind {
-                ClockType::SteadyTime => Some(context.events().timer(left)?),
+                ClockType::SteadyTime => Some(tautline_sampler::Timer::new(context.events(), left)?),
                 _ if self.is_simulated() => None,
-                _ => Some(context.events().timer(left.min(LONGEST))?),
+                _ => Some(tautline_sampler::Timer::new(context.events(), left.min(LONGEST))?),
             };
             let simulated = self.is_simulated();
             poll_fn(|task| {

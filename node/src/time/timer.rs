@@ -65,7 +65,7 @@ impl RosTimer {
     ) -> Result<RosTimer> {
         let on = On::of(&waiter, &events, period_ns)?;
         let end = events.guard_condition()?;
-        node.adopt(end.slot());
+        node.adopt(end.as_ref());
         Ok(RosTimer { waiter, events, end, period_ns, on, index: 0, missed: 0 })
     }
 
@@ -116,7 +116,7 @@ impl On {
                 schedule.released(now_ns, period_ns.cast_signed());
                 On::Simulated(schedule)
             }
-            None => On::Steady(events.timer(period)?),
+            None => On::Steady(tautline_sampler::Timer::new(events, period)?),
         })
     }
 }

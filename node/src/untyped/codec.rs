@@ -58,9 +58,9 @@ impl Codec for Json {
         let published = match split_header(cdr) {
             Ok((Endian::Little, body)) => {
                 let len = body.len().saturating_sub(message.trailing_bytes());
-                publisher.raw().publish(body.get(..len).unwrap_or_default())
+                publisher.as_ref().publish(body.get(..len).unwrap_or_default())
             }
-            _ => publisher.raw().publish(&message.to_body()),
+            _ => publisher.as_ref().publish(&message.to_body()),
         };
         Ok(published?)
     }

@@ -1,20 +1,17 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Topics of types with which the program was not built: messages as JSON, or as the CDR of the ROS 2 wire.
 
-mod bundled;
 mod codec;
-mod definitions;
 
-pub use bundled::Bundled;
 pub use codec::{Cdr, Json};
-pub use definitions::find_schema;
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::node::Node;
 use crate::subscription::Subscription;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tautline_schema::{Layout, Schema, Size, TypeName};
+use tautline_definitions::{DefinitionError, find_schema, type_of};
+use tautline_schema::{Schema, TypeName};
 use tautline_transport::{EndpointKind, Publisher, Qos, SchemaStore, TopicEndpoint, TopicType};
 
 /// How long the gateway is waited for to learn a type, and how often it is looked whether it has.
@@ -44,7 +41,7 @@ impl Node {
     /// ```
     ///
     /// # Errors
-    /// [`Error::UnknownType`] if the type's definition is not found, [`Error::Schema`] and [`Error::StoredDefinition`] if it
+    /// [`Error::UnknownType`](crate::Error::UnknownType) if the type's definition is not found, [`Error::Schema`](crate::Error::Schema) and [`Error::StoredDefinition`](crate::Error::StoredDefinition) if it
     /// is wrong; as [`create_publisher`](Self::create_publisher).
     pub fn subscribe_untyped(
         &mut self,
@@ -61,15 +58,15 @@ impl Node {
     /// whether they are messages of the type. The type's definition need not be known; if it is, the topic's hash must agree with it.
     ///
     /// # Errors
-    /// [`Error::Schema`] and [`Error::StoredDefinition`] if there is a definition but it is wrong; as
+    /// [`Error::Schema`](crate::Error::Schema) and [`Error::StoredDefinition`](crate::Error::StoredDefinition) if there is a definition but it is wrong; as
     /// [`create_publisher`](Self::create_publisher).
     pub fn subscribe_raw(&mut self, topic: &str, topic_type: &str, qos: Qos) -> Result<Subscription<Cdr>> {
         let full = self.resolve_topic_name(topic)?;
         let existing = self.participant.topic_type(&full)?.filter(|existing| existing.name == topic_type);
         let topic_type = match find_schema(&full, &topic_type.parse()?, existing.as_ref()) {
             Ok(schema) => type_of(&schema),
-            Err(Error::UnknownType { type_name, .. }) => existing.unwrap_or(TopicType::new(type_name)),
-            Err(error) => return Err(error),
+            Err(DefinitionError::Unknown { type_name, .. }) => existing.unwrap_or(TopicType::new(type_name)),
+            Err(error) => return Err(error.into()),
         };
         self.subscribe_of(topic, &topic_type, (), qos)
     }
@@ -90,19 +87,18 @@ impl Node {
 
     /// The definition of the type `topic_type` for `topic`, searched as in [`find_schema`]. If only nodes of other hosts
     /// know it, this host's gateway is made to request it from them; this function waits for that for a few seconds.
-    ///
-    /// # Errors
-    /// As [`subscribe_untyped`](Self::subscribe_untyped).
-    pub fn find_schema(&self, topic: &str, topic_type: &str) -> Result<Arc<Schema>> {
+    fn find_schema(&self, topic: &str, topic_type: &str) -> Result<Arc<Schema>> {
         let topic = self.resolve_topic_name(topic)?;
         let name: TypeName = topic_type.parse()?;
         let existing = self.participant.topic_type(&topic)?.filter(|existing| existing.name == name.as_str());
         match (find_schema(&topic, &name, existing.as_ref()), existing) {
-            (Err(Error::UnknownType { .. }), Some(existing)) if self.is_published_elsewhere(&topic)? => {
+            (Err(DefinitionError::Unknown { .. }), Some(existing))
+                if self.is_published_elsewhere(&topic)? =>
+            {
                 self.wait_for_definition(&topic, &existing)?;
-                find_schema(&topic, &name, Some(&existing))
+                Ok(find_schema(&topic, &name, Some(&existing))?)
             }
-            (found, _) => found,
+            (found, _) => Ok(found?),
         }
     }
 
@@ -123,17 +119,5 @@ impl Node {
             std::thread::sleep(LOOK_PERIOD);
         }
         Ok(())
-    }
-}
-
-/// Everything that a topic can know about a type: its name, its hash, its definition, and its size if that is
-/// fixed.
-pub fn type_of(schema: &Schema) -> TopicType {
-    let topic_type = TopicType::new(schema.name().to_string())
-        .with_hash(schema.hash().to_string())
-        .with_definition(schema.to_text());
-    match Layout::of(schema).size {
-        Size::Fixed(body_bytes) => topic_type.with_body_bytes(body_bytes),
-        Size::Formula(_) => topic_type,
     }
 }

@@ -2,8 +2,9 @@
 
 use std::cell::RefCell;
 use std::sync::Arc;
-use tautline::schema::{DynamicMessage, Schema};
-use tautline::{Result, find_schema};
+use tautline::Result;
+use tautline_definitions::find_schema;
+use tautline_schema::{DynamicMessage, Schema};
 
 /// A message of a type that is known by name, between CDR and JSON.
 /// [`DynamicMessage`] has more.

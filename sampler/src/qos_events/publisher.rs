@@ -54,15 +54,15 @@ impl PublisherEvents {
     /// # Errors
     /// [`TransportError::Doorbell`] if there is no memory for its slots, at most three.
     pub fn new(events: &Events, publisher: &RawPublisher) -> Result<Self, TransportError> {
-        let alarm = events.alarm()?;
+        let alarm = Alarm::new(events)?;
         let monitor = publisher.monitor(alarm.slot());
-        let watchdog = |(activity, period)| events.watchdog(activity, watched(period));
+        let watchdog = |(activity, period)| Watchdog::new(events, activity, watched(period));
         let deadline = monitor.deadline().map(watchdog).transpose()?;
         let lease = match monitor.lease() {
             Some((activity, period)) => {
                 let period = watched(period);
                 let period_ns = tautline_rt::clock::nanoseconds(period);
-                let watchdog = events.watchdog(activity, period)?;
+                let watchdog = Watchdog::new(events, activity, period)?;
                 Some(Lease { watchdog, told: None, period_ns, lost: 0 })
             }
             None => None,

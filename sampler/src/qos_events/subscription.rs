@@ -30,9 +30,9 @@ impl SubscriptionEvents {
     /// # Errors
     /// [`TransportError::Doorbell`] if there is no memory for its slots, two at most.
     pub fn new(events: &Events, subscription: &RawSubscription) -> Result<Self, TransportError> {
-        let alarm = events.alarm()?;
+        let alarm = Alarm::new(events)?;
         let monitor = subscription.monitor(alarm.slot());
-        let watchdog = |(activity, period)| events.watchdog(activity, watched(period));
+        let watchdog = |(activity, period)| Watchdog::new(events, activity, watched(period));
         let deadline = monitor.deadline().map(watchdog).transpose()?;
         Ok(SubscriptionEvents { monitor, alarm, deadline, ready: Ready::new() })
     }

@@ -28,11 +28,13 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use taut_cli::arguments::full_name;
 use taut_cli::verb::{CommonArgs, End, Failure, Outcome, time};
-use tautline::{EndpointKind, find_schema, type_of};
 use tautline_bag::{CDR, Ordered, Topic};
+use tautline_definitions::{find_schema, type_of};
 use tautline_rt::{self as rt, CoreSet, MemoryLock, Policy, ThreadBuilder};
 use tautline_schema::{Schema, SchemaError, TypeName};
-use tautline_transport::{Durability, Limits, Participant, Qos, RawPublisher, TopicType, Visitor};
+use tautline_transport::{
+    Durability, EndpointKind, Limits, Participant, Qos, RawPublisher, TopicType, Visitor,
+};
 
 /// How long subscriptions of another host or of ROS may take to find who publishes to them.
 const FAR: Duration = Duration::from_secs(1);

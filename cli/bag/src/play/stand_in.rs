@@ -7,8 +7,8 @@ use std::path::PathBuf;
 use taut_cli::arguments::full_name;
 use taut_cli::report::watch::ObservedProcesses;
 use taut_cli::verb::{Failure, Outcome};
-use tautline::{ProcessInfo, StatisticsFile};
 use tautline_analysis::file::{CallbackEntry, SystemFile};
+use tautline_executor::{ProcessInfo, StatisticsFile};
 use tautline_rt::{CoreSet, Policy};
 use tautline_transport::Participant;
 

@@ -7,8 +7,8 @@
 
 use crate::definitions;
 use std::sync::Arc;
-use tautline::{find_schema, type_of};
 use tautline_bag::{Definition, Topic};
+use tautline_definitions::{find_schema, type_of};
 use tautline_schema::{DynamicMessage, Endian, List, MessageError, Schema, Value};
 use tautline_transport::{MessageInfo, Qos, ServiceEndpoint, TopicType};
 

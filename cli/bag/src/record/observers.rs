@@ -12,10 +12,11 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use taut_cli::topic::tap;
 use taut_cli::verb::Outcome;
-use tautline::{EndpointKind, GraphSnapshot, TopicEndpoint, find_schema};
 use tautline_bag::{Definition, Topic};
+use tautline_definitions::find_schema;
 use tautline_transport::{
-    Durability, Gid, Limits, Participant, Qos, RawSubscription, ServiceEndpoint, ServiceType, TopicType,
+    Durability, EndpointKind, Gid, GraphSnapshot, Limits, Participant, Qos, RawSubscription, ServiceEndpoint,
+    ServiceType, TopicEndpoint, TopicType,
 };
 
 /// So many messages wait for the recorder, if that takes no more than [`QUEUE_BYTES`].

@@ -125,7 +125,7 @@ fn unknown_and_broken_components_are_named() {
 
 /// This test has a Tautline of its own in it, as every ordinary program.
 #[test]
-fn a_process_that_does_not_share_its_tautline_loads_nothing() {
+fn a_process_that_does_not_share_its_tautline_systems_nothing() {
     let context = Context::builder().domain(59).realtime(Realtime::Off).build().unwrap();
     let mut container = Container::new(context);
     let load = Load { library: demo(), component: "demo::Counter".into(), ..Load::default() };

@@ -321,9 +321,11 @@ impl<T: Decode> Sample<T> {
     pub fn info(&self) -> MessageInfo {
         self.raw.info()
     }
+}
 
-    /// The sample's bytes.
-    pub fn raw(&self) -> &RawSample {
+/// The sample's bytes.
+impl<T: Decode> AsRef<RawSample> for Sample<T> {
+    fn as_ref(&self) -> &RawSample {
         &self.raw
     }
 }

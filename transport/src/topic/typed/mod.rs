@@ -35,15 +35,9 @@ impl<T: Codec> Publisher<T> {
         Publisher { raw, definition }
     }
 
-    /// The same publisher, silent while `gate` is closed: see [`RawPublisher::with_gate`].
-    #[must_use = "it returns the changed publisher"]
-    pub fn with_gate(self, gate: Gate) -> Self {
+    /// The same publisher behind a gate.
+    pub(crate) fn with_gate(self, gate: Gate) -> Self {
         Publisher { raw: self.raw.with_gate(gate), ..self }
-    }
-
-    /// The untyped publisher.
-    pub fn raw(&self) -> &RawPublisher {
-        &self.raw
     }
 
     /// The type's definition that is known at run time.
@@ -103,6 +97,7 @@ impl<T: Codec> Publisher<T> {
     }
 }
 
+/// The untyped publisher.
 impl<T: Codec> AsRef<RawPublisher> for Publisher<T> {
     fn as_ref(&self) -> &RawPublisher {
         &self.raw
@@ -131,11 +126,6 @@ impl<T: Decode> Subscription<T> {
     /// Of a subscription to bytes that are those of `T`.
     pub(crate) fn new(raw: RawSubscription, definition: T::Definition) -> Self {
         Subscription { raw, definition }
-    }
-
-    /// The untyped subscription.
-    pub fn raw(&self) -> &RawSubscription {
-        &self.raw
     }
 
     /// The type's definition that is known at run time.
@@ -177,6 +167,13 @@ impl<T: Decode> Subscription<T> {
     /// [`RawSubscription::set_quiet`].
     pub fn set_quiet(&self, quiet: bool) {
         self.raw.set_quiet(quiet);
+    }
+}
+
+/// The untyped subscription.
+impl<T: Decode> AsRef<RawSubscription> for Subscription<T> {
+    fn as_ref(&self) -> &RawSubscription {
+        &self.raw
     }
 }
 
@@ -357,7 +354,7 @@ impl<T: Message> Codec for T {
             return Err(whole::<T>(DecodeFault::Trailing { len: padding, most: MAX_PADDING }).into());
         }
         let body = body.get(..body.len() - padding).unwrap_or_default();
-        let mut loan = publisher.raw().loan(body.len())?;
+        let mut loan = publisher.raw.loan(body.len())?;
         tautline_rt::copy_to_shared(&mut loan, body);
         let memory = Body::new(loan.payload(), body.len()).map_err(whole::<T>)?;
         <T as Message>::view(memory)?;

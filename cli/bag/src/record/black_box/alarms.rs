@@ -9,9 +9,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use taut_cli::report::run::Run;
 use taut_cli::verb::Outcome;
-use tautline::{EndpointKind, ForeignStatistics, shared_statistics};
+use tautline_executor::ForeignStatistics;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
-use tautline_transport::Visitor;
+use tautline_system::shared_statistics;
+use tautline_transport::{EndpointKind, Visitor};
 
 /// How often statistics are looked at.
 const STATISTICS_NS: u64 = 100_000_000;
@@ -132,7 +133,7 @@ impl Alarms {
             self.missed(&mut found);
         }
         let has_publisher = |topic: &str| {
-            let of_topic = |end: &&Arc<tautline::TopicEndpoint>| {
+            let of_topic = |end: &&Arc<tautline_transport::TopicEndpoint>| {
                 end.kind == EndpointKind::Publisher && end.topic == topic
             };
             graph.endpoints.iter().any(|end| of_topic(&end))

@@ -1,12 +1,46 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Finds the definition of a type that is known by name.
 
-use super::bundled::Bundled;
-use crate::error::{Error, Result};
+use crate::bundled::Bundled;
 use std::io;
+use std::path::PathBuf;
 use std::sync::Arc;
-use tautline_schema::{Packages, Schema, SchemaError, TypeName};
+use tautline_schema::{Layout, Packages, Schema, SchemaError, Size, TypeName};
 use tautline_transport::{ClaimedSchema, SchemaStore, TopicType};
+
+/// No definition, or one that cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum DefinitionError {
+    /// The stored definition of a topic's type is not its definition.
+    #[error(
+        "the definition in {} cannot be used: {reason}; remove the file, then restart a process that has the type: it writes the file anew",
+        path.display()
+    )]
+    Stored {
+        /// The file.
+        path: PathBuf,
+        /// The error.
+        reason: String,
+    },
+    /// No definition of a message type was found.
+    #[error(
+        "topic '{topic}': the definition of '{type_name}' was found neither beside the topic ({stored}), nor in AMENT_PREFIX_PATH, nor among the bundled packages: source the ROS 2 workspace that has it, or start a process first whose type has a definition, as those of tautline-build have"
+    )]
+    Unknown {
+        /// The topic.
+        topic: String,
+        /// The requested type.
+        type_name: String,
+        /// What the topic itself provided.
+        stored: String,
+    },
+    /// A definition, or a type's name, is not valid.
+    #[error(transparent)]
+    Schema(#[from] SchemaError),
+}
+
+type Result<T> = std::result::Result<T, DefinitionError>;
 
 /// The definition of the type `name`, with all types of which it consists, for `topic`, which exists with the type
 /// `existing` or does not exist yet. It is the definition stored for the topic's hash, after the hash has been recomputed;
@@ -16,7 +50,8 @@ use tautline_transport::{ClaimedSchema, SchemaStore, TopicType};
 /// endpoint created with it then matches no other endpoint, and a warning names both hashes.
 ///
 /// # Errors
-/// [`Error::UnknownType`] if there is none; [`Error::StoredDefinition`] or [`Error::Schema`] if it cannot be used.
+/// [`DefinitionError::Unknown`] if there is none; [`Stored`](DefinitionError::Stored) or [`Schema`](DefinitionError::Schema) if it cannot
+/// be used.
 pub fn find_schema(topic: &str, name: &TypeName, existing: Option<&TopicType>) -> Result<Arc<Schema>> {
     find(&SchemaStore::of_user(), &mut Packages::from_env(), topic, name, existing)
 }
@@ -38,7 +73,7 @@ fn find(
             Ok(Some(claimed)) => return Ok(checked(claimed, name, hash)?.into()),
             Ok(None) => {}
             Err(error) if error.kind() == io::ErrorKind::InvalidData => {
-                return Err(Error::StoredDefinition {
+                return Err(DefinitionError::Stored {
                     path: store.path().join(hash),
                     reason: error.to_string(),
                 });
@@ -61,7 +96,7 @@ fn find(
         }
         return Ok(first.into());
     }
-    Err(Error::UnknownType {
+    Err(DefinitionError::Unknown {
         topic: topic.to_owned(),
         type_name: name.to_string(),
         stored: match (existing, hash) {
@@ -86,7 +121,7 @@ fn checked(claimed: ClaimedSchema, name: &TypeName, hash: &str) -> Result<Schema
         Ok(schema) => format!("read as '{name}', its hash is {}", schema.hash()),
         Err(error) => error.to_string(),
     };
-    Err(Error::StoredDefinition { path, reason })
+    Err(DefinitionError::Stored { path, reason })
 }
 
 /// A type that is defined nowhere is none; one that uses such a type is wrong.
@@ -96,6 +131,18 @@ fn known(
     match schema {
         Err(SchemaError::Missing { .. }) => Ok(None),
         schema => schema.map(Some),
+    }
+}
+
+/// Everything that a topic can know about a type: its name, its hash, its definition, and its size if that is
+/// fixed.
+pub fn type_of(schema: &Schema) -> TopicType {
+    let topic_type = TopicType::new(schema.name().to_string())
+        .with_hash(schema.hash().to_string())
+        .with_definition(schema.to_text());
+    match Layout::of(schema).size {
+        Size::Fixed(body_bytes) => topic_type.with_body_bytes(body_bytes),
+        Size::Formula(_) => topic_type,
     }
 }
 
@@ -190,7 +237,7 @@ mod tests {
         ] {
             fs::write(&file, content).unwrap();
             let error = fixture.find(NAME, Some(&hash)).unwrap_err();
-            assert!(matches!(error, Error::StoredDefinition { .. }), "{error}");
+            assert!(matches!(error, DefinitionError::Stored { .. }), "{error}");
             let error = error.to_string();
             let path = file.to_string_lossy();
             assert!(error.contains(&*path) && error.contains(&reason) && error.contains("remove"), "{error}");

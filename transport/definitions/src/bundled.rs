@@ -11,8 +11,8 @@ include!(concat!(env!("OUT_DIR"), "/definitions.rs"));
 /// The definitions of ROS types that are included in this program.
 ///
 /// ```
-/// let mut bundled = tautline::Bundled::default();
-/// assert!(tautline::Bundled::names().any(|name| name == "rcl_interfaces/msg/Log"));
+/// let mut bundled = tautline_definitions::Bundled::default();
+/// assert!(tautline_definitions::Bundled::names().any(|name| name == "rcl_interfaces/msg/Log"));
 /// let name = "rcl_interfaces/msg/Log".parse()?;
 /// assert_eq!(bundled.definition(&name)?.unwrap().fields[0].name, "stamp");
 /// # Ok::<(), tautline_schema::SchemaError>(())

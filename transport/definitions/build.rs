@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Lists the definitions of the bundled packages, which become part of the program with feature `untyped`.
+//! Lists the definitions of the bundled packages, which become part of the program.
 //! (`definitions` is a link to those of `tautline-ros-msgs`; a published package has a copy of them.)
 
 use std::collections::BTreeSet;
