@@ -10,6 +10,7 @@ use std::collections::HashMap;
 use tautline::{
     Context, History, LoanError, Node, NodeOptions, PublishError, Qos, Realtime, RemapRules, Service,
 };
+use tautline_transport::Participant;
 
 /// A service of whatever type.
 struct Turn;
@@ -53,7 +54,8 @@ fn a_node_sees_what_others_have() {
     let _other = listener.create_client::<Add>("/nobody").unwrap();
 
     assert_eq!(listener.get_node_names().unwrap(), ["/listener", "/robot/talker"]);
-    assert!(talker.context().as_ref().graph().unwrap().nodes.iter().all(|node| node.enclave == "/front"));
+    let graph = AsRef::<Participant>::as_ref(talker.context()).graph().unwrap();
+    assert!(graph.nodes.iter().all(|node| node.enclave == "/front"));
     let pair = |name: &str, namespace: &str| (name.to_owned(), namespace.to_owned());
     assert_eq!(
         listener.get_node_names_and_namespaces().unwrap(),
