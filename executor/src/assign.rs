@@ -1,5 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Assigns priorities by periods or deadlines.
+//!
+//! ```
+//! # use std::time::Duration;
+//! let deadlines = [20, 5].map(Duration::from_millis);
+//! assert_eq!(tautline_executor::assign::deadline_monotonic(&deadlines, 30)?, [29, 30]);
+//! # Ok::<(), tautline_executor::ExecutorError>(())
+//! ```
 
 use std::time::Duration;
 

@@ -155,19 +155,47 @@ packages! {
 }
 
 /// Policies, cores, clocks and locks, as programs use them beside their callbacks. All of it is the crate `tautline-rt`.
+///
+/// ```
+/// let (mut pose, mut reader) = tautline::rt::latest([0.0; 3]); // one callback writes, another one reads
+/// pose.write([1.0, 2.0, 0.0]);
+/// assert_eq!(reader.read(), &[1.0, 2.0, 0.0]);
+/// ```
 pub mod rt {
     pub use tautline_rt::{
         CoreSet, Enforcement, LatestReader, LatestWriter, PiGuard, PiMutex, Policy, RtError, ThreadInfo,
         current_affinity, current_policy, latest, set_affinity, set_policy,
     };
     /// Times in nanoseconds.
+    ///
+    /// ```
+    /// use tautline::rt::clock::{monotonic_ns, sleep_until_monotonic};
+    ///
+    /// let due_ns = monotonic_ns() + 1_000_000;
+    /// sleep_until_monotonic(due_ns);
+    /// assert!(monotonic_ns() >= due_ns);
+    /// ```
     pub mod clock {
         pub use tautline_rt::clock::{
             burn_cpu, monotonic_ns, nanoseconds, sleep_until_monotonic, thread_cpu_ns, wall_ns,
         };
     }
-    pub use tautline_rt::domain::ScopeError;
+    /// Which processes meet: those of one scope and domain.
+    ///
+    /// ```
+    /// tautline::rt::domain::set_scope("simulation-2")?; // before anything else
+    /// # Ok::<(), tautline::rt::domain::ScopeError>(())
+    /// ```
+    pub mod domain {
+        pub use tautline_rt::domain::{ScopeError, set_scope};
+    }
     /// What this process may ask of the system.
+    ///
+    /// ```
+    /// if let Err(reason) = tautline::rt::permission::realtime_permitted(20) {
+    ///     println!("{reason}"); // with the fix
+    /// }
+    /// ```
     pub mod permission {
         pub use tautline_rt::permission::realtime_permitted;
     }
@@ -185,6 +213,14 @@ pub use tautline_transport::{
 /// The codecs over which endpoints of topics, services and actions are generic: a Rust type is its own codec;
 /// `Json` and `Cdr` are the codecs of types known by name. For bounds in generic code; the set of codecs is
 /// fixed.
+///
+/// ```
+/// use tautline::{Publisher, codec::Codec};
+///
+/// fn is_heard<T: Codec>(publisher: &Publisher<T>) -> bool {
+///     publisher.subscription_count() > 0
+/// }
+/// ```
 pub mod codec {
     #[cfg(feature = "action_msgs")]
     pub use crate::action::ActionCodec;

@@ -222,6 +222,7 @@ impl Node {
     }
 
     /// The handle under which other processes see this node, to announce its services and clients.
+    #[cfg(feature = "rosgraph_msgs")]
     pub(crate) fn handle(&self) -> &NodeHandle {
         &self.handle
     }

@@ -1,6 +1,12 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Logging as ROS 2 does it: named loggers with levels, lines on the console and on `/rosout`.
 //!
+//! ```
+//! tautline::logging::set_level(tautline::LogSeverity::Warn);
+//! tautline::log_warn!("robot.arm", "joint {} is warm", 3);
+//! tautline::logging::flush();
+//! ```
+//!
 //! - [`log_info!`](crate::log_info) and the like take a [`Logger`], as of [`Node::logger`](crate::Node::logger), or a name.
 //! - Levels are the process's and can be changed at any time: [`set_level`], [`Logger::set_level`],
 //!   `--ros-args --log-level warn --log-level robot.arm:=debug`, or by other nodes and `taut log level`

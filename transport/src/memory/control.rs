@@ -558,8 +558,11 @@ mod tests {
 
     #[test]
     fn a_thousand_connections_are_found_from_outside_whatever_a_page_is() {
-        for kib in [4, 16, 64] {
-            a_thousand_connections(FileLayout::of_pages(kib << 10));
+        // This machine maps no parts of its own pages.
+        for page_bytes in
+            [4 << 10, 16 << 10, 64 << 10].into_iter().filter(|bytes| *bytes >= tautline_rt::shm::page_bytes())
+        {
+            a_thousand_connections(FileLayout::of_pages(page_bytes));
         }
     }
 

@@ -454,11 +454,12 @@ mod tests {
         let added = index.refresh(&domain, &mut peers).added;
         let [found] = added[..] else { panic!("{added:?}") };
         assert_eq!((index.port(found), index.has_retries()), (Some(port("/a")), false));
-        // Its record is written anew, as it gets longer.
-        (0..100).for_each(|n| add(&format!("/b{n}")));
+        // Its record is written anew, as it gets longer than a page.
+        let more = tautline_rt::shm::page_bytes() / 40;
+        (0..more).for_each(|n| add(&format!("/b{n}")));
         assert_eq!((index.port(found), index.has_retries()), (None, true));
         let added = index.refresh(&domain, &mut peers).added;
-        assert!(added.contains(&found) && added.len() == 101, "{added:?}");
+        assert!(added.contains(&found) && added.len() == more + 1, "{added:?}");
         assert_eq!((index.port(found), index.has_retries()), (Some(port("/a")), false));
         assert_eq!(index.ports(hash_of("/a"), PortKind::Subscription), [(found.0, port("/a"))]);
         record.remove(found.0.number());
