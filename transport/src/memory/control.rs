@@ -559,8 +559,9 @@ mod tests {
     #[test]
     fn a_thousand_connections_are_found_from_outside_whatever_a_page_is() {
         // This machine maps no parts of its own pages.
-        for page_bytes in
-            [4 << 10, 16 << 10, 64 << 10].into_iter().filter(|bytes| *bytes >= tautline_rt::shm::page_bytes())
+        for page_bytes in [4 << 10, 16 << 10, 64 << 10]
+            .into_iter()
+            .filter(|bytes| *bytes >= tautline_rt::shm::page_bytes() as u64)
         {
             a_thousand_connections(FileLayout::of_pages(page_bytes));
         }
