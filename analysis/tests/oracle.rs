@@ -47,7 +47,7 @@ fn compare(
                     unbounded += 1;
                 }
                 // Its busy window ends, but nobody follows it there.
-                Err(AnalysisError::IterationLimit { utilisation, .. }) if utilisation > 0.9999 => {}
+                Err(AnalysisError::IterationLimit { utilisation, .. }) if utilisation > 0.999 => {}
                 Err(error) => panic!("{error}: {}", context()),
             }
         }

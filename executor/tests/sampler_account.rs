@@ -7,7 +7,7 @@ use tautline_executor::{CallbackStats, Executor, MomentKind, Realtime};
 use tautline_rt::clock::{burn_cpu, monotonic_ns};
 
 fn moments(stats: &CallbackStats) -> Vec<(MomentKind, u64)> {
-    let seen = tautline_executor::CallbackSnapshot::of(&stats).unwrap().moments;
+    let seen = tautline_executor::CallbackSnapshot::of(stats).unwrap().moments;
     // What a busy machine takes meanwhile is not asked for.
     let kinds = [MomentKind::WokenLate, MomentKind::Served];
     seen.iter().filter(|of| kinds.contains(&of.kind)).map(|of| (of.kind, of.length_ns)).collect()
@@ -18,7 +18,7 @@ fn the_sampler_notes_what_it_used_and_how_late_it_woke() {
     let executor = Executor::new(Realtime::Off).account_core_time(Some(Duration::ZERO));
     let sampler = executor.sampler_statistics().unwrap().unwrap();
     let (stats, account) = (sampler.stats(), sampler.account().unwrap());
-    assert_eq!(tautline_executor::CallbackSnapshot::of(&stats).unwrap().tid, tautline_rt::current_tid());
+    assert_eq!(tautline_executor::CallbackSnapshot::of(stats).unwrap().tid, tautline_rt::current_tid());
     account.sleeps();
     assert_eq!(moments(stats), [], "it has not woken");
     let due_ns = monotonic_ns() + 1_000_000;

@@ -35,7 +35,7 @@ fn a_running_callback_gets_another_priority_and_other_limits() {
     let stats = callback.stats();
     assert_eq!((policy(&callback), policy(&other)), (Policy::Fifo(25), Policy::Fifo(20)));
     assert_eq!((stats.budget(), stats.deadline()), (Some(ms(3)), Some(ms(8))));
-    let seen = tautline_executor::CallbackSnapshot::of(&stats).unwrap();
+    let seen = tautline_executor::CallbackSnapshot::of(stats).unwrap();
     assert_eq!((seen.priority, seen.bound_ns), (Some(25), Some(7_000_000)));
 
     let reserved = CallbackOptions::reserved(ms(1), ms(10)).name("a");

@@ -8,7 +8,7 @@ use tautline_executor::Realtime;
 /// `TAUT_REALTIME`: whether threads get their real-time policies.
 ///
 /// # Errors
-/// [`SystemSystemError::Environment`].
+/// [`SystemError::Environment`].
 pub fn realtime_of_environment() -> Result<Realtime> {
     let (variable, expected) = ("TAUT_REALTIME", "it may be 'required' or 'off'");
     match environment(variable) {
@@ -22,7 +22,7 @@ pub fn realtime_of_environment() -> Result<Realtime> {
 /// `TAUT_ADMISSION`: whether load is checked, by default if there is a system file.
 ///
 /// # Errors
-/// [`SystemSystemError::Environment`].
+/// [`SystemError::Environment`].
 pub fn admission_of_environment(has_system: bool) -> Result<Admission> {
     let (variable, expected) = ("TAUT_ADMISSION", "it may be 'check', 'force' or 'off'");
     match environment(variable).as_deref() {
@@ -37,7 +37,7 @@ pub fn admission_of_environment(has_system: bool) -> Result<Admission> {
 /// A switch; `None` if it is not set.
 ///
 /// # Errors
-/// [`SystemSystemError::Environment`] if it is neither `on` nor `off`.
+/// [`SystemError::Environment`] if it is neither `on` nor `off`.
 pub fn switch_of_environment(variable: &'static str) -> Result<Option<bool>> {
     match environment(variable).as_deref() {
         None => Ok(None),

@@ -26,7 +26,7 @@ impl LoadedSystem {
     /// Reads and analyses the file. A system that is not schedulable, and every warning, is logged.
     ///
     /// # Errors
-    /// [`SystemError::System`] with everything that is wrong with the file; [`SystemError::Host`] if `host` is not in it, or if it has
+    /// [`SystemError::File`] with everything that is wrong with the file; [`SystemError::Host`] if `host` is not in it, or if it has
     /// several hosts and none is named.
     pub fn read(path: &Path, host: Option<&str>) -> Result<Self> {
         let file = SystemFile::read(path)?;

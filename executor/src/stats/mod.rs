@@ -272,7 +272,7 @@ mod tests {
         let stats = CallbackStats::new("a");
         stats.place(None, kind::CALLBACK).unwrap();
         let seen = |stats: &CallbackStats| {
-            let now = CallbackSnapshot::of(&stats).unwrap();
+            let now = CallbackSnapshot::of(stats).unwrap();
             (now.releases, now.first_release_ns, now.last_release_ns, now.least_distance_ns)
         };
         stats.release(1_000);

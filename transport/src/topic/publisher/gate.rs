@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-use crate::topic::typed::{Codec, Publisher};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -14,12 +13,6 @@ impl Gate {
     /// A closed gate.
     pub fn new() -> Self {
         Gate::default()
-    }
-
-    /// The same publisher, silent while this gate is closed: see [`RawPublisher::with_gate`](crate::RawPublisher::with_gate).
-    #[must_use = "it returns the changed publisher"]
-    pub fn guard<T: Codec>(&self, publisher: Publisher<T>) -> Publisher<T> {
-        publisher.with_gate(self.clone())
     }
 
     /// Opens or closes it. Messages that are being published at that moment may still be sent.

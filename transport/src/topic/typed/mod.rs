@@ -29,15 +29,18 @@ pub struct Publisher<T: Codec> {
     definition: T::Definition,
 }
 
+impl Gate {
+    /// The same publisher, silent while this gate is closed: see [`RawPublisher::with_gate`](crate::RawPublisher::with_gate).
+    #[must_use = "it returns the changed publisher"]
+    pub fn guard<T: Codec>(&self, publisher: Publisher<T>) -> Publisher<T> {
+        Publisher { raw: publisher.raw.with_gate(self.clone()), ..publisher }
+    }
+}
+
 impl<T: Codec> Publisher<T> {
     /// Of a publisher of bytes that are those of `T`.
     pub(crate) fn new(raw: RawPublisher, definition: T::Definition) -> Self {
         Publisher { raw, definition }
-    }
-
-    /// The same publisher behind a gate.
-    pub(crate) fn with_gate(self, gate: Gate) -> Self {
-        Publisher { raw: self.raw.with_gate(gate), ..self }
     }
 
     /// The type's definition that is known at run time.
