@@ -20,7 +20,7 @@ use tautline::{CallbackHandle, CallbackOptions, CallbackStats, Context, ContextB
 use tautline_analysis::taken::{self, Sight, Taken, TakenTimes};
 use tautline_analysis::{Response, Task, response_times};
 use tautline_benches::Stage;
-use tautline_executor::{Moment, MomentKind};
+use tautline_executor::{CallbackSnapshot, Moment, MomentKind};
 use tautline_harness::readings::{Reading, judge};
 use tautline_harness::table::Column::{Number, Words};
 use tautline_harness::table::Table;
