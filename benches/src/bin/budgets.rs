@@ -288,7 +288,7 @@ impl Watch<'_> {
                 sights.push(sight(&moment, seen, length_ns, i as u64, priority));
             }
         }
-        let sampler = self.sampler.and_then(|sampler| CallbackSnapshot::of(&sampler));
+        let sampler = self.sampler.and_then(|sampler| CallbackSnapshot::of(sampler));
         for moment in sampler.into_iter().flat_map(|seen| seen.moments).filter(|of| of.to_ns >= begin_ns) {
             let seen = match moment.kind {
                 MomentKind::Taken => taken::Seen::Running,
