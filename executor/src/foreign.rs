@@ -21,7 +21,8 @@ thread_local! {
     static ENFORCER: RefCell<Option<BudgetEnforcer>> = const { RefCell::new(None) };
 }
 
-/// Says what this thread's policy is, which it got with [`set_own_priority`](tautline_rt::set_own_priority). If `holds`, jobs of callbacks with [`OverrunPolicy::Demote`] are from now on held to their budgets here.
+/// Holds jobs of callbacks with [`OverrunPolicy::Demote`] to their budgets in this thread from now on, if `holds`. `policy` is the thread's,
+/// which it got with [`set_own_priority`](tautline_rt::set_own_priority), and gets back after a demotion.
 ///
 /// # Real-time
 /// Setup only.
@@ -68,7 +69,8 @@ pub struct ForeignCallback {
 }
 
 impl ForeignCallback {
-    /// These options are used: name, policy, cores, period, deadline, budget, bound, overrun policy (only [`OverrunPolicy::Demote`] is enforced), and whether the execution time is measured.
+    /// These options are used: name, policy, cores, period, deadline, budget, bound, overrun policy (only [`OverrunPolicy::Demote`] is
+    /// enforced), and whether the execution time is measured.
     ///
     /// # Real-time
     /// Setup only.
@@ -94,10 +96,9 @@ impl ForeignCallback {
     /// Starts a job of the callback in this thread, released at the `CLOCK_MONOTONIC` time `release_ns`.
     ///
     /// # Real-time
-    /// Waits for a thread that starts or ends a job of it at the same time, with priority inheritance; no allocation; where it is held to its
-    /// budget, at most two syscalls; four syscalls
-    /// if another thread ran the previous job, one in a thread's first job, and one more in each of these cases where the execution
-    /// time is measured.
+    /// Waits for a thread that starts or ends a job of it at the same time, with priority inheritance; no allocation; four syscalls
+    /// if another thread ran the previous job, one in a thread's first job, one more in each of these cases where the execution
+    /// time is measured, and at most two where it is held to its budget.
     pub fn begin(&self, release_ns: u64) {
         let stats = self.stats.lock();
         let tid = TID.with(|tid| *tid);

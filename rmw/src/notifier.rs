@@ -7,7 +7,7 @@ use crate::signal::Waiter;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use std::task::Wake;
-use tautline_rt::{JoinHandle, PiMutex, Policy, ThreadBuilder, current_policy};
+use tautline_rt::{JoinHandle, PiMutex, Policy, Realtime, ThreadBuilder, current_policy};
 use tautline_transport::Wakeable;
 
 /// The thread of a context; started by the first callback.
@@ -83,7 +83,8 @@ impl Started {
     fn new(waiter: Arc<Waiter>) -> Result<Self> {
         let (priority, is_stopped) = Default::default();
         let shared = Arc::new(Shared { waiter, endpoints: PiMutex::new(Arc::new([])), priority, is_stopped });
-        let thread = ThreadBuilder::new("rmw_notifier");
+        // It has its starter's policy until it gets a priority: a process with a nice value may not lower that.
+        let thread = ThreadBuilder::new("rmw_notifier").realtime(Realtime::Off);
         let served = shared.clone();
         let thread = thread.spawn(move || move || served.run()).map_err(Error::other)?;
         Ok(Started { shared, thread: Some(thread) })

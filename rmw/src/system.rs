@@ -187,12 +187,9 @@ impl System {
         let options = match (&self.file, entry) {
             (Some(file), Some(index)) => {
                 let options = file.options(&self.callbacks[index].entry.name)?;
-                let is_measured_only = plan.is_none();
-                if is_measured_only {
-                    CallbackOptions { policy: CallbackOptions::other().policy, ..options }
-                } else {
-                    options
-                }
+                // Without a thread of the file it is only measured.
+                let policy = plan.map_or(CallbackOptions::other().policy, |_| options.policy);
+                CallbackOptions { policy, ..options }
             }
             _ => CallbackOptions::other().name(format!("{node} {topic}")),
         }
