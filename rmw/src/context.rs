@@ -6,7 +6,7 @@ use crate::error::{Error, Result, answer};
 use crate::handle::{IDENTIFIER, behind_context, check_identifier, take_back, text};
 use crate::helper::{Helper, Ring};
 use crate::log;
-use crate::notifier::{Home, Notifier};
+use crate::notifier::{Notifier, NotifierWaker};
 use crate::on_new::{Listener, ListenersByName};
 use crate::options::{self, rmw_init_options_copy, rmw_init_options_fini};
 use crate::signal::{Signal, Waiter};
@@ -159,9 +159,13 @@ impl Context {
         })
     }
 
-    /// Where the rings of an endpoint with a callback for new messages go, which is served from now on.
-    /// `priority`: that of the thread that the system file gives its callback.
-    pub(crate) fn home(&self, endpoint: Weak<dyn Listener>, priority: Option<u8>) -> Result<Arc<Home>> {
+    /// Has the notifier serve an endpoint with a callback for new messages. Its rings are to wake the result. `priority` is that of the
+    /// thread that the system file gives the callback.
+    pub(crate) fn serve(
+        &self,
+        endpoint: Weak<dyn Listener>,
+        priority: Option<u8>,
+    ) -> Result<Arc<NotifierWaker>> {
         self.notifier.serve(endpoint, priority, || self.waiters.claim(&self.participant))
     }
 

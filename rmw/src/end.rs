@@ -6,7 +6,7 @@ use crate::context::Context;
 use crate::error::Result;
 use crate::job::{self, Jobs};
 use crate::node::Node;
-use crate::notifier::Home;
+use crate::notifier::NotifierWaker;
 use crate::on_new::{Listener, Listeners};
 use crate::signal::Waiter;
 use crate::thread::ThreadPlan;
@@ -49,9 +49,9 @@ struct WakeTarget {
     /// Whether publishers wake it.
     is_direct: bool,
     /// Where they go while no one waits, once there was a callback.
-    home: Option<Arc<Home>>,
+    notifier: Option<Arc<NotifierWaker>>,
     /// Messages for which the callback was called so far.
-    told: u64,
+    reported: u64,
 }
 
 impl<P: MessageQueue> ReceivingEndpoint<P> {
@@ -114,7 +114,7 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
     /// One load without a callback; else as [`with`](Self::with), and one futex wake.
     pub(crate) fn detach(&self) {
         if self.callback.is_set() {
-            self.go_home();
+            self.route_to_notifier();
             // The notifier calls for what came meanwhile.
             self.with(|port| ring(port.subscription()));
         }
@@ -122,15 +122,15 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
 
     /// Routes the rings of other contexts to the notifier, if there is a callback; publishers of this context call it. Who still waits
     /// is woken, and attaches again. Check the queue afterwards.
-    fn go_home(&self) {
+    fn route_to_notifier(&self) {
         let (port, route) = &mut *self.side.lock();
         let subscription = port.subscription();
-        let Some(home) = route.home.as_ref().filter(|_| self.callback.is_set()) else { return };
+        let Some(notifier) = route.notifier.as_ref().filter(|_| self.callback.is_set()) else { return };
         let waiter = route.to.take();
         if waiter.is_some() || !route.is_direct {
-            route.is_direct = subscription.wake_thread(home.waiter.bell());
+            route.is_direct = subscription.wake_thread(notifier.waiter.bell());
         }
-        subscription.wake_once(&Waker::from(home.clone()));
+        subscription.wake_once(&Waker::from(notifier.clone()));
         subscription.set_own_look(true);
         if let Some(waiter) = waiter {
             Wakeable::wake(&*waiter);
@@ -159,7 +159,7 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
         let taken = take(port);
         if matches!(taken, Ok(None) | Err(TakeError::TooManyHeld)) && port.subscription().waiting() > 0 {
             // Not available yet: the callback must be called again when it is.
-            route.told = route.told.saturating_sub(1);
+            route.reported = route.reported.saturating_sub(1);
         }
         taken
     }
@@ -182,8 +182,8 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
             self.remove_on_new();
             return Ok(());
         }
-        let home = context.home(self.listener(), self.thread().map(|plan| plan.priority))?;
-        self.side.lock().1.home = Some(home);
+        let waker = context.serve(self.listener(), self.thread().map(|plan| plan.priority))?;
+        self.side.lock().1.notifier = Some(waker);
         self.callback.replace(function);
         self.callback.settle();
         self.listeners.add(self.listener());
@@ -211,7 +211,7 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
 
 impl<P: MessageQueue> Listener for ReceivingEndpoint<P> {
     fn receive(&self) {
-        self.go_home();
+        self.route_to_notifier();
         self.notify();
     }
 
@@ -224,8 +224,8 @@ impl<P: MessageQueue> Listener for ReceivingEndpoint<P> {
             let past = counters.received() + counters.lost() + counters.expired() + counters.invalid();
             let all = past.saturating_add(subscription.waiting());
             // Messages that were taken before they were reported do not count.
-            let told = std::mem::replace(&mut route.told, all).max(past);
-            (call, all.saturating_sub(told))
+            let reported = std::mem::replace(&mut route.reported, all).max(past);
+            (call, all.saturating_sub(reported))
         };
         call.run(usize::try_from(new).unwrap_or(usize::MAX));
     }

@@ -27,15 +27,15 @@ struct Shared {
     is_stopped: AtomicBool,
 }
 
-type Served = (Weak<dyn Listener>, Arc<Home>);
+type Served = (Weak<dyn Listener>, Arc<NotifierWaker>);
 
 /// Where the rings of an endpoint go while no thread waits for it: to the notifier.
-pub(crate) struct Home {
+pub(crate) struct NotifierWaker {
     is_rung: AtomicBool,
     pub(crate) waiter: Arc<Waiter>,
 }
 
-impl Wake for Home {
+impl Wake for NotifierWaker {
     fn wake(self: Arc<Self>) {
         self.wake_by_ref();
     }
@@ -53,7 +53,7 @@ impl Notifier {
         endpoint: Weak<dyn Listener>,
         priority: Option<u8>,
         claim: impl FnOnce() -> Arc<Waiter>,
-    ) -> Result<Arc<Home>> {
+    ) -> Result<Arc<NotifierWaker>> {
         let mut started = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let shared = match &mut *started {
             Some(started) => &started.shared,
@@ -69,13 +69,14 @@ impl Notifier {
             Wakeable::wake(&*shared.waiter);
         }
         let mut endpoints = shared.endpoints.lock();
-        if let Some((_, home)) = endpoints.iter().find(|(one, _)| Weak::ptr_eq(one, &endpoint)) {
-            return Ok(home.clone());
+        if let Some((_, waker)) = endpoints.iter().find(|(one, _)| Weak::ptr_eq(one, &endpoint)) {
+            return Ok(waker.clone());
         }
-        let home = Arc::new(Home { is_rung: AtomicBool::new(false), waiter: shared.waiter.clone() });
+        let waker =
+            Arc::new(NotifierWaker { is_rung: AtomicBool::new(false), waiter: shared.waiter.clone() });
         let alive = endpoints.iter().filter(|(one, _)| one.strong_count() > 0).cloned();
-        *endpoints = alive.chain([(endpoint, home.clone())]).collect();
-        Ok(home)
+        *endpoints = alive.chain([(endpoint, waker.clone())]).collect();
+        Ok(waker)
     }
 }
 
@@ -117,8 +118,8 @@ impl Shared {
                 }
             }
             let endpoints = self.endpoints.lock().clone();
-            for (endpoint, home) in &*endpoints {
-                if home.is_rung.swap(false, Ordering::AcqRel)
+            for (endpoint, waker) in &*endpoints {
+                if waker.is_rung.swap(false, Ordering::AcqRel)
                     && let Some(endpoint) = endpoint.upgrade()
                 {
                     endpoint.receive();
