@@ -57,17 +57,17 @@ const TESTED: [&str; 7] = ["rt", "trace", "transport/doorbell", "sampler", "exec
 /// Reads this repository's files.
 const NOT_TESTED: &str = "transport/structure";
 
-/// Executables of [`Extent::Quick`], with a pattern of tests.
-const QUICK: [(&str, &str); 9] = [
-    ("rt", "."),
-    ("rt/realtime", "."),
-    ("transport/doorbell", "."),
-    ("sampler/timers", "."),
-    ("executor/demotion", "."),
-    ("executor/enforcer", "."),
-    ("executor/suspension", "."),
-    ("transport/topics", "."),
-    ("node/topics", "."),
+/// Executables of [`Extent::Quick`].
+const QUICK: [&str; 9] = [
+    "rt",
+    "rt/realtime",
+    "transport/doorbell",
+    "sampler/timers",
+    "executor/demotion",
+    "executor/enforcer",
+    "executor/suspension",
+    "transport/topics",
+    "node/topics",
 ];
 
 /// Its examples.
@@ -204,9 +204,9 @@ impl Guest {
         let mut jobs = String::new();
         for executable in built {
             let folder = executable.folder.strip_prefix(machine::root()).unwrap_or(&executable.folder);
-            if let Some((name, tests)) = tests(executable, folder, extent) {
+            if let Some(name) = tested(executable, folder, extent) {
                 image.program(&format!("tests/{}", name.replace('/', "-")), &executable.path)?;
-                jobs += &format!("tests {name} '{tests}'\n");
+                jobs += &format!("tests {name}\n");
             } else if !executable.is_test && (folder.starts_with("examples") || executable.target == "taut") {
                 image.program(&format!("programs/{}", executable.target), &executable.path)?;
             }
@@ -231,12 +231,11 @@ impl Guest {
     }
 }
 
-/// The name by which an executable's tests are shown, and a pattern of those that are run, if any. A library's have its folder's name.
-fn tests(executable: &Executable, folder: &Path, extent: Extent) -> Option<(String, &'static str)> {
+/// The name by which an executable's tests are shown, if they are run. A library's have its folder's name.
+fn tested(executable: &Executable, folder: &Path, extent: Extent) -> Option<String> {
     let folder = folder.to_str().filter(|folder| executable.is_test && TESTED.contains(folder))?;
     let is_library = executable.target.starts_with("tautline");
     let name = if is_library { folder.to_owned() } else { format!("{folder}/{}", executable.target) };
-    let quick = || QUICK.iter().find(|(quick, _)| *quick == name).map(|(_, pattern)| *pattern);
-    let pattern = if extent == Extent::Quick { quick()? } else { "." };
-    (name != NOT_TESTED).then_some((name, pattern))
+    let is_wanted = extent == Extent::Whole || QUICK.contains(&&*name);
+    (is_wanted && name != NOT_TESTED).then_some(name)
 }
