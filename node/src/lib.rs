@@ -7,25 +7,54 @@
 //!
 //! ```no_run
 //! use futures::StreamExt;
-//! use tautline::{CallbackOptions, Context, Message, Node, Qos};
+//! use std::time::Duration;
+//! use tautline::{Context, Message, Node, Qos, Service};
 //!
 //! #[derive(Message, Clone, Copy)]
 //! #[repr(C)]
 //! #[message(name = "demo_msgs/msg/Odometry")]
 //! struct Odometry { x: f64, y: f64, heading: f64 }
+//! # #[derive(Message, Clone, Copy)]
+//! # #[repr(C)]
+//! # #[message(name = "demo_msgs/msg/Speed")]
+//! # struct Speed { value: f64 }
+//! # struct Stop;
+//! # impl Service for Stop {
+//! #     type Request = Speed; type Response = Speed; type Event = Speed;
+//! #     const TYPE_NAME: &str = "demo_msgs/srv/Stop"; const TYPE_HASH: &str = "";
+//! # }
 //!
-//! let ctx = Context::create()?;
-//! let mut node = Node::create(ctx, "example", "")?;
-//! let odometry = node.subscribe::<Odometry>("/odom", Qos::default())?;
-//! node.spawn_callback(CallbackOptions::fifo(20).core(1), odometry.for_each(|msg| async move {
-//!     let _speed = msg.x; // msg derefs into shared memory
+//! // The file has each callback's priority, core, deadline and queue; `taut check` has computed its bound.
+//! let ctx = Context::builder().system("system.toml").build()?;
+//! let mut node = Node::create(ctx.clone(), "example", "")?;
+//!
+//! let odometry = node.subscribe::<Odometry>("/odom", ctx.callback_qos("watch")?)?;
+//! node.spawn_callback(ctx.callback("watch")?, odometry.for_each(|msg| async move {
+//!     let _heading = msg.heading; // msg derefs into shared memory
 //! }))?;
+//!
+//! let speed = node.create_publisher::<Speed>("/speed", Qos::default())?;
+//! let mut timer = node.create_wall_timer(Duration::from_millis(10))?;
+//! node.spawn_callback(ctx.callback("drive")?, async move {
+//!     while timer.next().await.is_some() {
+//!         let _ = speed.publish(&Speed { value: 0.5 });
+//!     }
+//! })?;
+//!
+//! let mut stop = node.create_service::<Stop>("/stop", Qos::default())?;
+//! node.spawn_callback(ctx.callback("stop")?, async move {
+//!     while let Some(request) = stop.next().await {
+//!         let _ = stop.respond(&request, &Speed { value: 0.0 });
+//!     }
+//! })?;
+//!
 //! node.spin()?; // this thread becomes the sampler, at the highest priority
 //! # Ok::<(), tautline::Error>(())
 //! ```
 //!
 //! If the system refuses a real-time setting, the error names the fix. A program that should run without real time
-//! must choose this explicitly: [`Realtime::Off`], or `TAUT_REALTIME=off` in the environment.
+//! must choose this explicitly: [`Realtime::Off`], or `TAUT_REALTIME=off` in the environment. Without a system file, callbacks get their
+//! priorities from [`CallbackOptions`].
 //!
 //! # Features
 //!
