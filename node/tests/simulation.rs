@@ -8,6 +8,8 @@ mod common;
 mod runtime;
 
 use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::time::Duration;
 
@@ -25,11 +27,13 @@ use tautline::{
     CallbackGroup, CallbackHandle, CallbackOptions, Context, Limits, Node, Publisher, Qos, Realtime, Sample,
     Subscription,
 };
-use tautline_rt::{Policy, clock, current_policy, policy_of, set_policy};
+use tautline_rt::{PiGuard, PiMutex, Policy, clock, current_policy, policy_of, set_policy};
 
 /// The core of the sensors, which delay nothing, and the one that is looked at.
 const SENSORS: usize = 1;
 const HERE: usize = 0;
+/// The resources of a core.
+const LOCKS: usize = 2;
 /// How many messages a join keeps of each topic.
 const KEPT: usize = 3;
 /// The priority of what has none in the runtime, where it sleeps instead of working.
@@ -123,14 +127,19 @@ fn join(rng: &mut StdRng) -> Model {
     model
 }
 
-/// A thread for each sensor, by priority, some of them held to their budgets.
+/// A thread for each sensor, by priority, some of them held to their budgets, some with locks that inherit priority.
 fn threads(rng: &mut StdRng) -> Model {
     let mut model = sensors(rng, false);
     for sensor in 0..model.callbacks.len() {
         let wcet = rng.random_range(1..=model.callbacks[sensor].period * 2 / 3);
         let budget = [Budget::Tell, Budget::Demote, Budget::Demote, Budget::End][rng.random_range(0..4)];
         let priority = 20 + 2 * ((sensor as u8 * 2 + rng.random_range(0..2)) % 7);
+        let mut locks = Vec::new();
+        if rng.random_bool(0.8) {
+            locks.push((usize::from(rng.random_bool(0.2)), rng.random_range(wcet.div_ceil(2)..=wcet)));
+        }
         let one = Callback {
+            locks,
             wcet,
             budget,
             priority,
@@ -162,6 +171,9 @@ const fn callback_of(step: &Step) -> usize {
         | Step::Taken { callback, .. }
         | Step::Begun { callback, .. }
         | Step::Demoted { callback }
+        | Step::Blocked { callback, .. }
+        | Step::Locked { callback, .. }
+        | Step::Unlocked { callback, .. }
         | Step::Ended { callback } => *callback,
     }
 }
@@ -179,7 +191,11 @@ fn is_clear(model: &Model, steps: &[(u64, Step)]) -> bool {
             Step::Taken { .. } => {
                 !arrivals.iter().any(|arrival| (at + 1 - takes(*at) as u64..=*at).contains(arrival))
             }
-            Step::Ended { .. } | Step::Demoted { .. } => !held || !arrivals.contains(at),
+            Step::Ended { .. } | Step::Demoted { .. } | Step::Unlocked { .. } => {
+                !held || !arrivals.contains(at)
+            }
+            // Linux runs all that are demoted in turn.
+            Step::Blocked { is_demoted, .. } => !is_demoted,
             _ => true,
         })
 }
@@ -204,6 +220,8 @@ fn released(sample: &Sample<Number>) -> u64 {
 /// What the simulation has a job do.
 enum Command {
     UseUpTheBudget,
+    Lock(usize),
+    Unlock(usize),
     End,
 }
 
@@ -212,6 +230,14 @@ enum Command {
 struct Jobs {
     callback: usize,
     happened: Sender<Step>,
+    locks: Arc<[Lock; LOCKS]>,
+}
+
+#[derive(Default)]
+struct Lock {
+    lock: PiMutex<()>,
+    /// The callback that has it, plus 1; cleared just before it is given back.
+    holder: AtomicUsize,
 }
 
 impl Jobs {
@@ -219,6 +245,7 @@ impl Jobs {
     fn run(&self, orders: &Receiver<Command>, numbers: Vec<u64>, works: bool) {
         let callback = self.callback;
         let _ = self.happened.send(Step::Begun { callback, numbers });
+        let mut held: [Option<PiGuard<'_, ()>>; LOCKS] = Default::default();
         loop {
             let order = match works {
                 true => orders.try_recv(),
@@ -226,6 +253,15 @@ impl Jobs {
             };
             match order {
                 Err(TryRecvError::Empty) => std::hint::spin_loop(),
+                Ok(Command::Lock(lock)) => {
+                    held[lock] = Some(self.locks[lock].lock.lock());
+                    self.locks[lock].holder.store(callback + 1, Ordering::SeqCst);
+                    let _ = self.happened.send(Step::Locked { callback, lock });
+                }
+                Ok(Command::Unlock(lock)) => {
+                    self.locks[lock].holder.store(0, Ordering::SeqCst);
+                    held[lock] = None;
+                }
                 Ok(Command::End) | Err(TryRecvError::Disconnected) => return,
                 Ok(Command::UseUpTheBudget) => {
                     while !matches!(current_policy().unwrap(), Policy::Other { .. }) {
@@ -244,7 +280,8 @@ struct Real {
     publishers: HashMap<(usize, usize), Publisher<Number>>,
     happened: Receiver<Step>,
     callbacks: HashMap<usize, CallbackHandle>,
-    counters: Option<std::sync::Arc<JoinCounters>>,
+    counters: Option<Arc<JoinCounters>>,
+    locks: Arc<[Lock; LOCKS]>,
     _node: Node,
 }
 
@@ -256,6 +293,7 @@ impl Real {
         let (mut publishers, mut orders_of, mut callbacks) = (HashMap::new(), HashMap::new(), HashMap::new());
         let mut counters = None;
         let mut group = CallbackGroup::new();
+        let locks = Arc::new(<[Lock; LOCKS]>::default());
         for i in here {
             let callback = &model.callbacks[i];
             let mut subscribe = |topic: usize| {
@@ -270,7 +308,7 @@ impl Real {
                 callback.triggers.iter().map(|topic| subscribe(*topic)).collect();
             let (sender, orders) = channel();
             orders_of.insert(i, sender);
-            let jobs = Jobs { callback: i, happened: happens.clone() };
+            let jobs = Jobs { callback: i, happened: happens.clone(), locks: locks.clone() };
             if let Some((matching, _)) = callback.join {
                 let times = seen.steps.iter().filter(|(_, step)| matches!(step, Step::Taken { .. }));
                 let times = times.map(|(at, _)| *at).collect();
@@ -305,7 +343,7 @@ impl Real {
             let handle = node.spawn_group(CallbackOptions::other().name("group"), group).unwrap();
             callbacks.insert(usize::MAX, handle);
         }
-        Real { _node: node, publishers, orders: orders_of, happened, callbacks, counters }
+        Real { _node: node, publishers, orders: orders_of, happened, callbacks, counters, locks }
     }
 
     /// Does what the simulation did, and compares what the runtime makes of it.
@@ -314,8 +352,8 @@ impl Real {
         // What arrives when a job ends is there before the next begins.
         steps.sort_by_key(|(at, step)| match step {
             Step::Arrived { .. } => (*at, 0),
-            Step::Ended { .. } | Step::Taken { .. } => (*at, 1),
-            Step::Begun { .. } | Step::Demoted { .. } => (*at, 2),
+            Step::Ended { .. } | Step::Unlocked { .. } | Step::Taken { .. } => (*at, 1),
+            _ => (*at, 2),
         });
         // Above the jobs that work until it tells them to end.
         let own = current_policy().unwrap();
@@ -324,6 +362,8 @@ impl Real {
         }
         let from = clock::monotonic_ns() - 1_000_000_000;
         let (mut taken, mut ended) = (HashMap::new(), HashMap::new());
+        let mut waits_for_lock = Vec::new();
+        let tell = |callback: usize, command| self.orders[&callback].send(command).unwrap();
         let mut before = Vec::new();
         for (at, step) in steps {
             before.push((at, step.clone()));
@@ -344,18 +384,32 @@ impl Real {
                     let counters = self.counters.as_ref().unwrap();
                     eventually("a join takes a message", || counters.inputs()[input].received() >= *count);
                 }
-                Step::Begun { .. } => {
+                Step::Blocked { callback, lock, .. } => {
+                    tell(callback, Command::Lock(lock));
+                    waits_for_lock.push(callback);
+                }
+                Step::Unlocked { callback, lock } => {
+                    tell(callback, Command::Unlock(lock));
+                    let holder = &self.locks[lock].holder;
+                    eventually("a lock is given back", || holder.load(Ordering::SeqCst) != callback + 1);
+                }
+                Step::Begun { .. } | Step::Locked { .. } => {
+                    if let Step::Locked { callback, lock } = step
+                        && waits_for_lock.extract_if(.., |waits| *waits == callback).next().is_none()
+                    {
+                        tell(callback, Command::Lock(lock));
+                    }
                     let happened = self.happened.recv_timeout(Duration::from_secs(30));
                     assert_eq!(happened.as_ref(), Ok(&step), "the last of {before:?}: {context}");
                 }
                 Step::Demoted { callback } => {
-                    self.orders[&callback].send(Command::UseUpTheBudget).unwrap();
+                    tell(callback, Command::UseUpTheBudget);
                     let thread = self.callbacks[&callback].thread().tid;
                     let is_demoted = || matches!(policy_of(thread), Ok(Policy::Other { .. }));
                     eventually("a job is demoted", is_demoted);
                 }
                 Step::Ended { callback } => {
-                    self.orders[&callback].send(Command::End).unwrap();
+                    tell(callback, Command::End);
                     if let Some(handle) = self.callbacks.get(&callback) {
                         let count = ended.entry(callback).or_insert(0);
                         *count += 1;
@@ -387,7 +441,7 @@ impl Real {
     }
 }
 
-type Joined = (CallbackHandle, std::sync::Arc<JoinCounters>);
+type Joined = (CallbackHandle, Arc<JoinCounters>);
 
 fn spawn_join(
     node: &mut Node,
@@ -467,12 +521,13 @@ impl JoinPolicy for Boxed {
 /// Runs some systems in both, and says how much of what was compared.
 fn compare(context: &Context, seed: u64, systems: usize, make: fn(&mut StdRng) -> Model) {
     let mut rng = StdRng::seed_from_u64(seed);
-    let (mut begun, mut lost, mut demoted, mut unused) = (0, 0, 0, 0);
+    let (mut begun, mut lost, mut demoted, mut blocked, mut unused) = (0, 0, 0, 0, 0);
     for scenario in 0..systems {
         let (model, seen) = run(&mut rng, make);
         for (_, step) in &seen.steps {
             begun += usize::from(matches!(step, Step::Begun { .. }));
             demoted += usize::from(matches!(step, Step::Demoted { .. }));
+            blocked += usize::from(matches!(step, Step::Blocked { .. }));
         }
         lost += seen.lost.values().sum::<u64>();
         unused += seen.unused.iter().flatten().flatten().sum::<u64>();
@@ -480,7 +535,7 @@ fn compare(context: &Context, seed: u64, systems: usize, make: fn(&mut StdRng) -
         Real::new(context, scenario, &model, &seen).follow(&model, &seen, &says);
     }
     println!(
-        "{systems} systems: {begun} jobs begin in one order, {lost} messages overwritten, {unused} dropped or refused by joins, {demoted} demoted"
+        "{systems} systems: {begun} jobs begin in one order, {lost} messages overwritten, {unused} dropped or refused by joins, {demoted} demoted, {blocked} waited for locks"
     );
     assert!(begun > 5 * systems);
 }
