@@ -17,8 +17,9 @@ use common::{Number, context, cores, eventually, isolate, realtime, spin};
 use futures::StreamExt;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
-use runtime::machine::{Run, Seen, Step, simulate};
+use runtime::machine::{Seen, Step};
 use runtime::made_up::{Budget, Callback, Matching, Model, Order, age_penalty};
+use runtime::small::{HERE, KEPT, SLEEPING, callback, group, run, sensors};
 use tautline::join::{
     ApproximateEpsilonTime, ApproximateTime, ExactTime, JoinCounters, LatestTime, Policy as JoinPolicy,
     RateSynchronizer, Synchronizer, all_of,
@@ -29,89 +30,15 @@ use tautline::{
 };
 use tautline_rt::{PiGuard, PiMutex, Policy, clock, current_policy, policy_of, set_policy};
 
-/// The core of the sensors, which delay nothing, and the one that is looked at.
-const SENSORS: usize = 1;
-const HERE: usize = 0;
 /// The resources of a core.
 const LOCKS: usize = 2;
-/// How many messages a join keeps of each topic.
-const KEPT: usize = 3;
-/// The priority of what has none in the runtime, where it sleeps instead of working.
-const SLEEPING: u8 = 50;
 /// Far more than a job needs while it waits for the simulation.
 const BUDGET: Duration = Duration::from_millis(60);
-
-fn callback(core: usize, triggers: Vec<usize>) -> Callback {
-    Callback {
-        core,
-        period: 1_000,
-        jitter: 0,
-        min_distance: 0,
-        triggers,
-        join: None,
-        is_outside: false,
-        wcet: 1,
-        charged: 0,
-        bcet: 1,
-        priority: SLEEPING,
-        group: None,
-        budget: Budget::Tell,
-        locks: Vec::new(),
-        non_preemptive: 0,
-        depth: usize::MAX,
-        reads: None,
-        also: None,
-    }
-}
-
-/// Some sensors, each with a timer, or all behind one.
-fn sensors(rng: &mut StdRng, from_one: bool) -> Model {
-    let mut callbacks = Vec::new();
-    if from_one {
-        callbacks.push(callback(SENSORS, Vec::new()));
-    }
-    for n in 0..rng.random_range(2..=3) {
-        let triggers = if from_one { vec![0] } else { Vec::new() };
-        let period = rng.random_range(5..40) * 100;
-        let jitter = if rng.random_bool(0.3) { rng.random_range(0..period) } else { 0 };
-        let wcet = rng.random_range(1..200);
-        callbacks.push(Callback { period, jitter, wcet, priority: 60 + n, ..callback(SENSORS, triggers) });
-    }
-    Model {
-        hosts: vec![0, 0],
-        callbacks,
-        groups: vec![Order::Fifo; 2],
-        chains: Vec::new(),
-        per_message: vec![0],
-        gateway: vec![0],
-        switch: 0,
-        demotion: 0,
-        tick: None,
-        floats: false,
-        throttling: None,
-        stall: 0,
-        executors: vec![None; 2],
-        network: (0, 0),
-        is_ceiling: false,
-        policy: None,
-    }
-}
-
-/// A group that takes a topic of each sensor, often too much of it.
-fn group(rng: &mut StdRng) -> Model {
-    let mut model = sensors(rng, false);
-    for sensor in 0..model.callbacks.len() {
-        let wcet = rng.random_range(1..=model.callbacks[sensor].period);
-        let depth = rng.random_range(1..=4);
-        model.callbacks.push(Callback { wcet, depth, group: Some(HERE), ..callback(HERE, vec![sensor]) });
-    }
-    model
-}
 
 /// A join of all sensors.
 fn join(rng: &mut StdRng) -> Model {
     let from_one = rng.random_bool(0.3);
-    let mut model = sensors(rng, from_one);
+    let mut model = sensors(rng, 3, from_one);
     let sensors: Vec<usize> = (usize::from(from_one)..model.callbacks.len()).collect();
     let window = rng.random_range(1..4_000);
     let matching = match rng.random_range(0..4) {
@@ -129,7 +56,7 @@ fn join(rng: &mut StdRng) -> Model {
 
 /// A thread for each sensor, by priority, some of them held to their budgets, some with locks that inherit priority.
 fn threads(rng: &mut StdRng) -> Model {
-    let mut model = sensors(rng, false);
+    let mut model = sensors(rng, 3, false);
     for sensor in 0..model.callbacks.len() {
         let wcet = rng.random_range(1..=model.callbacks[sensor].period * 2 / 3);
         let budget = [Budget::Tell, Budget::Demote, Budget::Demote, Budget::End][rng.random_range(0..4)];
@@ -149,55 +76,6 @@ fn threads(rng: &mut StdRng) -> Model {
         model.callbacks.push(one);
     }
     model
-}
-
-/// A run in which what happens at once may happen in any order.
-fn run(rng: &mut StdRng, make: fn(&mut StdRng) -> Model) -> (Model, Seen) {
-    loop {
-        let model = make(rng);
-        let queue_sizes = vec![KEPT; model.callbacks.len()];
-        let run = Run { is_wild: true, queue_sizes, until: 20_000, ..Run::random(&model, rng) };
-        let mut seen = simulate(&model, &run);
-        seen.steps.retain(|(_, step)| model.callbacks[callback_of(step)].core == HERE);
-        if is_clear(&model, &seen.steps) {
-            return (model, seen);
-        }
-    }
-}
-
-const fn callback_of(step: &Step) -> usize {
-    match step {
-        Step::Arrived { callback, .. }
-        | Step::Taken { callback, .. }
-        | Step::Begun { callback, .. }
-        | Step::Demoted { callback }
-        | Step::Blocked { callback, .. }
-        | Step::Locked { callback, .. }
-        | Step::Unlocked { callback, .. }
-        | Step::Ended { callback } => *callback,
-    }
-}
-
-fn is_clear(model: &Model, steps: &[(u64, Step)]) -> bool {
-    let arrivals: Vec<u64> =
-        steps.iter().filter(|(_, step)| matches!(step, Step::Arrived { .. })).map(|(at, _)| *at).collect();
-    let apart = arrivals.windows(2).all(|pair| pair[0] < pair[1]);
-    let takes =
-        |at: u64| steps.iter().filter(|(t, step)| *t == at && matches!(step, Step::Taken { .. })).count();
-    // What a join takes lasts for a step each; threads preempt one another.
-    let held = model.callbacks.iter().any(|callback| callback.core == HERE && callback.group.is_none());
-    apart
-        && steps.iter().all(|(at, step)| match step {
-            Step::Taken { .. } => {
-                !arrivals.iter().any(|arrival| (at + 1 - takes(*at) as u64..=*at).contains(arrival))
-            }
-            Step::Ended { .. } | Step::Demoted { .. } | Step::Unlocked { .. } => {
-                !held || !arrivals.contains(at)
-            }
-            // Linux runs all that are demoted in turn.
-            Step::Blocked { is_demoted, .. } => !is_demoted,
-            _ => true,
-        })
 }
 
 /// A topic's message: its number, and its stamp above it.
@@ -348,13 +226,6 @@ impl Real {
 
     /// Does what the simulation did, and compares what the runtime makes of it.
     fn follow(self, model: &Model, seen: &Seen, context: &str) {
-        let mut steps = seen.steps.clone();
-        // What arrives when a job ends is there before the next begins.
-        steps.sort_by_key(|(at, step)| match step {
-            Step::Arrived { .. } => (*at, 0),
-            Step::Ended { .. } | Step::Unlocked { .. } | Step::Taken { .. } => (*at, 1),
-            _ => (*at, 2),
-        });
         // Above the jobs that work until it tells them to end.
         let own = current_policy().unwrap();
         if model.callbacks.iter().any(|callback| callback.priority < SLEEPING) {
@@ -365,7 +236,7 @@ impl Real {
         let mut waits_for_lock = Vec::new();
         let tell = |callback: usize, command| self.orders[&callback].send(command).unwrap();
         let mut before = Vec::new();
-        for (at, step) in steps {
+        for (at, step) in seen.steps.clone() {
             before.push((at, step.clone()));
             match step {
                 Step::Arrived { callback, topic, number, stamp } => {
@@ -545,7 +416,7 @@ fn a_group_begins_what_the_simulation_begins() {
     let seed = tautline_seed::seed();
     let context = context(231);
     let _spinning = spin(&context);
-    compare(&context, seed, 30, group);
+    compare(&context, seed, 30, |rng| group(rng, Order::Fifo));
 }
 
 #[test]
