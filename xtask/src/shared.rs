@@ -63,39 +63,14 @@ fn compare(part: &str, units: &[Unit], whole: &[Unit]) -> Option<String> {
 }
 
 /// A crate as it is built.
-struct Unit {
+pub struct Unit {
     /// Of its package, without what a compatible version may differ in, and of its target.
-    name: String,
+    pub name: String,
     is_ours: bool,
     settings: String,
     hash: u64,
     /// Hashes of those that it needs.
     needs: Vec<u64>,
-}
-
-/// Crates and build scripts that the README's first command may build.
-const FIRST_UNITS: usize = 300;
-
-/// What that command must not wait for: libraries of single verbs, which are programs of their own.
-const NOT_FIRST: [&str; 8] =
-    ["zenoh ", "rusqlite ", "libsqlite3-sys ", "zstd-sys ", "lz4-sys ", "mcap ", "ratatui ", "jaq-core "];
-
-/// Whether a user's first build stays as small as it is.
-pub fn check_first_command() -> Result<(), String> {
-    let units = units("build --release")?;
-    if let Some(unit) = units.iter().find(|unit| NOT_FIRST.iter().any(|name| unit.name.starts_with(name))) {
-        return Err(format!(
-            "`cargo run --release -- demo` builds {}: give it to the program of the verb that needs it (cli/)",
-            unit.name
-        ));
-    }
-    println!("`cargo run --release -- demo` builds {} of at most {FIRST_UNITS} units", units.len());
-    match units.len() {
-        0..=FIRST_UNITS => Ok(()),
-        count => Err(format!(
-            "{count} units, {FIRST_UNITS} are the limit: `cargo build --release --timings` lists them"
-        )),
-    }
 }
 
 /// What cargo would build for the tests of these packages.
@@ -104,7 +79,7 @@ fn graph(packages: &str) -> Result<Vec<Unit>, String> {
 }
 
 /// What cargo would build. To tell is an option that stable versions keep for nightly ones.
-fn units(command: &str) -> Result<Vec<Unit>, String> {
+pub fn units(command: &str) -> Result<Vec<Unit>, String> {
     let mut command = cargo(&format!("{command} -Z unstable-options --unit-graph"));
     let output = command.env("RUSTC_BOOTSTRAP", "1").current_dir(machine::root()).output();
     let output = output.map_err(|error| format!("cargo: {error}"))?;
