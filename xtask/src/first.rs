@@ -5,7 +5,6 @@
 use crate::steps::{Steps, cargo_with, execute};
 use crate::{machine, shared};
 use serde_json::Value;
-use std::collections::HashMap;
 use std::fs;
 
 /// Crates and build scripts that it may build.
@@ -61,23 +60,25 @@ fn build() -> Result<(), String> {
         .and_then(|()| fs::write(kept.join("first-command.html"), &report))
         .map_err(say)?;
     fs::remove_dir_all(&fresh).map_err(say)?;
-    check_path(&report)
+    check_path(&report, &shared::unit_graph("build --release --locked")?)
 }
 
-/// Whether the critical path of a report of cargo's is within its limit.
-fn check_path(report: &str) -> Result<(), String> {
-    let (path, work) = critical_path(&units(report)?);
+/// Whether the critical path of a build is within its limit, by cargo's report of it and the graph of its units.
+fn check_path(report: &str, graph: &[Value]) -> Result<(), String> {
+    let units = Unit::read(report, graph)?;
+    let work: f64 = units.iter().map(|unit| unit.seconds).sum();
+    let path = critical_path(&units);
     let length: f64 = path.iter().map(|(_, seconds)| seconds).sum();
     let percent = 100.0 * length / work;
     println!(
-        "{} units wait for one another: {length:.1} s of {work:.1} s of work, {percent:.0} %; longest:",
+        "{} units wait for one another: {length:.1} s of {work:.1} s of work, {percent:.0} %; longest, in order:",
         path.len()
     );
     let mut longest: Vec<_> = path.iter().enumerate().collect();
     longest.sort_by(|(_, one), (_, other)| other.1.total_cmp(&one.1));
     longest.truncate(SHOWN);
     longest.sort_by_key(|(place, _)| *place);
-    longest.iter().for_each(|(_, (name, seconds))| println!("{seconds:6.1} s  {name}"));
+    longest.iter().for_each(|(_, (unit, seconds))| println!("{seconds:6.1} s  {}", unit.name));
     if percent <= ON_PATH {
         return Ok(());
     }
@@ -86,96 +87,156 @@ fn check_path(report: &str) -> Result<(), String> {
     ))
 }
 
-/// What cargo's report says of each unit. It is a page with a line of JSON for its pictures.
-fn units(report: &str) -> Result<Vec<Value>, String> {
-    let json = report.split_once("UNIT_DATA = ").ok_or("cargo's report has no UNIT_DATA")?.1;
-    let mut values = serde_json::Deserializer::from_str(json).into_iter();
-    let units: Option<Result<Vec<Value>, _>> = values.next();
-    units.ok_or("UNIT_DATA is empty")?.map_err(|error| format!("UNIT_DATA: {error}"))
+/// A crate or a build script that is compiled, or a build script that is run.
+struct Unit {
+    name: String,
+    seconds: f64,
+    /// Until there is what a library needs of it to be compiled: of a library that is its metadata.
+    seconds_for_libraries: f64,
+    /// Whether it is linked, for which others must be there with all of their code.
+    links: bool,
+    needs: Vec<usize>,
 }
 
-/// The units that waited for one another and took longest together, each with the seconds after which the next could begin; and the seconds of all
-/// units. A unit is known to wait for one alone, that which it was started after: other paths may be as long, but none is made up.
-fn critical_path(units: &[Value]) -> (Vec<(String, f64)>, f64) {
-    let seconds = |value: &Value| value.as_f64().unwrap_or(0.0);
-    let begin = |unit: &Value| seconds(&unit["start"]);
-    let mut order: Vec<&Value> = units.iter().collect();
-    order.sort_by(|one, other| begin(one).total_cmp(&begin(other)));
-    // By the unit's number: what it waited for, with the seconds, and the seconds of the path up to its begin.
-    let mut waited: HashMap<u64, (u64, f64)> = HashMap::new();
-    let mut before: HashMap<u64, f64> = HashMap::new();
-    let number = |unit: &Value| unit["i"].as_u64().unwrap_or_default();
-    for unit in &order {
-        let (number, duration) = (number(unit), seconds(&unit["duration"]));
-        let begun = before.get(&number).copied().unwrap_or(0.0);
-        // Libraries wait for a library's metadata alone, which is there before its code.
-        let frontend =
-            unit["sections"].as_array().into_iter().flatten().find(|section| section[0] == "frontend");
-        let metadata = frontend.map_or(duration, |section| seconds(&section[1]["end"]));
-        for (list, part) in [("unblocked_units", duration), ("unblocked_rmeta_units", metadata)] {
-            for next in unit[list].as_array().into_iter().flatten().filter_map(Value::as_u64) {
-                waited.insert(next, (number, part));
-                before.insert(next, begun + part);
-            }
-        }
+impl Unit {
+    /// What cargo's report says, a page with a line of JSON for its pictures, and its graph, in whose order the report has numbered them.
+    fn read(report: &str, graph: &[Value]) -> Result<Vec<Unit>, String> {
+        let json = report.split_once("UNIT_DATA = ").ok_or("cargo's report has no UNIT_DATA")?.1;
+        let data: Option<Result<Vec<Value>, _>> = serde_json::Deserializer::from_str(json).into_iter().next();
+        let data = data.ok_or("UNIT_DATA is empty")?.map_err(|error| format!("UNIT_DATA: {error}"))?;
+        let said = |number| data.iter().find(|unit| unit["i"] == number);
+        graph.iter().enumerate().map(|(number, unit)| Unit::of(said(number), unit)).collect()
     }
-    let end = |unit: &&Value| before.get(&number(unit)).unwrap_or(&0.0) + seconds(&unit["duration"]);
-    let by_number: HashMap<u64, &Value> = units.iter().map(|unit| (number(unit), unit)).collect();
-    let name = |unit: &Value| {
-        let [name, version, target] =
-            ["name", "version", "target"].map(|field| unit[field].as_str().unwrap_or_default());
-        format!("{name} {version}{target}")
-    };
+
+    fn of(said: Option<&Value>, unit: &Value) -> Result<Unit, String> {
+        let id = unit["pkg_id"].as_str().unwrap_or_default();
+        let text = |field| said.and_then(|said| said[field].as_str()).unwrap_or_default();
+        // A build that was not made anew, or another one.
+        if text("name").is_empty() || !id.contains(text("name")) {
+            return Err(format!("cargo's report does not say how long {id} took"));
+        }
+        let seconds = |value: Option<&Value>| value.and_then(Value::as_f64).unwrap_or(0.0);
+        let all = seconds(said.map(|said| &said["duration"]));
+        let sections = said.and_then(|said| said["sections"].as_array());
+        let frontend = sections.and_then(|sections| sections.iter().find(|section| section[0] == "frontend"));
+        let is = |kind: &str| {
+            unit["target"]["kind"].as_array().is_some_and(|kinds| kinds.iter().any(|one| one == kind))
+        };
+        let links = is("bin") || is("custom-build") || is("proc-macro");
+        Ok(Unit {
+            name: format!("{} {}{}", text("name"), text("version"), text("target")),
+            seconds: all,
+            seconds_for_libraries: if links {
+                all
+            } else {
+                frontend.map_or(all, |found| seconds(Some(&found[1]["end"])))
+            },
+            links,
+            needs: shared::needs(unit).collect(),
+        })
+    }
+}
+
+/// The units that wait for one another and take longest together, each with the seconds after which the next may begin: so long the build takes on a
+/// machine with as many cores as it likes.
+fn critical_path(units: &[Unit]) -> Vec<(&Unit, f64)> {
+    let mut begins = vec![None; units.len()];
+    let end = |index: usize, begins: &mut [_]| begin(units, index, begins).0 + units[index].seconds;
+    let last =
+        (0..units.len()).max_by(|one, other| end(*one, &mut begins).total_cmp(&end(*other, &mut begins)));
+    let mut next = last.map(|index| (index, units[index].seconds));
     let mut path = Vec::new();
-    let last = units.iter().max_by(|one, other| end(one).total_cmp(&end(other)));
-    let mut next = last.map(|unit| (number(unit), seconds(&unit["duration"])));
-    while let Some((unit, part)) = next {
-        path.push((by_number.get(&unit).map_or_else(String::new, |unit| name(unit)), part));
-        next = waited.get(&unit).copied();
+    while let Some((index, seconds)) = next {
+        path.push((&units[index], seconds));
+        next = begin(units, index, &mut begins).1;
     }
     path.reverse();
-    (path, units.iter().map(|unit| seconds(&unit["duration"])).sum())
+    path
+}
+
+/// When a unit may begin, the one that it waits for last, and the seconds of it that it waits for.
+type Begin = (f64, Option<(usize, f64)>);
+
+fn begin(units: &[Unit], index: usize, known: &mut [Option<Begin>]) -> Begin {
+    if let Some(begin) = known[index] {
+        return begin;
+    }
+    let mut latest: Begin = (0.0, None);
+    for &need in &units[index].needs {
+        let part = if units[index].links { units[need].seconds } else { units[need].seconds_for_libraries };
+        let ready = begin(units, need, known).0 + part;
+        if ready > latest.0 {
+            latest = (ready, Some((need, part)));
+        }
+    }
+    *known[index].insert(latest)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use serde_json::json;
 
-    /// A macro, a library that waits for it, another one beside, and a program that waits for the metadata of both.
-    fn report(program: f64, beside: f64) -> String {
-        let unit = |i: u64, name: &str, start: f64, duration: f64, metadata: Option<f64>, next: &[u64]| {
-            let sections = metadata.map(|end| serde_json::json!([["frontend", {"start": 0.0, "end": end}], ["codegen", {"start": end, "end": duration}]]));
-            let (all, early) = if metadata.is_some() { (&[][..], next) } else { (next, &[][..]) };
-            serde_json::json!({"i": i, "name": name, "version": "1.0.0", "target": "", "start": start, "duration": duration,
-                "sections": sections, "unblocked_units": all, "unblocked_rmeta_units": early})
+    /// A macro, a library that waits for it, one beside, and a program that waits for the code of both and is last.
+    fn build(program: f64, beside: f64) -> (String, Vec<Value>) {
+        let unit = |i: u64, name: &str, duration: f64, metadata: Option<f64>| {
+            let sections = metadata.map(|end| json!([["frontend", {"start": 0.0, "end": end}], ["codegen", {"start": end, "end": duration}]]));
+            json!({"i": i, "name": name, "version": "1.0.0", "target": "", "duration": duration, "sections": sections})
         };
-        let units = serde_json::json!([
-            unit(7, "macro", 0.0, 2.0, None, &[3]),
-            unit(3, "library", 2.0, 5.0, Some(3.0), &[9]),
-            unit(4, "beside", 0.0, beside, Some(1.0), &[]),
-            unit(9, "program", 5.5, program, None, &[]),
+        let units = json!([
+            unit(3, "macro", 2.0, None),
+            unit(2, "library", 5.0, Some(3.0)),
+            unit(1, "beside", beside, Some(1.0)),
+            unit(4, "verbs", 1.5, Some(1.0)),
+            unit(0, "program", program, None),
         ]);
-        format!("<script>\nconst UNIT_DATA = {units};\nconst CONCURRENCY_DATA = [];</script>")
+        let node = |name: &str, kind: &str, needs: &[u64]| {
+            let needs: Vec<_> = needs.iter().map(|index| json!({"index": index})).collect();
+            json!({"pkg_id": format!("path+file:///{name}#1.0.0"), "target": {"kind": [kind]}, "mode": "build", "dependencies": needs})
+        };
+        let graph = vec![
+            node("program", "bin", &[4, 1]),
+            node("beside", "lib", &[]),
+            node("library", "lib", &[3]),
+            node("macro", "proc-macro", &[]),
+            node("verbs", "lib", &[2]),
+        ];
+        (format!("<script>\nconst UNIT_DATA = {units};\nconst CONCURRENCY_DATA = [];</script>"), graph)
     }
 
     #[test]
-    fn the_critical_path_goes_by_what_is_waited_for() {
-        let (path, work) = critical_path(&units(&report(4.0, 8.5)).unwrap());
-        let path: Vec<_> = path.iter().map(|(name, seconds)| (name.as_str(), *seconds)).collect();
-        assert_eq!(path, [("macro 1.0.0", 2.0), ("library 1.0.0", 3.0), ("program 1.0.0", 4.0)]);
-        assert_eq!(work, 19.5);
+    fn libraries_wait_for_metadata_and_programs_for_code() {
+        let path_of = |(report, graph): (String, Vec<Value>)| {
+            let units = Unit::read(&report, &graph).unwrap();
+            critical_path(&units)
+                .into_iter()
+                .map(|(unit, seconds)| (unit.name.clone(), seconds))
+                .collect::<Vec<_>>()
+        };
+        let named = |path: &[(&str, f64)]| {
+            path.iter().map(|(name, seconds)| (format!("{name} 1.0.0"), *seconds)).collect::<Vec<_>>()
+        };
+        assert_eq!(
+            path_of(build(4.0, 6.0)),
+            named(&[("macro", 2.0), ("library", 3.0), ("verbs", 1.5), ("program", 4.0)])
+        );
+        assert_eq!(path_of(build(4.0, 6.6)), named(&[("beside", 6.6), ("program", 4.0)]));
     }
 
     #[test]
     fn more_than_half_of_the_work_in_a_row_is_too_much() {
-        check_path(&report(4.0, 8.5)).unwrap();
-        let fault = check_path(&report(8.0, 8.5)).unwrap_err();
-        assert!(fault.starts_with("55 % of the first command's build"), "{fault}");
+        let check = |(report, graph): (String, Vec<Value>)| check_path(&report, &graph);
+        check(build(2.0, 6.5)).unwrap();
+        let fault = check(build(9.0, 6.5)).unwrap_err();
+        assert!(fault.starts_with("65 % of the first command's build"), "{fault}");
     }
 
     #[test]
-    fn a_report_without_units_is_an_error() {
-        assert!(check_path("<html></html>").unwrap_err().contains("no UNIT_DATA"));
-        assert!(check_path("const UNIT_DATA = [{];").unwrap_err().contains("UNIT_DATA: "));
+    fn a_report_of_another_build_is_an_error() {
+        let (report, graph) = build(1.0, 1.0);
+        let fault = |report: &str| check_path(report, &graph).unwrap_err();
+        assert!(fault("<html></html>").contains("no UNIT_DATA"));
+        assert!(fault("const UNIT_DATA = [{];").contains("UNIT_DATA: "));
+        assert!(fault(&report.replace("verbs", "other")).contains("how long path+file:///verbs#1.0.0 took"));
     }
 }

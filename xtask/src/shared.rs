@@ -78,16 +78,9 @@ fn graph(packages: &str) -> Result<Vec<Unit>, String> {
     units(&format!("test {packages} --no-run"))
 }
 
-/// What cargo would build. To tell is an option that stable versions keep for nightly ones.
+/// What cargo would build.
 pub fn units(command: &str) -> Result<Vec<Unit>, String> {
-    let mut command = cargo(&format!("{command} -Z unstable-options --unit-graph"));
-    let output = command.env("RUSTC_BOOTSTRAP", "1").current_dir(machine::root()).output();
-    let output = output.map_err(|error| format!("cargo: {error}"))?;
-    if !output.status.success() {
-        return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
-    }
-    let graph: Value = serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
-    let units = graph["units"].as_array().ok_or("cargo's unit graph has no units")?;
+    let units = unit_graph(command)?;
     let mut hashes = vec![None; units.len()];
     (0..units.len())
         .map(|index| {
@@ -102,11 +95,26 @@ pub fn units(command: &str) -> Result<Vec<Unit>, String> {
                     unit["profile"]["debuginfo"],
                     unit["profile"]["opt_level"]
                 ),
-                hash: hash(units, index, &mut hashes),
-                needs: needs(unit).map(|index| hash(units, index, &mut hashes)).collect(),
+                hash: hash(&units, index, &mut hashes),
+                needs: needs(unit).map(|index| hash(&units, index, &mut hashes)).collect(),
             })
         })
         .collect()
+}
+
+/// Cargo's own words for it. To tell is an option that stable versions keep for nightly ones.
+pub fn unit_graph(command: &str) -> Result<Vec<Value>, String> {
+    let mut command = cargo(&format!("{command} -Z unstable-options --unit-graph"));
+    let output = command.env("RUSTC_BOOTSTRAP", "1").current_dir(machine::root()).output();
+    let output = output.map_err(|error| format!("cargo: {error}"))?;
+    if !output.status.success() {
+        return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
+    }
+    let mut graph: Value = serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
+    match graph["units"].take() {
+        Value::Array(units) => Ok(units),
+        _ => Err("cargo's unit graph has no units".to_owned()),
+    }
 }
 
 fn id(unit: &Value) -> &str {
@@ -128,7 +136,8 @@ fn name(unit: &Value) -> String {
     format!("{package} {series} ({} {})", unit["target"]["name"], unit["mode"])
 }
 
-fn needs(unit: &Value) -> impl Iterator<Item = usize> {
+/// Where in the graph that is which it needs.
+pub fn needs(unit: &Value) -> impl Iterator<Item = usize> {
     let dependencies = unit["dependencies"].as_array().into_iter().flatten();
     dependencies.filter_map(|dependency| usize::try_from(dependency["index"].as_u64()?).ok())
 }
