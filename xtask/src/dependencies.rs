@@ -5,7 +5,6 @@
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{machine, tools};
 use serde_json::Value;
-use std::collections::{HashMap, HashSet};
 use std::path::Path;
 use std::process::Command;
 
@@ -65,8 +64,7 @@ fn advisories(deny: &Path) -> Outcome {
     }
 }
 
-/// Whether all packages of a workspace name the product's `rust-version`, and what those that are published are built with asks for none above it. Cargo
-/// says so itself only to who has such a compiler.
+/// Whether a compiler of the product's `rust-version` may build all packages of a workspace. Cargo says so itself only to those who have such a compiler.
 fn builds_with_ours(folder: &str) -> Result<(), String> {
     let manifest = machine::root().join(folder).join("Cargo.toml");
     let mut command = cargo(
@@ -76,51 +74,26 @@ fn builds_with_ours(folder: &str) -> Result<(), String> {
     if !output.status.success() {
         return Err(format!("{folder}: {}", String::from_utf8_lossy(&output.stderr).trim()));
     }
-    let metadata = serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
-    let faults = above(&metadata, env!("CARGO_PKG_RUST_VERSION"));
+    let metadata: Value = serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
+    let faults = above(&metadata["packages"], env!("CARGO_PKG_RUST_VERSION"));
     if faults.is_empty() { Ok(()) } else { Err(format!("{}: {}", manifest.display(), faults.join("; "))) }
 }
 
-/// What in cargo's metadata does not go with our `rust-version`.
-fn above(metadata: &Value, ours: &str) -> Vec<String> {
-    let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
-    let by_id = |values: &Value| -> HashMap<String, Value> {
-        list(values).into_iter().map(|value| (id(&value["id"]), value)).collect()
-    };
-    let (packages, nodes) = (by_id(&metadata["packages"]), by_id(&metadata["resolve"]["nodes"]));
-    let (mut faults, mut open) = (Vec::new(), Vec::new());
-    for member in list(&metadata["workspace_members"]).iter().map(id) {
-        let package = &packages[&member];
-        if package["rust_version"] != ours {
-            faults.push(format!("{} does not say rust-version = \"{ours}\"", id(&package["name"])));
-        }
-        // `publish = false` is an empty list of registries.
-        open.extend(package["publish"].is_null().then_some(member));
-    }
-    let mut seen: HashSet<String> = open.iter().cloned().collect();
-    while let Some(package) = open.pop() {
-        let asked = id(&packages[&package]["rust_version"]);
-        if version(&asked) > version(ours) {
-            let [name, number] = ["name", "version"].map(|field| id(&packages[&package][field]));
-            faults.push(format!("{name} {number} asks for Rust {asked}"));
-        }
-        for dependency in list(&nodes[&package]["deps"]) {
-            let is_dev = list(&dependency["dep_kinds"]).iter().all(|kind| kind["kind"] == "dev");
-            if !is_dev && seen.insert(id(&dependency["pkg"])) {
-                open.push(id(&dependency["pkg"]));
-            }
-        }
-    }
-    faults
+/// Packages of others that ask for a newer compiler than ours, and packages of ours that do not name it. Who names none is not known to ask for one.
+fn above(packages: &Value, ours: &str) -> Vec<String> {
+    let faults = packages.as_array().into_iter().flatten().filter_map(|package| {
+        let [name, version, asked] =
+            ["name", "version", "rust_version"].map(|field| package[field].as_str().unwrap_or_default());
+        let is_fault =
+            if package["source"].is_null() { asked != ours } else { numbers(asked) > numbers(ours) };
+        is_fault.then(|| format!("{name} {version} has rust-version = \"{asked}\", ours is \"{ours}\""))
+    });
+    faults.collect()
 }
 
-fn id(value: &Value) -> String {
-    value.as_str().unwrap_or_default().to_owned()
-}
-
-/// Its numbers, to compare.
-fn version(text: &str) -> [u32; 3] {
-    let mut numbers = text.split('.').map(|number| number.parse().unwrap_or(0));
+/// Of a version, to compare.
+fn numbers(version: &str) -> [u32; 3] {
+    let mut numbers = version.split('.').map(|number| number.parse().unwrap_or(0));
     [(); 3].map(|()| numbers.next().unwrap_or(0))
 }
 
@@ -130,37 +103,22 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn what_needs_a_newer_compiler_is_named() {
-        let package = |id: &str, rust_version: Option<&str>, publish: Value| json!({"id": id, "name": id, "version": "1.0.0", "rust_version": rust_version, "publish": publish});
-        let needs = |pkg: &str, kind: Option<&str>| json!({"pkg": pkg, "dep_kinds": [{"kind": kind}]});
-        let metadata = json!({
-            "workspace_members": ["ours", "tests", "old"],
-            "packages": [
-                package("ours", Some("1.89"), Value::Null),
-                package("tests", Some("1.89"), json!([])),
-                package("old", Some("1.80"), json!([])),
-                package("fits", Some("1.89.0"), Value::Null),
-                package("silent", None, Value::Null),
-                package("new", Some("1.90"), Value::Null),
-                package("newer", Some("1.100.1"), Value::Null),
-                package("of tests", Some("1.91"), Value::Null),
-            ],
-            "resolve": {"nodes": [
-                {"id": "ours", "deps": [needs("fits", None), needs("silent", Some("build")), needs("of tests", Some("dev"))]},
-                {"id": "tests", "deps": [needs("of tests", None)]},
-                {"id": "silent", "deps": [needs("new", None), needs("newer", None)]},
-                {"id": "fits", "deps": []}, {"id": "new", "deps": []}, {"id": "newer", "deps": []},
-            ]},
-        });
-        let mut faults = above(&metadata, "1.89");
-        faults.sort();
-        assert_eq!(
-            faults,
-            [
-                "new 1.0.0 asks for Rust 1.90",
-                "newer 1.0.0 asks for Rust 1.100.1",
-                "old does not say rust-version = \"1.89\""
-            ]
-        );
+    fn who_needs_a_newer_compiler_is_named() {
+        let ours = |name: &str, asked: Option<&str>| json!({"name": name, "version": "1.0.0", "rust_version": asked, "source": null});
+        let theirs = |name: &str, asked: Option<&str>| json!({"name": name, "version": "1.0.0", "rust_version": asked, "source": "registry"});
+        let packages = [
+            ours("ours", Some("1.89")),
+            ours("silent", None),
+            ours("old", Some("1.80")),
+            theirs("fits", Some("1.89.0")),
+            theirs("older", Some("1.9")),
+            theirs("unknown", None),
+            theirs("new", Some("1.90")),
+            theirs("newer", Some("1.100.1")),
+        ];
+        let faults = above(&json!(packages), "1.89");
+        let named: Vec<_> = faults.iter().filter_map(|fault| fault.split(' ').next()).collect();
+        assert_eq!(named, ["silent", "old", "new", "newer"]);
+        assert_eq!(faults[2], "new 1.0.0 has rust-version = \"1.90\", ours is \"1.89\"");
     }
 }
