@@ -47,21 +47,21 @@ fn comply(deny: &Path, folder: &str) -> Result<(), String> {
 /// Whether what the product takes has known vulnerabilities. Where the database cannot be had, that is said.
 fn advisories(deny: &Path) -> Outcome {
     let run = |arguments: &[&str]| {
-        let mut command = Command::new(deny);
-        command.current_dir(machine::root()).args(["--config", "deny.toml"]).args(arguments);
+        let mut command = Command::new("timeout");
+        command.arg("120").arg(deny).args(["--config", "deny.toml"]).args(arguments);
+        command.current_dir(machine::root()).env("GIT_TERMINAL_PROMPT", "0");
         command
     };
-    match run(&["fetch", "db"]).output() {
+    let output = match run(&["fetch", "db"]).output() {
         Ok(output) if output.status.success() => {
-            execute(&mut run(&["check", "--disable-fetch", "advisories"])).into()
+            return execute(&mut run(&["--offline", "check", "advisories"])).into();
         }
-        Ok(output) => {
-            let said = String::from_utf8_lossy(&output.stderr);
-            let last = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("it says nothing");
-            Outcome::Skipped(format!("RustSec's database cannot be fetched: {last}"))
-        }
-        Err(error) => Outcome::Failed(error.to_string()),
-    }
+        Ok(output) => output,
+        Err(error) => return Outcome::Failed(error.to_string()),
+    };
+    let said = String::from_utf8_lossy(&output.stderr);
+    let last = said.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("no answer within two minutes");
+    Outcome::Skipped(format!("RustSec's database cannot be fetched: {last}"))
 }
 
 /// Whether a compiler of the product's `rust-version` may build all packages of a workspace. Cargo says so itself only to those who have such a compiler.
