@@ -292,10 +292,7 @@ fn main() -> ExitCode {
         }),
         Verb::Book => as_steps(book::test),
         Verb::Dependencies => as_steps(dependencies::test),
-        Verb::First => as_steps(|steps| {
-            r2r::prepare_libclang(steps, false);
-            first::test(steps);
-        }),
+        Verb::First => as_steps(first::test),
         Verb::Ros => exit(ros::run()),
         Verb::Bridge => as_steps_with_ros(bridge::test),
         Verb::Rmw { test: false } => exit(rmw::run()),
