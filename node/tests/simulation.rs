@@ -8,6 +8,8 @@ mod common;
 mod runtime;
 
 use std::collections::HashMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::time::Duration;
 
@@ -15,8 +17,9 @@ use common::{Number, context, cores, eventually, isolate, realtime, spin};
 use futures::StreamExt;
 use rand::rngs::StdRng;
 use rand::{RngExt, SeedableRng};
-use runtime::machine::{Run, Seen, Step, simulate};
+use runtime::machine::{Seen, Step};
 use runtime::made_up::{Budget, Callback, Matching, Model, Order, age_penalty};
+use runtime::small::{HERE, KEPT, SLEEPING, callback, group, run, sensors};
 use tautline::join::{
     ApproximateEpsilonTime, ApproximateTime, ExactTime, JoinCounters, LatestTime, Policy as JoinPolicy,
     RateSynchronizer, Synchronizer, all_of,
@@ -25,89 +28,17 @@ use tautline::{
     CallbackGroup, CallbackHandle, CallbackOptions, Context, Limits, Node, Publisher, Qos, Realtime, Sample,
     Subscription,
 };
-use tautline_rt::{Policy, clock, current_policy, policy_of, set_policy};
+use tautline_rt::{PiGuard, PiMutex, Policy, clock, current_policy, policy_of, set_policy};
 
-/// The core of the sensors, which delay nothing, and the one that is looked at.
-const SENSORS: usize = 1;
-const HERE: usize = 0;
-/// How many messages a join keeps of each topic.
-const KEPT: usize = 3;
-/// The priority of what has none in the runtime, where it sleeps instead of working.
-const SLEEPING: u8 = 50;
+/// The resources of a core.
+const LOCKS: usize = 2;
 /// Far more than a job needs while it waits for the simulation.
 const BUDGET: Duration = Duration::from_millis(60);
-
-fn callback(core: usize, triggers: Vec<usize>) -> Callback {
-    Callback {
-        core,
-        period: 1_000,
-        jitter: 0,
-        min_distance: 0,
-        triggers,
-        join: None,
-        is_outside: false,
-        wcet: 1,
-        charged: 0,
-        bcet: 1,
-        priority: SLEEPING,
-        group: None,
-        budget: Budget::Tell,
-        locks: Vec::new(),
-        non_preemptive: 0,
-        depth: usize::MAX,
-        reads: None,
-        also: None,
-    }
-}
-
-/// Some sensors, each with a timer, or all behind one.
-fn sensors(rng: &mut StdRng, from_one: bool) -> Model {
-    let mut callbacks = Vec::new();
-    if from_one {
-        callbacks.push(callback(SENSORS, Vec::new()));
-    }
-    for n in 0..rng.random_range(2..=3) {
-        let triggers = if from_one { vec![0] } else { Vec::new() };
-        let period = rng.random_range(5..40) * 100;
-        let jitter = if rng.random_bool(0.3) { rng.random_range(0..period) } else { 0 };
-        let wcet = rng.random_range(1..200);
-        callbacks.push(Callback { period, jitter, wcet, priority: 60 + n, ..callback(SENSORS, triggers) });
-    }
-    Model {
-        hosts: vec![0, 0],
-        callbacks,
-        groups: vec![Order::Fifo; 2],
-        chains: Vec::new(),
-        per_message: vec![0],
-        gateway: vec![0],
-        switch: 0,
-        demotion: 0,
-        tick: None,
-        floats: false,
-        throttling: None,
-        stall: 0,
-        executors: vec![None; 2],
-        network: (0, 0),
-        is_ceiling: false,
-        policy: None,
-    }
-}
-
-/// A group that takes a topic of each sensor, often too much of it.
-fn group(rng: &mut StdRng) -> Model {
-    let mut model = sensors(rng, false);
-    for sensor in 0..model.callbacks.len() {
-        let wcet = rng.random_range(1..=model.callbacks[sensor].period);
-        let depth = rng.random_range(1..=4);
-        model.callbacks.push(Callback { wcet, depth, group: Some(HERE), ..callback(HERE, vec![sensor]) });
-    }
-    model
-}
 
 /// A join of all sensors.
 fn join(rng: &mut StdRng) -> Model {
     let from_one = rng.random_bool(0.3);
-    let mut model = sensors(rng, from_one);
+    let mut model = sensors(rng, 3, from_one);
     let sensors: Vec<usize> = (usize::from(from_one)..model.callbacks.len()).collect();
     let window = rng.random_range(1..4_000);
     let matching = match rng.random_range(0..4) {
@@ -123,14 +54,19 @@ fn join(rng: &mut StdRng) -> Model {
     model
 }
 
-/// A thread for each sensor, by priority, some of them held to their budgets.
+/// A thread for each sensor, by priority, some of them held to their budgets, some with locks that inherit priority.
 fn threads(rng: &mut StdRng) -> Model {
-    let mut model = sensors(rng, false);
+    let mut model = sensors(rng, 3, false);
     for sensor in 0..model.callbacks.len() {
         let wcet = rng.random_range(1..=model.callbacks[sensor].period * 2 / 3);
         let budget = [Budget::Tell, Budget::Demote, Budget::Demote, Budget::End][rng.random_range(0..4)];
         let priority = 20 + 2 * ((sensor as u8 * 2 + rng.random_range(0..2)) % 7);
+        let mut locks = Vec::new();
+        if rng.random_bool(0.8) {
+            locks.push((usize::from(rng.random_bool(0.2)), rng.random_range(wcet.div_ceil(2)..=wcet)));
+        }
         let one = Callback {
+            locks,
             wcet,
             budget,
             priority,
@@ -140,48 +76,6 @@ fn threads(rng: &mut StdRng) -> Model {
         model.callbacks.push(one);
     }
     model
-}
-
-/// A run in which what happens at once may happen in any order.
-fn run(rng: &mut StdRng, make: fn(&mut StdRng) -> Model) -> (Model, Seen) {
-    loop {
-        let model = make(rng);
-        let queue_sizes = vec![KEPT; model.callbacks.len()];
-        let run = Run { is_wild: true, queue_sizes, until: 20_000, ..Run::random(&model, rng) };
-        let mut seen = simulate(&model, &run);
-        seen.steps.retain(|(_, step)| model.callbacks[callback_of(step)].core == HERE);
-        if is_clear(&model, &seen.steps) {
-            return (model, seen);
-        }
-    }
-}
-
-const fn callback_of(step: &Step) -> usize {
-    match step {
-        Step::Arrived { callback, .. }
-        | Step::Taken { callback, .. }
-        | Step::Begun { callback, .. }
-        | Step::Demoted { callback }
-        | Step::Ended { callback } => *callback,
-    }
-}
-
-fn is_clear(model: &Model, steps: &[(u64, Step)]) -> bool {
-    let arrivals: Vec<u64> =
-        steps.iter().filter(|(_, step)| matches!(step, Step::Arrived { .. })).map(|(at, _)| *at).collect();
-    let apart = arrivals.windows(2).all(|pair| pair[0] < pair[1]);
-    let takes =
-        |at: u64| steps.iter().filter(|(t, step)| *t == at && matches!(step, Step::Taken { .. })).count();
-    // What a join takes lasts for a step each; threads preempt one another.
-    let held = model.callbacks.iter().any(|callback| callback.core == HERE && callback.group.is_none());
-    apart
-        && steps.iter().all(|(at, step)| match step {
-            Step::Taken { .. } => {
-                !arrivals.iter().any(|arrival| (at + 1 - takes(*at) as u64..=*at).contains(arrival))
-            }
-            Step::Ended { .. } | Step::Demoted { .. } => !held || !arrivals.contains(at),
-            _ => true,
-        })
 }
 
 /// A topic's message: its number, and its stamp above it.
@@ -204,6 +98,8 @@ fn released(sample: &Sample<Number>) -> u64 {
 /// What the simulation has a job do.
 enum Command {
     UseUpTheBudget,
+    Lock(usize),
+    Unlock(usize),
     End,
 }
 
@@ -212,6 +108,14 @@ enum Command {
 struct Jobs {
     callback: usize,
     happened: Sender<Step>,
+    locks: Arc<[Lock; LOCKS]>,
+}
+
+#[derive(Default)]
+struct Lock {
+    lock: PiMutex<()>,
+    /// The callback that has it, plus 1; cleared just before it is given back.
+    holder: AtomicUsize,
 }
 
 impl Jobs {
@@ -219,6 +123,7 @@ impl Jobs {
     fn run(&self, orders: &Receiver<Command>, numbers: Vec<u64>, works: bool) {
         let callback = self.callback;
         let _ = self.happened.send(Step::Begun { callback, numbers });
+        let mut held: [Option<PiGuard<'_, ()>>; LOCKS] = Default::default();
         loop {
             let order = match works {
                 true => orders.try_recv(),
@@ -226,6 +131,15 @@ impl Jobs {
             };
             match order {
                 Err(TryRecvError::Empty) => std::hint::spin_loop(),
+                Ok(Command::Lock(lock)) => {
+                    held[lock] = Some(self.locks[lock].lock.lock());
+                    self.locks[lock].holder.store(callback + 1, Ordering::SeqCst);
+                    let _ = self.happened.send(Step::Locked { callback, lock });
+                }
+                Ok(Command::Unlock(lock)) => {
+                    self.locks[lock].holder.store(0, Ordering::SeqCst);
+                    held[lock] = None;
+                }
                 Ok(Command::End) | Err(TryRecvError::Disconnected) => return,
                 Ok(Command::UseUpTheBudget) => {
                     while !matches!(current_policy().unwrap(), Policy::Other { .. }) {
@@ -244,7 +158,8 @@ struct Real {
     publishers: HashMap<(usize, usize), Publisher<Number>>,
     happened: Receiver<Step>,
     callbacks: HashMap<usize, CallbackHandle>,
-    counters: Option<std::sync::Arc<JoinCounters>>,
+    counters: Option<Arc<JoinCounters>>,
+    locks: Arc<[Lock; LOCKS]>,
     _node: Node,
 }
 
@@ -256,6 +171,7 @@ impl Real {
         let (mut publishers, mut orders_of, mut callbacks) = (HashMap::new(), HashMap::new(), HashMap::new());
         let mut counters = None;
         let mut group = CallbackGroup::new();
+        let locks = Arc::new(<[Lock; LOCKS]>::default());
         for i in here {
             let callback = &model.callbacks[i];
             let mut subscribe = |topic: usize| {
@@ -270,7 +186,7 @@ impl Real {
                 callback.triggers.iter().map(|topic| subscribe(*topic)).collect();
             let (sender, orders) = channel();
             orders_of.insert(i, sender);
-            let jobs = Jobs { callback: i, happened: happens.clone() };
+            let jobs = Jobs { callback: i, happened: happens.clone(), locks: locks.clone() };
             if let Some((matching, _)) = callback.join {
                 let times = seen.steps.iter().filter(|(_, step)| matches!(step, Step::Taken { .. }));
                 let times = times.map(|(at, _)| *at).collect();
@@ -305,18 +221,11 @@ impl Real {
             let handle = node.spawn_group(CallbackOptions::other().name("group"), group).unwrap();
             callbacks.insert(usize::MAX, handle);
         }
-        Real { _node: node, publishers, orders: orders_of, happened, callbacks, counters }
+        Real { _node: node, publishers, orders: orders_of, happened, callbacks, counters, locks }
     }
 
     /// Does what the simulation did, and compares what the runtime makes of it.
     fn follow(self, model: &Model, seen: &Seen, context: &str) {
-        let mut steps = seen.steps.clone();
-        // What arrives when a job ends is there before the next begins.
-        steps.sort_by_key(|(at, step)| match step {
-            Step::Arrived { .. } => (*at, 0),
-            Step::Ended { .. } | Step::Taken { .. } => (*at, 1),
-            Step::Begun { .. } | Step::Demoted { .. } => (*at, 2),
-        });
         // Above the jobs that work until it tells them to end.
         let own = current_policy().unwrap();
         if model.callbacks.iter().any(|callback| callback.priority < SLEEPING) {
@@ -324,8 +233,10 @@ impl Real {
         }
         let from = clock::monotonic_ns() - 1_000_000_000;
         let (mut taken, mut ended) = (HashMap::new(), HashMap::new());
+        let mut waits_for_lock = Vec::new();
+        let tell = |callback: usize, command| self.orders[&callback].send(command).unwrap();
         let mut before = Vec::new();
-        for (at, step) in steps {
+        for (at, step) in seen.steps.clone() {
             before.push((at, step.clone()));
             match step {
                 Step::Arrived { callback, topic, number, stamp } => {
@@ -344,18 +255,32 @@ impl Real {
                     let counters = self.counters.as_ref().unwrap();
                     eventually("a join takes a message", || counters.inputs()[input].received() >= *count);
                 }
-                Step::Begun { .. } => {
+                Step::Blocked { callback, lock, .. } => {
+                    tell(callback, Command::Lock(lock));
+                    waits_for_lock.push(callback);
+                }
+                Step::Unlocked { callback, lock } => {
+                    tell(callback, Command::Unlock(lock));
+                    let holder = &self.locks[lock].holder;
+                    eventually("a lock is given back", || holder.load(Ordering::SeqCst) != callback + 1);
+                }
+                Step::Begun { .. } | Step::Locked { .. } => {
+                    if let Step::Locked { callback, lock } = step
+                        && waits_for_lock.extract_if(.., |waits| *waits == callback).next().is_none()
+                    {
+                        tell(callback, Command::Lock(lock));
+                    }
                     let happened = self.happened.recv_timeout(Duration::from_secs(30));
                     assert_eq!(happened.as_ref(), Ok(&step), "the last of {before:?}: {context}");
                 }
                 Step::Demoted { callback } => {
-                    self.orders[&callback].send(Command::UseUpTheBudget).unwrap();
+                    tell(callback, Command::UseUpTheBudget);
                     let thread = self.callbacks[&callback].thread().tid;
                     let is_demoted = || matches!(policy_of(thread), Ok(Policy::Other { .. }));
                     eventually("a job is demoted", is_demoted);
                 }
                 Step::Ended { callback } => {
-                    self.orders[&callback].send(Command::End).unwrap();
+                    tell(callback, Command::End);
                     if let Some(handle) = self.callbacks.get(&callback) {
                         let count = ended.entry(callback).or_insert(0);
                         *count += 1;
@@ -387,7 +312,7 @@ impl Real {
     }
 }
 
-type Joined = (CallbackHandle, std::sync::Arc<JoinCounters>);
+type Joined = (CallbackHandle, Arc<JoinCounters>);
 
 fn spawn_join(
     node: &mut Node,
@@ -467,12 +392,13 @@ impl JoinPolicy for Boxed {
 /// Runs some systems in both, and says how much of what was compared.
 fn compare(context: &Context, seed: u64, systems: usize, make: fn(&mut StdRng) -> Model) {
     let mut rng = StdRng::seed_from_u64(seed);
-    let (mut begun, mut lost, mut demoted, mut unused) = (0, 0, 0, 0);
+    let (mut begun, mut lost, mut demoted, mut blocked, mut unused) = (0, 0, 0, 0, 0);
     for scenario in 0..systems {
         let (model, seen) = run(&mut rng, make);
         for (_, step) in &seen.steps {
             begun += usize::from(matches!(step, Step::Begun { .. }));
             demoted += usize::from(matches!(step, Step::Demoted { .. }));
+            blocked += usize::from(matches!(step, Step::Blocked { .. }));
         }
         lost += seen.lost.values().sum::<u64>();
         unused += seen.unused.iter().flatten().flatten().sum::<u64>();
@@ -480,7 +406,7 @@ fn compare(context: &Context, seed: u64, systems: usize, make: fn(&mut StdRng) -
         Real::new(context, scenario, &model, &seen).follow(&model, &seen, &says);
     }
     println!(
-        "{systems} systems: {begun} jobs begin in one order, {lost} messages overwritten, {unused} dropped or refused by joins, {demoted} demoted"
+        "{systems} systems: {begun} jobs begin in one order, {lost} messages overwritten, {unused} dropped or refused by joins, {demoted} demoted, {blocked} waited for locks"
     );
     assert!(begun > 5 * systems);
 }
@@ -490,7 +416,7 @@ fn a_group_begins_what_the_simulation_begins() {
     let seed = tautline_seed::seed();
     let context = context(231);
     let _spinning = spin(&context);
-    compare(&context, seed, 30, group);
+    compare(&context, seed, 30, |rng| group(rng, Order::Fifo));
 }
 
 #[test]

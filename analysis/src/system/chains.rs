@@ -46,7 +46,7 @@ pub(super) fn bound(system: &System, chain: &Chain, solved: &Solved) -> Result<C
             let used = if is_last {
                 stages.latency(nominal, Seen::Itself)?
             } else {
-                stages.latency(nominal, Seen::OrLater)?.and_then(age)
+                stages.latency(nominal, Seen::Reflected)?.and_then(age)
             };
             aging = aging.max(used.ok_or_else(overflow)?);
             reflecting.push(reflected(&stages, period_ns, nominal));
@@ -151,8 +151,6 @@ fn pace(system: &System, solved: &Solved, stage: usize) -> Result<(Option<u64>, 
 enum Seen {
     /// That of the release itself; through a join, of a message that is in a set.
     Itself,
-    /// The same, but for a later release of a timer instead.
-    OrLater,
     /// Through a join, that of a set with the message or a later one; of a timer, that of its release or a later one.
     Reflected,
 }

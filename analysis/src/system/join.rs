@@ -13,7 +13,8 @@
 //!
 //! **Newest of each** ([`Matching::Newest`]). It runs once everyone has sent something new. Each activation but the first is
 //! preceded by a message of every input since the one before, so m of them span at least m - 1 messages of the slowest: a
-//! stream with its T and jitter J + T. A message waits at most for the longest gap of another input, min (T_k + J_k).
+//! stream with its T and jitter J + T. A message waits at most for the longest gap of another input, min (T_k + J_k), and one that is in
+//! a set no longer than the gap of its own: with the last message of a set, what has come until then is taken.
 //!
 //! **Exact stamps** ([`Matching::Exact`]). Each input is one stream: those of several publishers would meet by chance only, and each set
 //! drops what is older. The inputs have their nominal releases in common, and messages with the same
@@ -342,9 +343,13 @@ fn newest(inputs: &[Input<'_>]) -> (Release, Timing, Found) {
     let apart = inputs.iter().map(apart).min().unwrap_or(0);
     let others = |i: usize| inputs.iter().enumerate().filter(move |(j, _)| *j != i);
     let wait = |i| others(i).map(|(_, input)| input.gap_ns()).max().unwrap_or(0);
-    let wait_ns = each(inputs, |i, _| wait(i));
     let timing = Timing { gap_ns: most(inputs, Input::gap_ns), ..Timing::default() };
-    let bound = Found { reflected_ns: Some(wait_ns.clone()), wait_ns, queue_size: 1, starved_by: Vec::new() };
+    let bound = Found {
+        wait_ns: each(inputs, |i, _| wait(i).min(inputs[i].gap_ns())),
+        reflected_ns: Some(each(inputs, |i, _| wait(i))),
+        queue_size: 1,
+        starved_by: Vec::new(),
+    };
     (release.min_distance(apart), timing, bound)
 }
 

@@ -52,6 +52,20 @@ pub enum Step {
     Demoted {
         callback: usize,
     },
+    /// It waits for a lock that another holds.
+    Blocked {
+        callback: usize,
+        lock: usize,
+        is_demoted: bool,
+    },
+    Locked {
+        callback: usize,
+        lock: usize,
+    },
+    Unlocked {
+        callback: usize,
+        lock: usize,
+    },
     Ended {
         callback: usize,
     },
@@ -208,6 +222,7 @@ struct Job {
     locks: Vec<(usize, u64, u64)>,
     /// What nothing preempts: from when in its work, and how long.
     section: (u64, u64),
+    has_begun: bool,
     is_demoted: bool,
     used: u64,
 }
@@ -732,7 +747,8 @@ impl Machine<'_> {
         }
         let is_demoted =
             callback.budget.demotes() && message.order <= thread.low_until && thread.low_until > 0;
-        thread.job = Some(Job { message, more, work, done: 0, locks, section, is_demoted, used: 0 });
+        thread.job =
+            Some(Job { message, more, work, done: 0, locks, section, has_begun: false, is_demoted, used: 0 });
     }
 
     /// What a thread takes next from its queue: its own topics one after the other, those of several in any order; a set before more of what made it.
@@ -809,25 +825,26 @@ impl Machine<'_> {
             _ => {}
         }
         let taken = job.locks.iter().find(|(_, offset, _)| *offset == job.done);
-        if let Some((lock, ..)) = taken.filter(|(lock, ..)| self.holder[core][*lock] != Some(at)) {
-            if self.holder[core][*lock].is_some() {
-                thread.blocked_on = Some(*lock);
-                return false;
-            }
-            self.holder[core][*lock] = Some(at);
+        let taken = taken.map(|(lock, ..)| *lock).filter(|lock| self.holder[core][*lock] != Some(at));
+        let Message { number, set, .. } = &job.message;
+        if !std::mem::replace(&mut job.has_begun, true) && (self.joins[i].is_none() || !set.is_empty()) {
+            let numbers = if set.is_empty() { vec![*number] } else { set.clone() };
+            self.seen.steps.push((self.now, Step::Begun { callback: i, numbers }));
         }
+        let Some(lock) = taken else { return true };
+        if self.holder[core][lock].is_some() {
+            let is_demoted = job.is_demoted;
+            self.threads[at].blocked_on = Some(lock);
+            self.record(Step::Blocked { callback: i, lock, is_demoted });
+            return false;
+        }
+        self.holder[core][lock] = Some(at);
+        self.record(Step::Locked { callback: i, lock });
         true
     }
 
     fn work(&mut self, at: usize) {
         let thread = &mut self.threads[at];
-        let begins = thread.job.as_ref().filter(|job| job.done == 0);
-        if let Some(Message { callback, number, set, .. }) = begins.map(|job| &job.message)
-            && (self.joins[*callback].is_none() || !set.is_empty())
-        {
-            let numbers = if set.is_empty() { vec![*number] } else { set.clone() };
-            self.seen.steps.push((self.now, Step::Begun { callback: *callback, numbers }));
-        }
         thread.left = thread.left.saturating_sub(1);
         let core = thread.core;
         let Some(job) = &mut thread.job else { return };
@@ -835,9 +852,10 @@ impl Machine<'_> {
         job.done += 1;
         job.used += 1;
         let released = job.locks.iter().find(|(_, offset, length)| job.done == offset + length);
-        let is_done = job.done == job.work;
+        let (is_done, callback) = (job.done == job.work, job.message.callback);
         if let Some(lock) = released.map(|(lock, ..)| *lock) {
             self.holder[core][lock] = None;
+            self.seen.steps.push((self.now + 1, Step::Unlocked { callback, lock }));
             let waits = |other: &&mut Thread| other.core == core && other.blocked_on == Some(lock);
             self.threads.iter_mut().filter(waits).for_each(|other| other.blocked_on = None);
         }
