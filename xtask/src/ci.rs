@@ -10,8 +10,8 @@ use crate::machine::{self, Scope};
 use crate::steps::{Background, Outcome, Steps, cargo, execute, reported};
 use crate::test::{self, nextest};
 use crate::{
-    api, book, bridge, fuzz, guests, lab, lints, lttng, packages, peers, programs, r2r, r2r_tests, reports,
-    rmw, ros, shared, stress_doorbell, stress_kills, word,
+    api, book, bridge, dependencies, first, fuzz, guests, lab, lints, lttng, packages, peers, programs, r2r,
+    r2r_tests, reports, rmw, ros, shared, stress_doorbell, stress_kills, word,
 };
 use clap::ValueEnum;
 use std::path::Path;
@@ -30,9 +30,9 @@ const GUESTS: [Guest; 1] = [Guest::RtX86];
 /// all others of that time do without it; `cargo install` has a folder of its own.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Job {
-    /// What comes from the network.
+    /// What comes from the network, or is looked up there.
     Prepare,
-    /// The documentation, for which mdBook is built.
+    /// The documentation, for which mdBook is built, and the first command: builds in folders of their own.
     Book,
     /// What is built for a step alone, and takes the place of nothing.
     Apart,
@@ -51,8 +51,14 @@ impl Job {
     pub fn run(self) -> Steps {
         let mut steps = Steps::new();
         match self {
-            Job::Prepare => prepare(&mut steps),
-            Job::Book => book::test(&mut steps),
+            Job::Prepare => {
+                prepare(&mut steps);
+                dependencies::test(&mut steps);
+            }
+            Job::Book => {
+                book::test(&mut steps);
+                first::test(&mut steps);
+            }
             Job::Apart => {
                 examples_by_themselves(&mut steps);
                 peers::test(&mut steps);
@@ -76,12 +82,11 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     steps.join(prepared);
     steps.step("public surface", || api::check(false));
     steps.step("builds are shared", shared::check);
-    steps.step("first command", shared::check_first_command);
     let book = Job::Book.start();
     rest_of_tests(steps);
-    steps.join(book);
     bridge::test(steps);
     rmw::test(steps);
+    steps.join(book);
     clock_step(steps);
     programs::test(steps);
     steps.command("stress: doorbell", &mut stress_doorbell(Build::Tests, RINGS));

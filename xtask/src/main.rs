@@ -9,8 +9,11 @@
 //! | `test` | the verb `test`: every step of it, in order |
 //! | `ci` | the verb `ci`: the rest of what CI runs |
 //! | `shared` | checks that both build what they share once |
+//! | `first` | what a user waits for first: how many units, and the critical path |
+//! | `dependencies` | licences, sources, duplicates and vulnerabilities of what Tautline takes from others |
+//! | `tools` | programs of others that check something |
 //! | `bench` | the benches: what each needs is built, what it is told is passed on |
-//! | `book` | the documentation as a book, and its links |
+//! | `book` | the documentation as a book; its links are lychee's to check |
 //! | `bridge` | lints and tests of the bridge to ROS 2 |
 //! | `colcon` | rmw_tautline as a package of a ROS 2 workspace |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
@@ -41,7 +44,9 @@ mod ci;
 mod colcon;
 mod compare;
 mod compiler;
+mod dependencies;
 mod examples;
+mod first;
 mod fuzz;
 mod guests;
 mod lab;
@@ -62,6 +67,7 @@ mod running;
 mod shared;
 mod steps;
 mod test;
+mod tools;
 
 use bench::Bench;
 use build::{Build, SAME};
@@ -133,6 +139,10 @@ enum Verb {
     },
     /// Builds the documentation as a book, into the target directory's `book`, and checks the links of all documents
     Book,
+    /// Checks licences, sources, duplicates, vulnerabilities and `rust-version` of what all workspaces depend on
+    Dependencies,
+    /// Builds the README's first command as on a fresh clone, and checks how many units wait for one another
+    First,
     /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it, and the bridge is built with it
     Ros,
     /// Lints and tests the bridge to ROS 2, with the ROS 2 that is sourced, else with that of `cargo xtask ros`
@@ -281,6 +291,8 @@ fn main() -> ExitCode {
             examples::run(steps, built, Build::Release, bless);
         }),
         Verb::Book => as_steps(book::test),
+        Verb::Dependencies => as_steps(dependencies::test),
+        Verb::First => as_steps(first::test),
         Verb::Ros => exit(ros::run()),
         Verb::Bridge => as_steps_with_ros(bridge::test),
         Verb::Rmw { test: false } => exit(rmw::run()),
