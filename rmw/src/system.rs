@@ -7,7 +7,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use tautline_analysis::file::{CheckedCallback, Client};
-use tautline_executor::{Admitted, CallbackOptions, ForeignCallback, ProcessInfo, Realtime, StatisticsFile};
+use tautline_executor::{
+    Admitted, CallbackOptions, ForeignCallback, ForeignExecutor, ProcessInfo, Realtime, StatisticsFile,
+};
 use tautline_system::{
     Admission, Gate, LoadedSystem, admission_of_environment, admit_callbacks, admit_system,
     realtime_of_environment,
@@ -29,8 +31,34 @@ pub(crate) struct System {
     admission: Admission,
     /// `None`: it could not be created, and there is no file.
     statistics: Option<StatisticsFile>,
+    overheads: Option<Overheads>,
     /// By name.
     made: Mutex<BTreeMap<String, Weak<ForeignCallback>>>,
+}
+
+/// Executors whose overheads are measured.
+struct Overheads {
+    /// Whether callbacks do nothing.
+    is_alone: bool,
+    /// By client library.
+    executors: Mutex<BTreeMap<&'static str, Arc<ForeignExecutor>>>,
+}
+
+impl Overheads {
+    /// `TAUT_OVERHEADS`.
+    fn of_environment() -> Result<Option<Self>> {
+        let is_alone = match tautline_system::environment("TAUT_OVERHEADS").as_deref() {
+            None | Some("off") => return Ok(None),
+            Some("on") => false,
+            Some("empty") => true,
+            Some(value) => {
+                return Err(Error::other(format!(
+                    "TAUT_OVERHEADS={value} is not understood: it may be 'on', 'empty' (for callbacks that do nothing) or 'off'"
+                )));
+            }
+        };
+        Ok(Some(Overheads { is_alone, executors: Mutex::default() }))
+    }
 }
 
 impl System {
@@ -67,8 +95,8 @@ impl System {
                 None
             }
         };
-        let made = Mutex::default();
-        Ok(System { domain, file, callbacks, threads, admission, statistics, made })
+        let (made, overheads) = (Mutex::default(), Overheads::of_environment()?);
+        Ok(System { domain, file, callbacks, threads, admission, statistics, overheads, made })
     }
 
     /// A system file; `None` if it has no ROS callbacks of this host.
@@ -88,7 +116,28 @@ impl System {
 
     /// Whether processor time of callbacks is measured, which costs a system call for each.
     pub(crate) fn measures_execution(&self) -> bool {
-        self.file.is_some()
+        self.file.is_some() || self.overheads.is_some()
+    }
+
+    /// Where the overhead is recorded that the executor has with what `node` does with messages of `topic`; `None` if it is not measured.
+    pub(crate) fn executor(&self, node: &str, topic: &str) -> Result<Option<Arc<ForeignExecutor>>> {
+        let (Some(overheads), Some(statistics)) = (&self.overheads, &self.statistics) else {
+            return Ok(None);
+        };
+        let client = self.entry(node, topic).map(|index| self.callbacks[index].entry.client);
+        let is_python = || ProcessInfo::of_this().program.starts_with("python");
+        let library = match client {
+            Some(Client::Rclpy) => "rclpy",
+            None if is_python() => "rclpy",
+            _ => "rclcpp",
+        };
+        let mut executors = overheads.executors.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(executor) = executors.get(library) {
+            return Ok(Some(executor.clone()));
+        }
+        let executor = ForeignExecutor::new(statistics, library, overheads.is_alone)
+            .map_err(|error| Error::other(format!("statistics of {library}'s executor: {error}")))?;
+        Ok(Some(executors.entry(library).or_insert(Arc::new(executor)).clone()))
     }
 
     /// The file's entry for what `node`, a full name, does with messages of `topic`.

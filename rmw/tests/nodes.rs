@@ -6,6 +6,7 @@ mod support;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -852,6 +853,87 @@ fn an_unchanged_callback_is_held_to_its_budget() {
     assert_eq!(seen.trim(), "[True, True, False, True, True, False, True, True, False]", "{errors}");
     let [_, errors] = run("suspend");
     assert!(errors.contains("say \"demote\" or \"tell\""), "{errors}");
+}
+
+/// Callbacks and a timer of one executor that use up a known time of their thread; prints all of the thread's and what they used.
+const BUSY: &str = r#"
+import rclpy, sys, time
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+rclpy.init()
+node, source, used = rclpy.create_node("listener"), rclpy.create_node("source"), {"callback": 0, "timer": 0}
+def burn(whose, ms):
+    start = time.thread_time_ns()
+    while time.thread_time_ns() < start + ms * 1_000_000: pass
+    used[whose] += time.thread_time_ns() - start
+heard = []
+def hear(message):
+    heard.append(message)
+    if sys.argv[1] != "empty": burn("callback", 1)
+subscription = node.create_subscription(String, "/busy", hear, 1000)
+publisher = source.create_publisher(String, "/busy", 1000)
+while publisher.get_subscription_count() < 1: pass
+for _ in range(200): publisher.publish(String(data="some"))
+if sys.argv[1] == "timer": timer = node.create_timer(0.01, lambda: burn("timer", 2))
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+start = time.thread_time_ns()
+while len(heard) < 200: executor.spin_once()
+print(time.thread_time_ns() - start, used["callback"], used["timer"], flush=True)
+sys.stdin.read()
+"#;
+
+/// What an executor uses and what its callbacks use is all that its thread uses, with no timer among it.
+#[test]
+fn overheads_of_executors_are_measured() {
+    let (Some(domain), Some(_)) = (Domain::new(92), built("taut", "taut")) else { return };
+    let number = domain.number.to_string();
+    let run = |what: &str, overheads: &str| -> (Vec<f64>, Value) {
+        let mut command = Command::new(domain.venv.join("bin/python"));
+        command.args(["-c", BUSY, what]).env("ROS_DOMAIN_ID", &number).env("TAUT_OVERHEADS", overheads);
+        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        on_tautline(&mut command);
+        let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let said = taut(&["report", "--overheads", "--json", "--domain", &number]).unwrap();
+        drop(process.stdin.take());
+        process.wait().unwrap();
+        let ms = line.split_whitespace().map(|ns| ns.parse::<f64>().unwrap() / 1e6).collect();
+        (ms, serde_json::from_str(&said).unwrap_or_else(|error| panic!("{error}: {said}")))
+    };
+    for (what, overheads, kind) in
+        [("empty", "empty", "empty"), ("busy", "on", "any"), ("timer", "on", "any")]
+    {
+        let (used, report) = run(what, overheads);
+        let [thread, callbacks, timers] = used[..] else { panic!("{used:?}") };
+        let row = &report["executors"][0];
+        assert_eq!((&row["executor"], &row["callbacks"]), (&json!("rclpy"), &json!(kind)), "{report}");
+        let of = |name: &str| row[name].as_f64().unwrap();
+        let all = of("sum_ms") + of("callbacks_sum_ms");
+        let told = format!("{used:?} ms, {report}");
+        if what == "timer" {
+            // Callbacks that a timer ran before are left out, with their overhead.
+            assert!((1.0..199.0).contains(&of("n")) && timers > 0.0, "{told}");
+            assert!(of("sum_ms") < thread - callbacks - timers, "{told}");
+        } else {
+            // The last one has not ended.
+            assert_eq!(of("n"), 199.0, "{told}");
+            assert!((0.7 * thread..=thread).contains(&all), "{told}");
+            assert!(of("callbacks_sum_ms") >= callbacks * 198.0 / 200.0, "{told}");
+        }
+        assert!(of("p50_us") <= of("p99_us") && of("p99_us") <= 1.01 * of("max_us"), "{told}");
+        let line = report["overheads"]["rclpy"].as_str().and_then(|text| text.strip_suffix("us"));
+        let line: f64 = line.unwrap().parse().unwrap();
+        assert!((1.2 * of("max_us")..1.2 * of("max_us") + 1.1).contains(&line), "{told}");
+    }
+    let nothing = Command::new(built("taut", "taut").unwrap())
+        .args(["report", "--overheads", "--domain", &number])
+        .env("TAUT_SCOPE", support::scope())
+        .output()
+        .unwrap();
+    assert_eq!(nothing.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&nothing.stderr).contains("with TAUT_OVERHEADS=on"), "{nothing:?}");
 }
 
 /// Nothing was prepared: no system file, no trace.

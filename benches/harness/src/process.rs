@@ -37,6 +37,7 @@ const SETTINGS: [&str; 16] = [
     "ROS_LOCALHOST_ONLY",
     "ROS_STATIC_PEERS",
     "TAUT_CORE_TIME",
+    "TAUT_OVERHEADS",
     "TAUT_DOMAIN",
     "TAUT_HOLD_IDLE",
     "ZENOH_CONFIG",

@@ -55,6 +55,10 @@ pub(crate) mod kind {
     pub const CALLBACK: u64 = 0;
     pub const GROUP: u64 = 1;
     pub const SAMPLER: u64 = 2;
+    /// What an executor of another library uses besides callbacks.
+    pub const EXECUTOR: u64 = 3;
+    /// As [`EXECUTOR`], of callbacks that do nothing.
+    pub const EXECUTOR_ALONE: u64 = 4;
 }
 
 /// Values of [`word::STATE`].
