@@ -78,11 +78,26 @@ impl ForeignCallback {
     /// # Errors
     /// The system's error for the file.
     pub fn new(file: &StatisticsFile, options: &CallbackOptions) -> io::Result<ForeignCallback> {
+        Self::of_kind(file, options, kind::CALLBACK)
+    }
+
+    /// As [`new`](Self::new) for a callback of which only its publications are seen: [`publish`](Self::publish) is its only job.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn by_publications(file: &StatisticsFile, options: &CallbackOptions) -> io::Result<ForeignCallback> {
+        Self::of_kind(file, options, kind::PUBLICATIONS)
+    }
+
+    fn of_kind(file: &StatisticsFile, options: &CallbackOptions, kind: u64) -> io::Result<ForeignCallback> {
         let stats = CallbackStats::new(&*options.name);
         stats.set_deadline(options.effective_deadline());
         stats.set_budget(options.budget);
         stats.set_bound(options.bound);
-        stats.place(Some(file), kind::CALLBACK)?;
+        stats.place(Some(file), kind)?;
         stats.describe_jobs(options.period, options.execution_time);
         if options.policy.realtime_priority().is_some() {
             // What its thread is to be: admission counts it from here on. The first job says what it is.
@@ -101,12 +116,7 @@ impl ForeignCallback {
     /// time is measured, and at most two where it is held to its budget.
     pub fn begin(&self, release_ns: u64) {
         let stats = self.stats.lock();
-        let tid = TID.with(|tid| *tid);
-        if stats.tid() != tid
-            && let (Ok(policy), Ok(cores)) = (current_policy(), current_affinity())
-        {
-            stats.set_thread(&ThreadInfo { tid, name: String::new(), policy, cores });
-        }
+        note_thread(&stats);
         stats.release(release_ns);
         if self.measures_execution {
             STOPWATCH.with(Stopwatch::begin);
@@ -132,12 +142,32 @@ impl ForeignCallback {
         execution_ns
     }
 
+    /// It published in this thread, at the `CLOCK_MONOTONIC` time `now_ns`.
+    ///
+    /// # Real-time
+    /// As [`begin`](Self::begin) where the execution time is not measured.
+    pub fn publish(&self, now_ns: u64) {
+        let stats = self.stats.lock();
+        note_thread(&stats);
+        stats.publish(now_ns);
+    }
+
     /// Records the state of its queue.
     ///
     /// # Real-time
     /// As [`begin`](Self::begin), without syscalls.
     pub fn note_queue(&self, queue: QueueState) {
         self.stats.lock().note_queue(queue);
+    }
+}
+
+/// Records that this thread runs the callback, if another one did before.
+fn note_thread(stats: &CallbackStats) {
+    let tid = TID.with(|tid| *tid);
+    if stats.tid() != tid
+        && let (Ok(policy), Ok(cores)) = (current_policy(), current_affinity())
+    {
+        stats.set_thread(&ThreadInfo { tid, name: String::new(), policy, cores });
     }
 }
 

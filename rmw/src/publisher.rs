@@ -15,6 +15,7 @@ use crate::types::MessageType;
 use std::ffi::{c_char, c_void};
 use std::sync::Arc;
 use std::time::Duration;
+use tautline_executor::ForeignCallback;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{PiGuard, PiMutex};
 use tautline_sampler::PublisherEvents;
@@ -30,6 +31,8 @@ pub(crate) struct Publisher {
     matched: MatchedCount,
     /// Endpoints of this context whose callbacks are called after publishing.
     listeners: Arc<Listeners>,
+    /// The timer of the system file of which its messages tell.
+    timer: Option<Arc<ForeignCallback>>,
     /// Used by one thread at a time.
     side: PiMutex<Publishing>,
 }
@@ -96,6 +99,9 @@ impl Publisher {
     /// Publishes a loan, and calls the callbacks for it.
     fn publish_loan<'p>(&'p self, side: PiGuard<'p, Publishing>, loan: RawLoan<'static>) -> Result {
         self.submit(side, loan)?;
+        if let Some(timer) = &self.timer {
+            timer.publish(monotonic_ns());
+        }
         self.listeners.notify();
         Ok(())
     }
@@ -259,6 +265,7 @@ pub unsafe extern "C" fn rmw_create_publisher(
             gid: raw.gid(),
             matched: raw.matched(),
             listeners: node.context().listeners.of(name),
+            timer: node.context().system.timer(&node.full_name, name)?,
             side: PiMutex::new(Publishing { loans: Vec::new(), raw: Box::new(raw) }),
         };
         let can_loan_messages = publisher.message_type.is_plain();

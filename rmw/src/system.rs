@@ -162,9 +162,8 @@ impl System {
 
     /// Names what the file does not know of a node that it has: what that costs is in no bound.
     fn warn_of_unlisted(&self, node: &str, topic: &str) {
-        let short = node.rsplit('/').next().unwrap_or(node);
-        let is_known = |callback: &CheckedCallback| [node, short].contains(&callback.entry.node.as_str());
-        if !OF_EVERY_NODE.contains(&topic) && self.is_governing() && self.callbacks.iter().any(is_known) {
+        let is_known = self.callbacks.iter().any(|callback| Self::is_of(callback, node));
+        if !OF_EVERY_NODE.contains(&topic) && self.is_governing() && is_known {
             tracing::warn!(
                 "the system file has no callback of node `{node}` for `{topic}`: the bounds of callbacks whose executor also runs that one do \
                  not hold; add it to the file, or give it an executor of its own"
@@ -220,6 +219,46 @@ impl System {
         self.threads.iter().any(Option::is_some)
     }
 
+    /// Whether a callback belongs to `node`, a full name.
+    fn is_of(callback: &CheckedCallback, node: &str) -> bool {
+        let short = node.rsplit('/').next().unwrap_or(node);
+        [node, short].contains(&callback.entry.node.as_str())
+    }
+
+    /// The statistics of the timer of the file that alone publishes on `topic` in `node`, a full name: an RMW sees nothing else of it.
+    pub(crate) fn timer(&self, node: &str, topic: &str) -> Result<Option<Arc<ForeignCallback>>> {
+        let (Some(file), Some(statistics)) = (&self.file, &self.statistics) else { return Ok(None) };
+        let publishes = |callback: &&CheckedCallback| {
+            Self::is_of(callback, node) && callback.entry.publishes.iter().any(|of| of == topic)
+        };
+        let mut all = self.callbacks.iter().filter(publishes);
+        let (Some(CheckedCallback { entry, .. }), None) = (all.next(), all.next()) else { return Ok(None) };
+        // Of several topics one tells of it.
+        if !entry.topics.is_empty() || entry.publishes.first().is_none_or(|of| of != topic) {
+            return Ok(None);
+        }
+        let other = CallbackOptions::other().policy;
+        let options = CallbackOptions { policy: other, ..file.options(&entry.name)? }.execution_time(false);
+        let make = || ForeignCallback::by_publications(statistics, &options);
+        self.made(&options.name, || make().map_err(|error| unshared(&options.name, &error))).map(Some)
+    }
+
+    /// The statistics of this name, which are made if there are none.
+    fn made(
+        &self,
+        name: &str,
+        make: impl FnOnce() -> Result<ForeignCallback>,
+    ) -> Result<Arc<ForeignCallback>> {
+        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(callback) = made.get(name).and_then(Weak::upgrade) {
+            return Ok(callback);
+        }
+        made.retain(|_, callback| callback.strong_count() > 0);
+        let callback = Arc::new(make()?);
+        made.insert(name.to_owned(), Arc::downgrade(&callback));
+        Ok(callback)
+    }
+
     /// The statistics of what `node`, a full name, does with messages of `topic`, under its name in the file. Equal names there
     /// are one callback, even with several topics.
     ///
@@ -249,25 +288,22 @@ impl System {
         let Some(statistics) = self.statistics.as_ref().filter(|_| is_named || is_topic) else {
             return Ok((options.name, None));
         };
-        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(callback) = made.get(&options.name).and_then(Weak::upgrade) {
-            return Ok((options.name, Some(callback)));
+        let callback = self.made(&options.name, || {
+            let _gate = plan.map(|plan| self.admit(plan, &options.name)).transpose()?;
+            ForeignCallback::new(statistics, &options).map_err(|error| unshared(&options.name, &error))
+        });
+        match callback {
+            Err(error) if !is_named => {
+                tracing::warn!("`taut top` will not show a callback: {error:?}");
+                Ok((options.name, None))
+            }
+            made => made.map(|callback| (options.name, Some(callback))),
         }
-        made.retain(|_, callback| callback.strong_count() > 0);
-        let _gate = plan.map(|plan| self.admit(plan, &options.name)).transpose()?;
-        let callback = match ForeignCallback::new(statistics, &options) {
-            Ok(callback) => Arc::new(callback),
-            Err(error) if is_named => {
-                return Err(Error::other(format!("statistics of '{}': {error}", options.name)));
-            }
-            Err(error) => {
-                tracing::warn!("`taut top` will not show '{}': /dev/shm: {error}", options.name);
-                return Ok((options.name, None));
-            }
-        };
-        made.insert(options.name.clone(), Arc::downgrade(&callback));
-        Ok((options.name, Some(callback)))
     }
+}
+
+fn unshared(name: &str, error: &std::io::Error) -> Error {
+    Error::other(format!("statistics of '{name}' in /dev/shm: {error}"))
 }
 
 /// The thread of each callback: those of a group share it.

@@ -564,7 +564,11 @@ fn callbacks_of_rclpy_are_reported_and_traced() {
     let marks = hear["violations"].to_string();
     assert!(!marks.contains("runs twice") && !marks.contains("not running"), "one of two topics: {report}");
     assert_eq!(report["callbacks"].as_array().unwrap().len(), 1, "an RMW sees no timers: {report}");
-    assert!(report["notes"].to_string().contains("timers of ROS's client libraries are not measured: tick"));
+    assert!(
+        report["notes"]
+            .to_string()
+            .contains("publish the first of their `publishes` in their node, not: tick")
+    );
     let unknown = report["unknown"].as_array().unwrap();
     assert_eq!(unknown.len(), 1, "what never ran is not shown: {report}");
     assert_eq!(unknown[0]["name"], "/listener /unlisted");
@@ -853,6 +857,88 @@ fn an_unchanged_callback_is_held_to_its_budget() {
     assert_eq!(seen.trim(), "[True, True, False, True, True, False, True, True, False]", "{errors}");
     let [_, errors] = run("suspend");
     assert!(errors.contains("say \"demote\" or \"tell\""), "{errors}");
+}
+
+/// Timers of rclpy: one tells of itself by what it publishes, another shares its topic with a subscription's callback.
+const TICKING: &str = r#"
+import rclpy, sys, threading
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+rclpy.init()
+node = rclpy.create_node("ticker")
+ticked, shared = node.create_publisher(String, "/ticked", 10), node.create_publisher(String, "/shared", 10)
+subscription = node.create_subscription(String, "/ticked", lambda message: shared.publish(message), 10)
+timers = [node.create_timer(0.02, lambda to=to: to.publish(String(data="tick"))) for to in (ticked, shared)]
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+thread = threading.Thread(target=executor.spin)
+thread.start()
+print("runs", flush=True)
+sys.stdin.read()
+rclpy.shutdown()
+thread.join()
+"#;
+
+/// An RMW sees of a timer what it publishes; that its response time is not known is said.
+#[test]
+fn timers_are_reported_by_what_they_publish() {
+    let (Some(domain), Some(_)) = (Domain::new(93), built("taut", "taut")) else { return };
+    let number = domain.number.to_string();
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let run = |period: &str, jobs: u64| {
+        let text = format!(
+            "[hosts.here]\ncores = 1\n[overheads]\nrclpy = \"1us\"\n[nodes.ticker]\nclient = \"rclpy\"\n[groups.all]\norder = \"any\"\n\
+             [callbacks.tick]\nperiod = \"{period}\"\npublishes = [\"/ticked\"]\ngroup = \"all\"\nwcet = \"1ms\"\n\
+             [callbacks.shared]\nperiod = \"{period}\"\npublishes = [\"/shared\"]\ngroup = \"all\"\nwcet = \"1ms\"\n\
+             [callbacks.hear]\ntopic = \"/ticked\"\npublishes = [\"/shared\"]\ngroup = \"all\"\nwcet = \"1ms\"\n"
+        );
+        std::fs::write(file.path(), text).unwrap();
+        let mut command = Command::new(domain.venv.join("bin/python"));
+        command.args(["-c", TICKING]).env("ROS_DOMAIN_ID", &number).env("TAUT_SYSTEM", file.path());
+        command.env("TAUT_REALTIME", "off").env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        on_tautline(&mut command);
+        let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let (mut report, mut row) = (Value::Null, Value::Null);
+        wait_until("publications", || {
+            let said = taut(&["report", "--json", "--domain", &number]).unwrap();
+            report = serde_json::from_str(&said).unwrap_or_else(|error| panic!("{error}: {said}"));
+            row = report["callbacks"][0].clone();
+            row["measured"]["jobs"].as_u64() >= Some(jobs)
+        });
+        let table = taut(&["report", "--domain", &number]).unwrap();
+        drop(process.stdin.take());
+        process.wait().unwrap();
+        (report, row, table)
+    };
+    let (report, row, table) = run("20ms", 20);
+    let measured = &row["measured"];
+    let of = |name: &str| measured[name].as_f64().unwrap();
+    assert_eq!((&row["name"], &measured["by_publications"]), (&json!("tick"), &json!(true)), "{report}");
+    assert_eq!(
+        (&measured["response_ms"]["n"], &measured["execution_ms"]["n"]),
+        (&json!(0), &json!(0)),
+        "{report}"
+    );
+    assert!(of("least_distance_ms") <= of("mean_distance_ms"), "{report}");
+    assert!(of("mean_distance_ms") <= of("greatest_distance_ms"), "{report}");
+    // Each period has a publication or is missed.
+    let periods = of("mean_distance_ms") * (of("jobs") - 1.0) / 20.0;
+    assert!((periods - (of("jobs") - 1.0 + of("lost"))).abs() <= 1.0, "{report}");
+    let names: Vec<_> = report["callbacks"].as_array().unwrap().iter().map(|row| &row["name"]).collect();
+    assert_eq!(names, ["tick", "hear"], "who publishes on /shared is not known: {report}");
+    let told = table.split_whitespace().collect::<Vec<_>>().join(" ");
+    for part in
+        ["messages on /ticked", "of a period of 20 ms", "its response times are not known", "not: shared"]
+    {
+        assert!(told.contains(part), "{part}: {told}");
+    }
+    // Twice as slow as the file says, and four times as fast.
+    let missed = run("10ms", 20).1["violations"].to_string();
+    assert!(missed.contains("releases missed") && missed.contains("published on /ticked"), "{missed}");
+    let faster = run("80ms", 40).1["violations"].to_string();
+    assert!(faster.contains("period not kept"), "{faster}");
 }
 
 /// Callbacks and a timer of one executor that use up a known time of their thread; prints all of the thread's and what they used.
