@@ -18,6 +18,18 @@ use tautline_transport::{History, Qos, Reliability};
 
 /// Topics that ROS's client libraries subscribe to for a node.
 const OF_EVERY_NODE: [&str; 2] = ["/parameter_events", "/clock"];
+/// Services that they make for it, below its name.
+const SERVICES_OF_EVERY_NODE: [&str; 9] = [
+    "describe_parameters",
+    "get_logger_levels",
+    "get_parameter_types",
+    "get_parameters",
+    "get_type_description",
+    "list_parameters",
+    "set_logger_levels",
+    "set_parameters",
+    "set_parameters_atomically",
+];
 
 /// A system file as this process has it, if there is one, and this process's callback statistics.
 pub(crate) struct System {
@@ -162,11 +174,15 @@ impl System {
 
     /// Names what the file does not know of a node that it has: what that costs is in no bound.
     fn warn_of_unlisted(&self, node: &str, topic: &str) {
-        let is_known = self.callbacks.iter().any(|callback| Self::is_of(callback, node));
-        if !OF_EVERY_NODE.contains(&topic) && self.is_governing() && is_known {
+        let is_known = || self.callbacks.iter().any(|callback| Self::is_of(callback, node));
+        let own =
+            topic.strip_prefix("request:").and_then(|service| service.strip_prefix(node)?.strip_prefix('/'));
+        let is_usual =
+            OF_EVERY_NODE.contains(&topic) || own.is_some_and(|name| SERVICES_OF_EVERY_NODE.contains(&name));
+        if !is_usual && self.is_governing() && is_known() {
             tracing::warn!(
-                "the system file has no callback of node `{node}` for `{topic}`: the bounds of callbacks whose executor also runs that one do \
-                 not hold; add it to the file, or give it an executor of its own"
+                "the system file has no callback of node `{node}` with `topic = \"{topic}\"`: the bounds of callbacks whose executor also runs \
+                 that one do not hold; add it to the file, or give it an executor of its own"
             );
         }
     }
@@ -282,7 +298,7 @@ impl System {
             _ => CallbackOptions::other().name(format!("{node} {topic}")),
         }
         .execution_time(is_named);
-        if entry.is_none() && is_topic {
+        if entry.is_none() {
             self.warn_of_unlisted(node, topic);
         }
         let Some(statistics) = self.statistics.as_ref().filter(|_| is_named || is_topic) else {

@@ -719,6 +719,205 @@ fn threads_of_unchanged_executors_are_those_of_the_system_file() {
     assert_eq!(run("off"), ["/fast", "/slow", "/unlisted"].map(ordinary).concat());
 }
 
+/// A subscription, one that no file has, and a service; their callbacks run in the ways that `argv` names.
+const WRONG: &str = r#"
+import os, rclpy, sys, threading, time
+from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+rclpy.init()
+source = rclpy.create_node("source")
+nodes = [rclpy.create_node("listener", namespace=namespace) for namespace in ("/one", "/two")]
+how, topics, policies = sys.argv[1], ["/one", "/two"], []
+def heard(_): policies.append(os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO)
+subscriptions = [node.create_subscription(String, topic, heard, 10) for node, topic in zip(nodes, topics)]
+publishers = [source.create_publisher(String, topic, 10) for topic in topics]
+if how == "more":
+    unknown = nodes[0].create_subscription(String, "/unknown", heard, 10)
+    service = nodes[0].create_service(SetBool, "own", lambda request, response: response)
+    print("runs", flush=True)
+    sys.stdin.read()
+while any(publisher.get_subscription_count() < 1 for publisher in publishers): pass
+def publish(): [publisher.publish(String(data="some")) for publisher in publishers]
+def spin(executor, nodes):
+    [executor.add_node(node) for node in nodes]
+    while len(policies) < 2: executor.spin_once(timeout_sec=0.1)
+def poll():
+    taken = None
+    while taken is None:
+        with subscriptions[0].handle: taken = subscriptions[0].handle.take_message(String, False)
+    [heard(taken) for _ in range(2)]
+if how == "two":
+    threads = [threading.Thread(target=spin, args=(SingleThreadedExecutor(), [node])) for node in nodes]
+elif how == "many":
+    threads = [threading.Thread(target=spin, args=(MultiThreadedExecutor(2), nodes))]
+elif how == "poll":
+    threads = [threading.Thread(target=poll)]
+else:
+    threads = [threading.Thread(target=spin, args=(SingleThreadedExecutor(), nodes))]
+if how != "more":
+    [thread.start() for thread in threads]
+    publish()
+    [thread.join() for thread in threads]
+    print(all(policies), flush=True)
+rclpy.shutdown()
+"#;
+
+/// The group `all` has the callbacks of both topics.
+fn wrong_file(core: u32, more: &str) -> String {
+    let callback = |name: &str| {
+        format!(
+            "[callbacks.{name}]\nnode = \"/{name}/listener\"\ntopic = \"/{name}\"\ngroup = \"all\"\nwcet = \"1ms\"\n[topics.\"/{name}\"]\nperiod = \"1s\"\n\
+             [nodes.\"/{name}/listener\"]\nclient = \"rclpy\"\n"
+        )
+    };
+    let head = format!(
+        "[hosts.here]\ncores = [{core}]\nsampler_priority = 90\n[overheads]\nrclpy = \"1ms\"\n[groups.all]\norder = \"any\"\npriority = 40\n"
+    );
+    [&head, &callback("one"), &callback("two"), more].concat()
+}
+
+/// Starts [`WRONG`] under a file, with a program in front that takes its rights away.
+fn wrong(domain: &Domain, how: &str, path: &Path, realtime: &str, front: &[&str]) -> Command {
+    let program = domain.venv.join("bin/python");
+    let mut command = match front {
+        [] => Command::new(&program),
+        [first, rest @ ..] => {
+            let mut command = Command::new(first);
+            command.args(rest).arg(&program);
+            command
+        }
+    };
+    command.args(["-c", WRONG, how]).env("ROS_DOMAIN_ID", domain.number.to_string()).env("TAUT_SYSTEM", path);
+    command.env("TAUT_REALTIME", realtime).env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+    on_tautline(&mut command);
+    command
+}
+
+/// Whether it succeeded, and what it said.
+fn words_of(mut command: Command) -> (bool, String, String) {
+    let output = command.output().unwrap();
+    let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+    (output.status.success(), out, errors)
+}
+
+fn may_be_realtime() -> bool {
+    let permitted = tautline_rt::permission::realtime_permitted(40);
+    if let Err(error) = &permitted {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        eprintln!("skipped: {error}");
+    }
+    permitted.is_ok()
+}
+
+/// What a node has and the file lacks is named as the node starts; what the file has and no node, by `taut report`.
+#[test]
+fn what_file_and_node_lack_of_each_other_is_named() {
+    let (Some(domain), Some(_)) = (Domain::new(94), built("taut", "taut")) else { return };
+    if !may_be_realtime() {
+        return;
+    }
+    let (file, said) = (tempfile::NamedTempFile::new().unwrap(), tempfile::NamedTempFile::new().unwrap());
+    let gone = "[callbacks.gone]\nnode = \"/one/listener\"\ntopic = \"/gone\"\ngroup = \"all\"\nwcet = \"1ms\"\n[topics.\"/gone\"]\nperiod = \"1s\"\n";
+    std::fs::write(file.path(), wrong_file(0, gone)).unwrap();
+    let mut command = wrong(&domain, "more", file.path(), "required", &[]);
+    let output = said.reopen().unwrap();
+    command.stdin(Stdio::piped()).stdout(output.try_clone().unwrap()).stderr(output);
+    let mut process = command.spawn().unwrap();
+    let words = || std::fs::read_to_string(said.path()).unwrap();
+    wait_until("it runs, and its warnings", || {
+        let is_told = words().contains("`topic = \"request:/one/own\"`") && words().contains("runs\n");
+        is_told || process.try_wait().unwrap().is_some()
+    });
+    let report: Value =
+        serde_json::from_str(&taut(&["report", "--json", "--domain", &domain.number.to_string()]).unwrap())
+            .unwrap();
+    drop(process.stdin.take());
+    assert!(process.wait().unwrap().success(), "it starts all the same: {}", words());
+    for topic in ["/unknown", "request:/one/own"] {
+        let text = format!("no callback of node `/one/listener` with `topic = \"{topic}\"`");
+        assert!(words().contains(&text), "{topic}: {}", words());
+    }
+    assert_eq!(
+        words().matches("add it to the file").count(),
+        2,
+        "of every node's services nothing: {}",
+        words()
+    );
+    let row = report["callbacks"].as_array().unwrap().iter().find(|row| row["name"] == "gone").unwrap();
+    assert_eq!(row["violations"][0]["name"], "not running", "{report}");
+    let fix = "start node `/one/listener`, with TAUT_SYSTEM set, and a subscription of /gone, or take it out of the file";
+    assert!(row["violations"][0]["explanation"].as_str().unwrap().contains(fix), "{report}");
+}
+
+/// A thread that runs the file's callbacks is the file's, and what makes the bounds wrong is named.
+#[test]
+fn threads_that_the_file_does_not_expect_are_governed_and_named() {
+    let Some(domain) = Domain::new(95) else { return };
+    if !may_be_realtime() {
+        return;
+    }
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), wrong_file(0, "")).unwrap();
+    let run = |how: &str| {
+        let (is_good, out, errors) = words_of(wrong(&domain, how, file.path(), "required", &[]));
+        assert!(is_good, "{errors}");
+        assert_eq!(out.trim(), "True", "{how}: {errors}");
+        errors
+    };
+    let without_wait = "takes messages of 'cb:all' and does not wait for them in the RMW";
+    let errors = run("one");
+    assert!(!errors.contains(without_wait) && !errors.contains("two threads"), "as the file says: {errors}");
+    for how in ["poll", "many"] {
+        let errors = run(how);
+        assert!(
+            errors.contains(without_wait) && errors.contains("an executor with one thread that waits"),
+            "{errors}"
+        );
+    }
+    let errors = run("two");
+    assert!(
+        errors.contains("wait for callbacks of 'cb:all', which the system file gives one thread"),
+        "{errors}"
+    );
+    assert!(errors.contains("use one executor for them, with one thread, or name two groups"), "{errors}");
+}
+
+/// Without rights, and under a file for another machine, a node is refused, with the fix; that it is only measured is a choice.
+#[test]
+fn a_file_that_cannot_be_kept_to_here_is_refused() {
+    let Some(domain) = Domain::new(96) else { return };
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), wrong_file(0, "")).unwrap();
+    // As root these rights are of the bounding set; any other user has the limits alone.
+    let no_rights: &[&str] = match rustix::process::geteuid().is_root() {
+        true => &[
+            "setpriv",
+            "--bounding-set=-sys_nice,-ipc_lock",
+            "--inh-caps=-sys_nice,-ipc_lock",
+            "prlimit",
+            "--rtprio=0:0",
+            "--memlock=0:0",
+        ],
+        false => &["prlimit", "--rtprio=0:0", "--memlock=0:0"],
+    };
+    let (is_good, out, errors) = words_of(wrong(&domain, "one", file.path(), "required", no_rights));
+    assert!(!is_good && out.is_empty(), "{out}{errors}");
+    for part in ["thread 'cb:all' of TAUT_SYSTEM:", "setcap cap_sys_nice", "TAUT_REALTIME=off only measures"]
+    {
+        assert!(errors.contains(part), "{part}: {errors}");
+    }
+    let (is_good, out, errors) = words_of(wrong(&domain, "one", file.path(), "off", no_rights));
+    assert!(is_good && out.trim() == "False", "{out}{errors}");
+    if !may_be_realtime() {
+        return;
+    }
+    std::fs::write(file.path(), wrong_file(500, "")).unwrap();
+    let (is_good, out, errors) = words_of(wrong(&domain, "one", file.path(), "required", &[]));
+    assert!(!is_good && out.is_empty(), "{out}{errors}");
+    assert!(errors.contains("core 500 does not exist here: choose from"), "{errors}");
+}
+
 /// Waits for words, subscribes to `/work` of a depth of 1, and lives until its input ends.
 const ADMITTED: &str = r#"
 import rclpy, sys
@@ -765,7 +964,7 @@ fn load_of_unchanged_nodes_is_admitted_or_refused() {
         });
         // Log lines come from a thread of their own.
         if words().contains("runs\n") {
-            wait_until("its warnings", || words().contains("`/unlisted`"));
+            wait_until("its warnings", || words().contains("`topic = \"/unlisted\"`"));
         }
         let text = words();
         (process, text)
