@@ -1221,6 +1221,120 @@ fn overheads_of_executors_are_measured() {
     assert!(String::from_utf8_lossy(&nothing.stderr).contains("with TAUT_OVERHEADS=on"), "{nothing:?}");
 }
 
+/// A node that republishes what it hears, or publishes by a timer; an executor with timers alone sets its own priority and core.
+const OF_TEN: &str = r#"
+import os, rclpy, sys, threading
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+name, heard, published, priority = sys.argv[1:]
+rclpy.init()
+node = rclpy.create_node(name)
+publisher = node.create_publisher(String, published, 10) if published else None
+def pass_on(message):
+    if publisher: publisher.publish(message)
+subscriptions = [node.create_subscription(String, topic, pass_on, 1) for topic in heard.split()]
+print("runs", flush=True)
+if not heard:
+    while publisher.get_subscription_count() < 1: pass
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(int(priority)))
+    os.sched_setaffinity(0, {0})
+    timer = node.create_timer(0.25, lambda: pass_on(String(data="some")))
+def end():
+    sys.stdin.read()
+    os._exit(0)
+threading.Thread(target=end, daemon=True).start()
+executor = SingleThreadedExecutor()
+executor.add_node(node)
+executor.spin()
+"#;
+
+/// Ten unchanged nodes of rclpy, each in its own process, keep what `taut check` says of them. A response above its bound may be the host's.
+#[test]
+fn a_graph_of_ten_nodes_keeps_its_bounds() {
+    let (Some(domain), Some(_)) = (Domain::new(97), built("taut", "taut")) else { return };
+    if !may_be_realtime() {
+        return;
+    }
+    const NODES: [(&str, &str, &str); 10] = [
+        ("logger", "/planned /braked", ""),
+        ("actuator", "/planned", ""),
+        ("planner", "/tracked", "/planned"),
+        ("brake", "/near", "/braked"),
+        ("tracker", "/detected", "/tracked"),
+        ("detector", "/filtered", "/detected"),
+        ("filter", "/image", "/filtered"),
+        ("near_check", "/scan", "/near"),
+        ("camera", "", "/image"),
+        ("lidar", "", "/scan"),
+    ];
+    let quoted =
+        |topics: &str| topics.split(' ').map(|topic| format!("{topic:?}")).collect::<Vec<_>>().join(", ");
+    let mut text = "[hosts.here]\ncores = [0]\nsampler_priority = 90\n[overheads]\nrclpy = \"5ms\"\ncontext_switch = \"50us\"\nper_message = \"100us\"\n"
+        .to_owned();
+    for (index, (node, heard, published)) in NODES.iter().enumerate() {
+        let priority = 60 + index;
+        let trigger = match *heard {
+            "" => "period = \"250ms\"".to_owned(),
+            topics => format!("topic = [{}]", quoted(topics)),
+        };
+        let publishes =
+            if published.is_empty() { String::new() } else { format!("publishes = [{published:?}]\n") };
+        text += &format!(
+            "[nodes.{node}]\nclient = \"rclpy\"\n[callbacks.{node}]\nnode = \"{node}\"\n{trigger}\n{publishes}wcet = \"5ms\"\npriority = {priority}\n"
+        );
+        for topic in heard.split_whitespace() {
+            if !text.contains(&format!("[topics.{topic:?}]")) {
+                text += &format!("[topics.{topic:?}]\ndepth = \"auto\"\n");
+            }
+        }
+    }
+    let file = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(file.path(), text).unwrap();
+    let steal_before = tautline_rt::host::steal_ticks(None);
+    let start = |(index, (node, heard, published)): (usize, (&str, &str, &str))| {
+        let mut command = Command::new(domain.venv.join("bin/python"));
+        command.args(["-c", OF_TEN, node, heard, published, &(60 + index).to_string()]);
+        command.env("ROS_DOMAIN_ID", domain.number.to_string()).env("TAUT_SYSTEM", file.path());
+        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        on_tautline(&mut command);
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap()
+    };
+    // Who publishes comes last.
+    let (heard, sources): (Vec<_>, Vec<_>) =
+        NODES.into_iter().enumerate().partition(|(_, of)| !of.1.is_empty());
+    let mut processes: Vec<Child> = heard.into_iter().map(start).collect();
+    for process in &mut processes {
+        let mut line = String::new();
+        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        assert_eq!(line.trim(), "runs");
+    }
+    processes.extend(sources.into_iter().map(start));
+    let mut report = Value::Null;
+    wait_until("20 jobs of each", || {
+        let said = taut(&["report", "--json", "--domain", &domain.number.to_string()]).unwrap();
+        report = serde_json::from_str(&said).unwrap_or_else(|error| panic!("{error}: {said}"));
+        let rows = report["callbacks"].as_array().unwrap();
+        rows.len() == NODES.len() && rows.iter().all(|row| row["measured"]["jobs"].as_u64() >= Some(20))
+    });
+    eprintln!("{}", taut(&["report", "--domain", &domain.number.to_string()]).unwrap());
+    let steal_ms = 10.0 * (tautline_rt::host::steal_ticks(None) - steal_before) as f64;
+    processes.iter_mut().for_each(|process| drop(process.stdin.take()));
+    processes.iter_mut().for_each(|process| assert!(process.wait().unwrap().success()));
+    assert_eq!(report["realtime"], true, "{report}");
+    for row in report["callbacks"].as_array().unwrap() {
+        assert_eq!(row["measured"]["lost"], 0, "{row}");
+        let bound_ms = row["predicted"]["response_ms"].as_f64().expect("it has a bound");
+        for violation in row["violations"].as_array().unwrap() {
+            let name = violation["name"].as_str().unwrap();
+            let longest_ms = row["measured"]["response_ms"]["max"].as_f64().unwrap_or(0.0);
+            let is_of_host =
+                ["bound exceeded", "deadline missed"].contains(&name) && longest_ms <= bound_ms + steal_ms;
+            assert!(is_of_host, "{steal_ms} ms of steal; {row}");
+        }
+    }
+    assert_eq!(report["unknown"], json!([]), "{report}");
+}
+
 /// Nothing was prepared: no system file, no trace.
 #[test]
 fn callbacks_of_any_node_of_rclpy_are_seen() {

@@ -6,6 +6,7 @@
 //! | `trips` | half round trips |
 //! | `end` | an end of them that calls the RMW itself; `client.py` and `rclcpp.cpp` are ends in rclpy and rclcpp |
 //! | `flow` | the CPU time of topics at a rate |
+//! | `waits` | `rmw_wait` and take of messages that are there |
 //! | `nodes` | the time until nodes have found each other |
 //! | `system` | the RMWs, and the processes that use them |
 //! | `rmw` | an RMW's functions |
@@ -20,6 +21,7 @@ mod rmw;
 mod system;
 mod trips;
 mod types;
+mod waits;
 
 use clap::{Parser, ValueEnum};
 use std::path::PathBuf;
@@ -34,6 +36,7 @@ use tautline_harness::verdict::{self, Verdict};
 use tautline_harness::{Disturbance, Documented, exit, machine, progress_bar};
 use tautline_rt::IdleHold;
 use trips::{Client, Trip};
+use waits::Waits;
 
 /// rmw_tautline beside Fast DDS's RMW: round trips, CPU time, start-up
 #[derive(Parser)]
@@ -84,6 +87,8 @@ enum Part {
     Rclcpp,
     /// Those of rclpy
     Rclpy,
+    /// rmw_wait and take of messages that are there: of many subscriptions, and under a system file
+    Waits,
     /// The CPU time of 20 topics at 100 Hz
     Cpu,
     /// The time until nodes have found each other
@@ -113,6 +118,7 @@ fn play(job: &str, task: Task) -> Result<()> {
         Task::Loaned => end::run(&job, Message::Loaned),
         Task::Flow => flow::run(&job),
         Task::Node => nodes::run(&job),
+        Task::Waits => waits::run(&job),
     }
 }
 
@@ -132,6 +138,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
     };
     let disturbance = Disturbance::start();
     let mut rows = run.trips()?;
+    rows.extend(run.waits()?);
     rows.extend(run.flows()?);
     rows.extend(run.nodes()?);
     let disturbance = disturbance.report();
@@ -161,11 +168,20 @@ fn verdicts(rows: &[Row]) -> Vec<Verdict> {
         Claim::new(metric, ours, Goal::Times(times, theirs))
     };
     let of_loaned = |trip: Trip| Ways::new(&held, trip.bytes, TAUTLINE, &modes[2]);
+    let waits = WAITS.map(Waits::mode);
+    let [one, one_governed, all, all_governed, many] = [0, 1, 2, 3, 4].map(|index| [&*waits[index]]);
+    let of_waits = |system, modes| Ways::new(waits::EXPERIMENT, None, system, modes);
+    let of_wait = |times, ours, system, theirs| {
+        Claim::new(Metric::P50, of_waits(TAUTLINE, ours), Goal::Times(times, of_waits(system, theirs)))
+    };
     let nodes = NODES.map(nodes::experiment);
     let claims = [
         at_most(0.5, Metric::P50, &held, Some(small.bytes), &modes[0]),
         at_most(1.0 / 3.0, Metric::P50, &held, Some(large.bytes), &modes[1]).because(SERIALIZED_COPIES),
         Claim::new(Metric::P50, of_loaned(loaned), Goal::Times(1.5, of_loaned(small_loaned))),
+        of_wait(1.1, &one_governed, TAUTLINE, &one),
+        of_wait(1.5, &all_governed, TAUTLINE, &all),
+        of_wait(1.0, &many, FAST_DDS, &many),
         at_most(1.0, Metric::CpuTime, flow::EXPERIMENT, None, &[]),
     ];
     let found = nodes.iter().map(|nodes| at_most(1.0, Metric::Start, nodes, None, &[]));
@@ -184,6 +200,14 @@ struct Trips {
     few: &'static [usize],
 }
 
+/// `rmw_wait` and take; the governed ones of rmw_tautline alone.
+const WAITS: [Waits; 5] = [
+    Waits { ready: 1, of: 1, is_governed: false },
+    Waits { ready: 1, of: 1, is_governed: true },
+    Waits { ready: 20, of: 20, is_governed: false },
+    Waits { ready: 20, of: 20, is_governed: true },
+    Waits { ready: 1, of: 500, is_governed: false },
+];
 const KIB: usize = 1 << 10;
 const MIB: usize = 1 << 20;
 const PARTS: [Trips; 4] = [
@@ -297,6 +321,30 @@ impl Run<'_> {
         bar.finish_and_clear();
         let row = |(system, trip, tally): &(&System, Trip, Tally)| {
             tally.row(trip.experiment(held), system.name, trip.message.name(), trip.bytes)
+        };
+        Ok(found.iter().map(row).collect())
+    }
+
+    fn waits(&self) -> Result<Vec<Row>> {
+        if !self.has(Part::Waits) {
+            return Ok(Vec::new());
+        }
+        let (rounds, length) = if self.quick() { (1, 300) } else { (3, 700) };
+        let pairs = WAITS.iter().flat_map(|waits| self.systems.iter().map(move |system| (system, waits)));
+        let ours = |(system, waits): &(&System, &Waits)| !waits.is_governed || system.name == TAUTLINE;
+        let mut found: Vec<_> =
+            pairs.filter(ours).map(|(system, waits)| (system, waits, Tally::default())).collect();
+        let bar = progress_bar(u64::from(rounds) * found.len() as u64);
+        for round in 1..=rounds {
+            for (system, waits, tally) in &mut found {
+                bar.set_message(format!("{}: {}", system.name, waits.mode()));
+                waits.measure(&self.starter, system, Duration::from_millis(length), round, tally)?;
+                bar.inc(1);
+            }
+        }
+        bar.finish_and_clear();
+        let row = |(system, waits, tally): &(&System, &Waits, Tally)| {
+            tally.row(waits::EXPERIMENT, system.name, &waits.mode(), rmw::STRUCT_BYTES)
         };
         Ok(found.iter().map(row).collect())
     }
