@@ -218,18 +218,25 @@ impl WaitEntities<'_> {
     /// Keeps ready entities, of those with messages only the ones with the highest rank, and resets guard conditions. The others stay
     /// ready for the next wait, as does what was idle at the last look. Returns whether there are any.
     fn report(&mut self, idle: Idle) -> bool {
-        // Those without a rank are below all others.
+        // Those without a rank are below all others. What is below one that is ready is not looked at.
         let mut highest = None;
-        let mut note = |rank: Option<u8>, has_data: bool| {
-            highest = highest.max(rank.filter(|_| has_data));
-            has_data
+        let mut is_candidate = |rank: Option<u8>, has_data: &dyn Fn() -> bool| {
+            let is_it = rank >= highest && has_data();
+            if is_it {
+                highest = rank;
+            }
+            is_it
         };
         // SAFETY: as above.
         unsafe {
-            self.subscriptions
-                .keep(idle.subscriptions, |one: &Subscription| note(one.end().rank(), one.has_data()));
-            self.services.keep(idle.services, |one: &Service| note(one.end().rank(), one.end().has_data()));
-            self.clients.keep(idle.clients, |one: &Client| note(one.end().rank(), one.end().has_data()));
+            self.subscriptions.keep(idle.subscriptions, |one: &Subscription| {
+                is_candidate(one.end().rank(), &|| one.has_data())
+            });
+            self.services.keep(idle.services, |one: &Service| {
+                is_candidate(one.end().rank(), &|| one.end().has_data())
+            });
+            self.clients
+                .keep(idle.clients, |one: &Client| is_candidate(one.end().rank(), &|| one.end().has_data()));
             if highest.is_some() {
                 self.subscriptions.keep(0, |one: &Subscription| one.end().rank() == highest);
                 self.services.keep(0, |one: &Service| one.end().rank() == highest);

@@ -7,7 +7,7 @@ use crate::types;
 use std::io::Write;
 use std::ptr::null_mut;
 use std::time::{Duration, Instant};
-use tautline_exchange::{Exchange, Job, Line, Measured, Result, Role, Way, say};
+use tautline_exchange::{APPLICATION_PRIORITY, Exchange, Job, Line, Measured, Result, Role, Way, say};
 use tautline_harness::Distribution;
 use tautline_harness::rows::Tally;
 
@@ -59,11 +59,11 @@ impl Waits {
     /// A system file with a group of all callbacks.
     fn file(self, job: &Job) -> String {
         let head = format!(
-            "[hosts.here]\ncores = [{}]\n[nodes.near]\nclient = \"rclcpp\"\n[groups.all]\norder = \"priority\"\npriority = 40\n",
+            "[hosts.here]\ncores = [{}]\n[nodes.near]\nclient = \"rclcpp\"\n[groups.all]\norder = \"priority\"\npriority = {APPLICATION_PRIORITY}\n",
             job.core.unwrap_or(0)
         );
         let callbacks = (0..self.of).map(|index| {
-            let (topic, rank) = (topic(job, index), index % 99 + 1);
+            let (topic, rank) = (topic(job, index), index * 7 % self.of % 99 + 1);
             format!(
                 "[callbacks.c{index}]\ntopic = \"{topic}\"\ngroup = \"all\"\npriority = {rank}\nwcet = \"1us\"\n[topics.\"{topic}\"]\nperiod = \"1s\"\n"
             )
