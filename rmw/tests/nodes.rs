@@ -734,7 +734,7 @@ subscriptions = [node.create_subscription(String, topic, heard, 10) for node, to
 publishers = [source.create_publisher(String, topic, 10) for topic in topics]
 if how == "more":
     unknown = nodes[0].create_subscription(String, "/unknown", heard, 10)
-    service = nodes[0].create_service(SetBool, "own", lambda request, response: response)
+    services = [nodes[0].create_service(SetBool, name, lambda request, response: response) for name in ("listed", "own")]
     print("runs", flush=True)
     sys.stdin.read()
 while any(publisher.get_subscription_count() < 1 for publisher in publishers): pass
@@ -818,8 +818,13 @@ fn what_file_and_node_lack_of_each_other_is_named() {
         return;
     }
     let (file, said) = (tempfile::NamedTempFile::new().unwrap(), tempfile::NamedTempFile::new().unwrap());
-    let gone = "[callbacks.gone]\nnode = \"/one/listener\"\ntopic = \"/gone\"\ngroup = \"all\"\nwcet = \"1ms\"\n[topics.\"/gone\"]\nperiod = \"1s\"\n";
-    std::fs::write(file.path(), wrong_file(0, gone)).unwrap();
+    let callback = |name: &str, topic: &str| {
+        format!(
+            "[callbacks.{name}]\nnode = \"/one/listener\"\ntopic = \"{topic}\"\ngroup = \"all\"\nwcet = \"1ms\"\n[topics.\"{topic}\"]\nperiod = \"1s\"\n"
+        )
+    };
+    let more = [callback("gone", "/gone"), callback("listed", "request:/one/listed")].concat();
+    std::fs::write(file.path(), wrong_file(0, &more)).unwrap();
     let mut command = wrong(&domain, "more", file.path(), "required", &[]);
     let output = said.reopen().unwrap();
     command.stdin(Stdio::piped()).stdout(output.try_clone().unwrap()).stderr(output);
@@ -844,7 +849,10 @@ fn what_file_and_node_lack_of_each_other_is_named() {
         "of every node's services nothing: {}",
         words()
     );
-    let row = report["callbacks"].as_array().unwrap().iter().find(|row| row["name"] == "gone").unwrap();
+    let row =
+        |name: &str| report["callbacks"].as_array().unwrap().iter().find(|row| row["name"] == name).unwrap();
+    assert_eq!(row("listed")["violations"], json!([]), "a service is one as any: {report}");
+    let row = row("gone");
     assert_eq!(row["violations"][0]["name"], "not running", "{report}");
     let fix = "start node `/one/listener`, with TAUT_SYSTEM set, and a subscription of /gone, or take it out of the file";
     assert!(row["violations"][0]["explanation"].as_str().unwrap().contains(fix), "{report}");
