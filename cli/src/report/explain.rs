@@ -230,10 +230,15 @@ pub fn bound_exceeded(
         format!(
             "if no callback of core {} has another mark, something ran there that the file lacks: interrupts, other \
              threads of {} or more, a lock, throttling, {}or [overheads] that are too small; \
-             `taut demo` measures them",
+             `taut demo` measures them{}",
             predicted.core,
             level(predicted.entry.priority),
-            if share.is_some() { "" } else { "a hypervisor (TAUT_CORE_TIME=on shows it), " }
+            if share.is_some() { "" } else { "a hypervisor (TAUT_CORE_TIME=on shows it), " },
+            if predicted.entry.client == Client::Tautline {
+                ""
+            } else {
+                ", `taut report --overheads` the executor's"
+            }
         )
     };
     let so_far =
