@@ -10,12 +10,12 @@ use crate::node::{self, Node};
 use crate::on_new::Listeners;
 use crate::qos::{self, EndpointRole};
 use crate::serialization::little_body;
+use crate::system::Timer;
 use crate::topic::EndpointArgs;
 use crate::types::MessageType;
 use std::ffi::{c_char, c_void};
 use std::sync::Arc;
 use std::time::Duration;
-use tautline_executor::ForeignCallback;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{PiGuard, PiMutex};
 use tautline_sampler::PublisherEvents;
@@ -32,7 +32,7 @@ pub(crate) struct Publisher {
     /// Endpoints of this context whose callbacks are called after publishing.
     listeners: Arc<Listeners>,
     /// The timer of the system file of which its messages tell.
-    timer: Option<Arc<ForeignCallback>>,
+    timer: Option<Timer>,
     /// Used by one thread at a time.
     side: PiMutex<Publishing>,
 }
@@ -100,7 +100,7 @@ impl Publisher {
     fn publish_loan<'p>(&'p self, side: PiGuard<'p, Publishing>, loan: RawLoan<'static>) -> Result {
         self.submit(side, loan)?;
         if let Some(timer) = &self.timer {
-            timer.publish(monotonic_ns());
+            timer.publish();
         }
         self.listeners.notify();
         Ok(())

@@ -2,7 +2,7 @@
 //! Statistics of this process's callbacks, and their entries in the system file of `TAUT_SYSTEM`.
 
 use crate::error::{Error, Result};
-use crate::thread::ThreadPlan;
+use crate::thread::{self, ThreadPlan};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -10,6 +10,7 @@ use tautline_analysis::file::{CheckedCallback, Client};
 use tautline_executor::{
     Admitted, CallbackOptions, ForeignCallback, ForeignExecutor, ProcessInfo, Realtime, StatisticsFile,
 };
+use tautline_rt::clock::monotonic_ns;
 use tautline_system::{
     Admission, Gate, LoadedSystem, admission_of_environment, admit_callbacks, admit_system,
     realtime_of_environment,
@@ -46,6 +47,25 @@ pub(crate) struct System {
     overheads: Option<Overheads>,
     /// By name.
     made: Mutex<BTreeMap<String, Weak<ForeignCallback>>>,
+}
+
+/// A timer of ROS's, of which an RMW sees what it publishes.
+pub(crate) struct Timer {
+    measured: Arc<ForeignCallback>,
+    thread: Option<Arc<ThreadPlan>>,
+}
+
+impl Timer {
+    /// It has published in this thread.
+    ///
+    /// # Real-time
+    /// As [`govern`](thread::govern) and [`ForeignCallback::publish`].
+    pub(crate) fn publish(&self) {
+        if let Some(plan) = &self.thread {
+            thread::govern_runner(plan);
+        }
+        self.measured.publish(monotonic_ns());
+    }
 }
 
 /// Executors whose overheads are measured.
@@ -164,12 +184,21 @@ impl System {
         of(node).or_else(|| of(short))
     }
 
-    /// The thread that is to run a callback, and the callback's rank if that runs the highest first.
+    /// The thread that is to run a callback, of the file or of a node with timers alone, and the callback's rank if that runs the highest first.
     pub(crate) fn place(&self, node: &str, topic: &str) -> (Option<Arc<ThreadPlan>>, Option<u8>) {
         match self.entry(node, topic) {
             Some(index) => (self.threads[index].clone(), self.callbacks[index].entry.rank),
-            None => (None, None),
+            None => (self.thread_of_timers(node).cloned(), None),
         }
+    }
+
+    /// The thread of `node`, a full name, if the file has only timers of it, all in this thread: whoever waits for anything of the node runs them.
+    fn thread_of_timers(&self, node: &str) -> Option<&Arc<ThreadPlan>> {
+        let all = || self.callbacks.iter().zip(&self.threads).filter(|(of, _)| Self::is_of(of, node));
+        let (first, thread) = all().next()?;
+        let is_alike =
+            |of: &CheckedCallback| of.entry.topics.is_empty() && of.entry.thread == first.entry.thread;
+        thread.as_ref().filter(|_| all().all(|(of, _)| is_alike(of)))
     }
 
     /// Names what the file does not know of a node that it has: what that costs is in no bound.
@@ -241,22 +270,66 @@ impl System {
         [node, short].contains(&callback.entry.node.as_str())
     }
 
-    /// The statistics of the timer of the file that alone publishes on `topic` in `node`, a full name: an RMW sees nothing else of it.
-    pub(crate) fn timer(&self, node: &str, topic: &str) -> Result<Option<Arc<ForeignCallback>>> {
-        let (Some(file), Some(statistics)) = (&self.file, &self.statistics) else { return Ok(None) };
-        let publishes = |callback: &&CheckedCallback| {
+    /// The callbacks of the file that publish on `topic` in `node`, a full name.
+    fn publishers<'s>(&'s self, node: &'s str, topic: &'s str) -> impl Iterator<Item = usize> {
+        let publishes = move |callback: &CheckedCallback| {
             Self::is_of(callback, node) && callback.entry.publishes.iter().any(|of| of == topic)
         };
-        let mut all = self.callbacks.iter().filter(publishes);
-        let (Some(CheckedCallback { entry, .. }), None) = (all.next(), all.next()) else { return Ok(None) };
-        // Of several topics one tells of it.
-        if !entry.topics.is_empty() || entry.publishes.first().is_none_or(|of| of != topic) {
+        self.callbacks.iter().enumerate().filter(move |(_, of)| publishes(of)).map(|(index, _)| index)
+    }
+
+    /// Whether a callback is a timer that alone publishes `topic` in `node`, a full name, and this as its first topic: an RMW sees nothing else of it.
+    fn is_told_by(&self, index: usize, node: &str, topic: &str) -> bool {
+        let entry = &self.callbacks[index].entry;
+        let is_first = entry.topics.is_empty() && entry.publishes.first().is_some_and(|of| of == topic);
+        is_first && self.publishers(node, topic).eq([index])
+    }
+
+    /// The timer of the file that the messages of `node`, a full name, on `topic` tell of.
+    pub(crate) fn timer(&self, node: &str, topic: &str) -> Result<Option<Timer>> {
+        let (Some(file), Some(statistics)) = (&self.file, &self.statistics) else { return Ok(None) };
+        let Some(index) = self.publishers(node, topic).find(|index| self.is_told_by(*index, node, topic))
+        else {
             return Ok(None);
+        };
+        let thread = self.threads[index].clone();
+        let options = file.options(&self.callbacks[index].entry.name)?;
+        // Without a thread of the file it is only measured.
+        let policy = thread.as_ref().map_or(CallbackOptions::other().policy, |_| options.policy);
+        let options = CallbackOptions { policy, ..options }.execution_time(false);
+        let measured = self.made(&options.name, || {
+            let _gate = thread.as_ref().map(|plan| self.admit(plan, &options.name)).transpose()?;
+            ForeignCallback::by_publications(statistics, &options)
+                .map_err(|error| unshared(&options.name, &error))
+        })?;
+        Ok(Some(Timer { measured, thread }))
+    }
+
+    /// Names threads of `node`, a full name, that nothing tells of: they have timers alone.
+    pub(crate) fn warn_of_unseen(&self, node: &str) {
+        if self.thread_of_timers(node).is_some() {
+            return;
         }
-        let other = CallbackOptions::other().policy;
-        let options = CallbackOptions { policy: other, ..file.options(&entry.name)? }.execution_time(false);
-        let make = || ForeignCallback::by_publications(statistics, &options);
-        self.made(&options.name, || make().map_err(|error| unshared(&options.name, &error))).map(Some)
+        let threads = self.callbacks.iter().zip(&self.threads).enumerate();
+        for (index, (callback, thread)) in threads {
+            let (entry, Some(thread)) = (&callback.entry, thread) else { continue };
+            let is_told = |(index, of): (usize, &CheckedCallback)| {
+                let topic = of.entry.publishes.first();
+                of.entry.thread == entry.thread
+                    && (!of.entry.topics.is_empty()
+                        || topic.is_some_and(|topic| self.is_told_by(index, node, topic)))
+            };
+            let is_first = self.callbacks[..index].iter().all(|of| of.entry.thread != entry.thread);
+            if is_first && Self::is_of(callback, node) && !self.callbacks.iter().enumerate().any(is_told) {
+                tracing::warn!(
+                    "thread '{}' of the system file runs timers alone, and an RMW sees none of them: give it SCHED_FIFO {} and core {} in the \
+                     node, or state in the file what a timer `publishes`, alone in its node",
+                    thread.name,
+                    thread.priority,
+                    callback.core
+                );
+            }
+        }
     }
 
     /// The statistics of this name, which are made if there are none.
