@@ -43,9 +43,10 @@ pub fn make(out: &Path, of: Build) -> Result<(), String> {
     for name in &names {
         let file = format!("{name}-{version}.crate");
         fs::copy(target.join("package").join(&file), to.join(&file)).map_err(say)?;
-        execute(Command::new("tar").arg("-xzf").arg(to.join(&file)).arg("-C").arg(&work))?;
         manifest += &format!("{name} = {{ path = \"{name}-{version}\" }}\n");
     }
+    let unpack = "for crate in \"$0\"/*.crate; do tar -xzf \"$crate\" -C \"$1\"; done";
+    execute(Command::new("sh").args(["-euc", unpack]).arg(&to).arg(&work))?;
     let root = machine::root();
     // Of other packages it has the versions and, where much is built, the features that the repository's builds have.
     let program = format!(

