@@ -139,10 +139,11 @@ impl Dist {
         // The time of the commit: the same files make the same packages.
         let time = Command::new("git").args(["log", "-1", "--format=%ct"]).current_dir(&root).output();
         let time = time.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
+        let time = time.ok().filter(|time| !time.is_empty()).unwrap_or_else(|| "0".to_owned());
         let mut command = Command::new("sh");
         command.arg("-eu").arg(root.join("xtask/src/dist/pack.sh")).arg(task);
         command.env("REPOSITORY", &root).env("BUILT", built).env("OUT", &self.out).env("TOOLS", tools());
-        command.env("SOURCE_DATE_EPOCH", time.unwrap_or_default()).env("VERSION", VERSION);
+        command.env("SOURCE_DATE_EPOCH", time).env("VERSION", VERSION);
         command.env("GLIBC", format!("{}.{}", glibc.0, glibc.1)).env("MACHINE", std::env::consts::ARCH);
         // What the tests make is thrown away.
         command.env("LEVEL", if self.of == Build::Release { "9" } else { "1" });

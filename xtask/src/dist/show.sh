@@ -62,6 +62,14 @@ refused() { # $1 is said by the rest.
     case $said in *"$expected"*) echo "$said" ;; *) echo "not '$expected': $said"; exit 1 ;; esac
 }
 refused "it is built for ROS 2 jazzy, and this is kilted (ROS_DISTRO)" env ROS_DISTRO=kilted python3 listener.py
+# Another version's domain: a file of the same size.
+domain=/dev/shm/taut_7_$(id -u).$TAUT_SCOPE
+mkdir -m 700 "$domain"
+head -c "$(stat -c %s "/dev/shm/taut_0_$(id -u).$TAUT_SCOPE/domain")" /dev/zero | tr '\0' '\1' > "$domain/domain"
+for said in "taut topic pub /chatter std_msgs/msg/String {} --once" "python3 listener.py"; do
+    refused "is of another version of Tautline: use the same one in all processes of a domain" env ROS_DOMAIN_ID=7 $said
+done
+rm -r "$domain"
 pip install --quiet --target old --no-deps pip==20.0.2
 refused "This pip is too old for the wheel of taut" env PYTHONPATH=old python3 -m pip install --no-deps --no-index \
     --find-links "$OUT/pypi" --target new taut
