@@ -51,9 +51,9 @@ print("heard", heard[-1].data, "on", rclpy.utilities.get_rmw_implementation_iden
 END
 python3 talker.py &
 talker=$!
-trap 'kill $talker' EXIT
+trap 'kill $talker; wait' EXIT
 [ "$(timeout 60 python3 listener.py)" = "heard hello on rmw_tautline" ]
-taut topic hz /chatter --expect 30..60 --timeout 2s
+taut topic hz /chatter --expect 10..60 --timeout 2s
 say "what is refused"
 refused() { # $1 is said by the rest.
     expected=$1
