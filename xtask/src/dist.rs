@@ -13,7 +13,7 @@ mod crates;
 
 use crate::build::Build;
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{book, machine, packages, rmw, ros, word};
+use crate::{book, machine, rmw, ros, word};
 use clap::ValueEnum;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -96,7 +96,7 @@ impl Dist {
             let files = || {
                 self.pack("files", glibc)?;
                 let programs = PROGRAMS.map(|program| self.out.join("work/files/bin").join(program));
-                glibc = newest_glibc(&programs)?;
+                glibc = newest_glibc(&programs, NEWEST_GLIBC)?;
                 println!("the programs need glibc {}.{}", glibc.0, glibc.1);
                 Ok::<(), String>(())
             };
@@ -115,10 +115,6 @@ impl Dist {
         let packed = "cd \"$0\" && find . -path ./work -prune -o -type f ! -name SHA256SUMS -printf '%P\\n' | LC_ALL=C sort \
                       | xargs sha256sum > SHA256SUMS && cat SHA256SUMS";
         steps.command("dist: sums", Command::new("sh").args(["-euc", packed]).arg(&self.out));
-        if self.of == Build::Release && packages::runs("lintian", &["--version"]) {
-            let deb = self.out.join(format!("tautline_{VERSION}_amd64.deb"));
-            steps.command("dist: lintian", Command::new("lintian").args(["--fail-on", "error"]).arg(deb));
-        }
     }
 
     fn wheel(&self, part: Part, glibc: Version) -> Result<(), String> {
@@ -129,7 +125,11 @@ impl Dist {
         fs::create_dir_all(self.out.join("work"))
             .and_then(|()| fs::write(&page, book::in_repository(&text, Path::new("README.md"))))
             .map_err(|error| format!("{}: {error}", page.display()))?;
-        let glibc = if part == Part::RmwWheel { newest_glibc(&[self.of.folder().join(RMW)])? } else { glibc };
+        let glibc = if part == Part::RmwWheel {
+            newest_glibc(&[self.of.folder().join(RMW)], NEWEST_GLIBC)?
+        } else {
+            glibc
+        };
         self.pack(&word(part), glibc)
     }
 
@@ -166,8 +166,8 @@ fn tools() -> PathBuf {
     machine::target_dir().join("dist-tools")
 }
 
-/// The newest glibc that one of these files needs. It is no newer than [`NEWEST_GLIBC`].
-fn newest_glibc(files: &[PathBuf]) -> Result<Version, String> {
+/// The newest glibc that one of these files needs, which is no newer than `limit`.
+fn newest_glibc(files: &[PathBuf], limit: Version) -> Result<Version, String> {
     let mut newest = (2, 17);
     for file in files {
         let output = Command::new("objdump").arg("-T").arg(file).output();
@@ -176,14 +176,14 @@ fn newest_glibc(files: &[PathBuf]) -> Result<Version, String> {
             return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
         }
         for (version, symbol) in needed(&String::from_utf8_lossy(&output.stdout)) {
-            if version > NEWEST_GLIBC {
+            if version > limit {
                 return Err(format!(
-                    "{} needs {symbol} of glibc {}.{}; {}.{} is the newest allowed: build on an older system, or with cargo-zigbuild",
+                    "{} needs {symbol} of glibc {}.{}, and {}.{} is the newest allowed: build on an older system, or with cargo-zigbuild",
                     file.display(),
                     version.0,
                     version.1,
-                    NEWEST_GLIBC.0,
-                    NEWEST_GLIBC.1
+                    limit.0,
+                    limit.1
                 ));
             }
             newest = newest.max(version);
@@ -216,5 +216,14 @@ mod tests {
 ";
         let found: Vec<_> = needed(table).collect();
         assert_eq!(found, [((2, 34), "timer_create"), ((2, 2), "free")]);
+    }
+
+    #[test]
+    fn a_symbol_of_a_newer_glibc_is_named_with_its_file() {
+        let own = [std::env::current_exe().unwrap()];
+        assert!(newest_glibc(&own, (2, 99)).unwrap() > (2, 17));
+        let refusal = newest_glibc(&own, (2, 2)).unwrap_err();
+        assert!(refusal.starts_with(&format!("{} needs ", own[0].display())), "{refusal}");
+        assert!(refusal.contains("2.2 is the newest allowed"), "{refusal}");
     }
 }

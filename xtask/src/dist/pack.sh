@@ -117,7 +117,10 @@ END
     cd "$root"
     find usr -type f -print0 | LC_ALL=C sort -z | xargs -0 md5sum > DEBIAN/md5sums
     kind=$([ "$LEVEL" = 1 ] && echo gzip || echo xz)
-    dpkg-deb --root-owner-group "-Z$kind" "-z$LEVEL" --build "$root" "$OUT/tautline_${VERSION}_$architecture.deb"
+    deb=$OUT/tautline_${VERSION}_$architecture.deb
+    dpkg-deb --root-owner-group "-Z$kind" "-z$LEVEL" --build "$root" "$deb"
+    # It takes longer than the rest.
+    if [ "$LEVEL" != 1 ] && command -v lintian; then lintian --allow-root --fail-on error "$deb"; fi
     ;;
 wheel)
     wheel=$OUT/work/wheel
