@@ -224,7 +224,7 @@ they get by with ARM's weak memory order.")]
   cargo xtask dist --only tarball,deb
   cargo xtask dist --only crates       also checks that all published crates build without this repository
 
-Wheels need Python 3.11 and PyPI. Each file names a glibc of 2.35 at most, or it is refused.")]
+Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Each file names a glibc of 2.35 at most, or it is refused.")]
     Dist {
         /// Only these parts [default: all]
         #[arg(long, value_name = "PART,...", value_delimiter = ',', value_enum)]
