@@ -163,7 +163,9 @@ impl Dist {
         let mut command = Command::new("timeout");
         command.args(["300", "sh", "-eu"]).arg(machine::root().join("xtask/src/dist/show.sh"));
         command.env("OUT", &self.out).env("HOME", home).env("PYTHON", ros::python()?).env("VERSION", VERSION);
-        execute(command.envs(machine::no_rt().map(|_| ("TAUT_REALTIME", "off"))))
+        // ROS 2's wheels have been downloaded before.
+        let cache = std::env::home_dir().map(|home| ("PIP_CACHE_DIR", home.join(".cache/pip")));
+        execute(command.envs(cache).envs(machine::no_rt().map(|_| ("TAUT_REALTIME", "off"))))
     }
 }
 
