@@ -10,8 +10,8 @@ use crate::machine::{self, Scope};
 use crate::steps::{Background, Outcome, Steps, cargo, execute, reported};
 use crate::test::{self, nextest};
 use crate::{
-    api, book, bridge, dependencies, first, fuzz, guests, lab, lints, lttng, packages, peers, programs, r2r,
-    r2r_tests, reports, rmw, ros, shared, stress_doorbell, stress_kills, word,
+    api, book, bridge, dependencies, dist, first, fuzz, guests, lab, lints, lttng, packages, peers, programs,
+    r2r, r2r_tests, reports, rmw, ros, shared, stress_doorbell, stress_kills, word,
 };
 use clap::ValueEnum;
 use std::path::Path;
@@ -61,6 +61,7 @@ impl Job {
             }
             Job::Apart => {
                 examples_by_themselves(&mut steps);
+                dist::test_crates(&mut steps);
                 peers::test(&mut steps);
             }
             Job::Variants => {
@@ -86,6 +87,7 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     rest_of_tests(steps);
     bridge::test(steps);
     rmw::test(steps);
+    dist::test(steps);
     steps.join(book);
     clock_step(steps);
     programs::test(steps);
