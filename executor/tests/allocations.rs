@@ -13,8 +13,8 @@ use std::time::Duration;
 use futures::stream;
 use futures::task::AtomicWaker;
 use tautline_executor::{
-    CallbackGroup, CallbackOptions, Executor, ForeignCallback, ForeignStatistics, MomentKind, ProcessInfo,
-    Realtime, StatisticsFile, foreign, job,
+    CallbackGroup, CallbackOptions, Executor, ForeignCallback, ForeignExecutor, ForeignStatistics,
+    MomentKind, ProcessInfo, Realtime, StatisticsFile, foreign, job,
 };
 
 struct Counting;
@@ -230,6 +230,8 @@ fn jobs_of_other_executors_are_counted_without_allocation() {
     let (deadline, budget) = (Duration::from_secs(100), Duration::from_nanos(1));
     let options = CallbackOptions::other().name("detect").deadline(deadline).budget(budget);
     let callback = ForeignCallback::new(&file, &options).unwrap();
+    let timer = ForeignCallback::by_publications(&file, &options.clone().name("tick")).unwrap();
+    let executors = [false, true].map(|is_alone| ForeignExecutor::new(&file, "rclcpp", is_alone).unwrap());
     let jobs = || {
         let run = |count: u64| {
             for _ in 0..count {
@@ -237,7 +239,10 @@ fn jobs_of_other_executors_are_counted_without_allocation() {
                 let release_ns = tautline_rt::clock::monotonic_ns();
                 callback.note_queue(job::QueueState { lost: 1, max_queue: 2, depth: 3 });
                 callback.begin(release_ns);
-                callback.end(release_ns);
+                let before_ns = foreign::used_ns().unwrap();
+                assert!(callback.end(release_ns).unwrap() >= before_ns);
+                executors.iter().for_each(|executor| executor.record(2, 3));
+                timer.publish(release_ns);
             }
         };
         run(WARM_UP);
@@ -252,6 +257,12 @@ fn jobs_of_other_executors_are_counted_without_allocation() {
     assert_eq!(heap_calls, [0, 0]);
     let all = 2 * (WARM_UP + CYCLES);
     let seen = ForeignStatistics::list(&prefix).unwrap()[0].read().unwrap().unwrap();
+    let [alone, beside] = [true, false].map(|is| seen.executors.iter().find(|of| of.is_alone == is).unwrap());
+    assert_eq!((beside.overhead.sum_ns(), beside.callbacks.sum_ns()), (2 * all, 3 * all));
+    assert_eq!((alone.overhead.sum_ns(), alone.callbacks.sum_ns(), &*alone.name), (5 * all, 0, "rclcpp"));
+    let tick = seen.callbacks.iter().find(|of| of.name == "tick").unwrap();
+    assert!(tick.is_by_publications && tick.least_distance_ns <= tick.greatest_distance_ns);
+    assert_eq!((tick.releases, tick.completions, tick.response.n()), (all, all, 0));
     let seen = &seen.callbacks[0];
     assert_eq!((seen.name.as_str(), seen.releases, seen.completions, seen.lost), ("detect", all, all, all));
     assert_eq!((seen.overruns, seen.deadline_misses), (all, 0), "each takes longer than a nanosecond");

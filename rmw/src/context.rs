@@ -179,6 +179,12 @@ impl Context {
         self.watchers.0.lock().unwrap_or_else(PoisonError::into_inner).push(Arc::downgrade(signal));
     }
 
+    /// Whether this process made it. In a forked child, what is behind ROS's handles stays as it is: threads of the parent's may have
+    /// held its locks at the fork.
+    pub(crate) fn is_of_this_process(&self) -> bool {
+        self.waiters.process.is_here()
+    }
+
     /// An error if the context was shut down.
     pub(crate) fn check(&self) -> Result {
         match self.waiters.is_shut_down() {
@@ -266,7 +272,13 @@ pub unsafe extern "C" fn rmw_context_fini(context: *mut rmw_context_t) -> rmw_re
         }
         // SAFETY: rmw's contract: no longer used, and created by `rmw_init`.
         unsafe {
-            drop(take_back::<Context>((*context).impl_.cast()));
+            let is_ours = behind.is_of_this_process();
+            let behind = take_back::<Context>((*context).impl_.cast());
+            if is_ours {
+                drop(behind)
+            } else {
+                std::mem::forget(behind)
+            }
             let finished = rmw_init_options_fini(&mut (*context).options);
             context.write(rmw_get_zero_initialized_context());
             options::copied(finished)

@@ -83,7 +83,9 @@ pub(crate) unsafe fn destroy_endpoint<H: EndpointHandle>(node: *mut rmw_node_t, 
             let at = at.ok_or_else(|| Error::invalid(format!("{} belongs to another node", H::WHAT)))?;
             endpoints.swap_remove(at)
         };
-        (owned.end)(owned.handle);
+        if node.context().is_of_this_process() {
+            (owned.end)(owned.handle);
+        }
         H::free(handle);
     }
     Ok(())
@@ -200,7 +202,11 @@ pub unsafe extern "C" fn rmw_destroy_node(handle: *mut rmw_node_t) -> rmw_ret_t 
             behind(handle)?;
             let node = take_back::<Node>((*handle).data);
             let (context, graph_guard) = (node.context, node.graph_guard);
-            drop(node);
+            if node.context().is_of_this_process() {
+                drop(node)
+            } else {
+                std::mem::forget(node)
+            }
             guard::destroy(graph_guard);
             (*context).nodes.fetch_sub(1, Ordering::AcqRel);
             free_text((*handle).name);
