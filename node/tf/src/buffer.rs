@@ -13,6 +13,7 @@ use crate::transform::Transform;
 use crate::tree::{Path, PathError, TransformTree};
 use crate::wait::WaitFor;
 use crate::writer::Writer;
+use sealed::Resolve;
 
 /// Looks up transforms between frames. Clones refer to the same buffer; any number of threads may use it.
 #[derive(Clone)]
@@ -55,21 +56,22 @@ pub struct FrameInfo {
 }
 
 /// A frame, by name or by number. A name is hashed at each lookup; a leading slash is removed.
-pub trait Frame: sealed::Sealed {
-    #[doc(hidden)]
-    fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError>;
-    #[doc(hidden)]
-    fn name(&self, buffer: &Buffer) -> Result<FrameName, LookupError>;
+pub trait Frame: sealed::Resolve {}
+
+impl Frame for &str {}
+impl Frame for FrameName {}
+impl Frame for FrameId {}
+
+pub(crate) mod sealed {
+    use super::{Buffer, FrameId, FrameName, LookupError};
+
+    pub trait Resolve {
+        fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError>;
+        fn name(&self, buffer: &Buffer) -> Result<FrameName, LookupError>;
+    }
 }
 
-mod sealed {
-    pub trait Sealed {}
-    impl Sealed for &str {}
-    impl Sealed for super::FrameId {}
-    impl Sealed for super::FrameName {}
-}
-
-impl Frame for &str {
+impl Resolve for &str {
     fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError> {
         self.name(buffer)?.find(buffer)
     }
@@ -79,7 +81,7 @@ impl Frame for &str {
     }
 }
 
-impl Frame for FrameName {
+impl Resolve for FrameName {
     fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError> {
         buffer.tree.names.find(self).ok_or(LookupError::Lookup { frame: *self })
     }
@@ -89,7 +91,7 @@ impl Frame for FrameName {
     }
 }
 
-impl Frame for FrameId {
+impl Resolve for FrameId {
     fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError> {
         self.name(buffer).map(|_| *self)
     }
@@ -119,7 +121,7 @@ impl Buffer {
     /// # Real-time
     /// Wait-free; no allocation; no syscall. Compares one or two names; in the worst case all.
     pub fn frame(&self, name: &str) -> Option<FrameId> {
-        Frame::find(&name, self).ok()
+        Resolve::find(&name, self).ok()
     }
 
     /// The name of a frame of this buffer.

@@ -14,7 +14,7 @@ use std::future::Future;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 
-use crate::buffer::{Buffer, Frame, Stamped, Time};
+use crate::buffer::{Buffer, Stamped, Time, sealed::Resolve};
 use crate::error::{LookupError, WaitError};
 use crate::names::{FrameId, FrameName};
 use crate::sync::{AtomicI64, AtomicU64, AtomicUsize, AtomicWaker, Ordering, fence};
