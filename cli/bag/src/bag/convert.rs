@@ -110,7 +110,7 @@ fn defined(topic: &Topic, cdr: Option<&[u8]>) -> Option<Arc<Schema>> {
             tautline_msgs::cdr::Endian::Little => Endian::Little,
             tautline_msgs::cdr::Endian::Big => Endian::Big,
         };
-        // Middleware pads to four bytes.
+        // Fewer than four bytes at the end are padding.
         DynamicMessage::validate(&schema, body, endian).ok().filter(|trailing| *trailing < 4)?;
     }
     Some(schema)

@@ -196,7 +196,6 @@ impl PlotArgs {
         let schema = schema_of(&topics[topic])?;
         let topics = of_name().filter(|(_, topic)| topic.type_name == *of_type).map(|(at, _)| at).collect();
         let is_bool = wanted.check(&schema)? == Primitive::Bool;
-        // One for each column of pixels.
         let columns = Columns::new(from_ns, to_ns, usize::from(self.width));
         let (points, unread) = (Vec::new(), (0, None));
         let (wanted, messages, gaps) = (wanted.clone(), 0, 0);

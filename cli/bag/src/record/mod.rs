@@ -396,7 +396,7 @@ impl RecordArgs {
     }
 
     fn plan(&self, folder: &Path, domain: u32, span: Duration, offset_ns: i64) -> Outcome<black_box::Plan> {
-        // Said at once, not on the day.
+        // Refused now, rather than when an alarm needs the folder.
         if folder.exists() {
             return Err(failed(BagError::Exists(folder.to_owned())));
         }

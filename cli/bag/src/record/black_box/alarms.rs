@@ -254,7 +254,7 @@ mod tests {
     fn a_topic_is_silent_after_ten_times_its_longest_pause() {
         let mut heard = Heard { messages: 0, last_ns: 0, longest_ns: 0, is_silent: false };
         const MS: u64 = 1_000_000;
-        // Never a word, nothing to miss.
+        // A topic that never had a message is not silent.
         assert!(!heard.hear(0, Some(MS), 1000 * MS));
         (1..=9).for_each(|n| assert!(!heard.hear(n, None, 1000 * MS + n * 200 * MS)));
         assert!(!heard.hear(9, None, 60_000 * MS), "too few to tell");
