@@ -19,10 +19,10 @@ use tautline_transport::{
     ServiceType, TopicEndpoint, TopicType,
 };
 
-/// So many messages wait for the recorder, if that takes no more than [`QUEUE_BYTES`].
+/// The most messages of a queue for the recorder, which has at most [`QUEUE_BYTES`] unless the QoS requires more.
 const DEEP: usize = 1000;
 const QUEUE_BYTES: usize = 1 << 20;
-/// Requests of a client, responses of a server, and what an action tells, that wait for the recorder: a goal's states come at once.
+/// The depth of queues for requests, responses and an action's topics. A goal's states arrive together.
 const SERVICE_DEPTH: usize = 16;
 
 /// The subscription of a topic, for the reader. One of the number of another replaces its subscription.
@@ -355,8 +355,8 @@ fn publishers<'e>(ends: &'e [&'e TopicEndpoint]) -> impl Iterator<Item = &'e Top
     ends.iter().copied().filter(|end| end.kind == EndpointKind::Publisher)
 }
 
-/// A deeper queue than the topic has costs its publishers memory: as many times what they reserve for a message, which is known only of
-/// types of fixed size.
+/// The depth of a topic's queue for the recorder. A deeper queue than that of the topic's endpoints costs its publishers the memory of a
+/// message for each place, which is known only for types of fixed size.
 fn depth(ends: &[&TopicEndpoint], end: &TopicEndpoint) -> usize {
     let least = if end.topic.contains("/_action/") { SERVICE_DEPTH } else { 1 };
     let own = ends.iter().map(|end| end.qos.depth).max().unwrap_or(1).clamp(least, DEEP);
