@@ -14,7 +14,7 @@
 //! | account for locks | [`CriticalSection`], [`blocking`](blocking()) |
 //! | choose priorities | [`assign`]: rate-monotonic, deadline-monotonic, Audsley's search |
 //! | decide at a glance | [`utilisation`], [`liu_layland_bound`], [`hyperbolic_test`] |
-//! | bound chains over cores and hosts | [`system`], [`chain`] |
+//! | bound chains over cores and hosts | [`system`] |
 //! | see how much may grow | [`sensitivity`] |
 //! | see what happens | [`timeline`] |
 //! | explain a run in which the host took the core | [`taken`] |
@@ -90,7 +90,6 @@
 
 pub mod assign;
 mod blocking;
-pub mod chain;
 mod error;
 pub mod file;
 mod level;

@@ -3,7 +3,7 @@
 
 use tautline_transport::{EndpointKind, GraphSnapshot, QosPolicyKind, TopicEndpoint};
 
-/// A publisher, and a subscription of its topic that gets none of its messages.
+/// A publisher and a subscription of its topic whose QoS or types are incompatible.
 pub struct Mismatch<'g> {
     pub publisher: &'g TopicEndpoint,
     pub subscription: &'g TopicEndpoint,

@@ -4,7 +4,7 @@
 use crate::arguments::full_name;
 use crate::call::Caller;
 use crate::completions;
-use crate::sibling::Sibling;
+use crate::sibling::{Sibling, sibling};
 use crate::verb::{CommonArgs, End, Failure, Outcome};
 use clap::{Args, Subcommand, ValueHint};
 use serde_json::json;
@@ -17,10 +17,7 @@ use tautline::rcl_interfaces::msg;
 use tautline::{LogSeverity, ParameterValue};
 use tautline_msgs::Service;
 
-const CONTAINER: Sibling = Sibling {
-    program: "taut-container",
-    build: "build it with `cargo build --release -p tautline-container`, or install it with `cargo install --path node/components/container`",
-};
+const CONTAINER: Sibling = sibling!("taut-container", "tautline-container", "node/components/container");
 
 /// The node of a container without a given name.
 pub const MANAGER: &str = "/ComponentManager";

@@ -84,7 +84,7 @@ pub fn run(args: &InitArgs) -> Outcome<ExitCode> {
 fn observe(args: &InitArgs) -> Result<trace::recording::Recording, trace::TraceError> {
     let domain = args.common.domain().map_err(trace::TraceError::Domain)?;
     let mut end = End::after(Some(args.seconds)).map_err(trace::TraceError::Signal)?;
-    // A folder of its own, where nobody else can have put a file.
+    // A new folder, in which no other user can have put a file.
     let folder = std::env::temp_dir().join(format!("taut-init-{}", std::process::id()));
     let refuse = |source| trace::TraceError::Write { path: folder.clone(), source };
     std::fs::DirBuilder::new().mode(0o700).create(&folder).map_err(refuse)?;

@@ -26,7 +26,7 @@ mod init;
 mod interface;
 mod lifecycle;
 mod log;
-pub mod man;
+mod man;
 mod moment;
 mod msg;
 mod node;
@@ -140,14 +140,34 @@ pub fn run() -> ExitCode {
     outcome.unwrap_or_else(Failure::print)
 }
 
+/// The command line of a program with some verbs of `taut`.
+#[derive(Parser)]
+#[command(name = "taut", bin_name = "taut", version, propagate_version = true, arg_required_else_help = true)]
+struct ProgramCli<V: Subcommand> {
+    #[command(subcommand)]
+    verb: ProgramVerb<V>,
+}
+
+#[derive(Subcommand)]
+enum ProgramVerb<V: Subcommand> {
+    #[command(flatten)]
+    Own(V),
+    #[command(hide = true)]
+    Man(man::ManArgs),
+}
+
 /// The main function of a program with some verbs of `taut`: completes a shell's words if the shell requests that, otherwise runs the verb of
 /// the command line.
-pub fn run_verbs<C: Parser>(run: impl FnOnce(C) -> verb::Outcome) -> ExitCode {
-    if let Some(code) = completions::answer(C::command) {
+pub fn run_verbs<V: Subcommand>(run: impl FnOnce(V) -> verb::Outcome) -> ExitCode {
+    if let Some(code) = completions::answer(ProgramCli::<V>::command) {
         return code;
     }
     log_to_stderr();
-    run(C::parse()).map_or_else(Failure::print, |()| ExitCode::SUCCESS)
+    let outcome = match ProgramCli::parse().verb {
+        ProgramVerb::Own(verb) => run(verb),
+        ProgramVerb::Man(args) => man::write_verbs(&args, ProgramCli::<V>::command()),
+    };
+    outcome.map_or_else(Failure::print, |()| ExitCode::SUCCESS)
 }
 
 /// Prints the libraries' warnings to standard error. RUST_LOG, such as `debug` or `tautline=trace,warn`, selects other levels.

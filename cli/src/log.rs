@@ -180,7 +180,7 @@ impl<'a> Lines<'a> {
                     self.end.pause(POLL);
                     continue;
                 }
-                // Counted.
+                // The subscription counts it.
                 Err(TakeError::Invalid(_)) if self.end.is_reached() => break,
                 Err(TakeError::Invalid(_)) => continue,
                 Err(error) => return Err(error.into()),

@@ -3,7 +3,7 @@
 
 use crate::sibling::WITH_VERBS;
 use crate::verb::{Failure, Outcome};
-use clap::{Args, Command, CommandFactory};
+use clap::{Args, Command};
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};
 use std::fs;
@@ -48,8 +48,8 @@ pub fn run(args: &ManArgs, command: Command) -> Outcome {
 }
 
 /// Writes the pages of a program's verbs, and prints how many.
-pub fn write_verbs<C: CommandFactory>(args: &ManArgs) -> Outcome {
-    let written = write(args, C::command(), false)?;
+pub fn write_verbs(args: &ManArgs, command: Command) -> Outcome {
+    let written = write(args, command, false)?;
     Ok(writeln!(crate::print::stdout(), "{written}")?)
 }
 

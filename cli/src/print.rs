@@ -86,7 +86,7 @@ pub fn stderr() -> Escaped<impl Write> {
 
 #[doc(hidden)]
 pub fn line_to(mut to: impl Write, line: fmt::Arguments<'_>) {
-    // Ignored: whoever read it has gone. In one piece, beside those of other threads.
+    // Written in one piece, so that lines of several threads do not mix. An error means that the reader has closed the pipe.
     let _ = to.write_all(format!("{line}\n").as_bytes());
     let _ = to.flush();
 }

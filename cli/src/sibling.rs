@@ -20,29 +20,34 @@ pub enum SiblingError {
     Exec { program: PathBuf, source: std::io::Error },
 }
 
+/// The program of a package in a folder of this repository.
+macro_rules! sibling {
+    ($program:literal, $package:literal, $folder:literal) => {
+        $crate::sibling::Sibling {
+            program: $program,
+            build: concat!(
+                "build it with `cargo build --release -p ",
+                $package,
+                "`, or install it with `cargo install --path ",
+                $folder,
+                "`"
+            ),
+        }
+    };
+}
+pub(crate) use sibling;
+
 /// Records, plays and processes bags. It links their formats and compression.
-pub const BAG: Sibling = Sibling {
-    program: "taut-bag",
-    build: "build it with `cargo build --release -p taut-bag`, or install it with `cargo install --path cli/bag`",
-};
+pub const BAG: Sibling = sibling!("taut-bag", "taut-bag", "cli/bag");
 
 /// Shows the present state of a domain. It links the terminal library.
-pub const TOP: Sibling = Sibling {
-    program: "taut-top",
-    build: "build it with `cargo build --release -p taut-top`, or install it with `cargo install --path cli/top`",
-};
+pub const TOP: Sibling = sibling!("taut-top", "taut-top", "cli/top");
 
 /// Selects messages. It links the implementation of jq's language.
-pub const FILTER: Sibling = Sibling {
-    program: "taut-filter",
-    build: "build it with `cargo build --release -p taut-filter`, or install it with `cargo install --path cli/filter`",
-};
+pub const FILTER: Sibling = sibling!("taut-filter", "taut-filter", "cli/filter");
 
 /// Carries topics to other hosts. It links Zenoh.
-pub const GATEWAY: Sibling = Sibling {
-    program: "taut-gateway",
-    build: "build it with `cargo build --release -p tautline-gateway`, or install it with `cargo install --path transport/zenoh`",
-};
+pub const GATEWAY: Sibling = sibling!("taut-gateway", "tautline-gateway", "transport/zenoh");
 
 /// The programs that have verbs of `taut`, with these verbs: for completions and manual pages.
 pub const WITH_VERBS: [(&Sibling, &[&str]); 2] = [(&BAG, &["record", "play", "bag"]), (&TOP, &["top"])];

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use futures::Stream;
 
-use crate::hot::{GroupMember, StreamMember};
+use crate::hot::{GroupGuard, GroupMember, StreamMember};
 use crate::{CallbackOptions, CallbackStats};
 
 /// Several callbacks on one thread. They run one at a time, to completion, in order of release (ROS 2's mutually
@@ -60,9 +60,6 @@ pub struct CallbackGroup {
     members: Vec<MemberInfo>,
     kept: Vec<GroupGuard>,
 }
-
-/// An object of any type that is dropped with a group.
-pub(crate) type GroupGuard = Box<dyn std::any::Any + Send>;
 
 /// What the executor has to know of a member.
 pub(crate) struct MemberInfo {

@@ -19,7 +19,6 @@ use tautline_rt::{BudgetTimer, Refill, RemainingBudget};
 use tautline_trace::{Object, ObjectId};
 
 use crate::account::CoreTimeAccount;
-use crate::group::GroupGuard;
 use crate::options::Watch;
 use crate::stats::{self, CallbackStats, QueueState};
 
@@ -506,6 +505,9 @@ pub fn note_queue(queue: QueueState) {
 }
 
 // ---- Callback groups ----
+
+/// An object of any type that is dropped with a group.
+pub(crate) type GroupGuard = Box<dyn core::any::Any + Send>;
 
 /// All members of a group, as one future. One poll runs at most one job, then yields to the stop flag.
 pub(crate) struct GroupFuture {

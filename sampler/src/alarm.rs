@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Wakes a task once, at a time that the task sets.
 
-use crate::events::{Events, SamplerState};
-use std::sync::Arc;
+use crate::events::{Events, TimerSlot};
 use std::task::{Context, Poll};
 use tautline_rt::clock::monotonic_ns;
 use tautline_transport::{Slot, TransportError};
@@ -10,8 +9,7 @@ use tautline_transport::{Slot, TransportError};
 /// Wakes one task at a time that can be changed. Ringing its slot also wakes the task, so a task that waits for several things
 /// needs only one alarm.
 pub struct Alarm {
-    state: Arc<SamplerState>,
-    slot: Slot,
+    slot: TimerSlot<Slot>,
     at_ns: Option<u64>,
 }
 
@@ -25,12 +23,12 @@ impl Alarm {
     /// # Errors
     /// [`TransportError::Doorbell`] if there is no memory for its slot.
     pub fn new(events: &Events) -> Result<Alarm, TransportError> {
-        Ok(Alarm { state: events.state.clone(), slot: events.timer_slot()?, at_ns: None })
+        Ok(Alarm { slot: events.timer_slot()?, at_ns: None })
     }
 
     /// The alarm's slot.
     pub fn slot(&self) -> &Slot {
-        &self.slot
+        &self.slot.slot
     }
 
     /// Sets the time, in `CLOCK_MONOTONIC` nanoseconds. Nothing happens if it is the same as before.
@@ -42,12 +40,10 @@ impl Alarm {
             return;
         }
         self.at_ns = at_ns;
-        let words = &self.state.timers.at(self.slot.index());
         match at_ns {
-            Some(at_ns) => drop(words.arm(at_ns, u64::MAX, None)),
-            None => words.disarm(),
+            Some(at_ns) => drop(self.slot.arm(at_ns, u64::MAX, None)),
+            None => self.slot.disarm(),
         }
-        self.slot.ring();
     }
 
     /// Ready when the time has come. Wakes the task then, and whenever the slot is rung.
@@ -55,16 +51,7 @@ impl Alarm {
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
     pub fn poll(&self, context: &mut Context<'_>) -> Poll<()> {
-        self.slot.waker().register(context.waker());
+        self.slot.register(context);
         if self.at_ns.is_some_and(|at_ns| monotonic_ns() >= at_ns) { Poll::Ready(()) } else { Poll::Pending }
-    }
-}
-
-impl Drop for Alarm {
-    /// # Real-time
-    /// As [`set`](Self::set).
-    fn drop(&mut self) {
-        self.state.timers.at(self.slot.index()).disarm();
-        self.slot.ring();
     }
 }

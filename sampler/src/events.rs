@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! What a sampler serves in addition to samples: timers and guard conditions, created from any thread.
 
-use crate::timers::{SpareQueues, Timers};
+use crate::timers::{SpareQueues, TimerWords, Timers};
+use std::borrow::Borrow;
 use std::future::poll_fn;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll};
-use tautline_transport::{Doorbell, Participant, Slot, TransportError};
+use tautline_transport::{Activity, Doorbell, Participant, Slot, TransportError};
 
 /// The part of a sampler that other threads use, to create timers and guard conditions, and to stop the sampler.
 #[derive(Clone)]
@@ -34,11 +35,10 @@ impl Events {
         Ok((Events { state: Arc::new(state) }, spares))
     }
 
-    /// A slot at which the sampler may release something.
-    pub(crate) fn timer_slot(&self) -> Result<Slot, TransportError> {
+    pub(crate) fn timer_slot<S: From<Slot> + Borrow<Slot>>(&self) -> Result<TimerSlot<S>, TransportError> {
         let slot = self.state.doorbell.claim()?;
         self.state.timers.cover(slot.index());
-        Ok(slot)
+        Ok(TimerSlot { state: self.state.clone(), slot: slot.into() })
     }
 
     /// A condition that any thread can trigger and one task waits for.
@@ -66,6 +66,43 @@ impl Events {
     /// Whether the sampler was stopped.
     pub fn is_stopped(&self) -> bool {
         self.state.stop.load(Ordering::Acquire)
+    }
+}
+
+/// A slot at which the sampler releases something at times that are set, until this is dropped.
+pub(crate) struct TimerSlot<S: Borrow<Slot>> {
+    state: Arc<SamplerState>,
+    pub(crate) slot: S,
+}
+
+/// # Real-time
+/// All wait-free; no allocation; at most one futex wake.
+impl<S: Borrow<Slot>> TimerSlot<S> {
+    pub(crate) fn words(&self) -> &TimerWords {
+        self.state.timers.at(self.slot.borrow().index())
+    }
+
+    /// See [`TimerWords::arm`].
+    pub(crate) fn arm(&self, first_release_ns: u64, period_ns: u64, activity: Option<Activity>) -> u64 {
+        let number = self.words().arm(first_release_ns, period_ns, activity);
+        self.slot.borrow().ring();
+        number
+    }
+
+    pub(crate) fn disarm(&self) {
+        self.words().disarm();
+        self.slot.borrow().ring();
+    }
+
+    /// Releases wake the task of `context` from now on.
+    pub(crate) fn register(&self, context: &Context<'_>) {
+        self.slot.borrow().waker().register(context.waker());
+    }
+}
+
+impl<S: Borrow<Slot>> Drop for TimerSlot<S> {
+    fn drop(&mut self) {
+        self.disarm();
     }
 }
 

@@ -5,27 +5,14 @@
 
 use crate::events::SamplerState;
 use crate::sampler::{Sampler, Sleep, Wait};
-use crate::timer::TimerWords;
-use crate::timers::{Due, SpareQueues};
+use crate::timers::{TimerQueue, TimerWords};
 use core::cmp::Reverse;
 use core::sync::atomic::{Ordering, fence};
 use core::time::Duration;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_transport::Activity;
 
-/// The timers by their next release. It has room for as many as there are slots where one may be armed, so pushing never allocates.
-pub(crate) struct TimerQueue {
-    due: Due,
-    spares: SpareQueues,
-}
-
 impl TimerQueue {
-    pub(crate) fn new(mut spares: SpareQueues) -> Self {
-        let mut due = Due::new();
-        spares.move_to_larger(&mut due);
-        TimerQueue { due, spares }
-    }
-
     /// A timer was armed or dropped at `slot`: O(timers), to find its entry.
     fn update(&mut self, state: &SamplerState, slot: usize) {
         let Some(words) = state.timers.get(slot) else { return };

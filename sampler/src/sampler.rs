@@ -2,7 +2,7 @@
 //! The sampler: created once per participant, run by one thread.
 
 use crate::events::Events;
-use crate::hot::TimerQueue;
+use crate::timers::TimerQueue;
 use std::time::Duration;
 use tautline_rt::{RtError, ThreadBuilder};
 use tautline_transport::{Participant, SamplerSeat, TransportError};

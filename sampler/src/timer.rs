@@ -1,71 +1,15 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Absolute periodic timers, released by the sampler.
 
-use crate::events::{Events, SamplerState};
+use crate::events::{Events, TimerSlot};
 use futures::Stream;
 use std::future::poll_fn;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tautline_rt::clock::{monotonic_ns, nanoseconds};
-use tautline_transport::{Activity, Slot, TransportError};
-
-/// What a timer and the sampler tell each other, one per slot.
-#[derive(Default)]
-pub(crate) struct TimerWords {
-    /// The timer was armed or dropped: the sampler brings its queue up to date.
-    pub(crate) changed: AtomicBool,
-    /// Zero: there is no timer here.
-    pub(crate) period_ns: AtomicU64,
-    pub(crate) first_release_ns: AtomicU64,
-    /// Counts the timers that were armed here.
-    pub(crate) armed: AtomicU64,
-    /// The one of these that `released` counts for; written by the sampler.
-    pub(crate) accepted: AtomicU64,
-    /// As `released`, but counted before `last_due_ns` is written; written by the sampler.
-    pub(crate) begun: AtomicU64,
-    /// Releases so far; written by the sampler.
-    pub(crate) released: AtomicU64,
-    /// What a watchdog watches for, as a word: each release is one period after it was last seen. 0 of a timer.
-    pub(crate) activity: AtomicU64,
-    /// When the last release of a watchdog was due; written by the sampler.
-    pub(crate) last_due_ns: AtomicU64,
-}
-
-impl TimerWords {
-    /// Describes what releases from now on. The caller rings the slot.
-    pub(crate) fn arm(&self, first_release_ns: u64, period_ns: u64, activity: Option<Activity>) -> u64 {
-        self.first_release_ns.store(first_release_ns, Ordering::Relaxed);
-        let number = self.armed.fetch_add(1, Ordering::Relaxed) + 1;
-        self.activity.store(activity.map_or(0, Activity::to_word), Ordering::Relaxed);
-        // Release, both: each pairs with an Acquire in the sampler, which then reads the words above, also if it is the ring of the
-        // slot's former timer that brings it there.
-        self.period_ns.store(period_ns, Ordering::Release);
-        self.changed.store(true, Ordering::Release);
-        number
-    }
-
-    /// Nothing releases any more. The caller rings the slot.
-    pub(crate) fn disarm(&self) {
-        self.period_ns.store(0, Ordering::Relaxed);
-        self.changed.store(true, Ordering::Release);
-    }
-
-    /// The releases of what `number` was armed as, if there are any after the first `seen`.
-    ///
-    /// Fewer than were seen are none: where a slot is used again at once, the sampler may accept what was armed there twice, once for
-    /// the ring of the timer before. The second time it counts anew, and comes to the same numbers.
-    pub(crate) fn released_since(&self, number: u64, seen: u64) -> Option<u64> {
-        // Acquire: each pairs with the sampler's Release.
-        if self.accepted.load(Ordering::Acquire) != number {
-            return None; // what is counted there is a former timer's
-        }
-        let released = self.released.load(Ordering::Acquire);
-        (released > seen).then_some(released)
-    }
-}
+use tautline_transport::{Slot, TransportError};
 
 /// One release of a timer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,8 +27,7 @@ pub struct Tick {
 ///
 /// A late task gets the newest release and the number of missed releases, not all of them in a burst.
 pub struct Timer {
-    state: Arc<SamplerState>,
-    slot: Arc<Slot>,
+    slot: TimerSlot<Arc<Slot>>,
     first_release_ns: u64,
     period_ns: u64,
     number: u64,
@@ -117,14 +60,9 @@ impl Timer {
         first_release_ns: u64,
         period: Duration,
     ) -> Result<Timer, TransportError> {
-        let (state, slot) = (events.state.clone(), events.timer_slot()?);
-        Ok(Timer::arm(state, slot, first_release_ns, nanoseconds(period).max(1)))
-    }
-
-    fn arm(state: Arc<SamplerState>, slot: Slot, first_release_ns: u64, period_ns: u64) -> Self {
-        let number = state.timers.at(slot.index()).arm(first_release_ns, period_ns, None);
-        slot.ring();
-        Timer { state, slot: Arc::new(slot), first_release_ns, period_ns, number, seen: 0, missed: 0 }
+        let (slot, period_ns) = (events.timer_slot::<Arc<Slot>>()?, nanoseconds(period).max(1));
+        let number = slot.arm(first_release_ns, period_ns, None);
+        Ok(Timer { slot, first_release_ns, period_ns, number, seen: 0, missed: 0 })
     }
 
     /// Period in nanoseconds.
@@ -139,7 +77,7 @@ impl Timer {
 
     /// The timer's slot.
     pub fn slot(&self) -> &Arc<Slot> {
-        &self.slot
+        &self.slot.slot
     }
 
     /// Waits for the next release.
@@ -155,8 +93,8 @@ impl Timer {
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
     pub fn poll_tick(&mut self, context: &mut Context<'_>) -> Poll<Tick> {
-        self.slot.waker().register(context.waker());
-        let words = &self.state.timers.at(self.slot.index());
+        self.slot.register(context);
+        let words = self.slot.words();
         let Some(released) = words.released_since(self.number, self.seen) else { return Poll::Pending };
         let missed = released - self.seen - 1;
         self.seen = released;
@@ -176,17 +114,11 @@ impl Stream for Timer {
     }
 }
 
-impl Drop for Timer {
-    fn drop(&mut self) {
-        self.state.timers.at(self.slot.index()).disarm();
-        self.slot.ring();
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::Sampler;
+    use std::sync::atomic::Ordering;
     use std::task::Waker;
     use tautline_transport::Participant;
 
@@ -198,8 +130,8 @@ mod tests {
         let hour = Duration::from_secs(3600);
         let start = monotonic_ns();
         let mut timer = Timer::starting_at(sampler.events(), start, hour).unwrap();
-        let state = timer.state.clone();
-        let words = &state.timers.at(timer.slot.index());
+        let (state, slot) = (sampler.events().state.clone(), timer.slot().index());
+        let words = state.timers.at(slot);
         let mut poll = || timer.poll_tick(&mut Context::from_waker(Waker::noop()));
         sampler.spin_once(Some(Duration::ZERO));
         assert_eq!(poll(), Poll::Ready(Tick { release_ns: start, index: 1, missed: 0 }));

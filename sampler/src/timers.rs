@@ -2,15 +2,70 @@
 //! The words of all timers, and the room for them in the sampler's queue: both grow in the thread that creates a
 //! timer.
 
-use crate::timer::TimerWords;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
-use tautline_doorbell::{WINDOWS, first_slot, place, window_slots};
+use tautline_doorbell::{Activity, WINDOWS, first_slot, place, window_slots};
 
 /// Timers by their next release, each with its slot.
 pub(crate) type Due = BinaryHeap<Reverse<(u64, usize)>>;
+
+/// What a timer and the sampler tell each other, one per slot.
+#[derive(Default)]
+pub(crate) struct TimerWords {
+    /// The timer was armed or dropped: the sampler brings its queue up to date.
+    pub(crate) changed: AtomicBool,
+    /// Zero: there is no timer here.
+    pub(crate) period_ns: AtomicU64,
+    pub(crate) first_release_ns: AtomicU64,
+    /// Counts the timers that were armed here.
+    pub(crate) armed: AtomicU64,
+    /// The one of these that `released` counts for; written by the sampler.
+    pub(crate) accepted: AtomicU64,
+    /// As `released`, but counted before `last_due_ns` is written; written by the sampler.
+    pub(crate) begun: AtomicU64,
+    /// Releases so far; written by the sampler.
+    pub(crate) released: AtomicU64,
+    /// What a watchdog watches for, as a word: each release is one period after it was last seen. 0 of a timer.
+    pub(crate) activity: AtomicU64,
+    /// When the last release of a watchdog was due; written by the sampler.
+    pub(crate) last_due_ns: AtomicU64,
+}
+
+impl TimerWords {
+    /// Describes what releases from now on. The caller rings the slot.
+    pub(crate) fn arm(&self, first_release_ns: u64, period_ns: u64, activity: Option<Activity>) -> u64 {
+        self.first_release_ns.store(first_release_ns, Ordering::Relaxed);
+        let number = self.armed.fetch_add(1, Ordering::Relaxed) + 1;
+        self.activity.store(activity.map_or(0, Activity::to_word), Ordering::Relaxed);
+        // Release, both: each pairs with an Acquire in the sampler, which then reads the words above, also if it is the ring of the
+        // slot's former timer that brings it there.
+        self.period_ns.store(period_ns, Ordering::Release);
+        self.changed.store(true, Ordering::Release);
+        number
+    }
+
+    /// Nothing releases any more. The caller rings the slot.
+    pub(crate) fn disarm(&self) {
+        self.period_ns.store(0, Ordering::Relaxed);
+        self.changed.store(true, Ordering::Release);
+    }
+
+    /// The releases of what `number` was armed as, if there are any after the first `seen`.
+    ///
+    /// Fewer than were seen are none: where a slot is used again at once, the sampler may accept what was armed there twice, once for
+    /// the ring of the timer before. The second time it counts anew, and comes to the same numbers.
+    pub(crate) fn released_since(&self, number: u64, seen: u64) -> Option<u64> {
+        // Acquire: each pairs with the sampler's Release.
+        if self.accepted.load(Ordering::Acquire) != number {
+            return None; // what is counted there is a former timer's
+        }
+        let released = self.released.load(Ordering::Acquire);
+        (released > seen).then_some(released)
+    }
+}
 
 /// The words of the timers, by slot: a window of them exists once a timer was made at one of its slots.
 pub(crate) struct Timers {
@@ -91,6 +146,20 @@ impl SpareQueues {
                 std::mem::forget(kept);
             }
         }
+    }
+}
+
+/// The timers by their next release. It has room for as many as there are slots where one may be armed, so pushing never allocates.
+pub(crate) struct TimerQueue {
+    pub(crate) due: Due,
+    pub(crate) spares: SpareQueues,
+}
+
+impl TimerQueue {
+    pub(crate) fn new(mut spares: SpareQueues) -> Self {
+        let mut due = Due::new();
+        spares.move_to_larger(&mut due);
+        TimerQueue { due, spares }
     }
 }
 

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Activities that must happen in time, monitored by the sampler.
 
-use crate::events::{Events, SamplerState};
+use crate::events::{Events, TimerSlot};
 use std::future::poll_fn;
-use std::sync::Arc;
 use std::sync::atomic::{Ordering, fence};
 use std::task::{Context, Poll};
 use std::time::Duration;
@@ -25,8 +24,7 @@ pub struct Expiry {
 /// Expires when an [`Activity`] was not seen for one period, and again for each further period. The active
 /// thread only stores the time; the sampler checks it when the next activity is due.
 pub struct Watchdog {
-    state: Arc<SamplerState>,
-    slot: Slot,
+    slot: TimerSlot<Slot>,
     number: u64,
     seen: u64,
 }
@@ -40,16 +38,14 @@ impl Watchdog {
     /// # Errors
     /// [`TransportError::Doorbell`] if there is no memory for its slot.
     pub fn new(events: &Events, activity: Activity, period: Duration) -> Result<Watchdog, TransportError> {
-        let (state, slot, period_ns) =
-            (events.state.clone(), events.timer_slot()?, nanoseconds(period).max(1));
+        let (slot, period_ns) = (events.timer_slot::<Slot>()?, nanoseconds(period).max(1));
         let now_ns = monotonic_ns();
-        let first_ns = match state.doorbell.activity_ns(activity) {
+        let first_ns = match events.state.doorbell.activity_ns(activity) {
             0 => now_ns.saturating_add(period_ns),
             activity_ns => now_ns.max(activity_ns.saturating_add(period_ns)),
         };
-        let number = state.timers.at(slot.index()).arm(first_ns, period_ns, Some(activity));
-        slot.ring();
-        Ok(Watchdog { state, slot, number, seen: 0 })
+        let number = slot.arm(first_ns, period_ns, Some(activity));
+        Ok(Watchdog { slot, number, seen: 0 })
     }
 
     /// Waits for the next expiry.
@@ -65,8 +61,8 @@ impl Watchdog {
     /// # Real-time
     /// Wait-free; no allocation; no syscall.
     pub fn poll_expired(&mut self, context: &mut Context<'_>) -> Poll<Expiry> {
-        self.slot.waker().register(context.waker());
-        let words = &self.state.timers.at(self.slot.index());
+        self.slot.register(context);
+        let words = self.slot.words();
         let Some(count) = words.released_since(self.number, self.seen) else { return Poll::Pending };
         let due_ns = words.last_due_ns.load(Ordering::Relaxed);
         // Pairs with the Release fence of the sampler, which may be at the next expiry already.
@@ -78,13 +74,6 @@ impl Watchdog {
         let change = count - self.seen;
         self.seen = count;
         Poll::Ready(Expiry { due_ns, count, change })
-    }
-}
-
-impl Drop for Watchdog {
-    fn drop(&mut self) {
-        self.state.timers.at(self.slot.index()).disarm();
-        self.slot.ring();
     }
 }
 
@@ -106,8 +95,8 @@ mod tests {
         let mut watchdog =
             Watchdog::new(sampler.events(), slot.activity(ActivityKind::Sample), hour).unwrap();
         sampler.spin_once(Some(Duration::ZERO));
-        let state = watchdog.state.clone();
-        let words = &state.timers.at(watchdog.slot.index());
+        let (state, index) = (sampler.events().state.clone(), watchdog.slot.slot.index());
+        let words = state.timers.at(index);
         let mut poll = || watchdog.poll_expired(&mut Context::from_waker(Waker::noop()));
         let write = |begun, due_ns, released| {
             words.begun.store(begun, Ordering::Relaxed);

@@ -58,7 +58,7 @@ fn offered(find: Find, word: &OsStr) -> Option<Vec<CompletionCandidate>> {
             let shorter = shorter(&name).filter(|shorter| !word.is_empty() && shorter.starts_with(word))?;
             if asked.replaces { name.clone() } else { shorter }
         };
-        // ROS's hidden names.
+        // ROS hides these names.
         let is_hidden = name.contains("/_");
         let of_type = Some(of_type).filter(|of_type| !of_type.is_empty());
         Some(CompletionCandidate::new(value).help(of_type.map(Into::into)).hide(is_hidden))

@@ -98,7 +98,7 @@ fn had_by_others(topics: &[&[Job]], besides: impl IntoIterator<Item = Taken>) ->
             if other_ns > 0 {
                 of_others.push(piece(other_ns));
             }
-            // Its own time and the time that others took from it: a lower job waited for both.
+            // A lower job waited both for the job's own time and for the time that others took from it.
             of_topic.push(piece((job.end_ns - job.ready_ns).saturating_sub(job.waited_ns) + other_ns));
         }
         known.extend(of_topic);
@@ -129,7 +129,7 @@ mod tests {
         let upper = [job(105, 135, 10), job(300, 320, 0)];
         let lower = [job(50, 190, 5 + 30 + 7)];
         assert_eq!(found(&[&upper, &lower], &[sampler]), [vec![(105, 135, 10)], vec![(50, 190, 7)]]);
-        // What ends after a job has not run in place of it.
+        // An interval that ends after the job did not run instead of it.
         let later = Taken { from_ns: 130, to_ns: 140, length_ns: 10, seen: Seen::Overran };
         assert_eq!(found(&[&upper], &[later])[0], [(105, 135, 10)]);
     }

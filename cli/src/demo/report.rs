@@ -235,6 +235,13 @@ pub fn write_json(report: &DemoReport, out: &mut impl Write) -> io::Result<()> {
     writeln!(out)
 }
 
+impl DemoReport {
+    /// The texts of the topics that have one, separated by commas.
+    fn list(&self, text: impl Fn(&TopicReport) -> Option<String>) -> String {
+        self.topics.iter().filter_map(text).collect::<Vec<_>>().join(", ")
+    }
+}
+
 impl TopicReport {
     fn failed(&self) -> bool {
         self.n == 0 || self.deadline_misses > 0 || self.lost > 0

@@ -117,7 +117,7 @@ fn left_behind(domain: u32) -> super::finding::Checked {
             false => left.push(path),
         }
     }
-    // Files of versions without folders.
+    // Older versions left files without a folder.
     left.extend(list(&format!("{folder}_"))?);
     let bytes = |paths: &[PathBuf]| size(paths.iter().map(|path| taken(path)).sum());
     let path = Path::new(shm::DIRECTORY).join(&folder);

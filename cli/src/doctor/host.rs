@@ -67,7 +67,7 @@ impl Tree {
 }
 
 fn unreadable(path: &str, error: &io::Error) -> String {
-    // Without the number, and without the path of a copy.
+    // The error's number, and the path if the host is a copy, are left out.
     let text = error.to_string();
     format!("{path}: {}", text.split(" (os error").next().unwrap_or_default())
 }

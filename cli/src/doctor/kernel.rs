@@ -148,7 +148,7 @@ pub fn fair_server(host: &Host) -> Checked {
 pub fn clock(host: &Host) -> Checked {
     let folder = "/sys/devices/system/clocksource/clocksource0";
     let name = host.tree.read(&format!("{folder}/current_clocksource"))?;
-    // Those that the kernel maps into processes.
+    // Processes read these clock sources without a system call.
     let is_mapped = [
         "tsc",
         "timebase",

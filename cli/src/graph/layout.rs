@@ -128,7 +128,7 @@ fn order(n: usize, links: &[Link]) -> Vec<usize> {
             (_, 0) => (1, 0),
             (takes, gives) => (0, gives - takes),
         };
-        // Of equal boxes the first.
+        // Reversed, because `max_by_key` returns the last of equal boxes.
         let Some(next) = left.rev().max_by_key(rank) else { break };
         if takes[next] > 0 && gives[next] == 0 {
             last -= 1;

@@ -168,7 +168,7 @@ fn draw_line(svg: &mut String, picture: &Picture, edge: &Edge, points: &[Point])
     let Some((first, rest)) = points.split_first() else { return Ok(()) };
     let mut path = format!("M{:.1} {:.1}", first.0, first.1);
     let mut before = *first;
-    // Straight within a column, curved between two.
+    // A link is straight within a column and curved between two.
     for &(x, y) in rest {
         match y == before.1 {
             true => write!(path, "L{x:.1} {y:.1}")?,

@@ -4,8 +4,7 @@
 //! A recorder only appends to it, so that the file of a killed recorder can be read.
 
 use super::TraceError;
-use super::recording::{Recording, TimedEvent};
-use serde::{Deserialize, Serialize};
+use super::recording::{Entry, Recording, TimedEvent};
 use std::io::{self, Write};
 use std::path::Path;
 use tautline_trace::{Description, Event, ObjectId, ObjectKind, Record};
@@ -16,64 +15,6 @@ const EVENTS: u32 = 2;
 /// The maximum length of a block; a greater length means a damaged file.
 const MAX_BLOCK_BYTES: u32 = 1 << 28;
 const EVENT_BYTES: usize = 40;
-
-/// Everything but events.
-#[derive(Serialize, Deserialize, Clone, Debug, PartialEq, Eq)]
-#[serde(tag = "record", rename_all = "snake_case")]
-pub enum Entry {
-    Session {
-        domain: u32,
-        taut: String,
-        kernel: String,
-        started_monotonic_ns: u64,
-        started_unix_ns: i64,
-        /// The host's name; empty in older recordings.
-        #[serde(default)]
-        host: String,
-        /// Equal in recordings whose times are of one clock; empty if that is not known.
-        #[serde(default)]
-        clock: String,
-    },
-    Process {
-        process: u32,
-        pid: u32,
-        name: String,
-    },
-    Object {
-        process: u32,
-        id: u64,
-        kind: String,
-        parent: u64,
-        detail: u64,
-        gid: [u64; 2],
-        created_ns: u64,
-        name: String,
-    },
-    Thread {
-        process: u32,
-        tid: u32,
-        name: String,
-    },
-    Lost {
-        process: u32,
-        tid: u32,
-        events: u64,
-    },
-    Unrecorded {
-        process: u32,
-        events: u64,
-    },
-    Undescribed {
-        process: u32,
-        objects: u64,
-    },
-    Ended {
-        process: u32,
-    },
-    Finished {
-        monotonic_ns: u64,
-    },
-}
 
 /// Appends to a recording.
 pub struct Writer<W> {
@@ -119,7 +60,7 @@ impl<W: Write> Writer<W> {
                 content.extend(events.iter().flat_map(|event| event.words()).flat_map(u64::to_le_bytes));
                 return self.block(EVENTS, &content);
             }
-            // A record of a later version.
+            // The record is of a later version.
             _ => return Ok(()),
         };
         self.entry(&entry)

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! `taut trace hops`: the latency of each hop of the messages of several domains.
 
-use super::file::Entry;
 use super::latency::{histogram, us};
+use super::recording::Entry;
 use super::recording::Recording;
 use super::ways::{At, Hop, HopKind, Place, Ways};
 use super::{TraceError, file, write_to};

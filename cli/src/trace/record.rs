@@ -2,7 +2,8 @@
 //! `taut trace record`.
 
 use super::TraceError;
-use super::file::{Entry, Writer};
+use super::file::Writer;
+use super::recording::Entry;
 use crate::verb::{CommonArgs, End, print_line, time};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};

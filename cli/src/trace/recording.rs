@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! A recording in memory.
 
-use super::file::Entry;
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 use tautline_trace::{Description, Event, ObjectId};
 
@@ -12,6 +12,64 @@ pub struct Recording {
     pub processes: BTreeMap<u32, Process>,
     pub events: Vec<TimedEvent>,
     pub warnings: Vec<String>,
+}
+
+/// An entry of a recording: everything but events.
+#[derive(Serialize, Deserialize, Clone, Debug, PartialEq, Eq)]
+#[serde(tag = "record", rename_all = "snake_case")]
+pub enum Entry {
+    Session {
+        domain: u32,
+        taut: String,
+        kernel: String,
+        started_monotonic_ns: u64,
+        started_unix_ns: i64,
+        /// The host's name; empty in older recordings.
+        #[serde(default)]
+        host: String,
+        /// Equal in recordings whose times are of one clock; empty if that is not known.
+        #[serde(default)]
+        clock: String,
+    },
+    Process {
+        process: u32,
+        pid: u32,
+        name: String,
+    },
+    Object {
+        process: u32,
+        id: u64,
+        kind: String,
+        parent: u64,
+        detail: u64,
+        gid: [u64; 2],
+        created_ns: u64,
+        name: String,
+    },
+    Thread {
+        process: u32,
+        tid: u32,
+        name: String,
+    },
+    Lost {
+        process: u32,
+        tid: u32,
+        events: u64,
+    },
+    Unrecorded {
+        process: u32,
+        events: u64,
+    },
+    Undescribed {
+        process: u32,
+        objects: u64,
+    },
+    Ended {
+        process: u32,
+    },
+    Finished {
+        monotonic_ns: u64,
+    },
 }
 
 /// One process of a recording.

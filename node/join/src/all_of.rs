@@ -106,24 +106,23 @@ impl<S: AllOfInputs> Stream for AllOf<S> {
 pub trait AllOfInputs: sealed::Tuple {
     /// One message of each.
     type Items;
-    #[doc(hidden)]
-    type Slots: Unpin;
-    #[doc(hidden)]
-    const COUNT: usize;
-    #[doc(hidden)]
-    fn into_slots(self) -> Self::Slots;
-    #[doc(hidden)]
-    fn slot(slots: &mut Self::Slots, input: usize) -> &mut dyn Slot;
-    #[doc(hidden)]
-    fn take(slots: &mut Self::Slots) -> Option<Self::Items>;
 }
 
 mod sealed {
-    pub trait Tuple {}
+    use super::{AllOfInputs, Slot};
+
+    pub trait Tuple {
+        type Slots: Unpin;
+        const COUNT: usize;
+        fn into_slots(self) -> Self::Slots;
+        fn slot(slots: &mut Self::Slots, input: usize) -> &mut dyn Slot;
+        fn take(slots: &mut Self::Slots) -> Option<Self::Items>
+        where
+            Self: AllOfInputs;
+    }
 }
 
 /// One input and its newest item, of any type.
-#[doc(hidden)]
 pub trait Slot {
     /// Takes the available messages, and reports for each one whether it replaced another.
     fn poll_arrival(&mut self, context: &mut Context<'_>, note: &mut dyn FnMut(bool)) -> Poll<Option<()>>;
@@ -132,7 +131,6 @@ pub trait Slot {
     fn room(&self) -> (String, usize);
 }
 
-#[doc(hidden)]
 #[derive(Debug)]
 pub struct Input<S: Source> {
     source: S,
@@ -175,10 +173,11 @@ impl<S: Source> Slot for Input<S> {
 
 macro_rules! tuple {
     ($($name:ident $place:tt),*) => {
-        impl<$($name: Source),*> sealed::Tuple for ($($name,)*) {}
-
         impl<$($name: Source),*> AllOfInputs for ($($name,)*) {
             type Items = ($($name::Item,)*);
+        }
+
+        impl<$($name: Source),*> sealed::Tuple for ($($name,)*) {
             type Slots = ($(Input<$name>,)*);
             const COUNT: usize = [$($place),*].len();
 
@@ -194,7 +193,7 @@ macro_rules! tuple {
                 }
             }
 
-            fn take(slots: &mut Self::Slots) -> Option<Self::Items> {
+            fn take(slots: &mut Self::Slots) -> Option<<Self as AllOfInputs>::Items> {
                 if $(slots.$place.newest.is_none() ||)* false {
                     return None;
                 }

@@ -109,27 +109,27 @@ pub trait LatestInputs: sealed::Tuple {
     type Items;
     /// The newest of each.
     type All;
-    #[doc(hidden)]
-    type Readers: Unpin;
-    #[doc(hidden)]
-    const COUNT: usize;
-    #[doc(hidden)]
-    fn into_readers(self) -> Self::Readers;
-    #[doc(hidden)]
-    fn reader(readers: &mut Self::Readers, input: usize) -> &mut dyn Reader;
-    #[doc(hidden)]
-    fn read(readers: &mut Self::Readers) -> Self::Items;
-    /// The newest of each, if all have one.
-    #[doc(hidden)]
-    fn read_all(readers: &mut Self::Readers) -> Option<Self::All>;
 }
 
-mod sealed {
-    pub trait Tuple {}
+pub(crate) mod sealed {
+    use super::{LatestInputs, Reader};
+
+    pub trait Tuple {
+        type Readers: Unpin;
+        const COUNT: usize;
+        fn into_readers(self) -> Self::Readers;
+        fn reader(readers: &mut Self::Readers, input: usize) -> &mut dyn Reader;
+        fn read(readers: &mut Self::Readers) -> Self::Items
+        where
+            Self: LatestInputs;
+        /// The newest of each, if all have one.
+        fn read_all(readers: &mut Self::Readers) -> Option<Self::All>
+        where
+            Self: LatestInputs;
+    }
 }
 
 /// One of the other inputs, of any type.
-#[doc(hidden)]
 pub trait Reader {
     fn catch_up(&mut self, input: usize, counters: &JoinCounters);
     /// Takes one message, as a job, and says whether there was a place for it.
@@ -144,7 +144,6 @@ pub trait Reader {
     fn room(&self) -> (String, Room);
 }
 
-#[doc(hidden)]
 #[derive(Debug)]
 pub struct Input<S: Source> {
     source: S,
@@ -239,11 +238,12 @@ impl<S: Source> Reader for Input<S> {
 
 macro_rules! tuple {
     ($($name:ident $place:tt),*) => {
-        impl<$($name: Source),*> sealed::Tuple for ($($name,)*) {}
-
         impl<$($name: Source),*> LatestInputs for ($($name,)*) {
             type Items = ($(Option<Kept<$name::Item>>,)*);
             type All = ($(Kept<$name::Item>,)*);
+        }
+
+        impl<$($name: Source),*> sealed::Tuple for ($($name,)*) {
             type Readers = ($(Input<$name>,)*);
             const COUNT: usize = [$($place),*].len();
 
@@ -259,11 +259,11 @@ macro_rules! tuple {
                 }
             }
 
-            fn read(readers: &mut Self::Readers) -> Self::Items {
+            fn read(readers: &mut Self::Readers) -> <Self as LatestInputs>::Items {
                 ($(readers.$place.read(),)*)
             }
 
-            fn read_all(readers: &mut Self::Readers) -> Option<Self::All> {
+            fn read_all(readers: &mut Self::Readers) -> Option<<Self as LatestInputs>::All> {
                 if $(readers.$place.is_empty() ||)* false {
                     return None;
                 }

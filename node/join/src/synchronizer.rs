@@ -170,25 +170,24 @@ impl<P: Policy + Unpin, S: SynchronizerInputs> Stream for Synchronizer<P, S> {
 pub trait SynchronizerInputs: sealed::Tuple {
     /// One message of each.
     type Items;
-    /// The sources with what waits.
-    #[doc(hidden)]
-    type Queues: Unpin;
-    #[doc(hidden)]
-    const COUNT: usize;
-    #[doc(hidden)]
-    fn into_queues(self, capacity: usize) -> Self::Queues;
-    #[doc(hidden)]
-    fn queue(queues: &mut Self::Queues, input: usize) -> &mut dyn Queue;
-    #[doc(hidden)]
-    fn take(queues: &mut Self::Queues) -> Option<Self::Items>;
 }
 
 mod sealed {
-    pub trait Tuple {}
+    use super::{Queue, SynchronizerInputs};
+
+    pub trait Tuple {
+        /// The sources with their waiting messages.
+        type Queues: Unpin;
+        const COUNT: usize;
+        fn into_queues(self, capacity: usize) -> Self::Queues;
+        fn queue(queues: &mut Self::Queues, input: usize) -> &mut dyn Queue;
+        fn take(queues: &mut Self::Queues) -> Option<Self::Items>
+        where
+            Self: SynchronizerInputs;
+    }
 }
 
 /// One input and its waiting items, of any type.
-#[doc(hidden)]
 pub trait Queue {
     fn poll_arrival(&mut self, context: &mut Context<'_>) -> Poll<Option<i64>>;
     fn keep(&mut self, place: usize);
@@ -200,7 +199,6 @@ pub trait Queue {
 }
 
 /// A source, the message that has just arrived, and the waiting messages.
-#[doc(hidden)]
 #[derive(Debug)]
 pub struct Input<S: Stamped> {
     source: S,
@@ -255,10 +253,11 @@ impl<S: Stamped> Queue for Input<S> {
 
 macro_rules! tuple {
     ($($name:ident $place:tt),*) => {
-        impl<$($name: Stamped),*> sealed::Tuple for ($($name,)*) {}
-
         impl<$($name: Stamped),*> SynchronizerInputs for ($($name,)*) {
             type Items = ($($name::Item,)*);
+        }
+
+        impl<$($name: Stamped),*> sealed::Tuple for ($($name,)*) {
             type Queues = ($(Input<$name>,)*);
             const COUNT: usize = [$($place),*].len();
 
@@ -279,7 +278,7 @@ macro_rules! tuple {
                 }
             }
 
-            fn take(queues: &mut Self::Queues) -> Option<Self::Items> {
+            fn take(queues: &mut Self::Queues) -> Option<<Self as SynchronizerInputs>::Items> {
                 Some(($(queues.$place.waiting.pop_front()?,)*))
             }
         }

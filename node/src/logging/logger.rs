@@ -189,7 +189,6 @@ impl<T: LogTarget + ?Sized> LogTarget for &T {
 }
 
 /// A log statement.
-#[doc(hidden)]
 pub struct Site {
     file: &'static str,
     line: u32,

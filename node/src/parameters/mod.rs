@@ -23,9 +23,7 @@ pub use error::ParameterError;
 pub use node::parameters_of_file;
 pub use parameter::Parameter;
 pub use reader::ParameterReader;
-pub use ros_params::RosParams;
-#[doc(hidden)]
-pub use ros_params::{field, no_field};
+pub use ros_params::{RosParams, field, no_field};
 pub use store::{OnSetParameters, Parameters};
 pub use value::{ParameterType, ParameterValue, ParameterVariant, UnknownParameterType, WrongParameterType};
 

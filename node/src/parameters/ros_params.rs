@@ -63,7 +63,6 @@ pub trait RosParams {
 }
 
 /// For the derive: the result for a field, with the field's name in the struct.
-#[doc(hidden)]
 pub fn field<T>(result: Result<T>, prefix: &str) -> Result<T> {
     result.map_err(|error| match error {
         crate::Error::Parameter(error) => error.below(prefix).into(),
@@ -72,7 +71,6 @@ pub fn field<T>(result: Result<T>, prefix: &str) -> Result<T> {
 }
 
 /// For the derive: an error for a name that no field has.
-#[doc(hidden)]
 pub fn no_field<T>() -> Result<T> {
     Err(ParameterError::NotDeclared { name: String::new() }.into())
 }

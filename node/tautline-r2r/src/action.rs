@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 
-use crate::client::IsAvailablePollable;
+use crate::client::{IsAvailablePollable, sealed::Wait};
 use futures::Stream;
 use futures::future::BoxFuture;
 use tautline::codec::ActionCodec;
@@ -118,7 +118,9 @@ where
     }
 }
 
-impl<T: ActionCodec> IsAvailablePollable for ActionClient<T> {
+impl<T: ActionCodec> IsAvailablePollable for ActionClient<T> {}
+
+impl<T: ActionCodec> Wait for ActionClient<T> {
     fn wait(&self) -> Result<BoxFuture<'static, Result<()>>> {
         Ok(Box::pin(self.0.wait_for_action_server()?))
     }

@@ -6,13 +6,18 @@ use tautline::codec::ServiceCodec;
 use tautline::{Error, Json, ResponseFuture, Result};
 
 /// A client that can wait for its server: see [`Node::is_available`](crate::Node::is_available).
-pub trait IsAvailablePollable {
-    /// A wait, if there is room for one.
-    ///
-    /// # Errors
-    /// As [`tautline::Client::wait_for_service`].
-    #[doc(hidden)]
-    fn wait(&self) -> Result<BoxFuture<'static, Result<()>>>;
+pub trait IsAvailablePollable: sealed::Wait {}
+
+impl<T: ServiceCodec> IsAvailablePollable for Client<T> {}
+impl IsAvailablePollable for ClientUntyped {}
+
+pub(crate) mod sealed {
+    use super::{BoxFuture, Result};
+
+    pub trait Wait {
+        /// Waits until there is a server, if there is room for one more wait.
+        fn wait(&self) -> Result<BoxFuture<'static, Result<()>>>;
+    }
 }
 
 /// A client with r2r's API, for several threads; it wraps a [`tautline::Client`].
@@ -32,7 +37,7 @@ impl<T: ServiceCodec<Error: Into<Error>>> Client<T> {
     }
 }
 
-impl<T: ServiceCodec> IsAvailablePollable for Client<T> {
+impl<T: ServiceCodec> sealed::Wait for Client<T> {
     fn wait(&self) -> Result<BoxFuture<'static, Result<()>>> {
         Ok(Box::pin(lock(&self.0).wait_for_service()?))
     }
@@ -62,8 +67,8 @@ impl ClientUntyped {
     }
 }
 
-impl IsAvailablePollable for ClientUntyped {
+impl sealed::Wait for ClientUntyped {
     fn wait(&self) -> Result<BoxFuture<'static, Result<()>>> {
-        self.0.wait()
+        sealed::Wait::wait(&self.0)
     }
 }

@@ -8,11 +8,11 @@ use crate::counters::BufferCounters;
 use crate::error::{LookupError, NamedFrame, Seconds};
 use crate::limits::{Limits, LimitsError};
 use crate::names::{FrameId, FrameName};
-use crate::ring::Kind;
+use crate::slot::Kind;
 use crate::transform::Transform;
 use crate::tree::{Path, PathError, TransformTree};
-use crate::wait::WaitFor;
 use crate::writer::Writer;
+use sealed::Resolve;
 
 /// Looks up transforms between frames. Clones refer to the same buffer; any number of threads may use it.
 #[derive(Clone)]
@@ -27,6 +27,15 @@ pub enum Time {
     Latest,
     /// A stamp, in nanoseconds.
     At(i64),
+}
+
+impl Time {
+    pub(crate) fn stamp_ns(self) -> Option<i64> {
+        match self {
+            Time::Latest => None,
+            Time::At(stamp_ns) => Some(stamp_ns),
+        }
+    }
 }
 
 /// A transform and the time for which it is valid.
@@ -55,21 +64,22 @@ pub struct FrameInfo {
 }
 
 /// A frame, by name or by number. A name is hashed at each lookup; a leading slash is removed.
-pub trait Frame: sealed::Sealed {
-    #[doc(hidden)]
-    fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError>;
-    #[doc(hidden)]
-    fn name(&self, buffer: &Buffer) -> Result<FrameName, LookupError>;
+pub trait Frame: sealed::Resolve {}
+
+impl Frame for &str {}
+impl Frame for FrameName {}
+impl Frame for FrameId {}
+
+pub(crate) mod sealed {
+    use super::{Buffer, FrameId, FrameName, LookupError};
+
+    pub trait Resolve {
+        fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError>;
+        fn name(&self, buffer: &Buffer) -> Result<FrameName, LookupError>;
+    }
 }
 
-mod sealed {
-    pub trait Sealed {}
-    impl Sealed for &str {}
-    impl Sealed for super::FrameId {}
-    impl Sealed for super::FrameName {}
-}
-
-impl Frame for &str {
+impl Resolve for &str {
     fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError> {
         self.name(buffer)?.find(buffer)
     }
@@ -79,7 +89,7 @@ impl Frame for &str {
     }
 }
 
-impl Frame for FrameName {
+impl Resolve for FrameName {
     fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError> {
         buffer.tree.names.find(self).ok_or(LookupError::Lookup { frame: *self })
     }
@@ -89,14 +99,13 @@ impl Frame for FrameName {
     }
 }
 
-impl Frame for FrameId {
+impl Resolve for FrameId {
     fn find(&self, buffer: &Buffer) -> Result<FrameId, LookupError> {
         self.name(buffer).map(|_| *self)
     }
 
     fn name(&self, buffer: &Buffer) -> Result<FrameName, LookupError> {
-        let name = buffer.tree.names.get(*self).filter(|_| (self.0 as usize) < buffer.tree.names.len());
-        name.ok_or(LookupError::Lookup { frame: FrameName::FOREIGN })
+        buffer.tree.name(*self).ok_or(LookupError::Lookup { frame: FrameName::FOREIGN })
     }
 }
 
@@ -119,12 +128,12 @@ impl Buffer {
     /// # Real-time
     /// Wait-free; no allocation; no syscall. Compares one or two names; in the worst case all.
     pub fn frame(&self, name: &str) -> Option<FrameId> {
-        Frame::find(&name, self).ok()
+        Resolve::find(&name, self).ok()
     }
 
     /// The name of a frame of this buffer.
     pub fn name(&self, frame: FrameId) -> Option<FrameName> {
-        frame.name(self).ok()
+        self.tree.name(frame)
     }
 
     /// The transform that takes coordinates in `source` to coordinates in `target`.
@@ -163,8 +172,8 @@ impl Buffer {
         fixed: impl Frame,
     ) -> Result<Stamped, LookupError> {
         let (target, source, fixed) = (target.find(self)?, source.find(self)?, fixed.find(self)?);
-        let way = |target, source, time| {
-            self.tree.path(target, source, stamp(time)).map_err(|error| (target, source, error))
+        let way = |target, source, time: Time| {
+            self.tree.path(target, source, time.stamp_ns()).map_err(|error| (target, source, error))
         };
         // The inner error is that of one of the two ways, the outer one that of the epoch.
         let paths = self.tree.in_one_epoch(|| {
@@ -189,26 +198,6 @@ impl Buffer {
             (Ok(target), Ok(source)) => self.find(target, source, time).is_ok(),
             _ => false,
         }
-    }
-
-    /// Waits until there is a transform: a future, which the writer's [`set`](Writer::set) wakes. It also ends if the time
-    /// is earlier than a frame's newest stamp by more than [`Limits::cache_time`], because such a transform can no longer
-    /// be set. There is no time-out: drop the future to give up.
-    ///
-    /// # Real-time
-    /// Wait-free; no allocation; no syscall. Each poll makes at most three lookups; the first poll that must wait
-    /// searches for one of [`Limits::waiters`] entries. A waker is cloned.
-    ///
-    /// # Errors
-    /// If a name is not a valid frame name, for example empty. The future waits for a frame that does not
-    /// exist yet.
-    pub fn wait_for(
-        &self,
-        target: impl Frame,
-        source: impl Frame,
-        time: Time,
-    ) -> Result<WaitFor, LookupError> {
-        Ok(WaitFor::new(self.clone(), target.name(self)?, source.name(self)?, time))
     }
 
     /// Counters of transforms that were set and refused so far.
@@ -274,13 +263,13 @@ impl Buffer {
     }
 
     pub(crate) fn find(&self, target: FrameId, source: FrameId, time: Time) -> Result<Stamped, PathError> {
-        let path = self.tree.in_one_epoch(|| self.tree.path(target, source, stamp(time)))?;
+        let path = self.tree.in_one_epoch(|| self.tree.path(target, source, time.stamp_ns()))?;
         let Path { transform, stamp_ns } = path;
         Ok(Stamped { stamp_ns, transform })
     }
 
     pub(crate) fn explain(&self, target: FrameId, source: FrameId, error: PathError) -> LookupError {
-        let name = |frame| NamedFrame::new(self, frame);
+        let name = |frame| NamedFrame::new(&self.tree, frame);
         let (target, source_frame) = (name(target), name(source));
         match error {
             PathError::Connectivity => LookupError::Connectivity { target, source_frame },
@@ -292,13 +281,6 @@ impl Buffer {
             PathError::TooDeep => LookupError::TooDeep { target, source_frame },
             PathError::Overtaken => LookupError::Overtaken { target, source_frame },
         }
-    }
-}
-
-fn stamp(time: Time) -> Option<i64> {
-    match time {
-        Time::Latest => None,
-        Time::At(stamp_ns) => Some(stamp_ns),
     }
 }
 

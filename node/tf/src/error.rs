@@ -2,28 +2,28 @@
 //! Errors, none of which allocates; they name the frames and what to do.
 
 use std::fmt;
+use std::sync::Arc;
 
-use crate::buffer::Buffer;
 use crate::names::{FrameId, FrameName};
-use crate::tree::MAX_DEPTH;
+use crate::tree::{MAX_DEPTH, TransformTree};
 
 /// A frame of a buffer, from which its name can be read: for errors, which are then small and allocate nothing. It keeps the
 /// buffer alive.
 #[derive(Clone)]
 pub struct NamedFrame {
-    buffer: Buffer,
+    tree: Arc<TransformTree>,
     frame: FrameId,
 }
 
 impl NamedFrame {
-    pub(crate) fn new(buffer: &Buffer, frame: FrameId) -> NamedFrame {
-        NamedFrame { buffer: buffer.clone(), frame }
+    pub(crate) fn new(tree: &Arc<TransformTree>, frame: FrameId) -> NamedFrame {
+        NamedFrame { tree: tree.clone(), frame }
     }
 
     /// Its name.
     #[must_use = "it only returns the name"]
     pub fn name(&self) -> FrameName {
-        self.buffer.name(self.frame).unwrap_or(FrameName::FOREIGN)
+        self.tree.name(self.frame).unwrap_or(FrameName::FOREIGN)
     }
 }
 

@@ -73,6 +73,7 @@ mod sync;
 mod transform;
 mod tree;
 mod wait;
+mod waiters;
 mod writer;
 
 #[cfg(all(test, taut_loom))]
@@ -83,7 +84,7 @@ pub use counters::BufferCounters;
 pub use error::{LookupError, NamedFrame, SetError, WaitError};
 pub use limits::{Limits, LimitsError};
 pub use names::{FrameId, FrameName};
-pub use ring::Kind;
+pub use slot::Kind;
 pub use transform::Transform;
 pub use tree::MAX_DEPTH;
 pub use wait::WaitFor;

@@ -3,8 +3,6 @@
 
 use std::time::Duration;
 
-use crate::tree::TransformTree;
-
 /// The limits of a [`Buffer`](crate::Buffer). Its memory is allocated when it is created, and never later.
 ///
 /// ```
@@ -48,11 +46,6 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// The memory of a buffer with these limits, exactly: 27 MB by default, nearly all of it samples of 104 bytes.
-    pub fn bytes(&self) -> usize {
-        TransformTree::bytes(self)
-    }
-
     pub(crate) fn ring(&self) -> usize {
         self.samples.next_power_of_two()
     }

@@ -12,8 +12,8 @@ use crate::buffer::{Buffer, Time};
 
 use crate::limits::Limits;
 use crate::names::FrameId;
-use crate::ring::{Edge, FrameHead, Kind, Miss, New, Refused, Ring};
-use crate::slot::Slot;
+use crate::ring::{Edge, FrameHead, Miss, New, Refused, Ring};
+use crate::slot::{Kind, Slot};
 use crate::sync::AtomicU64;
 use crate::transform::Transform;
 use crate::tree::{PathError, TransformTree};

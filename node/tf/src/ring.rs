@@ -15,35 +15,12 @@
 //! set and is later than the stamp, and follows the list from there, only past late samples. Nothing that readers can
 //! see moves, so they never retry. If a number is missing, the sample and all older samples have left the ring.
 
-use crate::slot::Slot;
+use crate::slot::{Kind, Sample, Slot};
 use crate::sync::{AtomicU64, Ordering};
 use crate::transform::Transform;
 
 /// How often something is read again that the writer has overwritten a whole ring of samples, or a `clear`, later.
 pub(crate) const TRIES: usize = 3;
-
-/// Whether a transform is valid at its stamp, or always.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Kind {
-    /// Valid at every time, whatever its stamp: `/tf_static`.
-    Static,
-    /// Valid at its stamp, and interpolated between stamps: `/tf`.
-    Dynamic,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Sample {
-    pub(crate) number: u64,
-    pub(crate) older: Option<u64>,
-    pub(crate) stamp_ns: i64,
-    /// The newest stamp of the run when this one was set: its own, unless it came late.
-    pub(crate) newest_ns: i64,
-    /// Number of the first sample of the run, which ends when the frame is cleared or gets to be of the other kind.
-    pub(crate) first: u64,
-    pub(crate) parent: u32,
-    pub(crate) kind: Kind,
-    pub(crate) transform: Transform,
-}
 
 /// The transform of a frame in its parent at one time.
 #[derive(Debug, Clone, Copy, PartialEq)]

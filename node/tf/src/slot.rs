@@ -12,13 +12,35 @@
 //! A reader that copied a word of a later sample sees, through the two fences, a number that is not n + 1. It does not
 //! retry: the wanted sample has been overwritten permanently, because numbers are never reused.
 
-use crate::ring::{Kind, Sample};
 use crate::sync::{AtomicU64, Ordering, fence};
 use crate::transform::Transform;
 
 /// Words of a transform. Models keep the translation's x alone, which shows a torn sample as well.
 const TRANSFORM_WORDS: usize = if cfg!(taut_loom) { 1 } else { 7 };
 const WORDS: usize = 4 + TRANSFORM_WORDS;
+
+/// Whether a transform is valid at its stamp, or always.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Kind {
+    /// Valid at every time, whatever its stamp: `/tf_static`.
+    Static,
+    /// Valid at its stamp, and interpolated between stamps: `/tf`.
+    Dynamic,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Sample {
+    pub(crate) number: u64,
+    pub(crate) older: Option<u64>,
+    pub(crate) stamp_ns: i64,
+    /// The newest stamp of the run when this one was set: its own, unless it came late.
+    pub(crate) newest_ns: i64,
+    /// Number of the first sample of the run, which ends when the frame is cleared or gets to be of the other kind.
+    pub(crate) first: u64,
+    pub(crate) parent: u32,
+    pub(crate) kind: Kind,
+    pub(crate) transform: Transform,
+}
 
 /// A slot for a sample.
 pub(crate) struct Slot {

@@ -3,12 +3,12 @@
 
 use crate::counters::AtomicBufferCounters;
 use crate::limits::Limits;
-use crate::names::{FrameId, Names};
+use crate::names::{FrameId, FrameName, Names};
 use crate::ring::{Edge, FrameHead, Miss, Ring, TRIES};
 use crate::slot::Slot;
 use crate::sync::{AtomicU64, Ordering};
 use crate::transform::Transform;
-use crate::wait::Waiters;
+use crate::waiters::Waiters;
 
 /// Maximum number of transforms from a frame to the root of its tree.
 pub const MAX_DEPTH: usize = 64;
@@ -58,6 +58,19 @@ struct Stop {
     path: Path,
 }
 
+impl Limits {
+    /// The memory of a buffer with these limits, exactly: 27 MB by default, nearly all of it samples of 104 bytes.
+    pub fn bytes(&self) -> usize {
+        let of_frame = size_of::<AtomicU64>() + self.ring() * size_of::<Slot>() + size_of::<FrameHead>();
+        // The two words are the Arc's.
+        self.frames * of_frame
+            + Names::bytes(self.frames)
+            + Waiters::bytes(self.waiters)
+            + size_of::<TransformTree>()
+            + 2 * size_of::<usize>()
+    }
+}
+
 impl TransformTree {
     pub(crate) fn new(limits: Limits) -> TransformTree {
         let (frames, slots) = (limits.frames, limits.frames * limits.ring());
@@ -73,14 +86,8 @@ impl TransformTree {
         }
     }
 
-    pub(crate) fn bytes(limits: &Limits) -> usize {
-        let of_frame = size_of::<AtomicU64>() + limits.ring() * size_of::<Slot>() + size_of::<FrameHead>();
-        // The two words are the Arc's.
-        limits.frames * of_frame
-            + Names::bytes(limits.frames)
-            + Waiters::bytes(limits.waiters)
-            + size_of::<TransformTree>()
-            + 2 * size_of::<usize>()
+    pub(crate) fn name(&self, frame: FrameId) -> Option<FrameName> {
+        self.names.get(frame).filter(|_| (frame.0 as usize) < self.names.len())
     }
 
     pub(crate) fn ring(&self, frame: FrameId) -> Option<Ring<'_>> {

@@ -1,85 +1,36 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Futures that wait for a transform, in entries that were allocated with the buffer.
-//!
-//! A waiter first writes into its entry what it waits for, and then looks up once more; the writer first sets a
-//! transform, and then checks the entries. With a sequentially consistent fence between the two steps on each side, at
-//! least one of them sees the other.
-//!
-//! ```text
-//!  FREE --claim--> ANY  <--> FRAME + n (a sample of frame n, at the time asked for or later)
-//!   ^---- drop, or ready ---------'
-//! ```
+//! Futures that wait for a transform.
 
 use std::future::Future;
 use std::pin::Pin;
 use std::task::{Context, Poll};
 
-use crate::buffer::{Buffer, Frame, Stamped, Time};
+use crate::buffer::{Buffer, Frame, Stamped, Time, sealed::Resolve};
 use crate::error::{LookupError, WaitError};
-use crate::names::{FrameId, FrameName};
-use crate::sync::{AtomicI64, AtomicU64, AtomicUsize, AtomicWaker, Ordering, fence};
+use crate::names::FrameName;
+use crate::sync::{Ordering, fence};
 use crate::tree::PathError;
+use crate::waiters::{ANY, FRAME, FREE};
 
-const FREE: u64 = 0;
-/// Every set may be the one.
-const ANY: u64 = 1;
-const FRAME: u64 = 2;
-
-struct Waiter {
-    interest: AtomicU64,
-    from_ns: AtomicI64,
-    waker: AtomicWaker,
-}
-
-pub(crate) struct Waiters {
-    places: Box<[Waiter]>,
-    taken: AtomicUsize,
-}
-
-impl Waiters {
-    pub(crate) fn new(waiters: usize) -> Waiters {
-        let waiter = |_| Waiter {
-            interest: AtomicU64::new(FREE),
-            from_ns: AtomicI64::new(0),
-            waker: AtomicWaker::new(),
-        };
-        Waiters { places: (0..waiters).map(waiter).collect(), taken: AtomicUsize::new(0) }
-    }
-
-    pub(crate) fn bytes(waiters: usize) -> usize {
-        waiters * size_of::<Waiter>()
-    }
-
-    /// Wakes who may go on now that a sample of `frame` was set: everyone, if it may matter to others, too.
-    pub(crate) fn notify(&self, frame: FrameId, stamp_ns: i64, everyone: bool) {
-        // Pairs with the fence in `WaitFor::say`.
-        fence(Ordering::SeqCst);
-        if self.taken.load(Ordering::Relaxed) == 0 {
-            return;
-        }
-        for waiter in &self.places {
-            // Acquire: pairs with the Release in `WaitFor::say`; its waker is there.
-            let interest = waiter.interest.load(Ordering::Acquire);
-            let its =
-                interest == FRAME + u64::from(frame.0) && stamp_ns >= waiter.from_ns.load(Ordering::Relaxed);
-            if interest == ANY || its || (everyone && interest != FREE) {
-                waiter.waker.wake();
-            }
-        }
-    }
-
-    fn claim(&self, time: Time) -> Option<usize> {
-        let free = |waiter: &Waiter| {
-            waiter.interest.compare_exchange(FREE, ANY, Ordering::Acquire, Ordering::Relaxed).is_ok()
-        };
-        let place = self.places.iter().position(free)?;
-        let from_ns = match time {
-            Time::Latest => i64::MIN,
-            Time::At(stamp_ns) => stamp_ns,
-        };
-        self.places[place].from_ns.store(from_ns, Ordering::Relaxed);
-        self.taken.fetch_add(1, Ordering::Relaxed);
-        Some(place)
+impl Buffer {
+    /// Waits until there is a transform: a future, which the writer's [`set`](crate::Writer::set) wakes. It also ends if the time
+    /// is earlier than a frame's newest stamp by more than [`Limits::cache_time`](crate::Limits::cache_time), because such a transform can no longer
+    /// be set. There is no time-out: drop the future to give up.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall. Each poll makes at most three lookups; the first poll that must wait
+    /// searches for one of [`Limits::waiters`](crate::Limits::waiters) entries. A waker is cloned.
+    ///
+    /// # Errors
+    /// If a name is not a valid frame name, for example empty. The future waits for a frame that does not
+    /// exist yet.
+    pub fn wait_for(
+        &self,
+        target: impl Frame,
+        source: impl Frame,
+        time: Time,
+    ) -> Result<WaitFor, LookupError> {
+        Ok(WaitFor::new(self.clone(), target.name(self)?, source.name(self)?, time))
     }
 }
 
@@ -135,7 +86,9 @@ impl WaitFor {
             Err(missing) => missing,
         };
         let waiters = &self.buffer.tree.waiters;
-        let Some(place) = self.place.or_else(|| waiters.claim(self.time)) else { return Err(WaitOn::Full) };
+        let Some(place) = self.place.or_else(|| waiters.claim(self.time.stamp_ns())) else {
+            return Err(WaitOn::Full);
+        };
         self.place = Some(place);
         waiters.places[place].waker.register(cx.waker());
         match self.register(place, missing) {

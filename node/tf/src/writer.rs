@@ -6,7 +6,8 @@ use std::sync::Arc;
 use crate::counters::count;
 use crate::error::SetError;
 use crate::names::{FrameId, FrameName};
-use crate::ring::{FrameHead, Kind, New, Refused};
+use crate::ring::{FrameHead, New, Refused};
+use crate::slot::Kind;
 use crate::transform::Transform;
 use crate::tree::TransformTree;
 

@@ -130,21 +130,8 @@ impl Visitor {
             }
         }
     }
-
-    /// Sleeps until something appears in the domain or disappears, at most for `timeout`.
-    ///
-    /// # Real-time
-    /// Waits.
-    pub fn wait_for_change(&self, timeout: Duration) {
-        match (&self.domain, self.model.epoch) {
-            (Some(domain), Some(epoch)) => drop(domain.wait(epoch, Some(timeout))),
-            _ => std::thread::sleep(timeout.min(POLL)),
-        }
-    }
 }
 
-/// How often a domain is looked for that is not there.
-const POLL: Duration = Duration::from_millis(50);
 /// How often it is looked who has died.
 const LIFE: Duration = Duration::from_millis(500);
 

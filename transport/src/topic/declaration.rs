@@ -2,7 +2,8 @@
 //! A topic as one endpoint declares it.
 
 use crate::error::TransportError;
-use crate::graph::record::PortRecord;
+use crate::graph::log::hash_of;
+use crate::graph::record::{PortKind, PortRecord, QosRecord};
 use crate::graph::schema_store;
 use crate::graph::topic_type::TopicType;
 use crate::names::{MAX_NAME_BYTES, is_topic};
@@ -44,6 +45,28 @@ impl Topic {
     /// What it is called in what users read: that of a service's requests is the service.
     pub(crate) fn named(&self) -> String {
         crate::error::named(&self.name)
+    }
+
+    pub(crate) fn hash(&self) -> u64 {
+        hash_of(&self.name)
+    }
+
+    /// The record of an endpoint: its topic, type and QoS; the rest is unset.
+    pub(crate) fn record(&self, kind: PortKind, qos: &Qos) -> PortRecord {
+        PortRecord {
+            node: None,
+            kind,
+            topic: self.name.clone(),
+            type_name: self.topic_type.name.to_string(),
+            hash: self.topic_type.hash.as_ref().map(ToString::to_string),
+            body_bytes: self.topic_type.body_bytes.map(|bytes| bytes as u64),
+            qos: QosRecord::from(qos),
+            relay: false,
+            observer: false,
+            slot: 0,
+            at: 0,
+            partner: None,
+        }
     }
 
     /// Warns, where an endpoint is made or another one appears, that they exchange no messages.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut bag convert`: bags of rosbag2 in its other storage and compressions, read and written.
+//! `taut bag convert`: converts bags between the storages and compressions of rosbag2.
 
 use super::{NewArgs, Progress, Sum, whole};
 use crate::record::{failed, say};
@@ -95,7 +95,7 @@ pub fn write(
     whole(&converted.damage)
 }
 
-/// The definition that is known here of a topic's type, if nothing speaks against its being the recorded one.
+/// The definition of a topic's type on this host, if a message of the bag does not contradict it.
 fn defined(topic: &Topic, cdr: Option<&[u8]>) -> Option<Arc<Schema>> {
     let name: TypeName = topic.type_name.parse().ok()?;
     let bare = TopicType::new(topic.type_name.clone());
@@ -110,7 +110,7 @@ fn defined(topic: &Topic, cdr: Option<&[u8]>) -> Option<Arc<Schema>> {
             tautline_msgs::cdr::Endian::Little => Endian::Little,
             tautline_msgs::cdr::Endian::Big => Endian::Big,
         };
-        // Middleware pads to four bytes.
+        // Fewer than four bytes at the end are padding.
         DynamicMessage::validate(&schema, body, endian).ok().filter(|trailing| *trailing < 4)?;
     }
     Some(schema)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut bag`: what is in a bag, whether it is whole, making it whole, another one of it, and pictures.
+//! `taut bag`: shows, checks, repairs, cuts, merges, converts and draws bags.
 
 mod convert;
 mod plot;
@@ -22,7 +22,7 @@ use tautline_bag::{
     index_of, is_being_written, recover,
 };
 
-/// Looks into bags, checks, mends, converts and draws them
+/// Shows, checks, repairs, cuts, merges, converts and draws bags
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut bag info run1                     topics, messages, times; what the recorder lost
@@ -58,7 +58,7 @@ struct InfoArgs {
     bag: PathBuf,
 }
 
-/// Reads every message, and says what is damaged: exit code 1 if something is
+/// Reads every message and reports damage; exits with 1 if there is any
 #[derive(Args, Clone, Debug)]
 struct CheckArgs {
     /// A folder of MCAP files, or one
@@ -66,7 +66,7 @@ struct CheckArgs {
     bag: PathBuf,
 }
 
-/// Writes files that are cut off or damaged anew, with all that is whole in them, and metadata.yaml
+/// Writes truncated or damaged files again, with everything in them that is intact, and metadata.yaml
 #[derive(Args, Clone, Debug)]
 struct RecoverArgs {
     /// A folder of MCAP files, or one
@@ -90,10 +90,10 @@ struct CutArgs {
     /// But none whose name this regular expression is found in
     #[arg(short = 'x', long, value_name = "REGEX")]
     exclude: Option<String>,
-    /// Received so long after the first message, or later
+    /// Messages received this time after the first message, or later
     #[arg(long, value_name = "TIME", value_parser = time)]
     from: Option<Duration>,
-    /// Received less than so long after the first message
+    /// Messages received less than this time after the first message
     #[arg(long, value_name = "TIME", value_parser = time)]
     to: Option<Duration>,
     #[command(flatten)]
@@ -116,7 +116,7 @@ struct MergeArgs {
 /// What is written.
 #[derive(Args, Clone, Debug)]
 struct NewArgs {
-    /// The new bag: a folder that is not there yet
+    /// The new bag: a folder that does not exist yet
     #[arg(short, long, value_name = "FOLDER")]
     output: PathBuf,
     /// How chunks are compressed
@@ -138,7 +138,7 @@ pub fn run(args: &BagArgs) -> Outcome {
         return Err(Failure::unusable("a bag is of no domain: leave --domain out"));
     }
     let is_json = args.common.json;
-    // A verb that has something to remove ends by itself.
+    // A verb that writes a bag obeys the time limit itself, because it removes the incomplete bag.
     if !matches!(args.verb, Verb::Cut(_) | Verb::Merge(_) | Verb::Convert(_)) {
         args.common.bound();
     }
@@ -164,7 +164,7 @@ fn info(bag: &Path, is_json: bool) -> Outcome {
                 files.push(summary);
                 said.extend(metadata);
             }
-            // A file without an index is complete if nothing of it is damaged.
+            // A file without an index is complete if it has no damage.
             None => {
                 progress.say(&path);
                 let mut reader = FileReader::open(&path).map_err(failed)?;
@@ -184,7 +184,7 @@ fn info(bag: &Path, is_json: bool) -> Outcome {
     progress.end();
     let last = |name: &str| said.iter().rev().find(|(other, _)| other == name).map(|(_, values)| values);
     let (session, recording) = (last("tautline:session"), last("tautline:recording"));
-    // Each bag that this one was made of has its own.
+    // A merged bag has an entry for each of its sources.
     let recordings = || said.iter().filter(|(name, _)| name == "tautline:recording");
     let lost: Option<u64> = recordings().map(|(_, values)| values.get("lost")?.parse::<u64>().ok()).sum();
     let lost = lost.filter(|_| recording.is_some());
@@ -193,7 +193,7 @@ fn info(bag: &Path, is_json: bool) -> Outcome {
     let out = &mut taut_cli::print::stdout();
     let sum = Sum::of(&files);
     if is_json {
-        // What the recorder said of a topic is JSON, in a text.
+        // The recorder's metadata of a topic are JSON in a string.
         let value = |text: &String| serde_json::from_str(text).unwrap_or_else(|_| json!(text));
         let values = |values: &BTreeMap<String, String>| -> Value {
             values.iter().map(|(key, text)| (key.clone(), value(text))).collect()
@@ -344,7 +344,7 @@ fn cut(args: &CutArgs, common: &CommonArgs) -> Outcome {
     convert::write(std::slice::from_ref(&args.bag), &args.new, Storage::Mcap, hooks, common)
 }
 
-/// Whether all of what was read was taken.
+/// Fails if there was damage.
 fn whole(damage: &[(PathBuf, Damage)]) -> Outcome {
     match damage.first() {
         None => Ok(()),
@@ -354,7 +354,7 @@ fn whole(damage: &[(PathBuf, Damage)]) -> Outcome {
     }
 }
 
-/// Of all files.
+/// The sums of all files.
 struct Sum {
     topics: BTreeMap<(String, String), (Topic, u64)>,
     attachments: Vec<String>,
@@ -436,7 +436,7 @@ impl Sum {
     }
 }
 
-/// On a terminal, of what takes longer than two seconds.
+/// Progress on a terminal, shown after two seconds.
 struct Progress {
     bar: ProgressBar,
     start: Instant,

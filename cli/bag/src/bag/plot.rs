@@ -25,8 +25,8 @@ use tautline_transport::TopicType;
 
 /// Draws fields of messages over time, as SVG
 ///
-/// Of more messages than the picture has columns of pixels each column shows the first, the lowest, the highest and the last: no
-/// spike is lost. What is no number (NaN, infinite, an element that a message has not) is a gap. Time is that of reception.
+/// If there are more messages than columns of pixels, each column shows the first, the lowest, the highest and the last, so no spike is
+/// lost. A value that is not a number (NaN, infinite, an element that the message does not have) is a gap. Times are those of reception.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut bag plot run1 /odom.twist.twist.linear.x -o speed.svg
@@ -43,10 +43,10 @@ pub struct PlotArgs {
     /// The picture [default: standard output]
     #[arg(short, long, value_name = "FILE.svg")]
     output: Option<PathBuf>,
-    /// Received so long after the bag's first message, or later
+    /// Messages received this time after the bag's first message, or later
     #[arg(long, value_name = "TIME", value_parser = time)]
     from: Option<Duration>,
-    /// Received no more than so long after the bag's first message
+    /// Messages received no more than this time after the bag's first message
     #[arg(long, value_name = "TIME", value_parser = time)]
     to: Option<Duration>,
     /// In pixels
@@ -57,15 +57,15 @@ pub struct PlotArgs {
     height: u16,
 }
 
-/// A field as it is read.
+/// A field that is drawn.
 struct Line {
     wanted: Wanted,
-    /// Which topics of the bag: one, or one for each publisher.
+    /// The numbers of its topics in the bag: one, or one for each publisher.
     topics: Vec<usize>,
     schema: Arc<Schema>,
     is_bool: bool,
     columns: Columns,
-    /// Of every message, for JSON.
+    /// The values of every message, for JSON.
     points: Vec<(u64, Json)>,
     messages: u64,
     gaps: u64,
@@ -88,7 +88,7 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
     let progress = Progress::new(is_json);
     let mut bag = Ordered::open(&args.bag, &mut |path| progress.say(path)).map_err(failed)?;
     let (start_ns, from_ns, to_ns) = args.range(&bag)?;
-    // Times of chunks are claims: without --from and --to nothing is left out.
+    // The times of chunks are unchecked, so without --from and --to the range is unlimited.
     let wanted_ns = args.from.map_or(0, |_| from_ns)..=args.to.map_or(u64::MAX, |_| to_ns);
     let mut lines = Vec::new();
     for wanted in &args.fields {
@@ -166,7 +166,7 @@ pub fn run(args: &PlotArgs, is_json: bool) -> Outcome {
 }
 
 impl PlotArgs {
-    /// The bag's beginning, and what is drawn, as times of reception.
+    /// The bag's beginning and the drawn range, in times of reception.
     fn range(&self, bag: &Ordered) -> Outcome<(u64, u64, u64)> {
         let Some((start_ns, end_ns)) = bag.span_ns() else {
             return Err(Failure::unusable(format!("{} has no messages", self.bag.display())));
@@ -196,7 +196,6 @@ impl PlotArgs {
         let schema = schema_of(&topics[topic])?;
         let topics = of_name().filter(|(_, topic)| topic.type_name == *of_type).map(|(at, _)| at).collect();
         let is_bool = wanted.check(&schema)? == Primitive::Bool;
-        // One for each column of pixels.
         let columns = Columns::new(from_ns, to_ns, usize::from(self.width));
         let (points, unread) = (Vec::new(), (0, None));
         let (wanted, messages, gaps) = (wanted.clone(), 0, 0);
@@ -253,7 +252,7 @@ impl Line {
     }
 }
 
-/// As the bag has it, or else as it is known here.
+/// The definition in the bag, or else the one that is known on this host.
 fn schema_of(topic: &Topic) -> Outcome<Arc<Schema>> {
     let unusable = |error: &dyn std::fmt::Display| Failure::unusable(format!("{}: {error}", topic.name));
     if topic.encoding != CDR {
@@ -275,7 +274,7 @@ fn number(value: &Value) -> Option<f64> {
     }
 }
 
-/// Integers as they are; what JSON has no number for is null.
+/// Integers are kept exactly; a value for which JSON has no number is null.
 fn json_of(value: &Value) -> Json {
     match value {
         Value::Bool(value) => json!(value),

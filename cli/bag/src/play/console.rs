@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What people say to it while it plays, and what they see.
+//! The terminal while a bag is played: commands and progress.
 
 use super::player::Control;
 use crate::record::{progress, say};
@@ -11,12 +11,12 @@ use tautline_rt::clock::nanoseconds;
 
 const LOOK: Duration = Duration::from_millis(20);
 
-/// A word of who is at the terminal.
+/// A command typed at the terminal.
 #[derive(Debug, PartialEq)]
 enum Word {
     Pause,
     Step,
-    /// To so far from the bag's start.
+    /// To this time from the bag's start.
     Seek(Duration),
 }
 
@@ -31,7 +31,7 @@ fn word(line: &str) -> Result<Word, String> {
     }
 }
 
-/// From now on signals pause it, and go on.
+/// From now on SIGUSR1 pauses or resumes playing, and SIGUSR2 plays one message.
 pub fn listen(control: &Arc<Control>) -> Outcome {
     use signal_hook::consts::{SIGUSR1, SIGUSR2};
     let mut signals = signal_hook::iterator::Signals::new([SIGUSR1, SIGUSR2])
@@ -48,11 +48,11 @@ pub fn listen(control: &Arc<Control>) -> Outcome {
 fn obey(control: &Control, start_ns: u64, word: &Word) {
     match word {
         Word::Pause => {
-            // Steps that found no message are not for the next time.
+            // Steps for which there was no message do not count for the next pause.
             control.steps.store(0, Ordering::Relaxed);
             control.is_paused.fetch_xor(true, Ordering::Relaxed);
         }
-        // It is for one that stands.
+        // A step has a meaning only while paused.
         Word::Step if control.is_paused.load(Ordering::Relaxed) => {
             control.steps.fetch_add(1, Ordering::Relaxed);
         }
@@ -64,7 +64,7 @@ fn obey(control: &Control, start_ns: u64, word: &Word) {
     }
 }
 
-/// Shows where it is, and hears what is typed, until it is over.
+/// Shows the progress and obeys typed commands until the end.
 pub fn watch(control: &Arc<Control>, end: &End, start_ns: u64, is_json: bool, is_over: impl Fn() -> bool) {
     let progress = progress(is_json);
     let typed = control.clone();

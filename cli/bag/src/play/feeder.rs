@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Who reads the bag: messages go into the ring in their order, checked, as far ahead as there is room.
+//! Reads the bag: checks its messages and puts them into the ring in order, as far ahead as there is room.
 
 use super::player::{BEGIN, Control, END};
 use crate::ring::{HEAD_BYTES, Head};
@@ -14,18 +14,18 @@ use tautline_msgs::split_header;
 use tautline_schema::{DynamicMessage, Schema};
 use tautline_transport::Gid;
 
-/// So much of the bag's time is enough to begin with, or what is read in so long.
+/// Playing begins when this much of the bag's time has been read, or after reading for this long.
 const ENOUGH: Duration = Duration::from_secs(2);
-/// What is kept of a topic for late joiners, at most.
+/// The most memory for the messages that a topic keeps for late joiners.
 const LATCHED_BYTES: usize = 64 << 20;
-/// How often is looked whether there is room.
+/// The interval at which the feeder checks for room in the ring.
 const PERIOD: Duration = Duration::from_millis(1);
 
 /// A topic that is played.
 #[derive(Clone)]
 pub struct Part {
     pub schema: Option<Arc<Schema>>,
-    /// So many are kept for who comes late: those of before the beginning are sent at the beginning.
+    /// The number of messages kept for late joiners. Those from before the beginning are sent at the beginning.
     pub kept: usize,
     /// The longest body so far.
     pub largest: Arc<AtomicUsize>,
@@ -33,43 +33,43 @@ pub struct Part {
 
 pub struct Feeder {
     pub bag: Ordered,
-    /// Of each topic of the bag, which part it is.
+    /// The part of each topic of the bag; `None` if the topic is not played.
     pub numbers: Vec<Option<usize>>,
     pub parts: Vec<Part>,
     pub producer: Producer<u8>,
     pub control: Arc<Control>,
     /// The bag's earliest time of reception.
     pub start_ns: u64,
-    /// What was received before is left out.
+    /// Messages received before this time are left out.
     pub from_ns: u64,
-    /// And what was received later.
+    /// Messages received after this time are left out.
     pub to_ns: u64,
-    /// How often all of it is played; `None`: for ever.
+    /// The number of passes; `None` repeats the bag for ever.
     pub times: Option<u64>,
-    /// Messages that were put in.
+    /// The number of messages put into the ring.
     pub given: u64,
-    /// What publishers had kept at a time, which is read once.
+    /// The messages that publishers had kept at this time. They are read from the bag once.
     pub latched: Option<(u64, Vec<(usize, OwnedMessage)>)>,
-    /// Since when, and from which time of reception on, the ring is filled.
+    /// When filling the ring began, and the time of reception of its first message.
     pub filling: Option<(Instant, u64)>,
-    /// How much of the bag's time a second plays.
+    /// The bag's seconds that are played in one second.
     pub rate: f64,
 }
 
-/// What became of it.
+/// The result of feeding.
 pub struct Fed {
-    /// Of each part: messages that are none of its type, or too long; and why the first of them.
+    /// For each part: the number of messages that are not of its type or too long, and the reason for the first one.
     pub unplayable: Vec<(u64, Option<String>)>,
-    /// Of topics that a damaged file did not tell of.
+    /// The number of messages of topics that a damaged file does not describe.
     pub untold: u64,
     /// The bag could not be read any further.
     pub failed: Option<BagError>,
-    /// Parts of it that are not as they should be, and the first of them.
+    /// The number of damaged places in the bag, and a description of the first one.
     pub damaged: usize,
     pub damage: Option<String>,
 }
 
-/// What the publishers of a topic had kept.
+/// The messages that the publishers of a topic had kept.
 #[derive(Clone, Default)]
 struct Latched {
     messages: VecDeque<OwnedMessage>,
@@ -89,11 +89,11 @@ impl Latched {
     }
 }
 
-/// Why there is no more to be put in.
+/// Why feeding stopped.
 enum Halt {
-    /// Nobody takes any more.
+    /// The player has ended, or was stopped.
     Over,
-    /// It goes on elsewhere.
+    /// Playing continues at another place of the bag.
     Leap,
     Failed(BagError),
 }
@@ -105,7 +105,7 @@ impl Feeder {
         let failed = loop {
             let generation = self.control.generation.load(Ordering::Acquire);
             if generation > 0 {
-                // What was read ahead of passes to come is read again.
+                // The passes that were read ahead are read again.
                 passes = self.control.pass.load(Ordering::Acquire);
                 from_ns = self.control.seek_ns.load(Ordering::Relaxed);
             }
@@ -133,7 +133,7 @@ impl Feeder {
         Fed { unplayable, untold, failed, damaged: self.bag.damage().count(), damage }
     }
 
-    /// All of it from a time of reception on; how many messages that was.
+    /// Feeds the bag once, from a time of reception on, and returns the number of messages.
     fn pass(
         &mut self,
         (from_ns, pass): (u64, u64),
@@ -144,7 +144,7 @@ impl Feeder {
         let given = self.given;
         let keeps = self.parts.iter().any(|part| part.kept > 0);
         let is_known = self.latched.as_ref().is_some_and(|(of_ns, _)| *of_ns == from_ns);
-        // What is kept may be of any time before.
+        // A kept message may be from any earlier time.
         self.bag.rewind(if keeps && !is_known { 0 } else { from_ns });
         let mut kept = vec![Latched::default(); self.parts.len()];
         let mut has_begun = false;
@@ -175,7 +175,8 @@ impl Feeder {
         Ok(self.given - given)
     }
 
-    /// When the first message is at hand: time begins, with what publishers had kept then, in the order of its reception.
+    /// Starts the time of a pass when its first message has been read, and feeds the messages that publishers had kept then, in the
+    /// order of their reception.
     fn begin(
         &mut self,
         kept: &mut [Latched],
@@ -243,7 +244,7 @@ impl Feeder {
         self.put(head, body, generation)
     }
 
-    /// As soon as there is room.
+    /// Puts a message into the ring as soon as there is room.
     fn put(&mut self, head: Head, body: &[u8], generation: u64) -> Result<(), Halt> {
         while self.producer.slots() < HEAD_BYTES + body.len() {
             self.control.is_filled.store(true, Ordering::Release);
@@ -255,7 +256,7 @@ impl Feeder {
         if is_put { Ok(()) } else { Err(Halt::Over) }
     }
 
-    /// Whether it is to go on here.
+    /// Returns the reason if feeding must not continue at this place.
     fn still(&self, generation: u64) -> Result<(), Halt> {
         if self.control.is_stopped()
             || self.control.is_over.load(Ordering::Acquire)
@@ -267,7 +268,7 @@ impl Feeder {
         if is_here { Ok(()) } else { Err(Halt::Leap) }
     }
 
-    /// All is put in: until it is taken, or goes on elsewhere.
+    /// Marks the end, and waits until the player has ended or continues at another place.
     fn rest(&mut self, generation: u64) -> Halt {
         if let Err(halt) = self.put(mark(END, 0, generation), &[], generation) {
             return halt;
@@ -291,15 +292,15 @@ fn note((count, first): &mut (u64, Option<String>), why: String) {
     first.get_or_insert(why);
 }
 
-/// What is published of a message.
+/// The body that is published for a message.
 enum Body {
-    /// So many bytes behind the encapsulation: what others append is left out.
+    /// This number of bytes after the encapsulation header, without padding at the end.
     Part(usize),
-    /// As little-endian bytes.
+    /// The message, converted to little-endian bytes.
     Anew(Vec<u8>),
 }
 
-/// Nothing is sent that is known not to be a message of its type.
+/// The body to publish, or why the bytes are not a message of the type.
 fn body(schema: Option<&Arc<Schema>>, cdr: &[u8]) -> Result<Body, String> {
     if is_compressed(cdr) {
         return Err(

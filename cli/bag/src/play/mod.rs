@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut play`: what a bag has is published again, when it was.
+//! `taut play`: publishes the messages of a bag at the times of their reception.
 //!
-//! `feeder` reads the bag, in its order, into a ring of locked memory; `player` publishes from there, at absolute times.
+//! `feeder` reads the bag in order into a ring of locked memory; `player` publishes from the ring at absolute times.
 
 mod console;
 mod feeder;
@@ -36,19 +36,19 @@ use tautline_transport::{
     Durability, EndpointKind, Limits, Participant, Qos, RawPublisher, TopicType, Visitor,
 };
 
-/// How long subscriptions of another host or of ROS may take to find who publishes to them.
+/// How long subscriptions of another host or of ROS may take to discover a publisher.
 const FAR: Duration = Duration::from_secs(1);
 
-/// Of the thread that publishes, if nothing is said.
+/// The default priority of the thread that publishes.
 const PRIORITY: u8 = 40;
 /// How long a gateway or bridge may take to take a topic.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Publishes what is in a bag, at the times that it was received at
+/// Publishes the messages of a bag at the times of their reception
 ///
-/// A thread with a real-time priority publishes each message at its absolute time; how late each was is said at the end. Types, QoS,
+/// A thread with a real-time priority publishes each message at its absolute time. The end reports how late the messages were. Types, QoS,
 /// time stamps and sequence numbers are as recorded. Topics that have publishers are not played without --mix.
-/// Ctrl-C ends.
+/// Ctrl-C ends the verb.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut play run1
@@ -66,38 +66,38 @@ pub struct PlayArgs {
     /// A folder, or one of its files
     #[arg(value_name = "BAG")]
     bag: PathBuf,
-    /// Topics of it [default: all]
+    /// Topics of the bag [default: all]
     #[arg(value_name = "TOPIC")]
     topics: Vec<String>,
-    /// Topics whose name this regular expression is found in
+    /// Topics whose name matches this regular expression in part
     #[arg(short = 'e', long, value_name = "REGEX")]
     regex: Option<Regex>,
-    /// But none whose name this regular expression is found in
+    /// Except topics whose name matches this regular expression in part
     #[arg(short = 'x', long, value_name = "REGEX")]
     exclude: Option<Regex>,
-    /// So many times as fast
+    /// Play this number of times as fast
     #[arg(short, long, value_name = "FACTOR", default_value = "1", value_parser = factor)]
     rate: f64,
-    /// Again and again, or N times
+    /// Repeat the bag for ever, or play it N times
     #[arg(short = 'l', long = "loop", value_name = "N", num_args = 0..=1, require_equals = true)]
     again: Option<Option<NonZeroU64>>,
-    /// Leave out what is before this time from the bag's start; what publishers had kept for late joiners until then is sent first
+    /// Leave out messages before this time from the bag's start; those that publishers had kept for late joiners until then are sent first
     #[arg(long, value_name = "TIME", value_parser = time)]
     from: Option<Duration>,
-    /// Leave out what is after this time from the bag's start
+    /// Leave out messages after this time from the bag's start
     #[arg(long, value_name = "TIME", value_parser = time)]
     to: Option<Duration>,
-    /// Begin without playing
+    /// Begin paused
     #[arg(long)]
     paused: bool,
-    /// Publish the bag's time on /clock, so many times a second, for nodes with use_sim_time; a recorded /clock is left out
+    /// Publish the bag's time on /clock with this rate, for nodes with use_sim_time; a recorded /clock is left out
     #[arg(long, value_name = "HZ", num_args = 0..=1, require_equals = true, default_missing_value = "100",
           value_parser = factor)]
     clock: Option<f64>,
     /// Publish on another topic; may be given several times
     #[arg(short = 'm', long, value_name = "FROM:=TO", value_parser = remap)]
     remap: Vec<(String, String)>,
-    /// Play topics that have publishers already, too
+    /// Also play topics that already have publishers
     #[arg(long)]
     mix: bool,
     /// Wait until each topic has a subscription
@@ -122,7 +122,7 @@ pub struct PlayArgs {
     /// Publish at an ordinary priority
     #[arg(long)]
     no_rt: bool,
-    /// Memory for what is read ahead, locked and touched at the start
+    /// Memory for messages that are read ahead, locked and touched at the start
     #[arg(long, value_name = "SIZE", default_value = "256MB", value_parser = size)]
     budget: u64,
 }
@@ -146,12 +146,12 @@ struct Role {
     part: Part,
 }
 
-/// What is played.
+/// The topics that are played.
 struct Chosen {
     roles: Vec<Role>,
-    /// Of each topic of the bag, which role it is.
+    /// The role of each topic of the bag.
     numbers: Vec<Option<usize>>,
-    /// Topics that nobody named and that cannot be played, with the reason.
+    /// Topics that cannot be played and were not named in the command, with the reason.
     unplayable: Vec<String>,
 }
 
@@ -160,7 +160,7 @@ pub fn run(args: &PlayArgs) -> Outcome {
     let control = Arc::new(Control::default());
     control.is_paused.store(args.paused, Ordering::Relaxed);
     console::listen(&control)?;
-    // Signals end it at once until then.
+    // Until then a signal ends the process at once.
     let bag = {
         let since = Instant::now();
         let tell = &mut |path: &Path| {
@@ -257,7 +257,7 @@ impl PlayArgs {
         }
     }
 
-    /// As times of reception.
+    /// The range to play, in times of reception.
     fn range(&self, bag: &Ordered) -> Outcome<(u64, u64)> {
         let Some((start_ns, end_ns)) = bag.span_ns() else {
             return Err(Failure::unusable(format!("{} has no messages", self.bag.display())));
@@ -269,7 +269,7 @@ impl PlayArgs {
             let seconds = end_ns.saturating_sub(start_ns) as f64 / 1e9;
             return Err(Failure::unusable(format!("there is nothing between: the bag is of {seconds:.1} s")));
         }
-        // Times of chunks are claims: without --from nothing is left out.
+        // The times of chunks are unchecked, so without --from the range begins at 0.
         Ok((self.from.map_or(0, at), to_ns))
     }
 
@@ -349,7 +349,7 @@ impl PlayArgs {
         Ok(Role { name: name.clone(), topic: topic.clone(), topic_type, qos, part })
     }
 
-    /// Nobody is surprised by messages beside his own.
+    /// Refuses to play topics that already have publishers, unless `--mix` allows it.
     fn refuse_live(&self, participant: &Participant, roles: &[Role]) -> Outcome {
         if self.mix {
             return Ok(());
@@ -372,7 +372,7 @@ impl PlayArgs {
         )))
     }
 
-    /// Those that are there are connected before the first message.
+    /// Waits until existing subscriptions are connected.
     fn wait_for_subscriptions(
         &self,
         domain: u32,
@@ -401,7 +401,7 @@ impl PlayArgs {
                 if far.is_empty() {
                     continue;
                 }
-                // A gateway or bridge takes for them.
+                // A gateway or bridge subscribes on their behalf.
                 let own = graph.endpoints.iter().find(|end| end.gid == publisher.gid());
                 let Some(own) = own else { return Ok(None) };
                 if visitor.overwritten(own)?.is_empty() {
@@ -426,7 +426,7 @@ impl PlayArgs {
     }
 }
 
-/// The definition of a topic's type, and all that is known of it.
+/// The definition of a topic's type, and the type as it is published.
 fn described(topic: &Topic, name: &TypeName) -> (Option<Arc<Schema>>, TopicType) {
     let bare = TopicType::new(topic.type_name.clone());
     let recorded =
@@ -459,7 +459,7 @@ fn described(topic: &Topic, name: &TypeName) -> (Option<Arc<Schema>>, TopicType)
     }
 }
 
-/// With room for what was read of each so far, and half as much again.
+/// Creates the publishers, with room for half as much again as the longest message read so far.
 fn publishers(participant: &Participant, roles: &[Role]) -> Outcome<Vec<RawPublisher>> {
     let publisher = |role: &Role| {
         let largest = role.part.largest.load(Ordering::Relaxed);

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Who publishes: each message at its time, which is absolute.
+//! Publishes each message at its absolute time.
 //!
 //! # Real-time
-//! A thread with a real-time priority, where that is permitted. A message of more than 64 KiB is copied into its loan before it is due, in the
-//! time until others are, in pieces of 16 KiB. No call for memory but for a message that is longer than all that its publisher was made
-//! for. Looks at what others ask for at least each 20 ms.
+//! The thread has a real-time priority, where that is permitted. A message of more than 64 KiB is copied into its loan before it is due, in
+//! pieces of 16 KiB, while no other message is due. The thread allocates only for a message that is longer than its publisher was made
+//! for. It checks for pauses, leaps and the end at least every 20 ms.
 
 use crate::ring::{HEAD_BYTES, Head};
 use rtrb::Consumer;
@@ -15,40 +15,40 @@ use taut_cli::times::Times;
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_transport::{MessageInfo, PublishError, RawLoan, RawPublisher, SendError};
 
-/// In the place of a topic: from here on times count anew.
+/// In place of a topic: a pass begins here, and with it a new origin of times.
 pub const BEGIN: u32 = u32::MAX;
-/// In the place of a topic: there is nothing behind it.
+/// In place of a topic: the end of the bag.
 pub const END: u32 = u32::MAX - 1;
 
 /// The longest sleep.
 const SLICE_NS: u64 = 20_000_000;
-/// What is longer is copied ahead of its time, a piece at a time, while there is so much time until something else is due.
+/// A longer message is copied ahead of its time, in pieces, while nothing else is due within `SLACK_NS`.
 const LONG_BYTES: usize = 64 << 10;
 const PIECE_BYTES: usize = 16 << 10;
 const SLACK_NS: u64 = 100_000;
-/// So many messages are looked at in the place of a piece.
+/// The number of heads that are searched for a long message in the time of one piece.
 const HEADS_AT_ONCE: usize = 32;
-/// From one beginning to the next.
+/// The shortest time from one beginning to the next.
 const LEAST_PASS_NS: u64 = 1_000_000;
-/// How often is looked while there is nothing to do but to wait for others.
+/// The polling interval while the player waits for other threads or for subscriptions.
 const LOOK_NS: u64 = 1_000_000;
 
-/// What the threads tell each other.
+/// The state that the threads share.
 #[derive(Default)]
 pub struct Control {
     pub stop: AtomicBool,
     pub is_paused: AtomicBool,
-    /// Messages that are let through while it is paused.
+    /// The number of messages to play while paused.
     pub steps: AtomicU32,
-    /// Counts leaps to another place. What is in the ring of those before is thrown away.
+    /// Counts leaps to another place. Messages in the ring from before the last leap are dropped.
     pub generation: AtomicU64,
-    /// Where to, as a time of reception.
+    /// The target of the last leap, as a time of reception.
     pub seek_ns: AtomicU64,
-    /// Which time in all it is that it plays, from 0.
+    /// The number of the present pass, from 0.
     pub pass: AtomicU64,
-    /// There is as much in the ring as there is room for, or all.
+    /// The ring is full, or holds enough to begin, or everything has been read.
     pub is_filled: AtomicBool,
-    /// All was published.
+    /// The player has ended.
     pub is_over: AtomicBool,
     /// The time of reception of the last message, and how many were published.
     pub position_ns: AtomicU64,
@@ -56,7 +56,7 @@ pub struct Control {
 }
 
 impl Control {
-    /// From another place on.
+    /// Continues at another place.
     pub fn seek(&self, to_ns: u64) {
         self.seek_ns.store(to_ns, Ordering::Relaxed);
         self.generation.fetch_add(1, Ordering::Release);
@@ -72,23 +72,23 @@ impl Control {
     }
 }
 
-/// Tells the simulated time.
+/// Publishes the simulated time.
 pub struct Clock {
     pub publisher: RawPublisher,
     pub period_ns: u64,
 }
 
-/// What was done.
+/// The result of playing.
 pub struct Played {
-    /// Of each topic.
+    /// The number of published messages of each topic.
     pub published: Vec<u64>,
-    /// How late each message was out.
+    /// How late each message was published.
     pub late: Times,
-    /// How late the thread had woken for each message: the timer's part of that.
+    /// The part of that which is the timer's: how late the thread woke for each message.
     pub timer: Times,
     /// Messages that were not in memory yet when they were due.
     pub starved: u64,
-    /// Messages that could not be published, and why the first of them.
+    /// The number of messages that could not be published, and the reason for the first one.
     pub refused: u64,
     pub refusal: Option<PublishError>,
 }
@@ -130,10 +130,10 @@ impl Player {
         let mut ahead = Ahead { publishers: &publishers, scanned: 0, found: None };
         let mut was_empty = false;
         while !control.is_stopped() {
-            // Before the look at what is there: of one that has failed all is there by then.
+            // Read before the ring: if the feeder has ended, the ring then holds all that it has put in.
             let has_ended = crate::ring::has_ended(&consumer);
             let slots = consumer.slots();
-            // As much as there is: there is nobody else who takes any.
+            // This succeeds, because no other thread reads from the ring.
             let Ok(chunk) = consumer.read_chunk(slots) else { continue };
             let ring = Ring::of(&chunk);
             let Some((head, whole)) = ring.message(0) else {
@@ -167,7 +167,7 @@ impl Player {
                         Err(error) => played.refuse(error),
                     }
                 }
-                // Of before a leap.
+                // The message is from before a leap.
                 _ => {}
             }
             was_empty = false;
@@ -196,9 +196,9 @@ fn publish(
     loop {
         match loan.publish_again(source) {
             Ok(()) => break,
-            // Both ends keep all.
+            // Publisher and subscription keep all, and the queue is full.
             Err(SendError { error: PublishError::Full, loan: again }) => {
-                // It is over, or the message was leapt over.
+                // The player was stopped, or a leap has passed over the message.
                 if control.is_stopped() || control.generation.load(Ordering::Acquire) != generation {
                     return;
                 }
@@ -214,7 +214,7 @@ fn publish(
     control.published.fetch_add(1, Ordering::Relaxed);
 }
 
-/// What is in the ring, which may go over its end anywhere.
+/// The content of the ring, in two parts if it wraps around.
 #[derive(Clone, Copy)]
 struct Ring<'r>(&'r [u8], &'r [u8]);
 
@@ -224,7 +224,7 @@ impl<'r> Ring<'r> {
         Ring(first, second)
     }
 
-    /// The message that begins here and its length, if all of it is there.
+    /// The message at this offset and its length, if it is complete.
     fn message(self, at: usize) -> Option<(Head, usize)> {
         let mut head = [0; HEAD_BYTES];
         let there = self.0.len() + self.1.len();
@@ -237,7 +237,7 @@ impl<'r> Ring<'r> {
         (there >= at + whole).then_some((head, whole))
     }
 
-    /// As many bytes as `to` has room for, which are there.
+    /// Copies the bytes at an offset, which are there, until `to` is full.
     fn copy(self, at: usize, to: &mut [u8]) {
         let from = &self.0[at.min(self.0.len())..];
         let (front, back) = to.split_at_mut(from.len().min(to.len()));
@@ -247,15 +247,15 @@ impl<'r> Ring<'r> {
     }
 }
 
-/// Copies long messages before their turn, in the time that is left until others are due: a camera's image takes a millisecond.
+/// Copies long messages ahead of their time, while no other message is due: copying a camera's image takes a millisecond.
 struct Ahead<'p> {
     publishers: &'p [RawPublisher],
-    /// So many bytes from where the ring is read were looked at.
+    /// The number of bytes from the front of the ring that were searched.
     scanned: usize,
     found: Option<Long<'p>>,
 }
 
-/// The next message that is long.
+/// The next long message.
 struct Long<'p> {
     at: usize,
     loan: RawLoan<'p>,
@@ -263,7 +263,7 @@ struct Long<'p> {
 }
 
 impl<'p> Ahead<'p> {
-    /// A little of it; whether there is more to do.
+    /// Copies one piece, or searches for the next long message. Returns whether there is more to do.
     fn work(&mut self, ring: Ring<'_>) -> bool {
         if let Some(long) = &mut self.found {
             long.copy(ring, PIECE_BYTES);
@@ -282,7 +282,7 @@ impl<'p> Ahead<'p> {
         true
     }
 
-    /// The message that is in front, in its loan.
+    /// A loan that holds the front message.
     fn loan(&mut self, ring: Ring<'_>, head: Head, whole: usize) -> Result<RawLoan<'p>, PublishError> {
         if let Some(mut long) = self.found.take_if(|long| long.at == 0) {
             long.copy(ring, usize::MAX);
@@ -293,10 +293,10 @@ impl<'p> Ahead<'p> {
         Ok(loan)
     }
 
-    /// The message that is in front is none any more.
+    /// The front message was removed from the ring.
     fn pass(&mut self, whole: usize) {
         self.scanned = self.scanned.saturating_sub(whole);
-        // Of one that was not published, for it was before a leap.
+        // A leap has passed over this message, so its loan is dropped unpublished.
         self.found.take_if(|long| long.at < whole);
         if let Some(long) = &mut self.found {
             long.at -= whole;
@@ -321,14 +321,14 @@ impl Played {
 
 /// When things are due.
 struct Pacing {
-    /// A time of reception, and when that is, on `CLOCK_MONOTONIC`.
+    /// A time of reception, and the time on `CLOCK_MONOTONIC` at which it is played.
     origin: (u64, u64),
     rate: f64,
     generation: u64,
     began_ns: u64,
     /// When it last woke.
     woke_ns: u64,
-    /// The time of reception that it stands at.
+    /// The time of reception at which it is paused.
     paused_at: Option<u64>,
     clock: Option<Clock>,
     clock_due_ns: u64,
@@ -336,15 +336,15 @@ struct Pacing {
 
 impl Pacing {
     fn begin(&mut self, head: Head) {
-        // A bag of a moment, again and again, is no flood.
+        // Repeating a very short bag does not flood its subscriptions.
         let at_ns = monotonic_ns().max(self.began_ns + LEAST_PASS_NS);
         (self.origin, self.generation, self.paused_at) = ((head.log_ns, at_ns), head.sequence, None);
         self.began_ns = at_ns;
         self.tell_time(at_ns, true);
     }
 
-    /// Until a message is due, and since when it is. `None`: something else is to be done before.
-    /// Meanwhile `work` is done, which is given how long there is and says whether there is more.
+    /// Waits until a message is due, and returns that time. `None` if the player was stopped or a leap was requested. Meanwhile calls `work`
+    /// with the remaining time, as long as it returns that there is more to do.
     fn wait(&mut self, log_ns: u64, control: &Control, mut work: impl FnMut(u64) -> bool) -> Option<u64> {
         loop {
             if control.is_stopped() || control.generation.load(Ordering::Acquire) != self.generation {
@@ -360,7 +360,7 @@ impl Pacing {
                     self.tell_time(now_ns, true);
                     return Some(now_ns);
                 }
-                // Time stands still, and who begins now is told of it.
+                // The simulated time stands still, but is published for nodes that start now.
                 self.origin = (paused_at, now_ns);
                 self.tell_time(now_ns, false);
                 sleep_until_monotonic(now_ns + LOOK_NS);
@@ -385,7 +385,7 @@ impl Pacing {
         }
     }
 
-    /// On `/clock`, if it is time to, or in any case.
+    /// Publishes the time on `/clock` if its period has passed, or if `is_due`.
     fn tell_time(&mut self, now_ns: u64, is_due: bool) {
         let Some(clock) = &self.clock else { return };
         if now_ns < self.clock_due_ns && !is_due {
@@ -396,7 +396,7 @@ impl Pacing {
         let mut body = [0; 8];
         body[..4].copy_from_slice(&((time_ns / 1_000_000_000) as u32).to_le_bytes());
         body[4..].copy_from_slice(&((time_ns % 1_000_000_000) as u32).to_le_bytes());
-        // Whoever keeps all of it and takes none gets the next.
+        // A full queue of a subscription that keeps all is ignored: it gets a later time.
         let _ = clock.publisher.publish(&body);
     }
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Playing what a node of the system file publishes, where it would: the others see no difference, and the report knows.
+//! Plays the topics of a node of the system file in its place, on its core and at its priority, and marks the run for the report.
 
 use super::PlayArgs;
 use std::collections::BTreeSet;
@@ -12,7 +12,7 @@ use tautline_executor::{ProcessInfo, StatisticsFile};
 use tautline_rt::{CoreSet, Policy};
 use tautline_transport::Participant;
 
-/// A node of a system file that is played.
+/// A node of a system file whose topics are played.
 pub struct StandIn {
     path: PathBuf,
     file: SystemFile,
@@ -20,7 +20,7 @@ pub struct StandIn {
 }
 
 impl PlayArgs {
-    /// `None`: the bag plays for nobody.
+    /// The node of `--as`, if it was given.
     pub(super) fn stand_in(&self, domain: u32) -> Outcome<Option<StandIn>> {
         let Some(node) = &self.stands_in else { return Ok(None) };
         let of_environment =
@@ -58,35 +58,35 @@ impl StandIn {
         self.file.callbacks().iter().filter(|callback| callback.node == self.node)
     }
 
-    /// What it publishes.
+    /// The topics that the node publishes.
     pub fn topics(&self) -> impl Iterator<Item = String> {
         let topics = self.callbacks().flat_map(|callback| &callback.publishes);
         topics.map(|topic| full_name(topic)).collect::<BTreeSet<_>>().into_iter()
     }
 
-    /// The callback that it is played in place of: of those that publish the one with the highest priority.
+    /// The callback with the highest priority among those that publish; playing takes its place.
     fn first(&self) -> Option<&CallbackEntry> {
         self.callbacks()
             .filter(|callback| !callback.publishes.is_empty())
             .max_by_key(|callback| callback.priority)
     }
 
-    /// One with a reservation is above all others: so is what is played in its place.
+    /// The callback's priority; for a reservation, which is above all priorities, the highest one that is used.
     pub fn priority(&self) -> u8 {
         const HIGHEST: u8 = 98;
         self.first().map_or(super::PRIORITY, |callback| callback.priority.min(HIGHEST))
     }
 
-    /// Its core.
+    /// The node's cores.
     pub fn cores(&self) -> CoreSet {
         let core = self.first().and_then(|callback| self.file.cores().get(callback.core));
         core.map_or(CoreSet::empty(), |core| CoreSet::one(core.number))
     }
 
-    /// Its name and namespace.
+    /// The node's name and namespace.
     ///
     /// # Errors
-    /// It runs itself.
+    /// The node itself is running.
     pub fn name(&self, participant: &Participant) -> Outcome<(String, String)> {
         let full = full_name(&self.node);
         let graph = participant.graph()?;
@@ -101,7 +101,7 @@ impl StandIn {
         Ok((name.to_owned(), namespace.to_owned()))
     }
 
-    /// From now on `taut report` knows.
+    /// From now on `taut report` sees that the node is played.
     pub fn show(&self, domain: u32, policy: Policy) -> Outcome<StatisticsFile> {
         let core = self.first().and_then(|callback| self.file.cores().get(callback.core));
         let about = ProcessInfo {

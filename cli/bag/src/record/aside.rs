@@ -19,13 +19,13 @@ pub struct Aside {
 
 impl Aside {
     /// # Errors
-    /// The kernel does not tell where this process may run.
+    /// The cores on which this process may run cannot be read.
     pub fn new() -> Result<Self, RtError> {
         let allowed = rt::current_affinity()?;
         Ok(Aside { allowed, cores: allowed, next: Instant::now() })
     }
 
-    /// Goes out of the way of these processes' threads; what is to be said of that.
+    /// Moves this process off the cores to which real-time threads of these processes are bound. Returns a message if it has moved.
     pub fn look(&mut self, processes: &BTreeSet<u32>) -> Option<String> {
         let start = Instant::now();
         if start < self.next {
@@ -33,7 +33,7 @@ impl Aside {
         }
         let bound: CoreSet = processes
             .iter()
-            // Of other users, or in other namespaces: they are as if they were bound to nothing.
+            // Processes of other users or in other namespaces cannot be read, and count as not bound.
             .flat_map(|pid| rt::threads_of(*pid).unwrap_or_default())
             .filter(|thread| self.is_bound(thread))
             .flat_map(|thread| thread.cores.iter())
@@ -52,7 +52,7 @@ impl Aside {
     fn go(&mut self, cores: CoreSet) -> String {
         self.cores = cores;
         let moved = rt::threads().and_then(|threads| {
-            // Those that they start are there, too. One may have ended meanwhile.
+            // Threads inherit the cores of the thread that starts them. A listed thread may have ended since.
             let moved = threads.iter().map(|thread| rt::set_affinity_of(thread.tid, cores));
             moved
                 .filter(|moved| !matches!(moved, Err(RtError::NoSuchThread { .. })))

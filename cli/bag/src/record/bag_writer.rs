@@ -95,7 +95,7 @@ impl Work {
             match written {
                 Err(error) => break Some(error),
                 Ok(true) => {}
-                // Nobody puts anything in any more.
+                // The reader has ended.
                 Ok(false) if crate::ring::has_ended(&self.consumer) && self.consumer.is_empty() => {
                     break None;
                 }
@@ -103,7 +103,7 @@ impl Work {
             }
         };
         let Work { writer, consumer, messages, .. } = self;
-        // The reader does not wait for room.
+        // The reader must not wait for room in the ring.
         drop(consumer);
         is_over.store(true, Ordering::Release);
         let finished = match &failed {
@@ -113,7 +113,7 @@ impl Work {
         Written { finished, failed, messages, stall }
     }
 
-    /// Whether the disk keeps up, by the age of what is written: a kill loses what is not.
+    /// Decides by the age of the message that is written whether the disk keeps up: a kill loses everything newer.
     fn look(&self, log_ns: u64) {
         let now_ns = monotonic_ns().cast_signed().saturating_add(self.offset_ns);
         let age_ns = now_ns.saturating_sub_unsigned(log_ns);
@@ -134,7 +134,7 @@ impl Work {
         let head = Head::from_bytes(head);
         self.look(head.log_ns);
         let whole = HEAD_BYTES + head.cdr_bytes as usize;
-        // The reader is not through with it.
+        // The reader has not completed the message.
         let Ok(chunk) = self.consumer.read_chunk(whole) else { return Ok(false) };
         let Some(channel) = self.channels.of(&head) else { return Ok(false) };
         self.channels.write(&mut self.writer, &mut self.ids)?;
@@ -153,7 +153,7 @@ impl Work {
         let is_written = match events.map(|events| events.written(cdr)) {
             None => self.writer.write(topic, stamp, cdr).map(|()| true),
             Some(Ok(event)) => self.writer.write(topic, stamp, &event).map(|()| true),
-            // No request of its service: what is missing in the end is said.
+            // The bytes are not a request of the service. The end of the recording reports the number of missing messages.
             Some(Err(_)) => Ok(false),
         };
         self.messages += u64::from(is_written?);

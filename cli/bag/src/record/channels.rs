@@ -28,7 +28,7 @@ pub struct Channels {
 /// A topic of the bag.
 pub struct Channel {
     pub topic: Topic,
-    /// So many messages are kept for late joiners.
+    /// The number of messages kept for late joiners.
     pub kept: usize,
 }
 
@@ -36,11 +36,11 @@ pub struct Channel {
 struct Observed {
     topic: Topic,
     events: Option<Events>,
-    /// That of all publishers that do not keep messages for late joiners.
+    /// The channel of all publishers that do not keep messages for late joiners.
     shared: Option<usize>,
-    /// That of publishers which nobody announced, if there is no other.
+    /// The channel of publishers that were not announced, if there is no other.
     unannounced: Option<usize>,
-    /// `None`: its messages are events of a service, all of one topic.
+    /// The channels of the other publishers. `None` if the messages are events of a service, which have one channel.
     publishers: Option<HashMap<Gid, usize>>,
 }
 
@@ -49,12 +49,12 @@ impl Channels {
         Channels { announced, observers: Vec::new(), list: Vec::new(), waits_from: Instant::now() }
     }
 
-    /// Those that are known.
+    /// The channels known so far.
     pub fn list(&self) -> &[Channel] {
         &self.list
     }
 
-    /// Adds those to a bag that it does not have yet; `ids` are of those that it has.
+    /// Adds the channels that a bag does not have yet. `ids` has an entry for each channel that it has.
     pub fn write(&self, writer: &mut Writer, ids: &mut Vec<TopicId>) -> Result<(), BagError> {
         for channel in &self.list[ids.len()..] {
             ids.push(writer.add_topic(channel.topic.clone())?);
@@ -67,18 +67,18 @@ impl Channels {
         self.observers.get(head.topic as usize)?.events.as_ref()
     }
 
-    /// Takes in what was announced.
+    /// Adds what was announced since the last call.
     pub fn refresh(&mut self) {
         while let Ok(announced) = self.announced.try_recv() {
             self.add(announced);
         }
     }
 
-    /// Which of the [list](Self::list) a message belongs to. `None`: the recorder has ended before it said.
+    /// The index in the [list](Self::list) of a message's channel. `None` if the recorder ended before it announced the channel.
     pub fn of(&mut self, head: &Head) -> Option<usize> {
         let number = head.topic as usize;
         while self.observers.len() <= number {
-            // Announced before its first message.
+            // An observer is announced before its first message.
             let announced = self.announced.recv().ok()?;
             self.add(announced);
         }

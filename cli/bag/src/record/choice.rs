@@ -44,7 +44,7 @@ impl Choice {
         Ok(choice)
     }
 
-    /// Topics that were asked for by their names, also of services' events.
+    /// The topics that the command names, including those of services' events.
     pub fn named(&self) -> &[String] {
         &self.topics
     }

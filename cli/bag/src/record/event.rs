@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Requests and responses as events, `package/srv/Name_Event`: what ROS 2's service introspection publishes, and rosbag2 records.
 //!
-//! An event is `service_msgs/ServiceEventInfo info`, `request[<=1]`, `response[<=1]`. The reader puts what is in front of a response
-//! there and copies it behind: it begins at a multiple of 8, as it was written for. A request begins 4 bytes before one, so the writer
-//! writes it anew.
+//! An event is `service_msgs/ServiceEventInfo info`, `request[<=1]`, `response[<=1]`. The reader writes the fields in front of
+//! a response and copies the response after them, to a multiple of 8, for which it was encoded. A request begins 4 bytes before one, so the
+//! writer encodes it again.
 
 use crate::definitions;
 use std::sync::Arc;
@@ -12,15 +12,15 @@ use tautline_definitions::{find_schema, type_of};
 use tautline_schema::{DynamicMessage, Endian, List, MessageError, Schema, Value};
 use tautline_transport::{MessageInfo, Qos, ServiceEndpoint, TopicType};
 
-/// What the name of a service's events ends with.
+/// The suffix of the topic of a service's events.
 pub const EVENTS: &str = "/_service_event";
 /// Bytes in front of a response: the information, no request, one response.
 pub const FRONT_BYTES: usize = 48;
 
-/// What a message is in its bag.
+/// What a message becomes in the bag.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// Itself.
+    /// The message itself.
     Message,
     /// The request of an event.
     Request,
@@ -37,13 +37,13 @@ impl Part {
         }
     }
 
-    /// What is in front of it.
+    /// The bytes in front of the message.
     ///
     /// # Real-time
     /// Constant; no allocation.
     pub fn front(self, info: &MessageInfo) -> ([u8; FRONT_BYTES], usize) {
         let mut front = [0; FRONT_BYTES];
-        // REQUEST_SENT and RESPONSE_SENT, for the stamp is their sender's.
+        // REQUEST_SENT and RESPONSE_SENT, because the stamp is the sender's.
         let (event_type, responses) = match self {
             Part::Message => return (front, 0),
             Part::Request => (0, 0),
@@ -60,7 +60,7 @@ impl Part {
     }
 }
 
-/// The definitions that a service's events are written with.
+/// The definitions with which a service's events are written.
 #[derive(Clone)]
 pub struct Events {
     request: Arc<Schema>,
@@ -68,7 +68,7 @@ pub struct Events {
 }
 
 impl Events {
-    /// `None`: its definition is not known, or another than the service's.
+    /// `None` if the definition is not known, or is not that of the service.
     pub fn of(service: &ServiceEndpoint) -> Option<Self> {
         let known = TopicType::new(service.type_name.clone());
         let known = match &service.type_hash {
@@ -99,7 +99,7 @@ impl Events {
     /// The event of a request, with its encapsulation, from what the reader left.
     ///
     /// # Errors
-    /// It is no request of the service.
+    /// The bytes are not a request of the service.
     pub fn written(&self, cdr: &[u8]) -> Result<Vec<u8>, MessageError> {
         let body = cdr.get(tautline_msgs::HEADER.len()..).unwrap_or_default();
         let (front, request) = body.split_at(FRONT_BYTES.min(body.len()));

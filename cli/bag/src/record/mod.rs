@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! `taut record`: messages of topics into a bag, unseen by those that publish them.
+//! `taut record`: records the messages of topics into a bag, unseen by their publishers.
 //!
-//! This thread looks who is there; `reader` takes what comes and copies it once, into a ring of locked memory; `bag_writer` writes from there
-//! to the disk.
+//! The main thread discovers publishers; `reader` takes messages and copies them once, into a ring of locked memory; `bag_writer` writes
+//! from the ring to the disk.
 
 mod aside;
 mod bag_writer;
@@ -37,16 +37,16 @@ use tautline_bag::{BagError, Compression, Options, Writer};
 use tautline_rt::{self as rt, CoreSet, MemoryLock, Policy, ThreadBuilder};
 use tautline_transport::Participant;
 
-/// How often is looked who is there.
+/// The interval at which publishers are discovered.
 const LOOK: Duration = Duration::from_millis(20);
-/// How often is said what has come, on a terminal.
+/// The interval at which a terminal shows the counts.
 const SAY: Duration = Duration::from_millis(500);
 
 /// Records topics into a bag, as rosbag2 writes them: MCAP files and a metadata.yaml
 ///
-/// Publishers do not notice: nobody waits for the recorder, wakes it, or sees it in a list. What is lost all the same is counted, and
-/// what stall of the recorder each topic survives is said: a queue of `--depth` messages over the rate of its fastest publisher.
-/// Ctrl-C ends. What was killed is made whole by `taut bag recover`; all but the last half second is there.
+/// Publishers do not notice: none waits for the recorder, wakes it, or lists it. Lost messages are counted. At the end the recorder prints
+/// the stall that each topic survives: a queue of `--depth` messages over the rate of its fastest publisher.
+/// Ctrl-C ends the recording. `taut bag recover` repairs the bag of a killed recorder, which has all but the last half second.
 #[derive(Args, Clone, Debug)]
 #[command(after_help = "Examples:
   taut record /scan /odom                          until Ctrl-C, into a new folder
@@ -65,7 +65,7 @@ pub struct RecordArgs {
     /// Topics; those that do not exist are waited for
     #[arg(value_name = "TOPIC", add = completions::topics())]
     topics: Vec<String>,
-    /// Every topic, service and action, and those that come
+    /// Every topic, service and action, also those that appear later
     #[arg(short, long)]
     all: bool,
     /// Requests and responses of this service, as /SERVICE/_service_event; may be given several times
@@ -74,59 +74,59 @@ pub struct RecordArgs {
     /// Goals, results, cancellations, feedback and states of this action; may be given several times
     #[arg(long, value_name = "ACTION")]
     action: Vec<String>,
-    /// Topics whose name this regular expression is found in
+    /// Topics whose name matches this regular expression in part
     #[arg(short = 'e', long, value_name = "REGEX")]
     regex: Option<String>,
     /// Topics of this type, or services; may be given several times
     #[arg(long = "type", value_name = "TYPE")]
     types: Vec<String>,
-    /// But none whose name this regular expression is found in
+    /// Except topics whose name matches this regular expression in part
     #[arg(short = 'x', long, value_name = "REGEX")]
     exclude: Option<String>,
-    /// Topics of other hosts and of ROS as well, which they send for it: they see a subscription
+    /// Also topics of other hosts and of ROS, which see a subscription and send their messages
     #[arg(long)]
     fetch: bool,
-    /// The bag: a folder that is not there yet [default: bag_ and the time]
+    /// The bag: a folder that does not exist yet [default: bag_ and the time]
     #[arg(short, long, value_name = "FOLDER")]
     output: Option<PathBuf>,
     /// How chunks are compressed
     #[arg(long, value_enum, default_value_t = Compressed::None)]
     compression: Compressed,
-    /// A new file when one has this size, such as 500MB or 4GiB
+    /// Begin a new file when one has this size, such as 500MB or 4GiB
     #[arg(long, value_name = "SIZE", value_parser = size)]
     max_size: Option<u64>,
-    /// A new file when one has messages of this time
+    /// Begin a new file when one has messages of this time
     #[arg(long, value_name = "TIME", value_parser = time)]
     max_time: Option<Duration>,
     /// Keep no more files than this, or bags of a black box: the oldest is removed
     #[arg(long, value_name = "N")]
     keep: Option<NonZeroU32>,
-    /// At most so many messages a second of this topic; may be given several times
+    /// Keep at most this number of messages of this topic per second; may be given several times
     #[arg(long, value_name = "TOPIC=HZ", value_parser = throttle)]
     throttle: Vec<(String, f64)>,
     /// Begin without recording
     #[arg(long)]
     paused: bool,
-    /// Memory for what the disk does not take at once, locked and touched at the start
+    /// Memory for messages that wait for the disk, locked and touched at the start
     #[arg(long, value_name = "SIZE", default_value = "256MB", value_parser = size)]
     budget: u64,
-    /// Messages that wait in the queue of each publisher [default: what its own are, or as many as have 1 MiB, up to 1000]
+    /// Messages that wait in the queue of each publisher [default: the greatest depth of the topic's endpoints, or as many as have 1 MiB, up to 1000]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65_536))]
     depth: Option<u32>,
-    /// How often is looked for messages
+    /// The interval at which messages are taken
     #[arg(long, value_name = "TIME", default_value = "2ms", value_parser = time)]
     period: Duration,
-    /// Keep the last TIME in memory, and write it, a bag each time, when something of --on happens
+    /// Keep the last TIME in memory, and write it into a bag of its own at each event of --on
     #[arg(long, value_name = "TIME", value_parser = time, conflicts_with = "paused")]
     black_box: Option<Duration>,
-    /// What the black box is written for
+    /// The events at which the black box is written
     #[arg(long, value_enum, value_name = "WHAT", value_delimiter = ',', requires = "black_box",
           default_values_t = [Kind::Deadline, Kind::Death, Kind::Silence, Kind::Request])]
     on: Vec<Kind>,
     /// A topic is silent after this time [default: ten times its longest pause, 1s at least]; may be given several times
     #[arg(long, value_name = "TOPIC=TIME", value_parser = silent, requires = "black_box")]
     silent: Vec<(String, Duration)>,
-    /// What comes so long after it is in the bag, too
+    /// The bag also has the messages of this time after the event
     #[arg(long, value_name = "TIME", value_parser = time, default_value = "1s", requires = "black_box")]
     after: Duration,
     /// Keep no trace events in the black box: processes do not record any for it
@@ -142,7 +142,7 @@ pub struct RecordArgs {
 
 #[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Compressed {
-    /// Not at all
+    /// Without compression
     None,
     /// Small
     Zstd,
@@ -201,13 +201,13 @@ pub fn run(args: &RecordArgs) -> Outcome {
     let domain = args.common.domain()?;
     let mut end = End::of(&args.common)?;
     if let Some(cores) = args.cores {
-        // Threads that it starts are there, too.
+        // The threads that it starts inherit the cores.
         rt::set_affinity(cores).map_err(|error| Failure::unusable(format!("--cores: {error}")))?;
     }
     let pause = Pause { wanted: flag(args.paused), is_paused: flag(args.paused) };
     let asked = flag(false);
     listen(if args.black_box.is_some() { &asked } else { &pause.wanted })?;
-    // Before anything else: what is locked, and what it costs, is there before the first message.
+    // Memory is locked before the first message.
     if let Err(error) = rt::lock_memory(MemoryLock::OnFault) {
         say(&format!("taut: warning: the buffers are not locked into memory: {error}"));
     }
@@ -251,13 +251,13 @@ pub fn run(args: &RecordArgs) -> Outcome {
     };
     say(&format!("recording {what}domain {domain} into {}{until}", folder.display()));
     let watched = watch(args, &end, observers, &mut behind, (&is_over, &pause));
-    // What was sent until now is taken, then written; whatever happened.
+    // Whatever happened, the messages sent until now are taken and then written.
     stop.store(true, Ordering::Release);
     let taken = thread.join()?;
     let observers = match watched {
         Ok(observers) => observers,
         Err(failure) => {
-            // The bag is whole all the same.
+            // The bag is complete nevertheless.
             match behind {
                 Behind::BagWriter(writer) => drop(writer.finish(BTreeMap::new())?),
                 Behind::Dumper(dumper, _) => drop(dumper.finish()?),
@@ -281,7 +281,7 @@ pub fn run(args: &RecordArgs) -> Outcome {
     }
 }
 
-/// What takes messages out of the ring.
+/// The thread that takes messages out of the ring.
 enum Behind {
     BagWriter(BagWriter),
     Dumper(Dumper, Box<Alarms>),
@@ -291,26 +291,26 @@ fn flag(value: bool) -> Arc<AtomicBool> {
     Arc::new(AtomicBool::new(value))
 }
 
-/// Whether the recorder is paused: as was asked for, and as the reader has it.
+/// Whether the recorder is to be paused, and whether the reader is.
 struct Pause {
     wanted: Arc<AtomicBool>,
     is_paused: Arc<AtomicBool>,
 }
 
 impl Pause {
-    /// Pauses or goes on, as was asked for.
+    /// Pauses or resumes the reader as requested.
     fn follow(&self, observers: &Observers, tell: impl Fn(&str)) -> Outcome {
         let wanted = self.wanted.load(Ordering::Relaxed);
         if self.is_paused.load(Ordering::Relaxed) && !wanted {
             observers.renew(tell)?;
         }
-        // The reader has the new observers before it goes on.
+        // The reader gets the new observers before it resumes.
         self.is_paused.store(wanted, Ordering::Release);
         Ok(())
     }
 }
 
-/// Until the end. Whoever writes may have none to write to before.
+/// Watches the domain until the end, or until the thread behind the ring has failed.
 fn watch(
     args: &RecordArgs,
     end: &End,
@@ -348,12 +348,12 @@ fn watch(
     Ok(observers)
 }
 
-/// Whoever started it may listen no more: that ends no recording.
+/// Prints a line to standard error. An error is ignored, because a closed terminal must not end a recording.
 pub fn say(words: &str) {
     let _ = writeln!(taut_cli::print::stderr(), "{words}");
 }
 
-/// On a terminal only, and never beside JSON.
+/// A progress bar, which is hidden without a terminal and with JSON.
 pub fn progress(json: bool) -> ProgressBar {
     if json {
         return ProgressBar::hidden();
@@ -365,7 +365,7 @@ pub fn progress(json: bool) -> ProgressBar {
     progress
 }
 
-/// What pauses, and goes on; or asks.
+/// From now on SIGUSR1 and the enter key pause and resume the recording, or request that the black box is written.
 fn listen(toggled: &Arc<AtomicBool>) -> Outcome {
     let toggled = toggled.clone();
     let handle = move || {
@@ -380,7 +380,7 @@ fn listen(toggled: &Arc<AtomicBool>) -> Outcome {
 }
 
 impl RecordArgs {
-    /// Of the budget, what is on its way to the disk.
+    /// The part of the budget for data on their way to the disk.
     fn memory_bytes(&self) -> usize {
         (self.budget / 8).clamp(8 << 10, 32 << 20) as usize
     }
@@ -396,7 +396,7 @@ impl RecordArgs {
     }
 
     fn plan(&self, folder: &Path, domain: u32, span: Duration, offset_ns: i64) -> Outcome<black_box::Plan> {
-        // Said at once, not on the day.
+        // Refused now, rather than when an alarm needs the folder.
         if folder.exists() {
             return Err(failed(BagError::Exists(folder.to_owned())));
         }
@@ -406,7 +406,7 @@ impl RecordArgs {
             folder: folder.to_owned(),
             options: Options { keep_files: None, ..self.options() },
             session: session(domain),
-            // What was before the alarm, and what comes after it.
+            // The time before the alarm, and the time after it.
             span_ns: rt::clock::nanoseconds(span.saturating_add(self.after)),
             after_ns: rt::clock::nanoseconds(self.after),
             most_bags: self.keep.map(|keep| keep.get() as usize),
@@ -414,7 +414,7 @@ impl RecordArgs {
         })
     }
 
-    /// `None`: none was asked for, or another one records.
+    /// The recorder of trace events. `None` if trace events are not wanted, or if another recorder runs.
     fn tracing(&self, domain: u32, span: Duration) -> Outcome<Option<black_box::Tracing>> {
         if self.no_trace {
             return Ok(None);
@@ -438,7 +438,7 @@ impl RecordArgs {
     }
 }
 
-/// What each file says of where it was recorded.
+/// The metadata of each file about the host and the recorder.
 fn session(domain: u32) -> BTreeMap<String, String> {
     let (wall, monotonic) = (rt::clock::wall_ns(), rt::clock::monotonic_ns());
     let offset = i128::from(wall) - i128::from(monotonic);
@@ -448,7 +448,7 @@ fn session(domain: u32) -> BTreeMap<String, String> {
         ("taut", env!("CARGO_PKG_VERSION").to_owned()),
         ("started_unix_ns", wall.to_string()),
         ("started_monotonic_ns", monotonic.to_string()),
-        // Times of reception are CLOCK_MONOTONIC and this, whatever happens to the other clock.
+        // Times of reception are CLOCK_MONOTONIC plus this, even if the wall clock is set.
         ("log_time_minus_monotonic_ns", offset.to_string()),
     ]
     .map(|(key, value)| (key.to_owned(), value))

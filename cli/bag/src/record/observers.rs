@@ -19,10 +19,10 @@ use tautline_transport::{
     ServiceType, TopicEndpoint, TopicType,
 };
 
-/// So many messages wait for the recorder, if that takes no more than [`QUEUE_BYTES`].
+/// The most messages of a queue for the recorder, which has at most [`QUEUE_BYTES`] unless the QoS requires more.
 const DEEP: usize = 1000;
 const QUEUE_BYTES: usize = 1 << 20;
-/// Requests of a client, responses of a server, and what an action tells, that wait for the recorder: a goal's states come at once.
+/// The depth of queues for requests, responses and an action's topics. A goal's states arrive together.
 const SERVICE_DEPTH: usize = 16;
 
 /// The subscription of a topic, for the reader. One of the number of another replaces its subscription.
@@ -33,11 +33,11 @@ pub struct Observer {
     /// The least time between two messages that are kept.
     pub throttle_ns: Option<u64>,
     pub counts: Arc<Counts>,
-    /// What the subscription that it replaces still has came while the recorder was paused.
+    /// The messages left in the subscription that this one replaces arrived while the recorder was paused.
     pub is_renewed: bool,
 }
 
-/// What came so far, for who looks on.
+/// The counts of a topic so far, for the display.
 #[derive(Default)]
 pub struct Counts {
     pub messages: AtomicU64,
@@ -45,13 +45,13 @@ pub struct Counts {
     pub lost: AtomicU64,
 }
 
-/// What the writer is told of observers, in the order of their numbers, and of publishers.
+/// What the writer is told about observers, in the order of their numbers, and about publishers.
 pub enum Announced {
     /// An observer's messages are in the bag as they are. The QoS is that of publishers that keep nothing for late joiners.
     Topic(Topic),
     /// An observer's messages are requests, which the writer makes events.
     Requests(Topic, Events),
-    /// The reader has made them events, of the topic of this observer.
+    /// An observer's messages are responses, which the reader has made events of the topic of this observer.
     Responses(usize),
     /// A publisher of an observer's topic.
     Publisher { number: usize, gid: Gid, qos: Qos },
@@ -68,7 +68,7 @@ pub struct RecordedTopic {
 }
 
 impl RecordedTopic {
-    /// Unlike that of any other observer, but for those of a topic of two types.
+    /// The observer's name. Only the observers of one topic with two types have the same name.
     pub fn name(&self) -> String {
         match self.part {
             Part::Message => self.topic.name.clone(),
@@ -84,33 +84,33 @@ pub struct Observers {
     is_fetching: bool,
     throttle: Vec<(String, f64)>,
     epoch: Option<u32>,
-    /// Who has ends in the domain.
+    /// The processes that have endpoints in the domain.
     processes: BTreeSet<u32>,
     topics: Vec<RecordedTopic>,
-    /// Of a topic; more than one if its publishers have different types.
+    /// The observers of each topic; more than one if its publishers have different types.
     numbers: HashMap<String, Vec<usize>>,
     /// Topics that cannot be recorded.
     refused: BTreeSet<String>,
     /// Publishers that were there when the recording began.
     before: HashSet<Gid>,
-    /// Types whose definition is not known, which was said.
+    /// Types without a known definition, of which the user was warned.
     unknown: HashSet<String>,
-    /// Topics whose publishers are elsewhere, which was said.
+    /// Topics whose publishers are on other hosts, of which the user was warned.
     elsewhere: HashSet<String>,
     to_taker: Sender<Observer>,
     to_writer: Sender<Announced>,
-    /// Publishers that the writer was told of.
+    /// Publishers that were announced to the writer.
     announced: HashSet<(usize, Gid)>,
 }
 
-/// What the other threads are told of it: each topic, then the observer of the same number.
+/// The other threads' ends: a topic is announced to the writer before the reader gets the observer of the same number.
 pub struct NewObservers {
     pub observers: Receiver<Observer>,
     pub announced: Receiver<Announced>,
 }
 
 impl Observers {
-    /// From here on what publishers send that come is recorded, or counted.
+    /// From now on the messages of new publishers are recorded or counted.
     pub fn new(participant: Participant, choice: Choice, args: &RecordArgs) -> Outcome<(Self, NewObservers)> {
         let graph = participant.graph()?;
         let publishers = graph.endpoints.iter().filter(|end| end.kind == EndpointKind::Publisher);
@@ -355,8 +355,8 @@ fn publishers<'e>(ends: &'e [&'e TopicEndpoint]) -> impl Iterator<Item = &'e Top
     ends.iter().copied().filter(|end| end.kind == EndpointKind::Publisher)
 }
 
-/// A deeper queue than the topic has costs its publishers memory: as many times what they reserve for a message, which is known only of
-/// types of fixed size.
+/// The depth of a topic's queue for the recorder. A deeper queue than that of the topic's endpoints costs its publishers the memory of a
+/// message for each place, which is known only for types of fixed size.
 fn depth(ends: &[&TopicEndpoint], end: &TopicEndpoint) -> usize {
     let least = if end.topic.contains("/_action/") { SERVICE_DEPTH } else { 1 };
     let own = ends.iter().map(|end| end.qos.depth).max().unwrap_or(1).clamp(least, DEEP);

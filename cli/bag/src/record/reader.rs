@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Who takes messages: looks at every topic once in a period, and copies what is there into the ring.
+//! Takes messages: polls every topic once in a period, and copies its messages into the ring.
 //!
 //! # Real-time
-//! At SCHED_FIFO 1, where that is permitted: below all callbacks. No call for memory but for a publisher or topic that is new; waits
-//! for nobody. A message for which the ring has no room stays where it is, in the observer's queue.
+//! The thread runs at SCHED_FIFO 1, where that is permitted: below all callbacks. It allocates only for a new publisher or topic, and
+//! waits for no other thread while it records. A message for which the ring has no room stays in the observer's queue.
 
 use super::event::Part;
 use super::observers::{Counts, Observer};
@@ -16,14 +16,14 @@ use tautline_bag::MOST_BYTES;
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic, wall_ns};
 use tautline_transport::{Gid, RawSample, RawSubscription, TakeError};
 
-/// So many of a topic in one look: others have their turn.
+/// The most messages of a topic in one poll, so that other topics get their turn.
 const MOST_AT_ONCE: usize = 4096;
-/// The clock is read once for so many topics that have nothing.
+/// The clock is read once for this number of topics without messages.
 const AT_A_TIME: usize = 32;
-/// How long is waited for the disk in the end.
+/// How long the end of a recording waits for the disk.
 const PATIENCE_NS: u64 = 30_000_000_000;
 
-/// How often is looked, and whether what comes is kept.
+/// The polling period, and whether recording is paused.
 pub struct Pace {
     pub period_ns: u64,
     pub is_paused: Arc<AtomicBool>,
@@ -40,24 +40,24 @@ pub struct Reader {
     began_ns: u64,
     /// Since when messages are recorded: from the beginning, or from the end of the last pause.
     since_ns: u64,
-    /// What is released later is not recorded.
+    /// Messages that are published later are not recorded.
     until_ns: u64,
     waited: u64,
 }
 
-/// What became of a topic's messages.
+/// The statistics of a topic's messages.
 #[derive(Clone, Debug, Default)]
 pub struct Taken {
     pub messages: u64,
     pub bytes: u64,
-    /// Overwritten in the queue, by the publishers' numbers.
+    /// Messages overwritten in the queue, counted by gaps in the publishers' numbers.
     pub lost: u64,
-    /// Longer than the ring, or than a bag's message may be.
+    /// Messages that are longer than the ring, or than a message of a bag may be.
     pub oversized: u64,
-    /// Left out as was asked for.
+    /// Messages left out by `--throttle`.
     pub throttled: u64,
     pub paused: u64,
-    /// The longest time between two looks.
+    /// The longest time between two polls.
     pub stall_ns: u64,
     pub ports: Vec<Port>,
 }
@@ -68,18 +68,18 @@ pub struct Port {
     pub gid: Gid,
     /// The number of its first message that was taken.
     pub first: u64,
-    /// And of its last.
+    /// The number of its last message that was taken.
     last: u64,
-    /// The most that it sent in a second.
+    /// The most messages that it sent in one second.
     pub peak: u64,
     second_ns: u64,
     in_second: u64,
 }
 
-/// All of it.
+/// The result of the reader.
 pub struct Harvest {
     pub topics: Vec<Taken>,
-    /// Looks that found no room in the ring.
+    /// The number of polls that found no room in the ring.
     pub waited: u64,
     pub began_ns: u64,
     pub ended_ns: u64,
@@ -91,14 +91,14 @@ struct Place {
     throttle_ns: Option<u64>,
     due_ns: u64,
     counts: Arc<Counts>,
-    /// Taken, without room in the ring.
+    /// A message that was taken, and for which the ring has no room.
     held: Option<RawSample>,
     looked_ns: u64,
     /// The subscription is for the time after a pause, which has not ended yet.
     is_renewed: bool,
-    /// By subscriptions of before.
+    /// Messages that former subscriptions lost.
     lost_before: u64,
-    /// Those, while they have something.
+    /// Former subscriptions that still have messages.
     former: Vec<RawSubscription>,
     taken: Taken,
 }
@@ -243,7 +243,7 @@ impl Reader {
                     continue;
                 }
                 let (released_ns, since_ns) = (sample.info().released_ns, self.since_ns);
-                // What a publisher kept for late joiners came when this one joined.
+                // A message that was kept for late joiners arrived when this recorder joined.
                 let received_ns = released_ns.max(since_ns).min(now_ns.max(since_ns));
                 let log_ns = received_ns.cast_signed().saturating_add(self.offset_ns).max(0).cast_unsigned();
                 if copy(&mut self.producer, number, log_ns, front, &sample) {
@@ -282,10 +282,10 @@ fn copy(producer: &mut Producer<u8>, number: usize, log_ns: u64, front: &[u8], s
 fn take(subscription: &RawSubscription) -> Option<RawSample> {
     loop {
         match subscription.try_take() {
-            // A server's word that there is no answer.
+            // A server states that there will be no response.
             Ok(Some(taken)) if !taken.is_message() => {}
             Ok(taken) => return taken,
-            // Counted by the subscription.
+            // The subscription counts it.
             Err(TakeError::Invalid(_)) => {}
             Err(TakeError::TooManyHeld) => return None,
         }

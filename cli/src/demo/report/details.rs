@@ -2,14 +2,13 @@
 //! The part of the report that `--verbose` adds: each excess, the circumstances of the run, and the explanation of anything unusual.
 
 use super::DemoReport;
-use super::text::list;
 
 /// Some microseconds for each job are the kernel's, which changes from one thread to another: of forty jobs a fifth of a millisecond.
 const SWITCHES_MS: f64 = 0.5;
 
 /// The responses above the prediction, and the threads that had the core during the worst of them; empty if there are none, or if no bound applies.
 pub fn excesses(report: &DemoReport) -> String {
-    let excesses = list(&report.topics, |topic| topic.beyond_prediction().filter(|_| report.realtime));
+    let excesses = report.list(|topic| topic.beyond_prediction().filter(|_| report.realtime));
     if excesses.is_empty() { excesses } else { format!("Above RTA+overhead: {excesses}.") }
 }
 
@@ -53,21 +52,21 @@ pub fn explanations(report: &DemoReport) -> Vec<String> {
             report.sampler_priority
         ));
     }
-    let unbounded = list(&report.topics, |t| t.rta_overhead_ms.is_none().then(|| t.topic.clone()));
+    let unbounded = report.list(|t| t.rta_overhead_ms.is_none().then(|| t.topic.clone()));
     if !unbounded.is_empty() {
         texts.push(format!(
             "No prediction for {unbounded}: with the overhead, the work at that priority and above needs more than the core; lower a \
              rate or a wcet."
         ));
     }
-    let silent = list(&report.topics, |t| (t.n == 0).then(|| t.topic.clone()));
+    let silent = report.list(|t| (t.n == 0).then(|| t.topic.clone()));
     if !silent.is_empty() {
         texts.push(format!(
             "Nothing arrived on {silent}: the run was shorter than its period, its publisher did not run, or its callback never got \
              the core."
         ));
     }
-    let lossy = list(&report.topics, |t| (t.lost > 0).then(|| t.topic.clone()));
+    let lossy = report.list(|t| (t.lost > 0).then(|| t.topic.clone()));
     if !lossy.is_empty() {
         texts.push(format!(
             "Lost on {lossy}: messages were overwritten while their callback was busy; its queue is too short for its response time."

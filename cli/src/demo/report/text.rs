@@ -100,14 +100,14 @@ fn deadlines(report: &DemoReport) -> Option<(bool, String)> {
     let missed: u64 = topics.iter().map(|t| t.deadline_misses).sum();
     let lost: u64 = topics.iter().map(|t| t.lost).sum();
     if missed > 0 {
-        let which = list(topics, |t| {
+        let which = report.list(|t| {
             (t.deadline_misses > 0).then(|| format!("{} ({} of {})", t.topic, t.deadline_misses, t.n))
         });
         let count = if missed == 1 { "One deadline".into() } else { format!("{missed} deadlines") };
         return Some((false, format!("{count} missed: {which}.")));
     }
     if lost > 0 {
-        let which = list(topics, |t| (t.lost > 0).then(|| format!("{} ({})", t.topic, t.lost)));
+        let which = report.list(|t| (t.lost > 0).then(|| format!("{} ({})", t.topic, t.lost)));
         return Some((false, format!("{lost} messages lost: {which}; all others met their deadline.")));
     }
     if topics.iter().any(|t| t.n == 0) {
@@ -123,7 +123,7 @@ fn prediction(report: &DemoReport) -> Option<(bool, String)> {
     }
     let exceeded =
         |t: &TopicReport| (t.unexplained > 0).then(|| format!("{} ({} of {})", t.topic, t.unexplained, t.n));
-    let exceeded = list(&report.topics, exceeded);
+    let exceeded = report.list(exceeded);
     if !exceeded.is_empty() {
         return Some((false, format!("Prediction exceeded: {exceeded}.")));
     }
@@ -150,8 +150,4 @@ fn host(report: &DemoReport) -> String {
         report.others_ms,
         report.steal_ticks
     )
-}
-
-pub(super) fn list(topics: &[TopicReport], text: impl Fn(&TopicReport) -> Option<String>) -> String {
-    topics.iter().filter_map(text).collect::<Vec<_>>().join(", ")
 }

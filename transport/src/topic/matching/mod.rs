@@ -158,7 +158,7 @@ impl Matcher {
         let added = self.work_and_leave(|state, work| {
             self.record.add_port(core.gid.number(), &port)?;
             state.publishers.insert(core.gid.number(), core.clone());
-            state.by_topic.entry(core.hash()).or_default().publishers.insert(core.gid.number());
+            state.by_topic.entry(core.topic.hash()).or_default().publishers.insert(core.gid.number());
             state.connect_all(core, work)
         });
         added.inspect_err(|_| self.remove_publisher(core))
@@ -174,7 +174,7 @@ impl Matcher {
         let added = self.work_and_leave(|state, work| {
             self.record.add_port(core.gid.number(), &port)?;
             state.subscriptions.insert(core.gid.number(), core.clone());
-            state.by_topic.entry(core.hash()).or_default().subscriptions.insert(core.gid.number());
+            state.by_topic.entry(core.topic.hash()).or_default().subscriptions.insert(core.gid.number());
             state.find_all(core, work)
         });
         // Who made it drops it if it is refused, and so it is taken back.
@@ -248,20 +248,20 @@ impl Matcher {
         self.work_and_leave(|state, work| {
             // Before it is seen to have gone: it has ended, not died.
             core.end();
-            if core.is_awaited(|gid| state.index.has(gid, core.hash())) {
+            if core.is_awaited(|gid| state.index.has(gid, core.topic.hash())) {
                 self.record.end(core.gid.number());
             } else {
                 self.record.remove(core.gid.number());
             }
             state.publishers.remove(&core.gid.number());
-            for subscription in state.own_subscriptions(core.hash()) {
+            for subscription in state.own_subscriptions(core.topic.hash()) {
                 subscription.disconnect(core.gid, false);
                 work.subscription(&subscription);
             }
             // Who has made a subscription since then has seen that.
             state.refresh(work);
-            work.calls.extend(state.index.participants(core.hash()));
-            state.forget(core.hash(), core.gid.number());
+            work.calls.extend(state.index.participants(core.topic.hash()));
+            state.forget(core.topic.hash(), core.gid.number());
             state.departing.insert(core.gid.number(), core.clone());
             work.closed.insert(core.gid);
         });
@@ -274,13 +274,13 @@ impl Matcher {
             state.subscriptions.remove(&core.gid.number());
             state.returning.push(core.clone());
             state.close_returned(work);
-            for publisher in state.own_publishers(core.hash()) {
+            for publisher in state.own_publishers(core.topic.hash()) {
                 state.disconnect(&publisher, core.gid, false, work);
             }
             // Who has made a publisher since then has seen that.
             state.refresh(work);
-            work.calls.extend(state.index.participants(core.hash()));
-            state.forget(core.hash(), core.gid.number());
+            work.calls.extend(state.index.participants(core.topic.hash()));
+            state.forget(core.topic.hash(), core.gid.number());
         });
     }
 
@@ -301,7 +301,7 @@ impl Matcher {
         let mut state = self.state();
         let MatcherState { index, peers, departing, domain, .. } = &mut *state;
         index.refresh(domain, peers);
-        departing.values().any(|core| core.is_awaited(|gid| index.has(gid, core.hash())))
+        departing.values().any(|core| core.is_awaited(|gid| index.has(gid, core.topic.hash())))
     }
 }
 
@@ -332,10 +332,10 @@ impl MatcherState {
         self.refresh(work);
         // Those that cannot be seen now may see this one.
         work.calls.extend(self.index.refused());
-        let own = self.own_subscriptions(core.hash());
+        let own = self.own_subscriptions(core.topic.hash());
         let own: Vec<_> =
             own.into_iter().map(|subscription| (subscription.record(None), subscription)).collect();
-        let peers = self.index.ports(core.hash(), PortKind::Subscription);
+        let peers = self.index.ports(core.topic.hash(), PortKind::Subscription);
         let ports = own.iter().map(|(port, _)| port).chain(peers.iter().map(|(_, port)| port));
         core.expect(ports.filter(|port| port.topic == core.topic.name))?;
         let port = core.record(None);
@@ -347,7 +347,8 @@ impl MatcherState {
             work.calls.extend((port.topic == core.topic.name).then_some(gid.participant()));
             self.connect_peer(core, gid, port, work)?;
         }
-        let told = self.index.remote(core.hash(), PortKind::Subscription, &core.topic).unwrap_or_default();
+        let told =
+            self.index.remote(core.topic.hash(), PortKind::Subscription, &core.topic).unwrap_or_default();
         core.set_remote(&told, &HashSet::new());
         Ok(())
     }
@@ -358,18 +359,18 @@ impl MatcherState {
         self.refresh(work);
         work.calls.extend(self.index.refused());
         let requested = core.record(None);
-        for publisher in self.own_publishers(core.hash()) {
+        for publisher in self.own_publishers(core.topic.hash()) {
             let port = publisher.record(None);
             self.connect_own((&publisher, &port), (core, requested.clone()), work)?;
         }
-        for (gid, port) in self.index.ports(core.hash(), PortKind::Publisher) {
+        for (gid, port) in self.index.ports(core.topic.hash(), PortKind::Publisher) {
             work.calls.extend((port.topic == core.topic.name).then_some(gid.participant()));
             if let Err(error) = self.expect_peer(core, gid, port, work) {
-                self.index.try_again((gid, core.hash()));
+                self.index.try_again((gid, core.topic.hash()));
                 complain(&error);
             }
         }
-        let told = self.index.remote(core.hash(), PortKind::Publisher, &core.topic).unwrap_or_default();
+        let told = self.index.remote(core.topic.hash(), PortKind::Publisher, &core.topic).unwrap_or_default();
         core.set_remote(&told, &HashSet::new());
         if let Err(error) = core.attach() {
             work.outcome.is_pending = true;
@@ -565,7 +566,7 @@ impl MatcherState {
             let Some(core) = self.departing.get(&number) else { continue };
             let is_listed = |gid: Gid| match gid.participant() == self.index.own() {
                 true => self.subscriptions.contains_key(&gid.number()),
-                false => self.index.has(gid, core.hash()),
+                false => self.index.has(gid, core.topic.hash()),
             };
             if core.release(&is_there, is_listed) {
                 self.departing.remove(&number);
@@ -591,7 +592,7 @@ impl MatcherState {
         let publishers = std::mem::take(&mut work.publishers);
         for core in publishers.values().filter(|core| core.take_grown()) {
             work.calls.extend(core.participants());
-            for subscription in self.own_subscriptions(core.hash()) {
+            for subscription in self.own_subscriptions(core.topic.hash()) {
                 work.outcome.is_pending |= subscription.map_segments(Some(core.gid)).is_err();
                 work.subscription(&subscription);
             }

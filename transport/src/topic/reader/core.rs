@@ -3,8 +3,7 @@
 //! thread that takes works with a table that is handed over to it: see [`receiver`](super::receiver).
 
 use crate::error::TransportError;
-use crate::graph::log::hash_of;
-use crate::graph::record::{PortKind, PortRecord, QosRecord};
+use crate::graph::record::{PortKind, PortRecord};
 use crate::memory::connection::ReaderState;
 use crate::memory::header::Gid;
 use crate::qos::{Limits, Liveliness, Qos};
@@ -133,22 +132,13 @@ impl SubscriptionCore {
     pub(crate) fn record(&self, node: Option<u64>) -> PortRecord {
         PortRecord {
             node,
-            kind: PortKind::Subscription,
-            topic: self.topic.name.clone(),
-            type_name: self.topic.topic_type.name.to_string(),
-            hash: self.topic.topic_type.hash.as_ref().map(ToString::to_string),
-            body_bytes: self.topic.topic_type.body_bytes.map(|bytes| bytes as u64),
-            qos: QosRecord::from(&self.qos),
             relay: self.is_relay,
             observer: self.is_observer,
             slot: self.slot.index() as u32,
             at: self.limits.held as u64,
             partner: self.partner,
+            ..self.topic.record(PortKind::Subscription, &self.qos)
         }
-    }
-
-    pub(crate) fn hash(&self) -> u64 {
-        hash_of(&self.topic.name)
     }
 
     /// A publisher is there. True if its participant is to make a connection, which [`attach`](Self::attach) then finds.

@@ -3,9 +3,8 @@
 //! it. The thread that publishes works with a table that is handed over to it: see [`sender`](super::sender).
 
 use crate::error::TransportError;
-use crate::graph::log::hash_of;
 use crate::graph::own::OwnRecord;
-use crate::graph::record::{PortKind, PortRecord, QosRecord};
+use crate::graph::record::{PortKind, PortRecord};
 use crate::memory::connection::{ReaderState, Shape};
 use crate::memory::control::{PublisherControl, Traffic, View};
 use crate::memory::file::{ArenaOwner, OwnMemory};
@@ -185,22 +184,12 @@ impl PublisherCore {
         let setup = self.setup();
         PortRecord {
             node,
-            kind: PortKind::Publisher,
-            topic: self.topic.name.clone(),
-            type_name: self.topic.topic_type.name.to_string(),
-            hash: self.topic.topic_type.hash.as_ref().map(ToString::to_string),
-            body_bytes: self.topic.topic_type.body_bytes.map(|bytes| bytes as u64),
-            qos: QosRecord::from(&self.qos),
             relay: self.is_relay,
-            observer: false,
             slot: self.slot.index() as u32,
             at: setup.control.as_ref().map_or(0, PublisherControl::place),
             partner: self.partner,
+            ..self.topic.record(PortKind::Publisher, &self.qos)
         }
-    }
-
-    pub(crate) fn hash(&self) -> u64 {
-        hash_of(&self.topic.name)
     }
 
     /// Connects a subscription, unless it is known or does not match. True if it did: call [`settle`](Self::settle) afterwards.

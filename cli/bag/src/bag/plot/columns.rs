@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is left of a line of any length in a picture: of each column of pixels four points, and where the line ends.
+//! Reduces a line of any length to its picture: four points for each column of pixels, and the gaps.
 
 /// A time in nanoseconds, and a value.
 pub type Point = (u64, f64);
 
-/// Beyond this a difference of two values may be no number.
+/// The difference of two greater values may not be a number.
 const MOST: f64 = 1e300;
 
-/// Others are gaps.
+/// Whether a value can be drawn; others are gaps.
 pub fn can_be_drawn(value: f64) -> bool {
     value.abs() <= MOST
 }
 
-/// A line, column by column. What is in a column is as it would be drawn.
+/// A line, column by column. A column looks as if all of its points were drawn.
 pub struct Columns {
     from_ns: u64,
     to_ns: u64,
@@ -28,12 +28,12 @@ struct Column {
 }
 
 impl Columns {
-    /// For times from the first to the last of these.
+    /// Empty columns for the times of this range.
     pub fn new(from_ns: u64, to_ns: u64, columns: usize) -> Self {
         Columns { from_ns, to_ns, columns: vec![Column::default(); columns.max(1)] }
     }
 
-    /// The next value, in the order of time; `None`: a gap.
+    /// Adds the next value, in order of time; `None` is a gap.
     pub fn add(&mut self, at_ns: u64, value: Option<f64>) {
         let share = at_ns.saturating_sub(self.from_ns) as f64 / (self.to_ns - self.from_ns).max(1) as f64;
         let last = self.columns.len() - 1;
@@ -46,7 +46,7 @@ impl Columns {
             return;
         };
         let point = (at_ns, value);
-        // A gap within a column is narrower than anybody sees.
+        // A gap within a column is too narrow to be seen.
         column.is_broken_behind = false;
         column.points = Some(match column.points {
             None => [point; 4],
@@ -67,7 +67,7 @@ impl Columns {
             .reduce(|one, other| (one.0.min(other.0), one.1.max(other.1)))
     }
 
-    /// What is drawn, each as one line; of one point if there is a gap on both sides.
+    /// The lines to draw. A line has one point if there is a gap on both sides.
     pub fn lines(&self) -> Vec<Vec<Point>> {
         let (mut lines, mut line) = (Vec::new(), Vec::new());
         for column in &self.columns {

@@ -8,7 +8,7 @@ use taut_cli::date::date;
 use taut_cli::demo::plot::canvas::{Canvas, text};
 use taut_cli::demo::plot::{FAINT, GRID, INK, PlotError, round_step, shorten};
 
-/// Those that Okabe and Ito chose, which people of any colour vision can tell apart, without their yellow, which is too pale for a line.
+/// The palette of Okabe and Ito, which people of any colour vision can distinguish, without its yellow, which is too pale for a line.
 pub const COLOURS: [RGBColor; 7] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -19,26 +19,26 @@ pub const COLOURS: [RGBColor; 7] = [
     RGBColor(86, 180, 233),
 ];
 
-/// Pixels of a letter, as wide as they are in the widest of the usual fonts.
+/// The width of a letter in pixels, in the widest of the usual fonts.
 const LETTER: f64 = 7.4;
 const MARGIN: i32 = 20;
 const TITLE: i32 = 40;
 const LEGEND: i32 = 20;
-/// The numbers below, and what they are.
+/// The height of the numbers and their label below the picture.
 const BELOW: i32 = 46;
-/// Points so far apart are marked.
+/// Points that are at least this far apart are marked.
 const APART: i32 = 12;
-/// From here on numbers are told by what they are more than the first one.
+/// Greater numbers are shown as differences from the first one.
 const MOST_DIGITS: f64 = 1e7;
 
-/// No axis has more.
+/// The most ticks of an axis.
 const MOST_TICKS: u32 = 1000;
 
 /// What is drawn.
 pub struct Picture<'p> {
-    /// The bag's.
+    /// The bag's name.
     pub name: String,
-    /// Its first message's time of reception.
+    /// The time of reception of the bag's first message.
     pub start_ns: u64,
     pub from_ns: u64,
     pub to_ns: u64,
@@ -47,18 +47,18 @@ pub struct Picture<'p> {
     pub series: Vec<Series<'p>>,
 }
 
-/// One line of it.
+/// One line of the picture.
 pub struct Series<'p> {
     pub name: String,
     pub columns: &'p Columns,
-    /// A bool, which is what it is until it is something else.
+    /// A bool, which is drawn in steps: it keeps its value until it changes.
     pub is_step: bool,
     pub messages: u64,
     /// Messages without a number.
     pub gaps: u64,
 }
 
-/// Where what is.
+/// The frame of the plot in pixels, and the ranges of its axes.
 struct Frame {
     left: i32,
     right: i32,

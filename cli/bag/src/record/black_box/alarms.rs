@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! When the black box is written: a deadline is missed, a process dies, a topic falls silent, somebody asks.
+//! Decides when the black box is written: a deadline is missed, a process dies, a topic falls silent, or the user requests it.
 
 use super::super::observers::Observers;
 use std::collections::{BTreeMap, HashMap};
@@ -14,17 +14,17 @@ use tautline_rt::clock::{monotonic_ns, nanoseconds};
 use tautline_system::shared_statistics;
 use tautline_transport::{EndpointKind, Visitor};
 
-/// How often statistics are looked at.
+/// The interval at which statistics are read.
 const STATISTICS_NS: u64 = 100_000_000;
-/// So long what ended processes did is kept.
+/// How long the statistics of ended processes are kept.
 const ENDED_NS: u64 = 5_000_000_000;
-/// A topic without a time of its own is silent after so many times its longest pause until then, of so many messages at least.
+/// A topic without a time of its own is silent after this multiple of its longest pause so far. It must have had this number of messages.
 const PAUSES: u64 = 10;
 const MESSAGES: u64 = 10;
-/// But no sooner.
+/// The least time after which a topic is silent.
 const SILENCE_NS: u64 = 1_000_000_000;
 
-/// What is watched for.
+/// The events that are watched for.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A callback misses its deadline
@@ -53,7 +53,7 @@ pub struct Alarm {
     pub kind: Kind,
     pub words: String,
     pub at_ns: u64,
-    /// What callbacks had done by then.
+    /// The statistics of callbacks at that time.
     pub statistics: Option<Run>,
 }
 
@@ -62,13 +62,13 @@ pub struct Alarms {
     kinds: Vec<Kind>,
     /// Topics with a time of their own.
     silent: BTreeMap<String, u64>,
-    /// What has been said of something is not said again for so long.
+    /// The same alarm is not repeated within this time.
     rest_ns: u64,
     said: HashMap<String, u64>,
     visitor: Visitor,
     asked: Arc<AtomicBool>,
     processes: Vec<ForeignStatistics>,
-    /// Since when those that have ended have.
+    /// When each process that has ended did so.
     ended: HashMap<PathBuf, u64>,
     looked_ns: u64,
     is_first: bool,
@@ -76,7 +76,7 @@ pub struct Alarms {
     heard: HashMap<usize, Heard>,
 }
 
-/// What is known of a topic.
+/// The messages of a topic so far.
 #[derive(Clone, Copy)]
 struct Heard {
     messages: u64,
@@ -114,7 +114,7 @@ impl Alarms {
         self.kinds.contains(&kind)
     }
 
-    /// What happened since the last look. What something is said of rests for a while.
+    /// The alarms since the last call. The same alarm is not repeated for a while.
     pub fn look(&mut self, observers: &Observers) -> Outcome<Vec<Alarm>> {
         let now_ns = monotonic_ns();
         let mut found = Vec::new();
@@ -170,9 +170,9 @@ impl Alarms {
         Ok(found.into_iter().map(alarm).collect())
     }
 
-    /// Deadlines that were missed since the last look.
+    /// Deadlines that were missed since the last call.
     fn missed(&mut self, found: &mut Vec<(Kind, String, String)>) {
-        // What cannot be read now is read the next time.
+        // Statistics that cannot be read now are read the next time.
         let (there, _) = shared_statistics(self.domain).unwrap_or_default();
         for process in there {
             if !self.processes.iter().any(|known| known.path() == process.path()) {
@@ -185,7 +185,7 @@ impl Alarms {
             for callback in snapshot.callbacks.iter().filter(|callback| !callback.is_group) {
                 let key = (process.path().to_owned(), callback.name.clone());
                 let before = self.misses.insert(key, callback.deadline_misses);
-                // What happened before the recording began is no news.
+                // Misses from before the recording do not count.
                 let before = before.unwrap_or(if is_first { u64::MAX } else { 0 });
                 if callback.deadline_misses > before {
                     let times = callback.deadline_misses - before;
@@ -200,7 +200,7 @@ impl Alarms {
                 }
             }
         }
-        // What the dead have done is there for the alarm that tells of them.
+        // The alarm about a dead process includes its statistics.
         let (misses, ended, now_ns) = (&mut self.misses, &mut self.ended, self.looked_ns);
         self.processes.retain(|process| {
             let path = process.path();
@@ -216,7 +216,7 @@ impl Alarms {
         });
     }
 
-    /// What callbacks have done, as `taut report --save` writes it: with the system file of the first process that has one.
+    /// The statistics of callbacks, as `taut report --save` writes them, with the system file of the first process that has one.
     fn statistics(&self) -> Option<Run> {
         let path = self.processes.iter().find_map(|process| {
             let path = process.read().ok()??.process.system_path;
@@ -229,7 +229,7 @@ impl Alarms {
 }
 
 impl Heard {
-    /// Whether it falls silent now.
+    /// Whether the topic falls silent now.
     fn hear(&mut self, messages: u64, own_ns: Option<u64>, now_ns: u64) -> bool {
         let since_ns = now_ns.saturating_sub(self.last_ns);
         if messages != self.messages {
@@ -254,7 +254,7 @@ mod tests {
     fn a_topic_is_silent_after_ten_times_its_longest_pause() {
         let mut heard = Heard { messages: 0, last_ns: 0, longest_ns: 0, is_silent: false };
         const MS: u64 = 1_000_000;
-        // Never a word, nothing to miss.
+        // A topic that never had a message is not silent.
         assert!(!heard.hear(0, Some(MS), 1000 * MS));
         (1..=9).for_each(|n| assert!(!heard.hear(n, None, 1000 * MS + n * 200 * MS)));
         assert!(!heard.hear(9, None, 60_000 * MS), "too few to tell");

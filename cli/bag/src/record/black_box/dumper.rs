@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! What is behind the ring when it is a black box: messages that are too old are dropped, and all are written when there is an alarm.
+//! Takes messages out of the ring of a black box: drops those that are too old, and writes all of them at an alarm.
 //!
-//! What is written leaves the memory: an alarm soon after another writes what came since. What publishers keep for late joiners is kept as
-//! long, and stands at the beginning of each bag.
+//! Messages leave the memory when they are written, so an alarm soon after another writes only newer ones. Messages that publishers keep
+//! for late joiners are kept as long as the publishers keep them, and stand at the beginning of each bag.
 
 use super::alarms::{Alarm, Kind};
 use super::tracing::Tracing;
@@ -22,14 +22,14 @@ use tautline_bag::{BagError, Options, Stamp, TopicId, Writer};
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{Policy, ThreadBuilder};
 
-/// How often is looked what is too old.
+/// The interval at which old messages are dropped.
 const PERIOD: Duration = Duration::from_millis(2);
-/// So much of the ring stays free for what comes: an eighth.
+/// One part in this number of the ring stays free for new messages.
 const FREE_PART: usize = 8;
-/// What is kept of a topic for late joiners, at most.
+/// The most memory for the messages that a topic keeps for late joiners.
 const LATCHED_BYTES: usize = 64 << 20;
 
-/// How it is kept.
+/// What the black box keeps, and where it is written.
 pub struct Plan {
     pub folder: PathBuf,
     pub options: Options,
@@ -46,19 +46,19 @@ pub struct Dumper {
     thread: tautline_rt::JoinHandle<Dumped>,
 }
 
-/// What was done.
+/// The result of a black box.
 pub struct Dumped {
     pub dumps: Vec<Dump>,
     /// Bags that were removed for newer ones.
     pub removed: usize,
-    /// Requests that are none of their services.
+    /// Requests whose bytes are not a request of their service.
     pub unusable: u64,
-    /// The shortest time that there was room for, if it was less than was asked for.
+    /// The shortest time for which there was room, if it was less than requested.
     pub shortest_ns: Option<u64>,
     pub failed: Option<BagError>,
 }
 
-/// A bag.
+/// A bag that was written.
 pub struct Dump {
     pub folder: PathBuf,
     pub causes: Vec<(Kind, String)>,
@@ -118,11 +118,11 @@ impl Dumper {
     }
 
     pub fn alarm(&self, alarm: Alarm) {
-        // It ends before this only with an error of its own, which is told.
+        // The thread ends before this only with an error, which it reports itself.
         let _ = self.alarms.send(alarm);
     }
 
-    /// When nothing is put into the ring any more. An alarm that waits is written first.
+    /// Ends after the reader has ended. A pending alarm is written first.
     pub fn finish(self) -> Outcome<Dumped> {
         drop(self.alarms);
         Ok(self.thread.join()?)
@@ -142,7 +142,7 @@ impl Latched {
         self.messages.push_back((head, cdr));
     }
 
-    /// Removes the oldest message; its length.
+    /// Removes the oldest message and returns its length.
     fn pop(&mut self) -> usize {
         let bytes = self.messages.pop_front().map_or(0, |(_, cdr)| cdr.len());
         self.bytes -= bytes;
@@ -154,7 +154,7 @@ struct Work {
     plan: Plan,
     consumer: Consumer<u8>,
     channels: Channels,
-    /// Of each channel.
+    /// The kept messages of each channel.
     latched: Vec<Latched>,
     tracing: Option<Tracing>,
     number: u32,
@@ -162,7 +162,7 @@ struct Work {
     done: Dumped,
 }
 
-/// What is to be written, and when.
+/// An alarm whose bag is to be written, and when.
 struct Pending {
     alarms: Vec<Alarm>,
     due_ns: u64,
@@ -200,7 +200,7 @@ impl Work {
         self.done
     }
 
-    /// As a time of reception.
+    /// Converts to a time of reception.
     fn logged(&self, monotonic_ns: u64) -> u64 {
         monotonic_ns.saturating_add_signed(self.plan.offset_ns)
     }
@@ -222,14 +222,14 @@ impl Work {
         }
     }
 
-    /// The oldest message's, if all of that is there and its topic is known.
+    /// The head of the oldest message, if the message is complete and its topic is known.
     fn head(&mut self) -> Option<Head> {
         let chunk = self.consumer.read_chunk(HEAD_BYTES).ok()?;
         let (mut bytes, (first, second)) = ([0; HEAD_BYTES], chunk.as_slices());
         bytes[..first.len()].copy_from_slice(first);
         bytes[first.len()..].copy_from_slice(second);
         let head = Head::from_bytes(bytes);
-        // The reader is not through with it.
+        // The reader has not completed the message.
         self.consumer.read_chunk(HEAD_BYTES + head.cdr_bytes as usize).ok()?;
         self.channels.of(&head)?;
         Some(head)
@@ -246,7 +246,7 @@ impl Work {
         chunk.commit_all();
     }
 
-    /// What was taken may be wanted by who joins late.
+    /// Keeps the message that was taken for late joiners, if its publisher does.
     fn latch(&mut self, head: Head) {
         let Some(channel) = self.channels.of(&head) else { return };
         let kept = self.channels.list()[channel].kept;
@@ -302,7 +302,7 @@ impl Work {
         let beside = |name: &str| folder.join(name);
         let trace_events = self.tracing.as_ref().and_then(|tracing| tracing.write(&beside("taut.trace")));
         if let Some(run) = due.alarms.iter().find_map(|alarm| alarm.statistics.as_ref()) {
-            // What it tells is told by the bag, too: that is what counts.
+            // An error is ignored, because the bag itself is more important.
             let _ = run.save(&beside("statistics.json"));
         }
         let causes: Vec<_> = due.alarms.into_iter().map(|alarm| (alarm.kind, alarm.words)).collect();
@@ -319,7 +319,7 @@ impl Work {
         failed.map_or(Ok(()), Err)
     }
 
-    /// What late joiners would get at this time.
+    /// Writes the messages that late joiners would get at this time.
     fn write_latched(
         &mut self,
         writer: &mut Writer,
@@ -336,7 +336,7 @@ impl Work {
         Ok(messages)
     }
 
-    /// What is in `scratch`. False: it is no request of its service.
+    /// Writes the message in `scratch`. `false` if it is not a request of its service.
     fn write(&mut self, writer: &mut Writer, ids: &mut Vec<TopicId>, head: Head) -> Result<bool, BagError> {
         let Some(channel) = self.channels.of(&head) else { return Ok(false) };
         self.channels.write(writer, ids)?;

@@ -18,7 +18,7 @@ use std::io::Write;
 use std::path::Path;
 use taut_cli::verb::{Failure, Outcome};
 
-/// What became of it.
+/// Prints the result of a black box.
 pub fn print(args: &RecordArgs, folder: &Path, dumped: Outcome<Dumped>, lost: u64) -> Outcome {
     let dumped = dumped?;
     let out = &mut taut_cli::print::stdout();

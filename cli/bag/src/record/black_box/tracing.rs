@@ -7,32 +7,33 @@ use std::io::{self, BufWriter};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
-use taut_cli::trace::file::{Entry, Writer};
+use taut_cli::trace::file::Writer;
 use taut_cli::trace::record::session;
+use taut_cli::trace::recording::Entry;
 use tautline_rt::clock::monotonic_ns;
 use tautline_rt::{Policy, ThreadBuilder};
 use tautline_trace::{Description, Event, Record, Recorder};
 
-/// As `taut trace record` does.
+/// The interval at which events are fetched, as in `taut trace record`.
 const PERIOD: Duration = Duration::from_millis(10);
-/// 64 MB of them.
+/// The most events that are kept: 64 MB.
 const MOST_EVENTS: usize = 1_600_000;
-/// How long whoever asks waits for the file.
+/// How long a request for the file waits.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// Asks the thread that keeps them. It ends with this.
+/// The thread that keeps the events. It ends when this is dropped.
 pub struct Tracing {
     ask: Sender<(PathBuf, Sender<io::Result<u64>>)>,
 }
 
-/// Of one thread, in their order.
+/// Events of one thread, in order.
 struct Batch {
     process: u32,
     tid: u32,
     events: Vec<Event>,
 }
 
-/// What events speak of. It stays as long as there may be some.
+/// A description that events refer to. It is kept as long as events may refer to it.
 enum Known {
     Process { process: u32, pid: u32, name: String },
     Object { process: u32, object: Description },
@@ -85,7 +86,7 @@ impl Tracing {
         Ok(Tracing { ask })
     }
 
-    /// Writes a recording for `taut trace`; how many events it has.
+    /// Writes a recording for `taut trace` and returns the number of its events.
     pub fn write(&self, path: &Path) -> Option<u64> {
         let (answer, answered) = channel();
         self.ask.send((path.to_owned(), answer)).ok()?;
