@@ -6,6 +6,8 @@ mod bind;
 
 fn main() {
     println!("cargo:rerun-if-changed=src/cdr.cpp");
+    println!("cargo:rerun-if-env-changed=ROS_DISTRO");
+    println!("cargo:rustc-env=ROS_DISTRO={}", std::env::var("ROS_DISTRO").unwrap_or_default());
     let (includes, prefixes) = bind::bind();
     cc::Build::new().cpp(true).std("c++17").includes(&includes).file("src/cdr.cpp").compile("taut_cdr");
     bind::link(&prefixes);

@@ -40,6 +40,17 @@ pub(crate) fn check(options: &rmw_init_options_t) -> Result<u32> {
     }
 }
 
+/// Refuses another distribution than that of the build, whose structs may differ. A name that is not set is no reason.
+pub(crate) fn check_distribution(sourced: &str) -> Result {
+    const BUILT: &str = env!("ROS_DISTRO");
+    if BUILT.is_empty() || sourced.is_empty() || sourced == BUILT {
+        return Ok(());
+    }
+    Err(Error::unsupported(format!(
+        "this rmw_tautline is built for ROS 2 {BUILT}, and ROS_DISTRO is {sourced}: build it with {sourced} sourced, or use another RMW"
+    )))
+}
+
 /// Checks the code of copying or finalising options, which set the error text.
 pub(crate) fn copied(code: rmw_ret_t) -> Result {
     checked(code, "copying the options")
@@ -60,6 +71,8 @@ pub unsafe extern "C" fn rmw_init_options_init(
     allocator: rcutils_allocator_t,
 ) -> rmw_ret_t {
     answer(|| {
+        // rcl calls this first.
+        check_distribution(&std::env::var("ROS_DISTRO").unwrap_or_default())?;
         // SAFETY: rmw's contract.
         let options = unsafe { place(options, "the options")? };
         if !is_valid(&allocator) {

@@ -527,6 +527,19 @@ fn endpoints_that_are_not_destroyed_end_with_their_node() {
     }
 }
 
+/// Another distribution's structs may differ: nothing is written to them.
+#[test]
+fn another_distribution_is_refused_by_name() {
+    assert!(options::check_distribution("").is_ok());
+    assert!(options::check_distribution(env!("ROS_DISTRO")).is_ok());
+    let other = options::check_distribution("humbler");
+    assert_eq!(
+        other.is_err(),
+        !env!("ROS_DISTRO").is_empty(),
+        "a build that does not know its own refuses none"
+    );
+}
+
 /// Waits of a context end when it is shut down, and there are none after that, whatever they wait for.
 #[test]
 fn a_shutdown_ends_waits() {

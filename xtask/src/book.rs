@@ -189,6 +189,11 @@ fn redirected(text: &str, file: &Path, page: &Path, is_page: &dyn Fn(&Path) -> b
     redirected + &text[done..]
 }
 
+/// The text of `file` for a page elsewhere: its links lead to the repository.
+pub fn in_repository(text: &str, file: &Path) -> String {
+    redirected(text, file, file, &|_| false)
+}
+
 /// The program: that in PATH, else one that is installed under the target directory, which takes a minute or two.
 fn mdbook() -> Result<PathBuf, String> {
     let root = machine::target_dir().join("tools");

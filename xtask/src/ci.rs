@@ -10,8 +10,8 @@ use crate::machine::{self, Scope};
 use crate::steps::{Background, Outcome, Steps, cargo, execute, reported};
 use crate::test::{self, nextest};
 use crate::{
-    api, book, bridge, fuzz, guests, lab, lints, lttng, packages, peers, programs, r2r, r2r_tests, reports,
-    rmw, ros, shared, stress_doorbell, stress_kills, word,
+    api, book, bridge, dist, fuzz, guests, lab, lints, lttng, packages, peers, programs, r2r, r2r_tests,
+    reports, rmw, ros, shared, stress_doorbell, stress_kills, word,
 };
 use clap::ValueEnum;
 use std::path::Path;
@@ -55,6 +55,7 @@ impl Job {
             Job::Book => book::test(&mut steps),
             Job::Apart => {
                 examples_by_themselves(&mut steps);
+                dist::test_crates(&mut steps);
                 peers::test(&mut steps);
             }
             Job::Variants => {
@@ -82,6 +83,7 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     steps.join(book);
     bridge::test(steps);
     rmw::test(steps);
+    dist::test(steps);
     clock_step(steps);
     programs::test(steps);
     steps.command("stress: doorbell", &mut stress_doorbell(Build::Tests, RINGS));

@@ -13,6 +13,7 @@
 //! | `book` | the documentation as a book, and its links |
 //! | `bridge` | lints and tests of the bridge to ROS 2 |
 //! | `colcon` | rmw_tautline as a package of a ROS 2 workspace |
+//! | `dist` | what is installed without a checkout: crates, packages, wheels |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
 //! | `guests` | tests, examples and the demo on emulated machines |
 //! | `fuzz` | inputs made up by libFuzzer |
@@ -41,6 +42,7 @@ mod ci;
 mod colcon;
 mod compare;
 mod compiler;
+mod dist;
 mod examples;
 mod fuzz;
 mod guests;
@@ -66,6 +68,7 @@ mod test;
 use bench::Bench;
 use build::{Build, SAME};
 use clap::{Parser, Subcommand, ValueEnum};
+use dist::Part;
 use guests::{Extent, Guest};
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
@@ -215,6 +218,18 @@ they get by with ARM's weak memory order.")]
         #[arg(long)]
         quick: bool,
     },
+    /// Makes what is installed without a checkout, of a release build, into the target directory's `dist`
+    #[command(after_help = "Examples:
+  cargo xtask dist                     all, some minutes
+  cargo xtask dist --only tarball,deb
+  cargo xtask dist --only crates       also checks that all published crates build without this repository
+
+Wheels need Python 3.11 and PyPI. Each file names a glibc of 2.35 at most, or it is refused.")]
+    Dist {
+        /// Only these parts [default: all]
+        #[arg(long, value_name = "PART,...", value_delimiter = ',', value_enum)]
+        only: Vec<Part>,
+    },
     /// Tries to break something by doing it very often
     #[command(subcommand)]
     Stress(Stress),
@@ -296,6 +311,7 @@ fn main() -> ExitCode {
             let extent = if quick { Extent::Quick } else { Extent::Whole };
             guests::run(steps, &only, extent);
         }),
+        Verb::Dist { only } => as_steps(|steps| dist::run(steps, &only)),
         Verb::Stress(Stress::Doorbell { rings }) => {
             exit(steps::execute(&mut stress_doorbell(Build::Release, rings)))
         }

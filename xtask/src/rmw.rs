@@ -3,6 +3,7 @@
 
 use crate::bridge::{nextest, programs, with_libraries};
 use crate::build::{Build, TARGETS, build};
+use crate::r2r::Environment;
 use crate::steps::{Steps, cargo};
 use crate::{colcon, lab, lints, machine, r2r, ros};
 use std::ffi::OsString;
@@ -15,10 +16,7 @@ pub const WHOLE: &str = "--manifest-path rmw/Cargo.toml --locked --features xtas
 
 /// The bench, of a release build with the library that is made first.
 pub fn bench(of: Build) -> Result<Command, String> {
-    let environment = r2r::environment()?;
-    if of == Build::Release {
-        build(with_libraries(&environment, &mut cargo(&format!("build --release {LIBRARY}"))))?;
-    }
+    let environment = if of == Build::Release { build_for_use()? } else { r2r::environment()? };
     let folder = lab::folder_with_ros(of, &environment, "-p tautline-bench-rmw")?;
     // It waits for processes, which may not come.
     let mut command = Command::new("timeout");
@@ -39,10 +37,16 @@ fn python() -> Option<PathBuf> {
     Some(ros::venv().join("bin/python")).filter(|python| python.is_file())
 }
 
-/// Builds the library for use, a minute from cold, and says how it is used.
-pub fn run() -> Result<(), String> {
+/// The library, and the environment that it was built in.
+pub fn build_for_use() -> Result<Environment, String> {
     let environment = r2r::environment()?;
     build(with_libraries(&environment, &mut cargo(&format!("build --release {LIBRARY}"))))?;
+    Ok(environment)
+}
+
+/// Builds the library for use, a minute from cold, and says how it is used.
+pub fn run() -> Result<(), String> {
+    let environment = build_for_use()?;
     let folder = Build::Release.folder();
     println!("\nTo run a node of ROS 2 on it:");
     if !environment.iter().any(|(name, _)| *name == r2r::RPATH) {

