@@ -305,14 +305,13 @@ pub unsafe extern "C" fn rmw_create_subscription(
                 free_text(topic_name);
                 return Err(Error::new(RET_BAD_ALLOC, "no memory for a subscription"));
             }
-            handle.write(rmw_subscription_t {
-                implementation_identifier: IDENTIFIER.as_ptr(),
-                data: Box::into_raw(Box::new(subscription)).cast(),
-                topic_name,
-                options: *options,
-                can_loan_messages,
-                is_cft_enabled: false,
-            });
+            // What is not said of content filters is false.
+            handle.write(rmw_subscription_t::default());
+            (*handle).implementation_identifier = IDENTIFIER.as_ptr();
+            (*handle).data = Box::into_raw(Box::new(subscription)).cast();
+            (*handle).topic_name = topic_name;
+            (*handle).options = *options;
+            (*handle).can_loan_messages = can_loan_messages;
             node.own(handle);
             Ok(handle)
         }

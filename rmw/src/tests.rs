@@ -2,9 +2,10 @@
 //! Tests of the RMW's contract, called as by rcl: with C structs and type supports of ROS's packages.
 
 use crate::bindings::*;
+use crate::error::answer;
 use crate::{
-    client, context, event, graph, guard, node, options, publisher, serialization, service, subscription,
-    types, wait,
+    client, context, distro, event, graph, guard, node, options, publisher, serialization, service,
+    subscription, wait,
 };
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -527,17 +528,24 @@ fn endpoints_that_are_not_destroyed_end_with_their_node() {
     }
 }
 
-/// Another distribution's structs may differ: nothing is written to them.
+/// Another distribution's structs differ: nothing is written to them.
 #[test]
 fn another_distribution_is_refused_by_name() {
-    assert!(options::check_distribution("").is_ok());
-    assert!(options::check_distribution(env!("ROS_DISTRO")).is_ok());
-    let other = options::check_distribution("humbler");
-    assert_eq!(
-        other.is_err(),
-        !env!("ROS_DISTRO").is_empty(),
-        "a build that does not know its own refuses none"
-    );
+    const BUILT: &str = env!("ROS_DISTRO");
+    const INTERFACE: &str = env!("RMW_INTERFACE");
+    assert!(distro::check_loaded(INTERFACE, BUILT).is_ok() && distro::check_loaded(INTERFACE, "").is_ok());
+    assert!(distro::check().is_ok(), "the librmw of the tests is that of the build");
+    for (loaded, sourced, why) in [
+        ("humbler", "", "the librmw that is loaded is of humbler"),
+        ("humbler", BUILT, "the librmw that is loaded is of humbler"),
+        (INTERFACE, "humbler", "ROS_DISTRO is humbler"),
+    ] {
+        assert_eq!(answer(|| distro::check_loaded(loaded, sourced)), RET_UNSUPPORTED);
+        let fix = "build it with humbler sourced, or use another RMW";
+        let expected = format!("this rmw_tautline is built for ROS 2 {BUILT}, and {why}: {fix}");
+        let said = said();
+        assert!(said.starts_with(&expected), "{said}");
+    }
 }
 
 /// Waits of a context end when it is shut down, and there are none after that, whatever they wait for.
@@ -694,14 +702,14 @@ impl Letter {
             let mut field = *description_of.type_description.fields.data;
             field.type_.type_id = type_id;
             description_of.type_description.fields.data = Box::into_raw(Box::new(field));
-            let hash_of = types::described(&description_of).hash().to_string();
+            let hash_of = distro::described(&description_of).hash().to_string();
             let support = rosidl_message_type_support_t {
                 func: Some(find),
                 get_type_hash_func: Some(hash),
                 get_type_description_func: Some(description),
                 ..*number
             };
-            let hash = graph::type_hash(Some(&hash_of));
+            let hash = distro::type_hash(Some(&hash_of));
             &Box::leak(Box::new(Letter { support, hash, description: description_of })).support
         }
     }

@@ -38,7 +38,7 @@ pub fn environment() -> Result<Environment, String> {
     if env::var_os("AMENT_PREFIX_PATH").is_none() || env::var_os("ROS_DISTRO").is_none() {
         let prefix = wheels()?;
         let text = |path: &Path| path.display().to_string();
-        variables.extend([("AMENT_PREFIX_PATH", text(&prefix)), ("ROS_DISTRO", "jazzy".to_owned())]);
+        variables.extend([("AMENT_PREFIX_PATH", text(&prefix)), ("ROS_DISTRO", ros::distribution())]);
         variables.push((RPATH, text(&prefix.join("lib"))));
     }
     variables.extend(libclang()?);
@@ -86,7 +86,7 @@ pub fn prefix() -> Result<PathBuf, String> {
 /// The wheels' files in the layout of an installed ROS 2.
 fn wheels() -> Result<PathBuf, String> {
     ros::prepare()?;
-    let prefix = machine::target_dir().join("ros/prefix");
+    let prefix = ros::folder().join("prefix");
     make_prefix(&ros::venv(), &prefix).map_err(|error| format!("{}: {error}", prefix.display()))?;
     Ok(prefix)
 }
@@ -98,7 +98,7 @@ pub fn setup_file() -> Result<PathBuf, String> {
         text += &format!("export {name}='{value}'\n");
     }
     text += &format!(". '{}'\n", ros::venv().join("bin/activate").display());
-    let path = machine::target_dir().join("ros/setup.sh");
+    let path = ros::folder().join("setup.sh");
     fs::write(&path, text).map_err(|error| format!("{}: {error}", path.display()))?;
     Ok(path)
 }

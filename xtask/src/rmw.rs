@@ -29,7 +29,7 @@ pub fn bench(of: Build) -> Result<Command, String> {
 
 /// The one that has rclpy: with the ROS 2 that is sourced, else with that under the target directory.
 fn python() -> Option<PathBuf> {
-    let own = machine::target_dir().join("ros");
+    let own = ros::folder();
     let is_sourced = |prefixes: OsString| !Path::new(&prefixes).starts_with(&own);
     if std::env::var_os("AMENT_PREFIX_PATH").is_some_and(is_sourced) {
         return Some("python3".into());
