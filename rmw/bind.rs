@@ -11,7 +11,7 @@ const FUNCTIONS: &str = "rmw_(allocate|free|get_default_.*_options|.*_allocate|.
     |get_(message|service)_typesupport_handle";
 
 const TYPES: &str = "rmw_.*|rcutils_.*|rosidl_(message|service)_type_support_t|rosidl_runtime_c__.*|rosidl_type_hash_t\
-    |rosidl_typesupport_introspection_c__MessageMembers";
+    |rosidl_typesupport_introspection_c__(Message|Service)Members";
 
 const HEADERS: &str = "
 #include <rcutils/logging.h>
@@ -35,6 +35,7 @@ const HEADERS: &str = "
 #include <rosidl_runtime_c/message_type_support_struct.h>
 #include <rosidl_runtime_c/service_type_support_struct.h>
 #include <rosidl_typesupport_introspection_c/message_introspection.h>
+#include <rosidl_typesupport_introspection_c/service_introspection.h>
 ";
 
 /// A ROS 2.

@@ -3,7 +3,7 @@
 
 mod interface;
 #[cfg(any(humble, test))]
-mod introspection;
+pub(crate) mod introspection;
 
 use crate::bindings::*;
 use crate::error::{Error, Result};
@@ -227,5 +227,110 @@ mod since_jazzy {
     unsafe fn string(text: &rosidl_runtime_c__String) -> String {
         // SAFETY: the caller's contract.
         String::from_utf8_lossy(unsafe { all(text.data.cast::<u8>(), text.size) }).into_owned()
+    }
+}
+
+#[cfg(humble)]
+mod humble {
+    use super::*;
+    use crate::cdr::Callbacks;
+    use crate::types::{KnownType, MessageType, known, no_support};
+    use std::ffi::CStr;
+
+    pub(crate) const LAST_SUBSCRIPTION_EVENT: rmw_event_type_t = RMW_EVENT_MESSAGE_LOST;
+    pub(crate) const LAST_EVENT: rmw_event_type_t = RMW_EVENT_OFFERED_QOS_INCOMPATIBLE;
+
+    // Events that nobody can ask for.
+    pub(crate) const RMW_EVENT_SUBSCRIPTION_INCOMPATIBLE_TYPE: rmw_event_type_t = RMW_EVENT_INVALID + 1;
+    pub(crate) const RMW_EVENT_SUBSCRIPTION_MATCHED: rmw_event_type_t = RMW_EVENT_INVALID + 2;
+    pub(crate) const RMW_EVENT_PUBLISHER_INCOMPATIBLE_TYPE: rmw_event_type_t = RMW_EVENT_INVALID + 3;
+    pub(crate) const RMW_EVENT_PUBLICATION_MATCHED: rmw_event_type_t = RMW_EVENT_INVALID + 4;
+
+    #[allow(non_camel_case_types, reason = "rmw's name")]
+    pub(crate) struct rmw_matched_status_t {
+        pub(crate) total_count: usize,
+        pub(crate) total_count_change: usize,
+        pub(crate) current_count: usize,
+        pub(crate) current_count_change: i32,
+    }
+
+    // Policies that no profile of rcl has. Each is the number after `UNKNOWN`, as later.
+    pub(crate) const RMW_QOS_POLICY_RELIABILITY_BEST_AVAILABLE: u32 = 4;
+    pub(crate) const RMW_QOS_POLICY_DURABILITY_BEST_AVAILABLE: u32 = 4;
+    pub(crate) const RMW_QOS_POLICY_LIVELINESS_BEST_AVAILABLE: u32 = 5;
+
+    /// `ROS_LOCALHOST_ONLY` is so in any case.
+    pub(crate) fn check_discovery(_: &rmw_init_options_t) -> Result {
+        Ok(())
+    }
+
+    /// There are no options for discovery.
+    pub(crate) unsafe fn copy_discovery(_: &rmw_init_options_t, _: &mut rmw_init_options_t) -> Result {
+        Ok(())
+    }
+
+    pub(crate) unsafe fn finish_discovery(_: &mut rmw_init_options_t) {}
+
+    /// Information on endpoints has none.
+    pub(crate) fn set_type_hash(_: &mut rmw_topic_endpoint_info_t, _: Option<&str>) -> rmw_ret_t {
+        crate::bindings::RET_OK
+    }
+
+    /// # Safety
+    /// Both are type supports of one type.
+    pub(crate) unsafe fn message(
+        _found: &rosidl_message_type_support_t,
+        asked: *const rosidl_message_type_support_t,
+    ) -> Result<KnownType> {
+        // SAFETY: a type support finds the requested one, or null.
+        let find = |name: &CStr| unsafe { get_message_typesupport_handle(asked, name.as_ptr()).as_ref() };
+        let found = introspection::SUPPORTS.into_iter().find_map(find).ok_or_else(no_support)?;
+        // SAFETY: of a type support of this name.
+        unsafe { known_message(found.data.cast()) }
+    }
+
+    /// A service, its request and its response.
+    ///
+    /// # Safety
+    /// As [`message`].
+    pub(crate) unsafe fn service(
+        found: &rosidl_service_type_support_t,
+        asked: *const rosidl_service_type_support_t,
+    ) -> Result<(KnownType, MessageType, MessageType)> {
+        /// `service_type_support_callbacks_t` of rosidl_typesupport_fastrtps_cpp, whose header is for C++.
+        #[repr(C)]
+        struct Messages {
+            names: [*const c_char; 2],
+            request: *const rosidl_message_type_support_t,
+            response: *const rosidl_message_type_support_t,
+        }
+        // SAFETY: a type support finds the requested one, or null.
+        let find = |name: &CStr| unsafe { get_service_typesupport_handle(asked, name.as_ptr()).as_ref() };
+        let members = introspection::SUPPORTS.into_iter().find_map(find).ok_or_else(no_support)?;
+        // SAFETY: of type supports of these names; a service has both messages.
+        unsafe {
+            let messages = &*found.data.cast::<Messages>();
+            let members = &*members.data.cast::<rosidl_typesupport_introspection_c__ServiceMembers>();
+            let of = |callbacks: *const rosidl_message_type_support_t, members| {
+                Ok(MessageType::new(Callbacks::new((*callbacks).data), known_message(members)?))
+            };
+            let request = of(messages.request, members.request_members_)?;
+            let response = of(messages.response, members.response_members_)?;
+            let name = introspection::name(members.service_namespace_, members.service_name_);
+            Ok((known(name, || Ok(introspection::service(members)))?, request, response))
+        }
+    }
+
+    /// # Safety
+    /// The members come from their generator.
+    unsafe fn known_message(
+        members: *const rosidl_typesupport_introspection_c__MessageMembers,
+    ) -> Result<KnownType> {
+        // SAFETY: the caller's contract.
+        unsafe {
+            let members = members.as_ref().ok_or_else(no_support)?;
+            let name = introspection::name(members.message_namespace_, members.message_name_);
+            known(name, || Ok(introspection::message(members)))
+        }
     }
 }
