@@ -246,7 +246,7 @@ mod humble {
     pub(crate) const RMW_EVENT_PUBLISHER_INCOMPATIBLE_TYPE: rmw_event_type_t = RMW_EVENT_INVALID + 3;
     pub(crate) const RMW_EVENT_PUBLICATION_MATCHED: rmw_event_type_t = RMW_EVENT_INVALID + 4;
 
-    #[allow(non_camel_case_types, reason = "rmw's name")]
+    #[allow(non_camel_case_types, dead_code, reason = "rmw's name; no such event is taken")]
     pub(crate) struct rmw_matched_status_t {
         pub(crate) total_count: usize,
         pub(crate) total_count_change: usize,
@@ -312,7 +312,7 @@ mod humble {
             let messages = &*found.data.cast::<Messages>();
             let members = &*members.data.cast::<rosidl_typesupport_introspection_c__ServiceMembers>();
             let of = |callbacks: *const rosidl_message_type_support_t, members| {
-                Ok(MessageType::new(Callbacks::new((*callbacks).data), known_message(members)?))
+                known_message(members).map(|known| MessageType::new(Callbacks::new((*callbacks).data), known))
             };
             let request = of(messages.request, members.request_members_)?;
             let response = of(messages.response, members.response_members_)?;

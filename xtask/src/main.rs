@@ -16,6 +16,7 @@
 //! | `dist` | what is installed without a checkout: crates, packages, wheels |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
 //! | `guests` | tests, examples and the demo on emulated machines |
+//! | `headers` | rmw_tautline built with the headers of distributions that PyPI does not have |
 //! | `fuzz` | inputs made up by libFuzzer |
 //! | `lab` | the laboratory, `benches/`: built and tested |
 //! | `lints` | clippy's findings, with the tests' build |
@@ -46,6 +47,7 @@ mod dist;
 mod examples;
 mod fuzz;
 mod guests;
+mod headers;
 mod lab;
 mod lints;
 mod locks;

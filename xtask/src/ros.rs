@@ -25,7 +25,7 @@ pub fn choose(distribution: Distribution) {
     let _ = CHOSEN.set(distribution);
 }
 
-fn chosen() -> Distribution {
+pub fn chosen() -> Distribution {
     CHOSEN.get().copied().unwrap_or_default()
 }
 
@@ -38,7 +38,7 @@ pub fn distribution() -> String {
 pub fn step(name: &str) -> String {
     match chosen() {
         Distribution::Jazzy => name.to_owned(),
-        other => format!("{} on {name}", word(other)),
+        other => format!("{name}, {}", word(other)),
     }
 }
 
@@ -83,12 +83,17 @@ pub fn run() -> Result<(), String> {
     Ok(())
 }
 
-/// The folder of all that is of the chosen distribution. Tests look for it by this name.
-pub fn folder() -> PathBuf {
-    machine::target_dir().join(match chosen() {
+/// The folder of all that is of a distribution. Tests look for it by this name.
+pub fn folder_of(distribution: Distribution) -> PathBuf {
+    machine::target_dir().join(match distribution {
         Distribution::Jazzy => "ros",
         Distribution::Kilted => "ros-kilted",
     })
+}
+
+/// That of the chosen one.
+pub fn folder() -> PathBuf {
+    folder_of(chosen())
 }
 
 /// The environment.

@@ -114,12 +114,13 @@ fn field(name: &str, type_id: u8, capacity: u64, nested: &str) -> FieldDescripti
 /// # Safety
 /// As [`message`].
 unsafe fn visit(members: &Message, types: &mut Types) -> String {
-    // SAFETY: the caller's contract, here and below.
+    // SAFETY: the caller's contract.
     let type_name = unsafe { name(members.message_namespace_, members.message_name_) };
     if types.contains_key(&type_name) {
         return type_name;
     }
     let count = members.member_count_ as usize;
+    // SAFETY: the caller's contract: so many.
     let members = unsafe { std::slice::from_raw_parts(members.members_, count) };
     let fields = members.iter().map(|member| {
         let bound = member.string_upper_bound_;
@@ -139,6 +140,7 @@ unsafe fn visit(members: &Message, types: &mut Types) -> String {
             (true, _, false) => ARRAY,
         };
         let capacity = if member.is_array_ { member.array_size_ as u64 } else { 0 };
+        // SAFETY: the caller's contract: a text, and members if it is a message.
         let (name, nested) = unsafe {
             let nested = member.members_.as_ref().map(|support| &*support.data.cast::<Message>());
             let nested = nested.filter(|_| base == NESTED).map(|nested| visit(nested, types));
