@@ -2,6 +2,7 @@
 //! What it takes to build a program of r2r's: a ROS 2 to link with and libclang.
 
 use crate::build::Build;
+use crate::ros::Distribution;
 use crate::steps::{self, Outcome, Steps};
 use crate::{lab, machine, ros};
 use std::os::unix::fs::symlink;
@@ -32,10 +33,11 @@ pub const RPATH: &str = "TAUT_ROS_RPATH";
 /// What programs need to be built and to run.
 pub type Environment = Vec<(&'static str, String)>;
 
-/// Variables that a build needs beside those that are set: none where a ROS 2 is sourced and the system has libclang.
+/// Variables that a build needs beside those that are set: none where a ROS 2 is sourced, no other is chosen, and the system has libclang.
 pub fn environment() -> Result<Environment, String> {
     let mut variables = Vec::new();
-    if env::var_os("AMENT_PREFIX_PATH").is_none() || env::var_os("ROS_DISTRO").is_none() {
+    let is_sourced = ["AMENT_PREFIX_PATH", "ROS_DISTRO"].iter().all(|name| env::var_os(name).is_some());
+    if !is_sourced || ros::chosen() != Distribution::default() {
         let prefix = wheels()?;
         let text = |path: &Path| path.display().to_string();
         variables.extend([("AMENT_PREFIX_PATH", text(&prefix)), ("ROS_DISTRO", ros::distribution())]);

@@ -86,11 +86,15 @@ pub fn test(steps: &mut Steps) {
 /// The library that was built last does not start in another distribution, and says so.
 pub fn refused(steps: &mut Steps, built: &str, by: Distribution) {
     steps.step(&format!("rmw: {} refuses {built}'s", word(by)), || {
-        let mut node = Command::new(ros::folder_of(by).join("venv/bin/python"));
+        let venv = ros::folder_of(by).join("venv");
+        let mut node = Command::new(venv.join("bin/python"));
         node.args(["-c", "import rclpy; rclpy.init()"]).env_remove("ROS_DISTRO");
-        node.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        node.env("LD_LIBRARY_PATH", venv.join("lib")).env_remove("AMENT_PREFIX_PATH");
         node.env("RMW_IMPLEMENTATION", "rmw_tautline");
-        node.env("LD_PRELOAD", Build::Tests.folder().join("librmw_tautline.so"));
+        // The library's rpath is that of its build: the librmw comes first, as it does where there is one distribution.
+        let [librmw, library] =
+            [venv.join("lib/librmw.so"), Build::Tests.folder().join("librmw_tautline.so")];
+        node.env("LD_PRELOAD", format!("{} {}", librmw.display(), library.display()));
         announce(&node);
         let output = node.output().map_err(|error| format!("Python: {error}"))?;
         let said = String::from_utf8_lossy(&output.stderr);
