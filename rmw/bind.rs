@@ -5,13 +5,13 @@ use std::env;
 use std::path::{Path, PathBuf};
 
 /// What an RMW calls of librmw, librcutils and the type supports' dispatch.
-const FUNCTIONS: &str = "rmw_(allocate|free|get_default_.*_options|.*_allocate|.*_free|.*_zero_initialized_.*|discovery_options_(copy|fini)\
+const FUNCTIONS: &str = "rmw_(allocate|free|get_default_.*_options|.*_allocate|.*_free|.*_zero_initialized_.*|(discovery|enclave)_options_(copy|fini)\
     |security_options_(copy|fini)|names_and_types_.*|topic_endpoint_info_.*|validate_.*|.*_validation_result_string)\
     |rcutils_(get_default_allocator|error_is_set|get_error_string|reset_error|set_error_state|string_array_(init|fini)|strdup|uint8_array_resize|log)\
     |get_(message|service)_typesupport_handle";
 
 const TYPES: &str = "rmw_.*|rcutils_.*|rosidl_(message|service)_type_support_t|rosidl_runtime_c__.*|rosidl_type_hash_t\
-    |rosidl_typesupport_introspection_c__MessageMembers";
+    |rosidl_typesupport_introspection_c__(Message|Service)Members";
 
 const HEADERS: &str = "
 #include <rcutils/logging.h>
@@ -26,16 +26,30 @@ const HEADERS: &str = "
 #include <rmw/get_topic_endpoint_info.h>
 #include <rmw/names_and_types.h>
 #include <rmw/rmw.h>
+#if __has_include(<rmw/get_service_endpoint_info.h>)
+#include <rmw/get_service_endpoint_info.h>
+#endif
 #include <rmw/validate_full_topic_name.h>
 #include <rmw/validate_namespace.h>
 #include <rmw/validate_node_name.h>
 #include <rosidl_runtime_c/message_type_support_struct.h>
 #include <rosidl_runtime_c/service_type_support_struct.h>
 #include <rosidl_typesupport_introspection_c/message_introspection.h>
+#include <rosidl_typesupport_introspection_c/service_introspection.h>
 ";
 
-/// Writes `bindings.rs` into cargo's output folder. Returns the folders of the headers and the prefixes of the ROS 2 in `AMENT_PREFIX_PATH`.
-pub fn bind() -> (Vec<PathBuf>, Vec<PathBuf>) {
+/// A ROS 2.
+pub struct Ros {
+    /// The folders of its headers.
+    pub includes: Vec<PathBuf>,
+    pub prefixes: Vec<PathBuf>,
+    /// The text of `bindings.rs`.
+    #[allow(dead_code, reason = "the bench does not read it")]
+    pub bindings: String,
+}
+
+/// Writes `bindings.rs` into cargo's output folder, for the ROS 2 in `AMENT_PREFIX_PATH`.
+pub fn bind() -> Ros {
     for name in ["AMENT_PREFIX_PATH", "TAUT_ROS_RPATH", "LIBCLANG_PATH"] {
         println!("cargo:rerun-if-env-changed={name}");
     }
@@ -47,8 +61,8 @@ pub fn bind() -> (Vec<PathBuf>, Vec<PathBuf>) {
     );
     let includes: Vec<PathBuf> =
         prefixes.iter().flat_map(|prefix| includes(&prefix.join("include"))).collect();
-    write(&includes);
-    (includes, prefixes)
+    let bindings = write(&includes);
+    Ros { includes, prefixes, bindings }
 }
 
 /// Has the linker find librmw and librcutils in these prefixes, and programs at run time.
@@ -67,7 +81,7 @@ fn includes(include: &Path) -> Vec<PathBuf> {
     packages.filter(|path| path.is_dir()).chain([include.to_owned()]).collect()
 }
 
-fn write(includes: &[PathBuf]) {
+fn write(includes: &[PathBuf]) -> String {
     let bindings = bindgen::Builder::default()
         .header_contents("rmw_tautline.h", HEADERS)
         .clang_args(includes.iter().map(|path| format!("-I{}", path.display())))
@@ -81,5 +95,7 @@ fn write(includes: &[PathBuf]) {
         .generate()
         .expect("the headers of ROS 2 are read");
     let file = PathBuf::from(env::var_os("OUT_DIR").expect("cargo sets it")).join("bindings.rs");
-    bindings.write_to_file(file).expect("the bindings are written");
+    let text = bindings.to_string();
+    std::fs::write(file, &text).expect("the bindings are written");
+    text
 }

@@ -6,8 +6,7 @@ mod bind;
 
 fn main() {
     println!("cargo:rerun-if-changed=../../rmw/bind.rs");
-    let (_, prefixes) = bind::bind();
-    bind::link(&prefixes);
+    bind::link(&bind::bind().prefixes);
     for library in ["rmw", "rcutils"] {
         println!("cargo:rustc-link-arg-bins=-Wl,--no-as-needed,-l{library}");
     }

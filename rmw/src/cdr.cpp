@@ -7,6 +7,7 @@
 #include <exception>
 
 #include <fastcdr/Cdr.h>
+#include <fastcdr/config.h>
 #include <fastcdr/FastBuffer.h>
 #include <rosidl_typesupport_fastrtps_cpp/message_type_support.h>
 
@@ -45,12 +46,29 @@ struct Plain
   FastBuffer buffer;
   Cdr cdr;
 
+#if FASTCDR_VERSION_MAJOR < 2
+  Plain(char * bytes, size_t size, bool is_little)
+  : buffer(bytes, size), cdr(buffer, is_little ? Cdr::LITTLE_ENDIANNESS : Cdr::BIG_ENDIANNESS, Cdr::DDS_CDR)
+  {
+  }
+
+  size_t written() const
+  {
+    return cdr.getSerializedDataLength();
+  }
+#else
   Plain(char * bytes, size_t size, bool is_little)
   : buffer(bytes, size), cdr(
       buffer, is_little ? Cdr::LITTLE_ENDIANNESS : Cdr::BIG_ENDIANNESS, eprosima::fastcdr::CdrVersion::XCDRv1)
   {
     cdr.set_encoding_flag(eprosima::fastcdr::EncodingAlgorithmFlag::PLAIN_CDR);
   }
+
+  size_t written() const
+  {
+    return cdr.get_serialized_data_length();
+  }
+#endif
 };
 }  // namespace
 
@@ -84,7 +102,7 @@ bool taut_cdr_write(
     reason, reason_bytes, [&] {
       Plain body(reinterpret_cast<char *>(to), capacity, true);
       const bool is_written = of(callbacks).cdr_serialize(message, body.cdr);
-      *written = body.cdr.get_serialized_data_length();
+      *written = body.written();
       return is_written;
     });
 }

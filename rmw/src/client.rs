@@ -5,7 +5,7 @@ use crate::bindings::*;
 use crate::context::Watchers;
 use crate::end::{MessageQueue, ReceivingEndpoint};
 use crate::error::{Error, Result, answer, made};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place};
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, gid_to_ros, place};
 use crate::node::{self, Node};
 use crate::on_new::Listeners;
 use crate::qos;
@@ -302,7 +302,7 @@ pub unsafe extern "C" fn rmw_get_gid_for_client(
     answer(|| {
         // SAFETY: rmw's contract.
         let (client, gid) = unsafe { (behind(handle)?, place(gid, "the gid")?) };
-        *gid = rmw_gid_t { implementation_identifier: IDENTIFIER.as_ptr(), data: client.gid.0 };
+        *gid = gid_to_ros(client.gid);
         Ok(())
     })
 }

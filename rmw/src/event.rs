@@ -3,6 +3,7 @@
 
 use crate::bindings::*;
 use crate::callback::{Call, EventCallback, Function};
+use crate::distro::{self, *};
 use crate::error::{Error, Result, answer};
 use crate::handle::{IDENTIFIER, behind, check_identifier, place};
 use crate::helper::Helper;
@@ -16,8 +17,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use tautline_rt::PiMutex;
 use tautline_sampler::{PublisherEvent, SubscriptionEvent};
 
-/// Kinds of events of both kinds of endpoints: `rmw_event_type_t` counts from 0.
-const KINDS: usize = RMW_EVENT_INVALID as usize;
+/// Kinds of events of both kinds of endpoints. Depending on the distribution, `RMW_EVENT_INVALID` comes after all or is 0.
+const KINDS: usize = distro::LAST_EVENT as usize + 1;
 
 /// The events of one endpoint, by kind.
 #[derive(Default)]
@@ -280,7 +281,7 @@ pub unsafe extern "C" fn rmw_publisher_event_init(
         // SAFETY: rmw's contract.
         let publisher = unsafe { behind(publisher)? };
         publisher.listen()?;
-        init(event, &publisher.events, kind, RMW_EVENT_LIVELINESS_LOST..=RMW_EVENT_PUBLICATION_MATCHED)
+        init(event, &publisher.events, kind, RMW_EVENT_LIVELINESS_LOST..=LAST_EVENT)
     })
 }
 
@@ -296,14 +297,14 @@ pub unsafe extern "C" fn rmw_subscription_event_init(
         // SAFETY: rmw's contract.
         let subscription = unsafe { behind(subscription)? };
         subscription.listen()?;
-        init(event, &subscription.events, kind, RMW_EVENT_LIVELINESS_CHANGED..=RMW_EVENT_SUBSCRIPTION_MATCHED)
+        init(event, &subscription.events, kind, RMW_EVENT_LIVELINESS_CHANGED..=LAST_SUBSCRIPTION_EVENT)
     })
 }
 
 #[unsafe(no_mangle)]
 /// Whether this kind of event is supported.
 pub extern "C" fn rmw_event_type_is_supported(kind: rmw_event_type_t) -> bool {
-    (kind as usize) < KINDS
+    kind != RMW_EVENT_INVALID && (kind as usize) < KINDS
 }
 
 /// The source of an event.

@@ -2,6 +2,7 @@
 //! The graph of the domain, in ROS's structs.
 
 use crate::bindings::*;
+use crate::distro;
 use crate::error::{Error, Result, answer, checked};
 use crate::handle::{behind, place, text};
 use crate::node::{check_full_name, check_namespace, check_node_name};
@@ -383,7 +384,6 @@ fn write_info(
         .map_or(("_NODE_NAME_UNKNOWN_", "_NODE_NAMESPACE_UNKNOWN_"), |node| (&node.name, &node.namespace));
     let (name, namespace) = (c_string(name), c_string(namespace));
     let topic_type = c_string(&end.topic_type.name);
-    let hash = type_hash(end.topic_type.hash.as_deref());
     let (endpoint, profile) = match end.kind {
         EndpointKind::Publisher => (RMW_ENDPOINT_PUBLISHER, qos::to_ros(&end.qos, false)),
         EndpointKind::Subscription => (RMW_ENDPOINT_SUBSCRIPTION, qos::to_ros(&end.qos, false)),
@@ -394,7 +394,7 @@ fn write_info(
             rmw_topic_endpoint_info_set_node_name(info, name.as_ptr(), allocator),
             rmw_topic_endpoint_info_set_node_namespace(info, namespace.as_ptr(), allocator),
             rmw_topic_endpoint_info_set_topic_type(info, topic_type.as_ptr(), allocator),
-            rmw_topic_endpoint_info_set_topic_type_hash(info, &hash),
+            distro::set_type_hash(info, end.topic_type.hash.as_deref()),
             rmw_topic_endpoint_info_set_endpoint_type(info, endpoint),
             rmw_topic_endpoint_info_set_gid(info, end.gid.0.as_ptr(), end.gid.0.len()),
             rmw_topic_endpoint_info_set_qos_profile(info, &profile),
@@ -403,18 +403,6 @@ fn write_info(
         }
     }
     Ok(())
-}
-
-/// A hash as bytes; version 0 (unset) if unknown.
-pub(crate) fn type_hash(hash: Option<&str>) -> rosidl_type_hash_t {
-    let digits = hash.and_then(|hash| hash.strip_prefix("RIHS01_")).unwrap_or_default();
-    let mut found = rosidl_type_hash_t { version: 0, value: [0; 32] };
-    for (byte, digits) in found.value.iter_mut().zip(digits.as_bytes().chunks(2)) {
-        let text = std::str::from_utf8(digits).unwrap_or_default();
-        *byte = u8::from_str_radix(text, 16).unwrap_or(0);
-        found.version = 1;
-    }
-    found
 }
 
 /// # Safety

@@ -12,6 +12,7 @@ use crate::service::Service;
 use crate::subscription::Subscription;
 use crate::wait::WaitSet;
 use std::ffi::{CStr, c_char, c_void};
+use tautline_transport::Gid;
 
 /// `rmw_get_implementation_identifier`.
 pub(crate) const IDENTIFIER: &CStr = c"rmw_tautline";
@@ -156,6 +157,13 @@ pub(crate) unsafe fn text<'t>(text: *const c_char, what: &str) -> Result<&'t str
     // SAFETY: the caller's contract.
     let text = unsafe { CStr::from_ptr(text) };
     text.to_str().map_err(|_| Error::invalid(format!("{what} is not UTF-8")))
+}
+
+/// A GID in ROS's struct, which is longer in some distributions.
+pub(crate) fn gid_to_ros(Gid(bytes): Gid) -> rmw_gid_t {
+    let mut gid = rmw_gid_t { implementation_identifier: IDENTIFIER.as_ptr(), ..rmw_gid_t::default() };
+    gid.data[..bytes.len()].copy_from_slice(&bytes);
+    gid
 }
 
 /// A copy of a text in rmw's memory, to be freed with [`free_text`].

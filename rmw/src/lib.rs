@@ -12,6 +12,7 @@
 //! | `event` | QoS events, received by the `helper`, a thread in place of the sampler; `callback`: callbacks of ROS; `on_new`: those for messages; `notifier`: the thread that calls them for other contexts |
 //! | `graph` | the graph |
 //! | `types` | type supports; `cdr`: their callbacks; `layout`: types with equal layout in memory and CDR; `serialization`: messages as bytes; `qos`: profiles |
+//! | `distro` | what differs between distributions of ROS 2 |
 //! | `handle` | ROS's handles |
 //! | `unsupported` | unsupported functions |
 //! | `log` | forwards Tautline's log to ROS's |
@@ -21,6 +22,7 @@ mod callback;
 mod cdr;
 mod client;
 mod context;
+mod distro;
 mod end;
 mod error;
 mod event;

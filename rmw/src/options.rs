@@ -2,6 +2,7 @@
 //! The options of a context.
 
 use crate::bindings::*;
+use crate::distro;
 use crate::error::{Error, Result, answer, checked, without_text};
 use crate::handle::{IDENTIFIER, check_identifier, place};
 use tautline_transport::MAX_DOMAIN;
@@ -20,35 +21,13 @@ pub(crate) fn check(options: &rmw_init_options_t) -> Result<u32> {
              hosts `taut gateway` has TLS. Unset ROS_SECURITY_ENABLE, or use another RMW",
         ));
     }
-    let discovery = &options.discovery_options;
-    if discovery.automatic_discovery_range == RMW_AUTOMATIC_DISCOVERY_RANGE_OFF {
-        return Err(Error::unsupported(
-            "ROS_AUTOMATIC_DISCOVERY_RANGE=OFF: rmw_tautline cannot hide a context. Set TAUT_SCOPE to a private name, \
-             or use another domain",
-        ));
-    }
-    if discovery.static_peers_count != 0 {
-        tracing::warn!(
-            "ROS_STATIC_PEERS has no effect: use `taut gateway --connect tcp/HOST:PORT` to reach other hosts"
-        );
-    }
+    distro::check_discovery(options)?;
     match options.domain_id {
         DEFAULT_DOMAIN => Ok(0),
         domain => u32::try_from(domain).ok().filter(|domain| *domain <= MAX_DOMAIN).ok_or_else(|| {
             Error::invalid(format!("domain {domain} does not exist: domains go from 0 to {MAX_DOMAIN}"))
         }),
     }
-}
-
-/// Refuses another distribution than that of the build, whose structs may differ. A name that is not set is no reason.
-pub(crate) fn check_distribution(sourced: &str) -> Result {
-    const BUILT: &str = env!("ROS_DISTRO");
-    if BUILT.is_empty() || sourced.is_empty() || sourced == BUILT {
-        return Ok(());
-    }
-    Err(Error::unsupported(format!(
-        "this rmw_tautline is built for ROS 2 {BUILT}, and ROS_DISTRO is {sourced}: build it with {sourced} sourced, or use another RMW"
-    )))
 }
 
 /// Checks the code of copying or finalising options, which set the error text.
@@ -72,7 +51,7 @@ pub unsafe extern "C" fn rmw_init_options_init(
 ) -> rmw_ret_t {
     answer(|| {
         // rcl calls this first.
-        check_distribution(&std::env::var("ROS_DISTRO").unwrap_or_default())?;
+        distro::check()?;
         // SAFETY: rmw's contract.
         let options = unsafe { place(options, "the options")? };
         if !is_valid(&allocator) {
@@ -82,20 +61,10 @@ pub unsafe extern "C" fn rmw_init_options_init(
             return Err(Error::invalid("the options are initialised already"));
         }
         // SAFETY: no conditions.
-        let (security_options, discovery_options) = unsafe {
-            (rmw_get_zero_initialized_security_options(), rmw_get_zero_initialized_discovery_options())
-        };
-        *options = rmw_init_options_t {
-            instance_id: 0,
-            implementation_identifier: IDENTIFIER.as_ptr(),
-            domain_id: DEFAULT_DOMAIN,
-            security_options,
-            localhost_only: RMW_LOCALHOST_ONLY_DEFAULT,
-            discovery_options,
-            enclave: std::ptr::null_mut(),
-            allocator,
-            impl_: std::ptr::null_mut(),
-        };
+        *options = unsafe { rmw_get_zero_initialized_init_options() };
+        options.implementation_identifier = IDENTIFIER.as_ptr();
+        options.domain_id = DEFAULT_DOMAIN;
+        options.allocator = allocator;
         Ok(())
     })
 }
@@ -120,23 +89,18 @@ pub unsafe extern "C" fn rmw_init_options_copy(
         if !destination.implementation_identifier.is_null() {
             return Err(Error::invalid("the destination is initialised already"));
         }
-        let mut allocator = source.allocator;
+        let allocator = source.allocator;
         // SAFETY: the source is initialised; the destination is zero.
         unsafe {
             let mut copy = rmw_init_options_t {
                 enclave: std::ptr::null_mut(),
                 security_options: rmw_get_zero_initialized_security_options(),
-                discovery_options: rmw_get_zero_initialized_discovery_options(),
                 ..*source
             };
             let security =
                 rmw_security_options_copy(&source.security_options, &allocator, &mut copy.security_options);
-            let copied = checked(security, "copying the security options").and_then(|()| {
-                let from = &source.discovery_options;
-                let discovery = rmw_discovery_options_copy(from, &mut allocator, &mut copy.discovery_options);
-                checked(discovery, "copying the discovery options")
-            });
-            let copied = copied.and_then(|()| {
+            let discovery = distro::copy_discovery(source, &mut copy);
+            let copied = checked(security, "copying the security options").and(discovery).and_then(|()| {
                 if source.enclave.is_null() {
                     return Ok(());
                 }
@@ -171,7 +135,7 @@ unsafe fn finish(options: &mut rmw_init_options_t) {
         }
         without_text(|| {
             let _ = rmw_security_options_fini(&mut options.security_options, &allocator);
-            let _ = rmw_discovery_options_fini(&mut options.discovery_options);
+            distro::finish_discovery(options);
         });
         *options = rmw_get_zero_initialized_init_options();
     }

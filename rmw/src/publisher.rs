@@ -5,7 +5,7 @@ use crate::bindings::*;
 use crate::cdr::{Callbacks, Length};
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place};
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, gid_to_ros, place};
 use crate::node::{self, Node};
 use crate::on_new::Listeners;
 use crate::qos::{self, EndpointRole};
@@ -417,7 +417,7 @@ pub unsafe extern "C" fn rmw_get_gid_for_publisher(
     answer(|| {
         // SAFETY: rmw's contract.
         let (publisher, gid) = unsafe { (behind(handle)?, place(gid, "the gid")?) };
-        *gid = rmw_gid_t { implementation_identifier: IDENTIFIER.as_ptr(), data: publisher.gid.0 };
+        *gid = gid_to_ros(publisher.gid);
         Ok(())
     })
 }

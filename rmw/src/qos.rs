@@ -2,6 +2,8 @@
 //! QoS: ROS's profile, with defaults for open policies, and Tautline's.
 
 use crate::bindings::*;
+#[cfg(humble)]
+use crate::distro::*;
 use crate::error::{Error, Result, answer};
 use crate::handle::place;
 use std::ffi::c_char;

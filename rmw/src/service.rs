@@ -138,7 +138,8 @@ pub(crate) fn info_of(info: MessageInfo) -> rmw_service_info_t {
         source_timestamp: info.source_timestamp_ns,
         received_timestamp: received_ns(&info),
         request_id: rmw_request_id_t {
-            writer_guid: info.publisher_gid.0,
+            // Signed in some distributions.
+            writer_guid: info.publisher_gid.0.map(|byte| byte as _),
             sequence_number: i64::try_from(info.sequence_number).unwrap_or(i64::MAX),
         },
     }
@@ -252,7 +253,7 @@ pub unsafe extern "C" fn rmw_send_response(
         }
         let sequence_number = u64::try_from(header.sequence_number)
             .map_err(|_| Error::invalid("the request's sequence number is negative"))?;
-        let id = RequestId { client: Gid(header.writer_guid), sequence_number };
+        let id = RequestId { client: Gid(header.writer_guid.map(|byte| byte as _)), sequence_number };
         let callbacks = service.of.response.callbacks;
         // SAFETY: rmw's contract: a response of this type.
         let estimate = unsafe { callbacks.estimate(response)? };

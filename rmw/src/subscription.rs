@@ -6,7 +6,7 @@ use crate::cdr::Length;
 use crate::end::ReceivingEndpoint;
 use crate::error::{Error, Result, answer, made};
 use crate::event::{Happened, Sources};
-use crate::handle::{IDENTIFIER, behind, copy_text, free_text, place};
+use crate::handle::{IDENTIFIER, behind, copy_text, free_text, gid_to_ros, place};
 use crate::node::{self, Node};
 use crate::qos::{self, EndpointRole};
 use crate::serialization::write_serialized;
@@ -113,10 +113,7 @@ impl Subscription {
             received_timestamp: received_ns(&info),
             publication_sequence_number: info.sequence_number,
             reception_sequence_number: self.received.fetch_add(1, Ordering::Relaxed) + 1,
-            publisher_gid: rmw_gid_t {
-                implementation_identifier: IDENTIFIER.as_ptr(),
-                data: info.publisher_gid.0,
-            },
+            publisher_gid: gid_to_ros(info.publisher_gid),
             from_intra_process: false,
         }
     }
@@ -305,14 +302,13 @@ pub unsafe extern "C" fn rmw_create_subscription(
                 free_text(topic_name);
                 return Err(Error::new(RET_BAD_ALLOC, "no memory for a subscription"));
             }
-            handle.write(rmw_subscription_t {
-                implementation_identifier: IDENTIFIER.as_ptr(),
-                data: Box::into_raw(Box::new(subscription)).cast(),
-                topic_name,
-                options: *options,
-                can_loan_messages,
-                is_cft_enabled: false,
-            });
+            // What is not said of content filters is false.
+            handle.write(rmw_subscription_t::default());
+            (*handle).implementation_identifier = IDENTIFIER.as_ptr();
+            (*handle).data = Box::into_raw(Box::new(subscription)).cast();
+            (*handle).topic_name = topic_name;
+            (*handle).options = *options;
+            (*handle).can_loan_messages = can_loan_messages;
             node.own(handle);
             Ok(handle)
         }

@@ -2,9 +2,10 @@
 //! Tests of the RMW's contract, called as by rcl: with C structs and type supports of ROS's packages.
 
 use crate::bindings::*;
+use crate::error::answer;
 use crate::{
-    client, context, event, graph, guard, node, options, publisher, serialization, service, subscription,
-    types, wait,
+    client, context, distro, event, graph, guard, node, options, publisher, serialization, service,
+    subscription, types, wait,
 };
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -527,17 +528,75 @@ fn endpoints_that_are_not_destroyed_end_with_their_node() {
     }
 }
 
-/// Another distribution's structs may differ: nothing is written to them.
+/// Another distribution's structs differ: nothing is written to them.
 #[test]
 fn another_distribution_is_refused_by_name() {
-    assert!(options::check_distribution("").is_ok());
-    assert!(options::check_distribution(env!("ROS_DISTRO")).is_ok());
-    let other = options::check_distribution("humbler");
-    assert_eq!(
-        other.is_err(),
-        !env!("ROS_DISTRO").is_empty(),
-        "a build that does not know its own refuses none"
-    );
+    const BUILT: &str = env!("ROS_DISTRO");
+    const INTERFACE: &str = env!("RMW_INTERFACE");
+    assert!(distro::check_loaded(INTERFACE, BUILT).is_ok() && distro::check_loaded(INTERFACE, "").is_ok());
+    assert!(distro::check().is_ok(), "the librmw of the tests is that of the build");
+    for (loaded, sourced, why) in [
+        ("humbler", "", "the librmw that is loaded is of humbler"),
+        ("humbler", BUILT, "the librmw that is loaded is of humbler"),
+        (INTERFACE, "humbler", "ROS_DISTRO is humbler"),
+    ] {
+        assert_eq!(answer(|| distro::check_loaded(loaded, sourced)), RET_UNSUPPORTED);
+        let fix = "build it with humbler sourced, or use another RMW";
+        let expected = format!("this rmw_tautline is built for ROS 2 {BUILT}, and {why}: {fix}");
+        let said = said();
+        assert!(said.starts_with(&expected), "{said}");
+    }
+}
+
+/// Where type supports have neither, as Humble's, a type's description and its hash follow from its struct.
+#[test]
+fn a_type_without_a_description_has_the_same_hash() {
+    let prefixes = std::env::var_os("AMENT_PREFIX_PATH").expect("a ROS 2 is sourced");
+    let mut of_each = [0, 0];
+    for share in std::env::split_paths(&prefixes).map(|prefix| prefix.join("share")) {
+        let packages = std::fs::read_dir(share).unwrap().map(|entry| entry.unwrap().path());
+        for (package, (kind, found)) in packages.flat_map(|package| {
+            ["msg", "srv"].into_iter().enumerate().map(move |(index, kind)| (package.clone(), (kind, index)))
+        }) {
+            let definitions = std::fs::read_dir(package.join(kind))
+                .into_iter()
+                .flatten()
+                .map(|entry| entry.unwrap().path());
+            let definitions =
+                definitions.filter(|path| path.extension().is_some_and(|ending| ending == kind));
+            let package = package.file_name().unwrap().to_str().unwrap().to_owned();
+            for name in definitions.map(|path| path.file_stem().unwrap().to_str().unwrap().to_owned()) {
+                // SAFETY: type supports of ROS's, in each of which there is introspection.
+                let (described, expected) = unsafe {
+                    let of = distro::introspection::SUPPORTS[0].as_ptr();
+                    if kind == "msg" {
+                        let support = support(&package, &name);
+                        let members = (*get_message_typesupport_handle(support, of)).data.cast();
+                        (
+                            distro::introspection::message(&*members),
+                            types::MessageType::of(support).unwrap().topic_type,
+                        )
+                    } else {
+                        let support = service_support(&package, &name);
+                        let members = (*get_service_typesupport_handle(support, of)).data.cast();
+                        (
+                            distro::introspection::service(&*members),
+                            types::ServiceSupport::of(support).unwrap().service_type.request,
+                        )
+                    }
+                };
+                let schema = tautline_schema::Schema::from_description(&described).unwrap();
+                assert_eq!(
+                    (schema.name().to_string(), Some(schema.hash().to_string())),
+                    (expected.name.into(), expected.hash.map(String::from)),
+                    "{package}/{name}"
+                );
+                of_each[found] += 1;
+            }
+        }
+    }
+    println!("{of_each:?} messages and services");
+    assert!(of_each[0] > 100 && of_each[1] > 20, "{of_each:?}");
 }
 
 /// Waits of a context end when it is shut down, and there are none after that, whatever they wait for.
@@ -694,14 +753,14 @@ impl Letter {
             let mut field = *description_of.type_description.fields.data;
             field.type_.type_id = type_id;
             description_of.type_description.fields.data = Box::into_raw(Box::new(field));
-            let hash_of = types::described(&description_of).hash().to_string();
+            let hash_of = distro::described(&description_of).hash().to_string();
             let support = rosidl_message_type_support_t {
                 func: Some(find),
                 get_type_hash_func: Some(hash),
                 get_type_description_func: Some(description),
                 ..*number
             };
-            let hash = graph::type_hash(Some(&hash_of));
+            let hash = distro::type_hash(Some(&hash_of));
             &Box::leak(Box::new(Letter { support, hash, description: description_of })).support
         }
     }
@@ -1043,7 +1102,7 @@ fn callbacks_for_other_contexts_have_the_priority_of_who_set_them() {
             *found.lock().unwrap()
         };
         set_callback();
-        assert_eq!(policy_of_call(), tautline_rt::current_policy().ok());
+        assert_eq!(policy_of_call(), tautline_rt::current_policy().ok(), "as nice as who started the tests");
         std::thread::spawn(move || {
             tautline_rt::set_own_priority(31).unwrap();
             set_callback();

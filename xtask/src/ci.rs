@@ -7,6 +7,7 @@ use crate::bench::{self, Name};
 use crate::build::{Build, SAME, TARGETS, WHOLE, WITH_GATEWAY, WITH_ROS};
 use crate::guests::{Extent, Guest};
 use crate::machine::{self, Scope};
+use crate::ros::Distribution;
 use crate::steps::{Background, Outcome, Steps, cargo, execute, reported};
 use crate::test::{self, nextest};
 use crate::{
@@ -34,7 +35,7 @@ pub enum Job {
     Prepare,
     /// The documentation, for which mdBook is built, and the first command: builds in folders of their own.
     Book,
-    /// What is built for a step alone, and takes the place of nothing.
+    /// What is built for a step alone, and takes the place of nothing but the RMW.
     Apart,
     /// What takes the place of `taut` and other programs of the tests' build: meanwhile nobody runs these.
     Variants,
@@ -63,6 +64,9 @@ impl Job {
                 examples_by_themselves(&mut steps);
                 dist::test_crates(&mut steps);
                 peers::test(&mut steps);
+                // The library of the build is Kilted's from here on: what uses Jazzy's has run.
+                ros::choose(Distribution::Kilted);
+                rmw::test(&mut steps);
             }
             Job::Variants => {
                 fuzz::run(&mut steps, fuzz::RUNS_IN_CI, &[]);
@@ -152,6 +156,8 @@ fn prepare(steps: &mut Steps) {
     steps.step("gateway: packages", packages::firewall);
     steps.step("lttng: packages", lttng::prepare);
     steps.step("guests: packages", || guests::prepare(&GUESTS).unless_ci());
+    ros::choose(Distribution::Kilted);
+    steps.step(&ros::step("ros"), || Outcome::from(ros::prepare()).unless_ci());
 }
 
 /// Workspaces that are no part of [`mod@test`].

@@ -41,7 +41,7 @@ pub fn test(steps: &mut Steps, environment: &Environment) {
         return;
     }
     // A workspace of which this repository is the source.
-    let workspace = machine::target_dir().join("ros/colcon");
+    let workspace = ros::folder().join("colcon");
     let command = |program: &str| {
         let mut command = Command::new(program);
         command.current_dir(&workspace).envs(environment.clone());

@@ -19,6 +19,7 @@
 //! | `dist` | what is installed without a checkout: crates, packages, wheels |
 //! | `examples` | runs each example and compares what it prints with `examples/expected` |
 //! | `guests` | tests, examples and the demo on emulated machines |
+//! | `headers` | rmw_tautline built with the headers of distributions that PyPI does not have |
 //! | `fuzz` | inputs made up by libFuzzer |
 //! | `lab` | the laboratory, `benches/`: built and tested |
 //! | `lints` | clippy's findings, with the tests' build |
@@ -51,6 +52,7 @@ mod examples;
 mod first;
 mod fuzz;
 mod guests;
+mod headers;
 mod lab;
 mod lints;
 mod locks;
@@ -102,6 +104,14 @@ impl All {
     }
 }
 
+/// Which ROS 2.
+#[derive(clap::Args)]
+struct Ros {
+    /// Its distribution, if it comes from PyPI
+    #[arg(long, value_enum, default_value_t)]
+    distro: ros::Distribution,
+}
+
 /// The tasks of this workspace.
 #[derive(Parser)]
 #[command(bin_name = "cargo xtask")]
@@ -146,15 +156,17 @@ enum Verb {
     Dependencies,
     /// Builds the README's first command as on a fresh clone, and checks how many units wait for one another
     First,
-    /// Makes a real ROS 2 Jazzy from PyPI under target/ros; tests compare with it, and the bridge is built with it
-    Ros,
+    /// Makes a real ROS 2 from PyPI under target/ros or target/ros-kilted; tests compare with it, and bridge and RMW are built with it
+    Ros(Ros),
     /// Lints and tests the bridge to ROS 2, with the ROS 2 that is sourced, else with that of `cargo xtask ros`
-    Bridge,
+    Bridge(Ros),
     /// Builds rmw_tautline for the ROS 2 that is sourced, else for that of `cargo xtask ros`, and says how nodes run on it
     Rmw {
         /// Run its lints and tests instead
         #[arg(long)]
         test: bool,
+        #[command(flatten)]
+        ros: Ros,
     },
     /// Tests the gateway against hiroz, zenoh-ros2-sdk (made under target/peers) and an rmw_zenoh_cpp that is sourced or that
     /// `TAUT_RMW_ZENOH` names; minutes to build
@@ -308,10 +320,18 @@ fn main() -> ExitCode {
         Verb::Book => as_steps(book::test),
         Verb::Dependencies => as_steps(dependencies::test),
         Verb::First => as_steps(first::test),
-        Verb::Ros => exit(ros::run()),
-        Verb::Bridge => as_steps_with_ros(bridge::test),
-        Verb::Rmw { test: false } => exit(rmw::run()),
-        Verb::Rmw { test: true } => as_steps_with_ros(rmw::test),
+        Verb::Ros(Ros { distro }) => {
+            ros::choose(distro);
+            exit(ros::run())
+        }
+        Verb::Bridge(Ros { distro }) => {
+            ros::choose(distro);
+            as_steps_with_ros(bridge::test)
+        }
+        Verb::Rmw { test, ros: Ros { distro } } => {
+            ros::choose(distro);
+            if test { as_steps_with_ros(rmw::test) } else { exit(rmw::run()) }
+        }
         Verb::Peers => as_steps_with_ros(peers::build_and_test),
         Verb::R2r => as_steps_with_ros(programs::test),
         Verb::R2rTests => as_steps_with_ros(|steps| r2r_tests::build(steps).run(steps)),

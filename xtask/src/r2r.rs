@@ -2,6 +2,7 @@
 //! What it takes to build a program of r2r's: a ROS 2 to link with and libclang.
 
 use crate::build::Build;
+use crate::ros::Distribution;
 use crate::steps::{self, Outcome, Steps};
 use crate::{lab, machine, ros};
 use std::os::unix::fs::symlink;
@@ -32,13 +33,14 @@ pub const RPATH: &str = "TAUT_ROS_RPATH";
 /// What programs need to be built and to run.
 pub type Environment = Vec<(&'static str, String)>;
 
-/// Variables that a build needs beside those that are set: none where a ROS 2 is sourced and the system has libclang.
+/// Variables that a build needs beside those that are set: none where a ROS 2 is sourced, no other is chosen, and the system has libclang.
 pub fn environment() -> Result<Environment, String> {
     let mut variables = Vec::new();
-    if env::var_os("AMENT_PREFIX_PATH").is_none() || env::var_os("ROS_DISTRO").is_none() {
+    let is_sourced = ["AMENT_PREFIX_PATH", "ROS_DISTRO"].iter().all(|name| env::var_os(name).is_some());
+    if !is_sourced || ros::chosen() != Distribution::default() {
         let prefix = wheels()?;
         let text = |path: &Path| path.display().to_string();
-        variables.extend([("AMENT_PREFIX_PATH", text(&prefix)), ("ROS_DISTRO", "jazzy".to_owned())]);
+        variables.extend([("AMENT_PREFIX_PATH", text(&prefix)), ("ROS_DISTRO", ros::distribution())]);
         variables.push((RPATH, text(&prefix.join("lib"))));
     }
     variables.extend(libclang()?);
@@ -86,7 +88,7 @@ pub fn prefix() -> Result<PathBuf, String> {
 /// The wheels' files in the layout of an installed ROS 2.
 fn wheels() -> Result<PathBuf, String> {
     ros::prepare()?;
-    let prefix = machine::target_dir().join("ros/prefix");
+    let prefix = ros::folder().join("prefix");
     make_prefix(&ros::venv(), &prefix).map_err(|error| format!("{}: {error}", prefix.display()))?;
     Ok(prefix)
 }
@@ -98,7 +100,7 @@ pub fn setup_file() -> Result<PathBuf, String> {
         text += &format!("export {name}='{value}'\n");
     }
     text += &format!(". '{}'\n", ros::venv().join("bin/activate").display());
-    let path = machine::target_dir().join("ros/setup.sh");
+    let path = ros::folder().join("setup.sh");
     fs::write(&path, text).map_err(|error| format!("{}: {error}", path.display()))?;
     Ok(path)
 }

@@ -4,8 +4,9 @@
 use crate::bridge::{nextest, programs, with_libraries};
 use crate::build::{Build, TARGETS, build};
 use crate::r2r::Environment;
-use crate::steps::{Steps, cargo};
-use crate::{colcon, lab, lints, machine, r2r, ros};
+use crate::ros::Distribution;
+use crate::steps::{Steps, announce, cargo};
+use crate::{colcon, headers, lab, lints, r2r, ros, word};
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -29,7 +30,7 @@ pub fn bench(of: Build) -> Result<Command, String> {
 
 /// The one that has rclpy: with the ROS 2 that is sourced, else with that under the target directory.
 fn python() -> Option<PathBuf> {
-    let own = machine::target_dir().join("ros");
+    let own = ros::folder();
     let is_sourced = |prefixes: OsString| !Path::new(&prefixes).starts_with(&own);
     if std::env::var_os("AMENT_PREFIX_PATH").is_some_and(is_sourced) {
         return Some("python3".into());
@@ -62,13 +63,43 @@ pub fn run() -> Result<(), String> {
     Ok(())
 }
 
-/// Without a ROS 2 it is left out, which is said; but not in CI.
+/// Without a ROS 2 it is left out, which is said; but not in CI. With another than the usual one also what needs builds that this one
+/// replaces, or two distributions.
 pub fn test(steps: &mut Steps) {
-    let Some(environment) = r2r::environment_of(steps, "rmw") else { return };
-    lints::build_with(steps, "rmw: build and lints", &format!("{WHOLE} {TARGETS}"), |command| {
+    let Some(environment) = r2r::environment_of(steps, &ros::step("rmw")) else { return };
+    let is_second = ros::chosen() != Distribution::default();
+    if is_second {
+        headers::test(steps, &environment);
+    }
+    lints::build_with(steps, &ros::step("rmw: build and lints"), &format!("{WHOLE} {TARGETS}"), |command| {
         with_libraries(&environment, command)
     });
+    if is_second {
+        refused(steps, &ros::distribution(), Distribution::default());
+    }
     colcon::test(steps, &environment);
-    steps.command("rmw: the gateway", &mut lints::cargo(&programs()));
-    steps.command("rmw: tests", with_libraries(&environment, &mut lints::cargo(&nextest(WHOLE))));
+    steps.command(&ros::step("rmw: the gateway"), &mut lints::cargo(&programs()));
+    let mut tests = lints::cargo(&nextest(WHOLE));
+    steps.command(&ros::step("rmw: tests"), with_libraries(&environment, &mut tests));
+}
+
+/// The library that was built last does not start in another distribution, and says so.
+pub fn refused(steps: &mut Steps, built: &str, by: Distribution) {
+    steps.step(&format!("rmw: {} refuses {built}'s", word(by)), || {
+        let venv = ros::folder_of(by).join("venv");
+        let mut node = Command::new(venv.join("bin/python"));
+        node.args(["-c", "import rclpy; rclpy.init()"]).env_remove("ROS_DISTRO");
+        node.env("LD_LIBRARY_PATH", venv.join("lib")).env_remove("AMENT_PREFIX_PATH");
+        node.env("RMW_IMPLEMENTATION", "rmw_tautline");
+        // The library's rpath is that of its build: the librmw comes first, as it does where there is one distribution.
+        let [librmw, library] =
+            [venv.join("lib/librmw.so"), Build::Tests.folder().join("librmw_tautline.so")];
+        node.env("LD_PRELOAD", format!("{} {}", librmw.display(), library.display()));
+        announce(&node);
+        let output = node.output().map_err(|error| format!("Python: {error}"))?;
+        let said = String::from_utf8_lossy(&output.stderr);
+        let expected =
+            format!("built for ROS 2 {built}, and the librmw that is loaded is of {}: build it", word(by));
+        if !output.status.success() && said.contains(&expected) { Ok(()) } else { Err(said.into_owned()) }
+    });
 }

@@ -1,24 +1,63 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! A real ROS 2 Jazzy from PyPI, in a Python environment under the target directory: rclpy, Fast DDS, message packages.
+//! A real ROS 2 from PyPI, in a Python environment under the target directory: rclpy, Fast DDS, message packages.
 
 use crate::steps::execute;
-use crate::{machine, r2r};
+use crate::{machine, r2r, word};
+use clap::ValueEnum;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
+use std::sync::OnceLock;
 use std::{fs, io};
 
-const WHEELS: [&str; 18] = [
-    "ros-jazzy-rclpy==7.1.6",
-    "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
-    "ros-jazzy-common-interfaces==5.3.6",
-    "ros-jazzy-std-msgs==5.3.6",
-    "ros-jazzy-std-srvs==5.3.6",
-    "ros-jazzy-lifecycle-msgs==2.0.3",
-    "ros-jazzy-test-msgs==2.0.3",
+/// Those that PyPI has.
+#[derive(Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
+pub enum Distribution {
+    #[default]
+    Jazzy,
+    Kilted,
+}
+
+static CHOSEN: OnceLock<Distribution> = OnceLock::new();
+
+/// From now on it is this one that is made, where none is sourced. Builds for another one take the place of those that are there.
+pub fn choose(distribution: Distribution) {
+    // The first one stays.
+    let _ = CHOSEN.set(distribution);
+}
+
+pub fn chosen() -> Distribution {
+    CHOSEN.get().copied().unwrap_or_default()
+}
+
+/// What it is in `ROS_DISTRO`.
+pub fn distribution() -> String {
+    word(chosen())
+}
+
+/// A step's name, with the distribution unless it is the usual one.
+pub fn step(name: &str) -> String {
+    match chosen() {
+        Distribution::Jazzy => name.to_owned(),
+        other => format!("{name}, {}", word(other)),
+    }
+}
+
+/// Its packages, with the versions of Jazzy and Kilted.
+const ROS: [(&str, [&str; 2]); 10] = [
+    ("rclpy", ["7.1.6", "9.1.2"]),
+    ("rmw-fastrtps-cpp", ["8.4.3", "9.3.3"]),
+    ("common-interfaces", ["5.3.6", "5.5.1"]),
+    ("std-msgs", ["5.3.6", "5.5.1"]),
+    ("std-srvs", ["5.3.6", "5.5.1"]),
+    ("lifecycle-msgs", ["2.0.3", "2.3.0"]),
+    ("test-msgs", ["2.0.3", "2.3.0"]),
     // To build rmw_tautline as a package of a ROS 2 workspace.
-    "ros-jazzy-ament-cmake==2.5.4",
-    "ros-jazzy-ament-cmake-include-directories==2.5.4",
-    "ros-jazzy-ament-package==0.16.4",
+    ("ament-cmake", ["2.5.4", "2.7.3"]),
+    ("ament-cmake-include-directories", ["2.5.4", "2.7.3"]),
+    ("ament-package", ["0.16.4", "0.17.2"]),
+];
+
+const OTHERS: [&str; 8] = [
     "colcon-core==0.21.3",
     "colcon-ros==0.5.0",
     "colcon-package-information==0.4.1",
@@ -35,7 +74,7 @@ const WHEELS: [&str; 18] = [
 pub fn run() -> Result<(), String> {
     prepare()?;
     let setup = r2r::setup_file()?;
-    println!("ROS 2 Jazzy is in {}. To build and run the bridge with it:", venv().display());
+    println!("ROS 2 {} is in {}. To build and run the bridge with it:", distribution(), venv().display());
     println!("  source {}", setup.display());
     println!(
         "  cargo build --release --manifest-path bridge-ros/Cargo.toml --target-dir {}",
@@ -44,14 +83,30 @@ pub fn run() -> Result<(), String> {
     Ok(())
 }
 
-/// The environment; tests look for it here.
+/// The folder of all that is of a distribution. Tests look for it by this name.
+pub fn folder_of(distribution: Distribution) -> PathBuf {
+    machine::target_dir().join(match distribution {
+        Distribution::Jazzy => "ros",
+        Distribution::Kilted => "ros-kilted",
+    })
+}
+
+/// That of the chosen one.
+pub fn folder() -> PathBuf {
+    folder_of(chosen())
+}
+
+/// The environment.
 pub fn venv() -> PathBuf {
-    machine::target_dir().join("ros/venv")
+    folder().join("venv")
 }
 
 /// Makes the environment unless it is there already. Ten seconds and 120 MB from PyPI.
 pub fn prepare() -> Result<(), String> {
-    make_venv(&venv(), &WHEELS, python)
+    let (distribution, of) = (distribution(), chosen() as usize);
+    let ros = ROS.map(|(name, versions)| format!("ros-{distribution}-{name}=={}", versions[of]));
+    let wheels: Vec<&str> = ros.iter().map(String::as_str).chain(OTHERS).collect();
+    make_venv(&venv(), &wheels, python)
 }
 
 /// Makes a Python environment with packages from PyPI unless it is there already.

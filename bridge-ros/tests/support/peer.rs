@@ -49,11 +49,13 @@ pub fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
     }
 }
 
-/// The Python environment with ROS 2 that `cargo xtask ros` makes; prints why a test is skipped without it.
+/// The Python environment that `cargo xtask ros` makes with the ROS 2 of the build; prints why a test is skipped without it.
 pub fn ros() -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let target = std::env::var_os("CARGO_TARGET_DIR").map(PathBuf::from);
-    let venvs = target.into_iter().chain([root.join("target")]).map(|target| target.join("ros/venv"));
+    let is_kilted = std::env::var_os("ROS_DISTRO").is_some_and(|distribution| distribution == "kilted");
+    let venv = if is_kilted { "ros-kilted/venv" } else { "ros/venv" };
+    let venvs = target.into_iter().chain([root.join("target")]).map(|target| target.join(venv));
     let found = venvs.into_iter().find(|venv| venv.join("wheels.txt").is_file());
     if found.is_none() {
         assert!(std::env::var_os("CI").is_none(), "CI needs a ROS 2: run `cargo xtask ros`");
