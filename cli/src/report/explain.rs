@@ -48,7 +48,7 @@ pub fn not_running(predicted: &CheckedCallback, run: &Run) -> Mark {
         Client::Tautline => format!("spawn it with `context.callback(\"{}\")`", predicted.entry.name),
         Client::Rclcpp | Client::Rclpy => {
             let (what, topics) = match &predicted.entry.topics[..] {
-                [] => ("publisher", &predicted.entry.publishes[..1]),
+                [] => ("publisher", predicted.entry.publishes.get(..1).unwrap_or_default()),
                 topics => ("subscription", topics),
             };
             format!("with TAUT_SYSTEM set, and a {what} of {}", topics.join(", "))
@@ -315,7 +315,9 @@ pub fn published(row: &Row) -> Option<String> {
         (Some(least), Some(greatest)) => format!(", {} to {} apart", Time(least), Time(greatest)),
         _ => String::new(),
     };
-    let (name, topic) = (&row.predicted.entry.name, &row.predicted.entry.publishes[0]);
+    let entry = &row.predicted.entry;
+    // A saved run may be of another file.
+    let (name, topic) = (&entry.name, entry.publishes.first()?);
     Some(format!(
         "`{name}` is a timer, of which an RMW sees only what it publishes: {} messages on {topic}{distances}, of a period of {}; its response \
          times are not known",
