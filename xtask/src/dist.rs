@@ -163,7 +163,7 @@ impl Dist {
         let home = self.out.join("work/home");
         let _ = fs::remove_dir_all(&home);
         let mut command = Command::new("timeout");
-        command.args(["300", "sh", "-eu"]).arg(machine::root().join("xtask/src/dist/show.sh"));
+        command.args(["600", "sh", "-eu"]).arg(machine::root().join("xtask/src/dist/show.sh"));
         command.env("OUT", &self.out).env("HOME", home).env("PYTHON", ros::python()?).env("VERSION", VERSION);
         // ROS 2's wheels have been downloaded before.
         let cache = std::env::home_dir().map(|home| ("PIP_CACHE_DIR", home.join(".cache/pip")));
