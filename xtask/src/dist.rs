@@ -13,7 +13,7 @@ mod crates;
 
 use crate::build::Build;
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{book, machine, rmw, ros, word};
+use crate::{book, machine, r2r, rmw, ros, word};
 use clap::ValueEnum;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -53,6 +53,8 @@ const CYCLONEDX: &str = "cargo-cyclonedx --version 0.5.9";
 /// The verb: these parts of a release build, or all if none is named.
 pub fn run(steps: &mut Steps, named: &[Part]) {
     let parts = if named.is_empty() { Part::value_variants() } else { named };
+    // One for both builds, which otherwise build what they share in turns.
+    r2r::prepare_libclang(steps, parts.contains(&Part::RmwWheel));
     if parts.contains(&Part::RmwWheel) {
         steps.step("dist: build rmw_tautline", || rmw::build_for_use().map(drop));
     }
@@ -161,7 +163,7 @@ impl Dist {
         let home = self.out.join("work/home");
         let _ = fs::remove_dir_all(&home);
         let mut command = Command::new("timeout");
-        command.args(["300", "sh", "-eu"]).arg(machine::root().join("xtask/src/dist/show.sh"));
+        command.args(["600", "sh", "-eu"]).arg(machine::root().join("xtask/src/dist/show.sh"));
         command.env("OUT", &self.out).env("HOME", home).env("PYTHON", ros::python()?).env("VERSION", VERSION);
         // ROS 2's wheels have been downloaded before.
         let cache = std::env::home_dir().map(|home| ("PIP_CACHE_DIR", home.join(".cache/pip")));
