@@ -6,7 +6,8 @@
 //! Times are whole microseconds. It has every key of docs/system.schema.json that bounds depend on:
 //!
 //! - hosts: cores, `stall` (which queues outlast), `overheads` of one of them; nodes and their `client`; a network that reorders
-//! - triggers: `period`, several topics and publishers, topics from outside with `jitter` and `min_distance`, `depth`; late timers, which keep their newest release
+//! - triggers: `period`, several topics and publishers, topics from outside with `jitter` and `min_distance`, `depth`; late timers, which keep their newest
+//!   release; nodes that start later than others, from whose start bounds hold
 //! - joins (`all`, `window`, `policy`, `take`), by the synchronizers' own policies; `reads`, chains
 //! - groups: first in, first out, with what they take ahead; any order; by `priority`
 //! - `priority`, stated or by each policy; `overrun` with each value; `reservation` on a core or any; `non_preemptive` sections

@@ -78,11 +78,26 @@ impl ForeignCallback {
     /// # Errors
     /// The system's error for the file.
     pub fn new(file: &StatisticsFile, options: &CallbackOptions) -> io::Result<ForeignCallback> {
+        Self::of_kind(file, options, kind::CALLBACK)
+    }
+
+    /// As [`new`](Self::new) for a callback of which only its publications are seen: [`publish`](Self::publish) is its only job.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn by_publications(file: &StatisticsFile, options: &CallbackOptions) -> io::Result<ForeignCallback> {
+        Self::of_kind(file, options, kind::PUBLICATIONS)
+    }
+
+    fn of_kind(file: &StatisticsFile, options: &CallbackOptions, kind: u64) -> io::Result<ForeignCallback> {
         let stats = CallbackStats::new(&*options.name);
         stats.set_deadline(options.effective_deadline());
         stats.set_budget(options.budget);
         stats.set_bound(options.bound);
-        stats.place(Some(file), kind::CALLBACK)?;
+        stats.place(Some(file), kind)?;
         stats.describe_jobs(options.period, options.execution_time);
         if options.policy.realtime_priority().is_some() {
             // What its thread is to be: admission counts it from here on. The first job says what it is.
@@ -101,12 +116,7 @@ impl ForeignCallback {
     /// time is measured, and at most two where it is held to its budget.
     pub fn begin(&self, release_ns: u64) {
         let stats = self.stats.lock();
-        let tid = TID.with(|tid| *tid);
-        if stats.tid() != tid
-            && let (Ok(policy), Ok(cores)) = (current_policy(), current_affinity())
-        {
-            stats.set_thread(&ThreadInfo { tid, name: String::new(), policy, cores });
-        }
+        note_thread(&stats);
         stats.release(release_ns);
         if self.measures_execution {
             STOPWATCH.with(Stopwatch::begin);
@@ -118,17 +128,28 @@ impl ForeignCallback {
     }
 
     /// Ends the job. If its execution time is measured, the job is charged this thread's processor time since the end of the previous
-    /// job, or since [`idle`].
+    /// job, or since [`idle`]; this time is returned.
     ///
     /// # Real-time
     /// As [`begin`](Self::begin), with one syscall where the execution time is measured.
-    pub fn end(&self, release_ns: u64) {
+    pub fn end(&self, release_ns: u64) -> Option<u64> {
         let response_ns = monotonic_ns().saturating_sub(release_ns);
         if self.holds && with_enforcer(BudgetEnforcer::end) == Some(true) {
             self.stats.lock().demoted();
         }
         let execution_ns = self.measures_execution.then(|| STOPWATCH.with(Stopwatch::lap));
         self.stats.lock().complete(&Job { release_ns, response_ns, execution_ns, input_size: None });
+        execution_ns
+    }
+
+    /// It published in this thread, at the `CLOCK_MONOTONIC` time `now_ns`.
+    ///
+    /// # Real-time
+    /// As [`begin`](Self::begin) where the execution time is not measured.
+    pub fn publish(&self, now_ns: u64) {
+        let stats = self.stats.lock();
+        note_thread(&stats);
+        stats.publish(now_ns);
     }
 
     /// Records the state of its queue.
@@ -140,15 +161,67 @@ impl ForeignCallback {
     }
 }
 
+/// Records that this thread runs the callback, if another one did before.
+fn note_thread(stats: &CallbackStats) {
+    let tid = TID.with(|tid| *tid);
+    if stats.tid() != tid
+        && let (Ok(policy), Ok(cores)) = (current_policy(), current_affinity())
+    {
+        stats.set_thread(&ThreadInfo { tid, name: String::new(), policy, cores });
+    }
+}
+
 /// `None` in a thread that holds nothing to a budget.
 fn with_enforcer<R>(using: impl FnOnce(&BudgetEnforcer) -> R) -> Option<R> {
     ENFORCER.try_with(|enforcer| enforcer.try_borrow().ok()?.as_ref().map(using)).ok()?
 }
 
-/// Call when this thread starts to wait: the processor time used since its last job is charged to no job.
+/// Call when this thread starts to wait: the processor time used since its last job is charged to no job. It is returned.
 ///
 /// # Real-time
 /// Wait-free; no allocation; one syscall.
-pub fn idle() {
-    STOPWATCH.with(Stopwatch::lap);
+pub fn idle() -> u64 {
+    STOPWATCH.with(Stopwatch::lap)
+}
+
+/// The processor time that this thread has used since its last job, or since [`idle`]; `None` before the first of these.
+///
+/// # Real-time
+/// Wait-free; no allocation; one syscall.
+pub fn used_ns() -> Option<u64> {
+    STOPWATCH.with(|stopwatch| Some(thread_cpu_ns().saturating_sub(stopwatch.since_ns()?)))
+}
+
+/// What the executors of another library use in this process's threads for each callback.
+#[derive(Debug)]
+pub struct ForeignExecutor {
+    /// Each counter may have only one writer at a time.
+    stats: PiMutex<CallbackStats>,
+    is_alone: bool,
+}
+
+impl ForeignExecutor {
+    /// `is_alone`: the callbacks do nothing, so that everything is overhead.
+    ///
+    /// # Real-time
+    /// Setup only.
+    ///
+    /// # Errors
+    /// The system's error for the file.
+    pub fn new(file: &StatisticsFile, library: &str, is_alone: bool) -> io::Result<ForeignExecutor> {
+        let stats = CallbackStats::new(library);
+        stats.place(Some(file), if is_alone { kind::EXECUTOR_ALONE } else { kind::EXECUTOR })?;
+        Ok(ForeignExecutor { stats: PiMutex::new(stats), is_alone })
+    }
+
+    /// A callback has ended. The thread used `before_ns` for it until its message was taken, and `after_ns` from then on.
+    ///
+    /// # Real-time
+    /// Waits for a thread in it, with priority inheritance; no allocation; no syscall.
+    pub fn record(&self, before_ns: u64, after_ns: u64) {
+        let (overhead_ns, response_ns) =
+            if self.is_alone { (before_ns.saturating_add(after_ns), 0) } else { (before_ns, after_ns) };
+        let execution_ns = Some(overhead_ns);
+        self.stats.lock().complete(&Job { release_ns: 0, response_ns, execution_ns, input_size: None });
+    }
 }

@@ -53,14 +53,15 @@ pub use account::{SamplerAccount, SamplerStatistics};
 pub use callback::CallbackHandle;
 pub use error::{ExecutorError, Panic};
 pub use executor::Executor;
-pub use foreign::ForeignCallback;
+pub use foreign::{ForeignCallback, ForeignExecutor};
 pub use group::{CallbackGroup, MemberOptions};
 pub use hot::{Parker, busy_polling, parker, parks_on, stop_requested};
 pub use options::{CallbackOptions, DeadlineMiss, Handler, Overrun, OverrunPolicy, Watch};
 pub use registry::ThreadRegistration;
 pub use settings::CallbackSettings;
 pub use stats::{
-    Admitted, Bucket, CallbackSnapshot, CallbackStats, ForeignStatistics, Histogram, HistogramSnapshot,
-    Moment, MomentKind, Order, Orders, ProcessInfo, ProcessSnapshot, SizeClass, StatisticsFile,
+    Admitted, Bucket, CallbackSnapshot, CallbackStats, ExecutorSnapshot, ForeignStatistics, Histogram,
+    HistogramSnapshot, Moment, MomentKind, Order, Orders, ProcessInfo, ProcessSnapshot, SizeClass,
+    StatisticsFile,
 };
 pub use tautline_rt::{CoreSet, Policy, Realtime};

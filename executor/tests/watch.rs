@@ -11,7 +11,8 @@ use tautline_executor::{CallbackGroup, CallbackOptions, Executor, ExecutorError,
 use tautline_rt::clock;
 
 const LITTLE: Duration = Duration::from_millis(1);
-const MUCH: Duration = Duration::from_millis(10);
+/// An emulated machine takes some milliseconds for the first of anything.
+const MUCH: Duration = Duration::from_millis(40);
 
 /// Options that log what is told to their handlers, and where.
 fn watching(log: &Log, name: &str) -> CallbackOptions {

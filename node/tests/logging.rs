@@ -40,7 +40,7 @@ fn wait_for(count: u64, node: &mut Node, subscription: &Subscription<Log>) -> Ve
 
 #[test]
 fn what_a_nodes_loggers_say_is_on_rosout() {
-    let ctx = context(167);
+    let ctx = context(16);
     let mut node = Node::create(ctx, "arm", "/robot").unwrap();
     let subscription = rosout(&mut node);
     let logger = node.logger().clone();
@@ -85,7 +85,7 @@ fn one_that_comes_late_hears_what_was_logged() {
 
 #[test]
 fn a_topic_that_was_opened_for_few_lines_carries_them() {
-    let mut node = Node::create(context(200), "few", "").unwrap();
+    let mut node = Node::create(context(6), "few", "").unwrap();
     let subscription = node.subscribe::<Log>("/rosout", Qos::keep_last(5)).unwrap();
     log_info!(node.logger(), "heard");
     assert_eq!(wait_for(1, &mut node, &subscription)[0].2, "heard");
@@ -138,7 +138,7 @@ fn the_console_has_lines_as_those_of_ros() {
     }
     let args =
         ["--ros-args", "--log-level", "warn", "--log-level", "talker.driver:=debug", "--disable-rosout-logs"];
-    let ctx = Context::builder().domain(167).realtime(Realtime::Off).args(args).build().unwrap();
+    let ctx = Context::builder().domain(45).realtime(Realtime::Off).args(args).build().unwrap();
     let mut node = Node::create(ctx, "talker", "").unwrap();
     let subscription = rosout(&mut node);
     log_info!(node.logger(), "not wanted");

@@ -9,7 +9,7 @@ use crate::node::Node;
 use crate::notifier::NotifierWaker;
 use crate::on_new::{Listener, Listeners};
 use crate::signal::Waiter;
-use crate::thread::ThreadPlan;
+use crate::thread::{self, ThreadPlan};
 use std::sync::{Arc, Weak};
 use std::task::Waker;
 use tautline_rt::PiMutex;
@@ -170,6 +170,9 @@ impl<P: MessageQueue> ReceivingEndpoint<P> {
     /// # Real-time
     /// As [`Jobs::begin`].
     pub(crate) fn begin(&self, info: &MessageInfo) {
+        if let Some(plan) = self.thread() {
+            thread::govern_taker(plan);
+        }
         if !self.callback.is_set() {
             self.jobs.begin(info.released_ns);
         }

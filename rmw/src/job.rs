@@ -8,7 +8,8 @@ use std::cell::{Cell, RefCell};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use tautline_executor::job::QueueState;
-use tautline_executor::{ForeignCallback, foreign};
+use tautline_executor::{ForeignCallback, ForeignExecutor, foreign};
+use tautline_rt::clock::monotonic_ns;
 use tautline_trace::{Object, SamplerObject};
 use tautline_transport::{RawSubscription, SubscriptionCounters};
 
@@ -16,6 +17,8 @@ use tautline_transport::{RawSubscription, SubscriptionCounters};
 pub(crate) struct Jobs {
     traced: Object,
     measured: Option<Arc<ForeignCallback>>,
+    /// Where the executor's overhead is recorded, if that is measured.
+    executor: Option<Arc<ForeignExecutor>>,
     counters: Arc<SubscriptionCounters>,
     depth: u64,
     /// Lost messages reported so far.
@@ -26,9 +29,39 @@ pub(crate) struct Jobs {
     pub(crate) thread: Option<Arc<ThreadPlan>>,
 }
 
+/// This thread's job.
+struct Job {
+    jobs: Arc<Jobs>,
+    /// When its message was released.
+    released_ns: u64,
+    /// What the thread used for it until then: while it waited in vain, and since.
+    before_ns: Option<(u64, u64)>,
+}
+
+/// What this thread has used for its next job.
+#[derive(Clone, Copy)]
+struct Before {
+    /// In waits that no job followed.
+    used_ns: u64,
+    /// The end of its last wait's time. After that the executor may have run a timer, whose time is no overhead.
+    limit_ns: Option<u64>,
+}
+
+impl Before {
+    fn is_over(self) -> bool {
+        self.limit_ns.is_some_and(|limit_ns| monotonic_ns() >= limit_ns)
+    }
+
+    /// At the start of a job; `None` if the executor may have run a timer before.
+    fn take() -> Option<(u64, u64)> {
+        let before = BEFORE.try_with(|cell| cell.replace(Before { used_ns: 0, ..cell.get() })).ok()?;
+        foreign::used_ns().filter(|_| !before.is_over()).map(|used_ns| (before.used_ns, used_ns))
+    }
+}
+
 thread_local! {
-    /// This thread's job, and when its message was released.
-    static RUNNING: RefCell<Option<(Arc<Jobs>, u64)>> = const { RefCell::new(None) };
+    static RUNNING: RefCell<Option<Job>> = const { RefCell::new(None) };
+    static BEFORE: Cell<Before> = const { Cell::new(Before { used_ns: 0, limit_ns: None }) };
     /// Whether this thread's wake was traced.
     static IS_AWAKE: Cell<bool> = const { Cell::new(false) };
 }
@@ -39,12 +72,14 @@ impl Jobs {
         let (system, node) = (&node.context().system, &node.full_name);
         let (thread, rank) = system.place(node, topic);
         let (name, measured) = system.callback(node, topic, is_topic)?;
+        let executor = system.executor(node, topic)?;
         let traced = tautline_trace::subscription_callback_init(subscription.trace_id(), &name);
         let counters = subscription.counters();
         let noted = AtomicU64::new(counters.lost());
         Ok(Arc::new(Jobs {
             traced,
             measured,
+            executor,
             counters,
             depth: subscription.qos().depth as u64,
             noted,
@@ -56,9 +91,9 @@ impl Jobs {
     /// This thread has taken a message, released at `released_ns`, and runs the callback.
     ///
     /// # Real-time
-    /// A load if nobody traces or measures; else as [`ForeignCallback::begin`].
+    /// A load if nobody traces or measures; else as [`ForeignCallback::begin`], with one syscall more where overheads are measured.
     pub(crate) fn begin(self: &Arc<Self>, released_ns: u64) {
-        if self.measured.is_none() && !tautline_trace::is_on() {
+        if self.measured.is_none() && self.executor.is_none() && !tautline_trace::is_on() {
             return;
         }
         if let Some(measured) = &self.measured {
@@ -70,16 +105,17 @@ impl Jobs {
         }
         tautline_trace::callback_start(self.traced.id(), released_ns);
         // A thread in shutdown has no thread-locals.
-        let _ = RUNNING.try_with(|running| running.replace(Some((self.clone(), released_ns))));
+        let before_ns = self.executor.as_ref().and_then(|_| Before::take());
+        let job = Job { jobs: self.clone(), released_ns, before_ns };
+        let _ = RUNNING.try_with(|running| running.replace(Some(job)));
     }
 }
 
 impl Jobs {
     /// The endpoint is destroyed, which ends this thread's job with it.
     pub(crate) fn close(self: &Arc<Self>) {
-        let is_mine = |running: &Option<(Arc<Jobs>, u64)>| {
-            running.as_ref().is_some_and(|(jobs, _)| Arc::ptr_eq(jobs, self))
-        };
+        let is_mine =
+            |running: &Option<Job>| running.as_ref().is_some_and(|job| Arc::ptr_eq(&job.jobs, self));
         if RUNNING.try_with(|running| is_mine(&running.borrow())).unwrap_or(false) {
             end();
         }
@@ -92,10 +128,14 @@ impl Jobs {
 /// A load if nothing runs; else as [`ForeignCallback::end`].
 pub(crate) fn end() -> bool {
     let running = RUNNING.try_with(|running| running.borrow_mut().take()).ok().flatten();
-    let Some((jobs, released_ns)) = running else { return false };
+    let Some(Job { jobs, released_ns, before_ns }) = running else { return false };
     tautline_trace::callback_end(jobs.traced.id());
-    if let Some(measured) = &jobs.measured {
-        measured.end(released_ns);
+    let used_ns = jobs.measured.as_ref().and_then(|measured| measured.end(released_ns));
+    if let Some(executor) = &jobs.executor {
+        let used_ns = used_ns.unwrap_or_else(foreign::idle);
+        if let Some((in_vain_ns, before_ns)) = before_ns {
+            executor.record(in_vain_ns.saturating_add(before_ns), used_ns.saturating_sub(before_ns));
+        }
     }
     true
 }
@@ -105,9 +145,10 @@ pub(crate) fn end() -> bool {
 /// # Real-time
 /// As [`end`]; one syscall more where callbacks are measured, if none has run.
 pub(crate) fn wait(waits: &SamplerObject, deadline_ns: Option<u64>, is_measured: bool) {
-    if !end() && is_measured {
-        foreign::idle();
-    }
+    let before = BEFORE.get();
+    let in_vain_ns = if end() || !is_measured { 0 } else { foreign::idle() };
+    let used_ns = if before.is_over() { 0 } else { in_vain_ns };
+    BEFORE.set(Before { used_ns: before.used_ns.saturating_add(used_ns), limit_ns: deadline_ns });
     if IS_AWAKE.replace(false) {
         tautline_trace::spin_end(waits);
     }

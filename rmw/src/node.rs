@@ -166,6 +166,7 @@ pub unsafe extern "C" fn rmw_create_node(
         behind.watch_graph(&signal);
         let graph_guard = guard::create(context, signal)?;
         let full_name = format!("{}/{name}", namespace.trim_end_matches('/'));
+        behind.system.warn_of_unseen(&full_name);
         let endpoints = Mutex::default();
         let node = Node { context: behind, full_name, participant, _handle: handle, graph_guard, endpoints };
         // SAFETY: rmw's own memory, written before anyone can see it.

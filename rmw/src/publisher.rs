@@ -10,6 +10,7 @@ use crate::node::{self, Node};
 use crate::on_new::Listeners;
 use crate::qos::{self, EndpointRole};
 use crate::serialization::little_body;
+use crate::system::Timer;
 use crate::topic::EndpointArgs;
 use crate::types::MessageType;
 use std::ffi::{c_char, c_void};
@@ -30,6 +31,8 @@ pub(crate) struct Publisher {
     matched: MatchedCount,
     /// Endpoints of this context whose callbacks are called after publishing.
     listeners: Arc<Listeners>,
+    /// The timer of the system file of which its messages tell.
+    timer: Option<Timer>,
     /// Used by one thread at a time.
     side: PiMutex<Publishing>,
 }
@@ -96,6 +99,9 @@ impl Publisher {
     /// Publishes a loan, and calls the callbacks for it.
     fn publish_loan<'p>(&'p self, side: PiGuard<'p, Publishing>, loan: RawLoan<'static>) -> Result {
         self.submit(side, loan)?;
+        if let Some(timer) = &self.timer {
+            timer.publish();
+        }
         self.listeners.notify();
         Ok(())
     }
@@ -259,6 +265,7 @@ pub unsafe extern "C" fn rmw_create_publisher(
             gid: raw.gid(),
             matched: raw.matched(),
             listeners: node.context().listeners.of(name),
+            timer: node.context().system.timer(&node.full_name, name)?,
             side: PiMutex::new(Publishing { loans: Vec::new(), raw: Box::new(raw) }),
         };
         let can_loan_messages = publisher.message_type.is_plain();

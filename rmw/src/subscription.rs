@@ -60,7 +60,7 @@ impl Subscription {
 
     /// Whether there is a message to take, and room to hold it.
     pub(crate) fn has_data(&self) -> bool {
-        self.loans.lock().len() < HELD && self.end.has_data()
+        self.end.has_data() && self.loans.lock().len() < HELD
     }
 
     pub(crate) fn listen(&self) -> Result {

@@ -2,12 +2,15 @@
 //! Statistics of this process's callbacks, and their entries in the system file of `TAUT_SYSTEM`.
 
 use crate::error::{Error, Result};
-use crate::thread::ThreadPlan;
+use crate::thread::{self, ThreadPlan};
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 use tautline_analysis::file::{CheckedCallback, Client};
-use tautline_executor::{Admitted, CallbackOptions, ForeignCallback, ProcessInfo, Realtime, StatisticsFile};
+use tautline_executor::{
+    Admitted, CallbackOptions, ForeignCallback, ForeignExecutor, ProcessInfo, Realtime, StatisticsFile,
+};
+use tautline_rt::clock::monotonic_ns;
 use tautline_system::{
     Admission, Gate, LoadedSystem, admission_of_environment, admit_callbacks, admit_system,
     realtime_of_environment,
@@ -16,6 +19,18 @@ use tautline_transport::{History, Qos, Reliability};
 
 /// Topics that ROS's client libraries subscribe to for a node.
 const OF_EVERY_NODE: [&str; 2] = ["/parameter_events", "/clock"];
+/// Services that they make for it, below its name.
+const SERVICES_OF_EVERY_NODE: [&str; 9] = [
+    "describe_parameters",
+    "get_logger_levels",
+    "get_parameter_types",
+    "get_parameters",
+    "get_type_description",
+    "list_parameters",
+    "set_logger_levels",
+    "set_parameters",
+    "set_parameters_atomically",
+];
 
 /// A system file as this process has it, if there is one, and this process's callback statistics.
 pub(crate) struct System {
@@ -29,8 +44,53 @@ pub(crate) struct System {
     admission: Admission,
     /// `None`: it could not be created, and there is no file.
     statistics: Option<StatisticsFile>,
+    overheads: Option<Overheads>,
     /// By name.
     made: Mutex<BTreeMap<String, Weak<ForeignCallback>>>,
+}
+
+/// A timer of ROS's, of which an RMW sees what it publishes.
+pub(crate) struct Timer {
+    measured: Arc<ForeignCallback>,
+    thread: Option<Arc<ThreadPlan>>,
+}
+
+impl Timer {
+    /// It has published in this thread.
+    ///
+    /// # Real-time
+    /// As [`govern`](thread::govern) and [`ForeignCallback::publish`].
+    pub(crate) fn publish(&self) {
+        if let Some(plan) = &self.thread {
+            thread::govern_runner(plan);
+        }
+        self.measured.publish(monotonic_ns());
+    }
+}
+
+/// Executors whose overheads are measured.
+struct Overheads {
+    /// Whether callbacks do nothing.
+    is_alone: bool,
+    /// By client library.
+    executors: Mutex<BTreeMap<&'static str, Arc<ForeignExecutor>>>,
+}
+
+impl Overheads {
+    /// `TAUT_OVERHEADS`.
+    fn of_environment() -> Result<Option<Self>> {
+        let is_alone = match tautline_system::environment("TAUT_OVERHEADS").as_deref() {
+            None | Some("off") => return Ok(None),
+            Some("on") => false,
+            Some("empty") => true,
+            Some(value) => {
+                return Err(Error::other(format!(
+                    "TAUT_OVERHEADS={value} is not understood: it may be 'on', 'empty' (for callbacks that do nothing) or 'off'"
+                )));
+            }
+        };
+        Ok(Some(Overheads { is_alone, executors: Mutex::default() }))
+    }
 }
 
 impl System {
@@ -67,8 +127,8 @@ impl System {
                 None
             }
         };
-        let made = Mutex::default();
-        Ok(System { domain, file, callbacks, threads, admission, statistics, made })
+        let (made, overheads) = (Mutex::default(), Overheads::of_environment()?);
+        Ok(System { domain, file, callbacks, threads, admission, statistics, overheads, made })
     }
 
     /// A system file; `None` if it has no ROS callbacks of this host.
@@ -88,7 +148,28 @@ impl System {
 
     /// Whether processor time of callbacks is measured, which costs a system call for each.
     pub(crate) fn measures_execution(&self) -> bool {
-        self.file.is_some()
+        self.file.is_some() || self.overheads.is_some()
+    }
+
+    /// Where the overhead is recorded that the executor has with what `node` does with messages of `topic`; `None` if it is not measured.
+    pub(crate) fn executor(&self, node: &str, topic: &str) -> Result<Option<Arc<ForeignExecutor>>> {
+        let (Some(overheads), Some(statistics)) = (&self.overheads, &self.statistics) else {
+            return Ok(None);
+        };
+        let client = self.entry(node, topic).map(|index| self.callbacks[index].entry.client);
+        let is_python = || ProcessInfo::of_this().program.starts_with("python");
+        let library = match client {
+            Some(Client::Rclpy) => "rclpy",
+            None if is_python() => "rclpy",
+            _ => "rclcpp",
+        };
+        let mut executors = overheads.executors.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(executor) = executors.get(library) {
+            return Ok(Some(executor.clone()));
+        }
+        let executor = ForeignExecutor::new(statistics, library, overheads.is_alone)
+            .map_err(|error| Error::other(format!("statistics of {library}'s executor: {error}")))?;
+        Ok(Some(executors.entry(library).or_insert(Arc::new(executor)).clone()))
     }
 
     /// The file's entry for what `node`, a full name, does with messages of `topic`.
@@ -103,22 +184,34 @@ impl System {
         of(node).or_else(|| of(short))
     }
 
-    /// The thread that is to run a callback, and the callback's rank if that runs the highest first.
+    /// The thread that is to run a callback, of the file or of a node with timers alone, and the callback's rank if that runs the highest first.
     pub(crate) fn place(&self, node: &str, topic: &str) -> (Option<Arc<ThreadPlan>>, Option<u8>) {
         match self.entry(node, topic) {
             Some(index) => (self.threads[index].clone(), self.callbacks[index].entry.rank),
-            None => (None, None),
+            None => (self.thread_of_timers(node).cloned(), None),
         }
+    }
+
+    /// The thread of `node`, a full name, if the file has only timers of it, all in this thread: whoever waits for anything of the node runs them.
+    fn thread_of_timers(&self, node: &str) -> Option<&Arc<ThreadPlan>> {
+        let all = || self.callbacks.iter().zip(&self.threads).filter(|(of, _)| Self::is_of(of, node));
+        let (first, thread) = all().next()?;
+        let is_alike =
+            |of: &CheckedCallback| of.entry.topics.is_empty() && of.entry.thread == first.entry.thread;
+        thread.as_ref().filter(|_| all().all(|(of, _)| is_alike(of)))
     }
 
     /// Names what the file does not know of a node that it has: what that costs is in no bound.
     fn warn_of_unlisted(&self, node: &str, topic: &str) {
-        let short = node.rsplit('/').next().unwrap_or(node);
-        let is_known = |callback: &CheckedCallback| [node, short].contains(&callback.entry.node.as_str());
-        if !OF_EVERY_NODE.contains(&topic) && self.is_governing() && self.callbacks.iter().any(is_known) {
+        let is_known = || self.callbacks.iter().any(|callback| Self::is_of(callback, node));
+        let own =
+            topic.strip_prefix("request:").and_then(|service| service.strip_prefix(node)?.strip_prefix('/'));
+        let is_usual =
+            OF_EVERY_NODE.contains(&topic) || own.is_some_and(|name| SERVICES_OF_EVERY_NODE.contains(&name));
+        if !is_usual && self.is_governing() && is_known() {
             tracing::warn!(
-                "the system file has no callback of node `{node}` for `{topic}`: the bounds of callbacks whose executor also runs that one do \
-                 not hold; add it to the file, or give it an executor of its own"
+                "the system file has no callback of node `{node}` with `topic = \"{topic}\"`: the bounds of callbacks whose executor also runs \
+                 that one do not hold; add it to the file, or give it an executor of its own"
             );
         }
     }
@@ -171,6 +264,90 @@ impl System {
         self.threads.iter().any(Option::is_some)
     }
 
+    /// Whether a callback belongs to `node`, a full name.
+    fn is_of(callback: &CheckedCallback, node: &str) -> bool {
+        let short = node.rsplit('/').next().unwrap_or(node);
+        [node, short].contains(&callback.entry.node.as_str())
+    }
+
+    /// The callbacks of the file that publish on `topic` in `node`, a full name.
+    fn publishers<'s>(&'s self, node: &'s str, topic: &'s str) -> impl Iterator<Item = usize> {
+        let publishes = move |callback: &CheckedCallback| {
+            Self::is_of(callback, node) && callback.entry.publishes.iter().any(|of| of == topic)
+        };
+        self.callbacks.iter().enumerate().filter(move |(_, of)| publishes(of)).map(|(index, _)| index)
+    }
+
+    /// Whether a callback is a timer that alone publishes `topic` in `node`, a full name, and this as its first topic: an RMW sees nothing else of it.
+    fn is_told_by(&self, index: usize, node: &str, topic: &str) -> bool {
+        let entry = &self.callbacks[index].entry;
+        let is_first = entry.topics.is_empty() && entry.publishes.first().is_some_and(|of| of == topic);
+        is_first && self.publishers(node, topic).eq([index])
+    }
+
+    /// The timer of the file that the messages of `node`, a full name, on `topic` tell of.
+    pub(crate) fn timer(&self, node: &str, topic: &str) -> Result<Option<Timer>> {
+        let (Some(file), Some(statistics)) = (&self.file, &self.statistics) else { return Ok(None) };
+        let Some(index) = self.publishers(node, topic).find(|index| self.is_told_by(*index, node, topic))
+        else {
+            return Ok(None);
+        };
+        let thread = self.threads[index].clone();
+        let options = file.options(&self.callbacks[index].entry.name)?;
+        // Without a thread of the file it is only measured.
+        let policy = thread.as_ref().map_or(CallbackOptions::other().policy, |_| options.policy);
+        let options = CallbackOptions { policy, ..options }.execution_time(false);
+        let measured = self.made(&options.name, || {
+            let _gate = thread.as_ref().map(|plan| self.admit(plan, &options.name)).transpose()?;
+            ForeignCallback::by_publications(statistics, &options)
+                .map_err(|error| unshared(&options.name, &error))
+        })?;
+        Ok(Some(Timer { measured, thread }))
+    }
+
+    /// Names threads of `node`, a full name, that nothing tells of: they have timers alone.
+    pub(crate) fn warn_of_unseen(&self, node: &str) {
+        if self.thread_of_timers(node).is_some() {
+            return;
+        }
+        let threads = self.callbacks.iter().zip(&self.threads).enumerate();
+        for (index, (callback, thread)) in threads {
+            let (entry, Some(thread)) = (&callback.entry, thread) else { continue };
+            let is_told = |(index, of): (usize, &CheckedCallback)| {
+                let topic = of.entry.publishes.first();
+                of.entry.thread == entry.thread
+                    && (!of.entry.topics.is_empty()
+                        || topic.is_some_and(|topic| self.is_told_by(index, node, topic)))
+            };
+            let is_first = self.callbacks[..index].iter().all(|of| of.entry.thread != entry.thread);
+            if is_first && Self::is_of(callback, node) && !self.callbacks.iter().enumerate().any(is_told) {
+                tracing::warn!(
+                    "thread '{}' of the system file runs timers alone, and an RMW sees none of them: give it SCHED_FIFO {} and core {} in the \
+                     node, or state in the file what a timer `publishes`, alone in its node",
+                    thread.name,
+                    thread.priority,
+                    callback.core
+                );
+            }
+        }
+    }
+
+    /// The statistics of this name, which are made if there are none.
+    fn made(
+        &self,
+        name: &str,
+        make: impl FnOnce() -> Result<ForeignCallback>,
+    ) -> Result<Arc<ForeignCallback>> {
+        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(callback) = made.get(name).and_then(Weak::upgrade) {
+            return Ok(callback);
+        }
+        made.retain(|_, callback| callback.strong_count() > 0);
+        let callback = Arc::new(make()?);
+        made.insert(name.to_owned(), Arc::downgrade(&callback));
+        Ok(callback)
+    }
+
     /// The statistics of what `node`, a full name, does with messages of `topic`, under its name in the file. Equal names there
     /// are one callback, even with several topics.
     ///
@@ -194,31 +371,28 @@ impl System {
             _ => CallbackOptions::other().name(format!("{node} {topic}")),
         }
         .execution_time(is_named);
-        if entry.is_none() && is_topic {
+        if entry.is_none() {
             self.warn_of_unlisted(node, topic);
         }
         let Some(statistics) = self.statistics.as_ref().filter(|_| is_named || is_topic) else {
             return Ok((options.name, None));
         };
-        let mut made = self.made.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(callback) = made.get(&options.name).and_then(Weak::upgrade) {
-            return Ok((options.name, Some(callback)));
+        let callback = self.made(&options.name, || {
+            let _gate = plan.map(|plan| self.admit(plan, &options.name)).transpose()?;
+            ForeignCallback::new(statistics, &options).map_err(|error| unshared(&options.name, &error))
+        });
+        match callback {
+            Err(error) if !is_named => {
+                tracing::warn!("`taut top` will not show a callback: {error:?}");
+                Ok((options.name, None))
+            }
+            made => made.map(|callback| (options.name, Some(callback))),
         }
-        made.retain(|_, callback| callback.strong_count() > 0);
-        let _gate = plan.map(|plan| self.admit(plan, &options.name)).transpose()?;
-        let callback = match ForeignCallback::new(statistics, &options) {
-            Ok(callback) => Arc::new(callback),
-            Err(error) if is_named => {
-                return Err(Error::other(format!("statistics of '{}': {error}", options.name)));
-            }
-            Err(error) => {
-                tracing::warn!("`taut top` will not show '{}': /dev/shm: {error}", options.name);
-                return Ok((options.name, None));
-            }
-        };
-        made.insert(options.name.clone(), Arc::downgrade(&callback));
-        Ok((options.name, Some(callback)))
     }
+}
+
+fn unshared(name: &str, error: &std::io::Error) -> Error {
+    Error::other(format!("statistics of '{name}' in /dev/shm: {error}"))
 }
 
 /// The thread of each callback: those of a group share it.

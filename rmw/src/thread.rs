@@ -47,9 +47,11 @@ impl ThreadPlan {
         ))
     }
 
-    /// Whether a thread may have its priority.
+    /// Whether a thread may have its priority and its core, by one that has them for a moment.
     pub(crate) fn check_permission(&self) -> Result {
-        tautline_rt::permission::realtime_permitted(self.priority).map_err(|error| self.refused(error))
+        let probe =
+            ThreadBuilder::new("rt-probe").policy(Policy::Fifo(self.priority)).cores(CoreSet::one(self.core));
+        probe.spawn(|| || ()).and_then(|thread| thread.join()).map_err(|error| self.refused(error))
     }
 
     /// Gives this thread its priority and core, and reads both back. What it starts is ordinary again.
@@ -102,23 +104,68 @@ pub(crate) fn govern<'p>(wanted: impl Iterator<Item = &'p Arc<ThreadPlan>>) -> R
         }
     }
     let Some(plan) = highest else { return Ok(()) };
-    if let Some(other) = other
-        && !IS_WARNED.swap(true, Ordering::Relaxed)
-    {
+    if let Some(other) = other {
+        warn_of_two(plan, other);
+    }
+    become_thread(plan).map(drop)
+}
+
+fn warn_of_two(plan: &ThreadPlan, other: &ThreadPlan) {
+    if !IS_WARNED.swap(true, Ordering::Relaxed) {
         tracing::warn!(
-            "one executor waits for callbacks of two threads of the system file, '{}' and '{}': give each an executor, or name one group for \
+            "one executor runs callbacks of two threads of the system file, '{}' and '{}': give each an executor, or name one group for \
              them",
             plan.name,
             other.name
         );
     }
+}
+
+/// Makes this thread the one that `plan` describes, unless it has that priority or a higher one already. Returns whether it was not.
+fn become_thread(plan: &Arc<ThreadPlan>) -> Result<bool> {
     let is_applied = |applied: &RefCell<Option<Arc<ThreadPlan>>>| {
-        applied.borrow().as_ref().is_some_and(|applied| applied.priority >= plan.priority)
+        let applied = applied.borrow();
+        let Some(applied) = &*applied else { return false };
+        if !Arc::ptr_eq(applied, plan) {
+            warn_of_two(plan, applied);
+        }
+        applied.priority >= plan.priority
     };
     // A thread in shutdown has no thread-locals.
-    if !APPLIED.try_with(is_applied).unwrap_or(true) {
+    let is_new = !APPLIED.try_with(is_applied).unwrap_or(true);
+    if is_new {
         plan.apply()?;
         let _ = APPLIED.try_with(|applied| applied.replace(Some(plan.clone())));
     }
-    Ok(())
+    Ok(is_new)
+}
+
+/// Governs a thread that is seen to run a callback, because it has published what only this callback publishes. Returns whether it was not
+/// governed before.
+///
+/// # Real-time
+/// As [`govern`].
+pub(crate) fn govern_runner(plan: &Arc<ThreadPlan>) -> bool {
+    become_thread(plan).unwrap_or_else(|error| {
+        tracing::warn!("thread {} stays as it is: {error:?}", tautline_rt::current_tid());
+        // Said once.
+        let _ = APPLIED.try_with(|applied| applied.replace(Some(plan.clone())));
+        false
+    })
+}
+
+/// Governs a thread that has taken a callback's message. Usually it has waited for it, and this does nothing.
+///
+/// # Real-time
+/// As [`govern`].
+pub(crate) fn govern_taker(plan: &Arc<ThreadPlan>) {
+    if govern_runner(plan) {
+        tracing::warn!(
+            "thread {} takes messages of '{}' and does not wait for them in the RMW, as those of a MultiThreadedExecutor or an EventsExecutor \
+             do: from this message on it has the file's priority and core, but its jobs seem longer than they are; its bounds need an executor \
+             with one thread that waits",
+            tautline_rt::current_tid(),
+            plan.name
+        );
+    }
 }

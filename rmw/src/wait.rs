@@ -66,14 +66,24 @@ impl Array<'_> {
         self.0.iter().filter_map(|one| unsafe { one.cast::<T>().as_ref() })
     }
 
-    /// Sets entities that are not ready to null.
+    /// How many come before the first one that is ready.
     ///
     /// # Safety
     /// As [`all`](Self::all).
-    unsafe fn keep<T>(&mut self, is_ready: impl Fn(&T) -> bool) {
-        for one in &mut *self.0 {
+    unsafe fn idle<T>(&self, is_ready: impl Fn(&T) -> bool) -> usize {
+        // SAFETY: the caller's contract.
+        let is_ready = |one: &*mut c_void| unsafe { one.cast::<T>().as_ref() }.is_some_and(&is_ready);
+        self.0.iter().position(is_ready).unwrap_or(self.0.len())
+    }
+
+    /// Sets entities that are not ready to null: the first `idle`, and of the others those that are not.
+    ///
+    /// # Safety
+    /// As [`all`](Self::all).
+    unsafe fn keep<T>(&mut self, idle: usize, mut is_ready: impl FnMut(&T) -> bool) {
+        for (index, one) in self.0.iter_mut().enumerate() {
             // SAFETY: the caller's contract.
-            if !unsafe { one.cast::<T>().as_ref() }.is_some_and(&is_ready) {
+            if index < idle || !unsafe { one.cast::<T>().as_ref() }.is_some_and(&mut is_ready) {
                 *one = std::ptr::null_mut();
             }
         }
@@ -87,6 +97,14 @@ struct WaitEntities<'a> {
     services: Array<'a>,
     clients: Array<'a>,
     events: Array<'a>,
+}
+
+/// What a look has found to have no message: so many from the start of each array. They are not looked at again.
+#[derive(Clone, Copy, Default)]
+struct Idle {
+    subscriptions: usize,
+    services: usize,
+    clients: usize,
 }
 
 impl WaitEntities<'_> {
@@ -116,14 +134,29 @@ impl WaitEntities<'_> {
         self.guards().map(|guard| &*guard.signal).chain(events)
     }
 
+    /// Looks until something is ready. Returns what is not, and whether something is.
+    ///
     /// # Real-time
     /// O(entities); no allocation; no syscall, except one futex wake for memory that is not mapped here yet. Waits for threads
     /// that take from or publish on one of them, which inherit this thread's priority.
-    fn is_something_ready(&self) -> bool {
-        self.signals().any(Signal::is_set)
-            || self.subscriptions().any(Subscription::has_data)
-            || self.services().any(|service| service.end().has_data())
-            || self.clients().any(|client| client.end().has_data())
+    fn look(&self) -> (Idle, bool) {
+        let mut idle = Idle::default();
+        if self.signals().any(Signal::is_set) {
+            return (idle, true);
+        }
+        let WaitEntities { subscriptions, services, clients, .. } = self;
+        // SAFETY: as above.
+        unsafe {
+            idle.subscriptions = subscriptions.idle(Subscription::has_data);
+            if idle.subscriptions == subscriptions.0.len() {
+                idle.services = services.idle(|one: &Service| one.end().has_data());
+                idle.clients = clients.idle(|one: &Client| one.end().has_data());
+            }
+        }
+        let has_any = idle.subscriptions < subscriptions.0.len()
+            || idle.services < services.0.len()
+            || idle.clients < clients.0.len();
+        (idle, has_any)
     }
 
     /// Lets flags wake `waiter`, until it is detached.
@@ -161,14 +194,15 @@ impl WaitEntities<'_> {
     ///
     /// # Real-time
     /// As [`is_something_ready`](Self::is_something_ready) for each ring, and a syscall to sleep.
-    fn wait(&self, wait_set: &WaitSet, deadline_ns: Option<u64>) {
+    fn wait(&self, wait_set: &WaitSet, deadline_ns: Option<u64>) -> Idle {
         let waiter = &wait_set.waiter;
         loop {
             let count = waiter.count();
             self.attach_data(waiter);
             let is_over = deadline_ns.is_some_and(|deadline_ns| monotonic_ns() >= deadline_ns);
-            if self.is_something_ready() || is_over || wait_set.waiters.is_shut_down() {
-                return;
+            let (idle, is_ready) = self.look();
+            if is_ready || is_over || wait_set.waiters.is_shut_down() {
+                return idle;
             }
             waiter.sleep(count, deadline_ns);
         }
@@ -181,26 +215,35 @@ impl WaitEntities<'_> {
         subscriptions.chain(services).chain(self.clients().filter_map(|one| one.end().thread()))
     }
 
-    /// The highest rank among callbacks that have something to take; those without a rank are below all others.
-    fn highest_rank(&self) -> Option<u8> {
-        let of = |rank: Option<u8>, has_data: &dyn Fn() -> bool| rank.filter(|_| has_data());
-        let subscriptions = self.subscriptions().map(|one| of(one.end().rank(), &|| one.has_data()));
-        let services = self.services().map(|one| of(one.end().rank(), &|| one.end().has_data()));
-        let clients = self.clients().map(|one| of(one.end().rank(), &|| one.end().has_data()));
-        subscriptions.chain(services).chain(clients).max().flatten()
-    }
-
     /// Keeps ready entities, of those with messages only the ones with the highest rank, and resets guard conditions. The others stay
-    /// ready for the next wait. Returns whether there are any.
-    fn report(&mut self) -> bool {
-        let highest = self.highest_rank();
+    /// ready for the next wait, as does what was idle at the last look. Returns whether there are any.
+    fn report(&mut self, idle: Idle) -> bool {
+        // Those without a rank are below all others. What is below one that is ready is not looked at.
+        let mut highest = None;
+        let mut is_candidate = |rank: Option<u8>, has_data: &dyn Fn() -> bool| {
+            let is_it = rank >= highest && has_data();
+            if is_it {
+                highest = rank;
+            }
+            is_it
+        };
         // SAFETY: as above.
         unsafe {
-            self.subscriptions.keep(|one: &Subscription| one.end().rank() == highest && one.has_data());
-            self.services.keep(|one: &Service| one.end().rank() == highest && one.end().has_data());
-            self.clients.keep(|one: &Client| one.end().rank() == highest && one.end().has_data());
-            self.guards.keep(|guard: &GuardCondition| guard.signal.take());
-            self.events.keep(|event| event::signal_of(event).is_some_and(Signal::is_set));
+            self.subscriptions.keep(idle.subscriptions, |one: &Subscription| {
+                is_candidate(one.end().rank(), &|| one.has_data())
+            });
+            self.services.keep(idle.services, |one: &Service| {
+                is_candidate(one.end().rank(), &|| one.end().has_data())
+            });
+            self.clients
+                .keep(idle.clients, |one: &Client| is_candidate(one.end().rank(), &|| one.end().has_data()));
+            if highest.is_some() {
+                self.subscriptions.keep(0, |one: &Subscription| one.end().rank() == highest);
+                self.services.keep(0, |one: &Service| one.end().rank() == highest);
+                self.clients.keep(0, |one: &Client| one.end().rank() == highest);
+            }
+            self.guards.keep(0, |guard: &GuardCondition| guard.signal.take());
+            self.events.keep(0, |event| event::signal_of(event).is_some_and(Signal::is_set));
         }
         let all = [&self.subscriptions, &self.services, &self.clients, &self.guards, &self.events];
         all.iter().any(|array| array.0.iter().any(|one| !one.is_null()))
@@ -311,15 +354,15 @@ pub unsafe extern "C" fn rmw_wait(
         job::wait(&wait_set.waits, deadline, wait_set.is_measured);
         let is_look_only = timeout.is_some_and(|time| (time.sec, time.nsec) == (0, 0));
         // Usually something is already ready, and nothing has to be attached.
-        let waited = if wanted.is_something_ready() || is_look_only {
-            Ok(())
+        let (idle, is_ready) = wanted.look();
+        let waited = if is_ready || is_look_only {
+            Ok(idle)
         } else {
             let _attached = Attached { wanted: &wanted, waiter: &wait_set.waiter };
             let has_room = wanted.attach_signals(&wait_set.waiter);
             has_room.map(|()| wanted.wait(wait_set, deadline))
         };
-        waited?;
-        let is_ready = wanted.report();
+        let is_ready = wanted.report(waited?);
         job::wake(&wait_set.waits, is_ready);
         // Another thread may have taken it, or the context was shut down; without a time limit this is no timeout.
         is_over = !is_ready && timeout.is_some();

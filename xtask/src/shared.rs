@@ -63,9 +63,9 @@ fn compare(part: &str, units: &[Unit], whole: &[Unit]) -> Option<String> {
 }
 
 /// A crate as it is built.
-struct Unit {
+pub struct Unit {
     /// Of its package, without what a compatible version may differ in, and of its target.
-    name: String,
+    pub name: String,
     is_ours: bool,
     settings: String,
     hash: u64,
@@ -73,46 +73,14 @@ struct Unit {
     needs: Vec<u64>,
 }
 
-/// Crates and build scripts that the README's first command may build.
-const FIRST_UNITS: usize = 300;
-
-/// What that command must not wait for: libraries of single verbs, which are programs of their own.
-const NOT_FIRST: [&str; 8] =
-    ["zenoh ", "rusqlite ", "libsqlite3-sys ", "zstd-sys ", "lz4-sys ", "mcap ", "ratatui ", "jaq-core "];
-
-/// Whether a user's first build stays as small as it is.
-pub fn check_first_command() -> Result<(), String> {
-    let units = units("build --release")?;
-    if let Some(unit) = units.iter().find(|unit| NOT_FIRST.iter().any(|name| unit.name.starts_with(name))) {
-        return Err(format!(
-            "`cargo run --release -- demo` builds {}: give it to the program of the verb that needs it (cli/)",
-            unit.name
-        ));
-    }
-    println!("`cargo run --release -- demo` builds {} of at most {FIRST_UNITS} units", units.len());
-    match units.len() {
-        0..=FIRST_UNITS => Ok(()),
-        count => Err(format!(
-            "{count} units, {FIRST_UNITS} are the limit: `cargo build --release --timings` lists them"
-        )),
-    }
-}
-
 /// What cargo would build for the tests of these packages.
 fn graph(packages: &str) -> Result<Vec<Unit>, String> {
     units(&format!("test {packages} --no-run"))
 }
 
-/// What cargo would build. To tell is an option that stable versions keep for nightly ones.
-fn units(command: &str) -> Result<Vec<Unit>, String> {
-    let mut command = cargo(&format!("{command} -Z unstable-options --unit-graph"));
-    let output = command.env("RUSTC_BOOTSTRAP", "1").current_dir(machine::root()).output();
-    let output = output.map_err(|error| format!("cargo: {error}"))?;
-    if !output.status.success() {
-        return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
-    }
-    let graph: Value = serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
-    let units = graph["units"].as_array().ok_or("cargo's unit graph has no units")?;
+/// What cargo would build.
+pub fn units(command: &str) -> Result<Vec<Unit>, String> {
+    let units = unit_graph(command)?;
     let mut hashes = vec![None; units.len()];
     (0..units.len())
         .map(|index| {
@@ -127,11 +95,26 @@ fn units(command: &str) -> Result<Vec<Unit>, String> {
                     unit["profile"]["debuginfo"],
                     unit["profile"]["opt_level"]
                 ),
-                hash: hash(units, index, &mut hashes),
-                needs: needs(unit).map(|index| hash(units, index, &mut hashes)).collect(),
+                hash: hash(&units, index, &mut hashes),
+                needs: needs(unit).map(|index| hash(&units, index, &mut hashes)).collect(),
             })
         })
         .collect()
+}
+
+/// Cargo's own words for it. To tell is an option that stable versions keep for nightly ones.
+pub fn unit_graph(command: &str) -> Result<Vec<Value>, String> {
+    let mut command = cargo(&format!("{command} -Z unstable-options --unit-graph"));
+    let output = command.env("RUSTC_BOOTSTRAP", "1").current_dir(machine::root()).output();
+    let output = output.map_err(|error| format!("cargo: {error}"))?;
+    if !output.status.success() {
+        return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
+    }
+    let mut graph: Value = serde_json::from_slice(&output.stdout).map_err(|error| error.to_string())?;
+    match graph["units"].take() {
+        Value::Array(units) => Ok(units),
+        _ => Err("cargo's unit graph has no units".to_owned()),
+    }
 }
 
 fn id(unit: &Value) -> &str {
@@ -153,7 +136,8 @@ fn name(unit: &Value) -> String {
     format!("{package} {series} ({} {})", unit["target"]["name"], unit["mode"])
 }
 
-fn needs(unit: &Value) -> impl Iterator<Item = usize> {
+/// Where in the graph that is which it needs.
+pub fn needs(unit: &Value) -> impl Iterator<Item = usize> {
     let dependencies = unit["dependencies"].as_array().into_iter().flatten();
     dependencies.filter_map(|dependency| usize::try_from(dependency["index"].as_u64()?).ok())
 }

@@ -530,7 +530,7 @@ fn warnings(
         if let Some(callback) = callbacks.iter().find(costs_nothing) {
             warnings.push(format!(
                 "callback `{}` is run by an executor of {name}, whose cost the file does not state: its bound holds for one \
-                 that costs nothing; add `{name} = \"...\"` to [overheads]",
+                 that costs nothing; add `{name} = \"...\"` to [overheads]; `taut report --overheads` measures it",
                 callback.entry.name
             ));
         }

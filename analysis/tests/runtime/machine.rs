@@ -20,10 +20,12 @@ pub struct Run {
     pub seed: u64,
     /// When the first release of each callback is due.
     pub phases: Vec<u64>,
+    /// Until when each callback publishes nothing: its node starts later than others.
+    pub silent_until: Vec<u64>,
     /// Whether jobs that are held to their budgets exceed them.
     pub is_wild: bool,
     pub stalls: bool,
-    /// How many messages of a topic each join keeps, if jobs exceed budgets.
+    /// How many messages of a topic each join keeps, if jobs exceed budgets or nodes start late.
     pub queue_sizes: Vec<usize>,
     pub until: u64,
 }
@@ -81,7 +83,13 @@ impl Run {
         };
         let phases = model.callbacks.iter().map(phase).collect();
         let (seed, queue_sizes) = (rng.random(), Vec::new());
-        Run { phases, seed, is_wild: false, stalls: false, queue_sizes, until: UNTIL }
+        let mut silent_until = vec![0; model.callbacks.len()];
+        if rng.random_bool(0.3) {
+            for until in &mut silent_until {
+                *until = rng.random_range(0..UNTIL / 3) * rng.random_range(0..3) / 2;
+            }
+        }
+        Run { phases, seed, silent_until, is_wild: false, stalls: false, queue_sizes, until: UNTIL }
     }
 
     /// One phase a little different, or anywhere; or other times at the same phases.
@@ -89,7 +97,8 @@ impl Run {
         let mut run = self.clone();
         let i = rng.random_range(0..run.phases.len());
         let period = model.callbacks[i].period;
-        match rng.random_range(0..3) {
+        match rng.random_range(0..4) {
+            3 => run.silent_until[i] = rng.random_range(0..UNTIL / 3),
             0 => run.seed = rng.random(),
             1 => run.phases[i] = rng.random_range(0..period),
             _ => {
@@ -289,6 +298,7 @@ struct Machine<'m> {
     /// Whether timers stamp by when a release was due, came, or its job ended.
     stamps: u8,
     registers: Vec<Vec<Vec<Tag>>>,
+    silent_until: Vec<u64>,
     starts: Vec<Vec<u64>>,
     reflected: Vec<Option<usize>>,
     published: u64,
@@ -299,6 +309,7 @@ struct Machine<'m> {
 pub fn simulate(model: &Model, run: &Run) -> Seen {
     let mut rng = StdRng::seed_from_u64(run.seed);
     let Run { is_wild, stalls, .. } = *run;
+    let is_late = run.silent_until.iter().any(|until| *until > 0);
     let (count, cores, chains) = (model.callbacks.len(), model.hosts.len(), model.chains.len());
     let mut threads: Vec<Thread> = Vec::new();
     let mut thread_of = Vec::new();
@@ -388,12 +399,13 @@ pub fn simulate(model: &Model, run: &Run) -> Seen {
         waiting: BTreeMap::new(),
         joins: (0..count)
             .map(|i| {
-                let size = run.queue_sizes.get(i).copied().filter(|_| is_wild).unwrap_or(ENDLESS);
+                let size = run.queue_sizes.get(i).copied().filter(|_| is_wild || is_late).unwrap_or(ENDLESS);
                 Waiting::new(model, i, size)
             })
             .collect(),
         stamps,
         registers: vec![vec![vec![None; chains]; hosts]; count],
+        silent_until: run.silent_until.clone(),
         starts: vec![Vec::new(); chains],
         reflected: vec![None; chains],
         published: 0,
@@ -429,6 +441,10 @@ pub fn simulate(model: &Model, run: &Run) -> Seen {
         }
         if model.callbacks[i].join.is_some() && late(i) {
             seen.waits[i].fill(0);
+            seen.held[i] = 0;
+        }
+        // What waits for the first message of one that starts late is in no bound.
+        if is_late {
             seen.held[i] = 0;
         }
     }
@@ -504,10 +520,12 @@ impl Machine<'_> {
         self.model.per_message[self.model.hosts[self.model.callbacks[callback].core]]
     }
 
-    /// From when all that the joins of a chain wait for has come.
+    /// From when all that the joins of a chain wait for has come, and all before its stages publish.
     fn since(&self, path: &[usize]) -> Option<u64> {
+        let before = path.iter().flat_map(|stage| self.model.upstream(*stage));
+        let all_publish = before.map(|i| self.silent_until[i]).max().unwrap_or(0);
         let mut joins = path.iter().filter_map(|stage| self.joins[*stage].as_ref());
-        joins.try_fold(0, |latest: u64, join| Some(latest.max(join.since?)))
+        joins.try_fold(all_publish, |latest: u64, join| Some(latest.max(join.since?)))
     }
 
     /// The sampler hands a message to its thread; a timer keeps only its newest release.
@@ -928,6 +946,9 @@ impl Machine<'_> {
                 }
             }
             self.reflected[chain] = self.reflected[chain].max(Some(source));
+        }
+        if now < self.silent_until[i] {
+            return;
         }
         let stamps_now = self.stamps == 2 && self.model.callbacks[i].triggers.is_empty();
         let stamp = if stamps_now { now } else { job.message.stamp };

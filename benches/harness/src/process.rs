@@ -23,7 +23,7 @@ const DYING: Duration = Duration::from_secs(2);
 const GLANCE: Duration = Duration::from_millis(100);
 
 /// What in the environment would set a system otherwise than a report says.
-const SETTINGS: [&str; 16] = [
+const SETTINGS: [&str; 17] = [
     "CYCLONEDDS_URI",
     "FASTDDS_BUILTIN_TRANSPORTS",
     "FASTDDS_DEFAULT_PROFILES_FILE",
@@ -37,6 +37,7 @@ const SETTINGS: [&str; 16] = [
     "ROS_LOCALHOST_ONLY",
     "ROS_STATIC_PEERS",
     "TAUT_CORE_TIME",
+    "TAUT_OVERHEADS",
     "TAUT_DOMAIN",
     "TAUT_HOLD_IDLE",
     "ZENOH_CONFIG",

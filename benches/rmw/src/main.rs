@@ -6,6 +6,7 @@
 //! | `trips` | half round trips |
 //! | `end` | an end of them that calls the RMW itself; `client.py` and `rclcpp.cpp` are ends in rclpy and rclcpp |
 //! | `flow` | the CPU time of topics at a rate |
+//! | `waits` | `rmw_wait` and take of messages that are there |
 //! | `nodes` | the time until nodes have found each other |
 //! | `system` | the RMWs, and the processes that use them |
 //! | `rmw` | an RMW's functions |
@@ -20,6 +21,7 @@ mod rmw;
 mod system;
 mod trips;
 mod types;
+mod waits;
 
 use clap::{Parser, ValueEnum};
 use std::path::PathBuf;
@@ -34,6 +36,7 @@ use tautline_harness::verdict::{self, Verdict};
 use tautline_harness::{Disturbance, Documented, exit, machine, progress_bar};
 use tautline_rt::IdleHold;
 use trips::{Client, Trip};
+use waits::Waits;
 
 /// rmw_tautline beside Fast DDS's RMW: round trips, CPU time, start-up
 #[derive(Parser)]
@@ -84,6 +87,8 @@ enum Part {
     Rclcpp,
     /// Those of rclpy
     Rclpy,
+    /// rmw_wait and take of messages that are there: of many subscriptions, and under a system file
+    Waits,
     /// The CPU time of 20 topics at 100 Hz
     Cpu,
     /// The time until nodes have found each other
@@ -113,6 +118,7 @@ fn play(job: &str, task: Task) -> Result<()> {
         Task::Loaned => end::run(&job, Message::Loaned),
         Task::Flow => flow::run(&job),
         Task::Node => nodes::run(&job),
+        Task::Waits => waits::run(&job),
     }
 }
 
@@ -132,6 +138,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
     };
     let disturbance = Disturbance::start();
     let mut rows = run.trips()?;
+    rows.extend(run.waits()?);
     rows.extend(run.flows()?);
     rows.extend(run.nodes()?);
     let disturbance = disturbance.report();
@@ -147,7 +154,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
 
 /// Beside Fast DDS's RMW; loaned messages, whatever their size.
 fn verdicts(rows: &[Row]) -> Vec<Verdict> {
-    let trip = |client: Client, message, bytes| Trip { client, message, bytes };
+    let trip = |client: Client, message, bytes| Trip { client, message, bytes, is_governed: false };
     let [small, large, loaned, small_loaned] = [
         trip(Client::C, Message::Struct, rmw::STRUCT_BYTES),
         trip(Client::C, Message::Serialized, MIB),
@@ -161,11 +168,24 @@ fn verdicts(rows: &[Row]) -> Vec<Verdict> {
         Claim::new(metric, ours, Goal::Times(times, theirs))
     };
     let of_loaned = |trip: Trip| Ways::new(&held, trip.bytes, TAUTLINE, &modes[2]);
+    let waits = WAITS.map(Waits::mode);
+    let many = [&*waits[4]];
+    let of_waits = |times, modes| {
+        let [ours, theirs] =
+            [TAUTLINE, FAST_DDS].map(|system| Ways::new(waits::EXPERIMENT, None, system, modes));
+        Claim::new(Metric::P50, ours, Goal::Times(times, theirs))
+    };
+    let governed = Trip { is_governed: true, ..small }.mode();
+    let governed = [&*governed];
+    let [free, governed] =
+        [&modes[0], &governed].map(|modes| Ways::new(&held, Some(small.bytes), TAUTLINE, modes));
     let nodes = NODES.map(nodes::experiment);
     let claims = [
         at_most(0.5, Metric::P50, &held, Some(small.bytes), &modes[0]),
         at_most(1.0 / 3.0, Metric::P50, &held, Some(large.bytes), &modes[1]).because(SERIALIZED_COPIES),
         Claim::new(Metric::P50, of_loaned(loaned), Goal::Times(1.5, of_loaned(small_loaned))),
+        Claim::new(Metric::P50, governed, Goal::Times(1.1, free)),
+        of_waits(1.0, &many),
         at_most(1.0, Metric::CpuTime, flow::EXPERIMENT, None, &[]),
     ];
     let found = nodes.iter().map(|nodes| at_most(1.0, Metric::Start, nodes, None, &[]));
@@ -184,6 +204,14 @@ struct Trips {
     few: &'static [usize],
 }
 
+/// `rmw_wait` and take; the governed ones of rmw_tautline alone.
+const WAITS: [Waits; 5] = [
+    Waits { ready: 1, of: 1, is_governed: false },
+    Waits { ready: 1, of: 1, is_governed: true },
+    Waits { ready: 20, of: 20, is_governed: false },
+    Waits { ready: 20, of: 20, is_governed: true },
+    Waits { ready: 1, of: 500, is_governed: false },
+];
 const KIB: usize = 1 << 10;
 const MIB: usize = 1 << 20;
 const PARTS: [Trips; 4] = [
@@ -220,7 +248,7 @@ impl Trips {
             Part::C if bytes > rmw::STRUCT_BYTES => Message::Serialized,
             _ => Message::Struct,
         };
-        Trip { client: self.client, message, bytes }
+        Trip { client: self.client, message, bytes, is_governed: false }
     }
 }
 
@@ -254,7 +282,13 @@ impl Run<'_> {
                 own => own,
             };
             let rounds = if self.quick() { 1 } else { part.rounds };
-            plan.push((rounds, lengths.iter().map(|&bytes| part.trip(bytes)).collect()));
+            let mut trips: Vec<_> = lengths.iter().map(|&bytes| part.trip(bytes)).collect();
+            if let Some(at) =
+                trips.iter().position(|trip| part.part == Part::C && trip.message == Message::Struct)
+            {
+                trips.insert(at + 1, Trip { is_governed: true, ..trips[at] });
+            }
+            plan.push((rounds, trips));
         }
         plan
     }
@@ -285,6 +319,8 @@ impl Run<'_> {
     fn part(&self, rounds: u32, trips: &[Trip], held: bool) -> Result<Vec<Row>> {
         let length = Duration::from_millis(if self.quick() { 400 } else { 700 });
         let pairs = trips.iter().flat_map(|trip| self.systems.iter().map(move |system| (system, *trip)));
+        // No other RMW reads a system file.
+        let pairs = pairs.filter(|(system, trip)| !trip.is_governed || system.name == TAUTLINE);
         let mut found: Vec<_> = pairs.map(|(system, trip)| (system, trip, Tally::default())).collect();
         let bar = progress_bar(u64::from(rounds) * found.len() as u64);
         for round in 1..=rounds {
@@ -296,7 +332,31 @@ impl Run<'_> {
         }
         bar.finish_and_clear();
         let row = |(system, trip, tally): &(&System, Trip, Tally)| {
-            tally.row(trip.experiment(held), system.name, trip.message.name(), trip.bytes)
+            tally.row(trip.experiment(held), system.name, &trip.mode(), trip.bytes)
+        };
+        Ok(found.iter().map(row).collect())
+    }
+
+    fn waits(&self) -> Result<Vec<Row>> {
+        if !self.has(Part::Waits) {
+            return Ok(Vec::new());
+        }
+        let (rounds, length) = if self.quick() { (1, 300) } else { (3, 700) };
+        let pairs = WAITS.iter().flat_map(|waits| self.systems.iter().map(move |system| (system, waits)));
+        let ours = |(system, waits): &(&System, &Waits)| !waits.is_governed || system.name == TAUTLINE;
+        let mut found: Vec<_> =
+            pairs.filter(ours).map(|(system, waits)| (system, waits, Tally::default())).collect();
+        let bar = progress_bar(u64::from(rounds) * found.len() as u64);
+        for round in 1..=rounds {
+            for (system, waits, tally) in &mut found {
+                bar.set_message(format!("{}: {}", system.name, waits.mode()));
+                waits.measure(&self.starter, system, Duration::from_millis(length), round, tally)?;
+                bar.inc(1);
+            }
+        }
+        bar.finish_and_clear();
+        let row = |(system, waits, tally): &(&System, &Waits, Tally)| {
+            tally.row(waits::EXPERIMENT, system.name, &waits.mode(), rmw::STRUCT_BYTES)
         };
         Ok(found.iter().map(row).collect())
     }

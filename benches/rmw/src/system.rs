@@ -47,6 +47,8 @@ pub enum Task {
     Flow,
     /// A node that waits for others.
     Node,
+    /// Waits for messages that are there.
+    Waits,
 }
 
 impl Message {
@@ -96,12 +98,27 @@ impl Starter<'_> {
 
     /// A process of this program.
     pub fn start(&self, system: &System, job: &Job, task: Task) -> Result<Process<'static, Line>> {
+        self.start_governed(system, job, task, None)
+    }
+
+    /// The same under a system file.
+    pub fn start_governed(
+        &self,
+        system: &System,
+        job: &Job,
+        task: Task,
+        file: Option<&Path>,
+    ) -> Result<Process<'static, Line>> {
         let mut command = Command::new(std::env::current_exe()?);
         without_settings(&mut command);
         command.args(["--tautline", "none", "--end", &serde_json::to_string(job)?]);
         command.args(["--task", task.to_possible_value().ok_or("no such task")?.get_name()]);
         if !matches!(task, Task::Flow | Task::Node) {
             command.envs(PROFILE_VARIABLES.map(|variable| (variable, PROFILE)));
+        }
+        if let Some(file) = file {
+            command.env("TAUT_SYSTEM", file);
+            command.env("TAUT_REALTIME", if self.realtime { "required" } else { "off" });
         }
         // Fast DDS lends where its ends share memory, which its RMW allows by itself only so.
         if task == Task::Loaned {

@@ -7,7 +7,7 @@ use tautline_analysis::file::{CheckedCallback, Client, OverrunPolicy};
 
 use super::host::{Longest, Share};
 use super::run::{Callback, Process, Run};
-use super::verdict::Mark;
+use super::verdict::{Mark, Row};
 
 /// Names of violations that `--wcet` reports, too.
 pub const INPUT_TOO_LARGE: &str = "input too large";
@@ -47,7 +47,11 @@ pub fn not_running(predicted: &CheckedCallback, run: &Run) -> Mark {
     let how = match predicted.entry.client {
         Client::Tautline => format!("spawn it with `context.callback(\"{}\")`", predicted.entry.name),
         Client::Rclcpp | Client::Rclpy => {
-            format!("with TAUT_SYSTEM set, and a subscription of {}", predicted.entry.topics.join(", "))
+            let (what, topics) = match &predicted.entry.topics[..] {
+                [] => ("publisher", &predicted.entry.publishes[..1]),
+                topics => ("subscription", topics),
+            };
+            format!("with TAUT_SYSTEM set, and a {what} of {}", topics.join(", "))
         }
     };
     let text = format!(
@@ -226,10 +230,15 @@ pub fn bound_exceeded(
         format!(
             "if no callback of core {} has another mark, something ran there that the file lacks: interrupts, other \
              threads of {} or more, a lock, throttling, {}or [overheads] that are too small; \
-             `taut demo` measures them",
+             `taut demo` measures them{}",
             predicted.core,
             level(predicted.entry.priority),
-            if share.is_some() { "" } else { "a hypervisor (TAUT_CORE_TIME=on shows it), " }
+            if share.is_some() { "" } else { "a hypervisor (TAUT_CORE_TIME=on shows it), " },
+            if predicted.entry.client == Client::Tautline {
+                ""
+            } else {
+                ", `taut report --overheads` the executor's"
+            }
         )
     };
     let so_far =
@@ -299,8 +308,32 @@ pub fn queue_over_capacity(predicted: &CheckedCallback, max_queue: u64, capacity
     mark("queue over capacity", text)
 }
 
+/// What is known of a timer of which only its publications are seen.
+pub fn published(row: &Row) -> Option<String> {
+    let callback = &row.measured.as_ref().filter(|measured| measured.callback.is_by_publications)?.callback;
+    let distances = match (callback.least_distance_ns, callback.greatest_distance_ns) {
+        (Some(least), Some(greatest)) => format!(", {} to {} apart", Time(least), Time(greatest)),
+        _ => String::new(),
+    };
+    let (name, topic) = (&row.predicted.entry.name, &row.predicted.entry.publishes[0]);
+    Some(format!(
+        "`{name}` is a timer, of which an RMW sees only what it publishes: {} messages on {topic}{distances}, of a period of {}; its response \
+         times are not known",
+        callback.releases,
+        Time(row.predicted.period_ns)
+    ))
+}
+
 pub fn messages_lost(predicted: &CheckedCallback, seen: &Callback) -> Mark {
     let lost = seen.lost;
+    if seen.is_by_publications {
+        let topic = predicted.entry.publishes.join(", ");
+        let text = format!(
+            "{lost} periods passed in which nothing was published on {topic}: its executor ran other callbacks, or the callback does not \
+             publish each time; give the timer an executor of its own, or a longer period"
+        );
+        return mark("releases missed", text);
+    }
     if predicted.entry.topics.is_empty() {
         let text = format!(
             "{lost} releases of its timer passed while a job ran: the response must be shorter than the period; lower \

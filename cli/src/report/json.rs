@@ -53,10 +53,13 @@ struct Seen<'a> {
     demotions: u64,
     mean_distance_ms: Option<f64>,
     least_distance_ms: Option<f64>,
+    greatest_distance_ms: Option<f64>,
     max_queue: u64,
     depth: u64,
     lost: u64,
     ended: bool,
+    /// Whether jobs and distances are those of its publications, and response times are not known.
+    by_publications: bool,
     #[serde(skip_serializing_if = "Option::is_none")]
     host: Option<HostShare>,
 }
@@ -172,10 +175,12 @@ fn seen(measured: &Measured) -> Seen<'_> {
         demotions: callback.demotions,
         mean_distance_ms: callback.mean_distance_ns().map(ms),
         least_distance_ms: callback.least_distance_ns.map(ms),
+        greatest_distance_ms: callback.greatest_distance_ns.map(ms),
         max_queue: callback.max_queue,
         depth: callback.depth,
         lost: callback.lost,
         ended: callback.ended,
+        by_publications: callback.is_by_publications,
         host: measured.share.as_ref().map(|share| HostShare {
             response_ms: share.bound_ns.map(ms),
             beyond: share.beyond,

@@ -12,6 +12,7 @@ use tautline_analysis::file::{CheckedSystem, FileError, SystemFile};
 mod explain;
 mod host;
 mod json;
+mod overheads;
 pub mod run;
 mod table;
 mod verdict;
@@ -41,6 +42,7 @@ const REFRESH: Duration = Duration::from_secs(1);
   taut report run.json --system system.toml   against another version of the file
   taut report run.json --wcet                 execution times, and what their tail says of longer ones
   taut report run.json --wcet --write         and into the system file what it has to state for that
+  taut report --overheads                     what executors of rclcpp and rclpy use, for the system file
   taut report --json | jq '.callbacks[] | select(.violations != [])'
 
 docs/report.md explains the columns and each violation.")]
@@ -70,6 +72,10 @@ pub struct ReportArgs {
     /// Also lower execution times in the file
     #[arg(long, requires = "write")]
     lower: bool,
+    /// Print instead what executors of rclcpp and rclpy use for each callback, and the lines of the system file for it; of processes
+    /// that run with TAUT_OVERHEADS=on
+    #[arg(long, conflicts_with_all = ["file", "system", "save", "watch", "wcet"])]
+    overheads: bool,
     #[command(flatten)]
     common: CommonArgs,
 }
@@ -101,6 +107,11 @@ pub enum ReportError {
         "the processes of domain {domain} were started with several system files ({files}): name one, as in `taut report {first}`"
     )]
     SeveralFiles { domain: u32, files: String, first: String },
+    #[error(
+        "no process of domain {domain} shows what its executor uses: start nodes of rclcpp or rclpy on rmw_tautline with TAUT_OVERHEADS=on, and \
+         let their callbacks run"
+    )]
+    NoOverheads { domain: u32 },
     #[error(transparent)]
     Domain(tautline::Error),
     #[error("the statistics cannot be read: {0}")]
@@ -145,6 +156,9 @@ pub fn run(args: &ReportArgs) -> ExitCode {
 }
 
 fn report(args: &ReportArgs) -> Result<bool, ReportError> {
+    if args.overheads {
+        return overheads::report(args);
+    }
     if let Some(path) = &args.file {
         let text = read(path)?;
         // A system file is TOML and does not begin with a brace.

@@ -69,6 +69,9 @@ pub struct SamplerThread {
 pub struct Callback {
     pub name: String,
     pub is_group: bool,
+    /// Whether only its publications are seen.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub is_by_publications: bool,
     pub ended: bool,
     pub tid: u32,
     pub priority: Option<u8>,
@@ -89,6 +92,8 @@ pub struct Callback {
     pub first_release_ns: u64,
     pub last_release_ns: u64,
     pub least_distance_ns: Option<u64>,
+    #[serde(default)]
+    pub greatest_distance_ns: Option<u64>,
     pub lost: u64,
     pub max_queue: u64,
     pub depth: u64,
@@ -261,6 +266,7 @@ impl Callback {
         Callback {
             name: of.name.clone(),
             is_group: of.is_group,
+            is_by_publications: of.is_by_publications,
             ended,
             tid: of.tid,
             priority: of.priority,
@@ -280,7 +286,8 @@ impl Callback {
             first_release_ns: of.first_release_ns,
             last_release_ns: of.last_release_ns,
             least_distance_ns: of.least_distance_ns,
-            lost: of.lost,
+            greatest_distance_ns: of.greatest_distance_ns,
+            lost: if of.is_by_publications { missing(of) } else { of.lost },
             max_queue: of.max_queue,
             depth: of.depth,
             unfinished_ns: now_ns.filter(|_| is_busy).map(|now| now.saturating_sub(of.last_release_ns)),
@@ -308,6 +315,13 @@ impl Callback {
         let steps = self.releases.checked_sub(1).filter(|steps| *steps > 0)?;
         Some(self.last_release_ns.saturating_sub(self.first_release_ns) / steps)
     }
+}
+
+/// Periods in which it published nothing.
+fn missing(of: &CallbackSnapshot) -> u64 {
+    let Some(period_ns) = of.period_ns.filter(|_| of.releases > 0) else { return 0 };
+    let time_ns = of.last_release_ns.saturating_sub(of.first_release_ns).saturating_add(period_ns / 2);
+    (time_ns / period_ns).saturating_add(1).saturating_sub(of.releases)
 }
 
 impl From<&tautline_executor::SizeClass> for SizeClass {

@@ -90,9 +90,10 @@ impl Comparison {
         let hosts: BTreeSet<&str> = run.processes.iter().map(|process| process.host.as_str()).collect();
         let (here, elsewhere): (Vec<_>, Vec<_>) =
             checked.callbacks.iter().partition(|callback| hosts.contains(callback.host.as_str()));
-        // An RMW records takes and waits.
+        // An RMW records takes, waits and publications.
         let (unseen, seen): (Vec<_>, Vec<_>) = here.iter().partition(|callback| {
-            callback.entry.client != Client::Tautline && callback.entry.topics.is_empty()
+            is_timer_of_ros(callback)
+                && !callbacks(run, &callback.host).any(|(_, of)| of.name == callback.entry.name)
         });
         let host = Host::new(checked, run);
         let rows: Vec<Row> = seen.into_iter().map(|predicted| row(predicted, run, &host)).collect();
@@ -117,8 +118,12 @@ impl Comparison {
         }
         if !unseen.is_empty() {
             let names: Vec<&str> = unseen.iter().map(|callback| &*callback.entry.name).collect();
-            notes.push(format!("timers of ROS's client libraries are not measured: {}", names.join(", ")));
+            notes.push(format!(
+                "timers of ROS's client libraries are seen only if they alone publish the first of their `publishes` in their node, not: {}",
+                names.join(", ")
+            ));
         }
+        notes.extend(rows.iter().filter_map(explain::published));
         let other_hosts: BTreeSet<&str> = elsewhere.iter().map(|callback| callback.host.as_str()).collect();
         if !other_hosts.is_empty() {
             let names = other_hosts.into_iter().collect::<Vec<_>>().join(", ");
@@ -166,6 +171,10 @@ impl Comparison {
             self.unknown.iter().filter_map(|unknown| Some((&*unknown.name, unknown.mark.as_ref()?)));
         processes.chain(rows).chain(unknown)
     }
+}
+
+fn is_timer_of_ros(callback: &CheckedCallback) -> bool {
+    callback.entry.client != Client::Tautline && callback.entry.topics.is_empty()
 }
 
 fn sampler_too_low(process: &Process) -> Option<Mark> {
@@ -298,19 +307,28 @@ fn violations(
         };
         marks.push(explain::wcet_exceeded(predicted, seen, used_ns, times.max(1)));
     }
-    let least_ns = least_distance(predicted);
+    // A publication is after the release, by a response time at most.
+    let late_ns = match seen.is_by_publications {
+        true => predicted.response_overhead_ns.unwrap_or(u64::MAX),
+        false => 0,
+    };
+    let least_ns = least_distance(predicted).saturating_sub(late_ns);
     if let Some(distance_ns) = seen.least_distance_ns.filter(|distance| *distance < least_ns) {
         marks.push(explain::period_not_kept(predicted, distance_ns, least_ns));
     } else if let Some(window_ns) = seen.last_release_ns.checked_sub(seen.first_release_ns) {
-        let most = predicted
-            .releases
-            .iter()
-            .fold(0u64, |sum, release| sum.saturating_add(release.most_within(window_ns.saturating_add(1))));
+        let most = predicted.releases.iter().fold(0u64, |sum, release| {
+            sum.saturating_add(release.most_within(window_ns.saturating_add(late_ns).saturating_add(1)))
+        });
         if seen.releases > most {
             marks.push(explain::rate_not_kept(predicted, seen.releases, most, window_ns));
         }
     }
-    let longest_ns = seen.longest_response_ns();
+    // Of publications, the distance tells of a response of at least this length, unless a release was missed.
+    let beyond_period = seen.greatest_distance_ns.filter(|_| seen.is_by_publications && seen.lost == 0);
+    let jitter_ns = predicted.releases.iter().map(|release| release.jitter_ns()).max().unwrap_or(0);
+    let beyond_period = beyond_period
+        .map(|distance_ns| distance_ns.saturating_sub(predicted.period_ns).saturating_sub(jitter_ns));
+    let longest_ns = seen.longest_response_ns().or(beyond_period);
     if let (Some(longest_ns), Some(bound_ns)) = (longest_ns, predicted.response_overhead_ns)
         && longest_ns > bound_ns
         && !is_explained(seen, share)
@@ -432,8 +450,10 @@ fn notes(file: &SystemFile, checked: &CheckedSystem, run: &Run, rows: &[Row], ho
     if !idle.is_empty() {
         notes.push(format!("no job has ended yet of {}: nothing is known of it", list(idle)));
     }
-    let unmeasured =
-        names(&|row| row.measured.as_ref().is_some_and(|seen| !seen.callback.measures_execution));
+    let unmeasured = names(&|row| {
+        let is_it = |seen: &Measured| !seen.callback.measures_execution && !seen.callback.is_by_publications;
+        row.measured.as_ref().is_some_and(is_it)
+    });
     if !unmeasured.is_empty() {
         notes.push(format!(
             "execution times are not measured of {}: its wcet is not verified; drop `.execution_time(false)`",

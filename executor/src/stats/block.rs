@@ -47,6 +47,8 @@ pub(crate) mod word {
     pub const MAX_QUEUE: usize = 24;
     pub const DEPTH: usize = 25;
     pub const DEMOTIONS: usize = 26;
+    /// Plus one, as [`LEAST_DISTANCE`].
+    pub const GREATEST_DISTANCE: usize = 27;
     pub const NAME: usize = 32;
 }
 
@@ -55,6 +57,12 @@ pub(crate) mod kind {
     pub const CALLBACK: u64 = 0;
     pub const GROUP: u64 = 1;
     pub const SAMPLER: u64 = 2;
+    /// What an executor of another library uses besides callbacks.
+    pub const EXECUTOR: u64 = 3;
+    /// As [`EXECUTOR`], of callbacks that do nothing.
+    pub const EXECUTOR_ALONE: u64 = 4;
+    /// A callback of which only its publications are seen.
+    pub const PUBLICATIONS: u64 = 5;
 }
 
 /// Values of [`word::STATE`].
@@ -148,6 +156,8 @@ pub struct CallbackSnapshot {
     pub name: String,
     /// Whether this is a whole group: the jobs of all its members together.
     pub is_group: bool,
+    /// Whether only its publications are seen, such as of a timer of ROS's: they are counted as its jobs, and released when they are sent.
+    pub is_by_publications: bool,
     /// Whether its future has ended.
     pub ended: bool,
     /// Its thread's id in the kernel; 0 during start, when neither priority nor core is known.
@@ -184,6 +194,8 @@ pub struct CallbackSnapshot {
     pub last_release_ns: u64,
     /// The shortest time between two consecutive releases; `None` for fewer than two.
     pub least_distance_ns: Option<u64>,
+    /// The longest one.
+    pub greatest_distance_ns: Option<u64>,
     /// Messages overwritten before they were taken; for a timer, releases that were not taken.
     pub lost: u64,
     /// Maximum number of messages queued at once.
@@ -215,6 +227,7 @@ impl CallbackSnapshot {
         CallbackSnapshot {
             name: get_text(words.get(word::NAME..word::NAME + NAME_WORDS).unwrap_or(&[])),
             is_group: word(word::KIND) == kind::GROUP,
+            is_by_publications: word(word::KIND) == kind::PUBLICATIONS,
             ended: word(word::STATE) == state::ENDED,
             tid: u32::try_from(word(word::TID)).unwrap_or(0),
             priority: u8::try_from(word(word::PRIORITY)).ok().filter(|priority| *priority != 0),
@@ -233,6 +246,7 @@ impl CallbackSnapshot {
             first_release_ns: word(word::FIRST_RELEASE),
             last_release_ns: word(word::LAST_RELEASE),
             least_distance_ns: some(word(word::LEAST_DISTANCE)).map(|distance| distance - 1),
+            greatest_distance_ns: some(word(word::GREATEST_DISTANCE)).map(|distance| distance - 1),
             lost: word(word::LOST),
             max_queue: word(word::MAX_QUEUE),
             depth: word(word::DEPTH),

@@ -8,11 +8,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tautline_rt::{ForeignWords, Words, WordsFile, page_words};
 
+use super::HistogramSnapshot;
 use super::block::{BLOCK_WORDS, Block, CallbackSnapshot, get_text, kind, put_text, state, word};
 
 const MAGIC: u64 = u64::from_le_bytes(*b"tautstat");
 /// Of the layout here and in `block.rs`.
-const VERSION: u64 = 8;
+const VERSION: u64 = 9;
 const HEADER_WORDS: usize = 864;
 
 /// What each word of the header is.
@@ -295,6 +296,21 @@ pub struct ProcessSnapshot {
     pub callbacks: Vec<CallbackSnapshot>,
     /// The statistics of its sampler's thread, if core time is accounted for: no jobs, only moments.
     pub sampler: Option<CallbackSnapshot>,
+    /// Executors of other libraries whose overheads are measured.
+    pub executors: Vec<ExecutorSnapshot>,
+}
+
+/// A snapshot of a [`ForeignExecutor`](crate::ForeignExecutor).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ExecutorSnapshot {
+    /// The library's name.
+    pub name: String,
+    /// Whether its callbacks do nothing, so that everything is overhead.
+    pub is_alone: bool,
+    /// Processor time that it used for each callback.
+    pub overhead: HistogramSnapshot,
+    /// Processor time of the callbacks, as far as they are told apart.
+    pub callbacks: HistogramSnapshot,
 }
 
 impl ForeignStatistics {
@@ -397,7 +413,7 @@ impl ForeignStatistics {
         let there = (0..words[header::PLACES])
             .map(|index| place(index as usize, page_words))
             .take_while(|at| at.checked_add(BLOCK_WORDS).is_some_and(|end| end <= size_words));
-        let (mut callbacks, mut sampler) = (Vec::new(), None);
+        let (mut callbacks, mut sampler, mut executors) = (Vec::new(), None, Vec::new());
         for at in there {
             let words = self.file.read(at, BLOCK_WORDS)?;
             if ![state::RUNNING, state::ENDED].contains(&words[word::STATE]) {
@@ -406,10 +422,16 @@ impl ForeignStatistics {
             let snapshot = CallbackSnapshot::of_words(&words);
             match words[word::KIND] {
                 kind::SAMPLER => sampler = Some(snapshot),
+                kind @ (kind::EXECUTOR | kind::EXECUTOR_ALONE) => executors.push(ExecutorSnapshot {
+                    name: snapshot.name,
+                    is_alone: kind == kind::EXECUTOR_ALONE,
+                    overhead: snapshot.execution,
+                    callbacks: snapshot.response,
+                }),
                 _ => callbacks.push(snapshot),
             }
         }
-        Ok(Some(ProcessSnapshot { process, callbacks, sampler }))
+        Ok(Some(ProcessSnapshot { process, callbacks, sampler, executors }))
     }
 }
 

@@ -138,6 +138,10 @@ impl CallbackStats {
             if least_so_far == 0 || distance < least_so_far {
                 least.store(distance, Ordering::Relaxed);
             }
+            let greatest = &head[word::GREATEST_DISTANCE];
+            if distance > greatest.load(Ordering::Relaxed) {
+                greatest.store(distance, Ordering::Relaxed);
+            }
             if release_ns > last_ns {
                 last.store(release_ns, Ordering::Relaxed);
             }
@@ -176,6 +180,14 @@ impl CallbackStats {
         }
         add(&head[word::COMPLETIONS], 1);
         violations
+    }
+
+    /// A job that is seen only by what it published.
+    pub(crate) fn publish(&self, now_ns: u64) {
+        self.release(now_ns);
+        if let Some(head) = self.head() {
+            add(&head[word::COMPLETIONS], 1);
+        }
     }
 
     /// A job was demoted.

@@ -15,7 +15,10 @@ use std::time::Duration;
 use tautline_rt::{Policy, ThreadInfo};
 
 pub use block::CallbackSnapshot;
-pub use file::{Admitted, ForeignStatistics, Order, Orders, ProcessInfo, ProcessSnapshot, StatisticsFile};
+pub use file::{
+    Admitted, ExecutorSnapshot, ForeignStatistics, Order, Orders, ProcessInfo, ProcessSnapshot,
+    StatisticsFile,
+};
 pub use histogram::{Bucket, Histogram, HistogramSnapshot};
 pub use inputs::SizeClass;
 pub use moments::{Moment, MomentKind};

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The derive macro behind `tautline-msgs`; its documentation is at the re-export there.
+#![forbid(unsafe_code)]
 
 mod attributes;
 mod enums;

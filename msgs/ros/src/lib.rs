@@ -31,4 +31,5 @@
 //! |---|---|---|---|
 //! | default: 5 packages | 1.8 | 2.0 | 10 |
 //! | `all`: 23 packages | 5.8 | 7.1 | 37 |
+#![forbid(unsafe_code)]
 include!(concat!(env!("OUT_DIR"), "/packages.rs"));

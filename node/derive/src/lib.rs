@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! The derive macro behind `tautline::RosParams`; its documentation is at the trait.
+#![forbid(unsafe_code)]
 
 use proc_macro_crate::FoundCrate;
 use proc_macro2::TokenStream;

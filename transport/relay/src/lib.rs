@@ -6,6 +6,7 @@
 //! thread that takes samples of all topics, waiting on the doorbell like a sampler, and gives each to an [`Egress`]; samples are
 //! held until their publisher's counterpart exists. Messages from the far side pass an [`Ingress`]. Local publishers are not
 //! affected. [`show_until`] is the main loop of such a program.
+#![forbid(unsafe_code)]
 
 mod budget;
 mod control;

@@ -10,6 +10,7 @@
 //! at `SCHED_FIFO` 80 unless [`Options`] set another priority, within the processor [`Budget`]; `gw-claim`, which claims shared memory
 //! for what arrives, at `SCHED_OTHER`. No default build uses Zenoh. The program is `taut-gateway`; `docs/deployment.md` describes its
 //! use.
+#![forbid(unsafe_code)]
 
 mod access;
 mod config;

@@ -11,6 +11,9 @@ pack_wheel() {
     info=$wheel/$module-$VERSION.dist-info
     mkdir -p "$info/licenses" "$OUT/pypi"
     cp "$REPOSITORY/LICENSE-MIT" "$REPOSITORY/LICENSE-APACHE" "$info/licenses"
+    # What `cargo xtask dist --only sbom` has made.
+    case $name in taut) sbom=taut ;; *) sbom=rmw_tautline ;; esac
+    if [ -d "$OUT/sbom" ]; then mkdir "$info/sboms" && cp "$OUT/sbom/$sbom"*.cdx.json "$info/sboms"; fi
     { cat <<END
 Metadata-Version: 2.4
 Name: $name
@@ -49,6 +52,19 @@ archive() {
 }
 
 case $1 in
+sbom) # Of a copy of what is committed: they are written beside each Cargo.toml.
+    source=$OUT/work/source
+    rm -rf "$source" "$OUT/sbom"
+    mkdir -p "$OUT/sbom"
+    git clone --quiet --shared "$REPOSITORY" "$source"
+    for folder in "$source" "$source/rmw"; do
+        cd "$folder"
+        "$CYCLONEDX" cyclonedx --quiet --describe binaries --no-build-deps --format json --spec-version 1.5
+    done
+    for name in taut taut-bag taut-top taut-filter taut-gateway rmw_tautline; do
+        find "$source" -name "${name}_[bc]*.cdx.json" -exec sed "s,$source,tautline,g" {} + > "$OUT/sbom/$name.cdx.json"
+    done
+    ;;
 files) # As they are below /usr/local.
     rm -rf "$files"
     mkdir -p "$files/bin" "$files/$doc/examples" "$files/share/bash-completion/completions" \

@@ -62,6 +62,9 @@ refused() { # $1 is said by the rest.
     case $said in *"$expected"*) echo "$said" ;; *) echo "not '$expected': $said"; exit 1 ;; esac
 }
 refused "it is built for ROS 2 jazzy, and this is kilted (ROS_DISTRO)" env ROS_DISTRO=kilted python3 listener.py
+mkdir -p other/ros_rmw-7.8.2.dist-info
+printf 'Metadata-Version: 2.1\nName: ros-rmw\nVersion: 7.8.2\n' > other/ros_rmw-7.8.2.dist-info/METADATA
+refused "and this is kilted (ros-rmw 7.8.2)" env PYTHONPATH=other python3 listener.py
 # Another version's domain: a file of the same size.
 domain=/dev/shm/taut_7_$(id -u).$TAUT_SCOPE
 mkdir -m 700 "$domain"

@@ -12,6 +12,7 @@
 //! | `attachment` | [`Attachment`]: the 33 bytes beside each sample |
 //! | `payload` | the 4 bytes before each body |
 //! | `gid` | [`endpoint_gid`]: an endpoint's GID, from its token |
+#![forbid(unsafe_code)]
 
 mod attachment;
 mod gid;
