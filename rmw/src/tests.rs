@@ -1102,7 +1102,7 @@ fn callbacks_for_other_contexts_have_the_priority_of_who_set_them() {
             *found.lock().unwrap()
         };
         set_callback();
-        assert_eq!(policy_of_call(), tautline_rt::current_policy().ok(), "as nice as who started the tests");
+        assert_eq!(policy_of_call(), tautline_rt::current_policy().ok());
         std::thread::spawn(move || {
             tautline_rt::set_own_priority(31).unwrap();
             set_callback();

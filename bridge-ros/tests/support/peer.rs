@@ -53,10 +53,13 @@ pub fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
 pub fn ros() -> Option<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let target = std::env::var_os("CARGO_TARGET_DIR").map(PathBuf::from);
-    let is_kilted = std::env::var_os("ROS_DISTRO").is_some_and(|distribution| distribution == "kilted");
-    let venv = if is_kilted { "ros-kilted/venv" } else { "ros/venv" };
-    let venvs = target.into_iter().chain([root.join("target")]).map(|target| target.join(venv));
-    let found = venvs.into_iter().find(|venv| venv.join("wheels.txt").is_file());
+    let prefixes = std::env::var_os("AMENT_PREFIX_PATH").unwrap_or_default();
+    let prefixes: Vec<PathBuf> = std::env::split_paths(&prefixes).collect();
+    // Beside the prefix of the build: there is one for each distribution.
+    let built_with = prefixes.iter().map(|prefix| prefix.with_file_name("venv"));
+    let targets = target.into_iter().chain([root.join("target")]).map(|target| target.join("ros/venv"));
+    let mut venvs = built_with.chain(targets);
+    let found = venvs.find(|venv| venv.join("wheels.txt").is_file());
     if found.is_none() {
         assert!(std::env::var_os("CI").is_none(), "CI needs a ROS 2: run `cargo xtask ros`");
         eprintln!("skipped: no ROS 2 under target/ros: run `cargo xtask ros`");
