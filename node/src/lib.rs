@@ -259,7 +259,7 @@ pub mod codec {
 /// Functions that the macros' code calls.
 #[doc(hidden)]
 pub mod __private {
-    pub use crate::logging::logger::Site;
+    pub use crate::logging::Site;
     pub use crate::parameters::{field, no_field};
 
     /// For r2r's programs, which insert parameters directly.

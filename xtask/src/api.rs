@@ -34,7 +34,7 @@ const THEIRS: [(&str, &str); 5] = [
 ];
 
 /// Traits that nobody else is to implement, with their crates: they have no path on purpose.
-const SEALED: [(&str, &str); 2] = [("tautline_tf", "Sealed"), ("tautline_join", "Tuple")];
+const SEALED: [(&str, &str); 2] = [("tautline_tf", "Resolve"), ("tautline_join", "Tuple")];
 
 /// Of rustdoc's JSON, which changes with the compiler.
 const FORMAT: u64 = 57;

@@ -24,7 +24,7 @@ mod console;
 #[cfg(feature = "tracing-layer")]
 mod layer;
 mod line;
-pub(crate) mod logger;
+mod logger;
 mod output;
 mod rings;
 mod rosout;
@@ -37,6 +37,9 @@ pub use layer::TracingLayer;
 pub use logger::{LogTarget, Logger, Occasional};
 pub use output::{flush, lost_lines};
 pub use severity::LogSeverity;
+
+#[doc(hidden)]
+pub use logger::Site;
 
 pub(crate) use output::{FlushOnDrop, add_topic, start};
 pub(crate) use rosout::Rosout;
