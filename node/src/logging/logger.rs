@@ -189,6 +189,7 @@ impl<T: LogTarget + ?Sized> LogTarget for &T {
 }
 
 /// A log statement.
+#[doc(hidden)]
 pub struct Site {
     file: &'static str,
     line: u32,
