@@ -39,12 +39,12 @@ const HEADERS: &str = "
 ";
 
 /// A ROS 2.
+#[allow(dead_code, reason = "the bench reads the prefixes alone")]
 pub struct Ros {
     /// The folders of its headers.
     pub includes: Vec<PathBuf>,
     pub prefixes: Vec<PathBuf>,
     /// The text of `bindings.rs`.
-    #[allow(dead_code, reason = "the bench does not read it")]
     pub bindings: String,
 }
 
