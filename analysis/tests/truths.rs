@@ -177,6 +177,25 @@ fn a_join_in_a_group_takes_all_that_is_queued() {
     covers(&checked, response(&checked, "m"), 41.0);
 }
 
+/// The sensor's messages come at 1, 11, 21 ..., the slow one's at 0, 100, 200 ... a moment before: the set at 100 has the sensor's release of 90,
+/// and its value is there until the set at 200. The reader's job from 200 to 201 uses it: it is 111 old, though the sensor sent ten more.
+#[test]
+fn a_value_of_a_join_ages_until_the_next_set() {
+    let file = |more: &str| {
+        format!(
+            "[hosts.h]\ncores = 4\n[nodes.n]\n[topics]\nslow = {{ period = \"100ms\" }}\n\
+             [callbacks.sensor]\ncore = 0\nperiod = \"10ms\"\nwcet = \"1ms\"\npublishes = \"fast\"\n\
+             [callbacks.fuse]\ncore = 1\nall = [\"fast\", \"slow\"]\n{more}take = \"1us\"\nwcet = \"1us\"\npublishes = \"fused\"\n\
+             [callbacks.reader]\ncore = 2\nperiod = \"10ms\"\nwcet = \"1ms\"\nreads = \"fused\"\n\
+             [[chains]]\nname = \"c\"\npath = [\"sensor\", \"fuse\", \"reader\"]\ndeadline = \"1s\"\n"
+        )
+    };
+    for more in ["", "window = \"12ms\"\n"] {
+        let checked = check(&file(more));
+        covers(&checked, checked.chains[0].age_ns.map(ms), 111.0);
+    }
+}
+
 #[test]
 fn no_way_of_a_chain_is_left_out() {
     let checked = case!("many_ways");

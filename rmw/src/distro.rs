@@ -51,7 +51,7 @@ fn is_loaded(function: &str) -> bool {
 mod since_jazzy {
     use super::*;
     use crate::error::checked;
-    use crate::types::{KnownType, MessageType, known, no_support};
+    use crate::types::{KnownType, MessageType, described_type, no_support};
     use tautline_schema::{
         FieldDescription, FieldTypeDescription, IndividualTypeDescription, TypeDescription,
     };
@@ -130,7 +130,7 @@ mod since_jazzy {
             return Err(no_support());
         };
         // SAFETY: both return constants of the type support's library.
-        unsafe { known_by_hash(hash(found), description(found)) }
+        unsafe { type_by_hash(hash(found), description(found)) }
     }
 
     /// A service, its request and its response.
@@ -149,13 +149,13 @@ mod since_jazzy {
         unsafe {
             let request = MessageType::of(found.request_typesupport)?;
             let response = MessageType::of(found.response_typesupport)?;
-            Ok((known_by_hash(hash(found), description(found))?, request, response))
+            Ok((type_by_hash(hash(found), description(found))?, request, response))
         }
     }
 
     /// # Safety
     /// Both are null, or constants of a type support's library.
-    unsafe fn known_by_hash(
+    unsafe fn type_by_hash(
         hash: *const rosidl_type_hash_t,
         description: *const rosidl_runtime_c__type_description__TypeDescription,
     ) -> Result<KnownType> {
@@ -167,7 +167,7 @@ mod since_jazzy {
         }
         let digits: String = hash.value.iter().map(|byte| format!("{byte:02x}")).collect();
         // SAFETY: a description from its generator.
-        known(format!("RIHS01_{digits}"), || Ok(unsafe { described(description) }))
+        described_type(format!("RIHS01_{digits}"), || Ok(unsafe { described(description) }))
     }
 
     /// # Safety
@@ -234,7 +234,7 @@ mod since_jazzy {
 mod humble {
     use super::*;
     use crate::cdr::Callbacks;
-    use crate::types::{KnownType, MessageType, known, no_support};
+    use crate::types::{KnownType, MessageType, described_type, no_support};
     use std::ffi::CStr;
 
     pub(crate) const LAST_SUBSCRIPTION_EVENT: rmw_event_type_t = RMW_EVENT_MESSAGE_LOST;
@@ -286,7 +286,7 @@ mod humble {
         let find = |name: &CStr| unsafe { get_message_typesupport_handle(asked, name.as_ptr()).as_ref() };
         let found = introspection::SUPPORTS.into_iter().find_map(find).ok_or_else(no_support)?;
         // SAFETY: of a type support of this name.
-        unsafe { known_message(found.data.cast()) }
+        unsafe { message_type(found.data.cast()) }
     }
 
     /// A service, its request and its response.
@@ -312,25 +312,25 @@ mod humble {
             let messages = &*found.data.cast::<Messages>();
             let members = &*members.data.cast::<rosidl_typesupport_introspection_c__ServiceMembers>();
             let of = |callbacks: *const rosidl_message_type_support_t, members| {
-                known_message(members).map(|known| MessageType::new(Callbacks::new((*callbacks).data), known))
+                message_type(members).map(|known| MessageType::new(Callbacks::new((*callbacks).data), known))
             };
             let request = of(messages.request, members.request_members_)?;
             let response = of(messages.response, members.response_members_)?;
             let name = introspection::name(members.service_namespace_, members.service_name_);
-            Ok((known(name, || Ok(introspection::service(members)))?, request, response))
+            Ok((described_type(name, || Ok(introspection::service(members)))?, request, response))
         }
     }
 
     /// # Safety
     /// The members come from their generator.
-    unsafe fn known_message(
+    unsafe fn message_type(
         members: *const rosidl_typesupport_introspection_c__MessageMembers,
     ) -> Result<KnownType> {
         // SAFETY: the caller's contract.
         unsafe {
             let members = members.as_ref().ok_or_else(no_support)?;
             let name = introspection::name(members.message_namespace_, members.message_name_);
-            known(name, || Ok(introspection::message(members)))
+            described_type(name, || Ok(introspection::message(members)))
         }
     }
 }

@@ -169,7 +169,10 @@ pub(crate) struct KnownType {
 static KNOWN: Mutex<Option<HashMap<String, KnownType>>> = Mutex::new(None);
 
 /// The type with this hash or, where types have none, this name.
-pub(crate) fn known(key: String, describe: impl FnOnce() -> Result<TypeDescription>) -> Result<KnownType> {
+pub(crate) fn described_type(
+    key: String,
+    describe: impl FnOnce() -> Result<TypeDescription>,
+) -> Result<KnownType> {
     let mut types = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
     let types = types.get_or_insert_default();
     if let Some(known) = types.get(&key) {

@@ -139,7 +139,7 @@ impl WaitEntities<'_> {
     /// # Real-time
     /// O(entities); no allocation; no syscall, except one futex wake for memory that is not mapped here yet. Waits for threads
     /// that take from or publish on one of them, which inherit this thread's priority.
-    fn look(&self) -> (Idle, bool) {
+    fn find_ready(&self) -> (Idle, bool) {
         let mut idle = Idle::default();
         if self.signals().any(Signal::is_set) {
             return (idle, true);
@@ -193,14 +193,14 @@ impl WaitEntities<'_> {
     /// Waits until something is ready, until `deadline_ns`, or until the context is shut down.
     ///
     /// # Real-time
-    /// As [`is_something_ready`](Self::is_something_ready) for each ring, and a syscall to sleep.
+    /// As [`find_ready`](Self::find_ready) for each ring, and a syscall to sleep.
     fn wait(&self, wait_set: &WaitSet, deadline_ns: Option<u64>) -> Idle {
         let waiter = &wait_set.waiter;
         loop {
             let count = waiter.count();
             self.attach_data(waiter);
             let is_over = deadline_ns.is_some_and(|deadline_ns| monotonic_ns() >= deadline_ns);
-            let (idle, is_ready) = self.look();
+            let (idle, is_ready) = self.find_ready();
             if is_ready || is_over || wait_set.waiters.is_shut_down() {
                 return idle;
             }
@@ -354,7 +354,7 @@ pub unsafe extern "C" fn rmw_wait(
         job::wait(&wait_set.waits, deadline, wait_set.is_measured);
         let is_look_only = timeout.is_some_and(|time| (time.sec, time.nsec) == (0, 0));
         // Usually something is already ready, and nothing has to be attached.
-        let (idle, is_ready) = wanted.look();
+        let (idle, is_ready) = wanted.find_ready();
         let waited = if is_ready || is_look_only {
             Ok(idle)
         } else {
