@@ -7,8 +7,7 @@ use std::ffi::CString;
 use std::fmt::{self, Write};
 use std::sync::atomic::{AtomicPtr, AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
-use std::sync::{Mutex, PoisonError};
-use tautline_rt::fork::ProcessMark;
+use tautline_rt::fork::{ProcessMark, ProcessMutex};
 use tautline_rt::{Realtime, ThreadBuilder};
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
@@ -24,8 +23,8 @@ const LINES: usize = 256;
 /// ROS's log may hold its own lock while publishing, and Tautline may log while holding one of its locks. A forked child, which has no
 /// such thread, starts its own.
 pub(crate) fn start() {
-    static STARTING: Mutex<()> = Mutex::new(());
-    let _starting = STARTING.lock().unwrap_or_else(PoisonError::into_inner);
+    static STARTING: ProcessMutex<()> = ProcessMutex::new((), || ());
+    let _starting = STARTING.lock();
     if Queue::current().is_some() {
         return;
     }

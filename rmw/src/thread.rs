@@ -4,10 +4,11 @@
 
 use crate::error::{Error, Result};
 use std::cell::RefCell;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
 use tautline_analysis::file::{CheckedCallback, OverrunPolicy};
 use tautline_executor::foreign;
+use tautline_rt::fork::ProcessMutex;
 use tautline_rt::{CoreSet, MemoryLock, Policy, RtError, ThreadBuilder};
 
 /// What the file states of a thread.
@@ -29,7 +30,7 @@ thread_local! {
 }
 
 /// Whether memory is locked.
-static IS_PREPARED: Mutex<bool> = Mutex::new(false);
+static IS_PREPARED: ProcessMutex<bool> = ProcessMutex::new(false, || false);
 /// Whether a wait for several threads' callbacks was warned of.
 static IS_WARNED: AtomicBool = AtomicBool::new(false);
 
@@ -77,7 +78,7 @@ impl ThreadPlan {
 
 /// Before the first thread is governed: memory stays in place, and what was freed is used again.
 fn prepare() -> std::result::Result<(), RtError> {
-    let mut is_prepared = IS_PREPARED.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut is_prepared = IS_PREPARED.lock();
     if !*is_prepared {
         tautline_rt::lock_memory(MemoryLock::OnFault)?;
         tautline_rt::keep_freed_memory();

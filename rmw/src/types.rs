@@ -9,7 +9,8 @@ use crate::layout;
 use std::collections::HashMap;
 use std::ffi::CStr;
 use std::ops::Range;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
+use tautline_rt::fork::ProcessMutex;
 use tautline_schema::{Schema, TypeDescription};
 use tautline_transport::{Claim, Limits, ServiceType, TopicType};
 
@@ -166,14 +167,14 @@ pub(crate) struct KnownType {
 }
 
 /// Types found before.
-static KNOWN: Mutex<Option<HashMap<String, KnownType>>> = Mutex::new(None);
+static KNOWN: ProcessMutex<Option<HashMap<String, KnownType>>> = ProcessMutex::new(None, || None);
 
 /// The type with this hash or, where types have none, this name.
 pub(crate) fn described_type(
     key: String,
     describe: impl FnOnce() -> Result<TypeDescription>,
 ) -> Result<KnownType> {
-    let mut types = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut types = KNOWN.lock();
     let types = types.get_or_insert_default();
     if let Some(known) = types.get(&key) {
         return Ok(known.clone());

@@ -3,10 +3,11 @@
 
 mod support;
 
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, kill_process, kill_process_group};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader};
+use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -364,6 +365,8 @@ impl ForkPeers {
         let mut command = Command::new(domain.venv.join("bin/python"));
         command.arg(script).arg(how).env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
         command.env("ROS_DOMAIN_ID", domain.number.to_string()).env("PYTHONDONTWRITEBYTECODE", "1");
+        // Also those are killed that never answer.
+        command.process_group(0);
         on_tautline(&mut command);
         let ask = publisher(&domain.participant, "/ask", STRING, Qos::keep_last(10));
         let answers = subscription(&domain.participant, "/answer", STRING, Qos::keep_last(10));
@@ -392,10 +395,7 @@ impl ForkPeers {
 
 impl Drop for ForkPeers {
     fn drop(&mut self) {
-        for role in self.pids.keys().cloned().collect::<Vec<_>>() {
-            self.kill(&role);
-        }
-        let _ = self.first.kill();
+        let _ = kill_process_group(Pid::from_child(&self.first), Signal::KILL);
         let _ = self.first.wait();
     }
 }

@@ -515,7 +515,7 @@ mod tests {
     const PRIORITY: u8 = 10;
 
     /// With each kind of enforcement, on a thread of its own.
-    fn on_threads(policy: Policy, run: fn(BudgetTimer, Arc<OwnPriority>)) {
+    fn on_threads(run: fn(BudgetTimer, Arc<OwnPriority>)) {
         let Some(_alone) = permitted() else { return };
         for by in [Enforcement::Timer, Enforcement::Enforcer] {
             match prove_enforcement_by(by, PRIORITY + 10) {
@@ -525,7 +525,8 @@ mod tests {
                 }
                 proven => proven.unwrap(),
             }
-            let thread = ThreadBuilder::new("budget").policy(policy).realtime(Realtime::Required);
+            let thread =
+                ThreadBuilder::new("budget").policy(Policy::Fifo(PRIORITY)).realtime(Realtime::Required);
             let body = move || {
                 let own = own();
                 run(BudgetTimer::new(Arc::clone(&own)).unwrap(), own);
@@ -569,7 +570,7 @@ mod tests {
 
     #[test]
     fn who_uses_more_is_demoted_until_it_is_disarmed() {
-        on_threads(Policy::Fifo(PRIORITY), |timer, _| {
+        on_threads(|timer, _| {
             let policy = Policy::Fifo(PRIORITY);
             assert!(BudgetTimer::new(own()).is_err(), "one for a thread");
             for round in 0..20 {
@@ -596,7 +597,7 @@ mod tests {
     /// The enforcer falls asleep while the next budget is armed, at any instant of that.
     #[test]
     fn no_budget_is_passed_over() {
-        on_threads(Policy::Fifo(PRIORITY), |timer, _| {
+        on_threads(|timer, _| {
             for round in 0..1_000 {
                 timer.arm(thread_cpu_ns(), Duration::from_micros(20 + round % 50));
                 burn_until_demoted(&timer);
@@ -611,7 +612,7 @@ mod tests {
 
     #[test]
     fn a_priority_that_others_change_is_what_a_demoted_thread_gets_back() {
-        on_threads(Policy::Fifo(PRIORITY), |timer, own| {
+        on_threads(|timer, own| {
             let tid = current_tid();
             own.change(tid, 12).unwrap();
             assert_eq!(current_policy().unwrap(), Policy::Fifo(12));
@@ -627,7 +628,7 @@ mod tests {
     /// Whoever changes it does not lift a demotion, and what is demoted does not keep the old priority.
     #[test]
     fn changes_and_demotions_at_once_end_with_the_last_priority() {
-        on_threads(Policy::Fifo(PRIORITY), |timer, own| {
+        on_threads(|timer, own| {
             let tid = current_tid();
             std::thread::scope(|scope| {
                 let changes =
@@ -645,7 +646,7 @@ mod tests {
 
     #[test]
     fn who_is_suspended_gets_no_more_than_its_refills() {
-        on_threads(Policy::Other { nice: 0 }, |timer, _| {
+        on_threads(|timer, _| {
             let (period, budget) = (ms(20), ms(2));
             let begin_ns = monotonic_ns();
             let refill = Refill { at_ns: begin_ns + ns(20), period, budget };
@@ -667,7 +668,7 @@ mod tests {
 
     #[test]
     fn time_that_others_use_is_not_counted() {
-        on_threads(Policy::Other { nice: 0 }, |timer, _| {
+        on_threads(|timer, _| {
             timer.arm(thread_cpu_ns(), ms(5));
             // Five times the budget on the clock, and none of it on the processor.
             sleep_until_monotonic(monotonic_ns() + ns(25));

@@ -2,10 +2,11 @@
 //! What enforces budgets on this machine, found and proven by enforcing one.
 
 use std::fmt;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use crate::clock::{nanoseconds, thread_cpu_ns};
+use crate::fork::ProcessMutex;
 use crate::{BudgetTimer, OwnPriority, Policy, RtError, ThreadBuilder, budget, enforcer, set_policy_of};
 
 /// What ends the budget of a thread that never sleeps.
@@ -30,8 +31,6 @@ impl fmt::Display for Enforcement {
 /// What was proven in this process.
 #[derive(Debug, Clone, Copy)]
 struct Proven {
-    /// A child process has other threads.
-    pid: u32,
     by: Enforcement,
     /// Below which priority.
     below: u8,
@@ -40,11 +39,11 @@ struct Proven {
 #[derive(Debug, Default)]
 struct State {
     proven: Option<Proven>,
-    /// The enforcer's thread and priority, in the process with this id.
-    enforcer: Option<(u32, u32, u8)>,
+    /// The enforcer's thread and priority.
+    enforcer: Option<(u32, u8)>,
 }
 
-static STATE: Mutex<State> = Mutex::new(State { proven: None, enforcer: None });
+static STATE: ProcessMutex<State> = ProcessMutex::new(State { proven: None, enforcer: None }, State::default);
 
 /// The budget of the proof, and the processor time in which a timer must have ended it. A timer that is later is not used.
 const BUDGET: Duration = Duration::from_micros(100);
@@ -63,14 +62,14 @@ const ENFORCER_PATIENCE: Duration = Duration::from_millis(200);
 /// # Errors
 /// [`RtError::BudgetNotEnforced`] with the fix; the errors of [`set_policy`](crate::set_policy).
 pub fn prove_enforcement(below: u8) -> Result<Enforcement, RtError> {
-    let mut state = state();
-    if let Some(proven) = state.proven()
+    let mut state = STATE.lock();
+    if let Some(proven) = state.proven
         && proven.below >= below
     {
         return Ok(proven.by);
     }
     // Threads that use the enforcer already keep to it.
-    let is_chosen = state.proven().is_some_and(|proven| proven.by == Enforcement::Enforcer);
+    let is_chosen = state.proven.is_some_and(|proven| proven.by == Enforcement::Enforcer);
     if !is_chosen && state.prove(Enforcement::Timer, below)? {
         return Ok(Enforcement::Timer);
     }
@@ -86,30 +85,22 @@ pub fn prove_enforcement(below: u8) -> Result<Enforcement, RtError> {
 /// # Errors
 /// As [`prove_enforcement`].
 pub fn prove_enforcement_by(by: Enforcement, below: u8) -> Result<(), RtError> {
-    if state().prove(by, below)? { Ok(()) } else { Err(RtError::BudgetNotEnforced { by, below }) }
-}
-
-fn state() -> MutexGuard<'static, State> {
-    STATE.lock().unwrap_or_else(PoisonError::into_inner)
+    if STATE.lock().prove(by, below)? { Ok(()) } else { Err(RtError::BudgetNotEnforced { by, below }) }
 }
 
 impl State {
-    fn proven(&self) -> Option<Proven> {
-        self.proven.filter(|proven| proven.pid == std::process::id())
-    }
-
     /// False: a timer did not fire in time.
     fn prove(&mut self, by: Enforcement, below: u8) -> Result<bool, RtError> {
         if by == Enforcement::Enforcer {
             self.outrank(below)?;
         }
-        let (priority, pid) = (below.saturating_sub(1).max(1), std::process::id());
+        let priority = below.saturating_sub(1).max(1);
         let has_fired = match by {
             Enforcement::Timer => fires(by, priority, TIMER_PATIENCE)?,
             Enforcement::Enforcer => fires(by, priority, ENFORCER_PATIENCE)?,
         };
         match (has_fired, by) {
-            (true, _) => self.proven = Some(Proven { pid, by, below }),
+            (true, _) => self.proven = Some(Proven { by, below }),
             (false, Enforcement::Timer) => {}
             (false, Enforcement::Enforcer) => return Err(RtError::BudgetNotEnforced { by, below }),
         }
@@ -121,16 +112,15 @@ impl State {
         if Policy::Fifo(priority).check().is_err() {
             return Err(RtError::BudgetNotEnforced { by: Enforcement::Enforcer, below: priority });
         }
-        let pid = std::process::id();
         let tid = match self.enforcer {
-            Some((of, _, present)) if of == pid && present >= priority => return Ok(()),
-            Some((of, tid, _)) if of == pid => {
+            Some((_, present)) if present >= priority => return Ok(()),
+            Some((tid, _)) => {
                 set_policy_of(tid, Policy::Fifo(priority))?;
                 tid
             }
-            _ => enforcer::start(priority, budget::signal()?)?,
+            None => enforcer::start(priority, budget::signal()?)?,
         };
-        self.enforcer = Some((pid, tid, priority));
+        self.enforcer = Some((tid, priority));
         Ok(())
     }
 }

@@ -4,23 +4,27 @@
 
 use std::ffi::{c_int, c_void};
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Mutex, MutexGuard, Once, PoisonError};
+use std::sync::Once;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::fork::ProcessMutex;
 
 type Last = Box<dyn FnOnce() + Send>;
 
 struct List {
+    is_registered: bool,
     entries: Vec<(u64, Last)>,
-    next: u64,
 }
 
-static LIST: Mutex<List> = Mutex::new(List { entries: Vec::new(), next: 0 });
-/// The process whose list this is: one that it forks has a copy, whose lock a thread may hold that is not there.
-static PID: AtomicU32 = AtomicU32::new(0);
-
-fn list() -> MutexGuard<'static, List> {
-    LIST.lock().unwrap_or_else(PoisonError::into_inner)
+impl List {
+    const fn new() -> List {
+        List { is_registered: false, entries: Vec::new() }
+    }
 }
+
+static LIST: ProcessMutex<List> = ProcessMutex::new(List::new(), List::new);
+/// The number of the next entry, which none of a parent's has.
+static NEXT: AtomicU64 = AtomicU64::new(0);
 
 /// A function that is called at the process's end, unless this is dropped before. A process that ends while this is being dropped
 /// waits until the function has been dropped. The function may not hold another `AtExit`.
@@ -34,32 +38,25 @@ pub struct AtExit(u64);
 /// # Real-time
 /// Setup only.
 pub fn at_exit(last: impl FnOnce() + Send + 'static) -> AtExit {
-    let mut list = list();
-    if PID.swap(std::process::id(), Ordering::Relaxed) != std::process::id() {
-        // What its parent leaves is not to be done here, nor dropped.
-        std::mem::forget(std::mem::take(&mut list.entries));
+    let mut list = LIST.lock();
+    if !std::mem::replace(&mut list.is_registered, true) {
         // Also anew in a child, which may not call what its parent registered.
         // SAFETY: `run` may be called at any time from C, and does not unwind. If that is refused, nothing is called.
         unsafe { libc::atexit(run) };
     }
-    list.next += 1;
-    let number = list.next;
+    let number = NEXT.fetch_add(1, Ordering::Relaxed);
     list.entries.push((number, Box::new(last)));
     AtExit(number)
 }
 
 impl Drop for AtExit {
     fn drop(&mut self) {
-        let mut list = list();
-        list.entries.retain(|(number, _)| *number != self.0);
+        LIST.lock().entries.retain(|(number, _)| *number != self.0);
     }
 }
 
 extern "C" fn run() {
-    if PID.load(Ordering::Relaxed) != std::process::id() {
-        return;
-    }
-    let entries = std::mem::take(&mut list().entries);
+    let entries = std::mem::take(&mut LIST.lock().entries);
     for (_, last) in entries.into_iter().rev() {
         // Said by the panic itself; the others are still called.
         let _ = catch_unwind(AssertUnwindSafe(last));

@@ -6,6 +6,7 @@
 //!
 //! - each [`ProcessFd`] is `/dev/null`, so that its owner may close it as ever;
 //! - each shared mapping ([`Mapping`](crate::shm::Mapping)) is zeros of the child's own;
+//! - each [`ProcessMutex`] is free and has its first value, whichever thread of the parent held it;
 //! - a [`ProcessMark`] of before is that of another process.
 //!
 //! `vfork` and `posix_spawn` are not concerned: their children only `exec`, which closes all of it.
@@ -14,8 +15,8 @@ use crate::{PiGuard, PiMutex};
 use std::cell::UnsafeCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd, RawFd};
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{LazyLock, Once};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::{LazyLock, Mutex, MutexGuard, Once, PoisonError, TryLockError};
 
 /// What this process does not share with its children.
 struct List {
@@ -24,11 +25,14 @@ struct List {
     files: BTreeSet<RawFd>,
     /// The length of each mapping, by its address.
     mappings: BTreeMap<usize, usize>,
+    mutexes: Vec<&'static (dyn Renew + Sync)>,
 }
 
 /// Of threads of all priorities: the last owner of a mapping may be a callback's.
-static LIST: LazyLock<PiMutex<List>> =
-    LazyLock::new(|| PiMutex::new(List { null: None, files: BTreeSet::new(), mappings: BTreeMap::new() }));
+static LIST: LazyLock<PiMutex<List>> = LazyLock::new(|| {
+    let (files, mappings) = (BTreeSet::new(), BTreeMap::new());
+    PiMutex::new(List { null: None, files, mappings, mutexes: Vec::new() })
+});
 /// How often this process and those that it comes from were forked off.
 static FORKS: AtomicU32 = AtomicU32::new(0);
 
@@ -79,8 +83,81 @@ unsafe extern "C" fn in_child() {
         // SAFETY: over a mapping whose content may change at any time anyway, to zeros now.
         unsafe { libc::mmap(at, *len, libc::PROT_READ | libc::PROT_WRITE, flags, -1, 0) };
     }
+    for mutex in &list.mutexes {
+        // SAFETY: this is the child's only thread.
+        unsafe { mutex.renew() };
+    }
     // SAFETY: the child's only thread has the lock, and there is no other guard.
     unsafe { PiGuard::unlock_in_child(list) };
+}
+
+trait Renew {
+    /// # Safety
+    /// This is the only thread of a child that was just forked, and it holds no guard.
+    unsafe fn renew(&self);
+}
+
+/// A mutex for a static. In a forked child it is free and has its first value again: another thread of the parent may have held it, and
+/// may have changed half of the value. A panic does not poison it.
+///
+/// A thread that holds it must not fork, unless the child only calls `exec`.
+#[derive(Debug)]
+pub struct ProcessMutex<T: 'static> {
+    mutex: UnsafeCell<Mutex<T>>,
+    first: fn() -> T,
+    is_listed: AtomicBool,
+}
+
+// SAFETY: shared access goes through the mutex, which is replaced only while the process has one thread.
+unsafe impl<T: Send> Sync for ProcessMutex<T> {}
+
+impl<T: Send> ProcessMutex<T> {
+    /// A mutex of `value`. `first` returns the same value for a child, where it may neither allocate nor take a lock.
+    pub const fn new(value: T, first: fn() -> T) -> ProcessMutex<T> {
+        ProcessMutex { mutex: UnsafeCell::new(Mutex::new(value)), first, is_listed: AtomicBool::new(false) }
+    }
+
+    /// Locks it; waits until no other thread holds it.
+    ///
+    /// # Real-time
+    /// Setup only: the holder does not inherit the priority of who waits. The first call allocates.
+    pub fn lock(&'static self) -> MutexGuard<'static, T> {
+        if !self.is_listed.load(Ordering::Acquire) {
+            let mut list = list();
+            // Listed before it can be held while another thread forks, which waits for the list.
+            if !self.is_listed.swap(true, Ordering::Release) {
+                list.mutexes.push(self);
+            }
+        }
+        self.mutex().lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Locks it if no thread holds it.
+    ///
+    /// # Real-time
+    /// Wait-free; no allocation; no syscall. `None` also before the first [`lock`](Self::lock).
+    pub fn try_lock(&'static self) -> Option<MutexGuard<'static, T>> {
+        if !self.is_listed.load(Ordering::Acquire) {
+            return None;
+        }
+        match self.mutex().try_lock() {
+            Ok(guard) => Some(guard),
+            Err(TryLockError::Poisoned(poisoned)) => Some(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => None,
+        }
+    }
+
+    fn mutex(&'static self) -> &'static Mutex<T> {
+        // SAFETY: it is written only by `renew`, when no other thread is there.
+        unsafe { &*self.mutex.get() }
+    }
+}
+
+impl<T: Send> Renew for ProcessMutex<T> {
+    unsafe fn renew(&self) {
+        // SAFETY: no other thread is there, and no guard. What it protected is not dropped: it may be changed by half.
+        unsafe { self.mutex.get().write(Mutex::new((self.first)())) };
+    }
 }
 
 /// A descriptor of this process alone.

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Exit handlers of a process and of those that it forks.
+//! What a forked child has of its parent: neither exit handlers nor locks.
 
 use std::sync::atomic::{AtomicI32, Ordering};
+use std::sync::{Barrier, mpsc};
+use tautline_rt::fork::ProcessMutex;
 use tautline_rt::{at_exit, exempt_children};
 
 /// The process whose exit handler this is.
@@ -43,4 +45,34 @@ fn a_child_exits_with_its_own_handlers_only() {
         libc::close(pipe[0]);
     }
     assert!(libc::WIFEXITED(status) && libc::WEXITSTATUS(status) == 3, "{status}");
+}
+
+#[test]
+fn a_child_has_the_locks_that_its_parents_threads_hold() {
+    static VALUE: ProcessMutex<u32> = ProcessMutex::new(0, || 0);
+    static HELD: Barrier = Barrier::new(2);
+    let (end, ended) = mpsc::channel::<()>();
+    let holder = std::thread::spawn(move || {
+        let mut value = VALUE.lock();
+        *value = 7;
+        HELD.wait();
+        let _ = ended.recv();
+    });
+    HELD.wait();
+    let mut status = 0;
+    // SAFETY: the child has only this thread, and ends here; `status` is writable.
+    unsafe {
+        let child = libc::fork();
+        if child == 0 {
+            // It ends in any case.
+            libc::alarm(60);
+            libc::_exit(i32::from(*VALUE.lock() != 0));
+        }
+        assert_eq!(libc::waitpid(child, &mut status, 0), child);
+    }
+    assert!(libc::WIFEXITED(status) && libc::WEXITSTATUS(status) == 0, "{status}");
+    assert!(VALUE.try_lock().is_none(), "the parent's is held");
+    drop(end);
+    holder.join().unwrap();
+    assert_eq!(*VALUE.lock(), 7);
 }

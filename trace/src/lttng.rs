@@ -6,7 +6,8 @@ use crate::hot::MessageId;
 use std::cell::Cell;
 use std::ffi::{CString, c_char, c_void};
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Weak};
+use tautline_rt::fork::ProcessMutex;
 
 /// Of which ros2_tracing the names and fields are.
 const RELEASE: &std::ffi::CStr = c"8.4.0";
@@ -63,11 +64,11 @@ pub(crate) fn context_init(context: ObjectId) {
 }
 
 /// The first node of each context that has a sampler.
-static NODES: Mutex<Vec<(ObjectId, Weak<AtomicU64>)>> = Mutex::new(Vec::new());
+static NODES: ProcessMutex<Vec<(ObjectId, Weak<AtomicU64>)>> = ProcessMutex::new(Vec::new(), Vec::new);
 
 /// The first node of `context`, zero until it is made.
 pub(crate) fn node_of(context: ObjectId) -> Arc<AtomicU64> {
-    let mut nodes = NODES.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut nodes = NODES.lock();
     nodes.retain(|(_, node)| node.strong_count() != 0);
     let node = Arc::default();
     nodes.push((context, Arc::downgrade(&node)));
@@ -78,7 +79,7 @@ pub(crate) fn node_init(context: ObjectId, node: ObjectId, name: &str, namespace
     let (name, namespace) = (c(name), c(namespace));
     // SAFETY: strings that end with a zero byte and live until the call returns.
     unsafe { taut_lttng_node_init(node.0, name.as_ptr(), namespace.as_ptr()) }
-    for (of, first) in NODES.lock().unwrap_or_else(PoisonError::into_inner).iter() {
+    for (of, first) in NODES.lock().iter() {
         if let Some(first) = first.upgrade().filter(|_| *of == context) {
             let _ = first.compare_exchange(0, node.0, Ordering::Relaxed, Ordering::Relaxed);
         }

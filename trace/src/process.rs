@@ -15,18 +15,12 @@ use crate::settings::{TraceMode, TraceSettings};
 use crate::sync::Ordering;
 use crate::thread;
 use std::cell::Cell;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::MutexGuard;
 use std::time::Duration;
-use tautline_rt::fork::ProcessMark;
+use tautline_rt::fork::{ProcessMark, ProcessMutex};
 use tautline_rt::shm::{OwnFile, ShmError};
 
-static PROCESS: Mutex<Process> = Mutex::new(Process {
-    settings: None,
-    memberships: 0,
-    file: None,
-    region: None,
-    free: FreeEntries::none(),
-});
+static PROCESS: ProcessMutex<Process> = ProcessMutex::new(Process::new(), Process::new);
 
 /// Rings that have memory and wait for a thread that nobody has registered.
 const SPARE_RINGS: usize = 2;
@@ -43,7 +37,6 @@ struct Process {
 /// The file while there is a membership. Its lock says that its owner lives.
 struct OwnTraceFile {
     domain: u32,
-    owner: ProcessMark,
     file: OwnFile,
     map: Map,
     mode: TraceMode,
@@ -52,13 +45,13 @@ struct OwnTraceFile {
 }
 
 /// Sets the trace settings of this process, instead of `TAUT_TRACE` and `TAUT_TRACE_EVENTS`. They apply to the file that is
-/// created with the first membership of a domain, so call it before.
+/// created with the first membership of a domain, so call it before. A forked child has settings of its own.
 pub fn configure(settings: TraceSettings) {
     process().settings = Some(settings);
 }
 
 fn process() -> MutexGuard<'static, Process> {
-    PROCESS.lock().unwrap_or_else(PoisonError::into_inner)
+    PROCESS.lock()
 }
 
 /// A membership of a domain, which ends when this is dropped.
@@ -73,10 +66,6 @@ pub struct Membership(ProcessMark);
 /// [`TraceError`]: a variable with an invalid value, a file that cannot be created.
 pub fn join(domain: u32) -> Result<Membership, TraceError> {
     let mut process = process();
-    if let Some(of_parent) = process.file.take_if(|own| !own.owner.is_here()) {
-        process.memberships = 0;
-        of_parent.give_up();
-    }
     if process.memberships == 0 {
         let settings = match process.settings {
             Some(settings) => settings,
@@ -130,6 +119,10 @@ pub fn attend() -> Option<Duration> {
 }
 
 impl Process {
+    const fn new() -> Process {
+        Process { settings: None, memberships: 0, file: None, region: None, free: FreeEntries::none() }
+    }
+
     fn open(&mut self, domain: u32, settings: TraceSettings) -> Result<(), TraceError> {
         let own = OwnTraceFile::create(domain, settings, self.region)?;
         self.region = Some(own.map);
@@ -167,14 +160,7 @@ impl OwnTraceFile {
         };
         let name = std::fs::read("/proc/self/comm").unwrap_or_default();
         map.claim(std::process::id(), name_to_words(name.strip_suffix(b"\n").unwrap_or(&name)));
-        Ok(OwnTraceFile {
-            domain,
-            owner: ProcessMark::new(),
-            file,
-            map,
-            mode: settings.mode,
-            until_look: Cell::new(0),
-        })
+        Ok(OwnTraceFile { domain, file, map, mode: settings.mode, until_look: Cell::new(0) })
     }
 
     /// Whether a recorder is there.

@@ -4,6 +4,7 @@
 mod support;
 
 use rustix::process::{Pid, Signal, WaitOptions, kill_process, waitpid};
+use std::sync::atomic::{AtomicBool, Ordering};
 use support::{Count, Part, clean, domain, participants, say, take_all, wait_for, wait_for_the_end};
 use tautline_transport::{Limits, LoanError, Participant, Publisher, Qos, Subscription, TransportError};
 
@@ -52,6 +53,24 @@ fn child_main() {
             say("went on");
             wait_for_the_end();
         }
+        "fork of many threads" => {
+            static ENDS: AtomicBool = AtomicBool::new(false);
+            // They hold each lock of a participant's beginning and end at some time or other.
+            let churn = move || {
+                while !ENDS.load(Ordering::Relaxed) {
+                    drop(Participant::new(domain).unwrap());
+                }
+            };
+            let threads = [std::thread::spawn(churn), std::thread::spawn(churn)];
+            for number in 0..40 {
+                let child = fork(|| drop(Participant::new(domain).unwrap()));
+                assert_eq!(end_of(child), Some(0), "child {number}");
+            }
+            ENDS.store(true, Ordering::Relaxed);
+            threads.into_iter().for_each(|thread| thread.join().unwrap());
+            say("went on");
+            wait_for_the_end();
+        }
         "bystander" => {
             say("ready");
             wait_for_the_end();
@@ -65,6 +84,8 @@ fn fork(run: impl FnOnce()) -> Pid {
     // SAFETY: the child has only this thread, takes no lock that another one may hold, and does not return from here.
     let pid = unsafe { libc::fork() };
     if pid == 0 {
+        // SAFETY: no conditions. It ends in any case.
+        unsafe { libc::alarm(60) };
         let done = std::panic::catch_unwind(std::panic::AssertUnwindSafe(run));
         // SAFETY: ends the process.
         unsafe { libc::_exit(i32::from(done.is_err())) };
@@ -119,6 +140,15 @@ fn a_parent_that_dies_is_noticed_though_its_child_lives() {
     somebody_cleans_up(domain, 1);
     kill_process(child.0, Signal::CONT).expect("the child lives");
     drop((child, own));
+    clean(domain);
+}
+
+#[test]
+fn children_begin_anew_whatever_their_parents_threads_were_doing() {
+    let domain = domain(118);
+    let mut parent = Part::start("fork of many threads", domain);
+    assert_eq!(parent.hear(), "went on");
+    assert!(parent.end().success());
     clean(domain);
 }
 

@@ -10,17 +10,25 @@ use super::{LogSeverity, Logger, console};
 use std::cell::Cell;
 use std::fmt;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, Weak};
+use std::sync::{Arc, MutexGuard, Weak};
 use std::time::Duration;
 use tautline_rt::Policy;
 use tautline_rt::clock::wall_ns;
+use tautline_rt::fork::ProcessMutex;
 
 /// How often the rings are looked at while there are lines: with one after a silence it is woken.
 const PERIOD: Duration = Duration::from_millis(20);
 
 struct Sink {
+    is_started: bool,
     drain: Drain,
     topics: Vec<OfNode>,
+}
+
+impl Sink {
+    const fn with(drain: Drain) -> Sink {
+        Sink { is_started: false, drain, topics: Vec::new() }
+    }
 }
 
 /// Where a node's loggers log to.
@@ -36,7 +44,8 @@ impl OfNode {
     }
 }
 
-static SINK: Mutex<Sink> = Mutex::new(Sink { drain: Drain::new(), topics: Vec::new() });
+static SINK: ProcessMutex<Sink> =
+    ProcessMutex::new(Sink::with(Drain::new()), || Sink::with(Drain::of_child()));
 static LOST: AtomicU64 = AtomicU64::new(0);
 pub(super) static TO_CONSOLE: AtomicBool = AtomicBool::new(true);
 
@@ -59,15 +68,17 @@ pub fn flush() {
 
 /// Makes rings for real-time threads, and starts the thread that empties them.
 pub(crate) fn start() {
-    static STARTED: Once = Once::new();
-    STARTED.call_once(|| {
-        lock().drain.prepare();
-        // Not of rt's: its stack, which opening a topic needs, would be touched, and so be resident, in each process.
-        let thread = std::thread::Builder::new().name("log".into());
-        if let Err(error) = thread.spawn(write_for_ever) {
-            tracing::warn!("lines of real-time threads are written only when other threads log: {error}");
-        }
-    });
+    let mut sink = SINK.lock();
+    if std::mem::replace(&mut sink.is_started, true) {
+        return;
+    }
+    sink.drain.prepare();
+    drop(sink);
+    // Not of rt's: its stack, which opening a topic needs, would be touched, and so be resident, in each process.
+    let thread = std::thread::Builder::new().name("log".into());
+    if let Err(error) = thread.spawn(write_for_ever) {
+        tracing::warn!("lines of real-time threads are written only when other threads log: {error}");
+    }
 }
 
 fn write_for_ever() {
@@ -121,10 +132,6 @@ fn is_realtime() -> bool {
     tautline_rt::current_policy().is_ok_and(|policy| policy.realtime_priority().is_some())
 }
 
-fn lock() -> MutexGuard<'static, Sink> {
-    SINK.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 /// The one who writes.
 struct Writing {
     sink: MutexGuard<'static, Sink>,
@@ -134,7 +141,7 @@ struct Writing {
 
 impl Writing {
     fn begin() -> Writing {
-        let sink = lock();
+        let sink = SINK.lock();
         WRITING.set(true);
         Writing { sink, used: Vec::new() }
     }
@@ -142,7 +149,7 @@ impl Writing {
     /// Whether anything waited.
     fn drain(&mut self) -> bool {
         let Writing { sink, used } = self;
-        let Sink { drain, topics } = &mut **sink;
+        let Sink { drain, topics, .. } = &mut **sink;
         let mut losses = Vec::new();
         let any = drain.drain(|line| deliver(topics, used, &line.as_line()), |lost| losses.push(lost));
         for Lost { lines, tid } in losses {
@@ -207,7 +214,7 @@ mod tests {
     #[test]
     fn nodes_whose_loggers_have_gone_are_forgotten() {
         let rosout = Arc::new(Rosout::new(Participant::new(56).unwrap()));
-        let names = || lock().topics.iter().map(|of| of.logger.clone()).collect::<Vec<_>>();
+        let names = || SINK.lock().topics.iter().map(|of| of.logger.clone()).collect::<Vec<_>>();
         let add = |name: &str| {
             let logger = Logger::of_node(name);
             add_topic(&logger, Arc::downgrade(&rosout));

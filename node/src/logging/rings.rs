@@ -9,9 +9,9 @@ use super::line::FixedLine;
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::cell::Cell;
 use std::path::Path;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering, fence};
 use tautline_rt::FutexWord;
+use tautline_rt::fork::ProcessMutex;
 
 /// Lines of one thread that wait to be written: 32 KiB.
 pub(super) const LINES: usize = 64;
@@ -26,7 +26,7 @@ struct Ring {
     /// Whether its memory is allocated.
     ready: AtomicBool,
     /// Try-locked only by its thread, after its memory is allocated; so the try-lock always succeeds.
-    producer: Mutex<Option<Producer<FixedLine>>>,
+    producer: ProcessMutex<Option<Producer<FixedLine>>>,
     lost: AtomicU64,
 }
 
@@ -34,7 +34,7 @@ static RINGS_OF_THREADS: [Ring; RINGS] = [const {
     Ring {
         tid: AtomicU32::new(0),
         ready: AtomicBool::new(false),
-        producer: Mutex::new(None),
+        producer: ProcessMutex::new(None, || None),
         lost: AtomicU64::new(0),
     }
 }; RINGS];
@@ -49,7 +49,12 @@ thread_local! {
 
 /// Whether the current thread fills a ring.
 pub(super) fn is_mine() -> bool {
-    MINE.try_with(Cell::get).ok().flatten().is_some()
+    MINE.try_with(Cell::get).ok().flatten().is_some_and(|index| claimed(index).is_some())
+}
+
+/// The ring of this number, unless it was of the parent of this process.
+fn claimed(index: u8) -> Option<&'static Ring> {
+    RINGS_OF_THREADS.get(usize::from(index)).filter(|ring| ring.tid.load(Ordering::Relaxed) != 0)
 }
 
 /// On which the thread sleeps that writes lines: its lowest bit says that it does, the others count who woke it.
@@ -87,8 +92,8 @@ fn keep(line: FixedLine) {
         return;
     };
     let pushed = match ring.producer.try_lock() {
-        Ok(mut producer) => producer.as_mut().is_some_and(|producer| producer.push(line).is_ok()),
-        Err(_) => false,
+        Some(mut producer) => producer.as_mut().is_some_and(|producer| producer.push(line).is_ok()),
+        None => false,
     };
     if !pushed {
         ring.lost.fetch_add(1, Ordering::Relaxed);
@@ -98,8 +103,8 @@ fn keep(line: FixedLine) {
 fn mine() -> Option<&'static Ring> {
     // No thread-local any more: the thread is going down.
     let known = MINE.try_with(Cell::get).ok()?;
-    if let Some(index) = known {
-        return RINGS_OF_THREADS.get(usize::from(index));
+    if let Some(ring) = known.and_then(claimed) {
+        return Some(ring);
     }
     let tid = tautline_rt::current_tid();
     let (index, ring) = RINGS_OF_THREADS.iter().enumerate().find(|(_, ring)| {
@@ -130,6 +135,16 @@ impl Drain {
         Drain { consumers: Vec::new(), batch: Vec::new() }
     }
 
+    /// That of a forked child, which has none of its parent's rings.
+    pub(super) fn of_child() -> Drain {
+        for ring in &RINGS_OF_THREADS {
+            ring.ready.store(false, Ordering::Relaxed);
+            ring.tid.store(0, Ordering::Relaxed);
+        }
+        BELL.0.store(0, Ordering::Relaxed);
+        Drain::new()
+    }
+
     /// Makes rings, so that some are spare. Allocates and touches their memory.
     pub(super) fn prepare(&mut self) {
         let spare = RINGS_OF_THREADS[..self.consumers.len()].iter();
@@ -148,7 +163,7 @@ impl Drain {
             let line = FixedLine::new(line, format_args!(""));
             while producer.push(line.clone()).is_ok() {}
             while consumer.pop().is_ok() {}
-            *ring.producer.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = Some(producer);
+            *ring.producer.lock() = Some(producer);
             self.consumers.push(consumer);
             ring.ready.store(true, Ordering::Release);
         }

@@ -13,7 +13,8 @@ use crate::memory::header::Gid;
 use crate::topic::declaration::Topic;
 use std::collections::hash_map::Entry;
 use std::collections::{BTreeSet, HashMap, HashSet};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
+use tautline_rt::fork::ProcessMutex;
 
 /// Most endpoints on other hosts that a port tells its monitors of: what others declare costs it no more than this.
 const MOST_REMOTE: usize = 256;
@@ -403,9 +404,9 @@ fn remove(by_topic: &mut HashMap<u64, TopicPorts>, hash: u64, remove: impl FnOnc
 
 /// Once for each text, for it is tried again and again.
 pub(super) fn complain(error: &TransportError) {
-    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    static SAID: ProcessMutex<BTreeSet<String>> = ProcessMutex::new(BTreeSet::new(), BTreeSet::new);
     let text = error.to_string();
-    let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut said = SAID.lock();
     if said.len() < 64 && said.insert(text.clone()) {
         tracing::warn!(
             "an endpoint of this process and one of another process are not connected, retrying: {text} (logged once)"
