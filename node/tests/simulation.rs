@@ -34,6 +34,8 @@ use tautline_rt::{PiGuard, PiMutex, Policy, clock, current_policy, policy_of, se
 const LOCKS: usize = 2;
 /// Far more than a job needs while it waits for the simulation.
 const BUDGET: Duration = Duration::from_millis(60);
+/// Of those that are suspended: long enough for what others do meanwhile.
+const PERIOD: Duration = Duration::from_millis(400);
 
 /// A join of all sensors.
 fn join(rng: &mut StdRng) -> Model {
@@ -74,6 +76,18 @@ fn threads(rng: &mut StdRng) -> Model {
             ..callback(HERE, vec![sensor])
         };
         model.callbacks.push(one);
+    }
+    model
+}
+
+/// A thread for each sensor, by priority, some of them suspended when they have used up their budgets.
+fn sleepers(rng: &mut StdRng) -> Model {
+    let mut model = sensors(rng, 3, false);
+    for sensor in 0..model.callbacks.len() {
+        let wcet = rng.random_range(1..=model.callbacks[sensor].period * 2 / 3);
+        let budget = if rng.random_bool(0.5) { Budget::Suspend } else { Budget::Tell };
+        let (priority, depth) = (20 + 2 * ((sensor as u8 + 1) % 3), rng.random_range(1..=4));
+        model.callbacks.push(Callback { wcet, budget, priority, depth, ..callback(HERE, vec![sensor]) });
     }
     model
 }
@@ -209,6 +223,7 @@ impl Real {
             let options = match callback.budget {
                 Budget::Demote => options.budget(BUDGET).demote_on_overrun(),
                 Budget::End => options.budget(BUDGET).end_on_overrun(),
+                Budget::Suspend => options.budget(BUDGET).period(PERIOD).suspend_on_overrun(),
                 _ => options,
             };
             let work = subscription.for_each(move |sample| {
@@ -279,6 +294,15 @@ impl Real {
                     let is_demoted = || matches!(policy_of(thread), Ok(Policy::Other { .. }));
                     eventually("a job is demoted", is_demoted);
                 }
+                // It works until it has used up its budget.
+                Step::Suspended { callback, .. } => {
+                    let thread = self.callbacks[&callback].thread().tid;
+                    eventually("a job is suspended", || is_asleep(thread));
+                }
+                Step::Resumed { callback } => {
+                    let thread = self.callbacks[&callback].thread().tid;
+                    eventually("a job goes on", || !is_asleep(thread));
+                }
                 Step::Ended { callback } => {
                     tell(callback, Command::End);
                     if let Some(handle) = self.callbacks.get(&callback) {
@@ -310,6 +334,12 @@ impl Real {
         // A thread that is told to stop may just have taken one more.
         assert!(more.len() <= model.callbacks.len(), "{more:?}");
     }
+}
+
+/// Whether a thread of this process sleeps.
+fn is_asleep(thread: u32) -> bool {
+    let stat = std::fs::read_to_string(format!("/proc/self/task/{thread}/stat")).unwrap();
+    stat.rsplit_once(") ").unwrap().1.starts_with('S')
 }
 
 type Joined = (CallbackHandle, Arc<JoinCounters>);
@@ -392,12 +422,13 @@ impl JoinPolicy for Boxed {
 /// Runs some systems in both, and says how much of what was compared.
 fn compare(context: &Context, seed: u64, systems: usize, make: fn(&mut StdRng) -> Model) {
     let mut rng = StdRng::seed_from_u64(seed);
-    let (mut begun, mut lost, mut demoted, mut blocked, mut unused) = (0, 0, 0, 0, 0);
+    let (mut begun, mut lost, mut demoted, mut suspended, mut blocked, mut unused) = (0, 0, 0, 0, 0, 0);
     for scenario in 0..systems {
         let (model, seen) = run(&mut rng, make);
         for (_, step) in &seen.steps {
             begun += usize::from(matches!(step, Step::Begun { .. }));
             demoted += usize::from(matches!(step, Step::Demoted { .. }));
+            suspended += usize::from(matches!(step, Step::Suspended { .. }));
             blocked += usize::from(matches!(step, Step::Blocked { .. }));
         }
         lost += seen.lost.values().sum::<u64>();
@@ -406,7 +437,8 @@ fn compare(context: &Context, seed: u64, systems: usize, make: fn(&mut StdRng) -
         Real::new(context, scenario, &model, &seen).follow(&model, &seen, &says);
     }
     println!(
-        "{systems} systems: {begun} jobs begin in one order, {lost} messages overwritten, {unused} dropped or refused by joins, {demoted} demoted, {blocked} waited for locks"
+        "{systems} systems: {begun} jobs begin in one order, {lost} messages overwritten, {unused} dropped or refused by joins, {demoted} demoted, \
+         {suspended} suspended, {blocked} waited for locks"
     );
     assert!(begun > 5 * systems);
 }
@@ -427,14 +459,24 @@ fn a_join_makes_the_sets_of_the_simulation() {
     compare(&context, seed, 40, join);
 }
 
-#[test]
-fn threads_begin_in_the_order_of_the_simulation() {
+/// With rights to real-time priorities.
+fn compare_threads(domain: u32, systems: usize, make: fn(&mut StdRng) -> Model) {
     if !realtime() {
         return;
     }
     let seed = tautline_seed::seed();
     isolate();
-    let context = Context::builder().domain(229).realtime(Realtime::Required).build().unwrap();
+    let context = Context::builder().domain(domain).realtime(Realtime::Required).build().unwrap();
     let _spinning = spin(&context);
-    compare(&context, seed, 20, threads);
+    compare(&context, seed, systems, make);
+}
+
+#[test]
+fn threads_begin_in_the_order_of_the_simulation() {
+    compare_threads(229, 20, threads);
+}
+
+#[test]
+fn suspended_threads_sleep_and_go_on_as_in_the_simulation() {
+    compare_threads(228, 6, sleepers);
 }

@@ -54,6 +54,15 @@ pub enum Step {
     Demoted {
         callback: usize,
     },
+    /// It has used up its budget, and sleeps until then.
+    Suspended {
+        callback: usize,
+        until: u64,
+    },
+    /// It has its next budget.
+    Resumed {
+        callback: usize,
+    },
     /// It waits for a lock that another holds.
     Blocked {
         callback: usize,
@@ -838,7 +847,11 @@ impl Machine<'_> {
                     // More than a period behind, the server begins anew.
                     thread.refill_at = self.now + period;
                 }
-                return thread.asleep_until <= self.now;
+                let until = thread.asleep_until;
+                if until > self.now {
+                    self.record(Step::Suspended { callback: i, until });
+                }
+                return until <= self.now;
             }
             _ => {}
         }

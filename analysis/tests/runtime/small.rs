@@ -92,12 +92,19 @@ pub fn run(rng: &mut StdRng, make: fn(&mut StdRng) -> Model) -> (Model, Seen) {
         let run = Run { is_wild: true, queue_sizes, until: 20_000, ..Run::random(&model, rng) };
         let mut seen = simulate(&model, &run);
         seen.steps.retain(|(_, step)| model.callbacks[callback_of(step)].core == HERE);
+        let resumed = seen.steps.iter().filter_map(|(_, step)| match step {
+            Step::Suspended { callback, until } => Some((*until, Step::Resumed { callback: *callback })),
+            _ => None,
+        });
+        seen.steps.extend(resumed.collect::<Vec<_>>());
+        seen.steps.sort_by_key(|(at, step)| match step {
+            Step::Arrived { .. } => (*at, 0),
+            Step::Ended { .. } | Step::Unlocked { .. } | Step::Taken { .. } | Step::Resumed { .. } => {
+                (*at, 1)
+            }
+            _ => (*at, 2),
+        });
         if is_clear(&model, &seen.steps) {
-            seen.steps.sort_by_key(|(at, step)| match step {
-                Step::Arrived { .. } => (*at, 0),
-                Step::Ended { .. } | Step::Unlocked { .. } | Step::Taken { .. } => (*at, 1),
-                _ => (*at, 2),
-            });
             return (model, seen);
         }
     }
@@ -109,6 +116,8 @@ const fn callback_of(step: &Step) -> usize {
         | Step::Taken { callback, .. }
         | Step::Begun { callback, .. }
         | Step::Demoted { callback }
+        | Step::Suspended { callback, .. }
+        | Step::Resumed { callback }
         | Step::Blocked { callback, .. }
         | Step::Locked { callback, .. }
         | Step::Unlocked { callback, .. }
@@ -122,9 +131,21 @@ fn is_clear(model: &Model, steps: &[(u64, Step)]) -> bool {
     let apart = arrivals.windows(2).all(|pair| pair[0] < pair[1]);
     let takes =
         |at: u64| steps.iter().filter(|(t, step)| *t == at && matches!(step, Step::Taken { .. })).count();
+    // While one sleeps, no other uses up its budget, which takes time.
+    let mut sleeping = 0;
+    let alone = steps.iter().all(|(_, step)| {
+        match step {
+            Step::Suspended { .. } => sleeping += 1,
+            Step::Resumed { .. } => sleeping -= 1,
+            _ => {}
+        }
+        (0..=1).contains(&sleeping)
+    });
+    let ends = |at: u64| steps.iter().any(|(t, step)| *t == at && matches!(step, Step::Ended { .. }));
     // What a join takes lasts for a step each; threads preempt one another.
     let held = model.callbacks.iter().any(|callback| callback.core == HERE && callback.group.is_none());
     apart
+        && alone
         && steps.iter().all(|(at, step)| match step {
             Step::Taken { .. } => {
                 !arrivals.iter().any(|arrival| (at + 1 - takes(*at) as u64..=*at).contains(arrival))
@@ -132,6 +153,7 @@ fn is_clear(model: &Model, steps: &[(u64, Step)]) -> bool {
             Step::Ended { .. } | Step::Demoted { .. } | Step::Unlocked { .. } => {
                 !held || !arrivals.contains(at)
             }
+            Step::Resumed { .. } => !arrivals.contains(at) && !ends(*at),
             // Linux runs all that are demoted in turn.
             Step::Blocked { is_demoted, .. } => !is_demoted,
             _ => true,
