@@ -27,13 +27,13 @@ use clap::{Parser, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
-use system::{Message, Starter, System, Task};
-use tautline_exchange::{Job, Result};
+use system::{Case, Message, Starter, System, Task};
+use tautline_exchange::{Job, Measured, Result};
 use tautline_harness::claims::{Claim, Goal, Ways, judge};
 use tautline_harness::rows::{Metric, Row, Tally};
 use tautline_harness::table::of_rows;
 use tautline_harness::verdict::{self, Verdict};
-use tautline_harness::{Disturbance, Documented, exit, machine, progress_bar};
+use tautline_harness::{Distribution, Disturbance, Documented, exit, machine, progress_bar};
 use tautline_rt::IdleHold;
 use trips::{Client, Trip};
 use waits::Waits;
@@ -168,13 +168,9 @@ fn verdicts(rows: &[Row]) -> Vec<Verdict> {
         Claim::new(metric, ours, Goal::Times(times, theirs))
     };
     let of_loaned = |trip: Trip| Ways::new(&held, trip.bytes, TAUTLINE, &modes[2]);
-    let waits = WAITS.map(Waits::mode);
-    let many = [&*waits[4]];
-    let of_waits = |times, modes| {
-        let [ours, theirs] =
-            [TAUTLINE, FAST_DDS].map(|system| Ways::new(waits::EXPERIMENT, None, system, modes));
-        Claim::new(Metric::P50, ours, Goal::Times(times, theirs))
-    };
+    let waits = WAITS.map(Case::mode);
+    let [one, one_governed, _, _, many] = waits.each_ref().map(|mode| [&**mode]);
+    let of_waits = |system, modes| Ways::new(waits::EXPERIMENT, None, system, modes);
     let governed = Trip { is_governed: true, ..small }.mode();
     let governed = [&*governed];
     let [free, governed] =
@@ -185,7 +181,12 @@ fn verdicts(rows: &[Row]) -> Vec<Verdict> {
         at_most(1.0 / 3.0, Metric::P50, &held, Some(large.bytes), &modes[1]).because(SERIALIZED_COPIES),
         Claim::new(Metric::P50, of_loaned(loaned), Goal::Times(1.5, of_loaned(small_loaned))),
         Claim::new(Metric::P50, governed, Goal::Times(1.1, free)),
-        of_waits(1.0, &many),
+        Claim::new(
+            Metric::P50,
+            of_waits(TAUTLINE, &one_governed),
+            Goal::Times(1.1, of_waits(TAUTLINE, &one)),
+        ),
+        Claim::new(Metric::P50, of_waits(TAUTLINE, &many), Goal::Times(1.0, of_waits(FAST_DDS, &many))),
         at_most(1.0, Metric::CpuTime, flow::EXPERIMENT, None, &[]),
     ];
     let found = nodes.iter().map(|nodes| at_most(1.0, Metric::Start, nodes, None, &[]));
@@ -309,56 +310,48 @@ impl Run<'_> {
                 continue;
             }
             for (rounds, trips) in &plan {
-                rows.extend(self.part(*rounds, trips, held)?);
+                rows.extend(self.part(*rounds, trips, [400, 700], held)?);
             }
         }
         Ok(rows)
     }
 
     /// The rows of a part. What is compared is measured in turns.
-    fn part(&self, rounds: u32, trips: &[Trip], held: bool) -> Result<Vec<Row>> {
-        let length = Duration::from_millis(if self.quick() { 400 } else { 700 });
-        let pairs = trips.iter().flat_map(|trip| self.systems.iter().map(move |system| (system, *trip)));
-        // No other RMW reads a system file.
-        let pairs = pairs.filter(|(system, trip)| !trip.is_governed || system.name == TAUTLINE);
-        let mut found: Vec<_> = pairs.map(|(system, trip)| (system, trip, Tally::default())).collect();
+    fn part<C: Case>(
+        &self,
+        rounds: u32,
+        cases: &[C],
+        length_ms: [u64; 2],
+        is_held: bool,
+    ) -> Result<Vec<Row>> {
+        let length = Duration::from_millis(length_ms[usize::from(!self.quick())]);
+        let pairs = cases.iter().flat_map(|case| self.systems.iter().map(move |system| (system, *case)));
+        let pairs = pairs.filter(|(system, case)| !case.is_governed() || system.name == TAUTLINE);
+        let mut found: Vec<_> = pairs.map(|(system, case)| (system, case, Tally::default())).collect();
         let bar = progress_bar(u64::from(rounds) * found.len() as u64);
         for round in 1..=rounds {
-            for (system, trip, tally) in &mut found {
-                bar.set_message(format!("{}, {} B", trip.client.name(), trip.bytes));
-                trip.measure(&self.starter, system, length, round, tally)?;
+            for (system, case, tally) in &mut found {
+                bar.set_message(format!("{}, {}, {} B", system.name, case.mode(), case.bytes()));
+                let Measured { times_ns, lost, .. } = case.measure(&self.starter, system, length)?;
+                let mut times = Distribution::new();
+                times_ns.into_iter().for_each(|time_ns| times.record(time_ns));
+                tally.add(round, &times);
+                tally.lost += lost;
                 bar.inc(1);
             }
         }
         bar.finish_and_clear();
-        let row = |(system, trip, tally): &(&System, Trip, Tally)| {
-            tally.row(trip.experiment(held), system.name, &trip.mode(), trip.bytes)
+        let row = |(system, case, tally): &(&System, C, Tally)| {
+            tally.row(case.experiment(is_held), system.name, &case.mode(), case.bytes())
         };
         Ok(found.iter().map(row).collect())
     }
 
     fn waits(&self) -> Result<Vec<Row>> {
-        if !self.has(Part::Waits) {
-            return Ok(Vec::new());
+        match self.has(Part::Waits) {
+            true => self.part(if self.quick() { 1 } else { 3 }, &WAITS, [300, 700], false),
+            false => Ok(Vec::new()),
         }
-        let (rounds, length) = if self.quick() { (1, 300) } else { (3, 700) };
-        let pairs = WAITS.iter().flat_map(|waits| self.systems.iter().map(move |system| (system, waits)));
-        let ours = |(system, waits): &(&System, &Waits)| !waits.is_governed || system.name == TAUTLINE;
-        let mut found: Vec<_> =
-            pairs.filter(ours).map(|(system, waits)| (system, waits, Tally::default())).collect();
-        let bar = progress_bar(u64::from(rounds) * found.len() as u64);
-        for round in 1..=rounds {
-            for (system, waits, tally) in &mut found {
-                bar.set_message(format!("{}: {}", system.name, waits.mode()));
-                waits.measure(&self.starter, system, Duration::from_millis(length), round, tally)?;
-                bar.inc(1);
-            }
-        }
-        bar.finish_and_clear();
-        let row = |(system, waits, tally): &(&System, &Waits, Tally)| {
-            tally.row(waits::EXPERIMENT, system.name, &waits.mode(), rmw::STRUCT_BYTES)
-        };
-        Ok(found.iter().map(row).collect())
     }
 
     fn flows(&self) -> Result<Vec<Row>> {
