@@ -276,3 +276,30 @@ impl ForeignExecutor {
         self.stats.lock().complete(&Job { release_ns: 0, response_ns, execution_ns, input_size: None });
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tautline_rt::clock::burn_cpu;
+
+    /// Jobs in a row and longer ones: each is between what it used for certain, and at most a window more than it may have used.
+    #[test]
+    fn a_job_is_measured_not_too_low_and_hardly_too_high() {
+        idle();
+        let mut since_ns = thread_cpu_ns();
+        for n in 0..20_000 {
+            let begun_ns = thread_cpu_ns();
+            if n % 100 == 0 {
+                burn_cpu(Duration::from_micros(20));
+            }
+            let done_ns = thread_cpu_ns();
+            let measured_ns = idle();
+            let now_ns = thread_cpu_ns();
+            let most_ns = now_ns - since_ns + WINDOW.as_nanos() as u64;
+            // The clocks may differ by a thousandth.
+            let least_ns = (done_ns - begun_ns) - (done_ns - begun_ns) / 1_000;
+            assert!((least_ns..=most_ns).contains(&measured_ns), "{least_ns} {measured_ns} {most_ns}");
+            since_ns = done_ns;
+        }
+    }
+}

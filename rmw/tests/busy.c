@@ -16,6 +16,7 @@
 #include <string.h>
 #include <time.h>
 
+#include <rcl/error_handling.h>
 #include <rcl/rcl.h>
 #include <std_msgs/msg/u_int64.h>
 

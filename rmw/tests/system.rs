@@ -8,7 +8,6 @@ use std::ffi::OsStr;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
 use support::{Domain, STRING, built, matched, may_be_realtime, publisher, text_body, wait_until, words_of};
 use tautline_transport::Qos;
 
