@@ -320,7 +320,7 @@ fn observed(domain: &Domain, program: &Path, model: &Model, seen: &Seen) -> Opti
         let processes = files.iter().filter_map(|file| file.read().unwrap());
         statistics =
             processes.flat_map(|process| process.callbacks).filter(|of| of.name.starts_with('c')).collect();
-        statistics.iter().map(|of| of.completions).sum::<u64>() == published.len() as u64
+        statistics.iter().map(|of| of.completions + of.lost).sum::<u64>() == published.len() as u64
     });
     drop(process.stdin.take());
     said.clear();
@@ -357,8 +357,8 @@ fn a_program_on_rcl_keeps_order_and_bounds() {
         let (runs, seen_here) =
             (runs.enumerate()).find_map(|(n, run)| Some((n, run?))).expect("a core to publish on");
         repeated += runs;
-        seen_here.check_order();
         late += seen_here.check_responses();
+        seen_here.check_order();
         for of in &seen_here.statistics {
             let i: usize = of.name[1..].parse().unwrap();
             assert!(seen.responses[i] * 1_000 <= of.bound_ns.unwrap(), "{}: the simulation is late", of.name);
