@@ -65,11 +65,39 @@ static void check(rcl_ret_t code, const char * what)
   }
 }
 
-static int64_t now_ns(void)
+static int64_t clock_ns(clockid_t clock)
 {
   struct timespec now;
-  clock_gettime(CLOCK_MONOTONIC, &now);
+  clock_gettime(clock, &now);
   return now.tv_sec * INT64_C(1000000000) + now.tv_nsec;
+}
+
+static int64_t now_ns(void)
+{
+  return clock_ns(CLOCK_MONOTONIC);
+}
+
+static void note_gap(struct thread * thread, int64_t from_ns, int64_t to_ns)
+{
+  if (to_ns - from_ns >= GAP_NS && thread->gap_count < ROOM) {
+    thread->gaps[thread->gap_count++] = (struct gap) {from_ns, to_ns};
+  }
+}
+
+struct mark {
+  int64_t now_ns, used_ns;
+};
+
+static struct mark mark(void)
+{
+  return (struct mark) {now_ns(), clock_ns(CLOCK_THREAD_CPUTIME_ID)};
+}
+
+// What the thread did not use of the time since then, in which it did not sleep.
+static void note_since(struct thread * thread, struct mark then)
+{
+  struct mark now = mark();
+  note_gap(thread, then.now_ns + now.used_ns - then.used_ns, now.now_ns);
 }
 
 // Works for so long, whatever takes the core away meanwhile.
@@ -80,9 +108,8 @@ static void work(struct thread * thread, int64_t busy_ns)
     int64_t next_ns = now_ns();
     if (next_ns - last_ns < GAP_NS) {
       done_ns += next_ns - last_ns;
-    } else if (thread->gap_count < ROOM) {
-      thread->gaps[thread->gap_count++] = (struct gap) {last_ns, next_ns};
     }
+    note_gap(thread, last_ns, next_ns);
     last_ns = next_ns;
   }
 }
@@ -94,14 +121,17 @@ static void * run(void * of)
   rcl_wait_set_t set = rcl_get_zero_initialized_wait_set();
   check(rcl_wait_set_init(&set, count, 0, 0, 0, 0, 0, &context, rcl_get_default_allocator()), "wait set");
   int64_t patience_ns = 0;
+  struct mark since = mark();
   while (!is_over) {
     check(rcl_wait_set_clear(&set), "clear");
     for (size_t i = 0; i < count; i++) {
       check(rcl_wait_set_add_subscription(&set, &thread->callbacks[i].subscription, NULL), "add");
     }
+    note_since(thread, since);
     int64_t waits_ns = now_ns();
     rcl_ret_t waited = rcl_wait(&set, patience_ns);
-    int64_t ready_ns = now_ns();
+    since = mark();
+    int64_t ready_ns = since.now_ns;
     if (patience_ns == 0) {
       struct sched_param parameters;
       sched_getparam(0, &parameters);
@@ -120,9 +150,11 @@ static void * run(void * of)
         continue;
       }
       check(rcl_take(set.subscriptions[i], &message, NULL, NULL), "take");
+      note_since(thread, since);
       struct job job = {i, message.data, waits_ns, ready_ns, now_ns(), 0};
       work(thread, thread->callbacks[i].busy_ns);
-      job.ends_ns = now_ns();
+      since = mark();
+      job.ends_ns = since.now_ns;
       thread->jobs[thread->job_count++] = job;
     }
   }

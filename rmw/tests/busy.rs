@@ -34,9 +34,9 @@ const UNTIL: u64 = 100_000;
 const EXECUTOR: u64 = 60;
 /// By how much the publishing thread may be late, which the file states as jitter.
 const LATENESS: u64 = 200;
-/// Of the threads that publish, and that see when the core wakes up.
-const PUBLISHER_PRIORITY: u8 = 40;
-const WATCH_PRIORITY: u8 = 45;
+/// Of the thread that publishes, and of the one that sees, just above the executors, when the core is had.
+const PUBLISHER_PRIORITY: u8 = 89;
+const WATCH_PRIORITY: u8 = 20;
 
 /// One to three executors on a core, each with two to five subscriptions.
 fn executors(rng: &mut StdRng) -> Model {
@@ -343,6 +343,10 @@ fn observed(domain: &Domain, program: &Path, model: &Model, seen: &Seen) -> Opti
     assert!(process.wait().unwrap().success());
     drop(publishers);
     let is_late = published.iter().any(|one| one.late_ns > LATENESS * 1_000);
+    let late_us = published.iter().map(|one| one.late_ns / 1_000).max();
+    if is_late {
+        println!("published {late_us:?} us late");
+    }
     let executors = parsed(&said, threads);
     (!is_late).then_some(Observed { model: model.clone(), members, released, executors, statistics, wakes })
 }
@@ -368,7 +372,7 @@ fn a_program_on_rcl_keeps_order_and_bounds() {
         let silent_until = vec![0; model.callbacks.len()];
         let run = Run { until: UNTIL, silent_until, ..Run::random(&model, &mut rng) };
         let seen = simulate(&model, &run);
-        let runs = (0..10).map(|_| observed(&domain, &program, &model, &seen));
+        let runs = (0..20).map(|_| observed(&domain, &program, &model, &seen));
         let (runs, seen_here) =
             (runs.enumerate()).find_map(|(n, run)| Some((n, run?))).expect("a core to publish on");
         repeated += runs;
