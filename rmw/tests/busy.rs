@@ -20,7 +20,7 @@ use std::process::{Command, Stdio};
 use std::sync::mpsc;
 use support::{Domain, matched, may_be_realtime, publisher, wait_until};
 use tautline_analysis::file::SystemFile;
-use tautline_executor::{CallbackSnapshot, ForeignStatistics, MomentKind, StatisticsFile};
+use tautline_executor::{CallbackSnapshot, ForeignStatistics, Moment, MomentKind, StatisticsFile};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
 use tautline_rt::{CoreSet, Policy, ThreadBuilder};
 use tautline_transport::{Qos, RawPublisher};
@@ -77,6 +77,9 @@ fn file(model: &Model) -> String {
     }
     text
 }
+
+/// The number of the first message of each topic, before those that count.
+const FIRST: u64 = u64::MAX;
 
 /// A message, by when it was released at the earliest and the latest, and how long after it was due.
 struct Published {
@@ -146,6 +149,7 @@ fn parsed(text: &str, threads: usize) -> Vec<Executor> {
         let executor = &mut all[numbers[0] as usize];
         match (kind, &numbers[1..]) {
             ("thread", &[is_fifo, priority]) => executor.fifo_priority = (is_fifo == 1).then_some(priority),
+            ("job", &[_, FIRST, ..]) => {}
             ("job", &[callback, number, waits_ns, ready_ns, _, ends_ns]) => executor.jobs.push(Job {
                 callback: callback as usize,
                 number: number as usize,
@@ -268,7 +272,8 @@ impl Observed {
             let bound_ns = of.bound_ns.unwrap();
             let lost = self.lost(of.name[1..].parse().unwrap(), of.depth as usize);
             assert_eq!((of.lost, of.older_moments), (lost.len() as u64, 0), "{}", of.name);
-            let moments = of.moments.iter().filter(|moment| moment.kind == MomentKind::Late);
+            let of_run = |moment: &&Moment| moment.kind == MomentKind::Late && moment.from_ns >= busy[0].0;
+            let moments = of.moments.iter().filter(of_run);
             for (from_ns, to_ns) in moments.map(|moment| (moment.from_ns, moment.to_ns)).chain(lost) {
                 let since_ns = busy.iter().rfind(|span| span.0 <= from_ns).unwrap().0;
                 let taken_ns = to_ns - since_ns - length_ns(&without(&[(since_ns, to_ns)], &taken));
@@ -298,6 +303,19 @@ fn compiled(venv: &Path, folder: &Path) -> PathBuf {
     program
 }
 
+/// The statistics of the program's callbacks, once they have had so many messages.
+fn finished(domain: &Domain, messages: usize) -> Vec<CallbackSnapshot> {
+    let mut statistics = Vec::new();
+    wait_until("all jobs", || {
+        let files = ForeignStatistics::list(&StatisticsFile::prefix(domain.number)).unwrap();
+        let processes = files.iter().filter_map(|file| file.read().unwrap());
+        statistics =
+            processes.flat_map(|process| process.callbacks).filter(|of| of.name.starts_with('c')).collect();
+        statistics.iter().map(|of| of.completions + of.lost).sum::<u64>() == messages as u64
+    });
+    statistics
+}
+
 /// Runs the program under the system's file. `None` if the host kept the publishing thread waiting for longer than the file allows.
 fn observed(domain: &Domain, program: &Path, model: &Model, seen: &Seen) -> Option<Observed> {
     let path = tempfile::NamedTempFile::new().unwrap();
@@ -322,6 +340,9 @@ fn observed(domain: &Domain, program: &Path, model: &Model, seen: &Seen) -> Opti
     };
     let publishers: Vec<_> = (0..count).map(end).collect();
     publishers.iter().for_each(|publisher| matched(publisher, 1));
+    // Until the first message of each has come, its threads may still learn of the publishers.
+    publishers.iter().for_each(|publisher| publisher.publish(&FIRST.to_le_bytes()).unwrap());
+    finished(domain, count);
     let plan = seen.steps.iter().filter_map(|(at, step)| match step {
         Step::Arrived { callback, .. } => Some((*at, *callback)),
         _ => None,
@@ -329,24 +350,13 @@ fn observed(domain: &Domain, program: &Path, model: &Model, seen: &Seen) -> Opti
     let (publishers, published, wakes) = publish(publishers, plan.collect());
     let mut released = vec![Vec::new(); count];
     published.iter().for_each(|one| released[one.callback].push(one.span));
-    let mut statistics = Vec::new();
-    wait_until("all jobs", || {
-        let files = ForeignStatistics::list(&StatisticsFile::prefix(domain.number)).unwrap();
-        let processes = files.iter().filter_map(|file| file.read().unwrap());
-        statistics =
-            processes.flat_map(|process| process.callbacks).filter(|of| of.name.starts_with('c')).collect();
-        statistics.iter().map(|of| of.completions + of.lost).sum::<u64>() == published.len() as u64
-    });
+    let statistics = finished(domain, count + published.len());
     drop(process.stdin.take());
     said.clear();
     output.read_to_string(&mut said).unwrap();
     assert!(process.wait().unwrap().success());
     drop(publishers);
     let is_late = published.iter().any(|one| one.late_ns > LATENESS * 1_000);
-    let late_us = published.iter().map(|one| one.late_ns / 1_000).max();
-    if is_late {
-        println!("published {late_us:?} us late");
-    }
     let executors = parsed(&said, threads);
     (!is_late).then_some(Observed { model: model.clone(), members, released, executors, statistics, wakes })
 }
