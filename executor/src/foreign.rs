@@ -24,7 +24,7 @@ thread_local! {
 
 /// For so long after a reading of a thread's processor time, jobs are measured by `CLOCK_MONOTONIC`, which needs no system call: what
 /// wakes a thread for each job takes longer, so that only jobs in a row are measured so.
-const WINDOW: Duration = Duration::from_micros(4);
+const WINDOW: Duration = Duration::from_micros(5);
 
 /// What a thread uses for its jobs. A job is measured never too low, and too high by at most [`WINDOW`], if its thread lost the core.
 struct Meter {
@@ -179,7 +179,7 @@ impl ForeignCallback {
     }
 
     /// Ends the job. If its execution time is measured, the job is charged this thread's processor time since the end of the previous
-    /// job, or since [`idle`]; this time is returned. It is never too low, and at most 4 µs too high if the thread lost the core soon after
+    /// job, or since [`idle`]; this time is returned. It is never too low, and at most 5 µs too high if the thread lost the core soon after
     /// a job before; exact where budgets are held or [`used_ns`] was called.
     ///
     /// # Real-time

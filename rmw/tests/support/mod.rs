@@ -89,7 +89,7 @@ pub fn words_of(command: &mut Command) -> (bool, String, String) {
 
 /// Whether threads may have the priorities of the tests' system files; prints why a test is skipped without.
 pub fn may_be_realtime() -> bool {
-    let permitted = tautline_rt::permission::realtime_permitted(90);
+    let permitted = tautline_rt::permission::realtime_permitted(50);
     if let Err(error) = &permitted {
         assert!(std::env::var_os("CI").is_none(), "{error}");
         eprintln!("skipped: {error}");
