@@ -150,10 +150,7 @@ impl Starter<'_> {
         if !matches!(task, Task::Flow | Task::Node) {
             command.envs(PROFILE_VARIABLES.map(|variable| (variable, PROFILE)));
         }
-        if let Some(file) = file {
-            command.env("TAUT_SYSTEM", file.path());
-            command.env("TAUT_REALTIME", if self.realtime { "required" } else { "off" });
-        }
+        self.govern(&mut command, file);
         // Fast DDS lends where its ends share memory, which its RMW allows by itself only so.
         if task == Task::Loaned {
             command.env("RMW_FASTRTPS_USE_QOS_FROM_XML", "1");
@@ -161,8 +158,23 @@ impl Starter<'_> {
         begin(command, system, job)
     }
 
-    /// A process of a client library, as the programs beside this one have it.
-    pub fn start_client(&self, client: Client, system: &System, job: &Job) -> Result<Process<'static, Line>> {
+    fn govern(&self, command: &mut Command, file: Option<&NamedTempFile>) {
+        if let Some(file) = file {
+            command.env("TAUT_SYSTEM", file.path());
+            command.env("TAUT_REALTIME", if self.realtime { "required" } else { "off" });
+        }
+    }
+
+    /// A process of a client library, as the programs beside this one have it, in a role with messages of so many bytes, or so many
+    /// subscriptions.
+    pub fn start_client(
+        &self,
+        client: Client,
+        system: &System,
+        job: &Job,
+        (role, size): (&str, usize),
+        file: Option<&NamedTempFile>,
+    ) -> Result<Process<'static, Line>> {
         let program =
             self.program(client).ok_or_else(|| format!("no program of {} is named", client.name()))?;
         let mut command = Command::new(program);
@@ -170,10 +182,10 @@ impl Starter<'_> {
         if client == Client::Rclpy {
             command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/client.py"));
         }
-        let role = if job.role == Role::Near { "near" } else { "far" };
-        let (bytes, length) = (job.payload_bytes, job.budget.as_millis());
+        self.govern(&mut command, file);
+        let length = job.budget.as_millis();
         let (core, priority) = (job.core.unwrap_or(0), if job.realtime { APPLICATION_PRIORITY } else { 0 });
-        command.arg(role).arg(&job.topic).args([format!("{bytes}"), format!("{length}")]);
+        command.arg(role).arg(&job.topic).args([format!("{size}"), format!("{length}")]);
         command.args([format!("{core}"), format!("{priority}")]);
         command.envs(PROFILE_VARIABLES.map(|variable| (variable, PROFILE)));
         command.env("RMW_IMPLEMENTATION", system.name).env("PYTHONDONTWRITEBYTECODE", "1");

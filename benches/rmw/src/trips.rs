@@ -61,7 +61,10 @@ impl Case for Trip {
         let file = self.file(|| system_file(&job(Role::Near), &job(Role::Far)))?;
         let start = |role| match self.client {
             Client::C => starter.start_governed(system, &job(role), self.message.into(), file.as_ref()),
-            client => starter.start_client(client, system, &job(role)),
+            client => {
+                let name = if role == Role::Near { "near" } else { "far" };
+                starter.start_client(client, system, &job(role), (name, self.bytes), None)
+            }
         };
         let mut far = start(Role::Far)?;
         ready(&mut far, PATIENCE)?;

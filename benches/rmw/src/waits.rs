@@ -3,6 +3,7 @@
 
 use crate::rmw::{Node, Publish, STRUCT_BYTES, Take, Twist, Waiting, checked};
 use crate::system::{Case, PATIENCE, Starter, System, Task, measured};
+use crate::trips::Client;
 use crate::types;
 use std::ptr::null_mut;
 use std::time::{Duration, Instant};
@@ -16,6 +17,7 @@ const LONGEST: Duration = Duration::from_secs(5);
 /// Subscriptions of a wait set, and those of them that have a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Waits {
+    pub client: Client,
     pub ready: usize,
     pub of: usize,
     /// By a system file, which orders the callbacks by their priorities.
@@ -28,7 +30,10 @@ impl Case for Waits {
     }
 
     fn experiment(self, _is_held: bool) -> String {
-        EXPERIMENT.to_owned()
+        match self.client {
+            Client::C => EXPERIMENT.to_owned(),
+            client => format!("{}, {EXPERIMENT}", client.name()),
+        }
     }
 
     fn bytes(self) -> usize {
@@ -44,7 +49,10 @@ impl Case for Waits {
         let way = Way { topics: self.of, subscribers: self.ready, ..job.way.clone() };
         let job = Job { payload_bytes: STRUCT_BYTES, way, ..job };
         let file = self.file(|| system_file(self, &job))?;
-        let mut process = starter.start_governed(system, &job, Task::Waits, file.as_ref())?;
+        let mut process = match self.client {
+            Client::C => starter.start_governed(system, &job, Task::Waits, file.as_ref())?,
+            client => starter.start_client(client, system, &job, ("ready", self.of), file.as_ref())?,
+        };
         let measured = measured(&mut process, PATIENCE)?;
         process.finish()?;
         Ok(measured)
