@@ -2,7 +2,7 @@
 //! Random systems of unchanged nodes under `order = "priority"`: a program on rcl alone (`busy.c`), with a thread for each group, gets the
 //! messages of the analysis's simulation at their times. Each thread's jobs begin in the order that the simulation's rule gives, and none
 //! takes longer than its bound, except for what something else took from the core, which is measured beside.
-//! `SYSTEMS` says how many, `TAUT_SEED` which.
+//! `SYSTEMS` says how many (1,000 take seven minutes, for which nextest does not wait, but `cargo test` does), `TAUT_SEED` which.
 
 #[path = "../../analysis/tests/runtime/mod.rs"]
 mod runtime;
