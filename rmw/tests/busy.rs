@@ -22,6 +22,7 @@ use support::{Domain, matched, may_be_realtime, publisher, wait_until};
 use tautline_analysis::file::SystemFile;
 use tautline_executor::{CallbackSnapshot, ForeignStatistics, Moment, MomentKind, StatisticsFile};
 use tautline_rt::clock::{monotonic_ns, sleep_until_monotonic};
+use tautline_rt::permission::realtime_permitted;
 use tautline_rt::{CoreSet, Policy, ThreadBuilder};
 use tautline_transport::{Qos, RawPublisher};
 
@@ -34,8 +35,7 @@ const UNTIL: u64 = 100_000;
 const EXECUTOR: u64 = 60;
 /// By how much the publishing thread may be late, which the file states as jitter.
 const LATENESS: u64 = 200;
-/// Of the thread that publishes, and of the one that sees, just above the executors, when the core is had.
-const PUBLISHER_PRIORITY: u8 = 50;
+/// Of the thread that sees, just above the executors, when the core is had.
 const WATCH_PRIORITY: u8 = 20;
 
 /// One to three executors on a core, each with two to five subscriptions.
@@ -101,7 +101,8 @@ fn publish(
     let watch = realtime("watch", WATCH_PRIORITY, 0)
         .spawn(move || move || told.iter().map(|woken_ns| (woken_ns, monotonic_ns())).collect::<Vec<_>>());
     let other = tautline_rt::current_affinity().unwrap().iter().last().unwrap();
-    let source = realtime("source", PUBLISHER_PRIORITY, other).spawn(move || {
+    let highest = (50..90).rev().find(|priority| realtime_permitted(*priority).is_ok()).unwrap();
+    let source = realtime("source", highest, other).spawn(move || {
         move || {
             let start_ns = monotonic_ns() + 5_000_000;
             let mut numbers = vec![0_u64; publishers.len()];
