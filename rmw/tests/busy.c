@@ -4,7 +4,7 @@
 // It says `runs` once all threads have waited, and at the end of its input what they did, with times of CLOCK_MONOTONIC in ns:
 //   thread THREAD IS_FIFO PRIORITY
 //   job THREAD CALLBACK NUMBER WAITS READY BEGINS ENDS    WAITS and READY: before and after the wait that reported it
-//   gap THREAD FROM TO                                    the thread did not run while its callback was busy
+//   gap THREAD FROM TO                                    the thread did not run, and did not sleep
 
 #define _GNU_SOURCE
 #include <pthread.h>
@@ -14,6 +14,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <time.h>
 
 #include <rcl/error_handling.h>
@@ -86,18 +87,24 @@ static void note_gap(struct thread * thread, int64_t from_ns, int64_t to_ns)
 
 struct mark {
   int64_t now_ns, used_ns;
+  long sleeps;
 };
 
 static struct mark mark(void)
 {
-  return (struct mark) {now_ns(), clock_ns(CLOCK_THREAD_CPUTIME_ID)};
+  struct rusage usage;
+  getrusage(RUSAGE_THREAD, &usage);
+  return (struct mark) {now_ns(), clock_ns(CLOCK_THREAD_CPUTIME_ID), usage.ru_nvcsw};
 }
 
-// What the thread did not use of the time since then, in which it did not sleep.
-static void note_since(struct thread * thread, struct mark then)
+// What the thread did not use of the time since then, unless it slept. Returns when that was.
+static struct mark note_since(struct thread * thread, struct mark then)
 {
   struct mark now = mark();
-  note_gap(thread, then.now_ns + now.used_ns - then.used_ns, now.now_ns);
+  if (now.sleeps == then.sleeps) {
+    note_gap(thread, then.now_ns + now.used_ns - then.used_ns, now.now_ns);
+  }
+  return now;
 }
 
 // Works for so long, whatever takes the core away meanwhile.
@@ -127,10 +134,10 @@ static void * run(void * of)
     for (size_t i = 0; i < count; i++) {
       check(rcl_wait_set_add_subscription(&set, &thread->callbacks[i].subscription, NULL), "add");
     }
-    note_since(thread, since);
-    int64_t waits_ns = now_ns();
+    since = note_since(thread, since);
+    int64_t waits_ns = since.now_ns;
     rcl_ret_t waited = rcl_wait(&set, patience_ns);
-    since = mark();
+    since = note_since(thread, since);
     int64_t ready_ns = since.now_ns;
     if (patience_ns == 0) {
       struct sched_param parameters;
