@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 // One end of round trips in rclcpp, with a SingleThreadedExecutor. It is told, measures and says what `client.py` does:
 //   rclcpp near|far TOPIC BYTES MILLISECONDS CORE PRIORITY
+// Or the time of a callback where all of so many subscriptions are ready:
+//   rclcpp ready TOPIC SUBSCRIPTIONS MILLISECONDS CORE PRIORITY
 // Built by hand, with a ROS 2 that is sourced, for `cargo xtask bench rmw -- --rclcpp PROGRAM`:
 //   g++ -std=c++17 -O2 $(printf -- '-isystem %s ' "$AMENT_PREFIX_PATH"/include/*) benches/rmw/rclcpp.cpp -o PROGRAM
 //     -L"$AMENT_PREFIX_PATH/lib" -lrclcpp -llibstatistics_collector -lrcl -lrmw -lrcutils -lrcpputils -ltracetools
@@ -52,6 +54,16 @@ uint64_t number_of(const Bytes & message)
   uint64_t number = 0;
   std::memcpy(&number, message.data.data(), sizeof(number));
   return number;
+}
+
+void say(const std::vector<int64_t> & times, uint64_t lost, std::chrono::duration<double> length)
+{
+  std::printf("{\"Measured\": {\"times_ns\": [");
+  for (size_t i = 0; i < times.size(); ++i) {
+    std::printf("%s%ld", i == 0 ? "" : ", ", static_cast<long>(times[i]));
+  }
+  std::printf("], \"lost\": %lu, \"seconds\": %f}}\n", static_cast<unsigned long>(lost), length.count());
+  std::fflush(stdout);
 }
 
 template<typename Message>
@@ -118,13 +130,7 @@ public:
         return 1;
       }
     }
-    std::printf("{\"Measured\": {\"times_ns\": [");
-    for (size_t i = 0; i < times.size(); ++i) {
-      std::printf("%s%ld", i == 0 ? "" : ", ", static_cast<long>(times[i]));
-    }
-    const std::chrono::duration<double> seconds = Clock::now() - *since;
-    std::printf("], \"lost\": %lu, \"seconds\": %f}}\n", static_cast<unsigned long>(lost), seconds.count());
-    std::fflush(stdout);
+    say(times, lost, Clock::now() - *since);
     return 0;
   }
 
@@ -149,6 +155,59 @@ int run(const Job & job)
   return 0;
 }
 
+// The last callback of a round publishes the next one.
+int ready(const Job & job)
+{
+  const size_t count = job.bytes;
+  const auto node = std::make_shared<rclcpp::Node>("near"), source = std::make_shared<rclcpp::Node>("source");
+  rclcpp::executors::SingleThreadedExecutor executor;
+  std::vector<rclcpp::Publisher<Twist>::SharedPtr> publishers;
+  std::vector<rclcpp::Subscription<Twist>::SharedPtr> subscriptions;
+  std::vector<int64_t> times;
+  size_t heard = 0;
+  Clock::time_point began, start;
+  const auto publish = [&] {
+      heard = 0;
+      for (const auto & publisher : publishers) {
+        publisher->publish(Twist());
+      }
+      start = Clock::now();
+    };
+  const auto hear = [&](const Twist &) {
+      if (++heard < count) {
+        return;
+      }
+      const auto now = Clock::now();
+      times.push_back(std::chrono::nanoseconds(now - start).count() / static_cast<int64_t>(count));
+      if (now - began >= job.budget) {
+        executor.cancel();
+      } else {
+        publish();
+      }
+    };
+  for (size_t i = 0; i < count; ++i) {
+    const std::string topic = job.topic + "/of_" + std::to_string(i);
+    subscriptions.push_back(node->create_subscription<Twist>(topic, rclcpp::QoS(10), hear));
+    publishers.push_back(source->create_publisher<Twist>(topic, rclcpp::QoS(10)));
+  }
+  executor.add_node(node);
+  for (const auto & publisher : publishers) {
+    while (publisher->get_subscription_count() < 1) {
+      std::this_thread::sleep_for(milliseconds(1));
+    }
+  }
+  // Both sides know of each other soon after.
+  const auto known = Clock::now() + 2 * CONNECTING;
+  while (Clock::now() < known) {
+    executor.spin_once(known - Clock::now());
+  }
+  began = Clock::now();
+  publish();
+  executor.spin();
+  say(times, 0, Clock::now() - began);
+  return 0;
+}
+
 // The RMW's threads inherit it.
 bool pin(int core, int priority)
 {
@@ -164,7 +223,7 @@ bool pin(int core, int priority)
 int main(int argc, char ** argv)
 {
   if (argc != 7) {
-    std::fputs("usage: rclcpp near|far TOPIC BYTES MILLISECONDS CORE PRIORITY\n", stderr);
+    std::fputs("usage: rclcpp near|far|ready TOPIC BYTES|SUBSCRIPTIONS MILLISECONDS CORE PRIORITY\n", stderr);
     return 2;
   }
   const Job job{argv[1] == std::string("near"), argv[2], std::stoul(argv[3]), milliseconds(std::stol(argv[4]))};
@@ -181,7 +240,8 @@ int main(int argc, char ** argv)
       }
       rclcpp::shutdown();
     }).detach();
-  const int code = job.bytes <= STRUCT_BYTES ? run<Twist>(job) : run<Bytes>(job);
+  const int code = argv[1] == std::string("ready") ? ready(job) :
+    job.bytes <= STRUCT_BYTES ? run<Twist>(job) : run<Bytes>(job);
   // The thread that reads may be shutting down: nothing is torn down under it.
   std::fflush(stdout);
   return code;

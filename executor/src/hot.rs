@@ -181,11 +181,6 @@ impl Stopwatch {
         Stopwatch { busy, since_ns: Cell::new(None) }
     }
 
-    /// The end of the previous job, in the thread's processor time.
-    pub fn since_ns(&self) -> Option<u64> {
-        self.since_ns.get()
-    }
-
     fn now_ns(&self) -> u64 {
         if self.busy { monotonic_ns() } else { thread_cpu_ns() }
     }

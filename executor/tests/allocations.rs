@@ -237,8 +237,7 @@ fn jobs_of_other_executors_are_counted_without_allocation() {
             for _ in 0..count {
                 foreign::idle();
                 let release_ns = tautline_rt::clock::monotonic_ns();
-                callback.note_queue(job::QueueState { lost: 1, max_queue: 2, depth: 3 });
-                callback.begin(release_ns);
+                callback.begin(release_ns, job::QueueState { lost: 1, max_queue: 2, depth: 3 });
                 let before_ns = foreign::used_ns().unwrap();
                 assert!(callback.end(release_ns).unwrap() >= before_ns);
                 executors.iter().for_each(|executor| executor.record(2, 3));

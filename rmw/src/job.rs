@@ -100,8 +100,7 @@ impl Jobs {
             let lost = self.counters.lost();
             let before = self.noted.fetch_max(lost, Ordering::Relaxed);
             let (lost, max_queue) = (lost.saturating_sub(before), self.counters.max_queue());
-            measured.note_queue(QueueState { lost, max_queue, depth: self.depth });
-            measured.begin(released_ns);
+            measured.begin(released_ns, QueueState { lost, max_queue, depth: self.depth });
         }
         tautline_trace::callback_start(self.traced.id(), released_ns);
         // A thread in shutdown has no thread-locals.
@@ -140,7 +139,7 @@ pub(crate) fn end() -> bool {
     true
 }
 
-/// The thread waits, at most until `deadline_ns`.
+/// The thread waits, at most until `deadline_ns`, which matters only to a trace and to the overheads of executors.
 ///
 /// # Real-time
 /// As [`end`]; one syscall more where callbacks are measured, if none has run.

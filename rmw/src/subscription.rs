@@ -14,7 +14,7 @@ use crate::topic::EndpointArgs;
 use crate::types::{HELD, MessageType};
 use std::ffi::{c_char, c_void};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use tautline_rt::PiMutex;
 use tautline_rt::clock::{monotonic_ns, wall_ns};
 use tautline_sampler::SubscriptionEvents;
@@ -34,6 +34,8 @@ pub(crate) struct Subscription {
     received: AtomicU64,
     /// Loans that ROS reads in place.
     loans: PiMutex<Vec<RawSample>>,
+    /// Whether these are as many as there may be; written with them.
+    is_full: AtomicBool,
     end: Arc<ReceivingEndpoint<RawSubscription>>,
 }
 
@@ -60,7 +62,7 @@ impl Subscription {
 
     /// Whether there is a message to take, and room to hold it.
     pub(crate) fn has_data(&self) -> bool {
-        self.end.has_data() && self.loans.lock().len() < HELD
+        !self.is_full.load(Ordering::Relaxed) && self.end.has_data()
     }
 
     pub(crate) fn listen(&self) -> Result {
@@ -161,7 +163,9 @@ impl Subscription {
             let body = sample.body();
             self.check_plain(body, len_bytes)?;
             let message = body.as_ptr().cast_mut().cast();
-            self.loans.lock().push(sample);
+            let mut loans = self.loans.lock();
+            loans.push(sample);
+            self.is_full.store(loans.len() >= HELD, Ordering::Relaxed);
             Ok(message)
         })
     }
@@ -238,8 +242,8 @@ pub unsafe extern "C" fn rmw_return_loaned_message_from_subscription(
         let mut loans = subscription.loans.lock();
         let at = loans.iter().position(|sample| sample.body().as_ptr().cast() == message.cast_const());
         let at = at.ok_or_else(|| Error::other("the message is not on loan from this subscription"))?;
-        let is_room = loans.len() == HELD;
         drop(loans.swap_remove(at));
+        let is_room = subscription.is_full.swap(false, Ordering::Relaxed);
         drop(loans);
         if is_room {
             subscription.end.wake();
@@ -292,6 +296,7 @@ pub unsafe extern "C" fn rmw_create_subscription(
             matched,
             received: AtomicU64::new(0),
             loans: PiMutex::new(Vec::new()),
+            is_full: AtomicBool::new(false),
             end: ReceivingEndpoint::new(node, raw, node.context().listeners.of(name))?,
         };
         let topic_name = copy_text(name)?;

@@ -146,9 +146,14 @@ impl System {
         Ok(None)
     }
 
-    /// Whether processor time of callbacks is measured, which costs a system call for each.
+    /// Whether processor time of callbacks is measured, which costs a system call for each, or for several in a row.
     pub(crate) fn measures_execution(&self) -> bool {
-        self.file.is_some() || self.overheads.is_some()
+        self.file.is_some() || self.measures_overheads()
+    }
+
+    /// Whether that of executors is.
+    pub(crate) fn measures_overheads(&self) -> bool {
+        self.overheads.is_some()
     }
 
     /// Where the overhead is recorded that the executor has with what `node` does with messages of `topic`; `None` if it is not measured.

@@ -25,6 +25,8 @@ pub(crate) struct WaitSet {
     waits: Arc<SamplerObject>,
     /// Whether callbacks' processor time is measured.
     is_measured: bool,
+    /// Whether the overhead of executors is.
+    measures_overheads: bool,
     /// Whether threads get what the system file states.
     is_governed: bool,
     in_use: AtomicBool,
@@ -280,8 +282,10 @@ pub unsafe extern "C" fn rmw_create_wait_set(
             let waiter = context.waiters.claim(&context.participant);
             let (waiters, waits) = (context.waiters.clone(), context.waits.clone());
             let (is_measured, in_use) = (context.system.measures_execution(), AtomicBool::new(false));
-            let is_governed = context.system.is_governing();
-            let wait_set = WaitSet { waiters, waiter, waits, is_measured, is_governed, in_use };
+            let (measures_overheads, is_governed) =
+                (context.system.measures_overheads(), context.system.is_governing());
+            let wait_set =
+                WaitSet { waiters, waiter, waits, is_measured, measures_overheads, is_governed, in_use };
             handle.write(rmw_wait_set_t {
                 implementation_identifier: IDENTIFIER.as_ptr(),
                 guard_conditions: std::ptr::null_mut(),
@@ -350,8 +354,10 @@ pub unsafe extern "C" fn rmw_wait(
         if wait_set.is_governed {
             thread::govern(wanted.threads())?;
         }
-        let deadline = timeout.map(|time| deadline_ns(time.sec, time.nsec));
-        job::wait(&wait_set.waits, deadline, wait_set.is_measured);
+        let deadline = || timeout.map(|time| deadline_ns(time.sec, time.nsec));
+        // A clock is read only for whom it matters.
+        let is_told = wait_set.measures_overheads || tautline_trace::is_on();
+        job::wait(&wait_set.waits, is_told.then(deadline).flatten(), wait_set.is_measured);
         let is_look_only = timeout.is_some_and(|time| (time.sec, time.nsec) == (0, 0));
         // Usually something is already ready, and nothing has to be attached.
         let (idle, is_ready) = wanted.find_ready();
@@ -360,7 +366,7 @@ pub unsafe extern "C" fn rmw_wait(
         } else {
             let _attached = Attached { wanted: &wanted, waiter: &wait_set.waiter };
             let has_room = wanted.attach_signals(&wait_set.waiter);
-            has_room.map(|()| wanted.wait(wait_set, deadline))
+            has_room.map(|()| wanted.wait(wait_set, deadline()))
         };
         let is_ready = wanted.report(waited?);
         job::wake(&wait_set.waits, is_ready);

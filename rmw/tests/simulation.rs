@@ -8,7 +8,6 @@ mod runtime;
 mod support;
 
 use std::fmt::Write;
-use std::process::Command;
 
 use rand::SeedableRng;
 use rand::rngs::StdRng;
@@ -16,7 +15,7 @@ use runtime::machine::Step;
 use runtime::made_up::Order;
 use runtime::small::{HERE, group, run};
 use serde_json::{Value, json};
-use support::{on_tautline, reserve, ros};
+use support::{Domain, words_of};
 
 const SYSTEMS: usize = 40;
 
@@ -60,8 +59,7 @@ rclpy.shutdown()
 
 #[test]
 fn an_executor_of_rclpy_begins_what_the_simulation_begins() {
-    let Some(venv) = ros() else { return };
-    reserve(76);
+    let Some(domain) = Domain::new(76) else { return };
     let seed =
         std::env::var("TAUT_SEED").ok().and_then(|seed| seed.parse().ok()).unwrap_or_else(rand::random);
     println!("TAUT_SEED={seed}");
@@ -94,14 +92,9 @@ fn an_executor_of_rclpy_begins_what_the_simulation_begins() {
     let [path, steps] = ["system.toml", "steps.json"].map(|name| folder.path().join(name));
     std::fs::write(&path, file).unwrap();
     std::fs::write(&steps, json!(systems).to_string()).unwrap();
-    let mut command = Command::new(venv.join("bin/python"));
-    command.args(["-c", FOLLOWER]).arg(steps).env("ROS_DOMAIN_ID", "76");
-    command.env("TAUT_SYSTEM", path).env("TAUT_REALTIME", "off");
-    command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
-    on_tautline(&mut command);
-    let output = command.output().unwrap();
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(String::from_utf8_lossy(&output.stdout).trim(), begun.to_string(), "{errors}");
+    let mut command = domain.python(FOLLOWER);
+    let (_, out, errors) = words_of(command.arg(steps).env("TAUT_SYSTEM", path).env("TAUT_REALTIME", "off"));
+    assert_eq!(out.trim(), begun.to_string(), "{errors}");
     println!("{SYSTEMS} systems: {begun} jobs begin in one order, {lost} messages overwritten");
 }
 

@@ -27,13 +27,13 @@ use clap::{Parser, ValueEnum};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
-use system::{Message, Starter, System, Task};
-use tautline_exchange::{Job, Result};
+use system::{Case, Message, Starter, System, Task};
+use tautline_exchange::{Job, Measured, Result};
 use tautline_harness::claims::{Claim, Goal, Ways, judge};
 use tautline_harness::rows::{Metric, Row, Tally};
 use tautline_harness::table::of_rows;
 use tautline_harness::verdict::{self, Verdict};
-use tautline_harness::{Disturbance, Documented, exit, machine, progress_bar};
+use tautline_harness::{Distribution, Disturbance, Documented, exit, machine, progress_bar};
 use tautline_rt::IdleHold;
 use trips::{Client, Trip};
 use waits::Waits;
@@ -168,13 +168,14 @@ fn verdicts(rows: &[Row]) -> Vec<Verdict> {
         Claim::new(metric, ours, Goal::Times(times, theirs))
     };
     let of_loaned = |trip: Trip| Ways::new(&held, trip.bytes, TAUTLINE, &modes[2]);
-    let waits = WAITS.map(Waits::mode);
-    let many = [&*waits[4]];
-    let of_waits = |times, modes| {
-        let [ours, theirs] =
-            [TAUTLINE, FAST_DDS].map(|system| Ways::new(waits::EXPERIMENT, None, system, modes));
-        Claim::new(Metric::P50, ours, Goal::Times(times, theirs))
+    let waits = WAITS.map(|waits| (waits.experiment(false), [waits.mode()]));
+    let waits = waits.each_ref().map(|(experiment, [mode])| (&**experiment, [&**mode]));
+    let of_waits = |index: usize, system| {
+        let (experiment, modes): &(&str, [&str; 1]) = &waits[index];
+        Ways::new(experiment, None, system, modes)
     };
+    let waits_at_most =
+        |index, times, other| Claim::new(Metric::P50, of_waits(index, TAUTLINE), Goal::Times(times, other));
     let governed = Trip { is_governed: true, ..small }.mode();
     let governed = [&*governed];
     let [free, governed] =
@@ -185,13 +186,17 @@ fn verdicts(rows: &[Row]) -> Vec<Verdict> {
         at_most(1.0 / 3.0, Metric::P50, &held, Some(large.bytes), &modes[1]).because(SERIALIZED_COPIES),
         Claim::new(Metric::P50, of_loaned(loaned), Goal::Times(1.5, of_loaned(small_loaned))),
         Claim::new(Metric::P50, governed, Goal::Times(1.1, free)),
-        of_waits(1.0, &many),
+        waits_at_most(1, 1.1, of_waits(0, TAUTLINE)),
+        waits_at_most(4, 1.0, of_waits(4, FAST_DDS)),
+        waits_at_most(6, 1.5, of_waits(5, TAUTLINE)).because(ORDER_WAITS),
         at_most(1.0, Metric::CpuTime, flow::EXPERIMENT, None, &[]),
     ];
     let found = nodes.iter().map(|nodes| at_most(1.0, Metric::Start, nodes, None, &[]));
     judge(rows, claims.into_iter().chain(found))
 }
 
+const ORDER_WAITS: &str =
+    "each of 20 priorities has a wait of its own, for which rclcpp builds the wait set anew";
 const SERIALIZED_COPIES: &str = "a serialized message is copied into shared memory and out of it, for the buffers are the caller's: what the copies take is the machine's";
 
 /// Round trips of one kind.
@@ -204,13 +209,19 @@ struct Trips {
     few: &'static [usize],
 }
 
+const fn waits(client: Client, ready: usize, of: usize, is_governed: bool) -> Waits {
+    Waits { client, ready, of, is_governed }
+}
+
 /// `rmw_wait` and take; the governed ones of rmw_tautline alone.
-const WAITS: [Waits; 5] = [
-    Waits { ready: 1, of: 1, is_governed: false },
-    Waits { ready: 1, of: 1, is_governed: true },
-    Waits { ready: 20, of: 20, is_governed: false },
-    Waits { ready: 20, of: 20, is_governed: true },
-    Waits { ready: 1, of: 500, is_governed: false },
+const WAITS: [Waits; 7] = [
+    waits(Client::C, 1, 1, false),
+    waits(Client::C, 1, 1, true),
+    waits(Client::C, 20, 20, false),
+    waits(Client::C, 20, 20, true),
+    waits(Client::C, 1, 500, false),
+    waits(Client::Rclcpp, 20, 20, false),
+    waits(Client::Rclcpp, 20, 20, true),
 ];
 const KIB: usize = 1 << 10;
 const MIB: usize = 1 << 20;
@@ -309,30 +320,39 @@ impl Run<'_> {
                 continue;
             }
             for (rounds, trips) in &plan {
-                rows.extend(self.part(*rounds, trips, held)?);
+                rows.extend(self.part(*rounds, trips, [400, 700], held)?);
             }
         }
         Ok(rows)
     }
 
     /// The rows of a part. What is compared is measured in turns.
-    fn part(&self, rounds: u32, trips: &[Trip], held: bool) -> Result<Vec<Row>> {
-        let length = Duration::from_millis(if self.quick() { 400 } else { 700 });
-        let pairs = trips.iter().flat_map(|trip| self.systems.iter().map(move |system| (system, *trip)));
-        // No other RMW reads a system file.
-        let pairs = pairs.filter(|(system, trip)| !trip.is_governed || system.name == TAUTLINE);
-        let mut found: Vec<_> = pairs.map(|(system, trip)| (system, trip, Tally::default())).collect();
+    fn part<C: Case>(
+        &self,
+        rounds: u32,
+        cases: &[C],
+        length_ms: [u64; 2],
+        is_held: bool,
+    ) -> Result<Vec<Row>> {
+        let length = Duration::from_millis(length_ms[usize::from(!self.quick())]);
+        let pairs = cases.iter().flat_map(|case| self.systems.iter().map(move |system| (system, *case)));
+        let pairs = pairs.filter(|(system, case)| !case.is_governed() || system.name == TAUTLINE);
+        let mut found: Vec<_> = pairs.map(|(system, case)| (system, case, Tally::default())).collect();
         let bar = progress_bar(u64::from(rounds) * found.len() as u64);
         for round in 1..=rounds {
-            for (system, trip, tally) in &mut found {
-                bar.set_message(format!("{}, {} B", trip.client.name(), trip.bytes));
-                trip.measure(&self.starter, system, length, round, tally)?;
+            for (system, case, tally) in &mut found {
+                bar.set_message(format!("{}, {}, {} B", system.name, case.mode(), case.bytes()));
+                let Measured { times_ns, lost, .. } = case.measure(&self.starter, system, length)?;
+                let mut times = Distribution::new();
+                times_ns.into_iter().for_each(|time_ns| times.record(time_ns));
+                tally.add(round, &times);
+                tally.lost += lost;
                 bar.inc(1);
             }
         }
         bar.finish_and_clear();
-        let row = |(system, trip, tally): &(&System, Trip, Tally)| {
-            tally.row(trip.experiment(held), system.name, &trip.mode(), trip.bytes)
+        let row = |(system, case, tally): &(&System, C, Tally)| {
+            tally.row(case.experiment(is_held), system.name, &case.mode(), case.bytes())
         };
         Ok(found.iter().map(row).collect())
     }
@@ -341,24 +361,9 @@ impl Run<'_> {
         if !self.has(Part::Waits) {
             return Ok(Vec::new());
         }
-        let (rounds, length) = if self.quick() { (1, 300) } else { (3, 700) };
-        let pairs = WAITS.iter().flat_map(|waits| self.systems.iter().map(move |system| (system, waits)));
-        let ours = |(system, waits): &(&System, &Waits)| !waits.is_governed || system.name == TAUTLINE;
-        let mut found: Vec<_> =
-            pairs.filter(ours).map(|(system, waits)| (system, waits, Tally::default())).collect();
-        let bar = progress_bar(u64::from(rounds) * found.len() as u64);
-        for round in 1..=rounds {
-            for (system, waits, tally) in &mut found {
-                bar.set_message(format!("{}: {}", system.name, waits.mode()));
-                waits.measure(&self.starter, system, Duration::from_millis(length), round, tally)?;
-                bar.inc(1);
-            }
-        }
-        bar.finish_and_clear();
-        let row = |(system, waits, tally): &(&System, &Waits, Tally)| {
-            tally.row(waits::EXPERIMENT, system.name, &waits.mode(), rmw::STRUCT_BYTES)
-        };
-        Ok(found.iter().map(row).collect())
+        let can = |waits: &&Waits| waits.client == Client::C || self.starter.program(waits.client).is_some();
+        let waits: Vec<_> = WAITS.iter().filter(can).copied().collect();
+        self.part(if self.quick() { 1 } else { 3 }, &waits, [300, 700], false)
     }
 
     fn flows(&self) -> Result<Vec<Row>> {

@@ -3,12 +3,14 @@
 
 use crate::trips::Client;
 use clap::ValueEnum;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 use tautline_exchange::{APPLICATION_PRIORITY, Exchange, Job, Line, Measured, Result, Role, Way};
 use tautline_harness::{Process, without_settings};
+use tempfile::NamedTempFile;
 
 /// Nothing takes so long unless it is broken.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -72,6 +74,38 @@ impl From<Message> for Task {
     }
 }
 
+/// What is measured in rounds, of both RMWs in turns.
+pub trait Case: Copy {
+    /// By a system file, which no other RMW reads.
+    fn is_governed(self) -> bool;
+
+    /// What it is called among the rows; `is_held`: idle states are held off.
+    fn experiment(self, is_held: bool) -> String;
+
+    /// Of the messages.
+    fn bytes(self) -> usize;
+
+    fn name(self) -> String;
+
+    /// As in the rows.
+    fn mode(self) -> String {
+        format!("{}{}", self.name(), if self.is_governed() { ", governed" } else { "" })
+    }
+
+    /// What `file` says is written for those that are governed.
+    fn file(self, file: impl FnOnce() -> String) -> Result<Option<NamedTempFile>> {
+        if !self.is_governed() {
+            return Ok(None);
+        }
+        let mut written = NamedTempFile::new()?;
+        written.write_all(file().as_bytes())?;
+        Ok(Some(written))
+    }
+
+    /// Another round of this length, with processes of its own.
+    fn measure(self, starter: &Starter<'_>, system: &System, length: Duration) -> Result<Measured>;
+}
+
 /// Where processes come from.
 pub struct Starter<'a> {
     /// The Python that has rclpy, and a program of rclcpp.
@@ -107,7 +141,7 @@ impl Starter<'_> {
         system: &System,
         job: &Job,
         task: Task,
-        file: Option<&Path>,
+        file: Option<&NamedTempFile>,
     ) -> Result<Process<'static, Line>> {
         let mut command = Command::new(std::env::current_exe()?);
         without_settings(&mut command);
@@ -116,10 +150,7 @@ impl Starter<'_> {
         if !matches!(task, Task::Flow | Task::Node) {
             command.envs(PROFILE_VARIABLES.map(|variable| (variable, PROFILE)));
         }
-        if let Some(file) = file {
-            command.env("TAUT_SYSTEM", file);
-            command.env("TAUT_REALTIME", if self.realtime { "required" } else { "off" });
-        }
+        self.govern(&mut command, file);
         // Fast DDS lends where its ends share memory, which its RMW allows by itself only so.
         if task == Task::Loaned {
             command.env("RMW_FASTRTPS_USE_QOS_FROM_XML", "1");
@@ -127,8 +158,23 @@ impl Starter<'_> {
         begin(command, system, job)
     }
 
-    /// A process of a client library, as the programs beside this one have it.
-    pub fn start_client(&self, client: Client, system: &System, job: &Job) -> Result<Process<'static, Line>> {
+    fn govern(&self, command: &mut Command, file: Option<&NamedTempFile>) {
+        if let Some(file) = file {
+            command.env("TAUT_SYSTEM", file.path());
+            command.env("TAUT_REALTIME", if self.realtime { "required" } else { "off" });
+        }
+    }
+
+    /// A process of a client library, as the programs beside this one have it, in a role with messages of so many bytes, or so many
+    /// subscriptions.
+    pub fn start_client(
+        &self,
+        client: Client,
+        system: &System,
+        job: &Job,
+        (role, size): (&str, usize),
+        file: Option<&NamedTempFile>,
+    ) -> Result<Process<'static, Line>> {
         let program =
             self.program(client).ok_or_else(|| format!("no program of {} is named", client.name()))?;
         let mut command = Command::new(program);
@@ -136,10 +182,10 @@ impl Starter<'_> {
         if client == Client::Rclpy {
             command.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/client.py"));
         }
-        let role = if job.role == Role::Near { "near" } else { "far" };
-        let (bytes, length) = (job.payload_bytes, job.budget.as_millis());
+        self.govern(&mut command, file);
+        let length = job.budget.as_millis();
         let (core, priority) = (job.core.unwrap_or(0), if job.realtime { APPLICATION_PRIORITY } else { 0 });
-        command.arg(role).arg(&job.topic).args([format!("{bytes}"), format!("{length}")]);
+        command.arg(role).arg(&job.topic).args([format!("{size}"), format!("{length}")]);
         command.args([format!("{core}"), format!("{priority}")]);
         command.envs(PROFILE_VARIABLES.map(|variable| (variable, PROFILE)));
         command.env("RMW_IMPLEMENTATION", system.name).env("PYTHONDONTWRITEBYTECODE", "1");

@@ -1,13 +1,9 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Half round trips between two processes, a core each.
 
-use crate::system::{Message, PATIENCE, Starter, System, measured, ready};
-use std::io::Write;
-use std::path::Path;
+use crate::system::{Case, Message, PATIENCE, Starter, System, measured, ready};
 use std::time::Duration;
-use tautline_exchange::{APPLICATION_PRIORITY, Exchange, Job, Line, Measured, Result, Role};
-use tautline_harness::rows::Tally;
-use tautline_harness::{Distribution, Process};
+use tautline_exchange::{APPLICATION_PRIORITY, Exchange, Job, Measured, Result, Role};
 
 /// Who calls the RMW.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,58 +36,43 @@ pub struct Trip {
     pub is_governed: bool,
 }
 
-impl Trip {
-    /// As in the rows.
-    pub fn mode(self) -> String {
-        format!("{}{}", self.message.name(), if self.is_governed { ", governed" } else { "" })
+impl Case for Trip {
+    fn is_governed(self) -> bool {
+        self.is_governed
     }
 
-    /// What it is called among the rows.
-    pub fn experiment(self, held: bool) -> String {
-        format!("{}/{}", self.client.name(), if held { "held-off" } else { "as-shipped" })
+    fn experiment(self, is_held: bool) -> String {
+        format!("{}/{}", self.client.name(), if is_held { "held-off" } else { "as-shipped" })
     }
 
-    /// Another round of this length, with processes of its own.
-    pub fn measure(
-        self,
-        starter: &Starter<'_>,
-        system: &System,
-        length: Duration,
-        round: u32,
-        tally: &mut Tally,
-    ) -> Result<()> {
+    fn bytes(self) -> usize {
+        self.bytes
+    }
+
+    fn name(self) -> String {
+        self.message.name().to_owned()
+    }
+
+    fn measure(self, starter: &Starter<'_>, system: &System, length: Duration) -> Result<Measured> {
         let job = |role| {
             let job = starter.job(system, role, Exchange::RoundTrips, length);
             Job { payload_bytes: self.bytes, ..job }
         };
-        let mut file = tempfile::NamedTempFile::new()?;
-        file.write_all(system_file(&job(Role::Near), &job(Role::Far)).as_bytes())?;
-        let governed = self.is_governed.then(|| file.path());
-        let start = |role| self.start(starter, system, &job(role), governed);
+        let file = self.file(|| system_file(&job(Role::Near), &job(Role::Far)))?;
+        let start = |role| match self.client {
+            Client::C => starter.start_governed(system, &job(role), self.message.into(), file.as_ref()),
+            client => {
+                let name = if role == Role::Near { "near" } else { "far" };
+                starter.start_client(client, system, &job(role), (name, self.bytes), None)
+            }
+        };
         let mut far = start(Role::Far)?;
         ready(&mut far, PATIENCE)?;
         let mut near = start(Role::Near)?;
-        let Measured { times_ns, lost, .. } = measured(&mut near, PATIENCE)?;
+        let measured = measured(&mut near, PATIENCE)?;
         near.finish()?;
         far.finish()?;
-        let mut times = Distribution::new();
-        times_ns.into_iter().for_each(|time_ns| times.record(time_ns));
-        tally.add(round, &times);
-        tally.lost += lost;
-        Ok(())
-    }
-
-    fn start(
-        self,
-        starter: &Starter<'_>,
-        system: &System,
-        job: &Job,
-        file: Option<&Path>,
-    ) -> Result<Process<'static, Line>> {
-        match self.client {
-            Client::C => starter.start_governed(system, job, self.message.into(), file),
-            client => starter.start_client(client, system, job),
-        }
+        Ok(measured)
     }
 }
 

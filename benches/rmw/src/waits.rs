@@ -2,16 +2,14 @@
 //! `rmw_wait` and take of messages that are there: of one subscription among many, and under a system file.
 
 use crate::rmw::{Node, Publish, STRUCT_BYTES, Take, Twist, Waiting, checked};
-use crate::system::{PATIENCE, Starter, System, Task, measured};
+use crate::system::{Case, PATIENCE, Starter, System, Task, measured};
+use crate::trips::Client;
 use crate::types;
-use std::io::Write;
 use std::ptr::null_mut;
 use std::time::{Duration, Instant};
 use tautline_exchange::{APPLICATION_PRIORITY, Exchange, Job, Line, Measured, Result, Role, Way, say};
-use tautline_harness::Distribution;
-use tautline_harness::rows::Tally;
 
-/// What it is called among the rows.
+/// As in the rows.
 pub const EXPERIMENT: &str = "wait and take";
 /// How long one message may take to be ready.
 const LONGEST: Duration = Duration::from_secs(5);
@@ -19,57 +17,61 @@ const LONGEST: Duration = Duration::from_secs(5);
 /// Subscriptions of a wait set, and those of them that have a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Waits {
+    pub client: Client,
     pub ready: usize,
     pub of: usize,
     /// By a system file, which orders the callbacks by their priorities.
     pub is_governed: bool,
 }
 
-impl Waits {
-    /// As in the rows.
-    pub fn mode(self) -> String {
-        format!("{} of {} ready{}", self.ready, self.of, if self.is_governed { ", governed" } else { "" })
+impl Case for Waits {
+    fn is_governed(self) -> bool {
+        self.is_governed
     }
 
-    /// Another round, in a process of its own.
-    pub fn measure(
-        self,
-        starter: &Starter<'_>,
-        system: &System,
-        length: Duration,
-        round: u32,
-        tally: &mut Tally,
-    ) -> Result<()> {
+    fn experiment(self, _is_held: bool) -> String {
+        match self.client {
+            Client::C => EXPERIMENT.to_owned(),
+            client => format!("{}, {EXPERIMENT}", client.name()),
+        }
+    }
+
+    fn bytes(self) -> usize {
+        STRUCT_BYTES
+    }
+
+    fn name(self) -> String {
+        format!("{} of {} ready", self.ready, self.of)
+    }
+
+    fn measure(self, starter: &Starter<'_>, system: &System, length: Duration) -> Result<Measured> {
         let job = starter.job(system, Role::Near, Exchange::RoundTrips, length);
         let way = Way { topics: self.of, subscribers: self.ready, ..job.way.clone() };
         let job = Job { payload_bytes: STRUCT_BYTES, way, ..job };
-        let mut file = tempfile::NamedTempFile::new()?;
-        file.write_all(self.file(&job).as_bytes())?;
-        let governed = self.is_governed.then(|| file.path());
-        let mut process = starter.start_governed(system, &job, Task::Waits, governed)?;
-        let Measured { times_ns, lost, .. } = measured(&mut process, PATIENCE)?;
+        let file = self.file(|| system_file(self, &job))?;
+        let mut process = match self.client {
+            Client::C => starter.start_governed(system, &job, Task::Waits, file.as_ref())?,
+            client => starter.start_client(client, system, &job, ("ready", self.of), file.as_ref())?,
+        };
+        let measured = measured(&mut process, PATIENCE)?;
         process.finish()?;
-        let mut times = Distribution::new();
-        times_ns.into_iter().for_each(|time_ns| times.record(time_ns));
-        tally.add(round, &times);
-        tally.lost += lost;
-        Ok(())
+        Ok(measured)
     }
+}
 
-    /// A system file with a group of all callbacks.
-    fn file(self, job: &Job) -> String {
-        let head = format!(
-            "[hosts.here]\ncores = [{}]\n[nodes.near]\nclient = \"rclcpp\"\n[groups.all]\norder = \"priority\"\npriority = {APPLICATION_PRIORITY}\n",
-            job.core.unwrap_or(0)
-        );
-        let callbacks = (0..self.of).map(|index| {
-            let (topic, rank) = (topic(job, index), index * 7 % self.of % 99 + 1);
+/// A system file with a group of all callbacks.
+fn system_file(waits: Waits, job: &Job) -> String {
+    let head = format!(
+        "[hosts.here]\ncores = [{}]\n[nodes.near]\nclient = \"rclcpp\"\n[groups.all]\norder = \"priority\"\npriority = {APPLICATION_PRIORITY}\n",
+        job.core.unwrap_or(0)
+    );
+    let callbacks = (0..waits.of).map(|index| {
+            let (topic, rank) = (topic(job, index), index * 7 % waits.of % 99 + 1);
             format!(
                 "[callbacks.c{index}]\ntopic = \"{topic}\"\ngroup = \"all\"\npriority = {rank}\nwcet = \"1us\"\n[topics.\"{topic}\"]\nperiod = \"1s\"\n"
             )
         });
-        std::iter::once(head).chain(callbacks).collect()
-    }
+    std::iter::once(head).chain(callbacks).collect()
 }
 
 fn topic(job: &Job, index: usize) -> String {

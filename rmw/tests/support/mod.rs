@@ -9,6 +9,7 @@ mod peer;
 
 pub use peer::*;
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use tautline_transport::Participant;
@@ -46,6 +47,22 @@ impl Domain {
         })
     }
 
+    /// A program of ROS's that runs in it on rmw_tautline.
+    pub fn command(&self, program: impl AsRef<OsStr>) -> Command {
+        let mut command = Command::new(program);
+        command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+        command.env("ROS_DOMAIN_ID", self.number.to_string()).env("PYTHONDONTWRITEBYTECODE", "1");
+        on_tautline(&mut command);
+        command
+    }
+
+    /// One that is written here, with rclpy.
+    pub fn python(&self, program: &str) -> Command {
+        let mut command = self.command(self.venv.join("bin/python"));
+        command.args(["-c", program]);
+        command
+    }
+
     /// Members of the domain besides this process.
     pub fn others(&self) -> usize {
         let folder = std::fs::read_dir(tautline_rt::domain::shared_path(self.number)).unwrap();
@@ -61,6 +78,23 @@ impl Drop for Domain {
             wait_until("all others to be cleaned up after", || self.others() == 0);
         }
     }
+}
+
+/// Whether a program succeeded, and what it said.
+pub fn words_of(command: &mut Command) -> (bool, String, String) {
+    let output = command.output().unwrap();
+    let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+    (output.status.success(), out, errors)
+}
+
+/// Whether threads may have the priorities of the tests' system files; prints why a test is skipped without.
+pub fn may_be_realtime() -> bool {
+    let permitted = tautline_rt::permission::realtime_permitted(50);
+    if let Err(error) = &permitted {
+        assert!(std::env::var_os("CI").is_none(), "{error}");
+        eprintln!("skipped: {error}");
+    }
+    permitted.is_ok()
 }
 
 /// Has a program of ROS's use rmw_tautline. Those of PyPI's packages are linked to Fast DDS's RMW, whose place it takes; with an
