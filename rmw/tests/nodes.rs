@@ -12,8 +12,8 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 use support::gateway::link;
 use support::{
-    Domain, Peer, STRING, TYPES, Values, built, matched, on_tautline, publisher, reserve, ros, subscription,
-    take, take_texts, text_body, text_of, wait_until,
+    Domain, Peer, STRING, TYPES, Values, bounds_held, built, matched, may_be_realtime, on_tautline,
+    publisher, reserve, ros, subscription, take, take_texts, taut, text_body, text_of, wait_until,
 };
 use tautline_schema::{DynamicMessage, Endian, Packages};
 use tautline_transport::{
@@ -501,13 +501,6 @@ fn nodes_on_two_hosts_hear_each_other_through_gateways() {
     assert_eq!(answer[0]["int32_value"], 7);
 }
 
-/// The output of `taut` in the domain of the tests.
-fn taut(arguments: &[&str]) -> Option<String> {
-    let mut command = Command::new(built("taut", "taut")?);
-    let output = command.args(arguments).env("TAUT_SCOPE", support::scope()).output().unwrap();
-    Some(String::from_utf8(output.stdout).unwrap())
-}
-
 /// What `taut report` says of a node of rclpy that `TAUT_SYSTEM` gives a system file, and what `taut trace` saw of it.
 #[test]
 fn callbacks_of_rclpy_are_reported_and_traced() {
@@ -799,15 +792,6 @@ fn words_of(mut command: Command) -> (bool, String, String) {
     let output = command.output().unwrap();
     let [out, errors] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
     (output.status.success(), out, errors)
-}
-
-fn may_be_realtime() -> bool {
-    let permitted = tautline_rt::permission::realtime_permitted(40);
-    if let Err(error) = &permitted {
-        assert!(std::env::var_os("CI").is_none(), "{error}");
-        eprintln!("skipped: {error}");
-    }
-    permitted.is_ok()
 }
 
 /// What a node has and the file lacks is named as the node starts; what the file has and no node, by `taut report`.
@@ -1333,28 +1317,7 @@ fn a_graph_of_ten_nodes_keeps_its_bounds() {
     let steal_ms = 10.0 * (tautline_rt::host::steal_ticks(None) - steal_before) as f64;
     processes.iter_mut().for_each(|process| drop(process.stdin.take()));
     processes.iter_mut().for_each(|process| assert!(process.wait().unwrap().success()));
-    assert_eq!(report["realtime"], true, "{report}");
-    for row in report["callbacks"].as_array().unwrap() {
-        assert_eq!(row["measured"]["lost"], 0, "{row}");
-        let of = |side: &str, name: &str| row[side][name].as_f64().unwrap_or(0.0);
-        let (bound_ms, period_ms) = (of("predicted", "response_ms"), of("predicted", "period_ms"));
-        assert!(bound_ms > 0.0, "it has a bound: {row}");
-        // Of a timer only its publications are seen, each at most a response after its release.
-        let is_timer = row["measured"]["by_publications"] == true;
-        let longest_ms = match is_timer {
-            true => of("measured", "greatest_distance_ms") - period_ms,
-            false => row["measured"]["response_ms"]["max"].as_f64().unwrap(),
-        };
-        let least_ms = of("predicted", "least_distance_ms") - if is_timer { bound_ms } else { 0.0 };
-        for violation in row["violations"].as_array().unwrap() {
-            let is_of_host = match violation["name"].as_str().unwrap() {
-                "bound exceeded" | "deadline missed" => longest_ms <= bound_ms + steal_ms,
-                "period not kept" => of("measured", "least_distance_ms") >= least_ms - steal_ms,
-                _ => false,
-            };
-            assert!(is_of_host, "{steal_ms} ms of steal; {row}");
-        }
-    }
+    bounds_held(&report, steal_ms);
     assert_eq!(report["unknown"], json!([]), "{report}");
 }
 
