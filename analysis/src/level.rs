@@ -394,6 +394,8 @@ struct Level<'a> {
     core: &'a Core<'a>,
     task: &'a Task,
     release: Release,
+    /// How many of its jobs a busy window has.
+    counted: Release,
     /// The tasks of its thread: itself, and those that share the thread.
     members: Vec<usize>,
     /// The demand of its thread, without jobs of lower ranks.
@@ -451,6 +453,7 @@ impl<'a> Level<'a> {
             core,
             task,
             release: task.release(),
+            counted: core.callbacks[index].release.clone(),
             members,
             own,
             cost_ns: core.callbacks[index].cost_ns,
@@ -589,8 +592,7 @@ impl<'a> Level<'a> {
             // The first job's nominal release may lie its jitter before the window, so this never falls below zero.
             nominal = nominal.max(self.add(finish, jitter)?.saturating_sub(self.release.nominal_span(job)));
             arrival = arrival.max(finish - self.release.shortest_span(job).min(finish));
-            let next = self.release.shortest_span(job + 1);
-            if next >= finish && next >= window {
+            if self.counted.most_within(finish.max(window)) <= job + 1 {
                 break;
             }
         }

@@ -6,7 +6,7 @@ mod support;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -1319,6 +1319,50 @@ fn a_graph_of_ten_nodes_keeps_its_bounds() {
     processes.iter_mut().for_each(|process| assert!(process.wait().unwrap().success()));
     bounds_held(&report, steal_ms);
     assert_eq!(report["unknown"], json!([]), "{report}");
+}
+
+/// A timer that publishes and then works for longer than its period, so that its message waits with its next release.
+const BUSY_TIMER: &str = r#"
+import rclpy, time
+from std_msgs.msg import String
+rclpy.init()
+node, heard = rclpy.create_node("busy"), []
+publisher = node.create_publisher(String, "/said", 10)
+subscription = node.create_subscription(String, "/said", lambda message: heard.append(message.data), 10)
+def work():
+    publisher.publish(String(data="some"))
+    end = time.thread_time() + 0.2
+    while time.thread_time() < end: pass
+timer = node.create_timer(0.1, work)
+while len(heard) < 5: rclpy.spin_once(node)
+print("heard", flush=True)
+input()
+rclpy.shutdown()
+"#;
+
+#[test]
+fn a_timers_time_is_not_that_of_the_next_callback() {
+    let (Some(domain), Some(_)) = (Domain::new(86), built("taut", "taut")) else { return };
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let text = "[hosts.here]\ncores = 1\n[nodes.busy]\nclient = \"rclpy\"\n[topics]\n\"/said\" = { period = \"1s\" }\n\
+                [callbacks.hear]\ntopic = \"/said\"\nwcet = \"100ms\"\n";
+    std::fs::write(file.path(), text).unwrap();
+    let mut command = Command::new(domain.venv.join("bin/python"));
+    command.args(["-c", BUSY_TIMER]).env("ROS_DOMAIN_ID", domain.number.to_string());
+    command.env("TAUT_SYSTEM", file.path()).env("TAUT_REALTIME", "off");
+    command.env_remove("LD_LIBRARY_PATH").env_remove("AMENT_PREFIX_PATH");
+    on_tautline(&mut command);
+    let mut process = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    assert_eq!(line.trim(), "heard");
+    let said = taut(&["report", "--json", "--domain", &domain.number.to_string()]).unwrap();
+    let report: Value = serde_json::from_str(&said).unwrap_or_else(|error| panic!("{error}: {said}"));
+    process.stdin.take().unwrap().write_all(b"\n").unwrap();
+    assert!(process.wait().unwrap().success());
+    // Processor time: 200 ms of the timer's, and next to nothing of its own.
+    let used_ms = report["callbacks"][0]["measured"]["execution_ms"]["max"].as_f64().unwrap();
+    assert!(used_ms < 100.0, "{report}");
 }
 
 /// Nothing was prepared: no system file, no trace.

@@ -164,10 +164,15 @@ impl Lead {
     }
 }
 
+/// What leads to each callback.
 fn firsts(system: &System, tasks: &[Task], order: &[usize]) -> Vec<Option<Lead>> {
     let mut leads: Vec<Option<Lead>> = vec![None; tasks.len()];
     for &i in order {
         let (to, task) = (&system.callbacks[i], &tasks[i]);
+        // A core may stand still again when what leads to a callback has caught up, and the callback has not.
+        if system.cores[to.core].stall_ns > 0 {
+            continue;
+        }
         if let Some((source, Transfer::LOCAL)) = to.trigger {
             let from = &tasks[source];
             let is_ranked = from.group.is_some_and(|group| group.order == Order::Priority);
