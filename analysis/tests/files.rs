@@ -96,7 +96,7 @@ fn the_other_examples_are_schedulable() {
     }
     let reserved = example("reserved");
     assert!(reserved.schedulable && reserved.warnings.is_empty(), "{reserved:#?}");
-    for name in ["../rclcpp/five", "../rclcpp/one"] {
+    for name in ["../rclcpp/five", "../rclcpp/one", "../rclcpp/reference"] {
         let rclcpp = example(name);
         assert!(rclcpp.schedulable, "{name}: {rclcpp:#?}");
     }
