@@ -1321,12 +1321,16 @@ fn a_graph_of_ten_nodes_keeps_its_bounds() {
     assert_eq!(report["unknown"], json!([]), "{report}");
 }
 
-/// A timer that publishes and then works for longer than its period, so that its message waits with its next release.
+/// A timer that publishes and then works for longer than its period, so that its message waits with its next release; and a subscription as every
+/// node of rclcpp has one.
 const BUSY_TIMER: &str = r#"
 import rclpy, time
+from rcl_interfaces.msg import ParameterEvent
 from std_msgs.msg import String
 rclpy.init()
-node, heard = rclpy.create_node("busy"), []
+node, heard, changes = rclpy.create_node("busy"), [], []
+events = node.create_subscription(ParameterEvent, "/parameter_events", changes.append, 10)
+node.declare_parameter("some", 1)
 publisher = node.create_publisher(String, "/said", 10)
 subscription = node.create_subscription(String, "/said", lambda message: heard.append(message.data), 10)
 def work():
@@ -1334,7 +1338,7 @@ def work():
     end = time.thread_time() + 0.2
     while time.thread_time() < end: pass
 timer = node.create_timer(0.1, work)
-while len(heard) < 5: rclpy.spin_once(node)
+while len(heard) < 5 or not changes: rclpy.spin_once(node)
 print("heard", flush=True)
 input()
 rclpy.shutdown()
@@ -1363,6 +1367,7 @@ fn a_timers_time_is_not_that_of_the_next_callback() {
     // Processor time: 200 ms of the timer's, and next to nothing of its own.
     let used_ms = report["callbacks"][0]["measured"]["execution_ms"]["max"].as_f64().unwrap();
     assert!(used_ms < 100.0, "{report}");
+    assert_eq!(report["unknown"], json!([]), "changes of parameters are in no file: {report}");
 }
 
 /// Nothing was prepared: no system file, no trace.
