@@ -3,10 +3,11 @@
 
 mod support;
 
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
-use support::{Domain, bounds_held, built, may_be_realtime, on_tautline, taut, wait_until};
+use std::process::{Child, Command, Stdio};
+use support::{Domain, built, may_be_realtime, on_tautline, taut, wait_until};
 
 const SECONDS: &str = "2";
 
@@ -37,9 +38,20 @@ fn five_topics() -> PathBuf {
     folder.join("five_topics")
 }
 
-/// 90 % of a core, in five executors and in one whose order the RMW makes: nothing is late, nothing lost.
+/// Ended with the test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// 90 % of a core, in five executors and in one whose order the RMW makes: nothing is late, nothing lost. Bounds are less than what a busy
+/// machine may add to them; docs/rmw.md has what was measured.
 #[test]
-fn five_topics_of_rclcpp_keep_their_bounds() {
+fn five_topics_of_rclcpp_meet_their_deadlines() {
     let (Some(prefix), Some(_)) = (with_rclcpp(), built("taut", "taut")) else { return };
     if !may_be_realtime() {
         return;
@@ -62,8 +74,8 @@ fn five_topics_of_rclcpp_keep_their_bounds() {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
         let steal_before = tautline_rt::host::steal_ticks(None);
-        let mut subscriber =
-            start(&[role]).env("TAUT_SYSTEM", file.path()).stdout(Stdio::piped()).spawn().unwrap();
+        let subscriber = start(&[role]).env("TAUT_SYSTEM", file.path()).stdout(Stdio::null()).spawn();
+        let mut subscriber = Running(subscriber.unwrap());
         assert!(start(&["publisher", "0", SECONDS]).status().unwrap().success());
         let report = || -> Value {
             let said = taut(&["report", "--json", "--domain", &domain.number.to_string()]).unwrap();
@@ -77,13 +89,18 @@ fn five_topics_of_rclcpp_keep_their_bounds() {
         let report = report();
         eprintln!("{}", taut(&["report", "--domain", &domain.number.to_string()]).unwrap());
         let steal_ms = 10.0 * (tautline_rt::host::steal_ticks(None) - steal_before) as f64;
-        rustix::process::kill_process(
-            rustix::process::Pid::from_child(&subscriber),
-            rustix::process::Signal::INT,
-        )
-        .unwrap();
-        assert!(subscriber.wait().unwrap().success());
-        bounds_held(&report, steal_ms);
-        assert_eq!(report["unknown"], json!([]), "{report}");
+        kill_process(Pid::from_child(&subscriber.0), Signal::INT).unwrap();
+        assert!(subscriber.0.wait().unwrap().success());
+        assert_eq!((&report["realtime"], &report["unknown"]), (&json!(true), &json!([])), "{report}");
+        for row in report["callbacks"].as_array().unwrap() {
+            let of = |side: &str, name: &str| row[side][name].as_f64().unwrap_or(f64::INFINITY);
+            let deadline_ms = of("predicted", "deadline_ms");
+            assert!(of("predicted", "response_ms") <= deadline_ms, "{row}");
+            assert!(
+                row["measured"]["response_ms"]["max"].as_f64().unwrap() <= deadline_ms + steal_ms,
+                "{row}"
+            );
+            assert_eq!(row["measured"]["lost"], 0, "{row}");
+        }
     }
 }

@@ -9,7 +9,6 @@ mod peer;
 
 pub use peer::*;
 
-use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use tautline_transport::Participant;
@@ -93,30 +92,4 @@ pub fn may_be_realtime() -> bool {
         eprintln!("skipped: {error}");
     }
     permitted.is_ok()
-}
-
-/// Every callback of a report had its bounds, but for what the host took, and lost nothing.
-pub fn bounds_held(report: &Value, steal_ms: f64) {
-    assert_eq!(report["realtime"], true, "{report}");
-    for row in report["callbacks"].as_array().unwrap() {
-        assert_eq!(row["measured"]["lost"], 0, "{row}");
-        let of = |side: &str, name: &str| row[side][name].as_f64().unwrap_or(0.0);
-        let (bound_ms, period_ms) = (of("predicted", "response_ms"), of("predicted", "period_ms"));
-        assert!(bound_ms > 0.0, "it has a bound: {row}");
-        // Of a timer only its publications are seen, each at most a response after its release.
-        let is_timer = row["measured"]["by_publications"] == true;
-        let longest_ms = match is_timer {
-            true => of("measured", "greatest_distance_ms") - period_ms,
-            false => row["measured"]["response_ms"]["max"].as_f64().unwrap(),
-        };
-        let least_ms = of("predicted", "least_distance_ms") - if is_timer { bound_ms } else { 0.0 };
-        for violation in row["violations"].as_array().unwrap() {
-            let is_of_host = match violation["name"].as_str().unwrap() {
-                "bound exceeded" | "deadline missed" => longest_ms <= bound_ms + steal_ms,
-                "period not kept" => of("measured", "least_distance_ms") >= least_ms - steal_ms,
-                _ => false,
-            };
-            assert!(is_of_host, "{steal_ms} ms of steal; {row}");
-        }
-    }
 }
