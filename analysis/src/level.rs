@@ -122,6 +122,26 @@ impl Curve {
     }
 }
 
+/// The first of some tasks of a core that trigger one another, up to one of them, each in every level that the next is in.
+///
+/// A busy window of such a level begins with nothing left to do, so that each job of the last in it comes from a release of the first in it,
+/// and is done at its end.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct First {
+    /// With as many more as joins on the way may have kept.
+    pub release: Release,
+    /// How much later the last one's nominal release is; `None` after a join.
+    pub lag_ns: Option<u64>,
+}
+
+impl First {
+    /// When the last one ends, after its nominal release, in a busy window of this length.
+    pub fn latest_ns(&self, busy_ns: u64) -> u64 {
+        let latest_ns = busy_ns.saturating_add(self.release.jitter_ns);
+        self.lag_ns.map_or(u64::MAX, |lag_ns| latest_ns.saturating_sub(lag_ns))
+    }
+}
+
 /// The tasks of one core, checked, with their costs.
 pub(crate) struct Core<'a> {
     tasks: &'a [Task],
@@ -137,6 +157,8 @@ pub(crate) struct Core<'a> {
     interrupts: Curve,
     /// The priorities, the highest first, each with its tasks' delays, and the longest section of all below it.
     bands: Vec<(u8, Curve, u64)>,
+    /// Of each task to which others of this core lead: the first of these.
+    firsts: &'a [Option<First>],
     /// The tasks of each thread that several share.
     threads: HashMap<u32, Vec<usize>>,
     /// What is known of these.
@@ -212,13 +234,14 @@ pub(crate) struct Bound {
 
 impl<'a> Core<'a> {
     pub fn new(tasks: &'a [Task], overheads: &Overheads) -> Result<Self, AnalysisError> {
-        Self::beside(tasks, overheads, &[], 0)
+        Self::beside(tasks, &[], overheads, &[], 0)
     }
 
     /// The same on a core that also relays messages, each with its releases and its cost, and that may stand still for `stall_ns`
     /// besides, as the blocking of all tasks says already: what piled up then is done at once.
     pub fn beside(
         tasks: &'a [Task],
+        firsts: &'a [Option<First>],
         overheads: &Overheads,
         relays: &[(Release, u64)],
         stall_ns: u64,
@@ -229,7 +252,14 @@ impl<'a> Core<'a> {
             u64::MAX => Err(overflow(task)),
             cost => Ok(demand(task, cost)),
         };
-        let callbacks: Vec<_> = tasks.iter().map(charged).collect::<Result<_, AnalysisError>>()?;
+        let mut callbacks: Vec<_> = tasks.iter().map(charged).collect::<Result<_, AnalysisError>>()?;
+        for (own, first) in callbacks.iter_mut().zip(firsts) {
+            let Some(First { release, .. }) = first else { continue };
+            if release.jitter_ns <= own.release.jitter_ns {
+                let distance_ns = release.min_distance_ns.max(own.release.min_distance_ns);
+                own.release = release.clone().min_distance(distance_ns);
+            }
+        }
         let delays: Vec<_> = tasks
             .iter()
             .zip(&callbacks)
@@ -297,6 +327,7 @@ impl<'a> Core<'a> {
             common,
             interrupts,
             bands,
+            firsts,
             threads,
             known,
             burst,
@@ -322,10 +353,19 @@ impl<'a> Core<'a> {
         self.spare_ns
     }
 
+    /// Where other tasks lead to this one: the first of these.
+    pub fn first(&self, index: usize) -> Option<&First> {
+        self.firsts.get(index)?.as_ref()
+    }
+
     pub fn bound(&self, index: usize) -> Result<Bound, AnalysisError> {
         match &self.burst {
             Some(error) => Err(error.clone()),
-            None => self.bound_of(&self.tasks[index], index),
+            None => {
+                let found = self.bound_of(&self.tasks[index], index)?;
+                let latest_ns = self.first(index).map_or(u64::MAX, |first| first.latest_ns(found.busy_ns));
+                Ok(Bound { nominal_ns: found.nominal_ns.min(latest_ns), ..found })
+            }
         }
     }
 
@@ -354,6 +394,8 @@ struct Level<'a> {
     core: &'a Core<'a>,
     task: &'a Task,
     release: Release,
+    /// How many of its jobs a busy window has.
+    counted: Release,
     /// The tasks of its thread: itself, and those that share the thread.
     members: Vec<usize>,
     /// The demand of its thread, without jobs of lower ranks.
@@ -411,6 +453,7 @@ impl<'a> Level<'a> {
             core,
             task,
             release: task.release(),
+            counted: core.callbacks[index].release.clone(),
             members,
             own,
             cost_ns: core.callbacks[index].cost_ns,
@@ -549,8 +592,7 @@ impl<'a> Level<'a> {
             // The first job's nominal release may lie its jitter before the window, so this never falls below zero.
             nominal = nominal.max(self.add(finish, jitter)?.saturating_sub(self.release.nominal_span(job)));
             arrival = arrival.max(finish - self.release.shortest_span(job).min(finish));
-            let next = self.release.shortest_span(job + 1);
-            if next >= finish && next >= window {
+            if self.counted.most_within(finish.max(window)) <= job + 1 {
                 break;
             }
         }

@@ -47,7 +47,8 @@
 //! shared by several tasks in the order of arrival, a job that arrives at A ends at the fixed point of
 //! F = B + sum over the thread of n_k(A + 1) C_k + sum over higher j of n_j(F) C_j, and R is the largest F - A
 //! (Bedarkar et al. 2022); in any other order R is at most the busy window, which lower ranks of a thread that runs the highest
-//! first enter with one job (George et al. 1996, for threads).
+//! first enter with one job (George et al. 1996, for threads). A busy window begins with nothing left to do. So what tasks of its core
+//! trigger, one after the other at its priority or above, is released in it as often as the first of these, and ends in it.
 //!
 //! With overheads, C of every callback grows by two context switches, and each message of *every* topic costs its
 //! overhead at the highest priority, since the sampler serves the topics of lower priority too; so do timer ticks, and

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 use std::time::Duration;
 
-use crate::level::Core;
+use crate::level::{Core, First};
 use crate::{AnalysisError, Overheads, Release, Task};
 
 /// The bound found for one task.
@@ -33,6 +33,8 @@ pub struct Response {
     /// What is released within this time may delay it.
     pub(crate) busy_ns: u64,
     pub(crate) release: Release,
+    /// Where other tasks of its core lead to it: the first of these.
+    pub(crate) first: Option<First>,
 }
 
 impl Response {
@@ -50,7 +52,9 @@ impl Response {
         if self.level_utilisation >= 1.0 {
             return Err(AnalysisError::NoSlack { task: self.name.clone(), priority: self.priority });
         }
-        usize::try_from(self.release.most_within(self.from_arrival_ns).max(1))
+        // All that waits comes from what was first released in one busy window.
+        let most = self.first.as_ref().map_or(u64::MAX, |first| first.release.most_within(self.busy_ns));
+        usize::try_from(self.release.most_within(self.from_arrival_ns).min(most).max(1))
             .map_err(|_| AnalysisError::Overflow { task: self.name.clone() })
     }
 
@@ -82,6 +86,7 @@ impl Response {
             reflected_ns: bound.reflected_ns,
             busy_ns: bound.busy_ns,
             release: task.release(),
+            first: core.first(index).cloned(),
         })
     }
 }

@@ -1,18 +1,22 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-// The five topics of `taut demo` with a subscriber in rclcpp: an executor for each callback group, each in a thread of its own at its
-// own SCHED_FIFO priority, all on one core. With TAUT_SYSTEM=system.toml `taut report` shows their response times beside the bounds.
+// The five topics of `taut demo` with a subscriber in rclcpp, which knows nothing of Tautline. On rmw_tautline, TAUT_SYSTEM governs it:
+// five.toml an executor for each callback group, each in a thread of its own, and one.toml one executor for all. On other RMWs it may
+// set its threads' priorities and core by itself. At its end it prints what it saw.
 //
-//   five_topics subscriber [CORE]
+//   five_topics five|one [CORE]
 //   five_topics publisher [CORE] [SECONDS]
 
 #include <pthread.h>
 #include <sched.h>
 #include <time.h>
 
+#include <algorithm>
+#include <cinttypes>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <iterator>
 #include <memory>
 #include <string>
 #include <thread>
@@ -32,11 +36,14 @@ struct Topic
   int64_t period_ms;
   int64_t work_ms;
   int priority;
+  // In an executor for all.
+  int64_t deadline_ms;
 };
 
-// As system.toml has them, the fastest first.
+// As five.toml and one.toml have them, the fastest first.
 constexpr Topic TOPICS[] = {
-  {"topic1", 10, 2, 20}, {"topic2", 20, 4, 19}, {"topic3", 50, 5, 18}, {"topic4", 100, 15, 17}, {"topic5", 200, 50, 16}};
+  {"topic1", 10, 2, 20, 70}, {"topic2", 20, 4, 19, 100}, {"topic3", 50, 5, 18, 125}, {"topic4", 100, 15, 17, 190},
+  {"topic5", 200, 50, 16, 200}};
 // The publisher's, above its subscribers.
 constexpr int PUBLISHER_PRIORITY = 24;
 constexpr int64_t TICK_MS = 10;
@@ -78,28 +85,64 @@ void work(int64_t ms)
   }
 }
 
-void subscribe(int core)
+// What a callback saw of its messages, each of which is the time at which it was due.
+struct Seen
+{
+  int64_t count = 0, lost = 0, late = 0, longest_ns = 0, last_ns = 0;
+
+  void end(int64_t due_ns, int64_t period_ms, int64_t deadline_ms)
+  {
+    const int64_t response_ns = now_ns(CLOCK_MONOTONIC) - due_ns;
+    lost += count == 0 ? 0 : (due_ns - last_ns) / (period_ms * 1'000'000) - 1;
+    late += response_ns > deadline_ms * 1'000'000;
+    longest_ns = std::max(longest_ns, response_ns);
+    last_ns = due_ns;
+    ++count;
+  }
+};
+
+// Until it is interrupted. `core` is negative if a system file places the threads.
+void subscribe(bool in_one, int core)
 {
   auto node = std::make_shared<rclcpp::Node>("five_topics", rclcpp::NodeOptions().start_parameter_services(false));
+  Seen seen[std::size(TOPICS)];
   std::vector<rclcpp::SubscriptionBase::SharedPtr> subscriptions;
   std::vector<rclcpp::CallbackGroup::SharedPtr> groups;
-  std::vector<std::thread> threads;
-  for (const Topic & topic : TOPICS) {
-    auto group = node->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false);
+  for (size_t i = 0; i < std::size(TOPICS); ++i) {
     rclcpp::SubscriptionOptions options;
-    options.callback_group = group;
-    auto callback = [work_ms = topic.work_ms](const UInt64 &) {work(work_ms);};
-    subscriptions.push_back(node->create_subscription<UInt64>(topic.name, 100, callback, options));
-    groups.push_back(group);
-    threads.emplace_back([node, group, topic, core] {
+    options.callback_group = node->create_callback_group(rclcpp::CallbackGroupType::MutuallyExclusive, false);
+    auto callback = [topic = TOPICS[i], in_one, &seen = seen[i]](const UInt64 & message) {
+        work(topic.work_ms);
+        seen.end(static_cast<int64_t>(message.data), topic.period_ms, in_one ? topic.deadline_ms : topic.period_ms);
+      };
+    subscriptions.push_back(node->create_subscription<UInt64>(TOPICS[i].name, 100, callback, options));
+    groups.push_back(options.callback_group);
+  }
+  auto spin = [node, core](std::vector<rclcpp::CallbackGroup::SharedPtr> groups, int priority) {
       rclcpp::executors::SingleThreadedExecutor executor;
-      executor.add_callback_group(group, node->get_node_base_interface());
-      become(topic.priority, core);
+      for (const auto & group : groups) {
+        executor.add_callback_group(group, node->get_node_base_interface());
+      }
+      if (core >= 0) {
+        become(priority, core);
+      }
       executor.spin();
-    });
+    };
+  std::vector<std::thread> threads;
+  if (in_one) {
+    threads.emplace_back(spin, groups, TOPICS[0].priority);
+  }
+  for (size_t i = 0; !in_one && i < groups.size(); ++i) {
+    threads.emplace_back(spin, std::vector{groups[i]}, TOPICS[i].priority);
   }
   for (auto & thread : threads) {
     thread.join();
+  }
+  std::printf("topic   messages  longest ms  deadline ms  late  lost\n");
+  for (size_t i = 0; i < std::size(TOPICS); ++i) {
+    std::printf(
+      "%s  %8" PRId64 "  %10.3f  %11" PRId64 "  %4" PRId64 "  %4" PRId64 "\n", TOPICS[i].name, seen[i].count,
+      seen[i].longest_ns / 1e6, in_one ? TOPICS[i].deadline_ms : TOPICS[i].period_ms, seen[i].late, seen[i].lost);
   }
 }
 
@@ -129,7 +172,7 @@ void publish(int core, int64_t seconds)
     }
     for (size_t i = 0; i < publishers.size(); ++i) {
       if (tick * TICK_MS % TOPICS[i].period_ms == 0) {
-        message.data++;
+        message.data = static_cast<uint64_t>(due_ns);
         publishers[i]->publish(message);
       }
     }
@@ -142,14 +185,14 @@ int main(int argc, char ** argv)
 {
   const auto arguments = rclcpp::init_and_remove_ros_arguments(argc, argv);
   const std::string role = arguments.size() > 1 ? arguments[1] : "";
-  const int core = arguments.size() > 2 ? std::atoi(arguments[2].c_str()) : 1;
+  const int core = arguments.size() > 2 ? std::atoi(arguments[2].c_str()) : -1;
   const int64_t seconds = arguments.size() > 3 ? std::atoll(arguments[3].c_str()) : 10;
-  if (role == "subscriber") {
-    subscribe(core);
+  if (role == "five" || role == "one") {
+    subscribe(role == "one", core);
   } else if (role == "publisher") {
-    publish(core, seconds);
+    publish(core < 0 ? 1 : core, seconds);
   } else {
-    std::fprintf(stderr, "usage: five_topics subscriber [CORE]\n       five_topics publisher [CORE] [SECONDS]\n");
+    std::fprintf(stderr, "usage: five_topics five|one [CORE]\n       five_topics publisher [CORE] [SECONDS]\n");
     return 2;
   }
   rclcpp::shutdown();

@@ -100,6 +100,10 @@ impl Jobs {
             let lost = self.counters.lost();
             let before = self.noted.fetch_max(lost, Ordering::Relaxed);
             let (lost, max_queue) = (lost.saturating_sub(before), self.counters.max_queue());
+            // A timer that the executor may have run since its wait is no part of the job.
+            if BEFORE.try_with(|before| before.get().is_over()).unwrap_or(false) {
+                foreign::idle();
+            }
             measured.begin(released_ns, QueueState { lost, max_queue, depth: self.depth });
         }
         tautline_trace::callback_start(self.traced.id(), released_ns);
@@ -147,7 +151,8 @@ pub(crate) fn wait(waits: &SamplerObject, deadline_ns: Option<u64>, is_measured:
     let before = BEFORE.get();
     let in_vain_ns = if end() || !is_measured { 0 } else { foreign::idle() };
     let used_ns = if before.is_over() { 0 } else { in_vain_ns };
-    BEFORE.set(Before { used_ns: before.used_ns.saturating_add(used_ns), limit_ns: deadline_ns });
+    let limit_ns = deadline_ns.filter(|_| is_measured);
+    BEFORE.set(Before { used_ns: before.used_ns.saturating_add(used_ns), limit_ns });
     if IS_AWAKE.replace(false) {
         tautline_trace::spin_end(waits);
     }

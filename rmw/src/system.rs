@@ -379,7 +379,10 @@ impl System {
         if entry.is_none() {
             self.warn_of_unlisted(node, topic);
         }
-        let Some(statistics) = self.statistics.as_ref().filter(|_| is_named || is_topic) else {
+        // What follows a change of parameters is in no file.
+        let is_unlisted = is_named && entry.is_none() && topic == OF_EVERY_NODE[0];
+        let Some(statistics) = self.statistics.as_ref().filter(|_| (is_named || is_topic) && !is_unlisted)
+        else {
             return Ok((options.name, None));
         };
         let callback = self.made(&options.name, || {

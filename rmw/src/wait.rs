@@ -356,7 +356,7 @@ pub unsafe extern "C" fn rmw_wait(
         }
         let deadline = || timeout.map(|time| deadline_ns(time.sec, time.nsec));
         // A clock is read only for whom it matters.
-        let is_told = wait_set.measures_overheads || tautline_trace::is_on();
+        let is_told = wait_set.is_measured || wait_set.measures_overheads || tautline_trace::is_on();
         job::wait(&wait_set.waits, is_told.then(deadline).flatten(), wait_set.is_measured);
         let is_look_only = timeout.is_some_and(|time| (time.sec, time.nsec) == (0, 0));
         // Usually something is already ready, and nothing has to be attached.

@@ -859,3 +859,45 @@ fn a_system_file_is_used_or_what_is_wrong_with_it_is_said() {
         assert!(!is_made && said.contains(why), "{said}");
     }
 }
+
+/// A timer that publishes and then works for longer than its period, so that its message waits with its next release; and a subscription as every
+/// node of rclcpp has one.
+const BUSY_TIMER: &str = r#"
+import rclpy, sys, time
+from rcl_interfaces.msg import ParameterEvent
+from std_msgs.msg import String
+rclpy.init()
+node, heard, changes = rclpy.create_node("busy"), [], []
+events = node.create_subscription(ParameterEvent, "/parameter_events", changes.append, 10)
+node.declare_parameter("some", 1)
+publisher = node.create_publisher(String, "/said", 10)
+subscription = node.create_subscription(String, "/said", lambda message: heard.append(message.data), 10)
+def work():
+    publisher.publish(String(data="some"))
+    end = time.thread_time() + 0.2
+    while time.thread_time() < end: pass
+timer = node.create_timer(0.1, work)
+while len(heard) < 5 or not changes: rclpy.spin_once(node)
+print("heard", flush=True)
+sys.stdin.read()
+rclpy.shutdown()
+"#;
+
+#[test]
+fn a_timers_time_is_not_that_of_the_next_callback() {
+    let Some(domain) = seen(86) else { return };
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let text = "[hosts.here]\ncores = 1\n[nodes.busy]\nclient = \"rclpy\"\n[topics]\n\"/said\" = { period = \"1s\" }\n\
+                [callbacks.hear]\ntopic = \"/said\"\nwcet = \"100ms\"\n";
+    std::fs::write(file.path(), text).unwrap();
+    let mut command = domain.python(BUSY_TIMER);
+    let (mut process, line) = started(command.env("TAUT_SYSTEM", file.path()).env("TAUT_REALTIME", "off"));
+    assert_eq!(line.trim(), "heard");
+    let report = report(&domain);
+    drop(process.stdin.take());
+    assert!(process.wait().unwrap().success());
+    // Processor time: 200 ms of the timer's, and next to nothing of its own.
+    let used_ms = report["callbacks"][0]["measured"]["execution_ms"]["max"].as_f64().unwrap();
+    assert!(used_ms < 100.0, "{report}");
+    assert_eq!(report["unknown"], json!([]), "changes of parameters are in no file: {report}");
+}

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
 //! Response times and jitter, repeated until they agree.
-use super::System;
-use super::join::{self, JoinBound, Timing};
-use crate::level::{self, Effort};
-use crate::{AnalysisError, Release, Response, Task};
+use std::cmp::Ordering;
+
+use super::join::{self, JoinBound, Matching, Timing};
+use super::{System, Transfer};
+use crate::level::{self, Effort, First};
+use crate::{AnalysisError, Order, Release, Response, Task};
 
 /// Ends the search where chains that delay each other let jitter grow for ever.
 const MAX_ROUNDS: u32 = 1_000;
@@ -27,6 +29,8 @@ pub(super) struct Solved {
     pub spare_ns: Vec<u64>,
     /// The callbacks, with the releases that they inherit.
     pub tasks: Vec<Task>,
+    /// Of each callback to which others of its core lead: the first of these.
+    pub firsts: Vec<Option<Lead>>,
     /// What is relayed on each core.
     pub relays: Vec<Vec<(Release, u64)>>,
     pub rounds: u32,
@@ -59,13 +63,14 @@ pub(super) fn solve(system: &System, effort: &Effort) -> Result<Solved, Analysis
             tasks[i] = tasks[i].clone().released(release.jitter(0));
         }
     }
+    let firsts = firsts(system, &tasks, &order);
     let members: Vec<Vec<usize>> = (0..system.cores.len())
         .map(|core| (0..tasks.len()).filter(|i| system.callbacks[*i].core == core).collect())
         .collect();
     let unknown = |task: &Task| Err(AnalysisError::Overflow { task: task.name.clone() });
     let mut outcomes: Outcomes = tasks.iter().map(unknown).collect();
     let (mut throttled, mut spare_ns) = (vec![false; members.len()], vec![u64::MAX; members.len()]);
-    let mut relays = relayed(system, &tasks, &outcomes);
+    let mut relays = relayed(system, &firsts, &tasks, &outcomes);
     let mut dirty = vec![true; members.len()];
     let mut rounds = 0;
     loop {
@@ -74,7 +79,8 @@ pub(super) fn solve(system: &System, effort: &Effort) -> Result<Solved, Analysis
             if std::mem::take(&mut dirty[core]) {
                 let local: Vec<Task> = members[core].iter().map(|i| tasks[*i].clone()).collect();
                 let super::Core { overheads, stall_ns } = &system.cores[core];
-                let analysed = level::Core::beside(&local, overheads, &relays[core], *stall_ns)?;
+                let first: Vec<_> = members[core].iter().map(|i| Some(firsts[*i]?.first(&tasks))).collect();
+                let analysed = level::Core::beside(&local, &first, overheads, &relays[core], *stall_ns)?;
                 let analysed = analysed.with_effort(effort);
                 for (place, &i) in members[core].iter().enumerate() {
                     // Jitter only grows: what has no bound gets none.
@@ -95,9 +101,9 @@ pub(super) fn solve(system: &System, effort: &Effort) -> Result<Solved, Analysis
             }
         }
         copies(system, &mut outcomes);
-        let (grown, timings, mut joins) = pass_on(system, &order, &mut tasks, &outcomes);
+        let (grown, timings, mut joins) = pass_on(system, &order, &firsts, &mut tasks, &outcomes);
         let endless = |i: &usize| is_endless(&tasks[*i], tasks[*i].blocking_ns);
-        let now = relayed(system, &tasks, &outcomes);
+        let now = relayed(system, &firsts, &tasks, &outcomes);
         let is_still = grown.is_empty() && now == relays;
         if is_still || rounds == MAX_ROUNDS || grown.iter().any(endless) {
             let relayed = system.relays.iter().filter(|_| now != relays).filter_map(|relay| relay.source);
@@ -109,7 +115,17 @@ pub(super) fn solve(system: &System, effort: &Effort) -> Result<Solved, Analysis
                 .zip(&outcomes)
                 .filter(|(_, outcome)| outcome.is_err())
                 .for_each(|(join, _)| *join = None);
-            return Ok(Solved { outcomes, joins, timings, throttled, spare_ns, tasks, relays, rounds });
+            return Ok(Solved {
+                outcomes,
+                joins,
+                timings,
+                throttled,
+                spare_ns,
+                tasks,
+                firsts,
+                relays,
+                rounds,
+            });
         }
         grown.iter().for_each(|i| dirty[system.callbacks[*i].core] = true);
         dirty
@@ -125,10 +141,68 @@ pub(super) fn is_endless(task: &Task, blocking_ns: u64) -> bool {
     task.jitter_ns / MAX_JITTER_PERIODS > task.period_ns.saturating_add(blocking_ns)
 }
 
+/// The first of the callbacks that lead to one of their core, each in every level that the next is in.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Lead {
+    first: usize,
+    /// How much later its own nominal release is; `None` after a join.
+    lag_ns: Option<u64>,
+    /// How many messages the joins on the way may keep.
+    kept: u64,
+}
+
+impl Lead {
+    /// With the releases that are known.
+    pub fn first(self, tasks: &[Task]) -> First {
+        let task = &tasks[self.first];
+        let mut release = task.release();
+        if self.kept > 0 {
+            let more_ns = task.period_ns.saturating_mul(self.kept);
+            release = release.min_distance(0).jitter(task.jitter_ns.saturating_add(more_ns));
+        }
+        First { release, lag_ns: self.lag_ns }
+    }
+}
+
+/// What leads to each callback.
+fn firsts(system: &System, tasks: &[Task], order: &[usize]) -> Vec<Option<Lead>> {
+    let mut leads: Vec<Option<Lead>> = vec![None; tasks.len()];
+    for &i in order {
+        let (to, task) = (&system.callbacks[i], &tasks[i]);
+        // A core may stand still again when what leads to a callback has caught up, and the callback has not.
+        if system.cores[to.core].stall_ns > 0 {
+            continue;
+        }
+        if let Some((source, Transfer::LOCAL)) = to.trigger {
+            let from = &tasks[source];
+            let is_ranked = from.group.is_some_and(|group| group.order == Order::Priority);
+            let is_above = match from.priority.cmp(&task.priority) {
+                Ordering::Equal if is_ranked => from.group == task.group && from.rank >= task.rank,
+                order => order.is_ge(),
+            };
+            if system.callbacks[source].core == to.core && is_above && !from.is_held() && !task.is_held() {
+                let lead = leads[source].unwrap_or(Lead { first: source, lag_ns: Some(0), kept: 0 });
+                let lag_ns = lead.lag_ns.map(|lag_ns| lag_ns.saturating_add(from.bcet_ns));
+                leads[i] = Some(Lead { lag_ns, ..lead });
+            }
+        } else if let Some(join) = to.join.as_ref().filter(|join| join.matching == Matching::Newest) {
+            // It needs a new message of each input, and one may be there already.
+            let is_single = |input: &usize| join.ports.iter().filter(|port| *port == input).count() == 1;
+            let takers = join.inputs.iter().zip(&join.ports).filter(|(_, input)| is_single(input));
+            let slowest = takers.map(|(taker, _)| *taker).max_by_key(|taker| tasks[*taker].period_ns);
+            let lead =
+                slowest.and_then(|taker| leads[taker]).filter(|lead| tasks[lead.first].distances.is_none());
+            leads[i] = lead.map(|lead| Lead { lag_ns: None, kept: lead.kept + 1, ..lead });
+        }
+    }
+    leads
+}
+
 /// Gives triggered callbacks the jitter of their triggers; returns those whose jitter grew, and how all lie to each other.
 fn pass_on(
     system: &System,
     order: &[usize],
+    firsts: &[Option<Lead>],
     tasks: &mut [Task],
     outcomes: &Outcomes,
 ) -> (Vec<usize>, Vec<Timing>, Vec<Option<JoinBound>>) {
@@ -145,7 +219,8 @@ fn pass_on(
             let response = outcomes[source].as_ref();
             if let Ok(response) = response {
                 let network = transfer.most_ns.saturating_sub(transfer.least_ns);
-                let jitter = late_ns(system, tasks, outcomes, source, response).saturating_add(network);
+                let jitter =
+                    late_ns(system, firsts, tasks, outcomes, source, response).saturating_add(network);
                 tasks[i].jitter_ns = jitter.max(before_ns);
             }
             let is_first = !system.callbacks[source].is_triggered();
@@ -168,11 +243,19 @@ fn pass_on(
 }
 
 /// How late a callback may publish, after the nominal release, as far as rates go.
-fn late_ns(system: &System, tasks: &[Task], outcomes: &Outcomes, source: usize, response: &Response) -> u64 {
+fn late_ns(
+    system: &System,
+    firsts: &[Option<Lead>],
+    tasks: &[Task],
+    outcomes: &Outcomes,
+    source: usize,
+    response: &Response,
+) -> u64 {
     let task = &tasks[source];
     // What its own jitter has grown by since it was analysed is no less later.
     let more_ns = task.jitter_ns.saturating_sub(response.jitter_ns);
-    let late_ns = response.response_ns.saturating_add(more_ns).saturating_sub(task.bcet_ns);
+    let latest_ns = firsts[source].map_or(u64::MAX, |lead| lead.first(tasks).latest_ns(response.busy_ns));
+    let late_ns = response.response_ns.saturating_add(more_ns).min(latest_ns).saturating_sub(task.bcet_ns);
     if !task.is_held() {
         return late_ns;
     }
@@ -191,13 +274,18 @@ fn late_ns(system: &System, tasks: &[Task], outcomes: &Outcomes, source: usize, 
 }
 
 /// When messages are relayed on each core, and what that costs.
-fn relayed(system: &System, tasks: &[Task], outcomes: &Outcomes) -> Vec<Vec<(Release, u64)>> {
+fn relayed(
+    system: &System,
+    firsts: &[Option<Lead>],
+    tasks: &[Task],
+    outcomes: &Outcomes,
+) -> Vec<Vec<(Release, u64)>> {
     let mut relays = vec![Vec::new(); system.cores.len()];
     for relay in &system.relays {
         let mut release = relay.release.clone();
         if let Some((source, transfer)) = relay.source {
             let late_ns = match &outcomes[source] {
-                Ok(response) => late_ns(system, tasks, outcomes, source, response),
+                Ok(response) => late_ns(system, firsts, tasks, outcomes, source, response),
                 Err(_) => tasks[source].jitter_ns,
             };
             let network_ns = transfer.most_ns.saturating_sub(transfer.least_ns);

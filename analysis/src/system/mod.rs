@@ -4,7 +4,9 @@
 //! Each core is analysed for itself. A callback that a message triggers inherits the releases of the message's
 //! publisher, with jitter J + R - bcet + (longest - shortest transfer), which may lengthen response times on its core,
 //! and so on: all is repeated until nothing changes any more (compositional analysis, Richter 2005). Jitter starts at
-//! its least and only grows, so what is reached is the least fixed point. A publisher that is held to its budget, or has a reservation, may
+//! its least and only grows, so what is reached is the least fixed point. Within a core jitter bunches nothing: what leads to a callback at its
+//! priority or above is done before that level idles, so that in a busy window the callback is released as often as the first of what leads to
+//! it, and has ended when the window does (without stalls, of which another may begin as soon as a publisher has caught up). A publisher that is held to its budget, or has a reservation, may
 //! publish as late as it likes: of n messages that its queue keeps, n + 1 may then come at once, as if they had that many periods of jitter. Callbacks that wait for messages of several
 //! others: [`Join`].
 use crate::level::Effort;

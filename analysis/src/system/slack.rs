@@ -106,7 +106,11 @@ impl System {
             let tasks: Vec<Task> =
                 members.iter().map(|i| blocked(&solved.tasks[*i], blocking_ns[*i])).collect();
             let relays = &solved.relays[number];
-            let Ok(analysed) = Core::beside(&tasks, &core.overheads, relays, core.stall_ns) else { continue };
+            let first = |i: &usize| Some(solved.firsts[*i]?.first(&solved.tasks));
+            let firsts: Vec<_> = members.iter().map(first).collect();
+            let Ok(analysed) = Core::beside(&tasks, &firsts, &core.overheads, relays, core.stall_ns) else {
+                continue;
+            };
             let effort = Effort::until_late(u64::MAX);
             let analysed = analysed.with_effort(&effort);
             for (place, &i) in members.iter().enumerate() {
