@@ -15,7 +15,7 @@ see() {
     mount --rbind "$1" "$root$2"
     [ "${3-}" ] || mount -o remount,bind,ro "$root$2"
 }
-for folder in /bin /lib /lib32 /lib64 /sbin; do if [ -h $folder ]; then cp -a $folder "$root"; fi; done
+for folder in /bin /lib /lib32 /lib64 /sbin; do if [ -h $folder ]; then cp -d $folder "$root"; fi; done
 see /usr /usr
 mount -t tmpfs tmpfs "$root/usr/local"
 # pip's own settings say where this machine finds packages.
@@ -26,8 +26,8 @@ for folder in /dev /sys ${PIP_CACHE_DIR-}; do
     mkdir -p "$folder"
     see "$folder" "$folder" writable
 done
-mkdir -p "$root/proc" "$root$home/.path"
-mkdir -m 1777 "$root/tmp"
+mkdir -p "$root/proc" "$root/tmp" "$root$home/.path"
+chmod 1777 "$root/tmp"
 mount -t proc proc "$root/proc"
 mount -t tmpfs tmpfs "$root/dev/shm"
 see "$PACKAGES" "$home/target/dist"
