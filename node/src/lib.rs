@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: MIT OR Apache-2.0
-//! Zero-copy, real-time middleware for robots: nodes, topics, timers.
+//! Zero-copy, real-time middleware for robots in Rust, without DDS. A publisher writes each message once, into shared memory, and subscribers
+//! read it there. Each callback starts within a bound that you compute before you switch the robot on. The API follows ROS 2, and nodes of
+//! rclcpp and rclpy run on it unchanged. A report compares a running system with its bounds.
 //!
 //! A [`Context`] joins a domain and owns the sampler and the callback threads. A [`Node`] makes publishers,
 //! subscriptions and timers with ROS 2's names and quality of service. Each callback runs on its own thread, at its own
@@ -280,6 +282,8 @@ struct Readme;
 #[cfg(all(doctest, feature = "std_srvs", feature = "tf2_msgs", feature = "untyped"))]
 #[doc = include_str!("../../docs/from-r2r.md")]
 #[doc = include_str!("../../docs/from-rclcpp.md")]
+#[doc = include_str!("../../docs/from-rclpy.md")]
+#[doc = include_str!("../../docs/from-iceoryx2.md")]
 #[doc = include_str!("../../docs/messages.md")]
 #[doc = include_str!("../../docs/report.md")]
 #[doc = include_str!("../../docs/system-toml.md")]

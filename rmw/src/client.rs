@@ -3,6 +3,7 @@
 
 use crate::bindings::*;
 use crate::context::Watchers;
+use crate::distro;
 use crate::end::{MessageQueue, ReceivingEndpoint};
 use crate::error::{Error, Result, answer, made};
 use crate::handle::{IDENTIFIER, behind, copy_text, free_text, gid_to_ros, place};
@@ -278,9 +279,8 @@ pub unsafe extern "C" fn rmw_service_server_is_available(
     is_available: *mut bool,
 ) -> rmw_ret_t {
     answer(|| {
-        // As rmw's own tests require.
         if node.is_null() || handle.is_null() || is_available.is_null() {
-            return Err(Error::other("the node, the client or the result pointer is null"));
+            return Err(distro::null_argument("the node, the client or the result pointer"));
         }
         // SAFETY: rmw's contract.
         let (client, is_available) = unsafe {

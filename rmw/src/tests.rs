@@ -251,6 +251,10 @@ fn what_is_null_unknown_or_somebody_elses_is_an_error_with_a_text() {
         assert_eq!(publisher::rmw_publish(null(), null(), null_mut()), RET_INVALID_ARGUMENT);
         assert_eq!(client::rmw_send_request(null(), null(), null_mut()), RET_INVALID_ARGUMENT);
         assert_eq!(guard::rmw_trigger_guard_condition(null()), RET_INVALID_ARGUMENT);
+        let is_older = ["humble", "jazzy"].contains(&env!("RMW_INTERFACE"));
+        let null_argument = if is_older { RET_ERROR } else { RET_INVALID_ARGUMENT };
+        assert_eq!(wait::rmw_destroy_wait_set(null_mut()), null_argument);
+        assert_eq!(client::rmw_service_server_is_available(null(), null(), null_mut()), null_argument);
         let mut event = rmw_get_zero_initialized_event();
         let publisher = world.publisher(of, &profile(1));
         let kind = RMW_EVENT_MESSAGE_LOST;

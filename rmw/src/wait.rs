@@ -4,6 +4,7 @@
 use crate::bindings::*;
 use crate::client::Client;
 use crate::context::Waiters;
+use crate::distro;
 use crate::error::{Error, Result, answer, made};
 use crate::event;
 use crate::guard::GuardCondition;
@@ -301,9 +302,8 @@ pub unsafe extern "C" fn rmw_create_wait_set(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn rmw_destroy_wait_set(handle: *mut rmw_wait_set_t) -> rmw_ret_t {
     answer(|| {
-        // As rmw's own tests require.
         if handle.is_null() {
-            return Err(Error::other("the wait set is null"));
+            return Err(distro::null_argument("the wait set"));
         }
         // SAFETY: rmw's contract; checked to be ours.
         unsafe {

@@ -74,7 +74,7 @@ pub fn make_folder(name: &str) -> Result<(), ShmError> {
         check_owner(&folder)?;
         let mode = Mode::from_raw_mode(rustix::fs::fstat(&folder)?.st_mode);
         if mode.intersects(Mode::WGRP | Mode::WOTH) {
-            return Err(io::Error::other("others can write to it"));
+            return Err(io::Error::other("others can write to it: remove it"));
         }
         Ok(())
     };
@@ -306,7 +306,7 @@ pub fn check_owner(file: impl AsFd) -> io::Result<()> {
     if user == rustix::process::geteuid().as_raw() {
         return Ok(());
     }
-    Err(io::Error::other(format!("it belongs to user {user}")))
+    Err(io::Error::other(format!("it belongs to user {user}: remove it as that user, or as root")))
 }
 
 /// Whether a file has not been removed.
@@ -579,6 +579,6 @@ mod tests {
         }
         let error = PeerFile::open(own.path().to_owned(), true).unwrap_err();
         own.retire();
-        assert!(error.to_string().ends_with("it belongs to user 65534"), "{error}");
+        assert!(error.to_string().contains("it belongs to user 65534: remove it as"), "{error}");
     }
 }

@@ -2,6 +2,7 @@
 //! What can go wrong: [`TransportError`] while setting up, one small enum per operation while running.
 
 use crate::names::{REQUESTS, RESPONSES};
+use rustix::io::Errno;
 use std::fmt;
 use std::io;
 use std::path::PathBuf;
@@ -13,7 +14,7 @@ use tautline_msgs::cdr::{DecodeError, EncodeError};
 #[non_exhaustive]
 pub enum TransportError {
     /// A file in /dev/shm could not be created or mapped.
-    #[error("{} cannot be used: {source}; check that /dev/shm exists, is writable and is not full, and that the process is not at its limit of open files (ulimit -n)", path.display())]
+    #[error("{} cannot be used: {source}{}", path.display(), fix(source))]
     File {
         /// The file.
         path: PathBuf,
@@ -272,4 +273,41 @@ pub enum TakeError {
     /// The bytes are not a message of this type.
     #[error("the sample is not a valid message: {0}")]
     Invalid(DecodeError),
+}
+
+/// What to do about what the system said of a file in /dev/shm; an error of our own says it itself.
+fn fix(error: &io::Error) -> &'static str {
+    match Errno::from_io_error(error) {
+        None => "",
+        Some(Errno::ROFS) => {
+            "; mount -o remount,rw /dev/shm makes it writable, and so does --ipc=host or --tmpfs /dev/shm for a container"
+        }
+        Some(Errno::NOSPC) => {
+            "; mount -o remount,size=4G /dev/shm makes room, and so does --shm-size for a container"
+        }
+        Some(Errno::MFILE | Errno::NFILE) => "; raise the limit of open files (ulimit -n)",
+        Some(Errno::ACCESS | Errno::PERM) => "; chmod 1777 /dev/shm lets every user make files there",
+        Some(_) => "; check that /dev/shm exists, and is a tmpfs",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_refusal_of_the_system_has_one_fix() {
+        let of =
+            |source: io::Error| TransportError::File { path: "/dev/shm/taut_0_0".into(), source }.to_string();
+        let expected = "/dev/shm/taut_0_0 cannot be used: Read-only file system (os error 30); mount -o remount,rw /dev/shm makes it \
+                        writable, and so does --ipc=host or --tmpfs /dev/shm for a container";
+        assert_eq!(of(Errno::ROFS.into()), expected);
+        assert!(of(Errno::NOSPC.into()).contains("os error 28); mount -o remount,size="));
+        assert!(of(Errno::MFILE.into()).ends_with("os error 24); raise the limit of open files (ulimit -n)"));
+        assert!(
+            of(Errno::ACCESS.into())
+                .ends_with("os error 13); chmod 1777 /dev/shm lets every user make files there")
+        );
+        assert!(of(io::Error::other("it belongs to user 7: remove it")).ends_with("user 7: remove it"));
+    }
 }

@@ -7,13 +7,13 @@
 //! | `crates` | packs the published crates, and builds a program with them |
 //! | `rmw_tautline.py` | loads the RMW into Python, if `RMW_IMPLEMENTATION` asks for it |
 //! | `no_wheel.py` | says why pip takes none of the wheels |
-//! | `show.sh` | installs the wheels on a machine with Python alone, and uses them |
+//! | `refused.sh` | says what those are told whose machine or installation is not as it must be |
 
 mod crates;
 
 use crate::build::Build;
 use crate::steps::{Outcome, Steps, cargo, execute};
-use crate::{book, machine, r2r, rmw, ros, word};
+use crate::{book, machine, pages, r2r, rmw, ros, word};
 use clap::ValueEnum;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -69,7 +69,7 @@ pub fn run(steps: &mut Steps, named: &[Part]) {
 pub fn test(steps: &mut Steps) {
     let dist = Dist::new(Build::Tests);
     dist.make(steps, &[Part::Tarball, Part::Deb, Part::Wheel, Part::RmwWheel]);
-    steps.step("dist: installed", || Outcome::from(dist.show()).unless_ci());
+    pages::test(steps, &dist.out);
 }
 
 /// The crates, while something else waits: with the crates that examples have been checked with.
@@ -156,18 +156,6 @@ impl Dist {
         // What the tests make is thrown away.
         command.env("LEVEL", if self.of == Build::Release { "9" } else { "1" });
         execute(&mut command)
-    }
-
-    /// On a machine with Python, and no more than a shell's programs.
-    fn show(&self) -> Result<(), String> {
-        let home = self.out.join("work/home");
-        let _ = fs::remove_dir_all(&home);
-        let mut command = Command::new("timeout");
-        command.args(["600", "sh", "-eu"]).arg(machine::root().join("xtask/src/dist/show.sh"));
-        command.env("OUT", &self.out).env("HOME", home).env("PYTHON", ros::python()?).env("VERSION", VERSION);
-        // ROS 2's wheels have been downloaded before.
-        let cache = std::env::home_dir().map(|home| ("PIP_CACHE_DIR", home.join(".cache/pip")));
-        execute(command.envs(cache).envs(machine::no_rt().map(|_| ("TAUT_REALTIME", "off"))))
     }
 }
 

@@ -35,6 +35,7 @@
 //! | `ros` | makes a real ROS 2 for the tests to compare with |
 //! | `running` | programs that run beside this one, and what they have said |
 //! | `packages` | Debian's packages that some tests need |
+//! | `pages` | the commands of the pages that a newcomer reads, run where the packages alone are installed |
 //! | `machine` | where things are built, and what this user may do |
 
 mod api;
@@ -59,6 +60,7 @@ mod locks;
 mod lttng;
 mod machine;
 mod packages;
+mod pages;
 mod peers;
 mod programs;
 mod r2r;

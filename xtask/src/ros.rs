@@ -103,10 +103,15 @@ pub fn venv() -> PathBuf {
 
 /// Makes the environment unless it is there already. Ten seconds and 120 MB from PyPI.
 pub fn prepare() -> Result<(), String> {
-    let (distribution, of) = (distribution(), chosen() as usize);
-    let ros = ROS.map(|(name, versions)| format!("ros-{distribution}-{name}=={}", versions[of]));
+    let ros = wheels();
     let wheels: Vec<&str> = ros.iter().map(String::as_str).chain(OTHERS).collect();
     make_venv(&venv(), &wheels, python)
+}
+
+/// The chosen one's own packages, each with its version.
+pub fn wheels() -> [String; ROS.len()] {
+    let (distribution, of) = (distribution(), chosen() as usize);
+    ROS.map(|(name, versions)| format!("ros-{distribution}-{name}=={}", versions[of]))
 }
 
 /// Makes a Python environment with packages from PyPI unless it is there already.

@@ -79,7 +79,7 @@ pub enum DemoError {
     System(#[from] tautline_analysis::file::Problems),
     #[error("TAUT_REALTIME={value} is not understood: it may be 'required' or 'off'")]
     Environment { value: String },
-    #[error("the {role} process {what}; run with RUST_LOG=debug to see more")]
+    #[error("the {role} process {what}: it has said why, and says more with RUST_LOG=debug")]
     Child { role: &'static str, what: String },
     #[error("{} cannot be written: {source}; choose another place with --svg or --json", path.display())]
     Write { path: PathBuf, source: std::io::Error },

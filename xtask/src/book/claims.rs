@@ -387,6 +387,26 @@ fn hot_paths_deny_what_would_wait() {
     assert_eq!(lax, Vec::<PathBuf>::new());
 }
 
+/// README, PyPI and the book's first page are one text, whose beginning the packages take too.
+#[test]
+fn who_finds_it_reads_the_same_five_sentences() {
+    let root = machine::root();
+    let whole = |lines: Vec<&str>| lines.join(" ");
+    let readme = read(&root.join("README.md"));
+    let five = whole(readme.lines().skip(2).take_while(|line| !line.is_empty()).collect());
+    let (first, rest) = five.split_once(". ").unwrap();
+    assert_eq!(rest.matches(". ").count() + 2, 5, "{five}");
+    let crate_page = read(&root.join("node/src/lib.rs"));
+    let begin = crate_page.lines().skip(1).map_while(|line| line.strip_prefix("//! "));
+    assert_eq!(whole(begin.collect()), five);
+    assert_eq!(read(&root.join("docs/introduction.md")).trim(), "{{#include ../README.md}}");
+    for file in ["node/Cargo.toml", "docs/book.toml"] {
+        assert!(read(&root.join(file)).contains(&format!("description = \"{first}\"")), "{file}: {first}");
+    }
+    let packages = read(&root.join("xtask/src/dist/pack.sh"));
+    assert!(packages.contains("Description: $first\n") && packages.contains("pack_wheel taut \"$first: "));
+}
+
 /// The text of a page, with one space between words.
 fn prose(page: &str) -> String {
     read(&machine::root().join(page)).split_whitespace().collect::<Vec<_>>().join(" ")

@@ -3,6 +3,8 @@
 umask 022
 files=$OUT/work/files doc=share/doc/tautline
 mkdir -p "$OUT/work"
+# What it is, as the README begins: a paragraph, and its first sentence.
+about=$(sed -n '3,/^$/p' "$REPOSITORY/README.md") first=$(sed -n '3s/\. .*//p' "$REPOSITORY/README.md")
 
 # $1 is the project, $2 its summary; the rest are more fields. The folder $wheel is packed.
 pack_wheel() {
@@ -124,7 +126,9 @@ Depends: libc6 (>= $GLIBC), libgcc-s1
 Section: misc
 Priority: optional
 Homepage: https://github.com/tautline/tautline
-Description: Zero-copy, real-time middleware for robots
+Description: $first
+$(echo "$about" | fmt -w 78 | sed 's/^/ /')
+ .
  The command taut observes, records and replays the topics of a robot, computes
  bounds of response times and compares them with measurements. The gateway
  connects hosts over Zenoh, and ROS 2 nodes on rmw_zenoh.
@@ -145,7 +149,7 @@ wheel)
     mkdir -p "$data"
     cp -a "$files" "$data/data"
     mv "$data/data/bin" "$data/scripts"
-    pack_wheel taut "Zero-copy, real-time middleware for robots: the command line and the gateway" "Requires-Python: >=3.8"
+    pack_wheel taut "$first: the command line and the gateway" "Requires-Python: >=3.8"
     ;;
 rmw-wheel)
     wheel=$OUT/work/rmw-wheel
@@ -160,7 +164,7 @@ rmw-wheel)
     echo "import os; os.environ.get('RMW_IMPLEMENTATION') == 'rmw_tautline' and __import__('rmw_tautline')" \
         > "$wheel/tautline_rmw.pth"
     # Jazzy's, with whose headers and libraries it is built.
-    pack_wheel rmw-tautline "rmw_tautline for ROS 2 Jazzy: unchanged nodes on Tautline's shared memory" \
+    pack_wheel rmw-tautline "$first: rmw_tautline for ROS 2 Jazzy" \
         "Requires-Python: >=3.8" "Requires-Dist: ros-rmw~=7.3.2" "Requires-Dist: ros-rcutils~=6.7.4" \
         "Requires-Dist: ros-rosidl-runtime-c~=4.6.6" "Requires-Dist: ros-fastcdr~=2.2.5"
     ;;
