@@ -48,7 +48,7 @@ impl Migration {
         let steps = &steps[first as usize - 1..];
         let mut changes: Vec<_> = steps.iter().flat_map(|step| step(&mut document)).collect();
         let text = match document.get_mut("version").and_then(Item::as_value_mut) {
-            Some(value) if from == Some(current) => {
+            Some(_) if from == Some(current) => {
                 return Ok(Migration { from, text: text.to_owned(), changes });
             }
             Some(value) => {
